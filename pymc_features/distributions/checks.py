@@ -1,0 +1,179 @@
+"""Checks and warnings of the feature likelihoods, made once where the model is declared."""
+
+import warnings
+
+import numpy as np
+import pymc as pm
+import pytensor
+import pytensor.tensor as pt
+from pymc.initial_point import make_initial_point_expression
+from pytensor.compile.mode import Mode
+from pytensor.compile.sharedvalue import SharedVariable
+from pytensor.graph.basic import Constant, Variable
+from pytensor.graph.replace import graph_replace
+from pytensor.graph.traversal import ancestors
+
+from pymc_features.ops import mean_square_discrepancy, response_step
+from pymc_features.ops.discrepancy import check_shape
+
+LARGE_CONSTANT = 10**6  # bytes; beyond it Numba cannot keep a compiled graph on disk
+NOISE_FREE = 1e-12  # misfit over mean square of the data
+
+
+class FeatureLikelihoodWarning(UserWarning):
+    """The posterior of a feature likelihood will not mean what the user expects."""
+
+
+def check_sigma(sigma, mu):
+    """Return sigma as a tensor; refuse numbers that are not positive or do not fit the sensors."""
+    tensor = pt.as_tensor_variable(sigma)
+    if isinstance(tensor, Constant):
+        values = np.atleast_1d(tensor.data)
+        if not (np.isfinite(values) & (values > 0)).all():
+            raise ValueError(
+                f"`sigma` must be positive and finite, got {np.asarray(tensor.data).tolist()}. Pass "
+                "the root-mean-square discrepancy expected at the truth, in the units of the data."
+            )
+    sensors = mu.type.shape[-2] if mu.ndim > 1 else None
+    given = tensor.type.shape[-1] if tensor.ndim else None
+    if None not in (sensors, given) and given not in (1, sensors):
+        raise ValueError(
+            f"`sigma` must be a scalar or have one value for each of the {sensors} sensors, "
+            f"got {given}."
+        )
+    return tensor
+
+
+def prepare_observed(mu, observed, name):
+    """Return the data, checked against `mu`; NaN is refused, since PyMC would impute it silently."""
+    mu = pt.as_tensor_variable(mu)
+    if isinstance(observed, Variable):
+        _check_values(_values(observed))
+        check_shape(mu.type.shape, _shape(observed))
+        return observed
+    if np.ma.isMaskedArray(observed) and np.ma.getmaskarray(observed).any():
+        raise ValueError(
+            "`observed` must have no missing values, got a masked array. Cut the record to its "
+            "complete part, or leave out the sensor."
+        )
+    try:
+        values = np.ascontiguousarray(observed, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"`observed` must be an array of numbers, got {type(observed).__name__}."
+        ) from None
+    _check_values(values)
+    if values.ndim != max(mu.ndim, 1):
+        raise ValueError(
+            f"`observed` must have {mu.ndim} dimensions (..., sensor, time) to match `mu`, "
+            f"got shape {values.shape}."
+        )
+    check_shape(mu.type.shape, values.shape)
+    if values.nbytes > LARGE_CONSTANT:
+        return pytensor.shared(values, name=f"{name}_data", shape=values.shape)
+    return values
+
+
+def _check_values(values):
+    if values is None or np.isfinite(values).all():
+        return
+    position = tuple(int(i[0]) for i in np.nonzero(~np.isfinite(values)))
+    raise ValueError(
+        f"`observed` must be finite, got {values[position]} at index {position} of (sensor, time). "
+        "Cut the record to its complete part, or leave out the sensor."
+    )
+
+
+def _values(variable):
+    """Data behind a constant or shared variable, else None."""
+    if isinstance(variable, SharedVariable):
+        return np.asarray(variable.get_value(borrow=True))
+    return np.asarray(variable.data) if isinstance(variable, Constant) else None
+
+
+def _shape(variable):
+    values = _values(variable)
+    return variable.type.shape if values is None else values.shape
+
+
+def name_the_time_axis(dims, mu, observed):
+    """Give the model the times [s] of the last dimension, where `dims` names one it does not know."""
+    dims = (dims,) if isinstance(dims, str) else tuple(dims or ())
+    model = pm.modelcontext(None)
+    if not dims or dims[-1] is None or dims[-1] in model.dim_lengths:
+        return
+    mu = pt.as_tensor_variable(mu)
+    n_times = mu.type.shape[-1] if mu.ndim else None
+    if n_times is None and observed is not None:
+        n_times = _shape(pt.as_tensor_variable(observed))[-1]
+    if n_times is not None:
+        model.add_coord(dims[-1], np.arange(n_times) * (response_step(mu) or 1))
+
+
+def warn_about_the_posterior(rv_type, mu, sigma, observed):
+    """Warn of posteriors without a finite variance and of data without noise.
+
+    Parameters
+    ----------
+    rv_type : type
+        Has `degrees_of_freedom` m for each sensor.
+    mu, sigma, observed
+        As passed by the user. A constant sigma raises no question.
+    """
+    sigma = pt.as_tensor_variable(sigma)
+    if isinstance(sigma, Constant):
+        return
+    mu = pt.as_tensor_variable(mu)
+    n_sensors = _shape(pt.as_tensor_variable(observed))[-2] if mu.ndim > 1 else 1
+    if n_sensors is not None:
+        _warn_about_variance(rv_type, n_sensors, sigma)
+    _warn_about_noise(mu, observed)
+
+
+def _warn_about_variance(rv_type, n_sensors, sigma):
+    """Each sigma integrates out to S^(-(m - 1)/2); the tail is normalisable in variance above 3."""
+    alone = sigma.ndim > 0 and sigma.type.shape[-1] != 1
+    m = rv_type.degrees_of_freedom
+    tail = n_sensors * (m - 1) if alone else n_sensors * m - 1
+    if tail > 3:
+        return
+    shared = "a sigma for each sensor" if alone else "one sigma"
+    consequence = (
+        "carry no information on the parameters once sigma is integrated out"
+        if tail == 0
+        else "have a posterior without a finite variance but the prior's"
+    )
+    warnings.warn(
+        f"{n_sensors} sensor{'s' if n_sensors > 1 else ''} with {shared} {consequence} under "
+        f"{rv_type.__name__.removesuffix('RV')}. Add sensors, share sigma among them, fix sigma, or "
+        "give it an informative prior.",
+        FeatureLikelihoodWarning,
+        stacklevel=4,
+    )
+
+
+def _warn_about_noise(mu, observed):
+    """Warn if the response at the model's initial point equals the data: sigma then runs to zero."""
+    model = pm.modelcontext(None)
+    try:
+        e = mean_square_discrepancy(mu, observed)
+        upstream = set(ancestors([e]))
+        free = [rv for rv in model.free_RVs if rv in upstream]
+        points = make_initial_point_expression(
+            free_rvs=free,
+            rvs_to_transforms={},
+            initval_strategies=dict(model.rvs_to_initial_values),
+        )
+        e = graph_replace(e, dict(zip(free, points, strict=True)), strict=False)
+        misfit = e.eval(mode=Mode(linker="py", optimizer=None))
+        power = np.mean(np.square(_values(pt.as_tensor_variable(observed))), axis=-1)
+    except Exception:  # a courtesy: whatever cannot be evaluated here is no error of the user's
+        return
+    if (power > 0).any() and (misfit[power > 0] <= NOISE_FREE * power[power > 0]).all():
+        warnings.warn(
+            "`observed` equals the response at the model's initial point: the data have no noise. The "
+            "discrepancy can vanish, and the posterior of sigma then runs to zero and that of the "
+            "parameters to a point. Add the measurement noise, or fix sigma.",
+            FeatureLikelihoodWarning,
+            stacklevel=4,
+        )

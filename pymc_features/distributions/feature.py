@@ -1,0 +1,156 @@
+"""What the feature likelihoods share: draws, densities over the data, and the checks at the border.
+
+A feature likelihood puts a probability model on the mean-square discrepancy e_j of each sensor, Eq. (3),
+not on its time samples. For TN and EXP, e_j / sigma^2 is chi-square with m = 1 or 2 degrees of freedom.
+
+As a density of the *feature* it is what the source writes, Eqs. (7) and (9). A draw of the data with this
+feature and no preferred direction is y = mu + R u, with R = sqrt(N_D e) and u uniform on the unit sphere of
+N_D dimensions; its density is that of the radius over the area of its sphere,
+
+    p(y) = p_R(R) Gamma(N_D / 2) / (2 pi^(N_D / 2) R^(N_D - 1)).
+"""
+
+import numpy as np
+import pytensor.tensor as pt
+from pymc.distributions.dist_math import check_parameters
+from pymc.distributions.distribution import Continuous, SymbolicRandomVariable, _support_point
+from pymc.distributions.shape_utils import (
+    implicit_size_from_params,
+    maybe_resize,
+    rv_size_is_none,
+)
+from pymc.logprob.abstract import _logcdf, _logprob
+from pymc.pytensorf import normalize_rng_param
+from pytensor.tensor.random.utils import normalize_size_param
+
+from pymc_features.distributions.checks import (
+    check_sigma,
+    name_the_time_axis,
+    prepare_observed,
+    warn_about_the_posterior,
+)
+from pymc_features.ops import mean_square_discrepancy
+
+DENSITIES = ("feature", "data")
+
+
+class FeatureRV(SymbolicRandomVariable):
+    """Data (..., time) whose mean-square distance from mu follows the law of a feature.
+
+    A feature likelihood is a subclass with `degrees_of_freedom` m of e / sigma^2 and the log-densities
+    of the feature and of the root mean square.
+    """
+
+    extended_signature = "[rng],[size],(t),()->[rng],(t)"
+    degrees_of_freedom: int
+    density = "feature"
+
+    @staticmethod
+    def feature_logp(e, sigma):
+        """Log-density of the paper's feature at mean square e (...,), constants included."""
+        raise NotImplementedError
+
+    @staticmethod
+    def rms_logp(e, sigma):
+        """Log-density of the root mean square sqrt(e)."""
+        raise NotImplementedError
+
+    @staticmethod
+    def feature_logcdf(e, sigma):
+        """Log-probability that the feature is not larger than at mean square e."""
+        raise NotImplementedError
+
+    @classmethod
+    def rv_op(cls, mu, sigma, *, size=None, rng=None):
+        """Build draws: the radius from the feature's law, the direction uniform on the sphere."""
+        mu = pt.as_tensor_variable(mu)
+        sigma = pt.as_tensor_variable(sigma)
+        rng = normalize_rng_param(rng)
+        size = normalize_size_param(size)
+        full_size = size
+        if rv_size_is_none(size):
+            full_size = implicit_size_from_params(mu, sigma, ndims_params=[1, 0])
+        full_size = tuple(full_size)
+        n_times = mu.shape[-1]
+        middle_rng, normal = pt.random.normal(
+            0.0, 1.0, size=(*full_size, n_times), rng=rng, return_next_rng=True
+        )
+        next_rng, chi_square = pt.random.gamma(
+            0.5 * cls.degrees_of_freedom,
+            scale=2.0,
+            size=full_size,
+            rng=middle_rng,
+            return_next_rng=True,
+        )
+        direction = normal / pt.sqrt(pt.sum(pt.sqr(normal), axis=-1, keepdims=True))
+        radius = sigma * pt.sqrt(chi_square * n_times)
+        draws = mu + radius[..., None] * direction
+        return cls(inputs=[rng, size, mu, sigma], outputs=[next_rng, draws])(rng, size, mu, sigma)
+
+
+@_logprob.register(FeatureRV)
+def feature_logprob(op, values, *inputs, **kwargs):
+    """Log-likelihood of each sensor; -inf where the response is not finite."""
+    [value] = values
+    _, size, mu, sigma = inputs
+    e = mean_square_discrepancy(mu, value)
+    if op.density == "feature":
+        logp = op.feature_logp(e, sigma)
+    else:
+        logp = op.rms_logp(e, sigma) + _log_direction(e, value.shape[-1])
+    logp = pt.switch(pt.isnan(e), -np.inf, logp)
+    return maybe_resize(check_parameters(logp, sigma > 0, msg="sigma > 0"), size)
+
+
+def _log_direction(e, n_times):
+    """Log-density of the data on the sphere of radius R = sqrt(N_D e), and d sqrt(e) / d R."""
+    n = pt.cast(n_times, "float64")
+    log_area = np.log(2.0) + 0.5 * n * np.log(np.pi) - pt.gammaln(0.5 * n)
+    return -0.5 * pt.log(n) - log_area - 0.5 * (n - 1.0) * pt.log(n * e)
+
+
+@_logcdf.register(FeatureRV)
+def feature_logcdf(op, value, *inputs, **kwargs):
+    """Log-probability of a smaller feature, for each sensor."""
+    _, size, mu, sigma = inputs
+    logcdf = op.feature_logcdf(mean_square_discrepancy(mu, value), sigma)
+    return maybe_resize(check_parameters(logcdf, sigma > 0, msg="sigma > 0"), size)
+
+
+@_support_point.register(FeatureRV)
+def feature_support_point(op, rv, *inputs):
+    """Return the response itself."""
+    return pt.broadcast_to(inputs[2], rv.shape)
+
+
+class FeatureLikelihood(Continuous):
+    """Base of the feature likelihoods; `rv_types` maps each density to its random variable."""
+
+    rv_types: dict[str, type[FeatureRV]] = {}
+
+    def __init_subclass__(cls, **kwargs):
+        super().__init_subclass__(**kwargs)
+        cls.rv_op = FeatureLikelihood.__dict__["rv_op"]  # PyMC's metaclass has just hidden it
+
+    def __new__(cls, name, mu, sigma, *args, observed=None, dims=None, **kwargs):
+        if observed is not None:
+            observed = prepare_observed(mu, observed, name)
+            warn_about_the_posterior(cls.rv_types["feature"], mu, sigma, observed)
+        name_the_time_axis(dims, mu, observed)
+        return super().__new__(cls, name, mu, sigma, *args, observed=observed, dims=dims, **kwargs)
+
+    @classmethod
+    def dist(cls, mu, sigma, *, density="feature", **kwargs):
+        if density not in DENSITIES:
+            raise ValueError(f"`density` must be one of {', '.join(DENSITIES)}, got {density!r}.")
+        mu = pt.as_tensor_variable(mu)
+        if mu.ndim < 1:
+            raise ValueError(
+                "`mu` must be (..., sensor, time), got a scalar. Pass what `response` returned."
+            )
+        return super().dist([mu, check_sigma(sigma, mu)], density=density, **kwargs)
+
+    @classmethod
+    def rv_op(cls, mu, sigma, *, density="feature", size=None, rng=None):
+        """Build the random variable of the wanted density."""
+        return cls.rv_types[density].rv_op(mu, sigma, size=size, rng=rng)

@@ -1,0 +1,82 @@
+"""What the response Ops share: their inputs, and the refusal of gradients."""
+
+import numpy as np
+import pytensor.tensor as pt
+from pytensor.graph.basic import Constant, Variable
+from pytensor.graph.op import Op
+
+from pymc_features.simulators import QUANTITIES, n_outputs
+
+# name and number of dimensions of the inputs common to all Ops, in the order of the kernels
+INPUTS = {
+    "mass": 1,
+    "stiffness": 1,
+    "rayleigh": 1,
+    "ratios": 1,
+    "acceleration": 1,
+    "dt": 0,
+    "substeps": 0,
+    "stride": 0,
+    "sensors": 1,
+    "n_modes": 0,
+}
+INTEGERS = ("substeps", "stride", "sensors", "n_modes")
+INPUT_SIGNATURE = "(n),(n),(2),(n),(t),(),(),(),(s),()"
+
+
+class NotDifferentiableError(RuntimeError):
+    """A gradient was asked of an Op that has none.
+
+    Not a `NotImplementedError`: PyMC answers that one by a silent change to Metropolis or Slice.
+    """
+
+
+class ChainOp(Op):
+    """Base of the Ops on a spring-mass chain.
+
+    Parameters
+    ----------
+    quantity : str
+        One of `simulators.QUANTITIES`; the only property, since it changes the code. Everything else
+        the kernels read is an input of the node, so that equal Ops always do the same.
+    """
+
+    __props__ = ("quantity",)
+
+    def __init__(self, quantity: str = "absolute_acceleration"):
+        self.quantity = quantity
+        self.quantity_code = QUANTITIES.index(quantity)
+
+    @staticmethod
+    def prepare_inputs(inputs):
+        """Cast the common inputs and check their numbers of dimensions."""
+        prepared = []
+        for (name, ndim), value in zip(INPUTS.items(), inputs, strict=True):
+            dtype = "int64" if name in INTEGERS else "float64"
+            if not isinstance(value, Variable):
+                value = np.asarray(value, dtype=dtype)
+            tensor = pt.as_tensor_variable(value)
+            if tensor.ndim != ndim:
+                raise ValueError(
+                    f"`{name}` must have {ndim} dimensions, got {tensor.ndim}. "
+                    "Use `pytensor.graph.vectorize_graph` for batches."
+                )
+            prepared.append(tensor if tensor.dtype == dtype else tensor.astype(dtype))
+        return prepared
+
+    @staticmethod
+    def static_n_outputs(inputs) -> int | None:
+        """Number of output samples where record and step are known when the graph is built."""
+        n_times = inputs[4].type.shape[0]
+        substeps, stride = inputs[6], inputs[7]
+        if n_times is None or not (isinstance(substeps, Constant) and isinstance(stride, Constant)):
+            return None
+        return int(n_outputs(n_times, int(substeps.data), int(stride.data)))
+
+    def pullback(self, inputs, outputs, cotangents):
+        """Refuse: these Ops have no gradient yet."""
+        raise NotDifferentiableError(
+            "the structural response is not differentiable yet, so NUTS, ADVI and gradient-based "
+            "optimisers cannot be used on it. Sample with pm.sample_smc(), or choose a gradient-free "
+            "method yourself: pm.sample(step=pm.DEMetropolisZ()), pm.find_MAP(method='powell')."
+        )

@@ -1,0 +1,149 @@
+"""The response history as a PyTensor Op, and `response`, its public function."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytensor
+import pytensor.tensor as pt
+from pytensor.graph.basic import Apply
+from pytensor.tensor.blockwise import Blockwise
+from pytensor.tensor.elemwise import DimShuffle, Elemwise
+from pytensor.tensor.shape import SpecifyShape
+from pytensor.tensor.variable import TensorVariable
+
+from pymc_features.ops.base import INPUT_SIGNATURE, ChainOp
+from pymc_features.records import Record
+from pymc_features.simulators import chain_response, request
+from pymc_features.structures import Structure
+
+
+class ChainResponse(ChainOp):
+    """Response history (sensor, time) of a spring-mass chain, Eqs. (17)-(24)."""
+
+    gufunc_signature = f"{INPUT_SIGNATURE}->(s,u)"
+
+    def make_node(self, *inputs):
+        inputs = self.prepare_inputs(inputs)
+        shape = (inputs[8].type.shape[0], self.static_n_outputs(inputs))
+        return Apply(self, inputs, [pt.tensor(dtype="float64", shape=shape)])
+
+    def infer_shape(self, node, shapes):
+        substeps, stride = node.inputs[6], node.inputs[7]
+        return [(shapes[8][0], ((shapes[4][0] - 1) * substeps) // stride + 1)]
+
+    def perform(self, node, inputs, output_storage):
+        arrays = [np.ascontiguousarray(x) if np.ndim(x) else x.item() for x in inputs]
+        output_storage[0][0] = chain_response(*arrays, self.quantity_code)
+
+
+def response(
+    structure: Structure,
+    record: Record,
+    *,
+    dt: float | None = None,
+    sensors: Sequence[int] | None = None,
+    quantity: str = "absolute_acceleration",
+    n_modes: int | None = None,
+) -> TensorVariable:
+    """Response history of a structure to a ground acceleration, inside a PyMC model.
+
+    Parameters
+    ----------
+    structure : SpringMassChain
+        Its parameters may be random variables.
+    record : Record
+        Ground acceleration; the structure is at rest at its first sample.
+    dt : float, optional
+        Output step [s], an integer multiple or divisor of the record's step, which is the default.
+    sensors : sequence of int, optional
+        Degrees of freedom, 0 next to the base. All by default.
+    quantity : str
+        "absolute_acceleration" (default), "relative_acceleration" [m/s^2], "relative_velocity"
+        [m/s] or "relative_displacement" [m].
+    n_modes : int, optional
+        Number of modes kept, lowest first. All by default.
+
+    Returns
+    -------
+    TensorVariable (sensor, time)
+        Exact for an excitation that is linear between its samples. NaN throughout where the
+        parameters describe no structure.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is out of range.
+
+    See Also
+    --------
+    simulate : the same numbers without PyTensor.
+
+    Notes
+    -----
+    The feature likelihoods recognise this variable and compute the discrepancy without storing the
+    history. Not differentiable yet: asking for a gradient raises `NotDifferentiableError`.
+
+    Examples
+    --------
+    >>> chain = SpringMassChain(mass=[1.0, 1.0], stiffness=100.0, damping=ModalDamping(0.02))
+    >>> response(chain, Record([0.0, 1.0, 0.0], dt=0.1)).type.shape
+    (2, 3)
+    """
+    if not isinstance(structure, Structure):
+        raise TypeError(
+            f"`structure` must be a Structure, got {type(structure).__name__}. "
+            "Pass for example a SpringMassChain."
+        )
+    if not isinstance(record, Record):
+        raise TypeError(
+            f"`record` must be a Record, got {type(record).__name__}. "
+            "Use read_record(path) or Record(acceleration, dt)."
+        )
+    asked = request(
+        structure.n_dof, record.dt, dt=dt, sensors=sensors, quantity=quantity, n_modes=n_modes
+    )
+    # shared, not constant: constants enter the key of compiled graphs, large ones prevent its use
+    acceleration = pytensor.shared(
+        record.acceleration.copy(), name=record.name or "acceleration", shape=(record.n_times,)
+    )
+    return ChainResponse(asked.quantity)(
+        *structure.parameters(),
+        acceleration,
+        record.dt,
+        asked.substeps,
+        asked.stride,
+        asked.sensors,
+        asked.n_modes,
+    )
+
+
+def response_node(variable: TensorVariable) -> Apply | None:
+    """Return the node whose output `variable` is, if it is a response, looking through copies.
+
+    Names, deterministics and shape annotations leave the value alone; batches are `Blockwise`.
+    """
+    while variable.owner is not None:
+        op = variable.owner.op
+        core = op.core_op if isinstance(op, Blockwise) else op
+        if isinstance(core, ChainResponse):
+            return variable.owner
+        is_copy = isinstance(op, Elemwise) and op.scalar_op == pytensor.scalar.identity
+        is_same = isinstance(op, DimShuffle) and op.new_order == tuple(range(variable.ndim))
+        if not (is_copy or is_same or isinstance(op, SpecifyShape)):
+            return None
+        variable = variable.owner.inputs[0]
+    return None
+
+
+def response_step(variable: TensorVariable) -> float | None:
+    """Output step [s] of a response, None if `variable` is none or the step is not a constant."""
+    node = response_node(variable)
+    if node is None:
+        return None
+    try:
+        dt, substeps, stride = (
+            pt.get_underlying_scalar_constant_value(node.inputs[i]) for i in (5, 6, 7)
+        )
+    except pt.exceptions.NotScalarConstantError:
+        return None
+    return float(dt) * int(stride) / int(substeps)

@@ -1,0 +1,18 @@
+"""Arrays in, arrays out: modes, the exact recursion, and the discrepancy, as compiled kernels."""
+
+from pymc_features.simulators.compilation import SOURCE_HASH
+from pymc_features.simulators.discrepancy import chain_discrepancy
+from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
+from pymc_features.simulators.sampling import UNITS, request
+from pymc_features.simulators.simulate import simulate
+
+__all__ = [
+    "QUANTITIES",
+    "SOURCE_HASH",
+    "UNITS",
+    "chain_discrepancy",
+    "chain_response",
+    "n_outputs",
+    "request",
+    "simulate",
+]

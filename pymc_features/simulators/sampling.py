@@ -1,0 +1,97 @@
+"""What is asked of a response: output step, sensors, quantity and number of modes, checked."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features.simulators.recursion import QUANTITIES
+
+UNITS = dict(zip(QUANTITIES, ("m/s^2", "m/s^2", "m/s", "m"), strict=True))
+
+
+class Request(NamedTuple):
+    """A checked request: the response of `sensors` at every `stride`-th of `substeps` per step."""
+
+    substeps: int
+    stride: int
+    sensors: np.ndarray
+    n_modes: int
+    quantity: str
+
+    @property
+    def quantity_code(self) -> int:
+        """What the kernels call the quantity."""
+        return QUANTITIES.index(self.quantity)
+
+    def n_outputs(self, n_times: int) -> int:
+        """Number of output samples for a record of `n_times` samples."""
+        return (n_times - 1) * self.substeps // self.stride + 1
+
+
+def request(
+    n_dof: int,
+    record_dt: float,
+    *,
+    dt: float | None = None,
+    sensors: Sequence[int] | None = None,
+    quantity: str = "absolute_acceleration",
+    n_modes: int | None = None,
+) -> Request:
+    """Check what a user asks of a structure of `n_dof` degrees of freedom.
+
+    Raises
+    ------
+    ValueError
+        With a message that names the argument, what it was and what to pass.
+    """
+    substeps, stride = sampling_grid(record_dt, dt)
+    if quantity not in QUANTITIES:
+        raise ValueError(f"`quantity` must be one of {', '.join(QUANTITIES)}, got {quantity!r}.")
+    if n_modes is None:
+        n_modes = n_dof
+    elif isinstance(n_modes, bool) or int(n_modes) != n_modes or not 1 <= n_modes <= n_dof:
+        raise ValueError(
+            f"`n_modes` must be an integer from 1 to {n_dof}, got {n_modes}. Leave it out for all modes."
+        )
+    return Request(substeps, stride, check_sensors(sensors, n_dof), int(n_modes), quantity)
+
+
+def check_sensors(sensors, n_dof: int) -> np.ndarray:
+    """Return the sensors as an integer array; None stands for all degrees of freedom."""
+    if sensors is None:
+        return np.arange(n_dof)
+    indices = np.atleast_1d(np.asarray(sensors))
+    if indices.ndim != 1 or indices.size == 0 or not np.issubdtype(indices.dtype, np.integer):
+        raise ValueError(
+            f"`sensors` must be a list of degrees of freedom (integers), got {sensors!r}."
+        )
+    if not ((0 <= indices) & (indices < n_dof)).all():
+        raise ValueError(
+            f"`sensors` must lie between 0 and {n_dof - 1}, got {indices.tolist()}. "
+            "Degree of freedom 0 is next to the base."
+        )
+    return indices.astype(np.int64)
+
+
+def sampling_grid(record_dt: float, dt: float | None) -> tuple[int, int]:
+    """Return (substeps, stride) such that dt = record_dt * stride / substeps.
+
+    Parameters
+    ----------
+    record_dt, dt : float
+        Steps of the record and of the output [s]; one must be an integer multiple of the other.
+        `dt=None` is the record's own step.
+    """
+    if dt is None:
+        return 1, 1
+    if not 0.0 < dt < np.inf:
+        raise ValueError(f"`dt` must be positive, got {dt}. Pass the output step in seconds.")
+    ratio = dt / record_dt
+    factor = round(max(ratio, 1.0 / ratio))
+    if abs(max(ratio, 1.0 / ratio) / factor - 1.0) > 1e-6:
+        raise ValueError(
+            f"`dt` must be an integer multiple or divisor of the record's step {record_dt:g} s, "
+            f"got {dt:g} s. Resample the record first."
+        )
+    return (1, factor) if ratio >= 1.0 else (factor, 1)

@@ -1,0 +1,19 @@
+"""Structures and their damping. A new structure is one file here and one line below."""
+
+from pymc_features.structures.base import Modes, Structure
+from pymc_features.structures.chain import SpringMassChain
+from pymc_features.structures.damping import Damping, ModalDamping, RayleighDamping
+
+STRUCTURES = (SpringMassChain,)
+DAMPINGS = (RayleighDamping, ModalDamping)
+
+__all__ = [
+    "DAMPINGS",
+    "STRUCTURES",
+    "Damping",
+    "ModalDamping",
+    "Modes",
+    "RayleighDamping",
+    "SpringMassChain",
+    "Structure",
+]

@@ -1,0 +1,137 @@
+"""What a structure is to the rest of the package, and the vectors its parameters come in."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytensor.tensor as pt
+from pytensor.graph.basic import Variable
+
+
+class Structure(ABC):
+    """A structure whose response to a ground acceleration can be computed.
+
+    A structure is a value: changing a parameter makes a new one. Its parameters are numbers, arrays
+    or PyTensor variables; degree of freedom 0 is next to the base.
+    """
+
+    @property
+    @abstractmethod
+    def n_dof(self) -> int:
+        """Number of degrees of freedom."""
+
+    @abstractmethod
+    def parameters(self) -> tuple:
+        """Return what the response kernels take: mass, stiffness, Rayleigh pair, damping ratios."""
+
+    @abstractmethod
+    def matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return mass [kg], damping [N s/m] and stiffness [N/m] matrices, each (n, n)."""
+
+    @abstractmethod
+    def modes(self) -> "Modes":
+        """Return natural frequencies, mode shapes and damping ratios."""
+
+    @property
+    def is_symbolic(self) -> bool:
+        """Whether a parameter is a PyTensor variable."""
+        return any(isinstance(value, Variable) for value in self.parameters())
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Modes of a structure with classical damping, in ascending order of frequency.
+
+    Attributes
+    ----------
+    angular_frequencies : array (n,)
+        omega_r [rad/s].
+    mode_shapes : array (n, n)
+        **Columns** are the mass-normalised shapes, phi_r' M phi_r = 1, positive at the top.
+    participation_factors : array (n,)
+        Gamma_r = phi_r' M 1 [kg^(1/2)].
+    damping_ratios : array (n,)
+        zeta_r [-].
+    """
+
+    angular_frequencies: np.ndarray
+    mode_shapes: np.ndarray
+    participation_factors: np.ndarray
+    damping_ratios: np.ndarray
+
+    @property
+    def natural_frequencies(self) -> np.ndarray:
+        """f_r = omega_r / (2 pi) [Hz], shape (n,)."""
+        return self.angular_frequencies / (2.0 * np.pi)
+
+    @property
+    def effective_modal_masses(self) -> np.ndarray:
+        """Gamma_r^2 [kg], shape (n,); they add up to the total mass."""
+        return self.participation_factors**2
+
+
+def as_vector(value, name: str, unit: str, *, allow_zero: bool = False):
+    """Return numbers as a float64 array and anything symbolic as a float64 tensor, checked.
+
+    Parameters
+    ----------
+    value : number, array_like, TensorVariable or sequence of numbers and TensorVariables
+        Scalar or one-dimensional.
+    name, unit : str
+        For messages.
+    allow_zero : bool
+        Whether zero is a legal value.
+
+    Returns
+    -------
+    array or TensorVariable, of 0 or 1 dimension.
+    """
+    if isinstance(value, Variable):
+        symbolic = pt.as_tensor_variable(value)
+    elif isinstance(value, Sequence) and any(isinstance(entry, Variable) for entry in value):
+        symbolic = pt.stack([pt.as_tensor_variable(entry, dtype="float64") for entry in value])
+    else:
+        return _as_numbers(value, name, unit, allow_zero)
+    if symbolic.ndim > 1:
+        raise ValueError(
+            f"`{name}` must be a scalar or a vector, got a tensor of {symbolic.ndim} dimensions. "
+            "Give one value for each degree of freedom."
+        )
+    return symbolic.astype("float64")
+
+
+def _as_numbers(value, name, unit, allow_zero):
+    try:
+        numbers = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"`{name}` must be numbers or PyTensor variables, got {type(value).__name__}. "
+            f"Pass values in {unit}."
+        ) from None
+    if numbers.ndim > 1 or numbers.size == 0:
+        raise ValueError(
+            f"`{name}` must be a scalar or a vector, got shape {numbers.shape}. "
+            "Give one value for each degree of freedom."
+        )
+    legal = np.isfinite(numbers) & (numbers >= 0 if allow_zero else numbers > 0)
+    if not legal.all():
+        wrong = np.atleast_1d(numbers)[np.flatnonzero(~np.atleast_1d(legal))[0]]
+        condition = "finite and not negative" if allow_zero else "positive and finite"
+        raise ValueError(f"`{name}` must be {condition}, got {wrong:g}. Pass values in {unit}.")
+    numbers.setflags(write=False)
+    return numbers
+
+
+def static_length(value) -> int | None:
+    """Length of a vector where it is known; None for scalars and unknown lengths."""
+    if value.ndim == 0:
+        return None
+    return value.type.shape[0] if isinstance(value, Variable) else value.shape[0]
+
+
+def spread(value, n: int):
+    """Return a scalar as `n` equal entries, a vector as it is."""
+    if value.ndim:
+        return value
+    return value * pt.ones(n) if isinstance(value, Variable) else np.full(n, float(value))

@@ -1,0 +1,119 @@
+"""Classical damping: Rayleigh, Eq. (19), or a ratio for each mode."""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+import pytensor.tensor as pt
+from pytensor.graph.basic import Variable
+
+from pymc_features.structures.base import as_vector, spread, static_length
+
+
+class Damping(ABC):
+    """Classical damping: zeta_r = alpha / (2 omega_r) + beta omega_r / 2 + ratio_r."""
+
+    @abstractmethod
+    def coefficients(self, n: int) -> tuple:
+        """Return the Rayleigh pair (2,) [1/s, s] and the added modal ratios (n,) [-]."""
+
+
+class RayleighDamping(Damping):
+    """Rayleigh damping C = alpha M + beta K, Eq. (19).
+
+    Parameters
+    ----------
+    alpha : float or TensorVariable
+        Mass-proportional coefficient [1/s], not negative.
+    beta : float or TensorVariable
+        Stiffness-proportional coefficient [s], not negative.
+
+    Examples
+    --------
+    >>> damping = RayleighDamping.from_ratios((0.02, 0.02), (1.0, 4.0))
+    >>> print(f"{damping.alpha:.6f} {damping.beta:.6f}")
+    0.201062 0.001273
+    """
+
+    def __init__(self, alpha, beta):
+        self.alpha = _scalar(alpha, "alpha", "1/s")
+        self.beta = _scalar(beta, "beta", "s")
+
+    def __repr__(self):
+        return f"RayleighDamping(alpha={self.alpha}, beta={self.beta})"
+
+    @classmethod
+    def from_ratios(cls, ratios, natural_frequencies) -> "RayleighDamping":
+        """Rayleigh damping with given ratios at two frequencies.
+
+        Solves zeta_i = alpha / (2 omega_i) + beta omega_i / 2 (Chopra, Dynamics of Structures, sec. 11.4).
+
+        Parameters
+        ----------
+        ratios : float or array_like (2,)
+            Damping ratios [-]; one value stands for both.
+        natural_frequencies : array_like (2,)
+            Two different frequencies [Hz].
+
+        Raises
+        ------
+        ValueError
+            If the frequencies coincide, or a coefficient would be negative, which would feed energy
+            into modes outside the two.
+        """
+        frequencies = np.asarray(natural_frequencies, dtype=np.float64)
+        if frequencies.shape != (2,) or not (frequencies > 0).all() or np.ptp(frequencies) == 0:
+            raise ValueError(
+                f"`natural_frequencies` must be two different positive values, got "
+                f"{natural_frequencies}. Pass the two frequencies in Hz."
+            )
+        zeta = as_vector(ratios, "ratios", "fractions of critical damping", allow_zero=True)
+        zeta = np.broadcast_to(zeta, 2)
+        omega = 2.0 * np.pi * frequencies
+        alpha, beta = np.linalg.solve(0.5 * np.stack([1.0 / omega, omega], axis=1), zeta)
+        if min(alpha, beta) < -1e-12 * max(alpha, beta):
+            raise ValueError(
+                f"`ratios` must allow non-negative coefficients, got alpha = {alpha:.4g} 1/s and "
+                f"beta = {beta:.4g} s. Bring the two ratios closer together or use `ModalDamping`."
+            )
+        return cls(max(float(alpha), 0.0), max(float(beta), 0.0))
+
+    def coefficients(self, n):
+        if isinstance(self.alpha, Variable) or isinstance(self.beta, Variable):
+            pair = pt.stack([pt.as_tensor_variable(c, dtype="float64") for c in (self.alpha, self.beta)])
+        else:
+            pair = np.array([self.alpha, self.beta])
+        return pair, np.zeros(n)
+
+
+class ModalDamping(Damping):
+    """A damping ratio for each mode.
+
+    Parameters
+    ----------
+    ratios : float, array_like (n,) or TensorVariable
+        zeta_r [-], not negative, in ascending order of frequency; one value stands for all modes.
+    """
+
+    def __init__(self, ratios):
+        self.ratios = as_vector(
+            ratios, "ratios", "fractions of critical damping", allow_zero=True
+        )
+
+    def __repr__(self):
+        return f"ModalDamping({self.ratios})"
+
+    def coefficients(self, n):
+        length = static_length(self.ratios)
+        if length not in (None, n):
+            raise ValueError(
+                f"`ratios` must have one value or one for each of the {n} modes, got {length}."
+            )
+        return np.zeros(2), spread(self.ratios, n)
+
+
+def _scalar(value, name, unit):
+    """Return a checked float or a scalar tensor."""
+    checked = as_vector(value, name, unit, allow_zero=True)
+    if checked.ndim:
+        raise ValueError(f"`{name}` must be a scalar, got {checked.ndim} dimension. Pass one value in {unit}.")
+    return checked if isinstance(checked, Variable) else float(checked)
