@@ -1,6 +1,68 @@
-"""x"""
+"""Bayesian updating of structural models from measured vibration, as a plugin for PyMC.
+
+The flow: read a record, declare a structure whose parameters are random variables, compare its response
+with the measured one by a feature likelihood, sample.
+
+    record = pmf.read_record("elcentro.dat", units="g")
+    with pm.Model(coords={"sensor": range(10)}):
+        theta = pm.Uniform("theta", 0.5, 1.5)
+        sigma = pm.Uniform("sigma", 0.0, 2.0)
+        acceleration = pmf.response(pmf.paper.chain(theta), record)
+        pmf.TruncNormalFeature("y", mu=acceleration, sigma=sigma, observed=measured)
+        idata = pm.sample_smc()
+
+A feature likelihood is a probability model of the mean-square discrepancy of each sensor, not of each time
+sample: its uncertainty does not depend on the sampling rate.
+"""
+
+from pymc_features import datasets
+from pymc_features.distributions import (
+    ExpFeature,
+    FeatureLikelihoodWarning,
+    TruncNormalFeature,
+    sigma_mpv,
+)
+from pymc_features.ground_motion import synthetic_earthquake
+from pymc_features.io import read_record
+from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
+from pymc_features.ops import NotDifferentiableError, mean_square_discrepancy, response
 from pymc_features.records import Record
 from pymc_features.simulators import simulate
-from pymc_features.structures import *
-from pymc_features.ops import *
-from pymc_features.distributions import *
+from pymc_features.smc import RelativeIMH
+from pymc_features.structures import ModalDamping, RayleighDamping, SpringMassChain
+from pymc_features.study import paper, sampling_rate_study
+
+_PLOTS = ("plot_record", "plot_sampling_rate")  # loaded when asked for: matplotlib is slow to import
+
+__all__ = [
+    "DiscrepancySimulator",
+    "ExpFeature",
+    "FeatureLikelihoodWarning",
+    "ModalDamping",
+    "NotDifferentiableError",
+    "RayleighDamping",
+    "Record",
+    "RelativeIMH",
+    "SpringMassChain",
+    "TruncNormalFeature",
+    "abc_tolerance",
+    "datasets",
+    "mean_square_discrepancy",
+    "paper",
+    "plot_record",
+    "plot_sampling_rate",
+    "read_record",
+    "response",
+    "sampling_rate_study",
+    "sigma_mpv",
+    "simulate",
+    "synthetic_earthquake",
+]
+
+
+def __getattr__(name):
+    if name in _PLOTS:
+        from pymc_features import plots
+
+        return getattr(plots, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,177 @@
+"""The command `pymc-features`."""
+
+import argparse
+import logging
+import os
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+QUICK = {"draws": 300, "chains": 2, "multipliers": (0.1, 1.0, 10.0)}
+FIGURES = {"fig2_norm.png": ["NORM"], "fig3_tn.png": ["TN"], "fig4_exp_abc.png": ["EXP", "ABC"]}
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+
+def main(arguments=None) -> int:
+    """Run the command; return its exit code."""
+    options = make_parser().parse_args(arguments)
+    console = Console(stderr=True)
+    logging.getLogger("pymc").setLevel(logging.WARNING)
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    try:
+        options.run(options, console)
+    except KeyboardInterrupt:
+        console.print(
+            f"interrupted: finished parts are kept in {options.out}; the same command continues.",
+            style="yellow",
+            soft_wrap=True,
+        )
+        return EXIT_INTERRUPTED
+    except (ValueError, TypeError, OSError) as error:
+        if options.traceback:
+            raise
+        console.print(f"pymc-features: error: {error}", markup=False, soft_wrap=True)
+        return EXIT_BAD_INPUT
+    return 0
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of all commands."""
+    parser = argparse.ArgumentParser(
+        prog="pymc-features",
+        description="Bayesian updating of structural models from measured vibration.",
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    study = commands.add_parser(
+        "reproduce",
+        help="run the sampling-rate study of the source, and write its figures and table",
+        description="Ten-storey chain, one stiffness factor: NORM, TN, EXP and ABC at several sampling "
+        "steps of the same data. Writes Figs. 1-4, a table with exact quantiles by quadrature beside "
+        "the sampled ones, and the whole result as netCDF. A stopped run continues.",
+    )
+    study.set_defaults(run=reproduce)
+    add = study.add_argument
+    add("--record", metavar="FILE", help="ground motion: PEER AT2, text/CSV or .mat")
+    add("--units", help="units of the record's file: g, m/s^2, cm/s^2, gal, or m/s^2 per unit")
+    add("--record-dt", type=float, metavar="S", help="step of the record [s], if the file is silent")
+    add("--column", help="column of the record's file, if it has several")
+    add("--out", metavar="DIR", help="output folder (default: reproduce-output[-quick])")
+    add("--quick", action="store_true", help="three sampling steps and fewer draws, for a first look")
+    add("--seed", type=int, default=0, help="of noise and samplers (default: 0)")
+    add("--stiffness", type=float, metavar="N/m", help="nominal spring stiffness (default: 1800)")
+    add("--draws", type=int, help="draws per chain (default: 2000, quick 300)")
+    add("--chains", type=int, help="chains (default: 4, quick 2)")
+    add("--cores", type=int, help="processes (default: all processors)")
+    add("--traceback", action="store_true", help="on an error, show where it came from")
+    return parser
+
+
+def find_record(options):
+    """Return the record to use, and a sentence that says which and why."""
+    from pymc_features import datasets, ground_motion, io
+
+    if options.record is not None:
+        units, column = options.units, options.column
+        if units is not None and _is_number(units):
+            units = float(units)
+        if column is not None and column.isdigit():
+            column = int(column)
+        record = io.read_record(options.record, units=units, dt=options.record_dt, column=column)
+        return record, f"record: {record} from {options.record}"
+    try:
+        record = datasets.el_centro()
+        return record, f"record: {record}"
+    except datasets.DatasetUnavailableError:
+        record = ground_motion.synthetic_earthquake(31.16, 0.02, seed=1940, pga=3.13)
+        return record, f"record: {record}, since El Centro 1940 could not be had here"
+
+
+def _is_number(text):
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def reproduce(options, console):
+    """Run the study and write figures, table and result."""
+    from pymc_features.study import sampling_rate_study
+
+    options.out = Path(options.out or f"reproduce-output{'-quick' if options.quick else ''}")
+    record, sentence = find_record(options)
+    console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+    settings = dict(QUICK) if options.quick else {}
+    for name in ("draws", "chains", "cores", "stiffness"):
+        if getattr(options, name) is not None:
+            settings[name] = getattr(options, name)
+    with StudyProgress(console) as progress:
+        result = sampling_rate_study(
+            record,
+            random_seed=options.seed,
+            out=options.out,
+            progress=progress,
+            progressbar=console.is_terminal,
+            **settings,
+        )
+    for path in write_outputs(result, options.out):
+        console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
+
+
+class StudyProgress:
+    """A bar for the whole study above PyMC's bar for the part; plain lines where there is no terminal."""
+
+    def __init__(self, console):
+        self.console = console
+        self.bar = Progress(
+            TextColumn("[bold]study"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.description}"),
+            console=console,
+            disable=not console.is_terminal,
+        )
+
+    def __enter__(self):
+        self.bar.start()
+        self.task = self.bar.add_task("")
+        return self.update
+
+    def __exit__(self, *error):
+        self.bar.stop()
+
+    def update(self, part, done, total):
+        """Show that `part` is in work after `done` of `total`."""
+        self.bar.update(self.task, completed=done, total=total, description=part)
+        if not self.console.is_terminal:
+            self.console.print(f"[{done}/{total}] {part}", markup=False, highlight=False)
+
+
+def write_outputs(result, folder: Path) -> list[Path]:
+    """Write figures, tables and the result into `folder`; return their paths."""
+    from pymc_features import plots
+    from pymc_features.study import as_csv, as_markdown
+    from pymc_features.study.store import write_atomically
+
+    def save(ax):
+        return lambda path: ax.figure.savefig(path, dpi=150, format="png")
+
+    figures = {"fig1_record.png": plots.plot_record(result)}
+    for name, likelihoods in FIGURES.items():
+        figures[name] = plots.plot_sampling_rate(result, likelihoods)[0]
+    writers = {name: save(ax) for name, ax in figures.items()}
+    writers["table.md"] = lambda path: path.write_text(as_markdown(result))
+    writers["table.csv"] = lambda path: path.write_text(as_csv(result))
+    writers["study.nc"] = lambda path: result.to_netcdf(path, engine="h5netcdf")
+    for name, write in writers.items():
+        write_atomically(folder / name, write)
+    plots.close(figures.values())
+    return [folder / name for name in writers]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

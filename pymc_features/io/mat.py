@@ -1,0 +1,157 @@
+"""MATLAB .mat files: versions 4 to 7 by SciPy, 7.3 by HDF5.
+
+Only arrays of numbers and text are read. Structures, objects, cells and function handles are passed
+over, nothing in the file is executed, and an HDF5 file cannot send the reader to another file.
+"""
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+from scipy.io import loadmat
+
+from pymc_features.io.units import resolve_dt, resolve_units, time_step
+from pymc_features.records import Record
+
+_TIMES = ("t", "time")
+_SCALARS = ("dt", "fs")
+
+
+def read_mat(path: Path, *, units=None, dt=None, column=None) -> Record:
+    """Read one acceleration series from the variables of a .mat file; see `read_record`."""
+    try:
+        variables = _load_hdf5(path) if h5py.is_hdf5(path) else _load_mat(path)
+    except Exception as error:  # each damaged file fails in its own way, inside the parsers
+        raise ValueError(
+            f"{path.name} must be a MATLAB .mat file, it cannot be read ({error}). Save it again."
+        ) from error
+    name = _pick(variables, column, path.name)
+    values = variables[name].astype(np.float64).squeeze()
+    stated = {}
+    if values.ndim == 2:
+        times = np.squeeze(variables[name])[:, 0]
+        stated[f"column 0 of {name}"] = _even(times, name, path.name, dt)
+        values = values[:, 1]
+    stated |= _stated_steps(variables, values.size, path.name, dt)
+    step = resolve_dt(dt, _agreed(stated, path.name, dt), path.name)
+    unit = variables.get("units")
+    unit = str(unit.item()) if unit is not None and unit.dtype.kind == "U" else None
+    factor = resolve_units(units, unit, path.name)
+    if not np.isfinite(values).all():
+        bad = int(np.argmin(np.isfinite(values)))
+        raise ValueError(
+            f"{path.name}, `{name}`, sample {bad}: values must be finite numbers, got "
+            f"{values[bad]}. Correct or cut it first."
+        )
+    return Record(factor * values, step, name=path.stem)
+
+
+def _load_mat(path: Path) -> dict[str, np.ndarray]:
+    contents = loadmat(path)
+    return {
+        name: value
+        for name, value in contents.items()
+        if isinstance(value, np.ndarray)
+        and not name.startswith("__")
+        and (value.dtype.kind in "iuf" or (value.dtype.kind == "U" and value.size == 1))
+    }
+
+
+def _load_hdf5(path: Path) -> dict[str, np.ndarray]:
+    """Numeric and text variables; MATLAB stores them transposed, and text as 16-bit codes."""
+    variables = {}
+    with h5py.File(path, "r") as file:
+        for name in file:
+            if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+                continue
+            item = file[name]
+            if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "iuf":
+                continue
+            if item.external or item.is_virtual or "MATLAB_empty" in item.attrs:
+                continue
+            kind = item.attrs.get("MATLAB_class", b"double")
+            kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+            if kind == "char":
+                variables[name] = np.array(["".join(map(chr, np.ravel(item[()])))])
+            elif kind in ("double", "single") or kind.startswith(("int", "uint")):
+                variables[name] = item[()].T
+    return variables
+
+
+def _shape(value: np.ndarray) -> tuple[int, ...]:
+    return np.squeeze(value).shape
+
+
+def _is_series(value: np.ndarray) -> bool:
+    """A vector, or the two columns time and acceleration."""
+    shape = _shape(value)
+    return value.dtype.kind != "U" and (
+        len(shape) == 1 or (len(shape) == 2 and shape[1] == 2 and shape[0] > 1)
+    )
+
+
+def _pick(variables: dict[str, np.ndarray], column, file: str) -> str:
+    """Name of the acceleration variable."""
+    found = ", ".join(
+        f"{name} {'text' if value.dtype.kind == 'U' else value.shape}"
+        for name, value in sorted(variables.items())
+    )
+    found = f"{file} holds {found or 'no arrays of numbers'}."
+    if column is not None:
+        if not isinstance(column, str):
+            raise TypeError(f"`column` must be the name of a variable, got {column!r}. {found}")
+        if column not in variables or not _is_series(variables[column]):
+            raise ValueError(
+                f"`column` must name a vector or an (N, 2) matrix of time and acceleration, got "
+                f"{column!r}. {found}"
+            )
+        return column
+    candidates = [
+        name
+        for name, value in variables.items()
+        if _is_series(value) and name.lower() not in _TIMES + _SCALARS
+    ]
+    if len(candidates) != 1:
+        raise ValueError(
+            f"`column` must name the acceleration, {len(candidates)} variables could be it. {found}"
+        )
+    return candidates[0]
+
+
+def _even(times: np.ndarray, name: str, file: str, dt: float | None) -> float | None:
+    """Step of a time vector [s]; one that is uneven does not matter if `dt` is given."""
+    eps = np.finfo(times.dtype).eps if times.dtype.kind == "f" else 0.0
+    times = times.astype(np.float64)
+    resolution = 4.0 * float(eps) * np.abs(times).max()
+    try:
+        return time_step(times, lambda row: f"{file}, `{name}`, sample {row}", resolution)
+    except ValueError:
+        if dt is None:
+            raise
+        return None
+
+
+def _stated_steps(variables, n_times: int, file: str, dt: float | None) -> dict[str, float | None]:
+    """Step [s] by every variable that states one: dt, fs and a time vector of the same length."""
+    steps = {}
+    for name, value in variables.items():
+        if value.dtype.kind == "U":
+            continue
+        if name.lower() in _SCALARS and value.size == 1 and float(value.item()) > 0.0:
+            number = float(value.item())
+            steps[name] = number if name.lower() == "dt" else 1.0 / number
+        elif name.lower() in _TIMES and _shape(value) == (n_times,):
+            steps[name] = _even(np.squeeze(value), name, file, dt)
+    return steps
+
+
+def _agreed(stated: dict[str, float | None], file: str, dt: float | None) -> float | None:
+    """The one step [s] a file states, None if it is silent; an error if it contradicts itself."""
+    steps = {name: step for name, step in stated.items() if step is not None}
+    if not steps:
+        return None
+    first = next(iter(steps.values()))
+    if dt is None and not np.allclose(list(steps.values()), first, rtol=1e-3, atol=0.0):
+        listed = ", ".join(f"{name}: {step:g} s" for name, step in steps.items())
+        raise ValueError(f"`dt` must be given, {file} contradicts itself ({listed}).")
+    return first

@@ -1,0 +1,174 @@
+"""Units and time steps: what a file states, what the caller says, and which one counts."""
+
+import os
+import warnings
+from collections.abc import Callable
+from numbers import Real
+
+import numpy as np
+
+#: Acceleration of gravity [m/s^2] behind the unit "g". The reference results that records of this
+#: field are compared with use 9.81; who wants 9.80665 passes that number as `units`.
+G = 9.81
+
+#: m/s^2 per unit.
+FACTORS = {"g": G, "m/s^2": 1.0, "cm/s^2": 0.01, "gal": 0.01}
+
+CHOICES = ", ".join(f'"{unit}"' for unit in FACTORS) + " or a number in m/s^2 per file unit"
+
+
+def known_factor(unit: str) -> float | None:
+    """Acceleration [m/s^2] of one `unit`, or None where the spelling is not recognised."""
+    text = "".join(unit.lower().split()).replace("sec", "s")
+    text = text.replace("²", "^2").replace("**", "^").replace("/s/s", "/s^2")
+    if text.endswith("/s2"):
+        text = text[:-1] + "^2"
+    return FACTORS.get(text)
+
+
+def unit_factor(units) -> float:
+    """Acceleration of one file unit, in m/s^2.
+
+    Parameters
+    ----------
+    units : str or float
+        "g", "m/s^2", "cm/s^2" or "gal" in any case and usual spelling ("m/s2", "cm/sec/sec"), or
+        the factor itself [m/s^2 per file unit], positive.
+
+    Returns
+    -------
+    float
+        Factor [m/s^2 per file unit].
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the unit is unknown or the number is not positive.
+
+    Examples
+    --------
+    >>> unit_factor("g"), unit_factor("M/S/S"), unit_factor("Gal"), unit_factor(9.80665)
+    (9.81, 1.0, 0.01, 9.80665)
+    """
+    if isinstance(units, str):
+        factor = known_factor(units)
+        if factor is None:
+            raise ValueError(f"`units` must be one of {CHOICES}, got {units!r}.")
+        return factor
+    if not isinstance(units, Real) or isinstance(units, bool):
+        raise TypeError(f"`units` must be one of {CHOICES}, got {units!r}.")
+    if not 0.0 < units < np.inf:
+        raise ValueError(f"`units` must be positive, got {units}. Pass the m/s^2 per file unit.")
+    return float(units)
+
+
+def check_dt(dt) -> float | None:
+    """The sampling interval [s] as a float, None left alone; an error unless positive."""
+    if dt is None:
+        return None
+    if not isinstance(dt, Real) or isinstance(dt, bool):
+        raise TypeError(
+            f"`dt` must be a number, got {dt!r}. Pass the sampling interval in seconds."
+        )
+    if not 0.0 < dt < np.inf:
+        raise ValueError(f"`dt` must be positive, got {dt}. Pass the sampling interval in seconds.")
+    return float(dt)
+
+
+def warn_user(message: str) -> None:
+    """Warn at the line that called into this folder from outside."""
+    warnings.warn(message, UserWarning, skip_file_prefixes=(os.path.dirname(__file__),))
+
+
+def resolve_units(units, stated: str | None, source: str) -> float:
+    """Factor [m/s^2 per file unit]: the argument wins, the file's statement is the fallback.
+
+    A number within 1 % of what the file states (9.80665 for "g") is no contradiction.
+    """
+    stated_factor = None if stated is None else known_factor(stated)
+    if units is None:
+        if stated is None:
+            raise ValueError(
+                f"`units` must be given, {source} does not state them. Pass one of {CHOICES}."
+            )
+        if stated_factor is None:
+            raise ValueError(
+                f"`units` must be given, {source} states {stated!r}, which is no known unit of "
+                f"acceleration. Pass one of {CHOICES}."
+            )
+        return stated_factor
+    factor = unit_factor(units)
+    if stated is not None and (
+        stated_factor is None or not np.isclose(factor, stated_factor, rtol=0.01, atol=0.0)
+    ):
+        warn_user(f"{source} states the units {stated!r}; the argument units={units!r} is used.")
+    return factor
+
+
+def resolve_dt(dt: float | None, stated: float | None, source: str) -> float:
+    """Sampling interval [s]: the argument wins, the file's statement is the fallback."""
+    if dt is None:
+        if stated is None:
+            raise ValueError(
+                f"`dt` must be given, {source} does not state the time step. "
+                "Pass the sampling interval in seconds."
+            )
+        if stated >= 1.0:  # a counter or milliseconds, silently 1000 times too slow
+            raise ValueError(
+                f"`dt` must be given, {source} states a time step of {stated:g}, too long for "
+                "seconds. Pass the sampling interval in seconds."
+            )
+        return stated
+    if stated is not None and not np.isclose(dt, stated, rtol=1e-3, atol=0.0):
+        warn_user(f"{source} states a time step of {stated:g} s; the argument dt={dt:g} s is used.")
+    return dt
+
+
+def time_step(times: np.ndarray, where: Callable[[int], str], quantum: float = 0.0) -> float:
+    """Step of evenly increasing times, or an error that names the first place to look at.
+
+    Parameters
+    ----------
+    times : ndarray (time,)
+        Times [s], at least two.
+    where : callable
+        Maps the index of a sample to how a message calls its place, "elcentro.csv, line 871".
+    quantum : float
+        Resolution of the printed times [s]. Up to a quarter of the step it is tolerated as
+        rounding, unless the step is a multiple of it: then rounding cannot make steps uneven.
+        A thousandth of the step is tolerated anyway.
+
+    Returns
+    -------
+    float
+        Step [s], to ten digits.
+
+    Raises
+    ------
+    ValueError
+        If the times do not increase or the steps are uneven.
+
+    Examples
+    --------
+    >>> time_step(np.array([0.0, 0.008, 0.017, 0.025]), lambda row: f"line {row + 1}", 0.001)
+    0.008333333333
+    """
+    steps = np.diff(times)
+    if not (steps > 0.0).all():
+        row = int(np.argmax(steps <= 0.0)) + 1
+        raise ValueError(
+            f"{where(row)}: time must increase, it goes from {times[row - 1]:g} s to "
+            f"{times[row]:g} s. Name the acceleration by `column` and pass `dt` if this is no time."
+        )
+    mean = (times[-1] - times[0]) / steps.size
+    tolerance = 1e-3 * mean + 4.0 * np.spacing(np.abs(times).max())
+    multiple = quantum > 0.0 and abs(mean / quantum - round(mean / quantum)) < 1e-6
+    if quantum <= mean / 4.0 and not multiple:
+        tolerance += quantum
+    if np.abs(times - times[0] - mean * np.arange(times.size)).max() > tolerance:
+        row = int(np.argmax(np.abs(steps - np.median(steps)))) + 1
+        raise ValueError(
+            f"{where(row)}: time steps must be even, they vary from {steps.min():.4g} s to "
+            f"{steps.max():.4g} s. Resample the record first."
+        )
+    return float(f"{mean:.10g}")

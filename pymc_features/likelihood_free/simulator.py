@@ -1,0 +1,217 @@
+"""Likelihood-free updating: a `pm.Simulator` node with the distance of Eq. (15)."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pymc as pm
+import pytensor.tensor as pt
+from pytensor.compile.sharedvalue import SharedVariable
+from pytensor.graph.basic import Constant, Variable
+from pytensor.tensor.blockwise import Blockwise
+
+from pymc_features.ops import response_node
+from pymc_features.simulators import QUANTITIES, chain_response
+
+N_PARAMETERS = 4  # of the inputs of a response, the first four may be random
+
+
+class ResponseSimulator:
+    """Simulator function of a response, `fn(rng, mass, stiffness, rayleigh, ratios, size)`.
+
+    Parameters
+    ----------
+    settings : tuple
+        The remaining arguments of `simulators.chain_response`, as numbers and arrays.
+    """
+
+    ndims_params = (1, 1, 1, 1)
+
+    def __init__(self, settings: tuple):
+        self.settings = settings
+
+    def core(self, *parameters):
+        """Response (sensor, time) of one set of parameters."""
+        arrays = (np.ascontiguousarray(p, dtype=np.float64) for p in parameters)
+        return chain_response(*arrays, *self.settings)
+
+    def __call__(self, rng, *parameters_and_size):
+        *parameters, size = parameters_and_size
+        return simulate_batch(self.core, parameters, self.ndims_params, size)
+
+
+class FunctionSimulator:
+    """Simulator function of a user's function theta -> response (sensor, time)."""
+
+    def __init__(self, function: Callable, ndims_params: tuple[int, ...]):
+        self.function = function
+        self.ndims_params = ndims_params
+
+    def core(self, *parameters):
+        """Response (sensor, time) of one set of parameters."""
+        return np.asarray(self.function(*parameters), dtype=np.float64)
+
+    def __call__(self, rng, *parameters_and_size):
+        *parameters, size = parameters_and_size
+        return simulate_batch(self.core, parameters, self.ndims_params, size)
+
+
+def simulate_batch(core, parameters, ndims_params, size):
+    """Call `core` for every entry of the batch that parameters and `size` span."""
+    parameters = [np.asarray(p) for p in parameters]
+    batches = [p.shape[: p.ndim - n] for p, n in zip(parameters, ndims_params, strict=True)]
+    batch = np.broadcast_shapes(*batches, () if size is None else tuple(size))
+    if batch == ():
+        return core(*parameters)
+    spread = [
+        np.broadcast_to(p, batch + p.shape[p.ndim - n :])
+        for p, n in zip(parameters, ndims_params, strict=True)
+    ]
+    results = [core(*(p[index] for p in spread)) for index in np.ndindex(*batch)]
+    return np.stack(results).reshape(batch + results[0].shape)
+
+
+def total_discrepancy(observed, simulated):
+    """rho = sum_j e_j, Eq. (15), of arrays (sensor, time) or of their flat parts."""
+    return pt.sum(pt.mean(pt.sqr(observed - simulated), axis=-1))
+
+
+def uniform_kernel(epsilon, observed, simulated):
+    """Accept where rho <= epsilon, Eq. (14): 0 inside and -inf outside."""
+    return pt.switch(total_discrepancy(observed, simulated) <= epsilon, 0.0, -np.inf)
+
+
+def exponential_kernel(epsilon, observed, simulated):
+    """-rho / epsilon: with epsilon = 2 sigma^2 the EXP likelihood at that sigma."""
+    rho = total_discrepancy(observed, simulated)
+    return pt.switch(pt.isnan(rho), -np.inf, -rho / epsilon)
+
+
+def gaussian_kernel(epsilon, observed, simulated):
+    """-(rho / epsilon)^2 / 2, PyMC's own soft kernel on rho."""
+    rho = total_discrepancy(observed, simulated)
+    return pt.switch(pt.isnan(rho), -np.inf, -0.5 * pt.sqr(rho / epsilon))
+
+
+KERNELS = {
+    "uniform": uniform_kernel,
+    "exponential": exponential_kernel,
+    "gaussian": gaussian_kernel,
+}
+
+
+def DiscrepancySimulator(name, mu, *params, epsilon, observed, kernel="uniform", dims=None):
+    """Likelihood-free node: a `pm.Simulator` with the distance rho = sum_j e_j, Eqs. (14)-(15).
+
+    Parameters
+    ----------
+    name : str
+        Name of the node in the current model.
+    mu : TensorVariable (sensor, time) or callable
+        What `response` returned: its parameters become the node's. Or a function of the values of
+        `params` that returns an array (sensor, time).
+    *params : TensorVariable
+        Parameters of the function; none if `mu` is a response.
+    epsilon : float or pm.Data
+        Tolerance on rho, in squared units of the data, positive; see `abc_tolerance`.
+    observed : array_like (sensor, time)
+        Measured response, finite.
+    kernel : {"uniform", "exponential", "gaussian"}
+        "uniform" accepts where rho <= epsilon; "exponential" is exp(-rho / epsilon), the EXP
+        likelihood at sigma^2 = epsilon / 2; "gaussian" is exp(-(rho / epsilon)^2 / 2).
+    dims : tuple of str, optional
+        Names of the axes of the data.
+
+    Returns
+    -------
+    TensorVariable (sensor, time)
+        The node; sample it with `pm.sample_smc`. Predictive draws are response histories.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is out of range or shapes do not match.
+
+    Notes
+    -----
+    A failed simulation (NaN) is outside every tolerance. With the uniform kernel the stock SMC kernels
+    reach the tolerance from the prior in one stage: enough prior draws must lie inside it.
+    """
+    if kernel not in KERNELS:
+        raise ValueError(f"`kernel` must be one of {', '.join(KERNELS)}, got {kernel!r}.")
+    fn, parameters, expected = _simulator_of(mu, params)
+    data = _checked_data(observed, expected)
+    shape = data.shape if isinstance(data, np.ndarray) else data.get_value(borrow=True).shape
+    core_inputs = ",".join(
+        "(" + ",".join(f"p{i}{axis}" for axis in range(ndim)) + ")"
+        for i, ndim in enumerate(fn.ndims_params)
+    )
+    return pm.Simulator(
+        name,
+        fn,
+        *parameters,
+        distance=KERNELS[kernel],
+        sum_stat="identity",
+        epsilon=_checked_epsilon(epsilon),
+        signature=f"{core_inputs}->({shape[0]},{shape[1]})",
+        observed=data,
+        dims=dims,
+    )
+
+
+def _simulator_of(mu, params):
+    """Return the simulator function, its parameters and the shape of a response, if known."""
+    if not isinstance(mu, Variable):
+        if not callable(mu):
+            raise TypeError(
+                f"`mu` must be what `response` returned or a function, got {type(mu).__name__}."
+            )
+        if not params:
+            raise ValueError("`params` must be given with a function, got none. Pass its parameters.")
+        parameters = [pt.as_tensor_variable(p) for p in params]
+        return FunctionSimulator(mu, tuple(p.ndim for p in parameters)), parameters, (None, None)
+    node = response_node(mu)
+    if node is None or isinstance(node.op, Blockwise):
+        raise TypeError(
+            "`mu` must be what `response` returned, got another PyTensor expression. Pass a function "
+            "of the parameters instead."
+        )
+    if params:
+        raise ValueError("`params` must be left out when `mu` is a response: it has its own.")
+    settings = [_number(value) for value in node.inputs[N_PARAMETERS:]]
+    fn = ResponseSimulator((*settings, QUANTITIES.index(node.op.quantity)))
+    return fn, node.inputs[:N_PARAMETERS], node.outputs[0].type.shape
+
+
+def _number(variable):
+    """Value of a constant or shared variable: the record, the sampling, the sensors."""
+    if isinstance(variable, SharedVariable):
+        return variable.get_value()
+    value = np.asarray(variable.data)
+    return value.item() if value.ndim == 0 else value
+
+
+def _checked_epsilon(epsilon):
+    tensor = pt.as_tensor_variable(epsilon)
+    if isinstance(tensor, Constant | SharedVariable):
+        value = np.asarray(_number(tensor))
+        if not (np.isfinite(value) & (value > 0)).all():
+            raise ValueError(
+                f"`epsilon` must be positive and finite, got {value.tolist()}. Pass a tolerance on the "
+                "sum of mean squares, for example `abc_tolerance(sigma, n_sensors)`."
+            )
+    return tensor
+
+
+def _checked_data(observed, expected):
+    from pymc_features.ops.discrepancy import check_shape
+
+    values = observed
+    if isinstance(observed, SharedVariable):
+        values = observed.get_value(borrow=True)
+    values = np.asarray(values, dtype=np.float64)
+    if values.ndim != 2 or not np.isfinite(values).all():
+        raise ValueError(
+            f"`observed` must be finite numbers of shape (sensor, time), got shape {values.shape}."
+        )
+    check_shape(expected, values.shape)
+    return observed if isinstance(observed, SharedVariable) else np.ascontiguousarray(values)

@@ -1,0 +1,73 @@
+"""Figs. 2-4: maximum and 5-95 % interval of theta and sigma against the sampling step."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+LABELS = {
+    "theta": "stiffness factor θ [-]",
+    "sigma": "scale σ [m/s²]",
+}
+COLOURS = {"NORM": "C0", "TN": "C1", "EXP": "C2", "ABC": "C4"}
+
+
+def plot_sampling_rate(result, likelihoods, axes=None):
+    """Posterior of theta and sigma at each sampling step, sampled and exact.
+
+    Bars are the sampled 5-95 % intervals with the draw of the highest density; lines are the exact
+    quantiles, and a dotted line the exact maximum, by quadrature.
+
+    Parameters
+    ----------
+    result : DataTree
+        From `sampling_rate_study`.
+    likelihoods : str or sequence of str
+        Which to draw; "NORM" is Fig. 2 of the source, "TN" Fig. 3, ("EXP", "ABC") Fig. 4.
+    axes : sequence of two matplotlib Axes, optional
+        For theta and sigma; a new figure by default.
+
+    Returns
+    -------
+    array of two matplotlib Axes
+    """
+    likelihoods = [likelihoods] if isinstance(likelihoods, str) else list(likelihoods)
+    summary = result["summary"].to_dataset()
+    missing = [kind for kind in likelihoods if kind not in summary["likelihood"].values]
+    if missing:
+        raise ValueError(
+            f"`likelihoods` must be among {summary['likelihood'].values.tolist()}, got {missing}."
+        )
+    if axes is None:
+        _, axes = plt.subplots(1, 2, figsize=(9.0, 3.6), layout="constrained")
+    for ax, parameter in zip(axes, LABELS, strict=True):
+        drawn = [k for k in likelihoods if not (parameter == "sigma" and k == "ABC")]
+        for i, kind in enumerate(drawn):
+            shift = 1.0 + 0.07 * (2 * i - len(drawn) + 1)
+            _draw(ax, summary.sel(likelihood=kind, parameter=parameter), kind, shift)
+        if parameter == "theta":
+            ax.axhline(1.0, color="0.5", lw=0.8, ls="--", zorder=0, label="true value")
+        multipliers = summary["multiplier"].values
+        ax.set_xscale("log")
+        ax.set_xticks(multipliers, [f"{m:g}" for m in multipliers])
+        ax.minorticks_off()
+        ax.ticklabel_format(axis="y", useOffset=False)
+        ax.set(xlabel="sampling step / record step [-]", ylabel=LABELS[parameter])
+    axes[0].legend(frameon=False, fontsize="small")
+    axes[0].figure.suptitle(" and ".join(likelihoods))
+    return np.asarray(axes)
+
+
+def _draw(ax, cell, kind, shift):
+    """One likelihood and parameter: exact lines, sampled bars."""
+    steps = cell["multiplier"].values
+    colour = COLOURS.get(kind, "C5")
+    exact = cell["exact"].transpose("statistic", "multiplier").values
+    sampled = cell["sampled"].transpose("statistic", "multiplier").values
+    ax.fill_between(steps, exact[1], exact[3], color=colour, alpha=0.15, lw=0)
+    ax.plot(steps, exact[0], ":", color=colour, lw=1.0)
+    label = f"{kind}: sampled, shaded exact"
+    middle = np.clip(sampled[0], sampled[1], sampled[3])
+    errors = np.stack([middle - sampled[1], sampled[3] - middle])
+    ax.errorbar(
+        steps * shift, middle, yerr=errors, fmt="none", ecolor=colour, capsize=3, lw=1.2, label=label
+    )
+    ax.plot(steps * shift, sampled[0], "o", color=colour, ms=4)

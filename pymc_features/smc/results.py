@@ -1,0 +1,59 @@
+"""Results of `pm.sample_smc` that can be saved."""
+
+import numpy as np
+import xarray as xr
+
+
+def savable(idata: xr.DataTree) -> xr.DataTree:
+    """Return the result with per-stage statistics as float arrays (chain, stage), padded with NaN.
+
+    With more than one chain, `pm.sample_smc` returns them as object arrays or lists of unequal lengths,
+    which neither netCDF nor Zarr can hold.
+
+    Parameters
+    ----------
+    idata : DataTree
+        As `pm.sample_smc` returns it; left as it is.
+
+    Returns
+    -------
+    DataTree
+        The same groups; `sample_stats` has the dimensions (chain, stage).
+    """
+    result = idata.copy()
+    if "sample_stats" not in result.children:
+        return result
+    stats = result["sample_stats"].to_dataset()
+    chains = np.atleast_1d(result["posterior"]["chain"].values)
+    padded = {
+        name: (("chain", "stage"), pad_stages(variable.values, len(chains)))
+        for name, variable in stats.data_vars.items()
+    }
+    lengths = {values.shape[1] for _, values in padded.values()}
+    n_stages = max(lengths, default=0)
+    padded = {
+        name: (dims, np.pad(values, [(0, 0), (0, n_stages - values.shape[1])], constant_values=np.nan))
+        for name, (dims, values) in padded.items()
+    }
+    attrs = {key: _plain(value) for key, value in stats.attrs.items()}
+    coords = {"chain": chains, "stage": np.arange(n_stages)}
+    result["sample_stats"] = xr.DataTree(xr.Dataset(padded, coords=coords, attrs=attrs))
+    return result
+
+
+def pad_stages(values, n_chains: int) -> np.ndarray:
+    """Return ragged per-chain lists as a float array (chain, stage), NaN behind each end."""
+    values = np.asarray(values)
+    if values.dtype != object and values.ndim == 2 and values.shape[0] == n_chains:
+        return values.astype(np.float64)
+    rows = list(values) if n_chains > 1 else [np.ravel(values)]
+    rows = [np.ravel(np.asarray(row, dtype=np.float64)) for row in rows]
+    padded = np.full((n_chains, max(map(len, rows))), np.nan)
+    for row, stages in zip(padded, rows, strict=True):
+        row[: len(stages)] = stages
+    return padded
+
+
+def _plain(value):
+    """Attribute values that netCDF can hold."""
+    return value if isinstance(value, str | int | float | np.number) else str(value)

@@ -1,0 +1,103 @@
+"""The ten-storey example of the source: structure, measurements and sampling steps.
+
+Its printed spring stiffness, 1000 N/m, contradicts its printed frequencies (1.0, 3.0, 4.9 Hz) and Rayleigh
+coefficients (2 % in modes 1 and 5), which follow from 1800 N/m; that is the default here.
+"""
+
+import numpy as np
+import xarray as xr
+
+from pymc_features.records import Record
+from pymc_features.simulators import simulate
+from pymc_features.structures import RayleighDamping, SpringMassChain
+
+N_STOREYS = 10
+MASS = 1.0  # kg
+STIFFNESS = 1800.0  # N/m; printed: 1000
+DAMPING = RayleighDamping(alpha=0.2265, beta=6.7515e-4)  # Eq. (19): 2 % in modes 1 and 5
+UNCERTAIN_SPRINGS = (0, 1, 2)  # theta scales the first three
+MULTIPLIERS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # sampling steps over the record's step
+NOISE = 0.05  # standard deviation over the root mean square of each channel
+THETA_RANGE = (0.5, 1.5)  # prior of theta, uniform
+SIGMA_RANGE = (0.0, 2.0)  # prior of sigma, uniform [m/s^2]
+
+
+def chain(theta=1.0, *, stiffness: float = STIFFNESS) -> SpringMassChain:
+    """Ten masses of 1 kg on springs of which the first three are scaled by `theta`.
+
+    Parameters
+    ----------
+    theta : float or TensorVariable
+        Stiffness factor of springs 0 to 2 [-].
+    stiffness : float
+        Nominal spring stiffness [N/m].
+
+    Examples
+    --------
+    >>> chain().modes().natural_frequencies[:3].round(2)
+    array([1.01, 3.01, 4.93])
+    """
+    nominal = SpringMassChain(np.full(N_STOREYS, MASS), stiffness, DAMPING)
+    return nominal.scale_stiffness(theta, springs=UNCERTAIN_SPRINGS)
+
+
+def measurements(
+    record: Record,
+    *,
+    theta: float = 1.0,
+    stiffness: float = STIFFNESS,
+    noise: float = NOISE,
+    seed: int = 0,
+    multipliers=MULTIPLIERS,
+) -> xr.DataArray:
+    """Floor accelerations at the finest sampling step, with noise added once.
+
+    Parameters
+    ----------
+    record : Record
+        Ground acceleration.
+    theta, stiffness : float
+        The true structure.
+    noise : float
+        Standard deviation of the white Gaussian noise over the root mean square of each channel [-].
+    seed : int
+        Of the noise.
+    multipliers : sequence of float
+        Sampling steps over the record's; the smallest is the finest step.
+
+    Returns
+    -------
+    xarray.DataArray (sensor, time)
+        Absolute acceleration [m/s^2] at every floor. `decimate` takes coarser data from it.
+    """
+    if not 0.0 <= noise < np.inf:
+        raise ValueError(f"`noise` must be finite and not negative, got {noise}. Pass 0.05 for 5 %.")
+    exact = simulate(chain(theta, stiffness=stiffness), record, dt=min(multipliers) * record.dt)
+    scale = noise * np.sqrt((exact.values**2).mean(axis=1, keepdims=True))
+    return exact + scale * np.random.default_rng(seed).standard_normal(exact.shape)
+
+
+def decimate(finest: xr.DataArray, step: float) -> xr.DataArray:
+    """Every n-th sample of the finest history, without filtering.
+
+    Parameters
+    ----------
+    finest : DataArray (sensor, time)
+        From `measurements`.
+    step : float
+        Wanted sampling step [s], an integer multiple of the finest.
+
+    Examples
+    --------
+    >>> history = measurements(Record([0.0, 1.0, 0.0], dt=0.1))
+    >>> history.sizes["time"], decimate(history, 0.1).sizes["time"]
+    (21, 3)
+    """
+    times = finest["time"].values
+    ratio = step / (times[1] - times[0])
+    if round(ratio) < 1 or abs(ratio / round(ratio) - 1.0) > 1e-6:
+        raise ValueError(
+            f"`step` must be an integer multiple of the finest step {times[1] - times[0]:g} s, "
+            f"got {step:g} s."
+        )
+    return finest[:, :: round(ratio)]

@@ -1,0 +1,252 @@
+"""The source's study: posteriors of the same data at seven sampling steps (Figs. 2-4)."""
+
+import os
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pymc as pm
+import xarray as xr
+
+from pymc_features.distributions import FeatureLikelihoodWarning
+from pymc_features.likelihood_free import abc_tolerance
+from pymc_features.records import Record
+from pymc_features.simulators import chain_discrepancy, request
+from pymc_features.smc import RelativeIMH, savable
+from pymc_features.study import paper
+from pymc_features.study.models import LIKELIHOODS, declare
+from pymc_features.study.store import PartStore, fingerprint
+from pymc_features.study.summary import assemble
+
+ABC_SEEDS = 20  # prior draws wanted inside the tolerance, for the stock kernel to start from
+
+
+@dataclass(frozen=True)
+class Study:
+    """Settings of a study; see `sampling_rate_study`."""
+
+    record: Record
+    stiffness: float
+    noise: float
+    multipliers: tuple[float, ...]
+    likelihoods: tuple[str, ...]
+    draws: int
+    chains: int
+    seed: int
+    finest: xr.DataArray = field(repr=False)
+
+    def settings(self) -> dict:
+        """All that determines the numbers, for the folder they are kept in."""
+        return {
+            "record": self.record.name,
+            "record_sha256": fingerprint(self.record.acceleration),
+            "record_dt": self.record.dt,
+            "stiffness": self.stiffness,
+            "noise": self.noise,
+            "multipliers": list(self.multipliers),
+            "likelihoods": list(self.likelihoods),
+            "draws": self.draws,
+            "chains": self.chains,
+            "seed": self.seed,
+        }
+
+    def data(self, multiplier: float) -> xr.DataArray:
+        """Measurements at one sampling step, decimated from the finest history."""
+        return paper.decimate(self.finest, multiplier * self.record.dt)
+
+    def total_discrepancy(self, multiplier: float) -> Callable[[float], float]:
+        """S(theta) = sum_j e_j at one sampling step."""
+        data = np.ascontiguousarray(self.data(multiplier).values)
+        asked = request(paper.N_STOREYS, self.record.dt, dt=multiplier * self.record.dt)
+
+        def total(theta):
+            e = chain_discrepancy(
+                *paper.chain(theta, stiffness=self.stiffness).parameters(),
+                self.record.acceleration,
+                self.record.dt,
+                asked.substeps,
+                asked.stride,
+                asked.sensors,
+                asked.n_modes,
+                asked.quantity_code,
+                data,
+            )
+            return float(e.sum())
+
+        return total
+
+    def part_seed(self, likelihood: str, multiplier: float) -> int:
+        """Seed of one part: the same whether or not the study was interrupted."""
+        key = [self.seed, list(LIKELIHOODS).index(likelihood), round(1000 * multiplier)]
+        return int(np.random.SeedSequence(key).generate_state(1)[0])
+
+
+def sampling_rate_study(
+    record: Record,
+    *,
+    stiffness: float = paper.STIFFNESS,
+    noise: float = paper.NOISE,
+    multipliers: Sequence[float] = paper.MULTIPLIERS,
+    likelihoods: Sequence[str] = tuple(LIKELIHOODS),
+    draws: int = 2000,
+    chains: int = 4,
+    cores: int | None = None,
+    random_seed: int = 0,
+    out=None,
+    progress: Callable[[str, int, int], None] | None = None,
+    progressbar: bool = True,
+) -> xr.DataTree:
+    """Posterior of theta and sigma at several sampling steps, sampled and exact.
+
+    The ten-storey chain of the source is measured once, at the finest step and with noise; coarser data
+    are every n-th sample of that history. NORM narrows with the sampling rate; TN, EXP and ABC do not.
+
+    Parameters
+    ----------
+    record : Record
+        Ground acceleration.
+    stiffness : float
+        Nominal spring stiffness [N/m], positive.
+    noise : float
+        Standard deviation of the noise over the root mean square of each channel [-], positive.
+    multipliers : sequence of float
+        Sampling steps over the record's step; integers or their reciprocals.
+    likelihoods : sequence of {"NORM", "TN", "EXP", "ABC"}
+        ABC needs EXP, from which its tolerance follows, Eq. (16).
+    draws, chains, cores : int
+        Of `pm.sample_smc`; all processors by default. For ABC the number of particles grows so that enough of the prior's lie
+        inside the tolerance; `draws` of them are kept.
+    random_seed : int
+        Of noise and samplers.
+    out : path, optional
+        Folder in which each finished part is kept at once; a second call with the same settings
+        continues. In memory only by default.
+    progress : callable (str, int, int), optional
+        Called with the name of the part in work, the number finished, and the number in all.
+    progressbar : bool
+        Whether each part shows PyMC's own progress bar.
+
+    Returns
+    -------
+    DataTree
+        `/summary`: maximum, 5, 50 and 95 % quantiles, `sampled` and `exact` by quadrature, both
+        (likelihood, multiplier, parameter, statistic); `r_hat`, `ess_bulk`, `seconds`, `tolerance`,
+        `log_evidence`. `/<likelihood>/x<multiplier>`: posterior and sampler statistics. `/data`:
+        record and finest measurements. Saves with `to_netcdf`.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of range, or `out` holds another study.
+    """
+    study = _checked_study(
+        record, stiffness, noise, multipliers, likelihoods, draws, chains, random_seed
+    )
+    store = PartStore(out, study.settings())
+    names = [(kind, m) for m in study.multipliers for kind in study.likelihoods]
+    parts: dict[tuple[str, float], xr.DataTree] = {}
+    for done, (kind, multiplier) in enumerate(names):
+        label = part_name(kind, multiplier)
+        if progress is not None:
+            progress(label, done, len(names))
+        part = store.load(label)
+        if part is None:
+            tolerance = None
+            if kind == "ABC":
+                sigma = parts["EXP", multiplier]["posterior"]["sigma"]
+                tolerance = abc_tolerance(float(sigma.quantile(0.9)), paper.N_STOREYS)
+            part = run_part(study, kind, multiplier, tolerance, cores, progressbar)
+            store.save(label, part)
+        parts[kind, multiplier] = part
+    if progress is not None:
+        progress("exact posteriors", len(names), len(names))
+    return assemble(study, parts)
+
+
+def part_name(kind: str, multiplier: float) -> str:
+    """Name of one part in files and messages, such as TN_x0.1."""
+    return f"{kind}_x{multiplier:g}"
+
+
+def run_part(study, kind, multiplier, tolerance, cores, progressbar) -> xr.DataTree:
+    """Sample one posterior with `pm.sample_smc`."""
+    data = study.data(multiplier)
+    draws = study.draws
+    if kind == "ABC":
+        draws = max(draws, _abc_particles(study, multiplier, tolerance))
+    start = time.perf_counter()
+    with warnings.catch_warnings():
+        # the simulator node runs in Python by design
+        warnings.filterwarnings("ignore", message="Numba will use object mode", category=UserWarning)
+        warnings.filterwarnings("ignore", category=FeatureLikelihoodWarning)
+        model = declare(kind, study.record, data, stiffness=study.stiffness, tolerance=tolerance)
+        idata = pm.sample_smc(
+            draws=draws,
+            kernel=RelativeIMH,
+            model=model,
+            chains=study.chains,
+            cores=cores or os.cpu_count(),
+            random_seed=study.part_seed(kind, multiplier),
+            compute_convergence_checks=False,
+            progressbar=progressbar,
+        )
+    seconds = time.perf_counter() - start
+    idata = savable(idata)
+    part = xr.DataTree.from_dict(
+        {
+            "posterior": idata["posterior"].to_dataset().isel(draw=slice(0, study.draws)),
+            "sample_stats": idata["sample_stats"].to_dataset(),
+        }
+    )
+    part.attrs = {"seconds": seconds, "particles": draws}
+    if tolerance is not None:
+        part.attrs["tolerance"] = tolerance
+    return part
+
+
+def _abc_particles(study, multiplier, tolerance):
+    """Particles needed for `ABC_SEEDS` prior draws inside the tolerance, on average."""
+    low, high = paper.THETA_RANGE
+    grid = np.linspace(low, high, 2001)
+    total = study.total_discrepancy(multiplier)
+    share = np.mean([total(theta) <= tolerance for theta in grid])
+    return int(np.ceil(ABC_SEEDS / max(share, 1e-3)))
+
+
+def _checked_study(record, stiffness, noise, multipliers, likelihoods, draws, chains, seed):
+    """Return the settings, checked, with the measurements made."""
+    if not isinstance(record, Record):
+        raise TypeError(f"`record` must be a Record, got {type(record).__name__}.")
+    if not 0.0 < noise < np.inf:
+        raise ValueError(
+            f"`noise` must be positive, got {noise}. Without noise sigma runs to zero and no posterior "
+            "exists; pass 0.05 for 5 %."
+        )
+    unknown = [kind for kind in likelihoods if kind not in LIKELIHOODS]
+    if unknown or not likelihoods:
+        raise ValueError(f"`likelihoods` must be among {', '.join(LIKELIHOODS)}, got {likelihoods}.")
+    if "ABC" in likelihoods and "EXP" not in likelihoods:
+        raise ValueError("`likelihoods` must include EXP with ABC: its tolerance follows from EXP.")
+    for name, value, least in (("draws", draws, 50), ("chains", chains, 1), ("random_seed", seed, 0)):
+        if isinstance(value, bool) or int(value) != value or value < least:
+            raise ValueError(f"`{name}` must be an integer of at least {least}, got {value}.")
+    multipliers = tuple(sorted({float(m) for m in multipliers}))
+    if not multipliers:
+        raise ValueError("`multipliers` must name at least one sampling step, got none.")
+    finest = paper.measurements(
+        record, stiffness=stiffness, noise=noise, seed=seed, multipliers=multipliers
+    )
+    kinds = tuple(kind for kind in LIKELIHOODS if kind in likelihoods)
+    study = Study(
+        record, float(stiffness), float(noise), multipliers, kinds, int(draws), int(chains),
+        int(seed), finest,
+    )
+    for multiplier in multipliers:
+        if study.data(multiplier).sizes["time"] < 10:
+            raise ValueError(
+                f"`multipliers` must leave at least 10 samples, got {multiplier:g} on a record of "
+                f"{record.duration:.4g} s. Use a longer record or smaller steps."
+            )
+    return study

@@ -1,0 +1,54 @@
+"""Where tests find data, and which record they use."""
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+_BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
+if "PYMC_FEATURES_DATA" not in os.environ and _BESIDE.is_dir():
+    os.environ["PYMC_FEATURES_DATA"] = str(_BESIDE)
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """Folder with the real records; tests that need it are skipped where it is absent."""
+    folder = os.environ.get("PYMC_FEATURES_DATA", "")
+    if not folder or not Path(folder).is_dir():
+        pytest.skip("no real data: set PYMC_FEATURES_DATA to their folder")
+    return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def reference_dir(data_dir) -> Path:
+    """Folder with the reference results, beside the data."""
+    folder = data_dir.parent / "reference"
+    if not folder.is_dir():
+        pytest.skip("no reference results beside PYMC_FEATURES_DATA")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def record():
+    """El Centro where the data are at hand, else a synthetic record of the same length and step."""
+    from pymc_features import datasets, synthetic_earthquake
+
+    folder = os.environ.get("PYMC_FEATURES_DATA", "")
+    if folder and (Path(folder) / "elcentro.dat").exists():
+        return datasets.el_centro()
+    return synthetic_earthquake(31.16, 0.02, seed=1940, pga=3.13)
+
+
+@pytest.fixture(autouse=True)
+def no_network(monkeypatch):
+    """Refuse connections to other machines: the tests must pass without a network."""
+    connect = socket.socket.connect
+
+    def guarded(self, address):
+        if self.family != socket.AF_UNIX and address[0] not in ("127.0.0.1", "::1", "localhost"):
+            raise OSError(f"tests must not use the network, got a connection to {address}")
+        return connect(self, address)
+
+    monkeypatch.setattr(socket.socket, "connect", guarded)
