@@ -32,8 +32,6 @@ from pymc_features.smc import RelativeIMH
 from pymc_features.structures import ModalDamping, RayleighDamping, SpringMassChain
 from pymc_features.study import paper, sampling_rate_study
 
-_PLOTS = ("plot_record", "plot_sampling_rate")  # loaded when asked for: matplotlib is slow to import
-
 __all__ = [
     "DiscrepancySimulator",
     "ExpFeature",
@@ -49,8 +47,8 @@ __all__ = [
     "datasets",
     "mean_square_discrepancy",
     "paper",
-    "plot_record",
-    "plot_sampling_rate",
+    "plot_record",  # noqa: F822
+    "plot_sampling_rate",  # noqa: F822
     "read_record",
     "response",
     "sampling_rate_study",
@@ -58,6 +56,8 @@ __all__ = [
     "simulate",
     "synthetic_earthquake",
 ]
+
+_PLOTS = ("plot_record", "plot_sampling_rate")  # on demand: matplotlib takes a second to import
 
 
 def __getattr__(name):

@@ -59,7 +59,11 @@ def make_parser() -> argparse.ArgumentParser:
     add("--record-dt", type=float, metavar="S", help="step of the record [s], if the file is silent")
     add("--column", help="column of the record's file, if it has several")
     add("--out", metavar="DIR", help="output folder (default: reproduce-output[-quick])")
-    add("--quick", action="store_true", help="three sampling steps and fewer draws, for a first look")
+    add(
+        "--quick",
+        action="store_true",
+        help="three sampling steps and fewer draws, for a first look",
+    )
     add("--seed", type=int, default=0, help="of noise and samplers (default: 0)")
     add("--stiffness", type=float, metavar="N/m", help="nominal spring stiffness (default: 1800)")
     add("--draws", type=int, help="draws per chain (default: 2000, quick 300)")

@@ -11,7 +11,6 @@ import operator
 from numbers import Real
 
 import numpy as np
-from scipy import signal
 
 from pymc_features.records import Record
 
@@ -164,9 +163,9 @@ def _stationary(n_times: int, dt: float, filters, rng: np.random.Generator) -> n
     )
     memory = math.ceil(10.0 / (slowest * dt))
     noise = np.fft.rfft(rng.standard_normal(n_times + memory))
-    omega = 2.0 * math.pi * np.fft.rfftfreq(n_times + memory, dt)
+    s = 2j * math.pi * np.fft.rfftfreq(n_times + memory, dt)  # the Laplace variable, i omega
     ground = ([2.0 * zeta_g * omega_g, omega_g**2], [1.0, 2.0 * zeta_g * omega_g, omega_g**2])
     high_pass = ([1.0, 0.0, 0.0], [1.0, 2.0 * zeta_f * omega_f, omega_f**2])
     for numerator, denominator in (ground, high_pass):
-        noise = noise * signal.freqs(numerator, denominator, worN=omega)[1]
+        noise = noise * np.polyval(numerator, s) / np.polyval(denominator, s)
     return np.fft.irfft(noise, n_times + memory)[memory:]

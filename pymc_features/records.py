@@ -62,9 +62,7 @@ class Record:
                 f"`dt` must be a number, got {self.dt!r}. Pass the sampling interval in seconds."
             ) from None
         if not 0.0 < dt < np.inf:
-            raise ValueError(
-                f"`dt` must be positive, got {dt}. Pass the sampling interval in seconds."
-            )
+            raise ValueError(f"`dt` must be positive, got {dt}. Pass the sampling interval in seconds.")
         acceleration.setflags(write=False)
         object.__setattr__(self, "acceleration", acceleration)
         object.__setattr__(self, "dt", dt)

@@ -38,8 +38,7 @@ def check_sigma(sigma, mu):
     given = tensor.type.shape[-1] if tensor.ndim else None
     if None not in (sensors, given) and given not in (1, sensors):
         raise ValueError(
-            f"`sigma` must be a scalar or have one value for each of the {sensors} sensors, "
-            f"got {given}."
+            f"`sigma` must be a scalar or have one value for each of the {sensors} sensors, got {given}."
         )
     return tensor
 
@@ -59,9 +58,7 @@ def prepare_observed(mu, observed, name):
     try:
         values = np.ascontiguousarray(observed, dtype=np.float64)
     except (TypeError, ValueError):
-        raise TypeError(
-            f"`observed` must be an array of numbers, got {type(observed).__name__}."
-        ) from None
+        raise TypeError(f"`observed` must be an array of numbers, got {type(observed).__name__}.") from None
     _check_values(values)
     if values.ndim != max(mu.ndim, 1):
         raise ValueError(

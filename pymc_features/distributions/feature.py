@@ -145,9 +145,7 @@ class FeatureLikelihood(Continuous):
             raise ValueError(f"`density` must be one of {', '.join(DENSITIES)}, got {density!r}.")
         mu = pt.as_tensor_variable(mu)
         if mu.ndim < 1:
-            raise ValueError(
-                "`mu` must be (..., sensor, time), got a scalar. Pass what `response` returned."
-            )
+            raise ValueError("`mu` must be (..., sensor, time), got a scalar. Pass what `response` returned.")
         return super().dist([mu, check_sigma(sigma, mu)], density=density, **kwargs)
 
     @classmethod

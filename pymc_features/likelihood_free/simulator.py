@@ -142,8 +142,7 @@ def DiscrepancySimulator(name, mu, *params, epsilon, observed, kernel="uniform",
     data = _checked_data(observed, expected)
     shape = data.shape if isinstance(data, np.ndarray) else data.get_value(borrow=True).shape
     core_inputs = ",".join(
-        "(" + ",".join(f"p{i}{axis}" for axis in range(ndim)) + ")"
-        for i, ndim in enumerate(fn.ndims_params)
+        "(" + ",".join(f"p{i}{axis}" for axis in range(ndim)) + ")" for i, ndim in enumerate(fn.ndims_params)
     )
     return pm.Simulator(
         name,
@@ -162,9 +161,7 @@ def _simulator_of(mu, params):
     """Return the simulator function, its parameters and the shape of a response, if known."""
     if not isinstance(mu, Variable):
         if not callable(mu):
-            raise TypeError(
-                f"`mu` must be what `response` returned or a function, got {type(mu).__name__}."
-            )
+            raise TypeError(f"`mu` must be what `response` returned or a function, got {type(mu).__name__}.")
         if not params:
             raise ValueError("`params` must be given with a function, got none. Pass its parameters.")
         parameters = [pt.as_tensor_variable(p) for p in params]

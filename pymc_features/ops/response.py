@@ -99,9 +99,7 @@ def response(
             f"`record` must be a Record, got {type(record).__name__}. "
             "Use read_record(path) or Record(acceleration, dt)."
         )
-    asked = request(
-        structure.n_dof, record.dt, dt=dt, sensors=sensors, quantity=quantity, n_modes=n_modes
-    )
+    asked = request(structure.n_dof, record.dt, dt=dt, sensors=sensors, quantity=quantity, n_modes=n_modes)
     # shared, not constant: constants enter the key of compiled graphs, large ones prevent its use
     acceleration = pytensor.shared(
         record.acceleration.copy(), name=record.name or "acceleration", shape=(record.n_times,)
@@ -141,9 +139,7 @@ def response_step(variable: TensorVariable) -> float | None:
     if node is None:
         return None
     try:
-        dt, substeps, stride = (
-            pt.get_underlying_scalar_constant_value(node.inputs[i]) for i in (5, 6, 7)
-        )
+        dt, substeps, stride = (pt.get_underlying_scalar_constant_value(node.inputs[i]) for i in (5, 6, 7))
     except pt.exceptions.NotScalarConstantError:
         return None
     return float(dt) * int(stride) / int(substeps)

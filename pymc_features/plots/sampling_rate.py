@@ -68,6 +68,13 @@ def _draw(ax, cell, kind, shift):
     middle = np.clip(sampled[0], sampled[1], sampled[3])
     errors = np.stack([middle - sampled[1], sampled[3] - middle])
     ax.errorbar(
-        steps * shift, middle, yerr=errors, fmt="none", ecolor=colour, capsize=3, lw=1.2, label=label
+        steps * shift,
+        middle,
+        yerr=errors,
+        fmt="none",
+        ecolor=colour,
+        capsize=3,
+        lw=1.2,
+        label=label,
     )
     ax.plot(steps * shift, sampled[0], "o", color=colour, ms=4)

@@ -63,10 +63,8 @@ def check_sensors(sensors, n_dof: int) -> np.ndarray:
         return np.arange(n_dof)
     indices = np.atleast_1d(np.asarray(sensors))
     if indices.ndim != 1 or indices.size == 0 or not np.issubdtype(indices.dtype, np.integer):
-        raise ValueError(
-            f"`sensors` must be a list of degrees of freedom (integers), got {sensors!r}."
-        )
-    if not ((0 <= indices) & (indices < n_dof)).all():
+        raise ValueError(f"`sensors` must be a list of degrees of freedom (integers), got {sensors!r}.")
+    if not ((indices >= 0) & (indices < n_dof)).all():
         raise ValueError(
             f"`sensors` must lie between 0 and {n_dof - 1}, got {indices.tolist()}. "
             "Degree of freedom 0 is next to the base."

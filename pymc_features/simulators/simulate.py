@@ -58,9 +58,7 @@ def simulate(
             "`structure` must have numbers as parameters, got PyTensor variables. "
             "Use `response(structure, record)` inside a model."
         )
-    asked = request(
-        structure.n_dof, record.dt, dt=dt, sensors=sensors, quantity=quantity, n_modes=n_modes
-    )
+    asked = request(structure.n_dof, record.dt, dt=dt, sensors=sensors, quantity=quantity, n_modes=n_modes)
     values = chain_response(
         *structure.parameters(),
         record.acceleration,

@@ -32,7 +32,10 @@ def savable(idata: xr.DataTree) -> xr.DataTree:
     lengths = {values.shape[1] for _, values in padded.values()}
     n_stages = max(lengths, default=0)
     padded = {
-        name: (dims, np.pad(values, [(0, 0), (0, n_stages - values.shape[1])], constant_values=np.nan))
+        name: (
+            dims,
+            np.pad(values, [(0, 0), (0, n_stages - values.shape[1])], constant_values=np.nan),
+        )
         for name, (dims, values) in padded.items()
     }
     attrs = {key: _plain(value) for key, value in stats.attrs.items()}

@@ -85,9 +85,7 @@ class SpringMassChain(Structure):
         springs = np.atleast_1d(np.asarray(springs))
         if springs.ndim != 1 or not np.issubdtype(springs.dtype, np.integer):
             raise TypeError(f"`springs` must be integers, got {springs.tolist()}.")
-        if len(set(springs.tolist())) < springs.size or not (
-            (0 <= springs) & (springs < self.n_dof)
-        ).all():
+        if len(set(springs.tolist())) < springs.size or not ((springs >= 0) & (springs < self.n_dof)).all():
             raise ValueError(
                 f"`springs` must be different numbers from 0 to {self.n_dof - 1}, "
                 f"got {springs.tolist()}. Spring 0 is next to the base."
@@ -138,9 +136,7 @@ class SpringMassChain(Structure):
         mass, stiffness, rayleigh, ratios = self._numbers()
         root = np.sqrt(mass)
         above = np.append(stiffness[1:], 0.0)
-        _, vectors = eigh_tridiagonal(
-            (stiffness + above) / mass, -stiffness[1:] / (root[1:] * root[:-1])
-        )
+        _, vectors = eigh_tridiagonal((stiffness + above) / mass, -stiffness[1:] / (root[1:] * root[:-1]))
         shapes = vectors / root[:, None]
         drifts = np.diff(shapes, axis=0, prepend=0.0)
         inertia = (mass[:, None] * shapes**2).sum(axis=0)

@@ -95,9 +95,7 @@ class ModalDamping(Damping):
     """
 
     def __init__(self, ratios):
-        self.ratios = as_vector(
-            ratios, "ratios", "fractions of critical damping", allow_zero=True
-        )
+        self.ratios = as_vector(ratios, "ratios", "fractions of critical damping", allow_zero=True)
 
     def __repr__(self):
         return f"ModalDamping({self.ratios})"
@@ -105,9 +103,7 @@ class ModalDamping(Damping):
     def coefficients(self, n):
         length = static_length(self.ratios)
         if length not in (None, n):
-            raise ValueError(
-                f"`ratios` must have one value or one for each of the {n} modes, got {length}."
-            )
+            raise ValueError(f"`ratios` must have one value or one for each of the {n} modes, got {length}.")
         return np.zeros(2), spread(self.ratios, n)
 
 
@@ -115,5 +111,7 @@ def _scalar(value, name, unit):
     """Return a checked float or a scalar tensor."""
     checked = as_vector(value, name, unit, allow_zero=True)
     if checked.ndim:
-        raise ValueError(f"`{name}` must be a scalar, got {checked.ndim} dimension. Pass one value in {unit}.")
+        raise ValueError(
+            f"`{name}` must be a scalar, got {checked.ndim} dimension. Pass one value in {unit}."
+        )
     return checked if isinstance(checked, Variable) else float(checked)

@@ -116,8 +116,8 @@ def sampling_rate_study(
     likelihoods : sequence of {"NORM", "TN", "EXP", "ABC"}
         ABC needs EXP, from which its tolerance follows, Eq. (16).
     draws, chains, cores : int
-        Of `pm.sample_smc`; all processors by default. For ABC the number of particles grows so that enough of the prior's lie
-        inside the tolerance; `draws` of them are kept.
+        Of `pm.sample_smc`; all processors by default. For ABC the number of particles grows so that
+        enough of the prior's lie inside the tolerance; `draws` of them are kept.
     random_seed : int
         Of noise and samplers.
     out : path, optional
@@ -141,9 +141,7 @@ def sampling_rate_study(
     ValueError
         If a setting is out of range, or `out` holds another study.
     """
-    study = _checked_study(
-        record, stiffness, noise, multipliers, likelihoods, draws, chains, random_seed
-    )
+    study = _checked_study(record, stiffness, noise, multipliers, likelihoods, draws, chains, random_seed)
     store = PartStore(out, study.settings())
     names = [(kind, m) for m in study.multipliers for kind in study.likelihoods]
     parts: dict[tuple[str, float], xr.DataTree] = {}
@@ -229,19 +227,28 @@ def _checked_study(record, stiffness, noise, multipliers, likelihoods, draws, ch
         raise ValueError(f"`likelihoods` must be among {', '.join(LIKELIHOODS)}, got {likelihoods}.")
     if "ABC" in likelihoods and "EXP" not in likelihoods:
         raise ValueError("`likelihoods` must include EXP with ABC: its tolerance follows from EXP.")
-    for name, value, least in (("draws", draws, 50), ("chains", chains, 1), ("random_seed", seed, 0)):
+    for name, value, least in (
+        ("draws", draws, 50),
+        ("chains", chains, 1),
+        ("random_seed", seed, 0),
+    ):
         if isinstance(value, bool) or int(value) != value or value < least:
             raise ValueError(f"`{name}` must be an integer of at least {least}, got {value}.")
     multipliers = tuple(sorted({float(m) for m in multipliers}))
     if not multipliers:
         raise ValueError("`multipliers` must name at least one sampling step, got none.")
-    finest = paper.measurements(
-        record, stiffness=stiffness, noise=noise, seed=seed, multipliers=multipliers
-    )
+    finest = paper.measurements(record, stiffness=stiffness, noise=noise, seed=seed, multipliers=multipliers)
     kinds = tuple(kind for kind in LIKELIHOODS if kind in likelihoods)
     study = Study(
-        record, float(stiffness), float(noise), multipliers, kinds, int(draws), int(chains),
-        int(seed), finest,
+        record,
+        float(stiffness),
+        float(noise),
+        multipliers,
+        kinds,
+        int(draws),
+        int(chains),
+        int(seed),
+        finest,
     )
     for multiplier in multipliers:
         if study.data(multiplier).sizes["time"] < 10:

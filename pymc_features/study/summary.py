@@ -1,6 +1,5 @@
 """The study's result: sampled and exact statistics side by side."""
 
-import arviz as az
 import numpy as np
 import xarray as xr
 
@@ -31,9 +30,7 @@ def assemble(study, parts: dict) -> xr.DataTree:
     tolerance = np.full(len(study.multipliers), np.nan)
     for j, multiplier in enumerate(study.multipliers):
         data = study.data(multiplier)
-        curve = DiscrepancyCurve(
-            study.total_discrepancy(multiplier), paper.THETA_RANGE, data.size
-        )
+        curve = DiscrepancyCurve(study.total_discrepancy(multiplier), paper.THETA_RANGE, data.size)
         for i, kind in enumerate(study.likelihoods):
             part = parts[kind, multiplier]
             delta = part.attrs.get("tolerance")
@@ -60,9 +57,7 @@ def assemble(study, parts: dict) -> xr.DataTree:
     tree = xr.DataTree.from_dict({"/summary": summary, "/data": _data_group(study)})
     for path, part in nodes.items():
         tree[path] = part
-    tree.attrs = {
-        key: value for key, value in study.settings().items() if not isinstance(value, list)
-    }
+    tree.attrs = {key: value for key, value in study.settings().items() if not isinstance(value, list)}
     return tree
 
 
@@ -110,6 +105,8 @@ def sampled_statistics(kind, curve, data, part):
 
 def diagnostics(part):
     """R-hat and bulk effective sample size of each parameter; NaN where there is none."""
+    import arviz as az  # here: half a second that a mere import of the package need not take
+
     posterior = part["posterior"].to_dataset()
     r_hat, ess = np.full(len(PARAMETERS), np.nan), np.full(len(PARAMETERS), np.nan)
     for k, name in enumerate(PARAMETERS):

@@ -1,0 +1,120 @@
+"""The command line: outputs, continuation, messages and exit codes."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from pymc_features import cli, datasets
+
+
+@pytest.fixture(scope="module")
+def record_file(tmp_path_factory):
+    """A short ground motion in g, one column."""
+    path = tmp_path_factory.mktemp("record") / "pulse.csv"
+    values = 0.3 * np.random.default_rng(3).normal(size=160)
+    path.write_text("acceleration [g]\n" + "\n".join(f"{v:.6f}" for v in values) + "\n")
+    return path
+
+
+def arguments(record_file, out, *more):
+    """A run of a few seconds for each part."""
+    return [
+        *("reproduce", "--quick", "--record", str(record_file), "--record-dt", "0.02"),
+        *("--draws", "60", "--chains", "1", "--cores", "1", "--out", str(out), *more),
+    ]
+
+
+def test_reproduce_writes_everything_and_continues(record_file, tmp_path, capsys):
+    assert cli.main(arguments(record_file, tmp_path)) == 0
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {
+        *("fig1_record.png", "fig2_norm.png", "fig3_tn.png", "fig4_exp_abc.png"),
+        *("table.md", "table.csv", "study.nc", "study.json", "parts"),
+    }
+    for name in names:
+        if name.endswith(".png"):
+            assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    output = capsys.readouterr().err
+    assert "record: Record('pulse', 160 samples, dt=0.02 s" in output
+    assert "[11/12] ABC_x10" in output
+    with xr.open_datatree(tmp_path / "study.nc", engine="h5netcdf") as tree:
+        assert tree["summary"]["sampled"].shape == (4, 3, 2, 4)
+    table = (tmp_path / "table.csv").read_text()
+    start = time.perf_counter()
+    assert cli.main(arguments(record_file, tmp_path)) == 0
+    assert time.perf_counter() - start < 10.0  # nothing is sampled again
+    assert (tmp_path / "table.csv").read_text() == table
+    assert cli.main(arguments(record_file, tmp_path, "--seed", "1")) == 2
+    assert "`out` must be empty or hold the same study" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--record", "missing.csv"], "`path` must be an existing file, got missing.csv"),
+        (["--units", "furlong"], "`units` must be one of"),
+        (["--stiffness", "-3"], "`stiffness` must be positive and finite, got -3"),
+        (["--draws", "1"], "`draws` must be an integer of at least 50, got 1"),
+        (["--record-dt", "-0.02"], "`dt` must be positive, got -0.02"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(record_file, tmp_path, capsys, more, message):
+    assert cli.main(arguments(record_file, tmp_path / "out", *more)) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert "Traceback" not in error
+    assert error.splitlines()[-1].startswith("pymc-features: error: ")
+
+
+def test_traceback_on_request(record_file, tmp_path):
+    with pytest.raises(ValueError, match="`draws` must be"):
+        cli.main(arguments(record_file, tmp_path, "--draws", "1", "--traceback"))
+
+
+def test_unknown_option_is_exit_code_2(capsys):
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["reproduce", "--fast"])
+    assert stop.value.code == 2
+    assert "--fast" in capsys.readouterr().err
+
+
+def test_record_falls_back_to_the_synthetic_one_and_says_so(monkeypatch):
+    def unavailable():
+        raise datasets.DatasetUnavailableError("no network")
+
+    monkeypatch.setattr(datasets, "el_centro", unavailable)
+    record, sentence = cli.find_record(cli.make_parser().parse_args(["reproduce"]))
+    assert record.n_times == 1559
+    assert "since El Centro 1940 could not be had here" in sentence
+
+
+def test_el_centro_is_the_default(data_dir):
+    record, sentence = cli.find_record(cli.make_parser().parse_args(["reproduce"]))
+    assert (record.name, record.n_times) == ("El Centro 1940 NS", 1559)
+    assert "El Centro" in sentence
+
+
+def test_interrupt_keeps_what_is_finished(record_file, tmp_path):
+    """Ctrl-C after the first part: exit code 130, one line, no traceback, the part is there."""
+    command = [sys.executable, "-m", "pymc_features.cli"]
+    process = subprocess.Popen(
+        [*command, *arguments(record_file, tmp_path, "--draws", "4000")],
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "MPLBACKEND": "Agg"},
+    )
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and not list(tmp_path.glob("parts/NORM_x0.1.nc")):
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 130, error
+    assert "Traceback" not in error
+    assert "interrupted: finished parts are kept in" in error
+    assert (tmp_path / "parts" / "NORM_x0.1.nc").exists()

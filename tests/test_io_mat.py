@@ -1,0 +1,223 @@
+"""MATLAB reader, every case in version 5 (SciPy) and 7.3 (HDF5)."""
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from pymc_features.io import read_record
+
+ACCELERATION = np.array([0.0, 0.1, -0.25, 0.05])
+TIME = 0.02 * np.arange(4)
+
+
+def save_v5(path, variables):
+    savemat(path, variables)
+
+
+def save_v73(path, variables):
+    """The layout MATLAB writes: a 512-byte preamble, transposed arrays, text as 16-bit codes."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, value in variables.items():
+            if isinstance(value, str):
+                item = file.create_dataset(
+                    name, data=np.array([[ord(c)] for c in value], dtype=np.uint16)
+                )
+                item.attrs["MATLAB_class"] = np.bytes_("char")
+            elif isinstance(value, dict):
+                group = file.create_group(name)
+                group.attrs["MATLAB_class"] = np.bytes_("struct")
+                for key, field in value.items():
+                    group.create_dataset(key, data=field)
+            else:
+                value = np.atleast_2d(value)
+                item = file.create_dataset(name, data=value.T)
+                kind = {"float64": "double", "float32": "single"}.get(
+                    value.dtype.name, value.dtype.name
+                )
+                item.attrs["MATLAB_class"] = np.bytes_(kind)
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file".ljust(512))
+
+
+@pytest.fixture(params=[save_v5, save_v73], ids=["v5", "v7.3"])
+def save(request, tmp_path):
+    def save_and_return_path(**variables):
+        path = tmp_path / "motion.mat"
+        request.param(path, variables)
+        return path
+
+    return save_and_return_path
+
+
+@pytest.mark.parametrize("values", [ACCELERATION, ACCELERATION[:, None]], ids=["row", "column"])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_the_only_vector(save, values, dtype):
+    record = read_record(save(ag=values.astype(dtype), g=9.81), units="g", dt=0.02)
+    assert (record.dt, record.name) == (0.02, "motion")
+    expected = 9.81 * ACCELERATION.astype(dtype).astype(float)
+    np.testing.assert_allclose(record.acceleration, expected, rtol=1e-15)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "step",
+    [
+        {"dt": 0.02},
+        {"DT": 0.02},
+        {"fs": 50.0},
+        {"Fs": np.int16(50)},
+        {"t": TIME},
+        {"time": TIME[:, None]},
+        {"Time": 100.0 + TIME.astype(np.float32)},
+        {"dt": 0.02, "fs": 50.0, "t": TIME},
+    ],
+)
+def test_step_of_the_file(save, step):
+    path = save(ag=ACCELERATION, units="m/s^2", **step)
+    record = read_record(path)
+    assert record.dt == pytest.approx(0.02, rel=1e-3 if "Time" in step else 1e-9)
+    np.testing.assert_array_equal(record.acceleration, ACCELERATION)
+    assert read_record(path, units="m/s2", dt=record.dt).dt == record.dt
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_two_columns_are_time_and_acceleration(save, dtype):
+    path = save(motion=np.column_stack([TIME, ACCELERATION]).astype(dtype))
+    record = read_record(path, units="cm/s^2")
+    assert record.dt == pytest.approx(0.02, rel=1e-6)
+    np.testing.assert_allclose(record.acceleration, 0.01 * ACCELERATION, rtol=1e-6)
+
+
+def test_choice_by_name(save):
+    path = save(ax=ACCELERATION, ay=2.0 * ACCELERATION, az=np.ones((4, 3)), dt=0.02, units="gal")
+    assert read_record(path, column="ay").pga == 0.005
+    message = (
+        r"`column` must name the acceleration, 2 variables could be it. motion.mat holds "
+        r"ax \(1, 4\), ay \(1, 4\), az \(4, 3\), dt \(1, 1\), units text."
+    )
+    with pytest.raises(ValueError, match=message):
+        read_record(path)
+    with pytest.raises(ValueError, match=r"`column` must name a vector or an .*, got 'az'"):
+        read_record(path, column="az")
+    with pytest.raises(ValueError, match=r"`column` must name a vector or an .*, got 'aq'"):
+        read_record(path, column="aq")
+    with pytest.raises(
+        TypeError, match="`column` must be the name of a variable, got 1. motion.mat"
+    ):
+        read_record(path, column=1)
+
+
+def test_structures_are_ignored(save):
+    path = save(event={"a": ACCELERATION, "dt": 1e-4}, ag=ACCELERATION, dt=0.02)
+    assert read_record(path, units="g").dt == 0.02
+    with pytest.raises(ValueError, match="0 variables could be it. motion.mat holds no arrays of"):
+        read_record(save(event={"a": ACCELERATION}), units="g")
+
+
+def test_cells_and_sparse_matrices_are_ignored(tmp_path):
+    cells = np.empty(2, dtype=object)
+    cells[:] = ["text", ACCELERATION]
+    savemat(tmp_path / "m.mat", {"cells": cells, "z": 1j * ACCELERATION, "ag": ACCELERATION})
+    assert read_record(tmp_path / "m.mat", units="g", dt=0.02).n_times == 4
+
+
+def test_workspace_of_function_handles_is_ignored(save, monkeypatch):
+    contents = {"__function_workspace__": np.ones((1, 9), np.uint8), "ag": ACCELERATION}
+    monkeypatch.setattr("pymc_features.io.mat.loadmat", lambda path: contents)
+    monkeypatch.setattr(h5py, "is_hdf5", lambda path: False)
+    assert read_record(save(), units="g", dt=0.02).n_times == 4
+
+
+def test_hdf5_file_reads_no_other_file(tmp_path):
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["secret"] = ACCELERATION
+    (tmp_path / "raw.bin").write_bytes(ACCELERATION.tobytes())
+    path = tmp_path / "motion.mat"
+    layout = h5py.VirtualLayout(shape=(4,), dtype="f8")
+    layout[:] = h5py.VirtualSource(tmp_path / "other.h5", "secret", shape=(4,))
+    with h5py.File(path, "w") as file:
+        file["linked"] = h5py.ExternalLink(tmp_path / "other.h5", "secret")
+        file.create_virtual_dataset("virtual", layout)
+        external = [(str(tmp_path / "raw.bin"), 0, 32)]
+        file.create_dataset("external", (4,), "f8", external=external)
+        file["soft"] = h5py.SoftLink("/ag")
+        file["ag"] = 2.0 * ACCELERATION
+    assert read_record(path, units="g", dt=0.02).pga == 0.5 * 9.81
+
+
+def test_arguments_win_over_the_file_with_a_warning(save):
+    path = save(ag=ACCELERATION, dt=0.02, units="g")
+    with pytest.warns(
+        UserWarning, match="motion.mat states the units 'g'; the argument units='gal'"
+    ):
+        read_record(path, units="gal")
+    with pytest.warns(
+        UserWarning, match="motion.mat states a time step of 0.02 s; the argument dt="
+    ):
+        assert read_record(path, dt=0.01).dt == 0.01
+
+
+@pytest.mark.parametrize(
+    ("variables", "message"),
+    [
+        ({"ag": ACCELERATION, "dt": 0.02}, "`units` must be given, motion.mat does not state them"),
+        ({"ag": ACCELERATION, "units": "mg"}, "`dt` must be given, motion.mat does not state the"),
+        ({"ag": ACCELERATION, "dt": 0.02, "units": "mg"}, "`units` must be given, .* states 'mg'"),
+        ({"ag": ACCELERATION, "dt": 0.0}, "`dt` must be given, motion.mat does not state the time"),
+        ({"ag": ACCELERATION, "dt": 20.0}, "states a time step of 20, too long for seconds"),
+        (
+            {"ag": ACCELERATION, "dt": 0.02, "fs": 100.0},
+            r"contradicts itself \(dt: 0.02 s, fs: 0.01",
+        ),
+        (
+            {"ag": ACCELERATION, "t": TIME**1.1},
+            "motion.mat, `t`, sample .: time steps must be even",
+        ),
+        ({"ag": ACCELERATION, "t": -TIME}, "motion.mat, `t`, sample 1: time must increase"),
+        (
+            {"ag": np.column_stack([ACCELERATION, TIME])},
+            "motion.mat, `ag`, sample 2: time must increase",
+        ),
+        (
+            {"ag": np.where(TIME == 0.04, np.nan, ACCELERATION), "dt": 0.02, "units": "g"},
+            "motion.mat, `ag`, sample 2: values must be finite numbers, got nan",
+        ),
+        ({"t": TIME, "dt": 0.02}, "`column` must name the acceleration, 0 variables could be it"),
+    ],
+)
+def test_error_messages(save, variables, message):
+    with pytest.raises(ValueError, match=message):
+        read_record(save(**variables))
+
+
+def test_given_dt_overrules_an_uneven_time_vector(save):
+    assert read_record(save(ag=ACCELERATION, t=TIME**1.1), units="g", dt=0.02).dt == 0.02
+
+
+@pytest.mark.parametrize("content", [b"", b"not a mat file", b"\x80\x04pickle" * 50])
+def test_damaged_files(tmp_path, content):
+    path = tmp_path / "motion.mat"
+    path.write_bytes(content)
+    with pytest.raises(
+        ValueError, match="motion.mat must be a MATLAB .mat file, it cannot be read"
+    ):
+        read_record(path, units="g", dt=0.02)
+
+
+def test_truncated_file(save):
+    path = save(ag=np.arange(1000.0))
+    path.write_bytes(path.read_bytes()[:1500])
+    with pytest.raises(
+        ValueError, match="motion.mat must be a MATLAB .mat file, it cannot be read"
+    ):
+        read_record(path, units="g", dt=0.02)
+
+
+def test_round_trip_of_random_series(save):
+    rng = np.random.default_rng(3)
+    for n_times in rng.integers(2, 200, size=5):
+        values = rng.normal(size=n_times)
+        record = read_record(save(a=values, fs=120.0), units=2.0)
+        np.testing.assert_array_equal(record.acceleration, 2.0 * values)
+        assert record.dt == 1 / 120

@@ -1,0 +1,133 @@
+"""Who may import whom, what is public, and which members each catalogue has."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import pymc_features
+
+ROOT = Path(pymc_features.__file__).parent
+
+# package -> what of ours it may import, besides itself
+ALLOWED = {
+    "records": set(),
+    "structures": set(),
+    "simulators": set(),
+    "io": {"records"},
+    "datasets": {"records"},
+    "ground_motion": {"records"},
+    "ops": {"records", "structures", "simulators"},
+    "distributions": {"ops"},
+    "likelihood_free": {"ops", "simulators"},
+    "smc": set(),
+    "study": {
+        *("records", "structures", "simulators", "io", "datasets", "ground_motion"),
+        *("ops", "distributions", "likelihood_free", "smc"),
+    },
+    "plots": set(),
+}
+ANYTHING = {"__init__", "cli"}
+
+PUBLIC_NAMES = [
+    "DiscrepancySimulator",
+    "ExpFeature",
+    "FeatureLikelihoodWarning",
+    "ModalDamping",
+    "NotDifferentiableError",
+    "RayleighDamping",
+    "Record",
+    "RelativeIMH",
+    "SpringMassChain",
+    "TruncNormalFeature",
+    "abc_tolerance",
+    "datasets",
+    "mean_square_discrepancy",
+    "paper",
+    "plot_record",
+    "plot_sampling_rate",
+    "read_record",
+    "response",
+    "sampling_rate_study",
+    "sigma_mpv",
+    "simulate",
+    "synthetic_earthquake",
+]
+
+
+def imports_of(path: Path) -> set[str]:
+    """Names of modules a file imports, at any depth of its code."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            assert node.level == 0, f"{path}: relative import"
+            if node.module == "pymc_features":
+                found |= {f"pymc_features.{alias.name}" for alias in node.names}
+            else:
+                found.add(node.module)
+    return found
+
+
+def unit_of(path: Path) -> str:
+    """Folder, or module, directly below the package."""
+    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+
+
+def violations(path: Path, unit: str) -> list[str]:
+    """What a file of `unit` imports and must not."""
+    wrong = []
+    for module in imports_of(path):
+        parts = module.split(".")
+        ours = parts[0] == "pymc_features" and len(parts) > 1 and unit not in ANYTHING
+        if ours and parts[1] not in {unit, *ALLOWED[unit]}:
+            wrong.append(module)
+        if parts[0] == "matplotlib" and unit != "plots":
+            wrong.append(module)
+        if parts[0] == "jax":
+            wrong.append(module)
+        if parts[0] in ("pymc", "pytensor") and unit in ("simulators", "records", "io"):
+            wrong.append(module)
+    return wrong
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=lambda p: str(p.relative_to(ROOT)))
+def test_import_rule(path):
+    assert unit_of(path) in set(ALLOWED) | ANYTHING, "a new unit needs a line in ALLOWED"
+    assert violations(path, unit_of(path)) == []
+
+
+def test_import_rule_can_fail(tmp_path):
+    bad = tmp_path / "bad.py"
+    bad.write_text("import pymc\nfrom pymc_features.ops import response\nfrom pymc_features import study\n")
+    assert set(violations(bad, "simulators")) == {"pymc", "pymc_features.ops", "pymc_features.study"}
+
+
+def test_public_names():
+    """The contract: names stay. Adding one means adding it here."""
+    assert sorted(pymc_features.__all__) == PUBLIC_NAMES
+    for name in pymc_features.__all__:
+        assert getattr(pymc_features, name).__doc__, f"{name} has no docstring"
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        pymc_features.nothing  # noqa: B018
+
+
+def test_slow_modules_are_not_imported_with_the_package():
+    slow = ["jax", "matplotlib.pyplot", "scipy.signal", "arviz"]
+    code = f"import sys, pymc_features; print([m for m in {slow} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_files_and_functions_stay_small():
+    for path in ROOT.rglob("*.py"):
+        source = path.read_text()
+        assert source.count("\n") <= 300, f"{path.name}: is there a second concept inside?"
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.FunctionDef):
+                body = node.body[1:] if ast.get_docstring(node) else node.body
+                length = node.end_lineno - body[0].lineno + 1 if body else 0
+                assert length <= 60, f"{path.name}: {node.name} has {length} lines"

@@ -1,0 +1,53 @@
+"""Figures show what the result holds."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from pymc_features import plots
+
+
+@pytest.fixture
+def result():
+    """A made-up result with two likelihoods and three steps."""
+    statistics = np.array([1.0, 0.8, 1.05, 1.3])
+    values = np.broadcast_to(statistics, (2, 3, 2, 4)).copy()
+    values[1, :, 1] = np.nan
+    dims = ("likelihood", "multiplier", "parameter", "statistic")
+    coords = {
+        "likelihood": ["EXP", "ABC"],
+        "multiplier": [0.1, 1.0, 10.0],
+        "parameter": ["theta", "sigma"],
+        "statistic": ["map", "q05", "q50", "q95"],
+    }
+    summary = xr.Dataset({"sampled": (dims, values), "exact": (dims, values + 0.01)}, coords=coords)
+    data = xr.Dataset(
+        {"ground_acceleration": ("record_time", [0.0, -2.0, 1.0])},
+        coords={"record_time": [0.0, 0.1, 0.2]},
+        attrs={"record": "pulse"},
+    )
+    return xr.DataTree.from_dict({"/summary": summary, "/data": data})
+
+
+def test_record_figure(result):
+    ax = plots.plot_record(result)
+    np.testing.assert_array_equal(ax.lines[0].get_ydata(), [0.0, -2.0, 1.0])
+    assert ax.lines[1].get_xydata().tolist() == [[0.1, -2.0]]
+    assert (ax.get_xlabel(), ax.get_title()) == ("time [s]", "pulse")
+    assert plots.plot_record(result, ax=ax) is ax
+    plots.close([ax])
+
+
+def test_sampling_rate_figure(result):
+    axes = plots.plot_sampling_rate(result, ["EXP", "ABC"])
+    assert axes.shape == (2,)
+    theta, sigma = axes
+    assert len(theta.containers) == 2
+    assert len(sigma.containers) == 1  # ABC has no sigma
+    bars = theta.containers[0].lines[2][0].get_segments()
+    np.testing.assert_allclose([s[:, 1] for s in bars], [[0.8, 1.3]] * 3)
+    assert [t.get_text() for t in theta.get_xticklabels()] == ["0.1", "1", "10"]
+    assert "σ [m/s²]" in sigma.get_ylabel()
+    plots.close(axes[:1])
+    with pytest.raises(ValueError, match=r"`likelihoods` must be among \['EXP', 'ABC'\], got \['TN'\]"):
+        plots.plot_sampling_rate(result, "TN")

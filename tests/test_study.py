@@ -1,0 +1,299 @@
+"""The study: exact posteriors against closed forms, samplers against exact posteriors, continuation."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy import integrate, stats
+
+from pymc_features import Record, sampling_rate_study
+from pymc_features.simulators import simulate
+from pymc_features.smc.results import pad_stages, savable
+from pymc_features.study import StudyMismatchError, as_csv, as_markdown, paper
+from pymc_features.study import sampling_rate as study_module
+from pymc_features.study.quadrature import (
+    DiscrepancyCurve,
+    exact_posterior,
+    exponents,
+    tolerance_interval,
+)
+
+KINDS = ("NORM", "TN", "EXP")
+
+
+@pytest.fixture(scope="module")
+def exact(record):
+    """Curves and exact posteriors on the whole record at the seven steps."""
+    study = study_module._checked_study(record, 1800.0, 0.05, paper.MULTIPLIERS, KINDS, 100, 1, 0)
+    result = {}
+    for multiplier in paper.MULTIPLIERS:
+        data = study.data(multiplier)
+        curve = DiscrepancyCurve(study.total_discrepancy(multiplier), paper.THETA_RANGE, data.size)
+        posteriors = {
+            kind: exact_posterior(curve, exponents(kind, *data.shape), paper.SIGMA_RANGE) for kind in KINDS
+        }
+        result[multiplier] = curve, posteriors, data
+    return result
+
+
+def widths(exact, kind, parameter="theta"):
+    """Exact 5-95 % width at each sampling step."""
+    return np.array(
+        [np.ptp(getattr(exact[m][1][kind], parameter).quantile([0.05, 0.95])) for m in paper.MULTIPLIERS]
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_marginal_is_the_student_t_of_the_closed_form(exact, kind):
+    """S^(-(m - 1)/2) with quadratic S: a Student-t; at 0.1 % of the 5-95 % width."""
+    for curve, posteriors, data in exact.values():
+        m = exponents(kind, *data.shape).m
+        scale = np.sqrt(curve.minimum / curve.curvature / (m - 2))
+        closed = curve.minimiser + scale * stats.t(m - 2).ppf([0.05, 0.25, 0.5, 0.75, 0.95])
+        quantiles = posteriors[kind].theta.quantile([0.05, 0.25, 0.5, 0.75, 0.95])
+        width = closed[-1] - closed[0]
+        # S is quadratic near its minimum only: the heavier the tail, the more of its cubic part is seen
+        np.testing.assert_allclose(np.ptp(quantiles[[0, -1]]), width, rtol=1e-3)
+        np.testing.assert_allclose(quantiles, closed, atol=(0.01 if kind != "NORM" else 1e-3) * width)
+
+
+def test_abc_half_width_is_the_closed_form(exact):
+    for curve, posteriors, _ in exact.values():
+        delta = 20.0 * float(posteriors["EXP"].sigma.quantile(0.9)) ** 2
+        low, high = tolerance_interval(curve, delta)
+        closed = np.sqrt((delta - curve.minimum) / curve.curvature)
+        assert (high - low) / 2.0 == pytest.approx(closed, rel=1e-3)
+        assert curve.total(low) == pytest.approx(delta, rel=1e-9)
+        assert curve.total(high) == pytest.approx(delta, rel=1e-9)
+        with pytest.raises(ValueError, match="`delta` must exceed the smallest discrepancy"):
+            tolerance_interval(curve, 0.999 * curve.minimum)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_quadrature_on_a_parabola_against_adaptive_integration(kind):
+    """Independent route: SciPy's adaptive integration of the same density, also for the evidence."""
+    minimum, curvature, centre = 0.07, 1700.0, 1.003
+    curve = DiscrepancyCurve(lambda t: minimum + curvature * (t - centre) ** 2, (0.5, 1.5), 10 * 50)
+    likelihood = exponents(kind, 10, 50)
+    posterior = exact_posterior(curve, likelihood, (0.0, 2.0))
+    m, c = likelihood.m, likelihood.c
+    top = -m * np.log(np.sqrt(c * minimum / m)) - m / 2
+
+    def density(log_sigma, theta):
+        total = minimum + curvature * (theta - centre) ** 2
+        return np.exp(-m * log_sigma - c * total / (2 * np.exp(2 * log_sigma)) - top + log_sigma)
+
+    def below(theta_end):
+        inner = lambda t: integrate.quad(density, -6, np.log(2.0), args=(t,), limit=200, points=[-2.5])[0]  # noqa: E731
+        return integrate.quad(inner, 0.5, theta_end, points=[centre - 0.01, centre], limit=200)[0]
+
+    whole = below(1.5)
+    quantile = float(posterior.theta.quantile(0.05))
+    assert below(quantile) / whole == pytest.approx(0.05, abs=2e-5)
+    expected = np.log(whole / 2.0) + top + likelihood.constant
+    assert posterior.log_evidence == pytest.approx(expected, abs=1e-4)
+
+
+def test_exponents_reproduce_the_likelihoods():
+    """-m ln sigma - c S / (2 sigma^2) + constant equals SciPy's densities, summed."""
+    rng = np.random.default_rng(5)
+    misfit, sigma = rng.normal(size=(3, 40)), 0.7
+    e = np.mean(misfit**2, axis=1)
+    expected = {
+        "NORM": stats.norm(scale=sigma).logpdf(misfit).sum(),
+        "TN": stats.halfnorm(scale=sigma).logpdf(np.sqrt(e)).sum(),
+        "EXP": stats.expon(scale=2 * sigma**2).logpdf(e).sum(),
+    }
+    for kind, value in expected.items():
+        it = exponents(kind, 3, 40)
+        got = -it.m * np.log(sigma) - it.c * e.sum() / (2 * sigma**2) + it.constant
+        assert got == pytest.approx(value, rel=1e-12)
+    with pytest.raises(ValueError, match="`kind` must be NORM, TN or EXP"):
+        exponents("ABC", 3, 40)
+
+
+@pytest.mark.parametrize("kind", ["TN", "EXP"])
+def test_feature_uncertainty_does_not_depend_on_the_sampling_rate(exact, kind):
+    width = widths(exact, kind)
+    assert width.max() / width.min() < 1.03
+
+
+def test_norm_uncertainty_does(exact):
+    """Negative control of the invariance: a hundred times the samples, a tenth of the width."""
+    width = widths(exact, "NORM")
+    assert width[-1] / width[0] == pytest.approx(10.0, rel=0.1)
+    assert (np.diff(width) > 0).all()
+
+
+STRONG_MOTION = 5.0  # s, for the finest step: the rest of the record only adds time to the test
+
+
+@pytest.mark.parametrize("multiplier", [0.1, 1.0, 10.0])
+def test_sampled_quantiles_are_the_exact_ones(record, multiplier):
+    """5, 50 and 95 % of theta and sigma within 5 % of the exact 5-95 % width.
+
+    4 x 2000 draws are worth about 6000 independent ones; the standard error of the worst quantile, sigma's
+    95 % under TN, is then 1.4 % of the width, so each of the 18 numbers fails by chance once in 3000 runs.
+    """
+    if multiplier < 1.0:
+        record = Record(record.acceleration[: int(STRONG_MOTION / record.dt) + 1], record.dt)
+    result = sampling_rate_study(
+        record, multipliers=[multiplier], likelihoods=KINDS, draws=2000, chains=4, progressbar=False
+    )
+    summary = result["summary"].to_dataset().isel(multiplier=0)
+    quantiles = ["q05", "q50", "q95"]
+    width = summary["exact"].sel(statistic="q95") - summary["exact"].sel(statistic="q05")
+    error = (summary["sampled"] - summary["exact"]).sel(statistic=quantiles) / width
+    assert float(np.abs(error).max()) < 0.05, error.values.round(3)
+    assert float(summary["r_hat"].max()) < 1.01
+    # negative control: the exact values of another likelihood are far away
+    swapped = summary["sampled"].sel(likelihood="TN") - summary["exact"].sel(likelihood="EXP")
+    assert float(np.abs(swapped.sel(statistic=quantiles) / width.sel(likelihood="EXP")).max()) > 0.2
+
+
+@pytest.fixture(scope="module")
+def short():
+    """A short record, for what is not about numbers."""
+    rng = np.random.default_rng(11)
+    return Record(rng.normal(size=150), 0.02, name="short")
+
+
+def small_study(record, **kwargs):
+    """The study with few draws."""
+    settings = {"multipliers": (1.0, 2.0), "draws": 60, "chains": 2, "progressbar": False} | kwargs
+    return sampling_rate_study(record, **settings)
+
+
+@pytest.fixture(scope="module")
+def small_result(short):
+    return small_study(short)
+
+
+def test_result_has_everything_and_saves(small_result, tmp_path):
+    summary = small_result["summary"].to_dataset()
+    assert dict(summary["sampled"].sizes) == {
+        "likelihood": 4,
+        "multiplier": 2,
+        "parameter": 2,
+        "statistic": 4,
+    }
+    assert np.isfinite(summary["sampled"].sel(parameter="theta")).all()
+    assert np.isfinite(summary["sampled"].sel(likelihood=list(KINDS))).all()
+    assert np.isnan(summary["sampled"].sel(likelihood="ABC", parameter="sigma")).all()
+    small_result.to_netcdf(tmp_path / "study.nc", engine="h5netcdf")
+    with xr.open_datatree(tmp_path / "study.nc", engine="h5netcdf") as again:
+        for path in ("summary", "data", "TN/x1/posterior", "ABC/x2/posterior", "NORM/x2/sample_stats"):
+            xr.testing.assert_equal(again[path].to_dataset(), small_result[path].to_dataset())
+
+
+def test_abc_draws_are_inside_the_tolerance_and_follow_from_exp(short, small_result):
+    tolerance = small_result["summary"]["tolerance"].values
+    for multiplier, delta in zip((1.0, 2.0), tolerance, strict=True):
+        sigma = small_result[f"EXP/x{multiplier:g}/posterior/sigma"]
+        assert delta == pytest.approx(20.0 * float(sigma.quantile(0.9)) ** 2, rel=1e-12)
+        measured = paper.decimate(
+            paper.measurements(short, multipliers=(1.0, 2.0)), multiplier * short.dt
+        ).values
+        for theta in small_result[f"ABC/x{multiplier:g}/posterior/theta"].values.ravel()[::10]:
+            mu = simulate(paper.chain(theta), short, dt=multiplier * short.dt).values
+            assert np.mean((measured - mu) ** 2, axis=1).sum() <= delta * (1 + 1e-12)
+
+
+def test_table_holds_sampled_and_exact(small_result):
+    markdown, csv = as_markdown(small_result).splitlines(), as_csv(small_result).splitlines()
+    assert len(markdown) == 2 + 14  # three likelihoods x 2 steps x 2 parameters, ABC x 2 steps
+    assert len(csv) == 1 + 14
+    assert len({line.count("|") for line in markdown}) == 1
+    row = dict(zip(csv[0].split(","), csv[1].split(","), strict=True))
+    cell = small_result["summary"].to_dataset().sel(likelihood="NORM", multiplier=1.0, parameter="theta")
+    assert float(row["exact 5 %"]) == float(cell["exact"].sel(statistic="q05"))
+    assert float(row["95 %"]) == float(cell["sampled"].sel(statistic="q95"))
+
+
+def test_interrupted_study_continues_with_the_same_numbers(short, small_result, tmp_path, monkeypatch):
+    """Stopped in the third part: a second call samples only what is missing, and the result is the same."""
+    run, calls = study_module.run_part, []
+
+    def stop_at_third(study, kind, multiplier, *args):
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        calls.append((kind, multiplier))
+        return run(study, kind, multiplier, *args)
+
+    monkeypatch.setattr(study_module, "run_part", stop_at_third)
+    with pytest.raises(KeyboardInterrupt):
+        small_study(short, out=tmp_path)
+    assert sorted(p.name for p in (tmp_path / "parts").iterdir()) == ["NORM_x1.nc", "TN_x1.nc"]
+
+    resumed = []
+
+    def record_calls(study, kind, multiplier, *args):
+        resumed.append((kind, multiplier))
+        return run(study, kind, multiplier, *args)
+
+    monkeypatch.setattr(study_module, "run_part", record_calls)
+    result = small_study(short, out=tmp_path)
+    assert calls == [("NORM", 1.0), ("TN", 1.0)]
+    assert resumed == [("EXP", 1.0), ("ABC", 1.0), *[(k, 2.0) for k in (*KINDS, "ABC")]]
+    np.testing.assert_array_equal(result["summary"]["sampled"], small_result["summary"]["sampled"])
+
+
+def test_folder_of_another_study_is_refused(short, tmp_path):
+    (tmp_path / "study.json").write_text(json.dumps({"draws": 7}))
+    with pytest.raises(StudyMismatchError, match="`out` must be empty or hold the same study, got"):
+        small_study(short, out=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"noise": 0.0}, "`noise` must be positive, got 0.0. Without noise"),
+        ({"draws": 10}, "`draws` must be an integer of at least 50, got 10"),
+        ({"chains": 0}, "`chains` must be an integer of at least 1, got 0"),
+        ({"random_seed": -1}, "`random_seed` must be an integer of at least 0, got -1"),
+        ({"likelihoods": ["LAPLACE"]}, "`likelihoods` must be among NORM, TN, EXP, ABC"),
+        ({"likelihoods": ["ABC"]}, "`likelihoods` must include EXP with ABC"),
+        ({"multipliers": []}, "`multipliers` must name at least one sampling step"),
+        ({"multipliers": [1.0, 50.0]}, "`multipliers` must leave at least 10 samples, got 50"),
+        ({"multipliers": [1.0, 1.5]}, "`step` must be an integer multiple of the finest step"),
+        ({"multipliers": [0.3]}, "`dt` must be an integer multiple or divisor"),
+        ({"stiffness": -1.0}, "`stiffness` must be positive and finite, got -1"),
+    ],
+)
+def test_bad_settings(short, kwargs, message):
+    with pytest.raises(ValueError, match=message):
+        small_study(short, **kwargs)
+
+
+def test_record_must_be_a_record():
+    with pytest.raises(TypeError, match="`record` must be a Record, got list"):
+        small_study([1.0, 2.0])
+
+
+def test_measurements_have_the_stated_noise_once(short):
+    """The same finest history at every step; noise of 5 % of each channel's root mean square."""
+    finest = paper.measurements(short, seed=4)
+    again = paper.measurements(short, seed=4)
+    np.testing.assert_array_equal(finest, again)
+    exact = simulate(paper.chain(), short, dt=0.1 * short.dt).values
+    noise = finest.values - exact
+    rms = np.sqrt((exact**2).mean(axis=1))
+    # 1491 samples: standard error of a standard deviation 1.8 %; ten channels within 5 of them
+    np.testing.assert_allclose(noise.std(axis=1), 0.05 * rms, rtol=0.09)
+    coarse = paper.decimate(finest, 2.0 * short.dt)
+    np.testing.assert_array_equal(coarse.values, finest.values[:, ::20])
+    with pytest.raises(ValueError, match="`noise` must be finite and not negative, got -0.1"):
+        paper.measurements(short, noise=-0.1)
+
+
+def test_ragged_statistics_are_padded():
+    ragged = np.empty(2, dtype=object)
+    ragged[:] = [[0.1, 1.0], [0.1, 0.4, 1.0]]
+    np.testing.assert_array_equal(pad_stages(ragged, 2), [[0.1, 1.0, np.nan], [0.1, 0.4, 1.0]])
+    np.testing.assert_array_equal(pad_stages(np.array([0.1, 1.0]), 1), [[0.1, 1.0]])
+    posterior = xr.Dataset({"a": (("chain", "draw"), np.zeros((2, 3)))}, coords={"chain": [0, 1]})
+    stats = xr.Dataset({"beta": ("chain", ragged)}, attrs={"note": None})
+    tree = savable(xr.DataTree.from_dict({"posterior": posterior, "sample_stats": stats}))
+    assert tree["sample_stats"]["beta"].dims == ("chain", "stage")
+    assert tree["sample_stats"].attrs == {"note": "None"}
