@@ -67,12 +67,6 @@ def el_centro() -> Record:
     References
     ----------
     Chopra, A. K., Dynamics of Structures, appendix 6: the same version, in print.
-
-    Examples
-    --------
-    >>> record = el_centro()  # doctest: +SKIP
-    >>> record.n_times, record.dt, round(record.pga / 9.81, 5)  # doctest: +SKIP
-    (1559, 0.02, 0.31882)
     """
     acceleration = np.loadtxt(_fetch(_SOURCES["el_centro"]), usecols=1, max_rows=1559)
     return Record(_GRAVITY * acceleration, dt=0.02, name="El Centro 1940 NS")

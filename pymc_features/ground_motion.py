@@ -93,9 +93,7 @@ def synthetic_earthquake(
     Record('synthetic 7', 2001 samples, dt=0.01 s, duration=20 s, pga=2.5 m/s^2)
     """
     seed = _check_seed(seed)
-    positive = dict(
-        duration=duration, dt=dt, pga=pga, omega_g=omega_g, zeta_g=zeta_g, zeta_f=zeta_f
-    )
+    positive = dict(duration=duration, dt=dt, pga=pga, omega_g=omega_g, zeta_g=zeta_g, zeta_f=zeta_f)
     for name, value in positive.items():
         _check_positive(name, value)
     omega_f = 0.1 * omega_g if omega_f is None else omega_f

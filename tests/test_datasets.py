@@ -53,9 +53,7 @@ def test_wrong_local_file(no_download, data_dir, tmp_path, monkeypatch):
     content = (data_dir / FILE).read_bytes()
     (tmp_path / FILE).write_bytes(content.replace(b"\r\n", b"\n"))
     monkeypatch.setenv("PYMC_FEATURES_DATA", str(tmp_path))
-    with pytest.raises(
-        ValueError, match="elcentro.dat must have the SHA-256 9836d860.*Replace it by"
-    ):
+    with pytest.raises(ValueError, match="elcentro.dat must have the SHA-256 9836d860.*Replace it by"):
         el_centro()
 
 
@@ -118,9 +116,7 @@ def other_bytes(target):
         file.write("<html>please log in</html>")
 
 
-@pytest.mark.parametrize(
-    ("action", "reason"), [(no_answer, "no route to host"), (other_bytes, "hash")]
-)
+@pytest.mark.parametrize(("action", "reason"), [(no_answer, "no route to host"), (other_bytes, "hash")])
 def test_failed_download(cache, monkeypatch, action, reason):
     calls = serve(monkeypatch, action)
     message = (

@@ -48,9 +48,7 @@ def test_pga_is_exact_and_only_scales(pga):
     np.testing.assert_allclose(record.acceleration, pga * unit.acceleration, rtol=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("duration", "dt"), [(0.02, 0.02), (0.3, 0.1), (1.0, 1 / 120), (12.34, 0.005)]
-)
+@pytest.mark.parametrize(("duration", "dt"), [(0.02, 0.02), (0.3, 0.1), (1.0, 1 / 120), (12.34, 0.005)])
 def test_number_of_samples(duration, dt):
     record = synthetic_earthquake(duration, dt, 1)
     assert record.n_times == round(duration / dt) + 1
@@ -156,10 +154,7 @@ def test_end_is_not_wrapped_around_to_the_start():
     """A circular filter without its tail cut off correlates the last sample with the first."""
     flat = dict(rise_time=0.0, strong_time=5.0)
     pairs = np.array(
-        [
-            synthetic_earthquake(5.0, 0.02, seed, **flat).acceleration[[0, 1, -1]]
-            for seed in range(300)
-        ]
+        [synthetic_earthquake(5.0, 0.02, seed, **flat).acceleration[[0, 1, -1]] for seed in range(300)]
     )
     correlation = np.corrcoef(pairs.T)
     assert correlation[0, 1] > 0.8

@@ -42,17 +42,15 @@ def test_every_header_of_the_zoo(reference_dir, tmp_path, per_line, blank_after)
     for entry in zoo:
         end = "\r\r\n" if entry["crcrlf"] else "\r\n" if entry["crlf"] else "\n"
         header = [with_count(line, entry["npts"], len(VALUES)) for line in entry["header_lines"]]
-        assert sum(
-            line != old for line, old in zip(header, entry["header_lines"], strict=True)
-        ) == (not entry["file"].startswith("Oak"))
+        assert sum(line != old for line, old in zip(header, entry["header_lines"], strict=True)) == (
+            not entry["file"].startswith("Oak")
+        )
         trailer = [" ".join(entry["non_numeric_tokens_in_body"])]
         body = formatted(VALUES, per_line)
         path = write(tmp_path, header + [""] * blank_after + body + trailer, end, entry["file"])
         silent = entry["file"].startswith("Oak")  # states neither NPTS nor DT
         if silent:
-            with pytest.raises(
-                ValueError, match="`dt` must be given, Oak.* does not state the time"
-            ):
+            with pytest.raises(ValueError, match="`dt` must be given, Oak.* does not state the time"):
                 read_record(path)
         record = read_record(path, dt=entry["dt"] if silent else None)
         assert record.dt == entry["dt"], entry["file"]

@@ -20,9 +20,7 @@ def save_v73(path, variables):
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, value in variables.items():
             if isinstance(value, str):
-                item = file.create_dataset(
-                    name, data=np.array([[ord(c)] for c in value], dtype=np.uint16)
-                )
+                item = file.create_dataset(name, data=np.array([[ord(c)] for c in value], dtype=np.uint16))
                 item.attrs["MATLAB_class"] = np.bytes_("char")
             elif isinstance(value, dict):
                 group = file.create_group(name)
@@ -32,9 +30,7 @@ def save_v73(path, variables):
             else:
                 value = np.atleast_2d(value)
                 item = file.create_dataset(name, data=value.T)
-                kind = {"float64": "double", "float32": "single"}.get(
-                    value.dtype.name, value.dtype.name
-                )
+                kind = {"float64": "double", "float32": "single"}.get(value.dtype.name, value.dtype.name)
                 item.attrs["MATLAB_class"] = np.bytes_(kind)
     with path.open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file".ljust(512))
@@ -102,9 +98,7 @@ def test_choice_by_name(save):
         read_record(path, column="az")
     with pytest.raises(ValueError, match=r"`column` must name a vector or an .*, got 'aq'"):
         read_record(path, column="aq")
-    with pytest.raises(
-        TypeError, match="`column` must be the name of a variable, got 1. motion.mat"
-    ):
+    with pytest.raises(TypeError, match="`column` must be the name of a variable, got 1. motion.mat"):
         read_record(path, column=1)
 
 
@@ -148,13 +142,9 @@ def test_hdf5_file_reads_no_other_file(tmp_path):
 
 def test_arguments_win_over_the_file_with_a_warning(save):
     path = save(ag=ACCELERATION, dt=0.02, units="g")
-    with pytest.warns(
-        UserWarning, match="motion.mat states the units 'g'; the argument units='gal'"
-    ):
+    with pytest.warns(UserWarning, match="motion.mat states the units 'g'; the argument units='gal'"):
         read_record(path, units="gal")
-    with pytest.warns(
-        UserWarning, match="motion.mat states a time step of 0.02 s; the argument dt="
-    ):
+    with pytest.warns(UserWarning, match="motion.mat states a time step of 0.02 s; the argument dt="):
         assert read_record(path, dt=0.01).dt == 0.01
 
 
@@ -199,18 +189,14 @@ def test_given_dt_overrules_an_uneven_time_vector(save):
 def test_damaged_files(tmp_path, content):
     path = tmp_path / "motion.mat"
     path.write_bytes(content)
-    with pytest.raises(
-        ValueError, match="motion.mat must be a MATLAB .mat file, it cannot be read"
-    ):
+    with pytest.raises(ValueError, match="motion.mat must be a MATLAB .mat file, it cannot be read"):
         read_record(path, units="g", dt=0.02)
 
 
 def test_truncated_file(save):
     path = save(ag=np.arange(1000.0))
     path.write_bytes(path.read_bytes()[:1500])
-    with pytest.raises(
-        ValueError, match="motion.mat must be a MATLAB .mat file, it cannot be read"
-    ):
+    with pytest.raises(ValueError, match="motion.mat must be a MATLAB .mat file, it cannot be read"):
         read_record(path, units="g", dt=0.02)
 
 

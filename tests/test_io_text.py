@@ -69,9 +69,7 @@ def test_one_column_needs_dt(tmp_path, values):
     record = read_record(path, units="gal", dt=0.005)
     np.testing.assert_allclose(record.acceleration, 0.01 * values, rtol=1e-14)
     assert record.dt == 0.005
-    with pytest.raises(
-        ValueError, match="`dt` must be given, elcentro.csv does not state the time"
-    ):
+    with pytest.raises(ValueError, match="`dt` must be given, elcentro.csv does not state the time"):
         read_record(path, units="gal")
 
 
@@ -94,19 +92,13 @@ def test_blanks_in_the_names_of_tab_separated_columns(tmp_path):
 def test_first_column_that_is_no_time(tmp_path):
     rows = [f"{a},{b}" for a, b in [(0.1, 1.0), (-0.2, 2.0), (0.3, 3.0)]]
     path = write(tmp_path, rows)
-    np.testing.assert_array_equal(
-        read_record(path, units=1, dt=0.1, column=1).acceleration, [1.0, 2.0, 3.0]
-    )
-    np.testing.assert_array_equal(
-        read_record(path, units=1, dt=0.1, column=0).acceleration, [0.1, -0.2, 0.3]
-    )
+    np.testing.assert_array_equal(read_record(path, units=1, dt=0.1, column=1).acceleration, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(read_record(path, units=1, dt=0.1, column=0).acceleration, [0.1, -0.2, 0.3])
     with pytest.raises(ValueError, match="`dt` must be given"):
         read_record(path, units=1, column=1)
     with pytest.raises(ValueError, match="`dt` must be given"):
         read_record(path, units=1, column=0)
-    with pytest.raises(
-        ValueError, match="line 2: time must increase, it goes from 0.1 s to -0.2 s"
-    ):
+    with pytest.raises(ValueError, match="line 2: time must increase, it goes from 0.1 s to -0.2 s"):
         read_record(path, units=1)
     with pytest.warns(UserWarning, match="time must increase.* The argument dt=0.1 s is used"):
         assert read_record(path, units=1, dt=0.1).pga == 3.0
@@ -115,14 +107,10 @@ def test_first_column_that_is_no_time(tmp_path):
 @pytest.mark.filterwarnings("error")
 def test_raw_sensor_export(data_dir):
     path = data_dir / "mini_shake_table" / "flexible_northridge_base.csv"
-    with pytest.raises(
-        ValueError, match="`dt` must be given.*time step of 1, too long for seconds"
-    ):
+    with pytest.raises(ValueError, match="`dt` must be given.*time step of 1, too long for seconds"):
         read_record(path, units="m/s^2", column="Acc_X")
     record = read_record(path, units="m/s^2", column="Acc_X", dt=1 / 120)
-    np.testing.assert_allclose(
-        record.acceleration[:3], [0.0, 0.08530480414629, 0.10867324471474], rtol=1e-13
-    )
+    np.testing.assert_allclose(record.acceleration[:3], [0.0, 0.08530480414629, 0.10867324471474], rtol=1e-13)
 
 
 @pytest.mark.filterwarnings("error")
@@ -342,9 +330,7 @@ def test_inadmissible_arguments(tmp_path, arguments, error, message):
 
 def test_name_that_occurs_twice(tmp_path):
     path = write(tmp_path, ["t,a,a"] + [f"{row},1" for row in ROWS])
-    with pytest.raises(
-        ValueError, match=r"one of the columns of elcentro.csv \(t, a, a\), got 'a'"
-    ):
+    with pytest.raises(ValueError, match=r"one of the columns of elcentro.csv \(t, a, a\), got 'a'"):
         read_record(path, units="g", column="a")
 
 

@@ -24,9 +24,17 @@ class FeatureLikelihoodWarning(UserWarning):
     """The posterior of a feature likelihood will not mean what the user expects."""
 
 
+def as_double(value):
+    """Return a tensor of at least double precision: PyTensor holds a literal 2.0 in single."""
+    if isinstance(value, Variable):
+        tensor = pt.as_tensor_variable(value)
+        return tensor if tensor.dtype == "float64" else tensor.astype("float64")
+    return pt.as_tensor_variable(np.asarray(value, dtype=np.float64))
+
+
 def check_sigma(sigma, mu):
     """Return sigma as a tensor; refuse numbers that are not positive or do not fit the sensors."""
-    tensor = pt.as_tensor_variable(sigma)
+    tensor = as_double(sigma)
     if isinstance(tensor, Constant):
         values = np.atleast_1d(tensor.data)
         if not (np.isfinite(values) & (values > 0)).all():

@@ -24,6 +24,7 @@ from pymc.pytensorf import normalize_rng_param
 from pytensor.tensor.random.utils import normalize_size_param
 
 from pymc_features.distributions.checks import (
+    as_double,
     check_sigma,
     name_the_time_axis,
     prepare_observed,
@@ -143,7 +144,7 @@ class FeatureLikelihood(Continuous):
     def dist(cls, mu, sigma, *, density="feature", **kwargs):
         if density not in DENSITIES:
             raise ValueError(f"`density` must be one of {', '.join(DENSITIES)}, got {density!r}.")
-        mu = pt.as_tensor_variable(mu)
+        mu = as_double(mu)
         if mu.ndim < 1:
             raise ValueError("`mu` must be (..., sensor, time), got a scalar. Pass what `response` returned.")
         return super().dist([mu, check_sigma(sigma, mu)], density=density, **kwargs)

@@ -1,61 +1,24 @@
-"""PEER AT2 files, and how lines and numbers are read from any text file.
+"""PEER AT2 files.
 
 A few header lines say what the values are, how many (NPTS) and how far apart (DT); the values
 follow, several to a line, in reading order. The spelling of headers has varied over the decades.
 """
 
-import codecs
 import re
 from pathlib import Path
 
 import numpy as np
 
+from pymc_features.io.lines import FLOAT, not_a_number, read_lines, to_number
 from pymc_features.io.units import known_factor, resolve_dt, resolve_units
 from pymc_features.records import Record
 
-_FLOAT = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
-_NUMBER = re.compile(_FLOAT, re.ASCII)
-_NOT_FINITE = re.compile(r"[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
 _NPTS = re.compile(r"\bNPTS\s*[=:]\s*(\d+)", re.IGNORECASE)
-_DT = re.compile(rf"\bDT\s*[=:]\s*({_FLOAT})", re.IGNORECASE)
-_NPTS_DT = re.compile(rf"(\d+)\s*,?\s+({_FLOAT})\s*,?\s*NPTS\s*,?\s*DT", re.IGNORECASE)
-_UNITS = re.compile(
-    r"\bunits\s*(?:\b(?:of|are|is|in)\b|[=:(])\s*\(?\s*([a-z/0-9^*²]+)", re.IGNORECASE
-)
+_DT = re.compile(rf"\bDT\s*[=:]\s*({FLOAT})", re.IGNORECASE)
+_NPTS_DT = re.compile(rf"(\d+)\s*,?\s+({FLOAT})\s*,?\s*NPTS\s*,?\s*DT", re.IGNORECASE)
+_UNITS = re.compile(r"\bunits\s*(?:\b(?:of|are|is|in)\b|[=:(])\s*\(?\s*([a-z/0-9^*²]+)", re.IGNORECASE)
 _ACCELERATION_IN = re.compile(r"acceleration[a-z ]*\bin\s*\(?\s*([a-z/0-9^*]+)", re.IGNORECASE)
 _DATE = re.compile(r"\b\d{1,2}/\d{1,2}/\d{2,4}\b")
-
-
-def read_lines(path: Path) -> list[str]:
-    """Lines of a text file with any line ends (LF, CR LF, CR CR LF, CR) and byte-order mark."""
-    raw = path.read_bytes()
-    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        text = raw.decode("utf-16", errors="replace")
-    elif b"\0" in raw:
-        raise ValueError(
-            f"{path.name} must be a text file, it holds binary data. Export it as CSV."
-        )
-    else:
-        try:
-            text = raw.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = raw.decode("latin-1")
-    return re.split(r"\r*\n|\r", text)
-
-
-def to_number(token: str) -> float | None:
-    """Value of a decimal number (E or D exponent), NaN for nan and inf, None for anything else."""
-    if _NUMBER.fullmatch(token):
-        return float(token.replace("d", "e").replace("D", "e"))
-    return np.nan if _NOT_FINITE.fullmatch(token) else None
-
-
-def not_a_number(where: str, token: str) -> ValueError:
-    """The error for a token that is no finite number."""
-    what = "an empty cell" if not token else repr(token)
-    return ValueError(
-        f"{where}: values must be finite numbers, got {what}. Correct or cut it first."
-    )
 
 
 def read_at2(path: Path, *, units=None, dt=None, column=None) -> Record:
@@ -91,9 +54,7 @@ def _first_value_line(lines: list[str], file: str) -> int:
         tokens = _tokens(line)
         if tokens and all(to_number(token) is not None for token in tokens):
             return i
-    raise ValueError(
-        f"{file} must hold values below its header, none was found. Is it an AT2 file?"
-    )
+    raise ValueError(f"{file} must hold values below its header, none was found. Is it an AT2 file?")
 
 
 def _count_and_step(header: str) -> tuple[int | None, float | None]:

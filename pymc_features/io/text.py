@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.at2 import not_a_number, read_lines, to_number
+from pymc_features.io.lines import not_a_number, read_lines, to_number
 from pymc_features.io.units import known_factor, resolve_dt, resolve_units, time_step, warn_user
 from pymc_features.records import Record
 

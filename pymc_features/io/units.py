@@ -67,9 +67,7 @@ def check_dt(dt) -> float | None:
     if dt is None:
         return None
     if not isinstance(dt, Real) or isinstance(dt, bool):
-        raise TypeError(
-            f"`dt` must be a number, got {dt!r}. Pass the sampling interval in seconds."
-        )
+        raise TypeError(f"`dt` must be a number, got {dt!r}. Pass the sampling interval in seconds.")
     if not 0.0 < dt < np.inf:
         raise ValueError(f"`dt` must be positive, got {dt}. Pass the sampling interval in seconds.")
     return float(dt)
@@ -88,9 +86,7 @@ def resolve_units(units, stated: str | None, source: str) -> float:
     stated_factor = None if stated is None else known_factor(stated)
     if units is None:
         if stated is None:
-            raise ValueError(
-                f"`units` must be given, {source} does not state them. Pass one of {CHOICES}."
-            )
+            raise ValueError(f"`units` must be given, {source} does not state them. Pass one of {CHOICES}.")
         if stated_factor is None:
             raise ValueError(
                 f"`units` must be given, {source} states {stated!r}, which is no known unit of "

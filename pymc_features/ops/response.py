@@ -85,6 +85,7 @@ def response(
 
     Examples
     --------
+    >>> from pymc_features import ModalDamping, SpringMassChain
     >>> chain = SpringMassChain(mass=[1.0, 1.0], stiffness=100.0, damping=ModalDamping(0.02))
     >>> response(chain, Record([0.0, 1.0, 0.0], dt=0.1)).type.shape
     (2, 3)

@@ -33,6 +33,7 @@ class SpringMassChain(Structure):
 
     Examples
     --------
+    >>> from pymc_features import ModalDamping
     >>> chain = SpringMassChain(mass=[1.0, 1.0], stiffness=[100.0, 100.0], damping=ModalDamping(0.02))
     >>> chain.modes().angular_frequencies.round(6)  # 10 (sqrt(5) -+ 1) / 2
     array([ 6.18034, 16.18034])

@@ -1,0 +1,414 @@
+"""Chains and damping: closed forms, a general eigen-solver, the source's numbers, and every refusal."""
+
+import numpy as np
+import pytensor.tensor as pt
+import pytest
+from pytensor.compile.mode import Mode
+from scipy.linalg import eigh
+
+from pymc_features import ModalDamping, RayleighDamping, SpringMassChain, paper
+from pymc_features.simulators.modal import chain_modes
+from pymc_features.structures import STRUCTURES, Structure
+
+PLAIN = Mode(linker="py", optimizer=None)
+UNDAMPED = ModalDamping(0.0)
+
+
+def modes_of_structure(mass, stiffness):
+    """Angular frequencies, shapes in columns and participation factors by `SpringMassChain.modes`."""
+    modes = SpringMassChain(mass, stiffness, UNDAMPED).modes()
+    return modes.angular_frequencies, modes.mode_shapes, modes.participation_factors
+
+
+def modes_of_kernel(mass, stiffness):
+    """The same from the compiled kernel, which writes shapes in rows."""
+    n = len(mass)
+    omega, shapes, participation = np.empty(n), np.empty((n, n)), np.empty(n)
+    assert chain_modes(np.array(mass, float), np.array(stiffness, float), omega, shapes, participation)
+    return omega, shapes.T, participation
+
+
+BOTH = pytest.mark.parametrize("modes_of", [modes_of_structure, modes_of_kernel])
+
+
+def random_chain(seed):
+    """Masses and springs that differ by up to a factor 50."""
+    rng = np.random.default_rng(seed)
+    n = rng.integers(1, 13)
+    return np.exp(rng.uniform(-2.0, 2.0, n)), 1000.0 * np.exp(rng.uniform(-2.0, 2.0, n))
+
+
+def assembled(mass, stiffness):
+    """M and K of Eqs. (17)-(18) spring by spring, as one would with pencil and paper."""
+    matrix_k = np.zeros((len(mass), len(mass)))
+    for i, k in enumerate(stiffness):
+        matrix_k[i, i] += k
+        if i:
+            matrix_k[i - 1, i - 1] += k
+            matrix_k[i, i - 1] -= k
+            matrix_k[i - 1, i] -= k
+    return np.diag(mass), matrix_k
+
+
+@BOTH
+def test_uniform_chain_has_the_closed_form_frequencies(modes_of):
+    """omega_j = 2 sqrt(k/m) sin((2j - 1) pi / (2 (2n + 1))), to 1e-12 for 1 to 100 masses."""
+    for n in range(1, 101):
+        omega, shapes, _ = modes_of(np.full(n, 2.5), np.full(n, 1800.0))
+        j = np.arange(1, n + 1)
+        exact = 2.0 * np.sqrt(1800.0 / 2.5) * np.sin((2 * j - 1) * np.pi / (2 * (2 * n + 1)))
+        np.testing.assert_allclose(omega, exact, rtol=1e-12)
+        angles = np.outer(j, (2 * j - 1) * np.pi / (2 * n + 1))
+        sines = np.sin(angles) / np.sin(angles[-1])  # one at the top
+        np.testing.assert_allclose(shapes / shapes[-1], sines, atol=1e-9 * np.abs(sines).max())
+
+
+@BOTH
+@pytest.mark.parametrize("seed", range(12))
+def test_random_chain_against_a_general_eigen_solver(modes_of, seed):
+    mass, stiffness = random_chain(seed)
+    matrix_m, matrix_k = assembled(mass, stiffness)
+    omega, shapes, participation = modes_of(mass, stiffness)
+    values, vectors = eigh(matrix_k, matrix_m)
+    np.testing.assert_allclose(omega**2, values, rtol=1e-9)
+    vectors = vectors * np.where(vectors[-1] < 0, -1.0, 1.0)
+    np.testing.assert_allclose(shapes, vectors, atol=1e-8 * np.abs(vectors).max())
+    np.testing.assert_allclose(shapes.T @ matrix_m @ shapes, np.eye(mass.size), atol=1e-12)
+    spread = np.sqrt(np.outer(omega, omega))
+    np.testing.assert_allclose(
+        shapes.T @ matrix_k @ shapes / spread**2, np.eye(mass.size), atol=1e-9 * omega[-1] / omega[0]
+    )
+    assert (shapes[-1] > 0).all()
+    np.testing.assert_allclose(participation, shapes.T @ mass, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(shapes @ participation, 1.0, rtol=1e-10)  # the modes are complete
+    np.testing.assert_allclose((participation**2).sum(), mass.sum(), rtol=1e-12)
+
+
+def test_modes_and_effective_masses():
+    modes = SpringMassChain([1.0, 1.0], 100.0, ModalDamping([0.02, 0.05])).modes()
+    golden = (np.sqrt(5.0) + 1.0) / 2.0
+    np.testing.assert_allclose(modes.angular_frequencies, [10.0 / golden, 10.0 * golden], rtol=1e-14)
+    np.testing.assert_allclose(modes.natural_frequencies, modes.angular_frequencies / (2 * np.pi), rtol=1e-15)
+    np.testing.assert_allclose(modes.effective_modal_masses, modes.participation_factors**2, rtol=1e-15)
+    assert modes.effective_modal_masses.sum() == pytest.approx(2.0, rel=1e-14)
+    np.testing.assert_allclose(modes.damping_ratios, [0.02, 0.05], rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("mass", "stiffness"),
+    [
+        ([1.0, 1.0], [100.0, 0.0]),
+        ([1.0, 1.0], [-100.0, 100.0]),
+        ([0.0, 1.0], [100.0, 100.0]),
+        ([1.0, np.nan], [100.0, 100.0]),
+        ([1.0, 1.0], [np.nan, 100.0]),
+        ([1.0, np.inf], [100.0, 100.0]),
+        ([1.0, 1.0], [100.0, np.inf]),
+    ],
+)
+def test_kernel_says_no_to_what_is_no_chain(mass, stiffness):
+    assert not chain_modes(np.array(mass), np.array(stiffness), np.empty(2), np.empty((2, 2)), np.empty(2))
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "printed"), [(1800.0, (1.0092, 3.0051, 4.9338)), (1000.0, (0.752, 2.240, 3.677))]
+)
+def test_frequencies_of_the_source(stiffness, printed):
+    """The printed 1.0, 3.0 and 4.9 Hz need 1800 N/m; the printed 1000 N/m gives other frequencies."""
+    frequencies = paper.chain(stiffness=stiffness).modes().natural_frequencies[:3]
+    digits = 4 if stiffness == 1800.0 else 3
+    np.testing.assert_array_equal(frequencies.round(digits), printed)
+    as_printed = (frequencies.round(1) == [1.0, 3.0, 4.9]).all()
+    assert as_printed == (stiffness == 1800.0)
+
+
+def test_damping_of_the_source():
+    """2 % in modes 1 and 5 of the 1800 N/m chain: alpha 0.226495, beta 6.75152e-4, and back."""
+    frequencies = paper.chain().modes().natural_frequencies
+    damping = RayleighDamping.from_ratios(0.02, frequencies[[0, 4]])
+    assert f"{damping.alpha:.6f} {damping.beta:.5e}" == "0.226495 6.75152e-04"
+    back = SpringMassChain(np.ones(10), 1800.0, damping).modes().damping_ratios
+    np.testing.assert_allclose(back[[0, 4]], 0.02, rtol=1e-13)
+    assert (back[1:4] < 0.02).all()
+    assert (back[5:] > 0.02).all()
+    np.testing.assert_allclose(paper.chain().modes().damping_ratios[[0, 4]], 0.02, rtol=1e-4)
+    soft = paper.chain(stiffness=1000.0).modes().damping_ratios  # negative control
+    assert np.abs(soft[[0, 4]] - 0.02).max() > 0.001
+
+
+@pytest.mark.parametrize("ratios", [(0.02, 0.05), [0.05, 0.05], 0.03])
+def test_rayleigh_from_ratios_keeps_its_promise(ratios):
+    frequencies = np.array([1.3, 7.0])
+    damping = RayleighDamping.from_ratios(ratios, frequencies)
+    omega = 2 * np.pi * frequencies
+    zeta = damping.alpha / (2 * omega) + damping.beta * omega / 2
+    np.testing.assert_allclose(zeta, np.broadcast_to(ratios, 2), rtol=1e-13)
+
+
+@pytest.mark.parametrize("ratios", [(0.02, 0.02 / 5), (0.02, 0.1)])
+def test_pure_mass_and_pure_stiffness_damping_survive_rounding(ratios):
+    """zeta proportional to 1 / omega or to omega: the other coefficient is zero, not a tiny negative."""
+    damping = RayleighDamping.from_ratios(ratios, (1.0, 5.0))
+    assert min(damping.alpha, damping.beta) >= 0.0
+    assert damping.alpha < 1e-14 or damping.beta < 1e-16
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_matrices(seed):
+    mass, stiffness = random_chain(seed)
+    chain = SpringMassChain(mass, stiffness, RayleighDamping(0.3, 0.002))
+    matrix_m, matrix_c, matrix_k = chain.matrices()
+    expected_m, expected_k = assembled(mass, stiffness)
+    np.testing.assert_array_equal(matrix_m, expected_m)
+    np.testing.assert_allclose(matrix_k, expected_k, rtol=1e-14)
+    np.testing.assert_allclose(matrix_c, 0.3 * expected_m + 0.002 * expected_k, rtol=1e-13)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_modal_damping_matrix(seed):
+    """Its C is symmetric and diagonal in the modes of a general eigen-solver, with 2 zeta omega there."""
+    mass, stiffness = random_chain(seed)
+    ratios = np.random.default_rng(seed).uniform(0.0, 0.2, mass.size)
+    _, matrix_c, _ = SpringMassChain(mass, stiffness, ModalDamping(ratios)).matrices()
+    values, vectors = eigh(*assembled(mass, stiffness)[::-1])
+    expected = np.diag(2.0 * ratios * np.sqrt(values))
+    tolerance = 1e-8 * np.sqrt(values[-1])
+    np.testing.assert_allclose(vectors.T @ matrix_c @ vectors, expected, atol=tolerance)
+    np.testing.assert_allclose(matrix_c, matrix_c.T, atol=1e-12 * np.abs(matrix_c).max())
+
+
+def test_scalars_stand_for_all():
+    one = SpringMassChain(2.0, [100.0, 200.0, 300.0], ModalDamping(0.05))
+    all_ = SpringMassChain([2.0] * 3, [100.0, 200.0, 300.0], ModalDamping([0.05] * 3))
+    assert one.n_dof == all_.n_dof == 3
+    for a, b in zip(one.matrices(), all_.matrices(), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert SpringMassChain([1.0, 2.0], 10.0, UNDAMPED).n_dof == 2
+    assert isinstance(one, Structure)
+    assert SpringMassChain in STRUCTURES
+
+
+def test_does_not_share_memory_with_what_was_passed():
+    stiffness = np.array([100.0, 100.0])
+    chain = SpringMassChain([1.0, 1.0], stiffness, UNDAMPED)
+    stiffness[0] = 1.0
+    assert chain.stiffness.tolist() == [100.0, 100.0]
+    with pytest.raises(ValueError, match="read-only"):
+        chain.stiffness[0] = 1.0
+
+
+def numeric_scaling():
+    return SpringMassChain(np.ones(4), [10.0, 20.0, 30.0, 40.0], UNDAMPED)
+
+
+@pytest.mark.parametrize(
+    ("factor", "springs", "expected"),
+    [
+        (0.5, [0, 2], [5.0, 20.0, 15.0, 40.0]),
+        ([2.0, 3.0], [3, 1], [10.0, 60.0, 30.0, 80.0]),
+        (np.float32(2.0), 0, [20.0, 20.0, 30.0, 40.0]),
+        (2, np.arange(4), [20.0, 40.0, 60.0, 80.0]),
+    ],
+)
+def test_scale_stiffness_numbers_and_variables(factor, springs, expected):
+    """Numbers and variables give the same springs, and the chain scaled is left as it was."""
+    chain = numeric_scaling()
+    np.testing.assert_allclose(chain.scale_stiffness(factor, springs).stiffness, expected, rtol=1e-15)
+    assert chain.stiffness.tolist() == [10.0, 20.0, 30.0, 40.0]
+    variable = pt.scalar("f") if np.ndim(factor) == 0 else pt.vector("f", shape=(np.size(factor),))
+    symbolic = chain.scale_stiffness(variable, springs)
+    assert symbolic.is_symbolic
+    values = symbolic.stiffness.eval({variable: np.asarray(factor, variable.dtype)}, mode=PLAIN)
+    np.testing.assert_allclose(values, expected, rtol=1e-15)
+
+
+def test_scale_stiffness_of_scalar_and_of_symbolic_springs():
+    uniform = SpringMassChain(np.ones(3), 10.0, UNDAMPED)
+    assert uniform.scale_stiffness(2.0, [1]).stiffness.tolist() == [10.0, 20.0, 10.0]
+    k, f = pt.scalar("k"), pt.scalar("f")
+    scaled = SpringMassChain(np.ones(3), k, UNDAMPED).scale_stiffness(f, [0]).scale_stiffness(3.0, [2])
+    values = scaled.stiffness.eval({k: 10.0, f: 0.5}, mode=PLAIN)
+    assert values.tolist() == [5.0, 10.0, 30.0]
+
+
+def test_lists_may_mix_numbers_and_variables():
+    k, f, m = pt.scalar("k"), pt.scalar("f"), pt.iscalar("m")
+    chain = SpringMassChain([1.0, m, 3], [100.0, k, 300], ModalDamping([0.01, 0.02, k / 1e4]))
+    assert (chain.n_dof, chain.is_symbolic) == (3, True)
+    chain = chain.scale_stiffness([f, 2.0], springs=[2, 0])
+    mass, stiffness, rayleigh, ratios = chain.parameters()
+    assert {v.dtype for v in (mass, stiffness, ratios)} == {"float64"}
+    assert rayleigh.tolist() == [0.0, 0.0]
+    values = {k: 150.0, f: 0.1}
+    np.testing.assert_allclose(stiffness.eval(values, mode=PLAIN), [200.0, 150.0, 30.0], rtol=1e-14)
+    np.testing.assert_allclose(mass.eval({m: 2}, mode=PLAIN), [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(ratios.eval({k: 150.0}, mode=PLAIN), [0.01, 0.02, 0.015], rtol=1e-14)
+
+
+def test_symbolic_damping():
+    a = pt.scalar("a")
+    for damping, expected in [
+        (RayleighDamping(a, 0.002), [0.5, 0.002]),
+        (RayleighDamping(0.1, a), [0.1, 0.5]),
+    ]:
+        chain = SpringMassChain([1.0, 1.0], 100.0, damping)
+        assert chain.is_symbolic
+        pair = chain.parameters()[2]
+        np.testing.assert_allclose(pair.eval({a: 0.5}, mode=PLAIN), expected, rtol=1e-15)
+    ratios = SpringMassChain([1.0, 1.0], 100.0, ModalDamping(a)).parameters()[3]
+    np.testing.assert_allclose(ratios.eval({a: 0.5}, mode=PLAIN), [0.5, 0.5])
+
+
+@pytest.mark.parametrize("method", ["matrices", "modes"])
+def test_symbolic_structure_has_no_numbers(method):
+    chain = numeric_scaling().scale_stiffness(pt.scalar("f"), [0])
+    with pytest.raises(TypeError, match="must be asked of a structure of numbers, got PyTensor variables"):
+        getattr(chain, method)()
+
+
+def test_representation_is_readable():
+    assert repr(numeric_scaling()) == "SpringMassChain(4 masses, ModalDamping(0.0))"
+    assert repr(RayleighDamping(0.1, 0.2)) == "RayleighDamping(alpha=0.1, beta=0.2)"
+
+
+@pytest.mark.parametrize(
+    ("build", "error", "match"),
+    [
+        (
+            lambda: SpringMassChain([1, -2.0], 1.0, UNDAMPED),
+            ValueError,
+            "`mass` must be positive and finite, got -2. Pass values in kg",
+        ),
+        (
+            lambda: SpringMassChain([1, 1], 0.0, UNDAMPED),
+            ValueError,
+            "`stiffness` must be positive and finite, got 0. Pass values in N/m",
+        ),
+        (lambda: SpringMassChain([1, np.nan], 1.0, UNDAMPED), ValueError, "`mass` .* got nan"),
+        (lambda: SpringMassChain([1, 1], [1, np.inf], UNDAMPED), ValueError, "`stiffness` .* got inf"),
+        (
+            lambda: SpringMassChain([[1, 1]], 1.0, UNDAMPED),
+            ValueError,
+            r"`mass` must be a scalar or a vector, got shape \(1, 2\). Give one value for each",
+        ),
+        (
+            lambda: SpringMassChain([1.0], [], UNDAMPED),
+            ValueError,
+            r"`stiffness` must be a scalar or a vector, got shape \(0,\)",
+        ),
+        (
+            lambda: SpringMassChain(pt.matrix("m"), [1.0], UNDAMPED),
+            ValueError,
+            "`mass` must be a scalar or a vector, got a tensor of 2 dimensions",
+        ),
+        (
+            lambda: SpringMassChain("heavy", [1.0], UNDAMPED),
+            TypeError,
+            "`mass` must be numbers or PyTensor variables, got str. Pass values in kg",
+        ),
+        (
+            lambda: SpringMassChain([1, 1], [1, 1, 1], UNDAMPED),
+            ValueError,
+            "must have the same length, got 2 masses and 3 springs",
+        ),
+        (
+            lambda: SpringMassChain(1.0, 1.0, UNDAMPED),
+            ValueError,
+            "must have a known length, got none. Pass one of them as an array",
+        ),
+        (
+            lambda: SpringMassChain(pt.vector("m"), 1.0, UNDAMPED),
+            ValueError,
+            "must have a known length",
+        ),
+        (
+            lambda: SpringMassChain([1.0], 1.0, 0.02),
+            TypeError,
+            "`damping` must be a Damping, got float. Pass RayleighDamping",
+        ),
+        (
+            lambda: SpringMassChain([1.0, 1.0], 1.0, ModalDamping([0.1] * 3)),
+            ValueError,
+            "`ratios` must have one value or one for each of the 2 modes, got 3",
+        ),
+        (
+            lambda: ModalDamping(-0.1),
+            ValueError,
+            "`ratios` must be finite and not negative, got -0.1. Pass values in fractions of critical",
+        ),
+        (
+            lambda: RayleighDamping(-1.0, 0.0),
+            ValueError,
+            "`alpha` must be finite and not negative, got -1. Pass values in 1/s",
+        ),
+        (
+            lambda: RayleighDamping(0.0, np.nan),
+            ValueError,
+            "`beta` must be finite and not negative, got nan",
+        ),
+        (
+            lambda: RayleighDamping([0.1, 0.2], 0.0),
+            ValueError,
+            "`alpha` must be a scalar, got 1 dimension. Pass one value in 1/s",
+        ),
+        (
+            lambda: RayleighDamping(0.1, pt.vector("b")),
+            ValueError,
+            "`beta` must be a scalar, got 1 dimension",
+        ),
+        (
+            lambda: RayleighDamping.from_ratios(0.02, (1.0, 1.0)),
+            ValueError,
+            r"`natural_frequencies` must be two different positive values, got \(1.0, 1.0\)",
+        ),
+        (
+            lambda: RayleighDamping.from_ratios(0.02, (-1.0, 1.0)),
+            ValueError,
+            "two different positive values",
+        ),
+        (
+            lambda: RayleighDamping.from_ratios(0.02, (1.0, 2.0, 3.0)),
+            ValueError,
+            "two different positive values",
+        ),
+        (
+            lambda: RayleighDamping.from_ratios((0.02, 0.2), (1.0, 2.0)),
+            ValueError,
+            "must allow non-negative coefficients, got alpha = -.* Bring the two ratios closer",
+        ),
+        (
+            lambda: RayleighDamping.from_ratios((0.2, 0.02), (1.0, 2.0)),
+            ValueError,
+            "must allow non-negative coefficients, got .* beta = -.* or use `ModalDamping`",
+        ),
+        (
+            lambda: RayleighDamping.from_ratios(-0.02, (1.0, 2.0)),
+            ValueError,
+            "`ratios` must be finite and not negative",
+        ),
+    ],
+)
+def test_refusals(build, error, match):
+    with pytest.raises(error, match=match):
+        build()
+
+
+@pytest.mark.parametrize(
+    ("factor", "springs", "error", "match"),
+    [
+        (1.0, [0.5], TypeError, r"`springs` must be integers, got \[0.5\]"),
+        (1.0, [], TypeError, "`springs` must be integers"),
+        (1.0, [True, False], TypeError, "`springs` must be integers"),
+        (1.0, [[0, 1]], TypeError, "`springs` must be integers"),
+        (1.0, [4], ValueError, r"different numbers from 0 to 3, got \[4\]. Spring 0 is next to the base"),
+        (1.0, [-1], ValueError, r"different numbers from 0 to 3, got \[-1\]"),
+        (1.0, [1, 1], ValueError, r"different numbers from 0 to 3, got \[1, 1\]"),
+        (0.0, [1], ValueError, "`factor` must be positive and finite, got 0"),
+        ([1.0, 2.0, 3.0], [0, 1], ValueError, "one for each of the 2 springs, got 3"),
+        ("soft", [1], TypeError, "`factor` must be numbers or PyTensor variables, got str"),
+        (pt.vector("f", shape=(3,)), [0, 1], ValueError, "one for each of the 2 springs, got 3"),
+    ],
+)
+def test_scale_stiffness_refusals(factor, springs, error, match):
+    with pytest.raises(error, match=match):
+        numeric_scaling().scale_stiffness(factor, springs)
