@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-QUICK = {"draws": 300, "chains": 2, "multipliers": (0.1, 1.0, 10.0)}
+QUICK = {"draws": 250, "chains": 2, "multipliers": (0.1, 1.0, 10.0)}
 FIGURES = {"fig2_norm.png": ["NORM"], "fig3_tn.png": ["TN"], "fig4_exp_abc.png": ["EXP", "ABC"]}
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -66,7 +66,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add("--seed", type=int, default=0, help="of noise and samplers (default: 0)")
     add("--stiffness", type=float, metavar="N/m", help="nominal spring stiffness (default: 1800)")
-    add("--draws", type=int, help="draws per chain (default: 2000, quick 300)")
+    add("--draws", type=int, help="draws per chain (default: 2000, quick 250)")
     add("--chains", type=int, help="chains (default: 4, quick 2)")
     add("--cores", type=int, help="processes (default: all processors)")
     add("--traceback", action="store_true", help="on an error, show where it came from")

@@ -20,7 +20,7 @@ from pymc_features.study.models import LIKELIHOODS, declare
 from pymc_features.study.store import PartStore, fingerprint
 from pymc_features.study.summary import assemble
 
-ABC_SEEDS = 20  # prior draws wanted inside the tolerance, for the stock kernel to start from
+ABC_SEEDS = 15  # prior draws wanted inside the tolerance, for the stock kernel to start from
 
 
 @dataclass(frozen=True)

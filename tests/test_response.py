@@ -1,0 +1,622 @@
+"""The response against matrix exponentials, closed forms, published peaks, OpenSees and Newmark."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.linalg import expm
+from scipy.signal import lsim
+
+from pymc_features import ModalDamping, RayleighDamping, Record, SpringMassChain, paper, simulate
+from pymc_features.simulators import QUANTITIES, UNITS, chain_discrepancy, chain_response
+from pymc_features.simulators.newmark import newmark
+from pymc_features.simulators.recursion import N_ROWS, first_order_hold
+
+# --------------------------------------------------------------------------- independent routes
+
+
+def phi_functions(matrix):
+    """exp(A), phi_1(A) and phi_2(A) from one matrix exponential (Van Loan)."""
+    n = len(matrix)
+    eye, zero = np.eye(n), np.zeros((n, n))
+    whole = expm(np.block([[matrix, eye, zero], [zero, zero, eye], [zero, zero, zero]]))
+    return whole[:n, :n], whole[:n, n : 2 * n], whole[:n, 2 * n :]
+
+
+def full_response(structure, record, *, substeps=1, stride=1):
+    """All quantities without modes: first-order hold of z' = A z + B a_g, z = (u, v)."""
+    matrix_m, matrix_c, matrix_k = structure.matrices()
+    n = len(matrix_m)
+    damping, stiffness = np.linalg.solve(matrix_m, matrix_c), np.linalg.solve(matrix_m, matrix_k)
+    system = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
+    inputs = np.append(np.zeros(n), -np.ones(n))
+    step = record.dt / substeps
+    transition, phi_1, phi_2 = phi_functions(system * step)
+    now, after = step * (phi_1 - phi_2) @ inputs, step * phi_2 @ inputs
+    fine = np.arange((record.n_times - 1) * substeps + 1) * step
+    ground = np.interp(fine, record.time, record.acceleration)
+    states = np.zeros((fine.size, 2 * n))
+    for k in range(fine.size - 1):
+        states[k + 1] = transition @ states[k] + now * ground[k] + after * ground[k + 1]
+    u, v = states[::stride, :n].T, states[::stride, n:].T
+    absolute = -(stiffness @ u + damping @ v)
+    return dict(
+        zip(QUANTITIES, (absolute, absolute - ground[::stride], v, u), strict=True),
+        ground=ground[::stride],
+    )
+
+
+def oscillator(omega, zeta):
+    """One mass of 1 kg."""
+    return SpringMassChain([1.0], omega**2, ModalDamping(zeta))
+
+
+def displacement(structure, record, **kwargs):
+    return simulate(structure, record, quantity="relative_displacement", **kwargs).values
+
+
+def assert_close_to_peak(actual, expected, tolerance):
+    """Largest difference over the largest value."""
+    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=tolerance * np.abs(expected).max())
+
+
+def noise_record(seed, n_times=150, dt=0.02):
+    return Record(np.random.default_rng(seed).normal(size=n_times), dt)
+
+
+DAMPINGS = {
+    "rayleigh": lambda n: RayleighDamping(0.2, 1e-3),
+    "none": lambda n: ModalDamping(0.0),
+    "very light": lambda n: ModalDamping(1e-8),
+    "critical": lambda n: ModalDamping(1.0),
+    "over-critical": lambda n: ModalDamping(np.linspace(1.5, 4.0, n)),
+    "mixed": lambda n: ModalDamping(np.linspace(0.0, 2.0, n)),
+    "heavy rayleigh": lambda n: RayleighDamping(20.0, 0.05),
+}
+
+
+def random_chain(seed, damping="rayleigh"):
+    """One to eight masses with frequencies from below 1 Hz to beyond the sampling rate."""
+    rng = np.random.default_rng(seed)
+    n = seed % 8 + 1
+    stiffness = 10.0 ** rng.uniform(1.5, 4.5) * rng.uniform(0.2, 5.0, n)
+    return SpringMassChain(rng.uniform(0.2, 5.0, n), stiffness, DAMPINGS[damping](n))
+
+
+# --------------------------------------------------------------------------- coefficients
+
+
+@pytest.mark.parametrize("zeta", [0.0, 1e-8, 0.02, 0.5, 1.0 - 1e-9, 1.0, 1.0 + 1e-9, 1.5, 5.0])
+def test_step_coefficients_against_matrix_exponential(zeta):
+    """w in 0..30: 1e-12 of the largest entry, the accuracy of the exponential itself."""
+    grid = np.concatenate([[0.0], np.logspace(-8, np.log10(30.0), 60)])
+    table = np.empty((N_ROWS, grid.size))
+    for r, w in enumerate(grid):
+        first_order_hold(w, zeta, table, r)
+        exact = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
+        phi_0, phi_1, phi_2 = phi_functions(exact)
+        now, after = (phi_2 - phi_1)[:, 1], -phi_2[:, 1]
+        assert_close_to_peak(table[:4, r].reshape(2, 2), phi_0, 1e-12)
+        assert_close_to_peak(table[4:6, r], now, 1e-12)
+        assert_close_to_peak(table[6:8, r], after, 1e-12)
+
+
+# --------------------------------------------------------------------------- reference results
+
+
+@pytest.fixture(scope="module")
+def ten_storeys():
+    """The chain of the reference files."""
+    return SpringMassChain(np.ones(10), 1800.0, RayleighDamping(0.2265, 6.7515e-4))
+
+
+@pytest.mark.parametrize(
+    ("file", "rms", "peak"),
+    [
+        ("exact_10dof_elcentro_absacc.csv", 1e-7, 1e-6),
+        ("opensees_10dof_elcentro_absacc_h0p0002.csv", 1e-3, 1e-2),
+    ],
+)
+def test_reference_files(reference_dir, ten_storeys, file, rms, peak):
+    table = np.loadtxt(reference_dir / file, delimiter=",", skiprows=1)
+    record = Record(table[:, 1], dt=0.02)
+    ours = simulate(ten_storeys, record).values
+    theirs = table[:, 2:].T
+    assert ours.shape == theirs.shape == (10, 1559)
+    assert_close_to_peak(ours, theirs, peak)
+    error = np.sqrt(np.mean((ours - theirs) ** 2, axis=1) / np.mean(theirs**2, axis=1))
+    assert error.max() < rms
+    # negative control: the printed 1000 N/m is another structure
+    soft = SpringMassChain(np.ones(10), 1000.0, RayleighDamping(0.2265, 6.7515e-4))
+    assert np.abs(simulate(soft, record).values - theirs).max() > 0.5 * np.abs(theirs).max()
+
+
+@pytest.fixture(scope="module")
+def chopra(reference_dir):
+    return json.loads((reference_dir / "chopra_reference.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def el_centro_g(data_dir):
+    """El Centro in units of g, so that each book's g can be used."""
+    if not (data_dir / "elcentro.dat").exists():
+        pytest.skip("no elcentro.dat")
+    return np.loadtxt(data_dir / "elcentro.dat")[:, 1]
+
+
+@pytest.mark.parametrize("case", range(5))
+def test_published_peaks_of_oscillators(chopra, el_centro_g, case):
+    """Chopra, sec. 6.4, to 0.3 %, g = 386.4 in/s^2."""
+    published = chopra["sdof_peak_displacement_in"]
+    expected = published["cases"][case]
+    record = Record(el_centro_g * published["g_in_per_s2"], dt=0.02)
+    structure = oscillator(2 * np.pi / expected["T"], expected["zeta"])
+    peak = np.abs(displacement(structure, record, dt=0.002)).max()
+    assert peak == pytest.approx(expected["published"], rel=3e-3)
+    assert peak == pytest.approx(expected["exact_scout"], rel=5e-4)
+
+
+@pytest.fixture(scope="module")
+def five_storeys(chopra, el_centro_g):
+    """Chopra's shear frame (sec. 13.2.6): published numbers, chain, record."""
+    book = chopra["five_storey_shear_frame"]
+    chain = SpringMassChain(
+        np.full(5, float(book["m_kg"])), book["k_N_per_m"], ModalDamping(book["zeta_all_modes"])
+    )
+    return book, chain, Record(el_centro_g * book["g_mps2"], dt=0.02)
+
+
+def frame_forces(u, stiffness, height):
+    """Top displacement [cm], top and base shear [kN], base moment [kN m] from displacements (5, t)."""
+    shear = stiffness * np.diff(u, axis=0, prepend=0.0)  # below each floor
+    moment = height * shear.sum(axis=0)
+    return {
+        "u5_cm": 100 * u[-1],
+        "V5_kN": shear[-1] / 1e3,
+        "Vb_kN": shear[0] / 1e3,
+        "Mb_kNm": moment / 1e3,
+    }
+
+
+def test_published_peaks_of_a_frame(five_storeys):
+    """Chopra, sec. 13.2.6: totals to 0.3 %; periods to the printed digits."""
+    book, chain, record = five_storeys
+    np.testing.assert_allclose(1 / chain.modes().natural_frequencies, book["periods_s"], atol=6e-5)
+    forces = frame_forces(displacement(chain, record, dt=0.004), book["k_N_per_m"], book["storey_height_m"])
+    for name, history in forces.items():
+        assert np.abs(history).max() == pytest.approx(book["published_peaks"][name]["total"], rel=3e-3)
+
+
+def test_published_modal_peaks_of_a_frame(five_storeys):
+    """The part of each mode is the difference of truncated responses; 0.5 % and the rounding in print."""
+    book, chain, record = five_storeys
+    before = 0.0
+    for r in range(5):
+        upto = displacement(chain, record, dt=0.004, n_modes=r + 1)
+        forces = frame_forces(upto - before, book["k_N_per_m"], book["storey_height_m"])
+        before = upto
+        for name, history in forces.items():
+            expected = book["published_peaks"][name]["modes"][r]
+            rounding = {"u5_cm": 6e-4, "Mb_kNm": 0.06}.get(name, 6e-4)
+            assert np.abs(history).max() == pytest.approx(expected, rel=5e-3, abs=rounding), (r, name)
+
+
+def test_base_shear_is_the_inertia_of_the_floors(five_storeys):
+    """sum m a_abs = -(k u_1 + damping force at the base): equilibrium of the whole frame."""
+    _, chain, record = five_storeys
+    matrix_m, matrix_c, matrix_k = chain.matrices()
+    parts = {name: simulate(chain, record, quantity=name).values for name in QUANTITIES}
+    residual = (
+        matrix_m @ parts["absolute_acceleration"]
+        + matrix_c @ parts["relative_velocity"]
+        + matrix_k @ parts["relative_displacement"]
+    )
+    forces = matrix_m @ parts["absolute_acceleration"]
+    assert np.abs(residual).max() < 1e-10 * np.abs(forces).max()
+    base = matrix_k[0, 0] / 2 * parts["relative_displacement"][0]
+    undamped = ModalDamping(0.0)
+    free = SpringMassChain(chain.mass, chain.stiffness, undamped)
+    inertia = (45000.0 * simulate(free, record).values).sum(axis=0)
+    assert_close_to_peak(
+        -inertia, 5482000.0 * displacement(free, record)[0], 1e-10
+    )  # without damping the base spring carries it all
+    assert np.abs(base).max() > 0
+
+
+# --------------------------------------------------------------------------- the whole state space
+
+
+@pytest.mark.parametrize("damping", DAMPINGS)
+@pytest.mark.parametrize("seed", range(8))
+def test_against_full_matrix_exponential(seed, damping):
+    """One to eight masses, all quantities, 1e-10 of the peak; no modes in the other route."""
+    chain, record = random_chain(seed, damping), noise_record(seed)
+    exact = full_response(chain, record)
+    for quantity in QUANTITIES:
+        assert_close_to_peak(simulate(chain, record, quantity=quantity).values, exact[quantity], 1e-10)
+
+
+@pytest.mark.parametrize(("substeps", "stride"), [(1, 2), (1, 5), (1, 10), (2, 1), (10, 1)])
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_output_steps(substeps, stride, quantity):
+    """Multiples and divisors of the record's step, over a block boundary of the recursion."""
+    record = noise_record(3, n_times=301)
+    for seed in (0, 4):
+        chain = random_chain(seed)
+        dt = record.dt * stride / substeps
+        ours = simulate(chain, record, dt=dt, quantity=quantity)
+        exact = full_response(chain, record, substeps=substeps, stride=stride)[quantity]
+        assert_close_to_peak(ours.values, exact, 1e-10)
+        np.testing.assert_allclose(ours["time"], np.arange(exact.shape[1]) * dt, rtol=1e-14)
+
+
+@pytest.mark.parametrize("n_times", [2, 3, 127, 128, 129, 256, 257])
+def test_record_lengths_around_the_block(n_times):
+    record = noise_record(8, n_times)
+    chain = random_chain(2)
+    exact = full_response(chain, record)["absolute_acceleration"]
+    assert_close_to_peak(simulate(chain, record).values, exact, 1e-11)
+
+
+@pytest.mark.parametrize("n_times", [10, 11, 12])
+def test_output_ends_with_the_last_whole_step(n_times):
+    """A step of 5 samples: the samples after the last multiple of five are not reached."""
+    record = noise_record(8, n_times)
+    ours = simulate(random_chain(2), record, dt=5 * record.dt)
+    fine = simulate(random_chain(2), record)
+    np.testing.assert_allclose(ours, fine[:, ::5], rtol=1e-12)
+    assert ours.sizes["time"] == (n_times - 1) // 5 + 1
+
+
+@pytest.mark.parametrize("sensors", [[0], [3], [3, 0], (1, 1, 2), np.array([2]), range(4)])
+def test_sensor_subsets(sensors):
+    chain, record = random_chain(3), noise_record(1)
+    for kwargs in ({}, {"n_modes": 2}):
+        everything = simulate(chain, record, **kwargs)
+        some = simulate(chain, record, sensors=sensors, **kwargs)
+        assert some["sensor"].values.tolist() == list(sensors)
+        assert_close_to_peak(some.values, everything.values[list(sensors)], 1e-13)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_against_scipy_lsim(seed):
+    """SciPy's own first-order hold, fed with matrices (A, B, C, D) as Eqs. (22)-(24) have them."""
+    chain, record = random_chain(seed), noise_record(seed)
+    matrix_m, matrix_c, matrix_k = chain.matrices()
+    n = chain.n_dof
+    lower = -np.linalg.solve(matrix_m, np.hstack([matrix_k, matrix_c]))
+    system = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), lower])
+    inputs = np.append(np.zeros(n), -np.ones(n))[:, None]
+    _, output, _ = lsim((system, inputs, lower, np.zeros((n, 1))), record.acceleration, record.time)
+    assert_close_to_peak(simulate(chain, record).values, output.reshape(-1, n).T, 1e-10)
+
+
+@pytest.mark.parametrize("factor", [2, 5, 10])
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_coarse_output_is_every_nth_of_the_fine(factor, quantity):
+    """Nothing is integrated: the step of the output does not change the values, to 1e-12."""
+    chain, record = random_chain(7), noise_record(2, n_times=201)
+    own = simulate(chain, record, quantity=quantity).values
+    coarse = simulate(chain, record, quantity=quantity, dt=factor * record.dt).values
+    fine = simulate(chain, record, quantity=quantity, dt=record.dt / factor).values
+    assert_close_to_peak(coarse, own[:, ::factor], 1e-12)
+    assert_close_to_peak(own, fine[:, ::factor], 1e-12)
+
+
+def test_is_linear_in_the_record():
+    chain, one, two = random_chain(5), noise_record(1), noise_record(2)
+    both = Record(3.0 * one.acceleration - 0.5 * two.acceleration, one.dt)
+    for quantity in QUANTITIES:
+        parts = [simulate(chain, r, quantity=quantity).values for r in (one, two, both)]
+        assert_close_to_peak(parts[2], 3.0 * parts[0] - 0.5 * parts[1], 1e-12)
+
+
+def test_time_and_stiffness_scale_together():
+    """The same chain seen with a clock that runs ten times faster: exact similarity."""
+    record = noise_record(4)
+    slow = SpringMassChain([1.0, 2.0], [50.0, 80.0], ModalDamping(0.05))
+    fast = SpringMassChain([1.0, 2.0], [5000.0, 8000.0], ModalDamping(0.05))
+    quick = Record(record.acceleration, record.dt / 10)
+    assert_close_to_peak(simulate(fast, quick).values, simulate(slow, record).values, 1e-12)
+    assert_close_to_peak(100 * displacement(fast, quick), displacement(slow, record), 1e-12)
+
+
+# --------------------------------------------------------------------------- one mass, closed forms
+
+
+@pytest.mark.parametrize("zeta", [0.0, 0.05, 1.0, 3.0])
+def test_step_response_of_an_oscillator(zeta):
+    omega, level = 7.0, 2.5
+    record = Record(np.full(200, level), 0.02)
+    t = record.time
+    root = omega * np.sqrt(complex(zeta**2 - 1.0))
+    if zeta == 1.0:
+        decay = np.exp(-omega * t) * (1.0 + omega * t)
+    else:
+        hyperbolic = np.cosh(root * t) + zeta * omega / root * np.sinh(root * t)
+        decay = (np.exp(-zeta * omega * t) * hyperbolic).real
+    exact = -level / omega**2 * (1.0 - decay)
+    assert_close_to_peak(displacement(oscillator(omega, zeta), record)[0], exact, 1e-12)
+
+
+def test_free_decay_of_an_oscillator():
+    """After a pulse the motion is the closed-form free vibration, period and decrement included."""
+    omega, zeta = 9.0, 0.03
+    record = Record(np.r_[0.0, 3.0, -1.0, np.zeros(300)], 0.02)
+    chain = oscillator(omega, zeta)
+    u = displacement(chain, record)[0][3:]
+    v = simulate(chain, record, quantity="relative_velocity").values[0][3:]
+    t = np.arange(u.size) * record.dt
+    damped = omega * np.sqrt(1 - zeta**2)
+    sine = (v[0] + zeta * omega * u[0]) / damped
+    exact = np.exp(-zeta * omega * t) * (u[0] * np.cos(damped * t) + sine * np.sin(damped * t))
+    assert_close_to_peak(u, exact, 1e-12)
+    late = simulate(chain, record).values[0][3:]
+    relative = simulate(chain, record, quantity="relative_acceleration").values[0][3:]
+    np.testing.assert_array_equal(late, relative)  # the ground is at rest
+    assert_close_to_peak(late, -(omega**2) * u - 2 * zeta * omega * v, 1e-12)
+
+
+def harmonic_error(dt, omega=8.0, zeta=0.05, drive=5.0):
+    """RMS error against the closed form for a_g = sin(drive t), zero initial conditions."""
+    record = Record(np.sin(drive * np.arange(round(6.0 / dt) + 1) * dt), dt)
+    t = record.time
+    dynamic = -1.0 / (omega**2 - drive**2 + 2j * zeta * omega * drive)
+    damped = omega * np.sqrt(1 - zeta**2)
+    forced = (dynamic * np.exp(1j * drive * t)).imag
+    start, slope = dynamic.imag, (1j * drive * dynamic).imag
+    free = start * np.cos(damped * t) + (slope + zeta * omega * start) / damped * np.sin(damped * t)
+    exact = forced - np.exp(-zeta * omega * t) * free
+    error = displacement(oscillator(omega, zeta), record)[0] - exact
+    return np.sqrt(np.mean(error**2) / np.mean(exact**2))
+
+
+def test_harmonic_response_of_an_oscillator():
+    """The only error is the record's interpolation: (drive dt)^2 / 12, so a quarter at half the step."""
+    errors = np.array([harmonic_error(dt) for dt in (0.04, 0.02, 0.01, 0.005)])
+    np.testing.assert_allclose(errors[:-1] / errors[1:], 4.0, rtol=0.02)
+    assert errors[1] == pytest.approx((5.0 * 0.02) ** 2 / 12, rel=0.1)
+
+
+def test_at_rest_at_the_first_sample():
+    """The ground may start with a jump; displacement and velocity do not."""
+    chain, record = random_chain(3), Record([2.0, 1.0, 0.0], 0.02)
+    at_start = {q: simulate(chain, record, quantity=q).values[:, 0] for q in QUANTITIES}
+    np.testing.assert_array_equal(at_start["relative_displacement"], 0.0)
+    np.testing.assert_array_equal(at_start["relative_velocity"], 0.0)
+    np.testing.assert_array_equal(at_start["absolute_acceleration"], 0.0)
+    np.testing.assert_allclose(at_start["relative_acceleration"], -2.0, rtol=1e-14)
+
+
+# --------------------------------------------------------------------------- truncation
+
+
+@pytest.mark.parametrize("n_modes", [1, 2, 4, 5])
+def test_truncation_and_feed_through(n_modes):
+    """Kept modes one by one as oscillators, and J_c a_g = (1 - sum phi Gamma) a_g, Eq. (24)."""
+    chain = random_chain(4, "mixed")
+    record = noise_record(6)
+    modes = chain.modes()
+    expected = dict.fromkeys(QUANTITIES, 0.0)
+    carried = np.zeros((chain.n_dof, 1))
+    for r in range(n_modes):
+        shape = (modes.mode_shapes[:, r] * modes.participation_factors[r])[:, None]
+        carried += shape
+        single = full_response(
+            oscillator(modes.angular_frequencies[r], modes.damping_ratios[r]), record, substeps=2
+        )
+        for quantity in QUANTITIES:
+            expected[quantity] = expected[quantity] + shape * single[quantity]
+        ground = single["ground"]
+    expected["absolute_acceleration"] = expected["absolute_acceleration"] + (1 - carried) * ground
+    for quantity in QUANTITIES:
+        ours = simulate(chain, record, n_modes=n_modes, quantity=quantity, dt=record.dt / 2).values
+        assert_close_to_peak(ours, expected[quantity], 1e-10)
+    absolute = simulate(chain, record, n_modes=n_modes).values
+    relative = simulate(chain, record, n_modes=n_modes, quantity="relative_acceleration").values
+    assert_close_to_peak(absolute - relative, np.tile(record.acceleration, (chain.n_dof, 1)), 1e-12)
+    feed = np.abs(1 - carried).max()
+    assert feed < 1e-12 if n_modes == chain.n_dof else feed > 1e-3
+
+
+# --------------------------------------------------------------------------- Newmark
+
+
+@pytest.mark.parametrize(("beta", "column"), [(0.25, "u_avg"), (1 / 6, "u_lin")])
+def test_newmark_against_hand_tables(chopra, beta, column):
+    """Chopra, examples 5.3 and 5.4, to the printed digits."""
+    book = chopra["newmark_hand_examples"]
+    t = np.arange(11) * book["dt"]
+    force = np.where(t < 0.6, 10.0 * np.sin(np.pi * t / 0.6), 0.0)[None]
+    damping = 2 * book["zeta"] * np.sqrt(book["k"] * book["m"])
+    u, _, _ = newmark(*(np.array([[x]]) for x in (book["m"], damping, book["k"])), force, 0.1, beta=beta)
+    np.testing.assert_allclose(u[0, 1:], book[column], atol=1.5e-4)
+    other = "u_lin" if column == "u_avg" else "u_avg"
+    assert np.abs(u[0, 1:] - book[other]).max() > 0.01  # negative control
+
+
+def newmark_error(chain, record, divisor, beta=0.25):
+    """RMS error of each floor's absolute acceleration over its RMS."""
+    fine = np.arange((record.n_times - 1) * divisor + 1) * (record.dt / divisor)
+    ground = np.interp(fine, record.time, record.acceleration)
+    matrices = chain.matrices()
+    force = -np.outer(np.diag(matrices[0]), ground)
+    approximate = (newmark(*matrices, force, record.dt / divisor, beta=beta)[2] + ground)[:, ::divisor]
+    exact = simulate(chain, record).values
+    return np.sqrt(np.mean((approximate - exact) ** 2, axis=1) / np.mean(exact**2, axis=1))
+
+
+@pytest.mark.parametrize("beta", [0.25, 1 / 6])
+def test_newmark_converges_to_the_response_with_order_two(beta):
+    chain = SpringMassChain(np.ones(3), [400.0, 300.0, 200.0], RayleighDamping(0.2, 1e-3))
+    record = noise_record(9, n_times=60)
+    errors = np.array([newmark_error(chain, record, d, beta).max() for d in (4, 8, 16, 32)])
+    orders = np.log2(errors[:-1] / errors[1:])
+    np.testing.assert_allclose(orders, 2.0, atol=0.05)
+    assert errors[-1] < 1e-3
+
+
+def test_newmark_at_the_step_of_the_record_is_far_off(record, ten_storeys):
+    """At 0.02 s average acceleration is 31 to 86 % wrong in the floor accelerations of El Centro."""
+    errors = newmark_error(ten_storeys, record, 1)
+    if record.n_times == 1559 and record.pga == pytest.approx(0.31882 * 9.81):
+        assert (round(errors.min(), 2), round(errors.max(), 2)) == (0.31, 0.86)
+    assert errors.min() > 0.1
+
+
+# --------------------------------------------------------------------------- inside the kernel
+
+
+def kernel_arguments(**changes):
+    """Arguments of `chain_response` for two masses."""
+    arguments = {
+        "mass": np.array([1.0, 2.0]),
+        "stiffness": np.array([100.0, 50.0]),
+        "rayleigh": np.array([0.1, 1e-3]),
+        "ratios": np.zeros(2),
+        "acceleration": np.array([0.0, 1.0, -1.0]),
+        "dt": 0.02,
+        "substeps": 1,
+        "stride": 1,
+        "sensors": np.arange(2),
+        "n_modes": 2,
+    }
+    return [*(arguments | changes).values(), 0]
+
+
+INVALID = [
+    {"mass": np.array([1.0, -2.0])},
+    {"mass": np.array([0.0, 2.0])},
+    {"mass": np.array([np.nan, 2.0])},
+    {"mass": np.array([np.inf, 2.0])},
+    {"stiffness": np.array([-100.0, 50.0])},
+    {"stiffness": np.array([100.0, 0.0])},
+    {"stiffness": np.array([np.nan, np.nan])},
+    {"stiffness": np.array([100.0, np.inf])},
+    {"stiffness": np.array([1e300, 50.0])},
+    {"rayleigh": np.array([np.nan, 0.0])},
+    {"rayleigh": np.array([0.0, np.inf])},
+    {"ratios": np.array([0.0, np.nan])},
+    {"ratios": np.array([np.inf, 0.0])},
+]
+
+
+def named(case):
+    return "-".join(f"{name}={value.tolist()}" for name, value in case.items())
+
+
+@pytest.mark.parametrize("case", INVALID, ids=named)
+def test_invalid_parameters_give_nan(case):
+    assert np.isfinite(chain_response(*kernel_arguments())).all()
+    assert np.isnan(chain_response(*kernel_arguments(**case))).all()
+    errors = chain_discrepancy(*kernel_arguments(**case), np.zeros((2, 3)))
+    assert errors.shape == (2,)
+    assert np.isnan(errors).all()
+
+
+def test_any_positive_parameters_give_numbers_or_nan():
+    """Heavy-tailed priors draw absurd values: never an exception, never a hang."""
+    rng = np.random.default_rng(0)
+    for _ in range(500):
+        mass, stiffness, ratios = 10.0 ** rng.uniform(-100, 100, (3, 2))
+        rayleigh = 10.0 ** rng.uniform(-100, 100, 2)
+        case = {"mass": mass, "stiffness": stiffness, "rayleigh": rayleigh, "ratios": ratios}
+        history = chain_response(*kernel_arguments(**case))
+        assert np.isfinite(history).all() or np.isnan(history).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        ({"stiffness": np.ones(3)}, "must have equal lengths"),
+        ({"ratios": np.zeros(1)}, "must have equal lengths"),
+        ({"rayleigh": np.zeros(3)}, "must have equal lengths"),
+        ({"sensors": np.array([2])}, "`sensors` must be degrees of freedom"),
+        ({"sensors": np.array([-1])}, "`sensors` must be degrees of freedom"),
+        ({"n_modes": 0}, "`n_modes` must lie between 1 and"),
+        ({"n_modes": 3}, "`n_modes` must lie between 1 and"),
+    ],
+)
+def test_kernel_refuses_to_read_outside_its_arrays(changes, match):
+    with pytest.raises(ValueError, match=match):
+        chain_response(*kernel_arguments(**changes))
+    with pytest.raises(ValueError, match=match):
+        chain_discrepancy(*kernel_arguments(**changes), np.zeros((2, 3)))
+
+
+def test_kernel_refuses_data_of_another_shape():
+    for shape in ((2, 4), (1, 3), (3, 2)):
+        with pytest.raises(ValueError, match="`observed` must have the shape"):
+            chain_discrepancy(*kernel_arguments(), np.zeros(shape))
+
+
+@pytest.mark.parametrize("n_times", [2, 128, 300])
+def test_fused_discrepancy_is_the_mean_square_of_the_response(n_times):
+    rng = np.random.default_rng(n_times)
+    arguments = kernel_arguments(acceleration=rng.normal(size=n_times), n_modes=1)
+    history = chain_response(*arguments)
+    data = history + rng.normal(size=history.shape)
+    errors = chain_discrepancy(*arguments, data)
+    np.testing.assert_allclose(errors, np.mean((data - history) ** 2, axis=1), rtol=1e-12)
+
+
+# --------------------------------------------------------------------------- what users get
+
+
+def test_result_is_labelled():
+    chain = random_chain(2)
+    record = Record([0.0, 1.0, 0.0, 2.0], 0.1, name="pulse")
+    for quantity in QUANTITIES:
+        history = simulate(chain, record, sensors=[2, 0], dt=0.05, quantity=quantity)
+        assert isinstance(history, xr.DataArray)
+        assert history.dims == ("sensor", "time")
+        assert history.name == quantity
+        assert history.attrs == {"units": UNITS[quantity], "record": "pulse"}
+        assert history["sensor"].values.tolist() == [2, 0]
+        assert history["time"].attrs["units"] == "s"
+        np.testing.assert_allclose(history["time"], [0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3], rtol=1e-14)
+    assert [UNITS[q] for q in QUANTITIES] == ["m/s^2", "m/s^2", "m/s", "m"]
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "match"),
+    [
+        ({"dt": -0.02}, "`dt` must be positive, got -0.02. Pass the output step in seconds"),
+        ({"dt": 0.0}, "`dt` must be positive"),
+        ({"dt": np.nan}, "`dt` must be positive, got nan"),
+        (
+            {"dt": 0.03},
+            "`dt` must be an integer multiple or divisor of the record's step 0.02 s, got 0.03 s. Resample",
+        ),
+        ({"dt": 0.013}, "`dt` must be an integer multiple or divisor"),
+        ({"quantity": "drift"}, "`quantity` must be one of absolute_acceleration, .* got 'drift'"),
+        ({"n_modes": 0}, "`n_modes` must be an integer from 1 to 3, got 0. Leave it out for all modes"),
+        ({"n_modes": 4}, "`n_modes` must be an integer from 1 to 3, got 4"),
+        ({"n_modes": 1.5}, "`n_modes` must be an integer from 1 to 3, got 1.5"),
+        ({"n_modes": True}, "`n_modes` must be an integer from 1 to 3, got True"),
+        ({"sensors": [3]}, r"`sensors` must lie between 0 and 2, got \[3\]. Degree of freedom 0 is next"),
+        ({"sensors": [-1]}, r"`sensors` must lie between 0 and 2, got \[-1\]"),
+        ({"sensors": []}, r"`sensors` must be a list of degrees of freedom \(integers\), got \[\]"),
+        ({"sensors": [0.5]}, "`sensors` must be a list of degrees of freedom"),
+        ({"sensors": [True, False, True]}, "`sensors` must be a list of degrees of freedom"),
+        ({"sensors": [[0, 1]]}, "`sensors` must be a list of degrees of freedom"),
+    ],
+)
+def test_refusals(kwargs, match):
+    with pytest.raises(ValueError, match=match):
+        simulate(random_chain(2), noise_record(0), **kwargs)
+
+
+def test_steps_may_carry_the_rounding_of_a_division():
+    chain, record = random_chain(1), noise_record(0)
+    for dt, factor in ((0.02 / 3, 3), (0.1 * 0.02, 10), (0.02 * (1 + 1e-9), 1)):
+        assert simulate(chain, record, dt=dt).sizes["time"] == 149 * factor + 1
+
+
+def test_symbolic_structures_are_for_models():
+    import pytensor.tensor as pt
+
+    chain = paper.chain(pt.scalar("theta"))
+    with pytest.raises(TypeError, match="must have numbers as parameters, got PyTensor variables. Use `response"):
+        simulate(chain, noise_record(0))
