@@ -147,14 +147,14 @@ def el_centro_g(data_dir):
 
 @pytest.mark.parametrize("case", range(5))
 def test_published_peaks_of_oscillators(chopra, el_centro_g, case):
-    """Chopra, sec. 6.4, to 0.3 %, g = 386.4 in/s^2."""
+    """Chopra, sec. 6.4, to 0.3 %, at the record's samples; g = 386.4 in/s^2."""
     published = chopra["sdof_peak_displacement_in"]
     expected = published["cases"][case]
     record = Record(el_centro_g * published["g_in_per_s2"], dt=0.02)
     structure = oscillator(2 * np.pi / expected["T"], expected["zeta"])
-    peak = np.abs(displacement(structure, record, dt=0.002)).max()
+    peak = np.abs(displacement(structure, record)).max()
     assert peak == pytest.approx(expected["published"], rel=3e-3)
-    assert peak == pytest.approx(expected["exact_scout"], rel=5e-4)
+    assert peak == pytest.approx(expected["exact_scout"], rel=2e-4)
 
 
 @pytest.fixture(scope="module")
@@ -202,26 +202,16 @@ def test_published_modal_peaks_of_a_frame(five_storeys):
             assert np.abs(history).max() == pytest.approx(expected, rel=5e-3, abs=rounding), (r, name)
 
 
-def test_base_shear_is_the_inertia_of_the_floors(five_storeys):
-    """sum m a_abs = -(k u_1 + damping force at the base): equilibrium of the whole frame."""
+def test_equilibrium_of_a_frame(five_storeys):
+    """M a_abs + C v + K u = 0 at every floor; undamped, the base spring carries all inertia forces."""
     _, chain, record = five_storeys
+    histories = (simulate(chain, record, quantity=q).values for q in QUANTITIES)
+    absolute, _, velocity, u = histories
     matrix_m, matrix_c, matrix_k = chain.matrices()
-    parts = {name: simulate(chain, record, quantity=name).values for name in QUANTITIES}
-    residual = (
-        matrix_m @ parts["absolute_acceleration"]
-        + matrix_c @ parts["relative_velocity"]
-        + matrix_k @ parts["relative_displacement"]
-    )
-    forces = matrix_m @ parts["absolute_acceleration"]
-    assert np.abs(residual).max() < 1e-10 * np.abs(forces).max()
-    base = matrix_k[0, 0] / 2 * parts["relative_displacement"][0]
-    undamped = ModalDamping(0.0)
-    free = SpringMassChain(chain.mass, chain.stiffness, undamped)
-    inertia = (45000.0 * simulate(free, record).values).sum(axis=0)
-    assert_close_to_peak(
-        -inertia, 5482000.0 * displacement(free, record)[0], 1e-10
-    )  # without damping the base spring carries it all
-    assert np.abs(base).max() > 0
+    assert_close_to_peak(matrix_m @ absolute, -(matrix_c @ velocity + matrix_k @ u), 1e-10)
+    free = SpringMassChain(chain.mass, chain.stiffness, ModalDamping(0.0))
+    inertia = chain.mass @ simulate(free, record).values
+    assert_close_to_peak(-inertia, free.stiffness * displacement(free, record)[0], 1e-10)
 
 
 # --------------------------------------------------------------------------- the whole state space
@@ -460,7 +450,7 @@ def test_newmark_converges_to_the_response_with_order_two(beta):
 def test_newmark_at_the_step_of_the_record_is_far_off(record, ten_storeys):
     """At 0.02 s average acceleration is 31 to 86 % wrong in the floor accelerations of El Centro."""
     errors = newmark_error(ten_storeys, record, 1)
-    if record.n_times == 1559 and record.pga == pytest.approx(0.31882 * 9.81):
+    if record.pga == pytest.approx(0.31882 * 9.81):  # El Centro, not its synthetic stand-in
         assert (round(errors.min(), 2), round(errors.max(), 2)) == (0.31, 0.86)
     assert errors.min() > 0.1
 

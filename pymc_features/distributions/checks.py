@@ -13,8 +13,7 @@ from pytensor.graph.basic import Constant, Variable
 from pytensor.graph.replace import graph_replace
 from pytensor.graph.traversal import ancestors
 
-from pymc_features.ops import mean_square_discrepancy, response_step
-from pymc_features.ops.discrepancy import check_shape
+from pymc_features.ops import check_shape, mean_square_discrepancy, response_step
 
 LARGE_CONSTANT = 10**6  # bytes; beyond it Numba cannot keep a compiled graph on disk
 NOISE_FREE = 1e-12  # misfit over mean square of the data

@@ -9,7 +9,7 @@ from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant, Variable
 from pytensor.tensor.blockwise import Blockwise
 
-from pymc_features.ops import response_node
+from pymc_features.ops import check_shape, response_node
 from pymc_features.simulators import QUANTITIES, chain_response
 
 N_PARAMETERS = 4  # of the inputs of a response, the first four may be random
@@ -200,8 +200,6 @@ def _checked_epsilon(epsilon):
 
 
 def _checked_data(observed, expected):
-    from pymc_features.ops.discrepancy import check_shape
-
     values = observed
     if isinstance(observed, SharedVariable):
         values = observed.get_value(borrow=True)
