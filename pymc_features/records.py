@@ -78,6 +78,10 @@ class Record:
     def __len__(self):
         return self.n_times
 
+    def __reduce__(self):
+        # made anew, so that the array of a deep or pickled copy is read-only as well
+        return type(self), (np.array(self.acceleration), self.dt, self.name)
+
     @property
     def n_times(self) -> int:
         """Number of samples."""

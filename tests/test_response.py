@@ -490,6 +490,7 @@ INVALID = [
     {"ratios": np.array([0.0, np.nan])},
     {"ratios": np.array([np.inf, 0.0])},
 ]
+NEGATIVE_DAMPING = [{"rayleigh": np.array([-1.0, 0.0])}, {"ratios": np.array([-0.1, 0.0])}]
 
 
 def named(case):
@@ -503,6 +504,16 @@ def test_invalid_parameters_give_nan(case):
     errors = chain_discrepancy(*kernel_arguments(**case), np.zeros((2, 3)))
     assert errors.shape == (2,)
     assert np.isnan(errors).all()
+
+
+@pytest.mark.parametrize("case", NEGATIVE_DAMPING, ids=named)
+def test_negative_damping_gives_nan(case):
+    """Where every mode would grow, the parameters are outside their support."""
+    assert np.isnan(chain_response(*kernel_arguments(**case, acceleration=np.ones(3)))).all()
+
+
+def test_masses_of_absurd_size_are_no_exception():
+    chain_response(*kernel_arguments(mass=np.array([1e-170, 1e-170])))
 
 
 def test_any_positive_parameters_give_numbers_or_nan():
@@ -608,5 +619,7 @@ def test_symbolic_structures_are_for_models():
     import pytensor.tensor as pt
 
     chain = paper.chain(pt.scalar("theta"))
-    with pytest.raises(TypeError, match="must have numbers as parameters, got PyTensor variables. Use `response"):
+    with pytest.raises(
+        TypeError, match="must have numbers as parameters, got PyTensor variables. Use `response"
+    ):
         simulate(chain, noise_record(0))

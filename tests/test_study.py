@@ -134,9 +134,9 @@ STRONG_MOTION = 5.0  # s, for the finest step: the rest of the record only adds 
 def test_sampled_quantiles_are_the_exact_ones(record, multiplier):
     """5, 50 and 95 % of theta and sigma within 5 % of the exact 5-95 % width.
 
-    ABC is checked at the coarsest step, where it is cheap. 4 x 2000 draws are worth about 6000
-    independent ones; the standard error of the worst quantile, sigma's 95 % under TN, is then 1.4 % of
-    the width, so each of the 18 numbers fails by chance once in 3000 runs.
+    ABC is checked at the coarsest step, where it is cheap. 4 x 2000 draws are worth 6000 to 8000
+    independent ones; the standard error of the worst quantile, sigma's 95 % under TN, is then 1.4 to 1.6 %
+    of the width: with other seeds one step in 500 would fail by chance. The seeds are fixed.
     """
     if multiplier < 1.0:
         record = Record(record.acceleration[: int(STRONG_MOTION / record.dt) + 1], record.dt)

@@ -25,10 +25,11 @@ class FeatureLikelihoodWarning(UserWarning):
 
 def as_double(value):
     """Return a tensor of at least double precision: PyTensor holds a literal 2.0 in single."""
-    if isinstance(value, Variable):
-        tensor = pt.as_tensor_variable(value)
-        return tensor if tensor.dtype == "float64" else tensor.astype("float64")
-    return pt.as_tensor_variable(np.asarray(value, dtype=np.float64))
+    symbolic = isinstance(value, Variable) or (
+        isinstance(value, list | tuple) and any(isinstance(entry, Variable) for entry in value)
+    )
+    tensor = pt.as_tensor_variable(value if symbolic else np.asarray(value, dtype=np.float64))
+    return tensor if tensor.dtype == "float64" else tensor.astype("float64")
 
 
 def check_sigma(sigma, mu):
@@ -124,7 +125,7 @@ def warn_about_the_posterior(rv_type, mu, sigma, observed):
     mu, sigma, observed
         As passed by the user. A constant sigma raises no question.
     """
-    sigma = pt.as_tensor_variable(sigma)
+    sigma = as_double(sigma)
     if isinstance(sigma, Constant):
         return
     mu = pt.as_tensor_variable(mu)

@@ -19,10 +19,6 @@ class ExpFeatureRV(FeatureRV):
         return -np.log(2.0) - 2.0 * pt.log(sigma) - e / (2.0 * pt.sqr(sigma))
 
     @staticmethod
-    def rms_logp(e, sigma):
-        return 0.5 * pt.log(e) - 2.0 * pt.log(sigma) - e / (2.0 * pt.sqr(sigma))  # Rayleigh
-
-    @staticmethod
     def feature_logcdf(e, sigma):
         return log1mexp(-e / (2.0 * pt.sqr(sigma)))
 

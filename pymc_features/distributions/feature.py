@@ -22,6 +22,7 @@ from pymc.distributions.shape_utils import (
 from pymc.logprob.abstract import _logcdf, _logprob
 from pymc.pytensorf import normalize_rng_param
 from pytensor.tensor.random.utils import normalize_size_param
+from scipy.special import gammaln
 
 from pymc_features.distributions.checks import (
     as_double,
@@ -38,8 +39,8 @@ DENSITIES = ("feature", "data")
 class FeatureRV(SymbolicRandomVariable):
     """Data (..., time) whose mean-square distance from mu follows the law of a feature.
 
-    A feature likelihood is a subclass with `degrees_of_freedom` m of e / sigma^2 and the log-densities
-    of the feature and of the root mean square.
+    A feature likelihood is a subclass with `degrees_of_freedom` m of e / sigma^2, and the log-density and
+    log-probability of its feature.
     """
 
     extended_signature = "[rng],[size],(t),()->[rng],(t)"
@@ -49,11 +50,6 @@ class FeatureRV(SymbolicRandomVariable):
     @staticmethod
     def feature_logp(e, sigma):
         """Log-density of the paper's feature at mean square e (...,), constants included."""
-        raise NotImplementedError
-
-    @staticmethod
-    def rms_logp(e, sigma):
-        """Log-density of the root mean square sqrt(e)."""
         raise NotImplementedError
 
     @staticmethod
@@ -98,16 +94,23 @@ def feature_logprob(op, values, *inputs, **kwargs):
     if op.density == "feature":
         logp = op.feature_logp(e, sigma)
     else:
-        logp = op.rms_logp(e, sigma) + _log_direction(e, value.shape[-1])
-    logp = pt.switch(pt.isnan(e), -np.inf, logp)
+        logp = data_logp(e, sigma, op.degrees_of_freedom, value.shape[-1])
+    logp = pt.switch(pt.isnan(e) | pt.isinf(e), -np.inf, logp)
     return maybe_resize(check_parameters(logp, sigma > 0, msg="sigma > 0"), size)
 
 
-def _log_direction(e, n_times):
-    """Log-density of the data on the sphere of radius R = sqrt(N_D e), and d sqrt(e) / d R."""
+def data_logp(e, sigma, m, n_times):
+    """Log-density of the data: that of the radius over the area of its sphere.
+
+    sqrt(e) / sigma is chi with m degrees of freedom, R = sqrt(N_D e). The powers of e are collected, so
+    that no infinities are subtracted at e = 0.
+    """
     n = pt.cast(n_times, "float64")
+    log_chi = (1.0 - 0.5 * m) * np.log(2.0) - gammaln(0.5 * m)
     log_area = np.log(2.0) + 0.5 * n * np.log(np.pi) - pt.gammaln(0.5 * n)
-    return -0.5 * pt.log(n) - log_area - 0.5 * (n - 1.0) * pt.log(n * e)
+    log_power = pt.switch(pt.eq(n, m), 0.0, 0.5 * (m - n) * pt.log(e))
+    radial = log_chi - m * pt.log(sigma) - e / (2.0 * pt.sqr(sigma))
+    return radial - 0.5 * n * pt.log(n) - log_area + log_power
 
 
 @_logcdf.register(FeatureRV)

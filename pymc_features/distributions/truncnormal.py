@@ -17,8 +17,6 @@ class TruncNormalFeatureRV(FeatureRV):
     def feature_logp(e, sigma):
         return 0.5 * np.log(2.0 / np.pi) - pt.log(sigma) - e / (2.0 * pt.sqr(sigma))
 
-    rms_logp = feature_logp  # the feature is the root mean square itself
-
     @staticmethod
     def feature_logcdf(e, sigma):
         z = pt.sqrt(0.5 * e) / sigma

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytensor
 import pytensor.tensor as pt
+from pytensor.compile.ops import ViewOp
 from pytensor.graph.basic import Apply
 from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.elemwise import DimShuffle, Elemwise
@@ -126,7 +127,9 @@ def response_node(variable: TensorVariable) -> Apply | None:
         core = op.core_op if isinstance(op, Blockwise) else op
         if isinstance(core, ChainResponse):
             return variable.owner
-        is_copy = isinstance(op, Elemwise) and op.scalar_op == pytensor.scalar.identity
+        is_copy = isinstance(op, ViewOp) or (
+            isinstance(op, Elemwise) and op.scalar_op == pytensor.scalar.identity
+        )
         is_same = isinstance(op, DimShuffle) and op.new_order == tuple(range(variable.ndim))
         if not (is_copy or is_same or isinstance(op, SpecifyShape)):
             return None

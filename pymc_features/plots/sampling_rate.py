@@ -51,8 +51,9 @@ def plot_sampling_rate(result, likelihoods, axes=None):
         ax.minorticks_off()
         ax.ticklabel_format(axis="y", useOffset=False)
         ax.set(xlabel="sampling step / record step [-]", ylabel=LABELS[parameter])
-    axes[0].legend(frameon=False, fontsize="small")
-    axes[0].figure.suptitle(" and ".join(likelihoods))
+    figure = axes[0].figure
+    figure.suptitle(" and ".join(likelihoods))
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     return np.asarray(axes)
 
 

@@ -62,5 +62,8 @@ CacheImpl._locator_classes.insert(0, KernelCacheLocator)
 
 
 def jit(function):
-    """Compile a kernel: no Python objects, one thread, machine code kept on disk."""
-    return njit(function, fastmath=FASTMATH, cache=True)
+    """Compile a kernel: no Python objects, one thread, machine code kept on disk.
+
+    Division by zero gives infinity or NaN, as in NumPy, never an exception in the middle of sampling.
+    """
+    return njit(function, fastmath=FASTMATH, error_model="numpy", cache=True)

@@ -134,7 +134,7 @@ def modal_system(mass, stiffness, rayleigh, ratios, step, sensors, n_modes, quan
     for r in range(n_modes):
         w = omega[r] * step
         zeta = 0.5 * (rayleigh[0] / omega[r] + rayleigh[1] * omega[r]) + ratios[r]
-        if not (w < 1e6 and abs(zeta) * w < 1e6):  # NaN, infinity, or absurdly stiff
+        if not (w < 1e6 and 0.0 <= zeta * w < 1e6):  # NaN, growing, or absurdly stiff
             return False, table, shapes, direct
         first_order_hold(w, zeta, table, r)
         output_row(quantity, w, zeta, step, table, r)
