@@ -563,7 +563,6 @@ def test_edited_kernel_is_seen(edits):
     assert edits[1] == pytest.approx(2.0 * edits[0], rel=1e-14)
 
 
-@pytest.mark.xfail(strict=True, reason="the source hash covers simulators/ only")
 def test_edited_dispatch_is_seen(edits):
     """What stands between PyTensor and the kernel is compiled, and cached, with it."""
     assert edits[2] == pytest.approx(3.0 * edits[1], rel=1e-14)

@@ -1,5 +1,8 @@
 """How Numba-compiled graphs run the Ops: the kernels themselves, under keys that know their source."""
 
+import hashlib
+from pathlib import Path
+
 import numpy as np
 from pytensor.link.numba.dispatch.basic import (
     default_hash_key_from_props,
@@ -11,13 +14,15 @@ from pymc_features.ops.discrepancy import ChainDiscrepancy
 from pymc_features.ops.response import ChainResponse
 from pymc_features.simulators import SOURCE_HASH, chain_discrepancy, chain_response
 
+DISPATCH_HASH = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
+
 
 def cache_key(op) -> str:
-    """Key of an Op's machine code: type, properties, and a hash of the kernels' source.
+    """Key of an Op's machine code: type, properties, and hashes of the kernels' source and of this file.
 
-    PyTensor's own key does not see the kernels: an edited kernel would silently run old code.
+    PyTensor's own key sees neither: an edited kernel would silently run old code.
     """
-    return default_hash_key_from_props(op, kernel=SOURCE_HASH)
+    return default_hash_key_from_props(op, kernel=SOURCE_HASH, dispatch=DISPATCH_HASH)
 
 
 @register_funcify_and_cache_key(ChainResponse)
