@@ -212,6 +212,17 @@ def test_fused_discrepancy_equals_unfused(pulse, measured, wrap):
     assert np.isnan(function([100.0, -1.0, 100.0])).all()
 
 
+@pytest.mark.parametrize("quantity", QUANTITIES)
+@pytest.mark.parametrize("kwargs", [{}, {"dt": 0.04}, {"dt": 0.01, "sensors": [2, 0], "n_modes": 2}], ids=str)
+def test_fused_discrepancy_is_of_what_was_asked(pulse, quantity, kwargs):
+    """Quantity, output step, sensors and modes of the response reach the fused Op."""
+    exact = simulate(chain_of(100.0), pulse, quantity=quantity, **kwargs).values
+    data = exact + np.random.default_rng(2).normal(size=exact.shape) * np.abs(exact).max()
+    e = mean_square_discrepancy(response(chain_of(100.0), pulse, quantity=quantity, **kwargs), data)
+    assert core_ops_in([e]) & set(OPS) == {ChainDiscrepancy}
+    np.testing.assert_allclose(e.eval(mode=PLAIN), np.mean((data - exact) ** 2, axis=1), rtol=1e-12)
+
+
 def test_other_expressions_are_not_fused(pulse, measured):
     """What is no copy of a response is computed as it stands."""
     mu = response(chain_of(100.0), pulse)
