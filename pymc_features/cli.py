@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-QUICK = {"draws": 250, "chains": 2, "multipliers": (0.1, 1.0, 10.0)}
+QUICK = {"draws": 250, "chains": 2, "multipliers": (0.2, 1.0, 10.0)}
 FIGURES = {"fig2_norm.png": ["NORM"], "fig3_tn.png": ["TN"], "fig4_exp_abc.png": ["EXP", "ABC"]}
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130

@@ -110,11 +110,11 @@ def test_interrupt_keeps_what_is_finished(record_file, tmp_path):
         env={**os.environ, "MPLBACKEND": "Agg"},
     )
     deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and not list(tmp_path.glob("parts/NORM_x0.1.nc")):
+    while time.monotonic() < deadline and not list(tmp_path.glob("parts/NORM_x0.2.nc")):
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130, error
     assert "Traceback" not in error
     assert "interrupted: finished parts are kept in" in error
-    assert (tmp_path / "parts" / "NORM_x0.1.nc").exists()
+    assert (tmp_path / "parts" / "NORM_x0.2.nc").exists()
