@@ -623,3 +623,10 @@ def test_symbolic_structures_are_for_models():
         TypeError, match="must have numbers as parameters, got PyTensor variables. Use `response"
     ):
         simulate(chain, noise_record(0))
+
+
+def test_simulate_refuses_other_objects():
+    with pytest.raises(TypeError, match="`structure` must be a structure, got str"):
+        simulate("chain", Record([0.0, 1.0], 0.1))
+    with pytest.raises(TypeError, match="`record` must be a Record, got list"):
+        simulate(SpringMassChain(1.0, [1.0, 1.0], RayleighDamping(0.0, 0.0)), [1.0, 2.0])

@@ -53,7 +53,14 @@ def simulate(
     -----
     Agrees with a matrix exponential to 1e-12 of the peak (tests/test_response.py).
     """
-    if getattr(structure, "is_symbolic", False):
+    if not hasattr(structure, "parameters"):
+        raise TypeError(f"`structure` must be a structure, got {type(structure).__name__}.")
+    if not hasattr(record, "acceleration"):
+        raise TypeError(
+            f"`record` must be a Record, got {type(record).__name__}. "
+            "Use read_record(path) or Record(acceleration, dt)."
+        )
+    if structure.is_symbolic:
         raise TypeError(
             "`structure` must have numbers as parameters, got PyTensor variables. "
             "Use `response(structure, record)` inside a model."
