@@ -2,16 +2,19 @@
 
 from pymc_features.ops import numba_dispatch
 from pymc_features.ops.base import NotDifferentiableError
-from pymc_features.ops.discrepancy import ChainDiscrepancy, check_shape, mean_square_discrepancy
+from pymc_features.ops.discrepancy import ChainDiscrepancy, check_shape
+from pymc_features.ops.mean_square import mean_square_discrepancy
+from pymc_features.ops.population import PopulationDiscrepancy
 from pymc_features.ops.response import ChainResponse, response, response_node, response_step
 
-OPS = (ChainResponse, ChainDiscrepancy)
+OPS = (ChainResponse, ChainDiscrepancy, PopulationDiscrepancy)
 
 __all__ = [
     "OPS",
     "ChainDiscrepancy",
     "ChainResponse",
     "NotDifferentiableError",
+    "PopulationDiscrepancy",
     "check_shape",
     "mean_square_discrepancy",
     "numba_dispatch",

@@ -20,6 +20,7 @@ INPUTS = {
     "sensors": 1,
     "n_modes": 0,
 }
+N_PARAMETERS = 4  # the first four describe the structure and may be random
 INTEGERS = ("substeps", "stride", "sensors", "n_modes")
 INPUT_SIGNATURE = "(n),(n),(2),(n),(t),(),(),(),(s),()"
 
@@ -48,10 +49,10 @@ class ChainOp(Op):
         self.quantity_code = QUANTITIES.index(quantity)
 
     @staticmethod
-    def prepare_inputs(inputs):
-        """Cast the common inputs and check their numbers of dimensions."""
+    def prepare_inputs(inputs, start=0):
+        """Cast the common inputs from number `start` on, and check their numbers of dimensions."""
         prepared = []
-        for (name, ndim), value in zip(INPUTS.items(), inputs, strict=True):
+        for (name, ndim), value in zip(list(INPUTS.items())[start:], inputs, strict=True):
             dtype = "int64" if name in INTEGERS else "float64"
             if not isinstance(value, Variable):
                 value = np.asarray(value, dtype=dtype)

@@ -11,8 +11,14 @@ from pytensor.link.numba.dispatch.basic import (
 )
 
 from pymc_features.ops.discrepancy import ChainDiscrepancy
+from pymc_features.ops.population import PopulationDiscrepancy
 from pymc_features.ops.response import ChainResponse
-from pymc_features.simulators import SOURCE_HASH, chain_discrepancy, chain_response
+from pymc_features.simulators import (
+    SOURCE_HASH,
+    chain_discrepancy,
+    chain_response,
+    population_discrepancy,
+)
 
 DISPATCH_HASH = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
@@ -54,10 +60,20 @@ def funcify_response(op, node=None, **kwargs):
 @register_funcify_and_cache_key(ChainDiscrepancy)
 def funcify_discrepancy(op, node=None, **kwargs):
     """Return the fused kernel with the Op's quantity bound."""
-    quantity = op.quantity_code
+    return bind_discrepancy(chain_discrepancy, op.quantity_code), cache_key(op)
+
+
+@register_funcify_and_cache_key(PopulationDiscrepancy)
+def funcify_population(op, node=None, **kwargs):
+    """Return the fused kernel of populations with the Op's quantity bound."""
+    return bind_discrepancy(population_discrepancy, op.quantity_code), cache_key(op)
+
+
+def bind_discrepancy(kernel, quantity):
+    """A function of a node's inputs that calls one of the discrepancy kernels."""
 
     @numba_njit
-    def chain_discrepancy_op(
+    def discrepancy_op(
         mass,
         stiffness,
         rayleigh,
@@ -70,7 +86,7 @@ def funcify_discrepancy(op, node=None, **kwargs):
         n_modes,
         observed,
     ):
-        return chain_discrepancy(
+        return kernel(
             np.ascontiguousarray(mass),
             np.ascontiguousarray(stiffness),
             np.ascontiguousarray(rayleigh),
@@ -85,4 +101,4 @@ def funcify_discrepancy(op, node=None, **kwargs):
             np.ascontiguousarray(observed),
         )
 
-    return chain_discrepancy_op, cache_key(op)
+    return discrepancy_op

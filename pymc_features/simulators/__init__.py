@@ -2,6 +2,7 @@
 
 from pymc_features.simulators.compilation import SOURCE_HASH
 from pymc_features.simulators.discrepancy import chain_discrepancy
+from pymc_features.simulators.population import population_discrepancy
 from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
 from pymc_features.simulators.sampling import UNITS, request
 from pymc_features.simulators.simulate import simulate
@@ -13,6 +14,7 @@ __all__ = [
     "chain_discrepancy",
     "chain_response",
     "n_outputs",
+    "population_discrepancy",
     "request",
     "simulate",
 ]

@@ -25,9 +25,9 @@ from pymc_features.simulators.modal import chain_modes
 BLOCK = 128  # output samples handled at a time: the working set stays in the first-level cache
 TAYLOR_TERMS = 13  # with |F| <= 1/4 the first dropped term is below 1e-19
 
-# Rows of the recursion table: state transition, excitation at both ends of the step, output
-Q_Q, Q_P, P_Q, P_P, Q_NOW, P_NOW, Q_NEXT, P_NEXT, OUT_Q, OUT_P = range(10)
-N_ROWS = 10
+# Rows of the recursion table: state transition, excitation at both ends of the step, output, omega h
+Q_Q, Q_P, P_Q, P_P, Q_NOW, P_NOW, Q_NEXT, P_NEXT, OUT_Q, OUT_P, W = range(11)
+N_ROWS = 11
 
 # What `response` can return; the position is the code used inside the kernels.
 QUANTITIES = (
@@ -41,7 +41,7 @@ ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION, RELATIVE_VELOCITY, RELATIVE_DISPLA
 
 @jit
 def first_order_hold(w, zeta, table, r):
-    """Write the step coefficients of one mode into column `r` of `table` (10, modes).
+    """Write the step coefficients of one mode into column `r` of `table` (11, modes).
 
     Parameters
     ----------
@@ -72,6 +72,7 @@ def first_order_hold(w, zeta, table, r):
         a0, b0 = a0 * a0 - square * b0 * b0, 0.5 * b0 * (2.0 * a0 - drag * b0)
         square *= 4.0
         drag *= 2.0
+    table[W, r] = w
     table[Q_Q, r] = a0
     table[Q_P, r] = b0
     table[P_Q, r] = -square * b0
@@ -114,7 +115,7 @@ def modal_system(mass, stiffness, rayleigh, ratios, step, sensors, n_modes, quan
     -------
     valid : bool
         False if the parameters describe no structure.
-    table : array (10, n_modes)
+    table : array (11, n_modes)
         Recursion and output coefficients.
     shapes : array (s, n_modes)
         phi_r Gamma_r at the sensors.
@@ -158,7 +159,7 @@ def advance(table, q, p, acceleration, substeps, stride, first, count, modal, gr
 
     Parameters
     ----------
-    table : array (10, m)
+    table : array (11, m)
         From `modal_system`.
     q, p : array (m,)
         Modal states; overwritten. At rest before sample 0.

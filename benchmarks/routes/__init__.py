@@ -1,0 +1,26 @@
+"""Routes from parameters to e_j: one route, one file, with a function `discrepancies(case) -> (P, s)`.
+
+`ROUTES` maps a name to the function and to how many particles it is timed on: the slow routes have no
+economy of scale, so a few particles tell their cost for each.
+"""
+
+from typing import NamedTuple
+
+from benchmarks.routes import batched, filters, jax_scan, loop_over_time, scalar, state_space
+
+
+class Route(NamedTuple):
+    """How to get e_j, and on how many particles of the batch to time it."""
+
+    prepare: object
+    particles: int
+
+
+ROUTES = {
+    "our batched kernel": Route(batched.prepare, 500),
+    "our kernel, one particle at a time": Route(scalar.prepare, 500),
+    "JAX, scan over time, vmap over particles": Route(jax_scan.prepare, 500),
+    "NumPy, loop over time, arrays of particles": Route(loop_over_time.prepare, 500),
+    "SciPy eigh + lfilter for each mode": Route(filters.prepare, 20),
+    "SciPy lsim, state space": Route(state_space.prepare, 2),
+}

@@ -1,0 +1,54 @@
+"""`mean_square_discrepancy`: the feature of Eq. (3), computed the cheapest way its arguments allow."""
+
+import numpy as np
+import pytensor.tensor as pt
+from pytensor.graph.basic import Variable
+from pytensor.tensor.blockwise import Blockwise
+
+from pymc_features.ops.base import INPUTS
+from pymc_features.ops.discrepancy import check_shape
+from pymc_features.ops.population import fused_discrepancy
+from pymc_features.ops.response import response_node
+
+
+def mean_square_discrepancy(mu, observed):
+    """Mean-square discrepancy of each sensor, e_j = mean_k [y_j(k) - g_j(k)]^2, Eq. (3).
+
+    Parameters
+    ----------
+    mu : array_like or TensorVariable (..., sensor, time)
+        Model response, in the units of the data.
+    observed : array_like or TensorVariable (..., sensor, time)
+        Measured response.
+
+    Returns
+    -------
+    array or TensorVariable (..., sensor)
+        e_j in the square of those units. NumPy in, NumPy out.
+
+    Raises
+    ------
+    ValueError
+        If the last two axes do not have equal lengths.
+
+    Notes
+    -----
+    Where `mu` comes from `response`, the tensor returned is computed from the parameters directly
+    and no history is stored.
+
+    Examples
+    --------
+    >>> mean_square_discrepancy([[1.0, 2.0], [0.0, 0.0]], [[1.0, 4.0], [3.0, 3.0]])
+    array([2., 9.])
+    """
+    if not isinstance(mu, Variable) and not isinstance(observed, Variable):
+        mu, observed = np.asarray(mu, dtype=np.float64), np.asarray(observed, dtype=np.float64)
+        check_shape(mu.shape, observed.shape)
+        return np.mean((observed - mu) ** 2, axis=-1)
+    mu, observed = pt.as_tensor_variable(mu), pt.as_tensor_variable(observed)
+    check_shape(mu.type.shape, observed.type.shape)
+    node = response_node(mu)
+    if node is None or observed.ndim < 2:
+        return pt.mean(pt.sqr(observed - mu), axis=-1)
+    core = node.op.core_op if isinstance(node.op, Blockwise) else node.op
+    return fused_discrepancy(core.quantity, [*node.inputs[: len(INPUTS)], observed])
