@@ -1,9 +1,10 @@
-"""Routes from parameters to e_j: one route, one file, with a function `discrepancies(case) -> (P, s)`.
+"""Routes from parameters to e_j: one route, one file.
 
-`ROUTES` maps a name to the function and to how many particles it is timed on: the slow routes have no
-economy of scale, so a few particles tell their cost for each.
+Each has a function `prepare(case)` that returns a call without arguments, which returns e_j, shape (P, s).
+The slow routes have no economy of scale, so a few particles tell their cost for each.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from benchmarks.routes import batched, filters, jax_scan, loop_over_time, scalar, state_space
@@ -12,7 +13,7 @@ from benchmarks.routes import batched, filters, jax_scan, loop_over_time, scalar
 class Route(NamedTuple):
     """How to get e_j, and on how many particles of the batch to time it."""
 
-    prepare: object
+    prepare: Callable
     particles: int
 
 

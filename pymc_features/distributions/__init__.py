@@ -1,5 +1,6 @@
 """Feature likelihoods. A new one is one file here and one line below."""
 
+from pymc_features.distributions import gaussian
 from pymc_features.distributions.checks import FeatureLikelihoodWarning
 from pymc_features.distributions.exponential import ExpFeature, sigma_mpv
 from pymc_features.distributions.truncnormal import TruncNormalFeature
@@ -11,5 +12,6 @@ __all__ = [
     "ExpFeature",
     "FeatureLikelihoodWarning",
     "TruncNormalFeature",
+    "gaussian",
     "sigma_mpv",
 ]

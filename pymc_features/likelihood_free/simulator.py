@@ -5,14 +5,20 @@ from collections.abc import Callable
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
+from pymc.logprob.abstract import _logprob
+from pytensor.compile.mode import Mode
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant, Variable
 from pytensor.tensor.blockwise import Blockwise
 
-from pymc_features.ops import check_shape, response_node
+from pymc_features.ops import (
+    N_PARAMETERS,
+    ChainResponse,
+    check_shape,
+    mean_square_discrepancy,
+    response_node,
+)
 from pymc_features.simulators import QUANTITIES, chain_response
-
-N_PARAMETERS = 4  # of the inputs of a response, the first four may be random
 
 
 class ResponseSimulator:
@@ -20,23 +26,31 @@ class ResponseSimulator:
 
     Parameters
     ----------
-    settings : tuple
-        The remaining arguments of `simulators.chain_response`, as numbers and arrays.
+    settings : list of TensorVariable
+        The other inputs of the response; data among them are read anew in each call.
+    quantity : str
+        One of `simulators.QUANTITIES`.
     """
 
     ndims_params = (1, 1, 1, 1)
 
-    def __init__(self, settings: tuple):
+    def __init__(self, settings: list, quantity: str):
         self.settings = settings
+        self.quantity = quantity
 
     def core(self, *parameters):
         """Response (sensor, time) of one set of parameters."""
         arrays = (np.ascontiguousarray(p, dtype=np.float64) for p in parameters)
-        return chain_response(*arrays, *self.settings)
+        settings = (_number(value) for value in self.settings)
+        return chain_response(*arrays, *settings, QUANTITIES.index(self.quantity))
 
     def __call__(self, rng, *parameters_and_size):
         *parameters, size = parameters_and_size
         return simulate_batch(self.core, parameters, self.ndims_params, size)
+
+    def discrepancy(self, parameters, value):
+        """e_j of the parameters, as a tensor, without a history."""
+        return mean_square_discrepancy(ChainResponse(self.quantity)(*parameters, *self.settings), value)
 
 
 class FunctionSimulator:
@@ -70,25 +84,18 @@ def simulate_batch(core, parameters, ndims_params, size):
     return np.stack(results).reshape(batch + results[0].shape)
 
 
-def total_discrepancy(observed, simulated):
-    """rho = sum_j e_j, Eq. (15), of arrays (sensor, time) or of their flat parts."""
-    return pt.sum(pt.mean(pt.sqr(observed - simulated), axis=-1))
-
-
-def uniform_kernel(epsilon, observed, simulated):
+def uniform_kernel(epsilon, rho):
     """Accept where rho <= epsilon, Eq. (14): 0 inside and -inf outside."""
-    return pt.switch(total_discrepancy(observed, simulated) <= epsilon, 0.0, -np.inf)
+    return pt.switch(rho <= epsilon, 0.0, -np.inf)
 
 
-def exponential_kernel(epsilon, observed, simulated):
+def exponential_kernel(epsilon, rho):
     """-rho / epsilon: with epsilon = 2 sigma^2 the EXP likelihood at that sigma."""
-    rho = total_discrepancy(observed, simulated)
     return pt.switch(pt.isnan(rho), -np.inf, -rho / epsilon)
 
 
-def gaussian_kernel(epsilon, observed, simulated):
+def gaussian_kernel(epsilon, rho):
     """-(rho / epsilon)^2 / 2, PyMC's own soft kernel on rho."""
-    rho = total_discrepancy(observed, simulated)
     return pt.switch(pt.isnan(rho), -np.inf, -0.5 * pt.sqr(rho / epsilon))
 
 
@@ -97,6 +104,42 @@ KERNELS = {
     "exponential": exponential_kernel,
     "gaussian": gaussian_kernel,
 }
+
+
+class Distance:
+    """What `pm.Simulator` calls a distance: one of `KERNELS` at rho = sum_j e_j, Eq. (15)."""
+
+    def __init__(self, kernel: str):
+        self.kernel = kernel
+
+    def __call__(self, epsilon, observed, simulated):
+        return self.of_discrepancy(epsilon, mean_square_discrepancy(simulated, observed))
+
+    def of_discrepancy(self, epsilon, e):
+        """Log-density of the kernel for mean squares e (..., sensor)."""
+        return KERNELS[self.kernel](epsilon, pt.sum(e, axis=-1))
+
+
+class ResponseNode:
+    """Marks simulator nodes of a response: their density needs no random draw and no history."""
+
+
+class ResponseSimulatorNode(pm.Simulator):
+    """`pm.Simulator` whose node is also a `ResponseNode`."""
+
+    @classmethod
+    def rv_op(cls, *params, class_name, **kwargs):
+        """Build the node."""
+        plain = super().rv_op(*params, class_name=class_name, **kwargs)
+        op = type(class_name, (ResponseNode, type(plain.owner.op)), {})()
+        return op.make_node(*plain.owner.inputs).default_output()
+
+
+@_logprob.register(ResponseNode)
+def response_node_logp(op, values, rng, size, *parameters, **kwargs):
+    """Log-density of the tolerance, from the fused discrepancy."""
+    [value] = values
+    return op._distance.of_discrepancy(op.epsilon, op.fn.discrepancy(parameters, value))
 
 
 def DiscrepancySimulator(name, mu, *params, epsilon, observed, kernel="uniform", dims=None):
@@ -133,7 +176,8 @@ def DiscrepancySimulator(name, mu, *params, epsilon, observed, kernel="uniform",
 
     Notes
     -----
-    A failed simulation (NaN) is outside every tolerance. With the uniform kernel the stock SMC kernels
+    A failed simulation (NaN) is outside every tolerance. The density of a response's node needs no history and no
+    random draw; a function is called for each set of parameters. With the uniform kernel the stock SMC kernels
     reach the tolerance from the prior in one stage: enough prior draws must lie inside it.
     """
     if kernel not in KERNELS:
@@ -144,11 +188,12 @@ def DiscrepancySimulator(name, mu, *params, epsilon, observed, kernel="uniform",
     core_inputs = ",".join(
         "(" + ",".join(f"p{i}{axis}" for axis in range(ndim)) + ")" for i, ndim in enumerate(fn.ndims_params)
     )
-    return pm.Simulator(
+    node = ResponseSimulatorNode if isinstance(fn, ResponseSimulator) else pm.Simulator
+    return node(
         name,
         fn,
         *parameters,
-        distance=KERNELS[kernel],
+        distance=Distance(kernel),
         sum_stat="identity",
         epsilon=_checked_epsilon(epsilon),
         signature=f"{core_inputs}->({shape[0]},{shape[1]})",
@@ -174,16 +219,19 @@ def _simulator_of(mu, params):
         )
     if params:
         raise ValueError("`params` must be left out when `mu` is a response: it has its own.")
-    settings = [_number(value) for value in node.inputs[N_PARAMETERS:]]
-    fn = ResponseSimulator((*settings, QUANTITIES.index(node.op.quantity)))
+    fn = ResponseSimulator(node.inputs[N_PARAMETERS:], node.op.quantity)
     return fn, node.inputs[:N_PARAMETERS], node.outputs[0].type.shape
 
 
 def _number(variable):
-    """Value of a constant or shared variable: the record, the sampling, the sensors."""
+    """Value of a constant, of data, or of what follows from them: the record, the sampling, the sensors."""
     if isinstance(variable, SharedVariable):
-        return variable.get_value()
-    value = np.asarray(variable.data)
+        value = variable.get_value()
+    elif isinstance(variable, Constant):
+        value = variable.data
+    else:
+        value = variable.eval(mode=Mode(linker="py", optimizer=None))
+    value = np.asarray(value)
     return value.item() if value.ndim == 0 else value
 
 

@@ -1,7 +1,7 @@
 """The PyTensor Ops of the package, and their Numba dispatch."""
 
 from pymc_features.ops import numba_dispatch
-from pymc_features.ops.base import NotDifferentiableError
+from pymc_features.ops.base import N_PARAMETERS, NotDifferentiableError
 from pymc_features.ops.discrepancy import ChainDiscrepancy, check_shape
 from pymc_features.ops.mean_square import mean_square_discrepancy
 from pymc_features.ops.population import PopulationDiscrepancy
@@ -10,6 +10,7 @@ from pymc_features.ops.response import ChainResponse, response, response_node, r
 OPS = (ChainResponse, ChainDiscrepancy, PopulationDiscrepancy)
 
 __all__ = [
+    "N_PARAMETERS",
     "OPS",
     "ChainDiscrepancy",
     "ChainResponse",

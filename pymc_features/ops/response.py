@@ -6,6 +6,7 @@ import numpy as np
 import pytensor
 import pytensor.tensor as pt
 from pytensor.compile.ops import ViewOp
+from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Apply
 from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.elemwise import DimShuffle, Elemwise
@@ -41,7 +42,7 @@ def response(
     structure: Structure,
     record: Record,
     *,
-    dt: float | None = None,
+    dt=None,
     sensors: Sequence[int] | None = None,
     quantity: str = "absolute_acceleration",
     n_modes: int | None = None,
@@ -54,8 +55,9 @@ def response(
         Its parameters may be random variables.
     record : Record
         Ground acceleration; the structure is at rest at its first sample.
-    dt : float, optional
-        Output step [s], an integer multiple or divisor of the record's step, which is the default.
+    dt : float or pm.Data, optional
+        Output step [s], an integer multiple or divisor of the record's step, which is the default. As
+        data it can be changed together with the measurements, without compiling the model anew.
     sensors : sequence of int, optional
         Degrees of freedom, 0 next to the base. All by default.
     quantity : str
@@ -101,7 +103,12 @@ def response(
             f"`record` must be a Record, got {type(record).__name__}. "
             "Use read_record(path) or Record(acceleration, dt)."
         )
-    asked = request(structure.n_dof, record.dt, dt=dt, sensors=sensors, quantity=quantity, n_modes=n_modes)
+    step = dt.get_value() if isinstance(dt, SharedVariable) else dt
+    asked = request(structure.n_dof, record.dt, dt=step, sensors=sensors, quantity=quantity, n_modes=n_modes)
+    substeps, stride = asked.substeps, asked.stride
+    if isinstance(dt, SharedVariable):
+        ratio = dt / record.dt
+        substeps, stride = (pt.round(pt.maximum(r, 1.0)).astype("int64") for r in (1.0 / ratio, ratio))
     # shared, not constant: constants enter the key of compiled graphs, large ones prevent its use
     acceleration = pytensor.shared(
         record.acceleration.copy(), name=record.name or "acceleration", shape=(record.n_times,)
@@ -110,8 +117,8 @@ def response(
         *structure.parameters(),
         acceleration,
         record.dt,
-        asked.substeps,
-        asked.stride,
+        substeps,
+        stride,
         asked.sensors,
         asked.n_modes,
     )

@@ -75,44 +75,54 @@ def turn_to_output(table, r, start, shapes, direct, coefficients, states, lane):
 
 
 @jit
-def advance_lanes(coefficients, states, ground, stride, outputs):
+def advance_lanes(coefficients, states, ground, first, stride, outputs):
     """Write `SAMPLES` outputs of every mode into `outputs` (m SAMPLES, LANES) and carry the states on.
 
-    `ground` (SAMPLES stride,) is the ground acceleration at the steps of the recursion.
+    `ground` has the ground acceleration at the steps of the recursion, from entry `first` on. Two modes go
+    together, so that one does not wait for the other; an even number of modes.
     """
-    for r in range(states.shape[0] // 2):
+    for r in range(0, states.shape[0] // 2, 2):
         row = N_COEFFICIENTS * r
         a11, a12, b1 = load(coefficients, row), load(coefficients, row + 1), load(coefficients, row + 2)
         a21, a22, b2 = load(coefficients, row + 3), load(coefficients, row + 4), load(coefficients, row + 5)
+        c11, c12, d1 = load(coefficients, row + 6), load(coefficients, row + 7), load(coefficients, row + 8)
+        c21, c22, d2 = load(coefficients, row + 9), load(coefficients, row + 10), load(coefficients, row + 11)
         y1, y2 = load(states, 2 * r), load(states, 2 * r + 1)
+        z1, z2 = load(states, 2 * r + 2), load(states, 2 * r + 3)
         for sample in range(SAMPLES):
             store(outputs, SAMPLES * r + sample, y1)
-            for step in range(sample * stride, (sample + 1) * stride):
+            store(outputs, SAMPLES * (r + 1) + sample, z1)
+            for step in range(first + sample * stride, first + (sample + 1) * stride):
                 a = splat(ground[step])
                 y1, y2 = a11 * y1 + (a12 * y2 + b1 * a), a21 * y1 + (a22 * y2 + b2 * a)
+                z1, z2 = c11 * z1 + (c12 * z2 + d1 * a), c21 * z1 + (c22 * z2 + d2 * a)
         store(states, 2 * r, y1)
         store(states, 2 * r + 1, y2)
+        store(states, 2 * r + 2, z1)
+        store(states, 2 * r + 3, z2)
 
 
 @jit
-def add_squares(shapes, direct, outputs, data, ground, stride, errors):
+def add_squares(shapes, direct, outputs, data, sample, ground, step, stride, errors):
     """Add the squared misfits of `SAMPLES` samples to `errors` (sensors, LANES); an even number of sensors.
 
-    `shapes` (sensors m, LANES) and `direct` (sensors, LANES) belong to the lanes; `data` (sensors, SAMPLES)
-    are common to all.
+    `shapes` (sensors m, LANES) and `direct` (sensors, LANES) belong to the lanes; `data` (sensors, time) from
+    column `sample` on and `ground` from entry `step` on are common to all.
     """
-    n_sensors = errors.shape[0]
     n_modes = outputs.shape[0] // SAMPLES
-    for j in range(0, n_sensors, 2):
+    last = data.shape[0] - 1
+    for j in range(0, errors.shape[0], 2):
+        k = min(j + 1, last)  # an odd number of sensors is filled up with one of no consequence
         sum_a, sum_b = load(errors, j), load(errors, j + 1)
         direct_a, direct_b = load(direct, j), load(direct, j + 1)
         for t in range(0, SAMPLES, 4):
-            g0, g1 = splat(ground[t * stride]), splat(ground[(t + 1) * stride])
-            g2, g3 = splat(ground[(t + 2) * stride]), splat(ground[(t + 3) * stride])
-            a0, a1 = splat(data[j, t]) - direct_a * g0, splat(data[j, t + 1]) - direct_a * g1
-            a2, a3 = splat(data[j, t + 2]) - direct_a * g2, splat(data[j, t + 3]) - direct_a * g3
-            b0, b1 = splat(data[j + 1, t]) - direct_b * g0, splat(data[j + 1, t + 1]) - direct_b * g1
-            b2, b3 = splat(data[j + 1, t + 2]) - direct_b * g2, splat(data[j + 1, t + 3]) - direct_b * g3
+            g, i = step + t * stride, sample + t
+            g0, g1 = splat(ground[g]), splat(ground[g + stride])
+            g2, g3 = splat(ground[g + 2 * stride]), splat(ground[g + 3 * stride])
+            a0, a1 = splat(data[j, i]) - direct_a * g0, splat(data[j, i + 1]) - direct_a * g1
+            a2, a3 = splat(data[j, i + 2]) - direct_a * g2, splat(data[j, i + 3]) - direct_a * g3
+            b0, b1 = splat(data[k, i]) - direct_b * g0, splat(data[k, i + 1]) - direct_b * g1
+            b2, b3 = splat(data[k, i + 2]) - direct_b * g2, splat(data[k, i + 3]) - direct_b * g3
             for r in range(n_modes):
                 shape_a, shape_b = load(shapes, j * n_modes + r), load(shapes, (j + 1) * n_modes + r)
                 z0, z1 = load(outputs, SAMPLES * r + t), load(outputs, SAMPLES * r + t + 1)
@@ -128,39 +138,46 @@ def add_squares(shapes, direct, outputs, data, ground, stride, errors):
 
 
 @jit
-def fill_block(acceleration, substeps, stride, observed, first, count, ground, data):
-    """Copy `count` samples of ground acceleration and data into the block, zeros behind them."""
-    end = (acceleration.size - 1) * substeps
+def interpolate(acceleration, substeps, first, ground):
+    """Write the ground acceleration at the recursion's steps from `first` on; zero behind the record."""
+    i, part = first // substeps, first % substeps
     for k in range(ground.size):
-        fine = first * stride + k
-        ground[k] = 0.0
-        if fine <= end and k < count * stride:
-            i = fine // substeps
-            ground[k] = acceleration[i]
-            if i * substeps < fine:
-                weight = (fine - i * substeps) / substeps
-                ground[k] += weight * (acceleration[i + 1] - acceleration[i])
-    for j in range(observed.shape[0]):
-        for b in range(SAMPLES):
-            data[j, b] = observed[j, first + b] if b < count else 0.0
+        if i + 1 < acceleration.size:
+            ground[k] = acceleration[i] + part / substeps * (acceleration[i + 1] - acceleration[i])
+        else:
+            ground[k] = acceleration[i] if i < acceleration.size and part == 0 else 0.0
+        part += 1
+        if part == substeps:
+            i, part = i + 1, 0
 
 
 @jit
-def march(
-    coefficients, states, shapes, direct, acceleration, substeps, stride, observed, errors, outputs, ground, data
-):
-    """Mean squares of all sensors for the particles of one vector, into `errors` (sensors, LANES)."""
+def march(coefficients, states, shapes, direct, acceleration, substeps, stride, observed, errors, work):
+    """Sums of squares of all sensors for the particles of one vector, into `errors` (sensors, LANES).
+
+    `work` has the arrays outputs (m SAMPLES, LANES), ground (SAMPLES stride,) and data (s, SAMPLES).
+    """
+    outputs, ground, data = work
     n_times = observed.shape[1]
     errors[:] = 0.0
     for first in range(0, n_times, SAMPLES):
-        count = min(SAMPLES, n_times - first)
-        fill_block(acceleration, substeps, stride, observed, first, count, ground, data)
-        advance_lanes(coefficients, states, ground, stride, outputs)
-        if count < SAMPLES:
-            for r in range(outputs.shape[0] // SAMPLES):
-                outputs[SAMPLES * r + count : SAMPLES * (r + 1)] = 0.0
-        add_squares(shapes, direct, outputs, data, ground, stride, errors)
-    errors /= n_times
+        step = first * stride
+        if first + SAMPLES <= n_times and substeps == 1 and step + ground.size <= acceleration.size:
+            advance_lanes(coefficients, states, acceleration, step, stride, outputs)
+            add_squares(shapes, direct, outputs, observed, first, acceleration, step, stride, errors)
+            continue
+        interpolate(acceleration, substeps, step, ground)
+        advance_lanes(coefficients, states, ground, 0, stride, outputs)
+        if first + SAMPLES <= n_times:
+            add_squares(shapes, direct, outputs, observed, first, ground, 0, stride, errors)
+            continue
+        count = n_times - first  # the end of the data: what lies behind it must come out as zero
+        ground[count * stride :] = 0.0
+        data[:] = 0.0
+        data[:, :count] = observed[:, first:]
+        for r in range(outputs.shape[0] // SAMPLES):
+            outputs[SAMPLES * r + count : SAMPLES * (r + 1)] = 0.0
+        add_squares(shapes, direct, outputs, data, 0, ground, 0, stride, errors)
 
 
 @jit
@@ -208,16 +225,18 @@ def population_discrepancy(
     for size in (mass.shape[0], stiffness.shape[0], rayleigh.shape[0], ratios.shape[0]):
         if size != 1 and size != n_particles:
             raise ValueError("`mass`, `stiffness`, `rayleigh` and `ratios` must have one row, or one per particle")
-    padded = n_sensors + n_sensors % 2
+    even_sensors, even_modes = n_sensors + n_sensors % 2, n_modes + n_modes % 2
     result = np.empty((n_particles, n_sensors))
-    coefficients = np.empty((N_COEFFICIENTS * n_modes, LANES))
-    states = np.empty((2 * n_modes, LANES))
-    shapes = np.empty((padded * n_modes, LANES))
-    direct = np.empty((padded, LANES))
-    errors = np.empty((padded, LANES))
-    outputs = np.empty((SAMPLES * n_modes, LANES))
-    ground = np.empty(SAMPLES * stride)
-    data = np.zeros((padded, SAMPLES))
+    coefficients = np.empty((N_COEFFICIENTS * even_modes, LANES))
+    states = np.empty((2 * even_modes, LANES))
+    shapes = np.empty((even_sensors * even_modes, LANES))
+    direct = np.empty((even_sensors, LANES))
+    errors = np.empty((even_sensors, LANES))
+    work = (
+        np.empty((SAMPLES * even_modes, LANES)),
+        np.empty(SAMPLES * stride),
+        np.empty((n_sensors, SAMPLES)),
+    )
     valid = np.empty(LANES, dtype=np.bool_)
     for first in range(0, n_particles, LANES):
         count = min(LANES, n_particles - first)
@@ -241,12 +260,10 @@ def population_discrepancy(
                         table, r, acceleration[0], local_shapes, local_direct, coefficients, states, lane
                     )
                     for j in range(n_sensors):
-                        shapes[j * n_modes + r, lane] = local_shapes[j, r]
+                        shapes[j * even_modes + r, lane] = local_shapes[j, r]
                 direct[:n_sensors, lane] = local_direct
-        march(
-            coefficients, states, shapes, direct, acceleration, substeps, stride, observed, errors, outputs, ground, data
-        )
+        march(coefficients, states, shapes, direct, acceleration, substeps, stride, observed, errors, work)
         for lane in range(count):
             for j in range(n_sensors):
-                result[first + lane, j] = errors[j, lane] if valid[lane] else np.nan
+                result[first + lane, j] = errors[j, lane] / n_times if valid[lane] else np.nan
     return result

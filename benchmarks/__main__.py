@@ -1,0 +1,49 @@
+"""Command line of the benchmarks: `python -m benchmarks`."""
+
+import argparse
+import platform
+import time
+import warnings
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+SECTIONS = ("evaluation", "posteriors", "scaling")
+PACKAGES = (
+    *("pymc-features", "pymc", "pytensor", "numba", "numpy", "scipy"),
+    *("jax", "blackjax", "numpyro", "ultranest", "dynesty", "smcpy", "parallel-abus"),
+)
+
+
+def environment():
+    """One line about the processor, one about the versions."""
+    processor = platform.processor() or platform.machine()
+    if (cpuinfo := Path("/proc/cpuinfo")).exists():
+        names = [line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
+        processor = names[0].split(":", 1)[1].strip() if names else processor
+    found = [f"Python {platform.python_version()}"]
+    for package in PACKAGES:
+        try:
+            found.append(f"{package} {version(package)}")
+        except PackageNotFoundError:
+            found.append(f"{package} not installed")
+    return f"{processor}, one thread\n{', '.join(found)}"
+
+
+def main():
+    """Run the sections asked for and print their tables."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Cost and accuracy, side by side.")
+    parser.add_argument("--only", choices=SECTIONS, help="run one section; all by default (ten minutes)")
+    parser.add_argument("--quick", action="store_true", help="fewer rounds and seeds (a minute or two)")
+    arguments = parser.parse_args()
+    warnings.filterwarnings("ignore")
+    print(environment(), flush=True)
+    start = time.perf_counter()
+    for section in SECTIONS:
+        if arguments.only in (None, section):
+            import_module(f"benchmarks.{section}").run(arguments.quick)
+    print(f"\n{time.perf_counter() - start:.0f} s in all.")
+
+
+if __name__ == "__main__":
+    main()

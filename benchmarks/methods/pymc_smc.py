@@ -1,0 +1,89 @@
+"""`pm.sample_smc` with PyMC's own kernels and with ours."""
+
+import logging
+import time
+
+import numpy as np
+import pymc as pm
+from pymc.smc.kernels import IMH, MH
+
+import pymc_features as pmf
+from benchmarks.methods.result import NotThereError, Result
+from benchmarks.problem import DRAWS
+
+STOCK = {"IMH": IMH, "MH": MH}
+logging.getLogger("pymc").setLevel(logging.ERROR)
+
+
+class Counted:
+    """A compiled log-probability that counts its calls."""
+
+    def __init__(self, function):
+        self.function = function
+        self.calls = 0
+
+    def __call__(self, point):
+        self.calls += 1
+        return self.function(point)
+
+
+def watched(kernel, clock, count):
+    """Return a subclass of `kernel` that notes when sampling starts and, if asked, counts evaluations."""
+
+    class Watched(kernel):
+        def _initialize_kernel(self):
+            if count:
+                self.likelihood_logp_func = clock["likelihood"] = Counted(self.likelihood_logp_func)
+            clock["start"] = time.perf_counter()
+            super()._initialize_kernel()
+
+    return Watched
+
+
+def sample(kernel, model, seed, count=False):
+    """Run one chain of 1000 draws; evaluations are counted or taken from the kernel's own statistics."""
+    clock = {}
+    begin = time.perf_counter()
+    with model:
+        idata = pm.sample_smc(
+            DRAWS,
+            watched(kernel, clock, count),
+            chains=1,
+            cores=1,
+            random_seed=seed,
+            compute_convergence_checks=False,
+            progressbar=False,
+        )
+    end = time.perf_counter()
+    stats = idata["sample_stats"]
+    if count:
+        evaluations = clock["likelihood"].calls
+    else:
+        evaluations = float(np.nansum(stats["evaluations"].values)) if "evaluations" in stats else np.nan
+    evidence = np.ravel(np.asarray(stats["log_marginal_likelihood"].values, dtype=float))
+    posterior = idata["posterior"]
+    return Result(
+        np.ravel(posterior["theta"].values),
+        np.ravel(posterior["sigma"].values),
+        evaluations,
+        clock["start"] - begin,
+        end - clock["start"],
+        evidence[np.isfinite(evidence)][-1],
+    )
+
+
+def stock(name):
+    """Method: one of PyMC's kernels on our fused Op."""
+    return lambda problem, seed: sample(STOCK[name], problem.model, seed, count=True)
+
+
+def ours(name):
+    """Method: one of our kernels on our fused Op."""
+
+    def method(problem, seed):
+        kernel = getattr(pmf, name, None)
+        if kernel is None:
+            raise NotThereError(f"pymc_features has no {name}")
+        return sample(kernel, problem.model, seed)
+
+    return method

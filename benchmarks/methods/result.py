@@ -1,0 +1,43 @@
+"""What a method returns, and how it says that it cannot run."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One run of one method.
+
+    Attributes
+    ----------
+    theta, sigma : array (draws,)
+        Equally weighted draws.
+    n_evaluations : float
+        Evaluations of the likelihood, of the population in all; NaN where the method does not tell.
+    set_up : float
+        Seconds of compilation before the first evaluation.
+    seconds : float
+        The rest.
+    log_evidence : float
+        NaN where the method gives none.
+    """
+
+    theta: np.ndarray
+    sigma: np.ndarray
+    n_evaluations: float
+    set_up: float
+    seconds: float
+    log_evidence: float = np.nan
+
+
+class NotThereError(Exception):
+    """The method is not part of the installed package."""
+
+
+def equally_weighted(points, weights, rng):
+    """Systematic resampling: as many rows as `points`, each kept in proportion to its weight."""
+    count = len(points)
+    positions = (rng.random() + np.arange(count)) / count
+    cumulative = np.cumsum(weights)
+    return points[np.searchsorted(cumulative / cumulative[-1], positions)]
