@@ -1,6 +1,7 @@
 """Command line of the benchmarks: `python -m benchmarks`."""
 
 import argparse
+import os
 import platform
 import time
 import warnings
@@ -30,13 +31,20 @@ def environment():
     return f"{processor}, one thread\n{', '.join(found)}"
 
 
+def confine():
+    """Stay on one processor where the system allows: limits set by variables do not bind every library."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+
 def main():
     """Run the sections asked for and print their tables."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Cost and accuracy, side by side.")
+    parser = argparse.ArgumentParser("python -m benchmarks", description="Cost and accuracy, side by side.")
     parser.add_argument("--only", choices=SECTIONS, help="run one section; all by default (ten minutes)")
     parser.add_argument("--quick", action="store_true", help="fewer rounds and seeds (a minute or two)")
     arguments = parser.parse_args()
     warnings.filterwarnings("ignore")
+    confine()
     print(environment(), flush=True)
     start = time.perf_counter()
     for section in SECTIONS:

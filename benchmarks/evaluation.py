@@ -9,6 +9,7 @@ the machine's matrix product: 300 floating-point operations a step (ten modes of
 import numpy as np
 
 import pymc_features as pmf
+from benchmarks import likelihood
 from benchmarks.case import build
 from benchmarks.routes import ROUTES, batched, scalar
 from benchmarks.tables import significant, table
@@ -34,8 +35,8 @@ def check(name, found, reference):
     error = np.abs(found - reference[: len(found)]).max() / reference.max()
     if not error <= TOLERANCE:
         raise RuntimeError(
-            f"{name}: e_j differ from the scalar kernel's by {error:.1e} of the largest, more than {TOLERANCE:g}. "
-            "Nothing is timed until the routes agree."
+            f"{name}: e_j differ from the scalar kernel's by {error:.1e} of the largest, more than "
+            f"{TOLERANCE:g}. Nothing is timed until the routes agree."
         )
     return error
 
@@ -80,10 +81,12 @@ def run(quick=False):
     record = ground_motion()
     for substeps in (1, 10):
         case = build(record, particles=PARTICLES, substeps=substeps)
-        print(f"\n## One evaluation theta -> e_j: 10 DOF, 10 sensors, N_D = {case.observed.shape[1]}, batch of 500\n")
+        n_times = case.observed.shape[1]
+        print(f"\n## One evaluation theta -> e_j: 10 DOF, 10 sensors, N_D = {n_times}, batch of 500\n")
         rows, rate = measure(case, rounds=3 if quick else 9)
         headers = ["route", "ns per particle and step", "us per particle", "x batched", "% of dgemm", "error"]
         print(table(headers, rows))
         print(f"\ndgemm of 1000 x 1000: {rate / 1e9:.1f} Gflop/s, one thread. Least of interleaved rounds.")
     if batched.IS_STAND_IN:
         print("population_discrepancy is not there: the scalar kernel in a loop stands in for it.")
+    likelihood.run(quick)

@@ -1,7 +1,5 @@
 """dynesty (optional): dynamic nested sampling, its defaults."""
 
-import time
-
 import numpy as np
 
 from benchmarks.methods.result import Result, equally_weighted
@@ -14,10 +12,8 @@ def method(problem, seed):
 
     rng = np.random.default_rng(seed)
     likelihood = CountedLikelihood(problem)
-    start = time.perf_counter()
     sampler = DynamicNestedSampler(likelihood, from_unit_cube, 2, rstate=rng)
     sampler.run_nested(print_progress=False)
-    seconds = time.perf_counter() - start
     found = sampler.results
     draws = equally_weighted(found.samples, found.importance_weights(), rng)
-    return Result(draws[:, 0], draws[:, 1], likelihood.calls, 0.0, seconds, found.logz[-1])
+    return Result(draws[:, 0], draws[:, 1], likelihood.calls, found.logz[-1])

@@ -4,7 +4,6 @@ Its evaluations are leapfrog steps, warm-up included: each is a log-likelihood w
 """
 
 import functools
-import time
 
 import numpy as np
 
@@ -16,8 +15,7 @@ WARM_UP = 500
 
 @functools.cache
 def compiled(problem):
-    """A compiled sampler and the seconds it took: the first run less the second."""
-    import jax
+    """The sampler, which compiles at its first run and keeps what it compiled."""
     import numpyro
     from numpyro import distributions as dist
     from numpyro.infer import MCMC, NUTS
@@ -31,29 +29,17 @@ def compiled(problem):
         sigma = numpyro.sample("sigma", dist.Uniform(LOWER[1], UPPER[1]))
         numpyro.factor("TN", likelihood(theta, sigma))
 
-    sampler = MCMC(NUTS(model), num_warmup=WARM_UP, num_samples=DRAWS, progress_bar=False)
-    times = [time.perf_counter()]
-    for _ in range(2):
-        run(sampler, jax.random.key(0))
-        times.append(time.perf_counter())
-    return sampler, max(0.0, 2.0 * times[1] - times[0] - times[2])
-
-
-def run(sampler, key):
-    """Warm up and sample; return the draws and the leapfrog steps of both."""
-    sampler.warmup(key, collect_warmup=True, extra_fields=("num_steps",))
-    steps = float(sampler.get_extra_fields()["num_steps"].sum())
-    sampler.run(sampler.post_warmup_state.rng_key, extra_fields=("num_steps",))
-    draws = {name: np.asarray(values) for name, values in sampler.get_samples().items()}
-    return draws, steps + float(sampler.get_extra_fields()["num_steps"].sum())
+    return MCMC(NUTS(model), num_warmup=WARM_UP, num_samples=DRAWS, progress_bar=False)
 
 
 def method(problem, seed):
     """One run with the JAX likelihood."""
     import jax
 
-    sampler, set_up = compiled(problem)
-    start = time.perf_counter()
-    draws, steps = run(sampler, jax.random.key(seed))
-    seconds = time.perf_counter() - start
-    return Result(draws["theta"], draws["sigma"], steps, set_up, seconds)
+    sampler = compiled(problem)
+    sampler.warmup(jax.random.key(seed), collect_warmup=True, extra_fields=("num_steps",))
+    steps = float(sampler.get_extra_fields()["num_steps"].sum())
+    sampler.run(sampler.post_warmup_state.rng_key, extra_fields=("num_steps",))
+    steps += float(sampler.get_extra_fields()["num_steps"].sum())
+    draws = {name: np.asarray(values) for name, values in sampler.get_samples().items()}
+    return Result(draws["theta"], draws["sigma"], steps)

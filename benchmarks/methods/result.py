@@ -15,20 +15,17 @@ class Result:
         Equally weighted draws.
     n_evaluations : float
         Evaluations of the likelihood, of the population in all; NaN where the method does not tell.
-    set_up : float
-        Seconds of compilation before the first evaluation.
-    seconds : float
-        The rest.
     log_evidence : float
         NaN where the method gives none.
+    set_up : float
+        Seconds before the first particle is evaluated, spent anew in every run.
     """
 
     theta: np.ndarray
     sigma: np.ndarray
     n_evaluations: float
-    set_up: float
-    seconds: float
     log_evidence: float = np.nan
+    set_up: float = 0.0
 
 
 class NotThereError(Exception):

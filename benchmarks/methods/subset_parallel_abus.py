@@ -3,8 +3,6 @@
 Its list of independent distributions uses the first one for every parameter, so it is given the unit cube.
 """
 
-import time
-
 import numpy as np
 
 from benchmarks.methods.result import Result
@@ -22,11 +20,9 @@ def method(problem, seed):
         np.random.seed(seed)
         likelihood = CountedLikelihood(problem)
         priors = [ERADist("uniform", "PAR", [0.0, 1.0]) for _ in range(2)]
-        start = time.perf_counter()
         _, _, samples, log_evidence, *_ = aBUS_SuS(DRAWS, LEVEL, likelihood.of_unit_cube, priors)
-        seconds = time.perf_counter() - start
     finally:
         np.seterr(**errors)
         np.set_printoptions(**printing)
     draws = from_unit_cube(samples[-1][:, :2])
-    return Result(draws[:, 0], draws[:, 1], likelihood.calls, 0.0, seconds, float(log_evidence))
+    return Result(draws[:, 0], draws[:, 1], likelihood.calls, float(log_evidence))

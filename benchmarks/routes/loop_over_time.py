@@ -43,6 +43,5 @@ def _step(hold, state, before, now):
     """Carry the modal states of all particles through one step."""
     q, p = state
     return [
-        hold.phi[i][0] * q + hold.phi[i][1] * p + (hold.now[i] * before + hold.after[i] * now)
-        for i in (0, 1)
+        hold.phi[i][0] * q + hold.phi[i][1] * p + (hold.now[i] * before + hold.after[i] * now) for i in (0, 1)
     ]

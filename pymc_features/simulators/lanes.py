@@ -95,7 +95,50 @@ def _elementwise(instruction):
     return operation
 
 
-_add, _subtract, _multiply = (_elementwise(name) for name in ("fadd", "fsub", "fmul"))
+_add, _subtract, _multiply, _divide = (_elementwise(name) for name in ("fadd", "fsub", "fmul", "fdiv"))
+
+
+def _intrinsic_of_llvm(name):
+    """Return an intrinsic for an LLVM function of one vector."""
+
+    @intrinsic
+    def operation(typingctx, a):
+        def codegen(context, builder, signature, args):
+            kind = ir.FunctionType(_VECTOR, [_VECTOR])
+            function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
+            return builder.call(function, args)
+
+        return LANES_TYPE(LANES_TYPE), codegen
+
+    return operation
+
+
+square_root, magnitude = (_intrinsic_of_llvm(name) for name in ("sqrt", "fabs"))
+
+
+@intrinsic
+def where_less(typingctx, a, b, x, y):
+    """x in the lanes where a < b, and y elsewhere."""
+
+    def codegen(context, builder, signature, args):
+        a, b, x, y = args
+        return builder.select(builder.fcmp_ordered("<", a, b), x, y)
+
+    return LANES_TYPE(LANES_TYPE, LANES_TYPE, LANES_TYPE, LANES_TYPE), codegen
+
+
+@intrinsic
+def highest(typingctx, a):
+    """Largest number of all lanes."""
+
+    def codegen(context, builder, signature, args):
+        best = builder.extract_element(args[0], ir.Constant(ir.IntType(32), 0))
+        for lane in range(1, LANES):
+            other = builder.extract_element(args[0], ir.Constant(ir.IntType(32), lane))
+            best = builder.select(builder.fcmp_ordered(">", other, best), other, best)
+        return best
+
+    return types.float64(LANES_TYPE), codegen
 
 
 def _both_lanes(a, b):
@@ -115,3 +158,8 @@ def _subtract_lanes(a, b):
 @overload(operator.mul)
 def _multiply_lanes(a, b):
     return (lambda a, b: _multiply(a, b)) if _both_lanes(a, b) else None
+
+
+@overload(operator.truediv)
+def _divide_lanes(a, b):
+    return (lambda a, b: _divide(a, b)) if _both_lanes(a, b) else None

@@ -85,6 +85,27 @@ def spring_energy_quotient(stiffness, mass, shape):
 
 
 @jit
+def normalise(mass, stiffness, shape):
+    """Scale a mode shape in place to phi' M phi = 1 and a positive top; return omega and phi' M 1."""
+    eigenvalue, inertia = spring_energy_quotient(stiffness, mass, shape)
+    scale = (1.0 if shape[mass.size - 1] >= 0.0 else -1.0) / np.sqrt(inertia)
+    total = 0.0
+    for i in range(mass.size):
+        shape[i] *= scale
+        total += mass[i] * shape[i]
+    return np.sqrt(eigenvalue), total
+
+
+@jit
+def is_chain(mass, stiffness):
+    """Whether every mass and spring is positive and finite; written so that NaN fails too."""
+    for i in range(mass.size):
+        if not (0.0 < mass[i] < np.inf and 0.0 < stiffness[i] < np.inf):
+            return False
+    return True
+
+
+@jit
 def chain_modes(mass, stiffness, angular_frequencies, mode_shapes, participation):
     """Modes of the fixed-base chain, Eqs. (17)-(20), in ascending order of frequency.
 
@@ -104,10 +125,8 @@ def chain_modes(mass, stiffness, angular_frequencies, mode_shapes, participation
         and finite) or the iteration fails; the arrays are then undefined.
     """
     n = mass.size
-    for i in range(n):
-        # written so that NaN fails too: fast-math keeps NaN and infinity
-        if not (0.0 < mass[i] < np.inf and 0.0 < stiffness[i] < np.inf):
-            return False
+    if not is_chain(mass, stiffness):
+        return False
     values = np.empty(n)
     off_diagonal = np.zeros(n)
     vectors = np.zeros((n, n))
@@ -115,7 +134,7 @@ def chain_modes(mass, stiffness, angular_frequencies, mode_shapes, participation
         above = stiffness[i + 1] if i + 1 < n else 0.0
         values[i] = (stiffness[i] + above) / mass[i]
         if i + 1 < n:
-            off_diagonal[i] = -above / np.sqrt(mass[i] * mass[i + 1])
+            off_diagonal[i] = -above / (np.sqrt(mass[i]) * np.sqrt(mass[i + 1]))
         vectors[i, i] = 1.0
     if not diagonalise(values, off_diagonal, vectors):
         return False
@@ -124,13 +143,5 @@ def chain_modes(mass, stiffness, angular_frequencies, mode_shapes, participation
         shape = mode_shapes[r]
         for i in range(n):
             shape[i] = vectors[order[r], i] / np.sqrt(mass[i])
-        eigenvalue, inertia = spring_energy_quotient(stiffness, mass, shape)
-        angular_frequencies[r] = np.sqrt(eigenvalue)
-        sign = 1.0 if shape[n - 1] >= 0.0 else -1.0
-        scale = sign / np.sqrt(inertia)
-        total = 0.0
-        for i in range(n):
-            shape[i] *= scale
-            total += mass[i] * shape[i]
-        participation[r] = total
+        angular_frequencies[r], participation[r] = normalise(mass, stiffness, shape)
     return True

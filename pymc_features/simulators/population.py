@@ -6,7 +6,8 @@ z[k+1] = A z[k] + b0 a[k] + b1 a[k+1]. With y = z - b1 a,
 
     y[k+1] = A y[k] + (A b1 + b0) a[k],     output[k] = y1[k] + b1_1 a[k],
 
-six products for a mode and step instead of ten; what stands before a[k] in the output goes into the
+and with y2 scaled so that the coefficient by which it enters y1 is one, five products for a mode and step instead
+of ten; what stands before a[k] in the output goes into the
 feed-through of the sensors. A block of 16 outputs of all modes stays in the first-level cache, where it is
 combined with the mode shapes and compared with the data, two sensors and four samples at a time.
 """
@@ -15,7 +16,10 @@ import numpy as np
 
 from pymc_features.simulators.compilation import jit
 from pymc_features.simulators.lanes import LANES, load, splat, store
+from pymc_features.simulators.modal import is_chain
+from pymc_features.simulators.modal_lanes import diagonalise_lanes, fill_lane, lane_modes
 from pymc_features.simulators.recursion import (
+    N_ROWS,
     OUT_P,
     OUT_Q,
     P_NEXT,
@@ -28,12 +32,12 @@ from pymc_features.simulators.recursion import (
     Q_Q,
     W,
     check_sizes,
-    modal_system,
+    modal_coefficients,
     n_outputs,
 )
 
 SAMPLES = 16  # outputs handled at a time; a multiple of four
-N_COEFFICIENTS = 6
+N_COEFFICIENTS = 5
 
 
 @jit
@@ -46,7 +50,7 @@ def turn_to_output(table, r, start, shapes, direct, coefficients, states, lane):
         From `modal_system`; `direct` (s,) is updated.
     start : float
         First sample of the ground acceleration [m/s^2].
-    coefficients, states : array (6 m, LANES), (2 m, LANES)
+    coefficients, states : array (5 m, LANES), (2 m, LANES)
         Written.
     """
     w = table[W, r]
@@ -61,15 +65,16 @@ def turn_to_output(table, r, start, shapes, direct, coefficients, states, lane):
     a11, a12 = (top_q * out + top_p * cross) / norm, (top_p * out - top_q * cross) / norm
     a21, a22 = (low_q * out + low_p * cross) / norm, (low_p * out - low_q * cross) / norm
     after_1, after_2 = out * next_q + cross * next_p, out * next_p - cross * next_q
+    input_1 = a11 * after_1 + a12 * after_2 + out * now_q + cross * now_p
+    input_2 = a21 * after_1 + a22 * after_2 + out * now_p - cross * now_q
     row = N_COEFFICIENTS * r
     coefficients[row, lane] = a11
-    coefficients[row + 1, lane] = a12
-    coefficients[row + 2, lane] = a11 * after_1 + a12 * after_2 + out * now_q + cross * now_p
-    coefficients[row + 3, lane] = a21
-    coefficients[row + 4, lane] = a22
-    coefficients[row + 5, lane] = a21 * after_1 + a22 * after_2 + out * now_p - cross * now_q
+    coefficients[row + 1, lane] = input_1
+    coefficients[row + 2, lane] = a12 * a21
+    coefficients[row + 3, lane] = a22
+    coefficients[row + 4, lane] = a12 * input_2
     states[2 * r, lane] = -after_1 * start
-    states[2 * r + 1, lane] = -after_2 * start
+    states[2 * r + 1, lane] = -a12 * after_2 * start
     for j in range(direct.size):
         direct[j] += shapes[j, r] * after_1
 
@@ -83,10 +88,10 @@ def advance_lanes(coefficients, states, ground, first, stride, outputs):
     """
     for r in range(0, states.shape[0] // 2, 2):
         row = N_COEFFICIENTS * r
-        a11, a12, b1 = load(coefficients, row), load(coefficients, row + 1), load(coefficients, row + 2)
-        a21, a22, b2 = load(coefficients, row + 3), load(coefficients, row + 4), load(coefficients, row + 5)
-        c11, c12, d1 = load(coefficients, row + 6), load(coefficients, row + 7), load(coefficients, row + 8)
-        c21, c22, d2 = load(coefficients, row + 9), load(coefficients, row + 10), load(coefficients, row + 11)
+        a11, b1 = load(coefficients, row), load(coefficients, row + 1)
+        a21, a22, b2 = load(coefficients, row + 2), load(coefficients, row + 3), load(coefficients, row + 4)
+        c11, d1 = load(coefficients, row + 5), load(coefficients, row + 6)
+        c21, c22, d2 = load(coefficients, row + 7), load(coefficients, row + 8), load(coefficients, row + 9)
         y1, y2 = load(states, 2 * r), load(states, 2 * r + 1)
         z1, z2 = load(states, 2 * r + 2), load(states, 2 * r + 3)
         for sample in range(SAMPLES):
@@ -94,8 +99,8 @@ def advance_lanes(coefficients, states, ground, first, stride, outputs):
             store(outputs, SAMPLES * (r + 1) + sample, z1)
             for step in range(first + sample * stride, first + (sample + 1) * stride):
                 a = splat(ground[step])
-                y1, y2 = a11 * y1 + (a12 * y2 + b1 * a), a21 * y1 + (a22 * y2 + b2 * a)
-                z1, z2 = c11 * z1 + (c12 * z2 + d1 * a), c21 * z1 + (c22 * z2 + d2 * a)
+                y1, y2 = a11 * y1 + (y2 + b1 * a), a21 * y1 + (a22 * y2 + b2 * a)
+                z1, z2 = c11 * z1 + (z2 + d1 * a), c21 * z1 + (c22 * z2 + d2 * a)
         store(states, 2 * r, y1)
         store(states, 2 * r + 1, y2)
         store(states, 2 * r + 2, z1)
@@ -238,30 +243,60 @@ def population_discrepancy(
         np.empty((n_sensors, SAMPLES)),
     )
     valid = np.empty(LANES, dtype=np.bool_)
+    n = mass.shape[1]
+    diagonal, off_diagonal, vectors = np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n * n, LANES))
+    omega, mode_shapes, participation = np.empty(n), np.empty((n, n)), np.empty(n)
+    table = np.empty((N_ROWS, n_modes))
+    lane_shapes, lane_direct = np.empty((n_sensors, n_modes)), np.empty(n_sensors)
     for first in range(0, n_particles, LANES):
         count = min(LANES, n_particles - first)
-        for array in (coefficients, states, shapes, direct):
+        for array in (coefficients, states, shapes, direct, diagonal, off_diagonal, vectors):
             array[:] = 0.0
         for lane in range(count):
             p = first + lane
-            valid[lane], table, local_shapes, local_direct = modal_system(
-                mass[p % mass.shape[0]],
-                stiffness[p % stiffness.shape[0]],
-                rayleigh[p % rayleigh.shape[0]],
-                ratios[p % ratios.shape[0]],
-                dt / substeps,
-                sensors,
-                n_modes,
-                quantity,
+            lane_mass, lane_stiffness = mass[p % mass.shape[0]], stiffness[p % stiffness.shape[0]]
+            valid[lane] = is_chain(lane_mass, lane_stiffness)
+            if valid[lane]:
+                fill_lane(lane_mass, lane_stiffness, lane, diagonal, off_diagonal, vectors)
+        converged = diagonalise_lanes(diagonal, off_diagonal, vectors)
+        for lane in range(count):
+            p = first + lane
+            lane_mass, lane_stiffness = mass[p % mass.shape[0]], stiffness[p % stiffness.shape[0]]
+            valid[lane] = (
+                valid[lane]
+                and lane_modes(
+                    converged,
+                    lane_mass,
+                    lane_stiffness,
+                    lane,
+                    diagonal,
+                    vectors,
+                    omega,
+                    mode_shapes,
+                    participation,
+                )
+                and modal_coefficients(
+                    omega,
+                    mode_shapes,
+                    participation,
+                    rayleigh[p % rayleigh.shape[0]],
+                    ratios[p % ratios.shape[0]],
+                    dt / substeps,
+                    sensors,
+                    quantity,
+                    table,
+                    lane_shapes,
+                    lane_direct,
+                )
             )
             if valid[lane]:
                 for r in range(n_modes):
                     turn_to_output(
-                        table, r, acceleration[0], local_shapes, local_direct, coefficients, states, lane
+                        table, r, acceleration[0], lane_shapes, lane_direct, coefficients, states, lane
                     )
                     for j in range(n_sensors):
-                        shapes[j * even_modes + r, lane] = local_shapes[j, r]
-                direct[:n_sensors, lane] = local_direct
+                        shapes[j * even_modes + r, lane] = lane_shapes[j, r]
+                direct[:n_sensors, lane] = lane_direct
         march(coefficients, states, shapes, direct, acceleration, substeps, stride, observed, errors, work)
         for lane in range(count):
             for j in range(n_sensors):

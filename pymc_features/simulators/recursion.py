@@ -130,13 +130,23 @@ def modal_system(mass, stiffness, rayleigh, ratios, step, sensors, n_modes, quan
     table = np.empty((N_ROWS, n_modes))
     shapes = np.empty((sensors.size, n_modes))
     direct = np.zeros(sensors.size)
-    if not chain_modes(mass, stiffness, omega, mode_shapes, participation):
-        return False, table, shapes, direct
+    valid = chain_modes(mass, stiffness, omega, mode_shapes, participation) and modal_coefficients(
+        omega, mode_shapes, participation, rayleigh, ratios, step, sensors, quantity, table, shapes, direct
+    )
+    return valid, table, shapes, direct
+
+
+@jit
+def modal_coefficients(
+    omega, mode_shapes, participation, rayleigh, ratios, step, sensors, quantity, table, shapes, direct
+):
+    """Write `table`, `shapes` and `direct` of `modal_system` from the modes; False where damping is bad."""
+    n_modes = table.shape[1]
     for r in range(n_modes):
         w = omega[r] * step
         zeta = 0.5 * (rayleigh[0] / omega[r] + rayleigh[1] * omega[r]) + ratios[r]
         if not (w < 1e6 and 0.0 <= zeta * w < 1e6):  # NaN, growing, or absurdly stiff
-            return False, table, shapes, direct
+            return False
         first_order_hold(w, zeta, table, r)
         output_row(quantity, w, zeta, step, table, r)
     for j in range(sensors.size):
@@ -144,13 +154,15 @@ def modal_system(mass, stiffness, rayleigh, ratios, step, sensors, n_modes, quan
         for r in range(n_modes):
             shapes[j, r] = mode_shapes[r, sensors[j]] * participation[r]
             carried += shapes[j, r]
-        if n_modes == n:
+        if n_modes == omega.size:
             carried = 1.0  # completeness of the modes, without its rounding error
         if quantity == ABSOLUTE_ACCELERATION:
             direct[j] = 1.0 - carried
         elif quantity == RELATIVE_ACCELERATION:
             direct[j] = -carried
-    return True, table, shapes, direct
+        else:
+            direct[j] = 0.0
+    return True
 
 
 @jit

@@ -1,0 +1,140 @@
+"""What the kernels share that evaluate a whole population at once."""
+
+import time
+
+import numpy as np
+from pymc.initial_point import make_initial_point_expression
+from pymc.model import modelcontext
+from pymc.smc.kernels import SMC_KERNEL, Pearson
+
+from pymc_features.smc.evaluation import population_logp
+
+
+class PopulationKernel(SMC_KERNEL):
+    """Base of the kernels for `pm.sample_smc` that evaluate all particles in one compiled call.
+
+    A kernel proposes (`propose`) and adapts (`tune`); the stages, the temperatures and the resampling are
+    PyMC's. It knows nothing of structures: any PyMC model runs on it. Models that cannot be vectorised, such as
+    those with a `pm.Simulator` whose function takes one set of parameters, are evaluated particle by particle,
+    with one `PopulationWarning`.
+
+    Parameters
+    ----------
+    draws : int
+        Number of particles.
+    start, model, random_seed, threshold, compile_kwargs
+        As in PyMC's kernels.
+
+    Notes
+    -----
+    `sample_stats` of each stage: `n_steps` Markov chain steps, `evaluations` of the likelihood (those of the
+    initial population count for the first stage), `failed` simulations among them, and `seconds`. Particles
+    whose log-density is not finite have probability zero, each on its own; nothing raises in between.
+    """
+
+    stats_dtypes_shapes = {
+        **SMC_KERNEL.stats_dtypes_shapes,
+        "n_steps": (int, []),
+        "evaluations": (int, []),
+        "failed": (int, []),
+        "seconds": (float, []),
+    }
+
+    def __init__(
+        self, draws=2000, start=None, model=None, random_seed=None, threshold=0.5, compile_kwargs=None
+    ):
+        # not SMC_KERNEL's own: it would compile two functions for single particles
+        if isinstance(draws, bool) or int(draws) != draws or draws < 2:
+            raise ValueError(f"`draws` must be an integer of at least 2, got {draws}.")
+        if not 0.0 < threshold < 1.0:
+            raise ValueError(f"`threshold` must lie between 0 and 1, got {threshold}. The default is 0.5.")
+        self.draws = int(draws)
+        self.start = start
+        self.threshold = threshold
+        self.rng = np.random.default_rng(seed=random_seed)
+        model = modelcontext(model)
+        self.variables = model.value_vars
+        point = model.initial_point(random_seed=self.rng.integers(2**30))
+        self.var_info = {v.name: (point[v.name].shape, point[v.name].size) for v in self.variables}
+        self.logp = population_logp(model, {v.name: point[v.name] for v in self.variables}, compile_kwargs or {})
+        self._prior_expression = make_initial_point_expression(
+            free_rvs=model.free_RVs,
+            rvs_to_transforms=model.rvs_to_transforms,
+            initval_strategies={**model.rvs_to_initial_values},
+            default_strategy="prior",
+            return_transformed=True,
+        )
+        self._prior_var_names = [model.rvs_to_values[rv].name for rv in model.free_RVs]
+        self._reset_state()
+
+    def _reset_state(self):
+        super()._reset_state()
+        self.n_steps = self.evaluations = self.failed = 0
+        self.clock = time.perf_counter()
+
+    def set_rng(self, rng):
+        """Use this generator; random draws inside the log-probability get streams of their own."""
+        self.rng = rng
+        self.logp = self.logp.with_rng(rng)
+
+    def evaluate(self, particles):
+        """Log prior and log-likelihood, each (p,), of particles (p, d); counts evaluations and failures."""
+        prior, likelihood, failed = self.logp(particles)
+        self.evaluations += len(particles)
+        self.failed += int(failed.sum())
+        return prior, likelihood
+
+    def _initialize_kernel(self):
+        initial = self.start if self.start else self.initialize_population()
+        columns = [np.asarray(initial[v.name], dtype=np.float64) for v in self.variables]
+        self.tempered_posterior = np.hstack([c.reshape(len(c), -1) for c in columns])
+        self.prior_logp, self.likelihood_logp = self.evaluate(self.tempered_posterior)
+        if not (self.prior_logp + self.likelihood_logp > -np.inf).any():
+            raise ValueError(
+                f"the model must have a finite log-density somewhere, got none at {len(self.likelihood_logp)} "
+                f"draws from the prior ({self.failed} failed simulations). Increase `draws`, narrow the "
+                "priors, or check the model at one point with model.point_logps()."
+            )
+
+    def propose(self):
+        """Return proposals (p, d) and the log-densities of the moves back and forth, each (p,) or 0."""
+        raise NotImplementedError
+
+    def mutate(self):
+        """Metropolis-Hastings steps until the particles have forgotten where the stage began, as in PyMC."""
+        self.n_steps = 0
+        previous = 2.0
+        correlation = Pearson(self.tempered_posterior)
+        accepted_steps = []
+        while True:
+            log_u = np.log(self.rng.random(self.draws))
+            proposal, backward, forward = self.propose()
+            prior, likelihood = self.evaluate(proposal)
+            logp = prior + likelihood * self.beta
+            accepted = log_u < (logp + backward) - (self.tempered_posterior_logp + forward)
+            self.tempered_posterior[accepted] = proposal[accepted]
+            self.tempered_posterior_logp[accepted] = logp[accepted]
+            self.prior_logp[accepted] = prior[accepted]
+            self.likelihood_logp[accepted] = likelihood[accepted]
+            accepted_steps.append(accepted)
+            self.n_steps += 1
+            r = correlation.get(self.tempered_posterior)
+            if not np.mean((previous - r) > self.correlation_threshold) > 0.9:
+                break
+            previous = r
+        self.accepted = np.array(accepted_steps)
+
+    def sample_stats(self):
+        """Statistics of the stage just finished."""
+        now = time.perf_counter()
+        stats = {
+            "log_marginal_likelihood": self.log_marginal_likelihood if self.beta == 1 else np.nan,
+            "beta": self.beta,
+            "n_steps": self.n_steps,
+            "evaluations": self.evaluations,
+            "failed": self.failed,
+            "seconds": now - self.clock,
+        }
+        self.evaluations = self.failed = 0
+        self.clock = now
+        return stats
