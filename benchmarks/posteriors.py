@@ -44,7 +44,7 @@ def attempt(method, problem, seed):
         return None, ("not there", str(error))
     except Exception as error:  # a competitor's failure is a result, and the others go on
         return None, ("failed", f"{type(error).__name__}: {error}, seed {seed}")
-    return result, time.perf_counter() - start
+    return result, time.perf_counter() - start - result.counting
 
 
 def spent(seconds, budget, patience):

@@ -9,7 +9,7 @@ with the measured one by a feature likelihood, sample.
         sigma = pm.Uniform("sigma", 0.0, 2.0)
         acceleration = pmf.response(pmf.paper.chain(theta), record)
         pmf.TruncNormalFeature("y", mu=acceleration, sigma=sigma, observed=measured)
-        idata = pm.sample_smc()
+        idata = pmf.sample_smc()
 
 A feature likelihood is a probability model of the mean-square discrepancy of each sensor, not of each time
 sample: its uncertainty does not depend on the sampling rate.
@@ -28,7 +28,14 @@ from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
 from pymc_features.ops import NotDifferentiableError, mean_square_discrepancy, response
 from pymc_features.records import Record
 from pymc_features.simulators import simulate
-from pymc_features.smc import RelativeIMH
+from pymc_features.smc import (
+    TMCMC,
+    PersistentSMC,
+    PopulationIMH,
+    PopulationMH,
+    PopulationWarning,
+    sample_smc,
+)
 from pymc_features.structures import ModalDamping, RayleighDamping, SpringMassChain
 from pymc_features.study import paper, sampling_rate_study
 
@@ -38,10 +45,14 @@ __all__ = [
     "FeatureLikelihoodWarning",
     "ModalDamping",
     "NotDifferentiableError",
+    "PersistentSMC",
+    "PopulationIMH",
+    "PopulationMH",
+    "PopulationWarning",
     "RayleighDamping",
     "Record",
-    "RelativeIMH",
     "SpringMassChain",
+    "TMCMC",
     "TruncNormalFeature",
     "abc_tolerance",
     "datasets",
@@ -51,6 +62,7 @@ __all__ = [
     "plot_sampling_rate",  # noqa: F822
     "read_record",
     "response",
+    "sample_smc",
     "sampling_rate_study",
     "sigma_mpv",
     "simulate",

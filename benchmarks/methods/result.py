@@ -19,6 +19,8 @@ class Result:
         NaN where the method gives none.
     set_up : float
         Seconds before the first particle is evaluated, spent anew in every run.
+    counting : float
+        Seconds spent on counting evaluations rather than on sampling; not counted as the method's.
     """
 
     theta: np.ndarray
@@ -26,6 +28,7 @@ class Result:
     n_evaluations: float
     log_evidence: float = np.nan
     set_up: float = 0.0
+    counting: float = 0.0
 
 
 class NotThereError(Exception):

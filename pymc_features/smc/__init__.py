@@ -3,9 +3,23 @@
 from pymc_features.smc.evaluation import PopulationLogp, PopulationWarning
 from pymc_features.smc.imh import PopulationIMH
 from pymc_features.smc.mh import PopulationMH
-from pymc_features.smc.relative_imh import RelativeIMH
+from pymc_features.smc.persistent import PersistentSMC
+from pymc_features.smc.population import PopulationKernel
 from pymc_features.smc.results import savable
+from pymc_features.smc.sample import sample_smc
+from pymc_features.smc.tmcmc import TMCMC
 
-KERNELS = (PopulationIMH, PopulationMH)
+KERNELS = (PopulationIMH, PopulationMH, PersistentSMC, TMCMC)
 
-__all__ = ["KERNELS", "PopulationIMH", "PopulationLogp", "PopulationMH", "PopulationWarning", "RelativeIMH", "savable"]
+__all__ = [
+    "KERNELS",
+    "PersistentSMC",
+    "PopulationIMH",
+    "PopulationKernel",
+    "PopulationLogp",
+    "PopulationMH",
+    "PopulationWarning",
+    "TMCMC",
+    "sample_smc",
+    "savable",
+]

@@ -3,6 +3,8 @@
 import numpy as np
 import xarray as xr
 
+PER_CHAIN = ("log_marginal_likelihood", "log_marginal_likelihood_se")
+
 
 def savable(idata: xr.DataTree) -> xr.DataTree:
     """Return the result with per-stage statistics as float arrays (chain, stage), padded with NaN.
@@ -18,7 +20,8 @@ def savable(idata: xr.DataTree) -> xr.DataTree:
     Returns
     -------
     DataTree
-        The same groups; `sample_stats` has the dimensions (chain, stage).
+        The same groups; `sample_stats` has the dimensions (chain, stage), but for
+        `log_marginal_likelihood` and its standard error, which belong to the chain.
     """
     result = idata.copy()
     if "sample_stats" not in result.children:
@@ -38,10 +41,19 @@ def savable(idata: xr.DataTree) -> xr.DataTree:
         )
         for name, (dims, values) in padded.items()
     }
+    for name in PER_CHAIN:
+        if name in padded:
+            padded[name] = (("chain",), last_values(padded[name][1]))
     attrs = {key: _plain(value) for key, value in stats.attrs.items()}
     coords = {"chain": chains, "stage": np.arange(n_stages)}
     result["sample_stats"] = xr.DataTree(xr.Dataset(padded, coords=coords, attrs=attrs))
     return result
+
+
+def last_values(stages) -> np.ndarray:
+    """The last number of each chain (chain,); NaN where there is none."""
+    numbers = [row[~np.isnan(row)] for row in stages]
+    return np.array([row[-1] if row.size else np.nan for row in numbers])
 
 
 def pad_stages(values, n_chains: int) -> np.ndarray:

@@ -1,0 +1,228 @@
+"""Persistent sampling: a kernel that throws no evaluation away."""
+
+import warnings
+
+import numpy as np
+
+from pymc_features.smc.mixture import GROUPS, Pool, next_beta
+from pymc_features.smc.population import PopulationKernel
+from pymc_features.smc.proposal import fit_mixture
+
+TARGET_ACCEPTANCE = 0.35
+FORGOTTEN = 0.1  # expected correlation with its first points below which a stage may end
+MAX_STEPS = 500
+MORE_PRIOR = 50  # the prior is drawn from at most this many times, in search of possible points
+
+
+class PersistentSMC(PopulationKernel):
+    """Sequential Monte Carlo in which every evaluation of every stage counts in the result.
+
+    All points ever evaluated, prior draws and rejected proposals included, stay in a pool that is reweighted to
+    each new temperature (persistent sampling, Karamanis & Seljak 2025; `mixture.py`). A stage starts a
+    few chains from points of the pool and keeps all their states (waste-free SMC, Dau & Chopin 2022). The last
+    stage goes on until the pool is worth `draws` independent draws from the posterior; as many equally weighted
+    ones are returned.
+
+    Parameters
+    ----------
+    draws : int
+        Equally weighted draws to return, and the effective number of points to reach.
+    stage_draws : int, optional
+        Evaluations of a stage: two fifths of `draws`, and not less than 25 for each parameter, by default. The
+        prior is evaluated at twice as many.
+    threshold : float
+        Effective number of points that a new temperature keeps, over `stage_draws`.
+    **settings
+        Of `PopulationKernel`.
+
+    Notes
+    -----
+    Proposals come from a mixture of Student-t distributions fitted to the weighted pool: independent of the present point
+    where many are accepted, shortened towards it (t-preconditioned Crank-Nicolson) where few are.
+    `sample_stats` has besides those of `PopulationKernel`: `accept_rate`, `scale` (1: independent proposals),
+    `effective` (points behind the stage's weights) and, at the end, `log_marginal_likelihood_se`: its standard
+    error, by a jackknife over chains. A constant added to the log-likelihood changes nothing but the evidence.
+    Cost and accuracy beside other samplers: benchmarks/.
+
+    References
+    ----------
+    Karamanis & Seljak, Persistent sampling, Statistics and Computing 35 (2025). Dau & Chopin, Waste-free
+    sequential Monte Carlo, J. R. Stat. Soc. B 84 (2022).
+    """
+
+    stats_dtypes_shapes = {
+        **PopulationKernel.stats_dtypes_shapes,
+        "accept_rate": (float, []),
+        "scale": (float, []),
+        "effective": (float, []),
+        "log_marginal_likelihood_se": (float, []),
+    }
+
+    def __init__(self, draws=2000, *, stage_draws=None, **settings):
+        super().__init__(draws, **settings)
+        n_parameters = sum(size for _, size in self.var_info.values())
+        if stage_draws is None:
+            stage_draws = max(2 * self.draws // 5, 25 * n_parameters)
+        if isinstance(stage_draws, bool) or int(stage_draws) != stage_draws or stage_draws < 20:
+            raise ValueError(f"`stage_draws` must be an integer of at least 20, got {stage_draws}.")
+        self.stage_draws = GROUPS * -(-int(stage_draws) // GROUPS)
+
+    def initialize_population(self):
+        """Draw the initial population from the prior."""
+        draws, self.draws = self.draws, 2 * self.stage_draws
+        try:
+            return super().initialize_population()
+        finally:
+            self.draws = draws
+
+    def _initialize_kernel(self):
+        wanted = max(20, 4 * sum(size for _, size in self.var_info.values()))
+        self.pool = None
+        for _ in range(MORE_PRIOR):
+            try:
+                super()._initialize_kernel()
+            except ValueError:
+                if self.start or (self.pool is None and self.evaluations >= MORE_PRIOR * 2 * self.stage_draws):
+                    raise
+                continue
+            more = Pool(self.tempered_posterior, self.prior_logp, self.likelihood_logp)
+            if self.pool is None:
+                self.pool = more
+            else:
+                self.pool.add_prior(more)
+            if len(self.pool.mass) >= wanted or self.start:
+                break
+        self.scale = 1.0
+        self.standard_error = np.nan
+
+    def update_beta_and_weights(self):
+        """Choose the next temperature and weigh the pool for it."""
+        self.iteration += 1
+        self.beta = next_beta(self.pool, self.beta, self.threshold * self.stage_draws)
+        log_weights = self.pool.log_weights(self.beta)
+        self.weights = self.pool.mass * np.exp(log_weights - log_weights.max())
+        self.weights /= self.weights.sum()
+        self.pool.add_temperature(self.beta, self.pool.log_evidence(log_weights))
+
+    def resample(self):
+        """Choose the points at which the chains of the stage start."""
+        n_chains = GROUPS * max(1, self.stage_draws // (5 * GROUPS))
+        self.position = equal_draws(self.weights, n_chains, self.rng)
+
+    def tune(self):
+        """Fit the proposal to the weighted pool."""
+        chosen = equal_draws(self.weights, 2 * self.stage_draws, self.rng)
+        self.proposal = fit_mixture(self.pool.particles[chosen], self.rng)
+
+    def mutate(self):
+        """Advance all chains until the stage is done, keeping every state and every proposal."""
+        pool = self.pool
+        group = np.arange(len(self.position))
+        x = pool.particles[self.position]
+        prior, likelihood = pool.log_prior[self.position], pool.log_likelihood[self.position]
+        density = self.proposal.log_density(x)
+        position = np.full(len(x), -1)  # the starting points belong to earlier stages
+        accepted = []
+        self.n_steps = 0
+        self.memory = 1.0
+        x = x.copy()
+        while not self.stage_is_done(len(x)):
+            proposal = self.proposal.move(x, self.scale, self.rng)
+            new_prior, new_likelihood = self.evaluate(proposal)
+            new_density = self.proposal.log_density(proposal)
+            log_ratio = (new_prior - prior) + self.beta * (new_likelihood - likelihood) - (new_density - density)
+            probability = np.exp(np.minimum(log_ratio, 0.0))
+            position = self.keep(
+                x, prior, likelihood, position, proposal, new_prior, new_likelihood, probability, group
+            )
+            moved = self.rng.random(len(x)) < probability
+            x[moved] = proposal[moved]
+            prior, likelihood = np.where(moved, new_prior, prior), np.where(moved, new_likelihood, likelihood)
+            density = np.where(moved, new_density, density)
+            position = np.where(moved, position[1], position[0])
+            self.n_steps += 1
+            accepted.append(probability.mean())
+            self.memory *= 1.0 - accepted[-1] * (1.0 - np.sqrt(1.0 - self.scale**2))
+            self.adapt(accepted[-1])
+        self.accept_rate = float(np.mean(accepted))
+        pool.solve()
+        if self.beta == 1.0:
+            self.finish()
+
+    def keep(self, x, prior, likelihood, position, proposal, new_prior, new_likelihood, probability, group):
+        """Put a step into the pool; return positions (2, chains) of the present points and the proposals."""
+        pool = self.pool
+        r = np.sqrt(1.0 - self.scale**2)
+        inflation = (1.0 + r) / (1.0 - r)
+        pool.counts[-1] += len(x)
+        stay = 1.0 - probability
+        known = position >= 0
+        pool.mass[position[known]] += stay[known]
+        new = ~known & (stay > 0)
+        present = position.copy()
+        present[new] = pool.add(x[new], prior[new], likelihood[new], stay[new], inflation, group[new])
+        possible = probability > 0
+        ahead = np.full(len(x), -1)
+        ahead[possible] = pool.add(
+            proposal[possible],
+            new_prior[possible],
+            new_likelihood[possible],
+            probability[possible],
+            inflation,
+            group[possible],
+        )
+        return np.array([present, ahead])
+
+    def adapt(self, acceptance):
+        """Shorten proposals that are rarely accepted, lengthen them towards independence otherwise."""
+        gain = 1.0 / np.sqrt(1.0 + 0.1 * self.n_steps)
+        self.scale = float(np.clip(self.scale * np.exp(gain * (acceptance - TARGET_ACCEPTANCE)), 1e-3, 1.0))
+
+    def stage_is_done(self, n_chains):
+        """Whether the chains are long enough, have forgotten their start and, at the end, are worth `draws`."""
+        if self.n_steps * n_chains < self.stage_draws:
+            return False
+        if self.n_steps >= MAX_STEPS:
+            warnings.warn(
+                f"a stage of PersistentSMC ended after {MAX_STEPS} steps before it was worth its draws. "
+                "Increase `stage_draws`, or look for parameters that the data do not determine.",
+                stacklevel=2,
+            )
+            return True
+        if self.memory > FORGOTTEN:
+            return False
+        return self.beta < 1.0 or self.pool.effective(self.pool.log_weights(1.0)) >= self.draws
+
+    def finish(self):
+        """Draw equally weighted points from the pool; evidence and its standard error."""
+        pool = self.pool
+        self.log_marginal_likelihood = pool.log_z[-1]
+        self.standard_error = pool.standard_error()
+        log_weights = pool.log_weights(1.0)
+        self.weights = pool.mass * np.exp(log_weights - log_weights.max())
+        self.weights /= self.weights.sum()
+        chosen = equal_draws(self.weights, self.draws, self.rng)
+        self.tempered_posterior = pool.particles[chosen]
+        self.prior_logp, self.likelihood_logp = pool.log_prior[chosen], pool.log_likelihood[chosen]
+
+    def sample_stats(self):
+        """Statistics of the stage just finished."""
+        return {
+            **super().sample_stats(),
+            "accept_rate": self.accept_rate,
+            "scale": self.scale,
+            "effective": self.pool.effective(self.pool.log_weights(self.beta)),
+            "log_marginal_likelihood_se": self.standard_error,
+        }
+
+    def sample_settings(self):
+        """Settings, saved as attributes of `sample_stats`."""
+        return {"_n_draws": self.draws, "threshold": self.threshold, "stage_draws": self.stage_draws}
+
+
+def equal_draws(weights, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Positions (n,) of equally weighted draws, in random order: systematic resampling."""
+    uniform = (rng.random() + np.arange(n)) / n
+    chosen = np.searchsorted(np.cumsum(weights), uniform).clip(max=len(weights) - 1)
+    rng.shuffle(chosen)
+    return chosen
