@@ -46,11 +46,14 @@ def main():
     warnings.filterwarnings("ignore")
     confine()
     print(environment(), flush=True)
-    start = time.perf_counter()
+    start, cpu_start = time.perf_counter(), time.process_time()
     for section in SECTIONS:
         if arguments.only in (None, section):
             import_module(f"benchmarks.{section}").run(arguments.quick)
-    print(f"\n{time.perf_counter() - start:.0f} s in all.")
+    seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - cpu_start
+    print(f"\n{seconds:.0f} s in all, {100.0 * cpu_seconds / seconds:.0f} % of them on the processor.")
+    if cpu_seconds < 0.95 * seconds:
+        print("The machine was busy with other work: trust the ratios more than the seconds.")
 
 
 if __name__ == "__main__":

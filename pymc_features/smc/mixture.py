@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 from scipy.special import logsumexp
 
 SMALLEST_BETA = 1e-300
-TOLERANCE = 1e-9  # of the log evidences
+TOLERANCE = 1e-7  # of the log evidences
 MAX_ITERATIONS = 50
 GROUPS = 20  # of the jackknife; numbers of draws and chains are multiples of it, so that all are equal
 
@@ -106,12 +106,12 @@ class Pool:
     def standard_error(self) -> float:
         """Standard error of the last log evidence: jackknife over groups of whole Markov chains."""
         betas, log_z, counts = np.array(self.betas), np.array(self.log_z), np.array(self.counts)
+        p, _ = origins(betas, log_z, counts, self.log_likelihood)
         values = []
-        for group in range(GROUPS):
+        for group in range(GROUPS):  # without a group, one step of Newton's method away
             kept = self.group % GROUPS != group
             counts_kept = (1.0 - 1.0 / GROUPS) * counts
-            z = bennett(betas, log_z, counts_kept, self.log_likelihood[kept], self.mass[kept])
-            values.append(z[-1])
+            values.append(newton_step(p[:, kept], self.mass[kept], counts_kept)[-1])
         return float(np.sqrt((GROUPS - 1) * np.var(values)))
 
 
@@ -121,35 +121,43 @@ def log_sum(terms: np.ndarray) -> np.ndarray:
     return top + np.log(np.exp(terms - top).sum(axis=0))
 
 
+def origins(betas, log_z, counts, log_likelihood):
+    """Probabilities (t, n) that a point comes from each temperature, and ln sum_s n_s L^beta_s / Z_s (n,)."""
+    terms = np.multiply.outer(betas, log_likelihood) + (np.log(counts) - log_z)[:, None]
+    top = terms.max(axis=0)
+    p = np.exp(terms - top)
+    total = p.sum(axis=0)
+    return p / total, top + np.log(total)
+
+
+def newton_step(p, mass, counts):
+    """Step of the log evidences (t,) but the first, which is zero."""
+    weighted = p * mass
+    expected = weighted.sum(axis=1)
+    hessian = np.diag(expected) - weighted @ p.T
+    step = np.zeros(len(counts))
+    step[1:] = np.linalg.lstsq(hessian[1:, 1:], (counts - expected)[1:], rcond=1e-12)[0]
+    return step
+
+
 def bennett(betas, log_z, counts, log_likelihood, mass) -> np.ndarray:
     """Self-consistent log evidences (t,), Z = 1 at beta = 0, from a first guess; see the module.
 
-    Newton's method on the convex function whose gradient is n_s - sum_i m_i P_is, with P_is the probability that
-    point i comes from temperature s.
+    Newton's method on the convex function sum_i m_i ln sum_s n_s L_i^beta_s / Z_s + sum_s n_s ln Z_s.
     """
-    energies = np.multiply.outer(betas, log_likelihood)
     log_z = np.array(log_z, dtype=float)
-
-    def probabilities(log_z):
-        terms = energies + (np.log(counts) - log_z)[:, None]
-        top = terms.max(axis=0)
-        p = np.exp(terms - top)
-        total = p.sum(axis=0)
-        return p / total, mass @ (top + np.log(total)) + counts @ log_z
-
-    p, value = probabilities(log_z)
+    p, log_total = origins(betas, log_z, counts, log_likelihood)
+    value = mass @ log_total + counts @ log_z
     for _ in range(MAX_ITERATIONS):
-        gradient = counts - p @ mass
-        hessian = np.diag(p @ mass) - (p * mass) @ p.T
-        step = np.zeros_like(log_z)
-        step[1:] = np.linalg.lstsq(hessian[1:, 1:], gradient[1:], rcond=1e-12)[0]
+        step = newton_step(p, mass, counts)
         while True:  # a shorter step where the full one overshoots
             trial = log_z - step
-            trial_p, trial_value = probabilities(trial)
+            p, log_total = origins(betas, trial, counts, log_likelihood)
+            trial_value = mass @ log_total + counts @ trial
             if trial_value <= value + 1e-9 * abs(value) or np.abs(step).max() < TOLERANCE:
                 break
             step *= 0.5
-        log_z, p, value = trial, trial_p, trial_value
+        log_z, value = trial, trial_value
         if np.abs(step).max() < TOLERANCE:
             break
     return log_z

@@ -111,8 +111,9 @@ class PersistentSMC(PopulationKernel):
 
     def tune(self):
         """Fit the proposal to the weighted pool."""
-        chosen = equal_draws(self.weights, 2 * self.stage_draws, self.rng)
-        self.proposal = fit_mixture(self.pool.particles[chosen], self.rng)
+        drawn = equal_draws(self.weights, 2 * self.stage_draws, self.rng)
+        distinct, counts = np.unique(drawn, return_counts=True)
+        self.proposal = fit_mixture(self.pool.particles[distinct], counts, self.rng)
 
     def mutate(self):
         """Advance all chains until the stage is done, keeping every state and every proposal."""

@@ -1,9 +1,9 @@
 """A mixture of Student-t distributions fitted to weighted points, and moves that leave it invariant."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.optimize import brentq
 from scipy.special import digamma, gammaln
 
@@ -24,9 +24,14 @@ class StudentT:
     factor: np.ndarray
     degrees: float
 
+    @cached_property
+    def inverse_factor(self) -> np.ndarray:
+        """Inverse of the factor, transposed: one small matrix product is faster than solving each time."""
+        return np.linalg.inv(self.factor).T
+
     def squared_distance(self, x) -> np.ndarray:
         """(x - mu)' Sigma^-1 (x - mu) of points (n, d), shape (n,)."""
-        return (solve_triangular(self.factor, (x - self.location).T, lower=True) ** 2).sum(axis=0)
+        return (((x - self.location) @ self.inverse_factor) ** 2).sum(axis=1)
 
     def log_density(self, x) -> np.ndarray:
         """Log-density at points (n, d), shape (n,)."""
@@ -87,30 +92,31 @@ class StudentMixture:
         return proposal
 
 
-def fit_mixture(x, rng: np.random.Generator) -> StudentMixture:
-    """Maximum-likelihood fit to equally weighted points (n, d), by expectation and maximisation.
+def fit_mixture(x, weights, rng: np.random.Generator) -> StudentMixture:
+    """Maximum-likelihood fit to distinct points (n, d) with weights (n,), by expectation and maximisation.
 
-    As many components, up to four, as the number of distinct points allows. Scatter matrices are regularised
-    relative to their own diagonals, for posteriors may be narrow.
+    As many components, up to four, as the number of points allows; one that shrinks to a few points is given up.
+    Scatter matrices are regularised relative to their own diagonals, for posteriors may be narrow.
     """
-    n, d = len(np.unique(x[:, 0])), x.shape[1]
+    n, d = x.shape
+    weights = weights / weights.sum()
     size = 1 + d + d * (d + 1) // 2
     n_components = int(np.clip(n // (POINTS_PER_PARAMETER * size), 1, MAX_COMPONENTS))
-    share = first_shares(x, n_components, rng)
-    components = [
-        StudentT(*moments(x, r / r.sum(), r / r.sum()), degrees=10.0) for r in share
-    ]
-    mixture = StudentMixture(components, share.mean(axis=1))
+    share = weights * first_shares(x, n_components, rng)
+    components = [StudentT(*moments(x, r, r), degrees=10.0) for r in share]
+    mixture = StudentMixture(components, share.sum(axis=1))
     last = -np.inf
     for _ in range(ITERATIONS):
         terms = mixture.terms(x)
         total = log_sum(terms)
-        share = np.exp(terms - total)
-        mixture = StudentMixture(
-            [updated(c, x, r) for c, r in zip(mixture.components, share, strict=True)], share.mean(axis=1)
-        )
-        mean = total.mean()
-        if mean - last < 1e-3:
+        share = weights * np.exp(terms - total)
+        carried = share.sum(axis=1) ** 2 / (share**2).sum(axis=1)
+        kept = [k for k in range(len(share)) if carried[k] >= 2 * (d + 1)] or [int(carried.argmax())]
+        components = [updated(mixture.components[k], x, share[k]) for k in kept]
+        amounts = share[kept].sum(axis=1)
+        mixture = StudentMixture(components, amounts / amounts.sum())
+        mean = weights @ total
+        if len(kept) == len(share) and mean - last < 1e-3:
             break
         last = mean
     return mixture
@@ -131,7 +137,7 @@ def first_shares(x, n_components, rng):
 
 
 def updated(component, x, share) -> StudentT:
-    """One step of expectation and maximisation for a component and the points' shares (n,) of it."""
+    """One step of expectation and maximisation for a component that has these shares (n,) of the points."""
     d = x.shape[1]
     weights = share / share.sum()
     u = (component.degrees + d) / (component.degrees + component.squared_distance(x))

@@ -56,15 +56,28 @@ def declare(
     Returns
     -------
     pymc.Model
-        With `theta`, `sigma` (but for ABC) and the data `y`.
+        With `theta`, `sigma` (but for ABC) and the data `y`. Measurements, their step and the tolerance are
+        data of the model: `set_measurements` changes them without compiling anything anew.
     """
     times = data["time"].values
     coords = {"sensor": data["sensor"].values, "time": times}
     with pm.Model(coords=coords) as model:
         theta = pm.Uniform("theta", *paper.THETA_RANGE)
         sigma = pm.Uniform("sigma", *paper.SIGMA_RANGE) if likelihood != "ABC" else None
-        mu = response(paper.chain(theta, stiffness=stiffness), record, dt=times[1] - times[0])
-        # held as data, not as a constant: large constants would have to be compiled anew each time
+        step = pm.Data("step", times[1] - times[0])
         measured = pm.Data("measured", data.values, dims=("sensor", "time"))
-        LIKELIHOODS[likelihood](mu, sigma, measured, tolerance)
+        delta = None if tolerance is None else pm.Data("tolerance", tolerance)
+        mu = response(paper.chain(theta, stiffness=stiffness), record, dt=step)
+        LIKELIHOODS[likelihood](mu, sigma, measured, delta)
     return model
+
+
+def set_measurements(model: pm.Model, data: xr.DataArray, tolerance: float | None = None):
+    """Give a model of `declare` other measurements, at another step."""
+    times = data["time"].values
+    with model:
+        pm.set_data(
+            {"measured": data.values, "step": times[1] - times[0]}, coords={"time": times}
+        )
+        if tolerance is not None:
+            pm.set_data({"tolerance": tolerance})

@@ -1,6 +1,5 @@
 """The source's study: posteriors of the same data at seven sampling steps (Figs. 2-4)."""
 
-import os
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -14,13 +13,11 @@ from pymc_features.distributions import FeatureLikelihoodWarning
 from pymc_features.likelihood_free import abc_tolerance
 from pymc_features.records import Record
 from pymc_features.simulators import chain_discrepancy, request
-from pymc_features.smc import RelativeIMH, savable
+from pymc_features.smc import sample_smc
 from pymc_features.study import paper
-from pymc_features.study.models import LIKELIHOODS, declare
+from pymc_features.study.models import LIKELIHOODS, declare, set_measurements
 from pymc_features.study.store import PartStore, fingerprint
 from pymc_features.study.summary import assemble
-
-ABC_SEEDS = 15  # prior draws wanted inside the tolerance, for the stock kernel to start from
 
 
 @dataclass(frozen=True)
@@ -116,8 +113,7 @@ def sampling_rate_study(
     likelihoods : sequence of {"NORM", "TN", "EXP", "ABC"}
         ABC needs EXP, from which its tolerance follows, Eq. (16).
     draws, chains, cores : int
-        Of `pm.sample_smc`; all processors by default. For ABC the number of particles grows so that
-        enough of the prior's lie inside the tolerance; `draws` of them are kept.
+        Of `sample_smc`, with `PersistentSMC`; all processors by default.
     random_seed : int
         Of noise and samplers.
     out : path, optional
@@ -145,6 +141,7 @@ def sampling_rate_study(
     store = PartStore(out, study.settings())
     names = [(kind, m) for m in study.multipliers for kind in study.likelihoods]
     parts: dict[tuple[str, float], xr.DataTree] = {}
+    models: dict[str, pm.Model] = {}
     for done, (kind, multiplier) in enumerate(names):
         label = part_name(kind, multiplier)
         if progress is not None:
@@ -155,7 +152,7 @@ def sampling_rate_study(
             if kind == "ABC":
                 sigma = parts["EXP", multiplier]["posterior"]["sigma"]
                 tolerance = abc_tolerance(float(sigma.quantile(0.9)), paper.N_STOREYS)
-            part = run_part(study, kind, multiplier, tolerance, cores, progressbar)
+            part = run_part(study, kind, multiplier, tolerance, models, cores, progressbar)
             store.save(label, part)
         parts[kind, multiplier] = part
     if progress is not None:
@@ -168,49 +165,31 @@ def part_name(kind: str, multiplier: float) -> str:
     return f"{kind}_x{multiplier:g}"
 
 
-def run_part(study, kind, multiplier, tolerance, cores, progressbar) -> xr.DataTree:
-    """Sample one posterior with `pm.sample_smc`."""
+def run_part(study, kind, multiplier, tolerance, models, cores, progressbar) -> xr.DataTree:
+    """Sample one posterior; `models` keeps the model of each likelihood, which is compiled once."""
     data = study.data(multiplier)
-    draws = study.draws
-    if kind == "ABC":
-        draws = max(draws, _abc_particles(study, multiplier, tolerance))
     start = time.perf_counter()
     with warnings.catch_warnings():
-        # the simulator node runs in Python by design
-        warnings.filterwarnings("ignore", message="Numba will use object mode", category=UserWarning)
         warnings.filterwarnings("ignore", category=FeatureLikelihoodWarning)
-        model = declare(kind, study.record, data, stiffness=study.stiffness, tolerance=tolerance)
-        idata = pm.sample_smc(
-            draws=draws,
-            kernel=RelativeIMH,
-            model=model,
+        if kind not in models:
+            models[kind] = declare(kind, study.record, data, stiffness=study.stiffness, tolerance=tolerance)
+        set_measurements(models[kind], data, tolerance)
+        idata = sample_smc(
+            study.draws,
+            model=models[kind],
             chains=study.chains,
-            cores=cores or os.cpu_count(),
+            cores=cores,
             random_seed=study.part_seed(kind, multiplier),
             compute_convergence_checks=False,
             progressbar=progressbar,
         )
-    seconds = time.perf_counter() - start
-    idata = savable(idata)
     part = xr.DataTree.from_dict(
-        {
-            "posterior": idata["posterior"].to_dataset().isel(draw=slice(0, study.draws)),
-            "sample_stats": idata["sample_stats"].to_dataset(),
-        }
+        {"posterior": idata["posterior"].to_dataset(), "sample_stats": idata["sample_stats"].to_dataset()}
     )
-    part.attrs = {"seconds": seconds, "particles": draws}
+    part.attrs = {"seconds": time.perf_counter() - start}
     if tolerance is not None:
         part.attrs["tolerance"] = tolerance
     return part
-
-
-def _abc_particles(study, multiplier, tolerance):
-    """Particles needed for `ABC_SEEDS` prior draws inside the tolerance, on average."""
-    low, high = paper.THETA_RANGE
-    grid = np.linspace(low, high, 2001)
-    total = study.total_discrepancy(multiplier)
-    share = np.mean([total(theta) <= tolerance for theta in grid])
-    return int(np.ceil(ABC_SEEDS / max(share, 1e-3)))
 
 
 def _checked_study(record, stiffness, noise, multipliers, likelihoods, draws, chains, seed):

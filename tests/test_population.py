@@ -1,0 +1,451 @@
+"""Population kernels and their evaluation, against PyMC's own that take one particle at a time."""
+
+import gc
+import multiprocessing
+import os
+import resource
+import sys
+import warnings
+import weakref
+
+import numpy as np
+import pymc as pm
+import pytensor
+import pytensor.tensor as pt
+import pytest
+from pymc.logprob.utils import ParameterValueError
+from pymc.smc.kernels import IMH, MH
+from pytensor.graph.basic import Apply
+from pytensor.graph.op import Op
+from pytensor.graph.traversal import ancestors
+from scipy import stats
+
+from pymc_features import (
+    DiscrepancySimulator,
+    ModalDamping,
+    PersistentSMC,
+    PopulationIMH,
+    PopulationMH,
+    PopulationWarning,
+    Record,
+    SpringMassChain,
+    TruncNormalFeature,
+    response,
+    simulate,
+)
+from pymc_features.ops import ChainResponse
+from pymc_features.smc import KERNELS, PopulationLogp, evaluation
+from pymc_features.smc.evaluation import population_logp
+
+PULSE = Record(np.random.default_rng(0).normal(size=200), 0.02, name="pulse")
+SCALED = {"rtol": 1e-10, "atol": 1e-10}
+
+
+def chain(theta, n_dof=3):
+    """A chain whose springs all have the factor theta."""
+    return SpringMassChain(np.ones(n_dof), 900.0 * theta * np.ones(n_dof), ModalDamping(0.05))
+
+
+def measured(n_dof=3, record=PULSE):
+    exact = simulate(chain(1.0, n_dof), record).values
+    return exact + 0.3 * np.random.default_rng(1).normal(size=exact.shape)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick():
+    """Compile for small examples; tests of the default mode leave this with `default_mode`."""
+    with pytensor.config.change_flags(mode="FAST_COMPILE"):
+        yield
+
+
+@pytest.fixture
+def default_mode():
+    with pytensor.config.change_flags(mode="auto"):
+        yield
+
+
+# --------------------------------------------------------------------------- models
+
+
+def gaussian():
+    with pm.Model() as model:
+        x = pm.Normal("x", shape=2)
+        pm.Normal("y", x, 0.3, observed=[1.0, -0.5])
+    return model
+
+
+def many_variables():
+    """Scalars, a vector, a matrix and a simplex, bounded on one side, on both, or not at all."""
+    with pm.Model() as model:
+        a = pm.Normal("a", 1.0, 2.0)
+        b = pm.HalfNormal("b", 1.0)
+        c = pm.Uniform("c", -1.0, 2.0, shape=2)
+        d = pm.Normal("d", 0.0, 0.5, shape=(2, 3))
+        e = pm.Dirichlet("e", np.ones(3))
+        pm.Normal("y", a + c[:, None] + d * e, b, observed=np.arange(6.0).reshape(2, 3) / 3)
+    return model
+
+
+def discrete():
+    with pm.Model() as model:
+        k = pm.Poisson("k", 3.0)
+        x = pm.Normal("x")
+        pm.Normal("y", k + x, 0.5, observed=4.0)
+    return model
+
+
+def potential():
+    with pm.Model() as model:
+        x = pm.Normal("x", shape=2)
+        pm.Potential("ring", -((pt.sum(x**2) - 2.0) ** 2))
+        pm.Normal("y", x[0], 0.5, observed=1.0)
+    return model
+
+
+def data():
+    with pm.Model() as model:
+        x = pm.Normal("x")
+        pm.Normal("y", x, 0.5, observed=pm.Data("measured", np.array([1.0, 2.0, 0.5])))
+    return model
+
+
+def structure():
+    with pm.Model() as model:
+        theta = pm.Uniform("theta", 0.5, 1.5)
+        sigma = pm.Uniform("sigma", 0.0, 2.0)
+        TruncNormalFeature("y", mu=response(chain(theta), PULSE), sigma=sigma, observed=measured())
+    return model
+
+
+MODELS = (gaussian, many_variables, discrete, potential, data, structure)
+
+
+def sample(model, kernel, draws=60, chains=1, **settings):
+    settings = {"cores": 1, "random_seed": 5, "progressbar": False, **settings}
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="More chains")
+        return pm.sample_smc(
+            draws, kernel, model=model, chains=chains, compute_convergence_checks=False, **settings
+        )
+
+
+def assert_same(one, other, **tolerance):
+    """Equal posteriors, and as many stages at equal temperatures."""
+    for name, values in one.posterior.data_vars.items():
+        np.testing.assert_allclose(other.posterior[name], values, err_msg=name, **tolerance)
+    np.testing.assert_allclose(stages(other), stages(one), rtol=1e-9)
+
+
+def stages(idata):
+    return np.concatenate([np.ravel(chain_betas) for chain_betas in np.ravel(idata.sample_stats["beta"])])
+
+
+# --------------------------------------------------------------------------- the particles of PyMC
+
+
+@pytest.mark.parametrize(("ours", "pymcs"), [(PopulationIMH, IMH), (PopulationMH, MH)])
+@pytest.mark.parametrize("build", MODELS)
+def test_same_particles_as_pymc(build, ours, pymcs):
+    """Same seed, same draws and temperatures, whatever the variables are."""
+    model = build()
+    one, other = sample(model, pymcs), sample(model, ours)
+    assert_same(one, other, rtol=1e-12, atol=1e-12)
+    assert len(stages(one)) > 1
+    rate = "accept_rate" if ours is PopulationIMH else "mean_accept_rate"
+    np.testing.assert_allclose(np.ravel(other.sample_stats[rate]), np.ravel(one.sample_stats[rate]), rtol=1e-12)
+
+
+def test_another_seed_gives_other_particles():
+    """The comparison above would notice."""
+    model = gaussian()
+    with pytest.raises(AssertionError):
+        assert_same(sample(model, IMH), sample(model, PopulationIMH, random_seed=6), rtol=1e-3)
+
+
+def test_data_of_another_length_need_no_new_evaluation():
+    model = data()
+    before = PopulationIMH(60, model=model).logp
+    for values in ([2.0], np.linspace(0.0, 3.0, 50)):
+        with model:
+            pm.set_data({"measured": np.array(values)})
+        assert_same(sample(model, IMH), sample(model, PopulationIMH), rtol=1e-12, atol=1e-12)
+        assert PopulationIMH(60, model=model).logp is before
+        assert PersistentSMC(60, model=model).logp is before
+
+
+@pytest.mark.parametrize("what", ["variable", "potential", "data"])
+def test_a_changed_model_is_compiled_anew(what):
+    """Nothing of the former model may answer for the present one."""
+    model = gaussian()
+    before = PopulationIMH(60, model=model).logp
+    with model:
+        if what == "variable":
+            pm.Normal("z", model["x"][0], 1.0, observed=3.0)
+        elif what == "potential":
+            pm.Potential("z", -model["x"][0] ** 2)
+        else:
+            pm.Normal("z")
+    assert PopulationIMH(60, model=model).logp is not before
+    assert_same(sample(model, IMH), sample(model, PopulationIMH), rtol=1e-12, atol=1e-12)
+
+
+def test_an_evaluation_dies_with_its_model():
+    model = gaussian()
+    logp = weakref.ref(PopulationIMH(60, model=model).logp)
+    assert logp() is not None
+    del model
+    gc.collect()
+    assert logp() is None
+
+
+def test_settings_of_compilation_may_be_shared_with_pymcs_kernels():
+    """PyMC's kernels write into the dictionary they are given."""
+    settings = {"mode": "FAST_COMPILE"}
+    model = gaussian()
+    IMH(20, model=model, compile_kwargs=settings)
+    PopulationIMH(20, model=model, compile_kwargs=settings)
+
+
+# --------------------------------------------------------------------------- chains in parallel
+
+
+@pytest.fixture(scope="module")
+def sequential():
+    """TN model and its draws with the chains one after the other."""
+    with pytensor.config.change_flags(mode="auto"):
+        model = structure()
+        return model, {k: sample(model, k, chains=2) for k in (PersistentSMC, PopulationMH)}
+
+
+@pytest.mark.parametrize(
+    ("mp_ctx", "kernel"),
+    [("fork", PersistentSMC), ("fork", PopulationMH), ("forkserver", PersistentSMC), ("spawn", PersistentSMC)],
+)
+def test_parallel_chains_give_the_same_draws(sequential, default_mode, mp_ctx, kernel):
+    """In compiled code, before and after runs in this process."""
+    if mp_ctx not in multiprocessing.get_all_start_methods():
+        pytest.skip(f"no {mp_ctx} on this system")
+    model, expected = sequential
+    found = sample(model, kernel, chains=2, cores=2, mp_ctx=mp_ctx)
+    assert_same(expected[kernel], found, rtol=1e-12)
+    chains = found.posterior["theta"].values
+    assert not np.isclose(chains[0], chains[1]).any()
+    assert_same(found, sample(model, kernel, chains=2), rtol=1e-12)
+
+
+# --------------------------------------------------------------------------- the evaluation
+
+
+def prior_particles(model, n=40, spread=1.0, seed=0):
+    """Draws from the prior, moved about, (n, d), with the points they stand for."""
+    kernel = PopulationIMH(n, model=model, random_seed=seed)
+    columns = [np.reshape(v, (n, -1)) for v in (kernel.initialize_population()[v.name] for v in kernel.variables)]
+    particles = np.hstack(columns).astype(float)
+    return particles + spread * np.random.default_rng(seed).normal(size=particles.shape)
+
+
+def one_by_one(model, particles):
+    """Log prior and log-likelihood by `model.compile_fn`, -inf where it refuses or is not finite."""
+    function = model.compile_fn([model.varlogp, model.datalogp], on_unused_input="ignore")
+    shapes = {name: np.shape(value) for name, value in model.initial_point().items()}
+    rows = []
+    for row in particles:
+        parts = np.split(row, np.cumsum([int(np.prod(s)) for s in shapes.values()])[:-1])
+        point = {name: part.reshape(s) for (name, s), part in zip(shapes.items(), parts, strict=True)}
+        for v in model.value_vars:
+            if v.dtype.startswith("int"):
+                point[v.name] = np.round(point[v.name]).astype(v.dtype)
+        try:
+            rows.append(function(point))
+        except ParameterValueError:
+            rows.append([-np.inf, -np.inf])
+    values = np.array(rows, dtype=float).T
+    return np.where(np.isfinite(values), values, -np.inf)
+
+
+def compare(model, particles):
+    """Evaluate both ways; both log prior and log-likelihood of possible particles must agree."""
+    logp = population_logp(model, model.initial_point(), {})
+    prior, likelihood, failed = logp(particles)
+    exact_prior, exact_likelihood = one_by_one(model, particles)
+    np.testing.assert_allclose(prior + likelihood, exact_prior + exact_likelihood, **SCALED)
+    possible = exact_prior + exact_likelihood > -np.inf
+    np.testing.assert_allclose(prior[possible], exact_prior[possible], **SCALED)
+    assert logp.batched
+    return possible, failed
+
+
+@pytest.mark.parametrize("build", MODELS)
+def test_equals_the_model_point_by_point(build):
+    model = build()
+    possible, _ = compare(model, prior_particles(model))
+    assert possible.sum() > 5
+
+
+def test_particles_outside_the_support_are_alone():
+    """A negative scale and a value beyond its bounds, without the transforms that prevent them."""
+    with pm.Model() as model:
+        x = pm.Uniform("x", 0.0, 1.0, default_transform=None)
+        s = pm.Normal("s")
+        pm.Normal("y", x, s, observed=[0.1, 0.2])
+    possible, failed = compare(model, prior_particles(model, spread=0.5))
+    assert 5 < possible.sum() < 35
+    x, s = prior_particles(model, spread=0.5).T
+    np.testing.assert_array_equal(possible, (x >= 0) & (x <= 1) & (s > 0))
+    assert not failed[(x < 0) | (x > 1)].any(), "what the prior excludes is no failure"
+
+
+def test_nan_is_alone_and_a_failure():
+    with pm.Model() as model:
+        x = pm.Normal("x")
+        pm.Potential("root", pt.sqrt(x))
+    particles = prior_particles(model)
+    possible, failed = compare(model, particles)
+    np.testing.assert_array_equal(possible, particles[:, 0] >= 0)
+    np.testing.assert_array_equal(failed, particles[:, 0] < 0)
+
+
+class Moody(Op):
+    """Identity that raises a numerical error for negative numbers."""
+
+    __props__ = ("error",)
+
+    def __init__(self, error):
+        self.error = error
+
+    def make_node(self, x):
+        return Apply(self, [pt.as_tensor_variable(x)], [pt.dscalar()])
+
+    def infer_shape(self, node, shapes):
+        return [()]
+
+    def perform(self, node, inputs, outputs):
+        if inputs[0] < 0:
+            raise self.error("no solution")
+        outputs[0][0] = np.array(inputs[0])
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # Numba's object mode, and Blockwise's
+@pytest.mark.parametrize("mode", ["FAST_COMPILE", "NUMBA"])
+@pytest.mark.parametrize("error", [np.linalg.LinAlgError, FloatingPointError, ZeroDivisionError])
+def test_numerical_errors_are_alone_and_failures(error, mode):
+    """One bad particle among many costs that particle only."""
+    with pm.Model() as model:
+        x = pm.Normal("x")
+        pm.Potential("solver", Moody(error)(x))
+    particles = np.abs(np.random.default_rng(0).normal(size=(33, 1)))
+    particles[[3, 17, 32]] *= -1
+    logp = population_logp(model, model.initial_point(), {"mode": mode})
+    prior, likelihood, failed = logp(particles)
+    np.testing.assert_array_equal(np.flatnonzero(failed), [3, 17, 32])
+    good = ~failed
+    np.testing.assert_allclose(likelihood[good], particles[good, 0], rtol=1e-14)
+    assert (likelihood[failed] == -np.inf).all()
+    np.testing.assert_allclose(prior[good], stats.norm.logpdf(particles[good, 0]), rtol=1e-12)
+
+
+def test_other_errors_are_not_swallowed():
+    with pm.Model() as model:
+        pm.Potential("solver", Moody(KeyError)(pm.Normal("x")))
+    logp = population_logp(model, model.initial_point(), {})
+    with pytest.raises(KeyError):
+        logp(-np.ones((4, 1)))
+
+
+def test_failed_simulations_are_counted():
+    """Springs that a draw makes negative; in the statistics of a run, too."""
+    with pm.Model() as model:
+        theta = pm.Normal("theta")
+        TruncNormalFeature("y", mu=response(chain(theta), PULSE), sigma=1.0, observed=measured())
+    particles = prior_particles(model)
+    possible, failed = compare(model, particles)
+    np.testing.assert_array_equal(failed, particles[:, 0] <= 0)
+    np.testing.assert_array_equal(possible, ~failed)
+    for kernel in KERNELS:
+        idata = sample(model, kernel)
+        assert np.ravel(idata.sample_stats["failed"])[0] > 10, kernel
+        assert (idata.posterior["theta"] > 0).all()
+
+
+def test_outside_the_tolerance_is_no_failure():
+    """What does not fit is not what cannot be simulated."""
+    with pm.Model() as model:
+        theta = pm.Normal("theta")
+        DiscrepancySimulator("y", response(chain(theta), PULSE), epsilon=1.0, observed=measured())
+    particles = np.array([[-1.0], [1.0], [0.5], [0.0], [2.0]])
+    possible, failed = compare(model, particles)
+    np.testing.assert_array_equal(possible, [False, True, False, False, False])
+    np.testing.assert_array_equal(failed, [True, False, False, True, False])
+
+
+def test_without_bounds_checks():
+    """`pm.Model(check_bounds=False)`: no -inf but what the formula gives, particle by particle."""
+    with pm.Model(check_bounds=False) as model:
+        x = pm.Uniform("x", 0.0, 1.0, default_transform=None)
+        pm.Exponential("y", x, observed=[0.5, 1.5])
+    particles = prior_particles(model)
+    compare(model, particles)
+    assert (particles < 0).any()
+
+
+def test_splitting_changes_nothing(monkeypatch):
+    model = many_variables()
+    particles = prior_particles(model, n=50)
+    whole = PopulationLogp(model, model.initial_point(), {})
+    monkeypatch.setattr(evaluation, "BATCH_BYTES", 8 * 9 * 7)
+    parts = PopulationLogp(model, model.initial_point(), {})
+    assert parts.batch <= 7 < 50 < whole.batch
+    for a, b in zip(whole(particles), parts(particles), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-14)
+
+
+# --------------------------------------------------------------------------- memory
+
+
+LONG = Record(np.random.default_rng(0).normal(size=3000), 0.02)
+N_PARTICLES = 1500
+
+
+def tn(mu, y):
+    TruncNormalFeature("y", mu=mu, sigma=1.0, observed=y)
+
+
+def norm(mu, y):
+    pm.Normal("y", mu=mu, sigma=1.0, observed=y)
+
+
+def norm_unfused(mu, y):
+    pm.Normal("y", mu=mu + 0.0 * y, sigma=1.0, observed=y)
+
+
+def peak_growth(function, queue):
+    """Bytes by which the peak memory of this process grows in a call."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    function()
+    queue.put(1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before))
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="peak memory of a forked process")
+@pytest.mark.parametrize(("likelihood", "fused"), [(tn, True), (norm, True), (norm_unfused, False)])
+def test_memory_does_not_grow_with_histories(likelihood, fused):
+    """All histories would take 108 MB; a fused model takes none, another the batch at a time."""
+    y = measured(record=LONG)
+    histories = 8 * N_PARTICLES * y.size
+    with pm.Model() as model:
+        likelihood(response(chain(pm.Uniform("theta", 0.5, 1.5)), LONG), y)
+    logp = population_logp(model, model.initial_point(), {})
+    particles = prior_particles(model, n=N_PARTICLES)
+    logp(particles[:8])
+    queue = multiprocessing.get_context("fork").SimpleQueue()
+    process = multiprocessing.get_context("fork").Process(
+        target=peak_growth, args=(lambda: logp(particles), queue)
+    )
+    process.start()
+    grown = queue.get()
+    process.join()
+    if fused:
+        assert grown < 0.1 * histories
+        assert logp.batch > N_PARTICLES
+    else:
+        assert grown > 0.3 * histories, "the negative control"
+        assert logp.batch < N_PARTICLES
