@@ -1,12 +1,13 @@
 """NORM without its histories: the Gaussian log-likelihood of a response from mean squares.
 
-`pm.Normal("y", mu=response, sigma=sigma, observed=data)` is the conventional likelihood, Eq. (2). Where sigma does
-not vary in time, its sum over the samples depends on the data only through e_j of Eq. (3),
+`pm.Normal("y", mu=response, sigma=sigma, observed=data)` is the conventional likelihood, Eq. (2). Where
+sigma does not vary in time, its sum over the samples depends on the data only through e_j of Eq. (3),
 
     ln p = sum_j N_D [ -e_j / (2 sigma_j^2) - ln sigma_j - ln(2 pi) / 2 ],
 
-so that compiled log-probabilities need no response history either. The rewrite is part of PyTensor's default ones
-and carries the tag `fuse_likelihood`, under which population kernels apply it before they vectorise a graph.
+so that compiled log-probabilities need no response history either. The rewrite is part of PyTensor's
+default ones and carries the tag `fuse_likelihood`, under which population kernels apply it before they
+vectorise a graph.
 """
 
 import numpy as np

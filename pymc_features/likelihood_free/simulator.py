@@ -176,9 +176,9 @@ def DiscrepancySimulator(name, mu, *params, epsilon, observed, kernel="uniform",
 
     Notes
     -----
-    A failed simulation (NaN) is outside every tolerance. The density of a response's node needs no history and no
-    random draw; a function is called for each set of parameters. With the uniform kernel the stock SMC kernels
-    reach the tolerance from the prior in one stage: enough prior draws must lie inside it.
+    A failed simulation (NaN) is outside every tolerance. The density of a response's node needs no history
+    and no random draw; a function is called for each set of parameters. With the uniform kernel the stock
+    SMC kernels reach the tolerance from the prior in one stage: enough prior draws must lie inside it.
     """
     if kernel not in KERNELS:
         raise ValueError(f"`kernel` must be one of {', '.join(KERNELS)}, got {kernel!r}.")

@@ -1,8 +1,8 @@
 """A short vector of numbers, one for each particle, as a value inside compiled code.
 
-Left to itself the compiler does not vectorise the recursion over particles: it cannot prove that the arrays do
-not overlap, nor keep accumulators in registers. Here the vector is a type of its own, and a kernel written
-with it reads as the same kernel for one particle.
+Left to itself the compiler does not vectorise the recursion over particles: it cannot prove that the arrays
+do not overlap, nor keep accumulators in registers. Here the vector is a type of its own, and a kernel
+written with it reads as the same kernel for one particle.
 """
 
 import operator
@@ -75,7 +75,9 @@ def splat(typingctx, number):
     """The same number in every lane."""
 
     def codegen(context, builder, signature, args):
-        one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), args[0], ir.Constant(ir.IntType(32), 0))
+        one = builder.insert_element(
+            ir.Constant(_VECTOR, ir.Undefined), args[0], ir.Constant(ir.IntType(32), 0)
+        )
         mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
         return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), mask)
 

@@ -99,10 +99,23 @@ def normalise(mass, stiffness, shape):
 @jit
 def is_chain(mass, stiffness):
     """Whether every mass and spring is positive and finite; written so that NaN fails too."""
+    possible = True
     for i in range(mass.size):
-        if not (0.0 < mass[i] < np.inf and 0.0 < stiffness[i] < np.inf):
-            return False
-    return True
+        possible &= 0.0 < mass[i] < np.inf and 0.0 < stiffness[i] < np.inf
+    return possible
+
+
+@jit
+def ascending(values):
+    """Positions of numbers in ascending order, by insertion: the iteration leaves them nearly in order."""
+    order = np.arange(values.size)
+    for i in range(1, values.size):
+        here, k = order[i], i
+        while k > 0 and values[order[k - 1]] > values[here]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = here
+    return order
 
 
 @jit
@@ -138,7 +151,7 @@ def chain_modes(mass, stiffness, angular_frequencies, mode_shapes, participation
         vectors[i, i] = 1.0
     if not diagonalise(values, off_diagonal, vectors):
         return False
-    order = np.argsort(values)
+    order = ascending(values)
     for r in range(n):
         shape = mode_shapes[r]
         for i in range(n):

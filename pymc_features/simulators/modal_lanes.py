@@ -1,7 +1,7 @@
 """Modes of many chains at once: the QL iteration of `modal.py` in lockstep, one chain in each vector lane.
 
-Every chain takes its own shifts and splits where it must; lanes that have nothing to do in a sweep are turned by
-the identity. The result is that of `modal.chain_modes` up to rounding.
+Every chain takes its own shifts and splits where it must; lanes that have nothing to do in a sweep are
+turned by the identity. The result is that of `modal.chain_modes` up to rounding.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from pymc_features.simulators.lanes import (
     store,
     where_less,
 )
-from pymc_features.simulators.modal import MAX_ITERATIONS, chain_modes, normalise
+from pymc_features.simulators.modal import MAX_ITERATIONS, ascending, is_chain, normalise
 
 TINY = 1e-300  # keeps quotients of zeros from becoming NaN
 
@@ -100,33 +100,30 @@ def diagonalise_lanes(diagonal, off_diagonal, vectors):
 
 @jit
 def fill_lane(mass, stiffness, lane, diagonal, off_diagonal, vectors):
-    """Write the symmetric tridiagonal matrix of one chain, and the identity, into a lane."""
+    """Write the symmetric tridiagonal matrix of one chain, and the identity, into a lane.
+
+    Returns False, and leaves the lane zero, where the parameters do not describe a chain.
+    """
     n = mass.size
+    possible = is_chain(mass, stiffness)
     for i in range(n):
         above = stiffness[i + 1] if i + 1 < n else 0.0
         diagonal[i, lane] = (stiffness[i] + above) / mass[i]
         off_diagonal[i, lane] = -above / (np.sqrt(mass[i]) * np.sqrt(mass[i + 1])) if i + 1 < n else 0.0
-        for k in range(n):
-            vectors[i * n + k, lane] = 1.0 if i == k else 0.0
+        possible &= diagonal[i, lane] < np.inf and off_diagonal[i, lane] > -np.inf
+    for i in range(n):
+        vectors[i * n + i, lane] = 1.0
+        if not possible:
+            diagonal[i, lane] = off_diagonal[i, lane] = 0.0
+    return possible
 
 
 @jit
-def lane_modes(
-    converged, mass, stiffness, lane, diagonal, vectors, angular_frequencies, mode_shapes, participation
-):
-    """Modes of the chain in one lane, written as by `modal.chain_modes`; False if there are none."""
-    if not converged:
-        return chain_modes(mass, stiffness, angular_frequencies, mode_shapes, participation)
+def lane_modes(mass, stiffness, lane, diagonal, vectors, angular_frequencies, mode_shapes, participation):
+    """Modes of the chain in one lane, written as by `modal.chain_modes`."""
     n = mass.size
-    order = np.arange(n)
-    for i in range(1, n):  # insertion: the iteration leaves them nearly in order
-        r, k = order[i], i
-        while k > 0 and diagonal[order[k - 1], lane] > diagonal[r, lane]:
-            order[k] = order[k - 1]
-            k -= 1
-        order[k] = r
+    order = ascending(diagonal[:, lane])
     for r in range(n):
         for i in range(n):
             mode_shapes[r, i] = vectors[order[r] * n + i, lane] / np.sqrt(mass[i])
         angular_frequencies[r], participation[r] = normalise(mass, stiffness, mode_shapes[r])
-    return True

@@ -1,188 +1,90 @@
-"""Mean-square discrepancies of many sets of parameters at once, one set in each lane of a vector register.
-
-The recursion of `recursion.py` in coordinates made for speed. For mode r, z = (z1, z2) is the state turned and
-scaled so that z1 is the mode's output, Eq. (24), and z2 its complement in energy; the turned equations are
-z[k+1] = A z[k] + b0 a[k] + b1 a[k+1]. With y = z - b1 a,
-
-    y[k+1] = A y[k] + (A b1 + b0) a[k],     output[k] = y1[k] + b1_1 a[k],
-
-and with y2 scaled so that the coefficient by which it enters y1 is one, five products for a mode and step instead
-of ten; what stands before a[k] in the output goes into the
-feed-through of the sensors. A block of 16 outputs of all modes stays in the first-level cache, where it is
-combined with the mode shapes and compared with the data, two sensors and four samples at a time.
-"""
+"""Mean-square discrepancies of many sets of parameters at once; see `recursion_lanes.py` for how."""
 
 import numpy as np
 
 from pymc_features.simulators.compilation import jit
-from pymc_features.simulators.lanes import LANES, load, splat, store
-from pymc_features.simulators.modal import is_chain
+from pymc_features.simulators.lanes import LANES
 from pymc_features.simulators.modal_lanes import diagonalise_lanes, fill_lane, lane_modes
-from pymc_features.simulators.recursion import (
-    N_ROWS,
-    OUT_P,
-    OUT_Q,
-    P_NEXT,
-    P_NOW,
-    P_P,
-    P_Q,
-    Q_NEXT,
-    Q_NOW,
-    Q_P,
-    Q_Q,
-    W,
-    check_sizes,
-    modal_coefficients,
-    n_outputs,
-)
-
-SAMPLES = 16  # outputs handled at a time; a multiple of four
-N_COEFFICIENTS = 5
+from pymc_features.simulators.recursion import N_ROWS, check_sizes, modal_coefficients, n_outputs
+from pymc_features.simulators.recursion_lanes import N_COEFFICIENTS, SAMPLES, march, turn_to_output
 
 
 @jit
-def turn_to_output(table, r, start, shapes, direct, coefficients, states, lane):
-    """Write one mode of one particle into its lane: coefficients, initial state, feed-through.
+def check_population(mass, stiffness, rayleigh, ratios, sensors, n_modes, n_times, observed):
+    """Refuse inputs whose sizes do not agree; return the number of particles."""
+    check_sizes(mass[0], stiffness[0], rayleigh[0], ratios[0], sensors, n_modes)
+    if observed.shape[0] != sensors.size or observed.shape[1] != n_times:
+        raise ValueError("`observed` must have the shape (sensor, time) of the response")
+    n_particles = max(mass.shape[0], stiffness.shape[0], rayleigh.shape[0], ratios.shape[0])
+    for size in (mass.shape[0], stiffness.shape[0], rayleigh.shape[0], ratios.shape[0]):
+        if size != 1 and size != n_particles:
+            raise ValueError(
+                "`mass`, `stiffness`, `rayleigh` and `ratios` must have one row, or one for each particle"
+            )
+    return n_particles
+
+
+@jit
+def group_modes(mass, stiffness, first, count, valid, diagonal, off_diagonal, vectors):
+    """Solve the eigenproblems of `count` particles together; `valid` (LANES,) says which there are."""
+    for array in (diagonal, off_diagonal, vectors):
+        array.fill(0.0)
+    for lane in range(count):
+        p = first + lane
+        lane_mass, lane_stiffness = mass[p % mass.shape[0]], stiffness[p % stiffness.shape[0]]
+        valid[lane] = fill_lane(lane_mass, lane_stiffness, lane, diagonal, off_diagonal, vectors)
+    if not diagonalise_lanes(diagonal, off_diagonal, vectors):
+        valid.fill(False)
+
+
+@jit
+def fill_group(
+    parameters, step, sensors, quantity, start, first, count, modes, coefficients, states, shapes, direct
+):
+    """Write what the recursion needs for `count` particles into their lanes.
 
     Parameters
     ----------
-    table, shapes, direct : array
-        From `modal_system`; `direct` (s,) is updated.
-    start : float
-        First sample of the ground acceleration [m/s^2].
-    coefficients, states : array (5 m, LANES), (2 m, LANES)
+    parameters : tuple of arrays
+        mass, stiffness, rayleigh, ratios.
+    modes : tuple of arrays
+        Work space: valid (LANES,), diagonal, off_diagonal (n, LANES), vectors (n n, LANES), omega,
+        participation (n,), mode_shapes (n, n), table (11, m), and shapes and direct of one particle.
+    coefficients, states, shapes, direct : array (..., LANES)
         Written.
     """
-    w = table[W, r]
-    out, cross = table[OUT_Q, r] / w, table[OUT_P, r]  # output of the state (w q, p)
-    norm = out * out + cross * cross
-    qq, qp, pq, pp = table[Q_Q, r], table[Q_P, r] * w, table[P_Q, r] / w, table[P_P, r]
-    now_q, now_p = table[Q_NOW, r] * w, table[P_NOW, r]
-    next_q, next_p = table[Q_NEXT, r] * w, table[P_NEXT, r]
-    # rows of the turned transition T E, then times T' / norm, with T = [[out, cross], [-cross, out]]
-    top_q, top_p = out * qq + cross * pq, out * qp + cross * pp
-    low_q, low_p = out * pq - cross * qq, out * pp - cross * qp
-    a11, a12 = (top_q * out + top_p * cross) / norm, (top_p * out - top_q * cross) / norm
-    a21, a22 = (low_q * out + low_p * cross) / norm, (low_p * out - low_q * cross) / norm
-    after_1, after_2 = out * next_q + cross * next_p, out * next_p - cross * next_q
-    input_1 = a11 * after_1 + a12 * after_2 + out * now_q + cross * now_p
-    input_2 = a21 * after_1 + a22 * after_2 + out * now_p - cross * now_q
-    row = N_COEFFICIENTS * r
-    coefficients[row, lane] = a11
-    coefficients[row + 1, lane] = input_1
-    coefficients[row + 2, lane] = a12 * a21
-    coefficients[row + 3, lane] = a22
-    coefficients[row + 4, lane] = a12 * input_2
-    states[2 * r, lane] = -after_1 * start
-    states[2 * r + 1, lane] = -a12 * after_2 * start
-    for j in range(direct.size):
-        direct[j] += shapes[j, r] * after_1
-
-
-@jit
-def advance_lanes(coefficients, states, ground, first, stride, outputs):
-    """Write `SAMPLES` outputs of every mode into `outputs` (m SAMPLES, LANES) and carry the states on.
-
-    `ground` has the ground acceleration at the steps of the recursion, from entry `first` on. Two modes go
-    together, so that one does not wait for the other; an even number of modes.
-    """
-    for r in range(0, states.shape[0] // 2, 2):
-        row = N_COEFFICIENTS * r
-        a11, b1 = load(coefficients, row), load(coefficients, row + 1)
-        a21, a22, b2 = load(coefficients, row + 2), load(coefficients, row + 3), load(coefficients, row + 4)
-        c11, d1 = load(coefficients, row + 5), load(coefficients, row + 6)
-        c21, c22, d2 = load(coefficients, row + 7), load(coefficients, row + 8), load(coefficients, row + 9)
-        y1, y2 = load(states, 2 * r), load(states, 2 * r + 1)
-        z1, z2 = load(states, 2 * r + 2), load(states, 2 * r + 3)
-        for sample in range(SAMPLES):
-            store(outputs, SAMPLES * r + sample, y1)
-            store(outputs, SAMPLES * (r + 1) + sample, z1)
-            for step in range(first + sample * stride, first + (sample + 1) * stride):
-                a = splat(ground[step])
-                y1, y2 = a11 * y1 + (y2 + b1 * a), a21 * y1 + (a22 * y2 + b2 * a)
-                z1, z2 = c11 * z1 + (z2 + d1 * a), c21 * z1 + (c22 * z2 + d2 * a)
-        store(states, 2 * r, y1)
-        store(states, 2 * r + 1, y2)
-        store(states, 2 * r + 2, z1)
-        store(states, 2 * r + 3, z2)
-
-
-@jit
-def add_squares(shapes, direct, outputs, data, sample, ground, step, stride, errors):
-    """Add the squared misfits of `SAMPLES` samples to `errors` (sensors, LANES); an even number of sensors.
-
-    `shapes` (sensors m, LANES) and `direct` (sensors, LANES) belong to the lanes; `data` (sensors, time) from
-    column `sample` on and `ground` from entry `step` on are common to all.
-    """
-    n_modes = outputs.shape[0] // SAMPLES
-    last = data.shape[0] - 1
-    for j in range(0, errors.shape[0], 2):
-        k = min(j + 1, last)  # an odd number of sensors is filled up with one of no consequence
-        sum_a, sum_b = load(errors, j), load(errors, j + 1)
-        direct_a, direct_b = load(direct, j), load(direct, j + 1)
-        for t in range(0, SAMPLES, 4):
-            g, i = step + t * stride, sample + t
-            g0, g1 = splat(ground[g]), splat(ground[g + stride])
-            g2, g3 = splat(ground[g + 2 * stride]), splat(ground[g + 3 * stride])
-            a0, a1 = splat(data[j, i]) - direct_a * g0, splat(data[j, i + 1]) - direct_a * g1
-            a2, a3 = splat(data[j, i + 2]) - direct_a * g2, splat(data[j, i + 3]) - direct_a * g3
-            b0, b1 = splat(data[k, i]) - direct_b * g0, splat(data[k, i + 1]) - direct_b * g1
-            b2, b3 = splat(data[k, i + 2]) - direct_b * g2, splat(data[k, i + 3]) - direct_b * g3
-            for r in range(n_modes):
-                shape_a, shape_b = load(shapes, j * n_modes + r), load(shapes, (j + 1) * n_modes + r)
-                z0, z1 = load(outputs, SAMPLES * r + t), load(outputs, SAMPLES * r + t + 1)
-                z2, z3 = load(outputs, SAMPLES * r + t + 2), load(outputs, SAMPLES * r + t + 3)
-                a0, b0 = a0 - shape_a * z0, b0 - shape_b * z0
-                a1, b1 = a1 - shape_a * z1, b1 - shape_b * z1
-                a2, b2 = a2 - shape_a * z2, b2 - shape_b * z2
-                a3, b3 = a3 - shape_a * z3, b3 - shape_b * z3
-            sum_a = sum_a + ((a0 * a0 + a1 * a1) + (a2 * a2 + a3 * a3))
-            sum_b = sum_b + ((b0 * b0 + b1 * b1) + (b2 * b2 + b3 * b3))
-        store(errors, j, sum_a)
-        store(errors, j + 1, sum_b)
-
-
-@jit
-def interpolate(acceleration, substeps, first, ground):
-    """Write the ground acceleration at the recursion's steps from `first` on; zero behind the record."""
-    i, part = first // substeps, first % substeps
-    for k in range(ground.size):
-        if i + 1 < acceleration.size:
-            ground[k] = acceleration[i] + part / substeps * (acceleration[i + 1] - acceleration[i])
-        else:
-            ground[k] = acceleration[i] if i < acceleration.size and part == 0 else 0.0
-        part += 1
-        if part == substeps:
-            i, part = i + 1, 0
-
-
-@jit
-def march(coefficients, states, shapes, direct, acceleration, substeps, stride, observed, errors, work):
-    """Sums of squares of all sensors for the particles of one vector, into `errors` (sensors, LANES).
-
-    `work` has the arrays outputs (m SAMPLES, LANES), ground (SAMPLES stride,) and data (s, SAMPLES).
-    """
-    outputs, ground, data = work
-    n_times = observed.shape[1]
-    errors[:] = 0.0
-    for first in range(0, n_times, SAMPLES):
-        step = first * stride
-        if first + SAMPLES <= n_times and substeps == 1 and step + ground.size <= acceleration.size:
-            advance_lanes(coefficients, states, acceleration, step, stride, outputs)
-            add_squares(shapes, direct, outputs, observed, first, acceleration, step, stride, errors)
+    mass, stiffness, rayleigh, ratios = parameters
+    valid, diagonal, off_diagonal, vectors, omega, participation, mode_shapes, table, own, own_direct = modes
+    even_modes = states.shape[0] // 2
+    for array in (coefficients, states, shapes, direct):
+        array.fill(0.0)
+    group_modes(mass, stiffness, first, count, valid, diagonal, off_diagonal, vectors)
+    for lane in range(count):
+        p = first + lane
+        if not valid[lane]:
             continue
-        interpolate(acceleration, substeps, step, ground)
-        advance_lanes(coefficients, states, ground, 0, stride, outputs)
-        if first + SAMPLES <= n_times:
-            add_squares(shapes, direct, outputs, observed, first, ground, 0, stride, errors)
-            continue
-        count = n_times - first  # the end of the data: what lies behind it must come out as zero
-        ground[count * stride :] = 0.0
-        data[:] = 0.0
-        data[:, :count] = observed[:, first:]
-        for r in range(outputs.shape[0] // SAMPLES):
-            outputs[SAMPLES * r + count : SAMPLES * (r + 1)] = 0.0
-        add_squares(shapes, direct, outputs, data, 0, ground, 0, stride, errors)
+        lane_mass, lane_stiffness = mass[p % mass.shape[0]], stiffness[p % stiffness.shape[0]]
+        lane_modes(lane_mass, lane_stiffness, lane, diagonal, vectors, omega, mode_shapes, participation)
+        valid[lane] = modal_coefficients(
+            omega,
+            mode_shapes,
+            participation,
+            rayleigh[p % rayleigh.shape[0]],
+            ratios[p % ratios.shape[0]],
+            step,
+            sensors,
+            quantity,
+            table,
+            own,
+            own_direct,
+        )
+        if valid[lane]:
+            for r in range(table.shape[1]):
+                turn_to_output(table, r, start, own, own_direct, coefficients, states, lane)
+            for j in range(sensors.size):
+                direct[j, lane] = own_direct[j]
+                for r in range(table.shape[1]):
+                    shapes[j * even_modes + r, lane] = own[j, r]
 
 
 @jit
@@ -218,85 +120,35 @@ def population_discrepancy(
 
     Notes
     -----
-    One thread. Memory: the result and one block of 16 samples for 8 particles, whatever the length of the
-    record and the number of particles. Agrees with `chain_discrepancy` to 1e-12.
+    One thread. Memory: the result and one block of 16 samples for 4 or 8 particles, whatever the length of
+    the record and the number of particles. Agrees with `chain_discrepancy` to 1e-12.
     """
-    check_sizes(mass[0], stiffness[0], rayleigh[0], ratios[0], sensors, n_modes)
-    n_sensors = sensors.size
+    n_sensors, n = sensors.size, mass.shape[1]
     n_times = n_outputs(acceleration.size, substeps, stride)
-    if observed.shape[0] != n_sensors or observed.shape[1] != n_times:
-        raise ValueError("`observed` must have the shape (sensor, time) of the response")
-    n_particles = max(mass.shape[0], stiffness.shape[0], rayleigh.shape[0], ratios.shape[0])
-    for size in (mass.shape[0], stiffness.shape[0], rayleigh.shape[0], ratios.shape[0]):
-        if size != 1 and size != n_particles:
-            raise ValueError("`mass`, `stiffness`, `rayleigh` and `ratios` must have one row, or one per particle")
+    n_particles = check_population(mass, stiffness, rayleigh, ratios, sensors, n_modes, n_times, observed)
     even_sensors, even_modes = n_sensors + n_sensors % 2, n_modes + n_modes % 2
     result = np.empty((n_particles, n_sensors))
     coefficients = np.empty((N_COEFFICIENTS * even_modes, LANES))
     states = np.empty((2 * even_modes, LANES))
     shapes = np.empty((even_sensors * even_modes, LANES))
-    direct = np.empty((even_sensors, LANES))
-    errors = np.empty((even_sensors, LANES))
-    work = (
-        np.empty((SAMPLES * even_modes, LANES)),
-        np.empty(SAMPLES * stride),
-        np.empty((n_sensors, SAMPLES)),
-    )
+    direct, errors = np.empty((even_sensors, LANES)), np.empty((even_sensors, LANES))
     valid = np.empty(LANES, dtype=np.bool_)
-    n = mass.shape[1]
-    diagonal, off_diagonal, vectors = np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n * n, LANES))
-    omega, mode_shapes, participation = np.empty(n), np.empty((n, n)), np.empty(n)
-    table = np.empty((N_ROWS, n_modes))
-    lane_shapes, lane_direct = np.empty((n_sensors, n_modes)), np.empty(n_sensors)
+    modes = (
+        valid,
+        *(np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n * n, LANES))),
+        *(np.empty(n), np.empty(n), np.empty((n, n))),
+        *(np.empty((N_ROWS, n_modes)), np.empty((n_sensors, n_modes)), np.empty(n_sensors)),
+    )
+    outputs, ground = np.empty((SAMPLES * even_modes, LANES)), np.empty(SAMPLES * stride)
+    work = (outputs, ground, np.empty((n_sensors, SAMPLES)))
+    parameters = (mass, stiffness, rayleigh, ratios)
+    step, start = dt / substeps, acceleration[0]
     for first in range(0, n_particles, LANES):
         count = min(LANES, n_particles - first)
-        for array in (coefficients, states, shapes, direct, diagonal, off_diagonal, vectors):
-            array[:] = 0.0
-        for lane in range(count):
-            p = first + lane
-            lane_mass, lane_stiffness = mass[p % mass.shape[0]], stiffness[p % stiffness.shape[0]]
-            valid[lane] = is_chain(lane_mass, lane_stiffness)
-            if valid[lane]:
-                fill_lane(lane_mass, lane_stiffness, lane, diagonal, off_diagonal, vectors)
-        converged = diagonalise_lanes(diagonal, off_diagonal, vectors)
-        for lane in range(count):
-            p = first + lane
-            lane_mass, lane_stiffness = mass[p % mass.shape[0]], stiffness[p % stiffness.shape[0]]
-            valid[lane] = (
-                valid[lane]
-                and lane_modes(
-                    converged,
-                    lane_mass,
-                    lane_stiffness,
-                    lane,
-                    diagonal,
-                    vectors,
-                    omega,
-                    mode_shapes,
-                    participation,
-                )
-                and modal_coefficients(
-                    omega,
-                    mode_shapes,
-                    participation,
-                    rayleigh[p % rayleigh.shape[0]],
-                    ratios[p % ratios.shape[0]],
-                    dt / substeps,
-                    sensors,
-                    quantity,
-                    table,
-                    lane_shapes,
-                    lane_direct,
-                )
-            )
-            if valid[lane]:
-                for r in range(n_modes):
-                    turn_to_output(
-                        table, r, acceleration[0], lane_shapes, lane_direct, coefficients, states, lane
-                    )
-                    for j in range(n_sensors):
-                        shapes[j * even_modes + r, lane] = lane_shapes[j, r]
-                direct[:n_sensors, lane] = lane_direct
+        fill_group(
+            *(parameters, step, sensors, quantity, start, first, count, modes),
+            *(coefficients, states, shapes, direct),
+        )
         march(coefficients, states, shapes, direct, acceleration, substeps, stride, observed, errors, work)
         for lane in range(count):
             for j in range(n_sensors):

@@ -200,7 +200,11 @@ def why_not_batched(outputs) -> str | None:
     """Say which part of the graph takes one set of parameters at a time; None if there is none."""
     for variable in ancestors(outputs):
         node = variable.owner
-        if node is not None and isinstance(node.op, SimulatorRV) and not getattr(node.op.fn, "batched", False):
+        if (
+            node is not None
+            and isinstance(node.op, SimulatorRV)
+            and not getattr(node.op.fn, "batched", False)
+        ):
             return (
                 f"the function of {node.op.name} takes one set of parameters at a time. If it accepts a "
                 "leading particle dimension, say so by `function.batched = True`"

@@ -19,9 +19,9 @@ class PopulationIMH(PopulationKernel, IMH):
 
     Notes
     -----
-    The same seed gives the same particles as PyMC's kernel (tests/test_population.py). Like there, 1e-6 is added
-    to the variances of the proposal, which starves posteriors narrower than 1e-3 in the sampled coordinates:
-    take `PersistentSMC` for those.
+    The same seed gives the same particles as PyMC's kernel (tests/test_population.py). Like there, 1e-6 is
+    added to the variances of the proposal, which starves posteriors narrower than 1e-3 in the sampled
+    coordinates: take `PersistentSMC` for those.
     """
 
     stats_dtypes_shapes = {**PopulationKernel.stats_dtypes_shapes, "accept_rate": (float, [])}

@@ -1,18 +1,19 @@
 """Weights and evidences of samples from several temperatures, all used together.
 
-Points theta_i with log-likelihoods l_i were drawn from p_s proportional to prior L^beta_s, n_s of them at each
-temperature s = 0 (the prior) ... t. Taken as one sample from the mixture sum_s (n_s / n) p_s, they represent any
-temperature beta with the weights
+Points theta_i with log-likelihoods l_i were drawn from p_s proportional to prior L^beta_s, n_s of them at
+each temperature s = 0 (the prior) ... t. Taken as one sample from the mixture sum_s (n_s / n) p_s, they
+represent any temperature beta with the weights
 
     w_i(beta) = exp(beta l_i) / sum_s (n_s / n) exp(beta_s l_i) / Z_s,      Z(beta) = (1/n) sum_i w_i(beta)
 
-(deterministic mixture, balance heuristic). The evidences of the temperatures are those that satisfy Z_s = Z(beta_s)
-for all s: the multistate Bennett acceptance ratio (Shirts & Chodera, J. Chem. Phys. 129, 124105, 2008), which has
-the smallest variance of all estimators that use these points. Only log-likelihoods enter, and a constant added to all
-of them changes no weight.
+(deterministic mixture, balance heuristic). The evidences of the temperatures are those that satisfy Z_s =
+Z(beta_s) for all s: the multistate Bennett acceptance ratio (Shirts & Chodera, J. Chem. Phys. 129, 124105,
+2008), which has the smallest variance of all estimators that use these points. Only log-likelihoods enter,
+and a constant added to all of them changes no weight.
 
-Points carry masses m_i: what a Markov chain visits twice has mass two; of a step that is accepted with probability
-a, the proposal gets a and the state it started from 1 - a, so that rejected proposals count as well.
+Points carry masses m_i: what a Markov chain visits twice has mass two; of a step that is accepted with
+probability a, the proposal gets a and the state it started from 1 - a, so that rejected proposals count as
+well.
 """
 
 import numpy as np
@@ -32,8 +33,8 @@ class Pool:
     ----------
     particles : array (n, d)
     log_prior, log_likelihood, mass, inflation, group : array (n,)
-        Points with finite log-likelihood. `inflation`: how many steps of the chain count for one independent one.
-        `group`: points of one Markov chain share it, modulo `GROUPS`.
+        Points with finite log-likelihood. `inflation`: how many steps of the chain count for one
+        independent one. `group`: points of one Markov chain share it, modulo `GROUPS`.
     betas, log_z, counts : list
         Of each temperature; `counts` includes prior draws without likelihood.
     """
@@ -166,8 +167,9 @@ def bennett(betas, log_z, counts, log_likelihood, mass) -> np.ndarray:
 def next_beta(pool: Pool, beta: float, target: float) -> float:
     """Largest temperature up to 1 whose weights keep the effective number `target`, found on a log scale.
 
-    Where even a vanishing increase leaves fewer, as with likelihoods that are zero over most of the prior, nine
-    tenths of what is left are kept; a likelihood that is constant where it is not zero leads to 1 at once.
+    Where even a vanishing increase leaves fewer, as with likelihoods that are zero over most of the prior,
+    nine tenths of what is left are kept; a likelihood that is constant where it is not zero leads to 1 at
+    once.
     """
     log_mixture = pool.log_mixture()
 

@@ -17,19 +17,19 @@ MORE_PRIOR = 50  # the prior is drawn from at most this many times, in search of
 class PersistentSMC(PopulationKernel):
     """Sequential Monte Carlo in which every evaluation of every stage counts in the result.
 
-    All points ever evaluated, prior draws and rejected proposals included, stay in a pool that is reweighted to
-    each new temperature (persistent sampling, Karamanis & Seljak 2025; `mixture.py`). A stage starts a
-    few chains from points of the pool and keeps all their states (waste-free SMC, Dau & Chopin 2022). The last
-    stage goes on until the pool is worth `draws` independent draws from the posterior; as many equally weighted
-    ones are returned.
+    All points ever evaluated, prior draws and rejected proposals included, stay in a pool that is
+    reweighted to each new temperature (persistent sampling, Karamanis & Seljak 2025; `mixture.py`). A stage
+    starts a few chains from points of the pool and keeps all their states (waste-free SMC, Dau & Chopin
+    2022). The last stage goes on until the pool is worth `draws` independent draws from the posterior; as
+    many equally weighted ones are returned.
 
     Parameters
     ----------
     draws : int
         Equally weighted draws to return, and the effective number of points to reach.
     stage_draws : int, optional
-        Evaluations of a stage: two fifths of `draws`, and not less than 25 for each parameter, by default. The
-        prior is evaluated at twice as many.
+        Evaluations of a stage: two fifths of `draws`, and not less than 25 for each parameter, by default.
+        The prior is evaluated at twice as many.
     threshold : float
         Effective number of points that a new temperature keeps, over `stage_draws`.
     **settings
@@ -37,12 +37,12 @@ class PersistentSMC(PopulationKernel):
 
     Notes
     -----
-    Proposals come from a mixture of Student-t distributions fitted to the weighted pool: independent of the present point
-    where many are accepted, shortened towards it (t-preconditioned Crank-Nicolson) where few are.
-    `sample_stats` has besides those of `PopulationKernel`: `accept_rate`, `scale` (1: independent proposals),
-    `effective` (points behind the stage's weights) and, at the end, `log_marginal_likelihood_se`: its standard
-    error, by a jackknife over chains. A constant added to the log-likelihood changes nothing but the evidence.
-    Cost and accuracy beside other samplers: benchmarks/.
+    Proposals come from a mixture of Student-t distributions fitted to the weighted pool: independent of the
+    present point where many are accepted, shortened towards it (t-preconditioned Crank-Nicolson) where few
+    are. `sample_stats` has besides those of `PopulationKernel`: `accept_rate`, `scale` (1: independent
+    proposals), `effective` (points behind the stage's weights) and, at the end,
+    `log_marginal_likelihood_se`: its standard error, by a jackknife over chains. A constant added to the
+    log-likelihood changes nothing but the evidence. Cost and accuracy beside other samplers: benchmarks/.
 
     References
     ----------
@@ -67,33 +67,21 @@ class PersistentSMC(PopulationKernel):
             raise ValueError(f"`stage_draws` must be an integer of at least 20, got {stage_draws}.")
         self.stage_draws = GROUPS * -(-int(stage_draws) // GROUPS)
 
-    def initialize_population(self):
-        """Draw the initial population from the prior."""
-        draws, self.draws = self.draws, 2 * self.stage_draws
-        try:
-            return super().initialize_population()
-        finally:
-            self.draws = draws
-
     def _initialize_kernel(self):
+        """Evaluate draws from the prior until enough of them are possible."""
         wanted = max(20, 4 * sum(size for _, size in self.var_info.values()))
-        self.pool = None
-        for _ in range(MORE_PRIOR):
-            try:
-                super()._initialize_kernel()
-            except ValueError:
-                if self.start or (self.pool is None and self.evaluations >= MORE_PRIOR * 2 * self.stage_draws):
-                    raise
-                continue
-            more = Pool(self.tempered_posterior, self.prior_logp, self.likelihood_logp)
+        self.scale, self.standard_error, self.pool = 1.0, np.nan, None
+        for _ in range(1 if self.start else MORE_PRIOR):
+            particles = self.initial_particles(2 * self.stage_draws)
+            more = Pool(particles, *self.evaluate(particles))
             if self.pool is None:
                 self.pool = more
             else:
                 self.pool.add_prior(more)
-            if len(self.pool.mass) >= wanted or self.start:
+            if len(self.pool.mass) >= wanted:
                 break
-        self.scale = 1.0
-        self.standard_error = np.nan
+        if not len(self.pool.mass):
+            self.refuse_impossible_model()
 
     def update_beta_and_weights(self):
         """Choose the next temperature and weigh the pool for it."""
@@ -131,7 +119,9 @@ class PersistentSMC(PopulationKernel):
             proposal = self.proposal.move(x, self.scale, self.rng)
             new_prior, new_likelihood = self.evaluate(proposal)
             new_density = self.proposal.log_density(proposal)
-            log_ratio = (new_prior - prior) + self.beta * (new_likelihood - likelihood) - (new_density - density)
+            log_ratio = (
+                (new_prior - prior) + self.beta * (new_likelihood - likelihood) - (new_density - density)
+            )
             probability = np.exp(np.minimum(log_ratio, 0.0))
             position = self.keep(
                 x, prior, likelihood, position, proposal, new_prior, new_likelihood, probability, group
@@ -180,7 +170,7 @@ class PersistentSMC(PopulationKernel):
         self.scale = float(np.clip(self.scale * np.exp(gain * (acceptance - TARGET_ACCEPTANCE)), 1e-3, 1.0))
 
     def stage_is_done(self, n_chains):
-        """Whether the chains are long enough, have forgotten their start and, at the end, are worth `draws`."""
+        """Whether the chains are long and mixed enough and, at the end, the pool is worth `draws`."""
         if self.n_steps * n_chains < self.stage_draws:
             return False
         if self.n_steps >= MAX_STEPS:

@@ -14,9 +14,9 @@ class PopulationKernel(SMC_KERNEL):
     """Base of the kernels for `pm.sample_smc` that evaluate all particles in one compiled call.
 
     A kernel proposes (`propose`) and adapts (`tune`); the stages, the temperatures and the resampling are
-    PyMC's. It knows nothing of structures: any PyMC model runs on it. Models that cannot be vectorised, such as
-    those with a `pm.Simulator` whose function takes one set of parameters, are evaluated particle by particle,
-    with one `PopulationWarning`.
+    PyMC's. It knows nothing of structures: any PyMC model runs on it. Models that cannot be vectorised,
+    such as those with a `pm.Simulator` whose function takes one set of parameters, are evaluated particle
+    by particle, with one `PopulationWarning`.
 
     Parameters
     ----------
@@ -56,7 +56,9 @@ class PopulationKernel(SMC_KERNEL):
         self.variables = model.value_vars
         point = model.initial_point(random_seed=self.rng.integers(2**30))
         self.var_info = {v.name: (point[v.name].shape, point[v.name].size) for v in self.variables}
-        self.logp = population_logp(model, {v.name: point[v.name] for v in self.variables}, compile_kwargs or {})
+        self.logp = population_logp(
+            model, {v.name: point[v.name] for v in self.variables}, compile_kwargs or {}
+        )
         self._prior_expression = make_initial_point_expression(
             free_rvs=model.free_RVs,
             rvs_to_transforms=model.rvs_to_transforms,
@@ -84,17 +86,31 @@ class PopulationKernel(SMC_KERNEL):
         self.failed += int(failed.sum())
         return prior, likelihood
 
-    def _initialize_kernel(self):
-        initial = self.start if self.start else self.initialize_population()
+    def initial_particles(self, n: int) -> np.ndarray:
+        """The given start, or `n` draws from the prior: (n, d)."""
+        initial = self.start
+        if not initial:
+            draws, self.draws = self.draws, n
+            try:
+                initial = self.initialize_population()
+            finally:
+                self.draws = draws
         columns = [np.asarray(initial[v.name], dtype=np.float64) for v in self.variables]
-        self.tempered_posterior = np.hstack([c.reshape(len(c), -1) for c in columns])
+        return np.hstack([c.reshape(len(c), -1) for c in columns])
+
+    def _initialize_kernel(self):
+        self.tempered_posterior = self.initial_particles(self.draws)
         self.prior_logp, self.likelihood_logp = self.evaluate(self.tempered_posterior)
         if not (self.prior_logp + self.likelihood_logp > -np.inf).any():
-            raise ValueError(
-                f"the model must have a finite log-density somewhere, got none at {len(self.likelihood_logp)} "
-                f"draws from the prior ({self.failed} failed simulations). Increase `draws`, narrow the "
-                "priors, or check the model at one point with model.point_logps()."
-            )
+            self.refuse_impossible_model()
+
+    def refuse_impossible_model(self):
+        """Say that no initial particle is possible."""
+        raise ValueError(
+            f"the model must have a finite log-density somewhere, got none at {self.evaluations} draws from "
+            f"the prior ({self.failed} failed simulations). Increase `draws`, narrow the priors, or check "
+            "the model at one point with model.point_logps()."
+        )
 
     def propose(self):
         """Return proposals (p, d) and the log-densities of the moves back and forth, each (p,) or 0."""

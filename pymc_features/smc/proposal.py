@@ -76,8 +76,8 @@ class StudentMixture:
     def move(self, x, scale: float, rng: np.random.Generator) -> np.ndarray:
         """Propose points whose acceptance needs this mixture's density at both ends only.
 
-        A component is drawn given x, and x moves within it, which leaves the mixture invariant. With scale 1 the
-        component does not depend on x either: the proposal is an independent draw.
+        A component is drawn given x, and x moves within it, which leaves the mixture invariant. With scale
+        1 the component does not depend on x either: the proposal is an independent draw.
         """
         if scale < 1.0:
             terms = self.terms(x)
@@ -95,8 +95,9 @@ class StudentMixture:
 def fit_mixture(x, weights, rng: np.random.Generator) -> StudentMixture:
     """Maximum-likelihood fit to distinct points (n, d) with weights (n,), by expectation and maximisation.
 
-    As many components, up to four, as the number of points allows; one that shrinks to a few points is given up.
-    Scatter matrices are regularised relative to their own diagonals, for posteriors may be narrow.
+    As many components, up to four, as the number of points allows; one that shrinks to a few points is
+    given up. Scatter matrices are regularised relative to their own diagonals, for posteriors may be
+    narrow.
     """
     n, d = x.shape
     weights = weights / weights.sum()

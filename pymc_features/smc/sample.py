@@ -9,7 +9,9 @@ from pymc_features.smc.persistent import PersistentSMC
 from pymc_features.smc.results import savable
 
 
-def sample_smc(draws: int = 2000, kernel=PersistentSMC, *, cores: int | None = None, **settings) -> xr.DataTree:
+def sample_smc(
+    draws: int = 2000, kernel=PersistentSMC, *, cores: int | None = None, **settings
+) -> xr.DataTree:
     """`pm.sample_smc` with `PersistentSMC` by default and a result that saves to netCDF and Zarr.
 
     Parameters

@@ -7,13 +7,12 @@ from scipy.special import logsumexp
 from pymc_features.smc.population import PopulationKernel
 
 
-
 class TMCMC(PopulationKernel):
     """Transitional Markov chain Monte Carlo, for comparison with published results.
 
-    Temperatures rise such that the coefficient of variation of the weights is one. Seeds are drawn by weight, and
-    each makes a random-walk Metropolis step for every time it was drawn, its covariance the weighted one of the
-    sample times 0.2^2; all states visited are the next sample.
+    Temperatures rise such that the coefficient of variation of the weights is one. Seeds are drawn by
+    weight, and each makes a random-walk Metropolis step for every time it was drawn, its covariance the
+    weighted one of the sample times 0.2^2; all states visited are the next sample.
 
     Parameters
     ----------
@@ -28,14 +27,15 @@ class TMCMC(PopulationKernel):
 
     Notes
     -----
-    One step for each sample from seeds that occur many times: samples are correlated, and in many dimensions the
-    chains hardly move between temperatures, so that the evidence is biased. `PersistentSMC` costs less and has
-    neither defect. The walk takes place in PyMC's unbounded coordinates.
+    One step for each sample from seeds that occur many times: samples are correlated, and in many
+    dimensions the chains hardly move between temperatures, so that the evidence is biased. `PersistentSMC`
+    costs less and has neither defect. The walk takes place in PyMC's unbounded coordinates.
 
     References
     ----------
-    Ching & Chen, Transitional Markov chain Monte Carlo method for Bayesian model updating, model class selection,
-    and model averaging, J. Eng. Mech. 133, 816-832 (2007), doi:10.1061/(ASCE)0733-9399(2007)133:7(816).
+    Ching & Chen, Transitional Markov chain Monte Carlo method for Bayesian model updating, model class
+    selection, and model averaging, J. Eng. Mech. 133, 816-832 (2007),
+    doi:10.1061/(ASCE)0733-9399(2007)133:7(816).
     """
 
     stats_dtypes_shapes = {**PopulationKernel.stats_dtypes_shapes, "accept_rate": (float, [])}
@@ -93,7 +93,8 @@ class TMCMC(PopulationKernel):
             n_accepted += accepted.sum()
             x = np.where(accepted[:, None], proposal, x)
             prior, likelihood = (
-                np.where(accepted, new, old) for new, old in ((new_prior, prior), (new_likelihood, likelihood))
+                np.where(accepted, new, old)
+                for new, old in ((new_prior, prior), (new_likelihood, likelihood))
             )
             kept.append((x, prior, likelihood))
             remaining = remaining - 1

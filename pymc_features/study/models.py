@@ -76,8 +76,6 @@ def set_measurements(model: pm.Model, data: xr.DataArray, tolerance: float | Non
     """Give a model of `declare` other measurements, at another step."""
     times = data["time"].values
     with model:
-        pm.set_data(
-            {"measured": data.values, "step": times[1] - times[0]}, coords={"time": times}
-        )
+        pm.set_data({"measured": data.values, "step": times[1] - times[0]}, coords={"time": times})
         if tolerance is not None:
             pm.set_data({"tolerance": tolerance})
