@@ -50,16 +50,17 @@ def fused_discrepancy(quantity, inputs):
 
     Batches of parameters alone become one `PopulationDiscrepancy`; others are left to `Blockwise`.
     """
+    expected = [*INPUTS.values(), 2]
+    inputs = [without_unit_batch(x, ndim) for x, ndim in zip(inputs, expected, strict=True)]
     parameters, rest = inputs[:N_PARAMETERS], inputs[N_PARAMETERS:]
-    expected = [*list(INPUTS.values())[N_PARAMETERS:], 2]
-    if any(x.type.ndim != ndim for x, ndim in zip(rest, expected, strict=True)):
+    if any(x.type.ndim != ndim for x, ndim in zip(rest, expected[N_PARAMETERS:], strict=True)):
         return Blockwise(ChainDiscrepancy(quantity))(*inputs)
     depth = max(x.type.ndim - 1 for x in parameters)
     if depth == 0:
         return ChainDiscrepancy(quantity)(*inputs)
     if depth > 1:
         batched = [x for x in parameters if x.type.ndim > 1]
-        batch = pt.broadcast_shape(*(x.shape[:-1] for x in batched), arrays_are_shapes=True)
+        batch = pt.broadcast_shape(*(tuple(x.shape)[:-1] for x in batched), arrays_are_shapes=True)
         parameters = [
             pt.broadcast_to(x, (*batch, x.shape[-1])).reshape((-1, x.shape[-1])) if x.type.ndim > 1 else x
             for x in parameters
@@ -67,6 +68,14 @@ def fused_discrepancy(quantity, inputs):
     rows = [x[None] if x.type.ndim == 1 else x for x in parameters]
     e = PopulationDiscrepancy(quantity)(*rows, *rest)
     return e if depth == 1 else e.reshape((*batch, e.shape[-1]), ndim=depth + 1)
+
+
+def without_unit_batch(x, ndim):
+    """Drop leading dimensions beyond `ndim` that have length one by their type, as `Blockwise` adds them."""
+    extra = x.type.ndim - ndim
+    if extra > 0 and all(x.type.broadcastable[:extra]):
+        return x.dimshuffle(*range(extra, x.type.ndim))
+    return x
 
 
 @_vectorize_node.register(ChainDiscrepancy)
