@@ -7,7 +7,15 @@ The slow routes have no economy of scale, so a few particles tell their cost for
 from collections.abc import Callable
 from typing import NamedTuple
 
-from benchmarks.routes import batched, filters, jax_scan, loop_over_time, scalar, state_space
+from benchmarks.routes import (
+    batched,
+    filters,
+    filters_plain,
+    jax_scan,
+    loop_over_time,
+    scalar,
+    state_space,
+)
 
 
 class Route(NamedTuple):
@@ -22,6 +30,7 @@ ROUTES = {
     "our kernel, one particle at a time": Route(scalar.prepare, 500),
     "JAX, scan over time, vmap over particles": Route(jax_scan.prepare, 500),
     "NumPy, loop over time, arrays of particles": Route(loop_over_time.prepare, 500),
-    "SciPy eigh + lfilter for each mode": Route(filters.prepare, 20),
+    "SciPy eigh + lfilter, coefficients by hand": Route(filters.prepare, 20),
+    "SciPy eigh + lfilter, plain": Route(filters_plain.prepare, 20),
     "SciPy lsim, state space": Route(state_space.prepare, 2),
 }
