@@ -35,6 +35,8 @@ class Pool:
     log_prior, log_likelihood, mass, inflation, group : array (n,)
         Points with finite log-likelihood. `inflation`: how many steps of the chain count for one
         independent one. `group`: points of one Markov chain share it, modulo `GROUPS`.
+    impossible : array (GROUPS,)
+        Prior draws without likelihood, by group.
     betas, log_z, counts : list
         Of each temperature; `counts` includes prior draws without likelihood.
     """
@@ -47,10 +49,12 @@ class Pool:
         self.mass = np.ones(len(self.particles))
         self.inflation = np.ones(len(self.particles))
         self.group = np.flatnonzero(possible)
+        self.impossible = np.bincount(np.flatnonzero(~possible) % GROUPS, minlength=GROUPS)
 
     def add_prior(self, other: "Pool"):
         """Take in more draws from the prior."""
         self.counts[0] += other.counts[0]
+        self.impossible += other.impossible
         self._append(other.particles, other.log_prior, other.log_likelihood, other.mass, 1.0, other.group)
 
     def add_temperature(self, beta: float, log_z: float):
@@ -84,6 +88,11 @@ class Pool:
         """ln w_i(beta), shape (n,)."""
         return beta * self.log_likelihood - (self.log_mixture() if log_mixture is None else log_mixture)
 
+    def normalised(self, log_weights) -> np.ndarray:
+        """Share of each point (n,) in a temperature: mass times weight."""
+        shares = self.mass * np.exp(log_weights - log_weights.max())
+        return shares / shares.sum()
+
     def log_evidence(self, log_weights) -> float:
         """ln Z from the weights of a temperature."""
         return float(logsumexp(log_weights, b=self.mass) - np.log(sum(self.counts)))
@@ -111,7 +120,8 @@ class Pool:
         values = []
         for group in range(GROUPS):  # without a group, one step of Newton's method away
             kept = self.group % GROUPS != group
-            counts_kept = (1.0 - 1.0 / GROUPS) * counts
+            removed = self.mass[~kept].sum() + self.impossible[group]
+            counts_kept = (1.0 - removed / counts.sum()) * counts
             values.append(newton_step(p[:, kept], self.mass[kept], counts_kept)[-1])
         return float(np.sqrt((GROUPS - 1) * np.var(values)))
 

@@ -28,7 +28,7 @@ class PersistentSMC(PopulationKernel):
     draws : int
         Equally weighted draws to return, and the effective number of points to reach.
     stage_draws : int, optional
-        Evaluations of a stage: two fifths of `draws`, and not less than 25 for each parameter, by default.
+        Evaluations of a stage: two fifths of `draws`, and not less than 50 for each parameter, by default.
         The prior is evaluated at twice as many.
     threshold : float
         Effective number of points that a new temperature keeps, over `stage_draws`.
@@ -62,7 +62,7 @@ class PersistentSMC(PopulationKernel):
         super().__init__(draws, **settings)
         n_parameters = sum(size for _, size in self.var_info.values())
         if stage_draws is None:
-            stage_draws = max(2 * self.draws // 5, 25 * n_parameters)
+            stage_draws = max(2 * self.draws // 5, 50 * n_parameters)
         if isinstance(stage_draws, bool) or int(stage_draws) != stage_draws or stage_draws < 20:
             raise ValueError(f"`stage_draws` must be an integer of at least 20, got {stage_draws}.")
         self.stage_draws = GROUPS * -(-int(stage_draws) // GROUPS)
@@ -88,8 +88,7 @@ class PersistentSMC(PopulationKernel):
         self.iteration += 1
         self.beta = next_beta(self.pool, self.beta, self.threshold * self.stage_draws)
         log_weights = self.pool.log_weights(self.beta)
-        self.weights = self.pool.mass * np.exp(log_weights - log_weights.max())
-        self.weights /= self.weights.sum()
+        self.weights = self.pool.normalised(log_weights)
         self.pool.add_temperature(self.beta, self.pool.log_evidence(log_weights))
 
     def resample(self):
@@ -105,64 +104,46 @@ class PersistentSMC(PopulationKernel):
 
     def mutate(self):
         """Advance all chains until the stage is done, keeping every state and every proposal."""
-        pool = self.pool
-        group = np.arange(len(self.position))
-        x = pool.particles[self.position]
-        prior, likelihood = pool.log_prior[self.position], pool.log_likelihood[self.position]
-        density = self.proposal.log_density(x)
-        position = np.full(len(x), -1)  # the starting points belong to earlier stages
-        accepted = []
-        self.n_steps = 0
-        self.memory = 1.0
-        x = x.copy()
+        pool, position = self.pool, self.position
+        x, prior = pool.particles[position], pool.log_prior[position]
+        likelihood, density = pool.log_likelihood[position], self.proposal.log_density(x)
+        group = np.arange(len(x))
+        self.n_steps, self.memory, acceptances = 0, 1.0, []
         while not self.stage_is_done(len(x)):
             proposal = self.proposal.move(x, self.scale, self.rng)
             new_prior, new_likelihood = self.evaluate(proposal)
             new_density = self.proposal.log_density(proposal)
             log_ratio = (
-                (new_prior - prior) + self.beta * (new_likelihood - likelihood) - (new_density - density)
+                new_prior - prior + self.beta * (new_likelihood - likelihood) - (new_density - density)
             )
             probability = np.exp(np.minimum(log_ratio, 0.0))
-            position = self.keep(
-                x, prior, likelihood, position, proposal, new_prior, new_likelihood, probability, group
+            kept = np.sqrt(1.0 - self.scale**2)  # of the distance to the centre of the proposal
+            possible = probability > 0
+            np.add.at(pool.mass, position, 1.0 - probability)  # chains may share a point
+            ahead = position.copy()
+            ahead[possible] = pool.add(
+                *(a[possible] for a in (proposal, new_prior, new_likelihood, probability)),
+                (1.0 + kept) / (1.0 - kept),
+                group[possible],
             )
+            pool.counts[-1] += len(x)
             moved = self.rng.random(len(x)) < probability
-            x[moved] = proposal[moved]
-            prior, likelihood = np.where(moved, new_prior, prior), np.where(moved, new_likelihood, likelihood)
-            density = np.where(moved, new_density, density)
-            position = np.where(moved, position[1], position[0])
+            x = np.where(moved[:, None], proposal, x)
+            prior, likelihood, density, position = (
+                np.where(moved, new, old)
+                for new, old in (
+                    *((new_prior, prior), (new_likelihood, likelihood)),
+                    *((new_density, density), (ahead, position)),
+                )
+            )
             self.n_steps += 1
-            accepted.append(probability.mean())
-            self.memory *= 1.0 - accepted[-1] * (1.0 - np.sqrt(1.0 - self.scale**2))
-            self.adapt(accepted[-1])
-        self.accept_rate = float(np.mean(accepted))
+            acceptances.append(probability.mean())
+            self.memory *= 1.0 - acceptances[-1] * (1.0 - kept)
+            self.adapt(acceptances[-1])
+        self.accept_rate = float(np.mean(acceptances))
         pool.solve()
         if self.beta == 1.0:
             self.finish()
-
-    def keep(self, x, prior, likelihood, position, proposal, new_prior, new_likelihood, probability, group):
-        """Put a step into the pool; return positions (2, chains) of the present points and the proposals."""
-        pool = self.pool
-        r = np.sqrt(1.0 - self.scale**2)
-        inflation = (1.0 + r) / (1.0 - r)
-        pool.counts[-1] += len(x)
-        stay = 1.0 - probability
-        known = position >= 0
-        pool.mass[position[known]] += stay[known]
-        new = ~known & (stay > 0)
-        present = position.copy()
-        present[new] = pool.add(x[new], prior[new], likelihood[new], stay[new], inflation, group[new])
-        possible = probability > 0
-        ahead = np.full(len(x), -1)
-        ahead[possible] = pool.add(
-            proposal[possible],
-            new_prior[possible],
-            new_likelihood[possible],
-            probability[possible],
-            inflation,
-            group[possible],
-        )
-        return np.array([present, ahead])
 
     def adapt(self, acceptance):
         """Shorten proposals that are rarely accepted, lengthen them towards independence otherwise."""
@@ -189,9 +170,7 @@ class PersistentSMC(PopulationKernel):
         pool = self.pool
         self.log_marginal_likelihood = pool.log_z[-1]
         self.standard_error = pool.standard_error()
-        log_weights = pool.log_weights(1.0)
-        self.weights = pool.mass * np.exp(log_weights - log_weights.max())
-        self.weights /= self.weights.sum()
+        self.weights = pool.normalised(pool.log_weights(1.0))
         chosen = equal_draws(self.weights, self.draws, self.rng)
         self.tempered_posterior = pool.particles[chosen]
         self.prior_logp, self.likelihood_logp = pool.log_prior[chosen], pool.log_likelihood[chosen]

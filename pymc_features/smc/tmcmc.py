@@ -22,8 +22,8 @@ class TMCMC(PopulationKernel):
         beta of the source, the proposal's standard deviation over the sample's.
     coefficient_of_variation : float
         Of the weights of a stage.
-    **settings
-        Of `PopulationKernel`; `threshold` has no part in it.
+    start, model, random_seed, compile_kwargs
+        As in PyMC's kernels.
 
     Notes
     -----
@@ -40,8 +40,18 @@ class TMCMC(PopulationKernel):
 
     stats_dtypes_shapes = {**PopulationKernel.stats_dtypes_shapes, "accept_rate": (float, [])}
 
-    def __init__(self, draws=2000, *, scale=0.2, coefficient_of_variation=1.0, **settings):
-        super().__init__(draws, **settings)
+    def __init__(
+        self,
+        draws=2000,
+        *,
+        scale=0.2,
+        coefficient_of_variation=1.0,
+        start=None,
+        model=None,
+        random_seed=None,
+        compile_kwargs=None,
+    ):
+        super().__init__(draws, start, model, random_seed, compile_kwargs=compile_kwargs)
         for name, value in (("scale", scale), ("coefficient_of_variation", coefficient_of_variation)):
             if not 0.0 < value < np.inf:
                 raise ValueError(f"`{name}` must be positive, got {value}. Leave it out for the source's.")
