@@ -26,7 +26,6 @@ def benchmarks():
 def case(benchmarks, record):
     """Four chains under two seconds of the record."""
     from benchmarks.case import build
-
     from pymc_features import Record
 
     return build(Record(record.acceleration[:100], record.dt), particles=4, substeps=2)
@@ -55,7 +54,6 @@ def test_scores(benchmarks):
     """Independent draws are worth their number: R = 200, so that the effective size is known to 10 %."""
     from benchmarks.methods.result import Result
     from benchmarks.scores import score
-
     from pymc_features.study.quadrature import ExactPosterior, Marginal
 
     nodes = np.linspace(-8.0, 8.0, 2001)
