@@ -9,6 +9,8 @@ from pymc_features.smc.population import PopulationKernel
 from pymc_features.smc.proposal import fit_mixture
 
 TARGET_ACCEPTANCE = 0.35
+LOCAL_SHARE = 0.2  # of the proposals
+LOCAL_INFLATION = 3.0  # local steps that count for one independent point, roughly
 FORGOTTEN = 0.1  # expected correlation with its first points below which a stage may end
 MAX_STEPS = 500
 MORE_PRIOR = 50  # the prior is drawn from at most this many times, in search of possible points
@@ -28,8 +30,8 @@ class PersistentSMC(PopulationKernel):
     draws : int
         Equally weighted draws to return, and the effective number of points to reach.
     stage_draws : int, optional
-        Evaluations of a stage: two fifths of `draws`, and not less than 50 for each parameter, by default.
-        The prior is evaluated at twice as many.
+        Evaluations of a stage: two fifths of `draws`, and not less than 50 for each parameter and 200 in all,
+        by default. The prior is evaluated at twice as many.
     threshold : float
         Effective number of points that a new temperature keeps, over `stage_draws`.
     **settings
@@ -39,10 +41,12 @@ class PersistentSMC(PopulationKernel):
     -----
     Proposals come from a mixture of Student-t distributions fitted to the weighted pool: independent of the
     present point where many are accepted, shortened towards it (t-preconditioned Crank-Nicolson) where few
-    are. `sample_stats` has besides those of `PopulationKernel`: `accept_rate`, `scale` (1: independent
-    proposals), `effective` (points behind the stage's weights) and, at the end,
-    `log_marginal_likelihood_se`: its standard error, by a jackknife over chains. A constant added to the
-    log-likelihood changes nothing but the evidence. Cost and accuracy beside other samplers: benchmarks/.
+    are. A fifth of them are steps of differential evolution.
+
+    `sample_stats` has besides those of `PopulationKernel`: `accept_rate`, `scale` (1: independent proposals),
+    `effective` (points behind the stage's weights) and, at the end, `log_marginal_likelihood_se`: its
+    standard error, by a jackknife over chains. A constant added to the log-likelihood changes nothing but
+    the evidence. Cost and accuracy beside other samplers: benchmarks/.
 
     References
     ----------
@@ -62,7 +66,7 @@ class PersistentSMC(PopulationKernel):
         super().__init__(draws, **settings)
         n_parameters = sum(size for _, size in self.var_info.values())
         if stage_draws is None:
-            stage_draws = max(2 * self.draws // 5, 50 * n_parameters)
+            stage_draws = max(2 * self.draws // 5, 50 * n_parameters, 200)
         if isinstance(stage_draws, bool) or int(stage_draws) != stage_draws or stage_draws < 20:
             raise ValueError(f"`stage_draws` must be an integer of at least 20, got {stage_draws}.")
         self.stage_draws = GROUPS * -(-int(stage_draws) // GROUPS)
@@ -98,8 +102,8 @@ class PersistentSMC(PopulationKernel):
 
     def tune(self):
         """Fit the proposal to the weighted pool."""
-        drawn = equal_draws(self.weights, 2 * self.stage_draws, self.rng)
-        distinct, counts = np.unique(drawn, return_counts=True)
+        self.reference = equal_draws(self.weights, 2 * self.stage_draws, self.rng)
+        distinct, counts = np.unique(self.reference, return_counts=True)
         self.proposal = fit_mixture(self.pool.particles[distinct], counts, self.rng)
 
     def mutate(self):
@@ -110,12 +114,11 @@ class PersistentSMC(PopulationKernel):
         group = np.arange(len(x))
         self.n_steps, self.memory, acceptances = 0, 1.0, []
         while not self.stage_is_done(len(x)):
-            proposal = self.proposal.move(x, self.scale, self.rng)
+            proposal, local = self.propose_from(x)
             new_prior, new_likelihood = self.evaluate(proposal)
             new_density = self.proposal.log_density(proposal)
-            log_ratio = (
-                new_prior - prior + self.beta * (new_likelihood - likelihood) - (new_density - density)
-            )
+            log_ratio = new_prior - prior + self.beta * (new_likelihood - likelihood)
+            log_ratio += np.where(local, 0.0, density - new_density)
             probability = np.exp(np.minimum(log_ratio, 0.0))
             kept = np.sqrt(1.0 - self.scale**2)  # of the distance to the centre of the proposal
             possible = probability > 0
@@ -123,7 +126,7 @@ class PersistentSMC(PopulationKernel):
             ahead = position.copy()
             ahead[possible] = pool.add(
                 *(a[possible] for a in (proposal, new_prior, new_likelihood, probability)),
-                (1.0 + kept) / (1.0 - kept),
+                np.where(local, LOCAL_INFLATION, (1.0 + kept) / (1.0 - kept))[possible],
                 group[possible],
             )
             pool.counts[-1] += len(x)
@@ -138,12 +141,27 @@ class PersistentSMC(PopulationKernel):
             )
             self.n_steps += 1
             acceptances.append(probability.mean())
-            self.memory *= 1.0 - acceptances[-1] * (1.0 - kept)
+            self.memory *= 1.0 - (1.0 - LOCAL_SHARE) * acceptances[-1] * (1.0 - kept)
             self.adapt(acceptances[-1])
         self.accept_rate = float(np.mean(acceptances))
         pool.solve()
         if self.beta == 1.0:
             self.finish()
+
+    def propose_from(self, x):
+        """Proposals (n, d), and which of them are local.
+
+        Most are moves of the fitted mixture. Some are steps along the difference of two points of the pool
+        (differential evolution, ter Braak 2006): symmetric, and of the right size even in a corner of the
+        posterior that holds too few points for the mixture to see it.
+        """
+        n, d = x.shape
+        proposal = self.proposal.move(x, self.scale, self.rng)
+        a, b = self.rng.choice(self.reference, size=(2, n))
+        local = (self.rng.random(n) < LOCAL_SHARE) & (a != b)
+        length = 2.38 / np.sqrt(2.0 * d) * np.exp(0.7 * self.rng.standard_normal(n))
+        step = length[:, None] * (self.pool.particles[a] - self.pool.particles[b])
+        return np.where(local[:, None], x + step, proposal), local
 
     def adapt(self, acceptance):
         """Shorten proposals that are rarely accepted, lengthen them towards independence otherwise."""
