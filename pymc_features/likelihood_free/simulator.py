@@ -54,32 +54,45 @@ class ResponseSimulator:
 
 
 class FunctionSimulator:
-    """Simulator function of a user's function theta -> response (sensor, time)."""
+    """Simulator function of a user's function theta -> response (sensor, time).
+
+    If the function has an attribute `batched` that is true, it is called once for all particles, with
+    parameters (particle, ...), and returns (particle, sensor, time).
+    """
 
     def __init__(self, function: Callable, ndims_params: tuple[int, ...]):
         self.function = function
         self.ndims_params = ndims_params
+        self.batched = bool(getattr(function, "batched", False))
 
     def core(self, *parameters):
-        """Response (sensor, time) of one set of parameters."""
+        """Response (sensor, time) of one set of parameters, or of all."""
         return np.asarray(self.function(*parameters), dtype=np.float64)
 
     def __call__(self, rng, *parameters_and_size):
         *parameters, size = parameters_and_size
+        batch, spread = spread_batch(parameters, self.ndims_params, size)
+        if self.batched and batch:
+            return self.core(*spread)
         return simulate_batch(self.core, parameters, self.ndims_params, size)
+
+
+def spread_batch(parameters, ndims_params, size):
+    """Return the batch shape that parameters and `size` span, and the parameters spread over it."""
+    parameters = [np.asarray(p) for p in parameters]
+    batches = [p.shape[: p.ndim - n] for p, n in zip(parameters, ndims_params, strict=True)]
+    batch = np.broadcast_shapes(*batches, () if size is None else tuple(size))
+    return batch, [
+        np.broadcast_to(p, batch + p.shape[p.ndim - n :])
+        for p, n in zip(parameters, ndims_params, strict=True)
+    ]
 
 
 def simulate_batch(core, parameters, ndims_params, size):
     """Call `core` for every entry of the batch that parameters and `size` span."""
-    parameters = [np.asarray(p) for p in parameters]
-    batches = [p.shape[: p.ndim - n] for p, n in zip(parameters, ndims_params, strict=True)]
-    batch = np.broadcast_shapes(*batches, () if size is None else tuple(size))
+    batch, spread = spread_batch(parameters, ndims_params, size)
     if batch == ():
-        return core(*parameters)
-    spread = [
-        np.broadcast_to(p, batch + p.shape[p.ndim - n :])
-        for p, n in zip(parameters, ndims_params, strict=True)
-    ]
+        return core(*spread)
     results = [core(*(p[index] for p in spread)) for index in np.ndindex(*batch)]
     return np.stack(results).reshape(batch + results[0].shape)
 
@@ -153,7 +166,9 @@ def DiscrepancySimulator(name, mu, *params, epsilon, observed, kernel="uniform",
         What `response` returned: its parameters become the node's. Or a function of the values of
         `params` that returns an array (sensor, time).
     *params : TensorVariable
-        Parameters of the function; none if `mu` is a response.
+        Parameters of the function; none if `mu` is a response. A function marked by `function.batched = True`
+        is called by population kernels once for all particles: parameters (particle, ...) in, responses
+        (particle, sensor, time) out.
     epsilon : float or pm.Data
         Tolerance on rho, in squared units of the data, positive; see `abc_tolerance`.
     observed : array_like (sensor, time)

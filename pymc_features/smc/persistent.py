@@ -54,6 +54,7 @@ class PersistentSMC(PopulationKernel):
     sequential Monte Carlo, J. R. Stat. Soc. B 84 (2022).
     """
 
+    starts_from_prior = True
     stats_dtypes_shapes = {
         **PopulationKernel.stats_dtypes_shapes,
         "accept_rate": (float, []),

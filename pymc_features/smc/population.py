@@ -6,6 +6,7 @@ import numpy as np
 from pymc.initial_point import make_initial_point_expression
 from pymc.model import modelcontext
 from pymc.smc.kernels import SMC_KERNEL, Pearson
+from pymc.vartypes import discrete_types
 
 from pymc_features.smc.evaluation import population_logp
 
@@ -32,6 +33,10 @@ class PopulationKernel(SMC_KERNEL):
     whose log-density is not finite have probability zero, each on its own; nothing raises in between.
     """
 
+    # PyMC starts every particle of a variable with an `initval` there, and those of discrete variables at
+    # integers of the real line they move on. Where the first particles must be draws from the prior, both
+    # are undone.
+    starts_from_prior = False
     stats_dtypes_shapes = {
         **SMC_KERNEL.stats_dtypes_shapes,
         "n_steps": (int, []),
@@ -62,7 +67,10 @@ class PopulationKernel(SMC_KERNEL):
         self._prior_expression = make_initial_point_expression(
             free_rvs=model.free_RVs,
             rvs_to_transforms=model.rvs_to_transforms,
-            initval_strategies={**model.rvs_to_initial_values},
+            initval_strategies={
+                rv: None if self.starts_from_prior else value
+                for rv, value in model.rvs_to_initial_values.items()
+            },
             default_strategy="prior",
             return_transformed=True,
         )
@@ -95,8 +103,13 @@ class PopulationKernel(SMC_KERNEL):
                 initial = self.initialize_population()
             finally:
                 self.draws = draws
-        columns = [np.asarray(initial[v.name], dtype=np.float64) for v in self.variables]
-        return np.hstack([c.reshape(len(c), -1) for c in columns])
+        columns = []
+        for v in self.variables:
+            values = np.array(initial[v.name], dtype=np.float64)
+            if self.starts_from_prior and v.dtype in discrete_types:
+                values += self.rng.uniform(-0.5, 0.5, values.shape)
+            columns.append(values.reshape(len(values), -1))
+        return np.hstack(columns)
 
     def _initialize_kernel(self):
         self.tempered_posterior = self.initial_particles(self.draws)

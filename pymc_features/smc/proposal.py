@@ -130,9 +130,11 @@ def first_shares(x, n_components, rng):
     centres = scaled[[rng.integers(len(x))]]
     for _ in range(n_components - 1):
         distance = ((scaled[:, None] - centres) ** 2).sum(axis=2).min(axis=1)
+        if not distance.any():
+            break
         centres = np.vstack([centres, scaled[rng.choice(len(x), p=distance / distance.sum())]])
     nearest = ((scaled[:, None] - centres) ** 2).sum(axis=2).argmin(axis=1)
-    share = np.full((n_components, len(x)), 0.1 / n_components)
+    share = np.full((len(centres), len(x)), 0.1 / len(centres))
     share[nearest, np.arange(len(x))] += 0.9
     return share
 

@@ -38,6 +38,7 @@ class TMCMC(PopulationKernel):
     doi:10.1061/(ASCE)0733-9399(2007)133:7(816).
     """
 
+    starts_from_prior = True
     stats_dtypes_shapes = {**PopulationKernel.stats_dtypes_shapes, "accept_rate": (float, [])}
 
     def __init__(

@@ -1,0 +1,351 @@
+"""Runs of `pm.sample_smc` with our kernels: what they report, refuse and save; and models with simulators."""
+
+import warnings
+
+import arviz as az
+import numpy as np
+import pymc as pm
+import pytensor
+import pytensor.tensor as pt
+import pytest
+import xarray as xr
+from pymc.smc.kernels import IMH
+from scipy import stats
+
+from pymc_features import (
+    TMCMC,
+    DiscrepancySimulator,
+    PersistentSMC,
+    PopulationIMH,
+    PopulationMH,
+    PopulationWarning,
+    sample_smc,
+)
+from pymc_features.smc import KERNELS
+
+QUIET = {"cores": 1, "progressbar": False, "compute_convergence_checks": False}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick():
+    """Compile for small examples."""
+    with pytensor.config.change_flags(mode="FAST_COMPILE"):
+        yield
+
+
+def regression():
+    """Named axes, a positive parameter and a deterministic one."""
+    with pm.Model(coords={"place": ["a", "b", "c"]}) as model:
+        x = pm.Normal("x", dims="place")
+        s = pm.HalfNormal("s")
+        pm.Deterministic("total", x.sum())
+        pm.Normal("y", x, 0.01 + s, observed=[0.0, 1.0, 2.0], dims="place")
+    return model
+
+
+@pytest.fixture(scope="module")
+def model():
+    return regression()
+
+
+# --------------------------------------------------------------------------- saving
+
+UNEQUAL = {
+    IMH: 2,
+    PopulationIMH: 2,
+    PopulationMH: 2,
+    PersistentSMC: 0,
+    TMCMC: 2,
+}  # seeds: chains differ in stages
+
+
+@pytest.fixture(scope="module", params=UNEQUAL, ids=lambda kernel: kernel.__module__ + "." + kernel.__name__)
+def saved(request, model):
+    """A result of every kernel, of three chains with unequal numbers of stages."""
+    kernel = request.param
+    return kernel, sample_smc(60, kernel, model=model, chains=3, random_seed=UNEQUAL[kernel], **QUIET)
+
+
+def test_unequal_stages_are_padded(saved):
+    kernel, idata = saved
+    found = idata.sample_stats
+    assert dict(found.sizes) == {"chain": 3, "stage": found.sizes["stage"]}
+    missing = np.isnan(found["beta"].values)
+    assert len(set(missing.sum(axis=1))) > 1, "unequal numbers of stages are the subject"
+    for row, gone in zip(found["beta"].values, missing, strict=True):
+        assert (np.diff(gone.astype(int)) >= 0).all(), "padded at the end"
+        assert row[~gone][-1] == 1.0
+        assert (np.diff(row[~gone]) > 0).all()
+    for name, values in found.data_vars.items():
+        assert values.dtype == float, name
+        if not name.startswith("log_marginal"):
+            np.testing.assert_array_equal(np.isnan(values.values), missing, err_msg=name)
+    assert found["log_marginal_likelihood"].dims == ("chain",)
+    assert np.isfinite(found["log_marginal_likelihood"]).all()
+    assert len(np.unique(found["log_marginal_likelihood"])) == 3
+    if kernel is PersistentSMC:
+        assert found["log_marginal_likelihood_se"].dims == ("chain",)
+        assert (found["log_marginal_likelihood_se"] > 0).all()
+
+
+def test_netcdf(saved, tmp_path):
+    """Saved and loaded, everything is as it was."""
+    _, idata = saved
+    idata.to_netcdf(tmp_path / "result.nc", engine="h5netcdf")
+    with xr.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as loaded:
+        xr.testing.assert_equal(loaded.load(), idata)
+
+
+def test_zarr(saved, tmp_path):
+    pytest.importorskip("zarr")
+    _, idata = saved
+    idata.to_zarr(tmp_path / "result.zarr", consolidated=False)
+    with xr.open_datatree(tmp_path / "result.zarr", engine="zarr", consolidated=False) as loaded:
+        xr.testing.assert_equal(loaded.load(), idata)
+
+
+def test_arviz_reads_it(saved):
+    _, idata = saved
+    summary = az.summary(idata)
+    assert set(summary.index) >= {"s", "x[a]", "x[c]", "total"}
+    assert np.isfinite(summary["mean"].astype(float)).all()
+
+
+# --------------------------------------------------------------------------- the function
+
+
+def test_default_kernel_is_persistent(model):
+    one = sample_smc(60, model=model, chains=2, random_seed=1, **QUIET)
+    other = sample_smc(60, PersistentSMC, model=model, chains=2, random_seed=1, **QUIET)
+    xr.testing.assert_equal(one["posterior"].dataset, other["posterior"].dataset)
+    assert one.posterior.sizes["draw"] == 60
+    assert "stage_draws" in one.sample_stats.attrs
+
+
+def test_inside_a_model_and_as_many_chains_as_cores():
+    with regression():
+        idata = sample_smc(40, chains=None, random_seed=1, **QUIET)
+    assert idata.posterior.sizes == {"chain": 2, "draw": 40, "place": 3}
+
+
+def test_multitrace_is_refused(model):
+    with pytest.raises(ValueError, match="`return_inferencedata` must be True, got False. Use pm.sample_smc"):
+        sample_smc(60, model=model, return_inferencedata=False)
+
+
+def test_settings_reach_the_kernel(model):
+    idata = sample_smc(60, model=model, chains=1, random_seed=1, stage_draws=200, threshold=0.9, **QUIET)
+    assert (idata.sample_stats.attrs["stage_draws"], idata.sample_stats.attrs["threshold"]) == (200, 0.9)
+
+
+# --------------------------------------------------------------------------- statistics of stages
+
+
+class Counting:
+    """An evaluation that counts for itself."""
+
+    def __init__(self, logp):
+        self.logp = logp
+        self.evaluations = self.failed = 0
+
+    def with_rng(self, rng):
+        return self
+
+    def __call__(self, particles):
+        result = self.logp(particles)
+        self.evaluations += len(particles)
+        self.failed += result[2].sum()
+        return result
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_stages_report_what_they_did(kernel):
+    """Evaluations and failures add up to those made, also in a second chain of the same kernel."""
+    with pm.Model() as model:
+        x = pm.Normal("x", shape=2)
+        pm.Normal("y", x[1], 0.1, observed=1.0)
+        pm.Potential("root", pt.sqrt(x[0]))
+    one = kernel(60, model=model)
+    for seed in (1, 2):
+        one.logp = counted = Counting(getattr(one.logp, "logp", one.logp))
+        one.initialize(None, np.random.default_rng(seed))
+        stages = []
+        while one.beta < 1:
+            one.update_beta_and_weights()
+            stages.append(one.step())
+        for stage in stages:
+            assert set(stage) == set(kernel.stats_dtypes_shapes)
+            assert stage["n_steps"] >= 1
+            assert stage["seconds"] > 0
+            rate = stage["mean_accept_rate" if kernel is PopulationMH else "accept_rate"]
+            assert 0 < rate <= 1
+            assert stage["evaluations"] > 0
+        assert sum(stage["evaluations"] for stage in stages) == counted.evaluations
+        assert sum(stage["failed"] for stage in stages) == counted.failed > 10
+        assert np.isnan([stage["log_marginal_likelihood"] for stage in stages[:-1]]).all()
+        assert np.isfinite(stages[-1]["log_marginal_likelihood"])
+        n_steps = np.array([stage["n_steps"] for stage in stages])
+        evaluations = np.array([stage["evaluations"] for stage in stages])
+        if kernel in (PopulationIMH, PopulationMH):
+            np.testing.assert_array_equal(evaluations, 60 * (n_steps + (np.arange(len(stages)) == 0)))
+        elif kernel is TMCMC:
+            np.testing.assert_array_equal(evaluations, 60 * (1 + (np.arange(len(stages)) == 0)))
+        assert len(one.tempered_posterior) == 60
+
+
+PYMC_STAGES = [kernel for kernel in KERNELS if kernel is not TMCMC]
+
+
+@pytest.mark.parametrize(
+    ("kernel", "settings", "match"),
+    [
+        *[(k, {"draws": 1}, "`draws` must be an integer of at least 2, got 1") for k in KERNELS],
+        *[(k, {"draws": 2.5}, "`draws` must be an integer of at least 2, got 2.5") for k in KERNELS],
+        *[(k, {"draws": True}, "`draws` must be an integer of at least 2, got True") for k in KERNELS],
+        *[(k, {"threshold": 0.0}, "`threshold` must lie between 0 and 1, got 0.0") for k in PYMC_STAGES],
+        *[(k, {"threshold": 1.0}, "`threshold` must lie between 0 and 1, got 1.0") for k in PYMC_STAGES],
+        *[(k, {"threshold": np.nan}, "`threshold` must lie between 0 and 1, got nan") for k in PYMC_STAGES],
+        (PersistentSMC, {"stage_draws": 19}, "`stage_draws` must be an integer of at least 20, got 19"),
+        (PersistentSMC, {"stage_draws": 30.5}, "`stage_draws` must be an integer of at least 20, got 30.5"),
+        (PersistentSMC, {"stage_draws": True}, "`stage_draws` must be an integer of at least 20, got True"),
+        (TMCMC, {"scale": 0.0}, "`scale` must be positive, got 0.0. Leave it out for the source's"),
+        (TMCMC, {"scale": np.nan}, "`scale` must be positive, got nan"),
+        (TMCMC, {"coefficient_of_variation": -1}, "`coefficient_of_variation` must be positive, got -1"),
+    ],
+)
+def test_bad_settings_are_refused(model, kernel, settings, match):
+    with pytest.raises(ValueError, match=match):
+        kernel(**{"draws": 60, "model": model, **settings})
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("value", [np.nan, -np.inf, np.inf])
+def test_an_impossible_model_is_refused(kernel, value):
+    """No draw from the prior is possible: said at once, with what to look at."""
+    with pm.Model() as model:
+        pm.Potential("never", pm.Normal("x") + value)
+    match = r"finite log-density somewhere, got none at \d+ draws from the prior \(\d+ failed .*point_logps"
+    with pytest.raises(ValueError, match=match):
+        sample_smc(40, kernel, model=model, chains=1, random_seed=1, **QUIET)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_start_replaces_the_prior_draws(kernel, model):
+    """Given points are where the chains begin."""
+    one = kernel(40, model=model)
+    rng = np.random.default_rng(0)
+    start = {"x": rng.normal(size=(40, 3)), "s_log__": rng.normal(size=40)}
+    one.initialize(start, rng)
+    assert one.evaluations == 40
+    idata = sample_smc(40, kernel, model=model, start=start, chains=2, random_seed=1, **QUIET)
+    assert idata.posterior.sizes["draw"] == 40
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_smallest_runs(kernel, model):
+    """Two draws are few, not an error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        idata = sample_smc(2, kernel, model=model, chains=1, random_seed=1, **QUIET)
+    assert np.isfinite(idata.posterior["x"]).all()
+
+
+# --------------------------------------------------------------------------- simulators
+
+
+VALUES = np.random.default_rng(3).normal(0.7, 1.0, 20)
+WIDTH = 0.3
+
+
+def draws_of(rng, mean, size):
+    """A simulator that takes any batch; PyMC passes parameters (particle, 1)."""
+    return rng.normal(mean, 1.0, size=size)
+
+
+def shelf(theta):
+    """A response (..., sensor, time) for theta (...)."""
+    return np.multiply.outer(np.asarray(theta), np.ones((2, 5))) * np.arange(5.0)
+
+
+def simulator(function):
+    with pm.Model() as model:
+        mean = pm.Normal("mean")
+        pm.Simulator("y", function, mean, epsilon=WIDTH, sum_stat="mean", observed=VALUES)
+    return model
+
+
+def discrepancy(function):
+    with pm.Model() as model:
+        theta = pm.Uniform("theta", 0.0, 2.0)
+        DiscrepancySimulator("y", function, theta, epsilon=0.1, observed=shelf(0.9), kernel="exponential")
+    return model
+
+
+def marked(function):
+    """The function, wrapped, with the mark of one that takes batches."""
+
+    def batched(*args):
+        return function(*args)
+
+    batched.batched = True
+    return batched
+
+
+CASES = [(simulator, draws_of), (discrepancy, shelf)]
+
+
+@pytest.mark.parametrize(("build", "function"), CASES)
+def test_a_plain_simulator_is_called_for_each_particle(build, function):
+    """With one warning, which says what to do about it."""
+    model = build(function)
+    with pytest.warns(
+        PopulationWarning, match="takes one set of parameters at a time.*batched = True"
+    ) as caught:
+        kernel = PopulationIMH(50, model=model)
+        PersistentSMC(50, model=model)
+        sample_smc(50, PopulationMH, model=model, chains=1, **QUIET)
+    assert sum(issubclass(w.category, PopulationWarning) for w in caught) == 1
+    assert not kernel.logp.batched
+
+
+@pytest.mark.parametrize(("build", "function"), CASES)
+def test_a_marked_simulator_is_called_for_all(build, function):
+    """What the warning says does what it says, without a warning: the same draws from one call for all."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PopulationWarning)
+        expected = sample_smc(50, model=build(function), chains=2, random_seed=1, **QUIET)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", PopulationWarning)
+        model = build(marked(function))
+        found = sample_smc(50, model=model, chains=2, random_seed=1, **QUIET)
+    assert PopulationIMH(50, model=model).logp.batched
+    xr.testing.assert_allclose(found["posterior"].dataset, expected["posterior"].dataset, rtol=1e-9)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_noisy_simulator_has_its_exact_posterior(kernel):
+    """The mean of 20 draws within 0.3 of the data's, softly: Gaussian, with a closed-form evidence.
+
+    Limits are five standard deviations over seeds of the mean, the spread and the log evidence of 2 x 500
+    draws, the largest of all kernels (0.021, 0.011 and 0.050): a false alarm in 1e6 seeds for each.
+    """
+    variance = WIDTH**2 + 1 / 20
+    idata = sample_smc(500, kernel, model=simulator(marked(draws_of)), chains=2, random_seed=1, **QUIET)
+    values = idata.posterior["mean"].values
+    assert values.mean() == pytest.approx(VALUES.mean() / (1 + variance), abs=0.105)
+    assert values.std() == pytest.approx(np.sqrt(variance / (1 + variance)), abs=0.055)
+    evidence = stats.norm.logpdf(VALUES.mean(), 0.0, np.sqrt(1 + variance)) + np.log(
+        np.sqrt(2 * np.pi) * WIDTH
+    )
+    assert float(idata.sample_stats["log_marginal_likelihood"].mean()) == pytest.approx(evidence, abs=0.25)
+
+
+def test_each_particle_and_call_has_its_own_noise():
+    """And each chain its own stream, the same for the same seed."""
+    model = simulator(marked(draws_of))
+    logp = PopulationIMH(50, model=model).logp
+    values = np.concatenate([logp(np.zeros((20, 1)))[1] for _ in range(2)])
+    assert len(np.unique(values)) == 40
+    streams = [logp.with_rng(np.random.default_rng(seed))(np.zeros((20, 1)))[1] for seed in (1, 2, 1)]
+    assert not np.isin(streams[0], streams[1]).any()
+    np.testing.assert_array_equal(streams[0], streams[2])
