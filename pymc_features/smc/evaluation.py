@@ -75,7 +75,7 @@ class PopulationLogp:
             joined = particles
         else:
             warnings.warn(f"particles are evaluated one by one: {reason}.", PopulationWarning, stacklevel=2)
-        self.function = compile_function([joined], outputs, on_unused_input="ignore", **compile_kwargs)
+        self.function = compile_function([joined], outputs, **{**compile_kwargs, "on_unused_input": "ignore"})
         self.function.trust_input = True
         _ALIVE[self.token] = self
 
@@ -88,16 +88,18 @@ class PopulationLogp:
             -inf where they are not finite numbers.
         failed : array of bool (p,)
             Particles inside the prior's support whose simulation failed: where the model has a simulator of
-            ours, its result is not finite; elsewhere, the log-likelihood is not.
+            ours, its result is not finite; elsewhere, the log-likelihood is not. Those at which the model
+            raises a numerical error, too.
         """
         size = self.batch if self.batched else 1
         parts = [self._evaluate(particles[i : i + size]) for i in range(0, len(particles), size)]
         prior, likelihood, *failure = (np.concatenate(column) for column in zip(*parts, strict=True))
         failed = failure[0].astype(bool) if self.counts_simulations else ~np.isfinite(likelihood)
         failed |= np.isnan(likelihood) | (likelihood == np.inf)
+        failed &= np.isnan(prior) | (prior > -np.inf)
         prior = np.where(np.isfinite(prior), prior, -np.inf)
         likelihood = np.where(np.isfinite(likelihood), likelihood, -np.inf)
-        return prior, likelihood, failed & (prior > -np.inf)
+        return prior, likelihood, failed
 
     def _evaluate(self, particles):
         """Raw outputs, each (p,); NaN for particles at which the model raises a numerical error."""
