@@ -104,12 +104,12 @@ def uniform_kernel(epsilon, rho):
 
 def exponential_kernel(epsilon, rho):
     """-rho / epsilon: with epsilon = 2 sigma^2 the EXP likelihood at that sigma."""
-    return pt.switch(pt.isnan(rho), -np.inf, -rho / epsilon)
+    return -rho / epsilon
 
 
 def gaussian_kernel(epsilon, rho):
     """-(rho / epsilon)^2 / 2, PyMC's own soft kernel on rho."""
-    return pt.switch(pt.isnan(rho), -np.inf, -0.5 * pt.sqr(rho / epsilon))
+    return -0.5 * pt.sqr(rho / epsilon)
 
 
 KERNELS = {
@@ -129,8 +129,8 @@ class Distance:
         return self.of_discrepancy(epsilon, mean_square_discrepancy(simulated, observed))
 
     def of_discrepancy(self, epsilon, e):
-        """Log-density of the kernel for mean squares e (..., sensor)."""
-        return KERNELS[self.kernel](epsilon, pt.sum(e, axis=-1))
+        """Log-density of the kernel for mean squares e (..., sensor); a failed simulation is infinitely far."""
+        return KERNELS[self.kernel](epsilon, pt.sum(pt.switch(pt.isnan(e), np.inf, e), axis=-1))
 
 
 class ResponseNode:
