@@ -182,6 +182,8 @@ def run_part(study, kind, multiplier, tolerance, models, cores, progressbar) -> 
             random_seed=study.part_seed(kind, multiplier),
             compute_convergence_checks=False,
             progressbar=progressbar,
+            # one Op does the work; to compile the few around it takes longer than it saves
+            compile_kwargs={"mode": "FAST_COMPILE"},
         )
     part = xr.DataTree.from_dict(
         {"posterior": idata["posterior"].to_dataset(), "sample_stats": idata["sample_stats"].to_dataset()}
