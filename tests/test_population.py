@@ -245,10 +245,7 @@ def test_parallel_chains_give_the_same_draws(sequential, default_mode, mp_ctx, k
 def prior_particles(model, n=40, spread=1.0, seed=0):
     """Draws from the prior, moved about, (n, d), with the points they stand for."""
     kernel = PopulationIMH(n, model=model, random_seed=seed)
-    columns = [
-        np.reshape(v, (n, -1)) for v in (kernel.initialize_population()[v.name] for v in kernel.variables)
-    ]
-    particles = np.hstack(columns).astype(float)
+    particles = kernel.initial_particles(n)
     return particles + spread * np.random.default_rng(seed).normal(size=particles.shape)
 
 

@@ -129,7 +129,7 @@ class Distance:
         return self.of_discrepancy(epsilon, mean_square_discrepancy(simulated, observed))
 
     def of_discrepancy(self, epsilon, e):
-        """Log-density of the kernel for mean squares e (..., sensor); a failed simulation is infinitely far."""
+        """Log-density of the kernel for mean squares e (..., sensor); what failed is infinitely far."""
         return KERNELS[self.kernel](epsilon, pt.sum(pt.switch(pt.isnan(e), np.inf, e), axis=-1))
 
 

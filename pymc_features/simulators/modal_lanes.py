@@ -16,7 +16,7 @@ from pymc_features.simulators.lanes import (
     store,
     where_less,
 )
-from pymc_features.simulators.modal import MAX_ITERATIONS, ascending, is_chain, normalise
+from pymc_features.simulators.modal import MAX_ITERATIONS, ascending, is_chain
 
 TINY = 1e-300  # keeps quotients of zeros from becoming NaN
 
@@ -99,14 +99,15 @@ def diagonalise_lanes(diagonal, off_diagonal, vectors):
 
 
 @jit
-def fill_lane(mass, stiffness, lane, diagonal, off_diagonal, vectors):
-    """Write the symmetric tridiagonal matrix of one chain, and the identity, into a lane.
+def fill_lane(mass, stiffness, lane, masses, springs, diagonal, off_diagonal, vectors):
+    """Write one chain, its symmetric tridiagonal matrix, and the identity, into a lane.
 
-    Returns False, and leaves the lane zero, where the parameters do not describe a chain.
+    Returns False, and leaves the matrix zero, where the parameters do not describe a chain.
     """
     n = mass.size
     possible = is_chain(mass, stiffness)
     for i in range(n):
+        masses[i, lane], springs[i, lane] = mass[i], stiffness[i]
         above = stiffness[i + 1] if i + 1 < n else 0.0
         diagonal[i, lane] = (stiffness[i] + above) / mass[i]
         off_diagonal[i, lane] = -above / (np.sqrt(mass[i]) * np.sqrt(mass[i + 1])) if i + 1 < n else 0.0
@@ -119,11 +120,42 @@ def fill_lane(mass, stiffness, lane, diagonal, off_diagonal, vectors):
 
 
 @jit
-def lane_modes(mass, stiffness, lane, diagonal, vectors, angular_frequencies, mode_shapes, participation):
-    """Modes of the chain in one lane, written as by `modal.chain_modes`."""
-    n = mass.size
-    order = ascending(diagonal[:, lane])
+def normalise_lanes(masses, springs, frequencies, participation, work, vectors):
+    """Turn eigenvectors into mode shapes in place: `modal.normalise` for all lanes.
+
+    `frequencies`, `participation` and `work` (n, LANES) are written.
+    """
+    n = masses.shape[0]
+    zero, one = splat(0.0), splat(1.0)
+    for i in range(n):
+        store(work, i, one / square_root(load(masses, i)))
     for r in range(n):
+        energy, inertia, below = zero, zero, zero
         for i in range(n):
-            mode_shapes[r, i] = vectors[order[r] * n + i, lane] / np.sqrt(mass[i])
-        angular_frequencies[r], participation[r] = normalise(mass, stiffness, mode_shapes[r])
+            mass = load(masses, i)
+            shape = load(vectors, r * n + i) * load(work, i)
+            store(vectors, r * n + i, shape)
+            drift = shape - below
+            energy = energy + load(springs, i) * drift * drift
+            inertia = inertia + mass * shape * shape
+            below = shape
+        scale = where_less(below, zero, zero - one, one) / square_root(inertia)
+        total = zero
+        for i in range(n):
+            shape = load(vectors, r * n + i) * scale
+            store(vectors, r * n + i, shape)
+            total = total + load(masses, i) * shape
+        store(frequencies, r, square_root(energy / inertia))
+        store(participation, r, total)
+
+
+@jit
+def take_lane(lane, frequencies, participation, vectors, own_frequencies, own_participation, mode_shapes):
+    """Copy the modes of one lane out of it, in ascending order of frequency."""
+    n = own_frequencies.size
+    order = ascending(frequencies[:, lane])
+    for r in range(n):
+        own_frequencies[r] = frequencies[order[r], lane]
+        own_participation[r] = participation[order[r], lane]
+        for i in range(n):
+            mode_shapes[r, i] = vectors[order[r] * n + i, lane]

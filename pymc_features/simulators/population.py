@@ -4,7 +4,7 @@ import numpy as np
 
 from pymc_features.simulators.compilation import jit
 from pymc_features.simulators.lanes import LANES
-from pymc_features.simulators.modal_lanes import diagonalise_lanes, fill_lane, lane_modes
+from pymc_features.simulators.modal_lanes import diagonalise_lanes, fill_lane, normalise_lanes, take_lane
 from pymc_features.simulators.recursion import N_ROWS, check_sizes, modal_coefficients, n_outputs
 from pymc_features.simulators.recursion_lanes import N_COEFFICIENTS, SAMPLES, march, turn_to_output
 
@@ -25,16 +25,24 @@ def check_population(mass, stiffness, rayleigh, ratios, sensors, n_modes, n_time
 
 
 @jit
-def group_modes(mass, stiffness, first, count, valid, diagonal, off_diagonal, vectors):
-    """Solve the eigenproblems of `count` particles together; `valid` (LANES,) says which there are."""
-    for array in (diagonal, off_diagonal, vectors):
+def group_modes(mass, stiffness, first, count, valid, lanes):
+    """Solve the eigenproblems of `count` particles together; `valid` (LANES,) says which there are.
+
+    `lanes` are arrays for masses, springs, frequencies, participation, off_diagonal (n, LANES) and vectors
+    (n n, LANES).
+    """
+    masses, springs, frequencies, participation, off_diagonal, vectors = lanes
+    for array in lanes:
         array.fill(0.0)
     for lane in range(count):
         p = first + lane
         lane_mass, lane_stiffness = mass[p % mass.shape[0]], stiffness[p % stiffness.shape[0]]
-        valid[lane] = fill_lane(lane_mass, lane_stiffness, lane, diagonal, off_diagonal, vectors)
-    if not diagonalise_lanes(diagonal, off_diagonal, vectors):
+        valid[lane] = fill_lane(
+            lane_mass, lane_stiffness, lane, masses, springs, frequencies, off_diagonal, vectors
+        )
+    if not diagonalise_lanes(frequencies, off_diagonal, vectors):
         valid.fill(False)
+    normalise_lanes(masses, springs, frequencies, participation, off_diagonal, vectors)
 
 
 @jit
@@ -48,23 +56,23 @@ def fill_group(
     parameters : tuple of arrays
         mass, stiffness, rayleigh, ratios.
     modes : tuple of arrays
-        Work space: valid (LANES,), diagonal, off_diagonal (n, LANES), vectors (n n, LANES), omega,
-        participation (n,), mode_shapes (n, n), table (11, m), and shapes and direct of one particle.
+        Work space: valid (LANES,), lanes as in `group_modes`, and for one particle omega, participation
+        (n,), mode_shapes (n, n), table (11, m), shapes and direct.
     coefficients, states, shapes, direct : array (..., LANES)
         Written.
     """
     mass, stiffness, rayleigh, ratios = parameters
-    valid, diagonal, off_diagonal, vectors, omega, participation, mode_shapes, table, own, own_direct = modes
+    valid, lanes, omega, participation, mode_shapes, table, own, own_direct = modes
+    _, _, frequencies, participations, _, vectors = lanes
     even_modes = states.shape[0] // 2
     for array in (coefficients, states, shapes, direct):
         array.fill(0.0)
-    group_modes(mass, stiffness, first, count, valid, diagonal, off_diagonal, vectors)
+    group_modes(mass, stiffness, first, count, valid, lanes)
     for lane in range(count):
         p = first + lane
         if not valid[lane]:
             continue
-        lane_mass, lane_stiffness = mass[p % mass.shape[0]], stiffness[p % stiffness.shape[0]]
-        lane_modes(lane_mass, lane_stiffness, lane, diagonal, vectors, omega, mode_shapes, participation)
+        take_lane(lane, frequencies, participations, vectors, omega, participation, mode_shapes)
         valid[lane] = modal_coefficients(
             omega,
             mode_shapes,
@@ -135,7 +143,10 @@ def population_discrepancy(
     valid = np.empty(LANES, dtype=np.bool_)
     modes = (
         valid,
-        *(np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n * n, LANES))),
+        (
+            *(np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n, LANES))),
+            *(np.empty((n, LANES)), np.empty((n * n, LANES))),
+        ),
         *(np.empty(n), np.empty(n), np.empty((n, n))),
         *(np.empty((N_ROWS, n_modes)), np.empty((n_sensors, n_modes)), np.empty(n_sensors)),
     )

@@ -69,6 +69,7 @@ class PopulationLogp:
             except Exception as error:  # any Op of any library may refuse in its own way
                 reason = f"a part of the model cannot be vectorised ({error})"
         self.batched = vectorized is not None
+        dtype = joined.dtype
         if self.batched:
             rows = particles.shape[0]
             outputs = [out if out.ndim else pt.broadcast_to(out, (rows,)) for out in vectorized]
@@ -78,6 +79,8 @@ class PopulationLogp:
         self.function = compile_function([joined], outputs, **{**compile_kwargs, "on_unused_input": "ignore"})
         self.function.trust_input = True
         _ALIVE[self.token] = self
+        # once in this process, that forked ones need not begin with the machine code
+        self(np.concatenate([np.ravel(point[v.name]) for v in model.value_vars])[None].astype(dtype))
 
     def __call__(self, particles: np.ndarray):
         """Evaluate particles (p, d).

@@ -3,12 +3,12 @@
 import time
 
 import numpy as np
-from pymc.initial_point import make_initial_point_expression
 from pymc.model import modelcontext
 from pymc.smc.kernels import SMC_KERNEL, Pearson
 from pymc.vartypes import discrete_types
 
 from pymc_features.smc.evaluation import population_logp
+from pymc_features.smc.prior import prior_draws
 
 
 class PopulationKernel(SMC_KERNEL):
@@ -64,17 +64,8 @@ class PopulationKernel(SMC_KERNEL):
         self.logp = population_logp(
             model, {v.name: point[v.name] for v in self.variables}, compile_kwargs or {}
         )
-        self._prior_expression = make_initial_point_expression(
-            free_rvs=model.free_RVs,
-            rvs_to_transforms=model.rvs_to_transforms,
-            initval_strategies={
-                rv: None if self.starts_from_prior else value
-                for rv, value in model.rvs_to_initial_values.items()
-            },
-            default_strategy="prior",
-            return_transformed=True,
-        )
-        self._prior_var_names = [model.rvs_to_values[rv].name for rv in model.free_RVs]
+        self.prior = prior_draws(model, self.starts_from_prior)
+        self.prior_names = [model.rvs_to_values[rv].name for rv in model.free_RVs]
         self._reset_state()
 
     def _reset_state(self):
@@ -96,13 +87,7 @@ class PopulationKernel(SMC_KERNEL):
 
     def initial_particles(self, n: int) -> np.ndarray:
         """The given start, or `n` draws from the prior: (n, d)."""
-        initial = self.start
-        if not initial:
-            draws, self.draws = self.draws, n
-            try:
-                initial = self.initialize_population()
-            finally:
-                self.draws = draws
+        initial = self.start or dict(zip(self.prior_names, self.prior(n, self.rng), strict=True))
         columns = []
         for v in self.variables:
             values = np.array(initial[v.name], dtype=np.float64)
