@@ -108,6 +108,8 @@ def test_interrupt_keeps_what_is_finished(record_file, tmp_path):
         stderr=subprocess.PIPE,
         text=True,
         env={**os.environ, "MPLBACKEND": "Agg"},
+        # a shell's background jobs ignore Ctrl-C, and hand that on
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and not list(tmp_path.glob("parts/NORM_x0.2.nc")):
