@@ -14,6 +14,7 @@ from pytensor.tensor.blockwise import Blockwise
 from pymc_features.ops import (
     N_PARAMETERS,
     ChainResponse,
+    NoGradient,
     check_shape,
     mean_square_discrepancy,
     response_node,
@@ -119,6 +120,17 @@ KERNELS = {
 }
 
 
+ADVICE = (
+    "Sample with pmf.sample_smc(), or choose a gradient-free method yourself: "
+    "pm.sample(step=pm.DEMetropolisZ()), pm.find_MAP(method='powell')."
+)
+NO_GRADIENT_OF_FUNCTION = NoGradient(f"a function passed to DiscrepancySimulator has no gradient. {ADVICE}")
+NO_GRADIENT_OF_THRESHOLD = NoGradient(
+    f"the hard threshold of DiscrepancySimulator has no gradient. {ADVICE} The exponential and the gaussian "
+    "kernel are differentiable."
+)
+
+
 class Distance:
     """What `pm.Simulator` calls a distance: one of `KERNELS` at rho = sum_j e_j, Eq. (15)."""
 
@@ -126,11 +138,14 @@ class Distance:
         self.kernel = kernel
 
     def __call__(self, epsilon, observed, simulated):
-        return self.of_discrepancy(epsilon, mean_square_discrepancy(simulated, observed))
+        return NO_GRADIENT_OF_FUNCTION(
+            self.of_discrepancy(epsilon, mean_square_discrepancy(simulated, observed))
+        )
 
     def of_discrepancy(self, epsilon, e):
         """Log-density of the kernel for mean squares e (..., sensor); what failed is infinitely far."""
-        return KERNELS[self.kernel](epsilon, pt.sum(pt.switch(pt.isnan(e), np.inf, e), axis=-1))
+        density = KERNELS[self.kernel](epsilon, pt.sum(pt.switch(pt.isnan(e), np.inf, e), axis=-1))
+        return NO_GRADIENT_OF_THRESHOLD(density) if self.kernel == "uniform" else density
 
 
 class ResponseNode:

@@ -1,21 +1,44 @@
 """The PyTensor Ops of the package, and their Numba dispatch."""
 
 from pymc_features.ops import numba_dispatch
-from pymc_features.ops.base import N_PARAMETERS, NotDifferentiableError
+from pymc_features.ops.base import N_PARAMETERS
 from pymc_features.ops.discrepancy import ChainDiscrepancy, check_shape
+from pymc_features.ops.gradient import (
+    ChainDiscrepancyGradient,
+    ChainDiscrepancyTangent,
+    ChainResponseGradient,
+    ChainResponseTangent,
+    PopulationGradient,
+)
 from pymc_features.ops.mean_square import mean_square_discrepancy
+from pymc_features.ops.no_gradient import NoGradient, NotDifferentiableError
 from pymc_features.ops.population import PopulationDiscrepancy
 from pymc_features.ops.response import ChainResponse, response, response_node, response_step
 
-OPS = (ChainResponse, ChainDiscrepancy, PopulationDiscrepancy)
+OPS = (
+    ChainResponse,
+    ChainDiscrepancy,
+    PopulationDiscrepancy,
+    ChainResponseGradient,
+    ChainResponseTangent,
+    ChainDiscrepancyGradient,
+    ChainDiscrepancyTangent,
+    PopulationGradient,
+)
 
 __all__ = [
     "N_PARAMETERS",
     "OPS",
     "ChainDiscrepancy",
+    "ChainDiscrepancyGradient",
+    "ChainDiscrepancyTangent",
     "ChainResponse",
+    "ChainResponseGradient",
+    "ChainResponseTangent",
+    "NoGradient",
     "NotDifferentiableError",
     "PopulationDiscrepancy",
+    "PopulationGradient",
     "check_shape",
     "mean_square_discrepancy",
     "numba_dispatch",

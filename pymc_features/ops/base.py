@@ -1,4 +1,4 @@
-"""What the response Ops share: their inputs, and the refusal of gradients."""
+"""What the response Ops share: their inputs, and what a gradient depends on."""
 
 import numpy as np
 import pytensor.tensor as pt
@@ -23,13 +23,6 @@ INPUTS = {
 N_PARAMETERS = 4  # the first four describe the structure and may be random
 INTEGERS = ("substeps", "stride", "sensors", "n_modes")
 INPUT_SIGNATURE = "(n),(n),(2),(n),(t),(),(),(),(s),()"
-
-
-class NotDifferentiableError(RuntimeError):
-    """A gradient was asked of an Op that has none.
-
-    Not a `NotImplementedError`: PyMC answers that one by a silent change to Metropolis or Slice.
-    """
 
 
 class ChainOp(Op):
@@ -74,10 +67,13 @@ class ChainOp(Op):
             return None
         return int(n_outputs(n_times, int(substeps.data), int(stride.data)))
 
-    def pullback(self, inputs, outputs, cotangents):
-        """Refuse: these Ops have no gradient yet."""
-        raise NotDifferentiableError(
-            "the structural response is not differentiable yet, so NUTS, ADVI and gradient-based "
-            "optimisers cannot be used on it. Sample with pm.sample_smc(), or choose a gradient-free "
-            "method yourself: pm.sample(step=pm.DEMetropolisZ()), pm.find_MAP(method='powell')."
-        )
+    @staticmethod
+    def symbolic_n_outputs(node, shapes):
+        """Number of output samples as a tensor."""
+        substeps, stride = node.inputs[6], node.inputs[7]
+        return ((shapes[4][0] - 1) * substeps) // stride + 1
+
+    def connection_pattern(self, node):
+        """Parameters and data count; the record, the sampling and the sensors do not."""
+        counts = [i < N_PARAMETERS or i >= len(INPUTS) for i in range(len(node.inputs))]
+        return [[c] * len(node.outputs) for c in counts]

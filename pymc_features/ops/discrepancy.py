@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytensor.tensor as pt
+from pytensor.gradient import disconnected_type
 from pytensor.graph.basic import Apply
 
-from pymc_features.ops.base import INPUT_SIGNATURE, ChainOp
+from pymc_features.ops.base import INPUT_SIGNATURE, N_PARAMETERS, ChainOp
+from pymc_features.ops.gradient import ChainDiscrepancyGradient
+from pymc_features.ops.response import ChainResponse
 from pymc_features.simulators import chain_discrepancy
 
 
@@ -30,6 +33,17 @@ class ChainDiscrepancy(ChainOp):
     def perform(self, node, inputs, output_storage):
         *common, observed = [np.ascontiguousarray(x) if np.ndim(x) else x.item() for x in inputs]
         output_storage[0][0] = chain_discrepancy(*common, self.quantity_code, observed)
+
+    def pullback(self, inputs, outputs, cotangents):
+        """By `ChainDiscrepancyGradient`, and from the response for the data."""
+        *common, observed = inputs
+        [weights] = cotangents
+        misfit = observed - ChainResponse(self.quantity)(*common)
+        return [
+            *ChainDiscrepancyGradient(self.quantity)(*inputs, weights),
+            *(disconnected_type() for _ in common[N_PARAMETERS:]),
+            weights[:, None] * (2.0 / observed.shape[1]) * misfit,
+        ]
 
 
 def check_shape(expected, got, name="observed"):

@@ -4,6 +4,7 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
+from numba.extending import overload
 from pytensor.link.numba.dispatch.basic import (
     default_hash_key_from_props,
     numba_njit,
@@ -11,13 +12,25 @@ from pytensor.link.numba.dispatch.basic import (
 )
 
 from pymc_features.ops.discrepancy import ChainDiscrepancy
+from pymc_features.ops.gradient import (
+    ChainDiscrepancyGradient,
+    ChainDiscrepancyTangent,
+    ChainResponseGradient,
+    ChainResponseTangent,
+    PopulationGradient,
+)
 from pymc_features.ops.population import PopulationDiscrepancy
 from pymc_features.ops.response import ChainResponse
 from pymc_features.simulators import (
     SOURCE_HASH,
     chain_discrepancy,
     chain_response,
+    discrepancy_gradient,
+    discrepancy_tangent,
     population_discrepancy,
+    population_gradient,
+    response_gradient,
+    response_tangent,
 )
 
 DISPATCH_HASH = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
@@ -31,60 +44,37 @@ def cache_key(op) -> str:
     return default_hash_key_from_props(op, kernel=SOURCE_HASH, dispatch=DISPATCH_HASH)
 
 
-@register_funcify_and_cache_key(ChainResponse)
-def funcify_response(op, node=None, **kwargs):
-    """Return the response kernel with the Op's quantity bound."""
-    quantity = op.quantity_code
+KERNELS = {
+    ChainResponse: chain_response,
+    ChainDiscrepancy: chain_discrepancy,
+    PopulationDiscrepancy: population_discrepancy,
+    ChainResponseGradient: response_gradient,
+    ChainResponseTangent: response_tangent,
+    ChainDiscrepancyGradient: discrepancy_gradient,
+    ChainDiscrepancyTangent: discrepancy_tangent,
+    PopulationGradient: population_gradient,
+}
+
+
+def contiguous(arrays):
+    """The same tuple with contiguous arrays, inside compiled code."""
+    return tuple(np.ascontiguousarray(a) for a in arrays)
+
+
+@overload(contiguous)
+def _contiguous(arrays):
+    if len(arrays) == 0:
+        return lambda arrays: ()
+    return lambda arrays: (np.ascontiguousarray(arrays[0]), *contiguous(arrays[1:]))
+
+
+def funcify(op, node=None, **kwargs):
+    """Return the Op's kernel with its quantity bound."""
+    kernel, quantity = KERNELS[type(op)], op.quantity_code
 
     @numba_njit
-    def chain_response_op(
-        mass, stiffness, rayleigh, ratios, acceleration, dt, substeps, stride, sensors, n_modes
-    ):
-        return chain_response(
-            np.ascontiguousarray(mass),
-            np.ascontiguousarray(stiffness),
-            np.ascontiguousarray(rayleigh),
-            np.ascontiguousarray(ratios),
-            np.ascontiguousarray(acceleration),
-            dt.item(),
-            substeps.item(),
-            stride.item(),
-            np.ascontiguousarray(sensors),
-            n_modes.item(),
-            quantity,
-        )
-
-    return chain_response_op, cache_key(op)
-
-
-@register_funcify_and_cache_key(ChainDiscrepancy)
-def funcify_discrepancy(op, node=None, **kwargs):
-    """Return the fused kernel with the Op's quantity bound."""
-    return bind_discrepancy(chain_discrepancy, op.quantity_code), cache_key(op)
-
-
-@register_funcify_and_cache_key(PopulationDiscrepancy)
-def funcify_population(op, node=None, **kwargs):
-    """Return the fused kernel of populations with the Op's quantity bound."""
-    return bind_discrepancy(population_discrepancy, op.quantity_code), cache_key(op)
-
-
-def bind_discrepancy(kernel, quantity):
-    """A function of a node's inputs that calls one of the discrepancy kernels."""
-
-    @numba_njit
-    def discrepancy_op(
-        mass,
-        stiffness,
-        rayleigh,
-        ratios,
-        acceleration,
-        dt,
-        substeps,
-        stride,
-        sensors,
-        n_modes,
-        observed,
+    def chain_op(
+        mass, stiffness, rayleigh, ratios, acceleration, dt, substeps, stride, sensors, n_modes, *more
     ):
         return kernel(
             np.ascontiguousarray(mass),
@@ -98,7 +88,11 @@ def bind_discrepancy(kernel, quantity):
             np.ascontiguousarray(sensors),
             n_modes.item(),
             quantity,
-            np.ascontiguousarray(observed),
+            *contiguous(more),
         )
 
-    return discrepancy_op
+    return chain_op, cache_key(op)
+
+
+for _op in KERNELS:
+    register_funcify_and_cache_key(_op)(funcify)

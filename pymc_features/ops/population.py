@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytensor.tensor as pt
+from pytensor.gradient import disconnected_type, grad_undefined
 from pytensor.graph.basic import Apply
 from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor.blockwise import Blockwise
 
 from pymc_features.ops.base import INPUTS, N_PARAMETERS, ChainOp
 from pymc_features.ops.discrepancy import ChainDiscrepancy
+from pymc_features.ops.gradient import PopulationGradient
 from pymc_features.simulators import population_discrepancy
 
 
@@ -43,6 +45,14 @@ class PopulationDiscrepancy(ChainOp):
     def perform(self, node, inputs, output_storage):
         *common, observed = [np.ascontiguousarray(x) if np.ndim(x) else x.item() for x in inputs]
         output_storage[0][0] = population_discrepancy(*common, self.quantity_code, observed)
+
+    def pullback(self, inputs, outputs, cotangents):
+        """By `PopulationGradient`; the data of a population are not differentiated."""
+        return [
+            *PopulationGradient(self.quantity)(*inputs, *cotangents),
+            *(disconnected_type() for _ in inputs[N_PARAMETERS:-1]),
+            grad_undefined(self, len(inputs) - 1, inputs[-1], "Differentiate one particle, or the response."),
+        ]
 
 
 def fused_discrepancy(quantity, inputs):

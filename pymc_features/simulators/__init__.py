@@ -2,10 +2,12 @@
 
 from pymc_features.simulators.compilation import SOURCE_HASH
 from pymc_features.simulators.discrepancy import chain_discrepancy
+from pymc_features.simulators.gradient import discrepancy_gradient, population_gradient, response_gradient
 from pymc_features.simulators.population import population_discrepancy
 from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
 from pymc_features.simulators.sampling import UNITS, request
 from pymc_features.simulators.simulate import simulate
+from pymc_features.simulators.tangent import discrepancy_tangent, response_tangent
 
 __all__ = [
     "QUANTITIES",
@@ -13,8 +15,13 @@ __all__ = [
     "UNITS",
     "chain_discrepancy",
     "chain_response",
+    "discrepancy_gradient",
+    "discrepancy_tangent",
     "n_outputs",
     "population_discrepancy",
+    "population_gradient",
     "request",
+    "response_gradient",
+    "response_tangent",
     "simulate",
 ]
