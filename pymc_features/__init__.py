@@ -23,6 +23,13 @@ from pymc_features.distributions import (
     sigma_mpv,
 )
 from pymc_features.ground_motion import synthetic_earthquake
+from pymc_features.inference import (
+    ChainsDisagreeWarning,
+    LaplaceWarning,
+    fisher_information,
+    laplace,
+    sample_nuts,
+)
 from pymc_features.io import read_record
 from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
 from pymc_features.ops import NotDifferentiableError, mean_square_discrepancy, response
@@ -40,9 +47,11 @@ from pymc_features.structures import ModalDamping, RayleighDamping, SpringMassCh
 from pymc_features.study import paper, sampling_rate_study
 
 __all__ = [
+    "ChainsDisagreeWarning",
     "DiscrepancySimulator",
     "ExpFeature",
     "FeatureLikelihoodWarning",
+    "LaplaceWarning",
     "ModalDamping",
     "NotDifferentiableError",
     "PersistentSMC",
@@ -56,12 +65,15 @@ __all__ = [
     "TruncNormalFeature",
     "abc_tolerance",
     "datasets",
+    "fisher_information",
+    "laplace",
     "mean_square_discrepancy",
     "paper",
     "plot_record",  # noqa: F822
     "plot_sampling_rate",  # noqa: F822
     "read_record",
     "response",
+    "sample_nuts",
     "sample_smc",
     "sampling_rate_study",
     "sigma_mpv",

@@ -1,6 +1,6 @@
 """The PyTensor Ops of the package, and their Numba dispatch."""
 
-from pymc_features.ops import numba_dispatch
+from pymc_features.ops import jax_loader, numba_dispatch
 from pymc_features.ops.base import N_PARAMETERS
 from pymc_features.ops.discrepancy import ChainDiscrepancy, check_shape
 from pymc_features.ops.gradient import (
@@ -40,6 +40,7 @@ __all__ = [
     "PopulationDiscrepancy",
     "PopulationGradient",
     "check_shape",
+    "jax_loader",
     "mean_square_discrepancy",
     "numba_dispatch",
     "response",

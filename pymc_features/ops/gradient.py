@@ -1,8 +1,8 @@
 """Ops of the gradients: reverse mode and, as its transpose, forward mode.
 
-The reverse Op of each response Op is linear in its cotangent; its derivative by that is the forward Op, and the
-other way round. So forward mode, Gauss-Newton and Fisher products work. Second derivatives by the parameters do not
-exist: PyTensor says so if they are asked for.
+The reverse Op of each response Op is linear in its cotangent; its derivative by that is the forward Op, and
+the other way round. So forward mode, Gauss-Newton and Fisher products work. Second derivatives by the
+parameters do not exist: PyTensor says so if they are asked for.
 """
 
 import numpy as np

@@ -87,13 +87,11 @@ def response(
     --------
     simulate : the same numbers without PyTensor.
 
-    Notes
-    -----
-    The feature likelihoods recognise this variable and compute the discrepancy without storing the
-    history. Differentiable once, exactly, in masses, stiffnesses and damping, at repeated frequencies too; not
-    where damping ratios that differ from mode to mode change places, nor where `n_modes` cuts a pair of equal
-    frequencies. The gradient costs about twice the response, whatever the number of parameters, and
-    keeps no history.
+    Notes ----- The feature likelihoods recognise this variable and compute the discrepancy without storing
+    the history. Differentiable once, exactly, in masses, stiffnesses and damping, at repeated frequencies
+    too; not where damping ratios that differ from mode to mode change places, nor where `n_modes` cuts a
+    pair of equal frequencies. The gradient costs about twice the response, whatever the number of
+    parameters, and keeps no history.
 
     Examples
     --------

@@ -1,16 +1,16 @@
 """Gradients of response and discrepancy with respect to masses, springs and damping, exact and in one sweep.
 
-With weights W on the response, L = sum_jk W_jk y_jk, all that L's gradient needs from the history is the matrix of
-sum_k u_s(k) f_r(k), with u = phi' W the modal weights and f the modal outputs, and the sums of u_r df_r. They are
-summed up while the recursion runs forward: three matrix products instead of the response's one, no history kept, and
-no cost that grows with the number of parameters.
+With weights W on the response, L = sum_jk W_jk y_jk, all that L's gradient needs from the history is the
+matrix of sum_k u_s(k) f_r(k), with u = phi' W the modal weights and f the modal outputs, and the sums of u_r
+df_r. They are summed up while the recursion runs forward: three matrix products instead of the response's
+one, no history kept, and no cost that grows with the number of parameters.
 """
 
 import numpy as np
 
 from pymc_features.simulators.compilation import jit
 from pymc_features.simulators.lanes import LANES
-from pymc_features.simulators.pairs import close_modes
+from pymc_features.simulators.pairs import close_modes, pair_weights
 from pymc_features.simulators.recursion import ABSOLUTE_ACCELERATION, BLOCK, check_sizes, n_outputs
 from pymc_features.simulators.recursion_lanes import interpolate
 from pymc_features.simulators.sensitivity import advance_modes, sensitive_modes
@@ -108,34 +108,6 @@ def sum_up(
     for r in range(n_modes):
         slopes[r, r] = diagonal[r]
     return products, slopes, by_damping
-
-
-@jit
-def pair_weights(omega, participation, products, slopes, close, n_modes):
-    """Derivatives of L with respect to phi' K phi and phi' M phi at fixed modes: two symmetric (n, n)."""
-    n = omega.size
-    by_stiffness, by_mass = np.zeros((n, n)), np.zeros((n, n))
-    for r in range(n_modes):
-        eigenvalue = omega[r] * omega[r]
-        by_stiffness[r, r] = participation[r] * slopes[r, r]
-        by_mass[r, r] = -participation[r] * (products[r, r] + eigenvalue * slopes[r, r])
-        for s in range(n):
-            if s == r or r < s < n_modes:
-                continue
-            kept = s < n_modes
-            if kept and close[r, s]:
-                on_s, on_r = 0.5 * (slopes[s, r] + slopes[s, s]), 0.5 * (slopes[r, r] + slopes[r, s])
-            else:
-                gap = (omega[r] - omega[s]) * (omega[r] + omega[s])
-                on_s = (products[s, r] - (products[s, s] if kept else 0.0)) / gap
-                on_r = (products[r, r] - (products[r, s] if kept else 0.0)) / gap
-            both = participation[r] * on_s + participation[s] * on_r
-            by_stiffness[r, s] = by_stiffness[s, r] = 0.5 * both
-            inertia = eigenvalue * both
-            if kept:
-                inertia += participation[r] * products[s, s] + participation[s] * products[r, s]
-            by_mass[r, s] = by_mass[s, r] = -0.5 * inertia
-    return by_stiffness, by_mass
 
 
 @jit
@@ -261,8 +233,8 @@ def discrepancy_gradient(
 ):
     """Gradient of sum_j c_j e_j, c the `weights` (s,), e of Eq. (3), with respect to the parameters.
 
-    Parameters as in `discrepancy.chain_discrepancy`. Returns as `response_gradient`. Memory: a few blocks of 128
-    samples and modes, whatever the length of the record.
+    Parameters as in `discrepancy.chain_discrepancy`. Returns as `response_gradient`. Memory: a few blocks of
+    128 samples and modes, whatever the length of the record.
     """
     gradients = (np.zeros(mass.size), np.zeros(mass.size), np.zeros(2), np.zeros(mass.size))
     add_gradient(
@@ -290,8 +262,8 @@ def population_gradient(
 ):
     """Gradient of sum_pj c_pj e_pj of a population, c the `weights` (p, s), by its parameters.
 
-    Parameters as in `population.population_discrepancy`. Returns arrays of the shapes of mass, stiffness, rayleigh
-    and ratios; what all particles share gets the sum.
+    Parameters as in `population.population_discrepancy`. Returns arrays of the shapes of mass, stiffness,
+    rayleigh and ratios; what all particles share gets the sum.
     """
     gradients = (
         *(np.zeros(mass.shape), np.zeros(stiffness.shape)),

@@ -1,13 +1,14 @@
 """Modal responses together with their derivatives, exact for an excitation linear between its samples.
 
 In steps of the recursion, mode r obeys q" + d q' + s q = -a with s = (omega h)^2 and d = 2 zeta omega h
-(`recursion.py`). Its derivative z = dq/ds obeys the same equation under the load q, and starts at rest; so does
-dq/dd, under the load q', and is therefore z'. One more pair (z, z') beside (q, q') gives all derivatives:
+(`recursion.py`). Its derivative z = dq/ds obeys the same equation under the load q, and starts at rest; so
+does dq/dd, under the load q', and is therefore z'. One more pair (z, z') beside (q, q') gives all
+derivatives:
 
     z" = -q - d z' - s z,    z"' = -q' - d z" - s z',    dq"/ds = z",  dq"/dd = z"'.
 
-The pair moves on by the derivatives with respect to s of the transition and input coefficients, which come from
-the same Taylor series and doublings as these. Modes lie in the lanes of vector registers.
+The pair moves on by the derivatives with respect to s of the transition and input coefficients, which come
+from the same Taylor series and doublings as these. Modes lie in the lanes of vector registers.
 """
 
 import numpy as np
@@ -100,8 +101,8 @@ def output_coefficients(quantity, s, d, step, slope, row):
     slope : float
         Derivative of 2 zeta omega with respect to lambda = omega^2 along the damping's own law [s].
     row : array (11,)
-        Written: df/dlambda, in total, and df/dd, each from q, q', z, z'; f from q, q' and the ground acceleration.
-        For accelerations f is relative: the ground's is added to what the sensors put out.
+        Written: df/dlambda, in total, and df/dd, each from q, q', z, z'; f from q, q' and the ground
+        acceleration. For accelerations f is relative: the ground's is added to what the sensors put out.
     """
     row[:] = 0.0
     f = row[8:]

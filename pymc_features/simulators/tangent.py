@@ -1,7 +1,7 @@
-"""Derivatives of response and discrepancy along a direction of the parameters: the transpose of `gradient.py`.
+"""Derivatives of response and discrepancy along a direction: the transpose of `gradient.py`.
 
-The derivative of the response is one linear combination each of the modal outputs, of their derivatives by the
-eigenvalue, and of those by the damping: three matrix products instead of the response's one.
+The derivative of the response is one linear combination each of the modal outputs, of their derivatives by
+the eigenvalue, and of those by the damping: three matrix products instead of the response's one.
 """
 
 import numpy as np
@@ -78,7 +78,7 @@ def combine(shapes, omega, participation, turned, rayleigh, ratios, close, n_mod
 
 @jit
 def march_tangent(coefficients, combination, outputs, acceleration, sampling, feed, observed, history, sums):
-    """Derivative of the response into `history` (s, u) or, if that is empty, of the discrepancy into `sums` (s,)."""
+    """Write the derivative of the response into `history` or, if empty, of the discrepancy into `sums`."""
     substeps, stride, total = sampling
     padded, n_sensors = outputs.shape
     states = np.zeros((4 * (padded // LANES), LANES))

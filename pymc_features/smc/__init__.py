@@ -1,12 +1,13 @@
 """Kernels for `pm.sample_smc`, and results that can be saved. Nothing here knows of structures."""
 
-from pymc_features.smc.evaluation import PopulationLogp, PopulationWarning
+from pymc_features.smc.evaluation import PopulationLogp, PopulationWarning, population_logp
 from pymc_features.smc.imh import PopulationIMH
 from pymc_features.smc.mh import PopulationMH
 from pymc_features.smc.persistent import PersistentSMC
 from pymc_features.smc.population import PopulationKernel
+from pymc_features.smc.prior import prior_draws
 from pymc_features.smc.results import savable
-from pymc_features.smc.sample import sample_smc
+from pymc_features.smc.sample import processors, sample_smc
 from pymc_features.smc.tmcmc import TMCMC
 
 KERNELS = (PopulationIMH, PopulationMH, PersistentSMC, TMCMC)
@@ -20,6 +21,9 @@ __all__ = [
     "PopulationMH",
     "PopulationWarning",
     "TMCMC",
+    "population_logp",
+    "prior_draws",
+    "processors",
     "sample_smc",
     "savable",
 ]

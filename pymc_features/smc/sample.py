@@ -45,6 +45,9 @@ def sample_smc(
         raise ValueError(
             "`return_inferencedata` must be True, got False. Use pm.sample_smc() for a MultiTrace."
         )
-    if cores is None:
-        cores = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
-    return savable(pm.sample_smc(draws, kernel, cores=cores, **settings))
+    return savable(pm.sample_smc(draws, kernel, cores=cores or processors(), **settings))
+
+
+def processors() -> int:
+    """Number of processors that this process may use."""
+    return os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()

@@ -1,0 +1,162 @@
+"""NUTS that starts from the particles of SMC, since time histories make for many modes."""
+
+import warnings
+
+import numpy as np
+import pymc as pm
+import xarray as xr
+from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
+
+from pymc_features.inference.parameters import check_continuous, to_unconstrained
+from pymc_features.smc import processors, sample_smc
+
+AGREEMENT = 1.01  # largest R-hat of chains that agree
+
+
+class ChainsDisagreeWarning(UserWarning):
+    """Chains have not explored the same posterior."""
+
+
+def sample_nuts(
+    draws: int = 1000,
+    *,
+    tune: int = 1000,
+    chains: int = 4,
+    particles: xr.DataTree | None = None,
+    model: pm.Model | None = None,
+    nuts_sampler: str = "pymc",
+    random_seed=None,
+    progressbar: bool = True,
+    smc_settings: dict | None = None,
+    target_accept: float = 0.8,
+    **settings,
+) -> xr.DataTree:
+    """`sample_smc` first, then NUTS started from its particles.
+
+    Posteriors of several stiffnesses have several modes: a chain that starts from the prior may end in a
+    wrong one and stay. SMC finds the modes and their weights; NUTS, started at one of its particles in each
+    chain and with their covariance as its first mass matrix, then explores what is around them.
+
+    Parameters
+    ----------
+    draws, tune, chains : int
+        As in `pm.sample`.
+    particles : DataTree, optional
+        What `sample_smc` returned for the same model; sampled here by default.
+    model : pymc.Model, optional
+        The model of the context by default.
+    nuts_sampler : {"pymc", "nutpie", "numpyro", "blackjax"}
+        As in `pm.sample`; the first takes over the covariance of the particles, the others adapt their own.
+    random_seed : int, optional
+    progressbar : bool
+    smc_settings : dict, optional
+        For `sample_smc`, such as {"draws": 2000, "chains": 2}.
+    target_accept : float
+        As in `pm.sample`.
+    **settings
+        Of `pm.sample`.
+
+    Returns
+    -------
+    DataTree
+        As from `pm.sample`, and `particles`: the posterior of SMC. The attributes of `posterior` say whether
+        the chains agree: `max_r_hat`, and `chains_agree`, 1 if that is below 1.01.
+
+    Raises
+    ------
+    ValueError
+        If the model has discrete parameters, or the particles are not of this model.
+
+    Warns
+    -----
+    ChainsDisagreeWarning
+        If an R-hat is above 1.01: the modes are then as SMC weighs them, not as the chains do.
+    """
+    model = pm.modelcontext(model)
+    check_continuous(model, "sample_nuts()")
+    smc_seed, pick_seed, nuts_seed = np.random.SeedSequence(random_seed).generate_state(3)
+    if particles is None:
+        smc_settings = {"random_seed": int(smc_seed), "progressbar": progressbar, **(smc_settings or {})}
+        particles = sample_smc(model=model, **smc_settings)
+    posterior = checked_posterior(model, particles)
+    starts = pick(model, posterior, chains, np.random.default_rng(pick_seed))
+    if nuts_sampler == "pymc":
+        settings.setdefault("cores", min(chains, processors()))
+        settings.setdefault("step", nuts_step(model, posterior, target_accept))
+    else:
+        settings["target_accept"] = target_accept
+    idata = pm.sample(
+        draws,
+        tune=tune,
+        chains=chains,
+        model=model,
+        initvals=starts,
+        nuts_sampler=nuts_sampler,
+        random_seed=int(nuts_seed),
+        progressbar=progressbar,
+        compute_convergence_checks=False,
+        **settings,
+    )
+    idata["particles"] = particles["posterior"].copy()
+    return judge(idata, [rv.name for rv in model.free_RVs])
+
+
+def checked_posterior(model, particles):
+    """The posterior group, if it is one of this model."""
+    try:
+        posterior = particles["posterior"].to_dataset()
+        missing = [rv.name for rv in model.free_RVs if rv.name not in posterior]
+    except (KeyError, AttributeError, TypeError):
+        raise ValueError(
+            f"`particles` must be what sample_smc() returned, got {type(particles).__name__}."
+        ) from None
+    if missing:
+        raise ValueError(
+            f"`particles` must hold every free parameter of `model`, got none of {', '.join(missing)}. Pass "
+            "the result of sample_smc() for the same model."
+        )
+    return posterior
+
+
+def pick(model, posterior, chains, rng):
+    """Values of the free parameters at one particle for each chain, drawn without replacement."""
+    n_draws = posterior.sizes["draw"]
+    chosen = rng.choice(posterior.sizes["chain"] * n_draws, size=chains, replace=False)
+    return [
+        {rv.name: posterior[rv.name].values[i // n_draws, i % n_draws] for rv in model.free_RVs}
+        for i in chosen
+    ]
+
+
+def nuts_step(model, posterior, target_accept):
+    """NUTS with the particles' covariance as its first mass matrix."""
+    flat = to_unconstrained(
+        model, posterior.isel(draw=slice(None, None, max(1, posterior.sizes["draw"] // 500)))
+    )
+    flat = flat.reshape(-1, flat.shape[-1])
+    covariance = np.atleast_2d(np.cov(flat, rowvar=False))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="QuadPotentialFullAdapt is an experimental")
+        potential = QuadPotentialFullAdapt(flat.shape[1], flat.mean(axis=0), covariance, initial_weight=10)
+    return pm.NUTS(potential=potential, target_accept=target_accept, model=model)
+
+
+def judge(idata, names):
+    """Note in the result, and warn, where chains disagree."""
+    import arviz as az  # slow to import
+
+    posterior = idata["posterior"].to_dataset()
+    r_hats = {name: float(np.max(az.rhat(posterior[[name]])[name].values)) for name in names}
+    worst = max(r_hats.values())
+    posterior.attrs |= {"max_r_hat": worst, "chains_agree": int(worst <= AGREEMENT)}
+    idata["posterior"] = xr.DataTree(posterior)
+    if not worst <= AGREEMENT:
+        bad = ", ".join(f"{name} {r:.3f}" for name, r in r_hats.items() if not r <= AGREEMENT)
+        warnings.warn(
+            f"the chains of NUTS disagree (R-hat: {bad}). If the posterior has several modes, chains stay in "
+            "that where they start: use the draws of SMC, in the group `particles`. Otherwise increase "
+            "`tune` or `draws`.",
+            ChainsDisagreeWarning,
+            stacklevel=3,
+        )
+    return idata

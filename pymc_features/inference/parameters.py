@@ -1,0 +1,101 @@
+"""Free parameters of a model: their values, names, and the way to the unconstrained space and back."""
+
+import numpy as np
+import pytensor.tensor as pt
+from pymc.initial_point import make_initial_point_expression
+from pymc.pytensorf import compile as compile_function
+from pymc.vartypes import discrete_types
+from pytensor.graph.replace import graph_replace
+
+
+def check_continuous(model, purpose: str):
+    """Refuse models without free parameters, or with discrete ones."""
+    names = [rv.name for rv in model.free_RVs if rv.dtype in discrete_types]
+    if names or not model.free_RVs:
+        got = f"discrete ones: {', '.join(names)}" if names else "none"
+        raise ValueError(
+            f"`model` must have continuous free parameters for {purpose}, got {got}. Use sample_smc()."
+        )
+
+
+def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
+    """Names of the entries of one parameter: k, or k[0], k[1]."""
+    if shape == ():
+        return [name]
+    return [f"{name}[{', '.join(map(str, index))}]" for index in np.ndindex(*shape)]
+
+
+def initial_values(model, point: dict | None = None) -> dict[str, np.ndarray]:
+    """Values of the free parameters at the model's initial point, unless `point` has others."""
+    point = dict(point or {})
+    names = [rv.name for rv in model.free_RVs]
+    if unknown := sorted(set(point) - set(names)):
+        raise ValueError(f"`point` must have free parameters only ({', '.join(names)}), got {unknown}.")
+    expressions = make_initial_point_expression(
+        free_rvs=model.free_RVs,
+        rvs_to_transforms={},
+        initval_strategies={
+            rv: point.get(rv.name, model.rvs_to_initial_values.get(rv)) for rv in model.free_RVs
+        },
+    )
+    values = compile_function([], expressions, mode="FAST_COMPILE")()
+    return {name: np.asarray(v, dtype=np.float64) for name, v in zip(names, values, strict=True)}
+
+
+def to_unconstrained(model, posterior) -> np.ndarray:
+    """Draws of a posterior Dataset (chain, draw, ...), unconstrained and flat: (chain, draw, parameter)."""
+    rvs = model.free_RVs
+    inputs = [rv.type() for rv in rvs]
+    outputs = []
+    for rv in rvs:
+        transform = model.rvs_to_transforms[rv]
+        outputs.append(rv if transform is None else transform.forward(rv, *rv.owner.inputs))
+    outputs = graph_replace(outputs, dict(zip(rvs, inputs, strict=True)), strict=False)
+    flat = pt.concatenate([x.ravel() for x in outputs])
+    function = compile_function(inputs, flat, mode="FAST_COMPILE", on_unused_input="ignore")
+    columns = [posterior[rv.name].values for rv in rvs]
+    chains, draws = columns[0].shape[:2]
+    rows = [
+        [
+            function(*(np.asarray(c[i, j], dtype=rv.dtype) for c, rv in zip(columns, rvs, strict=True)))
+            for j in range(draws)
+        ]
+        for i in range(chains)
+    ]
+    return np.array(rows)
+
+
+class Unconstrained:
+    """Flat points x (d,) on the unconstrained scale, and the variables they stand for.
+
+    Parameters
+    ----------
+    model : pymc.Model
+    """
+
+    def __init__(self, model):
+        point = model.initial_point()
+        self.shapes = {v.name: np.shape(point[v.name]) for v in model.value_vars}
+        wanted = [*model.free_RVs, *model.deterministics]
+        self.names = [v.name for v in wanted]
+        self.function = model.compile_fn(
+            model.replace_rvs_by_values(wanted), mode="FAST_COMPILE", on_unused_input="ignore"
+        )
+
+    def split(self, x) -> dict[str, np.ndarray]:
+        """Values of the value variables."""
+        values, first = {}, 0
+        for name, shape in self.shapes.items():
+            size = int(np.prod(shape, dtype=int))
+            values[name] = np.reshape(x[first : first + size], shape)
+            first += size
+        return values
+
+    def join(self, values) -> np.ndarray:
+        """Flat point of a dictionary of value variables."""
+        return np.concatenate([np.ravel(values[name]) for name in self.shapes]).astype(np.float64)
+
+    def variables(self, points) -> dict[str, np.ndarray]:
+        """Free parameters on their own scale and deterministics, arrays (point, ...)."""
+        columns = zip(*(self.function(self.split(x)) for x in points), strict=True)
+        return {name: np.stack(column) for name, column in zip(self.names, columns, strict=True)}

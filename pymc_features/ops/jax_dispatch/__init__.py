@@ -1,0 +1,96 @@
+"""How JAX runs the Ops, batched and differentiable, on any of its devices. Only this folder imports JAX.
+
+The same mathematics as the compiled kernels, once more; the exact gradients are custom derivatives, so that
+repeated frequencies do no harm here either.
+"""
+
+import jax
+from pytensor.graph.basic import Constant
+from pytensor.link.jax.dispatch.basic import jax_funcify
+
+from pymc_features.ops.discrepancy import ChainDiscrepancy
+from pymc_features.ops.gradient import (
+    ChainDiscrepancyGradient,
+    ChainDiscrepancyTangent,
+    ChainResponseGradient,
+    ChainResponseTangent,
+    PopulationGradient,
+)
+from pymc_features.ops.jax_dispatch.gradient import (
+    differentiable_discrepancy,
+    differentiable_response,
+    discrepancy_tangent,
+    gradient,
+    response_gradient,
+    response_tangent,
+)
+from pymc_features.ops.population import PopulationDiscrepancy
+from pymc_features.ops.response import ChainResponse
+
+
+def static_settings(node) -> tuple[int, int, int]:
+    """Substeps, stride and number of modes, which fix the shape of the computation."""
+    values = []
+    for i in (6, 7, 9):
+        if not isinstance(node.inputs[i], Constant):
+            raise NotImplementedError(
+                "JAX needs an output step and a number of modes that are fixed when it compiles, got "
+                f"{node.inputs[i]}. Pass `dt` to response() as a number."
+            )
+        values.append(int(node.inputs[i].data))
+    return tuple(values)
+
+
+def on_one_particle(kernel):
+    """Return the dispatch of an Op whose kernel takes (op, static, parameters, record, dt, sensors, more)."""
+
+    def funcify(op, node, **kwargs):
+        static = static_settings(node)
+
+        def chain_op(mass, stiffness, rayleigh, ratios, acceleration, dt, _1, _2, sensors, _3, *more):
+            return kernel(op, static, (mass, stiffness, rayleigh, ratios), acceleration, dt, sensors, *more)
+
+        return chain_op
+
+    return funcify
+
+
+def on_population(kernel):
+    """The same for a batch; parameters of one row belong to all, and get the sum of the gradients."""
+
+    def funcify(op, node, **kwargs):
+        static = static_settings(node)
+
+        def chain_op(
+            mass, stiffness, rayleigh, ratios, acceleration, dt, _1, _2, sensors, _3, observed, *more
+        ):
+            parameters = (mass, stiffness, rayleigh, ratios)
+            axes = tuple(0 if x.shape[0] > 1 else None for x in parameters)
+            if all(axis is None for axis in axes):
+                axes = (0,) * len(axes)
+            rows = tuple(x if axis == 0 else x[0] for x, axis in zip(parameters, axes, strict=True))
+
+            def one(row, *more):
+                return kernel(op, static, row, acceleration, dt, sensors, observed, *more)
+
+            results = jax.vmap(one, in_axes=(axes, *(0 for _ in more)))(rows, *more)
+            if not more:
+                return results
+            return tuple(
+                g if axis == 0 else g.sum(axis=0, keepdims=True)
+                for g, axis in zip(results, axes, strict=True)
+            )
+
+        return chain_op
+
+    return funcify
+
+
+jax_funcify.register(ChainResponse)(on_one_particle(differentiable_response))
+jax_funcify.register(ChainDiscrepancy)(on_one_particle(differentiable_discrepancy))
+jax_funcify.register(ChainResponseGradient)(on_one_particle(response_gradient))
+jax_funcify.register(ChainDiscrepancyGradient)(on_one_particle(gradient))
+jax_funcify.register(ChainResponseTangent)(on_one_particle(response_tangent))
+jax_funcify.register(ChainDiscrepancyTangent)(on_one_particle(discrepancy_tangent))
+jax_funcify.register(PopulationDiscrepancy)(on_population(differentiable_discrepancy))
+jax_funcify.register(PopulationGradient)(on_population(gradient))

@@ -1,0 +1,140 @@
+"""The gradients of `simulators.gradient` in JAX, as custom derivatives of response and discrepancy."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pymc_features.ops.jax_dispatch.history import Sampling, discrepancy, march, response, sensor_output
+from pymc_features.ops.jax_dispatch.modes import Modes
+
+
+def gradient(op, static, parameters, acceleration, dt, sensors, history, weights):
+    """Gradients of sum W y, W the history (s, u) or, if there are weights (s,), of their sum with e."""
+    substeps, stride, n_modes = static
+    modes = Modes(op, parameters, dt / substeps, n_modes)
+    sampling = Sampling(acceleration, dt, substeps, stride)
+    shapes, output = modes.shapes[sensors], sensor_output(op, modes, sensors)
+    n = shapes.shape[1]
+
+    def visit(sums, state, at, datum):
+        products, slopes, by_damping = sums
+        weighted = datum
+        if weights is not None:
+            weighted = 2.0 / sampling.total * weights * (output(state, at) - datum)
+        modal = weighted @ shapes
+        by_lambda, by_d = modes.slopes(*state)
+        return (
+            products + modal[:, None] * modes.outputs(state[0], state[1], at),
+            slopes + modal[:, None] * by_lambda,
+            by_damping + modal[:n_modes] * by_d,
+        ), None
+
+    zeros = (jnp.zeros((n, n_modes)), jnp.zeros((n, n_modes)), jnp.zeros(n_modes))
+    sums, _ = march(modes, sampling, visit, zeros, history.T, derivatives=True)
+    gradients = to_parameters(modes, *sums, modes.close(sampling.duration))
+    return tuple(jnp.where(modes.valid, g, jnp.nan) for g in gradients)
+
+
+def to_parameters(modes, products, slopes, by_damping, close):
+    """From the sums over the history to mass, stiffness, rayleigh and ratios; see `simulators.gradient`."""
+    n, m = products.shape
+    lam, gamma = modes.eigenvalues, modes.participation
+    diagonal = jnp.eye(n, m, dtype=bool)
+    close = jnp.zeros((n, m), dtype=bool).at[:m].set(close)
+    kept = (jnp.arange(n) < m)[:, None]
+    own_products = jnp.zeros(n).at[:m].set(jnp.diag(products[:m]))  # zero for dropped modes
+    own_slopes = jnp.zeros(n).at[:m].set(jnp.diag(slopes[:m]))
+    crossed = jnp.zeros((n, m)).at[:m].set(products[:m].T)  # [s, r] -> sum u_r f_s
+    crossed_slopes = jnp.zeros((n, m)).at[:m].set(slopes[:m].T)
+    gap = (modes.omega[None, :m] - modes.omega[:, None]) * (modes.omega[None, :m] + modes.omega[:, None])
+    gap = jnp.where(diagonal | close, 1.0, gap)
+    on_s = jnp.where(close, 0.5 * (slopes + own_slopes[:, None]), (products - own_products[:, None]) / gap)
+    on_r = jnp.where(
+        close, 0.5 * (own_slopes[None, :m] + crossed_slopes), (own_products[None, :m] - crossed) / gap
+    )
+    both = gamma[None, :m] * on_s + gamma[:, None] * on_r
+    inertia = lam[None, :m] * both + jnp.where(
+        kept, gamma[None, :m] * own_products[:, None] + gamma[:, None] * crossed, 0.0
+    )
+
+    def symmetric(pairs, own):
+        half = 0.5 * jnp.where(diagonal, 0.0, pairs)
+        square = jnp.zeros((n, n)).at[:, :m].set(half)
+        dropped = jnp.where(kept, 0.0, half)
+        return square + jnp.zeros((n, n)).at[:m, :].set(dropped.T) + jnp.diag(own)
+
+    by_stiffness = symmetric(both, gamma * own_slopes)
+    by_mass = -symmetric(inertia, gamma * (own_products + lam * own_slopes))
+    force = gamma[:m] * modes.step * by_damping
+    return (
+        jnp.einsum("ir,rs,is->i", modes.shapes, by_mass, modes.shapes) + modes.shapes @ own_products,
+        jnp.einsum("ir,rs,is->i", modes.drifts, by_stiffness, modes.drifts),
+        jnp.stack([force.sum(), force @ lam[:m]]),
+        jnp.zeros(n).at[:m].set(2.0 * modes.omega[:m] * force),
+    )
+
+
+def response_gradient(op, static, parameters, acceleration, dt, sensors, cotangent):
+    """Gradients of sum W y."""
+    return gradient(op, static, parameters, acceleration, dt, sensors, cotangent, None)
+
+
+def response_tangent(op, static, parameters, acceleration, dt, sensors, *directions):
+    """Derivative of the response: the transpose of its gradient."""
+    total = Sampling(acceleration, dt, *static[:2]).total
+    zeros = jnp.zeros((sensors.shape[0], total))
+    _, transpose = jax.vjp(
+        lambda w: gradient(op, static, parameters, acceleration, dt, sensors, w, None), zeros
+    )
+    return transpose(directions)[0]
+
+
+def discrepancy_tangent(op, static, parameters, acceleration, dt, sensors, observed, *directions):
+    """Derivative of the discrepancy: the transpose of its gradient."""
+    zeros = jnp.zeros(sensors.shape[0])
+    _, transpose = jax.vjp(
+        lambda c: gradient(op, static, parameters, acceleration, dt, sensors, observed, c), zeros
+    )
+    return transpose(directions)[0]
+
+
+def without_gradient(*values):
+    """Cotangents of the settings, which have none."""
+    return tuple(
+        jnp.zeros_like(x)
+        if jnp.issubdtype(jnp.result_type(x), jnp.floating)
+        else np.zeros(np.shape(x), jax.dtypes.float0)
+        for x in values
+    )
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0, 1))
+def differentiable_response(op, static, parameters, acceleration, dt, sensors):
+    """`response` with the exact derivative."""
+    return response(op, static, parameters, acceleration, dt, sensors)
+
+
+def response_backward(op, static, inputs, cotangent):
+    return (gradient(op, static, *inputs, cotangent, None), *without_gradient(*inputs[1:]))
+
+
+differentiable_response.defvjp(
+    lambda op, static, *inputs: (response(op, static, *inputs), inputs), response_backward
+)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0, 1))
+def differentiable_discrepancy(op, static, parameters, acceleration, dt, sensors, observed):
+    """`discrepancy` with the exact derivative."""
+    return discrepancy(op, static, parameters, acceleration, dt, sensors, observed)
+
+
+def discrepancy_backward(op, static, inputs, weights):
+    return (gradient(op, static, *inputs, weights), *without_gradient(*inputs[1:]))
+
+
+differentiable_discrepancy.defvjp(
+    lambda op, static, *inputs: (discrepancy(op, static, *inputs), inputs), discrepancy_backward
+)
