@@ -25,7 +25,7 @@ def laplace(
     *,
     model: pm.Model | None = None,
     starts: int = 5,
-    prior_draws_per_start: int = 100,
+    n_prior: int = 500,
     start: dict | None = None,
     random_seed=None,
     compile_kwargs: dict | None = None,
@@ -45,8 +45,9 @@ def laplace(
         The model of the context by default.
     starts : int
         Climbs.
-    prior_draws_per_start : int
-        Prior draws of which each climb starts from the best.
+    n_prior : int
+        Prior draws to choose the starts from: the best of half of them, of a quarter, and so on, so that the
+        first climbs look for the highest mode and the last for others.
     start : dict, optional
         A point to climb from instead, names to values of free parameters on their own scale.
     random_seed : int, optional
@@ -83,17 +84,13 @@ def laplace(
     """
     model = pm.modelcontext(model)
     check_continuous(model, "laplace()")
-    for name, value in (
-        ("draws", draws),
-        ("starts", starts),
-        ("prior_draws_per_start", prior_draws_per_start),
-    ):
+    for name, value in (("draws", draws), ("starts", starts), ("n_prior", n_prior)):
         if isinstance(value, bool) or int(value) != value or value < 1:
             raise ValueError(f"`{name}` must be a positive integer, got {value}.")
     rng = np.random.default_rng(random_seed)
     density, space = Density(model, compile_kwargs), Unconstrained(model)
     logp = population_logp(model, model.initial_point(), compile_kwargs or {})
-    points = starting_points(model, space, logp, rng, starts, starts * prior_draws_per_start, start)
+    points = starting_points(model, space, logp, rng, starts, n_prior, start)
     found = distinct([mode for point in points if (mode := climb(density, point)) is not None])
     if not found:
         raise ValueError(
@@ -119,9 +116,12 @@ def starting_points(model, space, logp, rng, starts, n, start):
     columns = dict(zip(names, prior_draws(model, True)(n, rng), strict=True))
     particles = np.hstack([np.reshape(columns[v.name], (n, -1)) for v in model.value_vars])
     prior, likelihood = logp(particles)[:2]
-    total = np.reshape(prior + likelihood, (starts, -1))
-    best = total.argmax(axis=1) + np.arange(starts) * total.shape[1]
-    return [particles[i] for i in best if np.isfinite(total.ravel()[i])]
+    total = prior + likelihood
+    # shares that shrink by half: the first climbs start from the best of many, the last from about anywhere
+    ends = np.unique((n * (1.0 - 0.5 ** np.arange(1, starts + 1))).astype(int))
+    shares = np.split(np.arange(n), ends)
+    best = [share[total[share].argmax()] for share in shares[:starts] if len(share)]
+    return [particles[i] for i in best if np.isfinite(total[i])]
 
 
 def draw_mixture(modes, weights, n, rng):

@@ -167,4 +167,10 @@ class PopulationGradient(Gradient):
         return [*parameters, *super().prepare_inputs(inputs[N_PARAMETERS:], start=N_PARAMETERS)]
 
     def transpose(self, inputs, cotangents):
-        return [Blockwise(ChainDiscrepancyTangent(self.quantity))(*inputs, *cotangents)]
+        rows = inputs[0].shape[0]
+        for x in inputs[1:N_PARAMETERS]:
+            rows = pt.maximum(rows, x.shape[0])
+        spread = [pt.broadcast_to(x, (rows, x.shape[1])) for x in (*inputs[:N_PARAMETERS], *cotangents)]
+        settings = inputs[N_PARAMETERS:]
+        tangent = Blockwise(ChainDiscrepancyTangent(self.quantity))
+        return [tangent(*spread[:N_PARAMETERS], *settings, *spread[N_PARAMETERS:])]

@@ -11,7 +11,7 @@ import numpy as np
 from pymc_features.simulators.compilation import jit
 
 # Two modes are close if their phases part by less than this [rad] while the structure remembers. The mean of
-# the two derivatives is then right to the square of it over 12, the quotient to the rounding error of f
+# the two derivatives is then right to about the square of it over 12, the quotient to the rounding error of f
 # divided by it.
 CLOSE = 3e-4
 
@@ -27,7 +27,8 @@ def close_modes(omega, rayleigh, ratios, duration, n_modes):
     found = False
     for r in range(n_modes):
         decay = 0.5 * (rayleigh[0] + rayleigh[1] * omega[r] * omega[r]) + ratios[r] * omega[r]
-        memory = min(duration, 1.0 / decay) if decay > 0.0 else duration
+        # at least a fraction of a period: what is slower or overdamped depends on the frequency itself
+        memory = max(min(duration, 1.0 / decay), 3.0 / omega[r])
         for s in range(r):
             gap = abs(omega[r] - omega[s])
             if gap == 0.0 or (ratios[r] == ratios[s] and gap * memory < CLOSE):

@@ -9,9 +9,11 @@ from pymc_features.smc.population import PopulationKernel
 from pymc_features.smc.proposal import fit_mixture
 
 TARGET_ACCEPTANCE = 0.35
-LOCAL_SHARE = 0.2  # of the proposals
 LOCAL_INFLATION = 3.0  # local steps that count for one independent point, roughly
-FORGOTTEN = 0.1  # expected correlation with its first points below which a stage may end
+# What a fitted mixture misses grows with the dimension: from two to eleven parameters the share of local
+# proposals rises, and the expected correlation with its first points falls below which a stage may end
+LOCAL_SHARES = (0.2, 0.5)
+FORGOTTEN = (0.1, 0.001)
 MAX_STEPS = 500
 MORE_PRIOR = 50  # the prior is drawn from at most this many times, in search of possible points
 
@@ -71,6 +73,9 @@ class PersistentSMC(PopulationKernel):
         if isinstance(stage_draws, bool) or int(stage_draws) != stage_draws or stage_draws < 20:
             raise ValueError(f"`stage_draws` must be an integer of at least 20, got {stage_draws}.")
         self.stage_draws = GROUPS * -(-int(stage_draws) // GROUPS)
+        rise = float(np.clip((n_parameters - 2) / 9.0, 0.0, 1.0))
+        self.local_share = LOCAL_SHARES[0] + rise * (LOCAL_SHARES[1] - LOCAL_SHARES[0])
+        self.forgotten = FORGOTTEN[0] * (FORGOTTEN[1] / FORGOTTEN[0]) ** rise
 
     def _initialize_kernel(self):
         """Evaluate draws from the prior until enough of them are possible."""
@@ -142,7 +147,7 @@ class PersistentSMC(PopulationKernel):
             )
             self.n_steps += 1
             acceptances.append(probability.mean())
-            self.memory *= 1.0 - (1.0 - LOCAL_SHARE) * acceptances[-1] * (1.0 - kept)
+            self.memory *= 1.0 - (1.0 - self.local_share) * acceptances[-1] * (1.0 - kept)
             self.adapt(acceptances[-1])
         self.accept_rate = float(np.mean(acceptances))
         pool.solve()
@@ -159,7 +164,7 @@ class PersistentSMC(PopulationKernel):
         n, d = x.shape
         proposal = self.proposal.move(x, self.scale, self.rng)
         a, b = self.rng.choice(self.reference, size=(2, n))
-        local = (self.rng.random(n) < LOCAL_SHARE) & (a != b)
+        local = (self.rng.random(n) < self.local_share) & (a != b)
         length = 2.38 / np.sqrt(2.0 * d) * np.exp(0.7 * self.rng.standard_normal(n))
         step = length[:, None] * (self.pool.particles[a] - self.pool.particles[b])
         return np.where(local[:, None], x + step, proposal), local
@@ -180,7 +185,7 @@ class PersistentSMC(PopulationKernel):
                 stacklevel=2,
             )
             return True
-        if self.memory > FORGOTTEN:
+        if self.memory > self.forgotten:
             return False
         return self.beta < 1.0 or self.pool.effective(self.pool.log_weights(1.0)) >= self.draws
 

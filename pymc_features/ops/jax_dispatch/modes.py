@@ -91,9 +91,7 @@ class Modes:
     def close(self, duration):
         """Pairs of kept modes that take the derivative; see `simulators.pairs`."""
         omega, decay = self.omega[: self.n_modes], 0.5 * self.damping
-        memory = jnp.where(
-            decay > 0.0, jnp.minimum(duration, 1.0 / jnp.where(decay > 0.0, decay, 1.0)), duration
-        )
+        memory = jnp.maximum(jnp.minimum(duration, 1.0 / decay), 3.0 / omega)
         gap = jnp.abs(omega[:, None] - omega)
         near = (gap * jnp.minimum(memory[:, None], memory) < CLOSE) & (self.ratios[:, None] == self.ratios)
         return (near | (gap == 0.0)) & ~jnp.eye(self.n_modes, dtype=bool)

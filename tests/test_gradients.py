@@ -1,0 +1,743 @@
+"""First derivatives of response and discrepancy: against complex steps, in graphs, in models."""
+
+import os
+import subprocess
+import sys
+import textwrap
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pymc as pm
+import pytensor
+import pytensor.tensor as pt
+import pytest
+from pytensor.compile.mode import Mode
+from pytensor.gradient import DisconnectedInputError, NullTypeGradError, pushforward, verify_grad
+from pytensor.graph.replace import clone_replace, vectorize_graph
+from pytensor.graph.traversal import ancestors
+from pytensor.tensor.blockwise import Blockwise
+from scipy.linalg import expm
+
+import pymc_features
+from pymc_features import (
+    ExpFeature,
+    FeatureLikelihoodWarning,
+    ModalDamping,
+    RayleighDamping,
+    Record,
+    SpringMassChain,
+    TruncNormalFeature,
+    mean_square_discrepancy,
+    response,
+)
+from pymc_features.ops import OPS, ChainDiscrepancy, ChainResponse, PopulationDiscrepancy
+from pymc_features.ops.base import INPUTS, INTEGERS
+from pymc_features.ops.gradient import (
+    ChainDiscrepancyGradient,
+    ChainDiscrepancyTangent,
+    ChainResponseGradient,
+    ChainResponseTangent,
+    PopulationGradient,
+)
+from pymc_features.simulators import (
+    QUANTITIES,
+    chain_response,
+    discrepancy_gradient,
+    discrepancy_tangent,
+    population_gradient,
+    response_gradient,
+    response_tangent,
+)
+
+PLAIN = Mode(linker="py", optimizer=None)
+TINY = 1e-30  # complex step, relative: its square is nothing beside one
+
+# --------------------------------------------------------------------------- an independent route
+
+
+def square_root(matrix):
+    """Principal root by Denman and Beavers: complex steps pass, at repeated eigenvalues too."""
+    scale = np.trace(matrix).real
+    root, inverse = matrix / scale, np.eye(len(matrix))
+    for _ in range(60):
+        root, inverse = 0.5 * (root + np.linalg.inv(inverse)), 0.5 * (inverse + np.linalg.inv(root))
+    return root * np.sqrt(scale)
+
+
+def eigenpairs(matrix):
+    """Of a symmetric matrix, by Newton steps: complex steps pass, but not at repeated eigenvalues."""
+    n = len(matrix)
+    values, vectors = (x.astype(complex) for x in np.linalg.eigh(matrix.real))
+    for r in range(n):
+        for _ in range(2):
+            x, residual = vectors[:, r], matrix @ vectors[:, r] - values[r] * vectors[:, r]
+            border = np.block([[matrix - values[r] * np.eye(n), -x[:, None]], [-x, np.zeros(1)]])
+            change = np.linalg.solve(border, np.append(-residual, 0.5 * (x @ x - 1.0)))
+            vectors[:, r], values[r] = x + change[:n], values[r] + change[n]
+    return values, vectors
+
+
+def state_space(mass, stiffness, rayleigh, ratios, n_modes, by_modes=False):
+    """Stiffness and damping matrix, load and 1/sqrt(m), in the coordinates M^(1/2) u."""
+    n, above = len(mass), np.append(stiffness[1:], 0.0)
+    scale = 1.0 / np.sqrt(mass)
+    springs = np.diag(stiffness + above) - np.diag(stiffness[1:], 1) - np.diag(stiffness[1:], -1)
+    springs = scale[:, None] * springs * scale
+    damping, load = rayleigh[0] * np.eye(n) + rayleigh[1] * springs, np.sqrt(mass)
+    if n_modes < n or by_modes or np.ptp(ratios.real) > 0 or np.abs(ratios - ratios[0]).max() > 0:
+        values, vectors = eigenpairs(springs)
+        damping = damping + 2.0 * vectors * (ratios * np.sqrt(values)) @ vectors.T
+        kept = vectors[:, :n_modes]
+        load = kept @ (kept.T @ load)
+        if by_modes:
+            springs = vectors * values @ vectors.T
+    elif ratios[0]:
+        damping = damping + 2.0 * ratios[0] * square_root(springs)
+    return springs, damping, load, scale
+
+
+def march(systems, ground, step, stride, quantity, sensors):
+    """Histories (system, sensor, time) by first-order hold with matrix exponentials."""
+    springs, damping, load, scale = (np.stack(x) for x in zip(*systems, strict=True))
+    count, n = load.shape
+    whole = np.zeros((count, 2 * n + 2, 2 * n + 2), complex)
+    whole[:, :n, n : 2 * n] = step * np.eye(n)
+    whole[:, n : 2 * n, :n], whole[:, n : 2 * n, n : 2 * n] = -step * springs, -step * damping
+    whole[:, n : 2 * n, 2 * n] = -step * load
+    whole[:, -2, -1] = 1.0
+    whole = expm(whole)
+    transition, after = whole[:, : 2 * n, : 2 * n], whole[:, : 2 * n, -1]
+    now = whole[:, : 2 * n, -2] - after
+    states = np.zeros((ground.size, count, 2 * n), complex)
+    for k in range(ground.size - 1):
+        moved = (transition @ states[k][..., None])[..., 0]
+        states[k + 1] = moved + now * ground[k] + after * ground[k + 1]
+    states, ground = states[::stride], ground[::stride, None, None]
+    u, v = states[..., :n], states[..., n:]
+    force = (springs @ u[..., None] + damping @ v[..., None])[..., 0]
+    relative = -scale * (force + load * ground)
+    outputs = (relative + ground, relative, scale * v, scale * u)[quantity]
+    return outputs[..., sensors].transpose(1, 2, 0)
+
+
+def directions(arguments, common=False):
+    """Steps (direction, parameter) of the logarithm of each mass, spring, alpha, beta and ratio.
+
+    Parameters that are zero take a step themselves; `common` moves all ratios at once.
+    """
+    flat, n = np.concatenate(arguments[:4]), arguments[0].size
+    steps = np.diag(np.where(flat == 0.0, 1.0, flat))
+    return np.vstack([steps[:-n], steps[-n:].sum(axis=0)]) if common else steps
+
+
+def split(row):
+    """Mass, stiffness, rayleigh and ratios out of one row."""
+    n = (row.size - 2) // 3
+    return np.split(row, [n, 2 * n, 2 * n + 2])
+
+
+def complex_steps(arguments, steps, by_modes=False):
+    """Response (sensor, time), and its derivative (direction, sensor, time) along each direction."""
+    *parameters, acceleration, dt, substeps, stride, sensors, n_modes, quantity = arguments
+    stepped = np.concatenate(parameters) + 1j * TINY * steps
+    systems = [state_space(*split(row), n_modes, by_modes) for row in stepped]
+    fine = np.arange((acceleration.size - 1) * substeps + 1) / substeps
+    ground = np.interp(fine, np.arange(acceleration.size), acceleration)
+    histories = march(systems, ground, dt / substeps, stride, quantity, sensors)
+    return histories[0].real, histories.imag / TINY
+
+
+# --------------------------------------------------------------------------- structures
+
+DAMPINGS = {  # alpha, beta, ratios
+    "none": lambda n: ((0.0, 0.0), np.zeros(n)),
+    "rayleigh": lambda n: ((0.2, 1e-3), np.zeros(n)),
+    "heavy": lambda n: ((20.0, 0.05), np.zeros(n)),
+    "light": lambda n: ((0.0, 0.0), np.full(n, 1e-6)),
+    "equal": lambda n: ((0.1, 5e-4), np.full(n, 0.03)),
+    "critical": lambda n: ((0.0, 0.0), np.full(n, 1.0)),
+    "unequal": lambda n: ((0.1, 0.0), np.linspace(0.01, 0.3, n)),
+    "overdamped": lambda n: ((0.0, 0.0), np.linspace(4.0, 1.5, n)),
+}
+
+
+def random_chain(n, damping="rayleigh", quantity=0, **changes):
+    """Arguments of `chain_response` for a random structure of n masses."""
+    rng = np.random.default_rng(n)
+    rayleigh, ratios = DAMPINGS[damping](n)
+    arguments = {
+        "mass": rng.uniform(0.5, 2.0, n),
+        "stiffness": rng.uniform(30.0, 300.0, n) * n,
+        "rayleigh": np.array(rayleigh),
+        "ratios": np.array(ratios),
+        "acceleration": rng.normal(size=changes.pop("n_times", 150)),
+        "dt": 0.02,
+        "substeps": 1,
+        "stride": 1,
+        "sensors": np.arange(n),
+        "n_modes": n,
+    }
+    assert changes.keys() <= arguments.keys()
+    return [*(arguments | changes).values(), quantity]
+
+
+def soft_middle(softness):
+    """Two parts of one frequency each, sqrt(1000) rad/s, which a soft spring joins."""
+    return {"mass": np.ones(3), "stiffness": np.array([1000.0, 1000.0 * softness, 500.0])}
+
+
+def tuned_absorber(share):
+    """A small mass on a large one, tuned to its frequency."""
+    return {"mass": np.array([1.0, share]), "stiffness": 1000.0 * np.array([1.0, share])}
+
+
+def wilkinson(n):
+    """The chain of Wilkinson's matrix W+ (plus 2): eigenvalues in ever closer pairs, no soft spring."""
+    matrix = np.diag(np.abs(np.arange(n) - n // 2) + 2.0)
+    matrix -= np.diag(np.ones(n - 1), 1) + np.diag(np.ones(n - 1), -1)
+    root = np.linalg.solve(matrix, np.eye(n)[0])  # of the masses: only the first is tied to the base
+    springs = 100.0 * root[1:] * root[:-1]
+    return {
+        "mass": root**2,
+        "stiffness": np.append(100.0 * matrix[0, 0] * root[0] ** 2 - springs[0], springs),
+    }
+
+
+# --------------------------------------------------------------------------- kernels against complex steps
+
+
+def block_error(actual, expected, n, size=None):
+    """Largest error over the largest value, or `size`, of mass, stiffness, alpha, beta, ratios."""
+    arrays = (actual - expected, expected if size is None else size)
+    blocks = zip(*(np.split(x, np.cumsum([n, n, 1, 1])) for x in arrays), strict=True)
+    return max(np.abs(d).max(initial=0.0) / np.abs(e).max(initial=1e-300) for d, e in blocks)
+
+
+def errors(arguments, steps, by_modes=False):
+    """Relative errors of the response and of its four derivatives."""
+    n, rng = arguments[0].size, np.random.default_rng(5)
+    y, slopes = complex_steps(arguments, steps, by_modes)
+    weights, c = rng.normal(size=y.shape), rng.normal(size=y.shape[0])
+    observed = y + 0.3 * np.abs(y).max() * rng.normal(size=y.shape)
+    e_slopes = 2.0 / y.shape[1] * np.sum((y - observed) * slopes, axis=-1)
+    forward = np.array([response_tangent(*arguments, *split(d)) for d in steps])
+    backward = steps @ np.concatenate(response_gradient(*arguments, weights))
+    e_forward = np.array([discrepancy_tangent(*arguments, observed, *split(d)) for d in steps])
+    e_backward = steps @ np.concatenate(discrepancy_gradient(*arguments, observed, c))
+    return {
+        "response": np.abs(chain_response(*arguments) - y).max() / np.abs(y).max(),
+        "response_tangent": block_error(forward, slopes, n),
+        "response_gradient": block_error(backward, np.tensordot(slopes, weights, 2), n),
+        "discrepancy_tangent": block_error(e_forward, e_slopes, n),
+        "discrepancy_gradient": block_error(e_backward, e_slopes @ c, n, np.abs(e_slopes) @ np.abs(c)),
+    }
+
+
+def assert_right(arguments, limit, steps=None):
+    found = errors(arguments, directions(arguments) if steps is None else steps)
+    assert max(found.values()) < limit, found
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 8, 13, 30])
+def test_structures_of_any_size(n):
+    """1 to 30 masses, Rayleigh damping: measured 4e-12."""
+    assert_right(random_chain(n, n_times=300 if n < 10 else 140), 2e-11)
+
+
+@pytest.mark.parametrize("quantity", range(4), ids=QUANTITIES)
+@pytest.mark.parametrize("damping", DAMPINGS)
+def test_dampings_and_quantities(damping, quantity):
+    """From none to overdamped, equal ratios by the matrix root, unequal ones by modes: measured 2e-12."""
+    assert_right(random_chain(5, damping, quantity), 5e-11)
+
+
+@pytest.mark.parametrize("n_modes", [1, 2, 4, 5])
+@pytest.mark.parametrize("quantity", range(4), ids=QUANTITIES)
+def test_truncated_modes(n_modes, quantity):
+    """The load is projected on the modes kept; feed-through included: measured 1e-12."""
+    for damping in ("equal", "unequal"):
+        assert_right(random_chain(5, damping, quantity, n_modes=n_modes), 5e-11)
+
+
+@pytest.mark.parametrize(("substeps", "stride"), [(1, 2), (1, 5), (1, 10), (2, 1), (10, 1)])
+@pytest.mark.parametrize("sensors", [[2], [3, 0], [1, 1, 2]], ids=str)
+def test_output_steps_and_sensors(substeps, stride, sensors):
+    """Steps finer and coarser than the record's, sensors in any order and twice: measured 8e-12."""
+    for quantity in (0, 2):
+        changes = {"substeps": substeps, "stride": stride, "sensors": np.array(sensors)}
+        assert_right(random_chain(4, "unequal", quantity, **changes), 5e-11)
+
+
+@pytest.mark.parametrize("n_times", [2, 3, 127, 128, 129, 257])
+def test_lengths_around_the_block(n_times):
+    assert_right(random_chain(2, "equal", n_times=n_times), 1e-11)
+
+
+CLOSE_PAIRS = {
+    **{f"soft {e:g}": soft_middle(e) for e in (1e-2, 1e-4, 2e-5, 1e-5, 1e-6, 1e-8, 1e-10, 1e-12)},
+    **{f"absorber {e:g}": tuned_absorber(e) for e in (1e-2, 1e-4, 1e-6, 3e-7, 1e-8, 1e-9, 1e-10)},
+    **{f"Wilkinson {n}": wilkinson(n) for n in (9, 11)},
+}
+
+
+@pytest.mark.parametrize("damping", ["none", "rayleigh", "heavy", "equal", "critical"])
+@pytest.mark.parametrize("case", CLOSE_PAIRS)
+def test_repeated_frequencies(case, damping):
+    """Right to 1e-7 however close two modes come, which no formula with eigenvectors is: measured 7e-8."""
+    changes = CLOSE_PAIRS[case]
+    arguments = random_chain(changes["mass"].size, damping, **changes)
+    assert_right(arguments, 1e-7, directions(arguments, common=True))
+
+
+@pytest.mark.parametrize("quantity", range(4), ids=QUANTITIES)
+def test_exactly_repeated_frequencies(quantity):
+    """A spring of 1e-297 N/m, two equal eigenvalues: measured 2e-13."""
+    arguments = random_chain(3, "rayleigh", quantity, **soft_middle(1e-300))
+    assert_right(arguments, 1e-12, directions(arguments)[:-3])
+
+
+def test_eigenvector_derivatives_fail_at_repeated_frequencies():
+    """Negative control: derivatives mode by mode are right where frequencies are apart only."""
+    worst = []
+    for softness in (0.1, 1e-6, 1e-10):
+        arguments = random_chain(3, **soft_middle(softness))
+        worst.append(max(errors(arguments, directions(arguments, common=True), by_modes=True).values()))
+    assert worst[0] < 1e-10
+    assert worst[1] > 1e-6
+    assert worst[2] > 0.1
+
+
+@pytest.mark.parametrize("softness", [1e-4, 3e-5])
+def test_close_modes_of_unequal_damping(softness):
+    """Without a common law of damping the quotient it is, however close: measured 7e-11."""
+    arguments = random_chain(3, ratios=np.array([0.9, 1.0, 1.1]), **soft_middle(softness))
+    assert_right(arguments, 1e-8)
+
+
+@pytest.mark.parametrize(
+    ("softness", "scale", "beta", "ratio"),
+    [
+        (1e-3, 1.0, 0.0, 3.0),
+        (3e-3, 1.0, 0.0, 10.0),
+        (1e-2, 1.0, 0.0, 30.0),
+        (3e-3, 1.0, 1.0, 0.0),
+        (3e-2, 1.0, 10.0, 0.0),
+        (3e-2, 1e-9, 0.0, 0.05),
+    ],
+)
+def test_close_modes_with_short_memory(softness, scale, beta, ratio):
+    """Overdamped modes, and a record far shorter than the period: phases part little, the dampings differ."""
+    damping = {"rayleigh": np.array([0.0, beta]), "ratios": np.full(3, ratio)}
+    arguments = random_chain(3, **soft_middle(softness), **damping)
+    arguments[1] *= scale
+    assert_right(arguments, 1e-7, directions(arguments, common=True))
+
+
+@pytest.mark.parametrize("case", [{}, {"n_modes": 2}, {"stride": 3, "sensors": np.array([2, 0])}], ids=str)
+@pytest.mark.parametrize("quantity", range(4), ids=QUANTITIES)
+def test_forward_is_the_transpose_of_reverse(case, quantity):
+    """<W, J d> = <J' W, d>: measured 2e-16; at close modes too."""
+    rng = np.random.default_rng(quantity)
+    for changes in ({}, soft_middle(1e-5), soft_middle(1e-9)):
+        arguments = random_chain(3, "equal", quantity, **changes, **case)
+        y = chain_response(*arguments)
+        observed, weights, c = y + rng.normal(size=y.shape), rng.normal(size=y.shape), rng.normal(size=len(y))
+        d = np.concatenate(arguments[:4]) * rng.normal(size=11)
+        terms = weights * response_tangent(*arguments, *split(d))
+        back = np.concatenate(response_gradient(*arguments, weights)) * d
+        assert abs(terms.sum() - back.sum()) < 1e-12 * (np.abs(terms).sum() + np.abs(back).sum())
+        terms = c * discrepancy_tangent(*arguments, observed, *split(d))
+        back = np.concatenate(discrepancy_gradient(*arguments, observed, c)) * d
+        assert abs(terms.sum() - back.sum()) < 1e-12 * (np.abs(terms).sum() + np.abs(back).sum())
+
+
+def population(shared=()):
+    """Arguments for five particles, with data and weights; parameters in `shared` have one row."""
+    rng = np.random.default_rng(7)
+    arguments = random_chain(3, "equal", quantity=2, sensors=np.array([2, 0]), stride=2)
+    for i in range(4):
+        arguments[i] = arguments[i] * rng.uniform(0.8, 1.2, (1 if i in shared else 5, arguments[i].size))
+    return arguments, rng.normal(size=(2, 75)), rng.normal(size=(5, 2))
+
+
+@pytest.mark.parametrize("shared", [(), (0,), (1, 3), (0, 2, 3)], ids=str)
+def test_gradient_of_a_population(shared):
+    """Each particle as alone; what all share gets the sum."""
+    arguments, observed, c = population(shared)
+    expected = [np.zeros(x.shape) for x in arguments[:4]]
+    for p in range(5):
+        rows = [0 if i in shared else p for i in range(4)]
+        own = [x[row] for x, row in zip(arguments[:4], rows, strict=True)]
+        for i, g in enumerate(discrepancy_gradient(*own, *arguments[4:], observed, c[p])):
+            expected[i][rows[i]] += g
+    for a, b in zip(population_gradient(*arguments, observed, c), expected, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-14 * np.abs(b).max())
+
+
+INVALID = {
+    "mass": [1.0, -1.0, 1.0],
+    "stiffness": [np.nan, 1.0, 1.0],
+    "rayleigh": [-1.0, 0.0],
+    "ratios": [np.inf] * 3,
+}
+
+
+@pytest.mark.parametrize("name", INVALID)
+def test_invalid_parameters_give_nan(name):
+    """And one invalid particle leaves the gradients of the others alone."""
+    arguments = random_chain(3, **{name: np.array(INVALID[name])})
+    history, ones, d = np.ones((3, 150)), np.ones(3), arguments[:4]
+    results = [
+        *response_gradient(*arguments, history),
+        *discrepancy_gradient(*arguments, history, ones),
+        response_tangent(*arguments, *d),
+        discrepancy_tangent(*arguments, history, *d),
+    ]
+    assert [x.shape for x in results] == [(3,), (3,), (2,), (3,)] * 2 + [(3, 150), (3,)]
+    assert all(np.isnan(x).all() for x in results)
+    rows = [np.stack([a, b]) for a, b in zip(arguments[:4], random_chain(3)[:4], strict=True)]
+    for x in population_gradient(*rows, *arguments[4:], history, np.ones((2, 3))):
+        assert np.isnan(x[0]).all()
+        assert np.isfinite(x[1]).all()
+
+
+def test_kernels_refuse_to_read_outside_their_arrays():
+    arguments, d = random_chain(3), random_chain(3)[:4]
+    for wrong in (np.zeros((3, 149)), np.zeros((2, 150))):
+        with pytest.raises(ValueError, match="must have the shape"):
+            response_gradient(*arguments, wrong)
+        with pytest.raises(ValueError, match="must have the shape"):
+            discrepancy_gradient(*arguments, wrong, np.ones(3))
+        with pytest.raises(ValueError, match="must have the shape"):
+            discrepancy_tangent(*arguments, wrong, *d)
+    with pytest.raises(ValueError, match="must have the shapes of the parameters"):
+        response_tangent(*arguments, *random_chain(4)[:4])
+    for function, more in ((response_gradient, [np.zeros((3, 150))]), (response_tangent, d)):
+        with pytest.raises(ValueError, match="must have equal lengths"):
+            function(arguments[0], np.ones(2), *arguments[2:], *more)
+
+
+# --------------------------------------------------------------------------- Ops
+
+SENSORS, QUANTITY = [2, 0], "relative_velocity"  # not the default, which an Op might fall back to
+RECORD = Record(np.random.default_rng(3).normal(size=150), 0.02, name="noise")
+MASS, STIFFNESS, RATIOS = (pt.vector(name, shape=(3,)) for name in ("mass", "stiffness", "ratios"))
+ALPHA, BETA = pt.scalar("alpha"), pt.scalar("beta")
+WEIGHTS, OBSERVED, C = pt.matrix("weights"), pt.matrix("observed", shape=(2, None)), pt.vector("c")
+WRT = {"rayleigh": [MASS, STIFFNESS, ALPHA, BETA], "modal": [MASS, STIFFNESS, RATIOS]}
+DAMPED = {"rayleigh": RayleighDamping(ALPHA, BETA), "modal": ModalDamping(RATIOS)}
+
+
+def symbolic(kind, quantity=QUANTITY):
+    """Response at two sensors and every second sample, and its discrepancy."""
+    chain = SpringMassChain(MASS, STIFFNESS, DAMPED[kind])
+    mu = response(chain, RECORD, dt=0.04, sensors=SENSORS, quantity=quantity)
+    return mu, mean_square_discrepancy(mu, OBSERVED)
+
+
+def numbers(kind):
+    """Values of the parameters in `WRT`, the same as kernel arguments, and weights, data and c."""
+    arguments = random_chain(
+        3, quantity=2, acceleration=RECORD.acceleration, stride=2, sensors=np.array(SENSORS)
+    )
+    arguments[3] = np.array([0.02, 0.05, 0.01]) if kind == "modal" else np.zeros(3)
+    arguments[2] = np.zeros(2) if kind == "modal" else arguments[2]
+    values = [*arguments[:2], *([arguments[3]] if kind == "modal" else arguments[2])]
+    rng = np.random.default_rng(4)
+    return values, arguments, [rng.normal(size=(2, 75)), rng.normal(size=(2, 75)), rng.normal(size=2)]
+
+
+def in_order_of(kind, gradients):
+    """Gradients by the parameters in `WRT` out of a kernel's."""
+    mass, stiffness, rayleigh, ratios = gradients
+    return [mass, stiffness, *([ratios] if kind == "modal" else rayleigh)]
+
+
+def ops_in(variables):
+    """Types of the Ops of this package in a graph, those inside Blockwise included."""
+    owners = [v.owner.op for v in ancestors(variables) if v.owner is not None]
+    return {type(op.core_op if isinstance(op, Blockwise) else op) for op in owners} & set(OPS)
+
+
+def assert_all_close(actual, expected, rtol):
+    for a, b in zip(actual, expected, strict=True):
+        np.testing.assert_allclose(a, b, rtol=rtol, atol=rtol * np.abs(b).max())
+
+
+@pytest.mark.parametrize("mode", ["NUMBA", "FAST_COMPILE"])
+@pytest.mark.parametrize("kind", WRT)
+def test_gradients_of_graphs(kind, mode):
+    """pt.grad of response and discrepancy, by all parameters and by the data, without object mode."""
+    mu, e = symbolic(kind)
+    gradients = pt.grad((WEIGHTS * mu).sum(), WRT[kind]) + pt.grad((C * e).sum(), [*WRT[kind], OBSERVED])
+    assert ops_in(gradients) >= {ChainResponseGradient, ChainDiscrepancyGradient}
+    values, arguments, (weights, observed, c) = numbers(kind)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        function = pytensor.function([*WRT[kind], WEIGHTS, OBSERVED, C], gradients, mode=mode)
+        got = function(*values, weights, observed, c)
+    expected = [
+        *in_order_of(kind, response_gradient(*arguments, weights)),
+        *in_order_of(kind, discrepancy_gradient(*arguments, observed, c)),
+        c[:, None] * 2.0 / 75 * (observed - chain_response(*arguments)),
+    ]
+    assert_all_close(got, expected, 1e-10)
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES)
+@pytest.mark.parametrize("kind", WRT)
+def test_finite_differences_of_graphs(kind, quantity):
+    """PyTensor's own check, of every quantity."""
+    values, _, (weights, observed, c) = numbers(kind)
+    start = [np.asarray(v, dtype=float) for v in values]
+    for k, constants in enumerate(({WEIGHTS: weights}, {OBSERVED: observed, C: c})):
+
+        def cost(*parameters, k=k, constants=constants):
+            mu, e = symbolic(kind, quantity)
+            total = ((WEIGHTS * mu).sum(), (C * e).sum())[k]
+            given = dict(zip(WRT[kind], parameters, strict=True)) | constants
+            return clone_replace(total, {v: pt.as_tensor(x) for v, x in given.items()})
+
+        verify_grad(cost, start, n_tests=1, rng=np.random.default_rng(1), mode=PLAIN, rel_tol=1e-4)
+
+
+@pytest.mark.parametrize("kind", WRT)
+def test_forward_mode(kind):
+    """pushforward, a double pullback by hand, and the rows of the Jacobian agree with the kernels."""
+    mu, e = symbolic(kind)
+    d, dummies = [x.type() for x in WRT[kind]], [pt.matrix(), pt.vector()]
+    forward, twice = [pushforward(y, WRT[kind], d) for y in (mu, e)], []
+    assert ops_in(forward) >= {ChainResponseTangent, ChainDiscrepancyTangent}
+    for y, v in zip((mu, e), dummies, strict=True):
+        back = pt.grad((v * y).sum(), WRT[kind])
+        twice.append(pt.grad(sum((g * x).sum() for g, x in zip(back, d, strict=True)), v))
+    rows = pt.jacobian(e, WRT[kind], vectorize=True)
+    function = pytensor.function(
+        [*WRT[kind], *d, *dummies, OBSERVED], [*forward, *twice, *rows], mode="FAST_COMPILE"
+    )
+    values, arguments, (weights, observed, c) = numbers(kind)
+    along = [np.random.default_rng(i).normal(size=np.shape(v)) for i, v in enumerate(values)]
+    got = function(*values, *along, weights, c, observed)
+    pair, ratios = (np.zeros(2), along[2]) if kind == "modal" else (np.array(along[2:]), np.zeros(3))
+    full = [*along[:2], pair, ratios]
+    expected = [response_tangent(*arguments, *full), discrepancy_tangent(*arguments, observed, *full)]
+    assert_all_close(got[:4], expected * 2, 1e-10)
+    by_row = [in_order_of(kind, discrepancy_gradient(*arguments, observed, unit)) for unit in np.eye(2)]
+    assert_all_close(got[4:], [np.stack(x) for x in zip(*by_row, strict=True)], 1e-10)
+
+
+@pytest.mark.parametrize("mode", ["NUMBA", "FAST_COMPILE"])
+def test_gradients_of_batches(mode):
+    """The gradient of a batch, and the batch of gradients; what all share gets the sum."""
+    _, e = symbolic("rayleigh")
+    batch = pt.matrix("batch", shape=(None, 3))
+    cost, slope = (C * e).sum(), pt.grad((C * e).sum(), [MASS, STIFFNESS])
+    cost, *slopes = vectorize_graph([cost, *slope], {STIFFNESS: batch})
+    total = pt.grad(cost.sum(), [MASS, STIFFNESS, batch], disconnected_inputs="ignore")
+    assert ops_in([cost]) == {PopulationDiscrepancy}
+    assert ops_in(total) >= {PopulationGradient}
+    inputs = [*WRT["rayleigh"], batch, OBSERVED, C]
+    values, arguments, (_, observed, c) = numbers("rayleigh")
+    springs = arguments[1] * np.random.default_rng(8).uniform(0.5, 1.5, (4, 3))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        outputs = [total[0], total[2], *slopes]
+        function = pytensor.function(inputs, outputs, mode=mode, on_unused_input="ignore")
+        got = function(*values, springs, observed, c)
+    single = [discrepancy_gradient(arguments[0], k, *arguments[2:], observed, c) for k in springs]
+    by_mass, by_stiffness = (np.stack([g[i] for g in single]) for i in range(2))
+    assert_all_close(got, [by_mass.sum(axis=0), by_stiffness, by_mass, by_stiffness], 1e-10)
+
+
+def test_forward_mode_of_a_population():
+    """PopulationGradient is linear in its weights: its pullback gives each particle's tangent."""
+    arguments, observed, _ = population(shared=(0,))
+    batches = [pt.matrix(shape=(1 if len(x) == 1 else None, x.shape[1])) for x in arguments[:4]]
+    e = PopulationDiscrepancy(QUANTITY)(*batches, *arguments[4:-1], observed)
+    d = [np.random.default_rng(i).normal(size=x.shape) for i, x in enumerate(arguments[:4])]
+    forward = pushforward(e, batches, [pt.as_tensor(x) for x in d])
+    got = pytensor.function(batches, forward, mode=PLAIN)(*arguments[:4])
+    for p in range(5):
+        own, along = ([x[p % len(x)] for x in rows] for rows in (arguments[:4], d))
+        expected = discrepancy_tangent(*own, *arguments[4:], observed, *along)
+        np.testing.assert_allclose(got[p], expected, rtol=1e-10)
+
+
+def derivative_ops():
+    """Each Op with inputs of which nothing is known: its outputs, and all its inputs."""
+    common = [
+        pt.TensorType("int64" if name in INTEGERS else "float64", (None,) * ndim)(name)
+        for name, ndim in INPUTS.items()
+    ]
+    batches = [pt.matrix() for _ in range(4)]
+    data, more, d = pt.matrix("data"), pt.vector("more"), [x.type() for x in common[:4]]
+    return {
+        ChainResponseGradient: [*common, data],
+        ChainResponseTangent: [*common, *d],
+        ChainDiscrepancyGradient: [*common, data, more],
+        ChainDiscrepancyTangent: [*common, data, *d],
+        PopulationGradient: [*batches, *common[4:], data, pt.matrix("c")],
+    }
+
+
+@pytest.mark.parametrize("op", derivative_ops())
+def test_shapes_are_known_without_computing(op):
+    """Of every output; the compiled shapes do not contain the Op."""
+    inputs = derivative_ops()[op]
+    outputs = op()(*inputs)
+    outputs = outputs if isinstance(outputs, list) else [outputs]
+    shapes = [size for x in outputs for size in x.shape]
+    fast = Mode(linker="py", optimizer="fast_run")
+    function = pytensor.function(inputs, shapes, mode=fast, on_unused_input="ignore")
+    assert ops_in(function.maker.fgraph.outputs) == set()
+    arguments, observed, c = population(shared=(3,))
+    if op is not PopulationGradient:
+        arguments[:4], c = [x[0] for x in arguments[:4]], c[0]
+    more = {ChainResponseGradient: [observed], ChainDiscrepancyGradient: [observed, c]}
+    more |= {ChainResponseTangent: arguments[:4], ChainDiscrepancyTangent: [observed, *arguments[:4]]}
+    values = [*arguments[:-1], *more.get(op, [observed, c])]
+    results = pytensor.function(inputs, outputs, mode=PLAIN)(*values)
+    assert [int(n) for n in function(*values)] == [n for x in results for n in x.shape]
+
+
+@pytest.mark.parametrize("op", derivative_ops())
+def test_wrong_extra_inputs_are_refused(op):
+    inputs = derivative_ops()[op]
+    for wrong in (inputs[:-1], [*inputs, pt.vector()], [*inputs[:-1], pt.tensor3()]):
+        with pytest.raises(ValueError, match=f"{op.__name__} takes {len(inputs) - 10} more inputs of"):
+            op()(*wrong)
+
+
+def test_settings_are_disconnected():
+    """Record, step and sensors have no gradient, and the derivative Ops have none by them either."""
+    step, ground = pt.scalar("dt"), pt.vector("acceleration")
+    arguments = random_chain(3)
+    settings = [ground, step, *arguments[6:10]]
+    for y in (
+        ChainResponse()(*arguments[:4], *settings),
+        ChainDiscrepancy()(*arguments[:4], *settings, np.zeros((3, 150))),
+        ChainResponseGradient()(*arguments[:4], *settings, np.zeros((3, 150)))[0],
+        ChainDiscrepancyTangent()(*arguments[:4], *settings, np.zeros((3, 150)), *arguments[:4]),
+    ):
+        for variable in (step, ground):
+            with pytest.raises(DisconnectedInputError):
+                pt.grad(y.sum(), variable)
+
+
+@pytest.mark.parametrize("what", ["response", "discrepancy", "population", "data", "forward"])
+def test_second_derivatives_are_refused(what):
+    """By the parameters, with words that say so."""
+    mu, e = symbolic("modal")
+    batch = pt.matrix("batch", shape=(None, 3))
+    y = vectorize_graph(e, {STIFFNESS: batch}) if what == "population" else mu if what == "response" else e
+    variable = batch if what == "population" else STIFFNESS
+    first = pushforward(e, STIFFNESS, MASS) if what == "forward" else pt.grad(y.sum(), variable)
+    with pytest.raises(NullTypeGradError, match="has first derivatives only"):
+        pt.grad(first.sum(), OBSERVED if what == "data" else variable)
+    by_data = pt.grad(pt.grad(e.sum(), OBSERVED).sum(), OBSERVED)  # negative control: this one exists
+    inputs, zeros = [*WRT["modal"], OBSERVED], np.zeros((2, 75))
+    got = pytensor.function(inputs, by_data, mode=PLAIN)(*np.ones((3, 3)), zeros)
+    np.testing.assert_allclose(got, zeros + 2.0 / 75, rtol=1e-14)
+
+
+@pytest.mark.parametrize("mode", ["NUMBA", "FAST_COMPILE"])
+def test_invalid_parameters_are_no_exception(mode):
+    _, e = symbolic("modal")
+    function = pytensor.function([*WRT["modal"], OBSERVED], pt.grad(e.sum(), WRT["modal"]), mode=mode)
+    values, _, (_, observed, _) = numbers("modal")
+    assert all(np.isnan(g).all() for g in function(-values[0], *values[1:], observed))
+
+
+# --------------------------------------------------------------------------- models
+
+
+def richardson(function, x, h):
+    """Central differences of steps h, h/2 and h/4, extrapolated to order six."""
+    first = [(function(x + s) - function(x - s)) / (2 * s) for s in (h, h / 2, h / 4)]
+    second = [(4 * b - a) / 3 for a, b in zip(first, first[1:], strict=False)]
+    return (16 * second[1] - second[0]) / 15
+
+
+@pytest.mark.parametrize("likelihood", [TruncNormalFeature, ExpFeature, pm.Normal])
+def test_log_probability_of_models(likelihood):
+    """Masses, springs, damping and sigma of a model: dlogp against differences of logp: measured 2e-10."""
+    rng = np.random.default_rng(2)
+    with pm.Model() as model:
+        mass, stiffness = pm.LogNormal("mass", 0.0, 0.3, shape=3), pm.Gamma("k", 9.0, 0.05, shape=3)
+        damping = RayleighDamping(pm.HalfNormal("alpha", 0.5), pm.HalfNormal("beta", 1e-2))
+        mu = response(SpringMassChain(mass, stiffness, damping), RECORD, dt=0.04, sensors=SENSORS)
+        sigma = pm.HalfNormal("sigma", 2.0, **({} if likelihood is pm.Normal else {"shape": 2}))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FeatureLikelihoodWarning)
+            likelihood("y", mu=mu, sigma=sigma, observed=rng.normal(size=(2, 75)))
+    logp, slope = model.compile_logp(mode="FAST_COMPILE"), model.compile_dlogp(mode="FAST_COMPILE")
+    point = {
+        name: value + 0.1 * rng.normal(size=np.shape(value)) for name, value in model.initial_point().items()
+    }
+    got, expected = slope(point), []
+    for variable in model.value_vars:
+        start = point[variable.name]
+        for i in np.ndindex(start.shape):
+
+            def along(x, name=variable.name, start=start, i=i):
+                moved = np.array(start)
+                moved[i] = x
+                return float(logp(point | {name: moved}))
+
+            expected.append(richardson(along, start[i], 2e-2))
+    np.testing.assert_allclose(got, expected, rtol=1e-8, atol=1e-10 * np.abs(got).max())
+
+
+# --------------------------------------------------------------------------- memory
+
+PEAK_GROWTH = """
+    import resource, sys
+    import numpy as np
+    from pymc_features.simulators import discrepancy_gradient, population_gradient, response_tangent
+
+    def peak():
+        size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return size if sys.platform == "darwin" else 1024 * size
+
+    n, n_times = 10, 400_000
+    chain = [np.ones(n), np.full(n, 1800.0), np.array([0.1, 1e-3]), np.zeros(n)]
+    rows = [x[None] for x in chain]
+    def run(length):
+        more = [record[:length].copy(), 0.02, 1, 1, np.arange(n), n, 0]
+        history = data[:, :length].copy()
+        for function in (
+            lambda: discrepancy_gradient(*chain, *more, history, np.ones(n)),
+            lambda: population_gradient(*rows, *more, history, np.ones((1, n))),
+            lambda: response_tangent(*chain, *more, *chain),
+        ):
+            ballast, start = [], peak()
+            while length > 5 and peak() < start + 2_000_000:  # until the peak is what is in use now
+                ballast.append(np.ones(50_000))
+            before = peak()
+            function()
+            if length > 5:
+                print((peak() - before) / data.nbytes)
+    record, data = np.random.default_rng(0).normal(size=n_times), np.ones((n, n_times))
+    run(5)
+    run(n_times)
+"""
+
+
+def test_gradients_need_no_memory_for_the_history(tmp_path):
+    """Peak memory over the size of the data; negative control: forward mode, which returns a history."""
+    pytest.importorskip("resource")
+    package = str(Path(pymc_features.__file__).parents[1])
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(PEAK_GROWTH)],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": package},
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    single, batch, forward = (float(x) for x in done.stdout.split())
+    assert single < 0.1
+    assert batch < 0.1
+    assert forward > 0.9

@@ -1,0 +1,411 @@
+"""Fisher information, Laplace's approximation, NUTS from particles: against closed forms and quadrature."""
+
+import warnings
+
+import arviz as az
+import numpy as np
+import pymc as pm
+import pytensor.tensor as pt
+import pytest
+import xarray as xr
+from scipy import stats
+
+import pymc_features as pmf
+from pymc_features.inference import parameters
+from pymc_features.study import paper
+from pymc_features.study.models import declare
+from pymc_features.study.quadrature import DiscrepancyCurve, exact_posterior, exponents
+
+LIKELIHOODS = ["NORM", "TN", "EXP"]
+QUIET = {"progressbar": False, "random_seed": 1}
+
+
+class Example:
+    """The ten-storey example under each likelihood, its exact posteriors, and draws of NUTS."""
+
+    def __init__(self, record):
+        self.data = paper.decimate(paper.measurements(record), record.dt)
+        self.models = {kind: declare(kind, record, self.data) for kind in LIKELIHOODS}
+
+        def total(theta):
+            e = pmf.mean_square_discrepancy(pmf.simulate(paper.chain(theta), record).values, self.data.values)
+            return float(e.sum())
+
+        curve = DiscrepancyCurve(total, paper.THETA_RANGE, self.data.size)
+        self.exact = {
+            kind: exact_posterior(curve, exponents(kind, *self.data.shape), paper.SIGMA_RANGE)
+            for kind in LIKELIHOODS
+        }
+        smc = {"draws": 500, "chains": 1, "cores": 1}
+        self.nuts = {
+            kind: pmf.sample_nuts(500, tune=500, model=model, smc_settings=smc, **QUIET)
+            for kind, model in self.models.items()
+        }
+
+
+@pytest.fixture(scope="module")
+def example(record):
+    return Example(record)
+
+
+def quantile_scores(idata, name, quantile, off=0.0):
+    """How many standard errors the draws below exact quantiles are too many, at 5, 50 and 95 %."""
+    draws = idata["posterior"][name].values
+    scores = []
+    for p in (0.05, 0.5, 0.95):
+        below = (draws < quantile(p) + off).astype(float)
+        ess = float(az.ess(below, method="mean"))
+        scores.append((below.mean() - p) / np.sqrt(p * (1.0 - p) / ess))
+    return np.array(scores)
+
+
+@pytest.mark.parametrize("kind", LIKELIHOODS)
+def test_nuts_is_the_exact_posterior(kind, example):
+    """Eighteen quantiles within 4.5 standard errors: a false alarm in 8000 runs."""
+    exact, idata = example.exact[kind], example.nuts[kind]
+    for name in ("theta", "sigma"):
+        marginal = getattr(exact, name)
+        assert np.abs(quantile_scores(idata, name, marginal.quantile)).max() < 4.5
+        off = 0.1 * (marginal.quantile(0.95) - marginal.quantile(0.05))  # negative control
+        assert np.abs(quantile_scores(idata, name, marginal.quantile, off)).max() > 4.5
+    assert idata["posterior"].attrs["chains_agree"] == 1
+    assert idata["posterior"].attrs["max_r_hat"] < 1.01
+    assert int(idata["sample_stats"]["diverging"].sum()) < 20
+
+
+@pytest.mark.parametrize("kind", LIKELIHOODS)
+def test_map_is_the_exact_one(kind, example):
+    """On the scale of the parameters, without the Jacobians of their transforms, by their gradient."""
+    with example.models[kind] as model, warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        logp = model.compile_logp(jacobian=False)
+        found = pm.find_MAP(progressbar=False)
+    theta, sigma = example.exact[kind].map
+    point = {
+        "theta_interval__": np.log((theta - 0.5) / (1.5 - theta)),
+        "sigma_interval__": np.log(sigma / (2 - sigma)),
+    }
+    assert logp(point) >= logp({k: found[k] for k in point}) - 1e-6
+    assert found["theta"] == pytest.approx(theta, abs=1e-4)
+    assert found["sigma"] == pytest.approx(sigma, rel=0.02)
+
+
+def test_variational_inference_runs(example):
+    with example.models["NORM"]:
+        approximation = pm.fit(
+            300, method="advi", progressbar=False, random_seed=1, start={"theta": 1.0, "sigma": 0.1}
+        )
+    assert np.isfinite(approximation.hist).all()
+
+
+# --------------------------------------------------------------------------- ten springs
+
+
+@pytest.fixture(scope="module")
+def ten_springs(record):
+    """All ten springs unknown, EXP, the first eight seconds of the record: SMC, then NUTS."""
+    short = pmf.Record(record.acceleration[:400], record.dt)
+    measured = pmf.simulate(paper.chain(1.0), short).values
+    measured = measured + 0.05 * measured.std() * np.random.default_rng(3).normal(size=measured.shape)
+    with pm.Model() as model:
+        k = pm.Lognormal("k", 0.0, 0.1, shape=10)
+        sigma = pm.HalfNormal("sigma", 0.5)
+        chain = pmf.SpringMassChain(
+            np.ones(10), 1800.0 * k, pmf.RayleighDamping(alpha=0.2265, beta=6.7515e-4)
+        )
+        pmf.ExpFeature("y", mu=pmf.response(chain, short), sigma=sigma, observed=measured)
+    particles = pmf.sample_smc(2000, model=model, chains=4, **QUIET)
+    return particles, pmf.sample_nuts(1000, tune=1000, model=model, particles=particles, **QUIET)
+
+
+def standard_errors(idata, kind):
+    """Means or standard deviations (parameter,) over all chains, and their errors from the scatter of chains.
+
+    """Means or standard deviations (parameter,) over all chains, and their errors by the scatter of chains.
+    they are known well.
+    """
+    posterior = idata["posterior"].to_dataset()
+    draws = np.concatenate([posterior["k"].values, posterior["sigma"].values[..., None]], axis=-1)
+    of_chains = getattr(draws, kind)(axis=1)
+    sd = draws.std(axis=(0, 1))
+    scatter = np.sqrt(np.mean(of_chains.var(axis=0, ddof=1) / sd**2) / len(draws))
+    return of_chains.mean(axis=0), scatter * sd
+
+
+def test_ten_springs_by_nuts_from_particles(ten_springs):
+    """R-hat below 1.01, 400 effective draws of 1000 on four chains, and the marginals of SMC.
+
+    Means and standard deviations of eleven marginals within 4.5 Monte Carlo standard errors: a false alarm
+    in 6000. Negative control: the means of the prior are further away.
+    """
+    particles, idata = ten_springs
+    assert idata["posterior"].attrs["max_r_hat"] < 1.01
+    ess = az.ess(idata["posterior"].to_dataset())
+    assert float(ess["k"].min()) > 400
+    assert float(ess["sigma"]) > 400
+    for kind in ("mean", "std"):
+        first, first_error = standard_errors(particles, kind)
+        second, second_error = standard_errors(idata, kind)
+        assert (np.abs(first - second) / np.hypot(first_error, second_error)).max() < 4.5, kind
+        if kind == "mean":
+            assert (np.abs(np.exp(0.005) - second[:10]) / second_error[:10]).max() > 4.5
+
+
+# --------------------------------------------------------------------------- NUTS from particles
+
+
+def two_modes():
+    with pm.Model() as model:
+        x = pm.Normal("x", 0.0, 10.0)
+        pm.Potential("peaks", pm.math.logaddexp(-0.5 * (x - 6.0) ** 2, -0.5 * (x + 6.0) ** 2))
+    return model
+
+
+def test_disagreeing_chains_are_said_and_the_particles_kept():
+    with pytest.warns(pmf.ChainsDisagreeWarning, match=r"R-hat: x .*use the draws of SMC, in the group"):
+        idata = pmf.sample_nuts(
+            200,
+            tune=200,
+            chains=6,
+            cores=1,
+            model=two_modes(),
+            smc_settings={"draws": 500, "chains": 1},
+            **QUIET,
+        )
+    assert idata["posterior"].attrs["chains_agree"] == 0
+    assert idata["posterior"].attrs["max_r_hat"] > 1.5
+    share = float((idata["particles"]["x"] > 0).mean())
+    assert 0.3 < share < 0.7
+    ends = np.sign(idata["posterior"]["x"].values.mean(axis=1))
+    assert set(ends) == {-1.0, 1.0}, "each chain is in the mode of its particle"
+
+
+def test_result_saves(tmp_path, example):
+    example.nuts["TN"].to_netcdf(tmp_path / "nuts.nc")
+    back = xr.open_datatree(tmp_path / "nuts.nc")
+    xr.testing.assert_equal(back["posterior"]["theta"], example.nuts["TN"]["posterior"]["theta"])
+    assert back["posterior"].attrs["chains_agree"] == 1
+
+
+def test_wrong_particles_are_refused(example):
+    model = example.models["TN"]
+    with pytest.raises(ValueError, match=r"must be what sample_smc\(\) returned, got dict"):
+        pmf.sample_nuts(model=model, particles={"theta": 1.0})
+    other = xr.DataTree.from_dict({"posterior": xr.Dataset({"theta": (("chain", "draw"), [[1.0]])})})
+    with pytest.raises(ValueError, match="every free parameter of `model`, got none of sigma"):
+        pmf.sample_nuts(model=model, particles=other)
+
+
+@pytest.mark.parametrize("function", [pmf.sample_nuts, pmf.laplace, pmf.fisher_information])
+def test_discrete_parameters_are_refused(function):
+    with pm.Model() as model:
+        n = pm.Poisson("n", 3.0)
+        pm.Normal("y", n, 1.0, observed=1.0)
+    with pytest.raises(ValueError, match=r"continuous free parameters .*discrete ones: n. Use sample_smc"):
+        function(model=model)
+
+
+def test_unconstrained_draws_are_pymcs():
+    """Transforms of scalars, vectors and simplexes, and those that depend on another variable."""
+    with pm.Model() as model:
+        a = pm.Uniform("a", 0.0, 1.0)
+        pm.Uniform("b", 0.0, a, shape=2)
+        pm.Dirichlet("w", np.ones(3))
+        pm.Normal("free")
+    draws = pm.draw([model["a"], model["b"], model["w"], model["free"]], 5, random_seed=1)
+    names = ["a", "b", "w", "free"]
+    posterior = xr.Dataset(
+        {
+            n: (("chain", "draw", *(f"{n}{i}" for i in range(v.ndim - 1))), v[None])
+            for n, v in zip(names, draws, strict=True)
+        }
+    )
+    flat = parameters.to_unconstrained(model, posterior)
+    assert flat.shape == (1, 5, 6)
+    space = parameters.Unconstrained(model)
+    back = space.variables(flat[0])
+    for name, values in zip(names, draws, strict=True):
+        np.testing.assert_allclose(back[name], values, rtol=1e-12)
+    np.testing.assert_array_equal(space.join(space.split(flat[0, 0])), flat[0, 0])
+
+
+# --------------------------------------------------------------------------- Laplace
+
+
+def regression():
+    """Linear model with Gaussian prior and noise, and its exact evidence, mean and covariance."""
+    rng = np.random.default_rng(5)
+    design = rng.normal(size=(20, 3)) * [1.0, 1e3, 1e-3]
+    y = design @ [0.5, 1e-3, 300.0] + 0.3 * rng.normal(size=20)
+    prior = np.array([2.0, 1e-2, 1e3])
+    with pm.Model() as model:
+        b = pm.Normal("b", 0.0, prior, shape=3)
+        pm.Normal("y", pt.dot(design, b), 0.3, observed=y)
+    precision = design.T @ design / 0.09 + np.diag(prior**-2.0)
+    covariance = np.linalg.inv(precision)
+    marginal = 0.09 * np.eye(20) + (design * prior**2) @ design.T
+    evidence = stats.multivariate_normal(np.zeros(20), marginal).logpdf(y)
+    return model, evidence, covariance @ design.T @ y / 0.09, covariance, design.T @ design / 0.09
+
+
+def test_laplace_is_exact_for_a_gaussian():
+    model, evidence, mean, covariance, _ = regression()
+    idata = pmf.laplace(4000, model=model, random_seed=1)
+    found = idata["sample_stats"]
+    np.testing.assert_allclose(found["log_marginal_likelihood"].values, [evidence], rtol=1e-9)
+    np.testing.assert_allclose(found["log_marginal_likelihood_is"].values, [evidence], rtol=1e-8)
+    assert found["efficiency"].values[0] == pytest.approx(1.0, abs=1e-6)
+    np.testing.assert_allclose(idata["modes"]["b"].values, [mean], rtol=1e-6)
+    draws = idata["posterior"]["b"].values[0]
+    scores = (draws - mean) @ np.linalg.inv(np.linalg.cholesky(covariance)).T
+    assert stats.kstest(scores.ravel(), "norm").pvalue > 1e-4
+    assert np.abs(np.corrcoef(scores.T) - np.eye(3)).max() < 4.5 / np.sqrt(4000)
+
+
+@pytest.mark.parametrize(("kind", "formula"), [("NORM", 0.002), ("TN", 0.2), ("EXP", 0.1)])
+def test_laplace_evidence_against_quadrature(kind, formula, example):
+    """The formula is asymptotic: right for NORM, near for the feature likelihoods, whose sigma has a tail.
+
+    Importance sampling puts it right: within 4.5 standard errors of the exact evidence.
+    """
+    idata = pmf.laplace(4000, model=example.models[kind], random_seed=2)
+    found = idata["sample_stats"].to_dataset().isel(chain=0)
+    exact = example.exact[kind].log_evidence
+    assert float(found["log_marginal_likelihood"]) == pytest.approx(exact, abs=formula)
+    if kind != "NORM":
+        assert abs(float(found["log_marginal_likelihood"]) - exact) > 0.02  # negative control
+    error = 4.5 * float(found["log_marginal_likelihood_is_se"]) + 1e-6
+    assert abs(float(found["log_marginal_likelihood_is"]) - exact) < error
+    assert float(found["efficiency"]) > {"NORM": 0.99, "EXP": 0.3, "TN": 0.02}[kind]
+    assert float(idata["modes"]["theta"][0]) == pytest.approx(example.exact[kind].map[0], abs=1e-4)
+
+
+def test_laplace_finds_and_weighs_two_modes():
+    with pm.Model() as model:
+        x = pm.Normal("x", 0.0, 10.0)
+        peaks = [np.log(w) - 0.5 * ((x - m) / s) ** 2 for w, m, s in [(0.3, -6.0, 0.5), (1.0, 5.0, 1.0)]]
+        pm.Potential("peaks", pm.math.logaddexp(*peaks))
+    idata = pmf.laplace(2000, model=model, starts=12, random_seed=1)
+    grid = np.linspace(-40, 40, 400001)
+    density = stats.norm(0, 10).pdf(grid) * (
+        0.3 * np.exp(-2 * (grid + 6) ** 2) + np.exp(-0.5 * (grid - 5) ** 2)
+    )
+    below = np.trapezoid(density[grid < 0], grid[grid < 0]) / np.trapezoid(density, grid)
+    assert idata["modes"].sizes["mode"] == 2
+    assert float(idata["modes"]["weight"].min()) == pytest.approx(below, rel=0.01)
+    assert float((idata["posterior"]["x"] < 0).mean()) == pytest.approx(below, abs=0.002)
+    evidence = float(idata["sample_stats"]["log_marginal_likelihood"][0])
+    assert evidence == pytest.approx(np.log(np.trapezoid(density, grid)), abs=0.01)
+
+
+def test_laplace_keeps_dims_and_deterministics_and_starts_where_told():
+    with pm.Model(coords={"storey": ["a", "b"]}) as model:
+        k = pm.Lognormal("k", 0.0, 1.0, dims="storey")
+        pm.Deterministic("total", k.sum())
+        pm.Normal("y", pm.math.log(k), 0.1, observed=[0.0, 1.0])
+    idata = pmf.laplace(50, model=model, start={"k": [2.0, 2.0]}, random_seed=1)
+    assert idata["posterior"]["k"].dims == ("chain", "draw", "storey")
+    np.testing.assert_allclose(idata["posterior"]["total"], idata["posterior"]["k"].sum("storey"), rtol=1e-12)
+    assert idata["modes"]["k"].dims == ("mode", "storey")
+
+
+def test_laplace_says_where_it_fails():
+    with pm.Model() as flat:
+        x, z = pm.Flat("x"), pm.Normal("z")
+        pm.Normal("y", z + 0.0 * x, 1.0, observed=1.0)
+    with pytest.raises(
+        ValueError, match=r"maximum with positive curvature, found none from .*fisher_information"
+    ):
+        pmf.laplace(model=flat, start={"x": 0.5})
+    with pm.Model() as banana:
+        a = pm.Normal("a", 0.0, 5.0)
+        pm.Normal("b", a**2, 0.05)
+    with pytest.warns(pmf.LaplaceWarning, match="are worth .* % of as many from the posterior"):
+        pmf.laplace(500, model=banana, random_seed=1)
+    with pytest.raises(ValueError, match="`draws` must be a positive integer, got 0"):
+        pmf.laplace(0, model=banana)
+
+
+# --------------------------------------------------------------------------- Fisher information
+
+
+def test_fisher_of_a_regression_is_exact():
+    model, *_, information = regression()
+    found = pmf.fisher_information(model)
+    np.testing.assert_allclose(found["information"], information, rtol=1e-10)
+    np.testing.assert_allclose(
+        found["standard_deviation"], np.sqrt(np.diag(np.linalg.inv(information))), rtol=1e-6
+    )
+    assert list(found["parameter"].values) == ["b[0]", "b[1]", "b[2]"]
+
+
+@pytest.mark.parametrize("kind", LIKELIHOODS)
+def test_fisher_of_a_structure(kind, record, example):
+    """Against differences of the simulated response, and the closed forms of the information on sigma."""
+    found = pmf.fisher_information(example.models[kind], {"theta": 1.1, "sigma": 0.2})
+    n_sensors, n_times = example.data.shape
+    h = 1e-5
+    slope = (
+        pmf.simulate(paper.chain(1.1 + h), record).values - pmf.simulate(paper.chain(1.1 - h), record).values
+    ) / (2.0 * h)
+    samples = {"NORM": 1.0, "TN": 1.0 / n_times, "EXP": 1.0 / n_times}[kind]
+    on_theta = samples * (slope**2).sum() / 0.2**2
+    on_sigma = {"NORM": 2 * n_sensors * n_times, "TN": 2 * n_sensors, "EXP": 4 * n_sensors}[kind] / 0.2**2
+    np.testing.assert_allclose(
+        found["information"], np.diag([on_theta, on_sigma]), rtol=1e-6, atol=1e-6 * on_sigma
+    )
+
+
+@pytest.mark.parametrize("kind", LIKELIHOODS)
+def test_fisher_against_the_posterior(kind, example):
+    """For NORM the bound is the posterior's standard deviation; TN's tail is longer than the bound says."""
+    point = dict(zip(("theta", "sigma"), example.exact[kind].map, strict=True))
+    bound = float(pmf.fisher_information(example.models[kind], point)["standard_deviation"][0])
+    sd = float(example.nuts[kind]["posterior"]["theta"].std())
+    ratio = {"NORM": (0.94, 1.06), "EXP": (1.05, 1.4), "TN": (1.1, 1.8)}[kind]
+    assert ratio[0] < sd / bound < ratio[1]
+
+
+def test_fisher_does_not_grow_with_the_sampling_rate(record):
+    """Under TN; under a Normal it doubles with twice the samples."""
+    finest = paper.measurements(record)
+    for kind, growth in (("TN", 1.0), ("NORM", 2.0)):
+        information = []
+        for step in (0.5, 1.0):
+            model = declare(kind, record, paper.decimate(finest, step * record.dt))
+            found = pmf.fisher_information(model, {"theta": 1.0, "sigma": 0.1})
+            information.append(float(found["information"][0, 0]))
+        assert information[0] / information[1] == pytest.approx(growth, rel=0.02)
+
+
+def test_fisher_names_what_cannot_be_identified(record):
+    """Mass and stiffness by a common factor leave the response unchanged."""
+    with pm.Model() as model:
+        m, k = pm.Lognormal("m"), pm.Lognormal("k")
+        chain = pmf.SpringMassChain(np.ones(3) * m, 1000.0 * k * np.ones(3), pmf.ModalDamping(0.02))
+        pmf.TruncNormalFeature(
+            "y", mu=pmf.response(chain, record), sigma=0.1, observed=np.ones((3, record.n_times))
+        )
+    found = pmf.fisher_information(model)
+    assert np.isinf(found["standard_deviation"].values).all()
+    direction = found["direction_vector"].values[-1]
+    assert abs(direction[0] - direction[1]) < 1e-6, "both by the same share"
+    assert found["eigenvalue"].values[0] > 1.0
+    assert found["eigenvalue"].values[1] < 1e-9 * found["eigenvalue"].values[0]
+
+
+def test_fisher_refuses_what_it_does_not_know(example):
+    with pm.Model() as model:
+        x = pm.Normal("x")
+        pm.StudentT("y", nu=3.0, mu=x, sigma=1.0, observed=[1.0])
+    with pytest.raises(TypeError, match=r"must have Normal, TruncNormalFeature or ExpFeature .*got StudentT"):
+        pmf.fisher_information(model)
+    with pytest.raises(ValueError, match=r"free parameters only \(theta, sigma\), got \['k'\]"):
+        pmf.fisher_information(example.models["TN"], {"k": 1.0})
+    with pm.Model() as model:
+        x = pm.Normal("x")
+        pmf.TruncNormalFeature(
+            "y", mu=pt.zeros((6, 20)) + x, sigma=1.0, density="data", observed=np.ones((6, 20))
+        )
+    with pytest.raises(ValueError, match="density='feature', got 'data'"):
+        pmf.fisher_information(model)
