@@ -9,7 +9,7 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-SECTIONS = ("evaluation", "posteriors", "scaling")
+SECTIONS = ("evaluation", "gradients", "posteriors", "scaling")
 PACKAGES = (
     *("pymc-features", "pymc", "pytensor", "numba", "numpy", "scipy"),
     *("jax", "blackjax", "numpyro", "ultranest", "dynesty", "smcpy", "parallel-abus"),

@@ -12,6 +12,11 @@ if "PYMC_FEATURES_DATA" not in os.environ and _BESIDE.is_dir():
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 
+def pytest_collection_modifyitems(items):
+    """Tests that use JAX come last: it starts threads, and other tests fork."""
+    items.sort(key=lambda item: item.path.name == "test_jax.py")
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder with the real records; tests that need it are skipped where it is absent."""

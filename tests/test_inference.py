@@ -119,9 +119,9 @@ def ten_springs(record):
 
 
 def standard_errors(idata, kind):
-    """Means or standard deviations (parameter,) over all chains, and their errors from the scatter of chains.
-
     """Means or standard deviations (parameter,) over all chains, and their errors by the scatter of chains.
+
+    In units of the posterior's standard deviation the errors are taken to be equal for all, so that
     they are known well.
     """
     posterior = idata["posterior"].to_dataset()
@@ -194,6 +194,16 @@ def test_wrong_particles_are_refused(example):
     other = xr.DataTree.from_dict({"posterior": xr.Dataset({"theta": (("chain", "draw"), [[1.0]])})})
     with pytest.raises(ValueError, match="every free parameter of `model`, got none of sigma"):
         pmf.sample_nuts(model=model, particles=other)
+
+
+def test_what_cannot_work_is_refused_before_any_sampling(example, record):
+    with pytest.raises(
+        ValueError, match=r"start each chain at its own particle, .*got 'nutpie'. Call pm.sample"
+    ):
+        pmf.sample_nuts(model=example.models["TN"], nuts_sampler="nutpie")
+    threshold = declare("ABC", record, example.data, tolerance=1.0)
+    with pytest.raises(pmf.NotDifferentiableError, match="hard threshold of DiscrepancySimulator"):
+        pmf.sample_nuts(model=threshold)
 
 
 @pytest.mark.parametrize("function", [pmf.sample_nuts, pmf.laplace, pmf.fisher_information])

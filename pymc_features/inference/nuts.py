@@ -8,8 +8,9 @@ import xarray as xr
 from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
 
 from pymc_features.inference.parameters import check_continuous, to_unconstrained
-from pymc_features.smc import processors, sample_smc
+from pymc_features.smc import processors, sample_smc, start_method
 
+NUTS_SAMPLERS = ("pymc", "numpyro", "blackjax")
 AGREEMENT = 1.01  # largest R-hat of chains that agree
 
 
@@ -45,7 +46,7 @@ def sample_nuts(
         What `sample_smc` returned for the same model; sampled here by default.
     model : pymc.Model, optional
         The model of the context by default.
-    nuts_sampler : {"pymc", "nutpie", "numpyro", "blackjax"}
+    nuts_sampler : {"pymc", "numpyro", "blackjax"}
         As in `pm.sample`; the first takes over the covariance of the particles, the others adapt their own.
     random_seed : int, optional
     progressbar : bool
@@ -66,6 +67,8 @@ def sample_nuts(
     ------
     ValueError
         If the model has discrete parameters, or the particles are not of this model.
+    NotDifferentiableError
+        If a part of the model has no gradient, such as the hard threshold of ABC.
 
     Warns
     -----
@@ -74,6 +77,12 @@ def sample_nuts(
     """
     model = pm.modelcontext(model)
     check_continuous(model, "sample_nuts()")
+    if nuts_sampler not in NUTS_SAMPLERS:
+        raise ValueError(
+            f"`nuts_sampler` must start each chain at its own particle, as {', '.join(NUTS_SAMPLERS)} do, "
+            f"got {nuts_sampler!r}. Call pm.sample() for others."
+        )
+    model.dlogp()  # says at once if there is no gradient
     smc_seed, pick_seed, nuts_seed = np.random.SeedSequence(random_seed).generate_state(3)
     if particles is None:
         smc_settings = {"random_seed": int(smc_seed), "progressbar": progressbar, **(smc_settings or {})}
@@ -82,6 +91,7 @@ def sample_nuts(
     starts = pick(model, posterior, chains, np.random.default_rng(pick_seed))
     if nuts_sampler == "pymc":
         settings.setdefault("cores", min(chains, processors()))
+        settings.setdefault("mp_ctx", start_method())
         settings.setdefault("step", nuts_step(model, posterior, target_accept))
     else:
         settings["target_accept"] = target_accept

@@ -1,6 +1,7 @@
 """`sample_smc`: PyMC's function with a better default kernel and a result that can be saved."""
 
 import os
+import sys
 
 import pymc as pm
 import xarray as xr
@@ -45,7 +46,14 @@ def sample_smc(
         raise ValueError(
             "`return_inferencedata` must be True, got False. Use pm.sample_smc() for a MultiTrace."
         )
+    if settings.get("mp_ctx") is None:
+        settings["mp_ctx"] = start_method()
     return savable(pm.sample_smc(draws, kernel, cores=cores or processors(), **settings))
+
+
+def start_method() -> str | None:
+    """How to start processes: PyMC's choice but where JAX has threads, with which a fork may never end."""
+    return "forkserver" if "jax" in sys.modules else None
 
 
 def processors() -> int:

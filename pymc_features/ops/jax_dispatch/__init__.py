@@ -1,11 +1,12 @@
 """How JAX runs the Ops, batched and differentiable, on any of its devices. Only this folder imports JAX.
 
 The same mathematics as the compiled kernels, once more; the exact gradients are custom derivatives, so that
-repeated frequencies do no harm here either.
+repeated frequencies do no harm here either. JAX can differentiate these once more; such second derivatives
+are right only where no two frequencies are close.
 """
 
 import jax
-from pytensor.graph.basic import Constant
+import pytensor.tensor as pt
 from pytensor.link.jax.dispatch.basic import jax_funcify
 
 from pymc_features.ops.discrepancy import ChainDiscrepancy
@@ -32,12 +33,13 @@ def static_settings(node) -> tuple[int, int, int]:
     """Substeps, stride and number of modes, which fix the shape of the computation."""
     values = []
     for i in (6, 7, 9):
-        if not isinstance(node.inputs[i], Constant):
+        try:
+            values.append(int(pt.get_underlying_scalar_constant_value(node.inputs[i])))
+        except pt.exceptions.NotScalarConstantError:
             raise NotImplementedError(
                 "JAX needs an output step and a number of modes that are fixed when it compiles, got "
                 f"{node.inputs[i]}. Pass `dt` to response() as a number."
-            )
-        values.append(int(node.inputs[i].data))
+            ) from None
     return tuple(values)
 
 

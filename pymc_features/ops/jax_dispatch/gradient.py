@@ -88,7 +88,7 @@ def response_tangent(op, static, parameters, acceleration, dt, sensors, *directi
     _, transpose = jax.vjp(
         lambda w: gradient(op, static, parameters, acceleration, dt, sensors, w, None), zeros
     )
-    return transpose(directions)[0]
+    return valid_only(op, static, parameters, dt, transpose(directions)[0])
 
 
 def discrepancy_tangent(op, static, parameters, acceleration, dt, sensors, observed, *directions):
@@ -97,7 +97,13 @@ def discrepancy_tangent(op, static, parameters, acceleration, dt, sensors, obser
     _, transpose = jax.vjp(
         lambda c: gradient(op, static, parameters, acceleration, dt, sensors, observed, c), zeros
     )
-    return transpose(directions)[0]
+    return valid_only(op, static, parameters, dt, transpose(directions)[0])
+
+
+def valid_only(op, static, parameters, dt, tangent):
+    """The tangent, or NaN where the parameters describe no structure: a transpose does not see that."""
+    substeps, _, n_modes = static
+    return jnp.where(Modes(op, parameters, dt / substeps, n_modes).valid, tangent, jnp.nan)
 
 
 def without_gradient(*values):
@@ -132,7 +138,10 @@ def differentiable_discrepancy(op, static, parameters, acceleration, dt, sensors
 
 
 def discrepancy_backward(op, static, inputs, weights):
-    return (gradient(op, static, *inputs, weights), *without_gradient(*inputs[1:]))
+    *common, observed = inputs
+    misfit = observed - response(op, static, *common)
+    by_data = weights[:, None] * (2.0 / observed.shape[1]) * misfit
+    return (gradient(op, static, *inputs, weights), *without_gradient(*common[1:]), by_data)
 
 
 differentiable_discrepancy.defvjp(

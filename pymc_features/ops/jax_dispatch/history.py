@@ -88,6 +88,8 @@ def discrepancy(op, static, parameters, acceleration, dt, sensors, observed):
     modes = Modes(op, parameters, dt / substeps, n_modes)
     sampling = Sampling(acceleration, dt, substeps, stride)
     output = sensor_output(op, modes, sensors)
+    if observed.shape != (sensors.shape[0], sampling.total):
+        raise ValueError("`observed` must have the shape (sensor, time) of the response")
 
     def visit(errors, state, at, data):
         return errors + (data - output(state, at)) ** 2, None
