@@ -22,7 +22,8 @@ def sample_smc(
     kernel : type
         Any kernel of `pm.sample_smc`.
     cores : int, optional
-        Chains in parallel; as many as there are processors by default.
+        Chains in parallel; as many as there are processors by default. Where JAX has been imported, they are
+        not forked: a script then needs its `if __name__ == "__main__":`.
     **settings
         Of `pm.sample_smc` (`model`, `chains`, `random_seed`, `progressbar`, `mp_ctx`, ...) and of the kernel.
 

@@ -18,17 +18,17 @@ def gradient(op, static, parameters, acceleration, dt, sensors, history, weights
     shapes, output = modes.shapes[sensors], sensor_output(op, modes, sensors)
     n = shapes.shape[1]
 
-    def visit(sums, state, at, datum):
+    def visit(sums, states, at, there, data):
         products, slopes, by_damping = sums
-        weighted = datum
+        weighted = data
         if weights is not None:
-            weighted = 2.0 / sampling.total * weights * (output(state, at) - datum)
+            weighted = 2.0 / sampling.total * weights * there * (output(states, at) - data)
         modal = weighted @ shapes
-        by_lambda, by_d = modes.slopes(*state)
+        by_lambda, by_d = modes.slopes(*states)
         return (
-            products + modal[:, None] * modes.outputs(state[0], state[1], at),
-            slopes + modal[:, None] * by_lambda,
-            by_damping + modal[:n_modes] * by_d,
+            products + modal.T @ modes.outputs(*states[:2], at),
+            slopes + modal.T @ by_lambda,
+            by_damping + (modal[:, :n_modes] * by_d).sum(axis=0),
         ), None
 
     zeros = (jnp.zeros((n, n_modes)), jnp.zeros((n, n_modes)), jnp.zeros(n_modes))

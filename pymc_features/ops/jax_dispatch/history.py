@@ -6,11 +6,14 @@ from jax import lax
 
 from pymc_features.ops.jax_dispatch.modes import Modes
 
+BLOCK = 64  # samples whose modes are kept at a time, for matrix products instead of one product each
+
 
 class Sampling:
-    """The ground acceleration at the steps of the recursion, by output samples.
+    """The ground acceleration at the steps of the recursion, in blocks of samples, zero behind the end.
 
-    `now` and `after` (u, stride): at the beginning and the end of the steps behind each sample; `at` (u,).
+    `now` and `after` (blocks, BLOCK, stride): at the beginning and the end of the steps behind each sample;
+    `at` (blocks, BLOCK) at the sample; `there` (blocks, BLOCK, 1) is 1 where there is one, 0 behind the end.
     """
 
     def __init__(self, acceleration, dt, substeps, stride):
@@ -19,11 +22,17 @@ class Sampling:
         i, part = np.divmod(np.arange((self.total - 1) * stride + 1), substeps)
         ahead = np.minimum(i + 1, n - 1)
         fine = acceleration[i] + part / substeps * (acceleration[ahead] - acceleration[i])
-        rest = jnp.zeros((1, stride))
-        self.now = jnp.concatenate([fine[:-1].reshape(-1, stride), rest])
-        self.after = jnp.concatenate([fine[1:].reshape(-1, stride), rest])
-        self.at = fine[::stride]
+        self.now = self.blocks(fine[:-1].reshape(-1, stride))
+        self.after = self.blocks(fine[1:].reshape(-1, stride))
+        self.at = self.blocks(fine[::stride])
+        self.there = self.blocks(np.ones((self.total, 1)))
         self.duration = self.total * stride * dt / substeps
+
+    def blocks(self, rows):
+        """Rows (u or less, ...) as (blocks, BLOCK, ...), filled up with zeros."""
+        n = -(-self.total // BLOCK)
+        filled = jnp.zeros((n * BLOCK, *rows.shape[1:])).at[: rows.shape[0]].set(rows)
+        return filled.reshape(n, BLOCK, *rows.shape[1:])
 
 
 def advance(modes, state, now, after, derivatives):
@@ -48,26 +57,34 @@ def advance(modes, state, now, after, derivatives):
 
 
 def march(modes, sampling, visit, carry, data, derivatives=False):
-    """Scan over the output samples: `visit(carry, state, ground, data)` returns carry and what is kept."""
+    """Scan over the blocks: `visit(carry, states, ground, there, data)` returns carry and what is kept.
+
+    `states`: q, q' and, with derivatives, z, z', each (BLOCK, m), at the samples of a block; `data` (u, s).
+    """
     rest = jnp.zeros(modes.n_modes)
     state = (rest,) * (4 if derivatives else 2)
 
-    def sample(both, x):
-        carry, state = both
-        at, now, after, datum = x
-        carry, kept = visit(carry, state, at, datum)
-        return (carry, advance(modes, state, now, after, derivatives)), kept
+    def sample(state, ground):
+        return advance(modes, state, *ground, derivatives), state
 
-    return_carry, kept = lax.scan(sample, (carry, state), (sampling.at, sampling.now, sampling.after, data))
-    return return_carry[0], kept
+    def block(both, x):
+        carry, state = both
+        at, there, now, after, datum = x
+        state, states = lax.scan(sample, state, (now, after))
+        carry, kept = visit(carry, states, at[:, None], there, datum)
+        return (carry, state), kept
+
+    xs = (sampling.at, sampling.there, sampling.now, sampling.after, sampling.blocks(data))
+    (carry, _), kept = lax.scan(block, (carry, state), xs)
+    return carry, kept
 
 
 def sensor_output(op, modes, sensors):
-    """Function of (state, ground): the response at the sensors."""
+    """Function of (states, ground (BLOCK, 1)): the response (BLOCK, s) at the sensors."""
     m = modes.n_modes
     shapes = modes.shapes[sensors][:, :m] * modes.participation[:m]
     feed = 1.0 if op.quantity == "absolute_acceleration" else 0.0
-    return lambda state, ground: shapes @ modes.outputs(state[0], state[1], ground) + feed * ground
+    return lambda states, ground: modes.outputs(*states[:2], ground) @ shapes.T + feed * ground
 
 
 def response(op, static, parameters, acceleration, dt, sensors):
@@ -76,9 +93,11 @@ def response(op, static, parameters, acceleration, dt, sensors):
     modes = Modes(op, parameters, dt / substeps, n_modes)
     sampling = Sampling(acceleration, dt, substeps, stride)
     output = sensor_output(op, modes, sensors)
+    nothing = jnp.zeros((sampling.total, 1))
     _, history = march(
-        modes, sampling, lambda carry, state, at, _: (carry, output(state, at)), 0.0, sampling.at
+        modes, sampling, lambda carry, states, at, *_: (carry, output(states, at)), 0.0, nothing
     )
+    history = history.reshape(-1, sensors.shape[0])[: sampling.total]
     return jnp.where(modes.valid, history.T, jnp.nan)
 
 
@@ -91,8 +110,8 @@ def discrepancy(op, static, parameters, acceleration, dt, sensors, observed):
     if observed.shape != (sensors.shape[0], sampling.total):
         raise ValueError("`observed` must have the shape (sensor, time) of the response")
 
-    def visit(errors, state, at, data):
-        return errors + (data - output(state, at)) ** 2, None
+    def visit(errors, states, at, there, data):
+        return errors + (there * (data - output(states, at)) ** 2).sum(axis=0), None
 
     errors, _ = march(modes, sampling, visit, jnp.zeros(sensors.shape[0]), observed.T)
     return jnp.where(modes.valid, errors / sampling.total, jnp.nan)
