@@ -22,8 +22,8 @@ def sample_smc(
     kernel : type
         Any kernel of `pm.sample_smc`.
     cores : int, optional
-        Chains in parallel; as many as there are processors by default. Where JAX has been imported, they are
-        not forked: a script then needs its `if __name__ == "__main__":`.
+        Chains in parallel; as many as there are processors by default. Where JAX has been used, they are not
+        forked: a script then needs its `if __name__ == "__main__":`.
     **settings
         Of `pm.sample_smc` (`model`, `chains`, `random_seed`, `progressbar`, `mp_ctx`, ...) and of the kernel.
 
@@ -53,8 +53,9 @@ def sample_smc(
 
 
 def start_method() -> str | None:
-    """How to start processes: PyMC's choice but where JAX has threads, with which a fork may never end."""
-    return "forkserver" if "jax" in sys.modules else None
+    """How to start processes: PyMC's choice but where JAX runs, with whose threads a fork may never end."""
+    bridge = sys.modules.get("jax._src.xla_bridge")
+    return "forkserver" if getattr(bridge, "_backends", None) else None
 
 
 def processors() -> int:
