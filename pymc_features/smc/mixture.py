@@ -44,11 +44,10 @@ class Pool:
     def __init__(self, particles, log_prior, log_likelihood):
         self.betas, self.log_z, self.counts = [0.0], [0.0], [float(len(particles))]
         possible = log_prior + log_likelihood > -np.inf
-        self.particles = particles[possible]
-        self.log_prior, self.log_likelihood = log_prior[possible], log_likelihood[possible]
-        self.mass = np.ones(len(self.particles))
-        self.inflation = np.ones(len(self.particles))
-        self.group = np.flatnonzero(possible)
+        self._size, self._columns = 0, [None] * 6
+        group = np.flatnonzero(possible)
+        ones = np.ones(len(group))
+        self._append(particles[possible], log_prior[possible], log_likelihood[possible], ones, 1.0, group)
         self.impossible = np.bincount(np.flatnonzero(~possible) % GROUPS, minlength=GROUPS)
 
     def add_prior(self, other: "Pool"):
@@ -70,12 +69,21 @@ class Pool:
         return np.arange(first, len(self.mass))
 
     def _append(self, particles, log_prior, log_likelihood, mass, inflation, group):
-        self.particles = np.concatenate([self.particles, particles])
-        self.log_prior = np.concatenate([self.log_prior, log_prior])
-        self.log_likelihood = np.concatenate([self.log_likelihood, log_likelihood])
-        self.mass = np.concatenate([self.mass, mass])
-        self.inflation = np.concatenate([self.inflation, np.broadcast_to(inflation, len(mass))])
-        self.group = np.concatenate([self.group, group])
+        """Add rows; the columns grow by half, so that many small additions cost no more than their sum."""
+        first, self._size = self._size, self._size + len(mass)
+        rows = (particles, log_prior, log_likelihood, mass, np.broadcast_to(inflation, len(mass)), group)
+        for i, row in enumerate(rows):
+            column = self._columns[i]
+            if column is None or len(column) < self._size:
+                grown = np.empty((self._size + self._size // 2, *row.shape[1:]), dtype=row.dtype)
+                if column is not None:
+                    grown[:first] = column[:first]
+                self._columns[i] = column = grown
+            column[first : self._size] = row
+
+    particles, log_prior, log_likelihood, mass, inflation, group = (
+        property(lambda self, i=i: self._columns[i][: self._size]) for i in range(6)
+    )
 
     def log_mixture(self) -> np.ndarray:
         """ln sum_s (n_s / n) exp(beta_s l_i) / Z_s, shape (n,)."""

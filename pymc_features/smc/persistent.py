@@ -187,7 +187,12 @@ class PersistentSMC(PopulationKernel):
             return True
         if self.memory > self.forgotten:
             return False
-        return self.beta < 1.0 or self.pool.effective(self.pool.log_weights(1.0)) >= self.draws
+        if self.beta < 1.0:
+            return True
+        # to weigh the pool takes as long as a few steps: in a long stage, not after each
+        if self.n_steps % max(1, self.n_steps // 10):
+            return False
+        return self.pool.effective(self.pool.log_weights(1.0)) >= self.draws
 
     def finish(self):
         """Draw equally weighted points from the pool; evidence and its standard error."""
