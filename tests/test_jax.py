@@ -25,11 +25,18 @@ from pymc_features.ops import OPS
 from pymc_features.ops.base import INPUTS, INTEGERS, N_PARAMETERS
 from pymc_features.study import quadrature
 
-jax.devices()  # before pymc.sampling.jax, which would make a hundred of one processor
-
 PLAIN = Mode(linker="py", optimizer=None)  # the kernels themselves
 LIMIT = 1e-10  # relative, for each block of each output
 N_TIMES = 60
+
+
+@pytest.fixture(scope="module", autouse=True)
+def started():
+    """JAX runs from here on, not from collection: other tests fork. Before pymc.sampling.jax is imported, which
+    would make a hundred devices of one processor.
+    """
+    return jax.devices()
+
 
 # --------------------------------------------------------------------------- all Ops against the kernels
 
