@@ -32,8 +32,9 @@ N_TIMES = 60
 
 @pytest.fixture(scope="module", autouse=True)
 def started():
-    """JAX runs from here on, not from collection: other tests fork. Before pymc.sampling.jax is imported, which
-    would make a hundred devices of one processor.
+    """JAX runs from here on, not from collection: other tests fork.
+
+    Before pymc.sampling.jax is imported, which would make a hundred devices of one processor.
     """
     return jax.devices()
 
