@@ -479,15 +479,3 @@ def test_dispatch_is_registered_when_a_graph_is_compiled_for_jax(first, tmp_path
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == [str(first != "pass"), "False"]
-
-
-def test_processes_are_not_forked_once_jax_runs():
-    """Its threads make a fork hang; before it runs, PyMC's own choice stands."""
-    code = (
-        "import jax, pymc_features.smc as smc\n"
-        "before = smc.start_method()\n"
-        "jax.numpy.ones(3).sum()\n"
-        "print(before, smc.start_method())"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stdout.split() == ["None", "forkserver"], done.stderr

@@ -8,7 +8,7 @@ import xarray as xr
 from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
 
 from pymc_features.inference.parameters import check_continuous, to_unconstrained
-from pymc_features.smc import processors, sample_smc, start_method
+from pymc_features.smc import processors, sample_smc
 
 NUTS_SAMPLERS = ("pymc", "numpyro", "blackjax")
 AGREEMENT = 1.01  # largest R-hat of chains that agree
@@ -91,7 +91,6 @@ def sample_nuts(
     starts = pick(model, posterior, chains, np.random.default_rng(pick_seed))
     if nuts_sampler == "pymc":
         settings.setdefault("cores", min(chains, processors()))
-        settings.setdefault("mp_ctx", start_method())
         settings.setdefault("step", nuts_step(model, posterior, target_accept))
     else:
         settings["target_accept"] = target_accept

@@ -7,7 +7,7 @@ from pymc_features.smc.persistent import PersistentSMC
 from pymc_features.smc.population import PopulationKernel
 from pymc_features.smc.prior import prior_draws
 from pymc_features.smc.results import savable
-from pymc_features.smc.sample import processors, sample_smc, start_method
+from pymc_features.smc.sample import processors, sample_smc
 from pymc_features.smc.tmcmc import TMCMC
 
 KERNELS = (PopulationIMH, PopulationMH, PersistentSMC, TMCMC)
@@ -26,5 +26,4 @@ __all__ = [
     "processors",
     "sample_smc",
     "savable",
-    "start_method",
 ]

@@ -1,7 +1,6 @@
 """`sample_smc`: PyMC's function with a better default kernel and a result that can be saved."""
 
 import os
-import sys
 
 import pymc as pm
 import xarray as xr
@@ -22,8 +21,8 @@ def sample_smc(
     kernel : type
         Any kernel of `pm.sample_smc`.
     cores : int, optional
-        Chains in parallel; as many as there are processors by default. Where JAX has been used, they are not
-        forked: a script then needs its `if __name__ == "__main__":`.
+        Chains in parallel; as many as there are processors by default. Where JAX has been used, pass
+        mp_ctx="forkserver": a fork may hang.
     **settings
         Of `pm.sample_smc` (`model`, `chains`, `random_seed`, `progressbar`, `mp_ctx`, ...) and of the kernel.
 
@@ -47,15 +46,7 @@ def sample_smc(
         raise ValueError(
             "`return_inferencedata` must be True, got False. Use pm.sample_smc() for a MultiTrace."
         )
-    if settings.get("mp_ctx") is None:
-        settings["mp_ctx"] = start_method()
     return savable(pm.sample_smc(draws, kernel, cores=cores or processors(), **settings))
-
-
-def start_method() -> str | None:
-    """How to start processes: PyMC's choice but where JAX runs, with whose threads a fork may never end."""
-    bridge = sys.modules.get("jax._src.xla_bridge")
-    return "forkserver" if getattr(bridge, "_backends", None) else None
 
 
 def processors() -> int:
