@@ -31,7 +31,7 @@ from pymc_features.inference import (
     sample_nuts,
 )
 from pymc_features.io import read_record
-from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
+from pymc_features.likelihood_free import DiscrepancySimulator, SimulationWarning, abc_tolerance
 from pymc_features.ops import NotDifferentiableError, mean_square_discrepancy, response
 from pymc_features.records import Record
 from pymc_features.simulators import simulate
@@ -41,6 +41,9 @@ from pymc_features.smc import (
     PopulationIMH,
     PopulationMH,
     PopulationWarning,
+    SubsetSimulation,
+    SubsetSimulationWarning,
+    ToleranceNotReachedError,
     sample_smc,
 )
 from pymc_features.structures import ModalDamping, RayleighDamping, SpringMassChain
@@ -60,8 +63,12 @@ __all__ = [
     "PopulationWarning",
     "RayleighDamping",
     "Record",
+    "SimulationWarning",
     "SpringMassChain",
+    "SubsetSimulation",
+    "SubsetSimulationWarning",
     "TMCMC",
+    "ToleranceNotReachedError",
     "TruncNormalFeature",
     "abc_tolerance",
     "datasets",

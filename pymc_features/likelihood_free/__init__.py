@@ -1,6 +1,8 @@
 """Likelihood-free updating: the simulator node and its tolerance."""
 
+from pymc_features.likelihood_free.functions import SimulationWarning
+from pymc_features.likelihood_free.kernels import KERNELS
 from pymc_features.likelihood_free.simulator import DiscrepancySimulator
 from pymc_features.likelihood_free.tolerance import abc_tolerance
 
-__all__ = ["DiscrepancySimulator", "abc_tolerance"]
+__all__ = ["KERNELS", "DiscrepancySimulator", "SimulationWarning", "abc_tolerance"]

@@ -2,15 +2,17 @@
 
 from pymc_features.smc.evaluation import PopulationLogp, PopulationWarning, population_logp
 from pymc_features.smc.imh import PopulationIMH
+from pymc_features.smc.levels import ToleranceNotReachedError
 from pymc_features.smc.mh import PopulationMH
 from pymc_features.smc.persistent import PersistentSMC
 from pymc_features.smc.population import PopulationKernel
 from pymc_features.smc.prior import prior_draws
 from pymc_features.smc.results import savable
 from pymc_features.smc.sample import processors, sample_smc
+from pymc_features.smc.subset import SubsetSimulation, SubsetSimulationWarning
 from pymc_features.smc.tmcmc import TMCMC
 
-KERNELS = (PopulationIMH, PopulationMH, PersistentSMC, TMCMC)
+KERNELS = (PopulationIMH, PopulationMH, PersistentSMC, TMCMC)  # for any model
 
 __all__ = [
     "KERNELS",
@@ -20,7 +22,10 @@ __all__ = [
     "PopulationLogp",
     "PopulationMH",
     "PopulationWarning",
+    "SubsetSimulation",
+    "SubsetSimulationWarning",
     "TMCMC",
+    "ToleranceNotReachedError",
     "population_logp",
     "prior_draws",
     "processors",

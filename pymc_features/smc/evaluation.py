@@ -2,6 +2,7 @@
 
 import uuid
 import warnings
+from contextlib import contextmanager
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import cloudpickle
@@ -39,6 +40,14 @@ class PopulationWarning(UserWarning):
     """Particles are evaluated one by one."""
 
 
+@contextmanager
+def quiet_about_python():
+    """Suppress the warning that a simulator function runs in Python: it always does."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Numba will use object mode", category=UserWarning)
+        yield
+
+
 class PopulationLogp:
     """Log prior and log-likelihood of particles, for any PyMC model.
 
@@ -49,17 +58,23 @@ class PopulationLogp:
         An initial point of the model, for the shapes of its variables.
     compile_kwargs : dict
         For `pytensor.function`.
+    terms : tuple of two scalar tensors, optional
+        What to evaluate instead, in the model's value variables.
 
     Attributes
     ----------
     batched : bool
         False if the particles are evaluated one by one, since a part of the model takes no batch.
+    last_error : str
+        What the model raised last, or nothing.
     """
 
-    def __init__(self, model, point, compile_kwargs):
+    def __init__(self, model, point, compile_kwargs, terms=None):
         self.token = uuid.uuid4().hex
-        outputs, joined, n_failures = joined_graph(model, point)
+        self.last_error = ""
+        outputs, joined, n_failures = joined_graph(model, point, terms or (model.varlogp, model.datalogp))
         self.counts_simulations = n_failures > 0
+        self.errors = NUMERICAL_ERRORS if simulator_functions(outputs) == [] else Exception
         self.batch = batch_size(outputs, joined)
         vectorized = None
         if (reason := why_not_batched(outputs)) is None:
@@ -76,7 +91,10 @@ class PopulationLogp:
             joined = particles
         else:
             warnings.warn(f"particles are evaluated one by one: {reason}.", PopulationWarning, stacklevel=2)
-        self.function = compile_function([joined], outputs, **{**compile_kwargs, "on_unused_input": "ignore"})
+        with quiet_about_python():
+            self.function = compile_function(
+                [joined], outputs, **{**compile_kwargs, "on_unused_input": "ignore"}
+            )
         self.function.trust_input = True
         _ALIVE[self.token] = self
         # once in this process, that forked ones need not begin with the machine code
@@ -110,9 +128,10 @@ class PopulationLogp:
             if self.batched:
                 return self.function(np.ascontiguousarray(particles))
             return [np.atleast_1d(out) for out in self.function(particles[0])]
-        except NUMERICAL_ERRORS:
+        except self.errors as error:
             n = len(particles)
             if n == 1:
+                self.last_error = f"{type(error).__name__}: {str(error).partition('\n')[0]}"
                 n_outputs = 3 if self.counts_simulations else 2
                 return [np.full(1, np.nan), np.full(1, np.nan), np.ones(1)][:n_outputs]
             halves = self._evaluate(particles[: n // 2]), self._evaluate(particles[n // 2 :])
@@ -126,7 +145,9 @@ class PopulationLogp:
         streams = rng.spawn(len(shared))
         swap = {old: make_shared(new, borrow=True) for old, new in zip(shared, streams, strict=True)}
         other = object.__new__(PopulationLogp)
-        other.__dict__.update(self.__dict__, token=uuid.uuid4().hex, function=self.function.copy(swap=swap))
+        with quiet_about_python():
+            function = self.function.copy(swap=swap)
+        other.__dict__.update(self.__dict__, token=uuid.uuid4().hex, function=function)
         other.function.trust_input = True
         return other
 
@@ -140,10 +161,11 @@ class PopulationLogp:
         self.function.trust_input = True
 
 
-def population_logp(model, point, compile_kwargs) -> PopulationLogp:
+def population_logp(model, point, compile_kwargs, name="posterior", terms=None) -> PopulationLogp:
     """The model's evaluation, compiled the first time it is asked for.
 
-    New values of `pm.Data` need no new one; a model with other variables, potentials or shapes does.
+    New values of `pm.Data` need no new one; a model with other variables, potentials or shapes does. `name`
+    tells evaluations of different `terms` of a model apart; `terms` is a function that returns them.
     """
     key = (
         tuple(id(v) for v in (*model.value_vars, *model.potentials, *model.observed_RVs)),
@@ -152,19 +174,21 @@ def population_logp(model, point, compile_kwargs) -> PopulationLogp:
         model.check_bounds,
         repr(sorted(compile_kwargs.items())),
     )
-    known = _OF_MODEL.get(model)
+    evaluations = _OF_MODEL.setdefault(model, {})
+    known = evaluations.get(name)
     if known is None or known[0] != key:
-        known = _OF_MODEL[model] = (key, PopulationLogp(model, point, compile_kwargs))
+        logp = PopulationLogp(model, point, compile_kwargs, None if terms is None else terms())
+        known = evaluations[name] = (key, logp)
     return known[1]
 
 
-def joined_graph(model, point):
+def joined_graph(model, point, terms):
     """Return [log prior, log-likelihood, failed], their one vector input, and how many simulators count.
 
     Parameter checks become -inf here, before any vectorisation: afterwards one particle outside would take
     all with it.
     """
-    outputs = [model.varlogp, model.datalogp]
+    outputs = list(terms)
     inputs = model.value_vars
     if any(v.dtype in discrete_types for v in inputs):
         rounded = {}
@@ -184,8 +208,9 @@ def joined_graph(model, point):
     failures = [
         pt.any(pt.isnan(out) | pt.isinf(out))
         for node in {v.owner for v in ancestors(outputs) if v.owner is not None}
-        if getattr(core_op(node), "simulates", False)
+        if getattr(core_op(node), "simulates", isinstance(node.op, SimulatorRV))
         for out in node.outputs
+        if isinstance(out.type, TensorType)
     ]
     if failures:
         failed = failures[0]
@@ -203,18 +228,19 @@ def core_op(node):
 
 def why_not_batched(outputs) -> str | None:
     """Say which part of the graph takes one set of parameters at a time; None if there is none."""
-    for variable in ancestors(outputs):
-        node = variable.owner
-        if (
-            node is not None
-            and isinstance(node.op, SimulatorRV)
-            and not getattr(node.op.fn, "batched", False)
-        ):
+    for op in simulator_functions(outputs):
+        if not getattr(op.fn, "batched", False):
             return (
-                f"the function of {node.op.name} takes one set of parameters at a time. If it accepts a "
+                f"the function of {op.name} takes one set of parameters at a time. If it accepts a "
                 "leading particle dimension, say so by `function.batched = True`"
             )
     return None
+
+
+def simulator_functions(outputs) -> list:
+    """Ops of the graph that call a simulator function."""
+    owners = {v.owner for v in ancestors(outputs) if v.owner is not None}
+    return [node.op for node in owners if isinstance(node.op, SimulatorRV)]
 
 
 def batch_size(outputs, vector) -> int:

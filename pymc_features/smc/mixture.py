@@ -206,3 +206,11 @@ def next_beta(pool: Pool, beta: float, target: float) -> float:
         return beta + np.exp(low)
     increase = brentq(lambda x: effective(beta + np.exp(x)) - target, low, high, xtol=1e-3)
     return float(beta + np.exp(increase))
+
+
+def equal_draws(weights, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Positions (n,) of equally weighted draws, in random order: systematic resampling."""
+    uniform = (rng.random() + np.arange(n)) / n
+    chosen = np.searchsorted(np.cumsum(weights), uniform).clip(max=len(weights) - 1)
+    rng.shuffle(chosen)
+    return chosen

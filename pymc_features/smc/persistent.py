@@ -4,16 +4,11 @@ import warnings
 
 import numpy as np
 
-from pymc_features.smc.mixture import GROUPS, Pool, next_beta
+from pymc_features.smc.mixture import GROUPS, Pool, equal_draws, next_beta
+from pymc_features.smc.moves import AdaptiveMoves
 from pymc_features.smc.population import PopulationKernel
-from pymc_features.smc.proposal import fit_mixture
 
-TARGET_ACCEPTANCE = 0.35
 LOCAL_INFLATION = 3.0  # local steps that count for one independent point, roughly
-# What a fitted mixture misses grows with the dimension: from two to eleven parameters the share of local
-# proposals rises, and the expected correlation with its first points falls below which a stage may end
-LOCAL_SHARES = (0.2, 0.5)
-FORGOTTEN = (0.1, 0.001)
 MAX_STEPS = 500
 MORE_PRIOR = 50  # the prior is drawn from at most this many times, in search of possible points
 
@@ -67,20 +62,13 @@ class PersistentSMC(PopulationKernel):
 
     def __init__(self, draws=2000, *, stage_draws=None, **settings):
         super().__init__(draws, **settings)
-        n_parameters = sum(size for _, size in self.var_info.values())
-        if stage_draws is None:
-            stage_draws = max(2 * self.draws // 5, 50 * n_parameters, 200)
-        if isinstance(stage_draws, bool) or int(stage_draws) != stage_draws or stage_draws < 20:
-            raise ValueError(f"`stage_draws` must be an integer of at least 20, got {stage_draws}.")
-        self.stage_draws = GROUPS * -(-int(stage_draws) // GROUPS)
-        rise = float(np.clip((n_parameters - 2) / 9.0, 0.0, 1.0))
-        self.local_share = LOCAL_SHARES[0] + rise * (LOCAL_SHARES[1] - LOCAL_SHARES[0])
-        self.forgotten = FORGOTTEN[0] * (FORGOTTEN[1] / FORGOTTEN[0]) ** rise
+        stage_draws = self.checked_stage_draws(stage_draws, share=0.4, least=20)
+        self.stage_draws = GROUPS * -(-stage_draws // GROUPS)
 
     def _initialize_kernel(self):
         """Evaluate draws from the prior until enough of them are possible."""
-        wanted = max(20, 4 * sum(size for _, size in self.var_info.values()))
-        self.scale, self.standard_error, self.pool = 1.0, np.nan, None
+        wanted = max(20, 4 * self.n_parameters)
+        self.moves, self.standard_error, self.pool = AdaptiveMoves(self.n_parameters), np.nan, None
         for _ in range(1 if self.start else MORE_PRIOR):
             particles = self.initial_particles(2 * self.stage_draws)
             more = Pool(particles, *self.evaluate(particles))
@@ -108,31 +96,29 @@ class PersistentSMC(PopulationKernel):
 
     def tune(self):
         """Fit the proposal to the weighted pool."""
-        self.reference = equal_draws(self.weights, 2 * self.stage_draws, self.rng)
-        distinct, counts = np.unique(self.reference, return_counts=True)
-        self.proposal = fit_mixture(self.pool.particles[distinct], counts, self.rng)
+        chosen = equal_draws(self.weights, 2 * self.stage_draws, self.rng)
+        self.moves.fit(self.pool.particles[chosen], self.rng)
 
     def mutate(self):
         """Advance all chains until the stage is done, keeping every state and every proposal."""
-        pool, position = self.pool, self.position
+        pool, position, moves = self.pool, self.position, self.moves
         x, prior = pool.particles[position], pool.log_prior[position]
-        likelihood, density = pool.log_likelihood[position], self.proposal.log_density(x)
+        likelihood, density = pool.log_likelihood[position], moves.mixture.log_density(x)
         group = np.arange(len(x))
-        self.n_steps, self.memory, acceptances = 0, 1.0, []
+        acceptances = []
         while not self.stage_is_done(len(x)):
-            proposal, local = self.propose_from(x)
+            proposal, local = moves.propose(x, self.rng)
             new_prior, new_likelihood = self.evaluate(proposal)
-            new_density = self.proposal.log_density(proposal)
+            new_density = moves.mixture.log_density(proposal)
             log_ratio = new_prior - prior + self.beta * (new_likelihood - likelihood)
             log_ratio += np.where(local, 0.0, density - new_density)
             probability = np.exp(np.minimum(log_ratio, 0.0))
-            kept = np.sqrt(1.0 - self.scale**2)  # of the distance to the centre of the proposal
             possible = probability > 0
             np.add.at(pool.mass, position, 1.0 - probability)  # chains may share a point
             ahead = position.copy()
             ahead[possible] = pool.add(
                 *(a[possible] for a in (proposal, new_prior, new_likelihood, probability)),
-                np.where(local, LOCAL_INFLATION, (1.0 + kept) / (1.0 - kept))[possible],
+                np.where(local, LOCAL_INFLATION, (1.0 + moves.kept) / (1.0 - moves.kept))[possible],
                 group[possible],
             )
             pool.counts[-1] += len(x)
@@ -145,52 +131,30 @@ class PersistentSMC(PopulationKernel):
                     *((new_density, density), (ahead, position)),
                 )
             )
-            self.n_steps += 1
             acceptances.append(probability.mean())
-            self.memory *= 1.0 - (1.0 - self.local_share) * acceptances[-1] * (1.0 - kept)
-            self.adapt(acceptances[-1])
-        self.accept_rate = float(np.mean(acceptances))
+            moves.learn(acceptances[-1])
+        self.n_steps, self.accept_rate = moves.n_steps, float(np.mean(acceptances))
         pool.solve()
         if self.beta == 1.0:
             self.finish()
 
-    def propose_from(self, x):
-        """Proposals (n, d), and which of them are local.
-
-        Most are moves of the fitted mixture. Some are steps along the difference of two points of the pool
-        (differential evolution, ter Braak 2006): symmetric, and of the right size even in a corner of the
-        posterior that holds too few points for the mixture to see it.
-        """
-        n, d = x.shape
-        proposal = self.proposal.move(x, self.scale, self.rng)
-        a, b = self.rng.choice(self.reference, size=(2, n))
-        local = (self.rng.random(n) < self.local_share) & (a != b)
-        length = 2.38 / np.sqrt(2.0 * d) * np.exp(0.7 * self.rng.standard_normal(n))
-        step = length[:, None] * (self.pool.particles[a] - self.pool.particles[b])
-        return np.where(local[:, None], x + step, proposal), local
-
-    def adapt(self, acceptance):
-        """Shorten proposals that are rarely accepted, lengthen them towards independence otherwise."""
-        gain = 1.0 / np.sqrt(1.0 + 0.1 * self.n_steps)
-        self.scale = float(np.clip(self.scale * np.exp(gain * (acceptance - TARGET_ACCEPTANCE)), 1e-3, 1.0))
-
     def stage_is_done(self, n_chains):
         """Whether the chains are long and mixed enough and, at the end, the pool is worth `draws`."""
-        if self.n_steps * n_chains < self.stage_draws:
+        if self.moves.n_steps * n_chains < self.stage_draws:
             return False
-        if self.n_steps >= MAX_STEPS:
+        if self.moves.n_steps >= MAX_STEPS:
             warnings.warn(
                 f"a stage of PersistentSMC ended after {MAX_STEPS} steps before it was worth its draws. "
                 "Increase `stage_draws`, or look for parameters that the data do not determine.",
                 stacklevel=2,
             )
             return True
-        if self.memory > self.forgotten:
+        if not self.moves.has_forgotten:
             return False
         if self.beta < 1.0:
             return True
         # to weigh the pool takes as long as a few steps: in a long stage, not after each
-        if self.n_steps % max(1, self.n_steps // 10):
+        if self.moves.n_steps % max(1, self.moves.n_steps // 10):
             return False
         return self.pool.effective(self.pool.log_weights(1.0)) >= self.draws
 
@@ -209,7 +173,7 @@ class PersistentSMC(PopulationKernel):
         return {
             **super().sample_stats(),
             "accept_rate": self.accept_rate,
-            "scale": self.scale,
+            "scale": self.moves.scale,
             "effective": self.pool.effective(self.pool.log_weights(self.beta)),
             "log_marginal_likelihood_se": self.standard_error,
         }
@@ -217,11 +181,3 @@ class PersistentSMC(PopulationKernel):
     def sample_settings(self):
         """Settings, saved as attributes of `sample_stats`."""
         return {"_n_draws": self.draws, "threshold": self.threshold, "stage_draws": self.stage_draws}
-
-
-def equal_draws(weights, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Positions (n,) of equally weighted draws, in random order: systematic resampling."""
-    uniform = (rng.random() + np.arange(n)) / n
-    chosen = np.searchsorted(np.cumsum(weights), uniform).clip(max=len(weights) - 1)
-    rng.shuffle(chosen)
-    return chosen

@@ -61,9 +61,9 @@ class PopulationKernel(SMC_KERNEL):
         self.variables = model.value_vars
         point = model.initial_point(random_seed=self.rng.integers(2**30))
         self.var_info = {v.name: (point[v.name].shape, point[v.name].size) for v in self.variables}
-        self.logp = population_logp(
-            model, {v.name: point[v.name] for v in self.variables}, compile_kwargs or {}
-        )
+        self.n_parameters = sum(size for _, size in self.var_info.values())
+        point = {v.name: point[v.name] for v in self.variables}
+        self.compile_evaluation(model, point, compile_kwargs or {})
         self.prior = prior_draws(model, self.starts_from_prior)
         self.prior_names = [model.rvs_to_values[rv].name for rv in model.free_RVs]
         self._reset_state()
@@ -72,6 +72,18 @@ class PopulationKernel(SMC_KERNEL):
         super()._reset_state()
         self.n_steps = self.evaluations = self.failed = 0
         self.clock = time.perf_counter()
+
+    def checked_stage_draws(self, stage_draws, share: float, least: int) -> int:
+        """Size of a stage: as asked for, or a share of the draws that suffices for the parameters."""
+        if stage_draws is None:
+            return max(int(share * self.draws), 50 * self.n_parameters, 200)
+        if isinstance(stage_draws, bool) or int(stage_draws) != stage_draws or stage_draws < least:
+            raise ValueError(f"`stage_draws` must be an integer of at least {least}, got {stage_draws}.")
+        return int(stage_draws)
+
+    def compile_evaluation(self, model, point, compile_kwargs):
+        """Compile what `evaluate` calls."""
+        self.logp = population_logp(model, point, compile_kwargs)
 
     def set_rng(self, rng):
         """Use this generator; random draws inside the log-probability get streams of their own."""
@@ -104,10 +116,11 @@ class PopulationKernel(SMC_KERNEL):
 
     def refuse_impossible_model(self):
         """Say that no initial particle is possible."""
+        error = f", the last with {self.logp.last_error}" if self.logp.last_error else ""
         raise ValueError(
             f"the model must have a finite log-density somewhere, got none at {self.evaluations} draws from "
-            f"the prior ({self.failed} failed simulations). Increase `draws`, narrow the priors, or check "
-            "the model at one point with model.point_logps()."
+            f"the prior ({self.failed} failed simulations{error}). Increase `draws`, narrow the priors, or "
+            "check the model at one point with model.point_logps()."
         )
 
     def propose(self):

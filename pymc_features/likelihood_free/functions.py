@@ -1,0 +1,188 @@
+"""Simulator functions: what a `pm.Simulator` node calls, `fn(rng, *parameters, size)`."""
+
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import pytensor
+import pytensor.tensor as pt
+from pytensor.compile.mode import Mode
+from pytensor.compile.sharedvalue import SharedVariable
+from pytensor.graph.basic import Constant
+
+from pymc_features.ops import ChainResponse, NoGradient, mean_square_discrepancy
+from pymc_features.simulators import QUANTITIES, chain_response
+
+ADVICE = (
+    "Sample with pmf.sample_smc(), or choose a gradient-free method yourself: "
+    "pm.sample(step=pm.DEMetropolisZ()), pm.find_MAP(method='powell')."
+)
+NO_GRADIENT_OF_NOISE = NoGradient(f"a simulator with noise has no gradient. {ADVICE}")
+
+
+class SimulationWarning(UserWarning):
+    """A simulator function raised an exception; the parameters count as failed."""
+
+
+class ResponseSimulator:
+    """Simulator function of a response, `fn(rng, mass, stiffness, rayleigh, ratios, size)`.
+
+    Parameters
+    ----------
+    settings : list of TensorVariable
+        The other inputs of the response; data among them are read anew in each call.
+    quantity : str
+        One of `simulators.QUANTITIES`.
+    """
+
+    ndims_params = (1, 1, 1, 1)
+
+    def __init__(self, settings: list, quantity: str):
+        self.settings = settings
+        self.quantity = quantity
+
+    def core(self, *parameters):
+        """Response (sensor, time) of one set of parameters."""
+        arrays = (np.ascontiguousarray(p, dtype=np.float64) for p in parameters)
+        settings = (number(value) for value in self.settings)
+        return chain_response(*arrays, *settings, QUANTITIES.index(self.quantity))
+
+    def __call__(self, rng, *parameters_and_size):
+        *parameters, size = parameters_and_size
+        return simulate_batch(self.core, *spread_batch(parameters, self.ndims_params, size))
+
+    def discrepancy(self, parameters, value):
+        """e_j of the parameters, as a tensor, without a history."""
+        return mean_square_discrepancy(ChainResponse(self.quantity)(*parameters, *self.settings), value)
+
+
+class FunctionSimulator:
+    """Simulator function of a user's function theta -> response (sensor, time) or summary (entry,).
+
+    If the function has an attribute `batched` that is true, it is called once for all particles, with
+    parameters (particle, ...), and returns (particle, ...). An exception is a failed simulation: NaN.
+    """
+
+    batched = True  # takes batches, by a loop where the function does not
+
+    def __init__(self, function: Callable, ndims_params: tuple[int, ...], shape: tuple[int, ...]):
+        self.function = function
+        self.function_takes_batches = bool(getattr(function, "batched", False))
+        self.ndims_params = ndims_params
+        self.shape = shape
+
+    def __call__(self, rng, *parameters_and_size):
+        *parameters, size = parameters_and_size
+        batch, spread = spread_batch(parameters, self.ndims_params, size)
+        if batch and self.function_takes_batches:
+            flat = [p.reshape(-1, *p.shape[len(batch) :]) for p in spread]
+            try:
+                results = self.function(*flat)
+            except Exception:  # for one of them; below it is found out for which
+                results = None
+            if results is not None:
+                return self.checked(results, (len(flat[0]),)).reshape(batch + self.shape)
+        return simulate_batch(self.core, batch, spread)
+
+    def core(self, *parameters):
+        """Result of one set of parameters."""
+        try:
+            if self.function_takes_batches:
+                result = self.function(*(p[None] for p in parameters))
+            else:
+                result = self.function(*parameters)
+        except Exception as error:  # a solver may fail in a way of its own
+            warnings.warn(
+                f"the simulator raised {type(error).__name__}: {error}. Parameters at which it does are "
+                "counted as failed, and rejected.",
+                SimulationWarning,
+                stacklevel=2,
+            )
+            return np.full(self.shape, np.nan)
+        if self.function_takes_batches:
+            return self.checked(result, (1,))[0]
+        return self.checked(result, ())
+
+    def checked(self, result, batch):
+        """The result as an array, if it has the shape of the data."""
+        result = np.asarray(result, dtype=np.float64)
+        if result.shape != batch + self.shape:
+            raise ValueError(
+                f"the simulator must return the shape of `observed`, {batch + self.shape}, got "
+                f"{result.shape}. Time is the last axis, and a batch of particles the first."
+            )
+        return result
+
+
+class NoisySimulator:
+    """A simulator with white Gaussian measurement noise on its results; its last parameter is the scale.
+
+    Parameters
+    ----------
+    simulator : ResponseSimulator or FunctionSimulator
+        Without noise.
+    """
+
+    batched = True
+
+    def __init__(self, simulator):
+        self.simulator = simulator
+        self.ndims_params = (*simulator.ndims_params, 1)
+
+    def __call__(self, rng, *parameters_and_size):
+        *parameters, noise, size = parameters_and_size
+        if size is None:  # noise may span a batch that the other parameters do not
+            batch, _ = spread_batch([*parameters, noise], self.ndims_params, size)
+            size = batch or None
+        exact = self.simulator(rng, *parameters, size)
+        scale = np.asarray(noise)
+        if exact.ndim > scale.ndim:
+            scale = scale[..., None]  # of each sensor, the same at all times
+        return exact + scale * rng.standard_normal(exact.shape)
+
+    def discrepancy(self, parameters, value):
+        """e_j of one noisy measurement, as a tensor, drawn without a history.
+
+        The sum of squares of N_D white errors around a misfit of length R depends on its direction through
+        one normal variable z only: N_D e = (R - sigma z)^2 + sigma^2 chi^2 with N_D - 1 degrees of freedom.
+        """
+        *parameters, noise = parameters
+        n_times = pt.cast(value.shape[-1], "float64")
+        length = pt.sqrt(n_times * self.simulator.discrepancy(parameters, value))
+        streams = [pytensor.shared(np.random.default_rng(), name=name) for name in ("along", "across")]
+        _, along = pt.random.normal(length, noise, rng=streams[0], return_next_rng=True)
+        # as many as there are lengths, in each batch
+        half_degrees = pt.full_like(length, 0.5) * (n_times - 1.0)
+        _, across = pt.random.gamma(half_degrees, scale=2.0, rng=streams[1], return_next_rng=True)
+        return NO_GRADIENT_OF_NOISE((pt.sqr(along) + pt.sqr(noise) * across) / n_times)
+
+
+def spread_batch(parameters, ndims_params, size):
+    """Return the batch shape that parameters and `size` span, and the parameters spread over it."""
+    parameters = [np.asarray(p) for p in parameters]
+    batches = [p.shape[: p.ndim - n] for p, n in zip(parameters, ndims_params, strict=True)]
+    batch = np.broadcast_shapes(*batches, () if size is None else tuple(size))
+    return batch, [
+        np.broadcast_to(p, batch + p.shape[p.ndim - n :])
+        for p, n in zip(parameters, ndims_params, strict=True)
+    ]
+
+
+def simulate_batch(core, batch, spread):
+    """Call `core` for every entry of a batch of parameters."""
+    if batch == ():
+        return core(*spread)
+    results = [core(*(p[index] for p in spread)) for index in np.ndindex(*batch)]
+    return np.stack(results).reshape(batch + results[0].shape)
+
+
+def number(variable):
+    """Value of a constant, of data, or of what follows from them: the record, the sampling, the sensors."""
+    if isinstance(variable, SharedVariable):
+        value = variable.get_value()
+    elif isinstance(variable, Constant):
+        value = variable.data
+    else:
+        value = variable.eval(mode=Mode(linker="py", optimizer=None))
+    value = np.asarray(value)
+    return value.item() if value.ndim == 0 else value
