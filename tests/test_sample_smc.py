@@ -294,10 +294,9 @@ def marked(function):
 CASES = [(simulator, draws_of), (discrepancy, shelf)]
 
 
-@pytest.mark.parametrize(("build", "function"), CASES)
-def test_a_plain_simulator_is_called_for_each_particle(build, function):
+def test_a_plain_simulator_is_called_for_each_particle():
     """With one warning, which says what to do about it."""
-    model = build(function)
+    model = simulator(draws_of)
     with pytest.warns(
         PopulationWarning, match="takes one set of parameters at a time.*batched = True"
     ) as caught:
@@ -306,6 +305,15 @@ def test_a_plain_simulator_is_called_for_each_particle(build, function):
         sample_smc(50, PopulationMH, model=model, chains=1, **QUIET)
     assert sum(issubclass(w.category, PopulationWarning) for w in caught) == 1
     assert not kernel.logp.batched
+
+
+def test_a_plain_function_is_called_inside_one_evaluation():
+    """DiscrepancySimulator takes batches for it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", PopulationWarning)
+        logp = PopulationIMH(50, model=discrepancy(shelf)).logp
+    assert logp.batched
+    assert np.isfinite(logp(np.array([[0.1], [0.2], [-0.3]]))[1]).all()
 
 
 @pytest.mark.parametrize(("build", "function"), CASES)

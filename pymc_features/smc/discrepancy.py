@@ -46,12 +46,17 @@ class SimulatorNode:
         """Whether epsilon is one number."""
         return self.op.epsilon.ndim == 0
 
-    def tolerance(self) -> float:
-        """The tolerance asked for, from the data as they are now."""
-        epsilon = np.asarray(self.op.epsilon.eval(mode=Mode(linker="py", optimizer=None)))
-        if not (np.isfinite(epsilon) & (epsilon > 0)).all():
-            raise ValueError(f"`epsilon` of {self.rv.name} must be positive and finite, got {epsilon}.")
-        return float(epsilon) if self.has_one_tolerance else 1.0
+    def tolerance(self, asked=None) -> float:
+        """The tolerance asked for, or else the node's, from its data as they are now."""
+        if asked is not None and not self.has_one_tolerance:
+            raise ValueError(
+                f"`epsilon` must be left out where {self.rv.name} has one for each sensor, got {asked}."
+            )
+        epsilon = self.op.epsilon.eval(mode=Mode(linker="py", optimizer=None)) if asked is None else asked
+        values = np.asarray(epsilon, dtype=np.float64)
+        if not (np.isfinite(values) & (values > 0)).all():
+            raise ValueError(f"`epsilon` must be positive and finite, got {values.tolist()}.")
+        return float(values) if self.has_one_tolerance else 1.0
 
     def base_terms(self) -> tuple:
         """Log prior, and the log-density of whatever else the model conditions on."""

@@ -15,7 +15,7 @@ MAX_STEPS = 500  # of a level
 
 
 class SubsetSimulationWarning(UserWarning):
-    """The result of subset simulation means something else, or is worth less, than may be expected."""
+    """A soft kernel is replaced by the threshold, or draws are correlated."""
 
 
 class SubsetSimulation(PopulationKernel):
@@ -64,9 +64,8 @@ class SubsetSimulation(PopulationKernel):
     the prior rejects are not simulated.
 
     The moves are those of `PersistentSMC`: a mixture of Student-t distributions fitted to the particles kept,
-    independent or conditional on the present point (t-preconditioned Crank-Nicolson), of a length that adapts
-    to the acceptance, and steps of differential evolution. They do what modified Metropolis (Au & Beck) and
-    conditional sampling (Papaioannou et al.) do in the source of the method, in the posterior's own shape.
+    independent or conditional on the present point, of a length that adapts to the acceptance, and steps of
+    differential evolution.
 
     `sample_stats` of each level: `tolerance`, `accept_rate`, `evaluations` (simulations), `failed`,
     `log_probability` of the level's tolerance and its `coefficient_of_variation` (Au & Beck, with the
@@ -120,28 +119,15 @@ class SubsetSimulation(PopulationKernel):
                 f"{max_simulations}."
             )
         self.max_simulations = max_simulations
-        self.epsilon = self.checked_epsilon(epsilon)
-
-    def checked_epsilon(self, epsilon) -> float:
-        """The tolerance to reach; refuse what is none, and say if a soft kernel is not used."""
+        self.epsilon = self.node.tolerance(epsilon)
         if not self.node.hard:
             warnings.warn(
                 "SubsetSimulation draws from rho <= epsilon, not with the soft kernel of "
                 f"{self.node.rv.name}. For that kernel sample with pmf.sample_smc(); for the threshold "
                 'without this warning declare a DiscrepancySimulator with kernel="uniform".',
                 SubsetSimulationWarning,
-                stacklevel=5,
+                stacklevel=4,
             )
-        if epsilon is None:
-            return self.node.tolerance()
-        if not self.node.has_one_tolerance:
-            raise ValueError(
-                f"`epsilon` must be left out where {self.node.rv.name} has one for each sensor, got "
-                f"{epsilon}."
-            )
-        if not 0.0 < epsilon < np.inf:
-            raise ValueError(f"`epsilon` must be positive and finite, got {epsilon}.")
-        return float(epsilon)
 
     def compile_evaluation(self, model, point, compile_kwargs):
         """Two functions: what can be told without a simulation, and rho."""
@@ -166,7 +152,7 @@ class SubsetSimulation(PopulationKernel):
                 break
             parts.append((x, base, self.simulate(x)))
             possible += int(np.isfinite(parts[-1][-1]).sum())
-            if self.start or (possible == 0 and len(parts) == 2):  # hardly a matter of chance
+            if self.start or (possible == 0 and len(parts) == 2):
                 break
         self.population = [np.concatenate(column) for column in zip(*parts, strict=True)]
         self.chains = np.arange(len(self.population[0]))
@@ -300,10 +286,5 @@ class SubsetSimulation(PopulationKernel):
 
     def sample_settings(self):
         """Settings, saved as attributes of `sample_stats`."""
-        return {
-            "_n_draws": self.draws,
-            "p0": self.p0,
-            "stage_draws": self.stage_draws,
-            "epsilon": self.epsilon,
-            "max_simulations": self.max_simulations,
-        }
+        names = ("p0", "stage_draws", "epsilon", "max_simulations")
+        return {"_n_draws": self.draws, **{name: getattr(self, name) for name in names}}
