@@ -29,6 +29,7 @@ from pymc_features.inference import (
     fisher_information,
     laplace,
     sample_nuts,
+    tolerance_sweep,
 )
 from pymc_features.io import read_record
 from pymc_features.likelihood_free import DiscrepancySimulator, SimulationWarning, abc_tolerance
@@ -78,6 +79,7 @@ __all__ = [
     "paper",
     "plot_record",  # noqa: F822
     "plot_sampling_rate",  # noqa: F822
+    "plot_tolerance",  # noqa: F822
     "read_record",
     "response",
     "sample_nuts",
@@ -86,9 +88,14 @@ __all__ = [
     "sigma_mpv",
     "simulate",
     "synthetic_earthquake",
+    "tolerance_sweep",
 ]
 
-_PLOTS = ("plot_record", "plot_sampling_rate")  # on demand: matplotlib takes a second to import
+_PLOTS = (
+    "plot_record",
+    "plot_sampling_rate",
+    "plot_tolerance",
+)  # on demand: matplotlib takes a second to import
 
 
 def __getattr__(name):

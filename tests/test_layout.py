@@ -61,6 +61,7 @@ PUBLIC_NAMES = [
     "paper",
     "plot_record",
     "plot_sampling_rate",
+    "plot_tolerance",
     "read_record",
     "response",
     "sample_nuts",
@@ -69,6 +70,7 @@ PUBLIC_NAMES = [
     "sigma_mpv",
     "simulate",
     "synthetic_earthquake",
+    "tolerance_sweep",
 ]
 
 

@@ -140,7 +140,7 @@ class WithoutDensity(PersistentSMC):
 
     def tune(self):
         super().tune()
-        self.proposal = Flat(self.proposal)
+        self.moves.mixture = Flat(self.moves.mixture)
 
 
 class WithoutMixture(PersistentSMC):

@@ -1,7 +1,15 @@
-"""What gradients are good for: identifiability before sampling, the asymptotic method, and NUTS."""
+"""Around the sampling: identifiability, the asymptotic method, NUTS, and the choice of a tolerance."""
 
 from pymc_features.inference.fisher import fisher_information
 from pymc_features.inference.laplace import LaplaceWarning, laplace
 from pymc_features.inference.nuts import ChainsDisagreeWarning, sample_nuts
+from pymc_features.inference.tolerance import tolerance_sweep
 
-__all__ = ["ChainsDisagreeWarning", "LaplaceWarning", "fisher_information", "laplace", "sample_nuts"]
+__all__ = [
+    "ChainsDisagreeWarning",
+    "LaplaceWarning",
+    "fisher_information",
+    "laplace",
+    "sample_nuts",
+    "tolerance_sweep",
+]

@@ -2,10 +2,11 @@
 
 from pymc_features.plots.record import plot_record
 from pymc_features.plots.sampling_rate import plot_sampling_rate
+from pymc_features.plots.tolerance import plot_tolerance
 
-PLOTS = (plot_record, plot_sampling_rate)
+PLOTS = (plot_record, plot_sampling_rate, plot_tolerance)
 
-__all__ = ["PLOTS", "plot_record", "plot_sampling_rate"]
+__all__ = ["PLOTS", "plot_record", "plot_sampling_rate", "plot_tolerance"]
 
 
 def close(axes):

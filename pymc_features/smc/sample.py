@@ -4,7 +4,9 @@ import os
 
 import pymc as pm
 import xarray as xr
+from pymc.smc.parallel import ParallelSamplingError
 
+from pymc_features.smc.levels import ToleranceNotReachedError
 from pymc_features.smc.persistent import PersistentSMC
 from pymc_features.smc.results import savable
 
@@ -32,6 +34,11 @@ def sample_smc(
         As from `pm.sample_smc`, but `sample_stats` holds float arrays (chain, stage), padded with NaN, and
         `log_marginal_likelihood` (chain,).
 
+    Raises
+    ------
+    ToleranceNotReachedError
+        From `SubsetSimulation`.
+
     Examples
     --------
     >>> import pymc as pm
@@ -46,7 +53,12 @@ def sample_smc(
         raise ValueError(
             "`return_inferencedata` must be True, got False. Use pm.sample_smc() for a MultiTrace."
         )
-    return savable(pm.sample_smc(draws, kernel, cores=cores or processors(), **settings))
+    try:
+        return savable(pm.sample_smc(draws, kernel, cores=cores or processors(), **settings))
+    except ParallelSamplingError as error:
+        if isinstance(error.__cause__, ToleranceNotReachedError):  # the same with one process and with many
+            raise error.__cause__ from None
+        raise
 
 
 def processors() -> int:

@@ -190,15 +190,14 @@ class SubsetSimulation(PopulationKernel):
         self.beta = self.levels.progress
         self.log_marginal_likelihood = self.levels.log_probability
         if self.levels.has_stalled:
-            self.give_up("the last levels came no nearer")
+            self.give_up("The last levels came no nearer: increase `epsilon`, or improve the model.")
 
     def give_up(self, reason):
         """Say how far the levels came."""
         raise ToleranceNotReachedError(
             f"`epsilon` must be within reach of the simulator, got {self.epsilon:.6g}: after "
             f"{self.simulations} simulations the tolerance is {self.levels.tolerance:.6g} and the smallest "
-            f"rho {self.smallest:.6g}; {reason}. Increase `epsilon`, or `max_simulations` (now "
-            f"{self.max_simulations:.0f})."
+            f"rho {self.smallest:.6g}. {reason}"
         )
 
     def resample(self):
@@ -222,7 +221,7 @@ class SubsetSimulation(PopulationKernel):
             tried = np.log(self.rng.random(len(x))) < log_ratio
             if not self.spend(tried.sum()):
                 if not self.levels.is_last:
-                    self.give_up("the budget is spent")
+                    self.give_up("Increase `epsilon`, or `max_simulations`, which are spent.")
                 self.warn_of_correlation("`max_simulations` were spent")
                 break
             new_rho = np.full(len(x), np.inf)

@@ -1,0 +1,85 @@
+"""How the posterior of likelihood-free updating depends on its one knob, the tolerance."""
+
+import numpy as np
+import pymc as pm
+import xarray as xr
+
+from pymc_features.smc import SubsetSimulation, ToleranceNotReachedError, sample_smc
+
+
+def tolerance_sweep(
+    tolerances, *, model=None, draws: int = 1000, probability: float = 0.9, random_seed=0, **settings
+) -> xr.Dataset:
+    """Posterior intervals of every parameter at several tolerances, by `SubsetSimulation`.
+
+    Parameters
+    ----------
+    tolerances : array_like (n,)
+        Values of epsilon, positive, in squared units of the data.
+    model : pymc.Model, optional
+        With one `pm.Simulator` node; that of the context by default. Its own epsilon is not used.
+    draws : int
+        Draws of each chain at each tolerance.
+    probability : float
+        Of the equal-tailed intervals, between 0 and 1.
+    random_seed : int
+        Of all runs: the same, so that intervals differ by their tolerance and little else.
+    **settings
+        Of `sample_smc` and `SubsetSimulation` (`chains`, `cores`, `p0`, `progressbar`, ...).
+
+    Returns
+    -------
+    Dataset
+        Over `epsilon`, the tolerances in descending order: each parameter's quantiles (epsilon, quantile, ...),
+        at (1 - probability) / 2, 0.5 and (1 + probability) / 2; `log_probability` of rho <= epsilon, its
+        standard error, and `simulations` of all chains. NaN where a tolerance was not reached, which is no
+        error here. `plot_tolerance` draws it.
+
+    Notes
+    -----
+    A large tolerance gives the prior. As it falls to the smallest rho there is, the interval shrinks to a
+    point: the tolerance *is* the statement on the uncertainty, and that of `abc_tolerance` agrees with EXP.
+    """
+    tolerances = np.sort(np.atleast_1d(np.asarray(tolerances, dtype=np.float64)))[::-1]
+    if tolerances.ndim != 1 or not (np.isfinite(tolerances) & (tolerances > 0)).all():
+        raise ValueError(f"`tolerances` must be positive and finite, got {tolerances.tolist()}.")
+    if not 0.0 < probability < 1.0:
+        raise ValueError(f"`probability` must lie between 0 and 1, got {probability}. Pass 0.9 for 5-95 %.")
+    model = pm.modelcontext(model)
+    names = [rv.name for rv in model.free_RVs]
+    quantiles = [0.5 - 0.5 * probability, 0.5, 0.5 + 0.5 * probability]
+    settings.setdefault("compute_convergence_checks", False)
+    rows, reached = [], []
+    for tolerance in tolerances:
+        try:
+            result = sample_smc(
+                draws,
+                SubsetSimulation,
+                model=model,
+                epsilon=float(tolerance),
+                random_seed=random_seed,
+                **settings,
+            )
+        except ToleranceNotReachedError:
+            break  # smaller ones are not reached either
+        rows.append(summary(result, names, quantiles))
+        reached.append(tolerance)
+    if not rows:
+        raise ToleranceNotReachedError(
+            f"`tolerances` must be within reach of the simulator, got {tolerances[0]:.6g} as the largest. "
+            "Sample with SubsetSimulation at that one to see how far it comes."
+        )
+    epsilon = xr.DataArray(reached, dims="epsilon", name="epsilon")
+    return xr.concat(rows, dim=epsilon).reindex({"epsilon": tolerances}).drop_attrs()
+
+
+def summary(result, names, quantiles) -> xr.Dataset:
+    """Quantiles of the parameters, and what the sampler says of the tolerance."""
+    stats = result["sample_stats"]
+    of_posterior = result["posterior"].to_dataset()[names].quantile(quantiles, dim=["chain", "draw"])
+    n_chains = stats.sizes["chain"]
+    return of_posterior.assign(
+        log_probability=float(np.log(np.mean(np.exp(stats["log_marginal_likelihood"].values)))),
+        log_probability_se=float(np.sqrt((stats["log_marginal_likelihood_se"] ** 2).mean() / n_chains)),
+        simulations=float(stats["evaluations"].sum()),
+    )
