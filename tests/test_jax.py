@@ -67,7 +67,7 @@ GRADIENTS = (ops.ChainResponseGradient, ops.ChainDiscrepancyGradient, ops.Popula
 
 
 def graph(quantity, substeps, stride, n_modes):
-    """Inputs and outputs of all eight Ops: nothing but the sampling and the modes is a constant."""
+    """Inputs and outputs of all Ops: nothing but the sampling and the modes is a constant."""
     common = [
         pt.TensorType("int64" if name in INTEGERS else "float64", (None,) * ndim)(name)
         for name, ndim in INPUTS.items()
@@ -81,6 +81,8 @@ def graph(quantity, substeps, stride, n_modes):
         ops.ChainResponse: common,
         ops.ChainDiscrepancy: [*common, data],
         ops.PopulationDiscrepancy: batch,
+        ops.ChainMisfit: [*common, data],
+        ops.PopulationMisfit: batch,
         ops.ChainResponseGradient: [*common, weights],
         ops.ChainResponseTangent: [*common, *d],
         ops.ChainDiscrepancyGradient: [*common, data, c],
