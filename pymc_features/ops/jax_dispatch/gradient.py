@@ -8,7 +8,7 @@ from pymc_features.ops.jax_dispatch.history import (
     Sampling,
     discrepancy,
     march,
-    misfit,
+    misfit_statistics,
     response,
     sensor_output,
 )
