@@ -299,6 +299,7 @@ def test_batches_become_populations(mode, pulse, measured):
     one = misfit_statistics(response(chain, pulse), data)
     many = vectorize_graph(one, {stiffness: batch})
     assert ops_in([many]) == {PopulationMisfit}
+    assert tuple(many.shape.eval({batch: np.ones((2, 5, 3))})) == (2, 5, 3, 4)
     wrt = [mass, data]
     slopes = pt.grad((c * one).sum(), [stiffness, *wrt])
     single = pytensor.function([mass, stiffness, data], [one, *slopes], mode="FAST_COMPILE")
