@@ -389,6 +389,7 @@ def test_gradient_by_the_data():
     assert gradient == pytest.approx(expected, rel=LIMIT)
 
 
+@pytest.mark.filterwarnings("ignore:The RandomType SharedVariables")  # PyTensor copies generators for JAX
 def test_correlated_draws():
     """Covariance of 20000 draws within five standard errors; a false alarm in 6000 seeds."""
     k = np.arange(23)
