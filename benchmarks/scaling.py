@@ -9,7 +9,11 @@ from benchmarks.routes import batched, scalar
 from benchmarks.tables import significant, table
 from benchmarks.timing import best_of_rounds, fitted_exponent
 
-KERNELS = {"batched": batched.prepare, "one at a time": scalar.prepare}
+KERNELS = {
+    "batched": batched.prepare,
+    "with increments": batched.prepare_with_increments,
+    "one at a time": scalar.prepare,
+}
 
 
 def samples(size):

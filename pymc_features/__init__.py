@@ -17,6 +17,7 @@ sample: its uncertainty does not depend on the sampling rate.
 
 from pymc_features import datasets
 from pymc_features.distributions import (
+    CorrelatedNormal,
     ExpFeature,
     FeatureLikelihoodWarning,
     TruncNormalFeature,
@@ -52,6 +53,7 @@ from pymc_features.study import paper, sampling_rate_study
 
 __all__ = [
     "ChainsDisagreeWarning",
+    "CorrelatedNormal",
     "DiscrepancySimulator",
     "ExpFeature",
     "FeatureLikelihoodWarning",

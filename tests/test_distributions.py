@@ -1,4 +1,4 @@
-"""Feature likelihoods: densities, draws, calibration, life inside a model, and every refusal."""
+"""Likelihoods of histories: densities, draws, calibration, life inside a model, and every refusal."""
 
 import functools
 import warnings
@@ -15,6 +15,7 @@ from pytensor.compile.mode import Mode
 from scipy import optimize, special, stats
 
 from pymc_features import (
+    CorrelatedNormal,
     ExpFeature,
     FeatureLikelihoodWarning,
     RayleighDamping,
@@ -27,7 +28,7 @@ from pymc_features import (
     sigma_mpv,
     simulate,
 )
-from pymc_features.distributions import FEATURE_LIKELIHOODS
+from pymc_features.distributions import FEATURE_LIKELIHOODS, LIKELIHOODS
 
 PLAIN = Mode(linker="py", optimizer=None)
 LIGHT = Mode(linker="py", optimizer="fast_compile")
@@ -36,13 +37,30 @@ LIGHT = Mode(linker="py", optimizer="fast_compile")
 RMS_LAW = {TruncNormalFeature: stats.halfnorm, ExpFeature: stats.rayleigh}
 DEGREES = {TruncNormalFeature: 1, ExpFeature: 2}
 OTHER = {TruncNormalFeature: ExpFeature, ExpFeature: TruncNormalFeature}
-EVERY = pytest.mark.parametrize("likelihood", FEATURE_LIKELIHOODS)
+MORE = {CorrelatedNormal: {"correlation_time": 0.1, "dt": 0.04}}  # arguments besides mu and sigma
+EVERY = pytest.mark.parametrize("likelihood", LIKELIHOODS)
+EVERY_FEATURE = pytest.mark.parametrize("likelihood", FEATURE_LIKELIHOODS)
+
+
+def declare(likelihood, *args, **kwargs):
+    """The likelihood's `dist`, or by a name the variable of a model, with what it needs besides."""
+    make = likelihood if isinstance(args[0] if args else None, str) else likelihood.dist
+    return make(*args, **MORE.get(likelihood, {}), **kwargs)
 
 
 def equation(likelihood, data, mu, sigma):
-    """Summands of Eqs. (7) and (9), sensor by sensor, in loops."""
+    """Summands of Eqs. (7) and (9), sensor by sensor, in loops; correlated errors by their covariance."""
     sigma = np.broadcast_to(sigma, len(data))
     values = []
+    if likelihood is CorrelatedNormal:
+        k = np.arange(data.shape[1])
+        covariance = np.exp(-np.abs(k - k[:, None]) * 0.04 / 0.1)
+        return np.array(
+            [
+                stats.multivariate_normal(g, s**2 * covariance).logpdf(y)
+                for y, g, s in zip(data, mu, sigma, strict=True)
+            ]
+        )
     for y, g, s in zip(data, mu, sigma, strict=True):
         e = sum((a - b) ** 2 for a, b in zip(y, g, strict=True)) / len(y)
         if likelihood is TruncNormalFeature:
@@ -90,7 +108,7 @@ def random_data(seed, n_sensors=4, n_times=7):
 # --------------------------------------------------------------------------- densities
 
 
-@EVERY
+@EVERY_FEATURE
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("per_sensor", [False, True])
 def test_log_likelihood_against_the_equations_and_scipy(likelihood, seed, per_sensor):
@@ -105,7 +123,7 @@ def test_log_likelihood_against_the_equations_and_scipy(likelihood, seed, per_se
     assert np.abs(ours - control).min() > 1e-3
 
 
-@EVERY
+@EVERY_FEATURE
 @pytest.mark.parametrize("n_times", [1, 2, 3, 50, 3000])
 def test_density_of_the_data_against_scipy(likelihood, n_times):
     mu, data, sigma = random_data(n_times, n_times=n_times)
@@ -120,7 +138,7 @@ def gauss(low, high, points=200):
     return low + (high - low) * (x + 1) / 2, (high - low) * w / 2
 
 
-@EVERY
+@EVERY_FEATURE
 @pytest.mark.parametrize("sigma", [0.3, 2.0])
 def test_density_of_the_data_integrates_to_one(likelihood, sigma):
     """One and two samples over the line and the plane; more along a ray times the area of the sphere."""
@@ -155,7 +173,7 @@ def test_density_of_the_data_integrates_to_one(likelihood, sigma):
     assert abs(feature - 1.0) > 0.3  # negative control: no density of the data
 
 
-@EVERY
+@EVERY_FEATURE
 def test_logcdf_of_the_feature_with_its_tails(likelihood):
     """Against SciPy's cdf below the median and its survival function above."""
     z = np.concatenate([np.logspace(-30, 0, 40), np.linspace(1.0, 8.0, 40), [12.0, 37.0]])
@@ -171,7 +189,7 @@ def test_logcdf_of_the_feature_with_its_tails(likelihood):
     assert evaluate(likelihood, "feature", "logcdf", np.zeros((1, 3)), sigma, np.zeros((1, 3))) == -np.inf
 
 
-@EVERY
+@EVERY_FEATURE
 def test_logcdf_is_the_integral_of_the_feature_density(likelihood):
     """TN's feature is the root mean square, EXP's the mean square."""
     end = 1.3
@@ -195,7 +213,7 @@ def test_tn_is_the_conventional_likelihood_over_the_number_of_samples(n_times):
         np.testing.assert_allclose(ours, norm + np.log(2.0), rtol=1e-10)
 
 
-@EVERY
+@EVERY_FEATURE
 @pytest.mark.parametrize("density", ["feature", "data"])
 def test_failed_response_and_scale_give_minus_infinity(likelihood, density):
     """Sensor by sensor: one failed sensor leaves the others alone."""
@@ -303,11 +321,11 @@ def test_sensors_and_draws_are_independent(sample):
 
 @EVERY
 def test_draws_are_reproducible_and_differ(likelihood):
-    y = likelihood.dist(np.zeros((2, 4)), 1.0)
+    y = declare(likelihood, np.zeros((2, 4)), 1.0)
     one, again, other = draw(y, seed=3), draw(y, seed=3), draw(y, seed=4)
     np.testing.assert_array_equal(one, again)
     assert not np.isclose(one, other).any()
-    two = draw([y, likelihood.dist(np.zeros((2, 4)), 1.0)], seed=3)
+    two = draw([y, declare(likelihood, np.zeros((2, 4)), 1.0)], seed=3)
     assert not np.isclose(two[0], two[1]).any()
 
 
@@ -328,7 +346,7 @@ def test_draws_are_reproducible_and_differ(likelihood):
 )
 def test_shapes_of_draws_and_log_likelihoods(likelihood, mu, sigma, kwargs, expected):
     """Support dimension is time, the last; everything before it is a batch, as in `size` and `shape`."""
-    y = likelihood.dist(np.zeros(mu), np.ones(sigma), **kwargs)
+    y = declare(likelihood, np.zeros(mu), np.ones(sigma), **kwargs)
     assert y.owner.op.ndim_supp == 1
     values = draw(y)
     assert values.shape == expected
@@ -343,7 +361,7 @@ def test_shapes_of_draws_and_log_likelihoods(likelihood, mu, sigma, kwargs, expe
 def test_support_point_is_the_response(likelihood):
     mu = np.arange(6.0).reshape(2, 3)
     with pm.Model() as model:
-        likelihood("y", mu=mu, sigma=1.0, shape=(4, 2, 3))
+        declare(likelihood, "y", mu=mu, sigma=1.0, shape=(4, 2, 3))
     np.testing.assert_array_equal(model.initial_point()["y"], np.broadcast_to(mu, (4, 2, 3)))
 
 
@@ -368,7 +386,7 @@ def grid_ranks(log_density, grid, truth):
 REPLICATIONS = 2000
 
 
-@EVERY
+@EVERY_FEATURE
 def test_calibration_of_sigma(likelihood):
     """Known response, unknown sigma: ranks uniform at a false-alarm rate of 1e-3; other law rejected."""
     rng = np.random.default_rng(11)
@@ -386,7 +404,7 @@ def test_calibration_of_sigma(likelihood):
     assert uniformity(ranks(OTHER[likelihood])) < 1e-6
 
 
-@EVERY
+@EVERY_FEATURE
 def test_calibration_of_a_response(likelihood):
     """Unknown level of the response, known sigma: calibrated with density="data" only.
 
@@ -439,11 +457,11 @@ def build_model(likelihood, pulse, observed, *, sigma=None, theta=None, determin
         mu = pm.Deterministic("mu", mu) if deterministic else mu
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FeatureLikelihoodWarning)
-            likelihood("y", mu=mu, sigma=sigma, observed=observed, **kwargs)
+            declare(likelihood, "y", mu=mu, sigma=sigma, observed=observed, **kwargs)
     return model
 
 
-@pytest.fixture(scope="module", params=FEATURE_LIKELIHOODS)
+@pytest.fixture(scope="module", params=LIKELIHOODS)
 def updated(request, pulse, measured):
     """(likelihood, model with dims, four particles of a posterior)."""
     model = build_model(request.param, pulse, measured, dims=("sensor", "time"))
@@ -497,17 +515,26 @@ def test_model_log_probability(updated, pulse, measured):
     assert float(got) == pytest.approx(equation(likelihood, measured, mu, 0.4).sum(), rel=1e-10)
 
 
-@EVERY
-@pytest.mark.parametrize("density", ["feature", "data"])
-def test_bad_values_inside_the_graph(likelihood, density, pulse, measured):
+@pytest.mark.parametrize(
+    ("likelihood", "kwargs"),
+    [
+        *(
+            (feature, {"density": density})
+            for feature in FEATURE_LIKELIHOODS
+            for density in ("feature", "data")
+        ),
+        (CorrelatedNormal, {}),
+    ],
+)
+def test_bad_values_inside_the_graph(likelihood, kwargs, pulse, measured):
     """A prior that allows a negative sigma or spring: -inf there, a number elsewhere."""
     model = build_model(
         likelihood,
         pulse,
         measured,
-        density=density,
         sigma=lambda: pm.Normal("sigma"),
         theta=lambda: pm.Normal("theta"),
+        **kwargs,
     )
     logp = model.compile_logp(mode=LIGHT)
     assert np.isfinite(logp({"theta": 1.0, "sigma": 0.5}))
@@ -538,7 +565,7 @@ def test_prior_and_posterior_predictive(updated, pulse):
             assert len(np.unique(z)) == 3
 
 
-@EVERY
+@EVERY_FEATURE
 def test_posterior_predictive_has_the_law_of_the_feature(likelihood, pulse):
     """4000 draws at one particle, KS at 1e-3; the other law is rejected."""
     model = build_model(likelihood, pulse, None, shape=(3, 21))
@@ -551,9 +578,9 @@ def test_posterior_predictive_has_the_law_of_the_feature(likelihood, pulse):
     assert stats.kstest(rms.ravel(), RMS_LAW[OTHER[likelihood]].cdf).pvalue < 1e-9
 
 
-def test_draws_by_numba(updated):
+@EVERY_FEATURE
+def test_draws_by_numba(likelihood):
     """The default backend has the same law as Python (KS at 1e-3)."""
-    likelihood, _, _ = updated
     y = likelihood.dist(np.zeros((2, 5)), 1.0)
     values = pm.draw(y, draws=2000, random_seed=8)
     rms = np.sqrt(np.mean(values**2, axis=-1)).ravel()
@@ -609,7 +636,7 @@ def test_long_data_do_not_become_constants(pulse):
 
 def test_names_in_print(updated):
     likelihood, model, _ = updated
-    assert f"y ~ {likelihood.__name__}(f(theta), sigma)" in model.str_repr()
+    assert f"y ~ {likelihood.__name__}(f(theta), sigma" in model.str_repr()
     assert f"\\operatorname{{{likelihood.__name__}}}" in model.str_repr(formatting="latex")
 
 
@@ -657,7 +684,7 @@ def test_model_graph_knows_the_parents(updated):
 )
 def test_bad_data(likelihood, observed, error, match):
     with pm.Model(), pytest.raises(error, match=match):
-        likelihood("y", mu=np.zeros((3, 5)), sigma=1.0, observed=observed)
+        declare(likelihood, "y", mu=np.zeros((3, 5)), sigma=1.0, observed=observed)
 
 
 def test_masked_array_without_a_mask_is_data():
@@ -677,16 +704,21 @@ def test_masked_array_without_a_mask_is_data():
         ({"sigma": [1.0, 0.0, 1.0]}, r"`sigma` must be positive and finite, got \[1.0, 0.0, 1.0\]"),
         ({"sigma": [1.0, 2.0]}, "or have one value for each of the 3 sensors, got 2"),
         ({"sigma": pt.vector("s", shape=(4,))}, "one value for each of the 3 sensors, got 4"),
-        ({"density": "features"}, "`density` must be one of feature, data, got 'features'"),
         ({"mu": 0.0}, r"`mu` must be \(..., sensor, time\), got a scalar. Pass what `response` returned"),
     ],
 )
 def test_bad_parameters(likelihood, kwargs, match):
     arguments = {"mu": np.zeros((3, 5)), "sigma": 1.0} | kwargs
     with pytest.raises(ValueError, match=match):
-        likelihood.dist(**arguments)
+        declare(likelihood, **arguments)
     with pm.Model(), pytest.raises(ValueError, match=match):
-        likelihood("y", **arguments)
+        declare(likelihood, "y", **arguments)
+
+
+@EVERY_FEATURE
+def test_unknown_density(likelihood):
+    with pytest.raises(ValueError, match="`density` must be one of feature, data, got 'features'"):
+        likelihood.dist(np.zeros((3, 5)), 1.0, density="features")
 
 
 # --------------------------------------------------------------------------- warnings
@@ -748,7 +780,7 @@ def test_the_number_of_sensors_that_is_enough(likelihood, n_sensors, power):
     assert finite_variance == (n_sensors > {TruncNormalFeature: 4, ExpFeature: 2}[likelihood])
 
 
-@EVERY
+@EVERY_FEATURE
 def test_noise_free_data_are_warned_of(likelihood, pulse):
     """At the model's initial point the response equals the data; with noise or a fixed sigma: silence."""
     chain = SpringMassChain(np.ones(6), 100.0, RayleighDamping(0.1, 1e-3))

@@ -67,7 +67,7 @@ GRADIENTS = (ops.ChainResponseGradient, ops.ChainDiscrepancyGradient, ops.Popula
 
 
 def graph(quantity, substeps, stride, n_modes):
-    """Inputs and outputs of all eight Ops: nothing but the sampling and the modes is a constant."""
+    """Inputs and outputs of all Ops: nothing but the sampling and the modes is a constant."""
     common = [
         pt.TensorType("int64" if name in INTEGERS else "float64", (None,) * ndim)(name)
         for name, ndim in INPUTS.items()
@@ -81,6 +81,8 @@ def graph(quantity, substeps, stride, n_modes):
         ops.ChainResponse: common,
         ops.ChainDiscrepancy: [*common, data],
         ops.PopulationDiscrepancy: batch,
+        ops.ChainMisfit: [*common, data],
+        ops.PopulationMisfit: batch,
         ops.ChainResponseGradient: [*common, weights],
         ops.ChainResponseTangent: [*common, *d],
         ops.ChainDiscrepancyGradient: [*common, data, c],
@@ -345,10 +347,13 @@ def by_pymc(model, points):
 POINTS = [np.random.default_rng(4).normal(mean, 0.2, 7) for mean in (1.0, 0.0)]  # theta, ln sigma
 
 
+CORRELATED = functools.partial(pmf.CorrelatedNormal, correlation_time=0.1)
 HEAVY_TAILS = functools.partial(pm.StudentT, nu=4.0)  # needs the response itself; the others are fused
 
 
-@pytest.mark.parametrize("likelihood", [pmf.TruncNormalFeature, pmf.ExpFeature, pm.Normal, HEAVY_TAILS])
+@pytest.mark.parametrize(
+    "likelihood", [pmf.TruncNormalFeature, pmf.ExpFeature, CORRELATED, pm.Normal, HEAVY_TAILS]
+)
 def test_log_densities_of_models(likelihood):
     """jax.grad and jax.vmap: seven points as by PyMC, one by one; an eighth, impossible, harms none."""
     model = model_of(likelihood)
@@ -382,6 +387,20 @@ def test_gradient_by_the_data():
     _, [[expected]] = by_pymc(model, [[0.5]])
     [gradient] = jax.jit(jax.grad(log_density(model)))([np.array(0.5)])
     assert gradient == pytest.approx(expected, rel=LIMIT)
+
+
+@pytest.mark.filterwarnings("ignore:The RandomType SharedVariables")  # PyTensor copies generators for JAX
+def test_correlated_draws():
+    """Covariance of 20000 draws within five standard errors; a false alarm in 6000 seeds."""
+    k = np.arange(23)
+    y = pmf.CorrelatedNormal.dist(np.zeros((2, 23)), [1.0, 2.0], [0.2, 0.01], 0.02, size=(20_000, 2))
+    draws = pm.draw(y, random_seed=1, mode="JAX")
+    for j, (sigma, tau) in enumerate([(1.0, 0.2), (2.0, 0.01)]):
+        found = draws[:, j].T @ draws[:, j] / 20_000 / sigma**2
+        for longer in (1.0, 1.3):  # the second is a negative control
+            expected = np.exp(-np.abs(k - k[:, None]) * 0.02 / (longer * tau))
+            worst = (np.abs(found - expected) / np.sqrt((1.0 + expected**2) / 20_000)).max()
+            assert (worst < 5.0) == (longer == 1.0)
 
 
 # --------------------------------------------------------------------------- the output step as data

@@ -34,6 +34,7 @@ ANYTHING = {"__init__", "cli"}
 
 PUBLIC_NAMES = [
     "ChainsDisagreeWarning",
+    "CorrelatedNormal",
     "DiscrepancySimulator",
     "ExpFeature",
     "FeatureLikelihoodWarning",

@@ -1,5 +1,6 @@
 """The Ops: Numba, Python and NumPy agree; batches, shapes, caches, memory, and the refusal of gradients."""
 
+import functools
 import os
 import pickle
 import shutil
@@ -23,6 +24,7 @@ from pytensor.tensor.blockwise import Blockwise
 
 import pymc_features
 from pymc_features import (
+    CorrelatedNormal,
     DiscrepancySimulator,
     ExpFeature,
     FeatureLikelihoodWarning,
@@ -39,6 +41,7 @@ from pymc_features import (
 from pymc_features.ops import (
     OPS,
     ChainDiscrepancy,
+    ChainMisfit,
     ChainResponse,
     PopulationDiscrepancy,
     numba_dispatch,
@@ -48,7 +51,8 @@ from pymc_features.ops.base import INPUTS, INTEGERS
 from pymc_features.ops.response import response_step
 from pymc_features.simulators import QUANTITIES, chain_discrepancy, chain_response, n_outputs
 
-CORE_OPS = (ChainResponse, ChainDiscrepancy)  # of one set of parameters
+CORE_OPS = (ChainResponse, ChainDiscrepancy, ChainMisfit)  # of one set of parameters
+CORRELATED = functools.partial(CorrelatedNormal, correlation_time=0.1)
 PLAIN = Mode(linker="py", optimizer=None)
 N_TIMES = 140  # beyond one block of the recursion
 N_DOF = 3
@@ -285,10 +289,11 @@ def test_shapes_are_known_without_computing(interpreted):
     """Functions of the shape do not contain the Op, and are right for any sampling."""
     inputs, observed = symbolic_inputs(), pt.matrix("observed")
     mu, e = ChainResponse()(*inputs), ChainDiscrepancy()(*inputs, observed)
+    statistics = ChainMisfit()(*inputs, observed)
     assert mu.type.shape == (None, None)
     shape = pytensor.function(
         [*inputs, observed],
-        [*mu.shape, *e.shape],
+        [*mu.shape, *e.shape, *statistics.shape],
         mode=Mode(linker="py", optimizer="fast_run"),
         on_unused_input="ignore",
     )
@@ -297,7 +302,7 @@ def test_shapes_are_known_without_computing(interpreted):
         values = numeric_inputs(case, **settings)
         expected = chain_response(*values, 0).shape
         got = [int(x) for x in shape(*values, np.zeros((1, 1)))]
-        assert got == [*expected, expected[0]]
+        assert got == [*expected, expected[0], expected[0], 4]
 
 
 def test_shapes_of_batches_are_known_without_computing(pulse, measured):
@@ -391,7 +396,7 @@ def test_batches_need_vectorize_graph(op):
     inputs = symbolic_inputs()
     inputs[0] = pt.matrix("mass")
     with pytest.raises(ValueError, match="`mass` must have 1 dimensions, got 2. Use `pytensor.graph.vec"):
-        op()(*inputs, *([pt.matrix("observed")] if op is ChainDiscrepancy else []))
+        op()(*inputs, *([] if op is ChainResponse else [pt.matrix("observed")]))
 
 
 def test_data_must_fit_the_response(pulse, measured):
@@ -454,7 +459,7 @@ def build_model(likelihood, pulse, measured):
     return model
 
 
-@pytest.mark.parametrize("likelihood", [TruncNormalFeature, ExpFeature, pm.Normal])
+@pytest.mark.parametrize("likelihood", [TruncNormalFeature, ExpFeature, CORRELATED, pm.Normal])
 def test_nuts_is_assigned(likelihood, pulse, measured):
     """PyMC falls back to Metropolis or Slice, silently, where a gradient is missing."""
     _, assigned = assign_step_methods(build_model(likelihood, pulse, measured))

@@ -27,6 +27,7 @@ class Route(NamedTuple):
 
 ROUTES = {
     "our batched kernel": Route(batched.prepare, 500),
+    "the same, with increments for correlated errors": Route(batched.prepare_with_increments, 500),
     "our kernel, one particle at a time": Route(scalar.prepare, 500),
     "JAX, scan over time, vmap over particles": Route(jax_scan.prepare, 500),
     "NumPy, loop over time, arrays of particles": Route(loop_over_time.prepare, 500),

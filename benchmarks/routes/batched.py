@@ -3,7 +3,7 @@
 from benchmarks.routes import scalar
 
 try:
-    from pymc_features.simulators import population_discrepancy
+    from pymc_features.simulators import population_discrepancy, population_misfit
 except ImportError:
     population_discrepancy = None
 
@@ -14,7 +14,21 @@ def prepare(case):
     """Return a call that evaluates the population of `case`, shape (P, s)."""
     if IS_STAND_IN:
         return scalar.prepare(case)
-    arguments = (
+    inputs = arguments(case)
+    return lambda: population_discrepancy(*inputs)
+
+
+def prepare_with_increments(case):
+    """The same by the kernel that also sums the increments of the misfit, for errors correlated in time."""
+    if IS_STAND_IN:
+        return scalar.prepare(case)
+    inputs = arguments(case)
+    return lambda: population_misfit(*inputs)[..., 0]
+
+
+def arguments(case):
+    """What the kernels take."""
+    return (
         case.mass[None],
         case.stiffness,
         case.rayleigh[None],
@@ -28,4 +42,3 @@ def prepare(case):
         0,
         case.observed,
     )
-    return lambda: population_discrepancy(*arguments)

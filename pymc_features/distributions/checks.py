@@ -1,4 +1,4 @@
-"""Checks and warnings of the feature likelihoods, made once where the model is declared."""
+"""Checks and warnings of the likelihoods, made once where the model is declared."""
 
 import warnings
 
@@ -32,21 +32,66 @@ def as_double(value):
     return tensor if tensor.dtype == "float64" else tensor.astype("float64")
 
 
+def as_response(mu):
+    """Return mu as a tensor; refuse scalars."""
+    mu = as_double(mu)
+    if mu.ndim < 1:
+        raise ValueError("`mu` must be (..., sensor, time), got a scalar. Pass what `response` returned.")
+    return mu
+
+
 def check_sigma(sigma, mu):
     """Return sigma as a tensor; refuse numbers that are not positive or do not fit the sensors."""
-    tensor = as_double(sigma)
+    advice = "Pass the root-mean-square discrepancy expected at the truth, in the units of the data."
+    return _check_sensors("sigma", _check_positive("sigma", sigma, advice), mu)
+
+
+def check_correlation_time(correlation_time, mu):
+    """The same for the correlation time of the errors."""
+    name, advice = "correlation_time", "Pass the time in seconds after which the correlation is 1/e."
+    return _check_sensors(name, _check_positive(name, correlation_time, advice), mu)
+
+
+def check_dt(dt, mu):
+    """Return the sampling step [s] as a tensor, that of the response unless it is given."""
+    step = response_step(pt.as_tensor_variable(mu))
+    if dt is None and step is None:
+        raise ValueError(
+            "`dt` must be given where `mu` is not a response of fixed output step, got None. Pass the "
+            "sampling interval in seconds."
+        )
+    tensor = _check_positive("dt", step if dt is None else dt, "Pass the sampling interval in seconds.")
+    if tensor.ndim:
+        raise ValueError(
+            f"`dt` must be one number, got {tensor.ndim} dimensions. Pass the sampling interval."
+        )
+    if step is not None and isinstance(tensor, Constant) and not np.isclose(tensor.data, step, rtol=1e-6):
+        raise ValueError(
+            f"`dt` must be the output step of the response, {step:g} s, got {float(tensor.data):g}. Leave it "
+            "out, or pass the `dt` of the data to `response`."
+        )
+    return tensor
+
+
+def _check_positive(name, value, advice):
+    """Return a tensor; refuse numbers that are not positive and finite."""
+    tensor = as_double(value)
     if isinstance(tensor, Constant):
         values = np.atleast_1d(tensor.data)
         if not (np.isfinite(values) & (values > 0)).all():
             raise ValueError(
-                f"`sigma` must be positive and finite, got {np.asarray(tensor.data).tolist()}. Pass "
-                "the root-mean-square discrepancy expected at the truth, in the units of the data."
+                f"`{name}` must be positive and finite, got {np.asarray(tensor.data).tolist()}. {advice}"
             )
+    return tensor
+
+
+def _check_sensors(name, tensor, mu):
+    """Return the tensor; refuse another length than the number of sensors."""
     sensors = mu.type.shape[-2] if mu.ndim > 1 else None
     given = tensor.type.shape[-1] if tensor.ndim else None
     if None not in (sensors, given) and given not in (1, sensors):
         raise ValueError(
-            f"`sigma` must be a scalar or have one value for each of the {sensors} sensors, got {given}."
+            f"`{name}` must be a scalar or have one value for each of the {sensors} sensors, got {given}."
         )
     return tensor
 
@@ -101,8 +146,11 @@ def _shape(variable):
     return variable.type.shape if values is None else values.shape
 
 
-def name_the_time_axis(dims, mu, observed):
-    """Give the model the times [s] of the last dimension, where `dims` names one it does not know."""
+def name_the_time_axis(dims, mu, observed, dt=None):
+    """Give the model the times [s] of the last dimension, where `dims` names one it does not know.
+
+    `dt` [s] counts where it is a constant; else the output step of a response, if that is known.
+    """
     dims = (dims,) if isinstance(dims, str) else tuple(dims or ())
     model = pm.modelcontext(None)
     if not dims or dims[-1] is None or dims[-1] in model.dim_lengths:
@@ -112,7 +160,8 @@ def name_the_time_axis(dims, mu, observed):
     if n_times is None and observed is not None:
         n_times = _shape(pt.as_tensor_variable(observed))[-1]
     if n_times is not None:
-        model.add_coord(dims[-1], np.arange(n_times) * (response_step(mu) or 1))
+        step = float(dt.data) if isinstance(dt, Constant) else response_step(mu) or 1
+        model.add_coord(dims[-1], np.arange(n_times) * step)
 
 
 def warn_about_the_posterior(rv_type, mu, sigma, observed):

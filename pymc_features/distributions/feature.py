@@ -25,7 +25,7 @@ from pytensor.tensor.random.utils import normalize_size_param
 from scipy.special import gammaln
 
 from pymc_features.distributions.checks import (
-    as_double,
+    as_response,
     check_sigma,
     name_the_time_axis,
     prepare_observed,
@@ -147,9 +147,7 @@ class FeatureLikelihood(Continuous):
     def dist(cls, mu, sigma, *, density="feature", **kwargs):
         if density not in DENSITIES:
             raise ValueError(f"`density` must be one of {', '.join(DENSITIES)}, got {density!r}.")
-        mu = as_double(mu)
-        if mu.ndim < 1:
-            raise ValueError("`mu` must be (..., sensor, time), got a scalar. Pass what `response` returned.")
+        mu = as_response(mu)
         return super().dist([mu, check_sigma(sigma, mu)], density=density, **kwargs)
 
     @classmethod

@@ -10,15 +10,18 @@ from pymc_features.ops.gradient import (
     ChainResponseTangent,
     PopulationGradient,
 )
-from pymc_features.ops.mean_square import mean_square_discrepancy
+from pymc_features.ops.mean_square import mean_square_discrepancy, misfit_statistics
+from pymc_features.ops.misfit import ChainMisfit
 from pymc_features.ops.no_gradient import NoGradient, NotDifferentiableError
-from pymc_features.ops.population import PopulationDiscrepancy
+from pymc_features.ops.population import PopulationDiscrepancy, PopulationMisfit
 from pymc_features.ops.response import ChainResponse, response, response_node, response_step
 
 OPS = (
     ChainResponse,
     ChainDiscrepancy,
     PopulationDiscrepancy,
+    ChainMisfit,
+    PopulationMisfit,
     ChainResponseGradient,
     ChainResponseTangent,
     ChainDiscrepancyGradient,
@@ -32,6 +35,7 @@ __all__ = [
     "ChainDiscrepancy",
     "ChainDiscrepancyGradient",
     "ChainDiscrepancyTangent",
+    "ChainMisfit",
     "ChainResponse",
     "ChainResponseGradient",
     "ChainResponseTangent",
@@ -39,9 +43,11 @@ __all__ = [
     "NotDifferentiableError",
     "PopulationDiscrepancy",
     "PopulationGradient",
+    "PopulationMisfit",
     "check_shape",
     "jax_loader",
     "mean_square_discrepancy",
+    "misfit_statistics",
     "numba_dispatch",
     "response",
     "response_node",

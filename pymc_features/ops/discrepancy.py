@@ -11,10 +11,19 @@ from pymc_features.ops.response import ChainResponse
 from pymc_features.simulators import chain_discrepancy
 
 
-class ChainDiscrepancy(ChainOp):
-    """e_j of Eq. (3) straight from the parameters of a spring-mass chain and the data."""
+class ChainComparison(ChainOp):
+    """Base: something of each sensor's misfit, from the parameters of a spring-mass chain and the data.
 
-    gufunc_signature = f"{INPUT_SIGNATURE},(s,u)->(s)"
+    Attributes
+    ----------
+    kernel : callable
+        Arrays in, an array (s, *values) out.
+    values : tuple of int
+        Shape of what there is for each sensor.
+    """
+
+    kernel = None
+    values: tuple[int, ...] = ()
     simulates = True  # a value that is not finite is a failed simulation, and counted as such
 
     def make_node(self, *inputs):
@@ -24,15 +33,22 @@ class ChainDiscrepancy(ChainOp):
         if observed.ndim != 2:
             raise ValueError(f"`observed` must be (sensor, time), got {observed.ndim} dimensions.")
         check_shape((common[8].type.shape[0], self.static_n_outputs(common)), observed.type.shape)
-        output = pt.tensor(dtype="float64", shape=(common[8].type.shape[0],))
+        output = pt.tensor(dtype="float64", shape=(common[8].type.shape[0], *self.values))
         return Apply(self, [*common, observed], [output])
 
     def infer_shape(self, node, shapes):
-        return [(shapes[8][0],)]
+        return [(shapes[8][0], *self.values)]
 
     def perform(self, node, inputs, output_storage):
         *common, observed = [np.ascontiguousarray(x) if np.ndim(x) else x.item() for x in inputs]
-        output_storage[0][0] = chain_discrepancy(*common, self.quantity_code, observed)
+        output_storage[0][0] = type(self).kernel(*common, self.quantity_code, observed)
+
+
+class ChainDiscrepancy(ChainComparison):
+    """e_j of Eq. (3) straight from the parameters of a spring-mass chain and the data."""
+
+    gufunc_signature = f"{INPUT_SIGNATURE},(s,u)->(s)"
+    kernel = staticmethod(chain_discrepancy)
 
     def pullback(self, inputs, outputs, cotangents):
         """By `ChainDiscrepancyGradient`, and from the response for the data."""

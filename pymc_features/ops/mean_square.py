@@ -1,4 +1,4 @@
-"""`mean_square_discrepancy`: the feature of Eq. (3), computed the cheapest way its arguments allow."""
+"""Comparison of response and data, computed the cheapest way the arguments allow."""
 
 import numpy as np
 import pytensor.tensor as pt
@@ -6,8 +6,9 @@ from pytensor.graph.basic import Variable
 from pytensor.tensor.blockwise import Blockwise
 
 from pymc_features.ops.base import INPUTS
-from pymc_features.ops.discrepancy import check_shape
-from pymc_features.ops.population import fused_discrepancy
+from pymc_features.ops.discrepancy import ChainDiscrepancy, check_shape
+from pymc_features.ops.misfit import ChainMisfit, misfit_values
+from pymc_features.ops.population import fused_comparison
 from pymc_features.ops.response import response_node
 
 
@@ -45,10 +46,46 @@ def mean_square_discrepancy(mu, observed):
         mu, observed = np.asarray(mu, dtype=np.float64), np.asarray(observed, dtype=np.float64)
         check_shape(mu.shape, observed.shape)
         return np.mean((observed - mu) ** 2, axis=-1)
+    return fused_or_plain(ChainDiscrepancy, lambda misfit: pt.mean(pt.sqr(misfit), axis=-1), mu, observed)
+
+
+def misfit_statistics(mu, observed):
+    """What errors correlated in time need of the misfit r = y - g of each sensor.
+
+    Parameters
+    ----------
+    mu, observed : tensor_like (..., sensor, time)
+        Model response, and measured response in the same units.
+
+    Returns
+    -------
+    TensorVariable (..., sensor, 4)
+        Mean square of r, sum of its squared increments [r(k) - r(k - 1)]^2 over the number of samples, its
+        first value and its last.
+
+    Raises
+    ------
+    ValueError
+        If the last two axes do not have equal lengths.
+
+    Notes
+    -----
+    Where `mu` comes from `response`, no history is stored; a gradient keeps that of one particle.
+
+    Examples
+    --------
+    >>> misfit_statistics([[0.0, 0.0]], [[1.0, 3.0]]).eval()
+    array([[5., 2., 1., 3.]])
+    """
+    return fused_or_plain(ChainMisfit, misfit_values, mu, observed)
+
+
+def fused_or_plain(op_type, plain, mu, observed):
+    """The Op where `mu` comes from `response`, else `plain(observed - mu)`."""
     mu, observed = pt.as_tensor_variable(mu), pt.as_tensor_variable(observed)
     check_shape(mu.type.shape, observed.type.shape)
     node = response_node(mu)
     if node is None or observed.ndim < 2:
-        return pt.mean(pt.sqr(observed - mu), axis=-1)
+        return plain(observed - mu)
     core = node.op.core_op if isinstance(node.op, Blockwise) else node.op
-    return fused_discrepancy(core.quantity, [*node.inputs[: len(INPUTS)], observed])
+    return fused_comparison(op_type(core.quantity), [*node.inputs[: len(INPUTS)], observed])

@@ -19,16 +19,19 @@ from pymc_features.ops.gradient import (
     ChainResponseTangent,
     PopulationGradient,
 )
-from pymc_features.ops.population import PopulationDiscrepancy
+from pymc_features.ops.misfit import ChainMisfit
+from pymc_features.ops.population import PopulationDiscrepancy, PopulationMisfit
 from pymc_features.ops.response import ChainResponse
 from pymc_features.simulators import (
     SOURCE_HASH,
     chain_discrepancy,
+    chain_misfit,
     chain_response,
     discrepancy_gradient,
     discrepancy_tangent,
     population_discrepancy,
     population_gradient,
+    population_misfit,
     response_gradient,
     response_tangent,
 )
@@ -48,6 +51,8 @@ KERNELS = {
     ChainResponse: chain_response,
     ChainDiscrepancy: chain_discrepancy,
     PopulationDiscrepancy: population_discrepancy,
+    ChainMisfit: chain_misfit,
+    PopulationMisfit: population_misfit,
     ChainResponseGradient: response_gradient,
     ChainResponseTangent: response_tangent,
     ChainDiscrepancyGradient: discrepancy_gradient,

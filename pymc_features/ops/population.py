@@ -1,4 +1,4 @@
-"""The fused discrepancy of a whole population, and how vectorised graphs come to use it."""
+"""The fused comparisons of a whole population, and how vectorised graphs come to use them."""
 
 import numpy as np
 import pytensor.tensor as pt
@@ -8,18 +8,21 @@ from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor.blockwise import Blockwise
 
 from pymc_features.ops.base import INPUTS, N_PARAMETERS, ChainOp
-from pymc_features.ops.discrepancy import ChainDiscrepancy
-from pymc_features.ops.gradient import PopulationGradient
-from pymc_features.simulators import population_discrepancy
+from pymc_features.ops.discrepancy import ChainComparison, ChainDiscrepancy
+from pymc_features.ops.gradient import ChainResponseGradient, PopulationGradient
+from pymc_features.ops.misfit import ChainMisfit, misfit_cotangent
+from pymc_features.ops.response import ChainResponse
+from pymc_features.simulators import population_discrepancy, population_misfit
 
 
-class PopulationDiscrepancy(ChainOp):
-    """e_j of Eq. (3) for a population: mass, stiffness, rayleigh and ratios have one row for each particle.
+class PopulationComparison(ChainOp):
+    """Base: as `ChainComparison`, where mass, stiffness, rayleigh and ratios have a row for each particle.
 
-    A parameter that all particles share has a single row. The result is (particle, sensor); no history of
-    any particle is stored.
+    A parameter that all particles share has a single row. The result is (particle, sensor, *values).
     """
 
+    kernel = None
+    values: tuple[int, ...] = ()
     simulates = True
 
     def make_node(self, *inputs):
@@ -33,18 +36,24 @@ class PopulationDiscrepancy(ChainOp):
         if observed.ndim != 2:
             raise ValueError(f"`observed` must be (sensor, time), got {observed.ndim} dimensions.")
         sensors = rest[8 - N_PARAMETERS]
-        output = pt.tensor(dtype="float64", shape=(None, sensors.type.shape[0]))
+        output = pt.tensor(dtype="float64", shape=(None, sensors.type.shape[0], *self.values))
         return Apply(self, [*parameters, *rest, observed], [output])
 
     def infer_shape(self, node, shapes):
         rows = shapes[0][0]
         for shape in shapes[1:N_PARAMETERS]:
             rows = pt.maximum(rows, shape[0])
-        return [(rows, shapes[8][0])]
+        return [(rows, shapes[8][0], *self.values)]
 
     def perform(self, node, inputs, output_storage):
         *common, observed = [np.ascontiguousarray(x) if np.ndim(x) else x.item() for x in inputs]
-        output_storage[0][0] = population_discrepancy(*common, self.quantity_code, observed)
+        output_storage[0][0] = type(self).kernel(*common, self.quantity_code, observed)
+
+
+class PopulationDiscrepancy(PopulationComparison):
+    """e_j of Eq. (3) for a population (particle, sensor); no history of any particle is stored."""
+
+    kernel = staticmethod(population_discrepancy)
 
     def pullback(self, inputs, outputs, cotangents):
         """By `PopulationGradient`; the data of a population are not differentiated."""
@@ -55,19 +64,47 @@ class PopulationDiscrepancy(ChainOp):
         ]
 
 
-def fused_discrepancy(quantity, inputs):
-    """Discrepancy (..., sensor) for inputs of which any may have leading batch dimensions.
+class PopulationMisfit(PopulationComparison):
+    """Statistics of the misfit (particle, sensor, 4), as `ChainMisfit`; no history is stored."""
 
-    Batches of parameters alone become one `PopulationDiscrepancy`; others are left to `Blockwise`.
+    kernel = staticmethod(population_misfit)
+    values = (4,)
+
+    def pullback(self, inputs, outputs, cotangents):
+        """From the responses of all particles, which are stored for this: (particle, sensor, time)."""
+        parameters, settings, observed = inputs[:N_PARAMETERS], inputs[N_PARAMETERS:-1], inputs[-1]
+        n_particles = outputs[0].shape[0]
+        rows = [pt.broadcast_to(x, (n_particles, x.shape[1])) for x in parameters]
+        responses = Blockwise(ChainResponse(self.quantity))(*rows, *settings)
+        by_misfit = misfit_cotangent(observed - responses, *cotangents)
+        gradients = Blockwise(ChainResponseGradient(self.quantity))(*rows, *settings, -by_misfit)
+        return [
+            # what all particles share gets the sum
+            *(
+                g.reshape((n_particles // x.shape[0], *x.shape)).sum(axis=0)
+                for g, x in zip(gradients, parameters, strict=True)
+            ),
+            *(disconnected_type() for _ in settings),
+            by_misfit.sum(axis=0),
+        ]
+
+
+POPULATIONS = {ChainDiscrepancy: PopulationDiscrepancy, ChainMisfit: PopulationMisfit}
+
+
+def fused_comparison(op, inputs):
+    """Output (..., sensor, *values) of a `ChainComparison` for inputs with any leading batch dimensions.
+
+    Batches of parameters alone become one Op of the population; others are left to `Blockwise`.
     """
     expected = [*INPUTS.values(), 2]
     inputs = [without_unit_batch(x, ndim) for x, ndim in zip(inputs, expected, strict=True)]
     parameters, rest = inputs[:N_PARAMETERS], inputs[N_PARAMETERS:]
     if any(x.type.ndim != ndim for x, ndim in zip(rest, expected[N_PARAMETERS:], strict=True)):
-        return Blockwise(ChainDiscrepancy(quantity))(*inputs)
+        return Blockwise(op)(*inputs)
     depth = max(x.type.ndim - 1 for x in parameters)
     if depth == 0:
-        return ChainDiscrepancy(quantity)(*inputs)
+        return op(*inputs)
     if depth > 1:
         batched = [x for x in parameters if x.type.ndim > 1]
         batch = pt.broadcast_shape(*(tuple(x.shape)[:-1] for x in batched), arrays_are_shapes=True)
@@ -76,8 +113,10 @@ def fused_discrepancy(quantity, inputs):
             for x in parameters
         ]
     rows = [x[None] if x.type.ndim == 1 else x for x in parameters]
-    e = PopulationDiscrepancy(quantity)(*rows, *rest)
-    return e if depth == 1 else e.reshape((*batch, e.shape[-1]), ndim=depth + 1)
+    result = POPULATIONS[type(op)](op.quantity)(*rows, *rest)
+    if depth == 1:
+        return result
+    return result.reshape((*batch, *tuple(result.shape)[1:]), ndim=depth + result.ndim - 1)
 
 
 def without_unit_batch(x, ndim):
@@ -88,7 +127,7 @@ def without_unit_batch(x, ndim):
     return x
 
 
-@_vectorize_node.register(ChainDiscrepancy)
-def vectorize_discrepancy(op, node, *batched_inputs):
+@_vectorize_node.register(ChainComparison)
+def vectorize_comparison(op, node, *batched_inputs):
     """Batches of parameters become the population Op."""
-    return [fused_discrepancy(op.quantity, batched_inputs)]
+    return [fused_comparison(op, batched_inputs)]

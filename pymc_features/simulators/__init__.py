@@ -1,9 +1,9 @@
 """Arrays in, arrays out: modes, the exact recursion, and the discrepancy, as compiled kernels."""
 
 from pymc_features.simulators.compilation import SOURCE_HASH
-from pymc_features.simulators.discrepancy import chain_discrepancy
+from pymc_features.simulators.discrepancy import chain_discrepancy, chain_misfit
 from pymc_features.simulators.gradient import discrepancy_gradient, population_gradient, response_gradient
-from pymc_features.simulators.population import population_discrepancy
+from pymc_features.simulators.population import population_discrepancy, population_misfit
 from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
 from pymc_features.simulators.sampling import UNITS, request
 from pymc_features.simulators.simulate import simulate
@@ -14,12 +14,14 @@ __all__ = [
     "SOURCE_HASH",
     "UNITS",
     "chain_discrepancy",
+    "chain_misfit",
     "chain_response",
     "discrepancy_gradient",
     "discrepancy_tangent",
     "n_outputs",
     "population_discrepancy",
     "population_gradient",
+    "population_misfit",
     "request",
     "response_gradient",
     "response_tangent",

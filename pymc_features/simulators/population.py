@@ -96,6 +96,70 @@ def fill_group(
 
 
 @jit
+def march_population(
+    parameters, acceleration, dt, substeps, stride, sensors, n_modes, quantity, observed, misfits, chained
+):
+    """Sums over the samples for all particles, a vector of them at a time.
+
+    Parameters
+    ----------
+    parameters : tuple of arrays
+        mass, stiffness, rayleigh, ratios.
+    misfits, chained
+        As in `recursion_lanes.march`.
+
+    Returns
+    -------
+    array (p, s, 1), or (p, s, 4) unless `misfits` is None
+        Mean squares of the misfit and of its increments, its first and its last value. NaN in the rows whose
+        parameters describe no structure.
+    """
+    mass, stiffness, rayleigh, ratios = parameters
+    n_sensors, n = sensors.size, mass.shape[1]
+    n_times = n_outputs(acceleration.size, substeps, stride)
+    n_particles = check_population(mass, stiffness, rayleigh, ratios, sensors, n_modes, n_times, observed)
+    even_sensors, even_modes = n_sensors + n_sensors % 2, n_modes + n_modes % 2
+    result = np.empty((n_particles, n_sensors, 1 if misfits is None else 4))
+    coefficients = np.empty((N_COEFFICIENTS * even_modes, LANES))
+    states = np.empty((2 * even_modes, LANES))
+    shapes = np.empty((even_sensors * even_modes, LANES))
+    direct, errors = np.empty((even_sensors, LANES)), np.empty((even_sensors, LANES))
+    valid = np.empty(LANES, dtype=np.bool_)
+    modes = (
+        valid,
+        (
+            *(np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n, LANES))),
+            *(np.empty((n, LANES)), np.empty((n * n, LANES))),
+        ),
+        *(np.empty(n), np.empty(n), np.empty((n, n))),
+        *(np.empty((N_ROWS, n_modes)), np.empty((n_sensors, n_modes)), np.empty(n_sensors)),
+    )
+    outputs, ground = np.empty((SAMPLES * even_modes, LANES)), np.empty(SAMPLES * stride)
+    work = (outputs, ground, np.empty((n_sensors, SAMPLES)))
+    step, start = dt / substeps, acceleration[0]
+    for first in range(0, n_particles, LANES):
+        count = min(LANES, n_particles - first)
+        fill_group(
+            *(parameters, step, sensors, quantity, start, first, count, modes),
+            *(coefficients, states, shapes, direct),
+        )
+        march(
+            *(coefficients, states, shapes, direct, acceleration, substeps, stride, observed, errors, work),
+            *(misfits, chained),
+        )
+        for lane in range(count):
+            for j in range(n_sensors):
+                result[first + lane, j, 0] = errors[j, lane] / n_times
+                if misfits is not None:
+                    result[first + lane, j, 1] = chained[0][j, lane] / n_times
+                    result[first + lane, j, 2] = chained[1][j, lane]
+                    result[first + lane, j, 3] = chained[2][j, lane]
+            if not valid[lane]:
+                result[first + lane] = np.nan
+    return result
+
+
+@jit
 def population_discrepancy(
     mass,
     stiffness,
@@ -131,37 +195,38 @@ def population_discrepancy(
     One thread. Memory: the result and one block of 16 samples for 4 or 8 particles, whatever the length of
     the record and the number of particles. Agrees with `chain_discrepancy` to 1e-12.
     """
-    n_sensors, n = sensors.size, mass.shape[1]
-    n_times = n_outputs(acceleration.size, substeps, stride)
-    n_particles = check_population(mass, stiffness, rayleigh, ratios, sensors, n_modes, n_times, observed)
-    even_sensors, even_modes = n_sensors + n_sensors % 2, n_modes + n_modes % 2
-    result = np.empty((n_particles, n_sensors))
-    coefficients = np.empty((N_COEFFICIENTS * even_modes, LANES))
-    states = np.empty((2 * even_modes, LANES))
-    shapes = np.empty((even_sensors * even_modes, LANES))
-    direct, errors = np.empty((even_sensors, LANES)), np.empty((even_sensors, LANES))
-    valid = np.empty(LANES, dtype=np.bool_)
-    modes = (
-        valid,
-        (
-            *(np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n, LANES))),
-            *(np.empty((n, LANES)), np.empty((n * n, LANES))),
-        ),
-        *(np.empty(n), np.empty(n), np.empty((n, n))),
-        *(np.empty((N_ROWS, n_modes)), np.empty((n_sensors, n_modes)), np.empty(n_sensors)),
+    result = march_population(
+        *((mass, stiffness, rayleigh, ratios), acceleration, dt, substeps, stride),
+        *(sensors, n_modes, quantity, observed, None, None),
     )
-    outputs, ground = np.empty((SAMPLES * even_modes, LANES)), np.empty(SAMPLES * stride)
-    work = (outputs, ground, np.empty((n_sensors, SAMPLES)))
-    parameters = (mass, stiffness, rayleigh, ratios)
-    step, start = dt / substeps, acceleration[0]
-    for first in range(0, n_particles, LANES):
-        count = min(LANES, n_particles - first)
-        fill_group(
-            *(parameters, step, sensors, quantity, start, first, count, modes),
-            *(coefficients, states, shapes, direct),
-        )
-        march(coefficients, states, shapes, direct, acceleration, substeps, stride, observed, errors, work)
-        for lane in range(count):
-            for j in range(n_sensors):
-                result[first + lane, j] = errors[j, lane] / n_times if valid[lane] else np.nan
-    return result
+    return result[:, :, 0].copy()
+
+
+@jit
+def population_misfit(
+    mass,
+    stiffness,
+    rayleigh,
+    ratios,
+    acceleration,
+    dt,
+    substeps,
+    stride,
+    sensors,
+    n_modes,
+    quantity,
+    observed,
+):
+    """What `discrepancy.chain_misfit` returns, for a population: an array (p, s, 4).
+
+    Parameters and cost in memory as those of `population_discrepancy`.
+    """
+    even_sensors = sensors.size + sensors.size % 2
+    chained = (
+        *(np.empty((even_sensors, LANES)), np.empty((even_sensors, LANES))),
+        np.empty((even_sensors, LANES)),
+    )
+    return march_population(
+        *((mass, stiffness, rayleigh, ratios), acceleration, dt, substeps, stride),
+        *(sensors, n_modes, quantity, observed, np.empty((even_sensors * SAMPLES, LANES)), chained),
+    )

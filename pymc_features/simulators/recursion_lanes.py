@@ -9,7 +9,8 @@ are z[k+1] = A z[k] + b0 a[k] + b1 a[k+1]. With y = z - b1 a,
 and with y2 scaled so that the coefficient by which it enters y1 is one, five products for a mode and step
 instead of ten; what stands before a[k] in the output goes into the feed-through of the sensors. A block of
 16 outputs of all modes stays in the first-level cache, where it is combined with the mode shapes and
-compared with the data, two sensors and four samples at a time.
+compared with the data, two sensors and four samples at a time. Where the increments of the misfit are asked
+for, the misfits of the block go through a buffer in that cache; where not, numba leaves that code out.
 """
 
 from pymc_features.simulators.compilation import jit
@@ -100,11 +101,12 @@ def advance_lanes(coefficients, states, ground, first, stride, outputs):
 
 
 @jit
-def add_squares(shapes, direct, outputs, data, sample, ground, step, stride, errors):
+def add_squares(shapes, direct, outputs, data, sample, ground, step, stride, errors, misfits):
     """Add the squared misfits of `SAMPLES` samples to `errors` (sensors, LANES); an even number of sensors.
 
     `shapes` (sensors m, LANES) and `direct` (sensors, LANES) belong to the lanes; `data` (sensors, time) from
-    column `sample` on and `ground` from entry `step` on are common to all.
+    column `sample` on and `ground` from entry `step` on are common to all. The misfits are written into
+    `misfits` (sensors SAMPLES, LANES), unless it is None.
     """
     n_modes = outputs.shape[0] // SAMPLES
     last = data.shape[0] - 1
@@ -130,8 +132,40 @@ def add_squares(shapes, direct, outputs, data, sample, ground, step, stride, err
                 a3, b3 = a3 - shape_a * z3, b3 - shape_b * z3
             sum_a = sum_a + ((a0 * a0 + a1 * a1) + (a2 * a2 + a3 * a3))
             sum_b = sum_b + ((b0 * b0 + b1 * b1) + (b2 * b2 + b3 * b3))
+            if misfits is not None:
+                row_a, row_b = SAMPLES * j + t, SAMPLES * (j + 1) + t
+                store(misfits, row_a, a0)
+                store(misfits, row_a + 1, a1)
+                store(misfits, row_a + 2, a2)
+                store(misfits, row_a + 3, a3)
+                store(misfits, row_b, b0)
+                store(misfits, row_b + 1, b1)
+                store(misfits, row_b + 2, b2)
+                store(misfits, row_b + 3, b3)
         store(errors, j, sum_a)
         store(errors, j + 1, sum_b)
+
+
+@jit
+def add_increments(misfits, count, is_first, increments, first, last):
+    """Add the squared increments of `count` samples of `misfits`, and keep the first and last misfit.
+
+    `increments`, `first` and `last` are (sensors, LANES); `last` has the misfit before these samples, unless
+    they are the first.
+    """
+    for j in range(increments.shape[0]):
+        row = SAMPLES * j
+        if is_first:
+            store(first, j, load(misfits, row))
+            store(last, j, load(misfits, row))
+        total, before = load(increments, j), load(last, j)
+        for b in range(count):
+            now = load(misfits, row + b)
+            step = now - before
+            total = total + step * step
+            before = now
+        store(increments, j, total)
+        store(last, j, before)
 
 
 @jit
@@ -149,14 +183,31 @@ def interpolate(acceleration, substeps, first, ground):
 
 
 @jit
-def march(coefficients, states, shapes, direct, acceleration, substeps, stride, observed, errors, work):
+def march(
+    coefficients,
+    states,
+    shapes,
+    direct,
+    acceleration,
+    substeps,
+    stride,
+    observed,
+    errors,
+    work,
+    misfits,
+    chained,
+):
     """Sums of squares of all sensors for the particles of one vector, into `errors` (sensors, LANES).
 
-    `work` has the arrays outputs (m SAMPLES, LANES), ground (SAMPLES stride,) and data (s, SAMPLES).
+    `work` has the arrays outputs (m SAMPLES, LANES), ground (SAMPLES stride,) and data (s, SAMPLES). Unless
+    `misfits` (sensors SAMPLES, LANES) is None, `chained` gets the sums of squared increments, the first and
+    the last misfits, each (sensors, LANES).
     """
     outputs, own_ground, own_data = work
     n_times = observed.shape[1]
     errors.fill(0.0)
+    if misfits is not None:
+        chained[0].fill(0.0)
     for first in range(0, n_times, SAMPLES):
         step, sample = first * stride, first
         ground, data = acceleration, observed
@@ -175,4 +226,6 @@ def march(coefficients, states, shapes, direct, acceleration, substeps, stride, 
         for r in range(outputs.shape[0] // SAMPLES):
             for b in range(count, SAMPLES):
                 store(outputs, SAMPLES * r + b, splat(0.0))
-        add_squares(shapes, direct, outputs, data, sample, ground, step, stride, errors)
+        add_squares(shapes, direct, outputs, data, sample, ground, step, stride, errors, misfits)
+        if misfits is not None:
+            add_increments(misfits, min(count, SAMPLES), first == 0, *chained)

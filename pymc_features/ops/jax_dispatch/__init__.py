@@ -19,13 +19,15 @@ from pymc_features.ops.gradient import (
 )
 from pymc_features.ops.jax_dispatch.gradient import (
     differentiable_discrepancy,
+    differentiable_misfit,
     differentiable_response,
     discrepancy_tangent,
     gradient,
     response_gradient,
     response_tangent,
 )
-from pymc_features.ops.population import PopulationDiscrepancy
+from pymc_features.ops.misfit import ChainMisfit
+from pymc_features.ops.population import PopulationDiscrepancy, PopulationMisfit
 from pymc_features.ops.response import ChainResponse
 
 
@@ -95,4 +97,6 @@ jax_funcify.register(ChainDiscrepancyGradient)(on_one_particle(gradient))
 jax_funcify.register(ChainResponseTangent)(on_one_particle(response_tangent))
 jax_funcify.register(ChainDiscrepancyTangent)(on_one_particle(discrepancy_tangent))
 jax_funcify.register(PopulationDiscrepancy)(on_population(differentiable_discrepancy))
+jax_funcify.register(ChainMisfit)(on_one_particle(differentiable_misfit))
+jax_funcify.register(PopulationMisfit)(on_population(differentiable_misfit))
 jax_funcify.register(PopulationGradient)(on_population(gradient))

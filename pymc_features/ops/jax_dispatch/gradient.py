@@ -1,12 +1,17 @@
-"""The gradients of `simulators.gradient` in JAX, as custom derivatives of response and discrepancy."""
-
-from functools import partial
+"""The gradients of `simulators.gradient` in JAX, as custom derivatives of response and misfit."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pymc_features.ops.jax_dispatch.history import Sampling, discrepancy, march, response, sensor_output
+from pymc_features.ops.jax_dispatch.history import (
+    Sampling,
+    discrepancy,
+    march,
+    misfit_statistics,
+    response,
+    sensor_output,
+)
 from pymc_features.ops.jax_dispatch.modes import Modes
 
 
@@ -116,25 +121,15 @@ def without_gradient(*values):
     )
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(0, 1))
-def differentiable_response(op, static, parameters, acceleration, dt, sensors):
-    """`response` with the exact derivative."""
-    return response(op, static, parameters, acceleration, dt, sensors)
+def with_exact_derivative(function, backward):
+    """The function of (op, static, parameters, record, ...), differentiated by `backward`."""
+    differentiable = jax.custom_vjp(function, nondiff_argnums=(0, 1))
+    differentiable.defvjp(lambda op, static, *inputs: (function(op, static, *inputs), inputs), backward)
+    return differentiable
 
 
 def response_backward(op, static, inputs, cotangent):
     return (gradient(op, static, *inputs, cotangent, None), *without_gradient(*inputs[1:]))
-
-
-differentiable_response.defvjp(
-    lambda op, static, *inputs: (response(op, static, *inputs), inputs), response_backward
-)
-
-
-@partial(jax.custom_vjp, nondiff_argnums=(0, 1))
-def differentiable_discrepancy(op, static, parameters, acceleration, dt, sensors, observed):
-    """`discrepancy` with the exact derivative."""
-    return discrepancy(op, static, parameters, acceleration, dt, sensors, observed)
 
 
 def discrepancy_backward(op, static, inputs, weights):
@@ -144,6 +139,19 @@ def discrepancy_backward(op, static, inputs, weights):
     return (gradient(op, static, *inputs, weights), *without_gradient(*common[1:]), by_data)
 
 
-differentiable_discrepancy.defvjp(
-    lambda op, static, *inputs: (discrepancy(op, static, *inputs), inputs), discrepancy_backward
-)
+def misfit_backward(op, static, inputs, cotangent):
+    *common, observed = inputs
+    _, transpose = jax.vjp(statistics, observed - response(op, static, *common))
+    [by_data] = transpose(cotangent)
+    return (gradient(op, static, *common, -by_data, None), *without_gradient(*common[1:]), by_data)
+
+
+def statistics(misfit):
+    """`ops.misfit.misfit_values` in JAX."""
+    squares = ((x**2).sum(axis=1) / misfit.shape[1] for x in (misfit, jnp.diff(misfit, axis=1)))
+    return jnp.stack([*squares, misfit[:, 0], misfit[:, -1]], axis=-1)
+
+
+differentiable_response = with_exact_derivative(response, response_backward)
+differentiable_discrepancy = with_exact_derivative(discrepancy, discrepancy_backward)
+differentiable_misfit = with_exact_derivative(misfit_statistics, misfit_backward)

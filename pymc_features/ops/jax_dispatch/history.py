@@ -101,8 +101,12 @@ def response(op, static, parameters, acceleration, dt, sensors):
     return jnp.where(modes.valid, history.T, jnp.nan)
 
 
-def discrepancy(op, static, parameters, acceleration, dt, sensors, observed):
-    """e (s,), Eq. (3)."""
+def march_misfit(op, static, parameters, acceleration, dt, sensors, observed, begin, add):
+    """Sum over the misfit; returns the sums, how many samples they are of, and if there is a structure.
+
+    `begin(first)` makes the sums of none from the first misfit (s,), and `add(sums, misfit, there)` adds a
+    block (BLOCK, s), `there` (BLOCK, 1) being 0 behind the end.
+    """
     substeps, stride, n_modes = static
     modes = Modes(op, parameters, dt / substeps, n_modes)
     sampling = Sampling(acceleration, dt, substeps, stride)
@@ -110,8 +114,35 @@ def discrepancy(op, static, parameters, acceleration, dt, sensors, observed):
     if observed.shape != (sensors.shape[0], sampling.total):
         raise ValueError("`observed` must have the shape (sensor, time) of the response")
 
-    def visit(errors, states, at, there, data):
-        return errors + (there * (data - output(states, at)) ** 2).sum(axis=0), None
+    def visit(sums, states, at, there, data):
+        return add(sums, data - output(states, at), there), None
 
-    errors, _ = march(modes, sampling, visit, jnp.zeros(sensors.shape[0]), observed.T)
-    return jnp.where(modes.valid, errors / sampling.total, jnp.nan)
+    rest = jnp.zeros((1, n_modes))
+    first = observed[:, 0] - output((rest, rest), sampling.at[0, :1, None])[0]
+    sums, _ = march(modes, sampling, visit, begin(first), observed.T)
+    return sums, sampling.total, modes.valid
+
+
+def discrepancy(*inputs):
+    """e (s,), Eq. (3)."""
+    errors, total, valid = march_misfit(
+        *inputs, jnp.zeros_like, lambda errors, misfit, there: errors + (there * misfit**2).sum(axis=0)
+    )
+    return jnp.where(valid, errors / total, jnp.nan)
+
+
+def misfit_statistics(*inputs):
+    """Statistics (s, 4) of the misfit; see `ops.misfit`."""
+
+    def add(sums, misfit, there):
+        squares, increments, first, last = sums
+        steps = jnp.diff(misfit, axis=0, prepend=last[None])
+        last = misfit[there.sum().astype(int) - 1]
+        squares = squares + (there * misfit**2).sum(axis=0)
+        return squares, increments + (there * steps**2).sum(axis=0), first, last
+
+    def begin(first):
+        return jnp.zeros_like(first), jnp.zeros_like(first), first, first
+
+    (squares, increments, *ends), total, valid = march_misfit(*inputs, begin, add)
+    return jnp.where(valid, jnp.stack([squares / total, increments / total, *ends], axis=-1), jnp.nan)

@@ -1,0 +1,596 @@
+"""Errors correlated in time: density, fused Ops, gradients, draws, life inside a model, and every refusal."""
+
+import functools
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import arviz as az
+import numpy as np
+import pymc as pm
+import pytensor
+import pytensor.tensor as pt
+import pytest
+from pymc.logprob.utils import ParameterValueError
+from pytensor.compile.mode import Mode
+from pytensor.graph.replace import vectorize_graph
+from pytensor.graph.traversal import ancestors
+from pytensor.tensor.blockwise import Blockwise
+from scipy import linalg, optimize, stats
+
+import pymc_features
+from pymc_features import CorrelatedNormal, RayleighDamping, Record, SpringMassChain, response, simulate
+from pymc_features.ops import OPS, ChainMisfit, ChainResponse, PopulationMisfit, misfit_statistics
+from pymc_features.simulators import (
+    QUANTITIES,
+    chain_misfit,
+    chain_response,
+    population_discrepancy,
+    population_misfit,
+    request,
+)
+from pymc_features.simulators.lanes import LANES
+from pymc_features.smc.evaluation import population_logp
+
+PLAIN = Mode(linker="py", optimizer=None)
+LIGHT = Mode(linker="py", optimizer="fast_compile")
+DT = 0.02
+
+
+def correlation(rate, n):
+    """exp(-rate |k - l|) as a matrix (n, n)."""
+    k = np.arange(n)
+    return np.exp(-rate * np.abs(k - k[:, None]))
+
+
+def dense(misfit, sigma, rate):
+    """Log-density of one sensor's misfit (time,) by the Cholesky factor of its covariance."""
+    factor = linalg.cholesky(sigma**2 * correlation(rate, misfit.size), lower=True)
+    white = linalg.solve_triangular(factor, misfit, lower=True)
+    return stats.norm.logpdf(white).sum() - np.log(np.diag(factor)).sum()
+
+
+def recursive(misfit, sigma, rate):
+    """The same, sample by sample; any number may be complex."""
+    change, variance = -np.expm1(-rate), -np.expm1(-2.0 * rate)
+    total = -0.5 * np.log(2 * np.pi) - np.log(sigma) - misfit[0] ** 2 / (2 * sigma**2)
+    for before, now in zip(misfit[:-1], misfit[1:], strict=True):
+        total += -0.5 * np.log(2 * np.pi * variance) - np.log(sigma)
+        total -= (now - before + change * before) ** 2 / (2 * sigma**2 * variance)
+    return total
+
+
+@functools.cache
+def compiled(mode):
+    """Function (mu, sigma, tau, dt, value) of the package's log-density of each sensor."""
+    inputs = [pt.matrix(), pt.vector(), pt.vector(), pt.scalar(), pt.matrix()]
+    return pytensor.function(inputs, pm.logp(CorrelatedNormal.dist(*inputs[:4]), inputs[4]), mode=mode)
+
+
+def evaluate(mu, sigma, tau, dt, value):
+    n = len(value)
+    spread = [np.broadcast_to(np.asarray(x, dtype=float), n) for x in (sigma, tau)]
+    return compiled(PLAIN)(np.asarray(mu, dtype=float), *spread, dt, np.asarray(value, dtype=float))
+
+
+def random_data(seed, n_sensors=3, n_times=40):
+    rng = np.random.default_rng(seed)
+    mu, data = 10.0 ** rng.uniform(-2, 2) * rng.normal(size=(2, n_sensors, n_times))
+    return mu, data, 10.0 ** rng.uniform(-1, 1, n_sensors)
+
+
+# --------------------------------------------------------------------------- density
+
+
+@pytest.mark.parametrize("ratio", [1e-3, 0.02, 0.3, 1.0, 4.0, 50.0, 1e3])
+@pytest.mark.parametrize("n_times", [1, 2, 3, 40, 300])
+def test_density_against_a_dense_covariance(ratio, n_times):
+    """tau / dt from white to nearly constant errors; another correlation time is the negative control."""
+    mu, data, sigma = random_data(n_times, n_times=n_times)
+    tau = ratio * DT * np.array([0.7, 1.0, 1.4])
+    got = evaluate(mu, sigma, tau, DT, data)
+    expected = [dense(r, s, DT / t) for r, s, t in zip(data - mu, sigma, tau, strict=True)]
+    np.testing.assert_allclose(got, expected, rtol=1e-9)
+    loops = [recursive(r, s, DT / t) for r, s, t in zip(data - mu, sigma, tau, strict=True)]
+    np.testing.assert_allclose(got, loops, rtol=1e-10)
+    if n_times > 1:
+        other = [recursive(r, s, DT / (t + DT)) for r, s, t in zip(data - mu, sigma, tau, strict=True)]
+        assert np.abs(got / other - 1.0).min() > 1e-6
+
+
+def test_scipy_agrees():
+    mu, data, sigma = random_data(0)
+    expected = stats.multivariate_normal(mu[1], sigma[1] ** 2 * correlation(0.1, 40)).logpdf(data[1])
+    assert evaluate(mu, sigma, 10 * DT, DT, data)[1] == pytest.approx(expected, rel=1e-10)
+
+
+def test_white_limit_is_the_conventional_likelihood():
+    mu, data, sigma = random_data(1)
+    norm = pm.logp(pm.Normal.dist(mu, sigma[:, None]), data).sum(axis=-1).eval(mode=PLAIN)
+    for tau in (1e-4, 1e-12, 1e-200, 1e-320):
+        np.testing.assert_allclose(evaluate(mu, sigma, tau, DT, data), norm, rtol=1e-14)
+
+
+@pytest.mark.parametrize("ratio", [1e5, 1e8, 1e12])
+def test_nearly_constant_errors_keep_their_digits(ratio):
+    """The sum of products that the definition leaves to be subtracted has lost them: negative control."""
+    r = 3.0 + 1e-3 * np.sin(np.arange(2000) / 200.0)
+    got = evaluate(np.zeros((1, 2000)), 0.5, ratio * DT, DT, r[None])
+    np.testing.assert_allclose(got, recursive(r, 0.5, 1.0 / ratio), rtol=1e-11)
+    change, phi = -np.expm1(-1.0 / ratio), np.exp(-1.0 / ratio)
+    exact = np.sum((np.diff(r) + change * r[:-1]) ** 2)
+    naive = r[1:] @ r[1:] - 2 * phi * r[1:] @ r[:-1] + phi**2 * r[:-1] @ r[:-1]
+    assert abs(naive / exact - 1.0) > 1e-9
+
+
+def test_failed_sensor_and_parameters_outside_the_support():
+    """-inf for the one sensor; -inf or PyMC's refusal for sigma, tau and dt that are not positive."""
+    mu, data = np.zeros((3, 4)), np.ones((3, 4))
+    mu[0, 1], mu[1, 3] = np.nan, np.inf
+    values = evaluate(mu, 1.0, 1.0, DT, data)
+    assert (values[:2] == -np.inf).all() and np.isfinite(values[2])
+    assert (evaluate(np.full((3, 4), 1e200), 1.0, 1.0, DT, data) == -np.inf).all()
+    assert (evaluate(0 * data, 1.0, 1e300, 1e-300, data) == -np.inf).all()  # dt / tau is no number above 0
+    assert (evaluate(0 * data, 1.0, np.inf, DT, data) == -np.inf).all()
+    for sigma, tau, dt in [(0, 1, DT), (-1, 1, DT), (1, 0, DT), (1, -1, DT), (1, np.nan, DT), (1, 1, 0)]:
+        with pytest.raises(ParameterValueError, match="sigma > 0, correlation_time > 0, dt > 0"):
+            evaluate(0 * data, sigma, tau, dt, data)
+
+
+def test_information_is_what_the_docstring_says():
+    """On a constant error: T / (2 tau) + 1 samples in the limit; by white errors and inferred sigma, none."""
+    duration, tau = 10.0, 0.2
+    found, inferred = [], []
+    for n in (1001, 4001, 16001):
+        dt = duration / (n - 1)
+
+        def misfit(offset, n=n):
+            return np.full((1, n), offset)
+
+        found.append(
+            -2.0 * np.diff([evaluate(misfit(x), 1.0, tau, dt, misfit(0.0))[0] for x in (0.0, 1.0)])[0]
+        )
+        white = np.random.default_rng(n).normal(size=(1, n))
+        best = optimize.minimize_scalar(
+            lambda s, white=white, dt=dt: -evaluate(0 * white, np.exp(s), tau, dt, white)[0], (0.0, 2.0)
+        )
+        inferred.append(np.exp(best.x) / np.sqrt(tau / dt))
+    assert found[2] == pytest.approx(duration / (2 * tau) + 1.0, rel=1e-4)
+    assert abs(found[2] - found[1]) < abs(found[1] - found[0])
+    np.testing.assert_allclose(inferred, 1.0, rtol=0.1)
+
+
+# --------------------------------------------------------------------------- kernels and Ops
+
+
+def population(rng, n_particles, n_dof):
+    """mass (shared), stiffness, rayleigh (shared), ratios."""
+    return (
+        rng.uniform(0.5, 2.0, (1, n_dof)),
+        1000.0 * rng.uniform(0.3, 3.0, (n_particles, n_dof)),
+        rng.uniform(0.0, 1e-3, (1, 2)),
+        rng.uniform(0.0, 0.1, (n_particles, n_dof)),
+    )
+
+
+def definition(misfit):
+    """Statistics (..., 4) as they are defined."""
+    n = misfit.shape[-1]
+    steps = np.diff(misfit, axis=-1, prepend=misfit[..., :1])
+    squares = [(x**2).sum(axis=-1) / n for x in (misfit, steps)]
+    return np.stack([*squares, misfit[..., 0], misfit[..., -1]], axis=-1)
+
+
+SETTINGS = [
+    {},
+    {"dt": 0.25 * DT, "sensors": [2, 0]},
+    {"dt": 3 * DT, "quantity": "relative_acceleration", "n_modes": 2},
+    {"dt": 7 * DT, "quantity": "relative_displacement", "sensors": [1]},
+    {"quantity": "relative_velocity", "n_modes": 1},
+]
+
+
+@pytest.mark.parametrize("settings", SETTINGS, ids=str)
+@pytest.mark.parametrize("n_times", [1, 2, 15, 16, 17, 33, 128, 203])
+def test_kernels_against_the_definition(settings, n_times):
+    """One particle, and populations with vectors that are not full, around the ends of all blocks."""
+    rng = np.random.default_rng(n_times)
+    asked = request(3, DT, **settings)
+    ground = rng.normal(size=n_times)
+    common = (ground, DT, asked.substeps, asked.stride, asked.sensors, asked.n_modes, asked.quantity_code)
+    data = rng.normal(size=(asked.sensors.size, asked.n_outputs(n_times)))
+    parameters = population(rng, LANES + 3, 3)
+    parameters[1][2, 1] = -1.0
+    together = population_misfit(*parameters, *common, data)
+    assert together.shape == (LANES + 3, len(data), 4)
+    np.testing.assert_array_equal(together[..., 0], population_discrepancy(*parameters, *common, data))
+    for p, got in enumerate(together):
+        own = [x[p % len(x)] for x in parameters]
+        expected = definition(data - chain_response(*own, *common))
+        assert np.isnan(expected).all() == (p == 2)
+        for values in (got, chain_misfit(*own, *common, data)):
+            np.testing.assert_allclose(values, expected, rtol=1e-10, atol=1e-11)
+
+
+@pytest.fixture(scope="module")
+def pulse():
+    return Record(np.random.default_rng(0).normal(size=150), DT, name="pulse")
+
+
+def chain_of(stiffness):
+    return SpringMassChain(np.ones(3), stiffness, RayleighDamping(0.1, 1e-3))
+
+
+@pytest.fixture(scope="module")
+def measured(pulse):
+    exact = simulate(chain_of(100.0), pulse).values
+    return exact + np.random.default_rng(1).normal(size=exact.shape)
+
+
+def ops_in(variables):
+    """Our Ops in a graph, those inside Blockwise included."""
+    owners = [v.owner.op for v in ancestors(variables) if v.owner is not None]
+    return {type(op.core_op if isinstance(op, Blockwise) else op) for op in owners} & set(OPS)
+
+
+def ops_of(function):
+    return ops_in(getattr(function, "f", function).maker.fgraph.outputs)
+
+
+def both_logps(pulse, measured, **settings):
+    """Inputs, and the log-density by the fused Op and from the history."""
+    stiffness, sigma, tau = (
+        pt.vector("k", shape=(3,)),
+        pt.vector("sigma", shape=(3,)),
+        pt.vector("tau", shape=(3,)),
+    )
+    mu = response(chain_of(stiffness), pulse, **settings)
+    dt = settings.get("dt", DT)
+    fused, unfused = (
+        pm.logp(CorrelatedNormal.dist(m, sigma, tau, dt if i else None), measured)
+        for i, m in enumerate((mu, 1.0 * mu))
+    )
+    return [stiffness, sigma, tau], fused, unfused
+
+
+@pytest.mark.parametrize("mode", ["NUMBA", PLAIN], ids=["numba", "python"])
+@pytest.mark.parametrize("settings", [{}, {"dt": 0.04, "quantity": QUANTITIES[2]}], ids=str)
+def test_fused_equals_unfused(mode, settings, pulse, measured):
+    """Values, and gradients by all that may be random."""
+    data = measured[:, :: 2 if settings else 1]
+    inputs, fused, unfused = both_logps(pulse, data, **settings)
+    assert (ops_in([fused]), ops_in([unfused])) == ({ChainMisfit}, {ChainResponse})
+    outputs = [x for logp in (fused, unfused) for x in (logp, *pt.grad(logp.sum(), inputs))]
+    function = pytensor.function(inputs, outputs, mode=mode)
+    for tau in (0.003, 0.1, 5.0):
+        values = function([100.0, 60.0, 140.0], [1.0, 0.5, 2.0], np.array([1.0, 0.7, 1.3]) * tau)
+        for a, b in zip(values[:4], values[4:], strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-10)
+
+
+def test_fused_only_where_it_is_a_response(pulse, measured):
+    """Through names and copies, and for batches of data; other expressions as they stand."""
+    mu = response(chain_of(100.0), pulse)
+    exact = mu.eval(mode=PLAIN)
+    with pm.Model():
+        named = pm.Deterministic("mu", mu)
+    for tensor, values, data, ops in [
+        (named, exact, measured, {ChainMisfit}),
+        (mu, exact, np.stack([measured, 2 * measured]), {ChainMisfit}),
+        (mu + 1.0, exact + 1.0, measured, {ChainResponse}),
+        (mu[0], exact[0], measured[0], {ChainResponse}),
+        (pt.as_tensor_variable(exact), exact, measured, set()),
+    ]:
+        statistics = misfit_statistics(tensor, data)
+        assert ops_in([statistics]) == ops
+        np.testing.assert_allclose(statistics.eval(mode=PLAIN), definition(data - values), rtol=1e-10)
+    with pytest.raises(ValueError, match=r"got \(150, 3\). Transpose it: time is the last axis"):
+        misfit_statistics(mu, measured.T)
+
+
+@pytest.mark.parametrize("mode", ["NUMBA", "FAST_COMPILE"])
+def test_batches_become_populations(mode, pulse, measured):
+    """As one by one, an invalid row alone; gradients, too: what all share gets the sum."""
+    mass, stiffness, batch = pt.vector("m", shape=(3,)), pt.vector("k", shape=(3,)), pt.tensor3("batch")
+    chain = SpringMassChain(mass, stiffness, RayleighDamping(0.1, 1e-3))
+    data, c = pt.matrix("data", shape=(3, None)), np.random.default_rng(2).normal(size=(3, 4))
+    one = misfit_statistics(response(chain, pulse), data)
+    many = vectorize_graph(one, {stiffness: batch})
+    assert ops_in([many]) == {PopulationMisfit}
+    assert tuple(many.shape.eval({batch: np.ones((2, 5, 3))})) == (2, 5, 3, 4)
+    wrt = [mass, data]
+    slopes = pt.grad((c * one).sum(), [stiffness, *wrt])
+    single = pytensor.function([mass, stiffness, data], [one, *slopes], mode="FAST_COMPILE")
+    together = pytensor.function(
+        [mass, batch, data], [many, *pt.grad((c * many).sum(), [batch, *wrt])], mode=mode
+    )
+    springs = np.random.default_rng(3).uniform(50.0, 150.0, (2, 3, 3))
+    statistics, by_stiffness, *shared = together(np.ones(3), springs, measured)
+    alone = [single(np.ones(3), k, measured) for k in springs.reshape(-1, 3)]
+    np.testing.assert_allclose(statistics.reshape(-1, 3, 4), [x[0] for x in alone], rtol=1e-10)
+    np.testing.assert_allclose(by_stiffness.reshape(-1, 3), [x[1] for x in alone], rtol=1e-9)
+    for i, total in enumerate(shared):
+        np.testing.assert_allclose(total, sum(x[2 + i] for x in alone), rtol=1e-9, atol=1e-12)
+    springs[1, 1, 0] = -1.0
+    failed = np.isnan(together(np.ones(3), springs, measured)[0]).all(axis=(2, 3))
+    np.testing.assert_array_equal(failed, [[False] * 3, [False, True, False]])
+
+
+def test_gradient_against_complex_steps_and_differences(pulse, measured):
+    """Complex steps in sigma, tau and the data; central differences in the springs."""
+    inputs, logp, _ = both_logps(pulse, measured)
+    gradients = pytensor.function(inputs, pt.grad(logp.sum(), inputs), mode=PLAIN)
+    k, sigma, tau = np.array([100.0, 60.0, 140.0]), np.array([1.0, 0.5, 2.0]), np.array([0.1, 0.01, 1.0])
+    by_k, by_sigma, by_tau = gradients(k, sigma, tau)
+
+    def total(k):
+        r = measured - simulate(chain_of(k), pulse).values
+        return sum(recursive(*x) for x in zip(r, sigma, DT / tau, strict=True))
+
+    r = measured - simulate(chain_of(k), pulse).values
+    for j in range(3):
+        step = 1e-200j
+        assert by_sigma[j] == pytest.approx(
+            recursive(r[j], sigma[j] + step, DT / tau[j]).imag / 1e-200, rel=1e-9
+        )
+        assert by_tau[j] == pytest.approx(
+            recursive(r[j], sigma[j], DT / (tau[j] + step)).imag / 1e-200, rel=1e-9
+        )
+        h = 1e-4 * np.eye(3)[j]
+        assert by_k[j] == pytest.approx((total(k + h) - total(k - h)) / 2e-4, rel=1e-6)
+    mu, data = pt.matrix("mu"), pt.matrix("data")
+    logp = pm.logp(CorrelatedNormal.dist(mu, sigma, tau, DT), data).sum()
+    by_data = pytensor.function([mu, data], pt.grad(logp, data), mode=PLAIN)(0 * r, r)
+    for i in (0, 1, 77, 149):
+        moved = r[0] + 1e-200j * np.eye(150)[i]
+        assert by_data[0, i] == pytest.approx(recursive(moved, sigma[0], DT / tau[0]).imag / 1e-200, rel=1e-9)
+
+
+# --------------------------------------------------------------------------- draws
+
+
+def worst(draws, expected):
+    """Largest deviation of a sample covariance (n, n) of unit normals, in its standard errors."""
+    found = draws.T @ draws / len(draws)
+    return (np.abs(found - expected) / np.sqrt((1.0 + expected**2) / len(draws))).max()
+
+
+@pytest.mark.parametrize("mode", ["NUMBA", PLAIN], ids=["numba", "python"])
+@pytest.mark.parametrize("n_times", [1, 2, 7, 16])
+def test_covariance_of_draws(mode, n_times):
+    """20000 draws, blocks that are full and not: five standard errors for up to 136 entries and four
+    sensors, a false alarm in 3000 seeds; a correlation time larger by a fifth is rejected.
+    """
+    mu, sigma = np.random.default_rng(0).normal(size=(4, n_times)), np.array([1.0, 0.1, 3.0, 1.0])
+    tau = DT * np.array([0.5, 2.0, 10.0, 1e-9])
+    y = CorrelatedNormal.dist(mu, sigma, tau, DT, size=(20_000, 4))
+    draws = pm.draw(y, random_seed=1, mode=mode)
+    unit = (draws - mu) / sigma[:, None]
+    for j in range(4):
+        assert worst(unit[:, j], correlation(DT / tau[j], n_times)) < 5.0
+    if n_times > 2:
+        assert worst(unit[:, 2], correlation(DT / (1.2 * tau[2]), n_times)) > 5.0
+        assert worst(np.concatenate([unit[:, 0], unit[:, 1]], axis=1)[:, ::n_times], np.eye(2)) < 5.0
+
+
+def test_long_draws_are_the_recursion():
+    """Their innovations are independent standard normals (KS at 1e-3); of another tau they are not."""
+    n, tau = 20_000, 0.5
+    mu = pt.matrix("mu")  # no length is known
+    y = CorrelatedNormal.dist(mu, 2.0, tau, DT)
+    [e] = pm.draw(y, random_seed=3, mode=PLAIN, givens={mu: np.ones((1, n))}) - 1.0
+
+    def innovations(tau):
+        phi = np.exp(-DT / tau)
+        return np.append(e[0], (e[1:] - phi * e[:-1]) / np.sqrt(1 - phi**2)) / 2.0
+
+    white = innovations(tau)
+    assert stats.kstest(white, stats.norm.cdf).pvalue > 1e-3
+    for lag in (1, 2, 141, 142):  # blocks have 142 samples
+        assert abs(white[lag:] @ white[:-lag]) < 4.0 * np.sqrt(n)
+    assert stats.kstest(innovations(0.8 * tau), stats.norm.cdf).pvalue < 1e-9
+
+
+# --------------------------------------------------------------------------- inside a model
+
+
+def build_model(pulse, observed, theta=None, sigma=None, tau=None, wrap=lambda mu: mu, **kwargs):
+    """Three storeys; unknown first spring, sigma and correlation time unless they are given."""
+    with pm.Model(coords={"sensor": ["low", "middle", "top"]}) as model:
+        theta = pm.Uniform("theta", 0.5, 1.5) if theta is None else theta()
+        sigma = pm.HalfNormal("sigma", 1.0) if sigma is None else sigma()
+        tau = pm.HalfNormal("tau", 0.5) if tau is None else tau()
+        mu = wrap(response(chain_of(100.0).scale_stiffness(theta, [0]), pulse))
+        CorrelatedNormal("y", mu, sigma, tau, observed=observed, dims=("sensor", "time"), **kwargs)
+    return model
+
+
+ANY = {name: (lambda name=name: pm.Normal(name)) for name in ("theta", "sigma", "tau")}
+
+
+def test_models_take_the_fused_ops(pulse, measured):
+    """One particle and populations; a response that is changed first is the negative control."""
+    model = build_model(pulse, measured)
+    assert ops_of(model.compile_logp(mode=LIGHT)) == {ChainMisfit}
+    evaluation = population_logp(model, model.initial_point(), {"mode": LIGHT})
+    assert evaluation.batched and ops_of(evaluation.function) == {PopulationMisfit}
+    control = build_model(pulse, measured, wrap=lambda mu: 2.0 * mu, dt=DT)
+    assert ops_of(control.compile_logp(mode=LIGHT)) == {ChainResponse}
+
+
+def test_population_equals_single_and_counts_failures(pulse, measured):
+    """Every particle as by `compile_logp`, -inf outside the support, failed simulations counted."""
+    model = build_model(pulse, measured, **ANY)
+    evaluation = population_logp(model, model.initial_point(), {})
+    assert evaluation.counts_simulations
+    particles = np.random.default_rng(4).uniform(0.3, 1.5, (20, 3))
+    particles[:6] = [[1, -1, 1], [1, 0, 1], [1, 1, -1], [1, 1, 0], [-1, 1, 1], [0, 1, 1]]
+    _, together, failed = evaluation(particles)
+    logp = model.compile_logp(vars=model.observed_RVs, jacobian=False)
+    alone = [float(logp(dict(zip(ANY, row, strict=True)))) for row in particles]
+    np.testing.assert_allclose(together, alone, rtol=1e-10)
+    np.testing.assert_array_equal(np.isneginf(together), np.arange(20) < 6)
+    np.testing.assert_array_equal(failed, np.isin(np.arange(20), [4, 5]))
+
+
+def test_step_as_data(pulse, measured):
+    """The output step is then no constant: dt is asked for, and may be the same data."""
+    with pm.Model() as model:
+        step, data = pm.Data("step", DT), pm.Data("data", measured)
+        mu = response(chain_of(100.0 * pm.HalfNormal("theta")), pulse, dt=step)
+        with pytest.raises(
+            ValueError, match="`dt` must be given where `mu` is not a response of fixed output"
+        ):
+            CorrelatedNormal("y", mu, 1.0, 0.1, observed=data)
+        CorrelatedNormal("y", mu, 1.0, 0.1, step, observed=data)
+    logp = model.compile_logp(vars=model.observed_RVs, jacobian=False, mode=LIGHT)
+    for stride in (1, 2):
+        with model:
+            pm.set_data({"step": stride * DT, "data": measured[:, ::stride]})
+        r = measured[:, ::stride] - simulate(chain_of(100.0), pulse, dt=stride * DT).values
+        expected = sum(recursive(x, 1.0, 10 * stride * DT) for x in r)
+        assert float(logp({"theta_log__": 0.0})) == pytest.approx(expected, rel=1e-10)
+
+
+def test_times_of_a_response_of_another_kind():
+    """The time axis gets the seconds that dt tells."""
+    with pm.Model(coords={"sensor": range(2)}) as model:
+        CorrelatedNormal(
+            "y", np.zeros((2, 5)), 1.0, 1.0, 0.5, observed=np.ones((2, 5)), dims=("sensor", "time")
+        )
+    np.testing.assert_allclose(model.coords["time"], np.arange(5) * 0.5)
+
+
+def test_smc_finds_the_posterior(pulse):
+    """Unknown theta: mean and sd within five Monte Carlo errors of those on a grid.
+
+    False alarms: below 1e-5. The posterior under white errors is the negative control.
+    """
+    exact = simulate(chain_of(100.0), pulse).values
+    errors = CorrelatedNormal.dist(0.0 * exact, 1.0, 0.2, DT)
+    data = exact + pm.draw(errors, random_seed=6, mode=PLAIN)
+    fixed = {"sigma": lambda: 1.0, "tau": lambda: 0.2}
+    model = build_model(pulse, data, **fixed)
+    grid = np.linspace(0.5, 1.5, 801)
+
+    def moments(tau):
+        logp = []
+        for theta in grid:
+            r = data - simulate(chain_of(100.0).scale_stiffness(theta, [0]), pulse).values
+            logp.append(evaluate(0 * r, 1.0, tau, DT, r).sum())
+        weights = np.exp(np.array(logp) - max(logp))
+        mean = weights @ grid / weights.sum()
+        return mean, np.sqrt(weights @ (grid - mean) ** 2 / weights.sum())
+
+    idata = pymc_features.sample_smc(500, model=model, chains=2, cores=1, random_seed=7, progressbar=False)
+    theta = idata["posterior"]["theta"].values
+    mean, sd = moments(0.2)
+    assert abs(theta.mean() - mean) < 5 * az.mcse(theta)
+    assert abs(theta.std() - sd) < 5 * az.mcse(theta, method="sd")
+    white_mean, white_sd = moments(1e-9)
+    shift = abs(theta.mean() - white_mean) / az.mcse(theta)
+    assert max(shift, abs(theta.std() - white_sd) / az.mcse(theta, method="sd")) > 10
+
+
+# --------------------------------------------------------------------------- memory
+
+PEAK_GROWTH = """
+    import resource, sys
+    import numpy as np, pymc as pm
+    from pymc_features import CorrelatedNormal, paper, response, synthetic_earthquake
+    from pymc_features.smc.evaluation import population_logp
+
+    def peak():
+        size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return size if sys.platform == "darwin" else 1024 * size
+
+    def evaluation(change):
+        with pm.Model() as model:
+            mu = change(response(paper.chain(pm.Normal("theta", 1.0)), record))
+            CorrelatedNormal("y", mu, 1.0, 0.1, record.dt, observed=change(data))
+        return population_logp(model, model.initial_point(), {})
+
+    record = synthetic_earthquake(31.18, 0.002, seed=1)
+    data = np.random.default_rng(0).normal(size=(10, record.n_times))
+    functions = [evaluation(lambda mu: mu), evaluation(lambda mu: mu[::-1])]
+    particles = np.linspace(0.5, 1.5, 256)[:, None]
+    ballast, start = [], peak()
+    while peak() < start + 2_000_000:  # until the peak is what is in use now
+        ballast.append(np.ones(50_000))
+    results = []
+    for function in functions:
+        before = peak()
+        results.append(function(particles)[1])
+        print((peak() - before) / (8 * data.size))
+    np.testing.assert_allclose(*results, rtol=1e-9)
+"""
+
+
+def test_populations_need_no_memory_for_histories(tmp_path):
+    """256 particles of 10 x 15590: growth of the peak over the size of one history, and from histories."""
+    pytest.importorskip("resource")
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(PEAK_GROWTH)],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(Path(pymc_features.__file__).parents[1])},
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    fused, unfused = (float(x) for x in done.stdout.split())
+    assert fused < 1.0
+    assert unfused > 30.0
+
+
+# --------------------------------------------------------------------------- refusals
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "match"),
+    [
+        (
+            {"correlation_time": 0.0},
+            "`correlation_time` must be positive and finite, got 0.0. Pass the time in sec",
+        ),
+        (
+            {"correlation_time": [1.0, -1.0, 1.0]},
+            r"`correlation_time` must be positive .* got \[1.0, -1.0, 1.0\]",
+        ),
+        ({"correlation_time": np.inf}, "`correlation_time` must be positive and finite, got inf"),
+        (
+            {"correlation_time": [1.0, 2.0]},
+            "`correlation_time` must be a scalar or have one value for each of the 3",
+        ),
+        ({"dt": 0.0}, "`dt` must be positive and finite, got 0.0. Pass the sampling interval in seconds"),
+        ({"dt": np.nan}, "`dt` must be positive and finite, got nan"),
+        ({"dt": [0.1, 0.2]}, "`dt` must be one number, got 1 dimensions. Pass the sampling interval"),
+        (
+            {"dt": None},
+            "`dt` must be given where `mu` is not a response .* got None. Pass the sampling interval",
+        ),
+        ({"sigma": -1.0}, "`sigma` must be positive and finite, got -1.0"),
+        ({"mu": 1.0}, r"`mu` must be \(..., sensor, time\), got a scalar"),
+    ],
+)
+def test_bad_parameters(kwargs, match):
+    arguments = {"mu": np.zeros((3, 5)), "sigma": 1.0, "correlation_time": 1.0, "dt": 0.1} | kwargs
+    with pytest.raises(ValueError, match=match):
+        CorrelatedNormal.dist(**arguments)
+    with pm.Model(), pytest.raises(ValueError, match=match):
+        CorrelatedNormal("y", **arguments)
+
+
+def test_step_must_be_that_of_the_response(pulse):
+    mu = response(chain_of(100.0), pulse)
+    with pytest.raises(
+        ValueError, match="`dt` must be the output step of the response, 0.02 s, got 0.05. Leave it"
+    ):
+        CorrelatedNormal.dist(mu, 1.0, 1.0, 0.05)
+    a, b = (
+        pm.logp(CorrelatedNormal.dist(mu, 1.0, 1.0, dt), np.zeros((3, 150))).eval(mode=PLAIN)
+        for dt in (None, DT)
+    )
+    np.testing.assert_array_equal(a, b)
