@@ -30,8 +30,8 @@ def tolerance_sweep(
     Returns
     -------
     Dataset
-        Over `epsilon`, the tolerances in descending order: quantiles of each parameter (epsilon, quantile, ...)
-        at (1 - probability) / 2, 0.5 and (1 + probability) / 2; `log_probability` of rho <= epsilon, its
+        Over `epsilon`, the tolerances in descending order: quantiles of each parameter (epsilon, quantile,
+        ...) at (1 - probability) / 2, 0.5 and (1 + probability) / 2; `log_probability` of rho <= epsilon, its
         standard error, and `simulations` of all chains. NaN where a tolerance was not reached, which is no
         error here. `plot_tolerance` draws it.
 

@@ -3,10 +3,11 @@
 from pymc_features.plots.record import plot_record
 from pymc_features.plots.sampling_rate import plot_sampling_rate
 from pymc_features.plots.tolerance import plot_tolerance
+from pymc_features.plots.widths import plot_widths
 
-PLOTS = (plot_record, plot_sampling_rate, plot_tolerance)
+PLOTS = (plot_record, plot_sampling_rate, plot_tolerance, plot_widths)
 
-__all__ = ["PLOTS", "plot_record", "plot_sampling_rate", "plot_tolerance"]
+__all__ = ["PLOTS", "plot_record", "plot_sampling_rate", "plot_tolerance", "plot_widths"]
 
 
 def close(axes):

@@ -7,7 +7,15 @@ LABELS = {
     "theta": "stiffness factor θ [-]",
     "sigma": "scale σ [m/s²]",
 }
-COLOURS = {"NORM": "C0", "TN": "C1", "EXP": "C2", "ABC": "C4"}
+COLOURS = {
+    "NORM": "C0",
+    "TN": "C1",
+    "EXP": "C2",
+    "ABC": "C4",
+    "CN": "C3",
+    "CN-SIGMA": "C5",
+    "CN-TAU": "C8",
+}
 
 
 def plot_sampling_rate(result, likelihoods, axes=None):
@@ -21,7 +29,8 @@ def plot_sampling_rate(result, likelihoods, axes=None):
     result : DataTree
         From `sampling_rate_study`.
     likelihoods : str or sequence of str
-        Which to draw; "NORM" is Fig. 2 of the source, "TN" Fig. 3, ("EXP", "ABC") Fig. 4.
+        Which to draw; "NORM" is Fig. 2 of the source, "TN" Fig. 3, ("EXP", "ABC") Fig. 4. Those that have no
+        sigma, or know it, appear for theta only.
     axes : sequence of two matplotlib Axes, optional
         For theta and sigma; a new figure by default.
 
@@ -39,7 +48,8 @@ def plot_sampling_rate(result, likelihoods, axes=None):
     if axes is None:
         _, axes = plt.subplots(1, 2, figsize=(9.0, 3.6), layout="constrained")
     for ax, parameter in zip(axes, LABELS, strict=True):
-        drawn = [k for k in likelihoods if not (parameter == "sigma" and k == "ABC")]
+        known = summary["exact"].sel(parameter=parameter, statistic="q05").notnull().all("multiplier")
+        drawn = [k for k in likelihoods if known.sel(likelihood=k)]
         for i, kind in enumerate(drawn):
             shift = 1.0 + 0.07 * (2 * i - len(drawn) + 1)
             _draw(ax, summary.sel(likelihood=kind, parameter=parameter), kind, shift)

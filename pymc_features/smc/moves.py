@@ -59,10 +59,10 @@ class AdaptiveMoves:
         n, d = x.shape
         proposal = self.mixture.move(x, self.scale, rng)
         a, b = rng.integers(len(self.points), size=(2, n))
-        local = (rng.random(n) < self.local_share) & (a != b)
+        step = self.points[a] - self.points[b]
+        local = (rng.random(n) < self.local_share) & step.any(axis=1)
         length = 2.38 / np.sqrt(2.0 * d) * np.exp(0.7 * rng.standard_normal(n))
-        step = length[:, None] * (self.points[a] - self.points[b])
-        return np.where(local[:, None], x + step, proposal), local
+        return np.where(local[:, None], x + length[:, None] * step, proposal), local
 
     def learn(self, acceptance: float):
         """After a step: forget, and shorten moves that are rarely accepted, lengthen them otherwise."""

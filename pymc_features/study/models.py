@@ -1,33 +1,89 @@
 """The PyMC models of the study, one for each way to compare response and data."""
 
+from dataclasses import dataclass
+
 import pymc as pm
+import pytensor.tensor as pt
 import xarray as xr
 
-from pymc_features.distributions import ExpFeature, TruncNormalFeature
+from pymc_features.distributions import CorrelatedNormal, ExpFeature, TruncNormalFeature
 from pymc_features.likelihood_free import DiscrepancySimulator
 from pymc_features.ops import response
 from pymc_features.records import Record
 from pymc_features.study import paper
 
-
-def _norm(mu, sigma, data, tolerance):
-    pm.Normal("y", mu=mu, sigma=sigma, observed=data, dims=("sensor", "time"))
+DIMS = ("sensor", "time")
 
 
-def _tn(mu, sigma, data, tolerance):
-    TruncNormalFeature("y", mu=mu, sigma=sigma, observed=data, dims=("sensor", "time"))
+@dataclass
+class Ingredients:
+    """What the likelihoods of the study are made of.
+
+    Attributes
+    ----------
+    mu : TensorVariable (sensor, time)
+        Response.
+    data, step, tolerance : pm.Data
+        Measurements, their step [s], and delta of ABC.
+    scale : float
+        Of the noise, where a likelihood knows it [m/s^2].
+    """
+
+    mu: pt.TensorVariable
+    data: pt.TensorVariable
+    step: pt.TensorVariable
+    tolerance: pt.TensorVariable | None
+    scale: float
+
+    @staticmethod
+    def sigma():
+        """The scale where it is inferred."""
+        return pm.Uniform("sigma", *paper.SIGMA_RANGE)
 
 
-def _exp(mu, sigma, data, tolerance):
-    ExpFeature("y", mu=mu, sigma=sigma, observed=data, dims=("sensor", "time"))
+def _norm(it):
+    pm.Normal("y", mu=it.mu, sigma=it.sigma(), observed=it.data, dims=DIMS)
 
 
-def _abc(mu, sigma, data, tolerance):
-    DiscrepancySimulator("y", mu, epsilon=tolerance, observed=data, dims=("sensor", "time"))
+def _tn(it):
+    TruncNormalFeature("y", mu=it.mu, sigma=it.sigma(), observed=it.data, dims=DIMS)
 
 
-# ABC comes last: its tolerance follows from the EXP posterior at the same sampling step.
-LIKELIHOODS = {"NORM": _norm, "TN": _tn, "EXP": _exp, "ABC": _abc}
+def _exp(it):
+    ExpFeature("y", mu=it.mu, sigma=it.sigma(), observed=it.data, dims=DIMS)
+
+
+def _abc(it):
+    DiscrepancySimulator("y", it.mu, epsilon=it.tolerance, observed=it.data, dims=DIMS)
+
+
+def _correlated(it, sigma, tau):
+    CorrelatedNormal("y", it.mu, sigma, tau, it.step, observed=it.data, dims=DIMS)
+
+
+def _all_known(it):
+    _correlated(it, it.scale, paper.CORRELATION_TIME)
+
+
+def _known_time(it):
+    _correlated(it, it.sigma(), paper.CORRELATION_TIME)
+
+
+def _unknown_time(it):
+    _correlated(it, it.sigma(), pm.Uniform("tau", *paper.TAU_RANGE))
+
+
+# ABC comes behind EXP: its tolerance follows from the EXP posterior at the same sampling step. The place of a
+# likelihood is part of its seed: new ones go to the end.
+LIKELIHOODS = {
+    "NORM": _norm,
+    "TN": _tn,
+    "EXP": _exp,
+    "ABC": _abc,
+    "CN": _all_known,
+    "CN-SIGMA": _known_time,
+    "CN-TAU": _unknown_time,
+}
 
 
 def declare(
@@ -37,13 +93,15 @@ def declare(
     *,
     stiffness: float = paper.STIFFNESS,
     tolerance: float | None = None,
+    scale: float | None = None,
 ) -> pm.Model:
     """Return the model of the ten-storey example under one likelihood.
 
     Parameters
     ----------
-    likelihood : {"NORM", "TN", "EXP", "ABC"}
-        Eq. (2), (7), (9), or the simulator node of Eqs. (14)-(15).
+    likelihood : {"NORM", "TN", "EXP", "ABC", "CN", "CN-SIGMA", "CN-TAU"}
+        Eq. (2), (7), (9), the simulator node of Eqs. (14)-(15), or `CorrelatedNormal` with correlation time
+        and scale known, the scale inferred, or both.
     record : Record
         Ground acceleration.
     data : DataArray (sensor, time)
@@ -52,23 +110,24 @@ def declare(
         Nominal spring stiffness [N/m].
     tolerance : float, optional
         delta of ABC [m^2/s^4].
+    scale : float, optional
+        Standard deviation of the noise that CN knows [m/s^2].
 
     Returns
     -------
     pymc.Model
-        With `theta`, `sigma` (but for ABC) and the data `y`. Measurements, their step and the tolerance are
-        data of the model: `set_measurements` changes them without compiling anything anew.
+        With `theta`, `sigma` and `tau` where they are inferred, and the data `y`. Measurements, their step and
+        the tolerance are data of the model: `set_measurements` changes them without compiling anything anew.
     """
     times = data["time"].values
     coords = {"sensor": data["sensor"].values, "time": times}
     with pm.Model(coords=coords) as model:
         theta = pm.Uniform("theta", *paper.THETA_RANGE)
-        sigma = pm.Uniform("sigma", *paper.SIGMA_RANGE) if likelihood != "ABC" else None
         step = pm.Data("step", times[1] - times[0])
         measured = pm.Data("measured", data.values, dims=("sensor", "time"))
         delta = None if tolerance is None else pm.Data("tolerance", tolerance)
         mu = response(paper.chain(theta, stiffness=stiffness), record, dt=step)
-        LIKELIHOODS[likelihood](mu, sigma, measured, delta)
+        LIKELIHOODS[likelihood](Ingredients(mu, measured, step, delta, scale))
     return model
 
 

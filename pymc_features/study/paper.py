@@ -20,6 +20,8 @@ MULTIPLIERS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # sampling steps over the re
 NOISE = 0.05  # standard deviation over the root mean square of each channel
 THETA_RANGE = (0.5, 1.5)  # prior of theta, uniform
 SIGMA_RANGE = (0.0, 2.0)  # prior of sigma, uniform [m/s^2]
+CORRELATION_TIME = 0.05  # of the errors, where it is taken for known [s]
+TAU_RANGE = (0.0, 1.0)  # prior of the correlation time elsewhere, uniform [s]
 
 
 def chain(theta=1.0, *, stiffness: float = STIFFNESS) -> SpringMassChain:
@@ -70,11 +72,24 @@ def measurements(
     xarray.DataArray (sensor, time)
         Absolute acceleration [m/s^2] at every floor. `decimate` takes coarser data from it.
     """
+    exact = simulate(chain(theta, stiffness=stiffness), record, dt=min(multipliers) * record.dt)
+    scale = noise_scale(exact, noise)[:, None]
+    return exact + scale * np.random.default_rng(seed).standard_normal(exact.shape)
+
+
+def noise_scale(exact: xr.DataArray, noise: float = NOISE) -> np.ndarray:
+    """Standard deviation of the noise of each channel (sensor,) [m/s^2].
+
+    Parameters
+    ----------
+    exact : DataArray (sensor, time)
+        Without noise.
+    noise : float
+        Over the root mean square of each channel [-].
+    """
     if not 0.0 <= noise < np.inf:
         raise ValueError(f"`noise` must be finite and not negative, got {noise}. Pass 0.05 for 5 %.")
-    exact = simulate(chain(theta, stiffness=stiffness), record, dt=min(multipliers) * record.dt)
-    scale = noise * np.sqrt((exact.values**2).mean(axis=1, keepdims=True))
-    return exact + scale * np.random.default_rng(seed).standard_normal(exact.shape)
+    return noise * np.sqrt((exact.values**2).mean(axis=1))
 
 
 def decimate(finest: xr.DataArray, step: float) -> xr.DataArray:

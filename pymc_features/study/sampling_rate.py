@@ -4,6 +4,7 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import pymc as pm
@@ -12,10 +13,11 @@ import xarray as xr
 from pymc_features.distributions import FeatureLikelihoodWarning
 from pymc_features.likelihood_free import abc_tolerance
 from pymc_features.records import Record
-from pymc_features.simulators import chain_discrepancy, request
-from pymc_features.smc import sample_smc
+from pymc_features.simulators import chain_misfit, request, simulate
+from pymc_features.smc import PersistentSMC, SubsetSimulation, sample_smc
 from pymc_features.study import paper
 from pymc_features.study.models import LIKELIHOODS, declare, set_measurements
+from pymc_features.study.references import Step
 from pymc_features.study.store import PartStore, fingerprint
 from pymc_features.study.summary import assemble
 
@@ -51,15 +53,28 @@ class Study:
 
     def data(self, multiplier: float) -> xr.DataArray:
         """Measurements at one sampling step, decimated from the finest history."""
-        return paper.decimate(self.finest, multiplier * self.record.dt)
+        return paper.decimate(self.finest, self.step(multiplier))
 
-    def total_discrepancy(self, multiplier: float) -> Callable[[float], float]:
-        """S(theta) = sum_j e_j at one sampling step."""
-        data = np.ascontiguousarray(self.data(multiplier).values)
-        asked = request(paper.N_STOREYS, self.record.dt, dt=multiplier * self.record.dt)
+    @cached_property
+    def scale(self) -> float:
+        """Scale of the noise [m/s^2], the root mean square over the channels: what CN knows."""
+        exact = simulate(
+            paper.chain(stiffness=self.stiffness), self.record, dt=self.step(min(self.multipliers))
+        )
+        return float(np.sqrt(np.mean(paper.noise_scale(exact, self.noise) ** 2)))
 
-        def total(theta):
-            e = chain_discrepancy(
+    def step(self, multiplier: float) -> float:
+        """Sampling step [s]."""
+        return multiplier * self.record.dt
+
+    def misfit(self, multiplier: float, delta: float | None = None) -> Step:
+        """The misfit at one sampling step, for the exact posteriors."""
+        measured = self.data(multiplier)
+        data = np.ascontiguousarray(measured.values)
+        asked = request(paper.N_STOREYS, self.record.dt, dt=self.step(multiplier))
+
+        def sums(theta):
+            squares, increments, first, last = chain_misfit(
                 *paper.chain(theta, stiffness=self.stiffness).parameters(),
                 self.record.acceleration,
                 self.record.dt,
@@ -69,10 +84,10 @@ class Study:
                 asked.n_modes,
                 asked.quantity_code,
                 data,
-            )
-            return float(e.sum())
+            ).T
+            return np.array([squares.sum(), increments.sum(), first @ first, last @ last])
 
-        return total
+        return Step(sums, measured, self.step(multiplier), self.scale, delta)
 
     def part_seed(self, likelihood: str, multiplier: float) -> int:
         """Seed of one part: the same whether or not the study was interrupted."""
@@ -99,6 +114,8 @@ def sampling_rate_study(
 
     The ten-storey chain of the source is measured once, at the finest step and with noise; coarser data
     are every n-th sample of that history. NORM narrows with the sampling rate; TN, EXP and ABC do not.
+    Errors correlated in time (CN) neither, as long as their time and scale are known and not inferred from
+    noise that is in truth white.
 
     Parameters
     ----------
@@ -110,10 +127,12 @@ def sampling_rate_study(
         Standard deviation of the noise over the root mean square of each channel [-], positive.
     multipliers : sequence of float
         Sampling steps over the record's step; integers or their reciprocals.
-    likelihoods : sequence of {"NORM", "TN", "EXP", "ABC"}
-        ABC needs EXP, from which its tolerance follows, Eq. (16).
+    likelihoods : sequence of {"NORM", "TN", "EXP", "ABC", "CN", "CN-SIGMA", "CN-TAU"}
+        ABC needs EXP, from which its tolerance follows, Eq. (16). CN is `CorrelatedNormal` with correlation
+        time and sigma known, CN-SIGMA with sigma inferred, CN-TAU with both inferred.
     draws, chains, cores : int
-        Of `sample_smc`, with `PersistentSMC`; all processors by default.
+        Of `sample_smc`, with `SubsetSimulation` for ABC and `PersistentSMC` otherwise; all processors by
+        default.
     random_seed : int
         Of noise and samplers.
     out : path, optional
@@ -128,9 +147,9 @@ def sampling_rate_study(
     -------
     DataTree
         `/summary`: maximum, 5, 50 and 95 % quantiles, `sampled` and `exact` by quadrature, both
-        (likelihood, multiplier, parameter, statistic); `r_hat`, `ess_bulk`, `seconds`, `tolerance`,
-        `log_evidence`. `/<likelihood>/x<multiplier>`: posterior and sampler statistics. `/data`:
-        record and finest measurements. Saves with `to_netcdf`.
+        (likelihood, multiplier, parameter, statistic); `r_hat`, `ess_bulk`, `seconds`, `log_evidence`;
+        `tolerance` of ABC and the ends of the exact `tolerance_interval`. `/<likelihood>/x<multiplier>`:
+        posterior and sampler statistics. `/data`: record and finest measurements. Saves with `to_netcdf`.
 
     Raises
     ------
@@ -172,10 +191,18 @@ def run_part(study, kind, multiplier, tolerance, models, cores, progressbar) -> 
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", category=FeatureLikelihoodWarning)
         if kind not in models:
-            models[kind] = declare(kind, study.record, data, stiffness=study.stiffness, tolerance=tolerance)
+            models[kind] = declare(
+                kind,
+                study.record,
+                data,
+                stiffness=study.stiffness,
+                tolerance=tolerance,
+                scale=study.scale,
+            )
         set_measurements(models[kind], data, tolerance)
         idata = sample_smc(
             study.draws,
+            SubsetSimulation if kind == "ABC" else PersistentSMC,
             model=models[kind],
             chains=study.chains,
             cores=cores,

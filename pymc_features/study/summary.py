@@ -3,17 +3,8 @@
 import numpy as np
 import xarray as xr
 
-from pymc_features.study import paper
-from pymc_features.study.quadrature import (
-    DiscrepancyCurve,
-    exact_posterior,
-    exponents,
-    tolerance_interval,
-)
-
-PARAMETERS = ("theta", "sigma")
-STATISTICS = ("map", "q05", "q50", "q95")
-PROBABILITIES = (0.05, 0.5, 0.95)
+from pymc_features.study.quadrature import tolerance_interval
+from pymc_features.study.references import PARAMETERS, PROBABILITIES, REFERENCES, STATISTICS
 
 
 def assemble(study, parts: dict) -> xr.DataTree:
@@ -28,17 +19,19 @@ def assemble(study, parts: dict) -> xr.DataTree:
         "log_evidence": np.full(shape, np.nan),
     }
     tolerance = np.full(len(study.multipliers), np.nan)
+    interval = np.full((len(study.multipliers), 2), np.nan)
     for j, multiplier in enumerate(study.multipliers):
-        data = study.data(multiplier)
-        curve = DiscrepancyCurve(study.total_discrepancy(multiplier), paper.THETA_RANGE, data.size)
+        if "ABC" in study.likelihoods:
+            tolerance[j] = parts["ABC", multiplier].attrs["tolerance"]
+        step = study.misfit(multiplier, tolerance[j])
+        if "ABC" in study.likelihoods:
+            interval[j] = tolerance_interval(step.curve, tolerance[j])
         for i, kind in enumerate(study.likelihoods):
             part = parts[kind, multiplier]
-            delta = part.attrs.get("tolerance")
-            tolerance[j] = tolerance[j] if delta is None else delta
-            exact, evidence = exact_statistics(kind, curve, data, delta)
-            arrays["exact"][i, j] = exact
-            arrays["log_evidence"][i, j] = evidence
-            arrays["sampled"][i, j] = sampled_statistics(kind, curve, data, part)
+            reference = REFERENCES[kind](step)
+            arrays["exact"][i, j] = reference.statistics
+            arrays["log_evidence"][i, j] = reference.log_evidence
+            arrays["sampled"][i, j] = sampled_statistics(reference, part)
             arrays["r_hat"][i, j], arrays["ess_bulk"][i, j] = diagnostics(part)
             arrays["seconds"][i, j] = part.attrs["seconds"]
     dims = ("likelihood", "multiplier", "parameter", "statistic")
@@ -52,6 +45,8 @@ def assemble(study, parts: dict) -> xr.DataTree:
         },
     )
     summary["tolerance"] = ("multiplier", tolerance)
+    summary["tolerance_interval"] = (("multiplier", "end"), interval)
+    summary = summary.assign_coords(end=["low", "high"])
     summary["step"] = ("multiplier", np.array(study.multipliers) * study.record.dt, {"units": "s"})
     nodes = {f"/{kind}/x{m:g}": part for (kind, m), part in parts.items()}
     tree = xr.DataTree.from_dict({"/summary": summary, "/data": _data_group(study)})
@@ -73,34 +68,14 @@ def _data_group(study):
     )
 
 
-def exact_statistics(kind, curve, data, delta):
-    """Return (parameter, statistic) by quadrature, and the log evidence."""
-    if kind == "ABC":
-        low, high = tolerance_interval(curve, delta)
-        theta = [curve.minimiser, *(low + np.array(PROBABILITIES) * (high - low))]
-        prior = paper.THETA_RANGE[1] - paper.THETA_RANGE[0]
-        return np.array([theta, [np.nan] * 4]), np.log((high - low) / prior)
-    posterior = exact_posterior(curve, exponents(kind, *data.shape), paper.SIGMA_RANGE)
-    rows = [
-        [best, *marginal.quantile(PROBABILITIES)]
-        for best, marginal in zip(posterior.map, (posterior.theta, posterior.sigma), strict=True)
-    ]
-    return np.array(rows), posterior.log_evidence
-
-
-def sampled_statistics(kind, curve, data, part):
+def sampled_statistics(reference, part):
     """Return (parameter, statistic) of the draws; the maximum is the draw of the highest density."""
-    posterior = part["posterior"]
-    theta = posterior["theta"].values.ravel()
-    discrepancy = np.interp(theta, curve.theta, curve.values)
-    if kind == "ABC":
-        row = [theta[discrepancy.argmin()], *np.quantile(theta, PROBABILITIES)]
-        return np.array([row, [np.nan] * 4])
-    sigma = posterior["sigma"].values.ravel()
-    likelihood = exponents(kind, *data.shape)
-    density = -likelihood.m * np.log(sigma) - likelihood.c * discrepancy / (2.0 * sigma**2)
-    best = density.argmax()
-    return np.array([[v[best], *np.quantile(v, PROBABILITIES)] for v in (theta, sigma)])
+    draws = {name: values.values.ravel() for name, values in part["posterior"].data_vars.items()}
+    best = reference.log_density(draws).argmax()
+    table = np.full((len(PARAMETERS), len(STATISTICS)), np.nan)
+    for name, values in draws.items():
+        table[PARAMETERS.index(name)] = [values[best], *np.quantile(values, PROBABILITIES)]
+    return table
 
 
 def diagnostics(part):

@@ -1,0 +1,39 @@
+"""Width of the posterior of theta against the sampling step, for every likelihood."""
+
+import matplotlib.pyplot as plt
+
+from pymc_features.plots.sampling_rate import COLOURS
+
+
+def plot_widths(result, ax=None):
+    """5-95 % width of theta at each sampling step: what a faster sampling does to the uncertainty.
+
+    Lines are exact, by quadrature; markers are sampled.
+
+    Parameters
+    ----------
+    result : DataTree
+        From `sampling_rate_study`.
+    ax : matplotlib Axes, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    matplotlib Axes
+    """
+    if ax is None:
+        _, ax = plt.subplots(figsize=(7.5, 4.2), layout="constrained")
+    summary = result["summary"].to_dataset().sel(parameter="theta")
+    width = summary.sel(statistic="q95") - summary.sel(statistic="q05")
+    steps = summary["multiplier"].values
+    for kind in summary["likelihood"].values:
+        colour, cell = COLOURS.get(str(kind), "C5"), width.sel(likelihood=kind)
+        ax.plot(steps, cell["exact"], color=colour, lw=1.2, label=str(kind))
+        ax.plot(steps, cell["sampled"], "o", color=colour, ms=4)
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_xticks(steps, [f"{m:g}" for m in steps])
+    ax.minorticks_off()
+    ax.set(xlabel="sampling step / record step [-]", ylabel="5-95 % width of θ [-]")
+    ax.legend(frameon=False, ncols=1, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return ax

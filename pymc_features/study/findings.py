@@ -1,0 +1,106 @@
+"""What the study says, in tables of a few numbers and in words."""
+
+import numpy as np
+import xarray as xr
+
+# a fine step shortens an interval, or lengthens it, by this exponent of the step where it matters at all
+NO_TREND = 0.05
+MEANING = {
+    "NORM": "every sample independent",
+    "TN": "half-normal on the root mean square of each sensor",
+    "EXP": "exponential on the mean square of each sensor",
+    "ABC": "likelihood-free, rho <= delta",
+    "CN": "errors correlated in time; tau and sigma known",
+    "CN-SIGMA": "errors correlated in time; tau known, sigma inferred",
+    "CN-TAU": "errors correlated in time; tau and sigma inferred",
+}
+
+
+def intervals(result: xr.DataTree, kind: str, values: str = "exact") -> xr.DataArray:
+    """Ends of the 5-95 % interval of theta (multiplier, statistic)."""
+    summary = result["summary"].to_dataset()
+    return summary[values].sel(likelihood=kind, parameter="theta", statistic=["q05", "q95"])
+
+
+def widths(result: xr.DataTree, kind: str, values: str = "exact") -> np.ndarray:
+    """5-95 % width of theta at each sampling step (multiplier,)."""
+    return np.diff(intervals(result, kind, values).values, axis=1)[:, 0]
+
+
+def verdict(steps, width) -> str:
+    """What a finer sampling does to an interval, from its widths at the two smallest of the steps, ascending."""
+    if len(steps) < 2:
+        return "one sampling step only"
+    exponent = np.log(width[1] / width[0]) / np.log(steps[1] / steps[0])
+    change = abs(width[0] / width[1] - 1.0)
+    if exponent > NO_TREND:
+        return (
+            f"narrows as the step shrinks, like its power {exponent:.2g}: sampling faster is taken for new "
+            "information"
+        )
+    if exponent < -NO_TREND:
+        return (
+            f"widens as the step shrinks, like its power {exponent:.2g}: the errors do not have the correlation "
+            "assumed, and sigma grows to make up for it"
+        )
+    return f"settles: {change:.2%} between the two smallest steps"
+
+
+def trend_rows(result: xr.DataTree) -> list[list]:
+    """For each likelihood its meaning, exact widths of theta, and what they say about the sampling rate."""
+    summary = result["summary"].to_dataset()
+    steps = summary["multiplier"].values
+    rows = []
+    for kind in map(str, summary["likelihood"].values):
+        width = widths(result, kind)
+        rows.append([kind, MEANING[kind], *map(float, width), verdict(steps, width)])
+    return rows
+
+
+def agreement_rows(result: xr.DataTree) -> list[list]:
+    """ABC beside EXP and TN at each sampling step; empty without ABC.
+
+    Tolerance, ends of the exact set {theta: rho <= delta}, the smallest and largest draw, the 5-95 % intervals of
+    ABC, sampled and exact, and the exact widths of EXP and TN over that of ABC.
+    """
+    summary = result["summary"].to_dataset()
+    kinds = list(map(str, summary["likelihood"].values))
+    if "ABC" not in kinds:
+        return []
+    sampled, exact = (intervals(result, "ABC", values).values for values in ("sampled", "exact"))
+    abc = widths(result, "ABC")
+    rows = []
+    for j, multiplier in enumerate(summary["multiplier"].values):
+        draws = result[f"ABC/x{multiplier:g}/posterior"]["theta"].values
+        rows.append(
+            [
+                float(multiplier),
+                float(summary["tolerance"][j]),
+                *map(float, summary["tolerance_interval"][j]),
+                float(draws.min()),
+                float(draws.max()),
+                *map(float, sampled[j]),
+                *map(float, exact[j]),
+                *(
+                    float(widths(result, kind)[j] / abc[j]) if kind in kinds else np.nan
+                    for kind in ("EXP", "TN")
+                ),
+            ]
+        )
+    return rows
+
+
+AGREEMENT_COLUMNS = (
+    "step / record step",
+    "delta",
+    "set from",
+    "set to",
+    "smallest draw",
+    "largest draw",
+    "5 %",
+    "95 %",
+    "exact 5 %",
+    "exact 95 %",
+    "width EXP / ABC",
+    "width TN / ABC",
+)
