@@ -82,6 +82,7 @@ __all__ = [
     "plot_record",  # noqa: F822
     "plot_sampling_rate",  # noqa: F822
     "plot_tolerance",  # noqa: F822
+    "plot_widths",  # noqa: F822
     "read_record",
     "response",
     "sample_nuts",
@@ -93,11 +94,8 @@ __all__ = [
     "tolerance_sweep",
 ]
 
-_PLOTS = (
-    "plot_record",
-    "plot_sampling_rate",
-    "plot_tolerance",
-)  # on demand: matplotlib takes a second to import
+# on demand: matplotlib takes a second to import
+_PLOTS = ("plot_record", "plot_sampling_rate", "plot_tolerance", "plot_widths")
 
 
 def __getattr__(name):

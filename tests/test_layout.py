@@ -63,6 +63,7 @@ PUBLIC_NAMES = [
     "plot_record",
     "plot_sampling_rate",
     "plot_tolerance",
+    "plot_widths",
     "read_record",
     "response",
     "sample_nuts",

@@ -116,8 +116,9 @@ def declare(
     Returns
     -------
     pymc.Model
-        With `theta`, `sigma` and `tau` where they are inferred, and the data `y`. Measurements, their step and
-        the tolerance are data of the model: `set_measurements` changes them without compiling anything anew.
+        With `theta`, `sigma` and `tau` where they are inferred, and the data `y`. Measurements, their step
+        and the tolerance are data of the model: `set_measurements` changes them without compiling anything
+        anew.
     """
     times = data["time"].values
     coords = {"sensor": data["sensor"].values, "time": times}

@@ -32,8 +32,8 @@ class Step:
     Parameters
     ----------
     sums : callable
-        theta -> array (4,): sums over the sensors of e_j, of the mean squared increments of the misfit, and of
-        its first and last square.
+        theta -> array (4,): sums over the sensors of e_j, of the mean squared increments of the misfit, and
+        of its first and last square.
     data : DataArray (sensor, time)
         Measurements.
     dt, sigma : float

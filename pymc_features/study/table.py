@@ -5,6 +5,8 @@ import io
 
 import xarray as xr
 
+from pymc_features.study.findings import AGREEMENT_COLUMNS, agreement_rows, trend_rows
+
 COLUMNS = (
     "likelihood",
     "step / record step",
@@ -36,7 +38,7 @@ def study_rows(result: xr.DataTree) -> list[list]:
             for parameter in summary["parameter"].values:
                 cell = summary.sel(likelihood=kind, multiplier=multiplier, parameter=parameter)
                 sampled, exact = cell["sampled"].values, cell["exact"].values
-                if exact[1] != exact[1]:  # NaN: ABC has no sigma
+                if exact[1] != exact[1]:  # NaN: ABC has no sigma, and most have no tau
                     continue
                 error = abs(sampled[1:] - exact[1:]).max() / (exact[3] - exact[1])
                 rows.append(
@@ -56,13 +58,37 @@ def study_rows(result: xr.DataTree) -> list[list]:
 
 
 def as_markdown(result: xr.DataTree) -> str:
-    """Return the table in Markdown; theta is dimensionless, sigma in m/s^2, times in seconds."""
-    formats = ("{}", "{:g}", "{}", *["{:.8g}"] * 8, "{:.1%}", "{:.3f}", "{:.0f}", "{:.1f}")
-    lines = [
-        "| " + " | ".join(COLUMNS) + " |",
-        "|" + "|".join(" --- " if i in (0, 2) else " ---: " for i in range(len(COLUMNS))) + "|",
+    """Return all tables in Markdown; theta is dimensionless, sigma in m/s^2, tau and times in seconds."""
+    summary = result["summary"].to_dataset()
+    steps = [f"width at {m:g}" for m in summary["multiplier"].values]
+    tables = [
+        (
+            "Posteriors",
+            COLUMNS,
+            ("{}", "{:g}", "{}", *["{:.8g}"] * 8, "{:.1%}", "{:.3f}", "{:.0f}", "{:.1f}"),
+            study_rows(result),
+        ),
+        (
+            "What the sampling rate does to the 5-95 % width of theta (exact)",
+            ("likelihood", "errors", *steps, "as the step shrinks, the interval"),
+            ("{}", "{}", *["{:.3g}"] * len(steps), "{}"),
+            trend_rows(result),
+        ),
+        (
+            "ABC beside EXP and TN",
+            AGREEMENT_COLUMNS,
+            ("{:g}", "{:.6g}", *["{:.8g}"] * 8, "{:.3f}", "{:.3f}"),
+            agreement_rows(result),
+        ),
     ]
-    for row in study_rows(result):
+    return "\n".join(markdown_table(*table) for table in tables if table[-1])
+
+
+def markdown_table(title, columns, formats, rows) -> str:
+    """A heading and a table; numbers to the right."""
+    marks = (" --- " if form == "{}" else " ---: " for form in formats)
+    lines = [f"## {title}\n", "| " + " | ".join(columns) + " |", "|" + "|".join(marks) + "|"]
+    for row in rows:
         cells = [form.format(value) for form, value in zip(formats, row, strict=True)]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
