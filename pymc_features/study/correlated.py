@@ -16,7 +16,6 @@ from scipy.special import gammaincc, gammaln
 from pymc_features.study.quadrature import DiscrepancyCurve, Likelihood, Marginal
 
 NEGLIGIBLE = 1e-12
-SHORTEST = 1e-13  # correlation time [s] below which nothing is left of a prior in seconds
 N_COARSE, N_THETA, N_TAU, N_SIGMA = 601, 201, 401, 401
 
 
@@ -61,7 +60,7 @@ def known_scale_posterior(curve: DiscrepancyCurve, likelihood: Likelihood, sigma
 
 
 def unknown_time_posterior(curve, sums, shape, dt, sigma_bounds, tau_bounds):
-    """Integrate the posterior of theta, sigma and tau under uniform priors.
+    """Integrate the posterior under uniform priors of theta, sigma and ln(tau).
 
     Parameters
     ----------
@@ -74,7 +73,7 @@ def unknown_time_posterior(curve, sums, shape, dt, sigma_bounds, tau_bounds):
     dt : float
         Sampling step [s].
     sigma_bounds, tau_bounds : tuple of float
-        Of the priors; both begin at zero.
+        Of the priors; that of sigma begins at zero.
 
     Returns
     -------
@@ -85,7 +84,7 @@ def unknown_time_posterior(curve, sums, shape, dt, sigma_bounds, tau_bounds):
     log_evidence : float
     """
     half = 0.5 * (np.prod(shape) - 1.0)
-    top_sigma, top_tau = sigma_bounds[1], tau_bounds[1]
+    top_sigma, log_bounds = sigma_bounds[1], np.log(tau_bounds)
     spline = CubicSpline(curve.u, sums, axis=1)
 
     def log_posterior(u, log_tau):
@@ -99,9 +98,9 @@ def unknown_time_posterior(curve, sums, shape, dt, sigma_bounds, tau_bounds):
     def masses(u, log_tau):
         weighted, log_p = log_posterior(u, log_tau)
         slope = np.interp(u, curve.u, curve.slope)
-        return weighted, log_p, log_p + log_tau + np.log(slope)[:, None]
+        return weighted, log_p, log_p + np.log(slope)[:, None]
 
-    u, log_tau = curve.u[::6], np.linspace(np.log(SHORTEST), np.log(top_tau), N_COARSE)
+    u, log_tau = curve.u[::6], np.linspace(*log_bounds, N_COARSE)
     *_, log_mass = masses(u, log_tau)
     matters = log_mass > log_mass.max() + np.log(NEGLIGIBLE)
     u = spread(u, matters.any(axis=1), N_THETA)
@@ -118,7 +117,7 @@ def unknown_time_posterior(curve, sums, shape, dt, sigma_bounds, tau_bounds):
     }
     i, j = np.unravel_index(log_p.argmax(), log_p.shape)
     best = float(theta[i]), float(np.sqrt(weighted[i, j] / np.prod(shape))), float(np.exp(log_tau[j]))
-    volume = (curve.bounds[1] - curve.bounds[0]) * top_sigma * top_tau
+    volume = (curve.bounds[1] - curve.bounds[0]) * top_sigma * (log_bounds[1] - log_bounds[0])
     evidence = np.log(np.trapezoid(over_theta, log_tau)) + top - np.log(volume)
     constant = gammaln(half) - np.log(2.0) - 0.5 * np.prod(shape) * np.log(2.0 * np.pi)
     return marginals, best, float(evidence + constant)

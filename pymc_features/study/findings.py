@@ -28,7 +28,7 @@ def widths(result: xr.DataTree, kind: str, values: str = "exact") -> np.ndarray:
 
 
 def verdict(steps, width) -> str:
-    """What a finer sampling does to an interval, from its widths at the two smallest of the steps, ascending."""
+    """What a finer sampling does to an interval, from its widths at the two smallest steps."""
     if len(steps) < 2:
         return "one sampling step only"
     exponent = np.log(width[1] / width[0]) / np.log(steps[1] / steps[0])
@@ -40,8 +40,8 @@ def verdict(steps, width) -> str:
         )
     if exponent < -NO_TREND:
         return (
-            f"widens as the step shrinks, like its power {exponent:.2g}: the errors do not have the correlation "
-            "assumed, and sigma grows to make up for it"
+            f"widens as the step shrinks, like its power {exponent:.2g}: the errors do not have the "
+            "correlation assumed, and sigma grows to make up for it"
         )
     return f"settles: {change:.2%} between the two smallest steps"
 
@@ -60,8 +60,8 @@ def trend_rows(result: xr.DataTree) -> list[list]:
 def agreement_rows(result: xr.DataTree) -> list[list]:
     """ABC beside EXP and TN at each sampling step; empty without ABC.
 
-    Tolerance, ends of the exact set {theta: rho <= delta}, the smallest and largest draw, the 5-95 % intervals of
-    ABC, sampled and exact, and the exact widths of EXP and TN over that of ABC.
+    Tolerance, ends of the exact set {theta: rho <= delta}, the smallest and largest draw, the 5-95 %
+    intervals of ABC, sampled and exact, and the exact widths of EXP and TN over that of ABC.
     """
     summary = result["summary"].to_dataset()
     kinds = list(map(str, summary["likelihood"].values))

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import xarray as xr
@@ -70,7 +71,8 @@ def _known_time(it):
 
 
 def _unknown_time(it):
-    _correlated(it, it.sigma(), pm.Uniform("tau", *paper.TAU_RANGE))
+    log_tau = pm.Uniform("log_tau", *np.log(paper.TAU_RANGE))
+    _correlated(it, it.sigma(), pm.Deterministic("tau", pt.exp(log_tau)))
 
 
 # ABC comes behind EXP: its tolerance follows from the EXP posterior at the same sampling step. The place of a

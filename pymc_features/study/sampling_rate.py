@@ -89,9 +89,9 @@ class Study:
 
         return Step(sums, measured, self.step(multiplier), self.scale, delta)
 
-    def part_seed(self, likelihood: str, multiplier: float) -> int:
-        """Seed of one part: the same whether or not the study was interrupted."""
-        key = [self.seed, list(LIKELIHOODS).index(likelihood), round(1000 * multiplier)]
+    def part_seed(self, likelihood: str) -> int:
+        """Seed of one part: the same at all sampling steps, that they differ by their data and little else."""
+        key = [self.seed, list(LIKELIHOODS).index(likelihood)]
         return int(np.random.SeedSequence(key).generate_state(1)[0])
 
 
@@ -206,7 +206,7 @@ def run_part(study, kind, multiplier, tolerance, models, cores, progressbar) -> 
             model=models[kind],
             chains=study.chains,
             cores=cores,
-            random_seed=study.part_seed(kind, multiplier),
+            random_seed=study.part_seed(kind),
             compute_convergence_checks=False,
             progressbar=progressbar,
             # one Op does the work; to compile the few around it takes longer than it saves

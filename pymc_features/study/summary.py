@@ -70,7 +70,8 @@ def _data_group(study):
 
 def sampled_statistics(reference, part):
     """Return (parameter, statistic) of the draws; the maximum is the draw of the highest density."""
-    draws = {name: values.values.ravel() for name, values in part["posterior"].data_vars.items()}
+    posterior = part["posterior"]
+    draws = {name: posterior[name].values.ravel() for name in PARAMETERS if name in posterior}
     best = reference.log_density(draws).argmax()
     table = np.full((len(PARAMETERS), len(STATISTICS)), np.nan)
     for name, values in draws.items():
