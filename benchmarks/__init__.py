@@ -1,6 +1,6 @@
 """What the package costs and how good its posteriors are, beside what others offer, measured in one run.
 
-    python -m benchmarks [--only evaluation|posteriors|scaling] [--quick]
+    python -m benchmarks [--only evaluation|gradients|posteriors|abc|scaling] [--quick]
 
 One thread everywhere: the limits below must be set before NumPy is imported for the first time.
 """

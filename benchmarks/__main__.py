@@ -9,10 +9,11 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-SECTIONS = ("evaluation", "gradients", "posteriors", "scaling")
+SECTIONS = ("evaluation", "gradients", "posteriors", "abc", "scaling")
 PACKAGES = (
     *("pymc-features", "pymc", "pytensor", "numba", "numpy", "scipy"),
     *("jax", "blackjax", "numpyro", "ultranest", "dynesty", "smcpy", "parallel-abus"),
+    *("pyabc", "sbi", "torch"),
 )
 
 
@@ -40,7 +41,7 @@ def confine():
 def main():
     """Run the sections asked for and print their tables."""
     parser = argparse.ArgumentParser("python -m benchmarks", description="Cost and accuracy, side by side.")
-    parser.add_argument("--only", choices=SECTIONS, help="run one section; all by default (ten minutes)")
+    parser.add_argument("--only", choices=SECTIONS, help="run one section; all by default (15 minutes)")
     parser.add_argument("--quick", action="store_true", help="fewer rounds and seeds (a minute or two)")
     arguments = parser.parse_args()
     warnings.filterwarnings("ignore")

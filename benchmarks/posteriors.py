@@ -47,17 +47,17 @@ def attempt(method, problem, seed):
     return result, time.perf_counter() - start - result.counting
 
 
-def spent(seconds, budget, patience):
-    """Whether a method has had its share of the time."""
-    return sum(seconds[1:]) > budget or sum(seconds[:1]) > patience
+def spent(seconds, budget, patience, least):
+    """Whether a method has had its share of the time, and its least number of runs."""
+    return (len(seconds) >= least and sum(seconds[1:]) > budget) or sum(seconds[:1]) > patience
 
 
-def collect(problem, runs, budget, patience):
-    """Run all methods in turns; return their results, seconds, and the reasons of those that cannot run."""
+def collect(methods, problem, runs, budget, patience, least=1):
+    """Run the methods in turns; return their results, seconds, and the reasons of those that cannot run."""
     results, seconds, reasons = {}, {}, {}
     for seed in range(1, runs + 1):
-        for name, method in METHODS.items():
-            if name in reasons or spent(seconds.get(name, []), budget, patience):
+        for name, method in methods.items():
+            if name in reasons or spent(seconds.get(name, []), budget, patience, least):
                 continue
             result, told = attempt(method, problem, seed)
             if result is None:
@@ -90,6 +90,23 @@ def accuracy_row(s):
     return [evidence, *quantiles, f"{s.distinct:.0f} of {s.draws:.0f}"]
 
 
+def filled_rows(methods, headers, cells, scores, reasons):
+    """Rows of a table, and dashes for the methods that could not run."""
+    return [
+        [name, *cells(scores[name])]
+        if name in scores
+        else [name, reasons[name][0], *["-"] * (len(headers) - 2)]
+        for name in methods
+    ]
+
+
+def say_what_is_missing(scores, reasons):
+    """Print why methods could not run, or not to the end."""
+    for name, (status, reason) in reasons.items():
+        before = ", its rows are of the runs before" if name in scores else ""
+        print(f"{name}: {status} ({reason}){before}.")
+
+
 COST = (
     *("method", "R (+-)", "evaluations", "first run s", "later run s", "of it set-up s"),
     *("evaluations per eff. theta", "sigma", "ms per eff. theta", "sigma"),
@@ -108,17 +125,9 @@ def run(quick=False):
     print("\n## Posterior of the ten-storey example under TN (1000 samples, 10 sensors, 2 parameters)\n")
     problem = Problem()
     exact = problem.exact
-    results, seconds, reasons = collect(problem, *(QUICK if quick else FULL))
+    results, seconds, reasons = collect(METHODS, problem, *(QUICK if quick else FULL))
     scores = {name: score(found, seconds[name], exact) for name, found in results.items()}
     for headers, cells in ((COST, cost_row), (ACCURACY, accuracy_row)):
-        rows = []
-        for name in METHODS:
-            if name in scores:
-                rows.append([name, *cells(scores[name])])
-            else:
-                rows.append([name, reasons[name][0], *["-"] * (len(headers) - 2)])
-        print("\n" + table(headers, rows))
+        print("\n" + table(headers, filled_rows(METHODS, headers, cells, scores, reasons)))
     print(NOTES.format(exact.log_evidence))
-    for name, (status, reason) in reasons.items():
-        before = ", its rows are of the runs before" if name in scores else ""
-        print(f"{name}: {status} ({reason}){before}.")
+    say_what_is_missing(scores, reasons)

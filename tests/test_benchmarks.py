@@ -47,7 +47,7 @@ def test_command_line_says_what_it_does():
         [sys.executable, "-m", "benchmarks", "--help"], capture_output=True, text=True, cwd=ROOT
     )
     assert done.returncode == 0, done.stderr
-    assert "--quick" in done.stdout and "posteriors" in done.stdout
+    assert "--quick" in done.stdout and "posteriors" in done.stdout and "abc" in done.stdout
 
 
 def test_scores(benchmarks):
@@ -78,3 +78,58 @@ def test_a_missing_tool_is_reported(benchmarks):
     assert posteriors.attempt(missing, None, 1)[1] == ("not installed", "no module named nothing")
     assert posteriors.attempt(broken, None, 1)[1][0] == "failed"
     assert len(posteriors.METHODS) > 10
+
+
+@pytest.fixture(scope="module")
+def tolerance_problem(benchmarks):
+    """Two stiffness groups, 200 draws asked for."""
+    from benchmarks.abc_problem import ToleranceProblem
+
+    return ToleranceProblem(200)
+
+
+def test_region_within_the_tolerance(tolerance_problem):
+    """Draws in a box agree with the grid; both kernels give rho; the response has it too."""
+    from benchmarks.abc_problem import ACCEPTANCE
+
+    problem, exact = tolerance_problem, tolerance_problem.exact
+    half = 5.0 * np.sqrt(np.diag(exact.covariance))
+    points = np.random.default_rng(1).uniform(exact.mean - half, exact.mean + half, (20_000, 2))
+    rho = problem.rho(points)
+    inside = points[rho <= exact.epsilon]
+    # 1900 draws inside: more than three standard errors
+    np.testing.assert_allclose(len(inside) / len(points) * np.prod(2.0 * half), ACCEPTANCE, rtol=0.08)
+    np.testing.assert_allclose((inside.mean(axis=0) - exact.mean) / half, 0.0, atol=0.02)
+    assert problem.rho_of_one(points[0]) == pytest.approx(rho[0])
+    misfit = problem.response_of_one(points[0]) - problem.measured
+    assert np.mean(misfit**2, axis=1).sum() == pytest.approx(rho[0])
+
+
+def test_methods_at_a_tolerance(benchmarks, tolerance_problem):
+    """Ours, rejection, the textbook: all draws are within, and log P is right to what few draws allow."""
+    from benchmarks.abc import score
+    from benchmarks.methods import ABC_METHODS
+
+    _, posteriors = benchmarks
+    assert len(ABC_METHODS) > 8
+    for name in list(ABC_METHODS)[:3]:
+        result, seconds = posteriors.attempt(ABC_METHODS[name], tolerance_problem, 1)
+        assert result is not None, (name, seconds)
+        found = score([result], [seconds], tolerance_problem)
+        assert found.within == 1.0 and found.distinct > 0.3
+        assert abs(found.log_probability_error[0]) < 1.5
+        assert found.simulations > 4 * found.draws
+        np.testing.assert_allclose(found.bias, 0.0, atol=1.5)
+
+
+def test_score_at_a_tolerance(benchmarks, tolerance_problem):
+    """Independent draws of the exact mean and covariance are worth their number: R = 200, known to 7 %."""
+    from benchmarks.abc import score
+    from benchmarks.methods import Accepted
+
+    exact, rng = tolerance_problem.exact, np.random.default_rng(1)
+    draws = rng.multivariate_normal(exact.mean, exact.covariance, (200, 50))
+    found = score([Accepted(points, 500) for points in draws], [2.0, *[1.0] * 199], tolerance_problem)
+    np.testing.assert_allclose(found.effective, 50.0, rtol=0.3)
+    assert found.distinct == 1.0 and found.first == 2.0 and found.seconds == 1.0
+    assert np.isnan(found.log_probability_error).all()

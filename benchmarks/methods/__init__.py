@@ -4,6 +4,13 @@ Files of optional packages import them inside the function: an ImportError is re
 """
 
 from benchmarks.methods import (
+    abc_elfi,
+    abc_pyabc,
+    abc_pymc,
+    abc_rejection,
+    abc_sbi,
+    abc_subset,
+    abc_subset_textbook,
     black_box,
     nested_dynesty,
     nested_ultranest,
@@ -13,7 +20,7 @@ from benchmarks.methods import (
     smc_smcpy,
     subset_parallel_abus,
 )
-from benchmarks.methods.result import NotThereError, Result
+from benchmarks.methods.result import Accepted, NotThereError, Result
 
 METHODS = {
     "PopulationIMH (ours)": pymc_smc.ours("PopulationIMH"),
@@ -31,4 +38,17 @@ METHODS = {
     "NumPyro NUTS, JAX model": nuts_numpyro.method,
 }
 
-__all__ = ["METHODS", "NotThereError", "Result"]
+# likelihood-free: `function(problem, seed) -> Accepted` for a `ToleranceProblem`
+ABC_METHODS = {
+    "SubsetSimulation (ours)": abc_subset.method,
+    "rejection, our batched simulator": abc_rejection.method,
+    "subset simulation, textbook": abc_subset_textbook.method,
+    "PyMC Simulator, gaussian, rho": abc_pymc.of_rho("gaussian"),
+    "PyMC Simulator, laplace, rho": abc_pymc.of_rho("laplace"),
+    "PyMC Simulator, gaussian, histories": abc_pymc.of_histories,
+    "pyABC": abc_pyabc.method,
+    "ELFI SMC": abc_elfi.method,
+    "sbi SMCABC": abc_sbi.method,
+}
+
+__all__ = ["ABC_METHODS", "METHODS", "Accepted", "NotThereError", "Result"]

@@ -44,32 +44,42 @@ def watched(kernel, clock, count):
     return Watched
 
 
-def sample(kernel, model, seed, count=False):
-    """Run one chain of 1000 draws; evaluations are counted or taken from the kernel's own statistics."""
-    clock = {}
-    begin = time.perf_counter()
+def run_chain(kernel, model, draws, seed):
+    """Run one chain; return it without PyMC's checks of convergence."""
     with model:
-        idata = pm.sample_smc(
-            DRAWS,
-            watched(kernel, clock, count),
+        return pm.sample_smc(
+            draws,
+            kernel,
             chains=1,
             cores=1,
             random_seed=seed,
             compute_convergence_checks=False,
             progressbar=False,
         )
+
+
+def log_evidence(idata):
+    """The last estimate of a chain."""
+    stages = np.ravel(np.asarray(idata["sample_stats"]["log_marginal_likelihood"].values, dtype=float))
+    return stages[np.isfinite(stages)][-1]
+
+
+def sample(kernel, model, seed, count=False):
+    """Run one chain of 1000 draws; evaluations are counted or taken from the kernel's own statistics."""
+    clock = {}
+    begin = time.perf_counter()
+    idata = run_chain(watched(kernel, clock, count), model, DRAWS, seed)
     stats = idata["sample_stats"]
     if count:
         evaluations = clock["likelihood"].calls
     else:
         evaluations = float(np.nansum(stats["evaluations"].values)) if "evaluations" in stats else np.nan
-    evidence = np.ravel(np.asarray(stats["log_marginal_likelihood"].values, dtype=float))
     posterior = idata["posterior"]
     return Result(
         np.ravel(posterior["theta"].values),
         np.ravel(posterior["sigma"].values),
         evaluations,
-        evidence[np.isfinite(evidence)][-1],
+        log_evidence(idata),
         clock["start"] - begin,
     )
 

@@ -31,6 +31,27 @@ class Result:
     counting: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """One run of one likelihood-free method.
+
+    Attributes
+    ----------
+    points : array (draws, 2)
+        Equally weighted draws of theta_1, theta_2.
+    simulations : int
+    log_probability : float
+        Log of P(rho <= epsilon); NaN where the method gives none.
+    counting : float
+        As in `Result`.
+    """
+
+    points: np.ndarray
+    simulations: int
+    log_probability: float = np.nan
+    counting: float = 0.0
+
+
 class NotThereError(Exception):
     """The method is not part of the installed package."""
 
