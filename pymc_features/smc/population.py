@@ -59,13 +59,15 @@ class PopulationKernel(SMC_KERNEL):
         self.rng = np.random.default_rng(seed=random_seed)
         model = modelcontext(model)
         self.variables = model.value_vars
-        point = model.initial_point(random_seed=self.rng.integers(2**30))
-        self.var_info = {v.name: (point[v.name].shape, point[v.name].size) for v in self.variables}
-        self.n_parameters = sum(size for _, size in self.var_info.values())
-        point = {v.name: point[v.name] for v in self.variables}
-        self.compile_evaluation(model, point, compile_kwargs or {})
         self.prior = prior_draws(model, self.starts_from_prior)
         self.prior_names = [model.rvs_to_values[rv].name for rv in model.free_RVs]
+        # in place of PyMC's initial point, which is compiled anew each time
+        draw = self.prior(1, np.random.default_rng(self.rng.integers(2**30)))
+        point = {name: values[0] for name, values in zip(self.prior_names, draw, strict=True)}
+        point = {v.name: point[v.name] for v in self.variables}
+        self.var_info = {name: (value.shape, value.size) for name, value in point.items()}
+        self.n_parameters = sum(size for _, size in self.var_info.values())
+        self.compile_evaluation(model, point, compile_kwargs or {})
         self._reset_state()
 
     def _reset_state(self):
