@@ -47,7 +47,7 @@ def tolerance_sweep(
         raise ValueError(f"`probability` must lie between 0 and 1, got {probability}. Pass 0.9 for 5-95 %.")
     model = pm.modelcontext(model)
     names = [rv.name for rv in model.free_RVs]
-    quantiles = [0.5 - 0.5 * probability, 0.5, 0.5 + 0.5 * probability]
+    quantiles = [round(q, 12) for q in (0.5 - 0.5 * probability, 0.5, 0.5 + 0.5 * probability)]
     settings.setdefault("compute_convergence_checks", False)
     rows, reached = [], []
     for tolerance in tolerances:
