@@ -60,7 +60,13 @@ class FunctionSimulator:
     """Simulator function of a user's function theta -> response (sensor, time) or summary (entry,).
 
     If the function has an attribute `batched` that is true, it is called once for all particles, with
-    parameters (particle, ...), and returns (particle, ...). An exception is a failed simulation: NaN.
+    parameters (particle, ...), and returns (particle, ...). An exception is a failed simulation: NaN, and a
+    warning for the first of its type.
+
+    Attributes
+    ----------
+    last_error : str
+        What the function raised last, or nothing.
     """
 
     batched = True  # takes batches, by a loop where the function does not
@@ -70,6 +76,7 @@ class FunctionSimulator:
         self.function_takes_batches = bool(getattr(function, "batched", False))
         self.ndims_params = ndims_params
         self.shape = shape
+        self.last_error, self.warned_of = "", set()
 
     def __call__(self, rng, *parameters_and_size):
         *parameters, size = parameters_and_size
@@ -92,16 +99,23 @@ class FunctionSimulator:
             else:
                 result = self.function(*parameters)
         except Exception as error:  # a solver may fail in a way of its own
-            warnings.warn(
-                f"the simulator raised {type(error).__name__}: {error}. Parameters at which it does are "
-                "counted as failed, and rejected.",
-                SimulationWarning,
-                stacklevel=2,
-            )
+            self.note(error)
             return np.full(self.shape, np.nan)
         if self.function_takes_batches:
             return self.checked(result, (1,))[0]
         return self.checked(result, ())
+
+    def note(self, error):
+        """Keep an exception's text; warn of the first of its type, for the text may be another each time."""
+        self.last_error = f"{type(error).__name__}: {str(error).partition('\n')[0]}"
+        if type(error) not in self.warned_of:
+            self.warned_of.add(type(error))
+            warnings.warn(
+                f"the simulator raised {self.last_error}. Parameters at which it does are counted as "
+                "failed, and rejected.",
+                SimulationWarning,
+                stacklevel=3,
+            )
 
     def checked(self, result, batch):
         """The result as an array, if it has the shape of the data."""
@@ -129,6 +143,11 @@ class NoisySimulator:
         self.simulator = simulator
         self.ndims_params = (*simulator.ndims_params, 1)
 
+    @property
+    def last_error(self) -> str:
+        """What the simulator raised last, or nothing."""
+        return getattr(self.simulator, "last_error", "")
+
     def __call__(self, rng, *parameters_and_size):
         *parameters, noise, size = parameters_and_size
         if size is None:  # noise may span a batch that the other parameters do not
@@ -150,11 +169,11 @@ class NoisySimulator:
         n_times = pt.cast(value.shape[-1], "float64")
         length = pt.sqrt(n_times * self.simulator.discrepancy(parameters, value))
         streams = [pytensor.shared(np.random.default_rng(), name=name) for name in ("along", "across")]
-        _, along = pt.random.normal(length, noise, rng=streams[0], return_next_rng=True)
-        # as many as there are lengths, in each batch
+        # as many as there are lengths, in each batch; the scale is outside, where none of its values raises
+        _, along = pt.random.normal(pt.zeros_like(length), rng=streams[0], return_next_rng=True)
         half_degrees = pt.full_like(length, 0.5) * (n_times - 1.0)
         _, across = pt.random.gamma(half_degrees, scale=2.0, rng=streams[1], return_next_rng=True)
-        return NO_GRADIENT_OF_NOISE((pt.sqr(along) + pt.sqr(noise) * across) / n_times)
+        return NO_GRADIENT_OF_NOISE((pt.sqr(length + noise * along) + pt.sqr(noise) * across) / n_times)
 
 
 def spread_batch(parameters, ndims_params, size):

@@ -158,6 +158,8 @@ class SubsetSimulation(PopulationKernel):
         self.chains = np.arange(len(self.population[0]))
         if possible == 0:
             self.refuse_impossible_model()
+        if possible < wanted and not self.start:
+            self.give_up("the budget is spent on simulations that fail")
 
     def prior_particles(self):
         """Particles (n, d) from the prior and the model's other terms, with the log-density of both."""
