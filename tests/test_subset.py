@@ -475,7 +475,7 @@ def test_report_of_a_run(tmp_path, monkeypatch):
         logs = np.cumsum(np.log([share for _, share in shares]))
         np.testing.assert_allclose(found["log_probability"].values[k, : len(tolerances)], logs, rtol=1e-12)
         assert found["log_marginal_likelihood"].values[k] == pytest.approx(logs[-1], rel=1e-12)
-        np.testing.assert_allclose([share for _, share in shares[:-1]], 0.25, atol=0.005)
+        assert all(0.25 <= share < 0.28 for _, share in shares[:-1]), "more only by repeated states"
     assert found["log_marginal_likelihood"].dims == found["log_marginal_likelihood_se"].dims == ("chain",)
     for name in set(SubsetSimulation.stats_dtypes_shapes) - {
         "log_marginal_likelihood",
@@ -1000,7 +1000,7 @@ def test_smallest_runs():
     """Few draws are no error, and inside."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        result = run(ball(2, 0.01), 2, stage_draws=40)
+        result = run(ball(2, 0.01), 2)
     assert (np.square(cube(result)).sum(axis=1) <= 0.01 * (1 + 1e-9)).all()
 
 

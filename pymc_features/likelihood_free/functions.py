@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytensor
-import pytensor.tensor as pt
+from pymc.distributions.simulator import SimulatorRV
 from pytensor.compile.mode import Mode
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant
@@ -160,20 +160,39 @@ class NoisySimulator:
         return exact + scale * rng.standard_normal(exact.shape)
 
     def discrepancy(self, parameters, value):
-        """e_j of one noisy measurement, as a tensor, drawn without a history.
-
-        The sum of squares of N_D white errors around a misfit of length R depends on its direction through
-        one normal variable z only: N_D e = (R - sigma z)^2 + sigma^2 chi^2 with N_D - 1 degrees of freedom.
-        """
+        """e_j of one noisy measurement, as a tensor, drawn without a history."""
         *parameters, noise = parameters
-        n_times = pt.cast(value.shape[-1], "float64")
-        length = pt.sqrt(n_times * self.simulator.discrepancy(parameters, value))
-        streams = [pytensor.shared(np.random.default_rng(), name=name) for name in ("along", "across")]
-        # as many as there are lengths, in each batch; the scale is outside, where none of its values raises
-        _, along = pt.random.normal(pt.zeros_like(length), rng=streams[0], return_next_rng=True)
-        half_degrees = pt.full_like(length, 0.5) * (n_times - 1.0)
-        _, across = pt.random.gamma(half_degrees, scale=2.0, rng=streams[1], return_next_rng=True)
-        return NO_GRADIENT_OF_NOISE((pt.sqr(length + noise * along) + pt.sqr(noise) * across) / n_times)
+        exact = self.simulator.discrepancy(parameters, value)
+        stream = pytensor.shared(np.random.default_rng(), name="noise")
+        return NO_GRADIENT_OF_NOISE(
+            NoisyMeanSquare().make_node(stream, None, exact, noise, value.shape[-1]).outputs[1]
+        )
+
+
+def noisy_mean_square(rng, exact, noise, n_times, size):
+    """A draw of the mean square of a misfit and white noise, from the mean square of the misfit.
+
+    The sum of squares of N_D white errors around a misfit of length R depends on its direction through
+    one normal variable z only: N_D e = (R - sigma z)^2 + sigma^2 chi^2 with N_D - 1 degrees of freedom.
+    """
+    shape = np.broadcast_shapes(
+        np.shape(exact), np.shape(noise), np.shape(n_times), () if size is None else size
+    )
+    along = np.sqrt(n_times * exact) + noise * rng.standard_normal(shape)
+    across = noise**2 * 2.0 * rng.standard_gamma(0.5 * (n_times - 1.0), shape)
+    return (along**2 + across) / n_times
+
+
+noisy_mean_square.batched = True
+
+
+class NoisyMeanSquare(SimulatorRV):
+    """`noisy_mean_square` as an Op: of PyMC's simulators, for it allows no other draws in a log-density."""
+
+    name = "NoisyMeanSquare"
+    signature = "(),(),()->()"
+    dtype = "float64"
+    fn = staticmethod(noisy_mean_square)
 
 
 def spread_batch(parameters, ndims_params, size):
