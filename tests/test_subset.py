@@ -494,8 +494,8 @@ def test_edge_belongs_to_the_tolerance():
     """Whole numbers: rho = epsilon is inside, for stock distances, too, where a division would round."""
     with pm.Model() as model:
         k = pm.DiscreteUniform("k", 0, 60)
-        pm.Simulator("y", lambda rng, k, size: np.full(49, k), k, signature="()->(49)",
-                     distance="laplace", epsilon=98.0, observed=np.zeros(49))  # fmt: skip
+        pm.Simulator("y", lambda rng, k, size: np.full(21, k), k, signature="()->(21)",
+                     distance="laplace", epsilon=42.0, observed=np.zeros(21))  # fmt: skip
     with pytest.warns(PopulationWarning):
         idata = sample(model, 600)
     assert set(np.unique(idata.posterior["k"])) == {0, 1, 2}

@@ -48,7 +48,7 @@ class SubsetSimulation(PopulationKernel):
         If the model has no `pm.Simulator` node, or several, or an argument is out of range.
     ToleranceNotReachedError
         If `max_simulations` are spent, or the levels make no more headway. The message says how far they
-        came.
+        came. From chains in processes it comes as the cause of PyMC's `ParallelSamplingError`.
 
     Warns
     -----
