@@ -8,12 +8,16 @@ import pytensor.tensor as pt
 import pytest
 from pymc.distributions.simulator import SimulatorRV
 from pytensor.compile.mode import Mode
+from scipy import stats
 from scipy.optimize import brentq
 
 from pymc_features import (
     DiscrepancySimulator,
     ExpFeature,
     ModalDamping,
+    NotDifferentiableError,
+    PersistentSMC,
+    PopulationIMH,
     RayleighDamping,
     Record,
     SpringMassChain,
@@ -24,6 +28,7 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.likelihood_free import KERNELS
+from pymc_features.smc import population_logp
 
 LIGHT = Mode(linker="py", optimizer="fast_compile")
 PRIOR = (0.5, 1.5)
@@ -339,3 +344,254 @@ def test_scaled_response_is_refused(pulse, measured):
     with pm.Model(), pytest.raises(TypeError, match="must be what `response` returned, got another PyTensor"):
         mu = 2.0 * response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
         DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured)
+
+
+# --------------------------------------------------------------------------- noise
+
+
+SCALE = np.array([0.05, 0.3, 1.0])
+
+
+def noisy_model(pulse, measured, noise=SCALE, epsilon=1.0, kernel="exponential"):
+    return build_model(pulse, measured, epsilon=epsilon, kernel=kernel, noise=noise)
+
+
+def mean_squares(pulse, measured, noise, theta=1.2, n=4000, seed=0):
+    """e_j (n, sensor) of the fused node: one tolerance at a time lets a single sensor through."""
+    logit = np.log((theta - PRIOR[0]) / (PRIOR[1] - theta))
+    columns = []
+    for j in range(3):
+        alone = np.full(3, 1e300)
+        alone[j] = 1.0
+        model = build_model(pulse, measured, epsilon=alone, kernel="exponential", noise=noise)
+        function = population(model).with_rng(np.random.default_rng(seed + j))
+        columns.append(-function(np.full((n, 1), logit))[1])
+    return np.column_stack(columns)
+
+
+def population(model):
+    return population_logp(model, model.initial_point(), {"mode": "FAST_COMPILE"})
+
+
+def by_histories(pulse, measured, noise, theta=1.2, n=4000):
+    """The slow reference: noisy histories, one by one, against the data."""
+    exact = simulate(chain_of(theta), pulse).values
+    noisy = exact + np.reshape(noise, (-1, 1)) * np.random.default_rng(5).standard_normal((n, *exact.shape))
+    return np.square(noisy - measured).mean(axis=2)
+
+
+def same_law(found, expected):
+    """Kolmogorov-Smirnov of each sensor at 1e-3 / 3, means and variances within 4.5 standard errors."""
+    for a, b in zip(found.T, expected.T, strict=True):
+        error = np.hypot(a.std(), b.std()) / np.sqrt(len(a))
+        squares = [(x - x.mean()) ** 2 for x in (a, b)]
+        spread = np.hypot(squares[0].std(), squares[1].std()) / np.sqrt(len(a))
+        if (
+            stats.ks_2samp(a, b).pvalue < 1e-3 / 3
+            or abs(a.mean() - b.mean()) > 4.5 * error
+            or abs(squares[0].mean() - squares[1].mean()) > 4.5 * spread
+        ):
+            return False
+    return True
+
+
+@pytest.mark.parametrize("noise", [SCALE, np.full(3, 0.2)], ids=["per sensor", "equal"])
+def test_fused_noise_has_the_exact_law(pulse, measured, noise):
+    """4000 mean squares without a history against as many histories: a false alarm in 1000.
+
+    Negative controls: noise 3 % larger; the misfit and the noise added without their product, which has
+    the right mean but a smaller variance; the misfit left out.
+    """
+    found = mean_squares(pulse, measured, noise)
+    assert same_law(found, by_histories(pulse, measured, noise))
+    assert not same_law(found, by_histories(pulse, measured, 1.03 * noise))
+    misfit = np.square(simulate(chain_of(1.2), pulse).values - measured).mean(axis=1)
+    rng = np.random.default_rng(7)
+    uncorrelated = misfit + noise**2 * rng.chisquare(60, (4000, 3)) / 60
+    np.testing.assert_allclose(uncorrelated.mean(axis=0), found.mean(axis=0), rtol=0.05)
+    assert not same_law(found, uncorrelated)
+    assert not same_law(found, uncorrelated - misfit)
+
+
+def test_sensors_have_noise_of_their_own(pulse, measured):
+    """The variance of rho is the sum of its parts', within 4.5 standard errors: a false alarm in 1e5."""
+    noise = np.full(3, 0.2)
+    logp = population(noisy_model(pulse, measured, noise)).with_rng(np.random.default_rng(3))
+    total = -logp(np.full((8000, 1), np.log(0.7 / 0.3)))[1]
+    expected = by_histories(pulse, measured, noise, n=8000)
+    parts = expected.sum(axis=1)
+    error = np.hypot(total.var(), parts.var()) * np.sqrt(2 / 8000)
+    assert abs(total.var() - parts.var()) < 4.5 * error
+    common = expected.std(axis=0).sum() ** 2
+    assert abs(total.var() - common) > 4.5 * error, "as one draw for all sensors would have"
+
+
+@pytest.mark.parametrize("noise", [0.2, [0.2, 0.2, 0.2], "random"])
+def test_noise_may_be_a_number_or_random(pulse, measured, noise):
+    """The same law; a random one follows its own parameter."""
+    with pm.Model() as model:
+        theta = pm.Uniform("theta", *PRIOR)
+        scale = pm.HalfNormal("scale") if noise == "random" else noise
+        mu = response(chain_of(theta), pulse)
+        DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured, kernel="exponential", noise=scale)
+    logp = population(model).with_rng(np.random.default_rng(1))
+    particles = np.full((4000, 1), np.log(0.7 / 0.3))
+    if noise == "random":
+        particles = np.column_stack([particles, np.full(4000, np.log(0.2))])
+    expected = by_histories(pulse, measured, np.full(3, 0.2)).sum(axis=1, keepdims=True)
+    found = -logp(particles)[1][:, None]
+    assert same_law(found, expected)
+    if noise == "random":
+        particles[:, 1] = np.log(0.25)
+        assert not same_law(-logp(particles)[1][:, None], expected)
+
+
+def test_noise_is_drawn_anew(pulse, measured):
+    """For each particle of a call, for each call, and for each generator."""
+    logp = population(noisy_model(pulse, measured))
+    particles = np.zeros((50, 1))
+    values = np.concatenate([logp(particles)[1] for _ in range(2)])
+    assert len(np.unique(values)) == 100
+    streams = [logp.with_rng(np.random.default_rng(seed))(particles)[1] for seed in (1, 2, 1)]
+    assert not np.isin(streams[0], streams[1]).any()
+    np.testing.assert_array_equal(streams[0], streams[2])
+    half = streams[0][:25], streams[0][25:]
+    assert abs(np.corrcoef(*half)[0, 1]) < 0.8
+
+
+def test_without_noise_the_node_is_exact(pulse, measured, rho):
+    """`noise=0` is the model alone."""
+    logp = population(noisy_model(pulse, measured, 0.0))
+    theta = np.array([0.6, 0.9, 1.3])
+    logit = np.log((theta - PRIOR[0]) / (PRIOR[1] - theta))
+    np.testing.assert_allclose(-logp(logit[:, None])[1], [rho(t) for t in theta], rtol=1e-10)
+
+
+def test_a_negative_random_noise_does_not_stop_a_run(pulse, measured):
+    """NumPy refuses a negative scale; the law is that of its absolute value."""
+    with pm.Model() as model:
+        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        noise = pm.Normal("noise", 0.0, 0.1)
+        DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured, kernel="exponential", noise=noise)
+    values = [population(model)(np.tile([0.0, n], (500, 1)))[1] for n in (-0.2, 0.2)]
+    assert stats.ks_2samp(*values).pvalue > 1e-3
+
+
+def test_predictive_histories_contain_the_noise(pulse, measured):
+    """Standard deviations of each sensor's residuals over 60 times and 200 draws, at 4.5 errors (2.9 %)."""
+    with noisy_model(pulse, measured) as model:
+        prior = pm.sample_prior_predictive(200, random_seed=1, compile_kwargs={"mode": LIGHT})
+    assert len(model.free_RVs) == 1
+    theta = prior["prior"]["theta"].values[0]
+    residuals = prior["prior_predictive"]["y"].values[0] - [
+        simulate(chain_of(t), pulse).values for t in theta
+    ]
+    np.testing.assert_allclose(residuals.std(axis=(0, 2)), SCALE, rtol=0.029)
+    assert abs(np.corrcoef(residuals[:, 2, :-1].ravel(), residuals[:, 2, 1:].ravel())[0, 1]) < 0.045
+    assert abs(np.corrcoef(residuals[:, 1].ravel(), residuals[:, 2].ravel())[0, 1]) < 0.045
+
+
+@pytest.mark.parametrize("kernel", [PersistentSMC, PopulationIMH, pm.smc.kernels.IMH])
+def test_noise_in_other_samplers(pulse, measured, kernel):
+    """PyMC allows no random draws in a log-density but those of a simulator."""
+    model = noisy_model(pulse, measured, 0.1, epsilon=0.5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        settings = {"cores": 1, "chains": 1, "progressbar": False, "compute_convergence_checks": False}
+        idata = pm.sample_smc(100, kernel, model=model, random_seed=1, **settings)
+    assert 0.8 < float(idata.posterior["theta"].mean()) < 1.2
+
+
+def test_noise_has_no_gradient(pulse, measured):
+    with pytest.raises(NotDifferentiableError, match="a simulator with noise has no gradient. Sample with"):
+        noisy_model(pulse, measured).compile_dlogp(mode=LIGHT)
+    build_model(pulse, measured, epsilon=1.0, kernel="exponential").compile_dlogp(mode=LIGHT)
+
+
+@pytest.mark.parametrize("takes_batches", [False, True])
+@pytest.mark.parametrize("noise", [0.2, [0.1, 0.2, 0.4]])
+def test_noise_of_a_summary(noise, takes_batches):
+    """Three frequencies: rho is a weighted sum of chi-squared, Kolmogorov-Smirnov at 1e-3."""
+
+    def frequencies(k):
+        return np.multiply.outer(np.atleast_1d(np.sqrt(k))[:, 0] if takes_batches else np.sqrt(k), [1, 2, 3])
+
+    frequencies.batched = takes_batches
+    with pm.Model() as model:
+        k = pm.Uniform("k", 0.5, 1.5, shape=1 if takes_batches else ())
+        DiscrepancySimulator(
+            "y", frequencies, k, epsilon=1.0, observed=np.ones(3), kernel="exponential", noise=noise
+        )
+    found = -population(model).with_rng(np.random.default_rng(1))(np.zeros((4000, 1)))[1]
+    errors = np.reshape(noise, -1) * np.random.default_rng(2).standard_normal((4000, 3))
+    expected = np.square([0.0, 1.0, 2.0] + errors).sum(axis=1)
+    assert stats.ks_2samp(found, expected).pvalue > 1e-3
+    assert stats.ks_2samp(found, np.square([0.0, 1.0, 2.0] + 1.2 * errors).sum(axis=1)).pvalue < 1e-3
+
+
+# --------------------------------------------------------------------------- summaries, one tolerance each
+
+
+def test_summary_counts_each_entry_once():
+    data = np.array([1.0, 2.5, 2.0])
+    with pm.Model() as model:
+        theta = pm.Uniform("theta", *PRIOR)
+        DiscrepancySimulator(
+            "y",
+            lambda k: np.sqrt(k) * np.arange(1, 4),
+            theta,
+            epsilon=0.5,
+            observed=data,
+            kernel="exponential",
+        )
+    exact = np.square(np.sqrt(1.2) * np.array([1, 2, 3]) - data).sum()
+    assert log_likelihood(model)(1.2) == pytest.approx(-exact / 0.5, rel=1e-12)
+
+
+def test_exponential_kernel_with_a_sigma_for_each_sensor(pulse, measured):
+    """epsilon_j = 2 sigma_j^2: ExpFeature up to its constant -sum_j (ln 2 + 2 ln sigma_j)."""
+    sigma = np.array([0.05, 0.13, 0.4])
+    logp = log_likelihood(build_model(pulse, measured, epsilon=2 * sigma**2, kernel="exponential"))
+    with pm.Model() as model:
+        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        ExpFeature("y", mu=mu, sigma=sigma, observed=measured)
+    feature = log_likelihood(model)
+    constant = -np.sum(np.log(2) + 2 * np.log(sigma))
+    found = np.array([[logp(t), feature(t)] for t in (0.6, 0.9, 1.0, 1.3)])
+    np.testing.assert_allclose(found[:, 0] + constant, found[:, 1], rtol=1e-10)
+    np.testing.assert_allclose(np.diff(found[:, 0]), np.diff(found[:, 1]), rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        (
+            {"epsilon": [1.0, 2.0]},
+            r"`epsilon` must be one number or one for each of the 3 sensors, got shape",
+        ),
+        ({"epsilon": np.ones((3, 1))}, r"`epsilon` must be one number or one for each of the 3 sensors, got"),
+        (
+            {"epsilon": [1.0, 0.0, 1.0]},
+            r"`epsilon` must be positive and finite, got \[1.0, 0.0, 1.0\]. Pass a",
+        ),
+        ({"noise": -0.1}, "`noise` must be not negative and finite, got -0.1. Pass a standard deviation in"),
+        ({"noise": np.nan}, "`noise` must be not negative and finite, got nan"),
+        ({"noise": [0.1, np.inf, 0.1]}, r"`noise` must be not negative and finite, got \[0.1, inf, 0.1\]"),
+        (
+            {"noise": [0.1, 0.2]},
+            r"`noise` must be one number or one for each of the 3 sensors, got shape \(2",
+        ),
+        (
+            {"noise": np.ones((3, 60))},
+            r"`noise` must be one number or one for each of the 3 sensors, got sha",
+        ),
+        (
+            {"observed": np.zeros((3, 60, 1))},
+            r"shape \(sensor, time\), or \(entry,\) for a summary, got shape",
+        ),
+    ],
+)
+def test_refusals_of_tolerance_and_noise(pulse, measured, changes, match):
+    with pm.Model(), pytest.raises(ValueError, match=match):
+        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        DiscrepancySimulator("y", mu, **{"epsilon": 1.0, "observed": measured, **changes})

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytensor
-import pytensor.tensor as pt
+from pymc.distributions.simulator import SimulatorRV
 from pytensor.compile.mode import Mode
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant
@@ -60,7 +60,13 @@ class FunctionSimulator:
     """Simulator function of a user's function theta -> response (sensor, time) or summary (entry,).
 
     If the function has an attribute `batched` that is true, it is called once for all particles, with
-    parameters (particle, ...), and returns (particle, ...). An exception is a failed simulation: NaN.
+    parameters (particle, ...), and returns (particle, ...). An exception is a failed simulation: NaN, and a
+    warning for the first of its type.
+
+    Attributes
+    ----------
+    last_error : str
+        What the function raised last, or nothing.
     """
 
     batched = True  # takes batches, by a loop where the function does not
@@ -70,6 +76,7 @@ class FunctionSimulator:
         self.function_takes_batches = bool(getattr(function, "batched", False))
         self.ndims_params = ndims_params
         self.shape = shape
+        self.last_error, self.warned_of = "", set()
 
     def __call__(self, rng, *parameters_and_size):
         *parameters, size = parameters_and_size
@@ -92,16 +99,23 @@ class FunctionSimulator:
             else:
                 result = self.function(*parameters)
         except Exception as error:  # a solver may fail in a way of its own
-            warnings.warn(
-                f"the simulator raised {type(error).__name__}: {error}. Parameters at which it does are "
-                "counted as failed, and rejected.",
-                SimulationWarning,
-                stacklevel=2,
-            )
+            self.note(error)
             return np.full(self.shape, np.nan)
         if self.function_takes_batches:
             return self.checked(result, (1,))[0]
         return self.checked(result, ())
+
+    def note(self, error):
+        """Keep an exception's text; warn of the first of its type, for the text may be another each time."""
+        self.last_error = f"{type(error).__name__}: {str(error).partition('\n')[0]}"
+        if type(error) not in self.warned_of:
+            self.warned_of.add(type(error))
+            warnings.warn(
+                f"the simulator raised {self.last_error}. Parameters at which it does are counted as "
+                "failed, and rejected.",
+                SimulationWarning,
+                stacklevel=3,
+            )
 
     def checked(self, result, batch):
         """The result as an array, if it has the shape of the data."""
@@ -129,6 +143,11 @@ class NoisySimulator:
         self.simulator = simulator
         self.ndims_params = (*simulator.ndims_params, 1)
 
+    @property
+    def last_error(self) -> str:
+        """What the simulator raised last, or nothing."""
+        return getattr(self.simulator, "last_error", "")
+
     def __call__(self, rng, *parameters_and_size):
         *parameters, noise, size = parameters_and_size
         if size is None:  # noise may span a batch that the other parameters do not
@@ -141,20 +160,39 @@ class NoisySimulator:
         return exact + scale * rng.standard_normal(exact.shape)
 
     def discrepancy(self, parameters, value):
-        """e_j of one noisy measurement, as a tensor, drawn without a history.
-
-        The sum of squares of N_D white errors around a misfit of length R depends on its direction through
-        one normal variable z only: N_D e = (R - sigma z)^2 + sigma^2 chi^2 with N_D - 1 degrees of freedom.
-        """
+        """e_j of one noisy measurement, as a tensor, drawn without a history."""
         *parameters, noise = parameters
-        n_times = pt.cast(value.shape[-1], "float64")
-        length = pt.sqrt(n_times * self.simulator.discrepancy(parameters, value))
-        streams = [pytensor.shared(np.random.default_rng(), name=name) for name in ("along", "across")]
-        _, along = pt.random.normal(length, noise, rng=streams[0], return_next_rng=True)
-        # as many as there are lengths, in each batch
-        half_degrees = pt.full_like(length, 0.5) * (n_times - 1.0)
-        _, across = pt.random.gamma(half_degrees, scale=2.0, rng=streams[1], return_next_rng=True)
-        return NO_GRADIENT_OF_NOISE((pt.sqr(along) + pt.sqr(noise) * across) / n_times)
+        exact = self.simulator.discrepancy(parameters, value)
+        stream = pytensor.shared(np.random.default_rng(), name="noise")
+        return NO_GRADIENT_OF_NOISE(
+            NoisyMeanSquare().make_node(stream, None, exact, noise, value.shape[-1]).outputs[1]
+        )
+
+
+def noisy_mean_square(rng, exact, noise, n_times, size):
+    """A draw of the mean square of a misfit and white noise, from the mean square of the misfit.
+
+    The sum of squares of N_D white errors around a misfit of length R depends on its direction through
+    one normal variable z only: N_D e = (R - sigma z)^2 + sigma^2 chi^2 with N_D - 1 degrees of freedom.
+    """
+    shape = np.broadcast_shapes(
+        np.shape(exact), np.shape(noise), np.shape(n_times), () if size is None else size
+    )
+    along = np.sqrt(n_times * exact) + noise * rng.standard_normal(shape)
+    across = noise**2 * 2.0 * rng.standard_gamma(0.5 * (n_times - 1.0), shape)
+    return (along**2 + across) / n_times
+
+
+noisy_mean_square.batched = True
+
+
+class NoisyMeanSquare(SimulatorRV):
+    """`noisy_mean_square` as an Op: of PyMC's simulators, for it allows no other draws in a log-density."""
+
+    name = "NoisyMeanSquare"
+    signature = "(),(),()->()"
+    dtype = "float64"
+    fn = staticmethod(noisy_mean_square)
 
 
 def spread_batch(parameters, ndims_params, size):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytensor.tensor as pt
-from pymc.distributions.simulator import SimulatorRV, gaussian
+from pymc.distributions.simulator import SimulatorRV, gaussian, laplace
 from pymc.logprob.abstract import _logprob
 from pytensor.compile.mode import Mode
 
@@ -39,7 +39,8 @@ class SimulatorNode:
         self.model = model
         [self.rv] = found
         self.op = self.rv.owner.op
-        self.hard = getattr(self.op._distance, "hard", False)
+        self.distance = type(self.op)._distance  # looked up in the instance, a function would be a method
+        self.hard = getattr(self.distance, "hard", False)
 
     @property
     def has_one_tolerance(self) -> bool:
@@ -81,11 +82,14 @@ class SimulatorNode:
     def _minus_rho(self):
         value = self.model.rvs_to_values[self.rv]
         inputs = self.rv.owner.inputs
-        own = getattr(self.op._distance, "minus_rho", None)
+        own = getattr(self.distance, "minus_rho", None)
+        changes = {}
         if own is not None:
-            op = type(type(self.op).__name__, (type(self.op),), {"_distance": own})()
-            return pt.sum(_logprob(op, [value], *inputs))
-        minus_ratio = pt.sum(_logprob(self.op, [value], *inputs))
-        if self.op._distance is gaussian:
-            minus_ratio = -pt.sqrt(-2.0 * minus_ratio)
-        return minus_ratio * self.op.epsilon if self.has_one_tolerance else minus_ratio
+            changes = {"_distance": own}
+        elif self.has_one_tolerance and self.distance in (gaussian, laplace):
+            changes = {"epsilon": 1.0}  # no rounding by a division: the edge is exactly where rho = epsilon
+        op = type(type(self.op).__name__, (type(self.op),), changes)() if changes else self.op
+        minus_rho = pt.sum(_logprob(op, [value], *inputs))
+        if self.distance is gaussian:
+            minus_rho = -pt.sqrt(-2.0 * minus_rho)
+        return minus_rho * self.op.epsilon if not changes and self.has_one_tolerance else minus_rho

@@ -66,12 +66,12 @@ class PopulationLogp:
     batched : bool
         False if the particles are evaluated one by one, since a part of the model takes no batch.
     last_error : str
-        What the model raised last, or nothing.
+        What the model raised last, or else a simulator function that catches exceptions itself, or nothing.
     """
 
     def __init__(self, model, point, compile_kwargs, terms=None):
         self.token = uuid.uuid4().hex
-        self.last_error = ""
+        self.raised = ""
         outputs, joined, n_failures = joined_graph(model, point, terms or (model.varlogp, model.datalogp))
         self.counts_simulations = n_failures > 0
         self.errors = NUMERICAL_ERRORS if simulator_functions(outputs) == [] else Exception
@@ -131,11 +131,16 @@ class PopulationLogp:
         except self.errors as error:
             n = len(particles)
             if n == 1:
-                self.last_error = f"{type(error).__name__}: {str(error).partition('\n')[0]}"
+                self.raised = f"{type(error).__name__}: {str(error).partition('\n')[0]}"
                 n_outputs = 3 if self.counts_simulations else 2
                 return [np.full(1, np.nan), np.full(1, np.nan), np.ones(1)][:n_outputs]
             halves = self._evaluate(particles[: n // 2]), self._evaluate(particles[n // 2 :])
             return [np.concatenate(pair) for pair in zip(*halves, strict=True)]
+
+    @property
+    def last_error(self) -> str:
+        ops = [node.op for node in self.function.maker.fgraph.apply_nodes if isinstance(node.op, SimulatorRV)]
+        return next(filter(None, [self.raised, *(getattr(op.fn, "last_error", "") for op in ops)]), "")
 
     def with_rng(self, rng: np.random.Generator) -> "PopulationLogp":
         """An evaluation with random streams of its own; this one if there are no random draws in it."""

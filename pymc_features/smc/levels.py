@@ -4,6 +4,7 @@ import numpy as np
 
 from pymc_features.smc.mixture import equal_draws
 
+FEWEST = 4  # particles within a tolerance: two for each half
 STALLED = (5, 0.01)  # levels in which the way to the tolerance must shorten by this share
 
 
@@ -67,7 +68,11 @@ class Levels:
         """
         possible = np.sort(rho[np.isfinite(rho)])
         kept = min(int(np.ceil(self.p0 * len(rho))), len(possible))
-        self.tolerances.append(float(max(possible[kept - 1], self.epsilon)))
+        reached = possible[kept - 1]
+        below = np.searchsorted(possible, self.tolerance)
+        if reached == self.tolerance and below >= FEWEST:  # where many share one rho, the next smaller one
+            reached = possible[below - 1]
+        self.tolerances.append(float(max(reached, self.epsilon)))
         inside = rho <= self.tolerance
         fraction = inside.mean()
         of_chains = np.bincount(chains, inside) / np.bincount(chains)

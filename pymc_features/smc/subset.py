@@ -48,7 +48,7 @@ class SubsetSimulation(PopulationKernel):
         If the model has no `pm.Simulator` node, or several, or an argument is out of range.
     ToleranceNotReachedError
         If `max_simulations` are spent, or the levels make no more headway. The message says how far they
-        came.
+        came. From chains in processes it comes as the cause of PyMC's `ParallelSamplingError`.
 
     Warns
     -----
@@ -158,6 +158,8 @@ class SubsetSimulation(PopulationKernel):
         self.chains = np.arange(len(self.population[0]))
         if possible == 0:
             self.refuse_impossible_model()
+        if possible < wanted and not self.start:
+            self.give_up("the budget is spent on simulations that fail")
 
     def prior_particles(self):
         """Particles (n, d) from the prior and the model's other terms, with the log-density of both."""
