@@ -21,7 +21,8 @@ NOISE = 0.05  # standard deviation over the root mean square of each channel
 THETA_RANGE = (0.5, 1.5)  # prior of theta, uniform
 SIGMA_RANGE = (0.0, 2.0)  # prior of sigma, uniform [m/s^2]
 CORRELATION_TIME = 0.05  # of the errors, where it is taken for known [s]
-TAU_RANGE = (1e-4, 1.0)  # prior of the correlation time elsewhere, uniform in its logarithm [s]
+# Errors that stay alike for longer than a tenth of the first period could pass for response.
+TAU_RANGE = (1e-4, 0.1)  # prior of the correlation time elsewhere, uniform in its logarithm [s]
 
 
 def chain(theta=1.0, *, stiffness: float = STIFFNESS) -> SpringMassChain:
