@@ -7,7 +7,6 @@ import pymc as pm
 import xarray as xr
 from pymc.backends.arviz import coords_and_dims_for_inferencedata
 from pymc.initial_point import make_initial_point_fn
-from scipy.special import logsumexp
 
 from pymc_features.inference.modes import Density, climb, distinct
 from pymc_features.inference.parameters import Unconstrained, check_continuous, initial_values
@@ -101,7 +100,7 @@ def laplace(
     evidences = np.array(
         [value + 0.5 * len(x) * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(h)[1] for x, value, h in found]
     )
-    weights = np.exp(evidences - logsumexp(evidences))
+    weights = np.exp(evidences - np.logaddexp.reduce(evidences))
     particles, log_density = draw_mixture(found, weights, int(draws), rng)
     prior, likelihood = logp(particles)[:2]
     return tree(model, space, particles, found, evidences, weights, prior + likelihood - log_density)
@@ -139,7 +138,7 @@ def draw_mixture(modes, weights, n, rng):
         quadratic = np.einsum("ni,ij,nj->n", away, curvature, away)
         parts.append(np.log(weight) + 0.5 * (logdet - len(x) * np.log(2 * np.pi) - quadratic))
     order = rng.permutation(n)
-    return particles[order], logsumexp(parts, axis=0)[order]
+    return particles[order], np.logaddexp.reduce(parts, axis=0)[order]
 
 
 def tree(model, space, particles, modes, evidences, weights, log_ratios):
@@ -158,7 +157,7 @@ def tree(model, space, particles, modes, evidences, weights, log_ratios):
             stacklevel=3,
         )
     stats = {
-        "log_marginal_likelihood": [logsumexp(evidences)],
+        "log_marginal_likelihood": [np.logaddexp.reduce(evidences)],
         "log_marginal_likelihood_is": [log_ratios.max() + np.log(ratios.mean())],
         "log_marginal_likelihood_is_se": [ratios.std() / ratios.mean() / np.sqrt(n)],
         "efficiency": [efficiency],

@@ -18,7 +18,6 @@ well.
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import logsumexp
 
 SMALLEST_BETA = 1e-300
 TOLERANCE = 1e-7  # of the log evidences
@@ -103,7 +102,9 @@ class Pool:
 
     def log_evidence(self, log_weights) -> float:
         """ln Z from the weights of a temperature."""
-        return float(logsumexp(log_weights, b=self.mass) - np.log(sum(self.counts)))
+        # not SciPy's logsumexp: where ArviZ is loaded and JAX installed, it imports JAX
+        top = log_weights.max()
+        return float(top + np.log(self.mass @ np.exp(log_weights - top)) - np.log(sum(self.counts)))
 
     def effective(self, log_weights) -> float:
         """Effective number of independent points behind weights (Kish), serial correlation included."""

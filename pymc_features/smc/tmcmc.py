@@ -2,7 +2,6 @@
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import logsumexp
 
 from pymc_features.smc.population import PopulationKernel
 
@@ -65,7 +64,7 @@ class TMCMC(PopulationKernel):
         old = self.beta
         self.beta = transitional_beta(self.likelihood_logp, old, self.coefficient_of_variation)
         log_weights = (self.beta - old) * self.likelihood_logp
-        total = logsumexp(log_weights)
+        total = np.logaddexp.reduce(log_weights)
         self.weights = np.exp(log_weights - total)
         self.weights /= self.weights.sum()
         self.log_marginal_likelihood += total - np.log(self.draws)

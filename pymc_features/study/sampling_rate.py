@@ -90,7 +90,7 @@ class Study:
         return Step(sums, measured, self.step(multiplier), self.scale, delta)
 
     def part_seed(self, likelihood: str) -> int:
-        """Seed of one part: the same at all sampling steps, that they differ by their data and little else."""
+        """Seed of one part: the same at all sampling steps, which then differ by their data."""
         key = [self.seed, list(LIKELIHOODS).index(likelihood)]
         return int(np.random.SeedSequence(key).generate_state(1)[0])
 
