@@ -35,6 +35,7 @@ def test_reproduce_writes_everything_and_continues(record_file, tmp_path, capsys
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {
         *("fig1_record.png", "fig2_norm.png", "fig3_tn.png", "fig4_exp_abc.png"),
+        *("fig5_correlated.png", "fig6_widths.png"),
         *("table.md", "table.csv", "study.nc", "study.json", "parts"),
     }
     for name in names:
@@ -42,9 +43,9 @@ def test_reproduce_writes_everything_and_continues(record_file, tmp_path, capsys
             assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     output = capsys.readouterr().err
     assert "record: Record('pulse', 160 samples, dt=0.02 s" in output
-    assert "[11/12] ABC_x10" in output
+    assert "[20/21] CN-TAU_x10" in output
     with xr.open_datatree(tmp_path / "study.nc", engine="h5netcdf") as tree:
-        assert tree["summary"]["sampled"].shape == (4, 3, 2, 4)
+        assert tree["summary"]["sampled"].shape == (7, 3, 3, 4)
     table = (tmp_path / "table.csv").read_text()
     start = time.perf_counter()
     assert cli.main(arguments(record_file, tmp_path)) == 0

@@ -9,6 +9,7 @@ import pymc as pm
 import pytensor
 import pytensor.tensor as pt
 import pytest
+import xarray as xr
 from pymc.logprob.utils import ParameterValueError
 from pymc.model_graph import ModelGraph
 from pytensor.compile.mode import Mode
@@ -841,6 +842,33 @@ def test_abc_tolerance():
     e = np.array([0.2, 0.5, 0.1])
     assert abc_tolerance(sigma_mpv(e), 3) == pytest.approx(e.sum(), rel=1e-14)
     assert isinstance(abc_tolerance(np.float32(1.0), np.int64(2)), float)
+    np.testing.assert_allclose(abc_tolerance([1.0, 2.0], 2), [4.0, 16.0])
+
+
+def test_abc_tolerance_of_a_posterior():
+    """The 90 % quantile over chains and draws, whichever way the draws come."""
+    rng = np.random.default_rng(0)
+    draws = xr.DataArray(rng.gamma(3.0, size=(2, 500)), dims=("chain", "draw"))
+    expected = 2 * 7 * np.quantile(draws.values, 0.9) ** 2
+    posterior = xr.Dataset({"sigma": draws, "theta": draws})
+    for given in (draws, posterior, xr.DataTree.from_dict({"/posterior": posterior})):
+        assert abc_tolerance(given, 7) == pytest.approx(expected, rel=1e-14)
+    each = xr.DataArray(rng.gamma(3.0, size=(2, 500, 3)), dims=("chain", "draw", "sensor"))
+    expected = 2 * 3 * np.quantile(each.values, 0.9, axis=(0, 1)) ** 2
+    np.testing.assert_allclose(abc_tolerance(each, 3), expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [
+        (xr.DataTree(), "must hold a posterior, got a DataTree without that group"),
+        (xr.Dataset({"s": 1.0}), "must hold a variable of that name, got s. Pass its draws"),
+        (xr.DataArray([1.0], dims="time"), r"must have the dimensions chain and draw, got \('time',\)"),
+    ],
+)
+def test_abc_tolerance_refuses_what_is_no_posterior(given, match):
+    with pytest.raises(ValueError, match=f"`sigma` {match}"):
+        abc_tolerance(given, 2)
 
 
 @pytest.mark.parametrize(
@@ -850,8 +878,8 @@ def test_abc_tolerance():
         (-1.0, 2, ValueError, "`sigma` must be positive and finite, got -1.0"),
         (np.nan, 2, ValueError, "`sigma` must be positive and finite, got nan"),
         (np.inf, 2, ValueError, "`sigma` must be positive and finite, got inf"),
-        ([1.0, 2.0], 2, TypeError, "`sigma` must be one number, got list. Pass a quantile"),
-        ("big", 2, TypeError, "`sigma` must be one number, got str"),
+        ([1.0, 2.0], 3, ValueError, r"one number or one for each of the 3 sensors, got shape \(2,\). Pass"),
+        ("big", 2, TypeError, "`sigma` must be one number, got str. Pass a quantile"),
         (1.0, 0, ValueError, "`n_sensors` must be a positive integer, got 0"),
         (1.0, 1.5, ValueError, "`n_sensors` must be a positive integer, got 1.5"),
         (1.0, True, ValueError, "`n_sensors` must be a positive integer, got True"),

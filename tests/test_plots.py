@@ -38,6 +38,35 @@ def test_record_figure(result):
     plots.close([ax])
 
 
+def test_tolerance_figure():
+    result = xr.Dataset(
+        {
+            "theta": (("epsilon", "quantile"), [[0.5, 1.0, 1.5], [0.9, 1.0, 1.1]]),
+            "log_probability": ("epsilon", [-1.0, -3.0]),
+        },
+        coords={"epsilon": [1.0, 0.1], "quantile": [0.05, 0.5, 0.95]},
+    )
+    [ax] = plots.plot_tolerance(result)
+    assert ax.lines[0].get_xydata().tolist() == [[1.0, 1.0], [0.1, 1.0]]
+    band = ax.collections[0].get_paths()[0].vertices
+    assert {(1.0, 0.5), (1.0, 1.5), (0.1, 0.9), (0.1, 1.1)} <= set(map(tuple, band))
+    assert (ax.get_ylabel(), ax.get_xscale()) == ("theta", "log")
+    assert plots.plot_tolerance(result, ax=[ax])[0] is ax
+    plots.close([ax])
+    with pytest.raises(ValueError, match="`result` must have a scalar parameter, got none"):
+        plots.plot_tolerance(result[["log_probability"]])
+
+
+def test_widths_figure(result):
+    ax = plots.plot_widths(result)
+    exact, sampled = ax.lines[0].get_xydata(), ax.lines[1].get_xydata()
+    np.testing.assert_allclose(exact, [[0.1, 0.5], [1.0, 0.5], [10.0, 0.5]])
+    np.testing.assert_allclose(sampled, exact)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["EXP", "ABC"]
+    assert plots.plot_widths(result, ax=ax) is ax
+    plots.close([ax])
+
+
 def test_sampling_rate_figure(result):
     axes = plots.plot_sampling_rate(result, ["EXP", "ABC"])
     assert axes.shape == (2,)

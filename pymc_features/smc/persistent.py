@@ -62,7 +62,7 @@ class PersistentSMC(PopulationKernel):
 
     def __init__(self, draws=2000, *, stage_draws=None, **settings):
         super().__init__(draws, **settings)
-        stage_draws = self.checked_stage_draws(stage_draws, share=0.4, least=20)
+        stage_draws = self.checked_stage_draws(stage_draws, share=0.4, least=20, default=200)
         self.stage_draws = GROUPS * -(-stage_draws // GROUPS)
 
     def _initialize_kernel(self):

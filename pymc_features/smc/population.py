@@ -75,10 +75,10 @@ class PopulationKernel(SMC_KERNEL):
         self.n_steps = self.evaluations = self.failed = 0
         self.clock = time.perf_counter()
 
-    def checked_stage_draws(self, stage_draws, share: float, least: int) -> int:
+    def checked_stage_draws(self, stage_draws, share: float, least: int, default: int) -> int:
         """Size of a stage: as asked for, or a share of the draws that suffices for the parameters."""
         if stage_draws is None:
-            return max(int(share * self.draws), 50 * self.n_parameters, 200)
+            return max(int(share * self.draws), 50 * self.n_parameters, default)
         if isinstance(stage_draws, bool) or int(stage_draws) != stage_draws or stage_draws < least:
             raise ValueError(f"`stage_draws` must be an integer of at least {least}, got {stage_draws}.")
         return int(stage_draws)

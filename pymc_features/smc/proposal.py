@@ -157,7 +157,7 @@ def moments(x, weights, scatter_weights):
     if not (np.isfinite(variances).all() and (variances > 0).all()):
         raise ValueError(
             "the particles of a stage must differ in every parameter, got a variance of "
-            f"{variances.min():g}. Increase `draws`: too few of them were inside the posterior."
+            f"{variances.min():g}. Increase `draws` or `stage_draws`: too few were inside the posterior."
         )
     jitter = RELATIVE_JITTER
     while True:

@@ -4,7 +4,7 @@ import os
 
 import pymc as pm
 import xarray as xr
-from pymc.smc.parallel import ParallelSamplingError
+from pymc.sampling.parallel import ParallelSamplingError
 
 from pymc_features.smc.levels import ToleranceNotReachedError
 from pymc_features.smc.persistent import PersistentSMC

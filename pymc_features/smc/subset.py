@@ -34,7 +34,8 @@ class SubsetSimulation(PopulationKernel):
         Fraction of a population that a level keeps, between 0 and 1.
     stage_draws : int, optional
         Population of the levels before the last: half of `draws`, and not less than 50 for each parameter and
-        200 in all, by default. More of them make the evidence more exact.
+        400 in all, by default. More of them make the evidence more exact, and find several narrow modes; few
+        of them overestimate it, by a fraction of its standard error.
     epsilon : float, optional
         Tolerance to reach, in place of the node's.
     max_simulations : int, optional
@@ -48,7 +49,8 @@ class SubsetSimulation(PopulationKernel):
         If the model has no `pm.Simulator` node, or several, or an argument is out of range.
     ToleranceNotReachedError
         If `max_simulations` are spent, or the levels make no more headway. The message says how far they
-        came. From chains in processes it comes as the cause of PyMC's `ParallelSamplingError`.
+        came. From `pm.sample_smc` with several processes it comes as the cause of a `ParallelSamplingError`;
+        `sample_smc` raises it as it is.
 
     Warns
     -----
@@ -110,7 +112,8 @@ class SubsetSimulation(PopulationKernel):
             raise ValueError(f"`p0` must lie between 0 and 1, got {p0}. The default is 0.2.")
         self.p0 = float(p0)
         # each half of the particles that a level keeps must show a shape
-        self.stage_draws = self.checked_stage_draws(stage_draws, share=0.5, least=int(np.ceil(4 / self.p0)))
+        least = int(np.ceil(4 / self.p0))
+        self.stage_draws = self.checked_stage_draws(stage_draws, share=0.5, least=least, default=400)
         if max_simulations is None:
             max_simulations = 100 * max(self.draws, self.stage_draws)
         if not max_simulations >= self.stage_draws:
@@ -159,7 +162,7 @@ class SubsetSimulation(PopulationKernel):
         if possible == 0:
             self.refuse_impossible_model()
         if possible < wanted and not self.start:
-            self.give_up("the budget is spent on simulations that fail")
+            self.give_up("`max_simulations` were spent on simulations that fail.")
 
     def prior_particles(self):
         """Particles (n, d) from the prior and the model's other terms, with the log-density of both."""

@@ -1,0 +1,205 @@
+"""Errors correlated in time in the study: exact references against other routes, findings in words."""
+
+import numpy as np
+import pytest
+from scipy import integrate, linalg, stats
+
+from pymc_features import Record, simulate
+from pymc_features.study import paper
+from pymc_features.study import sampling_rate as study_module
+from pymc_features.study.correlated import (
+    correlated_likelihood,
+    known_scale_posterior,
+    log_determinant,
+    unknown_time_posterior,
+    weighted_square,
+)
+from pymc_features.study.findings import MEANING, verdict
+from pymc_features.study.models import LIKELIHOODS
+from pymc_features.study.quadrature import DiscrepancyCurve
+from pymc_features.study.references import REFERENCES
+
+DT, N_TIMES, N_SENSORS = 0.02, 40, 3
+
+
+def sums_of(misfit):
+    """S, D, first and last square of a misfit (sensor, time)."""
+    return np.array(
+        [
+            np.sum(misfit**2),
+            np.sum(np.diff(misfit, axis=1) ** 2),
+            np.sum(misfit[:, 0] ** 2),
+            np.sum(misfit[:, -1] ** 2),
+        ]
+    )
+
+
+@pytest.mark.parametrize("tau", [1e-4, 0.01, 0.3, 20.0])
+def test_weighted_square_and_determinant_are_those_of_the_dense_matrix(tau):
+    misfit = np.random.default_rng(0).normal(size=(N_SENSORS, N_TIMES))
+    lags = DT * np.arange(N_TIMES)
+    correlation = np.exp(-np.abs(np.subtract.outer(lags, lags)) / tau)
+    expected = np.sum(misfit * linalg.solve(correlation, misfit.T, assume_a="pos").T)
+    assert weighted_square(sums_of(misfit), DT, tau) == pytest.approx(expected, rel=1e-9)
+    half = 0.5 * N_SENSORS * np.linalg.slogdet(correlation)[1]
+    assert log_determinant(N_SENSORS, N_TIMES, DT, tau) == pytest.approx(half, rel=1e-9, abs=1e-12)
+    log_p = stats.multivariate_normal(cov=0.49 * correlation).logpdf(misfit).sum()
+    it = correlated_likelihood(N_SENSORS, N_TIMES, DT, tau)
+    got = it.constant - it.m * np.log(0.7) - it.c * expected / (2 * 0.49)
+    assert got == pytest.approx(log_p, rel=1e-9)
+
+
+def parabola(theta):
+    """Misfit of a linear model with a little noise."""
+    rng = np.random.default_rng(4)
+    slope, noise = rng.normal(size=(2, N_SENSORS, N_TIMES))
+    return 0.1 * noise + (theta - 1.02) * slope
+
+
+def test_known_scale_posterior_is_the_normal_of_the_linear_model():
+    """Misfit linear in theta: the posterior is Gaussian, and so is the evidence."""
+    tau, sigma = 0.05, 0.1
+
+    def total(theta):
+        return float(weighted_square(sums_of(parabola(theta)), DT, tau))
+
+    curve = DiscrepancyCurve(total, (0.5, 1.5), N_SENSORS * N_TIMES)
+    marginal, log_evidence = known_scale_posterior(
+        curve, correlated_likelihood(N_SENSORS, N_TIMES, DT, tau), sigma
+    )
+    at = np.array([total(t) for t in (0.0, 1.0, 2.0)])
+    curvature = 0.5 * (at[0] - 2 * at[1] + at[2])
+    centre = 1.0 - (at[2] - at[0]) / (4 * curvature)
+    normal = stats.norm(centre, sigma / np.sqrt(curvature))
+    q = np.array([0.01, 0.05, 0.5, 0.95, 0.99])
+    np.testing.assert_allclose(marginal.quantile(q), normal.ppf(q), atol=1e-4 * normal.std())
+    it = correlated_likelihood(N_SENSORS, N_TIMES, DT, tau)
+    top = it.constant - it.m * np.log(sigma) - total(centre) / (2 * sigma**2)
+    expected = top + 0.5 * np.log(2 * np.pi) + np.log(normal.std())
+    assert log_evidence == pytest.approx(expected, abs=1e-6)
+
+
+def test_unknown_time_posterior_against_adaptive_integration():
+    """SciPy's adaptive integration over theta, sigma and ln(tau): marginals and evidence."""
+    bounds, sigma_bounds, tau_bounds = (0.5, 1.5), (0.0, 2.0), (1e-3, 0.5)
+
+    def total(theta):
+        return float(sums_of(parabola(theta))[0]) / N_TIMES
+
+    curve = DiscrepancyCurve(total, bounds, N_SENSORS * N_TIMES)
+    sums = np.array([sums_of(parabola(t)) for t in curve.theta]).T
+    marginals, best, log_evidence = unknown_time_posterior(
+        curve, sums, (N_SENSORS, N_TIMES), DT, sigma_bounds, tau_bounds
+    )
+    n = N_SENSORS * N_TIMES
+    constant = -0.5 * n * np.log(2 * np.pi)
+    three = np.array([sums_of(parabola(t)) for t in (0.0, 1.0, 2.0)])  # the sums are parabolas in theta
+    a, b, c = 0.5 * (three[0] - 2 * three[1] + three[2]), 0.5 * (three[2] - three[0]), three[1]
+
+    def log_density(theta, log_sigma, log_tau):
+        x = theta - 1.0
+        weighted = weighted_square(a * x**2 + b * x + c, DT, np.exp(log_tau))
+        determinant = log_determinant(N_SENSORS, N_TIMES, DT, np.exp(log_tau))
+        return (
+            constant - n * log_sigma - determinant - 0.5 * weighted * np.exp(-2 * log_sigma)
+        ) + log_sigma  # d sigma
+
+    peak = log_density(best[0], np.log(best[1]), np.log(best[2]))
+    ends = [(best[0] - 0.15, best[0] + 0.15), (np.log(best[1]) - 0.7, np.log(best[1]) + 0.7)]
+
+    def over_theta_and_sigma(log_tau):
+        value, _ = integrate.dblquad(
+            lambda s, t: np.exp(log_density(t, s, log_tau) - peak), *ends[0], *ends[1], epsabs=1e-7
+        )
+        return value
+
+    log_ends = np.log(tau_bounds)
+    nodes = np.linspace(*log_ends, 81)
+    of_tau = np.array([over_theta_and_sigma(v) for v in nodes])
+    whole = integrate.simpson(of_tau, nodes)
+    volume = (bounds[1] - bounds[0]) * sigma_bounds[1] * (log_ends[1] - log_ends[0])
+    assert log_evidence == pytest.approx(np.log(whole) + peak - np.log(volume), abs=1e-3)
+    below = integrate.cumulative_simpson(of_tau, x=nodes, initial=0) / whole
+    for p in (0.05, 0.5, 0.95):
+        expected = np.interp(p, below, nodes)
+        assert np.log(marginals["tau"].quantile(p)) == pytest.approx(expected, abs=0.02)
+    # marginal of sigma: a scaled inverse chi at each tau
+    log_tau = np.interp(np.linspace(0.0005, 0.9995, 1000), below, nodes)
+    grid = np.linspace(best[0] - 0.15, best[0] + 0.15, 301) - 1.0
+    theta_draws, weighted_draws = [], []
+    rng = np.random.default_rng(0)
+    for v in log_tau:
+        sums_on_grid = np.outer(a, grid**2) + np.outer(b, grid) + c[:, None]
+        weighted = weighted_square(sums_on_grid, DT, np.exp(v))
+        p = np.exp(-0.5 * (n - 1) * (np.log(weighted) - np.log(weighted.min())))
+        i = rng.choice(len(grid), p=p / p.sum())
+        theta_draws.append(grid[i] + 1.0)
+        weighted_draws.append(weighted[i])
+    sigma = np.sqrt(np.array(weighted_draws) / (2 * rng.gamma(0.5 * (n - 1), size=1000)))
+    # 1000 draws: standard error of a quantile 5 % at most of the 5-95 % width; four of them
+    for name, draws in (("theta", np.array(theta_draws)), ("sigma", sigma)):
+        exact = marginals[name].quantile(np.array([0.05, 0.5, 0.95]))
+        np.testing.assert_allclose(
+            np.quantile(draws, [0.05, 0.5, 0.95]), exact, atol=0.1 * (exact[2] - exact[0])
+        )
+
+
+@pytest.fixture(scope="module")
+def widths(record):
+    """Exact 5-95 % width of theta under the three models of correlated errors, at three steps."""
+    multipliers = (0.1, 0.2, 1.0)
+    short = Record(record.acceleration[:501], record.dt)
+    study = study_module._checked_study(short, 1800.0, 0.05, multipliers, ("NORM",), 100, 1, 0)
+    found = {}
+    for kind in ("CN", "CN-SIGMA", "CN-TAU", "NORM"):
+        rows = [REFERENCES[kind](study.misfit(m)).statistics[0] for m in multipliers]
+        found[kind] = np.array([row[3] - row[1] for row in rows])
+    return found
+
+
+def test_with_time_and_scale_known_the_width_converges(widths):
+    """0.1 against 0.2 of the record's step within 5 %; NORM, which does not converge, is the control."""
+    assert widths["CN"][0] == pytest.approx(widths["CN"][1], rel=0.05)
+    assert widths["NORM"][0] < 0.8 * widths["NORM"][1]
+
+
+def test_with_the_scale_inferred_from_white_noise_it_grows(widths):
+    """sigma^2 grows like tau / dt, and the width with its root."""
+    assert widths["CN-SIGMA"][0] / widths["CN-SIGMA"][1] == pytest.approx(np.sqrt(2.0), rel=0.05)
+
+
+def test_with_the_time_inferred_white_noise_is_found(widths):
+    np.testing.assert_allclose(widths["CN-TAU"], widths["NORM"], rtol=0.02)
+
+
+def test_curve_of_a_step_is_that_of_the_response(record):
+    """The four sums, against the simulated histories."""
+    short = Record(record.acceleration[:101], record.dt)
+    study = study_module._checked_study(short, 1800.0, 0.05, (1.0, 2.0), ("NORM",), 100, 1, 0)
+    step = study.misfit(2.0)
+    theta = 1.07
+    response = simulate(paper.chain(theta), short, dt=2 * short.dt).values
+    np.testing.assert_allclose(step.at(theta), sums_of(study.data(2.0).values - response), rtol=1e-9)
+    assert step.curve.total(theta) * step.shape[1] == pytest.approx(step.at(theta)[0], rel=1e-12)
+    exact = simulate(paper.chain(), short, dt=short.dt).values
+    assert study.scale == pytest.approx(0.05 * np.sqrt(np.mean(exact**2)), rel=1e-12)
+
+
+def test_every_likelihood_has_a_reference_and_a_meaning():
+    assert list(LIKELIHOODS) == list(REFERENCES) == list(MEANING)
+
+
+@pytest.mark.parametrize(
+    ("width", "words"),
+    [
+        (
+            [1.0, np.sqrt(2.0), 4.0],
+            "narrows as the step shrinks, like its power 0.5: sampling faster",
+        ),
+        ([np.sqrt(2.0), 1.0, 4.0], "widens as the step shrinks, like its power -0.5: the errors"),
+        ([1.0, 1.01, 4.0], "settles: 0.99% between the two smallest steps"),
+        ([1.0], "one sampling step only"),
+    ],
+)
+def test_verdicts_in_words(width, words):
+    assert verdict([0.1, 0.2, 1.0][: len(width)], width).startswith(words)
