@@ -372,7 +372,8 @@ def test_fisher_against_the_posterior(kind, example):
     point = dict(zip(("theta", "sigma"), example.exact[kind].map, strict=True))
     bound = float(pmf.fisher_information(example.models[kind], point)["standard_deviation"][0])
     sd = float(example.nuts[kind]["posterior"]["theta"].std())
-    ratio = {"NORM": (0.94, 1.06), "EXP": (1.05, 1.4), "TN": (1.1, 1.8)}[kind]
+    # exactly 1, 1.118 (the root of 20 / 16) and about 1.3; 2000 draws of NUTS have a standard error of 3 to 4 %
+    ratio = {"NORM": (0.88, 1.12), "EXP": (0.98, 1.3), "TN": (1.1, 1.8)}[kind]
     assert ratio[0] < sd / bound < ratio[1]
 
 
@@ -404,11 +405,39 @@ def test_fisher_names_what_cannot_be_identified(record):
     assert found["eigenvalue"].values[1] < 1e-9 * found["eigenvalue"].values[0]
 
 
+def test_fisher_of_correlated_errors_is_that_of_the_dense_covariance(record):
+    """J' C^-1 J for the stiffness and tr(C^-1 C_i C^-1 C_j) / 2 for sigma and the correlation time."""
+    short = pmf.Record(record.acceleration[:61], record.dt)
+    at = {"theta": 1.1, "sigma": 0.3, "tau": 0.07}
+    with pm.Model() as model:
+        theta, sigma, tau = pm.Uniform("theta", 0.5, 1.5), pm.HalfNormal("sigma"), pm.HalfNormal("tau")
+        mu = pmf.response(paper.chain(theta), short, sensors=[0, 9])
+        pmf.CorrelatedNormal("y", mu, sigma, tau, observed=np.ones((2, 61)))
+    found = pmf.fisher_information(model, at)["information"].values
+
+    lags = np.abs(np.subtract.outer(short.time, short.time))
+    correlation = np.exp(-lags / at["tau"])
+    by_sigma, by_tau = 2.0 * correlation / at["sigma"], correlation * lags / at["tau"] ** 2
+    h = 1e-4
+    high, low = (
+        pmf.simulate(paper.chain(at["theta"] + s * h), short, sensors=[0, 9]).values for s in (1, -1)
+    )
+    slope = (high - low) / (2 * h)
+    expected = np.zeros((3, 3))
+    expected[0, 0] = np.sum(slope * np.linalg.solve(correlation, slope.T).T) / at["sigma"] ** 2
+    parts = [np.linalg.solve(correlation, c) for c in (by_sigma, by_tau)]
+    for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        expected[1 + i, 1 + j] = 2 * 0.5 * np.trace(parts[i] @ parts[j])  # two sensors
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * expected.max())
+
+
 def test_fisher_refuses_what_it_does_not_know(example):
     with pm.Model() as model:
         x = pm.Normal("x")
         pm.StudentT("y", nu=3.0, mu=x, sigma=1.0, observed=[1.0])
-    with pytest.raises(TypeError, match=r"must have Normal, TruncNormalFeature or ExpFeature .*got StudentT"):
+    with pytest.raises(
+        TypeError, match=r"must have Normal, CorrelatedNormal, Trunc.* or ExpFeature .*got StudentT"
+    ):
         pmf.fisher_information(model)
     with pytest.raises(ValueError, match=r"free parameters only \(theta, sigma\), got \['k'\]"):
         pmf.fisher_information(example.models["TN"], {"k": 1.0})

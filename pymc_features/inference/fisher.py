@@ -7,10 +7,11 @@ import pymc as pm
 import pytensor.tensor as pt
 import xarray as xr
 from pymc.pytensorf import compile as compile_function
-from pytensor.gradient import pullback, pushforward
+from pytensor.gradient import disconnected_grad, pullback, pushforward
 from pytensor.graph.replace import graph_replace
 from pytensor.tensor.random.basic import NormalRV
 
+from pymc_features.distributions.correlated import CorrelatedNormalRV
 from pymc_features.distributions.feature import FeatureRV
 from pymc_features.inference.parameters import check_continuous, entry_names, initial_values
 
@@ -22,8 +23,9 @@ def informative(op, rv, shape):
     Register a distribution's Op to make `fisher_information` know it.
     """
     raise TypeError(
-        f"`model` must have Normal, TruncNormalFeature or ExpFeature likelihoods, got {type(op).__name__} "
-        f"({rv.name}). Register it with pymc_features.inference.fisher.informative, or use laplace()."
+        "`model` must have Normal, CorrelatedNormal, TruncNormalFeature or ExpFeature likelihoods, got "
+        f"{type(op).__name__} ({rv.name}). Register it with pymc_features.inference.fisher.informative, or "
+        "use laplace()."
     )
 
 
@@ -49,13 +51,33 @@ def informative_feature(op, rv, shape):
     ]
 
 
+@informative.register(CorrelatedNormalRV)
+def informative_correlated(op, rv, shape):
+    """1 on each entry of the whitened response; on the scales and on phi, what each new sample adds."""
+    _, _, mu, sigma, correlation_time, dt = rv.owner.inputs
+    mu = pt.broadcast_to(mu, shape)
+    sigma, decay = (pt.broadcast_to(x, shape[:-1]) for x in (sigma, dt / correlation_time))
+    phi, share = pt.exp(-decay), -pt.expm1(-2.0 * decay)  # share of the variance that is new in each sample
+    innovation = sigma * pt.sqrt(share)
+    fixed_sigma, fixed_phi, fixed_innovation = (disconnected_grad(x) for x in (sigma, phi, innovation))
+    first = mu[..., 0] / fixed_sigma
+    later = (mu[..., 1:] - fixed_phi[..., None] * mu[..., :-1]) / fixed_innovation[..., None]
+    return [
+        (first, pt.ones_like(first)),
+        (later, pt.ones_like(later)),
+        (pt.log(sigma), pt.full_like(sigma, 2.0)),
+        (pt.log(innovation), pt.full_like(sigma, 2.0) * (shape[-1] - 1)),
+        (phi, (shape[-1] - 1) / share),
+    ]
+
+
 def fisher_information(model: pm.Model | None = None, point: dict | None = None) -> xr.Dataset:
     """Expected information of the likelihoods on the free parameters, at a point.
 
     I = sum J' W J, with J the derivatives of response and ln sigma and W what the likelihood tells of these:
     under TN and EXP 1 / (N_D sigma^2) on each sample of the response, so that the information does not grow
-    with the sampling rate, under a Normal 1 / sigma^2. Priors are left out. No data are used but their
-    shape.
+    with the sampling rate; under a Normal 1 / sigma^2; under a CorrelatedNormal the inverse covariance, whose
+    information settles as the rate grows. Priors are left out. No data are used but their shape.
 
     Parameters
     ----------
