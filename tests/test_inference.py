@@ -372,7 +372,7 @@ def test_fisher_against_the_posterior(kind, example):
     point = dict(zip(("theta", "sigma"), example.exact[kind].map, strict=True))
     bound = float(pmf.fisher_information(example.models[kind], point)["standard_deviation"][0])
     sd = float(example.nuts[kind]["posterior"]["theta"].std())
-    # exactly 1, 1.118 (the root of 20 / 16) and about 1.3; 2000 draws of NUTS have a standard error of 3 to 4 %
+    # 1, 1.118 (the root of 20 / 16) and about 1.3; 2000 draws of NUTS have a standard error of 3 to 4 %
     ratio = {"NORM": (0.88, 1.12), "EXP": (0.98, 1.3), "TN": (1.1, 1.8)}[kind]
     assert ratio[0] < sd / bound < ratio[1]
 
