@@ -28,7 +28,8 @@ def plot_widths(result, ax=None):
     steps = summary["multiplier"].values
     for kind in summary["likelihood"].values:
         colour, cell = COLOURS.get(str(kind), "C5"), width.sel(likelihood=kind)
-        ax.plot(steps, cell["exact"], color=colour, lw=1.2, label=str(kind))
+        dashes = "--" if str(kind).startswith("CN") else "-"  # CN-TAU lies on NORM
+        ax.plot(steps, cell["exact"], dashes, color=colour, lw=1.5, label=str(kind))
         ax.plot(steps, cell["sampled"], "o", color=colour, ms=4)
     ax.set_xscale("log")
     ax.set_yscale("log")
