@@ -6,11 +6,12 @@ from pymc_features.simulators.gradient import discrepancy_gradient, population_g
 from pymc_features.simulators.population import population_discrepancy, population_misfit
 from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
 from pymc_features.simulators.sampling import UNITS, request
-from pymc_features.simulators.simulate import simulate
+from pymc_features.simulators.simulate import RESPONSES, simulate
 from pymc_features.simulators.tangent import discrepancy_tangent, response_tangent
 
 __all__ = [
     "QUANTITIES",
+    "RESPONSES",
     "SOURCE_HASH",
     "UNITS",
     "chain_discrepancy",

@@ -8,6 +8,10 @@ import xarray as xr
 from pymc_features.simulators.recursion import chain_response
 from pymc_features.simulators.sampling import UNITS, request
 
+# One for each family of structures: its parameters, then acceleration, dt, substeps, stride, sensors, number of
+# modes and code of the quantity, in; the response (sensor, time), all NaN where there is no structure, out.
+RESPONSES = {"chain": chain_response}
+
 
 def simulate(
     structure,
@@ -66,7 +70,7 @@ def simulate(
             "Use `response(structure, record)` inside a model."
         )
     asked = request(structure.n_dof, record.dt, dt=dt, sensors=sensors, quantity=quantity, n_modes=n_modes)
-    values = chain_response(
+    values = RESPONSES[structure.family](
         *structure.parameters(),
         record.acceleration,
         record.dt,

@@ -14,7 +14,14 @@ class Structure(ABC):
 
     A structure is a value: changing a parameter makes a new one. Its parameters are numbers, arrays
     or PyTensor variables; degree of freedom 0 is next to the base.
+
+    Attributes
+    ----------
+    family : str
+        Which kernels compute its response, a key of `simulators.RESPONSES`; `parameters` are what they take.
     """
+
+    family: str
 
     @property
     @abstractmethod
@@ -23,7 +30,7 @@ class Structure(ABC):
 
     @abstractmethod
     def parameters(self) -> tuple:
-        """Return what the response kernels take: mass, stiffness, Rayleigh pair, damping ratios."""
+        """Return what the response kernels of its family take."""
 
     @abstractmethod
     def matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -39,6 +39,8 @@ class SpringMassChain(Structure):
     array([ 6.18034, 16.18034])
     """
 
+    family = "chain"
+
     def __init__(self, mass, stiffness, damping):
         self.mass = as_vector(mass, "mass", "kg")
         self.stiffness = as_vector(stiffness, "stiffness", "N/m")
