@@ -8,8 +8,8 @@ import xarray as xr
 from pymc_features.simulators.recursion import chain_response
 from pymc_features.simulators.sampling import UNITS, request
 
-# For each family of structures: its parameters, then acceleration, dt, substeps, stride, sensors, number of modes
-# and code of the quantity, in; the response (sensor, time), all NaN where there is no structure, out.
+# For each family of structures: its parameters, then acceleration, dt, substeps, stride, sensors, number of
+# modes and code of the quantity, in; the response (sensor, time), all NaN where there is no structure, out.
 RESPONSES = {"chain": chain_response}
 
 
