@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.inference.draws import structure_draws
-from pymc_features.inference.prediction import checked_names, largest, row_coords
+from pymc_features.inference.prediction import largest, row_coords
 from pymc_features.simulators import RESPONSES, modal_systems, response_blocks
 
 
@@ -84,15 +84,16 @@ def first_passage_probability(
     >>> float(found["probability"])
     0.5
     """
-    [name] = checked_names(quantity, "quantity")
+    if not isinstance(quantity, str) or quantity not in RESPONSES:
+        raise ValueError(f"`quantity` must be one of {', '.join(RESPONSES)}, got {quantity!r}.")
     limits = checked_limits(limit)
     records = checked_records(record)
     settings = {"dt": dt, "sensors": sensors, "n_modes": n_modes}
     chosen = structure_draws(idata, structure, records, draws, random_seed, **settings)
     pairs = zip(records, chosen.requests, strict=True)
-    peak = np.stack([peaks(chosen.parameters, *pair, name) for pair in pairs])
+    peak = np.stack([peaks(chosen.parameters, *pair, quantity) for pair in pairs])
     cells = [exceedance(peak, value, chosen.used) for value in limits.ravel()]
-    return dataset(name, cells, limits, peak, records, chosen)
+    return dataset(quantity, cells, limits, peak, records, chosen)
 
 
 def peaks(parameters, record, asked, name) -> np.ndarray:

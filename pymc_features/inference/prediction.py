@@ -143,11 +143,11 @@ def row_coords(name, asked) -> dict:
     return {dim: (dim, asked.sensors, {"long_name": title[dim]})} if dim else {}
 
 
-def checked_names(quantities, argument="quantities") -> list[str]:
+def checked_names(quantities) -> list[str]:
     """Names of responses, each once."""
     names = [quantities] if isinstance(quantities, str) else list(dict.fromkeys(quantities))
     if not names or any(name not in RESPONSES for name in names):
-        raise ValueError(f"`{argument}` must be of {', '.join(RESPONSES)}, got {quantities!r}.")
+        raise ValueError(f"`quantities` must be of {', '.join(RESPONSES)}, got {quantities!r}.")
     return names
 
 
