@@ -441,6 +441,10 @@ def test_figure_of_bands(idata):
             {"measured": np.zeros((3, 2))},
             r"`measured` must have shape \(sensor, time\) = \(3, 301\) to match.*\(3, 2\)",
         ),
+        (
+            {"measured": pmf.simulate(three_storeys(1.0), SHAKE).rename(sensor="floor")},
+            r"`measured` must have dimensions \(sensor, time\), got \('floor",
+        ),
         ({"ax": [None]}, "`ax` must have one Axes for each of 3 sensors, got 1"),
     ],
 )

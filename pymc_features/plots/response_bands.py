@@ -48,7 +48,7 @@ def plot_response_bands(result, quantity, sensors=None, measured=None, ax=None):
         raise ValueError(f"`ax` must have one Axes for each of {len(chosen)} sensors, got {len(ax)}.")
     measured = labelled(measured, bands, dim)
     for axis, label in zip(ax, chosen, strict=True):
-        draw_one(axis, bands.sel({dim: label}), None if measured is None else measured, dim, label)
+        draw_one(axis, bands.sel({dim: label}), measured, dim, label)
         unit = bands.attrs.get("units", "").replace("^2", "²")
         place = f", {dim} {label}" if dim in result[quantity].dims else ""
         axis.set(ylabel=f"[{unit}]", title=f"{quantity.replace('_', ' ')}{place}")
@@ -76,7 +76,11 @@ def labelled(measured, bands, dim):
     if measured is None:
         return None
     if isinstance(measured, xr.DataArray) and "time" in measured.coords:
-        return measured if dim in measured.dims else measured.expand_dims({dim: bands[dim].values[:1]})
+        if dim in measured.dims:
+            return measured
+        if measured.ndim == 1 and bands.sizes[dim] == 1:
+            return measured.expand_dims({dim: bands[dim].values})
+        raise ValueError(f"`measured` must have dimensions ({dim}, time), got {measured.dims}. Rename them.")
     values, shape = np.asarray(measured, dtype=np.float64), (bands.sizes[dim], bands.sizes["time"])
     if dim == "row":
         values = np.atleast_2d(values)
