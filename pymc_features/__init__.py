@@ -27,8 +27,11 @@ from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.inference import (
     ChainsDisagreeWarning,
     LaplaceWarning,
+    PredictionWarning,
+    first_passage_probability,
     fisher_information,
     laplace,
+    posterior_response,
     sample_nuts,
     tolerance_sweep,
 )
@@ -64,6 +67,7 @@ __all__ = [
     "PopulationIMH",
     "PopulationMH",
     "PopulationWarning",
+    "PredictionWarning",
     "RayleighDamping",
     "Record",
     "SimulationWarning",
@@ -75,14 +79,17 @@ __all__ = [
     "TruncNormalFeature",
     "abc_tolerance",
     "datasets",
+    "first_passage_probability",
     "fisher_information",
     "laplace",
     "mean_square_discrepancy",
     "paper",
     "plot_record",  # noqa: F822
+    "plot_response_bands",  # noqa: F822
     "plot_sampling_rate",  # noqa: F822
     "plot_tolerance",  # noqa: F822
     "plot_widths",  # noqa: F822
+    "posterior_response",
     "read_record",
     "response",
     "sample_nuts",
@@ -95,7 +102,7 @@ __all__ = [
 ]
 
 # on demand: matplotlib takes a second to import
-_PLOTS = ("plot_record", "plot_sampling_rate", "plot_tolerance", "plot_widths")
+_PLOTS = ("plot_record", "plot_response_bands", "plot_sampling_rate", "plot_tolerance", "plot_widths")
 
 
 def __getattr__(name):

@@ -3,6 +3,7 @@
 from pymc_features.simulators.compilation import SOURCE_HASH
 from pymc_features.simulators.discrepancy import chain_discrepancy, chain_misfit
 from pymc_features.simulators.gradient import discrepancy_gradient, population_gradient, response_gradient
+from pymc_features.simulators.histories import RESPONSES, has_response, modal_systems, response_blocks
 from pymc_features.simulators.population import population_discrepancy, population_misfit
 from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
 from pymc_features.simulators.sampling import UNITS, request
@@ -19,11 +20,14 @@ __all__ = [
     "chain_response",
     "discrepancy_gradient",
     "discrepancy_tangent",
+    "has_response",
+    "modal_systems",
     "n_outputs",
     "population_discrepancy",
     "population_gradient",
     "population_misfit",
     "request",
+    "response_blocks",
     "response_gradient",
     "response_tangent",
     "simulate",

@@ -1,0 +1,109 @@
+"""Bands of a response under the posterior, against time."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import xarray as xr
+
+
+def plot_response_bands(result, quantity, sensors=None, measured=None, ax=None):
+    """Band and median of a response at chosen sensors or storeys, with what was measured.
+
+    The band is between the lowest and the highest quantile of the result. It holds the uncertainty of the
+    parameters, not the error of the measurement: measured samples are not expected to lie in it.
+
+    Parameters
+    ----------
+    result : Dataset
+        From `posterior_response`.
+    quantity : str
+        One of its quantities.
+    sensors : int or sequence of int, optional
+        Sensors or storeys to draw; all by default.
+    measured : DataArray (sensor, time) or array_like (sensor, time), optional
+        Measured response with its own sensors and times, which may be fewer; or an array for the sensors
+        drawn and the times of the result. For the base shear (time).
+    ax : matplotlib Axes or sequence of them, optional
+        One for each sensor; a new figure by default.
+
+    Returns
+    -------
+    list of matplotlib Axes
+    """
+    known = [str(name) for name, v in result.data_vars.items() if "quantile" in v.dims]
+    if quantity not in known:
+        raise ValueError(f"`quantity` must be one of {', '.join(known)}, got {quantity!r}.")
+    bands, dim, chosen = rows(result[quantity], sensors)
+    if ax is None:
+        figure, axes = plt.subplots(
+            len(chosen),
+            1,
+            figsize=(8.0, 1.0 + 1.8 * len(chosen)),
+            layout="constrained",
+            squeeze=False,
+            sharex=True,
+        )
+        ax = axes[:, 0]
+    ax = list(np.atleast_1d(ax))
+    if len(ax) != len(chosen):
+        raise ValueError(f"`ax` must have one Axes for each of {len(chosen)} sensors, got {len(ax)}.")
+    measured = labelled(measured, bands, dim)
+    for axis, label in zip(ax, chosen, strict=True):
+        draw_one(axis, bands.sel({dim: label}), measured, dim, label)
+        unit = bands.attrs.get("units", "").replace("^2", "²")
+        place = f", {dim} {label}" if dim in result[quantity].dims else ""
+        axis.set(ylabel=f"[{unit}]", title=f"{quantity.replace('_', ' ')}{place}")
+    ax[-1].set_xlabel("time [s]")
+    ax[0].legend(frameon=False, loc="upper right", ncols=3)
+    return ax
+
+
+def rows(bands, sensors):
+    """The bands of the chosen sensors, the name of their dimension, and their labels."""
+    dim = next((d for d in ("sensor", "storey") if d in bands.dims), None)
+    if dim is None:
+        if sensors is not None:
+            raise ValueError(f"`sensors` must be left out for a {bands.name}, got {sensors}.")
+        return bands.expand_dims("row").assign_coords(row=[0]), "row", [0]
+    known = bands[dim].values.tolist()
+    chosen = known if sensors is None else np.atleast_1d(sensors).tolist()
+    if not chosen or not set(chosen) <= set(known):
+        raise ValueError(f"`sensors` must be among {known}, got {chosen}. Predict the others first.")
+    return bands.sel({dim: chosen}), dim, chosen
+
+
+def labelled(measured, bands, dim):
+    """What was measured, as a DataArray (dim, time), or None."""
+    if measured is None:
+        return None
+    if isinstance(measured, xr.DataArray) and "time" in measured.coords:
+        if dim in measured.dims:
+            return measured
+        if measured.ndim == 1 and bands.sizes[dim] == 1:
+            return measured.expand_dims({dim: bands[dim].values})
+        raise ValueError(f"`measured` must have dimensions ({dim}, time), got {measured.dims}. Rename them.")
+    values, shape = np.asarray(measured, dtype=np.float64), (bands.sizes[dim], bands.sizes["time"])
+    if dim == "row":
+        values = np.atleast_2d(values)
+    if values.shape != shape:
+        raise ValueError(
+            f"`measured` must have shape (sensor, time) = {shape} to match the result, got {values.shape}. "
+            "Pass a DataArray with coordinates for other sensors or times."
+        )
+    return xr.DataArray(values, {dim: bands[dim].values, "time": bands["time"].values}, (dim, "time"))
+
+
+def draw_one(axis, bands, measured, dim, label):
+    """Band, median and measurement of one sensor."""
+    bands = bands.transpose("quantile", "time")
+    time, probabilities = bands["time"].values, bands["quantile"].values
+    share = 100.0 * (probabilities[-1] - probabilities[0])
+    axis.fill_between(
+        time, bands.values[0], bands.values[-1], color="C0", alpha=0.3, lw=0, label=f"{share:g} %"
+    )
+    if 0.5 in probabilities:
+        axis.plot(time, bands.sel(quantile=0.5), color="C0", lw=1.0, label="median")
+    if measured is not None and label in measured[dim].values:
+        axis.plot(
+            measured["time"], measured.sel({dim: label}), color="0.2", lw=0.7, ls="--", label="measured"
+        )
+    axis.margins(x=0.0)
