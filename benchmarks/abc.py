@@ -21,7 +21,7 @@ from benchmarks.tables import significant, table
 OURS = "SubsetSimulation (ours)"
 # Draws; seeds; seconds for each method after its first run, above which it has no second, and least runs
 FULL = (1000, 40, 8.0, np.inf, 8)
-QUICK = (300, 4, 1.0, 8.0, 1)
+QUICK = (800, 4, 1.0, 8.0, 2)
 
 
 @dataclass(frozen=True, eq=False)

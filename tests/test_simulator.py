@@ -21,6 +21,7 @@ from pymc_features import (
     RayleighDamping,
     Record,
     SpringMassChain,
+    SubsetSimulation,
     abc_tolerance,
     mean_square_discrepancy,
     response,
@@ -104,7 +105,7 @@ def test_uniform_kernel_is_a_step_at_the_tolerance(pulse, measured, rho):
 
 
 def test_exponential_kernel_is_exp_at_fixed_sigma(pulse, measured, rho):
-    """epsilon = 2 sigma^2: ExpFeature up to -N_0 ln(2 sigma^2), Eq. (9)."""
+    """epsilon = 2 sigma^2: ExpFeature, Eq. (9), constants included."""
     sigma = 0.13
     logp = log_likelihood(build_model(pulse, measured, epsilon=2 * sigma**2, kernel="exponential"))
     with pm.Model() as model:
@@ -113,8 +114,8 @@ def test_exponential_kernel_is_exp_at_fixed_sigma(pulse, measured, rho):
     feature = log_likelihood(model)
     constant = 3 * np.log(2 * sigma**2)
     for theta in (0.6, 0.9, 1.0, 1.3):
-        assert logp(theta) == pytest.approx(feature(theta) + constant, rel=1e-10)
-        assert logp(theta) == pytest.approx(-rho(theta) / (2 * sigma**2), rel=1e-10)
+        assert logp(theta) == pytest.approx(feature(theta), rel=1e-10)
+        assert logp(theta) == pytest.approx(-rho(theta) / (2 * sigma**2) - constant, rel=1e-10)
 
 
 def test_gaussian_kernel(pulse, measured, rho):
@@ -201,7 +202,7 @@ def test_function_of_one_parameter():
         theta = pm.Uniform("theta", *PRIOR)
         DiscrepancySimulator("y", shelf, theta, epsilon=0.5, observed=data, kernel="exponential")
     exact = np.square(shelf(1.2) - data).mean(axis=1).sum()
-    assert log_likelihood(model)(1.2) == pytest.approx(-exact / 0.5, rel=1e-12)
+    assert log_likelihood(model)(1.2) == pytest.approx(-exact / 0.5 - 2 * np.log(0.5), rel=1e-12)
 
 
 def test_function_of_a_scalar_and_a_vector():
@@ -365,7 +366,7 @@ def mean_squares(pulse, measured, noise, theta=1.2, n=4000, seed=0):
         alone[j] = 1.0
         model = build_model(pulse, measured, epsilon=alone, kernel="exponential", noise=noise)
         function = population(model).with_rng(np.random.default_rng(seed + j))
-        columns.append(-function(np.full((n, 1), logit))[1])
+        columns.append(-function(np.full((n, 1), logit))[1] - np.log(alone).sum())
     return np.column_stack(columns)
 
 
@@ -545,21 +546,95 @@ def test_summary_counts_each_entry_once():
             kernel="exponential",
         )
     exact = np.square(np.sqrt(1.2) * np.array([1, 2, 3]) - data).sum()
-    assert log_likelihood(model)(1.2) == pytest.approx(-exact / 0.5, rel=1e-12)
+    assert log_likelihood(model)(1.2) == pytest.approx(-exact / 0.5 - 3 * np.log(0.5), rel=1e-12)
 
 
 def test_exponential_kernel_with_a_sigma_for_each_sensor(pulse, measured):
-    """epsilon_j = 2 sigma_j^2: ExpFeature up to its constant -sum_j (ln 2 + 2 ln sigma_j)."""
+    """epsilon_j = 2 sigma_j^2: ExpFeature, constants included."""
     sigma = np.array([0.05, 0.13, 0.4])
     logp = log_likelihood(build_model(pulse, measured, epsilon=2 * sigma**2, kernel="exponential"))
     with pm.Model() as model:
         mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
         ExpFeature("y", mu=mu, sigma=sigma, observed=measured)
     feature = log_likelihood(model)
-    constant = -np.sum(np.log(2) + 2 * np.log(sigma))
     found = np.array([[logp(t), feature(t)] for t in (0.6, 0.9, 1.0, 1.3)])
-    np.testing.assert_allclose(found[:, 0] + constant, found[:, 1], rtol=1e-10)
-    np.testing.assert_allclose(np.diff(found[:, 0]), np.diff(found[:, 1]), rtol=1e-10)
+    np.testing.assert_allclose(found[:, 0], found[:, 1], rtol=1e-10)
+
+
+def test_kernels_are_in_double_precision(pulse, measured):
+    """A literal of Python would make a weighted population sum to one in single precision only."""
+    for kernel in KERNELS:
+        model = build_model(pulse, measured, epsilon=1.0, kernel=kernel)
+        assert (
+            model.compile_logp(vars=model.observed_RVs, mode=LIGHT)(model.initial_point()).dtype == "float64"
+        )
+
+
+def test_the_time_axis_is_named_as_by_the_likelihoods(pulse, measured):
+    with pm.Model(coords={"sensor": ["a", "b", "c"]}) as model:
+        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured, dims=("sensor", "time"))
+    np.testing.assert_allclose(model.coords["time"], pulse.time)
+
+
+def test_a_function_that_always_fails_is_named_in_the_default_mode():
+    with pm.Model() as model:
+        x = pm.Normal("x")
+        DiscrepancySimulator("y", lambda x: np.array([1.0 / 0]), x, epsilon=0.5, observed=np.zeros(1))
+    with pytest.warns(UserWarning, match="the simulator failed: ZeroDivisionError"):
+        kernel = SubsetSimulation(300, model=model, random_seed=1)
+    with pytest.raises(ValueError, match="failed simulations, the last with ZeroDivisionError"):
+        kernel.initialize(None, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "match"),
+    [
+        (
+            {"observed": np.ma.masked_greater(np.ones((3, 60)), 0.5)},
+            ValueError,
+            "`observed` must have no missing values, got a masked array. Cut the record",
+        ),
+        ({"observed": "data"}, TypeError, "`observed` must be an array of numbers, got str"),
+        ({"epsilon": "small"}, TypeError, "`epsilon` must be a number or an array, got 'small'. Pass a tol"),
+        ({"kernel": ["uniform"]}, ValueError, r"`kernel` must be one of uniform, .* got \['uniform'\]"),
+    ],
+)
+def test_what_is_no_number_is_refused(pulse, measured, changes, error, match):
+    with pm.Model():
+        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        with pytest.raises(error, match=match):
+            DiscrepancySimulator("y", mu, **({"epsilon": 1.0, "observed": measured} | changes))
+
+
+def test_a_random_tolerance_is_refused(pulse, measured):
+    with pm.Model():
+        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        with pytest.raises(
+            TypeError, match="`epsilon` must be a number.* got the random variable e. Look at"
+        ):
+            DiscrepancySimulator("y", mu, epsilon=pm.HalfNormal("e"), observed=measured)
+    with pm.Model() as model:
+        epsilon, x = pm.HalfNormal("e"), pm.Normal("x")
+        pm.Simulator("y", lambda rng, x, size: x, x, epsilon=epsilon, observed=[0.0])
+    with pytest.raises(TypeError, match="`epsilon` of y must be a number.* depends on random variables"):
+        SubsetSimulation(300, model=model)
+
+
+def test_a_solver_may_use_its_array_again():
+    """Each result counts, not the last one many times."""
+    work = np.zeros(2)
+
+    def solver(x):
+        work[:] = x
+        return work
+
+    with pm.Model() as model:
+        x = pm.Normal("x", shape=2)
+        DiscrepancySimulator("y", solver, x, epsilon=0.5, observed=np.zeros(2))
+    kernel = SubsetSimulation(300, model=model, random_seed=1)
+    particles = np.array([[0.1, 0.2], [3.0, 1.0], [0.0, 0.5]])
+    np.testing.assert_allclose(kernel.simulate(particles), (particles**2).sum(axis=1))
 
 
 @pytest.mark.parametrize(

@@ -213,8 +213,10 @@ def test_result_has_everything_and_saves(small_result, tmp_path):
 def test_abc_draws_are_inside_the_tolerance_and_follow_from_exp(short, small_result):
     tolerance = small_result["summary"]["tolerance"].values
     for multiplier, delta in zip((1.0, 2.0), tolerance, strict=True):
+        # of 120 draws: the standard error of the quantile is 5 %, of delta 10 %
         sigma = small_result[f"EXP/x{multiplier:g}/posterior/sigma"]
-        assert delta == pytest.approx(20.0 * float(sigma.quantile(0.9)) ** 2, rel=1e-12)
+        assert delta == pytest.approx(abc_tolerance(sigma, paper.N_STOREYS), rel=0.4)
+        assert small_result[f"ABC/x{multiplier:g}"].attrs["tolerance"] == delta
         measured = paper.decimate(
             paper.measurements(short, multipliers=(1.0, 2.0)), multiplier * short.dt
         ).values
@@ -291,7 +293,7 @@ def test_folder_of_another_study_is_refused(short, tmp_path):
         ({"chains": 0}, "`chains` must be an integer of at least 1, got 0"),
         ({"random_seed": -1}, "`random_seed` must be an integer of at least 0, got -1"),
         ({"likelihoods": ["LAPLACE"]}, "`likelihoods` must be among NORM, TN, EXP, ABC"),
-        ({"likelihoods": ["ABC"]}, "`likelihoods` must include EXP with ABC"),
+        ({"likelihoods": []}, "`likelihoods` must be among NORM, TN, EXP, ABC"),
         ({"multipliers": []}, "`multipliers` must name at least one sampling step"),
         ({"multipliers": [1.0, 50.0]}, "`multipliers` must leave at least 10 samples, got 50"),
         ({"multipliers": [1.0, 1.5]}, "`step` must be an integer multiple of the finest step"),

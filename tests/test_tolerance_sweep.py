@@ -68,6 +68,8 @@ def test_sweep_saves(sweep, tmp_path):
             r"`tolerances` must be positive and finite, got \[1.0, 0",
         ),
         ({"tolerances": [np.inf]}, ValueError, "`tolerances` must be positive and finite"),
+        ({"tolerances": []}, ValueError, r"`tolerances` must be positive and finite, got \[\]"),
+        ({"tolerances": ["a"]}, TypeError, r"`tolerances` must be numbers, got \['a'\]"),
         ({"probability": 1.0}, ValueError, "`probability` must lie between 0 and 1, got 1.0. Pass 0.9"),
         (
             {"tolerances": [0.05]},
@@ -93,3 +95,11 @@ def test_sampling_does_not_import_jax():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_names_of_the_result_are_no_parameters():
+    with pm.Model() as model:
+        x = pm.Uniform("simulations", -1.0, 1.0)
+        DiscrepancySimulator("y", distance, x, x, epsilon=1.0, observed=np.zeros(2))
+    with pytest.raises(ValueError, match="`model` must not have parameters named simulations. Rename them"):
+        tolerance_sweep([1.0], model=model)

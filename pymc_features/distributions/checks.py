@@ -146,24 +146,6 @@ def _shape(variable):
     return variable.type.shape if values is None else values.shape
 
 
-def name_the_time_axis(dims, mu, observed, dt=None):
-    """Give the model the times [s] of the last dimension, where `dims` names one it does not know.
-
-    `dt` [s] counts where it is a constant; else the output step of a response, if that is known.
-    """
-    dims = (dims,) if isinstance(dims, str) else tuple(dims or ())
-    model = pm.modelcontext(None)
-    if not dims or dims[-1] is None or dims[-1] in model.dim_lengths:
-        return
-    mu = pt.as_tensor_variable(mu)
-    n_times = mu.type.shape[-1] if mu.ndim else None
-    if n_times is None and observed is not None:
-        n_times = _shape(pt.as_tensor_variable(observed))[-1]
-    if n_times is not None:
-        step = float(dt.data) if isinstance(dt, Constant) else response_step(mu) or 1
-        model.add_coord(dims[-1], np.arange(n_times) * step)
-
-
 def warn_about_the_posterior(rv_type, mu, sigma, observed):
     """Warn of posteriors without a finite variance and of data without noise.
 

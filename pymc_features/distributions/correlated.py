@@ -28,11 +28,10 @@ from pymc_features.distributions.checks import (
     check_correlation_time,
     check_dt,
     check_sigma,
-    name_the_time_axis,
     prepare_observed,
 )
 from pymc_features.distributions.feature import feature_support_point
-from pymc_features.ops import misfit_statistics
+from pymc_features.ops import misfit_statistics, name_the_time_axis
 
 
 class CorrelatedNormalRV(SymbolicRandomVariable):

@@ -27,11 +27,10 @@ from scipy.special import gammaln
 from pymc_features.distributions.checks import (
     as_response,
     check_sigma,
-    name_the_time_axis,
     prepare_observed,
     warn_about_the_posterior,
 )
-from pymc_features.ops import mean_square_discrepancy
+from pymc_features.ops import mean_square_discrepancy, name_the_time_axis
 
 DENSITIES = ("feature", "data")
 

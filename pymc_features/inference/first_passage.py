@@ -7,7 +7,7 @@ import xarray as xr
 
 from pymc_features.inference.draws import structure_draws
 from pymc_features.inference.prediction import largest, row_coords
-from pymc_features.simulators import RESPONSES, modal_systems, response_blocks
+from pymc_features.simulators import HISTORIES, modal_systems, response_blocks
 
 
 def first_passage_probability(
@@ -84,8 +84,8 @@ def first_passage_probability(
     >>> float(found["probability"])
     0.5
     """
-    if not isinstance(quantity, str) or quantity not in RESPONSES:
-        raise ValueError(f"`quantity` must be one of {', '.join(RESPONSES)}, got {quantity!r}.")
+    if not isinstance(quantity, str) or quantity not in HISTORIES:
+        raise ValueError(f"`quantity` must be one of {', '.join(HISTORIES)}, got {quantity!r}.")
     limits = checked_limits(limit)
     records = checked_records(record)
     settings = {"dt": dt, "sensors": sensors, "n_modes": n_modes}
@@ -151,7 +151,7 @@ def dataset(name, cells, limits, peak, records, chosen) -> xr.Dataset:
     rows = row_coords(name, chosen.requests[0])
     row = tuple(rows)
     over_limit = ("limit",) if limits.ndim else ()
-    units = {"units": RESPONSES[name].units}
+    units = {"units": HISTORIES[name].units}
     if not row:
         peak = peak[:, 0]
     parts = {"peak": (("record", "sample", *row), np.moveaxis(peak, -1, 1), units)}

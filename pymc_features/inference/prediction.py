@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.inference.draws import structure_draws
-from pymc_features.simulators import RESPONSES, modal_systems, response_blocks
+from pymc_features.simulators import HISTORIES, modal_systems, response_blocks
 
 
 def posterior_response(
@@ -119,7 +119,7 @@ def describe(name, parameters, record, asked, quantiles) -> dict:
     row = tuple(row_coords(name, asked))
     if not row:
         bands, mean, peak = bands[:, 0], mean[0], peak[0]
-    attrs = {"units": RESPONSES[name].units}
+    attrs = {"units": HISTORIES[name].units}
     arrays = {
         name: (("quantile", *row, "time"), bands),
         f"{name}_mean": ((*row, "time"), mean),
@@ -138,7 +138,7 @@ def largest(values) -> np.ndarray:
 
 def row_coords(name, asked) -> dict:
     """The coordinate of a response's rows; none for a response of one row."""
-    dim = RESPONSES[name].dim
+    dim = HISTORIES[name].dim
     title = {"sensor": "degree of freedom", "storey": "storey, 0 against the base"}
     return {dim: (dim, asked.sensors, {"long_name": title[dim]})} if dim else {}
 
@@ -146,8 +146,8 @@ def row_coords(name, asked) -> dict:
 def checked_names(quantities) -> list[str]:
     """Names of responses, each once."""
     names = [quantities] if isinstance(quantities, str) else list(dict.fromkeys(quantities))
-    if not names or any(name not in RESPONSES for name in names):
-        raise ValueError(f"`quantities` must be of {', '.join(RESPONSES)}, got {quantities!r}.")
+    if not names or any(name not in HISTORIES for name in names):
+        raise ValueError(f"`quantities` must be of {', '.join(HISTORIES)}, got {quantities!r}.")
     return names
 
 

@@ -6,6 +6,8 @@ import xarray as xr
 
 from pymc_features.smc import SubsetSimulation, ToleranceNotReachedError, sample_smc
 
+OF_THE_SAMPLER = ("log_probability", "log_probability_se", "simulations")
+
 
 def tolerance_sweep(
     tolerances, *, model=None, draws: int = 1000, probability: float = 0.9, random_seed=0, **settings
@@ -40,13 +42,18 @@ def tolerance_sweep(
     A large tolerance gives the prior. As it falls to the smallest rho there is, the interval shrinks to a
     point: the tolerance *is* the statement on the uncertainty, and that of `abc_tolerance` agrees with EXP.
     """
-    tolerances = np.sort(np.atleast_1d(np.asarray(tolerances, dtype=np.float64)))[::-1]
-    if tolerances.ndim != 1 or not (np.isfinite(tolerances) & (tolerances > 0)).all():
+    try:
+        tolerances = np.sort(np.atleast_1d(np.asarray(tolerances, dtype=np.float64)))[::-1]
+    except (TypeError, ValueError):
+        raise TypeError(f"`tolerances` must be numbers, got {tolerances!r}.") from None
+    if tolerances.ndim != 1 or not (tolerances.size and (np.isfinite(tolerances) & (tolerances > 0)).all()):
         raise ValueError(f"`tolerances` must be positive and finite, got {tolerances.tolist()}.")
     if not 0.0 < probability < 1.0:
         raise ValueError(f"`probability` must lie between 0 and 1, got {probability}. Pass 0.9 for 5-95 %.")
     model = pm.modelcontext(model)
     names = [rv.name for rv in model.free_RVs]
+    if taken := {"epsilon", "quantile", *OF_THE_SAMPLER} & set(names):
+        raise ValueError(f"`model` must not have parameters named {', '.join(sorted(taken))}. Rename them.")
     quantiles = [round(q, 12) for q in (0.5 - 0.5 * probability, 0.5, 0.5 + 0.5 * probability)]
     settings.setdefault("compute_convergence_checks", False)
     rows, reached = [], []

@@ -84,26 +84,20 @@ class FunctionSimulator:
         if batch and self.function_takes_batches:
             flat = [p.reshape(-1, *p.shape[len(batch) :]) for p in spread]
             try:
-                results = self.function(*flat)
+                return self.checked(self.function(*flat), (len(flat[0]),)).reshape(batch + self.shape)
             except Exception:  # for one of them; below it is found out for which
-                results = None
-            if results is not None:
-                return self.checked(results, (len(flat[0]),)).reshape(batch + self.shape)
+                pass
         return simulate_batch(self.core, batch, spread)
 
     def core(self, *parameters):
         """Result of one set of parameters."""
         try:
             if self.function_takes_batches:
-                result = self.function(*(p[None] for p in parameters))
-            else:
-                result = self.function(*parameters)
-        except Exception as error:  # a solver may fail in a way of its own
+                return self.checked(self.function(*(p[None] for p in parameters)), (1,))[0]
+            return self.checked(self.function(*parameters), ())
+        except Exception as error:  # a solver may fail in its own way, and a wrong result is a failure
             self.note(error)
             return np.full(self.shape, np.nan)
-        if self.function_takes_batches:
-            return self.checked(result, (1,))[0]
-        return self.checked(result, ())
 
     def note(self, error):
         """Keep an exception's text; warn of the first of its type, for the text may be another each time."""
@@ -111,15 +105,17 @@ class FunctionSimulator:
         if type(error) not in self.warned_of:
             self.warned_of.add(type(error))
             warnings.warn(
-                f"the simulator raised {self.last_error}. Parameters at which it does are counted as "
+                f"the simulator failed: {self.last_error}. Parameters at which it does are counted as "
                 "failed, and rejected.",
                 SimulationWarning,
                 stacklevel=3,
             )
 
     def checked(self, result, batch):
-        """The result as an array, if it has the shape of the data."""
-        result = np.asarray(result, dtype=np.float64)
+        """A copy of the result, if it has the shape of the data; a solver may use its array again."""
+        if np.iscomplexobj(result):
+            raise TypeError("the simulator must return real numbers, got complex ones. Pass their parts.")
+        result = np.array(result, dtype=np.float64)
         if result.shape != batch + self.shape:
             raise ValueError(
                 f"the simulator must return the shape of `observed`, {batch + self.shape}, got "

@@ -1,7 +1,7 @@
-"""Kernels of ABC: log-densities of a discrepancy rho under a tolerance epsilon.
+"""Kernels of ABC: log-densities of the mean squares e (sensor,) of a simulation under a tolerance epsilon.
 
-Each takes rho / epsilon, one number, or for one tolerance per sensor sum_j e_j / epsilon_j; the hard
-threshold compares without a division, so that its edge is exactly where rho = epsilon.
+They depend on rho = sum_j e_j, or with one tolerance for each sensor on sum_j e_j / epsilon_j in the place of
+rho / epsilon.
 """
 
 import numpy as np
@@ -10,20 +10,24 @@ import pytensor.tensor as pt
 from pymc_features.likelihood_free.functions import ADVICE
 from pymc_features.ops import NoGradient, mean_square_discrepancy
 
-
-def uniform_kernel(epsilon, rho):
-    """Accept where rho <= epsilon, Eq. (14): 0 inside and -inf outside."""
-    return pt.switch(rho <= epsilon, 0.0, -np.inf)
+INSIDE, OUTSIDE = (pt.constant(value, dtype="float64") for value in (0.0, -np.inf))
 
 
-def exponential_kernel(epsilon, rho):
-    """-rho / epsilon: with epsilon = 2 sigma^2 the EXP likelihood at that sigma."""
-    return -rho / epsilon
+def uniform_kernel(epsilon, e):
+    """Accept where rho <= epsilon, Eq. (14): 0 inside and -inf outside; exact at the edge."""
+    tolerance, rho = tolerance_and_rho(epsilon, e)
+    return pt.switch(rho <= tolerance, INSIDE, OUTSIDE)
 
 
-def gaussian_kernel(epsilon, rho):
+def exponential_kernel(epsilon, e):
+    """-sum_j (ln epsilon_j + e_j / epsilon_j): the EXP likelihood at sigma_j^2 = epsilon_j / 2."""
+    return -pt.sum(pt.log(epsilon) + e / epsilon, axis=-1)
+
+
+def gaussian_kernel(epsilon, e):
     """-(rho / epsilon)^2 / 2, PyMC's own soft kernel on rho."""
-    return -0.5 * pt.sqr(rho / epsilon)
+    tolerance, rho = tolerance_and_rho(epsilon, e)
+    return -0.5 * pt.sqr(rho / tolerance)
 
 
 KERNELS = {
@@ -55,7 +59,7 @@ class Distance:
 
     def of_discrepancy(self, epsilon, e):
         """Log-density for mean squares e (sensor,); what failed is infinitely far."""
-        density = KERNELS[self.kernel](*tolerance_and_rho(epsilon, e))
+        density = KERNELS[self.kernel](epsilon, pt.switch(pt.isnan(e), np.inf, e))
         return NO_GRADIENT_OF_THRESHOLD(density) if self.hard else density
 
     @property
@@ -69,12 +73,11 @@ class MinusRho(Distance):
 
     def of_discrepancy(self, epsilon, e):
         """-rho for mean squares e (sensor,)."""
-        return -tolerance_and_rho(epsilon, e)[1]
+        return -tolerance_and_rho(epsilon, pt.switch(pt.isnan(e), np.inf, e))[1]
 
 
 def tolerance_and_rho(epsilon, e):
     """Tolerance and rho, Eq. (15); with one tolerance for each sensor, 1 and sum_j e_j / epsilon_j."""
-    e = pt.switch(pt.isnan(e), np.inf, e)
     if epsilon.ndim == 0:
         return epsilon, pt.sum(e, axis=-1)
     return pt.ones(()), pt.sum(e / epsilon, axis=-1)

@@ -3,10 +3,13 @@
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
+from pymc.distributions.distribution import SymbolicRandomVariable
 from pymc.logprob.abstract import _logprob
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant, Variable
+from pytensor.graph.traversal import ancestors
 from pytensor.tensor.blockwise import Blockwise
+from pytensor.tensor.random.op import RandomVariable
 
 from pymc_features.likelihood_free.functions import (
     FunctionSimulator,
@@ -15,7 +18,7 @@ from pymc_features.likelihood_free.functions import (
     number,
 )
 from pymc_features.likelihood_free.kernels import KERNELS, Distance
-from pymc_features.ops import N_PARAMETERS, check_shape, response_node
+from pymc_features.ops import N_PARAMETERS, check_shape, name_the_time_axis, response_node
 
 ADVICE_ON_EPSILON = (
     "Pass a tolerance on the sum of mean squares, for example `abc_tolerance(sigma, n_sensors)`."
@@ -66,8 +69,9 @@ def DiscrepancySimulator(name, mu, *params, epsilon, observed, kernel="uniform",
         Measured response, or a summary of it (natural frequencies, say), finite. Of a summary
         e_j = (y_j - g_j)^2.
     kernel : {"uniform", "exponential", "gaussian"}
-        "uniform" accepts where rho <= epsilon; "exponential" is exp(-rho / epsilon), the EXP
-        likelihood at sigma^2 = epsilon / 2; "gaussian" is exp(-(rho / epsilon)^2 / 2).
+        "uniform" accepts where rho <= epsilon; "exponential" is the EXP likelihood at
+        sigma^2 = epsilon / 2, constants included: exp(-rho / epsilon) / epsilon^N_0; "gaussian" is
+        exp(-(rho / epsilon)^2 / 2).
     noise : float or tensor_like () or (sensor,), optional
         Standard deviation of white Gaussian measurement noise that the simulator adds, in the units of the
         data; may be a random variable. Without it the simulator is the model alone, as in the source.
@@ -98,9 +102,10 @@ def DiscrepancySimulator(name, mu, *params, epsilon, observed, kernel="uniform",
     from the prior in one stage; `SubsetSimulation` lowers it in many. With noise rho is a larger number, at
     the truth about twice what it is without.
     """
-    if kernel not in KERNELS:
+    if not isinstance(kernel, str) or kernel not in KERNELS:
         raise ValueError(f"`kernel` must be one of {', '.join(KERNELS)}, got {kernel!r}.")
     data = _checked_data(observed)
+    name_the_time_axis(dims, mu if isinstance(mu, Variable) else data, data)
     shape = data.shape if isinstance(data, np.ndarray) else data.get_value(borrow=True).shape
     fn, parameters = _simulator_of(mu, params, shape)
     node = ResponseSimulatorNode if isinstance(fn, ResponseSimulator) else pm.Simulator
@@ -117,7 +122,7 @@ def DiscrepancySimulator(name, mu, *params, epsilon, observed, kernel="uniform",
         *parameters,
         distance=Distance(kernel),
         sum_stat="identity",
-        epsilon=_per_sensor("epsilon", epsilon, shape[0], ADVICE_ON_EPSILON),
+        epsilon=_tolerance(epsilon, shape[0]),
         signature=f"{core_inputs}->({','.join(map(str, shape))})",
         observed=data,
         dims=dims,
@@ -150,27 +155,49 @@ def _simulator_of(mu, params, shape):
     return ResponseSimulator(node.inputs[N_PARAMETERS:], node.op.quantity), node.inputs[:N_PARAMETERS]
 
 
+def _tolerance(epsilon, n_sensors):
+    """Epsilon as a tensor; a random variable is no tolerance."""
+    tensor = _per_sensor("epsilon", epsilon, n_sensors, ADVICE_ON_EPSILON)
+    owners = (v.owner for v in ancestors([tensor]) if v.owner is not None)
+    if any(isinstance(node.op, RandomVariable | SymbolicRandomVariable) for node in owners):
+        raise TypeError(
+            f"`epsilon` must be a number, an array or pm.Data, got the random variable {tensor}. Look at "
+            "several tolerances with tolerance_sweep()."
+        )
+    return tensor
+
+
 def _per_sensor(name, value, n_sensors, advice, *, zero=False):
     """A tensor () or (sensor,) whose numbers, where they are known, are positive; or zero, if allowed."""
-    tensor = pt.as_tensor_variable(value if isinstance(value, Variable) else np.asarray(value, np.float64))
-    if tensor.ndim > 1 or (tensor.ndim == 1 and tensor.type.shape[0] not in (None, n_sensors)):
+    try:
+        value = value if isinstance(value, Variable) else np.asarray(value, np.float64)
+        tensor = pt.as_tensor_variable(value)
+    except (TypeError, ValueError):
+        raise TypeError(f"`{name}` must be a number or an array, got {value!r}. {advice}") from None
+    known = isinstance(tensor, Constant | SharedVariable)
+    values = np.asarray(number(tensor)) if known else None
+    shape = values.shape if known else tensor.type.shape
+    if len(shape) > 1 or (len(shape) == 1 and shape[0] not in (None, n_sensors)):
         raise ValueError(
-            f"`{name}` must be one number or one for each of the {n_sensors} sensors, got shape "
-            f"{tensor.type.shape}."
+            f"`{name}` must be one number or one for each of the {n_sensors} sensors, got shape {shape}."
         )
-    if isinstance(tensor, Constant | SharedVariable):
-        values = np.asarray(number(tensor))
-        if not (np.isfinite(values) & ((values > 0) | (zero & (values == 0)))).all():
-            wanted = "not negative" if zero else "positive"
-            raise ValueError(f"`{name}` must be {wanted} and finite, got {values.tolist()}. {advice}")
+    if known and not (np.isfinite(values) & ((values > 0) | (zero & (values == 0)))).all():
+        wanted = "not negative" if zero else "positive"
+        raise ValueError(f"`{name}` must be {wanted} and finite, got {values.tolist()}. {advice}")
     return tensor
 
 
 def _checked_data(observed):
-    values = observed
-    if isinstance(observed, SharedVariable):
-        values = observed.get_value(borrow=True)
-    values = np.asarray(values, dtype=np.float64)
+    if np.ma.isMaskedArray(observed) and np.ma.getmaskarray(observed).any():
+        raise ValueError(
+            "`observed` must have no missing values, got a masked array. Cut the record to its complete "
+            "part, or leave out the sensor."
+        )
+    values = observed.get_value(borrow=True) if isinstance(observed, SharedVariable) else observed
+    try:
+        values = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"`observed` must be an array of numbers, got {type(observed).__name__}.") from None
     if values.ndim not in (1, 2) or values.size == 0 or not np.isfinite(values).all():
         raise ValueError(
             "`observed` must be finite numbers of shape (sensor, time), or (entry,) for a summary, got shape "

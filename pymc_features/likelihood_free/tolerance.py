@@ -32,8 +32,9 @@ def abc_tolerance(sigma, n_sensors: int):
     >>> round(abc_tolerance(draws, n_sensors=10), 4)  # 90 % quantile 0.57
     6.498
     """
-    if isinstance(n_sensors, bool) or int(n_sensors) != n_sensors or n_sensors < 1:
-        raise ValueError(f"`n_sensors` must be a positive integer, got {n_sensors}.")
+    whole = isinstance(n_sensors, int | float | np.number) and not isinstance(n_sensors, bool)
+    if not (whole and n_sensors >= 1 and n_sensors % 1 == 0):
+        raise ValueError(f"`n_sensors` must be a positive integer, got {n_sensors!r}.")
     if isinstance(sigma, xr.DataTree | xr.Dataset | xr.DataArray):
         sigma = posterior_quantile(sigma)
     try:

@@ -15,6 +15,7 @@ from pymc_features.ops.misfit import ChainMisfit
 from pymc_features.ops.no_gradient import NoGradient, NotDifferentiableError
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationMisfit
 from pymc_features.ops.response import ChainResponse, response, response_node, response_step
+from pymc_features.ops.time_axis import name_the_time_axis
 
 OPS = (
     ChainResponse,
@@ -48,6 +49,7 @@ __all__ = [
     "jax_loader",
     "mean_square_discrepancy",
     "misfit_statistics",
+    "name_the_time_axis",
     "numba_dispatch",
     "response",
     "response_node",

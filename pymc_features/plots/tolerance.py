@@ -1,6 +1,7 @@
 """Posterior intervals of likelihood-free updating against the tolerance."""
 
 import matplotlib.pyplot as plt
+import numpy as np
 
 STATISTICS = ("log_probability", "log_probability_se", "simulations")
 
@@ -12,8 +13,8 @@ def plot_tolerance(result, ax=None):
     ----------
     result : Dataset
         From `tolerance_sweep`.
-    ax : sequence of matplotlib Axes, optional
-        One for each parameter; a new figure by default.
+    ax : matplotlib Axes or sequence of them, optional
+        One for each scalar parameter; a new figure by default.
 
     Returns
     -------
@@ -31,6 +32,9 @@ def plot_tolerance(result, ax=None):
             1, len(names), figsize=(4.5 * len(names), 3.4), layout="constrained", squeeze=False
         )
         ax = axes[0]
+    ax = np.atleast_1d(ax)
+    if len(ax) != len(names):
+        raise ValueError(f"`ax` must be one for each of {', '.join(map(str, names))}, got {len(ax)}.")
     for axis, name in zip(ax, names, strict=True):
         low, middle, high = result[name].transpose("quantile", "epsilon").values
         tolerance = result["epsilon"].values

@@ -3,7 +3,7 @@
 from pymc_features.simulators.compilation import SOURCE_HASH
 from pymc_features.simulators.discrepancy import chain_discrepancy, chain_misfit
 from pymc_features.simulators.gradient import discrepancy_gradient, population_gradient, response_gradient
-from pymc_features.simulators.histories import RESPONSES, has_response, modal_systems, response_blocks
+from pymc_features.simulators.histories import HISTORIES, has_response, modal_systems, response_blocks
 from pymc_features.simulators.population import population_discrepancy, population_misfit
 from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
 from pymc_features.simulators.sampling import UNITS, request
@@ -11,6 +11,7 @@ from pymc_features.simulators.simulate import RESPONSES, simulate
 from pymc_features.simulators.tangent import discrepancy_tangent, response_tangent
 
 __all__ = [
+    "HISTORIES",
     "QUANTITIES",
     "RESPONSES",
     "SOURCE_HASH",

@@ -24,7 +24,7 @@ class Response(NamedTuple):
 
 
 # The quantities of the recursion, and those that are linear combinations of its rows
-RESPONSES = {name: Response(name, "sensor", UNITS[name]) for name in QUANTITIES} | {
+HISTORIES = {name: Response(name, "sensor", UNITS[name]) for name in QUANTITIES} | {
     "inter_storey_drift": Response("relative_displacement", "storey", "m"),
     "base_shear": Response("absolute_acceleration", None, "N"),
 }
@@ -47,7 +47,7 @@ def has_response(parameters, step: float, n_modes: int) -> np.ndarray:
 
 
 def modal_systems(parameters, step: float, asked: Request, name: str) -> Systems:
-    """Recursions of structures for one of `RESPONSES`.
+    """Recursions of structures for one of `HISTORIES`.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def modal_systems(parameters, step: float, asked: Request, name: str) -> Systems
     asked : Request
         Its sensors stand for storeys where the response is a drift.
     """
-    source, dim, _ = RESPONSES[name]
+    source, dim, _ = HISTORIES[name]
     code, n_dof = QUANTITIES.index(source), parameters[0].shape[1]
     sensors = asked.sensors if dim == "sensor" else np.arange(n_dof)
     rows = []

@@ -5,6 +5,7 @@ import pytensor.tensor as pt
 from pymc.distributions.simulator import SimulatorRV, gaussian, laplace
 from pymc.logprob.abstract import _logprob
 from pytensor.compile.mode import Mode
+from pytensor.graph.traversal import ancestors
 
 
 class SimulatorNode:
@@ -40,6 +41,11 @@ class SimulatorNode:
         [self.rv] = found
         self.op = self.rv.owner.op
         self.distance = type(self.op)._distance  # looked up in the instance, a function would be a method
+        if self.model.free_RVs and set(self.model.free_RVs) & set(ancestors([self.op.epsilon])):
+            raise TypeError(
+                f"`epsilon` of {self.rv.name} must be a number, an array or pm.Data, got one that depends on "
+                "random variables. Look at several tolerances with tolerance_sweep()."
+            )
         self.hard = getattr(self.distance, "hard", False)
 
     @property
@@ -54,7 +60,12 @@ class SimulatorNode:
                 f"`epsilon` must be left out where {self.rv.name} has one for each sensor, got {asked}."
             )
         epsilon = self.op.epsilon.eval(mode=Mode(linker="py", optimizer=None)) if asked is None else asked
-        values = np.asarray(epsilon, dtype=np.float64)
+        try:
+            values = np.asarray(epsilon, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise TypeError(f"`epsilon` must be a number, got {epsilon!r}.") from None
+        if asked is not None and values.ndim > 0:
+            raise ValueError(f"`epsilon` must be one number, got {values.tolist()}.")
         if not (np.isfinite(values) & (values > 0)).all():
             raise ValueError(f"`epsilon` must be positive and finite, got {values.tolist()}.")
         return float(values) if self.has_one_tolerance else 1.0

@@ -118,6 +118,7 @@ class PopulationLogp:
         failed = failure[0].astype(bool) if self.counts_simulations else ~np.isfinite(likelihood)
         failed |= np.isnan(likelihood) | (likelihood == np.inf)
         failed &= np.isnan(prior) | (prior > -np.inf)
+        prior, likelihood = prior.astype(np.float64), likelihood.astype(np.float64)
         prior = np.where(np.isfinite(prior), prior, -np.inf)
         likelihood = np.where(np.isfinite(likelihood), likelihood, -np.inf)
         return prior, likelihood, failed
@@ -139,7 +140,7 @@ class PopulationLogp:
 
     @property
     def last_error(self) -> str:
-        ops = [node.op for node in self.function.maker.fgraph.apply_nodes if isinstance(node.op, SimulatorRV)]
+        ops = simulators_inside(self.function.maker.fgraph)
         return next(filter(None, [self.raised, *(getattr(op.fn, "last_error", "") for op in ops)]), "")
 
     def with_rng(self, rng: np.random.Generator) -> "PopulationLogp":
@@ -246,6 +247,17 @@ def simulator_functions(outputs) -> list:
     """Ops of the graph that call a simulator function."""
     owners = {v.owner for v in ancestors(outputs) if v.owner is not None}
     return [node.op for node in owners if isinstance(node.op, SimulatorRV)]
+
+
+def simulators_inside(graph) -> list:
+    """Ops of a compiled graph that call a simulator function, also where PyTensor has wrapped them."""
+    found = []
+    for node in graph.apply_nodes:
+        if isinstance(node.op, SimulatorRV):
+            found.append(node.op)
+        elif getattr(node.op, "fgraph", None) is not None:
+            found += simulators_inside(node.op.fgraph)
+    return found
 
 
 def batch_size(outputs, vector) -> int:

@@ -11,6 +11,22 @@ from pymc_features.smc.evaluation import population_logp
 from pymc_features.smc.prior import prior_draws
 
 
+def whole_number(name, value, least: int) -> int:
+    """An integer argument, checked."""
+    try:
+        if not isinstance(value, bool) and int(value) == value and value >= least:
+            return int(value)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ValueError(f"`{name}` must be an integer of at least {least}, got {value!r}.")
+
+
+def check_share(name, value, default: float):
+    """Refuse what does not lie between 0 and 1."""
+    if not (isinstance(value, int | float | np.number) and 0.0 < value < 1.0):
+        raise ValueError(f"`{name}` must lie between 0 and 1, got {value!r}. The default is {default}.")
+
+
 class PopulationKernel(SMC_KERNEL):
     """Base of the kernels for `pm.sample_smc` that evaluate all particles in one compiled call.
 
@@ -49,11 +65,8 @@ class PopulationKernel(SMC_KERNEL):
         self, draws=2000, start=None, model=None, random_seed=None, threshold=0.5, compile_kwargs=None
     ):
         # not SMC_KERNEL's own: it would compile two functions for single particles
-        if isinstance(draws, bool) or int(draws) != draws or draws < 2:
-            raise ValueError(f"`draws` must be an integer of at least 2, got {draws}.")
-        if not 0.0 < threshold < 1.0:
-            raise ValueError(f"`threshold` must lie between 0 and 1, got {threshold}. The default is 0.5.")
-        self.draws = int(draws)
+        self.draws = whole_number("draws", draws, 2)
+        check_share("threshold", threshold, 0.5)
         self.start = start
         self.threshold = threshold
         self.rng = np.random.default_rng(seed=random_seed)
@@ -79,9 +92,7 @@ class PopulationKernel(SMC_KERNEL):
         """Size of a stage: as asked for, or a share of the draws that suffices for the parameters."""
         if stage_draws is None:
             return max(int(share * self.draws), 50 * self.n_parameters, default)
-        if isinstance(stage_draws, bool) or int(stage_draws) != stage_draws or stage_draws < least:
-            raise ValueError(f"`stage_draws` must be an integer of at least {least}, got {stage_draws}.")
-        return int(stage_draws)
+        return whole_number("stage_draws", stage_draws, least)
 
     def compile_evaluation(self, model, point, compile_kwargs):
         """Compile what `evaluate` calls."""

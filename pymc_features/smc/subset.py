@@ -8,7 +8,7 @@ from pymc_features.smc.discrepancy import SimulatorNode
 from pymc_features.smc.evaluation import population_logp
 from pymc_features.smc.levels import Levels, ToleranceNotReachedError
 from pymc_features.smc.moves import CrossedMoves
-from pymc_features.smc.population import PopulationKernel
+from pymc_features.smc.population import PopulationKernel, check_share
 
 MOVES_PER_DRAW = 1.5  # accepted moves in the last level for each draw, so that most draws are distinct
 MAX_STEPS = 500  # of a level
@@ -40,7 +40,9 @@ class SubsetSimulation(PopulationKernel):
         Tolerance to reach, in place of the node's.
     max_simulations : int, optional
         Simulations after which a chain gives up; 100 for each draw by default.
-    start, model, random_seed, compile_kwargs
+    start : dict, optional
+        First particles, which must be draws from the prior: the evidence rests on it. Drawn by default.
+    model, random_seed, compile_kwargs
         As in PyMC's kernels.
 
     Raises
@@ -108,18 +110,17 @@ class SubsetSimulation(PopulationKernel):
         compile_kwargs=None,
     ):
         super().__init__(draws, start, model, random_seed, compile_kwargs=compile_kwargs)
-        if not 0.0 < p0 < 1.0:
-            raise ValueError(f"`p0` must lie between 0 and 1, got {p0}. The default is 0.2.")
+        check_share("p0", p0, 0.2)
         self.p0 = float(p0)
         # each half of the particles that a level keeps must show a shape
         least = int(np.ceil(4 / self.p0))
         self.stage_draws = self.checked_stage_draws(stage_draws, share=0.5, least=least, default=400)
         if max_simulations is None:
             max_simulations = 100 * max(self.draws, self.stage_draws)
-        if not max_simulations >= self.stage_draws:
+        if not (isinstance(max_simulations, int | float | np.number) and max_simulations >= self.stage_draws):
             raise ValueError(
                 f"`max_simulations` must allow for {self.stage_draws} draws from the prior, got "
-                f"{max_simulations}."
+                f"{max_simulations!r}."
             )
         self.max_simulations = max_simulations
         self.epsilon = self.node.tolerance(epsilon)

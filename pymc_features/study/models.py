@@ -75,8 +75,7 @@ def _unknown_time(it):
     _correlated(it, it.sigma(), pm.Deterministic("tau", pt.exp(log_tau)))
 
 
-# ABC comes behind EXP: its tolerance follows from the EXP posterior at the same sampling step. The place of a
-# likelihood is part of its seed: new ones go to the end.
+# The place of a likelihood is part of its seed: new ones go to the end.
 LIKELIHOODS = {
     "NORM": _norm,
     "TN": _tn,

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 import xarray as xr
 
+from pymc_features.likelihood_free import abc_tolerance
 from pymc_features.study import paper
 from pymc_features.study.correlated import (
     correlated_likelihood,
@@ -38,12 +39,10 @@ class Step:
         Measurements.
     dt, sigma : float
         Sampling step [s], and the scale of the noise that CN knows [m/s^2].
-    delta : float or None
-        Tolerance of ABC.
     """
 
-    def __init__(self, sums: Callable[[float], np.ndarray], data: xr.DataArray, dt, sigma, delta=None):
-        self.sums, self.data, self.dt, self.sigma, self.delta = sums, data, dt, sigma, delta
+    def __init__(self, sums: Callable[[float], np.ndarray], data: xr.DataArray, dt: float, sigma: float):
+        self.sums, self.data, self.dt, self.sigma = sums, data, dt, sigma
         self.shape = data.shape
         self._known: dict[float, np.ndarray] = {}
 
@@ -65,6 +64,16 @@ class Step:
         return self._curve(
             lambda theta: float(weighted_square(self.at(theta), self.dt, paper.CORRELATION_TIME))
         )
+
+    @cached_property
+    def delta(self) -> float:
+        """Tolerance of ABC from the exact EXP posterior, Eq. (16).
+
+        The width of ABC goes with the root of what delta has beyond the smallest rho, which would double the
+        relative error of a quantile of draws.
+        """
+        exact = exact_posterior(self.curve, exponents("EXP", *self.shape), paper.SIGMA_RANGE)
+        return abc_tolerance(float(exact.sigma.quantile(0.9)), self.shape[0])
 
     def _curve(self, total):
         return DiscrepancyCurve(total, paper.THETA_RANGE, self.data.size)

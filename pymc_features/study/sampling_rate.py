@@ -11,7 +11,6 @@ import pymc as pm
 import xarray as xr
 
 from pymc_features.distributions import FeatureLikelihoodWarning
-from pymc_features.likelihood_free import abc_tolerance
 from pymc_features.records import Record
 from pymc_features.simulators import chain_misfit, request, simulate
 from pymc_features.smc import PersistentSMC, SubsetSimulation, sample_smc
@@ -35,6 +34,7 @@ class Study:
     chains: int
     seed: int
     finest: xr.DataArray = field(repr=False)
+    steps: dict[float, Step] = field(default_factory=dict, repr=False)
 
     def settings(self) -> dict:
         """All that determines the numbers, for the folder they are kept in."""
@@ -67,8 +67,13 @@ class Study:
         """Sampling step [s]."""
         return multiplier * self.record.dt
 
-    def misfit(self, multiplier: float, delta: float | None = None) -> Step:
-        """The misfit at one sampling step, for the exact posteriors."""
+    def misfit(self, multiplier: float) -> Step:
+        """The misfit at one sampling step, for the exact posteriors; the same object each time."""
+        if multiplier not in self.steps:
+            self.steps[multiplier] = self._misfit(multiplier)
+        return self.steps[multiplier]
+
+    def _misfit(self, multiplier):
         measured = self.data(multiplier)
         data = np.ascontiguousarray(measured.values)
         asked = request(paper.N_STOREYS, self.record.dt, dt=self.step(multiplier))
@@ -87,7 +92,7 @@ class Study:
             ).T
             return np.array([squares.sum(), increments.sum(), first @ first, last @ last])
 
-        return Step(sums, measured, self.step(multiplier), self.scale, delta)
+        return Step(sums, measured, self.step(multiplier), self.scale)
 
     def part_seed(self, likelihood: str) -> int:
         """Seed of one part: the same at all sampling steps, which then differ by their data."""
@@ -128,8 +133,8 @@ def sampling_rate_study(
     multipliers : sequence of float
         Sampling steps over the record's step; integers or their reciprocals.
     likelihoods : sequence of {"NORM", "TN", "EXP", "ABC", "CN", "CN-SIGMA", "CN-TAU"}
-        ABC needs EXP, from which its tolerance follows, Eq. (16). CN is `CorrelatedNormal` with correlation
-        time and sigma known, CN-SIGMA with sigma inferred, CN-TAU with both inferred.
+        The tolerance of ABC follows from the exact posterior of EXP, Eq. (16). CN is `CorrelatedNormal` with
+        correlation time and sigma known, CN-SIGMA with sigma inferred, CN-TAU with both inferred.
     draws, chains, cores : int
         Of `sample_smc`, with `SubsetSimulation` for ABC and `PersistentSMC` otherwise; all processors by
         default.
@@ -167,10 +172,7 @@ def sampling_rate_study(
             progress(label, done, len(names))
         part = store.load(label)
         if part is None:
-            tolerance = None
-            if kind == "ABC":
-                sigma = parts["EXP", multiplier]["posterior"]["sigma"]
-                tolerance = abc_tolerance(float(sigma.quantile(0.9)), paper.N_STOREYS)
+            tolerance = study.misfit(multiplier).delta if kind == "ABC" else None
             part = run_part(study, kind, multiplier, tolerance, models, cores, progressbar)
             store.save(label, part)
         parts[kind, multiplier] = part
@@ -233,8 +235,6 @@ def _checked_study(record, stiffness, noise, multipliers, likelihoods, draws, ch
     unknown = [kind for kind in likelihoods if kind not in LIKELIHOODS]
     if unknown or not likelihoods:
         raise ValueError(f"`likelihoods` must be among {', '.join(LIKELIHOODS)}, got {likelihoods}.")
-    if "ABC" in likelihoods and "EXP" not in likelihoods:
-        raise ValueError("`likelihoods` must include EXP with ABC: its tolerance follows from EXP.")
     for name, value, least in (
         ("draws", draws, 50),
         ("chains", chains, 1),

@@ -21,11 +21,9 @@ def assemble(study, parts: dict) -> xr.DataTree:
     tolerance = np.full(len(study.multipliers), np.nan)
     interval = np.full((len(study.multipliers), 2), np.nan)
     for j, multiplier in enumerate(study.multipliers):
+        step = study.misfit(multiplier)
         if "ABC" in study.likelihoods:
-            tolerance[j] = parts["ABC", multiplier].attrs["tolerance"]
-        step = study.misfit(multiplier, tolerance[j])
-        if "ABC" in study.likelihoods:
-            interval[j] = tolerance_interval(step.curve, tolerance[j])
+            tolerance[j], interval[j] = step.delta, tolerance_interval(step.curve, step.delta)
         for i, kind in enumerate(study.likelihoods):
             part = parts[kind, multiplier]
             reference = REFERENCES[kind](step)
