@@ -610,9 +610,7 @@ def test_what_is_no_number_is_refused(pulse, measured, changes, error, match):
 def test_a_random_tolerance_is_refused(pulse, measured):
     with pm.Model():
         mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
-        with pytest.raises(
-            TypeError, match="`epsilon` must be a number.* got the random variable e. Look at"
-        ):
+        with pytest.raises(TypeError, match="`epsilon` must be a number.* got the random variable e. Look"):
             DiscrepancySimulator("y", mu, epsilon=pm.HalfNormal("e"), observed=measured)
     with pm.Model() as model:
         epsilon, x = pm.HalfNormal("e"), pm.Normal("x")
@@ -634,7 +632,7 @@ def test_a_solver_may_use_its_array_again():
         DiscrepancySimulator("y", solver, x, epsilon=0.5, observed=np.zeros(2))
     kernel = SubsetSimulation(300, model=model, random_seed=1)
     particles = np.array([[0.1, 0.2], [3.0, 1.0], [0.0, 0.5]])
-    np.testing.assert_allclose(kernel.simulate(particles), (particles**2).sum(axis=1))
+    np.testing.assert_allclose(-kernel.logp(particles)[1], (particles**2).sum(axis=1))
 
 
 @pytest.mark.parametrize(
