@@ -152,7 +152,7 @@ def test_order_five(structure):
     """Errors shrink as the fifth power of the step, for the hysteretic spring across its kinks too."""
     record = smooth_record()
     exact = histories(structure, record, 32)
-    steps = np.array([1, 2, 3, 4])
+    steps = np.array([1, 2, 3])
     errors = [np.abs(histories(structure, record, r) - exact).max() for r in steps]
     order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert order == pytest.approx(5.0, abs=0.1)
@@ -162,9 +162,9 @@ def test_duffing_free_vibration_is_a_jacobi_elliptic_cosine():
     """u" + k u + c u^3 = 0: u = A cn(W t + p | m) with W^2 = k + c A^2, m = c A^2 / (2 W^2)."""
     k, c = 300.0, 2e6
     chain = DuffingChain(1.0, [k], ModalDamping(0.0), c)
-    record = pulse_record(400)
+    record = pulse_record(100)
     u, v = (
-        simulate(chain, record, quantity=f"relative_{q}").values[0, 3:] for q in ("displacement", "velocity")
+        simulate(chain, record, quantity=f"relative_{q}").values[0, 4:] for q in ("displacement", "velocity")
     )
     energy = 0.5 * v[0] ** 2 + 0.5 * k * u[0] ** 2 + 0.25 * c * u[0] ** 4
     amplitude = np.sqrt((np.sqrt(k**2 + 4.0 * c * energy) - k) / c)

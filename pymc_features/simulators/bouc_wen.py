@@ -28,8 +28,8 @@ def spring(law, i, stiffness, drift, rate, memory):
 
 
 def pace(law, i, stiffness, omega, drift, rate, change):
-    """n |d'| / d_y, from the slope of the law, and its like for a drift about to start."""
-    sharp = max(law.values[SHARPNESS, i], 1.0) / law.values[YIELD, i]
+    """Half of (1 + n) |d'| / d_y, about the slope of the law, and its like for a drift about to start."""
+    sharp = 0.5 * (1.0 + law.values[SHARPNESS, i]) / law.values[YIELD, i]
     return sharp * abs(rate) + np.sqrt(sharp * abs(change))
 
 

@@ -48,7 +48,7 @@ def linear_part(law, mass, stiffness, rayleigh, ratios):
 @jit
 def output_value(law, system, work, ground, quantity, i):
     """One quantity at degree of freedom, or spring, `i`."""
-    n = system.mass.size
+    n = system.stiffness.size
     u, v = work.state[i], work.state[n + i]
     if quantity == ABSOLUTE_ACCELERATION:
         return work.stages[0, n + i] + ground
@@ -80,7 +80,7 @@ def history_kernel(
     total = n_outputs(acceleration.size, substeps, stride)
     history = np.empty((quantities.size, sensors.size, total))
     valid, omega, modal = linear_part(law, mass, stiffness, rayleigh, ratios)
-    system = System(mass, stiffness, rayleigh, modal)
+    system = System(1.0 / mass, stiffness, rayleigh, modal)
     work = Workspace(
         np.zeros(3 * n), np.zeros((LAST + 1, 3 * n)), np.zeros(3 * n), np.zeros(2 * n, dtype=np.uint8)
     )

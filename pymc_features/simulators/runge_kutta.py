@@ -48,9 +48,9 @@ NEWTON_STEPS = 4
 
 
 class System(NamedTuple):
-    """Masses [kg], springs [N/m], (alpha, beta), and M^-1 C of damping given by modal ratios, or (0, 0)."""
+    """Inverse masses, springs [N/m], (alpha, beta), and M^-1 C of damping by modal ratios, or (0, 0)."""
 
-    mass: np.ndarray
+    inverse_mass: np.ndarray
     stiffness: np.ndarray
     rayleigh: np.ndarray
     modal: np.ndarray
@@ -68,7 +68,7 @@ class Workspace(NamedTuple):
 @jit
 def write_slope(law, system, ground, state, slope):
     """Write the time derivative of a state under the ground acceleration `ground`."""
-    n = system.mass.size
+    n = system.stiffness.size
     alpha, beta = system.rayleigh[0], system.rayleigh[1]
     u_below = v_below = 0.0
     for i in range(n):
@@ -77,9 +77,9 @@ def write_slope(law, system, ground, state, slope):
         force, slope[2 * n + i] = spring(law, i, system.stiffness[i], u - u_below, rate, state[2 * n + i])
         force += beta * system.stiffness[i] * rate
         slope[i] = v
-        slope[n + i] = -force / system.mass[i] - alpha * v - ground
+        slope[n + i] = -force * system.inverse_mass[i] - alpha * v - ground
         if i > 0:
-            slope[n + i - 1] += force / system.mass[i - 1]
+            slope[n + i - 1] += force * system.inverse_mass[i - 1]
         u_below, v_below = u, v
     for i in range(system.modal.shape[0]):
         drag = 0.0
@@ -189,7 +189,7 @@ def step_forward(law, system, work, step, ground, trend):
 @jit
 def fastest(law, system, omega, work):
     """Rate of change [1/s] of the chain in its present state: what a step must resolve."""
-    n = system.mass.size
+    n = system.stiffness.size
     extra = 0.0
     u_below = 0.0
     for i in range(n):

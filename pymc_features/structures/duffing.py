@@ -20,7 +20,7 @@ class DuffingChain(Chain):
 
     Notes
     -----
-    Accuracy and cost as of `HystereticChain`. Where a draw leaves the ranges, the response is NaN.
+    Accuracy as of `HystereticChain`, cost about half. Where a draw leaves the ranges, the response is NaN.
 
     Examples
     --------
