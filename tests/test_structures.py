@@ -7,8 +7,8 @@ from pytensor.compile.mode import Mode
 from scipy.linalg import eigh
 
 from pymc_features import ModalDamping, RayleighDamping, Record, SpringMassChain, paper, simulate
-from pymc_features.simulators import RESPONSES
 from pymc_features.simulators.modal import chain_modes
+from pymc_features.simulators.simulate import RESPONSES
 from pymc_features.structures import STRUCTURES, Structure
 
 # One of each structure, with what its springs need

@@ -7,7 +7,7 @@ from pymc_features.simulators.histories import RESPONSES, has_response, modal_sy
 from pymc_features.simulators.population import population_discrepancy, population_misfit
 from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
 from pymc_features.simulators.sampling import UNITS, request
-from pymc_features.simulators.simulate import RESPONSES, simulate
+from pymc_features.simulators.simulate import simulate
 from pymc_features.simulators.springs import integration_error, spring_forces
 from pymc_features.simulators.tangent import discrepancy_tangent, response_tangent
 
