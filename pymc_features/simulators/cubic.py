@@ -19,9 +19,9 @@ def spring(law, i, stiffness, drift, rate, memory):
 
 
 def pace(law, i, stiffness, omega, drift, rate, change):
-    """Growth of the frequency with the tangent stiffness k + 3 c d^2, now and soon."""
+    """Growth of the frequency with the tangent stiffness k + 3 c d^2, now and soon, and from rest."""
     hardening = np.sqrt(3.0 * law.values[0, i] / stiffness)
-    return hardening * (omega * abs(drift) + abs(rate))
+    return hardening * (omega * abs(drift) + abs(rate)) + np.sqrt(hardening * abs(change))
 
 
 def is_law(law, i):

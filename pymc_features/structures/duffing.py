@@ -20,7 +20,9 @@ class DuffingChain(Chain):
 
     Notes
     -----
-    Accuracy as of `HystereticChain`, cost about half. Where a draw leaves the ranges, the response is NaN.
+    Accuracy and cost as of `HystereticChain` with n = 2. Where a draw leaves the ranges, the response is NaN.
+    Several masses on springs that harden to many times k move chaotically: no solution is accurate for long;
+    `integration_error` tells.
 
     Examples
     --------
