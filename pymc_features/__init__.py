@@ -39,7 +39,7 @@ from pymc_features.io import read_record
 from pymc_features.likelihood_free import DiscrepancySimulator, SimulationWarning, abc_tolerance
 from pymc_features.ops import NotDifferentiableError, mean_square_discrepancy, response
 from pymc_features.records import Record
-from pymc_features.simulators import simulate
+from pymc_features.simulators import integration_error, simulate, spring_forces
 from pymc_features.smc import (
     TMCMC,
     PersistentSMC,
@@ -51,15 +51,23 @@ from pymc_features.smc import (
     ToleranceNotReachedError,
     sample_smc,
 )
-from pymc_features.structures import ModalDamping, RayleighDamping, SpringMassChain
+from pymc_features.structures import (
+    DuffingChain,
+    HystereticChain,
+    ModalDamping,
+    RayleighDamping,
+    SpringMassChain,
+)
 from pymc_features.study import paper, sampling_rate_study
 
 __all__ = [
     "ChainsDisagreeWarning",
     "CorrelatedNormal",
     "DiscrepancySimulator",
+    "DuffingChain",
     "ExpFeature",
     "FeatureLikelihoodWarning",
+    "HystereticChain",
     "LaplaceWarning",
     "ModalDamping",
     "NotDifferentiableError",
@@ -81,6 +89,7 @@ __all__ = [
     "datasets",
     "first_passage_probability",
     "fisher_information",
+    "integration_error",
     "laplace",
     "mean_square_discrepancy",
     "paper",
@@ -97,6 +106,7 @@ __all__ = [
     "sampling_rate_study",
     "sigma_mpv",
     "simulate",
+    "spring_forces",
     "synthetic_earthquake",
     "tolerance_sweep",
 ]

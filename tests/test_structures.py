@@ -6,9 +6,17 @@ import pytest
 from pytensor.compile.mode import Mode
 from scipy.linalg import eigh
 
-from pymc_features import ModalDamping, RayleighDamping, SpringMassChain, paper
+from pymc_features import ModalDamping, RayleighDamping, Record, SpringMassChain, paper, simulate
 from pymc_features.simulators.modal import chain_modes
+from pymc_features.simulators.simulate import RESPONSES
 from pymc_features.structures import STRUCTURES, Structure
+
+# One of each structure, with what its springs need
+EXTRA = {
+    "SpringMassChain": {},
+    "HystereticChain": {"yield_displacement": 0.01, "post_yield_ratio": 0.1},
+    "DuffingChain": {"cubic": 1e4},
+}
 
 PLAIN = Mode(linker="py", optimizer=None)
 UNDAMPED = ModalDamping(0.0)
@@ -186,6 +194,35 @@ def test_scalars_stand_for_all():
     assert SpringMassChain([1.0, 2.0], 10.0, UNDAMPED).n_dof == 2
     assert isinstance(one, Structure)
     assert SpringMassChain in STRUCTURES
+
+
+@pytest.mark.parametrize("kind", STRUCTURES)
+def test_every_structure_keeps_the_contract(kind):
+    """Numbers or variables, n or one; a response; matrices and modes of the initial stiffness; a value."""
+    extra = EXTRA[kind.__name__]
+    structure = kind([1.0, 2.0], 100.0, UNDAMPED, **extra)
+    assert isinstance(structure, Structure)
+    assert structure.family in RESPONSES
+    assert (structure.n_dof, structure.is_symbolic) == (2, False)
+    assert repr(structure) == f"{kind.__name__}(2 masses, ModalDamping(0.0))"
+    history = simulate(structure, Record([0.0, 1.0, 0.5], 0.02), sensors=[1])
+    assert history.shape == (1, 3)
+    assert np.isfinite(history).all()
+    reference = SpringMassChain([1.0, 2.0], 100.0, UNDAMPED)
+    for ours, theirs in zip(structure.matrices(), reference.matrices(), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    np.testing.assert_array_equal(
+        structure.modes().angular_frequencies, reference.modes().angular_frequencies
+    )
+    k = pt.scalar("k")
+    symbolic = kind([1.0, 2.0], k, UNDAMPED, **extra).scale_stiffness(2.0, [1])
+    assert type(symbolic) is kind
+    assert symbolic.is_symbolic
+    scaled = structure.scale_stiffness(2.0, [1])
+    for variable, number in zip(symbolic.parameters(), scaled.parameters(), strict=True):
+        value = variable.eval({k: 100.0}, mode=PLAIN) if isinstance(variable, pt.TensorVariable) else variable
+        np.testing.assert_array_equal(value, number)
+    assert structure.parameters()[1].tolist() == [100.0, 100.0]  # left as it was
 
 
 def test_does_not_share_memory_with_what_was_passed():

@@ -143,6 +143,11 @@ def checked(structures) -> int:
             raise TypeError(
                 f"`structure` must return a structure, got {type(one).__name__}. Return a SpringMassChain."
             )
+        if not one.is_linear:
+            raise TypeError(
+                f"`structure` must return a linear structure, got {type(one).__name__}. "
+                "Call `simulate` for each draw and take the quantiles of the results."
+            )
         if one.is_symbolic:
             raise TypeError(
                 "`structure` must return a structure of numbers, got PyTensor variables. Its arguments are "

@@ -105,6 +105,11 @@ def response(
             f"`structure` must be a Structure, got {type(structure).__name__}. "
             "Pass for example a SpringMassChain."
         )
+    if not structure.is_linear:
+        raise TypeError(
+            f"`structure` must be linear to go into a model as a variable, got {type(structure).__name__}. "
+            "Pass a function that returns `simulate(...)` of it to `DiscrepancySimulator`."
+        )
     if not isinstance(record, Record):
         raise TypeError(
             f"`record` must be a Record, got {type(record).__name__}. "

@@ -7,7 +7,8 @@ from pymc_features.simulators.histories import HISTORIES, has_response, modal_sy
 from pymc_features.simulators.population import population_discrepancy, population_misfit
 from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
 from pymc_features.simulators.sampling import UNITS, request
-from pymc_features.simulators.simulate import RESPONSES, simulate
+from pymc_features.simulators.simulate import simulate
+from pymc_features.simulators.springs import integration_error, spring_forces
 from pymc_features.simulators.tangent import discrepancy_tangent, response_tangent
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "discrepancy_gradient",
     "discrepancy_tangent",
     "has_response",
+    "integration_error",
     "modal_systems",
     "n_outputs",
     "population_discrepancy",
@@ -32,4 +34,5 @@ __all__ = [
     "response_gradient",
     "response_tangent",
     "simulate",
+    "spring_forces",
 ]

@@ -28,6 +28,10 @@ class Request(NamedTuple):
         """Number of output samples for a record of `n_times` samples."""
         return (n_times - 1) * self.substeps // self.stride + 1
 
+    def times(self, record_dt: float, n_outputs: int) -> np.ndarray:
+        """Output times (n_outputs,) [s], from 0."""
+        return np.arange(n_outputs) * (record_dt * self.stride / self.substeps)
+
 
 def request(
     n_dof: int,

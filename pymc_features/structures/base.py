@@ -19,9 +19,12 @@ class Structure(ABC):
     ----------
     family : str
         Which kernels compute its response, a key of `simulators.RESPONSES`; `parameters` are what they take.
+    is_linear : bool
+        Whether its response is a sum of modes.
     """
 
     family: str
+    is_linear: bool = True
 
     @property
     @abstractmethod
@@ -34,7 +37,7 @@ class Structure(ABC):
 
     @abstractmethod
     def matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return mass [kg], damping [N s/m] and stiffness [N/m] matrices, each (n, n)."""
+        """Return mass [kg], damping [N s/m] and (initial) stiffness [N/m] matrices, each (n, n)."""
 
     @abstractmethod
     def modes(self) -> "Modes":

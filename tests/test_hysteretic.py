@@ -1,0 +1,484 @@
+"""Hysteretic and Duffing chains: a tight ODE solution, closed forms, linear limits, energy, and refusals."""
+
+import numpy as np
+import pymc as pm
+import pytensor.tensor as pt
+import pytest
+import xarray as xr
+from scipy.integrate import solve_ivp
+from scipy.special import ellipj, ellipkinc
+
+import pymc_features as pmf
+from pymc_features import (
+    DuffingChain,
+    HystereticChain,
+    ModalDamping,
+    RayleighDamping,
+    Record,
+    SpringMassChain,
+    integration_error,
+    response,
+    simulate,
+    spring_forces,
+)
+from pymc_features.simulators import QUANTITIES
+from pymc_features.simulators.nonlinear import nonlinear_histories
+from pymc_features.simulators.simulate import NONLINEAR, RESPONSES
+
+RAYLEIGH = RayleighDamping(0.2, 1e-3)
+
+
+def bouc_wen(n=3, damping=RAYLEIGH, **changes):
+    """A chain of 1.4 Hz and above whose springs yield under the records below."""
+    springs = {"yield_displacement": 0.008, "post_yield_ratio": 0.1} | changes
+    return HystereticChain(np.ones(n), np.linspace(400.0, 300.0, n), damping, **springs)
+
+
+def duffing(n=3, damping=RAYLEIGH, cubic=1e6):
+    """The same chain, hardening to several times its stiffness."""
+    return DuffingChain(np.ones(n), np.linspace(400.0, 300.0, n), damping, cubic)
+
+
+def noise_record(seed=0, n_times=60, scale=3.0, dt=0.02):
+    return Record(scale * np.random.default_rng(seed).normal(size=n_times), dt)
+
+
+def pulse_record(n_times=80):
+    """Free vibration after a pulse."""
+    return Record(np.r_[0.0, 8.0, 12.0, -4.0, np.zeros(n_times - 4)], 0.02)
+
+
+def smooth_record(n_times=60):
+    return Record(6.0 * np.sin(np.arange(n_times) * 0.16), 0.02)
+
+
+def forces_and_rates(structure, drift, rate, z):
+    """The laws as they are written in the docstrings, with arrays over the springs."""
+    k = structure.stiffness
+    if isinstance(structure, DuffingChain):
+        return k * drift + structure.cubic * drift**3, np.zeros_like(z)
+    a, dy = structure.post_yield_ratio, structure.yield_displacement
+    loss = structure.gamma + structure.beta * np.sign(rate * z)
+    return a * k * drift + (1 - a) * k * dy * z, rate / dy * (1 - np.abs(z) ** structure.sharpness * loss)
+
+
+def reference(structure, record):
+    """(quantity, sensor, time) by SciPy at tight tolerances, started anew at each sample of the record."""
+    matrix_m, matrix_c, _ = structure.matrices()
+    mass, n = np.diag(matrix_m), structure.n_dof
+
+    def slope(t, y, ground, trend):
+        u, v, z = y.reshape(3, n)
+        force, z_rate = forces_and_rates(structure, np.diff(u, prepend=0), np.diff(v, prepend=0), z)
+        restoring = force - np.append(force[1:], 0.0) + matrix_c @ v
+        return np.concatenate([v, -restoring / mass - (ground + trend * t), z_rate])
+
+    states = [np.zeros(3 * n)]
+    for now, after in zip(record.acceleration[:-1], record.acceleration[1:], strict=True):
+        arguments = (now, (after - now) / record.dt)
+        options = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-14}
+        states.append(solve_ivp(slope, (0, record.dt), states[-1], args=arguments, **options).y[:, -1])
+    y = np.array(states).T
+    slopes = [slope(0.0, s, a, 0.0) for s, a in zip(states, record.acceleration, strict=True)]
+    relative = np.array(slopes).T[n : 2 * n]
+    return dict(zip(QUANTITIES, (relative + record.acceleration, relative, y[n : 2 * n], y[:n]), strict=True))
+
+
+def distance(ours, theirs):
+    """Largest difference over the largest value."""
+    return np.abs(ours - theirs).max() / np.abs(theirs).max()
+
+
+def histories(structure, record, refine=1, quantities=(0, 3)):
+    """Histories (quantity, sensor, time), with the steps divided by `refine`."""
+    law, sensors = NONLINEAR[structure.family], np.arange(structure.n_dof)
+    settings = (record.acceleration, record.dt, 1, 1, sensors, quantities)
+    return nonlinear_histories(law, structure.parameters(), *settings, refine)
+
+
+# --------------------------------------------------------------------------- independent routes
+
+CASES = {
+    "bouc-wen": (bouc_wen(), noise_record()),
+    "bouc-wen, one mass": (bouc_wen(1), noise_record(1)),
+    "bouc-wen, free": (bouc_wen(), pulse_record()),
+    "bouc-wen, one mass, free": (bouc_wen(1), pulse_record()),
+    "n = 1": (bouc_wen(sharpness=1.0), noise_record(2)),
+    "n = 3.5, modal damping": (
+        bouc_wen(damping=ModalDamping([0.02, 0.05, 0.1]), sharpness=3.5),
+        noise_record(3),
+    ),
+    "n = 20": (bouc_wen(1, sharpness=20.0), noise_record(4, 30)),
+    "springs differ": (
+        bouc_wen(
+            yield_displacement=[0.004, 0.02, 0.01],
+            post_yield_ratio=[0.0, 0.5, 0.05],
+            sharpness=[2.0, 1.0, 6.0],
+            beta=[0.8, 0.5, 0.6],
+            gamma=[0.2, 0.4, 0.0],
+        ),
+        noise_record(5),
+    ),
+    "duffing": (duffing(), noise_record()),
+    "duffing, one mass": (duffing(1), noise_record(1)),
+    "duffing, free": (duffing(), pulse_record()),
+    "duffing, one mass, free": (duffing(1, cubic=1e7), pulse_record()),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_against_a_tight_ode_solution(case):
+    """1e-6 of the peak, in every quantity; and the springs are far from linear."""
+    structure, record = CASES[case]
+    exact = reference(structure, record)
+    for quantity in QUANTITIES:
+        assert distance(simulate(structure, record, quantity=quantity).values, exact[quantity]) < 1e-6
+    linear = SpringMassChain(structure.mass, structure.stiffness, structure.damping)
+    assert distance(simulate(linear, record), exact["absolute_acceleration"]) > 0.05
+
+
+@pytest.mark.parametrize("structure", [bouc_wen(10), duffing(10), bouc_wen(10, sharpness=1.0)])
+def test_estimated_error_over_a_whole_record(record, structure):
+    """Step doubling over El Centro: the accuracy of the docstrings; and the estimate is near the error."""
+    estimate = integration_error(structure, record)
+    assert 0.0 < estimate < 1e-6
+    coarse, fine = histories(structure, record)[0], histories(structure, record, 6)[0]
+    assert distance(coarse, fine) == pytest.approx(estimate, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    "structure", [duffing(1), duffing(3), bouc_wen(1), bouc_wen(1, sharpness=4.0)], ids=str
+)
+def test_order_five(structure):
+    """Errors shrink as the fifth power of the step, for the hysteretic spring across its kinks too."""
+    record = smooth_record()
+    exact = histories(structure, record, 32)
+    steps = np.array([1, 2, 3])
+    errors = [np.abs(histories(structure, record, r) - exact).max() for r in steps]
+    order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert order == pytest.approx(5.0, abs=0.1)
+
+
+def test_duffing_free_vibration_is_a_jacobi_elliptic_cosine():
+    """u" + k u + c u^3 = 0: u = A cn(W t + p | m) with W^2 = k + c A^2, m = c A^2 / (2 W^2)."""
+    k, c = 300.0, 2e6
+    chain = DuffingChain(1.0, [k], ModalDamping(0.0), c)
+    record = pulse_record(100)
+    u, v = (
+        simulate(chain, record, quantity=f"relative_{q}").values[0, 4:] for q in ("displacement", "velocity")
+    )
+    energy = 0.5 * v[0] ** 2 + 0.5 * k * u[0] ** 2 + 0.25 * c * u[0] ** 4
+    amplitude = np.sqrt((np.sqrt(k**2 + 4.0 * c * energy) - k) / c)
+    rate = np.sqrt(k + c * amplitude**2)
+    m = c * amplitude**2 / (2.0 * rate**2)
+    phase = -np.sign(v[0]) * ellipkinc(np.arccos(u[0] / amplitude), m)
+    exact = amplitude * ellipj(rate * np.arange(u.size) * record.dt + phase, m)[1]
+    assert c * amplitude**2 > k  # far from linear
+    assert distance(u, exact) < 1e-6
+
+
+# --------------------------------------------------------------------------- linear limits
+
+
+@pytest.mark.parametrize("n", [1, 4])
+@pytest.mark.parametrize(
+    "damping", [RAYLEIGH, ModalDamping(0.05), ModalDamping(0.0), ModalDamping(2.0)], ids=str
+)
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_linear_limits(n, damping, quantity):
+    """No post-yield loss, yielding out of reach, or no cubic part: the exact response of the linear chain."""
+    record = noise_record(7, 100)
+    limits = (
+        bouc_wen(n, damping, post_yield_ratio=1.0),
+        bouc_wen(n, damping, yield_displacement=1e6),
+        duffing(n, damping, cubic=0.0),
+    )
+    exact = simulate(SpringMassChain(limits[0].mass, limits[0].stiffness, damping), record, quantity=quantity)
+    for chain in limits:
+        ours = simulate(chain, record, quantity=quantity)
+        assert distance(ours.values, exact.values) < 1e-6
+        assert ours.attrs == exact.attrs
+        assert ours.coords.equals(exact.coords)
+
+
+def test_initial_chain():
+    """Matrices and modes are those of the linear chain with the initial springs."""
+    linear = SpringMassChain(np.ones(3), np.linspace(400.0, 300.0, 3), RAYLEIGH)
+    for chain in (bouc_wen(), duffing()):
+        for ours, theirs in zip(chain.matrices(), linear.matrices(), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        np.testing.assert_array_equal(chain.modes().mode_shapes, linear.modes().mode_shapes)
+
+
+# --------------------------------------------------------------------------- hysteresis
+
+
+def slow_cycles():
+    """Two cycles of 8 s, 150 N at their peaks on a mass of 1 kg with a period of 0.06 s."""
+    return Record(-150.0 * np.sin(2.0 * np.pi * np.arange(801) * 0.02 / 8.0), 0.02)
+
+
+def test_bilinear_limit_is_the_static_loop():
+    """n = 60: force 100 N + 2000 N/m (d - 0.01 m), unloading at 10000 N/m, 8 J in each cycle."""
+    chain = HystereticChain(
+        1.0, [1e4], ModalDamping(0.2), yield_displacement=0.01, post_yield_ratio=0.2, sharpness=60.0
+    )
+    loop = spring_forces(chain, slow_cycles()).sel(spring=0)
+    force, drift = loop["force"].values, loop["drift"].values
+    assert drift.max() == pytest.approx(0.01 + 50.0 / 2000.0, rel=0.02)
+    assert drift.min() == pytest.approx(-drift.max(), rel=0.02)
+    plastic, clipped = 0.0, [0.0]
+    for change in np.diff(drift):  # elastic-perfectly-plastic, by return mapping along the same drifts
+        plastic = np.clip(plastic + change / 0.01, -1.0, 1.0)
+        clipped.append(plastic)
+    exact = 0.2 * 1e4 * drift + 0.8 * 1e4 * 0.01 * np.array(clipped)
+    assert np.abs(force - exact).max() < 0.03 * np.abs(exact).max()
+    cycle = slice(400, None)
+    work = np.sum(0.5 * (force[cycle][1:] + force[cycle][:-1]) * np.diff(drift[cycle]))
+    assert work == pytest.approx(4.0 * 0.8 * 1e4 * 0.01 * 0.025, rel=0.03)
+    soft = HystereticChain(1.0, [1e4], ModalDamping(0.2), yield_displacement=0.01, post_yield_ratio=0.2)
+    loop = spring_forces(soft, slow_cycles())  # negative control: n = 2 is round
+    assert np.abs(np.abs(loop["z"].values) - np.abs(clipped)).max() > 0.1
+
+
+def test_sharpness_and_the_knee():
+    """At d = d_y a monotonic spring has z with int_0^z dz / (1 - z^n) = 1: 3 % below one for n = 20."""
+    chain = HystereticChain(
+        1.0, [1e4], ModalDamping(0.2), yield_displacement=0.01, post_yield_ratio=0.2, sharpness=20.0
+    )
+    loop = spring_forces(chain, slow_cycles()).sel(spring=0).isel(time=slice(100))
+    knee = np.interp(0.01, loop["drift"], loop["z"])
+    assert sum(knee ** (20 * j + 1) / (20 * j + 1) for j in range(200)) == pytest.approx(1.0, abs=0.01)
+    assert knee == pytest.approx(0.97, abs=0.005)
+
+
+@pytest.mark.parametrize("sharpness", [1.0, 2.0, 8.0])
+@pytest.mark.parametrize(("beta", "gamma"), [(0.5, 0.5), (1.0, 0.0), (0.7, 0.1)])
+def test_springs_dissipate_and_stay_on_their_leash(sharpness, beta, gamma):
+    """Work less stored energy never falls, in no spring; |z| <= (beta + gamma)^(-1/n)."""
+    chain = bouc_wen(sharpness=sharpness, beta=beta, gamma=gamma)
+    loops = spring_forces(chain, noise_record(8, 150), dt=0.001)
+    force, drift, z = (loops[name].values for name in ("force", "drift", "z"))
+    assert np.abs(drift / 0.008).max() > 2.0
+    limit = (beta + gamma) ** (-1.0 / sharpness)
+    assert 0.8 * limit < np.abs(z).max() <= limit * (1.0 + 1e-9)
+    hysteretic = force - 0.1 * chain.stiffness[:, None] * drift
+    np.testing.assert_allclose(hysteretic, 0.9 * chain.stiffness[:, None] * 0.008 * z, atol=1e-12)
+    scale = 0.9 * chain.stiffness[:, None] * 0.008**2
+    work = 0.5 * (hysteretic[:, 1:] + hysteretic[:, :-1]) * np.diff(drift, axis=1) / scale
+    loss = work - 0.5 * np.diff(z**2, axis=1)
+    assert loss.min() > -1e-5  # the trapezoidal rule's
+    assert (loss.sum(axis=1) > 0.1).all()
+
+
+def test_force_balance():
+    """The lowest spring and its dashpot carry the inertia of all masses: sum m a_abs."""
+    chain, record = bouc_wen(damping=RayleighDamping(0.0, 1e-3)), noise_record(9)
+    acceleration = simulate(chain, record).values
+    velocity = simulate(chain, record, quantity="relative_velocity").values
+    force = spring_forces(chain, record)["force"].values[0] + 1e-3 * 400.0 * velocity[0]
+    np.testing.assert_allclose(-acceleration.sum(axis=0), force, atol=1e-12 * np.abs(force).max())
+
+
+@pytest.mark.parametrize("chain", [bouc_wen(), duffing()], ids=str)
+def test_mirrored_excitation_mirrors_the_response(chain):
+    record = noise_record(10)
+    mirrored = simulate(chain, Record(-record.acceleration, record.dt))
+    np.testing.assert_array_equal(mirrored.values, -simulate(chain, record).values)
+
+
+# --------------------------------------------------------------------------- what users get
+
+
+@pytest.mark.parametrize("chain", [bouc_wen(), duffing()], ids=str)
+def test_output_steps_and_sensors(chain):
+    """Every output step gives the same motion at common times."""
+    record = noise_record(11, 61)
+    base = simulate(chain, record)
+    coarse = simulate(chain, record, dt=0.06)
+    np.testing.assert_array_equal(coarse.values, base.values[:, ::3])
+    np.testing.assert_allclose(coarse["time"], base["time"][::3])
+    fine = simulate(chain, record, dt=0.005)
+    assert distance(fine.values[:, ::4], base.values) < 1e-6
+    resampled = Record(np.interp(np.arange(241) / 4, np.arange(61), record.acceleration), 0.005)
+    assert distance(simulate(chain, resampled).values, fine.values) < 1e-12
+    np.testing.assert_array_equal(simulate(chain, record, sensors=[2, 0]).values, base.values[[2, 0]])
+
+
+def test_at_rest_at_the_first_sample():
+    for chain in (bouc_wen(), duffing()):
+        start = {q: simulate(chain, Record([2.0, 1.0], 0.02), quantity=q).values[:, 0] for q in QUANTITIES}
+        np.testing.assert_array_equal(start.pop("relative_acceleration"), -2.0)
+        assert not any(values.any() for values in start.values())
+
+
+def test_spring_forces_are_labelled():
+    loops = spring_forces(bouc_wen(2), Record([0.0, 1.0, 0.0], 0.1, name="pulse"), dt=0.05)
+    assert dict(loops.sizes) == {"spring": 2, "time": 5}
+    assert (loops["force"].attrs["units"], loops["drift"].attrs["units"]) == ("N", "m")
+    assert loops.attrs == {"record": "pulse"}
+    np.testing.assert_allclose(loops["time"], np.arange(5) * 0.05)
+    assert not spring_forces(duffing(2), noise_record())["z"].any()
+
+
+def test_updating_by_a_function():
+    """The way into a model: a function of the parameters for `DiscrepancySimulator`."""
+    record = noise_record(12, 40)
+
+    def history(dy):
+        return simulate(bouc_wen(2, yield_displacement=dy), record).values
+
+    with pm.Model():
+        dy = pm.Uniform("dy", 0.002, 0.02)
+        pmf.DiscrepancySimulator("y", history, dy, epsilon=0.05, observed=history(0.008))
+        idata = pmf.sample_smc(
+            60, kernel=pmf.SubsetSimulation, chains=1, cores=1, random_seed=1, progressbar=False
+        )
+    draws = idata.posterior["dy"].values
+    assert 0.006 < draws.min() < 0.008 < draws.max() < 0.01
+
+
+def test_parameters_may_be_variables():
+    dy, n = pt.scalar("dy"), pt.scalar("n")
+    symbolic = bouc_wen(2, yield_displacement=[dy, 0.01], sharpness=n)
+    assert symbolic.is_symbolic
+    table = symbolic.parameters()[-1]
+    expected = bouc_wen(2, yield_displacement=[0.02, 0.01], sharpness=3.0).parameters()[-1]
+    np.testing.assert_array_equal(table.eval({dy: 0.02, n: 3.0}), expected)
+    assert duffing(2, cubic=pt.vector("c", shape=(2,))).is_symbolic
+
+
+def test_scaled_springs_keep_their_law():
+    scaled = bouc_wen(yield_displacement=[0.01, 0.02, 0.03]).scale_stiffness(0.5, [0])
+    assert isinstance(scaled, HystereticChain)
+    assert scaled.stiffness.tolist() == [200.0, 350.0, 300.0]
+    assert scaled.yield_displacement.tolist() == [0.01, 0.02, 0.03]
+
+
+# --------------------------------------------------------------------------- bad input
+
+TABLE = {"dy": 0.01, "ratio": 0.1, "n": 2.0, "beta": 0.5, "gamma": 0.5}
+INVALID = [
+    *({name: np.nan} for name in TABLE),
+    *({name: -0.1} for name in TABLE),
+    {"dy": 0.0},
+    {"dy": np.inf},
+    {"ratio": 1.1},
+    {"n": 0.5},
+    {"beta": 0.4},
+    {"dy": 1e-12},
+]
+
+
+@pytest.mark.parametrize("change", INVALID, ids=str)
+def test_invalid_draws_give_nan(change):
+    """As a draw would: past the checks of numbers. The last needs absurdly many steps."""
+
+    def run(**values):
+        table = np.tile(np.array(list((TABLE | values).values()))[:, None], 2)
+        settings = (np.array([0.0, 1.0, 0.5]), 0.02, 1, 1, np.arange(2), 2, 0)
+        linear = (np.ones(2), np.full(2, 100.0), np.zeros(2), np.zeros(2))
+        return RESPONSES["hysteretic"](*linear, table, *settings)
+
+    assert np.isfinite(run()).all()
+    assert np.isnan(run(**change)).all()
+
+
+@pytest.mark.parametrize(
+    "linear",
+    [
+        ([1.0, -1.0], [100.0, 100.0], [0.0, 0.0], [0.0, 0.0]),
+        ([1.0, 1.0], [100.0, np.nan], [0.0, 0.0], [0.0, 0.0]),
+        ([1.0, 1.0], [100.0, 100.0], [-1.0, 0.0], [0.0, 0.0]),
+        ([1.0, 1.0], [100.0, 100.0], [0.0, np.nan], [0.0, 0.0]),
+        ([1.0, 1.0], [100.0, 100.0], [0.0, 0.0], [0.0, -0.1]),
+        ([1.0, 1.0], [1e30, 100.0], [0.0, 0.0], [0.0, 0.0]),
+    ],
+)
+def test_what_is_no_chain_gives_nan(linear):
+    for cubic in (0.0, 10.0):
+        settings = (np.array([0.0, 1.0, 0.5]), 0.02, 1, 1, np.arange(2), 2, 0)
+        assert np.isnan(RESPONSES["duffing"](*linear, np.full((1, 2), cubic), *settings)).all()
+    assert np.isnan(RESPONSES["duffing"](*linear, np.full((1, 2), np.nan), *settings)).all()
+
+
+def test_absurd_draws_are_no_exception():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        mass, stiffness, dy = 10.0 ** rng.uniform(-6, 6, (3, 2))
+        chain = HystereticChain(mass, stiffness, RAYLEIGH, yield_displacement=dy, post_yield_ratio=0.1)
+        values = simulate(chain, Record([0.0, 1.0, -1.0], 0.02)).values
+        assert np.isfinite(values).all() or np.isnan(values).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "match"),
+    [
+        (
+            {"yield_displacement": 0.0},
+            ValueError,
+            "`yield_displacement` must be positive and finite, got 0. .* m",
+        ),
+        ({"yield_displacement": [0.1, 0.1]}, ValueError, "one for each of the 3 springs, got 2"),
+        ({"yield_displacement": "much"}, TypeError, "`yield_displacement` must be numbers or PyTensor var"),
+        (
+            {"post_yield_ratio": -0.1},
+            ValueError,
+            "`post_yield_ratio` must be finite and not negative, got -0.1",
+        ),
+        ({"post_yield_ratio": 1.5}, ValueError, "must lie between 0 and 1, got 1.5. .* `DuffingChain` for"),
+        ({"sharpness": 0.5}, ValueError, "`sharpness` must be at least 1, got 0.5. Pass 1 to 3 for gradual"),
+        ({"beta": 0.0}, ValueError, "`beta` must be positive and finite, got 0"),
+        ({"gamma": -0.1}, ValueError, "`gamma` must be finite and not negative, got -0.1"),
+        (
+            {"gamma": [0.5, 0.5, 0.6]},
+            ValueError,
+            "`gamma` must not exceed `beta`, got 0.6 and 0.5. Loops would",
+        ),
+        ({"damping": 0.05}, TypeError, "`damping` must be a Damping, got float"),
+    ],
+)
+def test_refusals_of_the_hysteretic_chain(changes, error, match):
+    with pytest.raises(error, match=match):
+        bouc_wen(**changes)
+
+
+def test_refusals_of_the_duffing_chain():
+    with pytest.raises(
+        ValueError, match="`cubic` must be finite and not negative, got -1. Pass values in N/m"
+    ):
+        duffing(cubic=-1.0)
+    with pytest.raises(
+        ValueError, match="`cubic` must have one value or one for each of the 3 springs, got 2"
+    ):
+        duffing(cubic=[1.0, 1.0])
+
+
+@pytest.mark.parametrize("chain", [bouc_wen(), duffing()], ids=str)
+def test_refusals_of_the_functions(chain):
+    record = noise_record()
+    with pytest.raises(
+        ValueError, match="`n_modes` must be left out for a nonlinear structure, got 2. .*Chain"
+    ):
+        simulate(chain, record, n_modes=2)
+    with pytest.raises(
+        TypeError, match="must be linear .* got (Hysteretic|Duffing)Chain. .*DiscrepancySimul"
+    ):
+        response(chain, record)
+    with pytest.raises(ValueError, match="`dt` must be an integer multiple or divisor"):
+        simulate(chain, record, dt=0.03)
+    with pytest.raises(TypeError, match="`record` must be a Record, got list"):
+        spring_forces(chain, [1.0])
+    symbolic = chain.scale_stiffness(pt.scalar("f"), [0])
+    with pytest.raises(TypeError, match="got PyTensor variables. Build it from numbers in a function"):
+        simulate(symbolic, record)
+    linear = SpringMassChain(1.0, [1.0], RAYLEIGH)
+    for function in (spring_forces, integration_error):
+        with pytest.raises(TypeError, match="`structure` must be a nonlinear chain, got SpringMassChain"):
+            function(linear, record)
+    posterior = xr.Dataset({"scale": (("chain", "draw"), [[1.0, 1.1]])})
+    with pytest.raises(TypeError, match="must return a linear structure, got .*Chain. Call `simulate` for"):
+        pmf.posterior_response(posterior, lambda scale: chain.scale_stiffness(scale, [0]), record)
+    arguments = (*chain.parameters(), record.acceleration, 0.02, 1, 1, np.arange(3), 2, 0)
+    with pytest.raises(ValueError, match="`n_modes` must be all 3 of a nonlinear chain, got 2"):
+        RESPONSES[chain.family](*arguments)
