@@ -14,7 +14,6 @@ from pymc_features.simulators.tangent import discrepancy_tangent, response_tange
 __all__ = [
     "HISTORIES",
     "QUANTITIES",
-    "RESPONSES",
     "SOURCE_HASH",
     "UNITS",
     "chain_discrepancy",
