@@ -32,10 +32,10 @@ from pymc_features.inference import (
     sample_nuts,
     tolerance_sweep,
 )
-from pymc_features.io import read_record
+from pymc_features.io import read_matrices, read_record
 from pymc_features.likelihood_free import DiscrepancySimulator, SimulationWarning, abc_tolerance
 from pymc_features.ops import NotDifferentiableError, mean_square_discrepancy, response
-from pymc_features.records import Record
+from pymc_features.records import Loading, Record
 from pymc_features.simulators import simulate
 from pymc_features.smc import (
     TMCMC,
@@ -48,16 +48,25 @@ from pymc_features.smc import (
     ToleranceNotReachedError,
     sample_smc,
 )
-from pymc_features.structures import ModalDamping, RayleighDamping, SpringMassChain
+from pymc_features.structures import (
+    AffineStructure,
+    LinearStructure,
+    ModalDamping,
+    RayleighDamping,
+    SpringMassChain,
+)
 from pymc_features.study import paper, sampling_rate_study
 
 __all__ = [
+    "AffineStructure",
     "ChainsDisagreeWarning",
     "CorrelatedNormal",
     "DiscrepancySimulator",
     "ExpFeature",
     "FeatureLikelihoodWarning",
     "LaplaceWarning",
+    "LinearStructure",
+    "Loading",
     "ModalDamping",
     "NotDifferentiableError",
     "PersistentSMC",
@@ -83,6 +92,7 @@ __all__ = [
     "plot_sampling_rate",  # noqa: F822
     "plot_tolerance",  # noqa: F822
     "plot_widths",  # noqa: F822
+    "read_matrices",
     "read_record",
     "response",
     "sample_nuts",

@@ -33,12 +33,15 @@ ALLOWED = {
 ANYTHING = {"__init__", "cli"}
 
 PUBLIC_NAMES = [
+    "AffineStructure",
     "ChainsDisagreeWarning",
     "CorrelatedNormal",
     "DiscrepancySimulator",
     "ExpFeature",
     "FeatureLikelihoodWarning",
     "LaplaceWarning",
+    "LinearStructure",
+    "Loading",
     "ModalDamping",
     "NotDifferentiableError",
     "PersistentSMC",
@@ -64,6 +67,7 @@ PUBLIC_NAMES = [
     "plot_sampling_rate",
     "plot_tolerance",
     "plot_widths",
+    "read_matrices",
     "read_record",
     "response",
     "sample_nuts",

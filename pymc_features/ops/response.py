@@ -105,6 +105,11 @@ def response(
             f"`structure` must be a Structure, got {type(structure).__name__}. "
             "Pass for example a SpringMassChain."
         )
+    if structure.family != "chain":
+        raise TypeError(
+            f"`structure` must be a SpringMassChain inside a model, got {type(structure).__name__}. "
+            "Meanwhile pass a function that calls `simulate` to `DiscrepancySimulator`."
+        )
     if not isinstance(record, Record):
         raise TypeError(
             f"`record` must be a Record, got {type(record).__name__}. "

@@ -1,16 +1,20 @@
 """Structures and their damping. A new structure is one file here and one line below."""
 
+from pymc_features.structures.affine import AffineStructure
 from pymc_features.structures.base import Modes, Structure
 from pymc_features.structures.chain import SpringMassChain
 from pymc_features.structures.damping import Damping, ModalDamping, RayleighDamping
+from pymc_features.structures.linear import LinearStructure
 
-STRUCTURES = (SpringMassChain,)
+STRUCTURES = (SpringMassChain, LinearStructure, AffineStructure)
 DAMPINGS = (RayleighDamping, ModalDamping)
 
 __all__ = [
     "DAMPINGS",
     "STRUCTURES",
+    "AffineStructure",
     "Damping",
+    "LinearStructure",
     "ModalDamping",
     "Modes",
     "RayleighDamping",
