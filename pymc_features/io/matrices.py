@@ -3,6 +3,7 @@
 Only numbers are read, dense or sparse; no pickles, nothing in the file is executed.
 """
 
+import warnings
 from os import PathLike
 from pathlib import Path
 
@@ -53,7 +54,9 @@ def read_matrices(path: str | PathLike) -> dict:
     if reader is None:
         raise ValueError(f"`path` must end in {', '.join(READERS)}, got {path.name}. Export the matrices.")
     try:
-        found = reader(path)
+        with warnings.catch_warnings():  # SciPy announces another class of sparse matrix
+            warnings.simplefilter("ignore", DeprecationWarning)
+            found = reader(path)
     except Exception as error:  # each damaged file fails in its own way, inside the parsers
         raise ValueError(
             f"{path.name} must hold matrices, it cannot be read ({error}). Save it again."
@@ -68,7 +71,7 @@ def read_matrices(path: str | PathLike) -> dict:
 
 
 def _read_mtx(path):
-    return {path.stem: mmread(path, spmatrix=False)}
+    return {path.stem: mmread(path)}
 
 
 def _read_mat(path):
