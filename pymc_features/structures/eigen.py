@@ -8,6 +8,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from pymc_features.structures.factorisation import count_below, spectral_shift
 from pymc_features.structures.matrices import to_dense
 
+ROUNDING = 1e-15  # a sum this small beside the sum of its absolute terms is taken as zero
 MAX_DENSE = 3000  # a sparse structure of more degrees of freedom is never solved as a dense one
 
 
@@ -35,21 +36,24 @@ def natural_modes(mass, stiffness, n_modes: int, factor=None):
     Dense: LAPACK, O(n^3). Sparse: implicitly restarted Lanczos on (K + shift M)^-1 M (ARPACK), whose shift
     lies below all eigenvalues, so that rigid-body modes do no harm. Lanczos may miss a copy of a repeated
     frequency; the inertia of K - omega^2 M says how many there are, and the search is widened until all
-    are found.
+    are found. The eigenvalues are replaced by the Rayleigh quotients of the vectors, whose error is the
+    square of theirs: twenty frequencies of 2000 are right to 1e-11 (tests/test_linear.py).
     """
     if sparse.issparse(stiffness) and 2 * n_modes < stiffness.shape[0]:
-        values, shapes = _lanczos(mass, stiffness, n_modes, factor)
+        _, shapes = _lanczos(mass, stiffness, n_modes, factor)
     else:
         if sparse.issparse(stiffness) and stiffness.shape[0] > MAX_DENSE:
             raise ValueError(
                 f"`n_modes` must be below half of the {stiffness.shape[0]} degrees of freedom of a sparse "
                 f"structure of this size, got {n_modes}. Keep the modes below the sampling rate."
             )
-        values, shapes = eigh(to_dense(stiffness), to_dense(mass), subset_by_index=[0, n_modes - 1])
-    largest = (stiffness.diagonal() / mass.diagonal()).max()
-    rounding = 10.0 * stiffness.shape[0] * np.finfo(float).eps * largest
-    values = np.where(values < rounding, 0.0, values)
-    shapes = shapes / np.sqrt((shapes * (mass @ shapes)).sum(axis=0))
+        _, shapes = eigh(to_dense(stiffness), to_dense(mass), subset_by_index=[0, n_modes - 1])
+    inertia = (shapes * (mass @ shapes)).sum(axis=0)
+    values = (shapes * (stiffness @ shapes)).sum(axis=0) / inertia
+    terms = (abs(shapes) * (abs(stiffness) @ abs(shapes))).sum(axis=0) / inertia
+    values = np.where(values < ROUNDING * terms, 0.0, values)
+    order = np.argsort(values, kind="stable")
+    values, shapes = values[order], (shapes / np.sqrt(inertia))[:, order]
     peaks = np.take_along_axis(shapes, abs(shapes).argmax(axis=0)[None], axis=0)
     return np.sqrt(values), shapes * np.where(peaks < 0.0, -1.0, 1.0)
 
