@@ -27,6 +27,7 @@ from pymc_features import (
 )
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear import is_coupled
+from pymc_features.structures import eigen
 from pymc_features.structures.eigen import natural_modes
 from pymc_features.structures.factorisation import count_below, eliminate
 
@@ -586,6 +587,21 @@ def test_is_a_value():
             same.values[0, 0] = 1.0
     expected = simulate(structure, loading)
     np.testing.assert_array_equal(simulate(pickle.loads(pickle.dumps(structure)), loading), expected)
+    large = LinearStructure(np.ones(50), UNDAMPED, spring_chain(50, 100.0))
+    asked = dict(record=noise_record(17), n_modes=3)
+    for same in (copy.deepcopy(large), pickle.loads(pickle.dumps(large))):
+        np.testing.assert_array_equal(simulate(same, **asked), simulate(large, **asked))
+
+
+def test_modes_that_cannot_be_found_are_said(monkeypatch):
+    """Where the count never fits: dense modes of a small structure, an error for a large one."""
+    monkeypatch.setattr(eigen, "count_below", lambda *_: 10**6)
+    stiffness, mass = spring_chain(40, 100.0), sparse.eye_array(40)
+    omega, _ = natural_modes(mass, stiffness, 3)
+    np.testing.assert_allclose(omega, np.sqrt(np.linalg.eigvalsh(stiffness.toarray())[:3]), rtol=1e-12)
+    monkeypatch.setattr(eigen, "MAX_DENSE", 10)
+    with pytest.raises(RuntimeError, match="1000000 modes lie below the 3 found by Lanczos iteration"):
+        natural_modes(mass, stiffness, 3)
 
 
 def test_symmetric_up_to_rounding():

@@ -5,7 +5,7 @@ from scipy import sparse
 from scipy.linalg import eigh
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from pymc_features.structures.factorisation import count_below, spectral_shift
+from pymc_features.structures.factorisation import check_stiffness, count_below, spectral_shift
 from pymc_features.structures.matrices import to_dense
 
 ROUNDING = 1e-15  # a sum this small beside the sum of its absolute terms is taken as zero
@@ -22,7 +22,7 @@ def natural_modes(mass, stiffness, n_modes: int, factor=None):
     n_modes : int
         Number of modes, 1 to n.
     factor : SuperLU, optional
-        Of K + shift M, of sparse matrices.
+        Of K + shift M, of sparse matrices; made here if it is not at hand.
 
     Returns
     -------
@@ -40,7 +40,7 @@ def natural_modes(mass, stiffness, n_modes: int, factor=None):
     square of theirs: twenty frequencies of 2000 are right to 1e-11 (tests/test_linear.py).
     """
     if sparse.issparse(stiffness) and 2 * n_modes < stiffness.shape[0]:
-        _, shapes = _lanczos(mass, stiffness, n_modes, factor)
+        shapes = _lanczos(mass, stiffness, n_modes, factor)
     else:
         if sparse.issparse(stiffness) and stiffness.shape[0] > MAX_DENSE:
             raise ValueError(
@@ -59,19 +59,26 @@ def natural_modes(mass, stiffness, n_modes: int, factor=None):
 
 
 def _lanczos(mass, stiffness, n_modes, factor):
-    """The lowest eigenpairs, none missing."""
+    """The vectors of the lowest eigenvalues, none missing."""
     n = stiffness.shape[0]
     shift = spectral_shift(mass, stiffness)
+    if factor is None:
+        factor = check_stiffness(mass, stiffness)
     inverse = LinearOperator((n, n), matvec=factor.solve, dtype=np.float64)
     start = np.random.default_rng(0).standard_normal(n)
-    wanted = n_modes
-    while wanted < n:
+    for wanted in (n_modes, 2 * n_modes + 4, 4 * n_modes + 12, 8 * n_modes + 28):
+        if wanted >= n:
+            break
         values, shapes = eigsh(stiffness, wanted, mass, sigma=-shift, OPinv=inverse, v0=start)
         order = np.argsort(values)[:n_modes]
         values, shapes = values[order], shapes[:, order]
         bound = values[-1] - 1e-6 * (abs(values[-1]) + shift)
         below = count_below(mass, stiffness, bound)
         if below is None or below <= np.sum(values < bound):
-            return values, shapes
-        wanted = 2 * wanted + 4
-    return eigh(to_dense(stiffness), to_dense(mass), subset_by_index=[0, n_modes - 1])
+            return shapes
+    if n > MAX_DENSE:
+        raise RuntimeError(
+            f"{below} modes lie below the {n_modes} found by Lanczos iteration, which misses some. "
+            "Ask for another `n_modes`, or pass dense matrices."
+        )
+    return eigh(to_dense(stiffness), to_dense(mass), subset_by_index=[0, n_modes - 1])[1]

@@ -96,6 +96,10 @@ class LinearStructure(Structure):
             check_damping(mass, damping)
         self._matrices = mass, damping, stiffness
 
+    def __getstate__(self):
+        """Copies and workers make the factor anew: SciPy's cannot be pickled."""
+        return self.__dict__ | {"_factor": None}
+
     def __repr__(self):
         kind = "sparse" if self._terms[2].is_sparse else "dense"
         damping = repr(self.damping) if isinstance(self.damping, Damping) else "damping matrix"
