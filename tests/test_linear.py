@@ -26,7 +26,9 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.simulators import QUANTITIES
-from pymc_features.simulators.linear import is_coupled
+from pymc_features.simulators.linear import is_coupled, modal_table, superposed_response
+from pymc_features.simulators.recursion import N_ROWS
+from pymc_features.simulators.state_space import state_response, step_matrices
 from pymc_features.structures import eigen
 from pymc_features.structures.eigen import natural_modes
 from pymc_features.structures.factorisation import count_below, eliminate
@@ -213,6 +215,21 @@ def test_both_routes_meet_at_the_tolerance():
     for quantity in QUANTITIES:
         expected = simulate(classical, record, quantity=quantity)
         assert peak_error(simulate(coupled, record, quantity=quantity), expected) < 1e-9
+
+
+@pytest.mark.parametrize("quantity", range(4))
+def test_both_routes_on_the_same_modes(quantity):
+    """Uncoupled modes, omega h from 0 to 1e4, stepped singly and as one state."""
+    omega = np.array([0.0, 1.0, 30.0, 3e3, 5e5])
+    zeta = np.array([0.0, 0.02, 1.0, 0.1, 3.0])
+    participation, seen = np.ones((5, 1)), np.eye(5)
+    inputs, direct = noise(18, (1, 200)), np.zeros((5, 1))
+    table = np.empty((N_ROWS, 5))
+    assert modal_table(omega, zeta, 0.02, quantity, table)
+    singly = superposed_response(table, seen[None], direct, inputs, 1, 1)
+    matrices = step_matrices(omega, np.diag(2.0 * zeta * omega), participation, seen, 0.02, quantity)
+    for one, other in zip(singly, state_response(*matrices, direct, inputs, 1, 1), strict=True):
+        assert peak_error(other, one) < 1e-9 if np.any(one) else not np.any(other)
 
 
 @pytest.mark.parametrize("n_modes", [1, 3, 6])

@@ -63,7 +63,7 @@ class LinearStructure(Structure):
     def _install_constants(self, mass, damping, stiffness, influence, terms):
         """Keep what does not depend on the coefficients: A_0 and A_i of M, C and K."""
         n = stiffness.shape[0]
-        mass = as_matrix(mass, "mass", "kg", n=n)
+        mass = as_matrix(mass, "mass", "kg", n=n, thin=sparse.issparse(stiffness))
         constants = [mass, None, stiffness]
         self.damping = damping
         if not isinstance(damping, Damping):

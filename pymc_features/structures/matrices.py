@@ -6,7 +6,7 @@ from scipy import sparse
 SYMMETRY = 1e-10  # largest difference between A and A' over the largest entry that counts as rounding
 
 
-def as_matrix(value, name: str, unit: str, *, n: int | None = None, symmetric: bool = True):
+def as_matrix(value, name: str, unit: str, *, n: int | None = None, symmetric: bool = True, thin=False):
     """Return a square matrix of numbers as a float64 array or `csc_array` of its own, checked.
 
     Parameters
@@ -17,10 +17,14 @@ def as_matrix(value, name: str, unit: str, *, n: int | None = None, symmetric: b
         For messages.
     n : int, optional
         Number of rows it must have.
+    thin : bool
+        Whether a vector becomes a sparse diagonal matrix.
     symmetric : bool
         Whether it must be symmetric; what is so up to rounding is made so exactly.
     """
     matrix = _numbers(value, name, unit)
+    if matrix.ndim == 1 and matrix.size:
+        matrix = sparse.csc_array(sparse.diags_array(matrix)) if thin else np.diag(matrix)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] == 0:
         raise ValueError(
             f"`{name}` must be a square matrix, got shape {matrix.shape}. "
@@ -51,8 +55,7 @@ def _numbers(value, name, unit):
             f"`{name}` must be a matrix of real numbers, got {type(value).__name__}. "
             f"Pass an array or a SciPy sparse matrix in {unit}."
         ) from None
-    matrix = matrix.astype(np.float64)
-    return np.diag(matrix) if matrix.ndim == 1 else matrix
+    return matrix.astype(np.float64)
 
 
 def _symmetrised(matrix, name):
