@@ -35,10 +35,10 @@ from pymc_features.inference import (
     sample_nuts,
     tolerance_sweep,
 )
-from pymc_features.io import read_record
+from pymc_features.io import read_matrices, read_record
 from pymc_features.likelihood_free import DiscrepancySimulator, SimulationWarning, abc_tolerance
 from pymc_features.ops import NotDifferentiableError, mean_square_discrepancy, response
-from pymc_features.records import Record
+from pymc_features.records import Loading, Record
 from pymc_features.simulators import integration_error, simulate, spring_forces
 from pymc_features.smc import (
     TMCMC,
@@ -52,8 +52,10 @@ from pymc_features.smc import (
     sample_smc,
 )
 from pymc_features.structures import (
+    AffineStructure,
     DuffingChain,
     HystereticChain,
+    LinearStructure,
     ModalDamping,
     RayleighDamping,
     SpringMassChain,
@@ -61,6 +63,7 @@ from pymc_features.structures import (
 from pymc_features.study import paper, sampling_rate_study
 
 __all__ = [
+    "AffineStructure",
     "ChainsDisagreeWarning",
     "CorrelatedNormal",
     "DiscrepancySimulator",
@@ -69,6 +72,8 @@ __all__ = [
     "FeatureLikelihoodWarning",
     "HystereticChain",
     "LaplaceWarning",
+    "LinearStructure",
+    "Loading",
     "ModalDamping",
     "NotDifferentiableError",
     "PersistentSMC",
@@ -99,6 +104,7 @@ __all__ = [
     "plot_tolerance",  # noqa: F822
     "plot_widths",  # noqa: F822
     "posterior_response",
+    "read_matrices",
     "read_record",
     "response",
     "sample_nuts",

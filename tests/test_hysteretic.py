@@ -23,7 +23,7 @@ from pymc_features import (
 )
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.nonlinear import nonlinear_histories
-from pymc_features.simulators.simulate import NONLINEAR, RESPONSES
+from pymc_features.simulators.simulate import KERNELS, NONLINEAR
 
 RAYLEIGH = RayleighDamping(0.2, 1e-3)
 
@@ -378,7 +378,7 @@ def test_invalid_draws_give_nan(change):
         table = np.tile(np.array(list((TABLE | values).values()))[:, None], 2)
         settings = (np.array([0.0, 1.0, 0.5]), 0.02, 1, 1, np.arange(2), 2, 0)
         linear = (np.ones(2), np.full(2, 100.0), np.zeros(2), np.zeros(2))
-        return RESPONSES["hysteretic"](*linear, table, *settings)
+        return KERNELS["hysteretic"](*linear, table, *settings)
 
     assert np.isfinite(run()).all()
     assert np.isnan(run(**change)).all()
@@ -398,8 +398,8 @@ def test_invalid_draws_give_nan(change):
 def test_what_is_no_chain_gives_nan(linear):
     for cubic in (0.0, 10.0):
         settings = (np.array([0.0, 1.0, 0.5]), 0.02, 1, 1, np.arange(2), 2, 0)
-        assert np.isnan(RESPONSES["duffing"](*linear, np.full((1, 2), cubic), *settings)).all()
-    assert np.isnan(RESPONSES["duffing"](*linear, np.full((1, 2), np.nan), *settings)).all()
+        assert np.isnan(KERNELS["duffing"](*linear, np.full((1, 2), cubic), *settings)).all()
+    assert np.isnan(KERNELS["duffing"](*linear, np.full((1, 2), np.nan), *settings)).all()
 
 
 def test_absurd_draws_are_no_exception():
@@ -462,7 +462,7 @@ def test_refusals_of_the_functions(chain):
     ):
         simulate(chain, record, n_modes=2)
     with pytest.raises(
-        TypeError, match="must be linear .* got (Hysteretic|Duffing)Chain. .*DiscrepancySimul"
+        TypeError, match="must be a SpringM.* got (Hysteretic|Duffing)Chain. .*DiscrepancySimul"
     ):
         response(chain, record)
     with pytest.raises(ValueError, match="`dt` must be an integer multiple or divisor"):
@@ -477,8 +477,8 @@ def test_refusals_of_the_functions(chain):
         with pytest.raises(TypeError, match="`structure` must be a nonlinear chain, got SpringMassChain"):
             function(linear, record)
     posterior = xr.Dataset({"scale": (("chain", "draw"), [[1.0, 1.1]])})
-    with pytest.raises(TypeError, match="must return a linear structure, got .*Chain. Call `simulate` for"):
+    with pytest.raises(TypeError, match="must return a SpringMassChain, got .*Chain. Call `simulate` for"):
         pmf.posterior_response(posterior, lambda scale: chain.scale_stiffness(scale, [0]), record)
     arguments = (*chain.parameters(), record.acceleration, 0.02, 1, 1, np.arange(3), 2, 0)
     with pytest.raises(ValueError, match="`n_modes` must be all 3 of a nonlinear chain, got 2"):
-        RESPONSES[chain.family](*arguments)
+        KERNELS[chain.family](*arguments)

@@ -33,6 +33,7 @@ ALLOWED = {
 ANYTHING = {"__init__", "cli"}
 
 PUBLIC_NAMES = [
+    "AffineStructure",
     "ChainsDisagreeWarning",
     "CorrelatedNormal",
     "DiscrepancySimulator",
@@ -41,6 +42,8 @@ PUBLIC_NAMES = [
     "FeatureLikelihoodWarning",
     "HystereticChain",
     "LaplaceWarning",
+    "LinearStructure",
+    "Loading",
     "ModalDamping",
     "NotDifferentiableError",
     "PersistentSMC",
@@ -71,6 +74,7 @@ PUBLIC_NAMES = [
     "plot_tolerance",
     "plot_widths",
     "posterior_response",
+    "read_matrices",
     "read_record",
     "response",
     "sample_nuts",

@@ -6,7 +6,16 @@ import pytest
 from pytensor.compile.mode import Mode
 from scipy.linalg import eigh
 
-from pymc_features import ModalDamping, RayleighDamping, Record, SpringMassChain, paper, simulate
+from pymc_features import (
+    AffineStructure,
+    LinearStructure,
+    ModalDamping,
+    RayleighDamping,
+    Record,
+    SpringMassChain,
+    paper,
+    simulate,
+)
 from pymc_features.simulators.modal import chain_modes
 from pymc_features.simulators.simulate import RESPONSES
 from pymc_features.structures import STRUCTURES, Structure
@@ -17,6 +26,8 @@ EXTRA = {
     "HystereticChain": {"yield_displacement": 0.01, "post_yield_ratio": 0.1},
     "DuffingChain": {"cubic": 1e4},
 }
+
+CHAINS = [kind for kind in STRUCTURES if kind.__name__ in EXTRA]
 
 PLAIN = Mode(linker="py", optimizer=None)
 UNDAMPED = ModalDamping(0.0)
@@ -196,8 +207,8 @@ def test_scalars_stand_for_all():
     assert SpringMassChain in STRUCTURES
 
 
-@pytest.mark.parametrize("kind", STRUCTURES)
-def test_every_structure_keeps_the_contract(kind):
+@pytest.mark.parametrize("kind", CHAINS)
+def test_every_chain_keeps_the_contract(kind):
     """Numbers or variables, n or one; a response; matrices and modes of the initial stiffness; a value."""
     extra = EXTRA[kind.__name__]
     structure = kind([1.0, 2.0], 100.0, UNDAMPED, **extra)
@@ -223,6 +234,37 @@ def test_every_structure_keeps_the_contract(kind):
         value = variable.eval({k: 100.0}, mode=PLAIN) if isinstance(variable, pt.TensorVariable) else variable
         np.testing.assert_array_equal(value, number)
     assert structure.parameters()[1].tolist() == [100.0, 100.0]  # left as it was
+
+
+MATRICES = assembled([1.0, 2.0, 1.5], [300.0, 200.0, 100.0])
+EXAMPLES = {
+    SpringMassChain: lambda: SpringMassChain([1.0, 2.0, 1.5], [300.0, 200.0, 100.0], ModalDamping(0.02)),
+    LinearStructure: lambda: LinearStructure(MATRICES[0], ModalDamping(0.02), MATRICES[1]),
+    AffineStructure: lambda: AffineStructure(
+        MATRICES[0], ModalDamping(0.02), 0.5 * MATRICES[1], stiffness_terms=[MATRICES[1]], theta=[0.5]
+    ),
+}
+
+
+def test_every_structure_is_tested():
+    assert {*CHAINS, *EXAMPLES} == set(STRUCTURES)
+
+
+@pytest.mark.parametrize("kind", EXAMPLES)
+def test_every_linear_structure_of_the_catalogue(kind):
+    """The same structure in every form: modes, damping, matrices, response, and what the base class asks."""
+    structure, expected = EXAMPLES[kind](), EXAMPLES[SpringMassChain]()
+    assert isinstance(structure, Structure) and structure.family in RESPONSES
+    assert structure.n_dof == 3 and not structure.is_symbolic
+    assert kind.__name__ in repr(structure)
+    modes = structure.modes()
+    np.testing.assert_allclose(modes.angular_frequencies, expected.modes().angular_frequencies, rtol=1e-13)
+    np.testing.assert_allclose(modes.damping_ratios, 0.02, rtol=1e-13)
+    assert modes.effective_modal_masses.sum() == pytest.approx(4.5, rel=1e-13)
+    for a, b in zip(structure.matrices(), expected.matrices(), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+    pulse = Record([0.0, 1.0, -2.0, 0.5, 0.0, 0.0], 0.05)
+    np.testing.assert_allclose(simulate(structure, pulse), simulate(expected, pulse), atol=1e-12)
 
 
 def test_does_not_share_memory_with_what_was_passed():

@@ -143,9 +143,9 @@ def checked(structures) -> int:
             raise TypeError(
                 f"`structure` must return a structure, got {type(one).__name__}. Return a SpringMassChain."
             )
-        if not one.is_linear:
+        if one.family != "chain":
             raise TypeError(
-                f"`structure` must return a linear structure, got {type(one).__name__}. "
+                f"`structure` must return a SpringMassChain, got {type(one).__name__}. "
                 "Call `simulate` for each draw and take the quantiles of the results."
             )
         if one.is_symbolic:

@@ -1,15 +1,17 @@
-"""Ground-motion files: one format, one file, one line in `READERS`."""
+"""Ground-motion files, one format, one file, one line in `READERS`; and matrices of structures."""
 
 from os import PathLike
 from pathlib import Path
 
 from pymc_features.io.at2 import read_at2
+from pymc_features.io.check import check_readable
 from pymc_features.io.mat import read_mat
+from pymc_features.io.matrices import read_matrices
 from pymc_features.io.text import read_text
 from pymc_features.io.units import check_dt, unit_factor
 from pymc_features.records import Record
 
-__all__ = ["READERS", "read_record"]
+__all__ = ["READERS", "read_matrices", "read_record"]
 
 #: Reader of every file suffix (lower case); any other suffix is read as text.
 READERS = {
@@ -80,22 +82,9 @@ def read_record(
     Record('pulse', 3 samples, dt=0.02 s, duration=0.04 s, pga=1.962 m/s^2)
     """
     path = Path(path)
-    _check_readable(path)
+    check_readable(path)
     dt = check_dt(dt)
     if units is not None:
         unit_factor(units)
     reader = READERS.get(path.suffix.lower(), read_text)
     return reader(path, units=units, dt=dt, column=column)
-
-
-def _check_readable(path: Path) -> None:
-    if path.is_dir():
-        raise IsADirectoryError(f"`path` must be a file, got the folder {path}. Name a file in it.")
-    if not path.exists():
-        raise FileNotFoundError(
-            f"`path` must be an existing file, got {path}. The current folder is {Path.cwd()}."
-        )
-    try:
-        path.open("rb").close()
-    except OSError as error:
-        raise type(error)(f"`path` must be readable, got {path}: {error.strerror}.") from error

@@ -105,9 +105,9 @@ def response(
             f"`structure` must be a Structure, got {type(structure).__name__}. "
             "Pass for example a SpringMassChain."
         )
-    if not structure.is_linear:
+    if structure.family != "chain":
         raise TypeError(
-            f"`structure` must be linear to go into a model as a variable, got {type(structure).__name__}. "
+            f"`structure` must be a SpringMassChain inside a model, got {type(structure).__name__}. "
             "Pass a function that returns `simulate(...)` of it to `DiscrepancySimulator`."
         )
     if not isinstance(record, Record):

@@ -76,6 +76,19 @@ def check_sensors(sensors, n_dof: int) -> np.ndarray:
     return indices.astype(np.int64)
 
 
+def check_outputs(outputs, n_dof: int) -> np.ndarray:
+    """Return the matrix S (s, n) of wanted combinations S x as an array of its own."""
+    matrix = np.array(outputs.toarray() if hasattr(outputs, "toarray") else outputs, dtype=np.float64)
+    if matrix.ndim != 2 or matrix.shape[1] != n_dof or matrix.shape[0] == 0:
+        raise ValueError(
+            f"`outputs` must have shape (s, {n_dof}), got {matrix.shape}. "
+            "Give one row for each combination and one column for each degree of freedom."
+        )
+    if not np.isfinite(matrix).all():
+        raise ValueError("`outputs` must be finite, got NaN or infinity. Pass real coefficients.")
+    return matrix
+
+
 def sampling_grid(record_dt: float, dt: float | None) -> tuple[int, int]:
     """Return (substeps, stride) such that dt = record_dt * stride / substeps.
 

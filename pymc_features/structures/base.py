@@ -51,17 +51,17 @@ class Structure(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Modes of a structure with classical damping, in ascending order of frequency.
+    """Undamped modes of a structure, m of n degrees of freedom, in ascending order of frequency.
 
     Attributes
     ----------
-    angular_frequencies : array (n,)
+    angular_frequencies : array (m,)
         omega_r [rad/s].
-    mode_shapes : array (n, n)
-        **Columns** are the mass-normalised shapes, phi_r' M phi_r = 1, positive at the top.
-    participation_factors : array (n,)
+    mode_shapes : array (n, m)
+        **Columns** are the mass-normalised shapes, phi_r' M phi_r = 1, positive at the top of a chain.
+    participation_factors : array (m,), or (m, supports) with several supports
         Gamma_r = phi_r' M 1 [kg^(1/2)].
-    damping_ratios : array (n,)
+    damping_ratios : array (m,)
         zeta_r [-].
     """
 
@@ -72,12 +72,12 @@ class Modes:
 
     @property
     def natural_frequencies(self) -> np.ndarray:
-        """f_r = omega_r / (2 pi) [Hz], shape (n,)."""
+        """f_r = omega_r / (2 pi) [Hz], shape (m,)."""
         return self.angular_frequencies / (2.0 * np.pi)
 
     @property
     def effective_modal_masses(self) -> np.ndarray:
-        """Gamma_r^2 [kg], shape (n,); they add up to the total mass."""
+        """Gamma_r^2 [kg]; those of all modes add up to the total mass."""
         return self.participation_factors**2
 
 

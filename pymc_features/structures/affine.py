@@ -1,0 +1,118 @@
+"""Linear structures whose matrices are affine in the parameters."""
+
+import copy
+
+import numpy as np
+import pytensor.tensor as pt
+from pytensor.graph.basic import Variable
+from scipy import sparse
+
+from pymc_features.structures.linear import LinearStructure
+from pymc_features.structures.matrices import as_matrix
+
+
+class AffineStructure(LinearStructure):
+    """K(theta) = K_0 + sum_i theta_i K_i, and M and C likewise: new parameters without assembly.
+
+    Parameters
+    ----------
+    mass, damping, stiffness, influence
+        M_0, C_0 (or a `Damping`) and K_0, as in `LinearStructure`.
+    stiffness_terms, mass_terms, damping_terms : sequence of p matrices or None, optional
+        K_i, M_i and C_i, symmetric (C_i: any); None where parameter i does not act. The same theta_i
+        multiplies all three. `damping_terms` need a damping matrix.
+    theta : array_like (p,), optional
+        Parameters [-], zeros by default.
+
+    Examples
+    --------
+    Two storeys of 100 N/m, the upper one uncertain:
+
+    >>> from pymc_features import RayleighDamping
+    >>> lower, upper = np.diag([100.0, 0.0]), 100.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    >>> damping = RayleighDamping(0.1, 0.0)
+    >>> frame = AffineStructure([1.0, 1.0], damping, lower, stiffness_terms=[upper], theta=[1.0])
+    >>> frame.with_parameters([0.5]).stiffness
+    array([[150., -50.],
+           [-50.,  50.]])
+    """
+
+    def __init__(
+        self,
+        mass,
+        damping,
+        stiffness,
+        *,
+        stiffness_terms=(),
+        mass_terms=(),
+        damping_terms=(),
+        influence=None,
+        theta=None,
+    ):
+        stiffness = as_matrix(stiffness, "stiffness", "N/m")
+        given = {
+            "mass_terms": (tuple(mass_terms), "kg"),
+            "damping_terms": (tuple(damping_terms), "N s/m"),
+            "stiffness_terms": (tuple(stiffness_terms), "N/m"),
+        }
+        lengths = {len(terms) for terms, _ in given.values()} - {0}
+        if len(lengths) != 1:
+            listed = ", ".join(f"{len(terms)} {name}" for name, (terms, _) in given.items())
+            raise ValueError(
+                "`stiffness_terms`, `mass_terms` and `damping_terms` must have one entry for each parameter, "
+                f"got {listed}. Pass None where a parameter does not act."
+            )
+        self.n_parameters = lengths.pop()
+        terms = tuple(
+            tuple(_checked(a, f"{name}[{i}]", unit, stiffness, name) for i, a in enumerate(matrices))
+            or (None,) * self.n_parameters
+            for name, (matrices, unit) in given.items()
+        )
+        self._install_constants(mass, damping, stiffness, influence, terms)
+        if given["damping_terms"][0] and self._terms[1] is None:
+            raise TypeError(
+                f"`damping` must be a matrix to go with `damping_terms`, got {type(damping).__name__}. "
+                "Pass C_0, which may be zero."
+            )
+        self._install(self._as_theta(np.zeros(self.n_parameters) if theta is None else theta))
+
+    def _as_theta(self, theta):
+        p = self.n_parameters
+        if isinstance(theta, Variable):
+            vector = pt.atleast_1d(pt.as_tensor_variable(theta)).astype("float64")
+            if vector.ndim == 1 and vector.type.shape[0] in (None, p):
+                return vector
+            got = f"a tensor of shape {vector.type.shape}"
+        elif isinstance(theta, list | tuple) and any(isinstance(entry, Variable) for entry in theta):
+            if len(theta) == p:
+                return pt.stack([pt.as_tensor_variable(entry, dtype="float64") for entry in theta])
+            got = f"{len(theta)} values"
+        else:
+            vector = np.atleast_1d(np.array(theta, dtype=np.float64))
+            if vector.shape == (p,) and np.isfinite(vector).all():
+                vector.setflags(write=False)
+                return vector
+            got = f"shape {vector.shape}" if vector.shape != (p,) else "NaN or infinity"
+        raise ValueError(f"`theta` must be {p} finite values, one for each parameter, got {got}.")
+
+    def with_parameters(self, theta) -> "AffineStructure":
+        """Return the structure with other parameters; the constant matrices are shared.
+
+        Parameters
+        ----------
+        theta : array_like (p,), TensorVariable (p,) or sequence of p numbers and TensorVariables
+            Parameters [-]. Numbers are checked: M(theta) must be positive definite, K(theta) without
+            negative eigenvalues.
+        """
+        changed = copy.copy(self)
+        changed._install(self._as_theta(theta))
+        return changed
+
+
+def _checked(matrix, label, unit, stiffness, name):
+    """A term as the other matrices are: dense or sparse; None stays None."""
+    if matrix is None:
+        return None
+    n = stiffness.shape[0]
+    matrix = as_matrix(matrix, label, unit, n=n, symmetric=name != "damping_terms")
+    return sparse.csc_array(matrix) if sparse.issparse(stiffness) else matrix

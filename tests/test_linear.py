@@ -1,0 +1,873 @@
+"""Linear structures: the chain, matrix exponentials, closed forms, dense beside sparse, and every refusal."""
+
+import copy
+import pickle
+
+import numpy as np
+import pymc as pm
+import pytensor.tensor as pt
+import pytest
+from pytensor.compile.mode import Mode
+from scipy import sparse
+from scipy.linalg import eigh, expm
+from scipy.signal import lsim
+
+from pymc_features import (
+    AffineStructure,
+    DiscrepancySimulator,
+    LinearStructure,
+    Loading,
+    ModalDamping,
+    RayleighDamping,
+    Record,
+    SimulationWarning,
+    SpringMassChain,
+    response,
+    simulate,
+)
+from pymc_features.simulators import QUANTITIES
+from pymc_features.simulators.linear import is_coupled, modal_table, superposed_response
+from pymc_features.simulators.recursion import N_ROWS
+from pymc_features.simulators.state_space import state_response, step_matrices
+from pymc_features.structures import eigen
+from pymc_features.structures.eigen import natural_modes
+from pymc_features.structures.factorisation import count_below, eliminate
+
+UNDAMPED = ModalDamping(0.0)
+
+# --------------------------------------------------------------------------- independent routes
+
+
+def peak_error(actual, expected):
+    """Largest difference over the largest value; NaN stays NaN."""
+    return np.abs(np.asarray(actual) - np.asarray(expected)).max() / np.abs(expected).max()
+
+
+def noise(seed, shape=150):
+    return np.random.default_rng(seed).normal(size=shape)
+
+
+def noise_record(seed, n_times=150, dt=0.02):
+    return Record(noise(seed, n_times), dt)
+
+
+def by_exponential(matrices, load, inputs, dt, static=None, *, substeps=1, stride=1):
+    """All quantities of M x" + C x' + K x = load inputs without modes, first-order hold (Van Loan)."""
+    mass, damping, stiffness = matrices
+    n, d = load.shape
+    drag, spring, push = (np.linalg.solve(mass, a) for a in (damping, stiffness, load))
+    h = dt / substeps
+    system = np.zeros((2 * n + 2 * d, 2 * n + 2 * d))
+    system[:n, n : 2 * n] = np.eye(n)
+    system[n : 2 * n, : 2 * n + d] = np.hstack([-spring, -drag, push])
+    system[2 * n : 2 * n + d, 2 * n + d :] = np.eye(d) / h
+    whole = expm(system * h)
+    fine = np.arange((inputs.shape[1] - 1) * substeps + 1) / substeps
+    inputs = np.stack([np.interp(fine, np.arange(inputs.shape[1]), a) for a in inputs])
+    states = np.zeros((fine.size, 2 * n))
+    for k in range(fine.size - 1):
+        full = np.concatenate([states[k], inputs[:, k], inputs[:, k + 1] - inputs[:, k]])
+        states[k + 1] = (whole @ full)[: 2 * n]
+    x, v, a = states[::stride, :n].T, states[::stride, n:].T, inputs[:, ::stride]
+    relative = push @ a - spring @ x - drag @ v
+    absolute = relative if static is None else relative + static @ a
+    return dict(zip(QUANTITIES, (absolute, relative, v, x), strict=True))
+
+
+def random_structure(seed, n, *, damping=0.1, rank=None):
+    """Full M, C and K with frequencies of 1 to 60 rad/s, C coupled and of any rank."""
+    rng = np.random.default_rng(seed)
+    mixing = rng.normal(size=(n, n))
+    mass = mixing @ mixing.T / n + np.eye(n)
+    root = np.linalg.cholesky(mass)
+    basis = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    stiffness = root @ basis @ np.diag(np.geomspace(1.0, 3600.0, n)) @ basis.T @ root.T
+    pots = rng.normal(size=(n, rank or n))
+    return mass, damping * pots @ pots.T, 0.5 * (stiffness + stiffness.T)
+
+
+def spring_chain(n, k, *, free=False):
+    """Tridiagonal K of a uniform chain fixed at the base, or of one that floats."""
+    diagonal = np.full(n, 2.0 * k)
+    diagonal[-1] = k
+    if free:
+        diagonal[0] = k
+    return sparse.diags_array([diagonal, np.full(n - 1, -k), np.full(n - 1, -k)], offsets=[0, 1, -1]).tocsc()
+
+
+# --------------------------------------------------------------------------- the chain is a member
+
+DAMPINGS = {
+    "rayleigh": lambda n: RayleighDamping(0.2, 1e-3),
+    "none": lambda n: ModalDamping(0.0),
+    "over-critical": lambda n: ModalDamping(np.linspace(1.5, 4.0, n)),
+    "mixed": lambda n: ModalDamping(np.linspace(0.0, 2.0, n)),
+    "heavy rayleigh": lambda n: RayleighDamping(20.0, 0.05),
+}
+
+
+def random_chain(seed, damping):
+    rng = np.random.default_rng(seed)
+    n = seed % 8 + 1
+    stiffness = 10.0 ** rng.uniform(1.5, 4.5) * rng.uniform(0.2, 5.0, n)
+    return SpringMassChain(rng.uniform(0.2, 5.0, n), stiffness, DAMPINGS[damping](n))
+
+
+def as_linear(chain):
+    """With the same damping object, and with its matrix."""
+    mass, damping, stiffness = chain.matrices()
+    return LinearStructure(mass, chain.damping, stiffness), LinearStructure(mass, damping, stiffness)
+
+
+@pytest.mark.parametrize("damping", DAMPINGS)
+@pytest.mark.parametrize("seed", range(8))
+def test_chain_by_its_matrices(seed, damping):
+    """All quantities to 1e-12 of the peak; its damping matrix is seen to be classical."""
+    chain, record = random_chain(seed, damping), noise_record(seed)
+    for linear in as_linear(chain):
+        assert not is_coupled(linear.modal_damping())
+        for quantity in QUANTITIES:
+            expected = simulate(chain, record, quantity=quantity)
+            assert peak_error(simulate(linear, record, quantity=quantity), expected) < 1e-12
+
+
+@pytest.mark.parametrize("n_modes", [1, 3, 7, 8])
+@pytest.mark.parametrize("factor", [5, 1, 0.25])
+def test_chain_with_truncated_modes_and_output_steps(n_modes, factor):
+    chain, record = random_chain(7, "rayleigh"), noise_record(1, 141)
+    for linear in as_linear(chain):
+        for quantity in QUANTITIES:
+            asked = dict(quantity=quantity, n_modes=n_modes, dt=factor * record.dt, sensors=[6, 0])
+            expected = simulate(chain, record, **asked)
+            found = simulate(linear, record, **asked)
+            assert peak_error(found, expected) < 1e-12
+            assert found.coords.equals(expected.coords) and found.attrs == expected.attrs
+
+
+def test_el_centro_on_ten_storeys(record):
+    chain = SpringMassChain(np.ones(10), 1800.0, RayleighDamping(0.2265, 6.7515e-4))
+    for linear in as_linear(chain):
+        for quantity in QUANTITIES:
+            expected = simulate(chain, record, quantity=quantity)
+            assert peak_error(simulate(linear, record, quantity=quantity), expected) < 1e-12
+
+
+@pytest.mark.parametrize("damping", DAMPINGS)
+def test_modes_and_matrices_of_the_chain(damping):
+    chain = random_chain(6, damping)
+    linear, by_matrix = as_linear(chain)
+    expected = chain.modes()
+    for structure in (linear, by_matrix):
+        modes = structure.modes()
+        np.testing.assert_allclose(modes.angular_frequencies, expected.angular_frequencies, rtol=1e-12)
+        np.testing.assert_allclose(modes.damping_ratios, expected.damping_ratios, rtol=1e-10, atol=1e-13)
+        np.testing.assert_allclose(modes.effective_modal_masses, expected.effective_modal_masses, atol=1e-10)
+        assert structure.modes(2).mode_shapes.shape == (7, 2)
+        for a, b in zip(structure.matrices(), chain.matrices(), strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-12 * max(np.abs(b).max(), 1.0))
+
+
+# --------------------------------------------------------------------------- coupled damping
+
+
+@pytest.mark.parametrize("damping", [1e-3, 0.1, 30.0])
+@pytest.mark.parametrize(("n", "rank"), [(2, 1), (5, 2), (8, 8)])
+@pytest.mark.parametrize(("substeps", "stride"), [(1, 1), (3, 1), (1, 4)])
+def test_coupled_damping_against_matrix_exponential(n, rank, damping, substeps, stride):
+    """Physical coordinates, no modes: 1e-9 of the peak, light to over-critical damping."""
+    matrices = random_structure(n, n, damping=damping, rank=rank)
+    structure, record = LinearStructure(*matrices), noise_record(n)
+    assert is_coupled(structure.modal_damping())
+    ones = np.ones((n, 1))
+    expected = by_exponential(
+        matrices,
+        -matrices[0] @ ones,
+        record.acceleration[None],
+        record.dt,
+        ones,
+        substeps=substeps,
+        stride=stride,
+    )
+    for quantity in QUANTITIES:
+        found = simulate(structure, record, quantity=quantity, dt=record.dt * stride / substeps)
+        assert peak_error(found, expected[quantity]) < 1e-9
+
+
+def test_gyroscopic_damping():
+    """A skew part couples without taking energy."""
+    mass, _, stiffness = random_structure(1, 2)
+    matrices = mass, np.array([[0.1, 4.0], [-4.0, 0.1]]), stiffness
+    record, ones = noise_record(1), np.ones((2, 1))
+    expected = by_exponential(matrices, -mass @ ones, record.acceleration[None], record.dt, ones)
+    for quantity in QUANTITIES:
+        found = simulate(LinearStructure(*matrices), record, quantity=quantity)
+        assert peak_error(found, expected[quantity]) < 1e-9
+
+
+def test_both_routes_meet_at_the_tolerance():
+    """A coupling just above the tolerance takes the other route and changes nothing."""
+    chain, record = random_chain(5, "rayleigh"), noise_record(2)
+    mass, damping, stiffness = chain.matrices()
+    nudged = damping.copy()
+    nudged[0, 0] *= 1.0 + 1e-10
+    classical, coupled = LinearStructure(mass, damping, stiffness), LinearStructure(mass, nudged, stiffness)
+    assert not is_coupled(classical.modal_damping()) and is_coupled(coupled.modal_damping())
+    for quantity in QUANTITIES:
+        expected = simulate(classical, record, quantity=quantity)
+        assert peak_error(simulate(coupled, record, quantity=quantity), expected) < 1e-9
+
+
+@pytest.mark.parametrize("quantity", range(4))
+def test_both_routes_on_the_same_modes(quantity):
+    """Uncoupled modes, omega h from 0 to 1e4, stepped singly and as one state."""
+    omega = np.array([0.0, 1.0, 30.0, 3e3, 5e5])
+    zeta = np.array([0.0, 0.02, 1.0, 0.1, 3.0])
+    participation, seen = np.ones((5, 1)), np.eye(5)
+    inputs, direct = noise(18, (1, 200)), np.zeros((5, 1))
+    table = np.empty((N_ROWS, 5))
+    assert modal_table(omega, zeta, 0.02, quantity, table)
+    singly = superposed_response(table, seen[None], direct, inputs, 1, 1)
+    matrices = step_matrices(omega, np.diag(2.0 * zeta * omega), participation, seen, 0.02, quantity)
+    for one, other in zip(singly, state_response(*matrices, direct, inputs, 1, 1), strict=True):
+        assert peak_error(other, one) < 1e-9 if np.any(one) else not np.any(other)
+
+
+@pytest.mark.parametrize("n_modes", [1, 3, 6])
+def test_truncated_coupled_modes(n_modes):
+    """The kept modes are carried by their own block of phi' C phi; the ground's share is kept whole."""
+    mass, damping, stiffness = random_structure(3, 6)
+    record = noise_record(3)
+    structure = LinearStructure(mass, damping, stiffness)
+    values, shapes = eigh(stiffness, mass)
+    kept = shapes[:, :n_modes]
+    reduced = np.eye(n_modes), kept.T @ damping @ kept, np.diag(values[:n_modes])
+    load = -kept.T @ mass @ np.ones((6, 1))
+    expected = by_exponential(reduced, load, record.acceleration[None], record.dt)
+    relative = kept @ expected["relative_acceleration"]
+    for quantity, history in {
+        "relative_displacement": kept @ expected["relative_displacement"],
+        "relative_acceleration": relative,
+        "absolute_acceleration": relative + record.acceleration,
+    }.items():
+        assert peak_error(simulate(structure, record, quantity=quantity, n_modes=n_modes), history) < 1e-9
+
+
+# --------------------------------------------------------------------------- special spectra
+
+
+def test_repeated_frequencies():
+    """A tower that is the same in both directions: each direction is a chain of its own."""
+    chain = SpringMassChain([2.0, 1.0, 1.0], [300.0, 200.0, 100.0], RayleighDamping(0.3, 2e-3))
+    mass, damping, stiffness = (np.kron(np.eye(2), a) for a in chain.matrices())
+    record = noise_record(4)
+    direction = np.kron([1.0, 0.5], np.ones(3))
+    for drag in (damping, chain.damping):
+        tower = LinearStructure(mass, drag, stiffness, influence=direction)
+        omega = chain.modes().angular_frequencies
+        np.testing.assert_allclose(tower.modes().angular_frequencies, np.repeat(omega, 2), rtol=1e-12)
+        for quantity in QUANTITIES:
+            one = simulate(chain, record, quantity=quantity).values
+            found = simulate(tower, record, quantity=quantity)
+            assert peak_error(found, np.vstack([one, 0.5 * one])) < 1e-12
+
+
+def test_a_soft_mode_is_no_rigid_body():
+    """A spring 1e12 times softer than the next keeps its frequency, to the digits that K holds."""
+    stiffness = np.array([[1e12 + 1.0, -1e12], [-1e12, 1e12]])
+    omega = LinearStructure(np.ones(2), UNDAMPED, stiffness).modes().angular_frequencies
+    np.testing.assert_allclose(omega, [np.sqrt(0.5), np.sqrt(2e12)], rtol=1e-3)
+
+
+@pytest.mark.parametrize("n", [2, 10, 100, 400])
+def test_rigid_bodies_are_found(n):
+    """Chains that float with uneven springs, dense and sparse, have exactly one omega = 0."""
+    springs = 10.0 ** np.random.default_rng(n).uniform(2.0, 6.0, n - 1)
+    stiffness = np.diag(np.append(springs, 0.0) + np.append(0.0, springs))
+    stiffness -= np.diag(springs, 1) + np.diag(springs, -1)
+    for kind in (np.asarray, sparse.csc_array):
+        omega = LinearStructure(np.ones(n), UNDAMPED, kind(stiffness)).modes(min(n, 4)).angular_frequencies
+        assert (omega == 0.0).tolist() == [True] + [False] * (omega.size - 1)
+
+
+@pytest.mark.parametrize(("n", "copies", "groups"), [(60, 3, 3), (60, 6, 3), (30, 20, 1)])
+def test_sparse_solver_finds_every_copy(n, copies, groups):
+    """Equal frequencies many times over; of twenty copies Lanczos alone misses some (seen by inertia)."""
+    one = spring_chain(n, 100.0)
+    lowest = np.sqrt(np.linalg.eigvalsh(one.toarray()))[:groups]
+    structure = LinearStructure(np.ones(n * copies), UNDAMPED, sparse.block_diag([one] * copies).tocsc())
+    modes = structure.modes(groups * copies)
+    np.testing.assert_allclose(modes.angular_frequencies, np.repeat(lowest, copies), rtol=1e-10)
+    shapes = modes.mode_shapes
+    np.testing.assert_allclose(shapes.T @ shapes, np.eye(groups * copies), atol=1e-9)
+
+
+def test_inertia_counts_eigenvalues():
+    """The pivots of a two-dimensional grid, whose elimination reorders, against all its eigenvalues."""
+    line = spring_chain(12, 1.0)
+    grid = sparse.kronsum(line, line).tocsc()
+    mass = sparse.diags_array(np.linspace(1.0, 2.0, 144)).tocsc()
+    values = eigh(grid.toarray(), mass.toarray(), eigvals_only=True)
+    assert eliminate(grid) is not None
+    for bound in (0.5 * values[0], 0.5 * (values[5] + values[6]), 0.5 * (values[70] + values[71])):
+        assert count_below(mass, grid, bound) == (values < bound).sum()
+
+
+@pytest.mark.parametrize("kind", [np.asarray, sparse.csr_matrix], ids=["dense", "sparse"])
+@pytest.mark.parametrize("alpha", [0.0, 0.4])
+def test_rigid_body_under_a_force(kind, alpha):
+    """Two free masses, step force on the first: the centre drifts, the spring oscillates; closed forms."""
+    (m1, m2), k, force = (1.0, 3.0), 50.0, 8.0
+    stiffness = kind(k * np.array([[1.0, -1.0], [-1.0, 1.0]]))
+    structure = LinearStructure([m1, m2], RayleighDamping(alpha, 0.0), stiffness)
+    loading = Loading(np.full(400, force), 0.01, kind="force", matrix=[[1.0], [0.0]])
+    t = loading.time
+    omega = structure.modes().angular_frequencies
+    assert omega[0] == 0.0 and omega[1] == pytest.approx(np.sqrt(k * (1 / m1 + 1 / m2)), rel=1e-14)
+    drift = (t / alpha - (1.0 - np.exp(-alpha * t)) / alpha**2) if alpha else 0.5 * t**2
+    centre = force / (m1 + m2) * drift  # of mass
+    damped = np.sqrt(omega[1] ** 2 - 0.25 * alpha**2)
+    decay = np.exp(-0.5 * alpha * t)
+    stretch = force / m1 / omega[1] ** 2
+    stretch = stretch * (1.0 - decay * (np.cos(damped * t) + 0.5 * alpha / damped * np.sin(damped * t)))
+    expected = centre + np.outer([m2, -m1], stretch) / (m1 + m2)
+    found = simulate(structure, loading, quantity="relative_displacement")
+    assert peak_error(found, expected) < 1e-12
+    as_matrix = LinearStructure([m1, m2], alpha * np.diag([m1, m2]), stiffness)
+    assert peak_error(simulate(as_matrix, loading, quantity="relative_displacement"), expected) < 1e-12
+
+
+def test_floating_chain_with_a_dashpot():
+    """A rigid-body mode in coupled damping, and one with nothing but a dashpot to the ground."""
+    stiffness = spring_chain(4, 200.0, free=True).toarray()
+    damping = np.diag([0.0, 5.0, 0.0, 0.0])
+    values, load = noise(5, (1, 150)), np.eye(4)[:, [3]]
+    expected = by_exponential((np.eye(4), damping, stiffness), load, values, 0.02)
+    structure = LinearStructure(np.ones(4), damping, stiffness)
+    assert is_coupled(structure.modal_damping()) and structure.modes().angular_frequencies[0] == 0.0
+    loading = Loading(values, 0.02, kind="force", matrix=load)
+    for quantity in QUANTITIES:
+        assert peak_error(simulate(structure, loading, quantity=quantity), expected[quantity]) < 1e-9
+    raft = LinearStructure([2.0], [[3.0]], [[0.0]])
+    found = simulate(raft, Loading(np.full(100, 6.0), 0.02, kind="force"), quantity="relative_velocity")
+    assert peak_error(found[0], 2.0 * (1.0 - np.exp(-1.5 * found["time"]))) < 1e-12
+
+
+def test_modes_far_beyond_the_sampling_rate():
+    """A stiff link, omega h of 200, next to a soft spring, in coupled damping."""
+    stiffness = np.array([[1e8, -1e8], [-1e8, 1e8 + 100.0]])
+    damping = np.array([[3.0, 0.0], [0.0, 0.0]])
+    record, ones = noise_record(6), np.ones((2, 1))
+    matrices = np.eye(2), damping, stiffness
+    expected = by_exponential(matrices, -ones, record.acceleration[None], record.dt, ones)
+    structure = LinearStructure(*matrices)
+    assert is_coupled(structure.modal_damping())
+    assert (
+        peak_error(simulate(structure, record, quantity="relative_displacement"), expected[QUANTITIES[3]])
+        < 1e-8
+    )
+
+
+# --------------------------------------------------------------------------- sparse beside dense
+
+
+@pytest.mark.parametrize("n", [2000])
+def test_large_sparse_structure(n):
+    """Twenty modes of 2000: frequencies by the closed form to 1e-11, responses by dense modes to 1e-8."""
+    k, kept = 1e8, 20
+    stiffness = spring_chain(n, k)
+    mass = sparse.eye_array(n)
+    j = np.arange(1, kept + 1)
+    exact = 2.0 * np.sqrt(k) * np.sin((2 * j - 1) * np.pi / (2 * (2 * n + 1)))
+    structure = LinearStructure(mass, ModalDamping(np.full(kept, 0.02)), stiffness)
+    np.testing.assert_allclose(structure.modes(kept).angular_frequencies, exact, rtol=1e-11)
+    dense = LinearStructure(np.ones(n), ModalDamping(0.02), stiffness.toarray())
+    record = noise_record(7, 300)
+    for quantity in ("absolute_acceleration", "relative_displacement"):
+        asked = dict(quantity=quantity, n_modes=kept, sensors=[0, 999, 1999])
+        assert peak_error(simulate(structure, record, **asked), simulate(dense, record, **asked)) < 1e-8
+    damping = 0.5 * mass + 1e-4 * stiffness
+    damping[n - 1, n - 1] += 200.0  # a dashpot at the top couples the modes
+    sparse_c = LinearStructure(mass, damping, stiffness)
+    assert is_coupled(sparse_c.modal_damping(kept))
+    dense_c = copy.copy(dense)  # shares the modes found above
+    dense_c._matrices = dense.mass, damping.toarray(), dense.stiffness
+    asked = dict(n_modes=kept, sensors=[1999])
+    assert peak_error(simulate(sparse_c, record, **asked), simulate(dense_c, record, **asked)) < 1e-8
+
+
+def test_small_sparse_structure_with_all_modes():
+    chain = random_chain(7, "rayleigh")
+    mass, damping, stiffness = chain.matrices()
+    record = noise_record(8)
+    structure = LinearStructure(
+        sparse.csr_matrix(mass), sparse.coo_array(damping), sparse.dia_matrix(stiffness)
+    )
+    assert all(sparse.issparse(a) for a in structure.matrices())
+    assert peak_error(simulate(structure, record), simulate(chain, record)) < 1e-12
+    for n_modes in (2, 6):
+        expected = simulate(chain, record, n_modes=n_modes)
+        assert peak_error(simulate(structure, record, n_modes=n_modes), expected) < 1e-10
+
+
+# --------------------------------------------------------------------------- loads and outputs
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+def test_several_supports_against_lsim(coupled):
+    """Two supports moving apart; SciPy's first-order hold of the physical state space."""
+    mass, damping, stiffness = random_structure(9, 4)
+    damping = damping if coupled else 0.2 * mass + 1e-3 * stiffness
+    share = np.random.default_rng(9).uniform(0.0, 1.0, 4)
+    influence = np.column_stack([share, 1.0 - share])
+    loading = Loading(noise(9, (2, 300)), 0.02)
+    inverse = np.linalg.inv(mass)
+    zero, eye = np.zeros((4, 4)), np.eye(4)
+    system = np.block([[zero, eye], [-inverse @ stiffness, -inverse @ damping]])
+    entry = np.vstack([np.zeros((4, 2)), -influence])
+    below = np.hstack([-inverse @ stiffness, -inverse @ damping])
+    structure = LinearStructure(mass, damping, stiffness, influence=influence)
+    assert is_coupled(structure.modal_damping()) == coupled
+    for quantity, rows, through in (
+        ("absolute_acceleration", below, np.zeros((4, 2))),
+        ("relative_acceleration", below, -influence),
+        ("relative_displacement", np.hstack([eye, zero]), np.zeros((4, 2))),
+        ("relative_velocity", np.hstack([zero, eye]), np.zeros((4, 2))),
+    ):
+        _, expected, _ = lsim((system, entry, rows, through), loading.values.T, loading.time)
+        assert peak_error(simulate(structure, loading, quantity=quantity), expected.T) < 1e-9
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+@pytest.mark.parametrize("matrix", [None, [[0.0, 1.0], [2.0, 0.0], [0.0, -1.0]]])
+def test_forces_against_lsim(coupled, matrix):
+    mass, damping, stiffness = random_structure(10, 3)
+    damping = damping if coupled else 0.2 * mass + 1e-3 * stiffness
+    loading = Loading(noise(10, (3 if matrix is None else 2, 300)), 0.02, kind="force", matrix=matrix)
+    inverse = np.linalg.inv(mass)
+    zero, eye = np.zeros((3, 3)), np.eye(3)
+    system = np.block([[zero, eye], [-inverse @ stiffness, -inverse @ damping]])
+    push = inverse @ (eye if matrix is None else np.array(matrix))
+    entry = np.vstack([np.zeros_like(push), push])
+    structure = LinearStructure(mass, damping, stiffness)
+    for quantity, rows, through in (
+        ("absolute_acceleration", system[3:], push),
+        ("relative_acceleration", system[3:], push),
+        ("relative_displacement", np.hstack([eye, zero]), 0.0 * push),
+    ):
+        _, expected, _ = lsim((system, entry, rows, through), loading.values.T, loading.time)
+        assert peak_error(simulate(structure, loading, quantity=quantity), expected.T) < 1e-9
+
+
+def test_supports_that_move_together_are_one_base():
+    chain, record = random_chain(4, "rayleigh"), noise_record(11)
+    mass, damping, stiffness = chain.matrices()
+    share = np.linspace(0.1, 0.8, 5)
+    two = LinearStructure(mass, damping, stiffness, influence=np.column_stack([share, 1.0 - share]))
+    loading = Loading([record.acceleration] * 2, record.dt, name="twins")
+    assert two.n_supports == 2 and two.modes().participation_factors.shape == (5, 2)
+    for quantity in QUANTITIES:
+        for n_modes in (2, 5):
+            asked = dict(quantity=quantity, n_modes=n_modes, dt=0.01)
+            found = simulate(two, loading, **asked)
+            assert peak_error(found, simulate(chain, record, **asked)) < 1e-12
+    assert found.attrs == {"units": "m", "record": "twins"}
+
+
+@pytest.mark.parametrize("kind", [np.asarray, sparse.csr_array], ids=["dense", "sparse"])
+@pytest.mark.parametrize("n_modes", [None, 2])
+def test_outputs_are_combinations(kind, n_modes):
+    """S x: drifts of a chain, of coupled damping, of any quantity, by hand."""
+    chain, record = random_chain(4, "rayleigh"), noise_record(12)
+    drifts = np.eye(5) - np.eye(5, k=-1)
+    for structure in (chain, *as_linear(chain), LinearStructure(*random_structure(12, 5))):
+        for quantity in QUANTITIES:
+            asked = dict(quantity=quantity, n_modes=n_modes)
+            history = simulate(structure, record, **asked).values
+            found = simulate(structure, record, outputs=kind(drifts[1:3]), **asked)
+            assert peak_error(found, np.diff(history, axis=0)[:2]) < 1e-12
+            assert found["sensor"].values.tolist() == [0, 1]
+
+
+def test_base_shear_is_an_output():
+    """The first spring's force equals the inertia of all masses above (no damping)."""
+    chain = SpringMassChain([1.0, 2.0, 3.0], [500.0, 400.0, 300.0], UNDAMPED)
+    record = noise_record(13)
+    shear = simulate(chain, record, quantity="relative_displacement", outputs=[[500.0, 0.0, 0.0]])
+    inertia = simulate(as_linear(chain)[0], record, outputs=[[1.0, 2.0, 3.0]])
+    assert peak_error(-shear, inertia) < 1e-10
+
+
+# --------------------------------------------------------------------------- affine matrices
+
+
+def affine(kind=np.asarray, **kwargs):
+    lower, upper = np.diag([100.0, 0.0]), 80.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    return AffineStructure(
+        kind(np.diag([1.0, 2.0])),
+        kind(np.diag([0.5, 0.0])),
+        kind(lower),
+        stiffness_terms=[kind(upper), None],
+        mass_terms=[None, kind(np.diag([0.0, 1.0]))],
+        damping_terms=[kind(0.01 * upper), None],
+        theta=[1.0, 0.0],
+        **kwargs,
+    )
+
+
+@pytest.mark.parametrize("kind", [np.asarray, sparse.csc_matrix], ids=["dense", "sparse"])
+def test_affine_matrices(kind):
+    """M, C and K are the sums; the response is that of the structure assembled by hand; nothing is copied."""
+    structure, record = affine(kind), noise_record(14)
+    changed = structure.with_parameters([0.7, 0.25])
+    upper = 80.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    expected = (
+        np.diag([1.0, 2.25]),
+        np.diag([0.5, 0.0]) + 0.007 * upper,
+        np.diag([100.0, 0.0]) + 0.7 * upper,
+    )
+    for a, b in zip(changed.matrices(), expected, strict=True):
+        np.testing.assert_allclose(a.toarray() if sparse.issparse(a) else a, b, rtol=1e-15)
+    assert peak_error(simulate(changed, record), simulate(LinearStructure(*expected), record)) < 1e-12
+    assert structure.theta.tolist() == [1.0, 0.0] and changed.theta.tolist() == [0.7, 0.25]
+    for before, after in zip(structure.parameters()[1:4], changed.parameters()[1:4], strict=True):
+        assert before is after and before.shape[0] == 3
+    assert peak_error(simulate(structure, record), simulate(changed, record)) > 1e-3
+
+
+def test_affine_sparse_patterns_may_differ():
+    rng = np.random.default_rng(15)
+    parts = [sparse.random_array((30, 30), density=0.05, rng=rng) for _ in range(3)]
+    parts = [a + a.T for a in parts]
+    base = 50.0 * sparse.eye_array(30)
+    structure = AffineStructure(np.ones(30), UNDAMPED, base, stiffness_terms=parts, theta=[0.5, -1.0, 2.0])
+    expected = base.toarray() + sum(c * a.toarray() for c, a in zip([0.5, -1.0, 2.0], parts, strict=True))
+    np.testing.assert_allclose(structure.stiffness.toarray(), expected, rtol=1e-14)
+
+
+def test_symbolic_parameters_wait_for_their_ops():
+    theta = pt.vector("theta", shape=(2,))
+    for symbolic in (affine().with_parameters(theta), affine().with_parameters([pt.scalar(), 0.0])):
+        assert symbolic.is_symbolic and symbolic.n_dof == 2
+        with pytest.raises(TypeError, match="`matrices` and `modes` must be asked of a structure of numbers"):
+            symbolic.modes()
+        with pytest.raises(TypeError, match="must have numbers as parameters"):
+            simulate(symbolic, noise_record(0))
+        with pytest.raises(TypeError, match="must be a SpringMassChain inside a model, got AffineStructure"):
+            response(symbolic, noise_record(0))
+    assert LinearStructure([1.0], RayleighDamping(pt.scalar(), 0.0), [1.0]).is_symbolic
+
+
+def test_response_inside_a_model_is_refused():
+    with pytest.raises(TypeError, match="got LinearStructure. Pass a function .* `DiscrepancySimul"):
+        response(LinearStructure([1.0], UNDAMPED, [1.0]), noise_record(0))
+
+
+def test_road_to_a_model():
+    """A function that simulates, in `DiscrepancySimulator`; what is no structure is rejected, not raised."""
+    structure, record = affine(), noise_record(16)
+    observed = simulate(structure, record).values + 0.01
+
+    def history(theta):
+        return simulate(structure.with_parameters([theta, 0.0]), record).values
+
+    with pm.Model() as model:
+        theta = pm.Normal("theta", 1.0, 1.0, default_transform=None)
+        DiscrepancySimulator("y", history, theta, epsilon=1.0, observed=observed, kernel="exponential")
+    logp = model.compile_logp(vars=model.observed_RVs, mode=Mode(linker="py", optimizer="fast_compile"))
+    exact = np.square(history(1.1) - observed).mean(axis=1).sum()
+    assert float(logp({"theta": 1.1})) == pytest.approx(-exact, rel=1e-12)
+    with pytest.warns(SimulationWarning, match="must have no negative eigenvalue"):
+        assert float(logp({"theta": -3.0})) == -np.inf
+
+
+# --------------------------------------------------------------------------- values
+
+
+def test_is_a_value():
+    """What was passed is copied, what is kept is read-only, copies and pickles are the same."""
+    stiffness = np.array([[2.0, -1.0], [-1.0, 2.0]])
+    structure = LinearStructure([1.0, 1.0], UNDAMPED, stiffness)
+    stiffness[0, 0] = 99.0
+    assert structure.stiffness[0, 0] == 2.0
+    with pytest.raises(ValueError, match="read-only"):
+        structure.stiffness[0, 0] = 1.0
+    assert repr(structure) == "LinearStructure(2 degrees of freedom, dense, ModalDamping(0.0))"
+    loading = Loading([[0.0, 1.0]], 0.1, kind="force", matrix=[[1.0], [0.0]], name="push")
+    assert repr(loading) == "Loading('push', force, 1 x 2 samples, dt=0.1 s)"
+    assert loading.duration == pytest.approx(0.1)
+    for same in (copy.deepcopy(loading), pickle.loads(pickle.dumps(loading))):
+        assert (same.kind, same.name, same.dt) == ("force", "push", 0.1)
+        np.testing.assert_array_equal(same.matrix, loading.matrix)
+        with pytest.raises(ValueError, match="read-only"):
+            same.values[0, 0] = 1.0
+    expected = simulate(structure, loading)
+    np.testing.assert_array_equal(simulate(pickle.loads(pickle.dumps(structure)), loading), expected)
+    large = LinearStructure(np.ones(50), UNDAMPED, spring_chain(50, 100.0))
+    asked = dict(record=noise_record(17), n_modes=3)
+    for same in (copy.deepcopy(large), pickle.loads(pickle.dumps(large))):
+        np.testing.assert_array_equal(simulate(same, **asked), simulate(large, **asked))
+
+
+def test_modes_that_cannot_be_found_are_said(monkeypatch):
+    """Where the count never fits: dense modes of a small structure, an error for a large one."""
+    monkeypatch.setattr(eigen, "count_below", lambda *_: 10**6)
+    stiffness, mass = spring_chain(40, 100.0), sparse.eye_array(40)
+    omega, _ = natural_modes(mass, stiffness, 3)
+    np.testing.assert_allclose(omega, np.sqrt(np.linalg.eigvalsh(stiffness.toarray())[:3]), rtol=1e-12)
+    monkeypatch.setattr(eigen, "MAX_DENSE", 10)
+    with pytest.raises(RuntimeError, match="1000000 modes lie below the 3 found by Lanczos iteration"):
+        natural_modes(mass, stiffness, 3)
+
+
+def test_symmetric_up_to_rounding():
+    matrix = np.array([[2.0, -1.0], [-1.0 - 1e-13, 2.0]])
+    structure = LinearStructure([1.0, 1.0], UNDAMPED, matrix)
+    assert (structure.stiffness == structure.stiffness.T).all()
+
+
+K2 = np.array([[2.0, -1.0], [-1.0, 2.0]])
+GOOD = {"mass": np.eye(2), "damping": UNDAMPED, "stiffness": K2}
+BOTH = pytest.mark.parametrize("kind", [np.asarray, sparse.csc_matrix], ids=["dense", "sparse"])
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        (
+            {"mass": [[1.0, 0.5], [0.0, 1.0]]},
+            "`mass` must be symmetric, got 0.5 in row 0, column 1 and 0 in row 1",
+        ),
+        (
+            {"mass": [[1.0, 2.0], [2.0, 1.0]]},
+            "`mass` must be positive definite, got an indefinite matrix. Cond",
+        ),
+        (
+            {"mass": [[1.0, 0.0], [0.0, 0.0]]},
+            "`mass` must be positive definite, got 0 kg at degree of freedom 1",
+        ),
+        (
+            {"mass": np.eye(3)},
+            r"`mass` must have shape \(2, 2\) to match `stiffness`, got \(3, 3\). Give one row",
+        ),
+        (
+            {"stiffness": [[2.0, -1.0], [1.0, 2.0]]},
+            "`stiffness` must be symmetric, got -1 in row 0, column 1",
+        ),
+        (
+            {"stiffness": [[1.0, -2.0], [-2.0, 1.0]]},
+            "`stiffness` must have no negative eigenvalue, got .* signs",
+        ),
+        ({"stiffness": [[2.0, 0.0], [0.0, -1e-6]]}, "`stiffness` must have no negative eigenvalue"),
+        (
+            {"stiffness": [[2.0, 0.0], [0.0, 0.0]]},
+            "`stiffness` must hold every degree of freedom, got a row of z",
+        ),
+        (
+            {"stiffness": [[2.0, 0.0, 1.0], [0.0, 1.0, 0.0]]},
+            r"`stiffness` must be a square matrix, got .*\(2, 3\)",
+        ),
+        (
+            {"stiffness": [[2.0, np.nan], [np.nan, 2.0]]},
+            "`stiffness` must be finite, got NaN or infinity. Pass",
+        ),
+        (
+            {"damping": [[1.0, -2.0], [-2.0, 1.0]]},
+            "`damping` must not feed energy into any motion, got a matrix",
+        ),
+        ({"damping": np.eye(3)}, r"`damping` must have shape \(2, 2\) to match `stiffness`, got \(3, 3\)"),
+    ],
+)
+def test_refused_matrices(kind, changes, match):
+    arguments = {name: a if a is UNDAMPED else kind(np.array(a)) for name, a in (GOOD | changes).items()}
+    with pytest.raises(ValueError, match=match):
+        LinearStructure(**arguments)
+
+
+def test_the_negative_eigenvalue_is_named():
+    with pytest.raises(ValueError, match=r"got omega\^2 = -1 \(rad/s\)\^2 as the lowest eigenvalue. Check"):
+        LinearStructure([1.0, 1.0], UNDAMPED, [[1.0, -2.0], [-2.0, 1.0]])
+
+
+def test_a_dashpot_or_a_shared_mass_is_a_connection():
+    """The rule for degrees of freedom without stiffness: refused if nothing else touches them."""
+    stiffness = np.diag([2.0, 0.0])
+    LinearStructure(np.eye(2), np.diag([0.0, 1.0]), stiffness)
+    LinearStructure([[2.0, 0.5], [0.5, 1.0]], UNDAMPED, stiffness)
+    with pytest.raises(ValueError, match="got a row of zeros for 1 and others. Remove the degree of freedom"):
+        LinearStructure(np.ones(3), RayleighDamping(0.1, 0.0), np.diag([2.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "match"),
+    [
+        (
+            {"damping": None},
+            TypeError,
+            "`damping` must be a matrix or a Damping, got NoneType. Pass C in N s/m",
+        ),
+        ({"damping": "rayleigh"}, TypeError, "`damping` must be a matrix or a Damping, got str"),
+        ({"damping": 1j * np.eye(2)}, TypeError, "`damping` must be a matrix of real numbers, got ndarray"),
+        (
+            {"damping": ModalDamping([0.1] * 3)},
+            ValueError,
+            "`ratios` must have one value or .* the 2 modes, got 3",
+        ),
+        (
+            {"stiffness": "K"},
+            TypeError,
+            "`stiffness` must be a matrix of real numbers, got str. Pass an array",
+        ),
+        ({"stiffness": sparse.eye_array(2) * 1j}, TypeError, "`stiffness` must be a matrix of real numbers"),
+        ({"stiffness": 3.0}, ValueError, r"`stiffness` must be a square matrix, got shape \(\)"),
+        (
+            {"influence": np.ones(3)},
+            ValueError,
+            r"`influence` must have shape \(2,\) or \(2, supports\), got \(3,\)",
+        ),
+        ({"influence": [1.0, np.inf]}, ValueError, "`influence` must be finite, got NaN or infinity"),
+    ],
+)
+def test_refused_arguments(changes, error, match):
+    with pytest.raises(error, match=match):
+        LinearStructure(**(GOOD | changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "match"),
+    [
+        (
+            {"stiffness_terms": []},
+            ValueError,
+            "must have one entry for each parameter, got 0 mass_terms, 0 damping",
+        ),
+        (
+            {"stiffness_terms": [K2], "mass_terms": [K2] * 2},
+            ValueError,
+            "got 2 mass_terms, 0 .* 1 stiffness_terms",
+        ),
+        ({"stiffness_terms": [np.eye(3)]}, ValueError, r"`stiffness_terms\[0\]` must have shape \(2, 2\)"),
+        ({"stiffness_terms": [np.triu(K2)]}, ValueError, r"`stiffness_terms\[0\]` must be symmetric, got -1"),
+        (
+            {"stiffness_terms": [K2], "damping_terms": [K2]},
+            TypeError,
+            "`damping` must be a matrix to go with",
+        ),
+        (
+            {"stiffness_terms": [K2], "theta": [1.0, 2.0]},
+            ValueError,
+            r"`theta` must be 1 finite values, .*\(2,\)",
+        ),
+        (
+            {"stiffness_terms": [K2], "theta": [np.nan]},
+            ValueError,
+            "one for each parameter, got NaN or infinity",
+        ),
+        (
+            {"stiffness_terms": [K2], "theta": [-2.0]},
+            ValueError,
+            "`stiffness` must have no negative eigenvalue",
+        ),
+        (
+            {"stiffness_terms": [K2], "theta": pt.matrix()},
+            ValueError,
+            "`theta` must be 1 finite .* got a tensor",
+        ),
+        (
+            {"stiffness_terms": [K2], "theta": [pt.scalar()] * 2},
+            ValueError,
+            "`theta` must be 1 .* got 2 values",
+        ),
+    ],
+)
+def test_refused_affine_arguments(changes, error, match):
+    with pytest.raises(error, match=match):
+        AffineStructure(**(GOOD | changes))
+
+
+def test_refused_modes():
+    structure = LinearStructure(**GOOD)
+    for n_modes in (0, 3, 1.5, True):
+        with pytest.raises(
+            ValueError, match=f"`n_modes` must be an integer from 1 to 2, got {n_modes}. Leave it"
+        ):
+            structure.modes(n_modes)
+        with pytest.raises(ValueError, match="`n_modes` must be an integer from 1 to 2"):
+            simulate(structure, noise_record(0), n_modes=n_modes)
+    large = spring_chain(3001, 1.0)
+    with pytest.raises(
+        ValueError, match="`n_modes` must be below half of the 3001 degrees of freedom of a spar"
+    ):
+        natural_modes(sparse.eye_array(3001), large, 3001)
+    few = LinearStructure(np.ones(3), ModalDamping([0.1, 0.2]), spring_chain(3, 1.0).toarray())
+    np.testing.assert_allclose(few.modes(2).damping_ratios, [0.1, 0.2], rtol=1e-14)
+    np.testing.assert_allclose(few.modes(1).damping_ratios, [0.1], rtol=1e-14)
+    with pytest.raises(
+        ValueError, match="`ratios` must have one value or one for each of the 3 modes, got 2"
+    ):
+        few.modes(3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "match"),
+    [
+        (
+            ([[0.0, 1.0]], 0.1, "wind"),
+            ValueError,
+            "`kind` must be one of support_acceleration, force, got 'wind'",
+        ),
+        (
+            ([[0.0]], 0.1),
+            ValueError,
+            r"`values` must have shape \(input, time\) with at least 2 .* \(1, 1\). Time",
+        ),
+        (([[0.0, np.nan]], 0.1), ValueError, "`values` must be finite, got NaN or infinity. Fill or cut"),
+        (("push", 0.1), TypeError, "`values` must be an array of numbers, got str"),
+        (
+            ([0.0, 1.0], 0.0),
+            ValueError,
+            "`dt` must be positive, got 0.0. Pass the sampling interval in seconds",
+        ),
+        (([0.0, 1.0], "x"), TypeError, "`dt` must be a number, got 'x'"),
+        (([0.0, 1.0], 0.1, "force", [1.0]), ValueError, r"`matrix` must have shape \(n, 1\) .* got \(1,\)"),
+        (
+            ([0.0, 1.0], 0.1, "support_acceleration", [[1.0]]),
+            ValueError,
+            "`matrix` must be left out with support",
+        ),
+    ],
+)
+def test_refused_loadings(arguments, error, match):
+    with pytest.raises(error, match=match):
+        Loading(*arguments)
+
+
+def test_refused_requests():
+    structure, record = LinearStructure(**GOOD), noise_record(0)
+    chain = SpringMassChain([1.0, 1.0], 1.0, UNDAMPED)
+    pair = Loading(np.ones((2, 5)), 0.1)
+    with pytest.raises(ValueError, match="`record` must give 1 support accelerations, .* `influence`, got 2"):
+        simulate(structure, pair)
+    two = LinearStructure(**GOOD, influence=np.eye(2))
+    with pytest.raises(
+        ValueError, match="`record` must give 2 support accelerations, .* got 1. Pass Loading"
+    ):
+        simulate(two, record)
+    for matrix in (None, [[1.0]], np.ones((3, 1))):
+        force = Loading(np.ones((1, 5)), 0.1, kind="force", matrix=matrix)
+        with pytest.raises(
+            ValueError, match=r"`matrix` of the forces must have shape \(2, 1\), got .*one row"
+        ):
+            simulate(structure, force)
+    with pytest.raises(
+        TypeError, match="`record` must be a Record for a SpringMassChain, got Loading. Several"
+    ):
+        simulate(chain, pair)
+    with pytest.raises(ValueError, match="`sensors` must be left out with `outputs`, got both"):
+        simulate(structure, record, sensors=[0], outputs=np.eye(2))
+    with pytest.raises(ValueError, match=r"`outputs` must have shape \(s, 2\), got \(3,\). Give one row"):
+        simulate(structure, record, outputs=np.ones(3))
+    with pytest.raises(ValueError, match="`outputs` must be finite, got NaN or infinity"):
+        simulate(chain, record, outputs=[[np.nan, 1.0]])
+    with pytest.raises(TypeError, match="`record` must be a Record, got ndarray"):
+        simulate(structure, np.ones(4))
