@@ -42,7 +42,7 @@ def main():
     """Run the sections asked for and print their tables."""
     parser = argparse.ArgumentParser("python -m benchmarks", description="Cost and accuracy, side by side.")
     parser.add_argument("--only", choices=SECTIONS, help="run one section; all by default (15 minutes)")
-    parser.add_argument("--quick", action="store_true", help="fewer rounds and seeds (a minute or two)")
+    parser.add_argument("--quick", action="store_true", help="fewer rounds and seeds (three minutes)")
     arguments = parser.parse_args()
     warnings.filterwarnings("ignore")
     confine()

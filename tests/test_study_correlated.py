@@ -190,16 +190,26 @@ def test_every_likelihood_has_a_reference_and_a_meaning():
 
 
 @pytest.mark.parametrize(
-    ("width", "words"),
+    ("kind", "width", "words"),
     [
         (
-            [1.0, np.sqrt(2.0), 4.0],
-            "narrows as the step shrinks, like its power 0.5: sampling faster",
+            "NORM",
+            [1.0, 2**0.5, 4.0],
+            "narrows as the step shrinks, like its power 0.5: sampling faster is taken",
         ),
-        ([np.sqrt(2.0), 1.0, 4.0], "widens as the step shrinks, like its power -0.5: the errors"),
-        ([1.0, 1.01, 4.0], "settles: 0.99% between the two smallest steps"),
-        ([1.0], "one sampling step only"),
+        (
+            "CN-SIGMA",
+            [2**0.5, 1.0, 4.0],
+            "widens as the step shrinks, like its power -0.5: the errors do not",
+        ),
+        ("CN", [1.0, 1.01, 4.0], "settles: 0.99% between the two smallest steps"),
+        ("CN", [1.0], "one sampling step only"),
     ],
 )
-def test_verdicts_in_words(width, words):
-    assert verdict([0.1, 0.2, 1.0][: len(width)], width).startswith(words)
+def test_verdicts_in_words(kind, width, words):
+    assert verdict(kind, [0.1, 0.2, 1.0][: len(width)], width).startswith(words)
+
+
+def test_verdicts_give_no_reason_that_does_not_apply():
+    """A short record may move TN's interval, too, but not because sigma must make up for a correlation."""
+    assert verdict("TN", [0.1, 0.2], [2**0.5, 1.0]) == "widens as the step shrinks, like its power -0.5"

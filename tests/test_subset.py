@@ -1014,3 +1014,10 @@ def test_the_node_of_a_model():
     assert (node.tolerance(), node.tolerance(0.5)) == (0.01, 0.5)
     assert not SimulatorNode(stock(identity)).hard
     assert SimulatorNode(of_each()).tolerance() == 1.0
+
+
+def test_too_few_first_particles_are_refused():
+    """Levels of a handful would have no shape, and its evidence no meaning."""
+    model = ball(2, 0.01)
+    with pytest.raises(ValueError, match="`start` must hold 20 draws from the prior or more, got 5"):
+        sample(model, start={"x_interval__": np.zeros((5, 2))})

@@ -37,8 +37,8 @@ class ExpFeature(FeatureLikelihood):
         \ln p = \sum_j \left[ -\ln 2 - 2 \ln\sigma - \frac{e_j}{2 \sigma^2} \right],
         \qquad e_j = \frac{1}{N_D} \sum_k [y_j(k) - g_j(k; \theta)]^2
 
-    Its uncertainty does not depend on the sampling rate of the data, and agrees with likelihood-free
-    ABC at the tolerance `abc_tolerance`.
+    Its uncertainty does not depend on the sampling rate of the data, nor does that of likelihood-free ABC,
+    whose interval at the tolerance `abc_tolerance` is about twice as wide.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ NO_GRADIENT_OF_NOISE = NoGradient(f"a simulator with noise has no gradient. {ADV
 
 
 class SimulationWarning(UserWarning):
-    """A simulator function raised an exception; the parameters count as failed."""
+    """A simulator function raised an exception or returned a wrong shape; the parameters count as failed."""
 
 
 class ResponseSimulator:

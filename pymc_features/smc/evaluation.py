@@ -65,8 +65,6 @@ class PopulationLogp:
     ----------
     batched : bool
         False if the particles are evaluated one by one, since a part of the model takes no batch.
-    last_error : str
-        What the model raised last, or else a simulator function that catches exceptions itself, or nothing.
     """
 
     def __init__(self, model, point, compile_kwargs, terms=None):
@@ -140,6 +138,7 @@ class PopulationLogp:
 
     @property
     def last_error(self) -> str:
+        """What the model raised last, or else a simulator function; empty if nothing did."""
         ops = simulators_inside(self.function.maker.fgraph)
         return next(filter(None, [self.raised, *(getattr(op.fn, "last_error", "") for op in ops)]), "")
 

@@ -118,13 +118,16 @@ class CrossedMoves:
             moves.learn(moved[k::2].mean())
 
     @property
-    def n_steps(self):
+    def n_steps(self) -> int:
+        """Steps of the stage."""
         return self.halves[0].n_steps
 
     @property
-    def scale(self):
+    def scale(self) -> float:
+        """Mean length of the mixtures' moves."""
         return float(np.mean([moves.scale for moves in self.halves]))
 
     @property
-    def has_forgotten(self):
+    def has_forgotten(self) -> bool:
+        """Whether little of the stage's first points is left in either half."""
         return all(moves.has_forgotten for moves in self.halves)

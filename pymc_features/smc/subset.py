@@ -69,7 +69,7 @@ class SubsetSimulation(PopulationKernel):
 
     The moves are those of `PersistentSMC`: a mixture of Student-t distributions fitted to the particles kept,
     independent or conditional on the present point, of a length that adapts to the acceptance, and steps of
-    differential evolution.
+    differential evolution. One half of the particles is moved by what is fitted to the other.
 
     `sample_stats` of each level: `tolerance`, `accept_rate`, `evaluations` (simulations), `failed`,
     `log_probability` of the level's tolerance and its `coefficient_of_variation` (Au & Beck, with the
@@ -113,8 +113,8 @@ class SubsetSimulation(PopulationKernel):
         check_share("p0", p0, 0.2)
         self.p0 = float(p0)
         # each half of the particles that a level keeps must show a shape
-        least = int(np.ceil(4 / self.p0))
-        self.stage_draws = self.checked_stage_draws(stage_draws, share=0.5, least=least, default=400)
+        self.least = int(np.ceil(4 / self.p0))
+        self.stage_draws = self.checked_stage_draws(stage_draws, share=0.5, least=self.least, default=400)
         if max_simulations is None:
             max_simulations = 100 * max(self.draws, self.stage_draws)
         if not (isinstance(max_simulations, int | float | np.number) and max_simulations >= self.stage_draws):
@@ -154,10 +154,16 @@ class SubsetSimulation(PopulationKernel):
             x, base = self.prior_particles()
             if not self.spend(len(x)):
                 break
+            if len(x) < self.least:
+                raise ValueError(
+                    f"`start` must hold {self.least} draws from the prior or more, got {len(x)}."
+                )
             parts.append((x, base, self.simulate(x)))
             possible += int(np.isfinite(parts[-1][-1]).sum())
             if self.start or (possible == 0 and len(parts) == 2):
                 break
+        if not parts:
+            self.give_up("`start` has more particles than `max_simulations` allows.")
         self.population = [np.concatenate(column) for column in zip(*parts, strict=True)]
         self.chains = np.arange(len(self.population[0]))
         if possible == 0:

@@ -27,23 +27,23 @@ def widths(result: xr.DataTree, kind: str, values: str = "exact") -> np.ndarray:
     return np.diff(intervals(result, kind, values).values, axis=1)[:, 0]
 
 
-def verdict(steps, width) -> str:
+# why an interval follows the step, for those that do on a record of some length
+REASONS = {
+    ("narrows", "NORM"): ": sampling faster is taken for new information",
+    ("narrows", "CN-TAU"): ": white noise is found, and sampling it faster is taken for new information",
+    ("widens", "CN-SIGMA"): ": the errors do not have the correlation assumed, and sigma grows for it",
+}
+
+
+def verdict(kind: str, steps, width) -> str:
     """What a finer sampling does to an interval, from its widths at the two smallest steps."""
     if len(steps) < 2:
         return "one sampling step only"
     exponent = np.log(width[1] / width[0]) / np.log(steps[1] / steps[0])
-    change = abs(width[0] / width[1] - 1.0)
-    if exponent > NO_TREND:
-        return (
-            f"narrows as the step shrinks, like its power {exponent:.2g}: sampling faster is taken for new "
-            "information"
-        )
-    if exponent < -NO_TREND:
-        return (
-            f"widens as the step shrinks, like its power {exponent:.2g}: the errors do not have the "
-            "correlation assumed, and sigma grows to make up for it"
-        )
-    return f"settles: {change:.2%} between the two smallest steps"
+    if abs(exponent) <= NO_TREND:
+        return f"settles: {abs(width[0] / width[1] - 1.0):.2%} between the two smallest steps"
+    trend = "narrows" if exponent > 0 else "widens"
+    return f"{trend} as the step shrinks, like its power {exponent:.2g}{REASONS.get((trend, kind), '')}"
 
 
 def trend_rows(result: xr.DataTree) -> list[list]:
@@ -53,7 +53,7 @@ def trend_rows(result: xr.DataTree) -> list[list]:
     rows = []
     for kind in map(str, summary["likelihood"].values):
         width = widths(result, kind)
-        rows.append([kind, MEANING[kind], *map(float, width), verdict(steps, width)])
+        rows.append([kind, MEANING[kind], *map(float, width), verdict(kind, steps, width)])
     return rows
 
 
