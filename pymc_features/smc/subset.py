@@ -57,8 +57,7 @@ class SubsetSimulation(PopulationKernel):
     Warns
     -----
     SubsetSimulationWarning
-        If the node has a soft kernel, which the hard threshold replaces; if the last level had to be cut
-        short.
+        If the node has a soft kernel, which the hard threshold replaces; if the last level is cut short.
 
     Notes
     -----
