@@ -49,7 +49,11 @@ def models(record, data):
 def check(name, logp):
     """Stop if a model was compiled to another Op than its name says."""
     compiled = {type(node.op).__name__ for node in logp.f.maker.fgraph.toposort()}
-    words = {"fused Op": "ChainDiscrepancy", "stored response": "ChainResponse", "black box": "BlackBox"}
+    words = {
+        "fused Op": "StructuralDiscrepancy",
+        "stored response": "StructuralResponse",
+        "black box": "BlackBox",
+    }
     expected = next(op for word, op in words.items() if word in name)
     if not compiled & set(words.values()) == {expected}:
         raise RuntimeError(

@@ -22,7 +22,7 @@ from scipy import linalg, optimize, stats
 
 import pymc_features
 from pymc_features import CorrelatedNormal, RayleighDamping, Record, SpringMassChain, response, simulate
-from pymc_features.ops import OPS, ChainMisfit, ChainResponse, PopulationMisfit, misfit_statistics
+from pymc_features.ops import OPS, PopulationMisfit, StructuralMisfit, StructuralResponse, misfit_statistics
 from pymc_features.simulators import (
     QUANTITIES,
     chain_misfit,
@@ -263,7 +263,7 @@ def test_fused_equals_unfused(mode, settings, pulse, measured):
     """Values, and gradients by all that may be random."""
     data = measured[:, :: 2 if settings else 1]
     inputs, fused, unfused = both_logps(pulse, data, **settings)
-    assert (ops_in([fused]), ops_in([unfused])) == ({ChainMisfit}, {ChainResponse})
+    assert (ops_in([fused]), ops_in([unfused])) == ({StructuralMisfit}, {StructuralResponse})
     outputs = [x for logp in (fused, unfused) for x in (logp, *pt.grad(logp.sum(), inputs))]
     function = pytensor.function(inputs, outputs, mode=mode)
     for tau in (0.003, 0.1, 5.0):
@@ -279,10 +279,10 @@ def test_fused_only_where_it_is_a_response(pulse, measured):
     with pm.Model():
         named = pm.Deterministic("mu", mu)
     for tensor, values, data, ops in [
-        (named, exact, measured, {ChainMisfit}),
-        (mu, exact, np.stack([measured, 2 * measured]), {ChainMisfit}),
-        (mu + 1.0, exact + 1.0, measured, {ChainResponse}),
-        (mu[0], exact[0], measured[0], {ChainResponse}),
+        (named, exact, measured, {StructuralMisfit}),
+        (mu, exact, np.stack([measured, 2 * measured]), {StructuralMisfit}),
+        (mu + 1.0, exact + 1.0, measured, {StructuralResponse}),
+        (mu[0], exact[0], measured[0], {StructuralResponse}),
         (pt.as_tensor_variable(exact), exact, measured, set()),
     ]:
         statistics = misfit_statistics(tensor, data)
@@ -417,11 +417,11 @@ ANY = {name: (lambda name=name: pm.Normal(name)) for name in ("theta", "sigma", 
 def test_models_take_the_fused_ops(pulse, measured):
     """One particle and populations; a response that is changed first is the negative control."""
     model = build_model(pulse, measured)
-    assert ops_of(model.compile_logp(mode=LIGHT)) == {ChainMisfit}
+    assert ops_of(model.compile_logp(mode=LIGHT)) == {StructuralMisfit}
     evaluation = population_logp(model, model.initial_point(), {"mode": LIGHT})
     assert evaluation.batched and ops_of(evaluation.function) == {PopulationMisfit}
     control = build_model(pulse, measured, wrap=lambda mu: 2.0 * mu, dt=DT)
-    assert ops_of(control.compile_logp(mode=LIGHT)) == {ChainResponse}
+    assert ops_of(control.compile_logp(mode=LIGHT)) == {StructuralResponse}
 
 
 def test_population_equals_single_and_counts_failures(pulse, measured):

@@ -31,16 +31,17 @@ from pymc_features import (
     mean_square_discrepancy,
     response,
 )
-from pymc_features.ops import OPS, ChainDiscrepancy, ChainResponse, PopulationDiscrepancy
-from pymc_features.ops.base import INPUTS, INTEGERS
+from pymc_features.ops import OPS, PopulationDiscrepancy, StructuralDiscrepancy, StructuralResponse
+from pymc_features.ops.base import count
 from pymc_features.ops.gradient import (
-    ChainDiscrepancyGradient,
-    ChainDiscrepancyTangent,
-    ChainResponseGradient,
-    ChainResponseTangent,
+    DiscrepancyGradient,
+    DiscrepancyTangent,
     PopulationGradient,
+    ResponseGradient,
+    ResponseTangent,
 )
 from pymc_features.simulators import (
+    FAMILIES,
     QUANTITIES,
     chain_response,
     discrepancy_gradient,
@@ -50,6 +51,7 @@ from pymc_features.simulators import (
     response_tangent,
 )
 
+CHAIN = FAMILIES["chain"]
 PLAIN = Mode(linker="py", optimizer=None)
 TINY = 1e-30  # complex step, relative: its square is nothing beside one
 
@@ -471,7 +473,7 @@ def test_gradients_of_graphs(kind, mode):
     """pt.grad of response and discrepancy, by all parameters and by the data, without object mode."""
     mu, e = symbolic(kind)
     gradients = pt.grad((WEIGHTS * mu).sum(), WRT[kind]) + pt.grad((C * e).sum(), [*WRT[kind], OBSERVED])
-    assert ops_in(gradients) >= {ChainResponseGradient, ChainDiscrepancyGradient}
+    assert ops_in(gradients) >= {ResponseGradient, DiscrepancyGradient}
     values, arguments, (weights, observed, c) = numbers(kind)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -508,7 +510,7 @@ def test_forward_mode(kind):
     mu, e = symbolic(kind)
     d, dummies = [x.type() for x in WRT[kind]], [pt.matrix(), pt.vector()]
     forward, twice = [pushforward(y, WRT[kind], d) for y in (mu, e)], []
-    assert ops_in(forward) >= {ChainResponseTangent, ChainDiscrepancyTangent}
+    assert ops_in(forward) >= {ResponseTangent, DiscrepancyTangent}
     for y, v in zip((mu, e), dummies, strict=True):
         back = pt.grad((v * y).sum(), WRT[kind])
         twice.append(pt.grad(sum((g * x).sum() for g, x in zip(back, d, strict=True)), v))
@@ -567,16 +569,15 @@ def test_forward_mode_of_a_population():
 def derivative_ops():
     """Each Op with inputs of which nothing is known: its outputs, and all its inputs."""
     common = [
-        pt.TensorType("int64" if name in INTEGERS else "float64", (None,) * ndim)(name)
-        for name, ndim in INPUTS.items()
+        pt.TensorType(CHAIN.dtype(name), (None,) * count(dims))(name) for name, dims in CHAIN.inputs.items()
     ]
     batches = [pt.matrix() for _ in range(4)]
     data, more, d = pt.matrix("data"), pt.vector("more"), [x.type() for x in common[:4]]
     return {
-        ChainResponseGradient: [*common, data],
-        ChainResponseTangent: [*common, *d],
-        ChainDiscrepancyGradient: [*common, data, more],
-        ChainDiscrepancyTangent: [*common, data, *d],
+        ResponseGradient: [*common, data],
+        ResponseTangent: [*common, *d],
+        DiscrepancyGradient: [*common, data, more],
+        DiscrepancyTangent: [*common, data, *d],
         PopulationGradient: [*batches, *common[4:], data, pt.matrix("c")],
     }
 
@@ -594,8 +595,8 @@ def test_shapes_are_known_without_computing(op):
     arguments, observed, c = population(shared=(3,))
     if op is not PopulationGradient:
         arguments[:4], c = [x[0] for x in arguments[:4]], c[0]
-    more = {ChainResponseGradient: [observed], ChainDiscrepancyGradient: [observed, c]}
-    more |= {ChainResponseTangent: arguments[:4], ChainDiscrepancyTangent: [observed, *arguments[:4]]}
+    more = {ResponseGradient: [observed], DiscrepancyGradient: [observed, c]}
+    more |= {ResponseTangent: arguments[:4], DiscrepancyTangent: [observed, *arguments[:4]]}
     values = [*arguments[:-1], *more.get(op, [observed, c])]
     results = pytensor.function(inputs, outputs, mode=PLAIN)(*values)
     assert [int(n) for n in function(*values)] == [n for x in results for n in x.shape]
@@ -615,10 +616,10 @@ def test_settings_are_disconnected():
     arguments = random_chain(3)
     settings = [ground, step, *arguments[6:10]]
     for y in (
-        ChainResponse()(*arguments[:4], *settings),
-        ChainDiscrepancy()(*arguments[:4], *settings, np.zeros((3, 150))),
-        ChainResponseGradient()(*arguments[:4], *settings, np.zeros((3, 150)))[0],
-        ChainDiscrepancyTangent()(*arguments[:4], *settings, np.zeros((3, 150)), *arguments[:4]),
+        StructuralResponse()(*arguments[:4], *settings),
+        StructuralDiscrepancy()(*arguments[:4], *settings, np.zeros((3, 150))),
+        ResponseGradient()(*arguments[:4], *settings, np.zeros((3, 150)))[0],
+        DiscrepancyTangent()(*arguments[:4], *settings, np.zeros((3, 150)), *arguments[:4]),
     ):
         for variable in (step, ground):
             with pytest.raises(DisconnectedInputError):

@@ -22,9 +22,11 @@ from pytensor.graph.replace import vectorize_graph
 import pymc_features as pmf
 from pymc_features import ops, paper, response, simulate
 from pymc_features.ops import OPS
-from pymc_features.ops.base import INPUTS, INTEGERS, N_PARAMETERS
+from pymc_features.ops.base import count
+from pymc_features.simulators import FAMILIES
 from pymc_features.study import quadrature
 
+CHAIN = FAMILIES["chain"]
 PLAIN = Mode(linker="py", optimizer=None)  # the kernels themselves
 LIMIT = 1e-10  # relative, for each block of each output
 N_TIMES = 60
@@ -62,31 +64,30 @@ REPEATED = {  # nearly, and to the last bit: settings, mass, stiffness, and what
     "absorber 1e-6": ("2 masses, finer", [1.0, 1e-6], [1e3, 1e-3], 2e-9),
     "absorber 1e-9": ("2 masses, finer", [1.0, 1e-9], [1e3, 1e-6], 1e-7),
 }
-TANGENTS = (ops.ChainResponseTangent, ops.ChainDiscrepancyTangent)
-GRADIENTS = (ops.ChainResponseGradient, ops.ChainDiscrepancyGradient, ops.PopulationGradient)
+TANGENTS = (ops.ResponseTangent, ops.DiscrepancyTangent)
+GRADIENTS = (ops.ResponseGradient, ops.DiscrepancyGradient, ops.PopulationGradient)
 
 
 def graph(quantity, substeps, stride, n_modes):
     """Inputs and outputs of all Ops: nothing but the sampling and the modes is a constant."""
     common = [
-        pt.TensorType("int64" if name in INTEGERS else "float64", (None,) * ndim)(name)
-        for name, ndim in INPUTS.items()
+        pt.TensorType(CHAIN.dtype(name), (None,) * count(dims))(name) for name, dims in CHAIN.inputs.items()
     ]
     given = [*common[:6], common[8]]
     common[6], common[7], common[9] = substeps, stride, n_modes
     rows, d = [pt.matrix() for _ in range(4)], [pt.vector() for _ in range(4)]
     weights, data, c, many_c = pt.matrix("weights"), pt.matrix("data"), pt.vector("c"), pt.matrix("many_c")
-    batch = [*rows, *common[N_PARAMETERS:], data]
+    batch = [*rows, *common[4:], data]
     arguments = {
-        ops.ChainResponse: common,
-        ops.ChainDiscrepancy: [*common, data],
+        ops.StructuralResponse: common,
+        ops.StructuralDiscrepancy: [*common, data],
         ops.PopulationDiscrepancy: batch,
-        ops.ChainMisfit: [*common, data],
+        ops.StructuralMisfit: [*common, data],
         ops.PopulationMisfit: batch,
-        ops.ChainResponseGradient: [*common, weights],
-        ops.ChainResponseTangent: [*common, *d],
-        ops.ChainDiscrepancyGradient: [*common, data, c],
-        ops.ChainDiscrepancyTangent: [*common, data, *d],
+        ops.ResponseGradient: [*common, weights],
+        ops.ResponseTangent: [*common, *d],
+        ops.DiscrepancyGradient: [*common, data, c],
+        ops.DiscrepancyTangent: [*common, data, *d],
         ops.PopulationGradient: [*batch, many_c],
     }
     outputs = [op(quantity)(*arguments[op]) for op in OPS]
@@ -212,7 +213,7 @@ def impossible(i, wrong):
     return values
 
 
-@pytest.mark.parametrize("i", range(4), ids=list(INPUTS)[:4])
+@pytest.mark.parametrize("i", range(4), ids=list(CHAIN.inputs)[:4])
 @pytest.mark.parametrize("wrong", [-1.0, np.nan, np.inf])
 def test_impossible_structures_are_nan(i, wrong, quick_compilation):
     """As in the kernels: of a population that particle alone, and the gradients by what all share."""
@@ -242,16 +243,14 @@ def test_tangents_of_impossible_structures_are_nan(quick_compilation):
 def test_wrong_coefficients_are_seen(name, value, monkeypatch, quick_compilation):
     """Negative control: quotients at nearly equal frequencies, or a short Taylor series, do not agree."""
     inputs, outputs = graph("absolute_acceleration", 1, 1, 3)
-    mine = outputs[OPS.index(ops.ChainDiscrepancyGradient) + 3 :][:4]  # behind a gradient of four outputs
-    assert {x.owner.op for x in mine} == {ops.ChainDiscrepancyGradient()}
+    mine = outputs[OPS.index(ops.DiscrepancyGradient) + 3 :][:4]  # behind a gradient of four outputs
+    assert {x.owner.op for x in mine} == {ops.DiscrepancyGradient()}
     values = values_of("3 masses", "equal", *REPEATED["soft 1e-09"][1:3])
-    expected = {
-        ops.ChainDiscrepancyGradient: results(PLAIN, "3 masses", values)[ops.ChainDiscrepancyGradient]
-    }
+    expected = {ops.DiscrepancyGradient: results(PLAIN, "3 masses", values)[ops.DiscrepancyGradient]}
     results("JAX", "3 masses", values)  # registers the dispatch
     monkeypatch.setattr(sys.modules["pymc_features.ops.jax_dispatch.modes"], name, value)
     got = pytensor.function(inputs, mine, mode="JAX", on_unused_input="ignore")(*values)
-    [error] = errors({ops.ChainDiscrepancyGradient: got}, expected, values, repeated=True).values()
+    [error] = errors({ops.DiscrepancyGradient: got}, expected, values, repeated=True).values()
     assert error > 10 * LIMIT
 
 

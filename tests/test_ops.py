@@ -40,19 +40,20 @@ from pymc_features import (
 )
 from pymc_features.ops import (
     OPS,
-    ChainDiscrepancy,
-    ChainMisfit,
-    ChainResponse,
     PopulationDiscrepancy,
+    StructuralDiscrepancy,
+    StructuralMisfit,
+    StructuralResponse,
     numba_dispatch,
     response_node,
 )
-from pymc_features.ops.base import INPUTS, INTEGERS
+from pymc_features.ops.base import count
 from pymc_features.ops.response import response_step
-from pymc_features.simulators import QUANTITIES, chain_discrepancy, chain_response, n_outputs
+from pymc_features.simulators import FAMILIES, QUANTITIES, chain_discrepancy, chain_response, n_outputs
 
-CORE_OPS = (ChainResponse, ChainDiscrepancy, ChainMisfit)  # of one set of parameters
+CORE_OPS = (StructuralResponse, StructuralDiscrepancy, StructuralMisfit)  # of one set of parameters
 CORRELATED = functools.partial(CorrelatedNormal, correlation_time=0.1)
+CHAIN = FAMILIES["chain"]
 PLAIN = Mode(linker="py", optimizer=None)
 N_TIMES = 140  # beyond one block of the recursion
 N_DOF = 3
@@ -93,8 +94,7 @@ def ops_of(function):
 def symbolic_inputs():
     """One variable for each input of the Ops, nothing known before run time."""
     return [
-        pt.TensorType("int64" if name in INTEGERS else "float64", (None,) * ndim)(name)
-        for name, ndim in INPUTS.items()
+        pt.TensorType(CHAIN.dtype(name), (None,) * count(dims))(name) for name, dims in CHAIN.inputs.items()
     ]
 
 
@@ -129,7 +129,7 @@ def compiled():
     inputs, observed = symbolic_inputs(), pt.matrix("observed")
     outputs = []
     for quantity in QUANTITIES[::3]:
-        outputs += [ChainResponse(quantity)(*inputs), ChainDiscrepancy(quantity)(*inputs, observed)]
+        outputs += [StructuralResponse(quantity)(*inputs), StructuralDiscrepancy(quantity)(*inputs, observed)]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         function = pytensor.function([*inputs, observed], outputs, mode="NUMBA")
@@ -143,7 +143,7 @@ def interpreted():
     inputs, observed = symbolic_inputs(), pt.matrix("observed")
     outputs = []
     for quantity in QUANTITIES:
-        outputs += [ChainResponse(quantity)(*inputs), ChainDiscrepancy(quantity)(*inputs, observed)]
+        outputs += [StructuralResponse(quantity)(*inputs), StructuralDiscrepancy(quantity)(*inputs, observed)]
     return pytensor.function([*inputs, observed], outputs, mode=PLAIN)
 
 
@@ -170,7 +170,7 @@ def test_numba_python_and_kernels_agree(compiled, interpreted, case):
 
 def test_numba_takes_the_kernels_not_object_mode(compiled):
     assert [w for w in compiled[1] if "object mode" in w] == []
-    assert ops_of(compiled[0]) >= {ChainResponse, ChainDiscrepancy}
+    assert ops_of(compiled[0]) >= {StructuralResponse, StructuralDiscrepancy}
 
 
 def test_views_are_as_good_as_contiguous_arrays():
@@ -178,7 +178,7 @@ def test_views_are_as_good_as_contiguous_arrays():
     table, data = pt.matrix("table"), pt.matrix("data")
     inputs = numeric_inputs(3)
     inputs[:2] = table[:, 0], table[:, 1]
-    e = ChainDiscrepancy()(*inputs, data.T)
+    e = StructuralDiscrepancy()(*inputs, data.T)
     numbers = numeric_inputs(3)
     observed = np.random.default_rng(4).normal(size=(N_DOF, N_TIMES))
     expected = chain_discrepancy(*numbers, 0, observed)
@@ -214,7 +214,7 @@ def test_fused_discrepancy_equals_unfused(pulse, measured, wrap):
             "specified shape": lambda: pt.specify_shape(mu, (N_DOF, None)),
         }[wrap]()
     fused = mean_square_discrepancy(wrapped, measured)
-    assert core_ops_in([fused]) & set(OPS) == {ChainDiscrepancy}
+    assert core_ops_in([fused]) & set(OPS) == {StructuralDiscrepancy}
     assert fused.type.shape == (N_DOF,)
     unfused = pt.mean((mu - measured) ** 2, axis=-1)
     function = pytensor.function([stiffness], [fused, unfused], mode=PLAIN)
@@ -231,7 +231,7 @@ def test_fused_discrepancy_is_of_what_was_asked(pulse, quantity, kwargs):
     exact = simulate(chain_of(100.0), pulse, quantity=quantity, **kwargs).values
     data = exact + np.random.default_rng(2).normal(size=exact.shape) * np.abs(exact).max()
     e = mean_square_discrepancy(response(chain_of(100.0), pulse, quantity=quantity, **kwargs), data)
-    assert core_ops_in([e]) & set(OPS) == {ChainDiscrepancy}
+    assert core_ops_in([e]) & set(OPS) == {StructuralDiscrepancy}
     np.testing.assert_allclose(e.eval(mode=PLAIN), np.mean((data - exact) ** 2, axis=1), rtol=1e-12)
 
 
@@ -248,7 +248,7 @@ def test_other_expressions_are_not_fused(pulse, measured):
     }
     for name, (tensor, numbers, data) in cases.items():
         e = mean_square_discrepancy(tensor, data)
-        assert ChainDiscrepancy not in core_ops_in([e]), name
+        assert StructuralDiscrepancy not in core_ops_in([e]), name
         expected = np.mean((numbers - data) ** 2, axis=-1)
         np.testing.assert_allclose(e.eval(mode=PLAIN), expected, rtol=1e-13, err_msg=name)
 
@@ -267,7 +267,7 @@ def test_batch_of_data_against_one_response(pulse, measured):
     data = np.stack([measured, 2.0 * measured])
     mu = response(chain_of(100.0), pulse)
     e = mean_square_discrepancy(mu, data)
-    assert core_ops_in([e]) & set(OPS) == {ChainDiscrepancy}
+    assert core_ops_in([e]) & set(OPS) == {StructuralDiscrepancy}
     np.testing.assert_allclose(
         e.eval(mode=PLAIN), mean_square_discrepancy(np.stack([mu.eval(mode=PLAIN)] * 2), data), rtol=1e-12
     )
@@ -288,8 +288,8 @@ def test_records_of_equal_length_are_not_confused(pulse):
 def test_shapes_are_known_without_computing(interpreted):
     """Functions of the shape do not contain the Op, and are right for any sampling."""
     inputs, observed = symbolic_inputs(), pt.matrix("observed")
-    mu, e = ChainResponse()(*inputs), ChainDiscrepancy()(*inputs, observed)
-    statistics = ChainMisfit()(*inputs, observed)
+    mu, e = StructuralResponse()(*inputs), StructuralDiscrepancy()(*inputs, observed)
+    statistics = StructuralMisfit()(*inputs, observed)
     assert mu.type.shape == (None, None)
     shape = pytensor.function(
         [*inputs, observed],
@@ -396,7 +396,7 @@ def test_batches_need_vectorize_graph(op):
     inputs = symbolic_inputs()
     inputs[0] = pt.matrix("mass")
     with pytest.raises(ValueError, match="`mass` must have 1 dimensions, got 2. Use `pytensor.graph.vec"):
-        op()(*inputs, *([] if op is ChainResponse else [pt.matrix("observed")]))
+        op()(*inputs, *([] if op is StructuralResponse else [pt.matrix("observed")]))
 
 
 def test_data_must_fit_the_response(pulse, measured):
@@ -411,7 +411,7 @@ def test_data_must_fit_the_response(pulse, measured):
     with pytest.raises(ValueError, match=r"= \(2, 4\) to match `mu`, got \(4, 2\). Transpose it"):
         mean_square_discrepancy(np.zeros((2, 4)), np.zeros((4, 2)))
     with pytest.raises(ValueError, match=r"`observed` must be \(sensor, time\), got 1 dimensions"):
-        ChainDiscrepancy()(*mu.owner.inputs, measured[0])
+        StructuralDiscrepancy()(*mu.owner.inputs, measured[0])
     unknown = pt.matrix("y")  # found out at run time only
     e = mean_square_discrepancy(mu, unknown)
     with pytest.raises(ValueError, match="`observed` must have the shape"):
@@ -511,12 +511,12 @@ def test_the_advice_of_the_refusal_works(pulse, measured):
 def test_likelihood_graph_never_holds_the_history(likelihood, pulse, measured):
     model = build_model(likelihood, pulse, measured)
     for inside in ([model.logp()], [model.logp(jacobian=False)]):
-        assert core_ops_in(inside) & set(OPS) == {ChainDiscrepancy}
-    assert ops_of(model.compile_logp()) & set(OPS) == {ChainDiscrepancy}
+        assert core_ops_in(inside) & set(OPS) == {StructuralDiscrepancy}
+    assert ops_of(model.compile_logp()) & set(OPS) == {StructuralDiscrepancy}
     with pm.Model() as control:  # negative control: heavy tails need every sample
         mu = response(chain_of(pm.Uniform("k", 50.0, 200.0)), pulse)
         pm.StudentT("y", nu=4.0, mu=mu, sigma=1.0, observed=measured)
-    assert ops_of(control.compile_logp()) & set(OPS) == {ChainResponse}
+    assert ops_of(control.compile_logp()) & set(OPS) == {StructuralResponse}
 
 
 def test_models_survive_cloudpickle(pulse, measured):
@@ -535,7 +535,7 @@ def test_cache_key_holds_type_quantity_and_kernel_source(monkeypatch):
     keys = {numba_dispatch.cache_key(op(quantity)) for op in OPS for quantity in QUANTITIES}
     assert len(keys) == len(OPS) * len(QUANTITIES)
     assert all(numba_dispatch.funcify(op())[1] == numba_dispatch.cache_key(op()) for op in OPS)
-    assert set(numba_dispatch.KERNELS) == set(OPS)
+    assert set(numba_dispatch.OPS) == set(OPS)
     monkeypatch.setattr(numba_dispatch, "SOURCE_HASH", "edited")
     edited = {numba_dispatch.cache_key(op(quantity)) for op in OPS for quantity in QUANTITIES}
     assert not keys & edited
@@ -573,11 +573,11 @@ def edits(tmp_path_factory):
     code = """
         import numpy as np, pytensor, pymc_features
         import pytensor.tensor as pt
-        from pymc_features.ops import ChainDiscrepancy
+        from pymc_features.ops import StructuralDiscrepancy
         from pytensor.graph.replace import vectorize_graph
         mass, masses = pt.vector("mass"), pt.matrix("masses")
         one = np.ones(1)
-        e = ChainDiscrepancy()(mass, 50 * one, 0 * np.ones(2), 0.1 * one, np.arange(3.0), 0.02, 1, 1,
+        e = StructuralDiscrepancy()(mass, 50 * one, 0 * np.ones(2), 0.1 * one, np.arange(3.0), 0.02, 1, 1,
                                np.arange(1), 1, np.ones((1, 3)))
         both = [e[0], vectorize_graph(e, {mass: masses})[0, 0]]
         values = pytensor.function([mass, masses], both, mode="NUMBA")(one, np.ones((1, 1)))
@@ -648,7 +648,7 @@ PEAK_GROWTH = """
 def test_fused_discrepancy_needs_no_memory_for_the_history(tmp_path):
     """Peak resident memory over the size of the data; the unfused graph is the negative control."""
     pytest.importorskip("resource")
-    code = textwrap.dedent(PEAK_GROWTH).replace("NAMES", repr(list(INPUTS)))
+    code = textwrap.dedent(PEAK_GROWTH).replace("NAMES", repr(list(CHAIN.inputs)))
     fused, unfused = (float(x) for x in run_python(code, tmp_path).split())
     assert fused < 0.1
     assert unfused > 0.9

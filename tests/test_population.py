@@ -471,7 +471,7 @@ FAST_RUN = Mode(linker="py", optimizer="fast_run")  # PyTensor's usual rewrites 
 def holds_a_history(model):
     """Whether the compiled log-likelihood computes a response, not only its discrepancy."""
     graph = model.compile_fn(model.datalogp, mode=FAST_RUN).f.maker.fgraph
-    return any("ChainResponse" in str(node.op) for node in graph.apply_nodes)
+    return any("StructuralResponse" in str(node.op) for node in graph.apply_nodes)
 
 
 @pytest.mark.parametrize("sigma", [0.4, [[0.2], [0.4], [0.8]], "free", "free of each sensor"])

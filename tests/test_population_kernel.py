@@ -8,7 +8,7 @@ from pytensor.graph.replace import vectorize_graph
 from scipy.linalg import expm
 
 from pymc_features import ModalDamping, Record, SpringMassChain, mean_square_discrepancy, paper, response
-from pymc_features.ops import ChainDiscrepancy, PopulationDiscrepancy
+from pymc_features.ops import PopulationDiscrepancy, StructuralDiscrepancy
 from pymc_features.simulators import QUANTITIES, chain_discrepancy, population_discrepancy, request
 from pymc_features.simulators.lanes import LANES
 
@@ -155,7 +155,7 @@ def test_vectorised_graphs_use_the_population_kernel(case):
     theta, e, exact, *_ = case
     thetas = pt.vector("thetas")
     batch = vectorize_graph(e, {theta: thetas})
-    assert PopulationDiscrepancy in ops_in(batch) and ChainDiscrepancy not in ops_in(batch)
+    assert PopulationDiscrepancy in ops_in(batch) and StructuralDiscrepancy not in ops_in(batch)
     values = np.linspace(0.5, 1.5, 13)
     expected = np.array([exact(v) for v in values])
     for mode in ("NUMBA", "FAST_COMPILE"):

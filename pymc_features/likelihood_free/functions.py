@@ -10,8 +10,7 @@ from pytensor.compile.mode import Mode
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant
 
-from pymc_features.ops import ChainResponse, NoGradient, mean_square_discrepancy
-from pymc_features.simulators import QUANTITIES, chain_response
+from pymc_features.ops import NoGradient, StructuralResponse, mean_square_discrepancy
 
 ADVICE = (
     "Sample with pmf.sample_smc(), or choose a gradient-free method yourself: "
@@ -25,27 +24,25 @@ class SimulationWarning(UserWarning):
 
 
 class ResponseSimulator:
-    """Simulator function of a response, `fn(rng, mass, stiffness, rayleigh, ratios, size)`.
+    """Simulator function of a response, `fn(rng, *parameters, size)`.
 
     Parameters
     ----------
+    op : StructuralResponse
+        Which response.
     settings : list of TensorVariable
-        The other inputs of the response; data among them are read anew in each call.
-    quantity : str
-        One of `simulators.QUANTITIES`.
+        The inputs behind its parameters; data among them are read anew in each call.
     """
 
-    ndims_params = (1, 1, 1, 1)
-
-    def __init__(self, settings: list, quantity: str):
+    def __init__(self, op: StructuralResponse, settings: list):
+        self.op = op
         self.settings = settings
-        self.quantity = quantity
+        self.ndims_params = op.parameter_ndims
 
     def core(self, *parameters):
         """Response (sensor, time) of one set of parameters."""
-        arrays = (np.ascontiguousarray(p, dtype=np.float64) for p in parameters)
-        settings = (number(value) for value in self.settings)
-        return chain_response(*arrays, *settings, QUANTITIES.index(self.quantity))
+        settings = (np.asarray(number(value)) for value in self.settings)
+        return self.op.run([*(np.asarray(p, dtype=np.float64) for p in parameters), *settings])[0]
 
     def __call__(self, rng, *parameters_and_size):
         *parameters, size = parameters_and_size
@@ -53,7 +50,7 @@ class ResponseSimulator:
 
     def discrepancy(self, parameters, value):
         """e_j of the parameters, as a tensor, without a history."""
-        return mean_square_discrepancy(ChainResponse(self.quantity)(*parameters, *self.settings), value)
+        return mean_square_discrepancy(self.op(*parameters, *self.settings), value)
 
 
 class FunctionSimulator:

@@ -18,7 +18,7 @@ from pymc_features.likelihood_free.functions import (
     number,
 )
 from pymc_features.likelihood_free.kernels import KERNELS, Distance
-from pymc_features.ops import N_PARAMETERS, check_shape, name_the_time_axis, response_node
+from pymc_features.ops import check_shape, name_the_time_axis, response_node
 
 ADVICE_ON_EPSILON = (
     "Pass a tolerance on the sum of mean squares, for example `abc_tolerance(sigma, n_sensors)`."
@@ -152,7 +152,8 @@ def _simulator_of(mu, params, shape):
             "a summary."
         )
     check_shape(node.outputs[0].type.shape, shape)
-    return ResponseSimulator(node.inputs[N_PARAMETERS:], node.op.quantity), node.inputs[:N_PARAMETERS]
+    n = node.op.n_parameters
+    return ResponseSimulator(node.op, node.inputs[n:]), node.inputs[:n]
 
 
 def _tolerance(epsilon, n_sensors):

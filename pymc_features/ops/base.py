@@ -1,79 +1,134 @@
 """What the response Ops share: their inputs, and what a gradient depends on."""
 
+import re
+
 import numpy as np
 import pytensor.tensor as pt
 from pytensor.graph.basic import Constant, Variable
 from pytensor.graph.op import Op
 
-from pymc_features.simulators import QUANTITIES, n_outputs
-
-# name and number of dimensions of the inputs common to all Ops, in the order of the kernels
-INPUTS = {
-    "mass": 1,
-    "stiffness": 1,
-    "rayleigh": 1,
-    "ratios": 1,
-    "acceleration": 1,
-    "dt": 0,
-    "substeps": 0,
-    "stride": 0,
-    "sensors": 1,
-    "n_modes": 0,
-}
-N_PARAMETERS = 4  # the first four describe the structure and may be random
-INTEGERS = ("substeps", "stride", "sensors", "n_modes")
-INPUT_SIGNATURE = "(n),(n),(2),(n),(t),(),(),(),(s),()"
+from pymc_features.simulators import FAMILIES, QUANTITIES, n_outputs
 
 
-class ChainOp(Op):
-    """Base of the Ops on a spring-mass chain.
+class StructuralOp(Op):
+    """Base of the Ops on structures.
 
     Parameters
     ----------
     quantity : str
-        One of `simulators.QUANTITIES`; the only property, since it changes the code. Everything else
-        the kernels read is an input of the node, so that equal Ops always do the same.
+        One of `simulators.QUANTITIES`.
+    family : str
+        A key of `simulators.FAMILIES`; it fixes the inputs. Everything else the kernels read is an input of
+        the node, so that equal Ops always do the same.
+
+    Attributes
+    ----------
+    kernel_name : str
+        Which of the family's kernels it runs.
+    more_signature, output_signature : str
+        Shapes of what comes behind the family's inputs, and of the outputs; "parameters" stands for those of
+        the parameters.
     """
 
-    __props__ = ("quantity",)
+    __props__ = ("quantity", "family")
+    kernel_name: str
+    more_signature = ""
+    output_signature: str
 
-    def __init__(self, quantity: str = "absolute_acceleration"):
+    def __init__(self, quantity: str = "absolute_acceleration", family: str = "chain"):
         self.quantity = quantity
+        self.family = family
         self.quantity_code = QUANTITIES.index(quantity)
+        self.spec = FAMILIES[family]
+        self.names = tuple(self.spec.inputs)
+        self.n_parameters, self.n_common = len(self.spec.parameters), len(self.names)
 
-    @staticmethod
-    def prepare_inputs(inputs, start=0):
-        """Cast the common inputs from number `start` on, and check their numbers of dimensions."""
+    @property
+    def kernel(self):
+        """Arrays in, an array or a tuple of arrays out."""
+        return self.spec.kernels[self.kernel_name]
+
+    @property
+    def gufunc_signature(self):
+        """Shapes of inputs and outputs of one particle."""
+        common, of_parameters = (shapes(s) for s in (self.spec.inputs, self.spec.parameters))
+        more = f",{self.more_signature}" if self.more_signature else ""
+        return f"{common}{more}->{self.output_signature}".replace("parameters", of_parameters)
+
+    @property
+    def more_ndims(self) -> tuple[int, ...]:
+        """Numbers of dimensions of the inputs behind the family's."""
+        more = self.more_signature.replace("parameters", shapes(self.spec.parameters))
+        return tuple(count(dims) for dims in re.findall(r"\(([^)]*)\)", more))
+
+    @property
+    def parameter_ndims(self) -> tuple[int, ...]:
+        """Numbers of dimensions of the parameters of one structure."""
+        return tuple(count(dims) for dims in self.spec.parameters.values())
+
+    def at(self, name: str) -> int:
+        """Position of an input."""
+        return self.names.index(name)
+
+    def like(self, op_type, **changes) -> "StructuralOp":
+        """Return another Op on the same quantity and family."""
+        return op_type(self.quantity, self.family, **changes)
+
+    def prepare_inputs(self, inputs, start=0):
+        """Cast the family's inputs from number `start` on, and check their numbers of dimensions."""
         prepared = []
-        for (name, ndim), value in zip(list(INPUTS.items())[start:], inputs, strict=True):
-            dtype = "int64" if name in INTEGERS else "float64"
+        for (name, dims), value in zip(list(self.spec.inputs.items())[start:], inputs, strict=True):
+            dtype = self.spec.dtype(name)
             if not isinstance(value, Variable):
                 value = np.asarray(value, dtype=dtype)
             tensor = pt.as_tensor_variable(value)
-            if tensor.ndim != ndim:
+            if tensor.ndim != count(dims):
                 raise ValueError(
-                    f"`{name}` must have {ndim} dimensions, got {tensor.ndim}. "
+                    f"`{name}` must have {count(dims)} dimensions, got {tensor.ndim}. "
                     "Use `pytensor.graph.vectorize_graph` for batches."
                 )
             prepared.append(tensor if tensor.dtype == dtype else tensor.astype(dtype))
         return prepared
 
-    @staticmethod
-    def static_n_outputs(inputs) -> int | None:
+    def static_n_sensors(self, inputs) -> int | None:
+        """Number of sensors where it is known when the graph is built."""
+        return inputs[self.at("sensors")].type.shape[0]
+
+    def static_n_outputs(self, inputs) -> int | None:
         """Number of output samples where record and step are known when the graph is built."""
-        n_times = inputs[4].type.shape[0]
-        substeps, stride = inputs[6], inputs[7]
+        n_times = inputs[self.at("acceleration")].type.shape[-1]
+        substeps, stride = inputs[self.at("substeps")], inputs[self.at("stride")]
         if n_times is None or not (isinstance(substeps, Constant) and isinstance(stride, Constant)):
             return None
         return int(n_outputs(n_times, int(substeps.data), int(stride.data)))
 
-    @staticmethod
-    def symbolic_n_outputs(node, shapes):
+    def symbolic_n_outputs(self, node, shapes):
         """Number of output samples as a tensor."""
-        substeps, stride = node.inputs[6], node.inputs[7]
-        return ((shapes[4][0] - 1) * substeps) // stride + 1
+        substeps, stride = node.inputs[self.at("substeps")], node.inputs[self.at("stride")]
+        return ((shapes[self.at("acceleration")][-1] - 1) * substeps) // stride + 1
+
+    def perform(self, node, inputs, output_storage):
+        results = self.run(inputs)
+        for storage, result in zip(output_storage, results, strict=True):
+            storage[0] = result
+
+    def run(self, inputs) -> tuple[np.ndarray, ...]:
+        """What the kernel makes of arrays."""
+        arrays = [np.ascontiguousarray(x) if np.ndim(x) else x.item() for x in inputs]
+        results = self.kernel(*arrays[: self.n_common], self.quantity_code, *arrays[self.n_common :])
+        return results if isinstance(results, tuple) else (results,)
 
     def connection_pattern(self, node):
-        """Parameters and data count; the record, the sampling and the sensors do not."""
-        counts = [i < N_PARAMETERS or i >= len(INPUTS) for i in range(len(node.inputs))]
+        """Parameters and data count; constants, the record, the sampling and the sensors do not."""
+        counts = [i < self.n_parameters or i >= self.n_common for i in range(len(node.inputs))]
         return [[c] * len(node.outputs) for c in counts]
+
+
+def count(dims: str) -> int:
+    """Number of dimensions of a shape such as "s,n"."""
+    return len(dims.split(",")) if dims else 0
+
+
+def shapes(inputs: dict[str, str]) -> str:
+    """Shapes of inputs as a gufunc signature has them."""
+    return ",".join(f"({dims})" for dims in inputs.values())

@@ -5,9 +5,8 @@ import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 from pytensor.tensor.blockwise import Blockwise
 
-from pymc_features.ops.base import INPUTS
-from pymc_features.ops.discrepancy import ChainDiscrepancy, check_shape
-from pymc_features.ops.misfit import ChainMisfit, misfit_values
+from pymc_features.ops.discrepancy import StructuralDiscrepancy, check_shape
+from pymc_features.ops.misfit import StructuralMisfit, misfit_values
 from pymc_features.ops.population import fused_comparison
 from pymc_features.ops.response import response_node
 
@@ -46,7 +45,9 @@ def mean_square_discrepancy(mu, observed):
         mu, observed = np.asarray(mu, dtype=np.float64), np.asarray(observed, dtype=np.float64)
         check_shape(mu.shape, observed.shape)
         return np.mean((observed - mu) ** 2, axis=-1)
-    return fused_or_plain(ChainDiscrepancy, lambda misfit: pt.mean(pt.sqr(misfit), axis=-1), mu, observed)
+    return fused_or_plain(
+        StructuralDiscrepancy, lambda misfit: pt.mean(pt.sqr(misfit), axis=-1), mu, observed
+    )
 
 
 def misfit_statistics(mu, observed):
@@ -77,7 +78,7 @@ def misfit_statistics(mu, observed):
     >>> misfit_statistics([[0.0, 0.0]], [[1.0, 3.0]]).eval()
     array([[5., 2., 1., 3.]])
     """
-    return fused_or_plain(ChainMisfit, misfit_values, mu, observed)
+    return fused_or_plain(StructuralMisfit, misfit_values, mu, observed)
 
 
 def fused_or_plain(op_type, plain, mu, observed):
@@ -88,4 +89,4 @@ def fused_or_plain(op_type, plain, mu, observed):
     if node is None or observed.ndim < 2:
         return plain(observed - mu)
     core = node.op.core_op if isinstance(node.op, Blockwise) else node.op
-    return fused_comparison(op_type(core.quantity), [*node.inputs[: len(INPUTS)], observed])
+    return fused_comparison(core.like(op_type), [*node.inputs[: core.n_common], observed])

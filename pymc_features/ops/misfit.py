@@ -3,27 +3,26 @@
 import pytensor.tensor as pt
 from pytensor.gradient import disconnected_type
 
-from pymc_features.ops.base import INPUT_SIGNATURE, N_PARAMETERS
-from pymc_features.ops.discrepancy import ChainComparison
-from pymc_features.ops.gradient import ChainResponseGradient
-from pymc_features.ops.response import ChainResponse
-from pymc_features.simulators import chain_misfit
+from pymc_features.ops.discrepancy import StructuralComparison
+from pymc_features.ops.gradient import ResponseGradient
+from pymc_features.ops.response import StructuralResponse
 
 
-class ChainMisfit(ChainComparison):
+class StructuralMisfit(StructuralComparison):
     """Statistics of the misfit (sensor, 4), as `misfit_values`, straight from parameters and data."""
 
-    gufunc_signature = f"{INPUT_SIGNATURE},(s,u)->(s,4)"
-    kernel = staticmethod(chain_misfit)
+    kernel_name = "misfit"
+    output_signature = "(s,4)"
     values = (4,)
 
     def pullback(self, inputs, outputs, cotangents):
         """From the response of this one particle, by its gradient."""
         *common, observed = inputs
-        by_misfit = misfit_cotangent(observed - ChainResponse(self.quantity)(*common), *cotangents)
+        misfit = observed - self.like(StructuralResponse)(*common)
+        by_misfit = misfit_cotangent(misfit, *cotangents)
         return [
-            *ChainResponseGradient(self.quantity)(*common, -by_misfit),
-            *(disconnected_type() for _ in common[N_PARAMETERS:]),
+            *self.like(ResponseGradient)(*common, -by_misfit, return_list=True),
+            *(disconnected_type() for _ in common[self.n_parameters :]),
             by_misfit,
         ]
 

@@ -4,39 +4,42 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
+from numba import objmode, types
 from numba.extending import overload
 from pytensor.link.numba.dispatch.basic import (
     default_hash_key_from_props,
+    get_numba_type,
     numba_njit,
     register_funcify_and_cache_key,
 )
 
-from pymc_features.ops.discrepancy import ChainDiscrepancy
+from pymc_features.ops.discrepancy import StructuralDiscrepancy
 from pymc_features.ops.gradient import (
-    ChainDiscrepancyGradient,
-    ChainDiscrepancyTangent,
-    ChainResponseGradient,
-    ChainResponseTangent,
+    DiscrepancyGradient,
+    DiscrepancyTangent,
     PopulationGradient,
+    ResponseGradient,
+    ResponseTangent,
 )
-from pymc_features.ops.misfit import ChainMisfit
+from pymc_features.ops.misfit import StructuralMisfit
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationMisfit
-from pymc_features.ops.response import ChainResponse
-from pymc_features.simulators import (
-    SOURCE_HASH,
-    chain_discrepancy,
-    chain_misfit,
-    chain_response,
-    discrepancy_gradient,
-    discrepancy_tangent,
-    population_discrepancy,
-    population_gradient,
-    population_misfit,
-    response_gradient,
-    response_tangent,
-)
+from pymc_features.ops.response import StructuralResponse
+from pymc_features.simulators import SOURCE_HASH
 
 DISPATCH_HASH = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
+
+OPS = (
+    StructuralResponse,
+    StructuralDiscrepancy,
+    PopulationDiscrepancy,
+    StructuralMisfit,
+    PopulationMisfit,
+    ResponseGradient,
+    ResponseTangent,
+    DiscrepancyGradient,
+    DiscrepancyTangent,
+    PopulationGradient,
+)
 
 
 def cache_key(op) -> str:
@@ -47,57 +50,54 @@ def cache_key(op) -> str:
     return default_hash_key_from_props(op, kernel=SOURCE_HASH, dispatch=DISPATCH_HASH)
 
 
-KERNELS = {
-    ChainResponse: chain_response,
-    ChainDiscrepancy: chain_discrepancy,
-    PopulationDiscrepancy: population_discrepancy,
-    ChainMisfit: chain_misfit,
-    PopulationMisfit: population_misfit,
-    ChainResponseGradient: response_gradient,
-    ChainResponseTangent: response_tangent,
-    ChainDiscrepancyGradient: discrepancy_gradient,
-    ChainDiscrepancyTangent: discrepancy_tangent,
-    PopulationGradient: population_gradient,
-}
+def prepared(arrays):
+    """The same tuple with contiguous arrays, and numbers for arrays without dimensions, in compiled code."""
+    return tuple(np.ascontiguousarray(a) if a.ndim else a.item() for a in arrays)
 
 
-def contiguous(arrays):
-    """The same tuple with contiguous arrays, inside compiled code."""
-    return tuple(np.ascontiguousarray(a) for a in arrays)
-
-
-@overload(contiguous)
-def _contiguous(arrays):
+@overload(prepared)
+def _prepared(arrays):
     if len(arrays) == 0:
         return lambda arrays: ()
-    return lambda arrays: (np.ascontiguousarray(arrays[0]), *contiguous(arrays[1:]))
+    if arrays[0].ndim == 0:
+        return lambda arrays: (arrays[0].item(), *prepared(arrays[1:]))
+    return lambda arrays: (np.ascontiguousarray(arrays[0]), *prepared(arrays[1:]))
 
 
 def funcify(op, node=None, **kwargs):
     """Return the Op's kernel with its quantity bound."""
-    kernel, quantity = KERNELS[type(op)], op.quantity_code
+    return (compiled(op) if op.spec.compiled else in_python(op, node)), cache_key(op)
+
+
+def compiled(op):
+    """A call from compiled code to compiled code."""
+    kernel, quantity, n_common = op.kernel, op.quantity_code, op.n_common
 
     @numba_njit
-    def chain_op(
-        mass, stiffness, rayleigh, ratios, acceleration, dt, substeps, stride, sensors, n_modes, *more
-    ):
-        return kernel(
-            np.ascontiguousarray(mass),
-            np.ascontiguousarray(stiffness),
-            np.ascontiguousarray(rayleigh),
-            np.ascontiguousarray(ratios),
-            np.ascontiguousarray(acceleration),
-            dt.item(),
-            substeps.item(),
-            stride.item(),
-            np.ascontiguousarray(sensors),
-            n_modes.item(),
-            quantity,
-            *contiguous(more),
-        )
+    def structural_op(*inputs):
+        return kernel(*prepared(inputs[:n_common]), quantity, *prepared(inputs[n_common:]))
 
-    return chain_op, cache_key(op)
+    return structural_op
 
 
-for _op in KERNELS:
+def in_python(op, node):
+    """A call from compiled code to a kernel in Python, which costs ten microseconds."""
+    one = len(node.outputs) == 1
+    results = [get_numba_type(output.type) for output in node.outputs]
+    result_type = results[0] if one else types.Tuple(results)
+
+    def run(inputs):
+        results = tuple(np.ascontiguousarray(x) for x in op.run(inputs))
+        return results[0] if one else results
+
+    @numba_njit
+    def structural_op(*inputs):
+        with objmode(result=result_type):
+            result = run(inputs)
+        return result
+
+    return structural_op
+
+
+for _op in OPS:
     register_funcify_and_cache_key(_op)(funcify)

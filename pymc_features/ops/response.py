@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
 import pytensor
 import pytensor.tensor as pt
 from pytensor.compile.ops import ViewOp
@@ -14,34 +13,31 @@ from pytensor.tensor.elemwise import DimShuffle, Elemwise
 from pytensor.tensor.shape import SpecifyShape
 from pytensor.tensor.variable import TensorVariable
 
-from pymc_features.ops.base import INPUT_SIGNATURE, N_PARAMETERS, ChainOp
-from pymc_features.ops.gradient import ChainResponseGradient
+from pymc_features.ops.base import StructuralOp
+from pymc_features.ops.gradient import ResponseGradient
 from pymc_features.records import Record
-from pymc_features.simulators import chain_response, request
+from pymc_features.simulators import request
 from pymc_features.structures import Structure
 
 
-class ChainResponse(ChainOp):
-    """Response history (sensor, time) of a spring-mass chain, Eqs. (17)-(24)."""
+class StructuralResponse(StructuralOp):
+    """Response history (sensor, time) of a structure, Eqs. (17)-(24)."""
 
-    gufunc_signature = f"{INPUT_SIGNATURE}->(s,u)"
+    kernel_name = "response"
+    output_signature = "(s,u)"
 
     def make_node(self, *inputs):
         inputs = self.prepare_inputs(inputs)
-        shape = (inputs[8].type.shape[0], self.static_n_outputs(inputs))
+        shape = self.static_n_sensors(inputs), self.static_n_outputs(inputs)
         return Apply(self, inputs, [pt.tensor(dtype="float64", shape=shape)])
 
     def infer_shape(self, node, shapes):
-        return [(shapes[8][0], self.symbolic_n_outputs(node, shapes))]
-
-    def perform(self, node, inputs, output_storage):
-        arrays = [np.ascontiguousarray(x) if np.ndim(x) else x.item() for x in inputs]
-        output_storage[0][0] = chain_response(*arrays, self.quantity_code)
+        return [(shapes[self.at("sensors")][0], self.symbolic_n_outputs(node, shapes))]
 
     def pullback(self, inputs, outputs, cotangents):
-        """By `ChainResponseGradient`."""
-        gradients = ChainResponseGradient(self.quantity)(*inputs, *cotangents)
-        return [*gradients, *(disconnected_type() for _ in inputs[N_PARAMETERS:])]
+        """By `ResponseGradient`."""
+        gradients = self.like(ResponseGradient)(*inputs, *cotangents, return_list=True)
+        return [*gradients, *(disconnected_type() for _ in inputs[self.n_parameters :])]
 
 
 def response(
@@ -125,7 +121,7 @@ def response(
     acceleration = pytensor.shared(
         record.acceleration.copy(), name=record.name or "acceleration", shape=(record.n_times,)
     )
-    return ChainResponse(asked.quantity)(
+    return StructuralResponse(asked.quantity)(
         *structure.parameters(),
         acceleration,
         record.dt,
@@ -144,7 +140,7 @@ def response_node(variable: TensorVariable) -> Apply | None:
     while variable.owner is not None:
         op = variable.owner.op
         core = op.core_op if isinstance(op, Blockwise) else op
-        if isinstance(core, ChainResponse):
+        if isinstance(core, StructuralResponse):
             return variable.owner
         is_copy = isinstance(op, ViewOp) or (
             isinstance(op, Elemwise) and op.scalar_op == pytensor.scalar.identity
@@ -162,7 +158,9 @@ def response_step(variable: TensorVariable) -> float | None:
     if node is None:
         return None
     try:
-        dt, substeps, stride = (pt.get_underlying_scalar_constant_value(node.inputs[i]) for i in (5, 6, 7))
+        core = node.op.core_op if isinstance(node.op, Blockwise) else node.op
+        places = (core.at(name) for name in ("dt", "substeps", "stride"))
+        dt, substeps, stride = (pt.get_underlying_scalar_constant_value(node.inputs[i]) for i in places)
     except pt.exceptions.NotScalarConstantError:
         return None
     return float(dt) * int(stride) / int(substeps)

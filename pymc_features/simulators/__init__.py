@@ -2,6 +2,7 @@
 
 from pymc_features.simulators.compilation import SOURCE_HASH
 from pymc_features.simulators.discrepancy import chain_discrepancy, chain_misfit
+from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.gradient import discrepancy_gradient, population_gradient, response_gradient
 from pymc_features.simulators.histories import HISTORIES, has_response, modal_systems, response_blocks
 from pymc_features.simulators.population import population_discrepancy, population_misfit
@@ -12,6 +13,7 @@ from pymc_features.simulators.springs import integration_error, spring_forces
 from pymc_features.simulators.tangent import discrepancy_tangent, response_tangent
 
 __all__ = [
+    "FAMILIES",
     "HISTORIES",
     "QUANTITIES",
     "SOURCE_HASH",

@@ -35,6 +35,19 @@ class Structure(ABC):
     def parameters(self) -> tuple:
         """Return what the response kernels of its family take."""
 
+    def constants(self, record) -> tuple:
+        """Return what the kernels take behind the parameters, the same for all particles; none by default."""
+        return ()
+
+    def excitation(self, record) -> np.ndarray:
+        """Return the ground acceleration (time,) of a record, or the inputs (input, time) of a loading."""
+        if not hasattr(record, "acceleration"):
+            raise TypeError(
+                f"`record` must be a Record for a {type(self).__name__}, got {type(record).__name__}. "
+                "Several supports and forces act on LinearStructure(*structure.matrices())."
+            )
+        return record.acceleration
+
     @abstractmethod
     def matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return mass [kg], damping [N s/m] and (initial) stiffness [N/m] matrices, each (n, n)."""

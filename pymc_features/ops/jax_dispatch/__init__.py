@@ -9,13 +9,13 @@ import jax
 import pytensor.tensor as pt
 from pytensor.link.jax.dispatch.basic import jax_funcify
 
-from pymc_features.ops.discrepancy import ChainDiscrepancy
+from pymc_features.ops.discrepancy import StructuralDiscrepancy
 from pymc_features.ops.gradient import (
-    ChainDiscrepancyGradient,
-    ChainDiscrepancyTangent,
-    ChainResponseGradient,
-    ChainResponseTangent,
+    DiscrepancyGradient,
+    DiscrepancyTangent,
     PopulationGradient,
+    ResponseGradient,
+    ResponseTangent,
 )
 from pymc_features.ops.jax_dispatch.gradient import (
     differentiable_discrepancy,
@@ -26,21 +26,28 @@ from pymc_features.ops.jax_dispatch.gradient import (
     response_gradient,
     response_tangent,
 )
-from pymc_features.ops.misfit import ChainMisfit
+from pymc_features.ops.misfit import StructuralMisfit
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationMisfit
-from pymc_features.ops.response import ChainResponse
+from pymc_features.ops.response import StructuralResponse
 
 
 def static_settings(node) -> tuple[int, int, int]:
     """Substeps, stride and number of modes, which fix the shape of the computation."""
+    op = node.op
+    if op.family != "chain":
+        raise NotImplementedError(
+            f"JAX runs spring-mass chains, got the family {op.family!r}. Sample with the default backend: "
+            "leave out `nuts_sampler` and `mode`."
+        )
     values = []
-    for i in (6, 7, 9):
+    for name in ("substeps", "stride", "n_modes"):
+        value = node.inputs[op.at(name)]
         try:
-            values.append(int(pt.get_underlying_scalar_constant_value(node.inputs[i])))
+            values.append(int(pt.get_underlying_scalar_constant_value(value)))
         except pt.exceptions.NotScalarConstantError:
             raise NotImplementedError(
                 "JAX needs an output step and a number of modes that are fixed when it compiles, got "
-                f"{node.inputs[i]}. Pass `dt` to response() as a number."
+                f"{value}. Pass `dt` to response() as a number."
             ) from None
     return tuple(values)
 
@@ -90,13 +97,13 @@ def on_population(kernel):
     return funcify
 
 
-jax_funcify.register(ChainResponse)(on_one_particle(differentiable_response))
-jax_funcify.register(ChainDiscrepancy)(on_one_particle(differentiable_discrepancy))
-jax_funcify.register(ChainResponseGradient)(on_one_particle(response_gradient))
-jax_funcify.register(ChainDiscrepancyGradient)(on_one_particle(gradient))
-jax_funcify.register(ChainResponseTangent)(on_one_particle(response_tangent))
-jax_funcify.register(ChainDiscrepancyTangent)(on_one_particle(discrepancy_tangent))
+jax_funcify.register(StructuralResponse)(on_one_particle(differentiable_response))
+jax_funcify.register(StructuralDiscrepancy)(on_one_particle(differentiable_discrepancy))
+jax_funcify.register(ResponseGradient)(on_one_particle(response_gradient))
+jax_funcify.register(DiscrepancyGradient)(on_one_particle(gradient))
+jax_funcify.register(ResponseTangent)(on_one_particle(response_tangent))
+jax_funcify.register(DiscrepancyTangent)(on_one_particle(discrepancy_tangent))
 jax_funcify.register(PopulationDiscrepancy)(on_population(differentiable_discrepancy))
-jax_funcify.register(ChainMisfit)(on_one_particle(differentiable_misfit))
+jax_funcify.register(StructuralMisfit)(on_one_particle(differentiable_misfit))
 jax_funcify.register(PopulationMisfit)(on_population(differentiable_misfit))
 jax_funcify.register(PopulationGradient)(on_population(gradient))
