@@ -39,9 +39,13 @@ class StructuralOp(Op):
         self.quantity = quantity
         self.family = family
         self.quantity_code = QUANTITIES.index(quantity)
-        self.spec = FAMILIES[family]
         self.names = tuple(self.spec.inputs)
         self.n_parameters, self.n_common = len(self.spec.parameters), len(self.names)
+
+    @property
+    def spec(self):
+        """The family: no attribute, for machine code does not travel with pickled Ops."""
+        return FAMILIES[self.family]
 
     @property
     def kernel(self):

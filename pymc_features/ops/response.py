@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 import pytensor
 import pytensor.tensor as pt
 from pytensor.compile.ops import ViewOp
@@ -15,8 +16,8 @@ from pytensor.tensor.variable import TensorVariable
 
 from pymc_features.ops.base import StructuralOp
 from pymc_features.ops.gradient import ResponseGradient
-from pymc_features.records import Record
-from pymc_features.simulators import request
+from pymc_features.records import Loading, Record
+from pymc_features.simulators import asked_outputs, check_n_modes, request
 from pymc_features.structures import Structure
 
 
@@ -42,21 +43,23 @@ class StructuralResponse(StructuralOp):
 
 def response(
     structure: Structure,
-    record: Record,
+    record: Record | Loading,
     *,
     dt=None,
     sensors: Sequence[int] | None = None,
     quantity: str = "absolute_acceleration",
     n_modes: int | None = None,
+    outputs=None,
 ) -> TensorVariable:
-    """Response history of a structure to a ground acceleration, inside a PyMC model.
+    """Response history of a structure to a ground acceleration, or other loads, inside a PyMC model.
 
     Parameters
     ----------
-    structure : SpringMassChain
+    structure : SpringMassChain, LinearStructure, AffineStructure, HystereticChain or DuffingChain
         Its parameters may be random variables.
-    record : Record
-        Ground acceleration; the structure is at rest at its first sample.
+    record : Record or Loading
+        Ground acceleration, or, on linear structures, accelerations of several supports or forces; the
+        structure is at rest at the first sample.
     dt : float or pm.Data, optional
         Output step [s], an integer multiple or divisor of the record's step, which is the default. As
         data it can be changed together with the measurements, without compiling the model anew.
@@ -66,13 +69,15 @@ def response(
         "absolute_acceleration" (default), "relative_acceleration" [m/s^2], "relative_velocity"
         [m/s] or "relative_displacement" [m].
     n_modes : int, optional
-        Number of modes kept, lowest first. All by default.
+        Number of modes kept, lowest first. All by default, and of a nonlinear structure always.
+    outputs : array_like or sparse matrix (s, n), optional
+        S, for combinations S x of the quantity over all degrees of freedom instead of `sensors`.
 
     Returns
     -------
     TensorVariable (sensor, time)
-        Exact for an excitation that is linear between its samples. NaN throughout where the
-        parameters describe no structure.
+        Exact, or of a nonlinear structure to 1e-6 of the peak, for an excitation that is linear between its
+        samples. NaN throughout where the parameters describe no structure.
 
     Raises
     ------
@@ -83,11 +88,14 @@ def response(
     --------
     simulate : the same numbers without PyTensor.
 
-    Notes ----- The feature likelihoods recognise this variable and compute the discrepancy without storing
-    the history. Differentiable once, exactly, in masses, stiffnesses and damping, at repeated frequencies
-    too; not where damping ratios that differ from mode to mode change places, nor where `n_modes` cuts a
-    pair of equal frequencies. The gradient costs about twice the response, whatever the number of
-    parameters, and keeps no history.
+    Notes
+    -----
+    The feature likelihoods recognise this variable and compute the discrepancy without storing the history;
+    not that of `outputs` of a nonlinear structure.
+
+    Differentiable once, exactly, in all parameters, at repeated frequencies too; not where damping ratios
+    that differ from mode to mode change places, nor where `n_modes` cuts a pair of equal frequencies. The
+    gradient of a linear structure costs two to four times the response, whatever the number of parameters.
 
     Examples
     --------
@@ -96,40 +104,55 @@ def response(
     >>> response(chain, Record([0.0, 1.0, 0.0], dt=0.1)).type.shape
     (2, 3)
     """
+    check_arguments(structure, record)
+    step = dt.get_value() if isinstance(dt, SharedVariable) else dt
+    asked = request(structure.n_dof, record.dt, dt=step, sensors=sensors, quantity=quantity, n_modes=n_modes)
+    check_n_modes(structure, n_modes)
+    if outputs is None:
+        return respond(structure, record, dt, asked, asked.sensors)
+    outputs = asked_outputs(outputs, sensors, structure.n_dof)
+    if structure.is_linear:
+        return respond(structure.as_linear(), record, dt, asked, outputs)
+    return pt.dot(outputs, respond(structure, record, dt, asked, asked.sensors))
+
+
+def respond(structure, record, dt, asked, seen) -> TensorVariable:
+    """Response of degrees of freedom `seen` (s,), or of outputs S (s, n); the rest as of `response`."""
+    op = StructuralResponse(asked.quantity, structure.family)
+    substeps, stride = asked.substeps, asked.stride
+    if isinstance(dt, SharedVariable):
+        ratio = dt / record.dt
+        substeps, stride = (pt.round(pt.maximum(r, 1.0)).astype("int64") for r in (1.0 / ratio, ratio))
+    seen = op.spec.place_of_sensors(seen, structure.n_dof)
+    return op(
+        *structure.parameters(),
+        *map(as_data, structure.constants(record), op.spec.constants),
+        as_data(structure.excitation(record), record.name or "acceleration"),
+        record.dt,
+        substeps,
+        stride,
+        as_data(seen, "outputs") if seen.ndim == 2 else seen,
+        asked.n_modes,
+    )
+
+
+def as_data(array, name):
+    """An array as a shared variable: constants enter the key of compiled graphs, large ones prevent its use."""
+    return pytensor.shared(np.array(array), name=name, shape=array.shape)
+
+
+def check_arguments(structure, record):
+    """Refuse what is no structure or no record."""
     if not isinstance(structure, Structure):
         raise TypeError(
             f"`structure` must be a Structure, got {type(structure).__name__}. "
             "Pass for example a SpringMassChain."
         )
-    if structure.family != "chain":
-        raise TypeError(
-            f"`structure` must be a SpringMassChain inside a model, got {type(structure).__name__}. "
-            "Pass a function that returns `simulate(...)` of it to `DiscrepancySimulator`."
-        )
-    if not isinstance(record, Record):
+    if not isinstance(record, Record | Loading):
         raise TypeError(
             f"`record` must be a Record, got {type(record).__name__}. "
             "Use read_record(path) or Record(acceleration, dt)."
         )
-    step = dt.get_value() if isinstance(dt, SharedVariable) else dt
-    asked = request(structure.n_dof, record.dt, dt=step, sensors=sensors, quantity=quantity, n_modes=n_modes)
-    substeps, stride = asked.substeps, asked.stride
-    if isinstance(dt, SharedVariable):
-        ratio = dt / record.dt
-        substeps, stride = (pt.round(pt.maximum(r, 1.0)).astype("int64") for r in (1.0 / ratio, ratio))
-    # shared, not constant: constants enter the key of compiled graphs, large ones prevent its use
-    acceleration = pytensor.shared(
-        record.acceleration.copy(), name=record.name or "acceleration", shape=(record.n_times,)
-    )
-    return StructuralResponse(asked.quantity)(
-        *structure.parameters(),
-        acceleration,
-        record.dt,
-        substeps,
-        stride,
-        asked.sensors,
-        asked.n_modes,
-    )
 
 
 def response_node(variable: TensorVariable) -> Apply | None:

@@ -1,5 +1,10 @@
 """The spring-mass chain (shear building) of Eqs. (17)-(19)."""
 
+import numpy as np
+import pytensor.tensor as pt
+from pytensor.graph.basic import Variable
+
+from pymc_features.structures.affine import AffineStructure
 from pymc_features.structures.masses_and_springs import Chain
 
 
@@ -34,3 +39,18 @@ class SpringMassChain(Chain):
     """
 
     family = "chain"
+
+    def as_linear(self) -> AffineStructure:
+        """Return the same structure by its matrices, whose parameters theta are the masses, then the springs."""
+        n = self.n_dof
+        mass, stiffness, *_ = self.linear_parameters()
+        drifts = np.diff(np.eye(n), axis=0, prepend=0.0)
+        symbolic = isinstance(mass, Variable) or isinstance(stiffness, Variable)
+        return AffineStructure(
+            np.zeros((n, n)),
+            self.damping,
+            np.zeros((n, n)),
+            mass_terms=[*(np.diag(unit) for unit in np.eye(n)), *(None,) * n],
+            stiffness_terms=[*(None,) * n, *(np.outer(drift, drift) for drift in drifts)],
+            theta=pt.concatenate([mass, stiffness]) if symbolic else np.concatenate([mass, stiffness]),
+        )

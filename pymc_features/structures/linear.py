@@ -100,6 +100,10 @@ class LinearStructure(Structure):
         """Copies and workers make the factor anew: SciPy's cannot be pickled."""
         return self.__dict__ | {"_factor": None}
 
+    def as_linear(self) -> "LinearStructure":
+        """Return the structure itself; other linear structures return their matrices."""
+        return self
+
     def __repr__(self):
         kind = "sparse" if self._terms[2].is_sparse else "dense"
         damping = repr(self.damping) if isinstance(self.damping, Damping) else "damping matrix"
