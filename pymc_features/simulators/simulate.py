@@ -9,8 +9,8 @@ from pymc_features.simulators.bouc_wen import BoucWen
 from pymc_features.simulators.cubic import Cubic
 from pymc_features.simulators.linear import linear_response
 from pymc_features.simulators.nonlinear import nonlinear_response
+from pymc_features.simulators.quantities import HISTORIES, at_outputs, checked_request, force_share, rows_of
 from pymc_features.simulators.recursion import chain_response
-from pymc_features.simulators.sampling import UNITS, check_outputs, request
 
 NONLINEAR = {"hysteretic": BoucWen, "duffing": Cubic}  # the law of the springs
 
@@ -75,11 +75,13 @@ def simulate(
     dt : float, optional
         Output step [s], an integer multiple or divisor of the record's step, which is the default.
     sensors : sequence of int, optional
-        Degrees of freedom, 0 next to the base. All by default.
+        Degrees of freedom, or storeys of a drift, 0 next to the base. All by default.
     quantity : str
         "absolute_acceleration" [m/s^2] (default), "relative_acceleration" [m/s^2],
         "relative_velocity" [m/s] or "relative_displacement" [m]; relative to the base,
         or to the quasi-static motion of several supports. Under forces both accelerations are the same.
+        "inter_storey_drift" [m] of a chain, x_i - x_{i-1}, storey 0 against the base. "base_shear" [N], see
+        Notes.
     n_modes : int, optional
         Number of modes kept, lowest first. All by default, and of a nonlinear structure always. The absolute
         acceleration keeps the ground's share of those left out.
@@ -91,7 +93,8 @@ def simulate(
     -------
     xarray.DataArray (sensor, time)
         With coordinates `sensor` (degree of freedom, or row of `outputs`) and `time` [s], and the units
-        in `attrs`, without those of `outputs`.
+        in `attrs`, without those of `outputs`. Drifts have the dimension storey instead of sensor, the base
+        shear has neither, or support where there are several.
 
     Raises
     ------
@@ -104,29 +107,37 @@ def simulate(
     not diagonalise to 1e-9 (tests/test_linear.py), at the cost of a dense transition matrix, (2 n_modes)^2
     multiplications per step; a nonlinear structure with a tight ODE solution to 1e-6
     (tests/test_hysteretic.py).
+
+    The base shear is influence' M a, with the absolute accelerations a, less influence' f under forces f: the
+    force of the ground on the structure, in the direction of positive ground acceleration, by the balance
+    of all forces. Without damping it is minus stiffness times drift of storey 0 of a chain. With several
+    supports it is the part of each that is in balance with inertia, damping and forces; what the supports
+    force on each other by their quasi-static motion is not in M, C and K, and not in it.
     """
     check_arguments(structure, record)
-    if n_modes is not None and not structure.is_linear:
+    asked, outputs = checked_request(
+        structure, record, quantity, dt=dt, sensors=sensors, n_modes=n_modes, outputs=outputs
+    )
+    if sensors is not None and HISTORIES[quantity].dim == "support":
         raise ValueError(
-            f"`n_modes` must be left out for a nonlinear structure, got {n_modes}. "
-            f"{type(structure).__name__} has no superposition of modes."
+            f"`sensors` must be left out for the base shear, got {sensors!r}. It is a sum over all masses."
         )
-    asked = request(structure.n_dof, record.dt, dt=dt, sensors=sensors, quantity=quantity, n_modes=n_modes)
-    if outputs is not None:
-        if sensors is not None:
-            raise ValueError("`sensors` must be left out with `outputs`, got both. Choose rows of `outputs`.")
-        outputs = check_outputs(outputs, structure.n_dof)
-    values = RESPONSES[structure.family](structure, record, asked, outputs)
-    times = asked.times(record.dt, values.shape[1])
+    rows = rows_of(structure, quantity, asked.sensors, outputs)
+    if rows.outputs is not None:
+        asked = asked._replace(sensors=np.arange(structure.n_dof))
+    values = RESPONSES[structure.family](structure, record, asked, rows.outputs)
+    share = force_share(structure, record, quantity)
+    if share is not None:
+        values = values + share @ at_outputs(record.values, asked)
+    dims, coords = ("time",), {}
+    if rows.dim:
+        dims, coords = (rows.dim, "time"), {rows.dim: (rows.dim, rows.labels, {"long_name": rows.title})}
     return xr.DataArray(
-        values,
-        dims=("sensor", "time"),
-        coords={
-            "sensor": ("sensor", *_labels(asked, outputs)),
-            "time": ("time", times, {"units": "s"}),
-        },
+        values if rows.dim else values[0],
+        dims=dims,
+        coords=coords | {"time": ("time", asked.times(record.dt, values.shape[1]), {"units": "s"})},
         name=quantity,
-        attrs={"units": UNITS[quantity], "record": record.name},
+        attrs={"units": HISTORIES[quantity].units, "record": record.name},
     )
 
 
@@ -144,10 +155,3 @@ def check_arguments(structure, record):
         if not structure.is_linear:
             advice = "Build it from numbers in a function of the parameters, for `DiscrepancySimulator`."
         raise TypeError(f"`structure` must have numbers as parameters, got PyTensor variables. {advice}")
-
-
-def _labels(asked, outputs):
-    """Values and attributes of the coordinate `sensor`."""
-    if outputs is None:
-        return asked.sensors, {"long_name": "degree of freedom"}
-    return np.arange(outputs.shape[0]), {"long_name": "row of outputs"}

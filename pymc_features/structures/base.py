@@ -21,10 +21,13 @@ class Structure(ABC):
         Which kernels compute its response, a key of `simulators.RESPONSES`; `parameters` are what they take.
     is_linear : bool
         Whether its response is a sum of modes.
+    has_storeys : bool
+        Whether degree of freedom i moves against i - 1, so that there are inter-storey drifts.
     """
 
     family: str
     is_linear: bool = True
+    has_storeys: bool = False
 
     @property
     @abstractmethod
@@ -55,6 +58,10 @@ class Structure(ABC):
     @abstractmethod
     def modes(self) -> "Modes":
         """Return natural frequencies, mode shapes and damping ratios."""
+
+    @abstractmethod
+    def inertia(self) -> np.ndarray:
+        """Return influence' M (supports, n) [kg]: times the absolute accelerations, the base shear [N]."""
 
     @property
     def is_symbolic(self) -> bool:

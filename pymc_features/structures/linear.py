@@ -156,6 +156,10 @@ class LinearStructure(Structure):
         """K [N/m], array or `csc_array` (n, n)."""
         return self._numbers()[2]
 
+    def inertia(self):
+        """Return influence' M (supports, n) [kg], the masses that the motion of each support moves."""
+        return (self.mass @ self.influence).reshape(self.n_dof, -1).T
+
     def matrices(self):
         """Return M [kg], C [N s/m] and K [N/m], arrays (n, n), or sparse if K was given so.
 

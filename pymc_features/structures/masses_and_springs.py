@@ -18,6 +18,8 @@ class Chain(Structure):
     names the family of kernels. `matrices` and `modes` are those of the initial stiffness.
     """
 
+    has_storeys = True
+
     def __init__(self, mass, stiffness, damping):
         self.mass = as_vector(mass, "mass", "kg")
         self.stiffness = as_vector(stiffness, "stiffness", "N/m")
@@ -115,6 +117,11 @@ class Chain(Structure):
                 "variables. Build the structure with values, for example a posterior draw."
             )
         return self.linear_parameters()
+
+    def inertia(self):
+        """Return the masses (1, n) [kg]: the influence of the base is one on every mass."""
+        mass, *_ = self._numbers()
+        return mass[None]
 
     def matrices(self):
         """Return M [kg], C [N s/m] and initial K [N/m], Eqs. (17)-(19), each an array (n, n)."""

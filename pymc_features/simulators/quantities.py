@@ -1,0 +1,117 @@
+"""The quantities of a response: those of the kernels, and those that are combinations of them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features.simulators.recursion import QUANTITIES
+from pymc_features.simulators.sampling import UNITS, Request, check_outputs, request
+
+
+class Response(NamedTuple):
+    """What a response is made of: a quantity of the kernels, the dimension of its rows, its unit."""
+
+    source: str
+    dim: str
+    units: str
+
+
+# Names that users type; the kernels know those of `QUANTITIES` only. The dimension support is left out where
+# there is one support.
+HISTORIES = {name: Response(name, "sensor", UNITS[name]) for name in QUANTITIES} | {
+    "inter_storey_drift": Response("relative_displacement", "storey", "m"),
+    "base_shear": Response("absolute_acceleration", "support", "N"),
+}
+
+
+class Rows(NamedTuple):
+    """What the rows of a response are.
+
+    Attributes
+    ----------
+    picked : integer array (row,), or array (row, n)
+        Degrees of freedom, or combinations S x of all of them.
+    dim : str or None
+        None for a single row without a dimension.
+    labels : array (row,)
+        Coordinate of the dimension.
+    title : str
+        What the coordinate counts.
+    """
+
+    picked: np.ndarray
+    dim: str | None
+    labels: np.ndarray
+    title: str
+
+    @property
+    def outputs(self) -> np.ndarray | None:
+        """S (row, n), None where rows are degrees of freedom."""
+        return self.picked if self.picked.ndim == 2 else None
+
+    def of(self, values) -> np.ndarray:
+        """The rows of values (n, ...) at all degrees of freedom."""
+        return self.picked @ values if self.picked.ndim == 2 else values[self.picked]
+
+
+def rows_of(structure, quantity: str, sensors, outputs=None) -> Rows:
+    """Rows of a quantity; `sensors` (checked) stand for storeys in a drift, and for nothing in a shear."""
+    dim = HISTORIES[quantity].dim
+    if dim == "support":
+        inertia = structure.inertia()
+        return Rows(inertia, "support" if len(inertia) > 1 else None, np.arange(len(inertia)), "support")
+    if dim == "storey":  # x_i - x_{i-1}, the first against the base
+        drifts = np.eye(structure.n_dof) - np.eye(structure.n_dof, k=-1)
+        return Rows(drifts[sensors], dim, sensors, "storey, 0 against the base")
+    if outputs is not None:
+        return Rows(outputs, dim, np.arange(len(outputs)), "row of outputs")
+    return Rows(sensors, dim, sensors, "degree of freedom")
+
+
+def checked_request(structure, record, quantity, *, dt=None, sensors=None, n_modes=None, outputs=None):
+    """The request of what a quantity is made of, and `outputs` as an array or None.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range or has no meaning for the structure or the quantity.
+    """
+    if not isinstance(quantity, str) or quantity not in HISTORIES:
+        raise ValueError(f"`quantity` must be one of {', '.join(HISTORIES)}, got {quantity!r}.")
+    if n_modes is not None and not structure.is_linear:
+        raise ValueError(
+            f"`n_modes` must be left out for a nonlinear structure, got {n_modes}. "
+            f"{type(structure).__name__} has no superposition of modes."
+        )
+    source, dim, _ = HISTORIES[quantity]
+    if dim == "storey" and not structure.has_storeys:
+        raise ValueError(
+            f"`quantity` must be one of {', '.join(q for q, r in HISTORIES.items() if r.dim != 'storey')} for "
+            f"a {type(structure).__name__}, got {quantity!r}. Its degrees of freedom are no storeys: pass "
+            f"{source!r} and outputs=S with one row for each drift, 1 and -1 in the columns of its ends."
+        )
+    asked = request(structure.n_dof, record.dt, dt=dt, sensors=sensors, quantity=source, n_modes=n_modes)
+    if outputs is None:
+        return asked, None
+    if sensors is not None:
+        raise ValueError("`sensors` must be left out with `outputs`, got both. Choose rows of `outputs`.")
+    if quantity not in QUANTITIES:
+        raise ValueError(
+            f"`outputs` must be left out for {quantity!r}, got an array. It is itself a combination: combine "
+            f"{source!r} instead."
+        )
+    return asked, check_outputs(outputs, structure.n_dof)
+
+
+def force_share(structure, record, quantity: str) -> np.ndarray | None:
+    """What a quantity takes from the forces of a `Loading` directly, (row, input); None for nothing."""
+    if HISTORIES[quantity].dim != "support" or getattr(record, "kind", "") != "force":
+        return None
+    influence = structure.influence.reshape(structure.n_dof, -1)
+    return -influence.T if record.matrix is None else -influence.T @ record.matrix
+
+
+def at_outputs(values, asked: Request) -> np.ndarray:
+    """Inputs (d, t) at the output samples, (d, u)."""
+    places = np.arange(asked.n_outputs(values.shape[1])) * (asked.stride / asked.substeps)
+    return np.array([np.interp(places, np.arange(values.shape[1]), row) for row in values])
