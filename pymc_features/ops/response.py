@@ -8,7 +8,7 @@ import pytensor.tensor as pt
 from pytensor.compile.ops import ViewOp
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.gradient import disconnected_type
-from pytensor.graph.basic import Apply
+from pytensor.graph.basic import Apply, Variable
 from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.elemwise import DimShuffle, Elemwise
 from pytensor.tensor.shape import SpecifyShape
@@ -17,7 +17,7 @@ from pytensor.tensor.variable import TensorVariable
 from pymc_features.ops.base import StructuralOp
 from pymc_features.ops.gradient import ResponseGradient
 from pymc_features.records import Loading, Record
-from pymc_features.simulators import asked_outputs, check_n_modes, request
+from pymc_features.simulators import HISTORIES, at_outputs, checked_request, force_share, rows_of
 from pymc_features.structures import Structure
 
 
@@ -64,10 +64,10 @@ def response(
         Output step [s], an integer multiple or divisor of the record's step, which is the default. As
         data it can be changed together with the measurements, without compiling the model anew.
     sensors : sequence of int, optional
-        Degrees of freedom, 0 next to the base. All by default.
+        Degrees of freedom, or storeys of a drift, 0 next to the base. All by default.
     quantity : str
-        "absolute_acceleration" (default), "relative_acceleration" [m/s^2], "relative_velocity"
-        [m/s] or "relative_displacement" [m].
+        As of `simulate`: "absolute_acceleration" (default), "relative_acceleration" [m/s^2],
+        "relative_velocity" [m/s], "relative_displacement" [m], "inter_storey_drift" [m] or "base_shear" [N].
     n_modes : int, optional
         Number of modes kept, lowest first. All by default, and of a nonlinear structure always.
     outputs : array_like or sparse matrix (s, n), optional
@@ -76,7 +76,7 @@ def response(
     Returns
     -------
     TensorVariable (sensor, time)
-        Exact, or of a nonlinear structure to 1e-6 of the peak, for an excitation that is linear between its
+        Sensors, storeys of a drift, outputs, or supports of a base shear. Exact, or of a nonlinear structure to 1e-6 of the peak, for an excitation that is linear between its
         samples. NaN throughout where the parameters describe no structure.
 
     Raises
@@ -91,7 +91,8 @@ def response(
     Notes
     -----
     The feature likelihoods recognise this variable and compute the discrepancy without storing the history;
-    not that of `outputs` of a nonlinear structure.
+    not that of combinations (drifts, shears, `outputs`) of a nonlinear structure, nor a base shear of
+    uncertain masses.
 
     Differentiable once, exactly, in all parameters, at repeated frequencies too; not where damping ratios
     that differ from mode to mode change places, nor where `n_modes` cuts a pair of equal frequencies. The
@@ -106,24 +107,39 @@ def response(
     """
     check_arguments(structure, record)
     step = dt.get_value() if isinstance(dt, SharedVariable) else dt
-    asked = request(structure.n_dof, record.dt, dt=step, sensors=sensors, quantity=quantity, n_modes=n_modes)
-    check_n_modes(structure, n_modes)
-    if outputs is None:
-        return respond(structure, record, dt, asked, asked.sensors)
-    outputs = asked_outputs(outputs, sensors, structure.n_dof)
-    if structure.is_linear:
-        return respond(structure.as_linear(), record, dt, asked, outputs)
-    return pt.dot(outputs, respond(structure, record, dt, asked, asked.sensors))
+    asked, outputs = checked_request(
+        structure, record, quantity, dt=step, sensors=sensors, n_modes=n_modes, outputs=outputs
+    )
+    if HISTORIES[quantity].dim == "support":
+        return base_shear(structure, record, dt, asked)
+    return respond(structure, record, dt, asked, rows_of(structure, quantity, asked.sensors, outputs).picked)
 
 
-def respond(structure, record, dt, asked, seen) -> TensorVariable:
-    """Response of degrees of freedom `seen` (s,), or of outputs S (s, n); the rest as of `response`."""
+def base_shear(structure, record, dt, asked) -> TensorVariable:
+    """Base shear (support, time) [N] as of `simulate`; the request is that of absolute accelerations."""
+    shear = respond(structure, record, dt, asked, structure.inertia())
+    share = force_share(structure, record, "base_shear")
+    if share is None:
+        return shear
+    if isinstance(dt, SharedVariable):
+        raise TypeError(
+            "`dt` must be a number for a base shear under forces, got pm.Data. Pass dt=0.02, say."
+        )
+    return shear + share @ at_outputs(record.values, asked)
+
+
+def respond(structure, record, dt, asked, rows) -> TensorVariable:
+    """Response of degrees of freedom (s,), or of combinations S x, S (s, n), of all of them."""
+    if isinstance(rows, Variable) or (rows.ndim == 2 and not structure.is_linear):
+        return pt.dot(rows, respond(structure, record, dt, asked, np.arange(structure.n_dof)))
+    if rows.ndim == 2:
+        structure = structure.as_linear()
     op = StructuralResponse(asked.quantity, structure.family)
     substeps, stride = asked.substeps, asked.stride
     if isinstance(dt, SharedVariable):
         ratio = dt / record.dt
         substeps, stride = (pt.round(pt.maximum(r, 1.0)).astype("int64") for r in (1.0 / ratio, ratio))
-    seen = op.spec.place_of_sensors(seen, structure.n_dof)
+    rows = op.spec.place_of_sensors(rows, structure.n_dof)
     return op(
         *structure.parameters(),
         *map(as_data, structure.constants(record), op.spec.constants),
@@ -131,7 +147,7 @@ def respond(structure, record, dt, asked, seen) -> TensorVariable:
         record.dt,
         substeps,
         stride,
-        as_data(seen, "outputs") if seen.ndim == 2 else seen,
+        as_data(rows, "outputs") if rows.ndim == 2 else rows,
         asked.n_modes,
     )
 

@@ -6,6 +6,7 @@ from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.gradient import discrepancy_gradient, population_gradient, response_gradient
 from pymc_features.simulators.histories import HISTORIES, has_response, modal_systems, response_blocks
 from pymc_features.simulators.population import population_discrepancy, population_misfit
+from pymc_features.simulators.quantities import at_outputs, checked_request, force_share, rows_of
 from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
 from pymc_features.simulators.sampling import UNITS, request
 from pymc_features.simulators.simulate import simulate
@@ -13,6 +14,10 @@ from pymc_features.simulators.springs import integration_error, spring_forces
 from pymc_features.simulators.tangent import discrepancy_tangent, response_tangent
 
 __all__ = [
+    "at_outputs",
+    "checked_request",
+    "force_share",
+    "rows_of",
     "FAMILIES",
     "HISTORIES",
     "QUANTITIES",

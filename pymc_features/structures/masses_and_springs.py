@@ -120,8 +120,7 @@ class Chain(Structure):
 
     def inertia(self):
         """Return the masses (1, n) [kg]: the influence of the base is one on every mass."""
-        mass, *_ = self._numbers()
-        return mass[None]
+        return self.linear_parameters()[0][None]
 
     def matrices(self):
         """Return M [kg], C [N s/m] and initial K [N/m], Eqs. (17)-(19), each an array (n, n)."""
