@@ -76,8 +76,9 @@ def response(
     Returns
     -------
     TensorVariable (sensor, time)
-        Sensors, storeys of a drift, outputs, or supports of a base shear. Exact, or of a nonlinear structure to 1e-6 of the peak, for an excitation that is linear between its
-        samples. NaN throughout where the parameters describe no structure.
+        Sensors, storeys of a drift, outputs, or supports of a base shear. Exact, or of a nonlinear structure
+        to 1e-6 of the peak, for an excitation that is linear between its samples. NaN throughout where the
+        parameters describe no structure.
 
     Raises
     ------
@@ -122,9 +123,7 @@ def base_shear(structure, record, dt, asked) -> TensorVariable:
     if share is None:
         return shear
     if isinstance(dt, SharedVariable):
-        raise TypeError(
-            "`dt` must be a number for a base shear under forces, got pm.Data. Pass dt=0.02, say."
-        )
+        raise TypeError("`dt` must be a number for a base shear under forces, got pm.Data. Pass seconds.")
     return shear + share @ at_outputs(record.values, asked)
 
 
@@ -153,7 +152,7 @@ def respond(structure, record, dt, asked, rows) -> TensorVariable:
 
 
 def as_data(array, name):
-    """An array as a shared variable: constants enter the key of compiled graphs, large ones prevent its use."""
+    """An array as a shared variable: constants enter the keys of compiled graphs, large ones prevent them."""
     return pytensor.shared(np.array(array), name=name, shape=array.shape)
 
 
