@@ -211,7 +211,7 @@ def test_models_sample_and_count_what_is_no_structure(name):
         progressbar=False,
         compile_kwargs={"mode": "FAST_COMPILE"},
     )
-    assert float(idata["sample_stats"]["n_failed_simulations"].sum()) > 0
+    assert float(idata["sample_stats"]["failed"].sum()) > 0
     x = idata["posterior"]["x"].values
     assert (x > 0).all()
     assert abs(np.median(x, axis=(0, 1)) - 1.0).max() < 0.4
