@@ -4,6 +4,13 @@ from pymc_features.simulators.compilation import SOURCE_HASH
 from pymc_features.simulators.discrepancy import chain_discrepancy, chain_misfit
 from pymc_features.simulators.gradient import discrepancy_gradient, population_gradient, response_gradient
 from pymc_features.simulators.histories import HISTORIES, has_response, modal_systems, response_blocks
+from pymc_features.simulators.linear import (
+    linear_discrepancy,
+    linear_misfit,
+    linear_population_discrepancy,
+    linear_population_misfit,
+    linear_response,
+)
 from pymc_features.simulators.population import population_discrepancy, population_misfit
 from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
 from pymc_features.simulators.sampling import UNITS, request
@@ -23,6 +30,11 @@ __all__ = [
     "discrepancy_tangent",
     "has_response",
     "integration_error",
+    "linear_discrepancy",
+    "linear_misfit",
+    "linear_population_discrepancy",
+    "linear_population_misfit",
+    "linear_response",
     "modal_systems",
     "n_outputs",
     "population_discrepancy",

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
+from scipy import sparse
 
 from pymc_features.simulators.bouc_wen import BoucWen
 from pymc_features.simulators.cubic import Cubic
@@ -23,14 +24,9 @@ def under_ground_motion(kernel):
     """Response of a family whose kernel takes its parameters and one ground acceleration."""
 
     def respond(structure, record, asked, outputs):
-        if not hasattr(record, "acceleration"):
-            raise TypeError(
-                f"`record` must be a Record for a {type(structure).__name__}, got {type(record).__name__}. "
-                "Several supports and forces act on LinearStructure(*structure.matrices())."
-            )
         history = kernel(
             *structure.parameters(),
-            record.acceleration,
+            structure.excitation(record),
             record.dt,
             asked.substeps,
             asked.stride,
@@ -43,10 +39,33 @@ def under_ground_motion(kernel):
     return respond
 
 
+def linear(structure, record, asked, outputs):
+    """Response of a `LinearStructure` to whatever acts on it."""
+    if outputs is None:
+        rows = np.arange(asked.sensors.size)
+        outputs = sparse.csr_array(
+            (np.ones(rows.size), (rows, asked.sensors)), shape=(rows.size, structure.n_dof)
+        )
+    history = linear_response(
+        *structure.parameters(),
+        *structure.constants(record),
+        structure.excitation(record),
+        record.dt,
+        asked.substeps,
+        asked.stride,
+        outputs,
+        asked.n_modes,
+        asked.quantity_code,
+    )
+    if np.isnan(history).any():
+        structure.modes(asked.n_modes)  # says so if it is the modes that cannot be found
+    return history
+
+
 # For each family of structures: structure, record or loading, request and matrix of outputs (with all sensors
 # asked for) or None, in; the response (sensor or output, time) out.
 RESPONSES = {family: under_ground_motion(kernel) for family, kernel in KERNELS.items()}
-RESPONSES["linear"] = linear_response
+RESPONSES["linear"] = linear
 
 
 def simulate(

@@ -35,6 +35,19 @@ class Structure(ABC):
     def parameters(self) -> tuple:
         """Return what the response kernels of its family take."""
 
+    def constants(self, record) -> tuple:
+        """Return the arrays its kernels take besides, which are never random, for a record or loading."""
+        return ()
+
+    def excitation(self, record) -> np.ndarray:
+        """Return what its kernels take of a record: the ground acceleration (t,) [m/s^2]."""
+        if not hasattr(record, "acceleration"):
+            raise TypeError(
+                f"`record` must be a Record for a {type(self).__name__}, got {type(record).__name__}. "
+                "Several supports and forces act on LinearStructure(*structure.matrices())."
+            )
+        return record.acceleration
+
     @abstractmethod
     def matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return mass [kg], damping [N s/m] and (initial) stiffness [N/m] matrices, each (n, n)."""
