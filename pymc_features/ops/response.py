@@ -14,6 +14,7 @@ from pytensor.tensor.elemwise import DimShuffle, Elemwise
 from pytensor.tensor.shape import SpecifyShape
 from pytensor.tensor.variable import TensorVariable
 
+from pymc_features.algebra import to_dense
 from pymc_features.ops.base import StructuralOp
 from pymc_features.ops.gradient import ResponseGradient
 from pymc_features.records import Loading, Record
@@ -138,7 +139,9 @@ def respond(structure, record, dt, asked, rows) -> TensorVariable:
     if isinstance(dt, SharedVariable):
         ratio = dt / record.dt
         substeps, stride = (pt.round(pt.maximum(r, 1.0)).astype("int64") for r in (1.0 / ratio, ratio))
-    rows = op.spec.place_of_sensors(rows, structure.n_dof)
+    rows = op.spec.rows(rows, structure.n_dof)
+    if op.spec.takes_outputs:
+        rows = as_data(to_dense(rows), "outputs")
     return op(
         *structure.parameters(),
         *map(as_data, structure.constants(record), op.spec.constants),
@@ -146,7 +149,7 @@ def respond(structure, record, dt, asked, rows) -> TensorVariable:
         record.dt,
         substeps,
         stride,
-        as_data(rows, "outputs") if rows.ndim == 2 else rows,
+        rows,
         asked.n_modes,
     )
 
