@@ -396,6 +396,7 @@ def test_invalid_draws_give_nan(change):
     ],
 )
 def test_what_is_no_chain_gives_nan(linear):
+    kernel = FAMILIES["duffing"].kernels["response"]
     for cubic in (0.0, 10.0):
         settings = (np.array([0.0, 1.0, 0.5]), 0.02, 1, 1, np.arange(2), 2, 0)
         assert np.isnan(
