@@ -7,10 +7,15 @@ from pymc_features.simulators.gradient import discrepancy_gradient, population_g
 from pymc_features.simulators.histories import HISTORIES, has_response, modal_systems, response_blocks
 from pymc_features.simulators.linear import (
     linear_discrepancy,
+    linear_discrepancy_gradient,
+    linear_discrepancy_tangent,
     linear_misfit,
     linear_population_discrepancy,
+    linear_population_gradient,
     linear_population_misfit,
     linear_response,
+    linear_response_gradient,
+    linear_response_tangent,
 )
 from pymc_features.simulators.population import population_discrepancy, population_misfit
 from pymc_features.simulators.quantities import at_outputs, checked_request, force_share, rows_of
@@ -38,10 +43,15 @@ __all__ = [
     "has_response",
     "integration_error",
     "linear_discrepancy",
+    "linear_discrepancy_gradient",
+    "linear_discrepancy_tangent",
     "linear_misfit",
     "linear_population_discrepancy",
+    "linear_population_gradient",
     "linear_population_misfit",
     "linear_response",
+    "linear_response_gradient",
+    "linear_response_tangent",
     "modal_systems",
     "n_outputs",
     "population_discrepancy",
