@@ -399,12 +399,8 @@ def test_what_is_no_chain_gives_nan(linear):
     kernel = FAMILIES["duffing"].kernels["response"]
     for cubic in (0.0, 10.0):
         settings = (np.array([0.0, 1.0, 0.5]), 0.02, 1, 1, np.arange(2), 2, 0)
-        assert np.isnan(
-            FAMILIES["duffing"].kernels["response"](*linear, np.full((1, 2), cubic), *settings)
-        ).all()
-    assert np.isnan(
-        FAMILIES["duffing"].kernels["response"](*linear, np.full((1, 2), np.nan), *settings)
-    ).all()
+        assert np.isnan(kernel(*linear, np.full((1, 2), cubic), *settings)).all()
+    assert np.isnan(kernel(*linear, np.full((1, 2), np.nan), *settings)).all()
 
 
 def test_absurd_draws_are_no_exception():
