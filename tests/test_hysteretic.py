@@ -17,7 +17,6 @@ from pymc_features import (
     Record,
     SpringMassChain,
     integration_error,
-    response,
     simulate,
     spring_forces,
 )
@@ -462,10 +461,6 @@ def test_refusals_of_the_functions(chain):
         ValueError, match="`n_modes` must be left out for a nonlinear structure, got 2. .*Chain"
     ):
         simulate(chain, record, n_modes=2)
-    with pytest.raises(
-        TypeError, match="must be a SpringM.* got (Hysteretic|Duffing)Chain. .*DiscrepancySimul"
-    ):
-        response(chain, record)
     with pytest.raises(ValueError, match="`dt` must be an integer multiple or divisor"):
         simulate(chain, record, dt=0.03)
     with pytest.raises(TypeError, match="`record` must be a Record, got list"):

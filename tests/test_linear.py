@@ -560,11 +560,6 @@ def test_symbolic_parameters_are_for_models():
     assert LinearStructure([1.0], RayleighDamping(pt.scalar(), 0.0), [1.0]).is_symbolic
 
 
-def test_response_inside_a_model_is_refused():
-    with pytest.raises(TypeError, match="got LinearStructure. Pass a function .* `DiscrepancySimul"):
-        response(LinearStructure([1.0], UNDAMPED, [1.0]), noise_record(0))
-
-
 def test_road_to_a_model():
     """A function that simulates, in `DiscrepancySimulator`; what is no structure is rejected, not raised."""
     structure, record = affine(), noise_record(16)
