@@ -4,7 +4,6 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import pytest
-import xarray as xr
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipkinc
 
@@ -472,9 +471,6 @@ def test_refusals_of_the_functions(chain):
     for function in (spring_forces, integration_error):
         with pytest.raises(TypeError, match="`structure` must be a nonlinear chain, got SpringMassChain"):
             function(linear, record)
-    posterior = xr.Dataset({"scale": (("chain", "draw"), [[1.0, 1.1]])})
-    with pytest.raises(TypeError, match="must return a SpringMassChain, got .*Chain. Call `simulate` for"):
-        pmf.posterior_response(posterior, lambda scale: chain.scale_stiffness(scale, [0]), record)
     arguments = (*chain.parameters(), record.acceleration, 0.02, 1, 1, np.arange(3), 2, 0)
     with pytest.raises(ValueError, match="`n_modes` must be all 3 of a nonlinear chain, got 2"):
         FAMILIES[chain.family].kernels["response"](*arguments)
