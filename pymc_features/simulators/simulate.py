@@ -8,7 +8,7 @@ from scipy import sparse
 
 from pymc_features.simulators.bouc_wen import BoucWen
 from pymc_features.simulators.cubic import Cubic
-from pymc_features.simulators.linear import linear_response
+from pymc_features.simulators.linear.response import response_in_modes
 from pymc_features.simulators.nonlinear import nonlinear_response
 from pymc_features.simulators.recursion import chain_response
 from pymc_features.simulators.sampling import UNITS, check_outputs, request
@@ -46,7 +46,10 @@ def linear(structure, record, asked, outputs):
         outputs = sparse.csr_array(
             (np.ones(rows.size), (rows, asked.sensors)), shape=(rows.size, structure.n_dof)
         )
-    history = linear_response(
+    modes = structure.modes(asked.n_modes)  # kept by the structure from one response to the next
+    return response_in_modes(
+        modes.angular_frequencies,
+        modes.mode_shapes,
         *structure.parameters(),
         *structure.constants(record),
         structure.excitation(record),
@@ -57,9 +60,6 @@ def linear(structure, record, asked, outputs):
         asked.n_modes,
         asked.quantity_code,
     )
-    if np.isnan(history).any():
-        structure.modes(asked.n_modes)  # says so if it is the modes that cannot be found
-    return history
 
 
 # For each family of structures: structure, record or loading, request and matrix of outputs (with all sensors
