@@ -4,6 +4,7 @@ import numpy as np
 
 from pymc_features.simulators.compilation import jit
 from pymc_features.simulators.discrepancy import add_increments
+from pymc_features.simulators.linear.arguments import writable
 
 
 @jit
@@ -63,4 +64,4 @@ def destination(shape, observed):
     """Arrays `observed`, `history` and `sums` of `take_block`: no data, no comparison."""
     if observed is None:
         return np.empty((0, 0)), np.empty(shape), np.zeros((4, 0))
-    return np.ascontiguousarray(observed, dtype=np.float64), np.empty((0, 0)), np.zeros((4, shape[0]))
+    return writable(observed), np.empty((0, 0)), np.zeros((4, shape[0]))

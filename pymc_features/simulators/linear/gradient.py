@@ -44,7 +44,7 @@ def linear_discrepancy_gradient(*arguments) -> tuple:
     couples also their state at every 128th step.
     """
     a, observed, weights = Arguments(*arguments[:N_ARGUMENTS]), *arguments[N_ARGUMENTS:]
-    a.check(observed)
+    a.check(observed, weights)
     return gradient(a, observed, weights)
 
 
@@ -56,11 +56,11 @@ def linear_population_gradient(*arguments) -> tuple:
     """
     parameters, rest = arguments[:N_PARAMETERS], arguments[N_PARAMETERS:N_ARGUMENTS]
     observed, weights = arguments[N_ARGUMENTS:]
-    count = max(n_particles(parameters), weights.shape[0])
+    count = n_particles(parameters, weights)
     sums = tuple(np.zeros(array.shape) for array in parameters)
     for p in range(count):
         a = Arguments(*one_of(parameters, p), *rest)
-        a.check(observed)
+        a.check(observed, weights[p])
         for total, own in zip(sums, gradient(a, observed, weights[p]), strict=True):
             total[p % total.shape[0]] += own
     return sums

@@ -10,6 +10,7 @@ import numpy as np
 from pymc_features.simulators.compilation import jit
 from pymc_features.simulators.gradient import copy_block, weigh_misfit
 from pymc_features.simulators.lanes import LANES
+from pymc_features.simulators.linear.arguments import writable
 from pymc_features.simulators.linear.blocks import take_change
 from pymc_features.simulators.linear.classical import SMALLEST_FREQUENCY
 from pymc_features.simulators.linear.projection import Cotangent
@@ -137,8 +138,10 @@ def march_change(coefficients, combination, outputs, feed, inputs, substeps, str
 def prepare(a, system):
     """Coefficients and outputs of the kernels above, S phi (s, m), and which pairs are close (m, m)."""
     m = system.omega.size
-    ratios = np.ascontiguousarray(a.ratios[:m], dtype=np.float64)
-    coefficients = oscillator_coefficients(system.omega, system.drag, a.rayleigh, ratios, a.step, a.quantity)
+    ratios = writable(a.ratios[:m])
+    coefficients = oscillator_coefficients(
+        system.omega, system.drag, writable(a.rayleigh), ratios, a.step, a.quantity
+    )
     seen = a.sensors @ system.shapes
     padded = coefficients.shape[0] // N_COEFFICIENTS * LANES
     outputs = np.zeros((a.acceleration.shape[0], padded, seen.shape[0]))
@@ -147,7 +150,7 @@ def prepare(a, system):
     if a.quantity == ABSOLUTE_ACCELERATION:
         feed += a.sensors @ a.influence
     duration = a.shape[1] * a.stride * a.step
-    close, _ = close_modes(system.omega, a.rayleigh, ratios, duration, m)
+    close, _ = close_modes(system.omega, writable(a.rayleigh), ratios, duration, m)
     np.fill_diagonal(close, True)
     return coefficients, outputs, feed, seen, close
 
@@ -162,8 +165,8 @@ def pull_back(a, system, history, weights):
     coefficients, outputs, feed, seen, close = prepare(a, system)
     m, omega, participation = system.omega.size, system.omega, system.participation
     sums = sum_histories(
-        *(coefficients, outputs, feed, np.ascontiguousarray(a.acceleration), *a.grid),
-        *(np.ascontiguousarray(history, dtype=np.float64), np.ascontiguousarray(weights, dtype=np.float64)),
+        *(coefficients, outputs, feed, a.inputs, *a.grid),
+        *(writable(history), writable(weights)),
     )[..., :m]
     f, f_lambda, f_drag = (np.einsum("ri,ijr->jr", participation, one) for one in sums)
     by_load, slopes = (np.einsum("jr,ijr->ri", seen, one) for one in sums[:2])
@@ -211,6 +214,6 @@ def push_forward(a, system, motion, d_rayleigh, d_ratios, observed, history, sum
         if load_change[k] is not None:
             combination[k, :, :m] += load_change[k].T[:, :, None] * seen.T
     march_change(
-        *(coefficients, combination, outputs, feed, np.ascontiguousarray(a.acceleration), *a.grid),
+        *(coefficients, combination, outputs, feed, a.inputs, *a.grid),
         *(observed, history, sums),
     )

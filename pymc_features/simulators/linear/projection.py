@@ -12,6 +12,7 @@ import numpy as np
 
 from pymc_features.algebra import assemble
 from pymc_features.simulators.compilation import jit
+from pymc_features.simulators.linear.arguments import writable
 from pymc_features.simulators.linear.complement import invert_outside
 
 
@@ -75,7 +76,9 @@ def stored_products(a, left, right):
     """Entries (e,) of left right' at the places of the pattern; two arrays (n, k)."""
     if not a.starts.size:
         return (left @ right.T).ravel()
-    return sparse_products(np.ascontiguousarray(left), np.ascontiguousarray(right), a.rows, a.starts)
+    return sparse_products(
+        writable(left), writable(right), writable(a.rows, np.int64), writable(a.starts, np.int64)
+    )
 
 
 @jit

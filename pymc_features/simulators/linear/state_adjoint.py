@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import expm_frechet
 
 from pymc_features.simulators.compilation import jit
+from pymc_features.simulators.linear.arguments import writable
 from pymc_features.simulators.linear.blocks import take_change
 from pymc_features.simulators.linear.projection import Cotangent
 from pymc_features.simulators.linear.state_space import (
@@ -134,8 +135,8 @@ def pull_back(a, system, history, weights):
     seen, direct = observe(a, system)
     matrices = step_matrices(system.omega, system.drag, system.participation, seen, a.step, a.quantity)
     by_transition, by_now, by_after, by_output, by_direct = state_sums(
-        *(*matrices, direct, np.ascontiguousarray(a.acceleration), *a.grid),
-        *(np.ascontiguousarray(history, dtype=np.float64), np.ascontiguousarray(weights, dtype=np.float64)),
+        *(*matrices, direct, a.inputs, *a.grid),
+        *(writable(history), writable(weights)),
     )
     system_matrix, scale = step_system(system.omega, system.drag, system.participation, a.step)
     by_whole = np.zeros_like(system_matrix)
@@ -203,6 +204,6 @@ def push_forward(a, system, motion, d_rayleigh, d_ratios, observed, history, sum
         np.block([[transition, none(transition)], [changes[0], transition]]),
         *(np.vstack([now, changes[1]]), np.vstack([after, changes[2]])),
         np.block([[own_output, none(own_output)], [output, own_output]]),
-        *(np.vstack([direct, d_direct]), np.ascontiguousarray(a.acceleration), *a.grid),
+        *(np.vstack([direct, d_direct]), a.inputs, *a.grid),
         *(observed, history, sums),
     )
