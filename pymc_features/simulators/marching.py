@@ -91,7 +91,7 @@ class Oscillators(Marched):
         super().__init__(question)
         forces = [k for k, record in enumerate(question.records) if is_force(record)]
         self.loads = [1 + forces.index(k) if k in forces else 0 for k in range(len(question.records))]
-        self.omega, self.zeta, self.participation, self.seen, self.direct = [], [], [], [], []
+        self.omega, self.drag, self.participation, self.seen, self.direct = [], [], [], [], []
 
     def __len__(self):
         return len(self.omega)
@@ -100,11 +100,11 @@ class Oscillators(Marched):
         """Keep the modes of a structure; False where it has no response to one of the records."""
         question, n_modes = self.question, self.question.requests[0].n_modes
         modes, drag = structure.modes(n_modes), structure.modal_damping(n_modes)
-        omega = np.maximum(modes.angular_frequencies, SMALLEST_FREQUENCY)
+        omega = modes.angular_frequencies
         # no negative damping beyond rounding
-        zeta = np.maximum(drag if drag.ndim == 1 else np.diagonal(drag), 0.0) / (2.0 * omega)
+        drag = np.maximum(drag if drag.ndim == 1 else np.diagonal(drag), 0.0)
         scratch = np.empty((N_ROWS, n_modes))
-        if not all(modal_table(omega, zeta, step, 0, scratch) for step in set(self.steps)):
+        if not all(write_table(omega, drag, step, 0, scratch) for step in set(self.steps)):
             return False
         loads = {load: question.records[k] for k, load in enumerate(self.loads)}
         shares = {load: participation(structure, record, modes) for load, record in loads.items()}
@@ -115,7 +115,7 @@ class Oscillators(Marched):
             for load, record in loads.items():
                 direct[name, load] = feed_through(structure, record, name, rows, seen[name] @ shares[load])
         self.omega.append(omega)
-        self.zeta.append(zeta)
+        self.drag.append(drag)
         self.participation.append(shares)
         self.seen.append(seen)
         self.direct.append(direct)
@@ -125,14 +125,20 @@ class Oscillators(Marched):
         """Recursions for record `k` and a quantity."""
         load, code = self.loads[k], QUANTITIES.index(HISTORIES[name].source)
         tables = np.empty((len(self), N_ROWS, self.omega[0].size))
-        for omega, zeta, table in zip(self.omega, self.zeta, tables, strict=True):
-            modal_table(omega, zeta, self.steps[k], code, table)
+        for omega, drag, table in zip(self.omega, self.drag, tables, strict=True):
+            write_table(omega, drag, self.steps[k], code, table)
         return Systems(
             tables,
             np.stack([np.ascontiguousarray(shares[load].T) for shares in self.participation]),
             np.stack([seen[name] for seen in self.seen]),
             np.stack([direct[name, load] for direct in self.direct]),
         )
+
+
+def write_table(omega, drag, step, quantity, table) -> bool:
+    """Write the recursion table (11, m) of modes with 2 zeta omega = `drag` (m,); False where it has none."""
+    omega = np.maximum(omega, SMALLEST_FREQUENCY)
+    return modal_table(omega, drag / (2.0 * omega), step, quantity, table)
 
 
 def is_force(record) -> bool:
