@@ -7,7 +7,8 @@ from pymc_features.simulators.lane_bits import all_equal, exponent, scale
 from pymc_features.simulators.lanes import nearest, splat, where_less
 
 TINY = 1e-300  # what a zero counts as in a logarithm
-LOG_TERMS = 11  # of log m = 2 atanh((m - 1)/(m + 1)): with m from sqrt(1/2) to sqrt(2) the next is below 1e-18
+# Terms of log m = 2 atanh((m - 1)/(m + 1)), m from sqrt(1/2) to sqrt(2): the next is below 1e-18
+LOG_TERMS = 11
 EXP_TERMS = 14  # of the exponential series: with |x| below log(2)/2 the next is below 1e-18
 
 

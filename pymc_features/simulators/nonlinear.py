@@ -51,30 +51,30 @@ def check_parameters(law, parameters, sensors, n_modes):
 
 
 @jit
-def start_sample(law, acceleration, sampling, sample):
-    """Write the slope of the state at an output sample; return the ground acceleration [m/s^2] there.
+def begin(law, acceleration, sampling, fine):
+    """Write the slope of the state after `fine` steps; return the ground acceleration [m/s^2] there.
 
     `sampling`: dt, substeps, stride.
     """
-    ground = ground_at(acceleration, sample * sampling[2], sampling[1])
+    ground = ground_at(acceleration, fine, sampling[1])
     write_slope(law, ground, state(law, 0), slope(law, 0))
     return ground
 
 
 @jit
 def next_sample(law, acceleration, sampling, sample, refine, tape):
-    """Carry the state from output sample `sample` to the next; False where the integration fails.
+    """Carry a state with its slope from output sample `sample` to the next; False where that fails.
 
     Depends on nothing but the state, so that it can be repeated from one.
     """
     dt, substeps, stride = sampling
     length = dt / substeps
-    start_sample(law, acceleration, sampling, sample)
+    start = ground_at(acceleration, sample * stride, substeps)
     for fine in range(sample * stride, (sample + 1) * stride):
-        start = ground_at(acceleration, fine, substeps)
-        rise = ground_at(acceleration, fine + 1, substeps) - start
-        if not advance(law, length, start, rise / length, refine, tape):
+        trend = (ground_at(acceleration, fine + 1, substeps) - start) / length
+        if not advance(law, length, start, trend, refine, tape):
             return False
+        start = begin(law, acceleration, sampling, fine + 1)
     return True
 
 
@@ -111,27 +111,26 @@ def write_springs(law, quantity, springs, outputs):
 
 
 @jit
-def history_kernel(
-    law, parameters, acceleration, dt, substeps, stride, sensors, n_modes, quantities, refine
-):
+def history_kernel(law, parameters, acceleration, dt, substeps, stride, sensors, n_modes, quantities, refine):
     """Histories (quantity, sensor, time) of a chain whose springs follow `law`, at rest at first.
 
-    `parameters` as of `spring_chain.prepare`, others as of `recursion.chain_response`; `quantities` are codes,
-    and `refine` divides every step. All NaN where the parameters describe no structure or the integration
-    fails.
+    `parameters` as of `spring_chain.prepare`, others as of `recursion.chain_response`; `quantities` are
+    codes, and `refine` divides every step. All NaN where the parameters describe no structure or the
+    integration fails.
     """
     check_parameters(law, parameters, sensors, n_modes)
     total = n_outputs(acceleration.size, substeps, stride)
     history = np.empty((quantities.size, sensors.size, total))
     outputs, sampling = np.empty(sensors.size), (dt, substeps, stride)
     valid = prepare(law, parameters)
+    begin(law, acceleration, sampling, 0)
     for sample in range(total):
         if sample > 0 and valid:
             valid = next_sample(law, acceleration, sampling, sample - 1, refine, None)
         if not valid:
             history[:] = np.nan
             return history
-        ground = start_sample(law, acceleration, sampling, sample)
+        ground = ground_at(acceleration, sample * stride, substeps)
         for q in range(quantities.size):
             if quantities[q] < SPRING_FORCE:
                 write_outputs(law, ground, quantities[q], sensors, outputs)

@@ -1,9 +1,10 @@
 """Restoring-force laws of springs, chosen when a kernel is compiled.
 
 A law is a type of named tuple that says where the memory of a chain lies (`spring_chain.py`): its `address`,
-the `rows` of vectors for its `n` springs; and five functions of it, registered by `register`. The kernels call `spring`,
-`partials`, `pace`, `is_law` and `has_kinks`; Numba picks the functions from the *type* of the tuple, so that
-each law has a kernel of its own, without a branch, and its machine code is kept on disk as any other.
+the `rows` of vectors for its `n` springs; and five functions of it, registered by `register`. The kernels
+call `spring`, `partials`, `pace`, `is_law` and `has_kinks`; Numba picks the functions from the *type* of the
+tuple, so that each law has a kernel of its own, without a branch, and its machine code is kept on disk as
+any other.
 
 `spring`, `partials` and `pace` take and return vectors (`lanes.py`): `LANES` springs at a time, the group
 number `row` of them. A law reads its parameters of these springs by `parameter`, of one spring by `single`.

@@ -50,6 +50,7 @@ STAGES = (
     (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
     (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
 )
+WEIGHTS = np.array([[*row, *[0.0] * (6 - len(row))] for row in ((), *STAGES)])  # the same, (7, 6)
 TIMES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0)
 LAST = N_STAGES - 1
 
@@ -101,14 +102,23 @@ def accept(law):
 
 
 @jit
-def kink_function(law, here, which):
+def kink_function(law, address, here, which):
     """Drift rate of a spring (which < n) or its internal variable; of a slope, their time derivatives."""
     p = law.rows * LANES
     first = here * LANES
     if which >= law.n:
-        return read_number(law.address, first + 2 * p + which - law.n)
-    lower = read_number(law.address, first + p + which - 1) if which > 0 else 0.0
-    return read_number(law.address, first + p + which) - lower
+        return read_number(address, first + 2 * p + which - law.n)
+    lower = read_number(address, first + p + which - 1) if which > 0 else 0.0
+    return read_number(address, first + p + which) - lower
+
+
+@jit
+def kink_value(law, s, which):
+    """The kink function at stage `s`, and its time derivative."""
+    return (
+        kink_function(law, law.address, state(law, s), which),
+        kink_function(law, law.address, slope(law, s), which),
+    )
 
 
 @jit
@@ -150,14 +160,10 @@ def first_kink(law, step):
     if any_kink(law):
         passed = PASSED * law.rows * LANES
         for k in range(2 * law.n):
-            before, after = kink_function(law, state(law, 0), k), kink_function(law, state(law, LAST), k)
+            before, slope_before = kink_value(law, 0, k)
+            after, slope_after = kink_value(law, LAST, k)
             if before * after < 0.0 and read_number(law.address, passed + k) == 0.0:
-                x = cubic_root(
-                    before,
-                    after,
-                    step * kink_function(law, slope(law, 0), k),
-                    step * kink_function(law, slope(law, LAST), k),
-                )
+                x = cubic_root(before, after, step * slope_before, step * slope_after)
                 if which < 0 or x < where:
                     which, where = k, x
     return which, where
@@ -168,7 +174,8 @@ def step_to_kink(law, which, step, piece, ground, trend):
     """Make the step that ends at a kink, from a guess `piece` of its length; return the length."""
     for iteration in range(NEWTON_STEPS):
         try_step(law, piece, ground, trend)
-        miss = kink_function(law, state(law, LAST), which) / kink_function(law, slope(law, LAST), which)
+        value, change = kink_value(law, LAST, which)
+        miss = value / change
         better = piece - miss
         if abs(miss) < KINK_TOLERANCE * step or not 0.0 < better < step or iteration == NEWTON_STEPS - 1:
             break

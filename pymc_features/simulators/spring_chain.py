@@ -85,8 +85,8 @@ def fill(law, block, values, last):
 def prepare(law, parameters):
     """Write what describes a chain into its memory, which is at rest then; False if it is no chain.
 
-    `parameters`: masses (n,), initial stiffnesses (n,), Rayleigh pair (2,), damping ratios (n,), and the law's
-    (rows, n).
+    `parameters`: masses (n,), initial stiffnesses (n,), Rayleigh pair (2,), damping ratios (n,), and the
+    law's (rows, n).
     """
     mass, stiffness, rayleigh, ratios, values = parameters
     n = mass.size
@@ -122,7 +122,7 @@ def prepare(law, parameters):
 
 @jit
 def deformation(law, first, row):
-    """Drifts and their rates of the springs of group `row`, of a state that begins at `first`; or of a slope."""
+    """Drifts and their rates of the springs of group `row` in the state, or slope, at `first`."""
     u, v = read_lanes(law.address, first + row), read_lanes(law.address, first + law.rows + row)
     u_last = v_last = splat(0.0)
     if row > 0:

@@ -27,7 +27,12 @@ class Tape(NamedTuple):
 
 def tape_memory(n: int) -> np.ndarray:
     """Memory of a tape for n degrees of freedom."""
-    return aligned(LANES + CAPACITY * (3 * padded(n) + LANES))
+    return aligned(LANES * (1 + CAPACITY * record_size(n)))
+
+
+def record_size(n: int) -> int:
+    """Vectors in one record for n degrees of freedom."""
+    return 3 * padded(n) // LANES + 1
 
 
 @jit
