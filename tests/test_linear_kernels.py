@@ -197,6 +197,17 @@ def twin_towers(coupled):
     return Case(masses, damping, stiffnesses, [0.0, 0.0, 0.0], influence=influence)
 
 
+def twin_rafts(coupled):
+    """Two floating chains: two modes of frequency zero; the parameters hold the chains and link them."""
+    one = springs(4, 200.0, free=True)
+    link = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.diag([0.0, 1.0, 0.0, 2.0]))
+    mass, holds = np.diag([2.0, 1.0, 1.0, 1.5, 1.0, 1.0, 3.0, 1.0]), np.diag([1.0, *[0.0] * 7])
+    damping = [np.kron(np.eye(2), 0.02 * one), 0.1 * holds, 0.1 * link] if coupled else []
+    stiffness = [np.kron(np.eye(2), one), holds, link]
+    forces = np.arange(1.0, 9.0)[:, None]
+    return Case([mass, 0.1 * mass, 0.0 * mass], damping, stiffness, [0.0, 0.0], forces=forces, quantity=3)
+
+
 def proportional_matrix():
     """C_0 that the modes diagonalise at theta = 0, and a dashpot by which its derivative couples them."""
     case = random_case(8, 4, coupled=True, constant_mass=True)
@@ -224,6 +235,7 @@ for _coupled in (False, True):
             1e-9,
         ),
         f"{_tag}, repeated": (twin_towers(_coupled), 1e-9),
+        f"{_tag}, repeated rigid bodies": (twin_rafts(_coupled), 1e-9),
         f"{_tag}, truncated": (random_case(10, 6, coupled=_coupled, n_modes=2), 1e-7),
         f"{_tag}, truncated, sparse": (
             random_case(11, 9, coupled=_coupled, n_modes=3, d=2, is_sparse=True, quantity=1),
@@ -490,7 +502,7 @@ def test_sizes_that_disagree():
 
 @pytest.mark.parametrize("coupled", [False, True])
 def test_twenty_modes_of_two_thousand(coupled):
-    """Against modes of a banded eigen-solver and a matrix exponential: response to 1e-8, tangent, transpose."""
+    """Against a banded eigen-solver and a matrix exponential: response to 1e-8, tangent, transpose."""
     n, kept, k = 2000, 20, 1e8
     rng = np.random.default_rng(6)
     zones = np.arange(n) * 4 // n

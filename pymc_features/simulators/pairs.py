@@ -31,7 +31,8 @@ def close_modes(omega, rayleigh, ratios, duration, n_modes):
         memory = max(min(duration, 1.0 / decay), 3.0 / omega[r])
         for s in range(r):
             gap = abs(omega[r] - omega[s])
-            if gap == 0.0 or (ratios[r] == ratios[s] and gap * memory < CLOSE):
+            growth = gap * (omega[r] + omega[s]) * duration * duration  # between modes that hardly swing
+            if gap == 0.0 or (ratios[r] == ratios[s] and min(gap * memory, growth) < CLOSE):
                 close[r, s] = close[s, r] = found = True
     return close, found
 
