@@ -176,6 +176,9 @@ def random_case(seed, n, *, coupled=False, free=False, constant_mass=False, d=1,
     stiffness = [springs(n, rng.uniform(50.0, 400.0, count), free=free)]
     stiffness += [springs(n, rng.uniform(0.0, 80.0, count), free=free) for _ in range(3)]
     damping = [definite(rng, n, 0.5), definite(rng, n, 0.1), definite(rng, n, 0.3), zero] if coupled else []
+    if coupled:
+        skew = rng.normal(size=(n, n))
+        damping[1] += 0.1 * (skew - skew.T)  # gyroscopic
     load = {"forces" if forces else "influence": rng.normal(size=(n, d))}
     mass = mass[:1] if constant_mass else mass
     return Case(mass, damping, stiffness, [1.0, 0.5, 0.7], **load, **asked)
