@@ -176,6 +176,9 @@ def random_case(seed, n, *, coupled=False, free=False, constant_mass=False, d=1,
     stiffness = [springs(n, rng.uniform(50.0, 400.0, count), free=free)]
     stiffness += [springs(n, rng.uniform(0.0, 80.0, count), free=free) for _ in range(3)]
     damping = [definite(rng, n, 0.5), definite(rng, n, 0.1), definite(rng, n, 0.3), zero] if coupled else []
+    if coupled:
+        skew = rng.normal(size=(n, n))
+        damping[1] += 0.1 * (skew - skew.T)  # gyroscopic
     load = {"forces" if forces else "influence": rng.normal(size=(n, d))}
     mass = mass[:1] if constant_mass else mass
     return Case(mass, damping, stiffness, [1.0, 0.5, 0.7], **load, **asked)
@@ -195,6 +198,17 @@ def twin_towers(coupled):
         [stiffness, 0.0 * link, 0.1 * stiffness, link],
     )
     return Case(masses, damping, stiffnesses, [0.0, 0.0, 0.0], influence=influence)
+
+
+def twin_rafts(coupled):
+    """Two floating chains: two modes of frequency zero; the parameters hold the chains and link them."""
+    one = springs(4, 200.0, free=True)
+    link = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.diag([0.0, 1.0, 0.0, 2.0]))
+    mass, holds = np.diag([2.0, 1.0, 1.0, 1.5, 1.0, 1.0, 3.0, 1.0]), np.diag([1.0, *[0.0] * 7])
+    damping = [np.kron(np.eye(2), 0.02 * one), 0.1 * holds, 0.1 * link] if coupled else []
+    stiffness = [np.kron(np.eye(2), one), holds, link]
+    forces = np.arange(1.0, 9.0)[:, None]
+    return Case([mass, 0.1 * mass, 0.0 * mass], damping, stiffness, [0.0, 0.0], forces=forces, quantity=3)
 
 
 def proportional_matrix():
@@ -224,6 +238,7 @@ for _coupled in (False, True):
             1e-9,
         ),
         f"{_tag}, repeated": (twin_towers(_coupled), 1e-9),
+        f"{_tag}, repeated rigid bodies": (twin_rafts(_coupled), 1e-9),
         f"{_tag}, truncated": (random_case(10, 6, coupled=_coupled, n_modes=2), 1e-7),
         f"{_tag}, truncated, sparse": (
             random_case(11, 9, coupled=_coupled, n_modes=3, d=2, is_sparse=True, quantity=1),
@@ -409,30 +424,32 @@ def test_population_is_its_particles(name):
 # --------------------------------------------------------------------------- what is no structure
 
 
+@pytest.mark.parametrize("large", [False, True])
 @pytest.mark.parametrize(
-    ("coupled", "change"),
+    ("coupled", "name", "value"),
     [
-        (False, {"theta": [np.nan, 0.0, 0.0]}),
-        (False, {"theta": [1e308, 1e308, 1e308]}),
-        (False, {"theta": [-30.0, 0.0, 0.0]}),  # M
-        (False, {"theta": [0.0, -30.0, 0.0]}),  # K
-        (False, {"rayleigh": [-10.0, 0.0]}),
-        (False, {"rayleigh": [np.inf, 0.0]}),
-        (False, {"ratios": [0.0, -0.5, 0.0, 0.0]}),
-        (True, {"theta": [0.0, -4.0, 0.0]}),  # C
-        (True, {"theta": [np.inf, 0.0, 0.0]}),
+        (False, "theta", [np.nan, 0.0, 0.0]),
+        (False, "theta", [1e308, 1e308, 1e308]),
+        (False, "theta", [-30.0, 0.0, 0.0]),  # M
+        (False, "theta", [0.0, -30.0, 0.0]),  # K
+        (False, "rayleigh", [-10.0, 0.0]),
+        (False, "rayleigh", [np.inf, 0.0]),
+        (False, "ratios", [-0.5]),
+        (True, "theta", [0.0, -4.0, 0.0]),  # C
+        (True, "theta", [np.inf, 0.0, 0.0]),
     ],
 )
-def test_no_structure_gives_nan(coupled, change):
-    """Never an exception; and the same shapes as ever."""
-    case = random_case(15, 4, coupled=coupled)
-    if "theta" in change and change["theta"][1] == -4.0:
-        case.stiffness[2] *= 0.0
+def test_no_structure_gives_nan(coupled, name, value, large):
+    """Never an exception; and the same shapes as ever. Dense, and sparse with few modes."""
+    size = dict(n=9, n_modes=3, is_sparse=True) if large else dict(n=4)
+    case = random_case(15, coupled=coupled, **size)
+    case.stiffness[1] *= 0.0  # the first parameter is of M alone
+    if coupled:
+        case.stiffness[2] *= 0.0  # and the second of C
     good, (observed, weights) = case.arguments, (np.zeros((3, 120)), np.ones(3))
-    names = "theta", "rayleigh", "ratios"
     own = [
-        np.array(change[name]) if name in change else a
-        for name, a in zip(names, case.parameters, strict=True)
+        np.resize(value, a.size) if key == name else a
+        for key, a in zip(("theta", "rayleigh", "ratios"), case.parameters, strict=True)
     ]
     bad = *own, *case.rest
     rows = tuple(np.array(a)[None] for a in own)
