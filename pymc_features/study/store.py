@@ -42,11 +42,11 @@ class PartStore:
             found = json.loads(path.read_text())
         except json.JSONDecodeError:
             found = {}
-        for key in wanted:
-            if found.get(key) != wanted[key]:
+        for key in wanted | found:
+            if found.get(key) != wanted.get(key):
                 raise StudyMismatchError(
                     f"`out` must be empty or hold the same study, got {self.folder} with {key} = "
-                    f"{found.get(key)!r} instead of {wanted[key]!r}. Choose another folder, or delete "
+                    f"{found.get(key)!r} instead of {wanted.get(key)!r}. Choose another folder, or delete "
                     "this one."
                 )
 
