@@ -25,13 +25,14 @@ from pymc_features import (
     response,
     simulate,
 )
+from pymc_features.algebra import eigen, natural_modes
+from pymc_features.algebra.factorisation import count_below, eliminate
 from pymc_features.simulators import QUANTITIES
-from pymc_features.simulators.linear import is_coupled, modal_table, superposed_response
+from pymc_features.simulators.linear.blocks import destination
+from pymc_features.simulators.linear.classical import march_modes, modal_table
+from pymc_features.simulators.linear.state_space import march_state, step_matrices
+from pymc_features.simulators.linear.system import is_coupled
 from pymc_features.simulators.recursion import N_ROWS
-from pymc_features.simulators.state_space import state_response, step_matrices
-from pymc_features.structures import eigen
-from pymc_features.structures.eigen import natural_modes
-from pymc_features.structures.factorisation import count_below, eliminate
 
 UNDAMPED = ModalDamping(0.0)
 
@@ -225,11 +226,15 @@ def test_both_routes_on_the_same_modes(quantity):
     participation, seen = np.ones((5, 1)), np.eye(5)
     inputs, direct = noise(18, (1, 200)), np.zeros((5, 1))
     table = np.empty((N_ROWS, 5))
-    assert modal_table(omega, zeta, 0.02, quantity, table)
-    singly = superposed_response(table, seen[None], direct, inputs, 1, 1)
-    matrices = step_matrices(omega, np.diag(2.0 * zeta * omega), participation, seen, 0.02, quantity)
-    for one, other in zip(singly, state_response(*matrices, direct, inputs, 1, 1), strict=True):
-        assert peak_error(other, one) < 1e-9 if np.any(one) else not np.any(other)
+    drag = 2.0 * zeta * omega
+    modal_table(omega, drag, 0.02, quantity, table)
+    singly, together = destination((5, 200), None), destination((5, 200), None)
+    march_modes(table, seen[None], direct, inputs, 1, 1, *singly)
+    matrices = step_matrices(omega, np.diag(drag), participation, seen, 0.02, quantity)
+    march_state(*matrices, direct, inputs, 1, 1, *together)
+    for one, other in zip(singly[1], together[1], strict=True):
+        at_rest = np.abs(one).max() < 1e-150  # the rigid body's acceleration relative to its base
+        assert not np.any(other) if at_rest else peak_error(other, one) < 1e-9
 
 
 @pytest.mark.parametrize("n_modes", [1, 3, 6])
@@ -389,8 +394,7 @@ def test_large_sparse_structure(n):
     damping[n - 1, n - 1] += 200.0  # a dashpot at the top couples the modes
     sparse_c = LinearStructure(mass, damping, stiffness)
     assert is_coupled(sparse_c.modal_damping(kept))
-    dense_c = copy.copy(dense)  # shares the modes found above
-    dense_c._matrices = dense.mass, damping.toarray(), dense.stiffness
+    dense_c = LinearStructure(np.ones(n), damping.toarray(), stiffness.toarray())
     asked = dict(n_modes=kept, sensors=[1999])
     assert peak_error(simulate(sparse_c, record, **asked), simulate(dense_c, record, **asked)) < 1e-8
 
@@ -529,7 +533,7 @@ def test_affine_matrices(kind):
         np.testing.assert_allclose(a.toarray() if sparse.issparse(a) else a, b, rtol=1e-15)
     assert peak_error(simulate(changed, record), simulate(LinearStructure(*expected), record)) < 1e-12
     assert structure.theta.tolist() == [1.0, 0.0] and changed.theta.tolist() == [0.7, 0.25]
-    for before, after in zip(structure.parameters()[1:4], changed.parameters()[1:4], strict=True):
+    for before, after in zip(structure.constants(record)[:3], changed.constants(record)[:3], strict=True):
         assert before is after and before.shape[0] == 3
     assert peak_error(simulate(structure, record), simulate(changed, record)) > 1e-3
 

@@ -16,8 +16,8 @@ from pymc_features import (
     paper,
     simulate,
 )
+from pymc_features.simulators import FAMILIES
 from pymc_features.simulators.modal import chain_modes
-from pymc_features.simulators.simulate import RESPONSES
 from pymc_features.structures import STRUCTURES, Structure
 
 # One of each structure, with what its springs need
@@ -213,7 +213,7 @@ def test_every_chain_keeps_the_contract(kind):
     extra = EXTRA[kind.__name__]
     structure = kind([1.0, 2.0], 100.0, UNDAMPED, **extra)
     assert isinstance(structure, Structure)
-    assert structure.family in RESPONSES
+    assert structure.family in FAMILIES
     assert (structure.n_dof, structure.is_symbolic) == (2, False)
     assert repr(structure) == f"{kind.__name__}(2 masses, ModalDamping(0.0))"
     history = simulate(structure, Record([0.0, 1.0, 0.5], 0.02), sensors=[1])
@@ -254,7 +254,7 @@ def test_every_structure_is_tested():
 def test_every_linear_structure_of_the_catalogue(kind):
     """The same structure in every form: modes, damping, matrices, response, and what the base class asks."""
     structure, expected = EXAMPLES[kind](), EXAMPLES[SpringMassChain]()
-    assert isinstance(structure, Structure) and structure.family in RESPONSES
+    assert isinstance(structure, Structure) and structure.family in FAMILIES
     assert structure.n_dof == 3 and not structure.is_symbolic
     assert kind.__name__ in repr(structure)
     modes = structure.modes()

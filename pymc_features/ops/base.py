@@ -8,6 +8,7 @@ from pytensor.graph.basic import Constant, Variable
 from pytensor.graph.op import Op
 
 from pymc_features.simulators import FAMILIES, QUANTITIES, n_outputs
+from pymc_features.simulators.families import count
 
 
 class StructuralOp(Op):
@@ -126,11 +127,6 @@ class StructuralOp(Op):
         """Parameters and data count; constants, the record, the sampling and the sensors do not."""
         counts = [i < self.n_parameters or i >= self.n_common for i in range(len(node.inputs))]
         return [[c] * len(node.outputs) for c in counts]
-
-
-def count(dims: str) -> int:
-    """Number of dimensions of a shape such as "s,n"."""
-    return len(dims.split(",")) if dims else 0
 
 
 def shapes(inputs: dict[str, str]) -> str:

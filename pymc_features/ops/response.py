@@ -14,6 +14,7 @@ from pytensor.tensor.elemwise import DimShuffle, Elemwise
 from pytensor.tensor.shape import SpecifyShape
 from pytensor.tensor.variable import TensorVariable
 
+from pymc_features.algebra import to_dense
 from pymc_features.ops.base import StructuralOp
 from pymc_features.ops.gradient import ResponseGradient
 from pymc_features.records import Loading, Record
@@ -76,8 +77,9 @@ def response(
     Returns
     -------
     TensorVariable (sensor, time)
-        Sensors, storeys of a drift, outputs, or supports of a base shear. Exact, or of a nonlinear structure to 1e-6 of the peak, for an excitation that is linear between its
-        samples. NaN throughout where the parameters describe no structure.
+        Sensors, storeys of a drift, outputs, or supports of a base shear. Exact, or of a nonlinear structure
+        to 1e-6 of the peak, for an excitation that is linear between its samples. NaN throughout where the
+        parameters describe no structure.
 
     Raises
     ------
@@ -122,9 +124,7 @@ def base_shear(structure, record, dt, asked) -> TensorVariable:
     if share is None:
         return shear
     if isinstance(dt, SharedVariable):
-        raise TypeError(
-            "`dt` must be a number for a base shear under forces, got pm.Data. Pass dt=0.02, say."
-        )
+        raise TypeError("`dt` must be a number for a base shear under forces, got pm.Data. Pass seconds.")
     return shear + share @ at_outputs(record.values, asked)
 
 
@@ -139,7 +139,9 @@ def respond(structure, record, dt, asked, rows) -> TensorVariable:
     if isinstance(dt, SharedVariable):
         ratio = dt / record.dt
         substeps, stride = (pt.round(pt.maximum(r, 1.0)).astype("int64") for r in (1.0 / ratio, ratio))
-    rows = op.spec.place_of_sensors(rows, structure.n_dof)
+    rows = op.spec.rows(rows, structure.n_dof)
+    if op.spec.takes_outputs:
+        rows = as_data(to_dense(rows), "outputs")
     return op(
         *structure.parameters(),
         *map(as_data, structure.constants(record), op.spec.constants),
@@ -147,13 +149,13 @@ def respond(structure, record, dt, asked, rows) -> TensorVariable:
         record.dt,
         substeps,
         stride,
-        as_data(rows, "outputs") if rows.ndim == 2 else rows,
+        rows,
         asked.n_modes,
     )
 
 
 def as_data(array, name):
-    """An array as a shared variable: constants enter the key of compiled graphs, large ones prevent its use."""
+    """An array as a shared variable: constants enter the keys of compiled graphs, large ones prevent them."""
     return pytensor.shared(np.array(array), name=name, shape=array.shape)
 
 

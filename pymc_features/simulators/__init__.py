@@ -5,6 +5,13 @@ from pymc_features.simulators.discrepancy import chain_discrepancy, chain_misfit
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.gradient import discrepancy_gradient, population_gradient, response_gradient
 from pymc_features.simulators.histories import HISTORIES, has_response, modal_systems, response_blocks
+from pymc_features.simulators.linear import (
+    linear_discrepancy,
+    linear_misfit,
+    linear_population_discrepancy,
+    linear_population_misfit,
+    linear_response,
+)
 from pymc_features.simulators.population import population_discrepancy, population_misfit
 from pymc_features.simulators.quantities import at_outputs, checked_request, force_share, rows_of
 from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
@@ -30,6 +37,11 @@ __all__ = [
     "discrepancy_tangent",
     "has_response",
     "integration_error",
+    "linear_discrepancy",
+    "linear_misfit",
+    "linear_population_discrepancy",
+    "linear_population_misfit",
+    "linear_response",
     "modal_systems",
     "n_outputs",
     "population_discrepancy",

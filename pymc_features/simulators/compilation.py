@@ -20,7 +20,7 @@ FASTMATH = {"arcp", "contract", "afn", "reassoc", "nsz"}
 def source_hash() -> str:
     """SHA-256 of the sources of all kernels (hexadecimal)."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(path.name.encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()

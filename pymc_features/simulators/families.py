@@ -21,9 +21,20 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
 
+from pymc_features.simulators.bouc_wen import BoucWen
+from pymc_features.simulators.cubic import Cubic
 from pymc_features.simulators.discrepancy import chain_discrepancy, chain_misfit
 from pymc_features.simulators.gradient import discrepancy_gradient, population_gradient, response_gradient
+from pymc_features.simulators.linear import (
+    linear_discrepancy,
+    linear_misfit,
+    linear_population_discrepancy,
+    linear_population_misfit,
+    linear_response,
+)
+from pymc_features.simulators.nonlinear import nonlinear_response
 from pymc_features.simulators.population import population_discrepancy, population_misfit
 from pymc_features.simulators.recursion import chain_response
 from pymc_features.simulators.tangent import discrepancy_tangent, response_tangent
@@ -67,15 +78,28 @@ class Family(NamedTuple):
     def dtype(self, name: str) -> str:
         """Type of an input."""
         whole = ("substeps", "stride", "n_modes", *self.integers)
-        return "int64" if name in whole or (name == "sensors" and self.sensors == "s") else "float64"
+        whole += () if self.takes_outputs else ("sensors",)
+        return "int64" if name in whole else "float64"
 
-    def place_of_sensors(self, sensors: np.ndarray, n_dof: int) -> np.ndarray:
-        """Degrees of freedom (s,), or outputs (s, n), as the kernels take them."""
-        if self.sensors == "s" or sensors.ndim == 2:
-            return sensors
-        return np.eye(n_dof)[sensors]
+    @property
+    def takes_outputs(self) -> bool:
+        """Whether the kernels take combinations of degrees of freedom, S (s, n)."""
+        return count(self.sensors) == 2
+
+    def rows(self, picked: np.ndarray, n_dof: int):
+        """Degrees of freedom (s,) as the kernels take them; sparse where that is a matrix (s, n)."""
+        if not self.takes_outputs or picked.ndim == 2:
+            return picked
+        entries = np.ones(picked.size), (np.arange(picked.size), picked)
+        return sparse.csr_array(entries, shape=(picked.size, n_dof))
 
 
+def count(dims: str) -> int:
+    """Number of dimensions of a shape such as "s,n"."""
+    return len(dims.split(",")) if dims else 0
+
+
+NONLINEAR = {"hysteretic": BoucWen, "duffing": Cubic}  # the law of the springs
 SPRINGS = {"mass": "n", "stiffness": "n", "rayleigh": "2", "ratios": "n"}
 
 FAMILIES = {
@@ -95,4 +119,30 @@ FAMILIES = {
         },
         compiled=True,
     ),
+    "linear": Family(
+        {"theta": "p", "rayleigh": "2", "ratios": "k"},
+        {
+            "response": linear_response,
+            "discrepancy": linear_discrepancy,
+            "misfit": linear_misfit,
+            "population_discrepancy": linear_population_discrepancy,
+            "population_misfit": linear_population_misfit,
+        },
+        constants={
+            "mass": "a,e",
+            "damping": "b,e",
+            "stiffness": "c,e",
+            "rows": "r",
+            "starts": "q",
+            "influence": "n,d",
+            "forces": "n,d",
+        },
+        integers=("rows", "starts"),
+        excitation="d,t",
+        sensors="s,n",
+    ),
+}
+FAMILIES |= {
+    name: Family(SPRINGS | {"law": "l,n"}, {"response": nonlinear_response(law)})
+    for name, law in NONLINEAR.items()
 }

@@ -128,7 +128,7 @@ def nonlinear_histories(law, parameters, acceleration, dt, substeps, stride, sen
 
 
 def nonlinear_response(law):
-    """Return the response function of a law, as `simulators.RESPONSES` wants it."""
+    """Return the response function of a law, as `simulators.FAMILIES` wants it."""
 
     def response(mass, stiffness, rayleigh, ratios, values, *settings):
         *where, n_modes, quantity = settings

@@ -6,7 +6,13 @@ from pymc_features.simulators.compilation import jit
 from pymc_features.simulators.lanes import LANES
 from pymc_features.simulators.modal_lanes import diagonalise_lanes, fill_lane, normalise_lanes, take_lane
 from pymc_features.simulators.recursion import N_ROWS, check_sizes, modal_coefficients, n_outputs
-from pymc_features.simulators.recursion_lanes import N_COEFFICIENTS, SAMPLES, march, turn_to_output
+from pymc_features.simulators.recursion_lanes import (
+    N_COEFFICIENTS,
+    SAMPLES,
+    fill_recursion,
+    march,
+    take_sums,
+)
 
 
 @jit
@@ -64,7 +70,6 @@ def fill_group(
     mass, stiffness, rayleigh, ratios = parameters
     valid, lanes, omega, participation, mode_shapes, table, own, own_direct = modes
     _, _, frequencies, participations, _, vectors = lanes
-    even_modes = states.shape[0] // 2
     for array in (coefficients, states, shapes, direct):
         array.fill(0.0)
     group_modes(mass, stiffness, first, count, valid, lanes)
@@ -87,12 +92,7 @@ def fill_group(
             own_direct,
         )
         if valid[lane]:
-            for r in range(table.shape[1]):
-                turn_to_output(table, r, start, own, own_direct, coefficients, states, lane)
-            for j in range(sensors.size):
-                direct[j, lane] = own_direct[j]
-                for r in range(table.shape[1]):
-                    shapes[j * even_modes + r, lane] = own[j, r]
+            fill_recursion(table, own, own_direct, start, lane, coefficients, states, shapes, direct)
 
 
 @jit
@@ -147,13 +147,8 @@ def march_population(
             *(coefficients, states, shapes, direct, acceleration, substeps, stride, observed, errors, work),
             *(misfits, chained),
         )
+        take_sums(errors, misfits, chained, n_times, result[first : first + count])
         for lane in range(count):
-            for j in range(n_sensors):
-                result[first + lane, j, 0] = errors[j, lane] / n_times
-                if misfits is not None:
-                    result[first + lane, j, 1] = chained[0][j, lane] / n_times
-                    result[first + lane, j, 2] = chained[1][j, lane]
-                    result[first + lane, j, 3] = chained[2][j, lane]
             if not valid[lane]:
                 result[first + lane] = np.nan
     return result

@@ -85,8 +85,9 @@ def checked_request(structure, record, quantity, *, dt=None, sensors=None, n_mod
         )
     source, dim, _ = HISTORIES[quantity]
     if dim == "storey" and not structure.has_storeys:
+        known = ", ".join(name for name, made in HISTORIES.items() if made.dim != "storey")
         raise ValueError(
-            f"`quantity` must be one of {', '.join(q for q, r in HISTORIES.items() if r.dim != 'storey')} for "
+            f"`quantity` must be one of {known} for "
             f"a {type(structure).__name__}, got {quantity!r}. Its degrees of freedom are no storeys: pass "
             f"{source!r} and outputs=S with one row for each drift, 1 and -1 in the columns of its ends."
         )

@@ -73,6 +73,40 @@ def turn_to_output(table, r, start, shapes, direct, coefficients, states, lane):
 
 
 @jit
+def fill_recursion(table, own_shapes, own_direct, start, lane, coefficients, states, shapes, direct):
+    """Write one particle into its lane.
+
+    Parameters
+    ----------
+    table, own_shapes, own_direct : arrays (11, m), (s, m), (s,)
+        From `modal_system`; `own_direct` is overwritten.
+    start : float
+        First sample of the ground acceleration [m/s^2].
+    coefficients, states, shapes, direct : array (..., LANES)
+        Written; there are an even number of modes.
+    """
+    even_modes = states.shape[0] // 2
+    for r in range(table.shape[1]):
+        turn_to_output(table, r, start, own_shapes, own_direct, coefficients, states, lane)
+    for j in range(own_direct.size):
+        direct[j, lane] = own_direct[j]
+        for r in range(table.shape[1]):
+            shapes[j * even_modes + r, lane] = own_shapes[j, r]
+
+
+@jit
+def take_sums(errors, misfits, chained, n_times, result):
+    """Write what `march` summed up into `result` (particles, s, 1), or (particles, s, 4) with `misfits`."""
+    for lane in range(result.shape[0]):
+        for j in range(result.shape[1]):
+            result[lane, j, 0] = errors[j, lane] / n_times
+            if misfits is not None:
+                result[lane, j, 1] = chained[0][j, lane] / n_times
+                result[lane, j, 2] = chained[1][j, lane]
+                result[lane, j, 3] = chained[2][j, lane]
+
+
+@jit
 def advance_lanes(coefficients, states, ground, first, stride, outputs):
     """Write `SAMPLES` outputs of every mode into `outputs` (m SAMPLES, LANES) and carry the states on.
 

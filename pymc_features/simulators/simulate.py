@@ -5,48 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from pymc_features.simulators.bouc_wen import BoucWen
-from pymc_features.simulators.cubic import Cubic
-from pymc_features.simulators.linear import linear_response
-from pymc_features.simulators.nonlinear import nonlinear_response
+from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.quantities import HISTORIES, at_outputs, checked_request, force_share, rows_of
-from pymc_features.simulators.recursion import chain_response
-
-NONLINEAR = {"hysteretic": BoucWen, "duffing": Cubic}  # the law of the springs
-
-# Kernels that take parameters, then acceleration, dt, substeps, stride, sensors, number of modes and code of
-# the quantity, and return the response (sensor, time), all NaN where there is no structure.
-KERNELS = {"chain": chain_response} | {family: nonlinear_response(law) for family, law in NONLINEAR.items()}
-
-
-def under_ground_motion(kernel):
-    """Response of a family whose kernel takes its parameters and one ground acceleration."""
-
-    def respond(structure, record, asked, outputs):
-        if not hasattr(record, "acceleration"):
-            raise TypeError(
-                f"`record` must be a Record for a {type(structure).__name__}, got {type(record).__name__}. "
-                "Several supports and forces act on LinearStructure(*structure.matrices())."
-            )
-        history = kernel(
-            *structure.parameters(),
-            record.acceleration,
-            record.dt,
-            asked.substeps,
-            asked.stride,
-            asked.sensors,
-            asked.n_modes,
-            asked.quantity_code,
-        )
-        return history if outputs is None else outputs @ history
-
-    return respond
-
-
-# For each family of structures: structure, record or loading, request and matrix of outputs (with all sensors
-# asked for) or None, in; the response (sensor or output, time) out.
-RESPONSES = {family: under_ground_motion(kernel) for family, kernel in KERNELS.items()}
-RESPONSES["linear"] = linear_response
 
 
 def simulate(
@@ -123,9 +83,7 @@ def simulate(
             f"`sensors` must be left out for the base shear, got {sensors!r}. It is a sum over all masses."
         )
     rows = rows_of(structure, quantity, asked.sensors, outputs)
-    if rows.outputs is not None:
-        asked = asked._replace(sensors=np.arange(structure.n_dof))
-    values = RESPONSES[structure.family](structure, record, asked, rows.outputs)
+    values = respond(structure, record, asked, rows.picked)
     share = force_share(structure, record, quantity)
     if share is not None:
         values = values + share @ at_outputs(record.values, asked)
@@ -141,6 +99,27 @@ def simulate(
     )
 
 
+def respond(structure, record, asked, rows) -> np.ndarray:
+    """Response (row, time) of degrees of freedom (row,), or of combinations (row, n) of all of them."""
+    family = FAMILIES[structure.family]
+    combined = rows.ndim == 2 and not family.takes_outputs
+    picked = np.arange(structure.n_dof) if combined else family.rows(rows, structure.n_dof)
+    history = family.kernels["response"](
+        *structure.parameters(),
+        *structure.constants(record),
+        structure.excitation(record),
+        record.dt,
+        asked.substeps,
+        asked.stride,
+        picked,
+        asked.n_modes,
+        asked.quantity_code,
+    )
+    if family.takes_outputs and np.isnan(history).any():
+        structure.modes(asked.n_modes)  # says so if it is the modes that cannot be found
+    return rows @ history if combined else history
+
+
 def check_arguments(structure, record):
     """Refuse what is no structure of numbers, or no record."""
     if not hasattr(structure, "parameters"):
@@ -151,7 +130,7 @@ def check_arguments(structure, record):
             "Use read_record(path) or Record(acceleration, dt)."
         )
     if structure.is_symbolic:
-        advice = "Use `response(structure, record)` inside a model."
-        if not structure.is_linear:
-            advice = "Build it from numbers in a function of the parameters, for `DiscrepancySimulator`."
-        raise TypeError(f"`structure` must have numbers as parameters, got PyTensor variables. {advice}")
+        raise TypeError(
+            "`structure` must have numbers as parameters, got PyTensor variables. Use `response(structure, "
+            "record)` inside a model."
+        )

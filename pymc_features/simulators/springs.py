@@ -2,9 +2,10 @@
 
 import xarray as xr
 
+from pymc_features.simulators.families import NONLINEAR
 from pymc_features.simulators.nonlinear import DRIFT, MEMORY, SPRING_FORCE, nonlinear_histories
 from pymc_features.simulators.sampling import request
-from pymc_features.simulators.simulate import NONLINEAR, check_arguments
+from pymc_features.simulators.simulate import check_arguments
 
 
 def spring_forces(structure, record, *, dt: float | None = None) -> xr.Dataset:

@@ -18,7 +18,7 @@ class Structure(ABC):
     Attributes
     ----------
     family : str
-        Which kernels compute its response, a key of `simulators.RESPONSES`; `parameters` are what they take.
+        Which kernels compute its response, a key of `simulators.FAMILIES`; `parameters` are what they take.
     is_linear : bool
         Whether its response is a sum of modes.
     has_storeys : bool
@@ -39,7 +39,7 @@ class Structure(ABC):
         """Return what the response kernels of its family take."""
 
     def constants(self, record) -> tuple:
-        """Return what the kernels take behind the parameters, the same for all particles; none by default."""
+        """Return the arrays its kernels take besides, which are never random, for a record or loading."""
         return ()
 
     def excitation(self, record) -> np.ndarray:

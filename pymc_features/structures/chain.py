@@ -41,7 +41,7 @@ class SpringMassChain(Chain):
     family = "chain"
 
     def as_linear(self) -> AffineStructure:
-        """Return the same structure by its matrices, whose parameters theta are the masses, then the springs."""
+        """Return the same structure by its matrices; its theta are the masses, then the springs."""
         n = self.n_dof
         mass, stiffness, *_ = self.linear_parameters()
         drifts = np.diff(np.eye(n), axis=0, prepend=0.0)

@@ -4,16 +4,11 @@ import numpy as np
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
+from pymc_features.algebra import AffineMatrix, common_pattern, natural_modes, to_dense
+from pymc_features.structures.admissible import check_connected, check_damping, check_mass, check_stiffness
 from pymc_features.structures.base import Modes, Structure, static_length
 from pymc_features.structures.damping import Damping
-from pymc_features.structures.eigen import natural_modes
-from pymc_features.structures.factorisation import (
-    check_connected,
-    check_damping,
-    check_mass,
-    check_stiffness,
-)
-from pymc_features.structures.matrices import AffineMatrix, as_matrix, to_dense
+from pymc_features.structures.matrices import as_matrix
 
 
 class LinearStructure(Structure):
@@ -73,9 +68,13 @@ class LinearStructure(Structure):
                     "Pass C in N s/m, RayleighDamping(alpha, beta) or ModalDamping(ratios)."
                 )
             constants[1] = as_matrix(damping, "damping", "N s/m", n=n, symmetric=False)
-        kind = sparse.csc_array if sparse.issparse(stiffness) else to_dense
+        kind, pattern = to_dense, None
+        if sparse.issparse(stiffness):
+            kind = sparse.csc_array
+            given = (*constants, *terms[0], *terms[1], *terms[2])
+            pattern = common_pattern([a for a in given if a is not None])
         self._terms = tuple(
-            None if a is None else AffineMatrix(kind(a), added)
+            None if a is None else AffineMatrix(kind(a), added, pattern)
             for a, added in zip(constants, terms, strict=True)
         )
         self.influence = _influence(influence, n)
@@ -119,15 +118,50 @@ class LinearStructure(Structure):
         return 1 if self.influence.ndim == 1 else self.influence.shape[1]
 
     def parameters(self):
-        """Coefficients (p,); stacks of M, C (None if classical), K; Rayleigh pair, ratios; influence.
-
-        A matrix is stack[0] + sum_i theta_i stack[1 + i]; only the first, and the damping, may be variables.
-        """
-        stacks = (None if a is None else a.stack for a in self._terms)
+        """Coefficients theta (p,), Rayleigh pair (2,) and damping ratios; zeros beside a damping matrix."""
         rayleigh, ratios = np.zeros(2), np.zeros(self.n_dof)
         if isinstance(self.damping, Damping):
             rayleigh, ratios = self._coefficients()
-        return self.theta, *stacks, rayleigh, ratios, self.influence
+        return self.theta, rayleigh, ratios
+
+    def constants(self, record):
+        """Matrices and load, M x" + C x' + K x = -M influence a(t) + forces a(t), for `excitation(record)`.
+
+        Returns
+        -------
+        mass, damping, stiffness : array (1 + p, e) or (1, e)
+            Entries of A_0, A_1, ...; only A_0 where nothing depends on theta, none for classical damping.
+        rows, starts : integer arrays
+            Their common pattern, by columns; both empty for dense matrices.
+        influence, forces : array (n, d)
+            One of them is zero.
+        """
+        n, entries = self.n_dof, self._terms[2].stack.shape[1]
+        stacks = (np.zeros((0, entries)) if a is None else a.stack for a in self._terms)
+        influence = self.influence.reshape(n, -1)
+        if getattr(record, "kind", "support_acceleration") == "force":
+            forces = np.eye(n) if record.matrix is None else record.matrix
+            if forces.shape != (n, record.n_inputs):
+                raise ValueError(
+                    f"`matrix` of the forces must have shape ({n}, {record.n_inputs}), got "
+                    f"{'none' if record.matrix is None else record.matrix.shape}. "
+                    "Give one row for each degree of freedom and one column for each input."
+                )
+            influence = np.zeros(forces.shape)
+        else:
+            forces = np.zeros(influence.shape)
+        return *stacks, self._terms[2].rows, self._terms[2].starts, influence, forces
+
+    def excitation(self, record):
+        """Support accelerations [m/s^2] or forces [N], array (d, t)."""
+        inputs = record.acceleration[None] if hasattr(record, "acceleration") else record.values
+        forces = getattr(record, "kind", "support_acceleration") == "force"
+        if not forces and inputs.shape[0] != self.n_supports:
+            raise ValueError(
+                f"`record` must give {self.n_supports} support accelerations, one for each column of "
+                f"`influence`, got {inputs.shape[0]}. Pass Loading(values, dt) with that many rows."
+            )
+        return inputs
 
     def _coefficients(self, n_modes=None):
         """Rayleigh pair, and ratios of all modes they are given for, or of the lowest `n_modes`."""

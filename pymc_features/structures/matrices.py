@@ -1,4 +1,4 @@
-"""The constant matrices of a linear structure, dense or sparse, checked, and their affine sums."""
+"""The constant matrices of a linear structure, dense or sparse, checked."""
 
 import numpy as np
 from scipy import sparse
@@ -70,55 +70,3 @@ def _symmetrised(matrix, name):
         )
     half = 0.5 * (matrix + matrix.T)
     return sparse.csc_array(half) if sparse.issparse(half) else half
-
-
-def to_dense(matrix) -> np.ndarray:
-    """The matrix as an array."""
-    return matrix.toarray() if sparse.issparse(matrix) else matrix
-
-
-class AffineMatrix:
-    """A(theta) = A_0 + sum_i theta_i A_i, the constant matrices stacked once.
-
-    Parameters
-    ----------
-    constant : array or csc_array (n, n)
-        A_0; all matrices are kept as it is, dense or sparse.
-    terms : sequence of array, csc_array or None
-        A_i, None for zero.
-
-    Attributes
-    ----------
-    stack : array (1 + p, n, n) or (1 + p, nnz)
-        A_0, A_1, ...; of sparse matrices the entries on their common pattern.
-    """
-
-    def __init__(self, constant, terms=()):
-        self.is_sparse = sparse.issparse(constant)
-        self.shape = constant.shape
-        matrices = [constant, *terms]
-        if not self.is_sparse:
-            zero = np.zeros(self.shape)
-            self.stack = np.stack([zero if a is None else to_dense(a) for a in matrices])
-        else:
-            self._stack_sparse([sparse.csc_array(self.shape) if a is None else a for a in matrices])
-        self.stack.setflags(write=False)
-
-    def _stack_sparse(self, matrices):
-        matrices = [sparse.coo_array(a) for a in matrices]
-        rows = np.concatenate([a.coords[0] for a in matrices]).astype(np.int64)
-        columns = np.concatenate([a.coords[1] for a in matrices]).astype(np.int64)
-        places, where = np.unique(columns * self.shape[0] + rows, return_inverse=True)
-        which = np.repeat(np.arange(len(matrices)), [a.nnz for a in matrices])
-        self.stack = np.zeros((len(matrices), places.size))
-        np.add.at(self.stack, (which, where), np.concatenate([a.data for a in matrices]))
-        columns, self._rows = np.divmod(places, self.shape[0])
-        self._starts = np.searchsorted(columns, np.arange(self.shape[1] + 1))
-
-    def at(self, theta: np.ndarray):
-        """Return A(theta), an array or `csc_array` (n, n), without assembly."""
-        total = self.stack[0] + np.tensordot(theta, self.stack[1:], axes=1)
-        if not self.is_sparse:
-            total.setflags(write=False)
-            return total
-        return sparse.csc_array((total, self._rows, self._starts), shape=self.shape)

@@ -1,58 +1,10 @@
-"""Which matrices are admissible, told by factorisations: Cholesky, and of sparse ones the pivots.
-
-By Sylvester's law of inertia the pivots of A = L D L' have the signs of the eigenvalues of A. A positive
-definite matrix can be eliminated along its diagonal in any order; SuperLU in symmetric mode does so, and
-a pivot off the diagonal or below zero says that the matrix is not definite.
-"""
+"""Which matrices are admissible for a structure, and what to say of those that are not."""
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import cholesky, eigh
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.linalg import eigh
 
-ZERO_STIFFNESS = 1e-8  # |omega^2| below this times trace(K) / trace(M) counts as rounding
-
-
-def eliminate(matrix) -> SuperLU | None:
-    """Symmetric elimination of a sparse matrix; None where it needs a pivot off the diagonal."""
-    try:
-        factor = splu(
-            sparse.csc_matrix(matrix),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-    except RuntimeError:  # a zero pivot
-        return None
-    return factor if np.array_equal(factor.perm_r, factor.perm_c) else None
-
-
-def is_definite(matrix) -> bool:
-    """Whether a symmetric matrix is positive definite to working precision."""
-    return definite_factor(matrix) is not None
-
-
-def definite_factor(matrix):
-    """The factor of a positive definite matrix (`SuperLU` if sparse); None if it is not definite."""
-    if sparse.issparse(matrix):
-        factor = eliminate(matrix)
-        return factor if factor is not None and (factor.U.diagonal() > 0.0).all() else None
-    try:
-        return cholesky(matrix, lower=True, check_finite=False)
-    except np.linalg.LinAlgError:
-        return None
-
-
-def count_below(mass, stiffness, eigenvalue: float) -> int | None:
-    """Number of omega^2 of sparse matrices below a value, by inertia; None where it cannot be told."""
-    factor = eliminate(stiffness - eigenvalue * mass)
-    return None if factor is None else int((factor.U.diagonal() < 0.0).sum())
-
-
-def spectral_shift(mass, stiffness) -> float:
-    """How far below zero an omega^2 counts as rounding, [(rad/s)^2]."""
-    mean = abs(stiffness.diagonal().sum()) / mass.diagonal().sum()
-    return ZERO_STIFFNESS * (mean or 1.0)
+from pymc_features.algebra import is_definite, shifted_factor, spectral_shift
 
 
 def check_mass(mass) -> None:
@@ -69,8 +21,7 @@ def check_mass(mass) -> None:
 
 def check_stiffness(mass, stiffness):
     """Refuse K with a negative omega^2; return the factor of K + shift M, definite if K is admissible."""
-    shift = spectral_shift(mass, stiffness)
-    factor = definite_factor(stiffness + shift * mass)
+    factor = shifted_factor(mass, stiffness)
     if factor is None:
         got = "a negative pivot"
         if not sparse.issparse(stiffness):

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from pymc_features.simulators.compilation import jit
+from pymc_features.simulators.linear.blocks import take_block
 from pymc_features.simulators.recursion import (
     BLOCK,
     RELATIVE_DISPLACEMENT,
@@ -65,8 +66,8 @@ def step_matrices(omega, damping, participation, seen, step, quantity):
 
 
 @jit
-def state_response(transition, now, after, output, direct, inputs, substeps, stride):
-    """Response (s, u) of coupled modes; `substeps` and `stride` as in `recursion.advance`.
+def march_state(transition, now, after, output, direct, inputs, substeps, stride, observed, history, sums):
+    """Carry coupled modes through the record; see `take_block` for what becomes of the response.
 
     Parameters
     ----------
@@ -75,14 +76,13 @@ def state_response(transition, now, after, output, direct, inputs, substeps, str
     direct : array (s, d)
         Feed-through of the inputs.
     inputs : array (d, t)
+    substeps, stride : int
+        As in `recursion.advance`.
     """
     size, n_inputs = now.shape
     total = n_outputs(inputs.shape[1], substeps, stride)
-    response = np.empty((direct.shape[0], total))
-    state = np.zeros(size)
-    left, right = np.empty(n_inputs), np.empty(n_inputs)
-    states = np.empty((BLOCK, size))
-    ground = np.empty((BLOCK, n_inputs))
+    state, left, right = np.zeros(size), np.empty(n_inputs), np.empty(n_inputs)
+    states, ground = np.zeros((BLOCK, size)), np.zeros((BLOCK, n_inputs))
     for first in range(0, total, BLOCK):
         count = min(BLOCK, total - first)
         for b in range(count):
@@ -93,10 +93,8 @@ def state_response(transition, now, after, output, direct, inputs, substeps, str
                 state = np.dot(transition, state) + np.dot(now, left) + np.dot(after, right)
             states[b] = state
             interpolate(inputs, sample * stride, substeps, ground[b])
-        response[:, first : first + count] = np.dot(output, states[:count].T) + np.dot(
-            direct, ground[:count].T
-        )
-    return response
+        block = np.dot(output, states.T) + np.dot(direct, ground.T)
+        take_block(block, first, count, observed, history, sums)
 
 
 @jit

@@ -5,8 +5,8 @@ from scipy import sparse
 from scipy.linalg import eigh
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from pymc_features.structures.factorisation import check_stiffness, count_below, spectral_shift
-from pymc_features.structures.matrices import to_dense
+from pymc_features.algebra.affine import to_dense
+from pymc_features.algebra.factorisation import count_below, shifted_factor, spectral_shift
 
 ROUNDING = 1e-15  # a sum this small beside the sum of its absolute terms is taken as zero
 MAX_DENSE = 3000  # a sparse structure of more degrees of freedom is never solved as a dense one
@@ -63,7 +63,7 @@ def _lanczos(mass, stiffness, n_modes, factor):
     n = stiffness.shape[0]
     shift = spectral_shift(mass, stiffness)
     if factor is None:
-        factor = check_stiffness(mass, stiffness)
+        factor = shifted_factor(mass, stiffness)
     inverse = LinearOperator((n, n), matvec=factor.solve, dtype=np.float64)
     start = np.random.default_rng(0).standard_normal(n)
     for wanted in (n_modes, 2 * n_modes + 4, 4 * n_modes + 12, 8 * n_modes + 28):

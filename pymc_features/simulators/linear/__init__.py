@@ -1,0 +1,15 @@
+"""Kernels of linear structures M x" + C x' + K x = load: any matrices, dense or sparse, affine in theta.
+
+Modes are found with LAPACK or ARPACK, once for each set of parameters; what runs over time is compiled.
+"""
+
+from pymc_features.simulators.linear.population import linear_population_discrepancy, linear_population_misfit
+from pymc_features.simulators.linear.response import linear_discrepancy, linear_misfit, linear_response
+
+__all__ = [
+    "linear_discrepancy",
+    "linear_misfit",
+    "linear_population_discrepancy",
+    "linear_population_misfit",
+    "linear_response",
+]

@@ -1,0 +1,42 @@
+"""What becomes of a block of the response: it is stored, or compared with the data."""
+
+import numpy as np
+
+from pymc_features.simulators.compilation import jit
+from pymc_features.simulators.discrepancy import add_increments
+
+
+@jit
+def take_block(block, first, count, observed, history, sums):
+    """Keep `count` samples of all outputs, from sample `first` on, or compare them with the data.
+
+    Parameters
+    ----------
+    block : array (s, >= count)
+        Overwritten.
+    observed : array (s, u)
+        Data; not read if there is a `history`.
+    history : array (s, u) or (0, 0)
+        Written, unless it is empty.
+    sums : array (4, s)
+        Otherwise: sums of squares of misfits and of their increments, first and last misfit; updated.
+    """
+    for j in range(block.shape[0]):
+        if history.size:
+            for b in range(count):
+                history[j, first + b] = block[j, b]
+            continue
+        squares = 0.0
+        for b in range(count):
+            misfit = observed[j, first + b] - block[j, b]
+            squares += misfit * misfit
+            block[j, b] = misfit
+        sums[0, j] += squares
+        add_increments(block[j], count, first == 0, sums[1:], j)
+
+
+def destination(shape, observed):
+    """Arrays `observed`, `history` and `sums` of `take_block`: no data, no comparison."""
+    if observed is None:
+        return np.empty((0, 0)), np.empty(shape), np.zeros((4, 0))
+    return np.ascontiguousarray(observed, dtype=np.float64), np.empty((0, 0)), np.zeros((4, shape[0]))

@@ -1,0 +1,62 @@
+"""Response and discrepancies of linear structures: any M, C and K, several supports or forces.
+
+The parameters of all functions are those of `Arguments`, in their order, and what else is said. Where they
+describe no structure the result is NaN: M(theta) is not positive definite, K(theta) has a negative
+eigenvalue, or the damping is negative.
+"""
+
+import numpy as np
+
+from pymc_features.simulators.linear.arguments import N_ARGUMENTS, Arguments
+from pymc_features.simulators.linear.blocks import destination
+from pymc_features.simulators.linear.classical import classical_matrices, march_modes
+from pymc_features.simulators.linear.state_space import march_state, step_matrices
+from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
+
+
+def linear_response(*arguments) -> np.ndarray:
+    """Response history (s, u), exact for inputs that are linear between their samples.
+
+    Notes
+    -----
+    Modes that the damping couples are carried together by a matrix exponential, see `state_space`, all
+    others singly.
+    """
+    a = Arguments(*arguments)
+    a.check()
+    return evaluate(a, solve_system(a), None)
+
+
+def linear_discrepancy(*arguments) -> np.ndarray:
+    """e_j (s,) of Eq. (3), of the data that follow the arguments, `observed` (s, u)."""
+    return linear_misfit(*arguments)[:, 0].copy()
+
+
+def linear_misfit(*arguments) -> np.ndarray:
+    """What `discrepancy.chain_misfit` returns, (s, 4), of the data that follow the arguments.
+
+    Memory: a few blocks of 128 samples, whatever the length of the record.
+    """
+    a, observed = Arguments(*arguments[:N_ARGUMENTS]), *arguments[N_ARGUMENTS:]
+    a.check(observed)
+    return evaluate(a, solve_system(a), observed)
+
+
+def evaluate(a, system, observed):
+    """Response (s, u) of a system or, with data, their misfits (s, 4); NaN if there is no system."""
+    n_sensors, total = a.shape
+    if system is None:
+        return np.full((n_sensors, total if observed is None else 4), np.nan)
+    seen, direct = observe(a, system)
+    inputs = np.ascontiguousarray(a.acceleration)
+    observed, history, sums = destination(a.shape, observed)
+    if is_coupled(system.drag):
+        matrices = step_matrices(system.omega, system.drag, system.participation, seen, a.step, a.quantity)
+        march_state(*matrices, direct, inputs, *a.grid, observed, history, sums)
+    else:
+        matrices = classical_matrices(a, system, seen)
+        march_modes(*matrices, direct, inputs, *a.grid, observed, history, sums)
+    if history.size:
+        return history
+    sums[:2] /= total
+    return np.ascontiguousarray(sums.T)

@@ -1,0 +1,119 @@
+"""A linear structure at one set of parameters: its matrices, and its modes with their damping and load."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features.algebra import assemble, is_definite, natural_modes, shifted_factor, spectral_shift
+from pymc_features.simulators.recursion import ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION
+
+COUPLING = 1e-12  # off-diagonal entries of D below this times the largest are rounding
+STIFFEST = 1e6  # omega h and D h of a mode that can be stepped
+
+
+class System(NamedTuple):
+    """Modes x = Phi q of a structure: q" + D q' + Omega^2 q = -Gamma a(t).
+
+    Attributes
+    ----------
+    mass, damping, stiffness : array or csc_array (n, n)
+        `damping` is None if classical.
+    factor
+        Of K + shift M, see `algebra.shifted_factor`.
+    omega : array (m,)
+        [rad/s], exactly zero for rigid-body modes.
+    shapes : array (n, m)
+        Phi, mass-normalised columns.
+    others : tuple of arrays or None
+        omega and shapes of the modes left out, where they are at hand.
+    drag : array (m,) or (m, m)
+        D [1/s], its diagonal if the damping is classical.
+    load : array (n, d)
+        M influence - forces.
+    participation : array (m, d)
+        Gamma = Phi' load.
+    """
+
+    mass: np.ndarray
+    damping: np.ndarray | None
+    stiffness: np.ndarray
+    factor: object
+    omega: np.ndarray
+    shapes: np.ndarray
+    others: tuple | None
+    drag: np.ndarray
+    load: np.ndarray
+    participation: np.ndarray
+
+
+def solve_system(a, *, left_out=False) -> System | None:
+    """Modes of a structure; None where the parameters describe none.
+
+    Parameters
+    ----------
+    a : Arguments
+    left_out : bool
+        Whether all modes are wanted, if the matrices are dense.
+    """
+    if not all(np.isfinite(values).all() for values in (a.theta, a.rayleigh, a.ratios)):
+        return None
+    n = a.influence.shape[0]
+    mass, stiffness = (assemble(stack, a.theta, a.rows, a.starts, n) for stack in (a.mass, a.stiffness))
+    if not is_definite(mass):
+        return None
+    factor = shifted_factor(mass, stiffness)
+    if factor is None:
+        return None
+    m, others = a.n_modes, None
+    every = left_out and m < n and not a.starts.size
+    try:
+        omega, shapes = natural_modes(mass, stiffness, n if every else m, factor)
+    except (np.linalg.LinAlgError, RuntimeError):  # modes that cannot be found
+        return None
+    if every:
+        others = omega[m:], shapes[:, m:]
+        omega, shapes = omega[:m], np.ascontiguousarray(shapes[:, :m])
+    damping = None if a.is_classical else assemble(a.damping, a.theta, a.rows, a.starts, n)
+    drag = modal_drag(a, mass, damping, omega, shapes)
+    if drag is None or not max(omega.max(), abs(drag).max()) * a.step < STIFFEST:
+        return None
+    load = mass @ a.influence - a.forces
+    return System(mass, damping, stiffness, factor, omega, shapes, others, drag, load, shapes.T @ load)
+
+
+def modal_drag(a, mass, damping, omega, shapes):
+    """D of the modes, (m,) or (m, m); None if it feeds energy into some motion."""
+    if damping is None:
+        drag = a.rayleigh[0] + a.rayleigh[1] * omega**2 + 2.0 * a.ratios[: omega.size] * omega
+        return drag if (drag >= 0.0).all() else None
+    drag = shapes.T @ (damping @ shapes)
+    if not np.isfinite(drag).all():
+        return None
+    lowest = np.linalg.eigvalsh(0.5 * (drag + drag.T))[0]
+    return drag if lowest >= -spectral_shift(mass, damping) else None
+
+
+def is_coupled(drag: np.ndarray) -> bool:
+    """Whether damping, 2 zeta omega (m,) or D (m, m), couples the modes beyond rounding (1e-12)."""
+    if drag.ndim == 1:
+        return False
+    off = drag - np.diag(np.diagonal(drag))
+    return bool(abs(off).max() > COUPLING * abs(drag).max())
+
+
+def observe(a, system):
+    """Mode shapes at the outputs (s, m), and feed-through of the inputs (s, d).
+
+    With modes left out the absolute acceleration keeps the ground's share of them.
+    """
+    seen = np.ascontiguousarray(a.sensors @ system.shapes)
+    direct = np.zeros((seen.shape[0], system.load.shape[1]))
+    if a.quantity in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION):
+        moved = a.sensors @ a.influence
+        if a.n_modes == system.load.shape[0]:  # complete: without the rounding error of the modes
+            direct = seen @ (system.shapes.T @ a.forces) - moved
+        else:
+            direct = -seen @ system.participation
+        if a.quantity == ABSOLUTE_ACCELERATION:
+            direct = direct + moved
+    return seen, np.ascontiguousarray(direct)

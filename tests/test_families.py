@@ -1,0 +1,294 @@
+"""Every family of structures through the same Ops: fused, batched, differentiated, sampled."""
+
+import functools
+import pickle
+
+import cloudpickle
+import numpy as np
+import pymc as pm
+import pytensor
+import pytensor.tensor as pt
+import pytest
+from pytensor.compile.mode import Mode
+from pytensor.graph.replace import vectorize_graph
+from pytensor.graph.traversal import ancestors
+from scipy import sparse
+
+from pymc_features import (
+    AffineStructure,
+    DiscrepancySimulator,
+    DuffingChain,
+    HystereticChain,
+    LinearStructure,
+    Loading,
+    ModalDamping,
+    RayleighDamping,
+    Record,
+    SpringMassChain,
+    TruncNormalFeature,
+    fisher_information,
+    mean_square_discrepancy,
+    response,
+    sample_smc,
+    simulate,
+)
+from pymc_features.ops import OPS, PopulationDiscrepancy, StructuralDiscrepancy, misfit_statistics
+from pymc_features.ops.misfit import misfit_values
+from pymc_features.simulators import FAMILIES
+from pymc_features.structures import STRUCTURES
+
+PLAIN = Mode(linker="py", optimizer=None)
+RAYLEIGH = RayleighDamping(0.4, 2e-3)
+K = np.array([[250.0, -150.0, 0.0], [-150.0, 270.0, -120.0], [0.0, -120.0, 120.0]])
+LOWER = np.diag([100.0, 0.0, 0.0])  # what theta_0 scales
+UPPER = np.array([[0.0, 0.0, 0.0], [0.0, 120.0, -120.0], [0.0, -120.0, 120.0]])  # and theta_1
+C = 0.4 * np.eye(3) + 2e-3 * K + np.diag([0.0, 0.0, 1.5])  # a dashpot that couples the modes
+
+
+def chain(x, kind, **springs):
+    """Three masses whose springs 0 and 2 follow x (2,)."""
+    nominal = kind(np.ones(3), [100.0, 150.0, 120.0], springs.pop("damping", RAYLEIGH), **springs)
+    return nominal.scale_stiffness(x, springs=[0, 2])
+
+
+def affine(x, damping=RAYLEIGH, kind=np.asarray, influence=None):
+    rest = K - LOWER - UPPER
+    terms = [kind(LOWER), kind(UPPER)]
+    return AffineStructure(
+        np.ones(3), damping, kind(rest), stiffness_terms=terms, influence=influence, theta=x
+    )
+
+
+def pulse(n=70, d=None):
+    values = np.sin(0.35 * np.arange(n) ** 1.3) * np.exp(-0.03 * np.arange(n))
+    if d is None:
+        return Record(3.0 * values, dt=0.05)
+    return np.array([values * (1.0 + i) + 0.2 * np.cos(0.9 * i + 0.3 * np.arange(n)) for i in range(d)])
+
+
+SUPPORTS = np.array([[0.8, 0.2], [0.5, 0.5], [0.1, 0.9]])
+CASES = {  # x -> structure, what shakes it
+    "chain": (lambda x: chain(x, SpringMassChain), pulse()),
+    "affine": (affine, pulse()),
+    "coupled damping": (functools.partial(affine, damping=C), pulse()),
+    "sparse": (functools.partial(affine, kind=sparse.csc_array), pulse()),
+    "modal damping": (functools.partial(affine, damping=ModalDamping(0.05)), pulse()),
+    "two supports": (functools.partial(affine, influence=SUPPORTS), Loading(pulse(d=2), dt=0.05)),
+    "forces": (affine, Loading(pulse(d=1), 0.05, kind="force", matrix=[[0.0], [1.0], [2.0]])),
+    "hysteretic": (
+        lambda x: chain(x, HystereticChain, yield_displacement=0.03, post_yield_ratio=0.2),
+        pulse(),
+    ),
+    "duffing": (lambda x: chain(x, DuffingChain, cubic=3e4), pulse()),
+}
+MAIN = ("chain", "affine", "coupled damping", "hysteretic", "duffing")
+TRUTH = np.array([1.0, 1.0])
+
+
+@functools.cache
+def measured(name):
+    """Response of the truth, with noise."""
+    build, record = CASES[name]
+    exact = simulate(build(TRUTH), record).values
+    noise = np.random.default_rng(3).standard_normal(exact.shape)
+    return exact + 0.1 * abs(exact).max() * noise
+
+
+def core_ops_in(outputs):
+    ops = [v.owner.op for v in ancestors(outputs) if v.owner is not None]
+    return {type(getattr(op, "core_op", op)) for op in ops}
+
+
+def test_every_structure_is_in_a_family_and_here():
+    assert {kind.family for kind in STRUCTURES} == set(FAMILIES)
+    built = {CASES[name][0](TRUTH).family for name in CASES}
+    assert built == set(FAMILIES)
+    for family in FAMILIES.values():
+        assert set(family.kernels) == {op.kernel_name for op in OPS}
+
+
+@pytest.mark.parametrize("quantity", ["absolute_acceleration", "relative_displacement"])
+@pytest.mark.parametrize("name", CASES)
+def test_response_is_simulate(name, quantity):
+    build, record = CASES[name]
+    x = pt.vector("x", shape=(2,))
+    options = dict(dt=0.025, sensors=[2, 0], quantity=quantity)
+    mu = response(build(x), record, **options)
+    expected = simulate(build(TRUTH), record, **options).values
+    assert mu.type.shape == expected.shape
+    np.testing.assert_allclose(
+        mu.eval({x: TRUTH}, mode=PLAIN), expected, rtol=0, atol=1e-12 * abs(expected).max()
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_fused_is_unfused_and_batch_is_loop(name):
+    build, record = CASES[name]
+    data, x, rows = measured(name), pt.vector("x", shape=(2,)), pt.matrix("rows", shape=(None, 2))
+    mu = response(build(x), record)
+    e, statistics = mean_square_discrepancy(mu, data), misfit_statistics(mu, data)
+    plain = [pt.mean(pt.sqr(data - mu), axis=-1), misfit_values(data - mu)]
+    batch = vectorize_graph([e, statistics], {x: rows})
+    assert core_ops_in([e]) & set(OPS) == {StructuralDiscrepancy}
+    assert core_ops_in(batch[:1]) & set(OPS) == {PopulationDiscrepancy}
+    one = pytensor.function([x], [e, statistics, *plain], mode=PLAIN)
+    all_rows = pytensor.function([rows], batch, mode=PLAIN)
+    # more than one vector of particles, one of them no structure
+    points = np.random.default_rng(1).uniform(0.7, 1.3, (11, 2))
+    points[4, 0] = -3.0
+    batched = all_rows(points)
+    for i, point in enumerate(points):
+        fused = one(point)
+        for a, b in (
+            (fused[0], fused[2]),
+            (fused[1], fused[3]),
+            (batched[0][i], fused[0]),
+            (batched[1][i], fused[1]),
+        ):
+            np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12 * abs(data).max() ** 2)
+    assert np.isnan(batched[0][4]).all()
+    assert np.isfinite(np.delete(batched[0], 4, axis=0)).all()
+
+
+def richardson(function, x, direction, h=4e-3):
+    """Derivative along a direction, by three central differences."""
+    d = [(function(x + s * direction) - function(x - s * direction)) / (2 * s) for s in (h, h / 2, h / 4)]
+    first, second = (4 * d[1] - d[0]) / 3, (4 * d[2] - d[1]) / 3
+    return (16 * second - first) / 15
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_gradients_of_one_and_of_a_population(name):
+    build, record = CASES[name]
+    data, x, rows = measured(name), pt.vector("x", shape=(2,)), pt.matrix("rows", shape=(None, 2))
+    e = mean_square_discrepancy(response(build(x), record), data)
+    weights = np.array([1.0, -2.0, 0.5])
+    total = pt.dot(weights, e)
+    batch = vectorize_graph(total, {x: rows})
+    value = pytensor.function([x], total, mode=PLAIN)
+    gradient = pytensor.function([x], pt.grad(total, x), mode=PLAIN)
+    gradients = pytensor.function([rows], pt.grad(batch.sum(), rows), mode=PLAIN)
+    points = np.array([[1.05, 0.9], [0.8, 1.2]])
+    expected = np.array([[richardson(value, p, unit) for unit in np.eye(2)] for p in points])
+    scale = abs(expected).max()
+    np.testing.assert_allclose([gradient(p) for p in points], expected, rtol=0, atol=2e-6 * scale)
+    np.testing.assert_allclose(gradients(points), expected, rtol=0, atol=2e-6 * scale)
+
+
+@pytest.mark.parametrize("name", MAIN)
+def test_numba_runs_the_same_and_keeps_its_code(name):
+    build, record = CASES[name]
+    data, x, rows = measured(name), pt.vector("x", shape=(2,)), pt.matrix("rows", shape=(None, 2))
+    e = mean_square_discrepancy(response(build(x), record), data)
+    outputs = [e, vectorize_graph(e, {x: rows}), *pytensor.gradient.grad(e.sum(), [x])]
+    inputs = TRUTH * 1.1, np.array([TRUTH, [0.8, 1.1]])
+    compiled = pytensor.function([x, rows], outputs, mode="NUMBA")
+    plain = pytensor.function([x, rows], outputs, mode=PLAIN)
+    for got, expected in zip(compiled(*inputs), plain(*inputs), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-9)
+
+
+def model_of(name, likelihood=TruncNormalFeature):
+    build, record = CASES[name]
+    data = measured(name)
+    with pm.Model(coords={"sensor": range(3), "time": np.arange(data.shape[1])}) as model:
+        # below zero there is no structure, whatever the family
+        x = pm.Uniform("x", -0.4, 1.6, shape=2)
+        sigma = pm.Uniform("sigma", 0.0, 3.0)
+        likelihood("y", response(build(x), record), sigma, observed=data, dims=("sensor", "time"))
+    return model
+
+
+@pytest.mark.parametrize("name", MAIN)
+def test_models_sample_and_count_what_is_no_structure(name):
+    model = model_of(name)
+    idata = sample_smc(
+        60,
+        model=model,
+        chains=2,
+        cores=1,
+        random_seed=1,
+        progressbar=False,
+        compile_kwargs={"mode": "FAST_COMPILE"},
+    )
+    assert float(idata["sample_stats"]["failed"].sum()) > 0
+    x = idata["posterior"]["x"].values
+    assert (x > 0).all()
+    assert abs(np.median(x, axis=(0, 1)) - 1.0).max() < 0.4
+
+
+@pytest.mark.parametrize("name", MAIN)
+def test_models_pickle_and_get_nuts(name):
+    model = model_of(name)
+    again = pickle.loads(cloudpickle.dumps(model))
+    point = model.initial_point()
+    values = [m.compile_logp(mode=PLAIN)(point) for m in (model, again)]
+    assert values[0] == values[1]
+    with model:
+        assert isinstance(pm.NUTS(mode="FAST_COMPILE"), pm.NUTS)
+    information = fisher_information(model, {"x": TRUTH, "sigma": 0.3})["information"].values
+    assert (np.linalg.eigvalsh(information) > 0).all()
+
+
+@pytest.mark.parametrize("name", MAIN)
+def test_simulator_nodes_take_any_family(name):
+    build, record = CASES[name]
+    with pm.Model() as model:
+        x = pm.Uniform("x", 0.7, 1.3, shape=2)
+        DiscrepancySimulator("y", response(build(x), record), epsilon=1.0, observed=measured(name))
+    draw = pm.draw(model["y"], random_seed=1)
+    assert draw.shape == measured(name).shape and np.isfinite(draw).all()
+
+
+def test_combinations_are_fused_where_the_structure_is_linear():
+    build, record = CASES["chain"]
+    x = pt.vector("x", shape=(2,))
+    S = np.array([[1.0, -0.5, 0.0], [0.0, 0.0, 2.0]])
+    for structure in ("chain", "affine", "coupled damping", "hysteretic"):
+        build = CASES[structure][0]
+        drifts = response(build(x), record, outputs=S, quantity="relative_displacement")
+        expected = simulate(build(TRUTH), record, outputs=S, quantity="relative_displacement").values
+        np.testing.assert_allclose(
+            drifts.eval({x: TRUTH}, mode=PLAIN), expected, rtol=0, atol=1e-12 * abs(expected).max()
+        )
+        e = mean_square_discrepancy(drifts, expected)
+        fused = {StructuralDiscrepancy} <= core_ops_in([e])
+        assert fused == (structure != "hysteretic")
+
+
+@pytest.mark.parametrize("name", ["chain", "affine", "coupled damping", "duffing", "forces", "two supports"])
+def test_base_shear_inside_a_model(name):
+    build, record = CASES[name]
+    x = pt.vector("x", shape=(2,))
+    shear = response(build(x), record, quantity="base_shear").eval({x: TRUTH}, mode=PLAIN)
+    expected = np.atleast_2d(simulate(build(TRUTH), record, quantity="base_shear").values)
+    np.testing.assert_allclose(shear, expected, rtol=0, atol=1e-11 * abs(expected).max())
+
+
+def test_uncertain_masses_of_a_linear_structure():
+    record = pulse()
+    mass = pt.vector("mass", shape=(3,))
+    loads = [np.diag(unit) for unit in np.eye(3)]
+    frame = AffineStructure(np.zeros((3, 3)), RAYLEIGH, K, mass_terms=loads, theta=mass)
+    values = np.array([1.0, 2.0, 0.7])
+    for quantity in ("absolute_acceleration", "base_shear"):
+        got = response(frame, record, quantity=quantity).eval({mass: values}, mode=PLAIN)
+        expected = simulate(LinearStructure(values, RAYLEIGH, K), record, quantity=quantity).values
+        np.testing.assert_allclose(got, np.atleast_2d(expected), rtol=0, atol=1e-11 * abs(expected).max())
+
+
+@pytest.mark.parametrize("name", ["chain", "hysteretic"])
+def test_loads_that_a_chain_cannot_take(name):
+    build, _ = CASES[name]
+    with pytest.raises(
+        TypeError, match="must be a Record for a .*Several supports and forces act on LinearS"
+    ):
+        response(build(TRUTH), Loading(pulse(d=2), dt=0.05))
+
+
+def test_jax_says_what_it_cannot_run():
+    pytest.importorskip("jax")
+    build, record = CASES["affine"]
+    x = pt.vector("x", shape=(2,))
+    with pytest.raises(NotImplementedError, match="JAX runs spring-mass chains, got the family 'linear'"):
+        pytensor.function([x], response(build(x), record), mode="JAX")
