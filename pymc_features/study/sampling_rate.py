@@ -37,9 +37,9 @@ def sampling_rate_study(
     """Posterior of theta and sigma at several sampling steps, sampled and exact.
 
     A ten-storey chain, that of the source or one that yields, is measured once, at the finest step and with
-    noise; coarser data are every n-th sample of that history. NORM narrows with the sampling rate; TN, EXP and ABC do not.
-    Errors correlated in time (CN) neither, as long as their time and scale are known and not inferred from
-    noise that is in truth white.
+    noise; coarser data are every n-th sample of that history. NORM narrows with the sampling rate; TN, EXP
+    and ABC do not. Errors correlated in time (CN) neither, as long as their time and scale are known and not
+    inferred from noise that is in truth white.
 
     Parameters
     ----------
