@@ -4,7 +4,6 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import pytest
-import xarray as xr
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipkinc
 
@@ -17,7 +16,6 @@ from pymc_features import (
     Record,
     SpringMassChain,
     integration_error,
-    response,
     simulate,
     spring_forces,
 )
@@ -396,14 +394,11 @@ def test_invalid_draws_give_nan(change):
     ],
 )
 def test_what_is_no_chain_gives_nan(linear):
+    kernel = FAMILIES["duffing"].kernels["response"]
     for cubic in (0.0, 10.0):
         settings = (np.array([0.0, 1.0, 0.5]), 0.02, 1, 1, np.arange(2), 2, 0)
-        assert np.isnan(
-            FAMILIES["duffing"].kernels["response"](*linear, np.full((1, 2), cubic), *settings)
-        ).all()
-    assert np.isnan(
-        FAMILIES["duffing"].kernels["response"](*linear, np.full((1, 2), np.nan), *settings)
-    ).all()
+        assert np.isnan(kernel(*linear, np.full((1, 2), cubic), *settings)).all()
+    assert np.isnan(kernel(*linear, np.full((1, 2), np.nan), *settings)).all()
 
 
 def test_absurd_draws_are_no_exception():
@@ -465,10 +460,6 @@ def test_refusals_of_the_functions(chain):
         ValueError, match="`n_modes` must be left out for a nonlinear structure, got 2. .*Chain"
     ):
         simulate(chain, record, n_modes=2)
-    with pytest.raises(
-        TypeError, match="must be a SpringM.* got (Hysteretic|Duffing)Chain. .*DiscrepancySimul"
-    ):
-        response(chain, record)
     with pytest.raises(ValueError, match="`dt` must be an integer multiple or divisor"):
         simulate(chain, record, dt=0.03)
     with pytest.raises(TypeError, match="`record` must be a Record, got list"):
@@ -480,9 +471,6 @@ def test_refusals_of_the_functions(chain):
     for function in (spring_forces, integration_error):
         with pytest.raises(TypeError, match="`structure` must be a nonlinear chain, got SpringMassChain"):
             function(linear, record)
-    posterior = xr.Dataset({"scale": (("chain", "draw"), [[1.0, 1.1]])})
-    with pytest.raises(TypeError, match="must return a SpringMassChain, got .*Chain. Call `simulate` for"):
-        pmf.posterior_response(posterior, lambda scale: chain.scale_stiffness(scale, [0]), record)
     arguments = (*chain.parameters(), record.acceleration, 0.02, 1, 1, np.arange(3), 2, 0)
     with pytest.raises(ValueError, match="`n_modes` must be all 3 of a nonlinear chain, got 2"):
         FAMILIES[chain.family].kernels["response"](*arguments)

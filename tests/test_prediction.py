@@ -12,7 +12,7 @@ from scipy import stats
 from scipy.optimize import brentq
 
 import pymc_features as pmf
-from pymc_features import plots
+from pymc_features import plots, simulators
 from pymc_features.inference.first_passage import standard_error
 from pymc_features.simulators import histories
 
@@ -25,7 +25,7 @@ UNITS = {
     "inter_storey_drift": "m",
     "base_shear": "N",
 }
-DIM = dict.fromkeys(histories.QUANTITIES, "sensor") | {"inter_storey_drift": "storey", "base_shear": "row"}
+DIM = dict.fromkeys(simulators.QUANTITIES, "sensor") | {"inter_storey_drift": "storey", "base_shear": "row"}
 SHAKE = pmf.synthetic_earthquake(6.0, 0.02, seed=5, pga=3.0)
 OTHER = pmf.synthetic_earthquake(4.0, 0.01, seed=8, pga=2.0)
 
@@ -181,7 +181,7 @@ def test_memory_is_bounded():
 
 
 def test_result_saves(idata, tmp_path):
-    found = pmf.posterior_response(idata, three_storeys, SHAKE, list(histories.HISTORIES))
+    found = pmf.posterior_response(idata, three_storeys, SHAKE, list(simulators.HISTORIES))
     found.to_netcdf(tmp_path / "bands.nc", engine="h5netcdf")
     xr.testing.assert_identical(xr.load_dataset(tmp_path / "bands.nc"), found)
     risk = pmf.first_passage_probability(idata, three_storeys, [SHAKE, OTHER], [0.01, 0.1])

@@ -89,6 +89,11 @@ class AffineMatrix:
         for array in (self.stack, self.rows, self.starts):
             array.setflags(write=False)
 
+    def matrices(self) -> list:
+        """Return A_0, A_1, ..., or A_0 alone where nothing depends on theta."""
+        none = np.zeros(0)
+        return [assemble(row[None], none, self.rows, self.starts, self.shape[0]) for row in self.stack]
+
     def at(self, theta: np.ndarray):
         """Return A(theta), an array or `csc_array` (n, n), without assembly."""
         return assemble(self.stack, theta, self.rows, self.starts, self.shape[0])

@@ -2,12 +2,13 @@
 
 import inspect
 import warnings
+from contextlib import closing, contextmanager
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from pymc_features.simulators import has_response, request
+from pymc_features.simulators import Ensemble
 
 
 class PredictionWarning(UserWarning):
@@ -19,18 +20,15 @@ class StructureDraws(NamedTuple):
 
     Attributes
     ----------
-    parameters : tuple of arrays (sample, ...)
-        mass, stiffness, Rayleigh pair and damping ratios.
-    requests : list of Request
-        For each record, with all settings but the quantity.
+    ensemble : Ensemble
+        The structures, in the order of the samples.
     labels : dict
         Coordinates `chain` and `draw` (sample,) of where each structure comes from.
     used : bool array (chain, draw)
         Of the chosen draws, those that have a response; in their order, the samples.
     """
 
-    parameters: tuple
-    requests: list
+    ensemble: Ensemble
     labels: dict
     used: np.ndarray
 
@@ -40,38 +38,31 @@ class StructureDraws(NamedTuple):
         return {"draws_used": int(self.used.sum()), "draws_left_out": int((~self.used).sum())}
 
 
-def structure_draws(idata, structure, records, draws, random_seed, **settings) -> StructureDraws:
-    """Structures of at most `draws` draws, evenly spaced along each chain.
+@contextmanager
+def structure_draws(
+    idata, structure, records, quantities, draws, random_seed, *, keep_histories=False, **settings
+):
+    """Structures of at most `draws` draws, evenly spaced along each chain, a `StructureDraws`.
 
     Parameters
     ----------
-    records : list of Record
-        A structure without a response to one of them, at its step, is left out.
-    **settings
-        Of `request`.
+    records, quantities, keep_histories, settings
+        As in `Ensemble`. A structure without a response to one of the records is left out.
     """
-    for one in records:
-        if not hasattr(one, "acceleration"):
-            raise TypeError(
-                f"`record` must be a Record, got {type(one).__name__}. "
-                "Use read_record(path) or Record(acceleration, dt)."
-            )
     posterior = posterior_of(idata)
     names = matched(structure, posterior)
     chosen = thin(posterior[names], draws, random_seed)
-    used, built, reasons = build(structure, chosen, names)
-    refuse_none(used, reasons)
-    n_dof = checked(built)
-    requests = [request(n_dof, one.dt, **settings) for one in records]
-    parameters = tuple(np.array(rows) for rows in zip(*(one.parameters() for one in built), strict=True))
-    steps = {one.dt / asked.substeps for one, asked in zip(records, requests, strict=True)}
-    valid = np.logical_and.reduce([has_response(parameters, step, requests[0].n_modes) for step in steps])
-    used[used] = valid
-    refuse_none(used, reasons)
-    warn_of_the_others(used, reasons)
-    labels = np.meshgrid(*(chosen[dim].values for dim in ("chain", "draw")), indexing="ij")
-    labels = {dim: ("sample", v[used]) for dim, v in zip(("chain", "draw"), labels, strict=True)}
-    return StructureDraws(tuple(values[valid] for values in parameters), requests, labels, used)
+    used = np.zeros((chosen.sizes["chain"], chosen.sizes["draw"]), dtype=bool)
+    with closing(Ensemble(records, quantities, used.size, settings, keep_histories)) as ensemble:
+        reasons = take_up(ensemble, structure, chosen, names, used)
+        if not used.any():
+            raise ValueError(
+                f"`structure` must have a response for some draws, got none of {used.size}{because(reasons)}"
+            )
+        warn_of_the_others(used, reasons)
+        labels = np.meshgrid(*(chosen[dim].values for dim in ("chain", "draw")), indexing="ij")
+        labels = {dim: ("sample", v[used]) for dim, v in zip(("chain", "draw"), labels, strict=True)}
+        yield StructureDraws(ensemble, labels, used)
 
 
 def posterior_of(idata) -> xr.Dataset:
@@ -122,52 +113,40 @@ def thin(posterior, draws, random_seed) -> xr.Dataset:
     return posterior.isel(draw=((np.arange(wanted) + start) * n / wanted).astype(int))
 
 
-def build(structure, chosen, names):
-    """Whether each draw (chain, draw) has a structure, those structures, and why others have none."""
+def take_up(ensemble, structure, chosen, names, used) -> list[str]:
+    """Add the structure of each draw to the ensemble; mark those `used`, return why others cannot be."""
     columns = [chosen[name].transpose("chain", "draw", ...).values for name in names]
-    used = np.zeros((chosen.sizes["chain"], chosen.sizes["draw"]), dtype=bool)
-    built, reasons = [], []
+    reasons, size = [], None
     for index in np.ndindex(used.shape):
         try:
-            built.append(structure(**{n: c[index] for n, c in zip(names, columns, strict=True)}))
-            used[index] = True
+            built = structure(**{n: c[index] for n, c in zip(names, columns, strict=True)})
         except ValueError as error:  # structures refuse impossible numbers
             reasons.append(str(error))
-    return used, built, reasons
+            continue
+        size = checked(built, size)
+        used[index] = ensemble.add(built)
+    return reasons
 
 
-def checked(structures) -> int:
-    """The number of degrees of freedom that all structures have."""
-    for one in structures:
-        if not hasattr(one, "parameters") or not hasattr(one, "n_dof"):
-            raise TypeError(
-                f"`structure` must return a structure, got {type(one).__name__}. Return a SpringMassChain."
-            )
-        if one.family != "chain":
-            raise TypeError(
-                f"`structure` must return a SpringMassChain, got {type(one).__name__}. "
-                "Call `simulate` for each draw and take the quantiles of the results."
-            )
-        if one.is_symbolic:
-            raise TypeError(
-                "`structure` must return a structure of numbers, got PyTensor variables. Its arguments are "
-                "the numbers of one draw: compute with NumPy."
-            )
-    sizes = sorted({one.n_dof for one in structures})
-    if len(sizes) > 1:
-        raise ValueError(
-            f"`structure` must have the same degrees of freedom for every draw, got {sizes}. "
-            "Predict with one structure at a time."
+def checked(structure, size) -> tuple[int, int]:
+    """Degrees of freedom and supports of a structure, the same as those before, `size`."""
+    if not hasattr(structure, "parameters") or not hasattr(structure, "n_dof"):
+        raise TypeError(
+            f"`structure` must return a structure, got {type(structure).__name__}. Return a SpringMassChain."
         )
-    return sizes[0]
-
-
-def refuse_none(used, reasons):
-    """Refuse to go on without any structure."""
-    if not used.any():
-        raise ValueError(
-            f"`structure` must have a response for some draws, got none of {used.size}{because(reasons)}"
+    if structure.is_symbolic:
+        raise TypeError(
+            "`structure` must return a structure of numbers, got PyTensor variables. Its arguments are "
+            "the numbers of one draw: compute with NumPy."
         )
+    found = structure.n_dof, getattr(structure, "n_supports", 1)
+    for what, own, first in zip(("degrees of freedom", "supports"), found, size or found, strict=True):
+        if own != first:
+            raise ValueError(
+                f"`structure` must have the same {what} for every draw, got {sorted((own, first))}. "
+                "Predict with one structure at a time."
+            )
+    return found
 
 
 def warn_of_the_others(used, reasons):
@@ -176,10 +155,11 @@ def warn_of_the_others(used, reasons):
         warnings.warn(
             f"{int((~used).sum())} of {used.size} draws have no response and are left out{because(reasons)}",
             PredictionWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
 
 
 def because(reasons) -> str:
     """The first reason, if one is known."""
-    return f": {reasons[0]}" if reasons else ". Their frequencies or damping are not finite."
+    unknown = ". Their frequencies or damping are not finite, or their integration fails."
+    return f": {reasons[0]}" if reasons else unknown

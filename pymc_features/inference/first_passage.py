@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.inference.draws import structure_draws
-from pymc_features.inference.prediction import largest, row_coords
-from pymc_features.simulators import HISTORIES, modal_systems, response_blocks
+from pymc_features.inference.prediction import row_coords
+from pymc_features.simulators import HISTORIES
 
 
 def first_passage_probability(
@@ -21,6 +21,7 @@ def first_passage_probability(
     dt: float | None = None,
     sensors=None,
     n_modes: int | None = None,
+    outputs=None,
     random_seed=0,
 ) -> xr.Dataset:
     """Probability under the posterior that the largest absolute response exceeds a limit.
@@ -31,10 +32,10 @@ def first_passage_probability(
 
     Parameters
     ----------
-    idata, structure, draws, dt, sensors, n_modes, random_seed
-        As in `posterior_response`. `dt` holds for every record. "Any" is any of `sensors`.
-    record : Record or sequence of Records
-        Ground accelerations.
+    idata, structure, draws, dt, sensors, n_modes, outputs, random_seed
+        As in `posterior_response`. `dt` holds for every record. "Any" is any of `sensors` or `outputs`.
+    record : Record or Loading, or a sequence of them
+        Ground accelerations, or other loads as in `posterior_response`.
     limit : float or array_like (limit,)
         Positive, in the unit of the quantity.
     quantity : str
@@ -47,8 +48,8 @@ def first_passage_probability(
         standard error in `..._se`; `record_probability` (record, limit, storey) and `record_probability_any`
         (record, limit); `peak` (record, sample, storey), from which any other limit can be judged, with the
         `chain` and `draw` of each sample. The dimension is sensor instead of storey for quantities other than
-        the drift, and the base shear has none. A number as limit gives no dimension limit. `attrs` as in
-        `posterior_response`.
+        the drift, and the base shear has none, or support where there are several. A number as limit gives
+        no dimension limit. `attrs` as in `posterior_response`.
 
     Raises
     ------
@@ -70,7 +71,7 @@ def first_passage_probability(
 
     Peaks are those of the output samples: pass a smaller `dt` where the highest mode is short of samples.
     500 draws of the ten-storey example cost a tenth of a second for each record, and memory as in
-    `posterior_response`.
+    `posterior_response`; of structures that are simulated draw by draw one history is held at a time.
 
     Examples
     --------
@@ -88,21 +89,11 @@ def first_passage_probability(
         raise ValueError(f"`quantity` must be one of {', '.join(HISTORIES)}, got {quantity!r}.")
     limits = checked_limits(limit)
     records = checked_records(record)
-    settings = {"dt": dt, "sensors": sensors, "n_modes": n_modes}
-    chosen = structure_draws(idata, structure, records, draws, random_seed, **settings)
-    pairs = zip(records, chosen.requests, strict=True)
-    peak = np.stack([peaks(chosen.parameters, *pair, quantity) for pair in pairs])
-    cells = [exceedance(peak, value, chosen.used) for value in limits.ravel()]
-    return dataset(quantity, cells, limits, peak, records, chosen)
-
-
-def peaks(parameters, record, asked, name) -> np.ndarray:
-    """Largest absolute response over time, (row, sample)."""
-    systems = modal_systems(parameters, record.dt / asked.substeps, asked, name)
-    found = np.zeros(systems.direct.T.shape)
-    for _, values in response_blocks(systems, record, asked):
-        np.maximum(found, largest(values), out=found)
-    return found
+    settings = {"dt": dt, "sensors": sensors, "n_modes": n_modes, "outputs": outputs}
+    with structure_draws(idata, structure, records, [quantity], draws, random_seed, **settings) as chosen:
+        peak = np.stack([chosen.ensemble.peaks(k, quantity) for k in range(len(records))])
+        cells = [exceedance(peak, value, chosen.used) for value in limits.ravel()]
+        return dataset(quantity, cells, limits, peak, records, chosen)
 
 
 def exceedance(peak, limit, used) -> dict[str, np.ndarray]:
@@ -148,7 +139,7 @@ def effective_draws(shares, used) -> np.ndarray:
 
 def dataset(name, cells, limits, peak, records, chosen) -> xr.Dataset:
     """The result, labelled."""
-    rows = row_coords(name, chosen.requests[0])
+    rows = row_coords(chosen.ensemble.rows[name])
     row = tuple(rows)
     over_limit = ("limit",) if limits.ndim else ()
     units = {"units": HISTORIES[name].units}

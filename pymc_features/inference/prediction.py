@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.inference.draws import structure_draws
-from pymc_features.simulators import HISTORIES, modal_systems, response_blocks
+from pymc_features.simulators import HISTORIES, largest
 
 
 def posterior_response(
@@ -18,6 +18,7 @@ def posterior_response(
     dt: float | None = None,
     sensors=None,
     n_modes: int | None = None,
+    outputs=None,
     random_seed=0,
 ) -> xr.Dataset:
     """Bands of responses under the posterior, of measured or unmeasured quantities, to any earthquake.
@@ -33,15 +34,13 @@ def posterior_response(
         With a group `posterior`; or a Dataset (chain, draw, ...).
     structure : callable
         Function of variables of the posterior, matched by the names of its parameters, that returns a
-        structure, such as `lambda theta: paper.chain(theta)`. It is called with the numbers or arrays of one
-        draw. Parameters that the posterior does not have keep their default.
-    record : Record
-        Ground acceleration, of the inference or another.
+        structure, any that `simulate` takes, such as `lambda theta: paper.chain(theta)`. It is called with
+        the numbers or arrays of one draw. Parameters that the posterior does not have keep their default.
+    record : Record or Loading
+        Ground acceleration, of the inference or another; or, on linear structures, accelerations of several
+        supports or forces.
     quantities : str or sequence of str
-        Those of `simulate`; "inter_storey_drift" [m], x_i - x_{i-1}, storey 0 against the base; "base_shear"
-        [N], the sum of m_i a_i with the absolute accelerations a_i. That is the force of the ground on the
-        structure in the direction of positive ground acceleration: without damping, minus stiffness times
-        drift of storey 0.
+        Those of `simulate`, "inter_storey_drift" of chains and "base_shear" among them.
     draws : int
         At most so many draws, equally many of each chain (but one at least), evenly spaced.
     quantiles : array_like
@@ -51,7 +50,10 @@ def posterior_response(
     sensors : sequence of int, optional
         Degrees of freedom, and storeys of the drift, 0 next to the base. All by default.
     n_modes : int, optional
-        Number of modes kept, lowest first. All by default.
+        Number of modes kept, lowest first. All by default, and of nonlinear structures always.
+    outputs : array_like or sparse matrix (s, n), optional
+        S, for combinations S x of the quantities over all degrees of freedom instead of `sensors`, as in
+        `simulate`. The same for every draw.
     random_seed : int, optional
         Of the first draw taken.
 
@@ -61,7 +63,8 @@ def posterior_response(
         For each quantity q with its unit in `attrs`: q (quantile, sensor, time), q_mean (sensor, time) and
         q_peak (sample, sensor), the largest absolute value over the output samples for each draw that was
         used, which `chain` and `draw` tell. Drifts have the dimension storey instead of sensor, the base
-        shear has neither. `attrs`: `draws_used`, `draws_left_out`, `record`.
+        shear has neither, or support where there are several. `attrs`: `draws_used`, `draws_left_out`,
+        `record`.
 
     Raises
     ------
@@ -78,6 +81,8 @@ def posterior_response(
     Memory: besides the result, a block of times of all draws, 16 MiB at most, and each draw's modes; never
     (draw, sensor, time). 500 draws of the ten-storey example, 1559 samples at ten sensors, take a quarter of
     a second, most of it for the quantiles (tests/test_prediction.py compares with those of all histories).
+    Nonlinear structures, and those whose damping couples the modes, are simulated draw by draw; what their
+    histories take beyond 16 MiB, 8 bytes for each draw, row and sample, is in a temporary file meanwhile.
 
     The quantiles at each time are not those of a history: peaks have their own distribution, in q_peak.
 
@@ -94,29 +99,30 @@ def posterior_response(
     array([-0.1, -0.1, -0.1])
     """
     names, quantiles = checked_names(quantities), checked_quantiles(quantiles)
-    settings = {"dt": dt, "sensors": sensors, "n_modes": n_modes}
-    chosen = structure_draws(idata, structure, [record], draws, random_seed, **settings)
-    parts = {}
-    for name in names:
-        parts |= describe(name, chosen.parameters, record, chosen.requests[0], quantiles)
-    return xr.Dataset(parts, chosen.labels, chosen.attrs | {"record": record.name})
+    settings = {"dt": dt, "sensors": sensors, "n_modes": n_modes, "outputs": outputs}
+    drawn = structure_draws(
+        idata, structure, [record], names, draws, random_seed, keep_histories=True, **settings
+    )
+    with drawn as chosen:
+        parts = {}
+        for name in names:
+            parts |= describe(chosen.ensemble, name, quantiles)
+        return xr.Dataset(parts, chosen.labels, chosen.attrs | {"record": record.name})
 
 
-def describe(name, parameters, record, asked, quantiles) -> dict:
+def describe(ensemble, name, quantiles) -> dict:
     """Quantiles and mean at each time, and peaks, of one response."""
-    systems = modal_systems(parameters, record.dt / asked.substeps, asked, name)
-    n, n_rows = systems.direct.shape
-    total = asked.n_outputs(record.n_times)
-    bands, mean = np.empty((len(quantiles), n_rows, total)), np.empty((n_rows, total))
-    peak = np.zeros((n_rows, n))
-    for first, values in response_blocks(systems, record, asked):
+    times, rows = ensemble.times(0), ensemble.rows[name]
+    shape = len(rows.labels), len(times)
+    bands, mean = np.empty((len(quantiles), *shape)), np.empty(shape)
+    peak = np.zeros((len(rows.labels), len(ensemble)))
+    for first, values in ensemble.blocks(0, name):
         block = slice(first, first + values.shape[1])
         np.maximum(peak, largest(values), out=peak)
         mean[:, block] = values.mean(axis=-1)
         bands[:, :, block] = np.quantile(values, quantiles, axis=-1, overwrite_input=True)
-    times = np.arange(total) * (record.dt * asked.stride / asked.substeps)
-    coords = {"quantile": quantiles, "time": ("time", times, {"units": "s"})} | row_coords(name, asked)
-    row = tuple(row_coords(name, asked))
+    coords = {"quantile": quantiles, "time": ("time", times, {"units": "s"})} | row_coords(rows)
+    row = tuple(row_coords(rows))
     if not row:
         bands, mean, peak = bands[:, 0], mean[0], peak[0]
     attrs = {"units": HISTORIES[name].units}
@@ -131,16 +137,9 @@ def describe(name, parameters, record, asked, quantiles) -> dict:
     }
 
 
-def largest(values) -> np.ndarray:
-    """Largest absolute value over time of responses (row, time, sample)."""
-    return np.maximum(values.max(axis=1), -values.min(axis=1))
-
-
-def row_coords(name, asked) -> dict:
+def row_coords(rows) -> dict:
     """The coordinate of a response's rows; none for a response of one row."""
-    dim = HISTORIES[name].dim
-    title = {"sensor": "degree of freedom", "storey": "storey, 0 against the base"}
-    return {dim: (dim, asked.sensors, {"long_name": title[dim]})} if dim else {}
+    return {rows.dim: (rows.dim, rows.labels, {"long_name": rows.title})} if rows.dim else {}
 
 
 def checked_names(quantities) -> list[str]:

@@ -18,7 +18,7 @@ def plot_response_bands(result, quantity, sensors=None, measured=None, ax=None):
     quantity : str
         One of its quantities.
     sensors : int or sequence of int, optional
-        Sensors or storeys to draw; all by default.
+        Sensors, storeys or supports to draw; all by default.
     measured : DataArray (sensor, time) or array_like (sensor, time), optional
         Measured response with its own sensors and times, which may be fewer; or an array for the sensors
         drawn and the times of the result. For the base shear (time).
@@ -59,7 +59,7 @@ def plot_response_bands(result, quantity, sensors=None, measured=None, ax=None):
 
 def rows(bands, sensors):
     """The bands of the chosen sensors, the name of their dimension, and their labels."""
-    dim = next((d for d in ("sensor", "storey") if d in bands.dims), None)
+    dim = next((d for d in ("sensor", "storey", "support") if d in bands.dims), None)
     if dim is None:
         if sensors is not None:
             raise ValueError(f"`sensors` must be left out for a {bands.name}, got {sensors}.")

@@ -2,21 +2,15 @@
 
 from pymc_features.simulators.compilation import SOURCE_HASH
 from pymc_features.simulators.discrepancy import chain_discrepancy, chain_misfit
+from pymc_features.simulators.ensemble import Ensemble
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.gradient import discrepancy_gradient, population_gradient, response_gradient
-from pymc_features.simulators.histories import HISTORIES, has_response, modal_systems, response_blocks
-from pymc_features.simulators.linear import (
-    linear_discrepancy,
-    linear_misfit,
-    linear_population_discrepancy,
-    linear_population_misfit,
-    linear_response,
-)
 from pymc_features.simulators.population import population_discrepancy, population_misfit
-from pymc_features.simulators.quantities import at_outputs, checked_request, force_share, rows_of
+from pymc_features.simulators.quantities import HISTORIES, at_outputs, checked_request, force_share, rows_of
 from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
 from pymc_features.simulators.sampling import UNITS, request
 from pymc_features.simulators.simulate import simulate
+from pymc_features.simulators.simulated import largest
 from pymc_features.simulators.springs import integration_error, spring_forces
 from pymc_features.simulators.tangent import discrepancy_tangent, response_tangent
 
@@ -26,6 +20,7 @@ __all__ = [
     "force_share",
     "rows_of",
     "FAMILIES",
+    "Ensemble",
     "HISTORIES",
     "QUANTITIES",
     "SOURCE_HASH",
@@ -35,20 +30,13 @@ __all__ = [
     "chain_response",
     "discrepancy_gradient",
     "discrepancy_tangent",
-    "has_response",
     "integration_error",
-    "linear_discrepancy",
-    "linear_misfit",
-    "linear_population_discrepancy",
-    "linear_population_misfit",
-    "linear_response",
-    "modal_systems",
+    "largest",
     "n_outputs",
     "population_discrepancy",
     "population_gradient",
     "population_misfit",
     "request",
-    "response_blocks",
     "response_gradient",
     "response_tangent",
     "simulate",

@@ -29,10 +29,15 @@ from pymc_features.simulators.discrepancy import chain_discrepancy, chain_misfit
 from pymc_features.simulators.gradient import discrepancy_gradient, population_gradient, response_gradient
 from pymc_features.simulators.linear import (
     linear_discrepancy,
+    linear_discrepancy_gradient,
+    linear_discrepancy_tangent,
     linear_misfit,
     linear_population_discrepancy,
+    linear_population_gradient,
     linear_population_misfit,
     linear_response,
+    linear_response_gradient,
+    linear_response_tangent,
 )
 from pymc_features.simulators.nonlinear import nonlinear_response
 from pymc_features.simulators.population import population_discrepancy, population_misfit
@@ -125,8 +130,13 @@ FAMILIES = {
             "response": linear_response,
             "discrepancy": linear_discrepancy,
             "misfit": linear_misfit,
+            "response_gradient": linear_response_gradient,
+            "discrepancy_gradient": linear_discrepancy_gradient,
+            "response_tangent": linear_response_tangent,
+            "discrepancy_tangent": linear_discrepancy_tangent,
             "population_discrepancy": linear_population_discrepancy,
             "population_misfit": linear_population_misfit,
+            "population_gradient": linear_population_gradient,
         },
         constants={
             "mass": "a,e",

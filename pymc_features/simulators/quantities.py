@@ -85,11 +85,11 @@ def checked_request(structure, record, quantity, *, dt=None, sensors=None, n_mod
         )
     source, dim, _ = HISTORIES[quantity]
     if dim == "storey" and not structure.has_storeys:
-        known = ", ".join(name for name, made in HISTORIES.items() if made.dim != "storey")
+        others = ", ".join(name for name, response in HISTORIES.items() if response.dim != dim)
         raise ValueError(
-            f"`quantity` must be one of {known} for "
-            f"a {type(structure).__name__}, got {quantity!r}. Its degrees of freedom are no storeys: pass "
-            f"{source!r} and outputs=S with one row for each drift, 1 and -1 in the columns of its ends."
+            f"`quantity` must be one of {others} for a {type(structure).__name__}, got {quantity!r}. Its "
+            f"degrees of freedom are no storeys: pass {source!r} and outputs=S with one row for each drift, "
+            "1 and -1 in the columns of its ends."
         )
     asked = request(structure.n_dof, record.dt, dt=dt, sensors=sensors, quantity=source, n_modes=n_modes)
     if outputs is None:

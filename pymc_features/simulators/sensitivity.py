@@ -122,6 +122,29 @@ def output_coefficients(quantity, s, d, step, slope, row):
 
 
 @jit
+def fill_mode(w, zeta, slope, step, quantity, r, work, coefficients):
+    """Write what mode `r` needs into `coefficients` (27 groups, LANES).
+
+    Parameters
+    ----------
+    w, zeta, slope, step
+        As in `recursion.first_order_hold` and `output_coefficients`.
+    work : tuple of arrays (11, 1), (8,), (11,)
+        Overwritten.
+    """
+    table, derivative, output = work
+    first_order_hold(w, zeta, table, 0)
+    hold_derivative(w, zeta, derivative)
+    output_coefficients(quantity, w * w, 2.0 * zeta * w, step, slope, output)
+    first, lane = N_COEFFICIENTS * (r // LANES), r % LANES
+    for i in range(N_STEP):
+        coefficients[first + i, lane] = table[STEP_ROWS[i], 0]
+        coefficients[first + N_STEP + i, lane] = derivative[i]
+    for i in range(N_OUTPUT):
+        coefficients[first + 2 * N_STEP + i, lane] = output[i]
+
+
+@jit
 def sensitive_modes(mass, stiffness, rayleigh, ratios, step, n_modes, quantity):
     """Modes, and the coefficients of their recursion with derivatives.
 
@@ -142,7 +165,7 @@ def sensitive_modes(mass, stiffness, rayleigh, ratios, step, n_modes, quantity):
     omega, participation, mode_shapes = np.empty(n), np.empty(n), np.empty((n, n))
     groups = (n_modes + LANES - 1) // LANES
     coefficients = np.zeros((N_COEFFICIENTS * groups, LANES))
-    table, derivative, output = np.empty((N_ROWS, 1)), np.empty(N_STEP), np.empty(N_OUTPUT)
+    work = np.empty((N_ROWS, 1)), np.empty(N_STEP), np.empty(N_OUTPUT)
     valid = chain_modes(mass, stiffness, omega, mode_shapes, participation)
     for r in range(n_modes if valid else 0):
         w = omega[r] * step
@@ -151,15 +174,7 @@ def sensitive_modes(mass, stiffness, rayleigh, ratios, step, n_modes, quantity):
             valid = False
             break
         slope = rayleigh[1] + ratios[r] / omega[r]
-        first_order_hold(w, zeta, table, 0)
-        hold_derivative(w, zeta, derivative)
-        output_coefficients(quantity, w * w, 2.0 * zeta * w, step, slope, output)
-        first, lane = N_COEFFICIENTS * (r // LANES), r % LANES
-        for i in range(N_STEP):
-            coefficients[first + i, lane] = table[STEP_ROWS[i], 0]
-            coefficients[first + N_STEP + i, lane] = derivative[i]
-        for i in range(N_OUTPUT):
-            coefficients[first + 2 * N_STEP + i, lane] = output[i]
+        fill_mode(w, zeta, slope, step, quantity, r, work, coefficients)
     return valid, omega, participation, mode_shapes, coefficients
 
 

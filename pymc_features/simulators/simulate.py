@@ -1,11 +1,13 @@
 """The response of a structure of numbers, as a labelled array."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import xarray as xr
 
 from pymc_features.simulators.families import FAMILIES
+from pymc_features.simulators.linear.response import response_in_modes
 from pymc_features.simulators.quantities import HISTORIES, at_outputs, checked_request, force_share, rows_of
 
 
@@ -104,7 +106,11 @@ def respond(structure, record, asked, rows) -> np.ndarray:
     family = FAMILIES[structure.family]
     combined = rows.ndim == 2 and not family.takes_outputs
     picked = np.arange(structure.n_dof) if combined else family.rows(rows, structure.n_dof)
-    history = family.kernels["response"](
+    kernel = family.kernels["response"]
+    if structure.family == "linear":  # keeps its modes from one response to the next
+        modes = structure.modes(asked.n_modes)
+        kernel = partial(response_in_modes, modes.angular_frequencies, modes.mode_shapes)
+    history = kernel(
         *structure.parameters(),
         *structure.constants(record),
         structure.excitation(record),
@@ -115,8 +121,6 @@ def respond(structure, record, asked, rows) -> np.ndarray:
         asked.n_modes,
         asked.quantity_code,
     )
-    if family.takes_outputs and np.isnan(history).any():
-        structure.modes(asked.n_modes)  # says so if it is the modes that cannot be found
     return rows @ history if combined else history
 
 

@@ -192,7 +192,11 @@ class LinearStructure(Structure):
 
     def inertia(self):
         """Return influence' M (supports, n) [kg], the masses that the motion of each support moves."""
-        return (self.mass @ self.influence).reshape(self.n_dof, -1).T
+        static = self.influence.reshape(self.n_dof, -1)
+        moved, *more = ((mass @ static).T for mass in self._terms[0].matrices())
+        for i, part in enumerate(more):
+            moved = moved + self.theta[i] * part
+        return moved
 
     def matrices(self):
         """Return M [kg], C [N s/m] and K [N/m], arrays (n, n), or sparse if K was given so.

@@ -75,8 +75,16 @@ class Arguments(NamedTuple):
         """Whether the damping is given by coefficients, not by a matrix."""
         return self.damping.shape[0] == 0
 
-    def check(self, history=None):
-        """Refuse sizes that do not agree; `history` is the data or a cotangent of the response."""
+    @property
+    def inputs(self) -> np.ndarray:
+        """`acceleration` for a kernel."""
+        return writable(self.acceleration)
+
+    def check(self, history=None, weights=None):
+        """Refuse sizes that do not agree.
+
+        `history` is the data or a cotangent of the response (s, u), `weights` a cotangent of e (s,).
+        """
         n, entries = self.influence.shape[0], self.mass.shape[1]
         if self.starts.size not in (0, n + 1) or entries != (self.rows.size if self.starts.size else n * n):
             raise ValueError("`rows` and `starts` must be the pattern of the matrices, or empty if dense")
@@ -96,10 +104,17 @@ class Arguments(NamedTuple):
             raise ValueError("`rayleigh` must have 2 values, and `ratios` one for each mode kept")
         if history is not None and history.shape != self.shape:
             raise ValueError("`observed` or the cotangent must have the shape (sensor, time) of the response")
+        if weights is not None and weights.shape != self.shape[:1]:
+            raise ValueError("`weights` must have one value for each sensor")
 
 
 N_ARGUMENTS = len(Arguments._fields)
 N_PARAMETERS = 3  # theta, rayleigh and ratios may be random
+
+
+def writable(array, dtype=np.float64) -> np.ndarray:
+    """The array, or a copy if it is read-only or strided: one compiled kernel serves all."""
+    return np.require(array, dtype, ["C", "W"])
 
 
 def one_of(parameters, p: int) -> tuple:
@@ -107,9 +122,10 @@ def one_of(parameters, p: int) -> tuple:
     return tuple(array[p % array.shape[0]] for array in parameters)
 
 
-def n_particles(parameters) -> int:
-    """Number of particles of a population."""
+def n_particles(parameters, weights=None) -> int:
+    """Number of particles of a population; `weights` (p, s) have a row for each."""
     counts = {array.shape[0] for array in parameters}
-    if len(counts - {1}) > 1:
-        raise ValueError("`theta`, `rayleigh` and `ratios` must have one row, or one for each particle")
-    return max(counts)
+    given = counts if weights is None else {weights.shape[0]}
+    if len((counts | given) - {1}) > 1 or max(given) < max(counts):
+        raise ValueError("the parameters must have one row, or one for each particle, and `weights` all rows")
+    return max(given)

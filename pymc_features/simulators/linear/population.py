@@ -14,6 +14,7 @@ from pymc_features.simulators.linear.arguments import (
     Arguments,
     n_particles,
     one_of,
+    writable,
 )
 from pymc_features.simulators.linear.classical import classical_matrices
 from pymc_features.simulators.linear.response import evaluate
@@ -52,8 +53,8 @@ def march_population(arguments, with_increments):
     result = np.full((count, n_sensors, 4 if with_increments else 1), np.nan)
     tables = np.empty((LANES, N_ROWS, m)), np.empty((LANES, n_sensors, m)), np.empty((LANES, n_sensors))
     settings = (
-        *(np.ascontiguousarray(shared.acceleration[0]), *shared.grid),
-        *(np.ascontiguousarray(observed, dtype=np.float64), with_increments or None),
+        *(shared.inputs[0], *shared.grid),
+        *(writable(observed), with_increments or None),
     )
     waiting = []
     for p in range(count):

@@ -27,6 +27,13 @@ def linear_response(*arguments) -> np.ndarray:
     return evaluate(a, solve_system(a), None)
 
 
+def response_in_modes(omega, shapes, *arguments) -> np.ndarray:
+    """As `linear_response`, of an admissible structure whose modes are known: omega (m,), shapes (n, m)."""
+    a = Arguments(*arguments)
+    a.check()
+    return evaluate(a, solve_system(a, known=(omega, shapes)), None)
+
+
 def linear_discrepancy(*arguments) -> np.ndarray:
     """e_j (s,) of Eq. (3), of the data that follow the arguments, `observed` (s, u)."""
     return linear_misfit(*arguments)[:, 0].copy()
@@ -48,14 +55,13 @@ def evaluate(a, system, observed):
     if system is None:
         return np.full((n_sensors, total if observed is None else 4), np.nan)
     seen, direct = observe(a, system)
-    inputs = np.ascontiguousarray(a.acceleration)
     observed, history, sums = destination(a.shape, observed)
     if is_coupled(system.drag):
         matrices = step_matrices(system.omega, system.drag, system.participation, seen, a.step, a.quantity)
-        march_state(*matrices, direct, inputs, *a.grid, observed, history, sums)
+        march_state(*matrices, direct, a.inputs, *a.grid, observed, history, sums)
     else:
         matrices = classical_matrices(a, system, seen)
-        march_modes(*matrices, direct, inputs, *a.grid, observed, history, sums)
+        march_modes(*matrices, direct, a.inputs, *a.grid, observed, history, sums)
     if history.size:
         return history
     sums[:2] /= total

@@ -24,6 +24,20 @@ from pymc_features.simulators.recursion import (
 )
 
 
+def step_system(omega, damping, participation, step):
+    """The matrix whose exponential has all blocks, (2m + 2d, 2m + 2d), and the scales S (m,)."""
+    m, d = participation.shape
+    w = omega * step
+    scale = np.maximum(w, 1.0)
+    system = np.zeros((2 * m + 2 * d, 2 * m + 2 * d))
+    system[:m, m : 2 * m] = np.diag(scale)
+    system[m : 2 * m, :m] = np.diag(-w * w / scale)
+    system[m : 2 * m, m : 2 * m] = -step * damping
+    system[m : 2 * m, 2 * m : 2 * m + d] = -step * step * participation
+    system[2 * m : 2 * m + d, 2 * m + d :] = np.eye(d)
+    return system, scale
+
+
 def step_matrices(omega, damping, participation, seen, step, quantity):
     """Transition (2m, 2m), weights (2m, d) of both ends of the step, and output matrix (s, 2m).
 
@@ -43,14 +57,7 @@ def step_matrices(omega, damping, participation, seen, step, quantity):
         A position in `QUANTITIES`; feed-through is not included.
     """
     m, d = participation.shape
-    w = omega * step
-    scale = np.maximum(w, 1.0)
-    system = np.zeros((2 * m + 2 * d, 2 * m + 2 * d))
-    system[:m, m : 2 * m] = np.diag(scale)
-    system[m : 2 * m, :m] = np.diag(-w * w / scale)
-    system[m : 2 * m, m : 2 * m] = -step * damping
-    system[m : 2 * m, 2 * m : 2 * m + d] = -step * step * participation
-    system[2 * m : 2 * m + d, 2 * m + d :] = np.eye(d)
+    system, scale = step_system(omega, damping, participation, step)
     whole = expm(system)
     first, second = whole[: 2 * m, 2 * m : 2 * m + d], whole[: 2 * m, 2 * m + d :]
     output = np.zeros((seen.shape[0], 2 * m))
@@ -63,6 +70,21 @@ def step_matrices(omega, damping, participation, seen, step, quantity):
         output[:, m:] = -seen @ damping / step
     arrays = whole[: 2 * m, : 2 * m], first - second, second, output
     return tuple(np.ascontiguousarray(a) for a in arrays)
+
+
+@jit
+def advance_state(transition, now, after, inputs, substeps, first, count, states, ground):
+    """Write the states after state 0, `count` steps of the recursion from step `first` on.
+
+    Parameters
+    ----------
+    states, ground : array (> count, 2m), (> count, d)
+        States and inputs at the steps; all but `states[0]` are written.
+    """
+    interpolate(inputs, first, substeps, ground[0])
+    for k in range(count):
+        interpolate(inputs, first + k + 1, substeps, ground[k + 1])
+        states[k + 1] = np.dot(transition, states[k]) + np.dot(now, ground[k]) + np.dot(after, ground[k + 1])
 
 
 @jit
@@ -81,18 +103,19 @@ def march_state(transition, now, after, output, direct, inputs, substeps, stride
     """
     size, n_inputs = now.shape
     total = n_outputs(inputs.shape[1], substeps, stride)
-    state, left, right = np.zeros(size), np.empty(n_inputs), np.empty(n_inputs)
+    own_states, own_ground = np.zeros((stride + 1, size)), np.zeros((stride + 1, n_inputs))
     states, ground = np.zeros((BLOCK, size)), np.zeros((BLOCK, n_inputs))
     for first in range(0, total, BLOCK):
         count = min(BLOCK, total - first)
         for b in range(count):
-            sample = first + b
-            for fine in range(max(sample - 1, 0) * stride, sample * stride):
-                interpolate(inputs, fine, substeps, left)
-                interpolate(inputs, fine + 1, substeps, right)
-                state = np.dot(transition, state) + np.dot(now, left) + np.dot(after, right)
-            states[b] = state
-            interpolate(inputs, sample * stride, substeps, ground[b])
+            if first + b > 0:
+                own_states[0] = own_states[stride]
+                begin = (first + b - 1) * stride
+                advance_state(
+                    *(transition, now, after, inputs, substeps, begin, stride, own_states, own_ground)
+                )
+            states[b] = own_states[stride]
+            interpolate(inputs, (first + b) * stride, substeps, ground[b])
         block = np.dot(output, states.T) + np.dot(direct, ground.T)
         take_block(block, first, count, observed, history, sums)
 

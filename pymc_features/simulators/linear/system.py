@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
 
 from pymc_features.algebra import assemble, is_definite, natural_modes, shifted_factor, spectral_shift
 from pymc_features.simulators.recursion import ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION
@@ -46,7 +47,8 @@ class System(NamedTuple):
     participation: np.ndarray
 
 
-def solve_system(a, *, left_out=False) -> System | None:
+@np.errstate(over="ignore", invalid="ignore")
+def solve_system(a, *, left_out=False, known=None) -> System | None:
     """Modes of a structure; None where the parameters describe none.
 
     Parameters
@@ -54,31 +56,38 @@ def solve_system(a, *, left_out=False) -> System | None:
     a : Arguments
     left_out : bool
         Whether all modes are wanted, if the matrices are dense.
+    known : tuple of arrays, optional
+        omega and shapes of a structure that is known to be admissible; the system is without factor then.
     """
     if not all(np.isfinite(values).all() for values in (a.theta, a.rayleigh, a.ratios)):
         return None
-    n = a.influence.shape[0]
+    n, m, factor, others = a.influence.shape[0], a.n_modes, None, None
     mass, stiffness = (assemble(stack, a.theta, a.rows, a.starts, n) for stack in (a.mass, a.stiffness))
-    if not is_definite(mass):
-        return None
-    factor = shifted_factor(mass, stiffness)
-    if factor is None:
-        return None
-    m, others = a.n_modes, None
-    every = left_out and m < n and not a.starts.size
-    try:
-        omega, shapes = natural_modes(mass, stiffness, n if every else m, factor)
-    except (np.linalg.LinAlgError, RuntimeError):  # modes that cannot be found
-        return None
-    if every:
-        others = omega[m:], shapes[:, m:]
-        omega, shapes = omega[:m], np.ascontiguousarray(shapes[:, :m])
+    if known is None:
+        factor = admissible_factor(mass, stiffness)
+        if factor is None:
+            return None
+        every = left_out and m < n and not a.starts.size
+        try:
+            known = natural_modes(mass, stiffness, n if every else m, factor)
+        except (np.linalg.LinAlgError, RuntimeError):  # modes that cannot be found
+            return None
+        others = (known[0][m:], known[1][:, m:]) if every else None
+    omega, shapes = known[0][:m], np.ascontiguousarray(known[1][:, :m])
     damping = None if a.is_classical else assemble(a.damping, a.theta, a.rows, a.starts, n)
     drag = modal_drag(a, mass, damping, omega, shapes)
     if drag is None or not max(omega.max(), abs(drag).max()) * a.step < STIFFEST:
         return None
     load = mass @ a.influence - a.forces
     return System(mass, damping, stiffness, factor, omega, shapes, others, drag, load, shapes.T @ load)
+
+
+def admissible_factor(mass, stiffness):
+    """The factor of K + shift M; None if M is not positive definite or some omega^2 is negative."""
+    for matrix in (mass, stiffness):
+        if not np.isfinite(matrix.data if sparse.issparse(matrix) else matrix).all():
+            return None
+    return shifted_factor(mass, stiffness) if is_definite(mass) else None
 
 
 def modal_drag(a, mass, damping, omega, shapes):

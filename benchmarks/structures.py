@@ -1,0 +1,127 @@
+"""Cost of one evaluation against degrees of freedom, for each family of structures.
+
+Populations through the kernels that the Ops call: ns per particle and step of the record. The same shear
+building is a chain, a dense LinearStructure, one with a dashpot that couples its modes, and a chain with
+nonlinear springs; beside them what people write with SciPy. Large sparse frames keep 20 modes: ms for one
+value and for one gradient.
+"""
+
+import numpy as np
+from scipy import sparse
+
+import pymc_features as pmf
+from benchmarks.case import ALPHA, BETA, build, record_of_length
+from benchmarks.routes import filters
+from benchmarks.tables import significant, table
+from benchmarks.timing import best_of_rounds, fitted_exponent
+from pymc_features.simulators import FAMILIES
+
+SIZES = (3, 10, 30, 100)
+GRIDS = ((10, 30), (20, 50), (20, 100))  # bays and storeys of the sparse frames
+N_MODES = 20
+
+
+def structures(case):
+    """The same building by name: a structure of the nominal stiffness."""
+    n, damping = case.n_dof, pmf.RayleighDamping(ALPHA, BETA)
+    mass, stiffness = case.mass, np.full(n, case.stiffness.mean())
+    chain = pmf.SpringMassChain(mass, stiffness, damping)
+    m, c, k = chain.matrices()
+    dashpot = np.zeros((n, n))
+    dashpot[-1, -1] = 2.0
+    terms = [np.diag(np.eye(n)[0] * stiffness[0])]
+    yields = {"yield_displacement": 0.05, "post_yield_ratio": 0.1}
+    return {
+        "chain": chain,
+        "LinearStructure": pmf.AffineStructure(m, damping, k, stiffness_terms=terms),
+        "coupled damping": pmf.AffineStructure(m, c + dashpot, k, stiffness_terms=terms),
+        "HystereticChain": pmf.HystereticChain(mass, stiffness, damping, **yields),
+        "DuffingChain": pmf.DuffingChain(mass, stiffness, damping, cubic=1e4),
+    }
+
+
+def population(structure, case):
+    """Return a call that evaluates as many particles as the case has, (P, s)."""
+    family = FAMILIES[structure.family]
+    record = pmf.Record(case.acceleration, case.dt)
+    rng = np.random.default_rng(0)
+    parameters = [np.asarray(p)[None] for p in structure.parameters()]
+    varied = 0 if structure.family == "linear" else 1  # theta, or the springs
+    spread = 0.1 * rng.uniform(-1.0, 1.0, (len(case.stiffness), parameters[varied].shape[1]))
+    parameters[varied] = parameters[varied] * (1.0 + spread) + (spread if varied == 0 else 0.0)
+    rows = family.rows(case.sensors, case.n_dof)
+    rows = rows.toarray() if sparse.issparse(rows) else rows
+    inputs = (
+        *parameters,
+        *structure.constants(record),
+        structure.excitation(record),
+        *(case.dt, case.substeps, 1, rows, case.n_dof, 0, case.observed),
+    )
+    kernel = family.kernels["population_discrepancy"]
+    return lambda: kernel(*inputs)
+
+
+def frame(bays, storeys):
+    """A sparse plane grid of springs on a fixed base, the lower and the upper half with a factor each."""
+    place = np.arange(bays * storeys).reshape(storeys, bays)
+    across = np.stack([place[:, :-1].ravel(), place[:, 1:].ravel()], axis=1)
+    up = np.stack([place[:-1].ravel(), place[1:].ravel()], axis=1)
+    pairs = np.concatenate([across, up])
+    n, count = place.size, np.arange(len(pairs))
+    values = np.concatenate([np.ones(count.size), -np.ones(count.size)])
+    drifts = sparse.csr_array((values, (np.tile(count, 2), pairs.T.ravel())), shape=(count.size, n))
+    lower = pairs.max(axis=1) < n // 2
+    halves = [1e5 * sparse.csc_array(d.T @ d) for d in (drifts[lower], drifts[~lower])]
+    base = sparse.diags_array(np.where(np.arange(n) < bays, 1e5, 0.0))
+    damping = pmf.ModalDamping(np.full(N_MODES, 0.02))
+    return pmf.AffineStructure(
+        np.ones(n), damping, sparse.csc_array(base), stiffness_terms=halves, theta=[1.0, 1.0]
+    )
+
+
+def value_and_gradient(structure, record):
+    """Calls for e_j of one particle and for its gradient, with four sensors up the height."""
+    family, n = FAMILIES["linear"], structure.n_dof
+    sensors = np.linspace(n // 4, n - 1, 4).astype(int)
+    rows = family.rows(sensors, n).toarray()
+    common = (
+        *structure.constants(record),
+        structure.excitation(record),
+        *(record.dt, 1, 1, rows, N_MODES, 0),
+    )
+    _, *rest = structure.parameters()
+    data = family.kernels["response"](np.array([1.1, 0.9]), *rest, *common)
+    inputs = (np.array([1.0, 1.0]), *rest, *common, data)
+    weights = np.ones(sensors.size)
+    return {
+        "value": lambda: family.kernels["discrepancy"](*inputs),
+        "gradient": lambda: family.kernels["discrepancy_gradient"](*inputs, weights),
+    }
+
+
+def run(quick=False):
+    """Print both tables."""
+    rounds = 2 if quick else 7
+    seconds = {}
+    for size in SIZES[: 3 if quick else None]:
+        case = build(record_of_length(1000), particles=16, n_dof=size, n_sensors=min(5, size))
+        calls = {name: population(one, case) for name, one in structures(case).items()}
+        calls["SciPy: eigh, lfilter"] = filters.prepare(case)
+        for name, best in best_of_rounds(calls, rounds).items():
+            seconds.setdefault(name, []).append(1e9 * best / case.steps)
+    sizes = SIZES[: len(seconds["chain"])]
+    rows = [
+        [name, *map(significant, found), f"{fitted_exponent(sizes, found):.2f}"]
+        for name, found in seconds.items()
+    ]
+    print("\n## Families of structures: ns per particle and step, 1000 samples, 5 sensors, all modes\n")
+    print(table(["structure", *(f"{size} DOF" for size in sizes), "exponent"], rows), flush=True)
+    record, rows = record_of_length(1559), []
+    for bays, storeys in GRIDS[: 1 if quick else None]:
+        best = best_of_rounds(value_and_gradient(frame(bays, storeys), record), rounds)
+        ratio = best["gradient"] / best["value"]
+        rows.append(
+            [f"{bays * storeys:,}", *map(significant, (1e3 * s for s in best.values())), f"{ratio:.1f}"]
+        )
+    print(f"\n## Sparse frames, {N_MODES} modes, 4 sensors, 1559 samples\n")
+    print(table(["DOF", "value: ms", "gradient: ms", "x value"], rows), flush=True)

@@ -1,0 +1,596 @@
+"""Kernels of linear structures: against matrix exponentials without modes, complex steps, and each other."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.linalg import eigh, eigh_tridiagonal, expm
+
+from pymc_features import (
+    AffineStructure,
+    LinearStructure,
+    Loading,
+    ModalDamping,
+    RayleighDamping,
+    Record,
+    SpringMassChain,
+    simulate,
+    simulators,
+)
+from pymc_features.algebra import AffineMatrix, common_pattern
+from pymc_features.simulators import (
+    linear_discrepancy,
+    linear_discrepancy_gradient,
+    linear_discrepancy_tangent,
+    linear_misfit,
+    linear_population_discrepancy,
+    linear_population_gradient,
+    linear_population_misfit,
+    linear_response,
+    linear_response_gradient,
+    linear_response_tangent,
+)
+from pymc_features.simulators.linear.arguments import Arguments
+from pymc_features.simulators.linear.complement import invert_outside
+from pymc_features.simulators.linear.system import is_coupled, solve_system
+
+N_PARAMETERS = 3
+
+# --------------------------------------------------------------------------- independent routes
+
+
+def first_order_hold(mass, damping, stiffness, load, inputs, step, stride):
+    """x, x', x" of M x" + C x' + K x = load inputs at every `stride`-th step, by one matrix exponential."""
+    n, d = load.shape
+    drag, spring, push = (np.linalg.solve(mass, a) for a in (damping, stiffness, load))
+    system = np.zeros((2 * n + 2 * d, 2 * n + 2 * d), dtype=np.result_type(spring, drag, push))
+    system[:n, n : 2 * n] = np.eye(n)
+    system[n : 2 * n, : 2 * n + d] = np.hstack([-spring, -drag, push])
+    system[2 * n : 2 * n + d, 2 * n + d :] = np.eye(d) / step
+    whole = expm(system * step)[: 2 * n]
+    states = np.zeros((inputs.shape[1], 2 * n), dtype=system.dtype)
+    for k in range(inputs.shape[1] - 1):
+        states[k + 1] = whole @ np.concatenate([states[k], inputs[:, k], inputs[:, k + 1] - inputs[:, k]])
+    x, v = states[::stride, :n].T, states[::stride, n:].T
+    return x, v, push @ inputs[:, ::stride] - spring @ x - drag @ v
+
+
+class Case:
+    """A structure by lists of dense matrices, what acts on it and what is asked; M, C, K: A_0, A_1, ..."""
+
+    def __init__(self, mass, damping, stiffness, theta, *, influence=None, forces=None, **asked):
+        self.mass, self.damping, self.stiffness, self.theta = mass, damping, stiffness, np.array(theta)
+        n = len(mass[0])
+        rng = np.random.default_rng(n)
+        given = influence if forces is None else forces
+        self.influence = np.zeros(given.shape) if influence is None else influence
+        self.forces = np.zeros(given.shape) if forces is None else forces
+        self.inputs = rng.normal(size=(given.shape[1], asked.get("n_times", 120)))
+        self.dt, self.n_modes = 0.03, asked.get("n_modes", n)
+        self.substeps, self.stride = asked.get("grid", (1, 1))
+        self.sensors, self.quantity = rng.normal(size=(3, n)), asked.get("quantity", 0)
+        self.rayleigh = np.zeros(2) if damping else np.array([0.3, 2e-3])
+        self.ratios = np.full(n, asked.get("ratio", 0.0))
+        self.is_sparse = asked.get("is_sparse", False)
+
+    @property
+    def parameters(self):
+        return self.theta, self.rayleigh, self.ratios
+
+    @property
+    def rest(self):
+        """Constants, inputs and what is asked, as the kernels take them."""
+        stacks, pattern = self.mass, (np.zeros(0, dtype=int), np.zeros(0, dtype=int))
+        n, lists = len(self.mass[0]), (self.mass, self.damping, self.stiffness)
+        if self.is_sparse:
+            lists = [[sparse.csc_array(a) for a in matrices] for matrices in lists]
+            pattern = common_pattern([a for matrices in lists for a in matrices])
+            none = np.zeros((0, pattern[0].size))
+            stacks = [AffineMatrix(a[0], a[1:], pattern).stack if a else none for a in lists]
+        else:
+            stacks = [np.array(a).reshape(len(a), n * n) for a in lists]
+        return (
+            *(*stacks, *pattern, self.influence, self.forces, self.inputs, self.dt),
+            *(self.substeps, self.stride, self.sensors, self.n_modes, self.quantity),
+        )
+
+    @property
+    def arguments(self):
+        return *self.parameters, *self.rest
+
+    def reference(self, flat):
+        """The response (s, u) without our modes; analytic in the parameters but for ratios and truncation."""
+        p, n = self.theta.size, len(self.mass[0])
+        theta, rayleigh, ratios = flat[:p], flat[p : p + 2], flat[p + 2 :]
+        mass, stiffness = (
+            a[0] + sum((t * b for t, b in zip(theta, a[1:], strict=False)), 0.0)
+            for a in (self.mass, self.stiffness)
+        )
+        keep = np.eye(n)
+        if self.damping:
+            c = self.damping
+            damping = c[0] + sum((t * b for t, b in zip(theta, c[1:], strict=False)), 0.0)
+        else:
+            damping = rayleigh[0] * mass + rayleigh[1] * stiffness
+        if self.n_modes < n or ratios.any():
+            values, shapes = eigh(stiffness, mass)
+            moved = mass @ shapes
+            damping = damping + moved * (2.0 * ratios * np.sqrt(np.maximum(values, 0.0))) @ moved.T
+            keep = shapes[:, : self.n_modes]
+        load = keep.T @ (self.forces - mass @ self.influence)
+        reduced = [keep.T @ a @ keep for a in (mass, damping, stiffness)]
+        n_times = self.inputs.shape[1]
+        fine = np.arange((n_times - 1) * self.substeps + 1) / self.substeps
+        inputs = np.stack([np.interp(fine, np.arange(n_times), a) for a in self.inputs])
+        x, v, a = (
+            keep @ history
+            for history in first_order_hold(*reduced, load, inputs, self.dt / self.substeps, self.stride)
+        )
+        return self.sensors @ (a + self.influence @ inputs[:, :: self.stride], a, v, x)[self.quantity]
+
+    def derivatives(self):
+        """Directions (k, k), one for each parameter, and the derivatives of the reference, (k, s, u)."""
+        point = np.concatenate(self.parameters)
+        sizes = np.ones(self.theta.size), [0.1, 1e-3], np.full(self.ratios.size, 0.01)
+        directions = np.diag(np.concatenate(sizes))
+        if self.damping:
+            directions = directions[: self.theta.size]
+        elif not self.ratios.any():
+            directions = directions[: self.theta.size + 2]
+        if self.n_modes == len(self.mass[0]) and not self.ratios.any():
+            return directions, np.array([self.reference(point + 1e-30j * d).imag / 1e-30 for d in directions])
+        step, f = 2e-3, self.reference
+        return directions, np.array(
+            [
+                8.0 * (f(point + step * d) - f(point - step * d))
+                - (f(point + 2 * step * d) - f(point - 2 * step * d))
+                for d in directions
+            ]
+        ) / (12.0 * step)
+
+
+def split(flat, like):
+    return np.split(flat, np.cumsum([a.size for a in like])[:-1])
+
+
+def peak_error(actual, expected):
+    return np.abs(np.asarray(actual) - np.asarray(expected)).max() / np.abs(expected).max()
+
+
+def definite(rng, n, scale):
+    mixing = rng.normal(size=(n, n))
+    return scale * mixing @ mixing.T / n
+
+
+def springs(n, k, *, free=False):
+    """K of a chain, fixed at the base or floating."""
+    drifts = np.diff(np.eye(n), axis=0) if free else np.diff(np.eye(n), axis=0, prepend=0.0)
+    return drifts.T @ (np.broadcast_to(k, len(drifts))[:, None] * drifts)
+
+
+def random_case(seed, n, *, coupled=False, free=False, constant_mass=False, d=1, forces=False, **asked):
+    """Random M and C, random springs, three parameters."""
+    rng = np.random.default_rng(seed)
+    zero = np.zeros((n, n))
+    mass = [definite(rng, n, 1.0) + np.eye(n), definite(rng, n, 0.2), zero, definite(rng, n, 0.1)]
+    count = n - 1 if free else n
+    stiffness = [springs(n, rng.uniform(50.0, 400.0, count), free=free)]
+    stiffness += [springs(n, rng.uniform(0.0, 80.0, count), free=free) for _ in range(3)]
+    damping = [definite(rng, n, 0.5), definite(rng, n, 0.1), definite(rng, n, 0.3), zero] if coupled else []
+    load = {"forces" if forces else "influence": rng.normal(size=(n, d))}
+    mass = mass[:1] if constant_mass else mass
+    return Case(mass, damping, stiffness, [1.0, 0.5, 0.7], **load, **asked)
+
+
+def twin_towers(coupled):
+    """Both directions of a symmetric tower: frequencies in pairs, which the last parameter couples."""
+    one, zero = springs(3, [300.0, 200.0, 100.0]), np.zeros((3, 3))
+    stiffness = np.block([[one, zero], [zero, one]])
+    link = 20.0 * np.block([[zero, np.eye(3)], [np.eye(3), zero]])
+    mass = np.diag([2.0, 1.0, 1.0, 2.0, 1.0, 1.0])
+    extra = np.diag([0.3, 0.0, 0.1, 0.0, 0.2, 0.0])
+    damping = [0.4 * mass, 0.0 * mass, 2e-3 * stiffness, 0.1 * extra] if coupled else []
+    influence = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3])[:, None]
+    masses, stiffnesses = (
+        [mass, extra, 0.0 * mass, 0.0 * mass],
+        [stiffness, 0.0 * link, 0.1 * stiffness, link],
+    )
+    return Case(masses, damping, stiffnesses, [0.0, 0.0, 0.0], influence=influence)
+
+
+def proportional_matrix():
+    """C_0 that the modes diagonalise at theta = 0, and a dashpot by which its derivative couples them."""
+    case = random_case(8, 4, coupled=True, constant_mass=True)
+    dashpot = np.diag([0.0, 0.0, 0.0, 1.0])
+    case.damping = [0.3 * case.mass[0] + 2e-3 * case.stiffness[0], dashpot, 0.0 * dashpot, 0.0 * dashpot]
+    case.theta = np.zeros(3)
+    return case
+
+
+# name: case, and what its reference is good for
+CASES = {}
+for _coupled in (False, True):
+    _tag = "coupled" if _coupled else "classical"
+    for _q in range(4):
+        CASES[f"{_tag}, quantity {_q}"] = random_case(_q, 4, coupled=_coupled, quantity=_q), 1e-10
+    CASES |= {
+        f"{_tag}, two supports": (random_case(4, 4, coupled=_coupled, d=2), 1e-10),
+        f"{_tag}, forces": (random_case(5, 4, coupled=_coupled, d=2, forces=True, quantity=1), 1e-10),
+        f"{_tag}, sparse": (random_case(6, 9, coupled=_coupled, is_sparse=True), 1e-10),
+        f"{_tag}, substeps": (random_case(7, 4, coupled=_coupled, grid=(3, 1)), 1e-10),
+        f"{_tag}, stride": (random_case(7, 4, coupled=_coupled, grid=(1, 3), n_times=601), 1e-10),
+        f"{_tag}, constant mass": (random_case(8, 4, coupled=_coupled, constant_mass=True), 1e-10),
+        f"{_tag}, rigid body": (
+            random_case(9, 4, coupled=_coupled, free=True, forces=True, quantity=3),
+            1e-9,
+        ),
+        f"{_tag}, repeated": (twin_towers(_coupled), 1e-9),
+        f"{_tag}, truncated": (random_case(10, 6, coupled=_coupled, n_modes=2), 1e-7),
+        f"{_tag}, truncated, sparse": (
+            random_case(11, 9, coupled=_coupled, n_modes=3, d=2, is_sparse=True, quantity=1),
+            1e-7,
+        ),
+        f"{_tag}, truncated, rigid, forces": (
+            random_case(12, 9, coupled=_coupled, n_modes=3, free=True, forces=True, is_sparse=True),
+            1e-7,
+        ),
+    }
+CASES |= {
+    "ratios": (random_case(13, 4, ratio=0.02, quantity=3), 1e-7),
+    "ratios, truncated": (random_case(14, 6, ratio=0.02, n_modes=3, constant_mass=True), 1e-7),
+    "proportional matrix": (proportional_matrix(), 1e-10),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_response_and_derivatives(name):
+    """Response, gradients and tangents of both kinds, and tangents as transposes of gradients."""
+    case, accuracy = CASES[name]
+    rng = np.random.default_rng(1)
+    parameters, arguments = case.parameters, case.arguments
+    expected = case.reference(np.concatenate(parameters))
+    response = linear_response(*arguments)
+    assert peak_error(response, expected) < 1e-11
+    directions, derivatives = case.derivatives()
+    used = len(directions)
+
+    weights = rng.normal(size=response.shape)
+    gradient = np.concatenate(linear_response_gradient(*arguments, weights))
+    found = directions @ gradient
+    assert peak_error(found, (derivatives * weights).sum(axis=(1, 2))) < accuracy
+    if case.damping:
+        assert not gradient[used:].any()
+
+    observed = expected + 0.3 * np.abs(expected).max() * rng.normal(size=expected.shape)
+    per_sensor = rng.uniform(1.0, 2.0, expected.shape[0])
+    by_response = 2.0 * ((expected - observed) * derivatives).mean(axis=2)
+    of_errors = np.concatenate(linear_discrepancy_gradient(*arguments, observed, per_sensor))
+    assert peak_error(directions @ of_errors, by_response @ per_sensor) < accuracy
+
+    share = rng.normal(size=used)
+    direction = share @ directions
+    moved = linear_response_tangent(*arguments, *split(direction, parameters))
+    assert peak_error(moved, np.tensordot(share, derivatives, axes=1)) < accuracy
+    scale = np.abs(direction * gradient).max()
+    assert abs((weights * moved).sum() - direction @ gradient) < 1e-11 * scale
+    moved_errors = linear_discrepancy_tangent(*arguments, observed, *split(direction, parameters))
+    assert peak_error(moved_errors, share @ by_response) < accuracy
+    scale = np.abs(direction * of_errors).max()
+    assert abs(per_sensor @ moved_errors - direction @ of_errors) < 1e-11 * scale
+
+
+@pytest.mark.parametrize("name", ["classical, stride", "coupled, stride", "classical, two supports"])
+def test_misfits_are_those_of_the_response(name):
+    case, _ = CASES[name]
+    response = linear_response(*case.arguments)
+    observed = np.random.default_rng(2).normal(size=response.shape)
+    misfit, total = observed - response, response.shape[1]
+    expected = np.stack(
+        [
+            (misfit**2).mean(axis=1),
+            (np.diff(misfit, axis=1) ** 2).sum(axis=1) / total,
+            misfit[:, 0],
+            misfit[:, -1],
+        ],
+        axis=1,
+    )
+    np.testing.assert_allclose(linear_misfit(*case.arguments, observed), expected, rtol=1e-11)
+    np.testing.assert_allclose(linear_discrepancy(*case.arguments, observed), expected[:, 0], rtol=1e-12)
+
+
+# --------------------------------------------------------------------------- the chain is a member
+
+
+def chain_arguments(n, kind, ratios):
+    """A chain by its kernels and by K(theta) = sum_i k_i K_i and M(theta) = sum_i m_i M_i, theta = (k, m)."""
+    rng = np.random.default_rng(n)
+    mass, stiffness = rng.uniform(1.0, 2.0, n), rng.uniform(500.0, 2000.0, n)
+    zero = np.zeros((n, n))
+    terms = [kind(springs(n, row)) for row in np.eye(n)], [kind(np.diag(row)) for row in np.eye(n)]
+    structure = AffineStructure(
+        *(kind(zero), ModalDamping(ratios), kind(zero)),
+        stiffness_terms=[*terms[0], *[None] * n],
+        mass_terms=[*[None] * n, *terms[1]],
+        theta=np.concatenate([stiffness, mass]),
+    )
+    record = Record(rng.normal(size=400), 0.02)
+    rayleigh = np.array([0.2, 1e-3])
+    asked = record.dt, 1, 1
+    sensors = np.array([0, n - 1])
+    chain = (mass, stiffness, rayleigh, ratios), (record.acceleration, *asked, sensors)
+    linear = (
+        (structure.theta, rayleigh, ratios),
+        (*structure.constants(record), structure.excitation(record), *asked, np.eye(n)[sensors]),
+    )
+    return chain, linear
+
+
+@pytest.mark.parametrize("quantity", range(4))
+@pytest.mark.parametrize("n_modes", [5, 2])
+def test_kernels_of_the_chain(n_modes, quantity):
+    """Response, misfits, gradients and tangents to 1e-11 or better."""
+    rng = np.random.default_rng(3)
+    kind = sparse.csc_array if n_modes == 2 else np.asarray
+    (own, chain_rest), (parameters, rest) = chain_arguments(5, kind, np.linspace(0.01, 0.05, 5))
+    chain = *own, *chain_rest, n_modes, quantity
+    linear = *parameters, *rest, n_modes, quantity
+    expected = simulators.chain_response(*chain)
+    assert peak_error(linear_response(*linear), expected) < 1e-12
+    observed = expected + np.abs(expected).max() * rng.normal(size=expected.shape)
+    found = linear_misfit(*linear, observed)
+    np.testing.assert_allclose(found, simulators.chain_misfit(*chain, observed), rtol=1e-11)
+    weights = rng.uniform(size=2)
+    mass, stiffness, rayleigh, ratios = simulators.discrepancy_gradient(*chain, observed, weights)
+    theta, *damping = linear_discrepancy_gradient(*linear, observed, weights)
+    for one, other in zip((theta, *damping), (np.append(stiffness, mass), rayleigh, ratios), strict=True):
+        assert peak_error(one, other) < 1e-10
+    d_mass, d_stiffness, d_rayleigh, d_ratios = (rng.normal(size=a.size) * a for a in own)
+    expected = simulators.response_tangent(*chain, d_mass, d_stiffness, d_rayleigh, d_ratios)
+    moved = linear_response_tangent(*linear, np.append(d_stiffness, d_mass), d_rayleigh, d_ratios)
+    assert peak_error(moved, expected) < 1e-10
+
+
+@pytest.mark.parametrize(("n", "n_modes"), [(5, 5), (4, 3)])
+def test_population_of_chains(n, n_modes):
+    """As the population kernel of chains, NaN in the same rows, for more particles than there are lanes."""
+    rng = np.random.default_rng(4)
+    (own, chain_rest), (parameters, rest) = chain_arguments(n, np.asarray, np.full(n, 0.02))
+    mass, stiffness, rayleigh, ratios = own
+    population = stiffness * rng.uniform(0.5, 1.5, (19, n))
+    population[3, 1], population[7, 0], damping = np.nan, -5000.0, np.tile(rayleigh, (19, 1))
+    damping[11, 0] = -100.0
+    theta = np.hstack([population, np.tile(mass, (19, 1))])
+    response = simulators.chain_response(*own, *chain_rest, n_modes, 0)
+    observed = response + rng.normal(size=response.shape)
+    chain = mass[None], population, damping, ratios[None], *chain_rest, n_modes, 0, observed
+    linear = theta, damping, ratios[None], *rest, n_modes, 0, observed
+    for of_chain, of_linear in (
+        (simulators.population_discrepancy, linear_population_discrepancy),
+        (simulators.population_misfit, linear_population_misfit),
+    ):
+        expected, found = of_chain(*chain), of_linear(*linear)
+        assert np.isnan(found[[3, 7, 11]]).all() and np.isnan(found).any(axis=1).sum() in (3, 12)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
+    weights = rng.uniform(size=(19, 2))
+    expected = simulators.population_gradient(*chain, weights)
+    found = linear_population_gradient(*linear, weights)
+    assert found[0].shape == theta.shape and found[2].shape == (1, n)
+    good = np.setdiff1d(np.arange(19), [3, 7, 11])
+    assert np.isnan(found[0][[3, 7, 11]]).all() and np.isnan(found[2]).all()
+    assert peak_error(found[0][good, :n], expected[1][good]) < 1e-10
+    assert peak_error(found[1][good], expected[2][good]) < 1e-10
+
+
+# --------------------------------------------------------------------------- populations
+
+
+@pytest.mark.parametrize("name", ["coupled, quantity 0", "classical, two supports", "classical, sparse"])
+def test_population_is_its_particles(name):
+    """Those that share theta, or not; what is shared gets the sum of the gradients; the bad one is NaN."""
+    case, _ = CASES[name]
+    rng = np.random.default_rng(5)
+    _, rayleigh, ratios = case.parameters
+    theta = rng.uniform(0.2, 1.0, (6, 3))
+    observed = rng.normal(size=linear_response(*case.arguments).shape)
+    weights = rng.uniform(size=(6, 3))
+    population = theta, rayleigh[None], ratios[None], *case.rest, observed
+    each = [(row, rayleigh, ratios, *case.rest, observed) for row in theta]
+    expected = np.array([linear_misfit(*one) for one in each])
+    np.testing.assert_allclose(linear_population_misfit(*population), expected, rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(linear_population_discrepancy(*population), expected[:, :, 0], rtol=1e-11)
+    gradients = [linear_discrepancy_gradient(*one, c) for one, c in zip(each, weights, strict=True)]
+    found = linear_population_gradient(*population, weights)
+    assert peak_error(found[0], [g[0] for g in gradients]) < 1e-12
+    np.testing.assert_allclose(found[1], sum(g[1] for g in gradients)[None], rtol=1e-10)
+    theta[2] = -20.0
+    bad = linear_population_discrepancy(*population)
+    assert np.isnan(bad[2]).all() and np.isfinite(np.delete(bad, 2, axis=0)).all()
+
+
+# --------------------------------------------------------------------------- what is no structure
+
+
+@pytest.mark.parametrize(
+    ("coupled", "change"),
+    [
+        (False, {"theta": [np.nan, 0.0, 0.0]}),
+        (False, {"theta": [1e308, 1e308, 1e308]}),
+        (False, {"theta": [-30.0, 0.0, 0.0]}),  # M
+        (False, {"theta": [0.0, -30.0, 0.0]}),  # K
+        (False, {"rayleigh": [-10.0, 0.0]}),
+        (False, {"rayleigh": [np.inf, 0.0]}),
+        (False, {"ratios": [0.0, -0.5, 0.0, 0.0]}),
+        (True, {"theta": [0.0, -4.0, 0.0]}),  # C
+        (True, {"theta": [np.inf, 0.0, 0.0]}),
+    ],
+)
+def test_no_structure_gives_nan(coupled, change):
+    """Never an exception; and the same shapes as ever."""
+    case = random_case(15, 4, coupled=coupled)
+    if "theta" in change and change["theta"][1] == -4.0:
+        case.stiffness[2] *= 0.0
+    good, (observed, weights) = case.arguments, (np.zeros((3, 120)), np.ones(3))
+    names = "theta", "rayleigh", "ratios"
+    own = [
+        np.array(change[name]) if name in change else a
+        for name, a in zip(names, case.parameters, strict=True)
+    ]
+    bad = *own, *case.rest
+    rows = tuple(np.array(a)[None] for a in own)
+    for kernel, more in (
+        (linear_response, ()),
+        (linear_discrepancy, (observed,)),
+        (linear_misfit, (observed,)),
+        (linear_response_gradient, (observed,)),
+        (linear_discrepancy_gradient, (observed, weights)),
+        (linear_response_tangent, case.parameters),
+        (linear_discrepancy_tangent, (observed, *case.parameters)),
+    ):
+        found, usual = kernel(*bad, *more), kernel(*good, *more)
+        if not isinstance(found, tuple):
+            found, usual = (found,), (usual,)
+        assert all(np.isnan(a).all() and a.shape == b.shape for a, b in zip(found, usual, strict=True))
+        assert all(np.isfinite(b).all() for b in usual)
+    assert np.isnan(linear_population_discrepancy(*rows, *case.rest, observed)).all()
+    assert np.isnan(linear_population_misfit(*rows, *case.rest, observed)).all()
+    for sums in linear_population_gradient(*rows, *case.rest, observed, weights[None]):
+        assert np.isnan(sums).all()
+
+
+def test_sizes_that_disagree():
+    case = random_case(16, 4)
+    good = Arguments(*case.arguments)
+    for change, match in (
+        (dict(theta=np.zeros(2)), "`mass` must have shape"),
+        (dict(stiffness=good.stiffness[:, 1:]), "`stiffness` must have shape"),
+        (dict(starts=np.zeros(5, dtype=int)), "`rows` and `starts` must be the pattern"),
+        (dict(forces=np.zeros((4, 2))), "`influence` and `forces` must have shape"),
+        (dict(acceleration=good.acceleration[0]), "`influence` and `forces` must have shape|not enough"),
+        (dict(sensors=np.eye(3)), "`sensors` must have one column"),
+        (dict(n_modes=5), "`n_modes` must lie between 1"),
+        (dict(ratios=np.zeros(3)), "`rayleigh` must have 2 values, and `ratios` one for each mode kept"),
+    ):
+        with pytest.raises((ValueError, IndexError), match=match):
+            linear_response(*good._replace(**change))
+    observed, weights = np.zeros((3, 120)), np.ones(3)
+    with pytest.raises(ValueError, match="must have the shape .sensor, time. of the response"):
+        linear_discrepancy(*good, observed[:, 1:])
+    with pytest.raises(ValueError, match="`weights` must have one value for each sensor"):
+        linear_discrepancy_gradient(*good, observed, weights[1:])
+    with pytest.raises(ValueError, match="the directions must have the shapes of the parameters"):
+        linear_response_tangent(*good, np.zeros(2), np.zeros(2), np.zeros(4))
+    rows = np.zeros((2, 3)), np.zeros((3, 2)), np.zeros((1, 4))
+    with pytest.raises(ValueError, match="the parameters must have one row, or one for each particle"):
+        linear_population_discrepancy(*rows, *case.rest, observed)
+    with pytest.raises(ValueError, match="and `weights` all rows"):
+        linear_population_gradient(rows[0], *(a[:1] for a in rows[1:]), *case.rest, observed, weights[None])
+
+
+# --------------------------------------------------------------------------- large and sparse
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+def test_twenty_modes_of_two_thousand(coupled):
+    """Against modes of a banded eigen-solver and a matrix exponential: response to 1e-8, tangent, transpose."""
+    n, kept, k = 2000, 20, 1e8
+    rng = np.random.default_rng(6)
+    zones = np.arange(n) * 4 // n
+    drifts = sparse.diags_array([np.ones(n), -np.ones(n - 1)], offsets=[0, -1]).tocsc()
+    terms = [(drifts.T @ sparse.diags_array(np.where(zones == z, k, 0.0)) @ drifts).tocsc() for z in range(4)]
+    theta = np.array([1.0, 0.9, 1.1, 0.8])
+    top = sparse.coo_array(([200.0], ([n - 1], [n - 1])), shape=(n, n))
+    damping = (0.5 * sparse.eye_array(n) + top).tocsc() if coupled else RayleighDamping(0.5, 0.0)
+    structure = AffineStructure(
+        np.ones(n), damping, sparse.csc_array((n, n)), stiffness_terms=terms, theta=theta
+    )
+    record = Record(rng.normal(size=300), 0.02)
+    sensors = np.array([300, 999, 1999])
+    drag = np.full(n, 0.5)
+    drag[-1] += 200.0 * coupled
+
+    def reference(values):
+        spring = k * values[zones]
+        above = np.append(spring[1:], 0.0)
+        lowest, shapes = eigh_tridiagonal(spring + above, -spring[1:], select="i", select_range=(0, kept - 1))
+        own_drag = shapes.T @ (drag[:, None] * shapes)
+        histories = first_order_hold(
+            *(np.eye(kept), own_drag, np.diag(lowest), -shapes.T @ np.ones((n, 1))),
+            *(record.acceleration[None], record.dt, 1),
+        )
+        return shapes[sensors] @ histories[2] + record.acceleration
+
+    _, rayleigh, ratios = structure.parameters()
+    arguments = (
+        *(theta, rayleigh, ratios[:kept], *structure.constants(record), structure.excitation(record)),
+        *(record.dt, 1, 1, np.eye(n)[sensors], kept, 0),
+    )
+    expected = reference(theta)
+    assert peak_error(linear_response(*arguments), expected) < 1e-8
+    direction, step = rng.normal(size=4), 1e-4
+    expected = (
+        8.0 * (reference(theta + step * direction) - reference(theta - step * direction))
+        - (reference(theta + 2 * step * direction) - reference(theta - 2 * step * direction))
+    ) / (12.0 * step)
+    zeros = np.zeros(2), np.zeros(kept)
+    moved = linear_response_tangent(*arguments, direction, *zeros)
+    assert peak_error(moved, expected) < 1e-6
+    weights = rng.normal(size=moved.shape)
+    gradient = linear_response_gradient(*arguments, weights)[0]
+    assert (weights * moved).sum() == pytest.approx(direction @ gradient, rel=1e-9)
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_complement_of_sparse_and_dense_modes(free):
+    """Conjugate gradients and all modes say the same of modes left out, behind a gap or not."""
+    dense = random_case(17, 30, free=free, constant_mass=True, n_modes=4)
+    thin = random_case(17, 30, free=free, constant_mass=True, n_modes=4, is_sparse=True)
+    loads = np.random.default_rng(7).normal(size=(30, 4))
+    by_modes = solve_system(Arguments(*dense.arguments), left_out=True)
+    by_factor = solve_system(Arguments(*thin.arguments), left_out=True)
+    signs = np.sign((by_modes.shapes * (by_modes.mass @ by_factor.shapes)).sum(axis=0))
+    assert peak_error(by_factor.shapes * signs, by_modes.shapes) < 1e-9 and by_factor.others is None
+    assert peak_error(invert_outside(by_factor, loads), invert_outside(by_modes, loads)) < 1e-9
+
+
+# --------------------------------------------------------------------------- what structures say
+
+
+def test_constants_of_structures():
+    """One pattern for M, C and K; only A_0 where nothing depends on theta; loads of both kinds."""
+    stiffness = sparse.csc_array(springs(4, 100.0))
+    dashpot = sparse.csc_array(np.diag([0.0, 0.0, 0.0, 2.0]))
+    structure = AffineStructure(
+        np.ones(4), 0.1 * stiffness, stiffness, stiffness_terms=[dashpot], influence=np.eye(4)[:, :2]
+    )
+    record = Loading(np.ones((2, 5)), 0.1)
+    mass, damping, spring, rows, starts, influence, forces = structure.constants(record)
+    assert mass.shape == damping.shape == (1, rows.size) and spring.shape == (2, rows.size)
+    assert starts.tolist() == [0, 2, 5, 8, 10] and influence.shape == forces.shape == (4, 2)
+    assert not forces.any() and structure.excitation(record).shape == (2, 5)
+    assert mass[0].sum() == 4.0 and spring[1].sum() == 2.0
+    assert structure.matrices()[0].nnz == 4  # of the common pattern only what is not zero
+    push = Loading(np.ones(5), 0.1, kind="force", matrix=np.ones((4, 1)))
+    *_, influence, forces = structure.constants(push)
+    assert not influence.any() and forces.tolist() == [[1.0]] * 4
+    plain = LinearStructure(np.ones(2), ModalDamping(0.1), np.eye(2))
+    mass, damping, _, rows, starts, *_ = plain.constants(Record([0.0, 1.0], 0.1))
+    assert mass.shape == (1, 4) and damping.shape == (0, 4) and rows.size == starts.size == 0
+    assert [a.size for a in plain.parameters()] == [0, 2, 2]
+    chain = SpringMassChain([1.0], 1.0, ModalDamping(0.1))
+    assert chain.constants(record) == () and chain.excitation(Record([0.0, 1.0], 0.1)).tolist() == [0.0, 1.0]
+    with pytest.raises(TypeError, match="`record` must be a Record for a SpringMassChain, got Loading"):
+        chain.excitation(record)
+
+
+def test_simulate_and_the_kernel_are_one():
+    """Of a damping matrix that couples the modes, and of one that does not."""
+    case = random_case(18, 4, coupled=True, n_modes=3)
+    for damping in (case.damping[0], 0.1 * case.mass[0]):
+        structure = LinearStructure(case.mass[0], damping, case.stiffness[0])
+        record = Record(case.inputs[0], case.dt)
+        expected = simulate(structure, record, n_modes=3, dt=0.06)
+        found = linear_response(
+            *(*structure.parameters(), *structure.constants(record), structure.excitation(record)),
+            *(record.dt, 1, 2, np.eye(4), 3, 0),
+        )
+        assert is_coupled(structure.modal_damping()) == (damping is case.damping[0])
+        assert peak_error(found, expected) < 1e-13
