@@ -117,7 +117,7 @@ def folder(short, tmp_path_factory):
     path = folder / "beginning.csv"
     path.write_text("acceleration [m/s^2]\n" + "\n".join(f"{a:.9f}" for a in short.acceleration) + "\n")
     entry = STRUCTURES["bouc-wen"]
-    quick = {"draws": 250, "chains": 2, "multipliers": (1.0,)}
+    quick = {"draws": 490, "chains": 1, "multipliers": (1.0,)}
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(STRUCTURES, "bouc-wen", dataclasses.replace(entry, quick=quick))
         assert cli.main(arguments(folder)) == 0
