@@ -17,7 +17,7 @@ from pymc_features import (
     simulators,
 )
 from pymc_features.algebra import AffineMatrix, common_pattern
-from pymc_features.simulators import (
+from pymc_features.simulators.linear import (
     linear_discrepancy,
     linear_discrepancy_gradient,
     linear_discrepancy_tangent,
@@ -490,7 +490,7 @@ def test_sizes_that_disagree():
 
 @pytest.mark.parametrize("coupled", [False, True])
 def test_twenty_modes_of_two_thousand(coupled):
-    """Against modes of a banded eigen-solver and a matrix exponential: response to 1e-8, tangent, transpose."""
+    """Against a banded eigen-solver and a matrix exponential: response to 1e-8, tangent, transpose."""
     n, kept, k = 2000, 20, 1e8
     rng = np.random.default_rng(6)
     zones = np.arange(n) * 4 // n

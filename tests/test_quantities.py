@@ -13,7 +13,6 @@ from pymc_features import (
     RayleighDamping,
     Record,
     SpringMassChain,
-    response,
     simulate,
     spring_forces,
 )
@@ -202,10 +201,3 @@ def test_slow_forces_go_to_the_ground():
 def test_refusals(structure, arguments, error, match):
     with pytest.raises(error, match=match):
         simulate(structure, **({"record": SHAKE} | arguments))
-
-
-def test_inside_a_model_only_the_quantities_of_the_kernels():
-    with pytest.raises(
-        ValueError, match="`quantity` must be one of .*relative_displacement, got 'base_shear'"
-    ):
-        response(CHAINS[0], SHAKE, quantity="base_shear")

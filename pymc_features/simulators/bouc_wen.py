@@ -4,40 +4,68 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.simulators.restoring import Functions, register
+from pymc_features.simulators.lane_functions import logarithm, power
+from pymc_features.simulators.lanes import magnitude, splat, square_root, where_less
+from pymc_features.simulators.restoring import Functions, parameter, register, single
 
 YIELD, RATIO, SHARPNESS, BETA, GAMMA = range(5)
 
 
 class BoucWen(NamedTuple):
-    """Rows of `values` (5, n): yield displacement [m], post-yield ratio, sharpness, beta and gamma [-]."""
+    """Parameters of each spring: yield displacement [m], post-yield ratio, sharpness, beta and gamma [-]."""
 
-    values: np.ndarray
+    address: int
+    rows: int
+    n: int
 
 
-def spring(law, i, stiffness, drift, rate, memory):
+def spring(law, row, stiffness, drift, rate, memory):
     """f = a k d + (1 - a) k d_y z,  d_y z' = d' [1 - |z|^n (gamma + beta sign(d' z))]."""
-    reach = law.values[YIELD, i]
-    ratio = law.values[RATIO, i]
-    sharpness = law.values[SHARPNESS, i]
-    size = abs(memory)
-    power = size * size if sharpness == 2.0 else size**sharpness
-    loss = law.values[GAMMA, i] + (law.values[BETA, i] if rate * memory > 0.0 else -law.values[BETA, i])
-    force = stiffness * (ratio * drift + (1.0 - ratio) * reach * memory)
-    return force, rate * (1.0 - power * loss) / reach
+    reach, ratio = parameter(law, YIELD, row), parameter(law, RATIO, row)
+    beta = parameter(law, BETA, row)
+    size = power(magnitude(memory), parameter(law, SHARPNESS, row))
+    loss = parameter(law, GAMMA, row) + where_less(splat(0.0), rate * memory, beta, 0.0 - beta)
+    force = stiffness * (ratio * drift + (1.0 - ratio) * (reach * memory))
+    return force, rate * (1.0 - size * loss) / reach
 
 
-def pace(law, i, stiffness, omega, drift, rate, change):
+def partials(law, row, stiffness, drift, rate, memory):
+    """|z|^n has the derivatives n |z|^n / z and |z|^n log |z|, both 0 at z = 0."""
+    reach, ratio = parameter(law, YIELD, row), parameter(law, RATIO, row)
+    sharpness, beta = parameter(law, SHARPNESS, row), parameter(law, BETA, row)
+    size = power(magnitude(memory), sharpness)
+    sign = where_less(splat(0.0), rate * memory, splat(1.0), splat(-1.0))
+    loss = parameter(law, GAMMA, row) + sign * beta
+    nothing, hysteretic = splat(0.0), 1.0 - ratio
+    slip = 0.0 - rate * size / reach  # of z', by the loss
+    by_memory = where_less(nothing, size, slip * loss * sharpness / memory, nothing)
+    by_rate = (1.0 - size * loss) / reach
+    elastic = drift - reach * memory
+    force = (
+        *(ratio * drift + hysteretic * (reach * memory), stiffness * ratio, nothing),
+        *(stiffness * hysteretic * reach, stiffness * hysteretic * memory, stiffness * elastic),
+        *(nothing, nothing, nothing),
+    )
+    by_sharpness = slip * loss * logarithm(magnitude(memory))
+    change = (
+        *(nothing, nothing, by_rate, by_memory, 0.0 - rate * by_rate / reach, nothing),
+        *(by_sharpness, slip * sign, slip),
+    )
+    return force, change
+
+
+def pace(law, row, stiffness, omega, drift, rate, change):
     """Half of (1 + n) |d'| / d_y, about the slope of the law, and its like for a drift about to start."""
-    sharp = 0.5 * (1.0 + law.values[SHARPNESS, i]) / law.values[YIELD, i]
-    return sharp * abs(rate) + np.sqrt(sharp * abs(change))
+    sharp = 0.5 * (1.0 + parameter(law, SHARPNESS, row)) / parameter(law, YIELD, row)
+    return sharp * magnitude(rate) + square_root(sharp * magnitude(change))
 
 
 def is_law(law, i):
     """Positive yield displacement, ratio in [0, 1], n >= 1 and 0 <= gamma <= beta: loops dissipate."""
-    positive = 0.0 < law.values[YIELD, i] < np.inf and 0.0 <= law.values[RATIO, i] <= 1.0
-    shape = 1.0 <= law.values[SHARPNESS, i] < np.inf and 0.0 < law.values[BETA, i] < np.inf
-    return positive and shape and 0.0 <= law.values[GAMMA, i] <= law.values[BETA, i]
+    beta = single(law, BETA, i)
+    positive = 0.0 < single(law, YIELD, i) < np.inf and 0.0 <= single(law, RATIO, i) <= 1.0
+    shape = 1.0 <= single(law, SHARPNESS, i) < np.inf and 0.0 < beta < np.inf
+    return positive and shape and 0.0 <= single(law, GAMMA, i) <= beta
 
 
 def has_kinks(law):
@@ -45,4 +73,4 @@ def has_kinks(law):
     return True
 
 
-register(BoucWen, Functions(spring, pace, is_law, has_kinks))
+register(BoucWen, Functions(5, spring, partials, pace, is_law, has_kinks))

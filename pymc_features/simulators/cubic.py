@@ -4,29 +4,40 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.simulators.restoring import Functions, register
+from pymc_features.simulators.lanes import magnitude, splat, square_root
+from pymc_features.simulators.restoring import Functions, parameter, register, single
 
 
 class Cubic(NamedTuple):
-    """The row of `values` (1, n): cubic coefficient [N/m^3]."""
+    """The parameter of each spring: cubic coefficient [N/m^3]."""
 
-    values: np.ndarray
+    address: int
+    rows: int
+    n: int
 
 
-def spring(law, i, stiffness, drift, rate, memory):
+def spring(law, row, stiffness, drift, rate, memory):
     """f = k d + c d^3; there is no internal variable."""
-    return drift * (stiffness + law.values[0, i] * drift * drift), 0.0
+    return drift * (stiffness + parameter(law, 0, row) * (drift * drift)), splat(0.0)
 
 
-def pace(law, i, stiffness, omega, drift, rate, change):
+def partials(law, row, stiffness, drift, rate, memory):
+    """Of a polynomial."""
+    square, nothing = drift * drift, splat(0.0)
+    tangent = stiffness + 3.0 * (parameter(law, 0, row) * square)
+    return (drift, tangent, nothing, nothing, square * drift), (nothing, nothing, nothing, nothing, nothing)
+
+
+def pace(law, row, stiffness, omega, drift, rate, change):
     """Growth of the frequency with the tangent stiffness k + 3 c d^2, now and soon, and from rest."""
-    hardening = np.sqrt(3.0 * law.values[0, i] / stiffness)
-    return hardening * (omega * abs(drift) + abs(rate)) + np.sqrt(hardening * abs(change))
+    hardening = square_root(3.0 * parameter(law, 0, row) / stiffness)
+    fast = hardening * (omega * magnitude(drift) + magnitude(rate))
+    return fast + square_root(hardening * magnitude(change))
 
 
 def is_law(law, i):
     """A hardening spring."""
-    return 0.0 <= law.values[0, i] < np.inf
+    return 0.0 <= single(law, 0, i) < np.inf
 
 
 def has_kinks(law):
@@ -34,4 +45,4 @@ def has_kinks(law):
     return False
 
 
-register(Cubic, Functions(spring, pace, is_law, has_kinks))
+register(Cubic, Functions(1, spring, partials, pace, is_law, has_kinks))

@@ -39,7 +39,7 @@ from pymc_features.simulators.linear import (
     linear_response_gradient,
     linear_response_tangent,
 )
-from pymc_features.simulators.nonlinear import nonlinear_response
+from pymc_features.simulators.nonlinear_kernels import nonlinear_kernels
 from pymc_features.simulators.population import population_discrepancy, population_misfit
 from pymc_features.simulators.recursion import chain_response
 from pymc_features.simulators.tangent import discrepancy_tangent, response_tangent
@@ -153,6 +153,5 @@ FAMILIES = {
     ),
 }
 FAMILIES |= {
-    name: Family(SPRINGS | {"law": "l,n"}, {"response": nonlinear_response(law)})
-    for name, law in NONLINEAR.items()
+    name: Family(SPRINGS | {"law": "l,n"}, nonlinear_kernels(law)) for name, law in NONLINEAR.items()
 }

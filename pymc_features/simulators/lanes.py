@@ -20,7 +20,7 @@ def _lanes_of_this_machine() -> int:
 
 
 LANES = _lanes_of_this_machine()
-_VECTOR = ir.VectorType(ir.DoubleType(), LANES)
+VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 # products and sums may be fused and reordered; NaN and infinity keep their meaning
 _FLAGS = ("contract", "reassoc", "nsz", "arcp")
 
@@ -38,14 +38,14 @@ LANES_TYPE = LanesType()
 @register_model(LanesType)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, dmm, fe_type):
-        super().__init__(dmm, fe_type, _VECTOR)
+        super().__init__(dmm, fe_type, VECTOR)
 
 
 def _address(context, builder, array_type, array, row):
     """Pointer to row `row` of a C-contiguous float64 array whose rows have `LANES` numbers."""
     data = cgutils.create_struct_proxy(array_type)(context, builder, value=array).data
     first = builder.mul(row, ir.Constant(row.type, LANES))
-    return builder.bitcast(builder.gep(data, [first]), _VECTOR.as_pointer())
+    return builder.bitcast(builder.gep(data, [first]), VECTOR.as_pointer())
 
 
 @intrinsic
@@ -76,10 +76,10 @@ def splat(typingctx, number):
 
     def codegen(context, builder, signature, args):
         one = builder.insert_element(
-            ir.Constant(_VECTOR, ir.Undefined), args[0], ir.Constant(ir.IntType(32), 0)
+            ir.Constant(VECTOR, ir.Undefined), args[0], ir.Constant(ir.IntType(32), 0)
         )
         mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-        return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), mask)
+        return builder.shuffle_vector(one, ir.Constant(VECTOR, ir.Undefined), mask)
 
     return LANES_TYPE(types.float64), codegen
 
@@ -106,7 +106,7 @@ def _intrinsic_of_llvm(name):
     @intrinsic
     def operation(typingctx, a):
         def codegen(context, builder, signature, args):
-            kind = ir.FunctionType(_VECTOR, [_VECTOR])
+            kind = ir.FunctionType(VECTOR, [VECTOR])
             function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
             return builder.call(function, args)
 
@@ -115,7 +115,7 @@ def _intrinsic_of_llvm(name):
     return operation
 
 
-square_root, magnitude = (_intrinsic_of_llvm(name) for name in ("sqrt", "fabs"))
+square_root, magnitude, nearest = (_intrinsic_of_llvm(name) for name in ("sqrt", "fabs", "rint"))
 
 
 @intrinsic
@@ -143,25 +143,36 @@ def highest(typingctx, a):
     return types.float64(LANES_TYPE), codegen
 
 
-def _both_lanes(a, b):
-    return isinstance(a, LanesType) and isinstance(b, LanesType)
+def _spread(a):
+    """The vector itself, or the number in every lane; for compiled code only."""
+
+
+def _operands(a, b):
+    """Whether an operation is one of lanes: of two vectors, or of a vector and a number."""
+    kinds = [isinstance(x, LanesType) for x in (a, b)]
+    return any(kinds) and all(k or isinstance(x, types.Number) for k, x in zip(kinds, (a, b), strict=True))
+
+
+@overload(_spread)
+def _spread_overload(a):
+    return (lambda a: a) if isinstance(a, LanesType) else (lambda a: splat(float(a)))
 
 
 @overload(operator.add)
 def _add_lanes(a, b):
-    return (lambda a, b: _add(a, b)) if _both_lanes(a, b) else None
+    return (lambda a, b: _add(_spread(a), _spread(b))) if _operands(a, b) else None
 
 
 @overload(operator.sub)
 def _subtract_lanes(a, b):
-    return (lambda a, b: _subtract(a, b)) if _both_lanes(a, b) else None
+    return (lambda a, b: _subtract(_spread(a), _spread(b))) if _operands(a, b) else None
 
 
 @overload(operator.mul)
 def _multiply_lanes(a, b):
-    return (lambda a, b: _multiply(a, b)) if _both_lanes(a, b) else None
+    return (lambda a, b: _multiply(_spread(a), _spread(b))) if _operands(a, b) else None
 
 
 @overload(operator.truediv)
 def _divide_lanes(a, b):
-    return (lambda a, b: _divide(a, b)) if _both_lanes(a, b) else None
+    return (lambda a, b: _divide(_spread(a), _spread(b))) if _operands(a, b) else None

@@ -3,104 +3,160 @@
 import numpy as np
 
 from pymc_features.simulators.compilation import jit
-from pymc_features.simulators.modal import chain_modes
+from pymc_features.simulators.lane_bits import read_lanes, read_number, write_lanes
+from pymc_features.simulators.lanes import LANES
 from pymc_features.simulators.recursion import (
     ABSOLUTE_ACCELERATION,
     QUANTITIES,
     RELATIVE_ACCELERATION,
-    RELATIVE_DISPLACEMENT,
     RELATIVE_VELOCITY,
     check_sizes,
     n_outputs,
 )
-from pymc_features.simulators.restoring import is_law, spring
-from pymc_features.simulators.runge_kutta import LAST, System, Workspace, advance, write_slope
+from pymc_features.simulators.restoring import LAWS, spring
+from pymc_features.simulators.runge_kutta import advance
+from pymc_features.simulators.spring_chain import (
+    STIFFNESS,
+    chain_memory,
+    constant,
+    deformation,
+    padded,
+    prepare,
+    slope,
+    state,
+    write_slope,
+)
 
 # What else can be asked of a spring, after the codes of `QUANTITIES`
 SPRING_FORCE, DRIFT, MEMORY = range(len(QUANTITIES), len(QUANTITIES) + 3)
 
 
 @jit
-def linear_part(law, mass, stiffness, rayleigh, ratios):
-    """The initial chain: whether it is one, its highest rate of change [1/s], and M^-1 C of `ratios`."""
-    n = mass.size
-    omega, participation, shapes = np.empty(n), np.empty(n), np.empty((n, n))
-    modal = np.zeros((0, 0))
-    valid = chain_modes(mass, stiffness, omega, shapes, participation)
-    highest = 0.0
-    any_ratio = False
-    for r in range(n):
-        valid &= is_law(law, r)
-        drag = rayleigh[0] + rayleigh[1] * omega[r] ** 2 + 2.0 * ratios[r] * omega[r]
-        valid &= 0.0 <= drag < np.inf
-        highest = max(highest, omega[r] + drag)
-        any_ratio |= ratios[r] != 0.0
-    if valid and any_ratio:  # sum of 2 zeta_r omega_r phi_r phi_r' M
-        modal = np.zeros((n, n))
-        for r in range(n):
-            for i in range(n):
-                weight = 2.0 * ratios[r] * omega[r] * shapes[r, i]
-                for j in range(n):
-                    modal[i, j] += weight * shapes[r, j] * mass[j]
-    return valid, highest, modal
+def ground_at(acceleration, fine, substeps):
+    """Ground acceleration [m/s^2] after `fine` steps, `substeps` to a sample of the record."""
+    i = fine // substeps
+    part = fine - i * substeps
+    return acceleration[i] + (part * (acceleration[i + 1] - acceleration[i]) / substeps if part > 0 else 0.0)
 
 
 @jit
-def output_value(law, system, work, ground, quantity, i):
-    """One quantity at degree of freedom, or spring, `i`."""
-    n = system.stiffness.size
-    u, v = work.state[i], work.state[n + i]
-    if quantity == ABSOLUTE_ACCELERATION:
-        return work.stages[0, n + i] + ground
-    if quantity == RELATIVE_ACCELERATION:
-        return work.stages[0, n + i]
-    if quantity == RELATIVE_VELOCITY:
-        return v
-    if quantity == RELATIVE_DISPLACEMENT:
-        return u
-    if quantity == MEMORY:
-        return work.state[2 * n + i]
-    drift = u - (work.state[i - 1] if i > 0 else 0.0)
-    if quantity == DRIFT:
-        return drift
-    return spring(law, i, system.stiffness[i], drift, v, work.state[2 * n + i])[0]
+def check_parameters(law, parameters, sensors, n_modes):
+    """Refuse parameters whose sizes do not agree, and a reduced number of modes."""
+    mass, stiffness, rayleigh, ratios, values = parameters
+    check_sizes(mass, stiffness, rayleigh, ratios, sensors, mass.size)
+    if mass.size != law.n or values.shape[1] != law.n:
+        raise ValueError("the law of the springs must have one column for each spring")
+    if n_modes != mass.size:
+        raise ValueError("`n_modes` must be the number of degrees of freedom of a nonlinear chain")
 
 
 @jit
-def history_kernel(
-    law, mass, stiffness, rayleigh, ratios, acceleration, dt, substeps, stride, sensors, quantities, refine
-):
+def begin(law, acceleration, sampling, fine):
+    """Write the slope of the state after `fine` steps; return the ground acceleration [m/s^2] there.
+
+    `sampling`: dt, substeps, stride.
+    """
+    ground = ground_at(acceleration, fine, sampling[1])
+    write_slope(law, ground, state(law, 0), slope(law, 0))
+    return ground
+
+
+@jit
+def next_sample(law, acceleration, sampling, sample, refine, tape):
+    """Carry a state with its slope from output sample `sample` to the next; False where that fails.
+
+    Depends on nothing but the state, so that it can be repeated from one.
+    """
+    dt, substeps, stride = sampling
+    length = dt / substeps
+    start = ground_at(acceleration, sample * stride, substeps)
+    for fine in range(sample * stride, (sample + 1) * stride):
+        trend = (ground_at(acceleration, fine + 1, substeps) - start) / length
+        if not advance(law, length, start, trend, refine, tape):
+            return False
+        start = begin(law, acceleration, sampling, fine + 1)
+    return True
+
+
+@jit
+def write_outputs(law, ground, quantity, sensors, outputs):
+    """Write one of `QUANTITIES` at the sensors; `outputs` (s,)."""
+    p = law.rows * LANES
+    first, rates = state(law, 0) * LANES, slope(law, 0) * LANES
+    for j in range(sensors.size):
+        if quantity == ABSOLUTE_ACCELERATION:
+            outputs[j] = read_number(law.address, rates + p + sensors[j]) + ground
+        elif quantity == RELATIVE_ACCELERATION:
+            outputs[j] = read_number(law.address, rates + p + sensors[j])
+        elif quantity == RELATIVE_VELOCITY:
+            outputs[j] = read_number(law.address, first + p + sensors[j])
+        else:
+            outputs[j] = read_number(law.address, first + sensors[j])
+
+
+@jit
+def write_springs(law, quantity, springs, outputs):
+    """Write what `QUANTITIES` does not name: force, drift or internal variable of springs; `outputs` (s,)."""
+    here, target = state(law, 0), state(law, 1)  # a stage that no step needs any more
+    for row in range(law.rows):
+        drift, rate = deformation(law, here, row)
+        value = memory = read_lanes(law.address, here + 2 * law.rows + row)
+        if quantity == SPRING_FORCE:
+            value = spring(law, row, constant(law, STIFFNESS, row), drift, rate, memory)[0]
+        elif quantity == DRIFT:
+            value = drift
+        write_lanes(law.address, target + row, value)
+    for j in range(springs.size):
+        outputs[j] = read_number(law.address, target * LANES + springs[j])
+
+
+@jit
+def history_kernel(law, parameters, acceleration, dt, substeps, stride, sensors, n_modes, quantities, refine):
     """Histories (quantity, sensor, time) of a chain whose springs follow `law`, at rest at first.
 
-    Parameters as of `chain_response`; `quantities` are codes, and `refine` divides every step. All NaN
-    where the parameters describe no structure or the integration fails.
+    `parameters` as of `spring_chain.prepare`, others as of `recursion.chain_response`; `quantities` are
+    codes, and `refine` divides every step. All NaN where the parameters describe no structure or the
+    integration fails.
     """
-    check_sizes(mass, stiffness, rayleigh, ratios, sensors, mass.size)
-    n = mass.size
+    check_parameters(law, parameters, sensors, n_modes)
     total = n_outputs(acceleration.size, substeps, stride)
     history = np.empty((quantities.size, sensors.size, total))
-    valid, omega, modal = linear_part(law, mass, stiffness, rayleigh, ratios)
-    system = System(1.0 / mass, stiffness, rayleigh, modal)
-    work = Workspace(
-        np.zeros(3 * n), np.zeros((LAST + 1, 3 * n)), np.zeros(3 * n), np.zeros(2 * n, dtype=np.uint8)
-    )
-    length = dt / substeps
-    ground = acceleration[0]
-    write_slope(law, system, ground, work.state, work.stages[0])
+    outputs, sampling = np.empty(sensors.size), (dt, substeps, stride)
+    valid = prepare(law, parameters)
+    begin(law, acceleration, sampling, 0)
     for sample in range(total):
-        for fine in range(max(sample - 1, 0) * stride, sample * stride):
-            i = fine // substeps
-            rise = (acceleration[i + 1] - acceleration[i]) / substeps
-            start = acceleration[i] + (fine - i * substeps) * rise
-            ground = start + rise
-            valid = valid and advance(law, system, omega, work, length, start, rise / length, refine)
+        if sample > 0 and valid:
+            valid = next_sample(law, acceleration, sampling, sample - 1, refine, None)
         if not valid:
             history[:] = np.nan
             return history
+        ground = ground_at(acceleration, sample * stride, substeps)
         for q in range(quantities.size):
-            for j in range(sensors.size):
-                history[q, j, sample] = output_value(law, system, work, ground, quantities[q], sensors[j])
+            if quantities[q] < SPRING_FORCE:
+                write_outputs(law, ground, quantities[q], sensors, outputs)
+            else:
+                write_springs(law, quantities[q], sensors, outputs)
+            history[q, :, sample] = outputs
     return history
+
+
+def arguments(parameters, acceleration, dt, substeps, stride, sensors, n_modes):
+    """Arguments of the kernels behind the law, in the types for which they are compiled."""
+    # copies: one compiled kernel for writable and read-only arrays
+    return (
+        tuple(np.array(p, dtype=np.float64) for p in parameters),
+        *(np.array(acceleration, dtype=np.float64), float(dt), int(substeps), int(stride)),
+        *(np.array(sensors, dtype=np.int64), int(n_modes)),
+    )
+
+
+def in_memory(law, kernel, parameters, *others):
+    """Call a kernel whose first argument is the law, with memory for a chain."""
+    values, n = parameters[-1], parameters[0].shape[-1]
+    if values.shape[-2] != LAWS[law].n_parameters:
+        raise ValueError(f"the law must have {LAWS[law].n_parameters} rows, got {values.shape[-2]}.")
+    memory = chain_memory(n)
+    return kernel(law(memory.ctypes.data, padded(n) // LANES, n), parameters, *others)
 
 
 def nonlinear_histories(law, parameters, acceleration, dt, substeps, stride, sensors, quantities, refine=1):
@@ -112,19 +168,9 @@ def nonlinear_histories(law, parameters, acceleration, dt, substeps, stride, sen
         Masses (n,) [kg], initial stiffnesses (n,) [N/m], Rayleigh pair (2,), damping ratios (n,), and the
         law's own (rows, n).
     """
-    # copies: one compiled kernel for writable and read-only arrays
-    *linear, values = (np.array(p, dtype=np.float64) for p in parameters)
-    return history_kernel(
-        law(values),
-        *linear,
-        np.array(acceleration, dtype=np.float64),
-        float(dt),
-        int(substeps),
-        int(stride),
-        np.array(sensors, dtype=np.int64),
-        np.array(quantities, dtype=np.int64),
-        int(refine),
-    )
+    settings = (acceleration, dt, substeps, stride, sensors, len(parameters[0]))
+    codes = np.array(quantities, dtype=np.int64)
+    return in_memory(law, history_kernel, *arguments(parameters, *settings), codes, int(refine))
 
 
 def nonlinear_response(law):

@@ -1,9 +1,13 @@
 """Restoring-force laws of springs, chosen when a kernel is compiled.
 
-A law is a named tuple with one field `values` (rows, n), its parameters spring by spring, and four
-functions of its values, registered by `register`. The kernels call `spring`, `pace`, `is_law` and
-`has_kinks`; Numba picks the functions from the *type* of the tuple, so that each law has a kernel of its
-own, without a branch, and its machine code is kept on disk as any other.
+A law is a type of named tuple that says where the memory of a chain lies (`spring_chain.py`): its `address`,
+the `rows` of vectors for its `n` springs; and five functions of it, registered by `register`. The kernels
+call `spring`, `partials`, `pace`, `is_law` and `has_kinks`; Numba picks the functions from the *type* of the
+tuple, so that each law has a kernel of its own, without a branch, and its machine code is kept on disk as
+any other.
+
+`spring`, `partials` and `pace` take and return vectors (`lanes.py`): `LANES` springs at a time, the group
+number `row` of them. A law reads its parameters of these springs by `parameter`, of one spring by `single`.
 """
 
 from collections.abc import Callable
@@ -11,15 +15,21 @@ from typing import NamedTuple
 
 from numba.extending import overload
 
-from pymc_features.simulators.compilation import FASTMATH
+from pymc_features.simulators.compilation import FASTMATH, jit
+from pymc_features.simulators.lane_bits import read_lanes, read_number
+from pymc_features.simulators.lanes import LANES
+
+PARAMETERS = 8  # at most, of a law; they lie at the beginning of the memory
 
 OPTIONS = {"fastmath": FASTMATH, "error_model": "numpy"}
 
 
 class Functions(NamedTuple):
-    """What makes a law; see `spring`, `pace`, `is_law` and `has_kinks` for their arguments."""
+    """What makes a law: the number of its parameters, and the functions below."""
 
+    n_parameters: int
     spring: Callable
+    partials: Callable
     pace: Callable
     is_law: Callable
     has_kinks: Callable
@@ -33,18 +43,39 @@ def register(law: type, functions: Functions):
     LAWS[law] = functions
 
 
-def spring(law, i, stiffness, drift, rate, memory):
-    """Force of spring `i` [N] and rate of its internal variable [1/s]; `drift` [m], `rate` [m/s]."""
-    return LAWS[type(law)].spring(law, i, stiffness, drift, rate, memory)
+@jit
+def parameter(law, name, row):
+    """The law's parameter number `name` of the springs of group `row`."""
+    return read_lanes(law.address, name * law.rows + row)
 
 
-def pace(law, i, stiffness, omega, drift, rate, change):
-    """Rate [1/s] at which spring `i` departs from a linear one: a step must be short beside its inverse.
+@jit
+def single(law, name, i):
+    """The law's parameter number `name` of spring `i`."""
+    return read_number(law.address, name * law.rows * LANES + i)
+
+
+def spring(law, row, stiffness, drift, rate, memory):
+    """Forces of springs [N] and rates of their internal variables [1/s]; `drift` [m], `rate` [m/s]."""
+    return LAWS[type(law)].spring(law, row, stiffness, drift, rate, memory)
+
+
+def partials(law, row, stiffness, drift, rate, memory):
+    """Partial derivatives of both results of `spring`.
+
+    Returns two tuples, of the forces' derivatives and of the other rates', each by stiffness, drift, rate,
+    memory and the law's parameters in their order. At a kink the derivative of either side will do.
+    """
+    return LAWS[type(law)].partials(law, row, stiffness, drift, rate, memory)
+
+
+def pace(law, row, stiffness, omega, drift, rate, change):
+    """Rate [1/s] at which springs depart from linear ones: a step must be short beside its inverse.
 
     `omega` is the highest angular frequency of the linear chain [rad/s], `change` the second time
     derivative of the drift [m/s^2].
     """
-    return LAWS[type(law)].pace(law, i, stiffness, omega, drift, rate, change)
+    return LAWS[type(law)].pace(law, row, stiffness, omega, drift, rate, change)
 
 
 def is_law(law, i):
@@ -58,12 +89,17 @@ def has_kinks(law):
 
 
 @overload(spring, jit_options=OPTIONS)
-def _spring(law, i, stiffness, drift, rate, memory):
+def _spring(law, row, stiffness, drift, rate, memory):
     return LAWS[law.instance_class].spring
 
 
+@overload(partials, jit_options=OPTIONS)
+def _partials(law, row, stiffness, drift, rate, memory):
+    return LAWS[law.instance_class].partials
+
+
 @overload(pace, jit_options=OPTIONS)
-def _pace(law, i, stiffness, omega, drift, rate, change):
+def _pace(law, row, stiffness, omega, drift, rate, change):
     return LAWS[law.instance_class].pace
 
 

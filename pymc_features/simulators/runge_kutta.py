@@ -1,16 +1,11 @@
 """Steps of a chain with nonlinear springs: Dormand & Prince's fifth-order method, split at kinks.
 
-The state is one flat array (3 n,): displacements u and velocities v relative to the base, then one internal
-variable z for each spring; its slope holds their time derivatives,
-
-    m_i v_i' = f_{i+1} - f_i - (C v)_i - m_i a_g,   f_i, z_i' = spring(d_i, d_i', z_i),   d_i = u_i - u_{i-1}.
-
 A method of order 5 keeps its order only if the right-hand side is smooth within each step. It is not where
 a hysteretic spring turns back (d' = 0) or its internal variable passes zero: a step across such a kink would
 have a local error of second order. There the step ends at the kink, found by a cubic through the step's
 ends and then by Newton's method, and a second step makes up the rest.
 
-Nothing is tried and rejected: the length of a step is a function of the state at its start (`advance`),
+Nothing is tried and rejected: the number of steps is a function of the state at their start (`advance`),
 and the state a deterministic function of the parameters.
 
 References
@@ -18,27 +13,46 @@ References
 J. R. Dormand & P. J. Prince, J. Comput. Appl. Math. 6 (1980) 19-26, table 2 (RK5(4)7M).
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from pymc_features.simulators.compilation import jit
-from pymc_features.simulators.restoring import has_kinks, pace, spring
-
-# Row s: weights of the slopes before stage s; the last row gives the step's result (first same as last).
-STAGES = np.array(
-    [
-        [0, 0, 0, 0, 0, 0],
-        [1 / 5, 0, 0, 0, 0, 0],
-        [3 / 40, 9 / 40, 0, 0, 0, 0],
-        [44 / 45, -56 / 15, 32 / 9, 0, 0, 0],
-        [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0, 0],
-        [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0],
-        [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
-    ]
+from pymc_features.simulators.lane_bits import (
+    all_less,
+    any_less,
+    read_lanes,
+    read_number,
+    write_lanes,
+    write_number,
 )
-TIMES = np.array([0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1, 1])
-LAST = 6
+from pymc_features.simulators.lane_functions import larger
+from pymc_features.simulators.lanes import LANES, highest, magnitude, splat
+from pymc_features.simulators.restoring import has_kinks, pace
+from pymc_features.simulators.spring_chain import (
+    N_STAGES,
+    OMEGA,
+    PASSED,
+    STIFFNESS,
+    constant,
+    deformation,
+    scalar,
+    slope,
+    state,
+    write_slope,
+)
+from pymc_features.simulators.tape import write_tape
+
+# Weights of the slopes before stages 1 ... 6; the last give the step's result (first same as last).
+STAGES = (
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (44 / 45, -56 / 15, 32 / 9),
+    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+    (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+)
+WEIGHTS = np.array([[*row, *[0.0] * (6 - len(row))] for row in ((), *STAGES)])  # the same, (7, 6)
+TIMES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0)
+LAST = N_STAGES - 1
 
 PHASE = 0.2  # largest product of step and rate of change
 VIBRATION = 1.5  # weight of the highest frequency in it: errors of phase add up over a free vibration
@@ -47,76 +61,64 @@ KINK_TOLERANCE = 1e-9  # of where a kink lies, in steps; the error left behind i
 NEWTON_STEPS = 4
 
 
-class System(NamedTuple):
-    """Inverse masses, springs [N/m], (alpha, beta), and M^-1 C of damping by modal ratios, or (0, 0)."""
-
-    inverse_mass: np.ndarray
-    stiffness: np.ndarray
-    rayleigh: np.ndarray
-    modal: np.ndarray
-
-
-class Workspace(NamedTuple):
-    """State (3 n,), slopes of all stages (7, 3 n), the state's own first; trial, kinks passed (2 n,)."""
-
-    state: np.ndarray
-    stages: np.ndarray
-    trial: np.ndarray
-    passed: np.ndarray
+@jit
+def combine(law, step, s, weights):
+    """Write the state of stage `s` from the slopes of the stages before."""
+    here, target, slopes = state(law, 0), state(law, s), slope(law, 0)
+    for row in range(3 * law.rows):
+        change = step * weights[0] * read_lanes(law.address, slopes + row)
+        for e in range(1, len(weights)):
+            change = change + step * weights[e] * read_lanes(law.address, slopes + 3 * law.rows * e + row)
+        write_lanes(law.address, target + row, read_lanes(law.address, here + row) + change)
 
 
 @jit
-def write_slope(law, system, ground, state, slope):
-    """Write the time derivative of a state under the ground acceleration `ground`."""
-    n = system.stiffness.size
-    alpha, beta = system.rayleigh[0], system.rayleigh[1]
-    u_below = v_below = 0.0
-    for i in range(n):
-        u, v = state[i], state[n + i]
-        rate = v - v_below
-        force, slope[2 * n + i] = spring(law, i, system.stiffness[i], u - u_below, rate, state[2 * n + i])
-        force += beta * system.stiffness[i] * rate
-        slope[i] = v
-        slope[n + i] = -force * system.inverse_mass[i] - alpha * v - ground
-        if i > 0:
-            slope[n + i - 1] += force * system.inverse_mass[i - 1]
-        u_below, v_below = u, v
-    for i in range(system.modal.shape[0]):
-        drag = 0.0
-        for j in range(n):
-            drag += system.modal[i, j] * state[n + j]
-        slope[n + i] -= drag
-
-
-@jit
-def try_step(law, system, work, step, ground, trend):
-    """Write the state after `step` into `work.trial`, and its slope as the last stage.
+def try_step(law, step, ground, trend):
+    """Write the states and slopes of all stages of a step of this length, and its result.
 
     `ground` is the ground acceleration at the step's start [m/s^2], `trend` its slope [m/s^3].
     """
-    for s in range(1, LAST + 1):
-        work.trial[:] = work.state
-        for earlier in range(s):
-            weight = step * STAGES[s, earlier]
-            for j in range(work.trial.size):
-                work.trial[j] += weight * work.stages[earlier, j]
-        write_slope(law, system, ground + TIMES[s] * step * trend, work.trial, work.stages[s])
+    rise = step * trend
+    combine(law, step, 1, STAGES[0])
+    write_slope(law, ground + TIMES[1] * rise, state(law, 1), slope(law, 1))
+    combine(law, step, 2, STAGES[1])
+    write_slope(law, ground + TIMES[2] * rise, state(law, 2), slope(law, 2))
+    combine(law, step, 3, STAGES[2])
+    write_slope(law, ground + TIMES[3] * rise, state(law, 3), slope(law, 3))
+    combine(law, step, 4, STAGES[3])
+    write_slope(law, ground + TIMES[4] * rise, state(law, 4), slope(law, 4))
+    combine(law, step, 5, STAGES[4])
+    write_slope(law, ground + rise, state(law, 5), slope(law, 5))
+    combine(law, step, LAST, STAGES[5])
+    write_slope(law, ground + rise, state(law, LAST), slope(law, LAST))
 
 
 @jit
-def accept(work):
-    """Make the trial state the state."""
-    work.state[:] = work.trial
-    work.stages[0] = work.stages[LAST]
+def accept(law):
+    """Make the result of the step the state."""
+    for row in range(3 * law.rows):
+        write_lanes(law.address, state(law, 0) + row, read_lanes(law.address, state(law, LAST) + row))
+        write_lanes(law.address, slope(law, 0) + row, read_lanes(law.address, slope(law, LAST) + row))
 
 
 @jit
-def kink_function(state, which):
+def kink_function(law, address, here, which):
     """Drift rate of a spring (which < n) or its internal variable; of a slope, their time derivatives."""
-    n = state.size // 3
-    if which >= n:
-        return state[n + which]
-    return state[n + which] - (state[n + which - 1] if which > 0 else 0.0)
+    p = law.rows * LANES
+    first = here * LANES
+    if which >= law.n:
+        return read_number(address, first + 2 * p + which - law.n)
+    lower = read_number(address, first + p + which - 1) if which > 0 else 0.0
+    return read_number(address, first + p + which) - lower
+
+
+@jit
+def kink_value(law, s, which):
+    """The kink function at stage `s`, and its time derivative."""
+    return (
+        kink_function(law, law.address, state(law, s), which),
+        kink_function(law, law.address, slope(law, s), which),
+    )
 
 
 @jit
@@ -139,85 +141,115 @@ def cubic_root(before, after, slope_before, slope_after):
 
 
 @jit
-def first_kink(work, step):
-    """The first kink of the trial step not yet passed, -1 if none, and where: a fraction of the step."""
+def any_kink(law):
+    """Whether a drift rate or an internal variable changes its sign between a step's start and its end."""
+    found = False
+    start, end = state(law, 0), state(law, LAST)
+    for row in range(law.rows):
+        rates = deformation(law, start, row)[1] * deformation(law, end, row)[1]
+        memories = read_lanes(law.address, start + 2 * law.rows + row)
+        memories = memories * read_lanes(law.address, end + 2 * law.rows + row)
+        found |= any_less(rates, splat(0.0)) or any_less(memories, splat(0.0))
+    return found
+
+
+@jit
+def first_kink(law, step):
+    """The first kink of the step not yet passed, -1 if none, and where: a fraction of the step."""
     which, where = -1, 1.0
-    for k in range(work.passed.size):
-        before, after = kink_function(work.state, k), kink_function(work.trial, k)
-        if work.passed[k] == 0 and before * after < 0.0:
-            x = cubic_root(
-                before,
-                after,
-                step * kink_function(work.stages[0], k),
-                step * kink_function(work.stages[LAST], k),
-            )
-            if which < 0 or x < where:
-                which, where = k, x
+    if any_kink(law):
+        passed = PASSED * law.rows * LANES
+        for k in range(2 * law.n):
+            before, slope_before = kink_value(law, 0, k)
+            after, slope_after = kink_value(law, LAST, k)
+            if before * after < 0.0 and read_number(law.address, passed + k) == 0.0:
+                x = cubic_root(before, after, step * slope_before, step * slope_after)
+                if which < 0 or x < where:
+                    which, where = k, x
     return which, where
 
 
 @jit
-def step_forward(law, system, work, step, ground, trend):
+def step_to_kink(law, which, step, piece, ground, trend):
+    """Make the step that ends at a kink, from a guess `piece` of its length; return the length."""
+    for iteration in range(NEWTON_STEPS):
+        try_step(law, piece, ground, trend)
+        value, change = kink_value(law, LAST, which)
+        miss = value / change
+        better = piece - miss
+        if abs(miss) < KINK_TOLERANCE * step or not 0.0 < better < step or iteration == NEWTON_STEPS - 1:
+            break
+        piece = better
+    return piece
+
+
+@jit
+def step_forward(law, step, ground, trend, tape):
     """Advance the state by `step`, in pieces that end at kinks, each kink at most once."""
     left = step
-    try_step(law, system, work, left, ground, trend)
+    try_step(law, left, ground, trend)
     if has_kinks(law):
-        work.passed[:] = 0
-        which, where = first_kink(work, left)
-        while which >= 0:
-            work.passed[which] = 1
-            piece = where * left
-            for iteration in range(NEWTON_STEPS):
-                try_step(law, system, work, piece, ground, trend)
-                miss = kink_function(work.trial, which) / kink_function(work.stages[LAST], which)
-                better = piece - miss
-                if (
-                    abs(miss) < KINK_TOLERANCE * step
-                    or not 0.0 < better < left
-                    or iteration == NEWTON_STEPS - 1
-                ):
-                    break
-                piece = better
-            accept(work)
-            ground += trend * piece
-            left -= piece
-            try_step(law, system, work, left, ground, trend)
-            which, where = first_kink(work, left)
-    accept(work)
+        which, where = first_kink(law, left)
+        if which >= 0:
+            passed = PASSED * law.rows * LANES
+            while which >= 0:
+                write_number(law.address, passed + which, 1.0)
+                piece = step_to_kink(law, which, left, where * left, ground, trend)
+                if tape is not None:
+                    write_tape(law, tape, piece, ground, trend, which)
+                accept(law)
+                ground += trend * piece
+                left -= piece
+                try_step(law, left, ground, trend)
+                which, where = first_kink(law, left)
+            for k in range(2 * law.n):
+                write_number(law.address, passed + k, 0.0)
+    if tape is not None:
+        write_tape(law, tape, left, ground, trend, -1)
+    accept(law)
 
 
 @jit
-def fastest(law, system, omega, work):
+def fastest(law):
     """Rate of change [1/s] of the chain in its present state: what a step must resolve."""
-    n = system.stiffness.size
-    extra = 0.0
-    u_below = 0.0
-    for i in range(n):
-        rate, change = kink_function(work.state, i), kink_function(work.stages[0], i)
-        u = work.state[i]
-        extra = max(extra, pace(law, i, system.stiffness[i], omega, u - u_below, rate, change))
-        u_below = u
-    return VIBRATION * omega + extra
+    omega = scalar(law, OMEGA)
+    extra = splat(0.0)
+    for row in range(law.rows):
+        drift, rate = deformation(law, state(law, 0), row)
+        change = deformation(law, slope(law, 0), row)[1]
+        stiffness = constant(law, STIFFNESS, row)
+        extra = larger(extra, pace(law, row, stiffness, splat(omega), drift, rate, change))
+    return VIBRATION * omega + highest(extra)
 
 
 @jit
-def advance(law, system, omega, work, length, ground, trend, refine):
+def is_finite(law):
+    """Whether the state is finite."""
+    finite = True
+    for row in range(3 * law.rows):
+        finite &= all_less(magnitude(read_lanes(law.address, state(law, 0) + row)), splat(np.inf))
+    return finite
+
+
+@jit
+def advance(law, length, ground, trend, refine, tape):
     """Advance the state over a segment of `length` [s] in which the ground acceleration is linear.
 
-    Steps are so short that their product with `fastest` stays below `PHASE`, each divided by `refine`.
-    Returns False where that takes too many steps or the state is not finite.
+    Steps are so short that their product with `fastest` stays below `PHASE`: what is left of the segment is
+    divided by a whole number, and the steps once more by `refine`. Returns False where that takes too many
+    steps or the state is not finite.
     """
     left = length
     for _ in range(MAX_STEPS):
-        rate = fastest(law, system, omega, work)
+        rate = fastest(law)
         if not rate * left < PHASE * MAX_STEPS:
             return False
         count = max(np.ceil(left * rate / PHASE), 1.0)
         step = left / count
         for _ in range(refine):
-            step_forward(law, system, work, step / refine, ground, trend)
+            step_forward(law, step / refine, ground, trend, tape)
             ground += trend * step / refine
         if count == 1.0:
-            return bool(np.isfinite(work.state).all())
+            return is_finite(law)
         left -= step
     return False

@@ -1,0 +1,236 @@
+"""Gradients of response and discrepancy of a nonlinear chain: the computed response, differentiated exactly.
+
+A reverse sweep through the accepted steps. The response is kept as one state for each output sample; the
+steps between two samples are repeated from there, recorded and differentiated in reverse, so that the memory
+does not grow with the number of steps.
+
+What a step's length depends on: the number of steps into which a segment is divided is a whole number, a
+constant but where it jumps, and the response jumps there by no more than the error of the integration. Steps
+that end at a kink have lengths that depend on the state, through the time of the kink; their derivatives are
+included (`step_adjoint.remove_time`).
+"""
+
+import numpy as np
+from numba import literal_unroll
+
+from pymc_features.simulators.compilation import jit
+from pymc_features.simulators.lane_bits import read_lanes, read_number, write_lanes, write_number
+from pymc_features.simulators.lanes import LANES, splat
+from pymc_features.simulators.modal import chain_modes
+from pymc_features.simulators.modal_damping import add_damping_gradient, damping_coefficients
+from pymc_features.simulators.nonlinear import begin, check_parameters, next_sample, write_outputs
+from pymc_features.simulators.nonlinear_discrepancy import check_observed, n_particles, particle
+from pymc_features.simulators.recursion import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY, n_outputs
+from pymc_features.simulators.runge_kutta import LAST
+from pymc_features.simulators.spring_chain import prepare, slope, state, write_slope
+from pymc_features.simulators.step_adjoint import reverse_step, slope_adjoint
+from pymc_features.simulators.step_tangent import (
+    OF_DASHPOT,
+    OF_MASS,
+    OF_MODAL,
+    OF_STIFFNESS,
+    of_slope,
+    of_state,
+)
+from pymc_features.simulators.tape import CAPACITY, read_tape, recorded, rewind
+
+
+@jit
+def save(law, states, sample):
+    """Keep the state at an output sample in its row of `states` (u, 3 p)."""
+    for i in range(states.shape[1]):
+        states[sample, i] = read_number(law.address, state(law, 0) * LANES + i)
+
+
+@jit
+def restore(law, states, sample):
+    """Make a kept state the present one."""
+    for i in range(states.shape[1]):
+        write_number(law.address, state(law, 0) * LANES + i, states[sample, i])
+
+
+@jit
+def add_output(law, work, quantity, sensors, cotangent, ground):
+    """Add the gradient by the outputs at a sample to that by the state, which is the present one."""
+    p = law.rows * LANES
+    for row in range(3 * law.rows):
+        write_lanes(work, of_slope(law, 0) + row, splat(0.0))
+        write_lanes(work, of_state(law, 0) + row, splat(0.0))
+    of_output = quantity in (RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY)
+    first = (of_state(law, 0) if of_output else of_slope(law, 0)) * LANES
+    if quantity != RELATIVE_DISPLACEMENT:
+        first += p
+    for j in range(sensors.size):
+        i = first + sensors[j]
+        write_number(work, i, read_number(work, i) + cotangent[j])
+    if not of_output:
+        slope_adjoint(law, work, 0, 1.0, ground)
+    for row in range(3 * law.rows):
+        here = of_state(law, LAST) + row
+        write_lanes(work, here, read_lanes(work, here) + read_lanes(work, of_state(law, 0) + row))
+
+
+@jit
+def record(law, tape, acceleration, sampling, states, row, sample, first):
+    """March from an output sample, whose state is in `row` of `states`, to the next.
+
+    Steps from number `first` on go to the tape. Returns whether it succeeds, how many steps there are, and
+    how many are on the tape.
+    """
+    restore(law, states, row)
+    begin(law, acceleration, sampling, sample * sampling[2])
+    rewind(tape, first)
+    valid = next_sample(law, acceleration, sampling, sample, 1, tape)
+    return valid, *recorded(tape)
+
+
+@jit
+def reverse_sample(law, work, tape, acceleration, sampling, states, sample):
+    """Carry the gradient back over the steps between an output sample and the next."""
+    first, by_time = 0, 0.0
+    _, count, kept = record(law, tape, acceleration, sampling, states, sample, sample, first)
+    if count > CAPACITY:
+        first = (count - 1) // CAPACITY * CAPACITY
+        _, _, kept = record(law, tape, acceleration, sampling, states, sample, sample, first)
+    while True:
+        for index in range(kept - 1, -1, -1):
+            step, ground, trend, which = read_tape(law, tape, index)
+            write_slope(law, ground, state(law, 0), slope(law, 0))
+            by_time = reverse_step(law, work, step, ground, trend, which, by_time)
+        if first == 0:
+            return
+        first -= CAPACITY
+        _, _, kept = record(law, tape, acceleration, sampling, states, sample, sample, first)
+
+
+@jit
+def collect(law, work, parameters, gradients):
+    """Add to the gradients what the sweep has summed up."""
+    mass, stiffness, rayleigh, ratios, _ = parameters
+    d_mass, d_stiffness, d_rayleigh, d_ratios, d_values = gradients
+    n, p = law.n, law.rows * LANES
+    omega, participation, shapes = np.empty(n), np.empty(n), np.empty((n, n))
+    chain_modes(mass, stiffness, omega, shapes, participation)
+    cotangent = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            cotangent[i, j] = read_number(work, (OF_MODAL + j) * p + i)
+    matrix = damping_coefficients(mass, 2.0 * ratios * omega, shapes)
+    for i in range(n):
+        inertia = read_number(work, OF_MASS * p + i)
+        for j in range(n):
+            inertia -= matrix[i, j] * cotangent[i, j]
+        by_dashpot = read_number(work, OF_DASHPOT * p + i)
+        d_mass[i] -= inertia / mass[i]
+        d_stiffness[i] += read_number(work, OF_STIFFNESS * p + i) + rayleigh[1] * by_dashpot
+        d_rayleigh[0] += cotangent[i, i]
+        d_rayleigh[1] += stiffness[i] * by_dashpot
+        for k in range(d_values.shape[0]):
+            d_values[k, i] += read_number(work, k * p + i)
+    add_damping_gradient(mass, omega, shapes, ratios, cotangent, (d_mass, d_stiffness, d_ratios))
+
+
+@jit
+def add_gradient(
+    law, work, tape, parameters, acceleration, sampling, sensors, quantity, history, weights, gradients
+):
+    """Add the gradient for one set of parameters to `gradients`; NaN where there is no response.
+
+    `history` (s, u) is the cotangent of the response or, if there are `weights` (s,), the data.
+    """
+    total = history.shape[1]
+    states = np.empty((total, 3 * law.rows * LANES))
+    valid = prepare(law, parameters)
+    begin(law, acceleration, sampling, 0)
+    for sample in range(total):
+        if sample > 0 and valid:
+            valid = next_sample(law, acceleration, sampling, sample - 1, 1, None)
+        if not valid:
+            for gradient in literal_unroll(gradients):
+                gradient[:] = np.nan
+            return
+        save(law, states, sample)
+    for i in range((OF_MODAL + law.n) * law.rows * LANES):
+        write_number(work, i, 0.0)
+    outputs = np.empty(sensors.size)
+    for sample in range(total - 1, -1, -1):
+        restore(law, states, sample)
+        ground = begin(law, acceleration, sampling, sample * sampling[2])
+        if weights.size:
+            write_outputs(law, ground, quantity, sensors, outputs)
+            for j in range(sensors.size):
+                outputs[j] = 2.0 * weights[j] / total * (outputs[j] - history[j, sample])
+        else:
+            outputs[:] = history[:, sample]
+        add_output(law, work, quantity, sensors, outputs, ground)
+        if sample > 0:
+            reverse_sample(law, work, tape, acceleration, sampling, states, sample - 1)
+    collect(law, work, parameters, gradients)
+
+
+@jit
+def gradient_kernel(
+    law,
+    parameters,
+    acceleration,
+    dt,
+    substeps,
+    stride,
+    sensors,
+    n_modes,
+    quantity,
+    history,
+    weights,
+    work,
+    tape,
+):
+    """As `gradient.response_gradient` or, if there are `weights`, `gradient.discrepancy_gradient`.
+
+    `work`, `tape`: memory for derivatives and steps.
+    """
+    check_parameters(law, parameters, sensors, n_modes)
+    check_observed(history, sensors, n_outputs(acceleration.size, substeps, stride))
+    mass, stiffness, rayleigh, ratios, values = parameters
+    gradients = (
+        *(np.zeros(mass.shape), np.zeros(stiffness.shape), np.zeros(rayleigh.shape)),
+        *(np.zeros(ratios.shape), np.zeros(values.shape)),
+    )
+    add_gradient(
+        *(law, work, tape, parameters, acceleration, (dt, substeps, stride)),
+        *(sensors, quantity, history, weights, gradients),
+    )
+    return gradients
+
+
+@jit
+def population_gradient_kernel(
+    law,
+    parameters,
+    acceleration,
+    dt,
+    substeps,
+    stride,
+    sensors,
+    n_modes,
+    quantity,
+    observed,
+    weights,
+    work,
+    tape,
+):
+    """As `gradient.population_gradient`; `weights` (p, s)."""
+    check_parameters(law, particle(parameters, 0), sensors, n_modes)
+    check_observed(observed, sensors, n_outputs(acceleration.size, substeps, stride))
+    if weights.shape[0] != n_particles(parameters) or weights.shape[1] != sensors.size:
+        raise ValueError("`weights` must have the shape (particle, sensor)")
+    mass, stiffness, rayleigh, ratios, values = parameters
+    gradients = (
+        *(np.zeros(mass.shape), np.zeros(stiffness.shape), np.zeros(rayleigh.shape)),
+        *(np.zeros(ratios.shape), np.zeros(values.shape)),
+    )
+    for k in range(weights.shape[0]):
+        add_gradient(
+            *(law, work, tape, particle(parameters, k), acceleration, (dt, substeps, stride)),
+            *(sensors, quantity, observed, weights[k], particle(gradients, k)),
+        )
+    return gradients
