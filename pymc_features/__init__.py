@@ -98,6 +98,7 @@ __all__ = [
     "laplace",
     "mean_square_discrepancy",
     "paper",
+    "plot_loops",  # noqa: F822
     "plot_record",  # noqa: F822
     "plot_response_bands",  # noqa: F822
     "plot_sampling_rate",  # noqa: F822
@@ -118,7 +119,14 @@ __all__ = [
 ]
 
 # on demand: matplotlib takes a second to import
-_PLOTS = ("plot_record", "plot_response_bands", "plot_sampling_rate", "plot_tolerance", "plot_widths")
+_PLOTS = (
+    "plot_loops",
+    "plot_record",
+    "plot_response_bands",
+    "plot_sampling_rate",
+    "plot_tolerance",
+    "plot_widths",
+)
 
 
 def __getattr__(name):

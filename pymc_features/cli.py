@@ -10,8 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-QUICK = {"draws": 250, "chains": 2, "multipliers": (0.2, 1.0, 10.0)}
-FIGURES = {
+FIGURES = {  # those with all their likelihoods in the study are drawn
     "fig2_norm.png": ["NORM"],
     "fig3_tn.png": ["TN"],
     "fig4_exp_abc.png": ["EXP", "ABC"],
@@ -54,27 +53,41 @@ def make_parser() -> argparse.ArgumentParser:
     study = commands.add_parser(
         "reproduce",
         help="run the sampling-rate study of the source, and write its figures and table",
-        description="Ten-storey chain, one stiffness factor: NORM, TN, EXP, ABC by subset simulation, and "
-        "errors correlated in time, at several sampling steps of the same data. Writes Figs. 1-4 of the "
-        "source and two more, tables with exact quantiles by quadrature beside the sampled ones and a "
-        "sentence on each likelihood, and the whole result as netCDF. A stopped run continues.",
+        description="Ten-storey chain, linear or with springs that yield, one stiffness factor: NORM, TN, "
+        "EXP, ABC by subset simulation, and errors correlated in time, at several sampling steps of the same "
+        "data. Writes Figs. 1-4 of the source and two more, the loops of springs that yield, tables with "
+        "exact quantiles by quadrature beside the sampled ones and a sentence on each likelihood, and the "
+        "whole result as netCDF. A stopped run continues.",
     )
     study.set_defaults(run=reproduce)
     add = study.add_argument
+    add(
+        "--structure",
+        metavar="NAME",
+        default="linear",
+        help="linear: the source's (default; three minutes on two cores), or bouc-wen: the same with "
+        "hysteretic springs (half an hour)",
+    )
     add("--record", metavar="FILE", help="ground motion: PEER AT2, text/CSV or .mat")
     add("--units", help="units of the record's file: g, m/s^2, cm/s^2, gal, or m/s^2 per unit")
     add("--record-dt", type=float, metavar="S", help="step of the record [s], if the file is silent")
     add("--column", help="column of the record's file, if it has several")
-    add("--out", metavar="DIR", help="output folder (default: reproduce-output[-quick])")
+    add("--out", metavar="DIR", help="output folder (default: reproduce-output[-STRUCTURE][-quick])")
     add(
         "--quick",
         action="store_true",
-        help="three sampling steps and fewer draws, for a first look",
+        help="three sampling steps and fewer draws, for a first look (bouc-wen: four minutes)",
     )
     add("--seed", type=int, default=0, help="of noise and samplers (default: 0)")
-    add("--stiffness", type=float, metavar="N/m", help="nominal spring stiffness (default: 1800)")
-    add("--draws", type=int, help="draws per chain (default: 2000, quick 250)")
-    add("--chains", type=int, help="chains (default: 4, quick 2)")
+    add("--stiffness", type=float, metavar="N/m", help="nominal, initial spring stiffness (default: 1800)")
+    add(
+        "--likelihoods",
+        nargs="+",
+        metavar="NAME",
+        help="NORM, TN, EXP, ABC, CN, CN-SIGMA, CN-TAU (default: all; bouc-wen: the first four)",
+    )
+    add("--draws", type=int, help="draws per chain (default: 2000, quick 250; bouc-wen: 500, quick 100)")
+    add("--chains", type=int, help="chains (default: 4, quick 2; bouc-wen: 2)")
     add("--cores", type=int, help="processes (default: all processors)")
     add("--traceback", action="store_true", help="on an error, show where it came from")
     return parser
@@ -110,26 +123,38 @@ def _is_number(text):
 
 def reproduce(options, console):
     """Run the study and write figures, table and result."""
-    from pymc_features.study import sampling_rate_study
+    from pymc_features.study import find_structure, sampling_rate_study, yielding
 
-    options.out = Path(options.out or f"reproduce-output{'-quick' if options.quick else ''}")
+    described = find_structure(options.structure)
+    options.out = Path(options.out or default_folder(options))
     record, sentence = find_record(options)
     console.print(sentence, markup=False, highlight=False, soft_wrap=True)
-    settings = dict(QUICK) if options.quick else {}
-    for name in ("draws", "chains", "cores", "stiffness"):
+    settings = dict(described.quick) if options.quick else {}
+    for name in ("draws", "chains", "cores", "stiffness", "likelihoods"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
     with StudyProgress(console) as progress:
         result = sampling_rate_study(
             record,
+            structure=options.structure,
             random_seed=options.seed,
             out=options.out,
             progress=progress,
             progressbar=console.is_terminal,
             **settings,
         )
+    if sentence := yielding(result):
+        console.print(f"springs: {sentence}", markup=False, highlight=False, soft_wrap=True)
     for path in write_outputs(result, options.out):
         console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
+
+
+def default_folder(options) -> str:
+    """Where a study goes that was given no folder; the linear one has no name, for it came first."""
+    parts = ["reproduce-output"]
+    if options.structure != "linear":
+        parts.append(options.structure)
+    return "-".join([*parts, "quick"] if options.quick else parts)
 
 
 class StudyProgress:
@@ -195,9 +220,13 @@ def write_outputs(result, folder: Path) -> list[Path]:
         return lambda path: ax.figure.savefig(path, dpi=150, format="png")
 
     figures = {"fig1_record.png": plots.plot_record(result)}
+    known = set(result["summary"]["likelihood"].values)
     for name, likelihoods in FIGURES.items():
-        figures[name] = plots.plot_sampling_rate(result, likelihoods)[0]
+        if known.issuperset(likelihoods):
+            figures[name] = plots.plot_sampling_rate(result, likelihoods)[0]
     figures["fig6_widths.png"] = plots.plot_widths(result)
+    if "loops" in result.children:
+        figures["fig7_loops.png"] = plots.plot_loops(result)[0]
     writers = {name: save(ax) for name, ax in figures.items()}
     writers["table.md"] = lambda path: path.write_text(as_markdown(result))
     writers["table.csv"] = lambda path: path.write_text(as_csv(result))

@@ -62,6 +62,8 @@ def test_reproduce_writes_everything_and_continues(record_file, tmp_path, capsys
         (["--units", "furlong"], "`units` must be one of"),
         (["--stiffness", "-3"], "`stiffness` must be positive and finite, got -3"),
         (["--draws", "1"], "`draws` must be an integer of at least 50, got 1"),
+        (["--structure", "steel"], "`structure` must be one of linear, bouc-wen, got 'steel'"),
+        (["--likelihoods", "TN", "MAX"], "`likelihoods` must be among NORM, TN, EXP, ABC"),
         (["--record-dt", "-0.02"], "`dt` must be positive, got -0.02"),
     ],
 )

@@ -69,6 +69,7 @@ PUBLIC_NAMES = [
     "laplace",
     "mean_square_discrepancy",
     "paper",
+    "plot_loops",
     "plot_record",
     "plot_response_bands",
     "plot_sampling_rate",

@@ -38,6 +38,51 @@ def test_record_figure(result):
     plots.close([ax])
 
 
+@pytest.fixture
+def loops(result):
+    """The made-up result with loops of four springs."""
+    drift = np.outer([2.0, 0.5, 4.0, 3.0], [0.0, 1.0, -1.0])
+    result["loops"] = xr.Dataset(
+        {
+            "drift": (("spring", "time"), 1e-3 * drift),
+            "force": (("spring", "time"), 10.0 * drift),
+            "yield_displacement": ("spring", np.full(4, 1e-3)),
+            "ductility": ("spring", [2.0, 0.5, 4.0, 3.0]),
+        },
+        coords={"spring": range(4), "time": [0.0, 0.1, 0.2]},
+        attrs={"record": "pulse"},
+    )
+    result.attrs["title"] = "Bouc-Wen chain"
+    return result
+
+
+def test_loops_figure(loops):
+    axes = plots.plot_loops(loops)
+    assert [ax.get_title() for ax in axes] == [
+        f"spring {i}: ductility {d}" for i, d in ((2, 4), (3, 3), (0, 2))
+    ]
+    np.testing.assert_allclose(axes[0].lines[0].get_xydata(), [[0, 0], [4, 40], [-4, -40]])
+    assert [line.get_xdata()[0] for line in axes[0].lines[1:]] == [-1.0, 1.0]
+    assert axes[0].figure.get_suptitle() == "Bouc-Wen chain, pulse"
+    [ax] = plots.plot_loops(loops, springs=1, axes=axes[2])
+    assert ax.get_title() == "spring 1: ductility 0.5"
+    plots.close(axes[:1])
+    with pytest.raises(ValueError, match=r"`springs` must be among \[0, 1, 2, 3\], got \[7\]"):
+        plots.plot_loops(loops, springs=7)
+    with pytest.raises(ValueError, match="`axes` must be one for each of 2 springs, got 1"):
+        plots.plot_loops(loops, springs=[0, 1], axes=ax)
+    with pytest.raises(ValueError, match="`result` must be of a structure whose springs can yield"):
+        plots.plot_loops(xr.DataTree())
+
+
+def test_titles_name_the_structure(loops):
+    axes = plots.plot_sampling_rate(loops, ["EXP", "ABC"])
+    assert axes[0].figure.get_suptitle() == "EXP and ABC, Bouc-Wen chain"
+    ax = plots.plot_widths(loops)
+    assert ax.get_title() == "Bouc-Wen chain"
+    plots.close([axes[0], ax])
+
+
 def test_tolerance_figure():
     result = xr.Dataset(
         {

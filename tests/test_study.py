@@ -19,6 +19,8 @@ from pymc_features.study.quadrature import (
     exponents,
     tolerance_interval,
 )
+from pymc_features.study.settings import checked_study
+from pymc_features.study.store import PartStore
 
 KINDS = ("NORM", "TN", "EXP")
 ALL_KINDS = (*KINDS, "ABC", "CN", "CN-SIGMA", "CN-TAU")
@@ -27,7 +29,7 @@ ALL_KINDS = (*KINDS, "ABC", "CN", "CN-SIGMA", "CN-TAU")
 @pytest.fixture(scope="module")
 def exact(record):
     """Curves and exact posteriors on the whole record at the seven steps."""
-    study = study_module._checked_study(record, 1800.0, 0.05, paper.MULTIPLIERS, KINDS, 100, 1, 0)
+    study = checked_study(record)
     result = {}
     for multiplier in paper.MULTIPLIERS:
         data = study.data(multiplier)
@@ -285,6 +287,22 @@ def test_folder_of_another_study_is_refused(short, tmp_path):
         small_study(short, out=tmp_path)
 
 
+@pytest.mark.parametrize("names", [("linear", "bouc-wen"), ("bouc-wen", "linear")])
+def test_folder_of_another_structure_is_refused(short, tmp_path, names):
+    first, second = (checked_study(short, structure=name, likelihoods=["TN"]).settings() for name in names)
+    PartStore(tmp_path, first)
+    PartStore(tmp_path, first)
+    with pytest.raises(StudyMismatchError, match="hold the same study, got .* structure = .* instead of"):
+        PartStore(tmp_path, second | {key: first[key] for key in first if key != "structure"})
+
+
+def test_settings_of_the_linear_chain_are_those_of_older_folders(short):
+    """Folders from before there was a choice of structures can be continued."""
+    keys = "record record_sha256 record_dt stiffness noise multipliers likelihoods draws chains seed"
+    assert list(checked_study(short).settings()) == keys.split()
+    assert checked_study(short).settings()["draws"] == 2000
+
+
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
@@ -292,6 +310,7 @@ def test_folder_of_another_study_is_refused(short, tmp_path):
         ({"draws": 10}, "`draws` must be an integer of at least 50, got 10"),
         ({"chains": 0}, "`chains` must be an integer of at least 1, got 0"),
         ({"random_seed": -1}, "`random_seed` must be an integer of at least 0, got -1"),
+        ({"structure": "steel"}, "`structure` must be one of linear, bouc-wen, got 'steel'"),
         ({"likelihoods": ["LAPLACE"]}, "`likelihoods` must be among NORM, TN, EXP, ABC"),
         ({"likelihoods": []}, "`likelihoods` must be among NORM, TN, EXP, ABC"),
         ({"multipliers": []}, "`multipliers` must name at least one sampling step"),

@@ -6,7 +6,6 @@ from scipy import integrate, linalg, stats
 
 from pymc_features import Record, simulate
 from pymc_features.study import paper
-from pymc_features.study import sampling_rate as study_module
 from pymc_features.study.correlated import (
     correlated_likelihood,
     known_scale_posterior,
@@ -18,6 +17,7 @@ from pymc_features.study.findings import MEANING, verdict
 from pymc_features.study.models import LIKELIHOODS
 from pymc_features.study.quadrature import DiscrepancyCurve
 from pymc_features.study.references import REFERENCES
+from pymc_features.study.settings import checked_study
 
 DT, N_TIMES, N_SENSORS = 0.02, 40, 3
 
@@ -149,7 +149,7 @@ def widths(record):
     """Exact 5-95 % width of theta under the three models of correlated errors, at three steps."""
     multipliers = (0.1, 0.2, 1.0)
     short = Record(record.acceleration[:501], record.dt)
-    study = study_module._checked_study(short, 1800.0, 0.05, multipliers, ("NORM",), 100, 1, 0)
+    study = checked_study(short, multipliers=multipliers)
     found = {}
     for kind in ("CN", "CN-SIGMA", "CN-TAU", "NORM"):
         rows = [REFERENCES[kind](study.misfit(m)).statistics[0] for m in multipliers]
@@ -175,7 +175,7 @@ def test_with_the_time_inferred_white_noise_is_found(widths):
 def test_curve_of_a_step_is_that_of_the_response(record):
     """The four sums, against the simulated histories."""
     short = Record(record.acceleration[:101], record.dt)
-    study = study_module._checked_study(short, 1800.0, 0.05, (1.0, 2.0), ("NORM",), 100, 1, 0)
+    study = checked_study(short, multipliers=(1.0, 2.0))
     step = study.misfit(2.0)
     theta = 1.07
     response = simulate(paper.chain(theta), short, dt=2 * short.dt).values

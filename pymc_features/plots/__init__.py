@@ -1,15 +1,17 @@
 """Figures, each a function that takes a result and returns axes. A new one is one file and one line."""
 
+from pymc_features.plots.loops import plot_loops
 from pymc_features.plots.record import plot_record
 from pymc_features.plots.response_bands import plot_response_bands
 from pymc_features.plots.sampling_rate import plot_sampling_rate
 from pymc_features.plots.tolerance import plot_tolerance
 from pymc_features.plots.widths import plot_widths
 
-PLOTS = (plot_record, plot_response_bands, plot_sampling_rate, plot_tolerance, plot_widths)
+PLOTS = (plot_loops, plot_record, plot_response_bands, plot_sampling_rate, plot_tolerance, plot_widths)
 
 __all__ = [
     "PLOTS",
+    "plot_loops",
     "plot_record",
     "plot_response_bands",
     "plot_sampling_rate",

@@ -62,7 +62,7 @@ def plot_sampling_rate(result, likelihoods, axes=None):
         ax.ticklabel_format(axis="y", useOffset=False)
         ax.set(xlabel="sampling step / record step [-]", ylabel=LABELS[parameter])
     figure = axes[0].figure
-    figure.suptitle(" and ".join(likelihoods))
+    figure.suptitle(", ".join(filter(None, [" and ".join(likelihoods), result.attrs.get("title")])))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     return np.asarray(axes)
 

@@ -36,5 +36,6 @@ def plot_widths(result, ax=None):
     ax.set_xticks(steps, [f"{m:g}" for m in steps])
     ax.minorticks_off()
     ax.set(xlabel="sampling step / record step [-]", ylabel="5-95 % width of θ [-]")
+    ax.set_title(result.attrs.get("title", ""))
     ax.legend(frameon=False, ncols=1, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return ax

@@ -90,6 +90,34 @@ def agreement_rows(result: xr.DataTree) -> list[list]:
     return rows
 
 
+def yielding(result: xr.DataTree) -> str:
+    """How far the springs yield, in words; empty if they cannot."""
+    if "loops" not in result.children:
+        return ""
+    ductility = result["loops"]["ductility"].values
+    n, most = int((ductility > 1.0).sum()), int(ductility.argmax())
+    if n == 0:
+        return (
+            f"no spring reaches its yield displacement (at most {ductility[most]:.2g} of it, spring {most}): "
+            "this says little about structures that yield"
+        )
+    return (
+        f"{n} of {len(ductility)} springs drift beyond their yield displacement, "
+        f"at most {ductility[most]:.2g} times as far (spring {most})"
+    )
+
+
+def ductility_rows(result: xr.DataTree) -> list[list]:
+    """Number, yield displacement [m], largest drift [m] and their ratio of each spring that can yield."""
+    if "loops" not in result.children:
+        return []
+    loops = result["loops"].to_dataset()
+    peaks = abs(loops["drift"]).max("time")
+    columns = (loops["spring"], loops["yield_displacement"], peaks, loops["ductility"])
+    return [[int(i), *map(float, row)] for i, *row in zip(*(c.values for c in columns), strict=True)]
+
+
+DUCTILITY_COLUMNS = ("spring", "yield displacement [m]", "largest drift [m]", "ductility")
 AGREEMENT_COLUMNS = (
     "step / record step",
     "delta",

@@ -1,5 +1,6 @@
 """The PyMC models of the study, one for each way to compare response and data."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from pymc_features.distributions import CorrelatedNormal, ExpFeature, TruncNorma
 from pymc_features.likelihood_free import DiscrepancySimulator
 from pymc_features.ops import response
 from pymc_features.records import Record
+from pymc_features.structures import Structure
 from pymc_features.study import paper
 
 DIMS = ("sensor", "time")
@@ -92,11 +94,11 @@ def declare(
     record: Record,
     data: xr.DataArray,
     *,
-    stiffness: float = paper.STIFFNESS,
+    structure: Callable[[pt.TensorVariable], Structure] = paper.chain,
     tolerance: float | None = None,
     scale: float | None = None,
 ) -> pm.Model:
-    """Return the model of the ten-storey example under one likelihood.
+    """Return the model of one structure of the study under one likelihood.
 
     Parameters
     ----------
@@ -107,8 +109,8 @@ def declare(
         Ground acceleration.
     data : DataArray (sensor, time)
         Measured floor accelerations [m/s^2] with their times.
-    stiffness : float
-        Nominal spring stiffness [N/m].
+    structure : callable
+        theta -> structure.
     tolerance : float, optional
         delta of ABC [m^2/s^4].
     scale : float, optional
@@ -128,7 +130,7 @@ def declare(
         step = pm.Data("step", times[1] - times[0])
         measured = pm.Data("measured", data.values, dims=("sensor", "time"))
         delta = None if tolerance is None else pm.Data("tolerance", tolerance)
-        mu = response(paper.chain(theta, stiffness=stiffness), record, dt=step)
+        mu = response(structure(theta), record, dt=step)
         LIKELIHOODS[likelihood](Ingredients(mu, measured, step, delta, scale))
     return model
 

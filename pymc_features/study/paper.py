@@ -52,6 +52,7 @@ def measurements(
     noise: float = NOISE,
     seed: int = 0,
     multipliers=MULTIPLIERS,
+    structure=chain,
 ) -> xr.DataArray:
     """Floor accelerations at the finest sampling step, with noise added once.
 
@@ -67,13 +68,15 @@ def measurements(
         Of the noise.
     multipliers : sequence of float
         Sampling steps over the record's; the smallest is the finest step.
+    structure : callable
+        (theta, *, stiffness) -> structure of numbers.
 
     Returns
     -------
     xarray.DataArray (sensor, time)
         Absolute acceleration [m/s^2] at every floor. `decimate` takes coarser data from it.
     """
-    exact = simulate(chain(theta, stiffness=stiffness), record, dt=min(multipliers) * record.dt)
+    exact = simulate(structure(theta, stiffness=stiffness), record, dt=min(multipliers) * record.dt)
     scale = noise_scale(exact, noise)[:, None]
     return exact + scale * np.random.default_rng(seed).standard_normal(exact.shape)
 

@@ -74,16 +74,26 @@ class DiscrepancyCurve:
         Range of the uniform prior of theta.
     n_data : int
         N_0 N_D, which sets the finest scale that matters.
+    n_nodes : int
+        Of the grid; 401 more values are needed to find the minimum.
 
     Attributes
     ----------
     minimiser, minimum, curvature : float
         theta_hat, S_min and a in S = S_min + a (theta - theta_hat)^2 near it.
-    u, theta, slope, values : array (1201,)
+    scale : float
+        Standard deviation of theta under NORM.
+    u, theta, slope, values : array (n_nodes,)
         Even grid variable, nodes, d theta / d u, and S.
     """
 
-    def __init__(self, total: Callable[[float], float], bounds: tuple[float, float], n_data: int):
+    def __init__(
+        self,
+        total: Callable[[float], float],
+        bounds: tuple[float, float],
+        n_data: int,
+        n_nodes: int = N_THETA,
+    ):
         low, high = self.bounds = bounds
         self.total = total
         coarse = np.linspace(low, high, 401)
@@ -95,12 +105,15 @@ class DiscrepancyCurve:
         h = 1e-4 * (high - low)
         sides = [total(self.minimiser + s * h) - self.minimum for s in (-1, 1)]
         self.curvature = float(sum(sides)) / (2.0 * h * h)
-        scale = np.sqrt(self.minimum / self.curvature / n_data)
-        ends = [np.arcsinh((end - self.minimiser) / scale) for end in bounds]
-        self.u = np.linspace(*ends, N_THETA)
-        self.theta = np.clip(self.minimiser + scale * np.sinh(self.u), low, high)
-        self.slope = scale * np.cosh(self.u)
+        self.scale = np.sqrt(self.minimum / self.curvature / n_data)
+        self.u = np.linspace(*map(self.grid_variable, bounds), n_nodes)
+        self.theta = np.clip(self.minimiser + self.scale * np.sinh(self.u), low, high)
+        self.slope = self.scale * np.cosh(self.u)
         self.values = np.array([total(t) for t in self.theta])
+
+    def grid_variable(self, theta):
+        """u of theta, in which the nodes are even."""
+        return np.arcsinh((theta - self.minimiser) / self.scale)
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,13 +42,16 @@ class PartStore:
             found = json.loads(path.read_text())
         except json.JSONDecodeError:
             found = {}
-        for key in wanted:
-            if found.get(key) != wanted[key]:
-                raise StudyMismatchError(
-                    f"`out` must be empty or hold the same study, got {self.folder} with {key} = "
-                    f"{found.get(key)!r} instead of {wanted[key]!r}. Choose another folder, or delete "
-                    "this one."
-                )
+        different = [
+            f"{key} = {found.get(key)!r} instead of {wanted.get(key)!r}"
+            for key in wanted | found
+            if found.get(key) != wanted.get(key)
+        ]
+        if different:
+            raise StudyMismatchError(
+                f"`out` must be empty or hold the same study, got {self.folder} with {', '.join(different)}. "
+                "Choose another folder, or delete this one."
+            )
 
     def _path(self, name):
         return self.folder / "parts" / f"{name}.nc"

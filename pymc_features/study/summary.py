@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from pymc_features.simulators import spring_forces
 from pymc_features.study.quadrature import tolerance_interval
 from pymc_features.study.references import PARAMETERS, PROBABILITIES, REFERENCES, STATISTICS
 
@@ -47,10 +48,14 @@ def assemble(study, parts: dict) -> xr.DataTree:
     summary = summary.assign_coords(end=["low", "high"])
     summary["step"] = ("multiplier", np.array(study.multipliers) * study.record.dt, {"units": "s"})
     nodes = {f"/{kind}/x{m:g}": part for (kind, m), part in parts.items()}
-    tree = xr.DataTree.from_dict({"/summary": summary, "/data": _data_group(study)})
+    groups = {"/summary": summary, "/data": _data_group(study)}
+    if not study.at().is_linear:
+        groups["/loops"] = _loops_group(study)
+    tree = xr.DataTree.from_dict(groups)
     for path, part in nodes.items():
         tree[path] = part
     tree.attrs = {key: value for key, value in study.settings().items() if not isinstance(value, list)}
+    tree.attrs |= {"structure": study.structure, "title": study.described.title}
     return tree
 
 
@@ -64,6 +69,16 @@ def _data_group(study):
         coords={"record_time": ("record_time", record.time, {"units": "s"})},
         attrs={"record": record.name},
     )
+
+
+def _loops_group(study):
+    """Force and drift of every spring at the true theta, and the largest drift over that of yielding."""
+    structure = study.at()
+    loops = spring_forces(structure, study.record)[["force", "drift"]]
+    limit = np.broadcast_to(structure.yield_displacement, structure.n_dof)
+    loops["yield_displacement"] = ("spring", limit, {"units": "m"})
+    loops["ductility"] = abs(loops["drift"]).max("time") / loops["yield_displacement"]
+    return loops
 
 
 def sampled_statistics(reference, part):

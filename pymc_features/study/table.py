@@ -5,7 +5,14 @@ import io
 
 import xarray as xr
 
-from pymc_features.study.findings import AGREEMENT_COLUMNS, agreement_rows, trend_rows
+from pymc_features.study.findings import (
+    AGREEMENT_COLUMNS,
+    DUCTILITY_COLUMNS,
+    agreement_rows,
+    ductility_rows,
+    trend_rows,
+    yielding,
+)
 
 COLUMNS = (
     "likelihood",
@@ -79,6 +86,12 @@ def as_markdown(result: xr.DataTree) -> str:
             AGREEMENT_COLUMNS,
             ("{:g}", "{:.6g}", *["{:.8g}"] * 8, "{:.3f}", "{:.3f}"),
             agreement_rows(result),
+        ),
+        (
+            f"Springs at the true theta: {yielding(result)}",
+            DUCTILITY_COLUMNS,
+            ("{:d}", "{:.4g}", "{:.4g}", "{:.3g}"),
+            ductility_rows(result),
         ),
     ]
     return "\n".join(markdown_table(*table) for table in tables if table[-1])

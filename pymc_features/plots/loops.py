@@ -1,0 +1,56 @@
+"""Hysteresis loops: force against drift of the springs that yield most."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+
+def plot_loops(result, springs=None, axes=None):
+    """Force of springs against their drift at the true parameter, and the displacement at which they yield.
+
+    Parameters
+    ----------
+    result : DataTree
+        From `sampling_rate_study`, of a structure whose springs can yield.
+    springs : int or sequence of int, optional
+        Springs to draw, 0 next to the base; by default the three whose peak drift is the largest multiple of
+        their yield displacement, the largest first.
+    axes : matplotlib Axes or sequence of them, optional
+        One for each spring; a new figure by default.
+
+    Returns
+    -------
+    list of matplotlib Axes
+    """
+    if "loops" not in result.children:
+        raise ValueError(
+            "`result` must be of a structure whose springs can yield, got one without loops. "
+            'Run sampling_rate_study(record, structure="bouc-wen").'
+        )
+    loops = result["loops"].to_dataset()
+    known, ductility = loops["spring"].values.tolist(), loops["ductility"]
+    if springs is None:
+        springs = loops["spring"].values[np.argsort(-ductility.values, kind="stable")[:3]]
+    springs = np.atleast_1d(springs).tolist()
+    if not springs or not set(springs) <= set(known):
+        raise ValueError(f"`springs` must be among {known}, got {springs}.")
+    if axes is None:
+        size = 1.2 + 2.9 * len(springs), 3.4
+        _, axes = plt.subplots(1, len(springs), figsize=size, layout="constrained", squeeze=False)
+        axes = axes[0]
+        axes[0].figure.suptitle(
+            ", ".join(filter(None, [result.attrs.get("title"), loops.attrs.get("record")]))
+        )
+    axes = list(np.atleast_1d(axes))
+    if len(axes) != len(springs):
+        raise ValueError(f"`axes` must be one for each of {len(springs)} springs, got {len(axes)}.")
+    for ax, spring in zip(axes, springs, strict=True):
+        cell = loops.sel(spring=spring)
+        ax.plot(1e3 * cell["drift"], cell["force"], color="C0", lw=0.7)
+        for side in (-1.0, 1.0):
+            ax.axvline(side * 1e3 * float(cell["yield_displacement"]), color="0.5", lw=0.8, ls="--", zorder=0)
+        ax.set(
+            xlabel="drift [mm] (dashed: yield displacement)",
+            title=f"spring {spring}: ductility {float(cell['ductility']):.2g}",
+        )
+    axes[0].set_ylabel("force [N]")
+    return axes

@@ -1,0 +1,121 @@
+"""Misfit between response and measurements at the sampling steps of the study, as functions of theta.
+
+Four sums over the sensors are all that the likelihoods need: of e_j, of the mean squared increments of the
+misfit, and of its first and last square.
+"""
+
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from pymc_features.simulators import FAMILIES, request
+from pymc_features.structures import Structure
+from pymc_features.study import paper
+from pymc_features.study.quadrature import DiscrepancyCurve
+
+N_NODES = 601
+
+
+def computed_sums(at: Callable[[float], Structure], record, data, dt: float) -> Callable:
+    """The four sums at one sampling step by the kernel of the structure's family.
+
+    Parameters
+    ----------
+    at : callable
+        theta -> structure.
+    record : Record
+        Ground acceleration.
+    data : array (s, u)
+        Measurements [m/s^2].
+    dt : float
+        Their step [s].
+
+    Returns
+    -------
+    callable
+        theta -> array (4,).
+    """
+    data = np.ascontiguousarray(data)
+    asked = request(paper.N_STOREYS, record.dt, dt=dt)
+
+    def sums(theta):
+        structure = at(theta)
+        squares, increments, first, last = (
+            FAMILIES[structure.family]
+            .kernels["misfit"](
+                *structure.parameters(),
+                *structure.constants(record),
+                structure.excitation(record),
+                record.dt,
+                asked.substeps,
+                asked.stride,
+                asked.sensors,
+                asked.n_modes,
+                asked.quantity_code,
+                data,
+            )
+            .T
+        )
+        return np.array([squares.sum(), increments.sum(), first @ first, last @ last])
+
+    return sums
+
+
+class SharedResponses:
+    """The four sums at all sampling steps from one response for each theta, where a response is costly.
+
+    The response at a coarser step is every n-th sample of that at the finest, so that one response serves all
+    steps. It is computed at nodes of theta that resolve the narrowest posterior and cover the prior; between
+    them the sums are cubic splines. No response is kept.
+
+    Parameters
+    ----------
+    respond : callable
+        theta -> array (s, u), the response at the finest step [m/s^2].
+    data : array (s, u)
+        Measurements at that step [m/s^2].
+    strides : dict
+        For each sampling step, by any key, its multiple of the finest step.
+
+    Notes
+    -----
+    About a thousand responses. The splines are right to 1e-6 where the posteriors are
+    (tests/test_study_bouc_wen.py).
+    """
+
+    def __init__(self, respond: Callable, data: np.ndarray, strides: dict[float, int]):
+        self.respond, self.data, self.strides = respond, data, strides
+        self._known: dict[float, np.ndarray] = {}
+
+    def at(self, theta: float) -> np.ndarray:
+        """The four sums at each sampling step (step, 4), without splines."""
+        if theta not in self._known:
+            misfit = self.data - self.respond(theta)
+            self._known[theta] = np.array([sums_of(misfit[:, ::n]) for n in self.strides.values()])
+        return self._known[theta]
+
+    @cached_property
+    def curve(self) -> DiscrepancyCurve:
+        """S(theta) at the finest step: its nodes are those of the splines."""
+        finest = list(self.strides.values()).index(1)
+        return DiscrepancyCurve(
+            lambda theta: float(self.at(theta)[finest, 0]), paper.THETA_RANGE, self.data.size, N_NODES
+        )
+
+    @cached_property
+    def splines(self) -> CubicSpline:
+        """The sums (step, 4) by the grid variable of `curve`."""
+        return CubicSpline(self.curve.u, np.array([self.at(theta) for theta in self.curve.theta]))
+
+    def sums(self, multiplier: float) -> Callable:
+        """theta -> array (4,) at one sampling step."""
+        row = list(self.strides).index(multiplier)
+        return lambda theta: self.splines(self.curve.grid_variable(theta))[row]
+
+
+def sums_of(misfit: np.ndarray) -> np.ndarray:
+    """The four sums (4,) of a misfit (s, u)."""
+    squares, increments = ((x**2).sum() / misfit.shape[1] for x in (misfit, np.diff(misfit, axis=1)))
+    return np.array([squares, increments, (misfit[:, 0] ** 2).sum(), (misfit[:, -1] ** 2).sum()])

@@ -1,0 +1,64 @@
+"""The structures of the study. A new one is one file with its chain, and one entry here."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pymc_features.structures import Structure
+from pymc_features.study import bouc_wen, paper
+from pymc_features.study.models import LIKELIHOODS
+
+DEFAULT = "linear"
+QUICK_MULTIPLIERS = (0.2, 1.0, 10.0)
+
+
+@dataclass(frozen=True)
+class StudyStructure:
+    """A structure of the study, and how much of its posteriors is sampled unless asked otherwise.
+
+    Attributes
+    ----------
+    title : str
+        For figures and messages.
+    chain : callable
+        (theta, *, stiffness) -> structure; theta is a number or a random variable.
+    likelihoods : tuple of str
+        Those compared by default.
+    draws, chains : int
+        Of `sample_smc`.
+    quick : dict
+        Settings for a first look.
+    """
+
+    title: str
+    chain: Callable[..., Structure]
+    likelihoods: tuple[str, ...]
+    draws: int
+    chains: int
+    quick: dict
+
+
+STRUCTURES = {
+    "linear": StudyStructure(
+        "linear chain",
+        paper.chain,
+        tuple(LIKELIHOODS),
+        draws=2000,
+        chains=4,
+        quick={"draws": 250, "chains": 2, "multipliers": QUICK_MULTIPLIERS},
+    ),
+    "bouc-wen": StudyStructure(
+        "Bouc-Wen chain",
+        bouc_wen.chain,
+        ("NORM", "TN", "EXP", "ABC"),
+        draws=500,
+        chains=2,
+        quick={"draws": 100, "chains": 2, "multipliers": QUICK_MULTIPLIERS},
+    ),
+}
+
+
+def find_structure(name: str) -> StudyStructure:
+    """Return the structure of this name."""
+    if name not in STRUCTURES:
+        raise ValueError(f"`structure` must be one of {', '.join(STRUCTURES)}, got {name!r}.")
+    return STRUCTURES[name]
