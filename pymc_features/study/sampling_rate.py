@@ -59,8 +59,8 @@ def sampling_rate_study(
         all seven of the linear chain, the first four of the other.
     draws, chains, cores : int
         Of `sample_smc`, with `SubsetSimulation` for ABC and `PersistentSMC` otherwise; by default four chains
-        of 2000 draws of the linear chain, two of 500 of the other, whose response takes some fifty times as
-        long, and all processors.
+        of 2000 draws of the linear chain, of 500 of the other, whose response takes longer, and all
+        processors.
     random_seed : int
         Of noise and samplers.
     out : path, optional

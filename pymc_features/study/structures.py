@@ -51,7 +51,7 @@ STRUCTURES = {
         bouc_wen.chain,
         ("NORM", "TN", "EXP", "ABC"),
         draws=500,
-        chains=2,
+        chains=4,
         quick={"draws": 100, "chains": 2, "multipliers": QUICK_MULTIPLIERS},
     ),
 }
