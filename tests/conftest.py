@@ -13,7 +13,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 
 def pytest_collection_modifyitems(items):
-    """Tests that use JAX come last: it starts threads, and other tests fork."""
+    """Tests that use JAX come last: it starts threads, and other tests fork. Long files come first."""
     items.sort(key=lambda item: item.path.name == "test_jax.py")
 
 
