@@ -8,196 +8,135 @@ weights on y; the rest is algebra of the size of the kept modes, with the divide
 import numpy as np
 
 from pymc_features.simulators.compilation import jit
-from pymc_features.simulators.gradient import copy_block, weigh_misfit
 from pymc_features.simulators.lanes import LANES
 from pymc_features.simulators.linear.arguments import writable
-from pymc_features.simulators.linear.blocks import take_change
-from pymc_features.simulators.linear.classical import SMALLEST_FREQUENCY
+from pymc_features.simulators.linear.oscillator_sums import (
+    march_change,
+    oscillator_coefficients,
+    sum_histories,
+)
 from pymc_features.simulators.linear.projection import Cotangent
 from pymc_features.simulators.pairs import close_modes
-from pymc_features.simulators.recursion import ABSOLUTE_ACCELERATION, BLOCK, N_ROWS
-from pymc_features.simulators.recursion_lanes import interpolate
-from pymc_features.simulators.sensitivity import (
-    N_COEFFICIENTS,
-    N_OUTPUT,
-    N_STEP,
-    advance_modes,
-    fill_mode,
-)
+from pymc_features.simulators.recursion import ABSOLUTE_ACCELERATION
+from pymc_features.simulators.sensitivity import N_COEFFICIENTS
 
 
 @jit
-def oscillator_coefficients(omega, drag, rayleigh, ratios, step, quantity):
-    """Coefficients (27 groups, LANES) of `sensitivity.advance_modes`; zero in lanes without a mode."""
-    groups = (omega.size + LANES - 1) // LANES
-    coefficients = np.zeros((N_COEFFICIENTS * groups, LANES))
-    work = np.empty((N_ROWS, 1)), np.empty(N_STEP), np.empty(N_OUTPUT)
-    for r in range(omega.size):
-        frequency = max(omega[r], SMALLEST_FREQUENCY)
-        slope = rayleigh[
-            1
-        ]  # of D = alpha + beta lambda + 2 ratio omega; nothing pushes a rigid body's lambda
-        if omega[r] > 0.0:
-            slope += ratios[r] / omega[r]
-        zeta = drag[r] / (2.0 * frequency)
-        fill_mode(frequency * step, zeta, slope, step, quantity, r, work, coefficients)
-    return coefficients
-
-
-@jit
-def advance_inputs(coefficients, states, inputs, substeps, stride, first, ground, values):
-    """Write `BLOCK` samples of f, df/dlambda and df/d(D h) of all modes under each input.
+def prepare(omega, drag, rayleigh, ratios, seen, participation, step, quantity, duration):
+    """Coefficients and outputs of the kernels above, and which pairs are close, each mode to itself, (m, m).
 
     Parameters
     ----------
-    states : array (d, 4 groups, LANES)
-        Overwritten.
-    ground, values : array (d, BLOCK stride + 1), (3, d, BLOCK, padded)
-        Written: the inputs at the steps of the recursion, and the histories.
+    omega, drag, ratios : array (m,)
+    rayleigh : array (2,)
+    seen, participation : array (s, m), (m, d)
+        S Phi, and Gamma.
+    duration : float
+        Of the record [s].
     """
-    for i in range(inputs.shape[0]):
-        interpolate(inputs[i], substeps, first * stride, ground[i])
-        advance_modes(
-            *(coefficients, states[i], ground[i], stride, values[0, i].reshape(-1, LANES)),
-            *(values[1, i].reshape(-1, LANES), values[2, i].reshape(-1, LANES)),
-        )
-
-
-@jit
-def add_outputs(values, outputs, feed, ground, stride, part, response):
-    """Write one block of the response (BLOCK, s), from f (d, BLOCK, padded)."""
-    response[:] = 0.0
-    for i in range(outputs.shape[0]):
-        np.dot(values[i], outputs[i], part)
-        for b in range(BLOCK):
-            for j in range(part.shape[1]):
-                response[b, j] += part[b, j] + feed[j, i] * ground[i, b * stride]
-
-
-@jit
-def sum_histories(coefficients, outputs, feed, inputs, substeps, stride, history, weights):
-    """Sums over time of w_j f_r, w_j df_r/dlambda and w_j df_r/d(D h) of each input, (3, d, s, padded).
-
-    Parameters
-    ----------
-    coefficients : array (27 groups, LANES)
-        From `oscillator_coefficients`.
-    outputs : array (d, padded, s)
-        S phi_r Gamma_ri, zero beyond the modes.
-    feed : array (s, d)
-        What stands before the inputs in the response.
-    history : array (s, u)
-        The weights w or, if there are `weights`, the data.
-    weights : array (s,) or (0,)
-        Cotangent of the discrepancy.
-    """
-    n_inputs, padded, n_sensors = outputs.shape
-    total = history.shape[1]
-    states = np.zeros((n_inputs, 4 * (padded // LANES), LANES))
-    ground, values = np.empty((n_inputs, BLOCK * stride + 1)), np.empty((3, n_inputs, BLOCK, padded))
-    weighted, part = np.empty((BLOCK, n_sensors)), np.empty((BLOCK, n_sensors))
-    product, sums = np.empty((n_sensors, padded)), np.zeros((3, n_inputs, n_sensors, padded))
-    for first in range(0, total, BLOCK):
-        advance_inputs(coefficients, states, inputs, substeps, stride, first, ground, values)
-        if weights.size:
-            add_outputs(values[0], outputs, feed, ground, stride, part, weighted)
-            weigh_misfit(weighted, ground[0], stride, 0.0, history, first, weights, total, weighted)
-        else:
-            copy_block(history, first, weighted)
-        for k in range(3):
-            for i in range(n_inputs):
-                np.dot(weighted.T, values[k, i], product)
-                sums[k, i] += product
-    return sums
-
-
-@jit
-def march_change(coefficients, combination, outputs, feed, inputs, substeps, stride, observed, history, sums):
-    """Carry the change of the response through the record; see `take_change` for what becomes of it.
-
-    `combination` (3, d, padded, s) has the factors of f, df/dlambda and df/d(D h), the rest is as above.
-    """
-    n_inputs, padded, n_sensors = outputs.shape
-    total = max(history.shape[1], observed.shape[1])
-    states = np.zeros((n_inputs, 4 * (padded // LANES), LANES))
-    ground, values = np.empty((n_inputs, BLOCK * stride + 1)), np.empty((3, n_inputs, BLOCK, padded))
-    part, response = np.empty((BLOCK, n_sensors)), np.empty((BLOCK, n_sensors))
-    change = np.empty((BLOCK, n_sensors))
-    for first in range(0, total, BLOCK):
-        advance_inputs(coefficients, states, inputs, substeps, stride, first, ground, values)
-        change[:] = 0.0
-        for k in range(3):
-            for i in range(n_inputs):
-                np.dot(values[k, i], combination[k, i], part)
-                change += part
-        if not history.size:
-            add_outputs(values[0], outputs, feed, ground, stride, part, response)
-        take_change(response, change, first, min(BLOCK, total - first), observed, history, sums)
-
-
-def prepare(a, system):
-    """Coefficients and outputs of the kernels above, S phi (s, m), and which pairs are close (m, m)."""
-    m = system.omega.size
-    ratios = writable(a.ratios[:m])
-    coefficients = oscillator_coefficients(
-        system.omega, system.drag, writable(a.rayleigh), ratios, a.step, a.quantity
-    )
-    seen = a.sensors @ system.shapes
+    (m, n_inputs), n_sensors = participation.shape, seen.shape[0]
+    coefficients = oscillator_coefficients(omega, drag, rayleigh, ratios, step, quantity)
     padded = coefficients.shape[0] // N_COEFFICIENTS * LANES
-    outputs = np.zeros((a.acceleration.shape[0], padded, seen.shape[0]))
-    outputs[:, :m] = system.participation.T[:, :, None] * seen.T
-    feed = np.zeros((seen.shape[0], outputs.shape[0]))
+    outputs = np.zeros((n_inputs, padded, n_sensors))
+    close, _ = close_modes(omega, rayleigh, ratios, duration, m)
+    for r in range(m):
+        close[r, r] = True
+        for i in range(n_inputs):
+            for j in range(n_sensors):
+                outputs[i, r, j] = participation[r, i] * seen[j, r]
+    return coefficients, outputs, close
+
+
+@jit
+def reduce_sums(omega, seen, participation, close, sums):
+    """Derivatives of L by Phi' K Phi, Phi' M Phi (m, m), Phi' L (m, d); sum_i Gamma_ri w_j f_r[a_i] (s, m).
+
+    `sums` (2, d, s, >= m) are those of w_j f_r and w_j df_r/dlambda.
+    """
+    (m, n_inputs), n_sensors = participation.shape, seen.shape[0]
+    f, f_lambda = np.zeros((n_sensors, m)), np.zeros((n_sensors, m))
+    by_load, slopes = np.zeros((m, n_inputs)), np.zeros((m, n_inputs))
+    for i in range(n_inputs):
+        for j in range(n_sensors):
+            for r in range(m):
+                f[j, r] += participation[r, i] * sums[0, i, j, r]
+                f_lambda[j, r] += participation[r, i] * sums[1, i, j, r]
+                by_load[r, i] += seen[j, r] * sums[0, i, j, r]
+                slopes[r, i] += seen[j, r] * sums[1, i, j, r]
+    products, crossed = np.dot(seen.T, f), np.dot(by_load, participation.T)
+    derivatives = np.dot(seen.T, f_lambda) + np.dot(slopes, participation.T)
+    by_stiffness, by_mass = np.empty((m, m)), np.empty((m, m))
+    for r in range(m):
+        for s in range(m):
+            if close[r, s]:
+                both = 0.5 * (derivatives[r, s] + derivatives[s, r])
+            else:
+                apart = (products[s, r] - crossed[s, r]) - (products[r, s] - crossed[r, s])
+                both = apart / ((omega[r] - omega[s]) * (omega[r] + omega[s]))
+            inertia = products[r, s] + crossed[r, s] + products[s, r] + crossed[s, r]
+            mean = 0.5 * (omega[r] * omega[r] + omega[s] * omega[s])
+            by_stiffness[r, s] = 0.5 * both
+            by_mass[r, s] = -0.5 * (mean * both + 0.5 * inertia)
+    return by_stiffness, by_mass, by_load, f
+
+
+@jit
+def pull_back_modes(modes, feed, inputs, substeps, stride, history, weights):
+    """What `reduce_sums` returns, and derivatives by D (m,), of L = sum w y or sum_j c_j e_j.
+
+    `modes` is what `prepare` takes; `feed`, `history` and `weights` are as in `sum_histories`.
+    """
+    omega, _, _, _, seen, participation, step, _, _ = modes
+    coefficients, outputs, close = prepare(*modes)
+    sums = sum_histories(coefficients, outputs, feed, inputs, substeps, stride, history, weights)
+    by_drag = np.zeros(omega.size)
+    for i in range(sums.shape[1]):
+        for j in range(seen.shape[0]):
+            for r in range(omega.size):
+                by_drag[r] += step * seen[j, r] * participation[r, i] * sums[2, i, j, r]
+    return reduce_sums(omega, seen, participation, close, sums[:2]), by_drag
+
+
+def modes_of(a, system):
+    """What `prepare` takes, and what stands before the inputs in the response, (s, d)."""
+    duration, seen = a.shape[1] * a.stride * a.step, writable(a.sensors @ system.shapes)
+    feed = np.zeros((seen.shape[0], a.acceleration.shape[0]))
     if a.quantity == ABSOLUTE_ACCELERATION:
         feed += a.sensors @ a.influence
-    duration = a.shape[1] * a.stride * a.step
-    close, _ = close_modes(system.omega, writable(a.rayleigh), ratios, duration, m)
-    np.fill_diagonal(close, True)
-    return coefficients, outputs, feed, seen, close
-
-
-def gaps_between(omega, close):
-    """lambda_r - lambda_s (m, m), infinite where the pair takes the derivative."""
-    return np.where(close, np.inf, (omega[:, None] - omega) * (omega[:, None] + omega))
+    law = writable(a.rayleigh), writable(a.ratios[: system.omega.size])
+    modes = system.omega, system.drag, *law, seen, writable(system.participation)
+    return (*modes, a.step, a.quantity, duration), feed
 
 
 def pull_back(a, system, history, weights):
     """Derivatives of L = sum w y, or of sum_j c_j e_j with `weights` c, see `Cotangent`."""
-    coefficients, outputs, feed, seen, close = prepare(a, system)
-    m, omega, participation = system.omega.size, system.omega, system.participation
-    sums = sum_histories(
-        *(coefficients, outputs, feed, a.inputs, *a.grid),
+    modes, feed = modes_of(a, system)
+    (by_stiffness, by_mass, by_load, f), by_drag = pull_back_modes(
+        *(modes, feed, a.inputs, *a.grid),
         *(writable(history), writable(weights)),
-    )[..., :m]
-    f, f_lambda, f_drag = (np.einsum("ri,ijr->jr", participation, one) for one in sums)
-    by_load, slopes = (np.einsum("jr,ijr->ri", seen, one) for one in sums[:2])
-    products, crossed = seen.T @ f, by_load @ participation.T
-    derivatives = seen.T @ f_lambda + slopes @ participation.T
-    difference = products - crossed
-    both = (difference.T - difference) / gaps_between(omega, close)
-    both[close] = 0.5 * (derivatives + derivatives.T)[close]
-    eigenvalues, inertia = omega**2, products + crossed
-    mean = 0.5 * (eigenvalues[:, None] + eigenvalues)
-    by_drag = a.step * (seen * f_drag).sum(axis=0)
-    ratios = np.zeros(a.ratios.size)
-    ratios[:m] = 2.0 * omega * by_drag
+    )
+    omega, ratios = system.omega, np.zeros(a.ratios.size)
+    ratios[: omega.size] = 2.0 * omega * by_drag
     return Cotangent(
-        stiffness=0.5 * both,
-        mass=-0.5 * (mean * both + 0.5 * (inertia + inertia.T)),
+        stiffness=by_stiffness,
+        mass=by_mass,
         damping=None,
         load=by_load,
         shapes=a.sensors.T @ f + system.load @ by_load.T,
-        rayleigh=np.array([by_drag.sum(), eigenvalues @ by_drag]),
+        rayleigh=np.array([by_drag.sum(), omega**2 @ by_drag]),
         ratios=ratios,
     )
 
 
 def push_forward(a, system, motion, d_rayleigh, d_ratios, observed, history, sums):
     """Write the change of the response, or of its comparison with data, see `take_change`."""
-    coefficients, outputs, feed, seen, close = prepare(a, system)
-    m, omega, participation = system.omega.size, system.omega, system.participation
+    modes, feed = modes_of(a, system)
+    coefficients, outputs, close = prepare(*modes)
+    m, omega, seen, participation = system.omega.size, system.omega, modes[4], system.participation
     eigenvalues = omega**2
     change = motion.stiffness - 0.5 * (eigenvalues[:, None] + eigenvalues) * motion.mass
-    apart = change / gaps_between(omega, close)
+    gaps = (omega[:, None] - omega) * (omega[:, None] + omega)
+    apart = change / np.where(close, np.inf, gaps)
     together = np.where(close, 0.5 * change, 0.0)
     drag = d_rayleigh[0] + d_rayleigh[1] * eigenvalues + 2.0 * d_ratios[:m] * omega
     moved = a.sensors @ motion.shapes

@@ -36,7 +36,7 @@ def weigh_states(states, ground, first, stride, output, direct, history, weights
     states, ground : array (steps, 2 m), (steps, d)
         From step `first` on.
     history, weights
-        As in `oscillators.sum_histories`.
+        As in `oscillator_sums.sum_histories`.
     """
     total = history.shape[1]
     response = np.dot(states, output.T) + np.dot(ground, direct.T)
@@ -61,7 +61,7 @@ def state_sums(transition, now, after, output, direct, inputs, substeps, stride,
         From `step_matrices`.
     direct : array (s, d)
     history, weights
-        As in `oscillators.sum_histories`.
+        As in `oscillator_sums.sum_histories`.
     """
     size, n_inputs = now.shape
     steps = (history.shape[1] - 1) * stride
