@@ -1,0 +1,404 @@
+"""Fused sums, gradients and tangents of nonlinear chains: loops, differences, SciPy, the linear limit."""
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.integrate import solve_ivp
+from scipy.linalg import eigh
+
+from pymc_features.simulators import discrepancy_gradient, response_gradient
+from pymc_features.simulators.lane_bits import aligned, read_lanes, write_lanes
+from pymc_features.simulators.lane_functions import logarithm, power
+from pymc_features.simulators.lanes import LANES
+from pymc_features.simulators.nonlinear import nonlinear_histories
+from pymc_features.simulators.nonlinear_kernels import nonlinear_kernels
+from pymc_features.simulators.simulate import NONLINEAR
+from pymc_features.simulators.tape import CAPACITY
+
+KERNELS = {family: nonlinear_kernels(law) for family, law in NONLINEAR.items()}
+NAMES = ("mass", "stiffness", "rayleigh", "ratios", "values")
+DT = 0.02
+
+
+def parameters(family, n=3, *, modal=False, sharpness=2.0, seed=0):
+    """Springs that yield, or harden several times, under the records below; every spring is different."""
+    rng = np.random.default_rng(seed)
+    mass, stiffness = rng.uniform(0.8, 1.2, n), rng.uniform(300.0, 400.0, n)
+    rayleigh, ratios = np.array([0.2, 1e-3]), np.zeros(n)
+    if modal:
+        rayleigh, ratios = np.zeros(2), np.linspace(0.02, 0.05, n)
+    values = np.full((1, n), 1e6)
+    if family == "hysteretic":
+        values = np.tile(np.array([0.008, 0.1, sharpness, 0.5, 0.4])[:, None], n)
+    values = values * rng.uniform(0.95, 1.05, values.shape)
+    if sharpness in (1.0, 2.0) and family == "hysteretic":
+        values[2] = sharpness
+    return mass, stiffness, rayleigh, ratios, values
+
+
+def settings(n=3, *, n_times=60, substeps=1, stride=1, quantity=0, sensors=(2, 0), dt=DT, seed=1):
+    """Arguments behind the parameters."""
+    acceleration = 3.0 * np.random.default_rng(seed).normal(size=n_times)
+    return acceleration, dt, substeps, stride, np.array(sensors) % n, n, quantity
+
+
+def directions(given, seed=2):
+    """Random changes of a few tenths of each parameter; of a zero, of a tenth."""
+    rng = np.random.default_rng(seed)
+    return tuple(0.3 * rng.normal(size=p.shape) * np.where(p == 0.0, 0.3, np.abs(p)) for p in given)
+
+
+def moved(given, change, h):
+    return tuple(p + h * d for p, d in zip(given, change, strict=True))
+
+
+def differences(function, given, change, h):
+    """Central difference along a direction, extrapolated once."""
+    coarse, fine = (
+        (function(moved(given, change, s)) - function(moved(given, change, -s))) / (2.0 * s)
+        for s in (h, 0.5 * h)
+    )
+    return (4.0 * fine - coarse) / 3.0
+
+
+def each_entry(given):
+    """Directions that change one entry by its size (a zero by 0.3), and what they change."""
+    for p, values in enumerate(given):
+        for i in np.ndindex(values.shape):
+            change = [np.zeros_like(v) for v in given]
+            change[p][i] = abs(values[i]) if values[i] else 0.3
+            yield (p, i), change
+
+
+def inner(gradient, change):
+    return sum((g * d).sum() for g, d in zip(gradient, change, strict=True))
+
+
+def data(family, given, where, seed=3):
+    """A response, and data far from it."""
+    response = KERNELS[family]["response"](*given, *where)
+    return response, response + np.abs(response).max() * np.random.default_rng(seed).normal(
+        size=response.shape
+    )
+
+
+CASES = {
+    "bouc-wen": ("hysteretic", {}, {}),
+    "bouc-wen, modal, n = 3.3, coarse velocity": (
+        *("hysteretic", {"modal": True, "sharpness": 3.3}),
+        {"stride": 3, "quantity": 2},
+    ),
+    "bouc-wen, n = 1.3, fine displacement": (
+        *("hysteretic", {"sharpness": 1.3}),
+        {"substeps": 3, "n_times": 30, "quantity": 3},
+    ),
+    "bouc-wen, ten masses, one sensor twice": (
+        *("hysteretic", {"n": 10, "modal": True}),
+        {"n": 10, "n_times": 40, "quantity": 1, "sensors": (9, 3, 9)},
+    ),
+    "duffing": ("duffing", {}, {}),
+    "duffing, modal, fine": ("duffing", {"modal": True}, {"substeps": 2, "n_times": 40}),
+    "duffing, one mass, coarse displacement": (
+        *("duffing", {"n": 1}),
+        {"n": 1, "stride": 2, "quantity": 3},
+    ),
+}
+
+
+@pytest.fixture(params=CASES)
+def case(request):
+    family, structure, where = CASES[request.param]
+    return family, parameters(family, **structure), settings(**where)
+
+
+# --------------------------------------------------------------------------- sums
+
+
+def test_fused_sums(case):
+    family, given, where = case
+    response, observed = data(family, given, where)
+    misfit = observed - response
+    expected = [
+        (misfit**2).mean(1),
+        (np.diff(misfit) ** 2).sum(1) / misfit.shape[1],
+        misfit[:, 0],
+        misfit[:, -1],
+    ]
+    np.testing.assert_allclose(
+        KERNELS[family]["misfit"](*given, *where, observed), np.transpose(expected), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        KERNELS[family]["discrepancy"](*given, *where, observed), expected[0], rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("family", KERNELS)
+def test_population_is_a_loop(family):
+    """Parameters with a row for each particle or one for all; one that is no chain spoils no other."""
+    kernels, where = KERNELS[family], settings(n_times=30)
+    given = parameters(family)
+    _, observed = data(family, given, where)
+    scales = np.random.default_rng(4).uniform(0.8, 1.2, 5)
+    scales[3] = -1.0
+    population = (given[0][None], scales[:, None] * given[1], given[2][None], given[3][None], given[4][None])
+    weights = np.random.default_rng(5).normal(size=(5, 2))
+    sums = kernels["population_misfit"](*population, *where, observed)
+    errors = kernels["population_discrepancy"](*population, *where, observed)
+    gradient = kernels["population_gradient"](*population, *where, observed, weights)
+    assert [g.shape for g in gradient] == [p.shape for p in population]
+    shared = 0.0
+    for k, scale in enumerate(scales):
+        own = (given[0], scale * given[1], *given[2:])
+        np.testing.assert_array_equal(sums[k], kernels["misfit"](*own, *where, observed))
+        np.testing.assert_array_equal(errors[k], kernels["discrepancy"](*own, *where, observed))
+        alone = kernels["discrepancy_gradient"](*own, *where, observed, weights[k])
+        np.testing.assert_array_equal(gradient[1][k], alone[1])
+        assert np.isnan(alone[1]).all() == np.isnan(sums[k]).all() == (k == 3)
+        shared = shared + (0.0 if k == 3 else alone[4])
+    assert np.isnan(gradient[4]).all()  # the sum over all
+    valid = np.arange(5) != 3
+    population = (*population[:1], population[1][valid], *population[2:])
+    gradient = kernels["population_gradient"](*population, *where, observed, weights[valid])
+    np.testing.assert_allclose(gradient[4][0], shared, rtol=1e-12)
+
+
+# --------------------------------------------------------------------------- derivatives
+
+
+def test_gradient_of_every_parameter(case):
+    """Differences of the computed response itself, whose steps end at kinks: 1e-6 of the largest entry."""
+    family, given, where = case
+    response = KERNELS[family]["response"](*given, *where)
+    weights = np.random.default_rng(6).normal(size=response.shape)
+    gradient = KERNELS[family]["response_gradient"](*given, *where, weights)
+    errors, sizes = np.zeros(5), np.zeros(5)
+    for (p, i), change in each_entry(given):
+        exact = differences(
+            lambda q: (weights * KERNELS[family]["response"](*q, *where)).sum(), given, change, 2e-6
+        )
+        errors[p] = max(errors[p], abs(inner(gradient, change) - exact))
+        sizes[p] = max(sizes[p], abs(exact))
+        assert np.shape(gradient[p]) == np.shape(given[p]), (NAMES[p], i)
+    used = sizes > 0.0
+    assert used[[0, 1, 2, 3, 4]].all()
+    assert (errors[used] < 1e-6 * sizes[used]).all(), dict(zip(NAMES, errors / sizes, strict=True))
+
+
+def test_discrepancy_gradient(case):
+    family, given, where = case
+    response, observed = data(family, given, where)
+    weights = np.random.default_rng(7).normal(size=len(response))
+    cotangent = 2.0 * weights[:, None] / response.shape[1] * (response - observed)
+    ours = KERNELS[family]["discrepancy_gradient"](*given, *where, observed, weights)
+    theirs = KERNELS[family]["response_gradient"](*given, *where, cotangent)
+    for a, b in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12 * np.abs(b).max())
+
+
+def test_tangents_are_transposes(case):
+    """<W, T d> = <G W, d>, and the derivative of e_j is that of the response times twice the misfit."""
+    family, given, where = case
+    response, observed = data(family, given, where)
+    rng = np.random.default_rng(8)
+    for seed in range(3):
+        change, weights = directions(given, seed), rng.normal(size=response.shape)
+        tangent = KERNELS[family]["response_tangent"](*given, *where, *change)
+        gradient = KERNELS[family]["response_gradient"](*given, *where, weights)
+        scale = np.abs(weights * tangent).sum()
+        assert abs((weights * tangent).sum() - inner(gradient, change)) < 1e-11 * scale
+        sums = KERNELS[family]["discrepancy_tangent"](*given, *where, observed, *change)
+        expected = (2.0 * (response - observed) * tangent).mean(1)
+        np.testing.assert_allclose(sums, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+
+
+def scipy_response(given, acceleration):
+    """Relative displacements (n, u) at tolerances of 1e-12, with the laws as they are written.
+
+    Each sample and each reversal, or zero of an internal variable, starts the integration anew.
+    """
+    mass, stiffness, (alpha, beta), ratios, values = given
+    n = mass.size
+    matrix = np.diag(stiffness) + np.diag(np.r_[stiffness[1:], 0.0])
+    matrix -= np.diag(stiffness[1:], 1) + np.diag(stiffness[1:], -1)
+    squares, shapes = eigh(matrix, np.diag(mass))
+    damping = alpha * np.diag(mass) + beta * matrix
+    damping += np.diag(mass) @ shapes @ np.diag(2 * ratios * np.sqrt(squares)) @ shapes.T @ np.diag(mass)
+
+    def kinks(y):
+        return np.r_[np.diff(y[n : 2 * n], prepend=0.0), y[2 * n :]]
+
+    def slope(t, y, start, trend, signs):
+        u, v, z = y.reshape(3, n)
+        d, r = np.diff(u, prepend=0.0), np.diff(v, prepend=0.0)
+        if len(values) == 1:
+            force, change = stiffness * d + values[0] * d**3, 0.0 * z
+        else:
+            reach, ratio, order, b, c = values
+            force = stiffness * (ratio * d + (1.0 - ratio) * reach * z)
+            change = r / reach * (1.0 - np.abs(z) ** order * (c + b * signs))
+        restoring = force - np.append(force[1:], 0.0) + damping @ v
+        return np.concatenate([v, -restoring / mass - start - trend * t, change])
+
+    states = [np.zeros(3 * n)]
+    for now, after in zip(acceleration[:-1], acceleration[1:], strict=True):
+        t, y = 0.0, states[-1]
+        while t < DT:
+            arguments = (now, (after - now) / DT)
+            ahead = kinks(y + 1e-9 * slope(t, y, *arguments, 0.0))
+            signs = np.where(ahead[:n] * ahead[n:] < 0.0, -1.0, 1.0)
+            events = []
+            live = kinks(y) * ahead > 0.0  # what has just passed zero is not about to
+            for k in np.flatnonzero(live) if len(values) > 1 else ():
+                events.append(lambda t, y, *_, k=k: kinks(y)[k])
+                events[-1].terminal = True
+            options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-15, "events": events}
+            part = solve_ivp(slope, (t, DT), y, args=(*arguments, signs), **options)
+            t, y = part.t[-1], part.y[:, -1]
+        states.append(y)
+    return np.array(states).T[:n]
+
+
+@pytest.mark.parametrize("family", KERNELS)
+@pytest.mark.parametrize("modal", [False, True], ids=["rayleigh", "modal"])
+def test_against_differences_of_a_tight_ode_solution(family, modal):
+    """Each row of parameters along a direction, to 1e-7 of the largest derivative: nothing of ours in it."""
+    given = parameters(family, 2, modal=modal, seed=9)
+    where = settings(2, n_times=12, quantity=3, sensors=(0, 1), seed=10)
+    rows = [(0, slice(None)), (1, slice(None)), (3, slice(None))] + [(4, k) for k in range(len(given[4]))]
+    rows += [] if modal else [(2, 0), (2, 1)]
+    for p, row in rows:
+        change = [np.zeros_like(v) for v in given]
+        change[p][row] = directions(given, 11)[p][row]
+        exact = differences(lambda q: scipy_response(q, where[0]), given, change, 1e-4)
+        ours = KERNELS[family]["response_tangent"](*given, *where, *change)
+        assert np.abs(ours - exact).max() < 1e-7 * np.abs(exact).max(), (NAMES[p], row)
+
+
+@pytest.mark.parametrize("family", KERNELS)
+def test_accuracy_over_a_record(family, record):
+    """1e-6 of the peak against differences of a response in steps six times finer."""
+    given = parameters(family, 5, seed=12)
+    where = (record.acceleration[:600], record.dt, 1, 1, np.arange(5), 5, 0)
+    change = directions(given, 13)
+
+    def fine(q):
+        return nonlinear_histories(NONLINEAR[family], q, *where[:5], [0], 6)[0]
+
+    exact = differences(fine, given, change, 1e-5)
+    ours = KERNELS[family]["response_tangent"](*given, *where, *change)
+    assert np.abs(ours - exact).max() < 1e-6 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("family", KERNELS)
+@pytest.mark.parametrize("modal", [False, True], ids=["rayleigh", "modal"])
+@pytest.mark.parametrize("quantity", [0, 3])
+def test_linear_limit(family, modal, quantity):
+    """Without yielding or hardening: the linear chain's exact kernels."""
+    *linear, values = parameters(family, 4, modal=modal, seed=14)
+    values[1 if family == "hysteretic" else 0] = float(family == "hysteretic")
+    where = settings(4, n_times=100, quantity=quantity)
+    _, observed = data(family, (*linear, values), where)
+    weights = np.array([0.7, -0.4])
+    pairs = (
+        (KERNELS[family]["response_gradient"], response_gradient, (observed,)),
+        (KERNELS[family]["discrepancy_gradient"], discrepancy_gradient, (observed, weights)),
+    )
+    for ours, theirs, more in pairs:
+        exact = theirs(*linear, *where, *more)
+        for a, b in zip(ours(*linear, values, *where, *more)[:4], exact, strict=True):
+            assert np.abs(a - b).max() < 1e-6 * np.abs(b).max()
+
+
+@pytest.mark.parametrize("family", KERNELS)
+def test_more_steps_between_samples_than_the_tape_holds(family):
+    """The march is repeated for the rest of them, whatever their number."""
+    given = parameters(family, 2)
+    where = settings(2, n_times=10, stride=3, dt=1.5, sensors=(0, 1))
+    assert 3 * 1.5 * 1.5 * np.sqrt(given[1].min()) / 0.2 > 2 * CAPACITY  # steps
+    change = directions(given, 15)
+    tangent = KERNELS[family]["response_tangent"](*given, *where, *change)
+    exact = differences(lambda q: KERNELS[family]["response"](*q, *where), given, change, 1e-6)
+    assert np.abs(tangent - exact).max() < 1e-6 * np.abs(exact).max()
+    gradient = KERNELS[family]["response_gradient"](*given, *where, exact)
+    assert inner(gradient, change) == pytest.approx((exact * tangent).sum(), rel=1e-9)
+
+
+# --------------------------------------------------------------------------- bad parameters and sizes
+
+
+@pytest.mark.parametrize("family", KERNELS)
+@pytest.mark.parametrize("p", range(5))
+@pytest.mark.parametrize("bad", [np.nan, -1.0, np.inf])
+def test_no_structure_gives_nan(family, p, bad):
+    given, where = parameters(family), settings(n_times=10)
+    response, observed = data(family, given, where)
+    change = directions(given)
+    given[p][..., -1] = bad
+    kernels = KERNELS[family]
+    results = [
+        kernels["response"](*given, *where),
+        kernels["discrepancy"](*given, *where, observed),
+        kernels["misfit"](*given, *where, observed),
+        *kernels["response_gradient"](*given, *where, response),
+        *kernels["discrepancy_gradient"](*given, *where, observed, np.ones(2)),
+        kernels["response_tangent"](*given, *where, *change),
+        kernels["discrepancy_tangent"](*given, *where, observed, *change),
+    ]
+    assert all(np.isnan(r).all() for r in results)
+
+
+def test_too_many_steps_give_nan():
+    """A yield displacement far too small for the motion; the next particle is none the worse."""
+    given, where = parameters("hysteretic"), settings(n_times=10)
+    _, observed = data("hysteretic", given, where)
+    table = np.stack([given[4], given[4]])
+    table[0, 0] = 1e-12
+    population = (*(v[None] for v in given[:4]), table)
+    gradient = KERNELS["hysteretic"]["population_gradient"](*population, *where, observed, np.ones((2, 2)))
+    assert np.isnan(gradient[4][0]).all()
+    assert np.isfinite(gradient[4][1]).all()
+
+
+@pytest.mark.parametrize("family", KERNELS)
+def test_sizes_that_disagree(family):
+    kernels, given, where = KERNELS[family], parameters(family), settings(n_times=10)
+    response, observed = data(family, given, where)
+    short = observed[:, :-1]
+    for name, more in (
+        *(("discrepancy", (short,)), ("misfit", (short,)), ("response_gradient", (short,))),
+        *(("discrepancy_gradient", (short, np.ones(2))), ("discrepancy_gradient", (observed, np.ones(3)))),
+        *(("discrepancy_tangent", (short, *given)), ("response_tangent", (*given[:4], given[4][:, :2]))),
+    ):
+        with pytest.raises(ValueError, match="must have the shape"):
+            kernels[name](*given, *where, *more)
+    population = (*(v[None] for v in given[:4]), np.stack([given[4]] * 2))
+    with pytest.raises(ValueError, match="one row, or one for each particle"):
+        kernels["population_misfit"](np.ones((3, 3)), *population[1:], *where, observed)
+    with pytest.raises(ValueError, match="must have . rows, got 7"):
+        kernels["response_gradient"](*given[:4], np.ones((7, 3)), *where, response)
+    with pytest.raises(ValueError, match="one column for each spring"):
+        kernels["misfit"](*given[:4], given[4][:, :2], *where, observed)
+    with pytest.raises(ValueError, match="`n_modes` must be the number of degrees of freedom"):
+        kernels["misfit"](*given, *where[:5], 2, 0, observed)
+
+
+# --------------------------------------------------------------------------- functions of vectors
+
+
+@njit
+def elementary(base, order, powers, logarithms, rows):
+    for row in range(rows):
+        write_lanes(powers, row, power(read_lanes(base, row), read_lanes(order, row)))
+        write_lanes(logarithms, row, logarithm(read_lanes(base, row)))
+
+
+@pytest.mark.parametrize("order", [None, 1.0, 2.0])
+def test_powers_and_logarithms(order):
+    rng = np.random.default_rng(16)
+    base, orders, powers, logarithms = (aligned(100 * LANES) for _ in range(4))
+    base[:] = np.r_[0.0, 1.0, 1e-12, 1e10, 10.0 ** rng.uniform(-8, 0.5, base.size - 4)]
+    orders[:] = rng.uniform(1.0, 20.0, base.size) if order is None else order
+    elementary(*(a.ctypes.data for a in (base, orders, powers, logarithms)), 100)
+    np.testing.assert_allclose(powers, base**orders, rtol=1e-13, atol=1e-290)
+    np.testing.assert_allclose(logarithms[1:], np.log(base[1:]), rtol=1e-15, atol=4e-16)
+    assert logarithms[0] < -600.0
