@@ -13,8 +13,8 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 
 def pytest_collection_modifyitems(items):
-    """Tests that use JAX come last: it starts threads, and other tests fork."""
-    items.sort(key=lambda item: item.path.name == "test_jax.py")
+    """Tests that use JAX come last: it starts threads, and other tests fork. Large files come first."""
+    items.sort(key=lambda item: (item.path.name == "test_jax.py", -item.path.stat().st_size))
 
 
 @pytest.fixture(scope="session")

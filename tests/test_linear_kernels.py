@@ -16,7 +16,8 @@ from pymc_features import (
     simulate,
     simulators,
 )
-from pymc_features.algebra import AffineMatrix, common_pattern
+from pymc_features.algebra import AffineMatrix, common_pattern, natural_modes
+from pymc_features.simulators.lanes import LANES
 from pymc_features.simulators.linear import (
     linear_discrepancy,
     linear_discrepancy_gradient,
@@ -28,9 +29,11 @@ from pymc_features.simulators.linear import (
     linear_response,
     linear_response_gradient,
     linear_response_tangent,
+    population,
 )
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.complement import invert_outside
+from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.system import is_coupled, solve_system
 
 N_PARAMETERS = 3
@@ -176,6 +179,9 @@ def random_case(seed, n, *, coupled=False, free=False, constant_mass=False, d=1,
     stiffness = [springs(n, rng.uniform(50.0, 400.0, count), free=free)]
     stiffness += [springs(n, rng.uniform(0.0, 80.0, count), free=free) for _ in range(3)]
     damping = [definite(rng, n, 0.5), definite(rng, n, 0.1), definite(rng, n, 0.3), zero] if coupled else []
+    if coupled:
+        skew = rng.normal(size=(n, n))
+        damping[1] += 0.1 * (skew - skew.T)  # gyroscopic
     load = {"forces" if forces else "influence": rng.normal(size=(n, d))}
     mass = mass[:1] if constant_mass else mass
     return Case(mass, damping, stiffness, [1.0, 0.5, 0.7], **load, **asked)
@@ -195,6 +201,17 @@ def twin_towers(coupled):
         [stiffness, 0.0 * link, 0.1 * stiffness, link],
     )
     return Case(masses, damping, stiffnesses, [0.0, 0.0, 0.0], influence=influence)
+
+
+def twin_rafts(coupled):
+    """Two floating chains: two modes of frequency zero; the parameters hold the chains and link them."""
+    one = springs(4, 200.0, free=True)
+    link = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.diag([0.0, 1.0, 0.0, 2.0]))
+    mass, holds = np.diag([2.0, 1.0, 1.0, 1.5, 1.0, 1.0, 3.0, 1.0]), np.diag([1.0, *[0.0] * 7])
+    damping = [np.kron(np.eye(2), 0.02 * one), 0.1 * holds, 0.1 * link] if coupled else []
+    stiffness = [np.kron(np.eye(2), one), holds, link]
+    forces = np.arange(1.0, 9.0)[:, None]
+    return Case([mass, 0.1 * mass, 0.0 * mass], damping, stiffness, [0.0, 0.0], forces=forces, quantity=3)
 
 
 def proportional_matrix():
@@ -224,6 +241,7 @@ for _coupled in (False, True):
             1e-9,
         ),
         f"{_tag}, repeated": (twin_towers(_coupled), 1e-9),
+        f"{_tag}, repeated rigid bodies": (twin_rafts(_coupled), 1e-9),
         f"{_tag}, truncated": (random_case(10, 6, coupled=_coupled, n_modes=2), 1e-7),
         f"{_tag}, truncated, sparse": (
             random_case(11, 9, coupled=_coupled, n_modes=3, d=2, is_sparse=True, quantity=1),
@@ -406,33 +424,127 @@ def test_population_is_its_particles(name):
     assert np.isnan(bad[2]).all() and np.isfinite(np.delete(bad, 2, axis=0)).all()
 
 
-# --------------------------------------------------------------------------- what is no structure
+# --------------------------------------------------------------------------- dense and compiled as a whole
 
 
 @pytest.mark.parametrize(
-    ("coupled", "change"),
+    ("name", "varied"),
     [
-        (False, {"theta": [np.nan, 0.0, 0.0]}),
-        (False, {"theta": [1e308, 1e308, 1e308]}),
-        (False, {"theta": [-30.0, 0.0, 0.0]}),  # M
-        (False, {"theta": [0.0, -30.0, 0.0]}),  # K
-        (False, {"rayleigh": [-10.0, 0.0]}),
-        (False, {"rayleigh": [np.inf, 0.0]}),
-        (False, {"ratios": [0.0, -0.5, 0.0, 0.0]}),
-        (True, {"theta": [0.0, -4.0, 0.0]}),  # C
-        (True, {"theta": [np.inf, 0.0, 0.0]}),
+        *((f"classical, quantity {q}", [1, 1, 1]) for q in range(4)),
+        ("classical, substeps", [1, 1, 1]),
+        ("classical, stride", [1, 1, 1]),
+        ("classical, rigid body", [1, 1, 1]),
+        ("classical, repeated", [0, 1, 0]),  # what keeps the frequencies in pairs
+        ("classical, repeated rigid bodies", [1, 0]),
+        ("classical, truncated", [1, 1, 1]),
+        ("ratios, truncated", [0, 1, 1]),
     ],
 )
-def test_no_structure_gives_nan(coupled, change):
-    """Never an exception; and the same shapes as ever."""
-    case = random_case(15, 4, coupled=coupled)
-    if "theta" in change and change["theta"][1] == -4.0:
-        case.stiffness[2] *= 0.0
+def test_dense_population_is_compiled(name, varied, monkeypatch):
+    """Misfits of more than two vectors of particles, without our modes; NaN in the bad rows alone."""
+    monkeypatch.setattr(population, "solve_system", None)
+    case, _ = CASES[name]
+    rng = np.random.default_rng(19)
+    count = 2 * LANES + 5
+    theta = case.theta + varied * rng.uniform(0.0, 0.5, (count, len(varied)))
+    rayleigh = case.rayleigh * rng.uniform(0.5, 1.5, (count, 2))
+    good = np.setdiff1d(np.arange(count), [1, LANES, LANES + 2, LANES + 3])
+    responses = np.array(
+        [case.reference(np.concatenate([theta[p], rayleigh[p], case.ratios])) for p in range(count)]
+    )
+    theta[1], theta[LANES], theta[LANES + 2], rayleigh[LANES + 3, 0] = np.nan, -50.0, 1e308, -40.0
+    observed = rng.normal(size=responses[0].shape) * np.abs(responses[0]).max()
+    misfits, total = observed - responses, observed.shape[1]
+    expected = np.stack(
+        [
+            *((misfits**2).mean(axis=2), (np.diff(misfits, axis=2) ** 2).sum(axis=2) / total),
+            *(misfits[:, :, 0], misfits[:, :, -1]),
+        ],
+        axis=2,
+    )
+    rows = theta, rayleigh, case.ratios[None], *case.rest, observed
+    found = linear_population_misfit(*rows)
+    assert np.isnan(np.delete(found, good, axis=0)).all()
+    for k in range(4):
+        assert peak_error(found[good, :, k], expected[good, :, k]) < 1e-10
+    errors = linear_population_discrepancy(*rows)
+    assert errors.shape == found.shape[:2] and np.isnan(np.delete(errors, good, axis=0)).all()
+    np.testing.assert_allclose(errors[good], found[good, :, 0], rtol=1e-13)
+    shared = linear_population_discrepancy(theta[:1], rayleigh[:2], *rows[2:])
+    by_one = case.reference(np.concatenate([theta[0], rayleigh[1], case.ratios]))
+    assert peak_error(shared[0], errors[0]) < 1e-13
+    assert peak_error(shared[1], ((observed - by_one) ** 2).mean(axis=1)) < 1e-10
+
+
+@pytest.mark.parametrize("full", [False, True])
+@pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize("n_modes", [12, 5])
+def test_compiled_modes(full, free, n_modes):
+    """Those of `algebra.natural_modes`, signs included; rigid bodies at zero exactly."""
+    rng = np.random.default_rng(20)
+    mass = np.diag(10.0 ** rng.uniform(-3.0, 3.0, 12)) + full * definite(rng, 12, 1.0)
+    stiffness = springs(12, rng.uniform(1e3, 1e6, 12 - free), free=free)
+    omega, shapes = np.empty(n_modes), np.empty((n_modes, 12))
+    assert dense_modes(mass, stiffness, omega, shapes)
+    expected, columns = natural_modes(mass, stiffness, n_modes)
+    np.testing.assert_allclose(omega, expected, rtol=1e-10)
+    assert (omega == 0.0).sum() == free
+    root = np.sqrt(np.diag(mass))
+    assert peak_error(shapes * root, columns.T * root) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("mass", "stiffness"),
+    [
+        (np.full((2, 2), np.nan), np.eye(2)),
+        (np.eye(2), np.array([[1.0, np.inf], [np.inf, 1.0]])),
+        (np.diag([1.0, 0.0]), np.eye(2)),
+        (np.array([[1.0, 2.0], [2.0, 1.0]]), 100.0 * np.eye(2)),  # an eigenvalue of -1
+        (np.eye(2), np.array([[1.0, 1.1], [1.1, 1.0]])),
+        (1e-200 * np.eye(2), 1e200 * np.eye(2)),  # omega^2 overflows
+        (1e-200 * np.array([[2.0, 1.0], [1.0, 2.0]]), 1e200 * np.eye(2)),
+    ],
+)
+def test_no_compiled_modes(mass, stiffness):
+    assert not dense_modes(mass, stiffness, np.empty(2), np.empty((2, 2)))
+
+
+@pytest.mark.parametrize("name", ["classical, two supports", "coupled, two supports", "classical, sparse"])
+def test_sparse_outputs(name):
+    arguments = Arguments(*CASES[name][0].arguments)
+    thin = arguments._replace(sensors=sparse.csr_array(arguments.sensors))
+    assert peak_error(linear_response(*thin), linear_response(*arguments)) < 1e-13
+
+
+# --------------------------------------------------------------------------- what is no structure
+
+
+@pytest.mark.parametrize("large", [False, True])
+@pytest.mark.parametrize(
+    ("coupled", "name", "value"),
+    [
+        (False, "theta", [np.nan, 0.0, 0.0]),
+        (False, "theta", [1e308, 1e308, 1e308]),
+        (False, "theta", [-30.0, 0.0, 0.0]),  # M
+        (False, "theta", [0.0, -30.0, 0.0]),  # K
+        (False, "rayleigh", [-10.0, 0.0]),
+        (False, "rayleigh", [np.inf, 0.0]),
+        (False, "ratios", [-0.5]),
+        (True, "theta", [0.0, -4.0, 0.0]),  # C
+        (True, "theta", [np.inf, 0.0, 0.0]),
+    ],
+)
+def test_no_structure_gives_nan(coupled, name, value, large):
+    """Never an exception; and the same shapes as ever. Dense, and sparse with few modes."""
+    size = dict(n=9, n_modes=3, is_sparse=True) if large else dict(n=4)
+    case = random_case(15, coupled=coupled, **size)
+    case.stiffness[1] *= 0.0  # the first parameter is of M alone
+    if coupled:
+        case.stiffness[2] *= 0.0  # and the second of C
     good, (observed, weights) = case.arguments, (np.zeros((3, 120)), np.ones(3))
-    names = "theta", "rayleigh", "ratios"
     own = [
-        np.array(change[name]) if name in change else a
-        for name, a in zip(names, case.parameters, strict=True)
+        np.resize(value, a.size) if key == name else a
+        for key, a in zip(("theta", "rayleigh", "ratios"), case.parameters, strict=True)
     ]
     bad = *own, *case.rest
     rows = tuple(np.array(a)[None] for a in own)

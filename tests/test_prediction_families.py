@@ -361,6 +361,20 @@ def test_drifts_of_linear_structures_are_outputs():
         )
 
 
+def test_every_family_of_draws_is_asked():
+    """What fits the first structure need not fit the second."""
+
+    def structure(k):
+        return (chain if k < 0.7 else bouc_wen if k < 1.5 else frame)(k)
+
+    with pytest.raises(ValueError, match="for a LinearStructure, got 'inter_storey_drift'"):
+        pmf.posterior_response(posterior([[0.5, 2.0]]), structure, SHAKE, "inter_storey_drift")
+    with pytest.raises(ValueError, match="`n_modes` must be left out for a nonlinear"):
+        pmf.posterior_response(posterior([[0.5, 1.0]]), structure, SHAKE, n_modes=2)
+    with pytest.raises(TypeError, match="`record` must be a Record for a HystereticChain"):
+        pmf.posterior_response(posterior([[2.0, 1.0]]), structure, LOADS["forces"])
+
+
 def test_coupled_draws_are_told_from_classical_ones(idata):
     """A damping matrix that the modes diagonalise is marched, not simulated."""
     kinds = {structure: ensemble.kind_of(structure(1.0), 3) for structure in (frame, two_supports, dashpot)}

@@ -132,7 +132,7 @@ def checked(structure, size) -> tuple[int, int]:
     """Degrees of freedom and supports of a structure, the same as those before, `size`."""
     if not hasattr(structure, "parameters") or not hasattr(structure, "n_dof"):
         raise TypeError(
-            f"`structure` must return a structure, got {type(structure).__name__}. Return a SpringMassChain, say."
+            f"`structure` must return a structure, got {type(structure).__name__}. Return a SpringMassChain."
         )
     if structure.is_symbolic:
         raise TypeError(

@@ -19,23 +19,21 @@ class BoucWen(NamedTuple):
     n: int
 
 
-def spring(law, row, stiffness, drift, rate, memory):
-    """f = a k d + (1 - a) k d_y z,  d_y z' = d' [1 - |z|^n (gamma + beta sign(d' z))]."""
+def spring(law, row, stiffness, drift, rate, memory, branch):
+    """f = a k d + (1 - a) k d_y z,  d_y z' = d' [1 - |z|^n (gamma + beta b)], b = sign(d' z) the branch."""
     reach, ratio = parameter(law, YIELD, row), parameter(law, RATIO, row)
-    beta = parameter(law, BETA, row)
     size = power(magnitude(memory), parameter(law, SHARPNESS, row))
-    loss = parameter(law, GAMMA, row) + where_less(splat(0.0), rate * memory, beta, 0.0 - beta)
+    loss = parameter(law, GAMMA, row) + branch * parameter(law, BETA, row)
     force = stiffness * (ratio * drift + (1.0 - ratio) * (reach * memory))
     return force, rate * (1.0 - size * loss) / reach
 
 
-def partials(law, row, stiffness, drift, rate, memory):
+def partials(law, row, stiffness, drift, rate, memory, branch):
     """|z|^n has the derivatives n |z|^n / z and |z|^n log |z|, both 0 at z = 0."""
     reach, ratio = parameter(law, YIELD, row), parameter(law, RATIO, row)
-    sharpness, beta = parameter(law, SHARPNESS, row), parameter(law, BETA, row)
+    sharpness = parameter(law, SHARPNESS, row)
     size = power(magnitude(memory), sharpness)
-    sign = where_less(splat(0.0), rate * memory, splat(1.0), splat(-1.0))
-    loss = parameter(law, GAMMA, row) + sign * beta
+    loss = parameter(law, GAMMA, row) + branch * parameter(law, BETA, row)
     nothing, hysteretic = splat(0.0), 1.0 - ratio
     slip = 0.0 - rate * size / reach  # of z', by the loss
     by_memory = where_less(nothing, size, slip * loss * sharpness / memory, nothing)
@@ -49,7 +47,7 @@ def partials(law, row, stiffness, drift, rate, memory):
     by_sharpness = slip * loss * logarithm(magnitude(memory))
     change = (
         *(nothing, nothing, by_rate, by_memory, 0.0 - rate * by_rate / reach, nothing),
-        *(by_sharpness, slip * sign, slip),
+        *(by_sharpness, slip * branch, slip),
     )
     return force, change
 

@@ -18,9 +18,10 @@ FASTMATH = {"arcp", "contract", "afn", "reassoc", "nsz"}
 
 
 def source_hash() -> str:
-    """SHA-256 of the sources of all kernels (hexadecimal)."""
+    """SHA-256 of the sources of all kernels, and of the matrices whose constants they share (hexadecimal)."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
+    here = Path(__file__).parent
+    for path in sorted([*here.rglob("*.py"), *here.parent.joinpath("algebra").rglob("*.py")]):
         digest.update(path.name.encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()

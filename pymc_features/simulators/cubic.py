@@ -16,12 +16,12 @@ class Cubic(NamedTuple):
     n: int
 
 
-def spring(law, row, stiffness, drift, rate, memory):
+def spring(law, row, stiffness, drift, rate, memory, branch):
     """f = k d + c d^3; there is no internal variable."""
     return drift * (stiffness + parameter(law, 0, row) * (drift * drift)), splat(0.0)
 
 
-def partials(law, row, stiffness, drift, rate, memory):
+def partials(law, row, stiffness, drift, rate, memory, branch):
     """Of a polynomial."""
     square, nothing = drift * drift, splat(0.0)
     tangent = stiffness + 3.0 * (parameter(law, 0, row) * square)

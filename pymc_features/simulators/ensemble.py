@@ -32,7 +32,7 @@ class Question(NamedTuple):
 
 
 def ask(structure, records, names, settings) -> Question:
-    """Refuse what `simulate` refuses, with the first structure of all.
+    """Refuse what `simulate` refuses, with the first structure of a family.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Ensemble:
     def __init__(self, records, names, capacity: int, settings: dict, keep_histories: bool):
         self._asked = records, names, settings
         self._capacity, self._keep = capacity, keep_histories
-        self._groups, self._places = {}, []
+        self._groups, self._places, self._families = {}, [], set()
         self.question, self.rows = None, {}
 
     def __len__(self):
@@ -78,8 +78,11 @@ class Ensemble:
 
     def add(self, structure) -> bool:
         """Take up a structure; False, and it is left out, where it has no response to one of the records."""
+        if structure.family not in self._families:
+            self._families.add(structure.family)
+            question = ask(structure, *self._asked)
         if self.question is None:
-            self.question = ask(structure, *self._asked)
+            self.question = question
             sensors, outputs = self.question.requests[0].sensors, self.question.outputs
             self.rows = {name: rows_of(structure, name, sensors, outputs) for name in self.question.names}
         kind = kind_of(structure, self.question.requests[0].n_modes)

@@ -20,56 +20,81 @@ from pymc_features.simulators.compilation import jit
 
 
 @jit
-def damping_coefficients(mass, weights, shapes):
-    """sum_r weights_r P_r, (n, n); the rows of `shapes` (n, n) are the modes of `modal.chain_modes`."""
-    return np.dot(shapes.T * weights, shapes * mass)
+def product(a, b, transposed, scale):
+    """The matrix a diag(scale) b or, if `transposed`, a' diag(scale) b: loops compile faster than algebra."""
+    n = scale.size
+    result = np.zeros((n, n))
+    for i in range(n):
+        for k in range(n):
+            factor = scale[k] * (a[k, i] if transposed else a[i, k])
+            for j in range(n):
+                result[i, j] += factor * b[k, j]
+    return result
 
 
 @jit
-def divided_differences(omega, ratios):
-    """f_rs of all pairs of modes, (n, n)."""
-    n = omega.size
-    differences = np.empty((n, n))
+def damping_coefficients(mass, omega, shapes, ratios):
+    """M^-1 C (n, n); the rows of `shapes` (n, n) are the modes of `modal.chain_modes`."""
+    n = mass.size
+    weights = np.empty(n)
     for r in range(n):
-        for s in range(n):
-            differences[r, s] = (ratios[r] + ratios[s]) / (omega[r] + omega[s])
-            if ratios[r] != ratios[s]:
-                differences[r, s] += (ratios[r] - ratios[s]) / (omega[r] - omega[s])
-    return differences
+        weights[r] = 2.0 * ratios[r] * omega[r]
+    result = product(shapes, shapes, True, weights)
+    for i in range(n):
+        for j in range(n):
+            result[i, j] *= mass[j]
+    return result
 
 
 @jit
-def drifts_of(shapes):
-    """Drifts (n, n) of the modes: one row for each mode, as `shapes`."""
-    drifts = shapes.copy()
-    drifts[:, 1:] -= shapes[:, :-1]
-    return drifts
+def divided_difference(omega, ratios, r, s):
+    """f_rs of a pair of modes."""
+    difference = (ratios[r] + ratios[s]) / (omega[r] + omega[s])
+    if ratios[r] != ratios[s]:
+        difference += (ratios[r] - ratios[s]) / (omega[r] - omega[s])
+    return difference
+
+
+@jit
+def drift(shapes, r, i):
+    """Drift of spring `i` in mode `r`."""
+    return shapes[r, i] - (shapes[r, i - 1] if i > 0 else 0.0)
 
 
 @jit
 def damping_tangent(mass, omega, shapes, ratios, directions):
     """Derivative (n, n) of M^-1 C along directions of mass, stiffness and ratios, each (n,)."""
     d_mass, d_stiffness, d_ratios = directions
-    drifts = drifts_of(shapes)
-    by_stiffness = np.dot(drifts * d_stiffness, drifts.T)  # phi_r' dK phi_s
-    by_mass = np.dot(shapes * d_mass, shapes.T)
-    inner = divided_differences(omega, ratios) * (by_stiffness - by_mass * (omega * omega))
-    for r in range(omega.size):
+    n = mass.size
+    inner, ones = np.zeros((n, n)), np.ones(n)
+    for r in range(n):
+        for s in range(n):
+            for i in range(n):  # phi_r' (dK - lambda_s dM) phi_s
+                inner[r, s] += drift(shapes, r, i) * d_stiffness[i] * drift(shapes, s, i)
+                inner[r, s] -= shapes[r, i] * d_mass[i] * shapes[s, i] * omega[s] * omega[s]
+            inner[r, s] *= divided_difference(omega, ratios, r, s)
         inner[r, r] += 2.0 * omega[r] * d_ratios[r]
-    return np.dot(np.dot(shapes.T, inner), shapes * mass)
+    result = product(product(shapes, inner, True, ones), shapes, False, ones)
+    for i in range(n):
+        for j in range(n):
+            result[i, j] *= mass[j]
+    return result
 
 
 @jit
 def add_damping_gradient(mass, omega, shapes, ratios, cotangent, gradients):
     """Add to the gradients by mass, stiffness and ratios what the `cotangent` (n, n) of M^-1 C gives."""
     d_mass, d_stiffness, d_ratios = gradients
-    turned = np.dot(np.dot(shapes, cotangent), (shapes * mass).T)  # phi_r' B M phi_s
-    inner = divided_differences(omega, ratios) * turned
-    drifts = drifts_of(shapes)
-    by_stiffness = np.dot(inner, drifts)
-    by_mass = np.dot(inner * (omega * omega), shapes)
-    for r in range(omega.size):
-        d_ratios[r] += 2.0 * omega[r] * turned[r, r]
-        for i in range(omega.size):
-            d_stiffness[i] += drifts[r, i] * by_stiffness[r, i]
-            d_mass[i] -= shapes[r, i] * by_mass[r, i]
+    n = mass.size
+    half = product(shapes, cotangent, False, np.ones(n))
+    for r in range(n):
+        for s in range(n):
+            inner = 0.0
+            for j in range(n):  # phi_r' B M phi_s
+                inner += half[r, j] * mass[j] * shapes[s, j]
+            if r == s:
+                d_ratios[r] += 2.0 * omega[r] * inner
+            inner *= divided_difference(omega, ratios, r, s)
+            for i in range(n):
+                d_stiffness[i] += inner * drift(shapes, r, i) * drift(shapes, s, i)
+                d_mass[i] -= inner * shapes[r, i] * shapes[s, i] * omega[s] * omega[s]

@@ -16,6 +16,7 @@ from pymc_features.simulators.recursion import (
 from pymc_features.simulators.restoring import LAWS, spring
 from pymc_features.simulators.runge_kutta import advance
 from pymc_features.simulators.spring_chain import (
+    BRANCH,
     STIFFNESS,
     chain_memory,
     constant,
@@ -62,7 +63,7 @@ def begin(law, acceleration, sampling, fine):
 
 
 @jit
-def next_sample(law, acceleration, sampling, sample, refine, tape):
+def next_sample(law, acceleration, sampling, sample, tape):
     """Carry a state with its slope from output sample `sample` to the next; False where that fails.
 
     Depends on nothing but the state, so that it can be repeated from one.
@@ -72,7 +73,7 @@ def next_sample(law, acceleration, sampling, sample, refine, tape):
     start = ground_at(acceleration, sample * stride, substeps)
     for fine in range(sample * stride, (sample + 1) * stride):
         trend = (ground_at(acceleration, fine + 1, substeps) - start) / length
-        if not advance(law, length, start, trend, refine, tape):
+        if not advance(law, length, start, trend, tape):
             return False
         start = begin(law, acceleration, sampling, fine + 1)
     return True
@@ -102,7 +103,8 @@ def write_springs(law, quantity, springs, outputs):
         drift, rate = deformation(law, here, row)
         value = memory = read_lanes(law.address, here + 2 * law.rows + row)
         if quantity == SPRING_FORCE:
-            value = spring(law, row, constant(law, STIFFNESS, row), drift, rate, memory)[0]
+            branch = constant(law, BRANCH, row)
+            value = spring(law, row, constant(law, STIFFNESS, row), drift, rate, memory, branch)[0]
         elif quantity == DRIFT:
             value = drift
         write_lanes(law.address, target + row, value)
@@ -122,11 +124,11 @@ def history_kernel(law, parameters, acceleration, dt, substeps, stride, sensors,
     total = n_outputs(acceleration.size, substeps, stride)
     history = np.empty((quantities.size, sensors.size, total))
     outputs, sampling = np.empty(sensors.size), (dt, substeps, stride)
-    valid = prepare(law, parameters)
+    valid = prepare(law, parameters, refine)
     begin(law, acceleration, sampling, 0)
     for sample in range(total):
         if sample > 0 and valid:
-            valid = next_sample(law, acceleration, sampling, sample - 1, refine, None)
+            valid = next_sample(law, acceleration, sampling, sample - 1, None)
         if not valid:
             history[:] = np.nan
             return history
@@ -170,7 +172,7 @@ def nonlinear_histories(law, parameters, acceleration, dt, substeps, stride, sen
     """
     settings = (acceleration, dt, substeps, stride, sensors, len(parameters[0]))
     codes = np.array(quantities, dtype=np.int64)
-    return in_memory(law, history_kernel, *arguments(parameters, *settings), codes, int(refine))
+    return in_memory(law, history_kernel, *arguments(parameters, *settings), codes, float(refine))
 
 
 def nonlinear_response(law):

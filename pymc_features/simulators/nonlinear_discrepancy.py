@@ -23,15 +23,15 @@ def check_observed(observed, sensors, total):
 
 @jit
 def march_misfit(law, parameters, acceleration, sampling, sensors, quantity, observed, result):
-    """Write `misfit_kernel`'s sums of one chain into `result` (s, 4)."""
+    """Write the sums of one chain, as of `discrepancy.chain_misfit`, into `result` (s, 4)."""
     total = observed.shape[1]
     result[:] = 0.0
-    valid = prepare(law, parameters)
+    valid = prepare(law, parameters, 1.0)
     begin(law, acceleration, sampling, 0)
     outputs = np.empty(sensors.size)
     for sample in range(total):
         if sample > 0 and valid:
-            valid = next_sample(law, acceleration, sampling, sample - 1, 1, None)
+            valid = next_sample(law, acceleration, sampling, sample - 1, None)
         if not valid:
             result[:] = np.nan
             return
@@ -45,17 +45,6 @@ def march_misfit(law, parameters, acceleration, sampling, sensors, quantity, obs
             else:
                 result[j, 1] += (misfit - result[j, 3]) ** 2 / total
             result[j, 3] = misfit
-
-
-@jit
-def misfit_kernel(law, parameters, acceleration, dt, substeps, stride, sensors, n_modes, quantity, observed):
-    """As `discrepancy.chain_misfit`, (s, 4), of a chain whose springs follow `law`: no history is kept."""
-    check_parameters(law, parameters, sensors, n_modes)
-    check_observed(observed, sensors, n_outputs(acceleration.size, substeps, stride))
-    result = np.empty((sensors.size, 4))
-    sampling = (dt, substeps, stride)
-    march_misfit(law, parameters, acceleration, sampling, sensors, quantity, observed, result)
-    return result
 
 
 @jit
@@ -81,10 +70,8 @@ def n_particles(parameters):
 
 
 @jit
-def population_kernel(
-    law, parameters, acceleration, dt, substeps, stride, sensors, n_modes, quantity, observed
-):
-    """As `misfit_kernel`, (p, s, 4), for particles one after the other in the same memory.
+def misfit_kernel(law, parameters, acceleration, dt, substeps, stride, sensors, n_modes, quantity, observed):
+    """As `population.population_misfit`, (p, s, 4): particles one after the other in the same memory.
 
     Vectors hold springs, not particles: each particle has steps of its own, which follow its state and end at
     its kinks, and in lockstep all would take the steps of the most demanding one and stop at every kink.

@@ -21,8 +21,7 @@ from pymc_features.simulators.modal_damping import add_damping_gradient, damping
 from pymc_features.simulators.nonlinear import begin, check_parameters, next_sample, write_outputs
 from pymc_features.simulators.nonlinear_discrepancy import check_observed, n_particles, particle
 from pymc_features.simulators.recursion import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY, n_outputs
-from pymc_features.simulators.runge_kutta import LAST
-from pymc_features.simulators.spring_chain import prepare, slope, state, write_slope
+from pymc_features.simulators.spring_chain import LAST, prepare, slope, state, write_slope
 from pymc_features.simulators.step_adjoint import reverse_step, slope_adjoint
 from pymc_features.simulators.step_tangent import (
     OF_DASHPOT,
@@ -32,21 +31,21 @@ from pymc_features.simulators.step_tangent import (
     of_slope,
     of_state,
 )
-from pymc_features.simulators.tape import CAPACITY, read_tape, recorded, rewind
+from pymc_features.simulators.tape import CAPACITY, NEVER, read_tape, recorded, rewind
 
 
 @jit
-def save(law, states, sample):
-    """Keep the state at an output sample in its row of `states` (u, 3 p)."""
-    for i in range(states.shape[1]):
-        states[sample, i] = read_number(law.address, state(law, 0) * LANES + i)
+def save(law, kept):
+    """Copy the present state into an array (3 p,)."""
+    for i in range(kept.size):
+        kept[i] = read_number(law.address, state(law, 0) * LANES + i)
 
 
 @jit
-def restore(law, states, sample):
-    """Make a kept state the present one."""
-    for i in range(states.shape[1]):
-        write_number(law.address, state(law, 0) * LANES + i, states[sample, i])
+def restore(law, kept):
+    """Make a copied state the present one."""
+    for i in range(kept.size):
+        write_number(law.address, state(law, 0) * LANES + i, kept[i])
 
 
 @jit
@@ -71,36 +70,35 @@ def add_output(law, work, quantity, sensors, cotangent, ground):
 
 
 @jit
-def record(law, tape, acceleration, sampling, states, row, sample, first):
-    """March from an output sample, whose state is in `row` of `states`, to the next.
+def record(law, tape, acceleration, sampling, kept, sample, first):
+    """March from an output sample, state `kept`, to the next; steps from `first` on go to the tape.
 
-    Steps from number `first` on go to the tape. Returns whether it succeeds, how many steps there are, and
-    how many are on the tape.
+    Returns whether it succeeds, the number of steps, and the number of those on the tape.
     """
-    restore(law, states, row)
+    restore(law, kept)
     begin(law, acceleration, sampling, sample * sampling[2])
     rewind(tape, first)
-    valid = next_sample(law, acceleration, sampling, sample, 1, tape)
+    valid = next_sample(law, acceleration, sampling, sample, tape)
     return valid, *recorded(tape)
 
 
 @jit
-def reverse_sample(law, work, tape, acceleration, sampling, states, sample):
+def reverse_sample(law, work, tape, acceleration, sampling, kept, sample):
     """Carry the gradient back over the steps between an output sample and the next."""
     first, by_time = 0, 0.0
-    _, count, kept = record(law, tape, acceleration, sampling, states, sample, sample, first)
+    _, count, size = record(law, tape, acceleration, sampling, kept, sample, first)
     if count > CAPACITY:
         first = (count - 1) // CAPACITY * CAPACITY
-        _, _, kept = record(law, tape, acceleration, sampling, states, sample, sample, first)
+        _, _, size = record(law, tape, acceleration, sampling, kept, sample, first)
     while True:
-        for index in range(kept - 1, -1, -1):
+        for index in range(size - 1, -1, -1):
             step, ground, trend, which = read_tape(law, tape, index)
             write_slope(law, ground, state(law, 0), slope(law, 0))
             by_time = reverse_step(law, work, step, ground, trend, which, by_time)
         if first == 0:
             return
         first -= CAPACITY
-        _, _, kept = record(law, tape, acceleration, sampling, states, sample, sample, first)
+        _, _, size = record(law, tape, acceleration, sampling, kept, sample, first)
 
 
 @jit
@@ -115,7 +113,7 @@ def collect(law, work, parameters, gradients):
     for i in range(n):
         for j in range(n):
             cotangent[i, j] = read_number(work, (OF_MODAL + j) * p + i)
-    matrix = damping_coefficients(mass, 2.0 * ratios * omega, shapes)
+    matrix = damping_coefficients(mass, omega, shapes, ratios)
     for i in range(n):
         inertia = read_number(work, OF_MASS * p + i)
         for j in range(n):
@@ -140,21 +138,22 @@ def add_gradient(
     """
     total = history.shape[1]
     states = np.empty((total, 3 * law.rows * LANES))
-    valid = prepare(law, parameters)
+    valid = prepare(law, parameters, 1.0)
+    rewind(tape, NEVER)
     begin(law, acceleration, sampling, 0)
     for sample in range(total):
         if sample > 0 and valid:
-            valid = next_sample(law, acceleration, sampling, sample - 1, 1, None)
+            valid = next_sample(law, acceleration, sampling, sample - 1, tape)
         if not valid:
             for gradient in literal_unroll(gradients):
                 gradient[:] = np.nan
             return
-        save(law, states, sample)
+        save(law, states[sample])
     for i in range((OF_MODAL + law.n) * law.rows * LANES):
         write_number(work, i, 0.0)
     outputs = np.empty(sensors.size)
     for sample in range(total - 1, -1, -1):
-        restore(law, states, sample)
+        restore(law, states[sample])
         ground = begin(law, acceleration, sampling, sample * sampling[2])
         if weights.size:
             write_outputs(law, ground, quantity, sensors, outputs)
@@ -164,7 +163,7 @@ def add_gradient(
             outputs[:] = history[:, sample]
         add_output(law, work, quantity, sensors, outputs, ground)
         if sample > 0:
-            reverse_sample(law, work, tape, acceleration, sampling, states, sample - 1)
+            reverse_sample(law, work, tape, acceleration, sampling, states[sample - 1], sample - 1)
     collect(law, work, parameters, gradients)
 
 
@@ -184,44 +183,14 @@ def gradient_kernel(
     work,
     tape,
 ):
-    """As `gradient.response_gradient` or, if there are `weights`, `gradient.discrepancy_gradient`.
+    """As `gradient.population_gradient`, with `history` the data and `weights` (p, s).
 
-    `work`, `tape`: memory for derivatives and steps.
+    With `weights` (p, 0) `history` is the cotangent of the response instead, as in
+    `gradient.response_gradient`. `work`, `tape`: memory for derivatives and steps.
     """
-    check_parameters(law, parameters, sensors, n_modes)
-    check_observed(history, sensors, n_outputs(acceleration.size, substeps, stride))
-    mass, stiffness, rayleigh, ratios, values = parameters
-    gradients = (
-        *(np.zeros(mass.shape), np.zeros(stiffness.shape), np.zeros(rayleigh.shape)),
-        *(np.zeros(ratios.shape), np.zeros(values.shape)),
-    )
-    add_gradient(
-        *(law, work, tape, parameters, acceleration, (dt, substeps, stride)),
-        *(sensors, quantity, history, weights, gradients),
-    )
-    return gradients
-
-
-@jit
-def population_gradient_kernel(
-    law,
-    parameters,
-    acceleration,
-    dt,
-    substeps,
-    stride,
-    sensors,
-    n_modes,
-    quantity,
-    observed,
-    weights,
-    work,
-    tape,
-):
-    """As `gradient.population_gradient`; `weights` (p, s)."""
     check_parameters(law, particle(parameters, 0), sensors, n_modes)
-    check_observed(observed, sensors, n_outputs(acceleration.size, substeps, stride))
-    if weights.shape[0] != n_particles(parameters) or weights.shape[1] != sensors.size:
+    check_observed(history, sensors, n_outputs(acceleration.size, substeps, stride))
+    if weights.shape[0] != n_particles(parameters) or weights.shape[1] not in (0, sensors.size):
         raise ValueError("`weights` must have the shape (particle, sensor)")
     mass, stiffness, rayleigh, ratios, values = parameters
     gradients = (
@@ -231,6 +200,6 @@ def population_gradient_kernel(
     for k in range(weights.shape[0]):
         add_gradient(
             *(law, work, tape, particle(parameters, k), acceleration, (dt, substeps, stride)),
-            *(sensors, quantity, observed, weights[k], particle(gradients, k)),
+            *(sensors, quantity, history, weights[k], particle(gradients, k)),
         )
     return gradients

@@ -10,14 +10,13 @@ number of degrees of freedom.
 import numpy as np
 
 from pymc_features.simulators.nonlinear import arguments, in_memory, nonlinear_response
-from pymc_features.simulators.nonlinear_discrepancy import misfit_kernel, population_kernel
-from pymc_features.simulators.nonlinear_gradient import gradient_kernel, population_gradient_kernel
+from pymc_features.simulators.nonlinear_discrepancy import misfit_kernel
+from pymc_features.simulators.nonlinear_gradient import gradient_kernel
 from pymc_features.simulators.nonlinear_tangent import tangent_kernel
 from pymc_features.simulators.step_tangent import derivative_memory
 from pymc_features.simulators.tape import Tape, record_size, tape_memory
 
 NO_DATA = np.empty((0, 0))
-NO_WEIGHTS = np.empty(0)
 
 
 def plain(array):
@@ -41,29 +40,33 @@ def nonlinear_kernels(law) -> dict:
         work, tape = derivative_memory(n), tape_memory(n)
         return call(kernel, given, *more, work.ctypes.data, Tape(tape.ctypes.data, record_size(n)))
 
-    def misfit(*given):
-        *given, observed = given
-        return call(misfit_kernel, given, plain(observed))
+    def gradient(given, history, weights):
+        one = [plain(p)[None] for p in given[:5]] + given[5:]
+        return tuple(g[0] for g in differentiate(gradient_kernel, one, plain(history), plain(weights)[None]))
 
     def population_misfit(*given):
         *given, observed = given
-        return call(population_kernel, given, plain(observed))
+        return call(misfit_kernel, given, plain(observed))
+
+    def misfit(*given):
+        one = [plain(p)[None] for p in given[:5]]
+        return population_misfit(*one, *given[5:])[0]
 
     def response_gradient(*given):
         *given, cotangent = given
-        return differentiate(gradient_kernel, given, plain(cotangent), NO_WEIGHTS)
+        return gradient(given, cotangent, [])
 
     def discrepancy_gradient(*given):
         *given, observed, weights = given
-        return differentiate(gradient_kernel, given, plain(observed), plain(weights))
+        return gradient(given, observed, weights)
 
     def population_gradient(*given):
         *given, observed, weights = given
-        return differentiate(population_gradient_kernel, given, plain(observed), plain(weights))
+        return differentiate(gradient_kernel, given, plain(observed), plain(weights))
 
     def response_tangent(*given):
-        given, directions = given[:-5], given[-5:]
-        return differentiate(tangent_kernel, given, NO_DATA, tuple(map(plain, directions)))
+        given, directions = given[:-5], tuple(map(plain, given[-5:]))
+        return differentiate(tangent_kernel, given, NO_DATA, directions)
 
     def discrepancy_tangent(*given):
         (*given, observed), directions = given[:-5], tuple(map(plain, given[-5:]))

@@ -6,6 +6,7 @@ The derivative goes through the steps of `nonlinear_gradient.py`, forward: its t
 import numpy as np
 
 from pymc_features.simulators.compilation import jit
+from pymc_features.simulators.kinks import kink_function
 from pymc_features.simulators.lane_bits import read_number, write_number
 from pymc_features.simulators.lanes import LANES
 from pymc_features.simulators.modal import chain_modes
@@ -14,8 +15,8 @@ from pymc_features.simulators.nonlinear import begin, check_parameters, write_ou
 from pymc_features.simulators.nonlinear_discrepancy import check_observed
 from pymc_features.simulators.nonlinear_gradient import record, restore, save
 from pymc_features.simulators.recursion import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY, n_outputs
-from pymc_features.simulators.runge_kutta import LAST, kink_function, try_step
-from pymc_features.simulators.spring_chain import prepare, slope, state, write_slope
+from pymc_features.simulators.runge_kutta import try_step
+from pymc_features.simulators.spring_chain import LAST, prepare, put, slope, state, write_slope
 from pymc_features.simulators.step_tangent import (
     CARRY,
     OF_DASHPOT,
@@ -28,7 +29,6 @@ from pymc_features.simulators.step_tangent import (
     move,
     of_slope,
     of_state,
-    put,
     slope_tangent,
     step_tangent,
 )
@@ -40,20 +40,21 @@ def put_direction(law, work, parameters, directions):
     """Write the directions of the parameters, and that of the state at rest."""
     mass, stiffness, rayleigh, ratios, _ = parameters
     d_mass, d_stiffness, d_rayleigh, d_ratios, d_values = directions
-    n = law.n
-    for i in range((OF_MODAL + n) * law.rows * LANES):
+    rows, n = law.rows, law.n
+    for i in range((OF_MODAL + n) * rows * LANES):
         write_number(work, i, 0.0)
-    for k in range(d_values.shape[0]):
-        put(law, work, k, d_values[k])
-    put(law, work, OF_STIFFNESS, d_stiffness)
-    put(law, work, OF_MASS, -d_mass / (mass * mass))
-    put(law, work, OF_DASHPOT, d_rayleigh[1] * stiffness + rayleigh[1] * d_stiffness)
-    put(law, work, OF_DRAG, np.full(n, d_rayleigh[0]))
     omega, participation, shapes = np.empty(n), np.empty(n), np.empty((n, n))
     chain_modes(mass, stiffness, omega, shapes, participation)
     matrix = damping_tangent(mass, omega, shapes, ratios, (d_mass, d_stiffness, d_ratios))
-    for j in range(n):
-        put(law, work, OF_MODAL + j, matrix[:, j])
+    for i in range(n):
+        for k in range(d_values.shape[0]):
+            put(work, rows, k, i, d_values[k, i])
+        put(work, rows, OF_STIFFNESS, i, d_stiffness[i])
+        put(work, rows, OF_MASS, i, -d_mass[i] / (mass[i] * mass[i]))
+        put(work, rows, OF_DASHPOT, i, d_rayleigh[1] * stiffness[i] + rayleigh[1] * d_stiffness[i])
+        put(work, rows, OF_DRAG, i, d_rayleigh[0])
+        for j in range(n):
+            put(work, rows, OF_MODAL + j, i, matrix[i, j])
 
 
 @jit
@@ -64,7 +65,7 @@ def forward_step(law, work, step, ground, trend, which, of_time):
     """
     try_step(law, step, ground, trend)
     move(law, work, CARRY * law.rows, of_state(law, 0), 1.0)
-    step_tangent(law, work, step, trend, 0.0 if which >= 0 else -of_time, trend * of_time, True)
+    step_tangent(law, work, step, trend, 0.0 if which >= 0 else -of_time, trend * of_time, 1.0)
     move(law, work, of_state(law, LAST), CARRY * law.rows, 1.0)
     if which < 0:
         return 0.0
@@ -76,22 +77,22 @@ def forward_step(law, work, step, ground, trend, which, of_time):
 
 
 @jit
-def forward_sample(law, work, tape, acceleration, sampling, states, sample):
-    """Carry state and derivative from an output sample to the next; `states` (2, 3 p) keeps both states."""
+def forward_sample(law, work, tape, acceleration, sampling, start, end, sample):
+    """Carry state and derivative from an output sample to the next; both states are kept, (3 p,) each."""
     first, of_time = 0, 0.0
+    save(law, start)
     while True:
-        valid, count, kept = record(law, tape, acceleration, sampling, states, 0, sample, first)
+        valid, count, size = record(law, tape, acceleration, sampling, start, sample, first)
         if not valid:
             return False
-        save(law, states, 1)
-        for index in range(kept):
+        save(law, end)
+        for index in range(size):
             step, ground, trend, which = read_tape(law, tape, index)
             write_slope(law, ground, state(law, 0), slope(law, 0))
             of_time = forward_step(law, work, step, ground, trend, which, of_time)
         first += CAPACITY
         if first >= count:
-            states[0] = states[1]
-            restore(law, states, 0)
+            restore(law, end)
             return True
 
 
@@ -99,7 +100,7 @@ def forward_sample(law, work, tape, acceleration, sampling, states, sample):
 def write_output_tangent(law, work, quantity, sensors, outputs):
     """Write the derivative of the outputs at a sample, whose state, with its slope, is the present one."""
     move(law, work, CARRY * law.rows, of_state(law, 0), 1.0)
-    slope_tangent(law, work, 0, 0.0, True)
+    slope_tangent(law, work, 0, 0.0, 1.0)
     p = law.rows * LANES
     first = of_slope(law, 0) * LANES + p
     if quantity == RELATIVE_DISPLACEMENT:
@@ -127,14 +128,14 @@ def march_tangent(
 ):
     """Write the derivative of the response into `history` (s, u) or, if empty, of e_j into `sums` (s,)."""
     total = n_outputs(acceleration.size, sampling[1], sampling[2])
-    states = np.zeros((2, 3 * law.rows * LANES))
+    start, end = np.empty(3 * law.rows * LANES), np.empty(3 * law.rows * LANES)
     outputs, changes = np.empty(sensors.size), np.empty(sensors.size)
-    valid = prepare(law, parameters)
+    valid = prepare(law, parameters, 1.0)
     if valid:
         put_direction(law, work, parameters, directions)
     for sample in range(total):
         if sample > 0 and valid:
-            valid = forward_sample(law, work, tape, acceleration, sampling, states, sample - 1)
+            valid = forward_sample(law, work, tape, acceleration, sampling, start, end, sample - 1)
         if not valid:
             history[:], sums[:] = np.nan, np.nan
             return

@@ -31,7 +31,11 @@ def close_modes(omega, rayleigh, ratios, duration, n_modes):
         memory = max(min(duration, 1.0 / decay), 3.0 / omega[r])
         for s in range(r):
             gap = abs(omega[r] - omega[s])
-            if gap == 0.0 or (ratios[r] == ratios[s] and gap * memory < CLOSE):
+            parted = gap * memory
+            if ratios[r] == 0.0:  # of modes that hardly swing it is lambda that counts, not omega
+                growth = gap * (omega[r] + omega[s]) * duration * max(duration, rayleigh[1])
+                parted = min(parted, growth)
+            if gap == 0.0 or (ratios[r] == ratios[s] and parted < CLOSE):
                 close[r, s] = close[s, r] = found = True
     return close, found
 

@@ -55,18 +55,23 @@ def single(law, name, i):
     return read_number(law.address, name * law.rows * LANES + i)
 
 
-def spring(law, row, stiffness, drift, rate, memory):
-    """Forces of springs [N] and rates of their internal variables [1/s]; `drift` [m], `rate` [m/s]."""
-    return LAWS[type(law)].spring(law, row, stiffness, drift, rate, memory)
+def spring(law, row, stiffness, drift, rate, memory, branch):
+    """Forces of springs [N] and rates of their internal variables [1/s]; `drift` [m], `rate` [m/s].
+
+    `branch` is 1 where drift rate and internal variable have one sign (loading), -1 where not. It is that of
+    a whole step, which ends where it changes: on the way a trial may be a little beyond, and the law must be
+    smooth there.
+    """
+    return LAWS[type(law)].spring(law, row, stiffness, drift, rate, memory, branch)
 
 
-def partials(law, row, stiffness, drift, rate, memory):
+def partials(law, row, stiffness, drift, rate, memory, branch):
     """Partial derivatives of both results of `spring`.
 
     Returns two tuples, of the forces' derivatives and of the other rates', each by stiffness, drift, rate,
-    memory and the law's parameters in their order. At a kink the derivative of either side will do.
+    memory and the law's parameters in their order.
     """
-    return LAWS[type(law)].partials(law, row, stiffness, drift, rate, memory)
+    return LAWS[type(law)].partials(law, row, stiffness, drift, rate, memory, branch)
 
 
 def pace(law, row, stiffness, omega, drift, rate, change):
@@ -89,12 +94,12 @@ def has_kinks(law):
 
 
 @overload(spring, jit_options=OPTIONS)
-def _spring(law, row, stiffness, drift, rate, memory):
+def _spring(law, row, stiffness, drift, rate, memory, branch):
     return LAWS[law.instance_class].spring
 
 
 @overload(partials, jit_options=OPTIONS)
-def _partials(law, row, stiffness, drift, rate, memory):
+def _partials(law, row, stiffness, drift, rate, memory, branch):
     return LAWS[law.instance_class].partials
 
 

@@ -16,9 +16,9 @@ J. R. Dormand & P. J. Prince, J. Comput. Appl. Math. 6 (1980) 19-26, table 2 (RK
 import numpy as np
 
 from pymc_features.simulators.compilation import jit
+from pymc_features.simulators.kinks import first_kink, kink_value, turn
 from pymc_features.simulators.lane_bits import (
     all_less,
-    any_less,
     read_lanes,
     read_number,
     write_lanes,
@@ -28,9 +28,10 @@ from pymc_features.simulators.lane_functions import larger
 from pymc_features.simulators.lanes import LANES, highest, magnitude, splat
 from pymc_features.simulators.restoring import has_kinks, pace
 from pymc_features.simulators.spring_chain import (
-    N_STAGES,
+    LAST,
     OMEGA,
     PASSED,
+    REFINE,
     STIFFNESS,
     constant,
     deformation,
@@ -52,13 +53,13 @@ STAGES = (
 )
 WEIGHTS = np.array([[*row, *[0.0] * (6 - len(row))] for row in ((), *STAGES)])  # the same, (7, 6)
 TIMES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0)
-LAST = N_STAGES - 1
 
 PHASE = 0.2  # largest product of step and rate of change
 VIBRATION = 1.5  # weight of the highest frequency in it: errors of phase add up over a free vibration
 MAX_STEPS = 4000  # in one segment; more are needed by parameters far from any structure only
 KINK_TOLERANCE = 1e-9  # of where a kink lies, in steps; the error left behind is proportional to it
 NEWTON_STEPS = 4
+AHEAD = 1e-6  # part of a step after which a kink at its start is over
 
 
 @jit
@@ -102,74 +103,6 @@ def accept(law):
 
 
 @jit
-def kink_function(law, address, here, which):
-    """Drift rate of a spring (which < n) or its internal variable; of a slope, their time derivatives."""
-    p = law.rows * LANES
-    first = here * LANES
-    if which >= law.n:
-        return read_number(address, first + 2 * p + which - law.n)
-    lower = read_number(address, first + p + which - 1) if which > 0 else 0.0
-    return read_number(address, first + p + which) - lower
-
-
-@jit
-def kink_value(law, s, which):
-    """The kink function at stage `s`, and its time derivative."""
-    return (
-        kink_function(law, law.address, state(law, s), which),
-        kink_function(law, law.address, slope(law, s), which),
-    )
-
-
-@jit
-def cubic_root(before, after, slope_before, slope_after):
-    """Root in (0, 1) of the cubic with these values and slopes at 0 and 1; the values differ in sign."""
-    low, high = 0.0, 1.0
-    x = before / (before - after)
-    second = 3.0 * (after - before) - 2.0 * slope_before - slope_after
-    third = 2.0 * (before - after) + slope_before + slope_after
-    for _ in range(8):
-        value = before + x * (slope_before + x * (second + x * third))
-        if (value > 0.0) == (before > 0.0):
-            low = x
-        else:
-            high = x
-        x -= value / (slope_before + x * (2.0 * second + x * 3.0 * third))
-        if not low <= x <= high:
-            x = 0.5 * (low + high)
-    return x
-
-
-@jit
-def any_kink(law):
-    """Whether a drift rate or an internal variable changes its sign between a step's start and its end."""
-    found = False
-    start, end = state(law, 0), state(law, LAST)
-    for row in range(law.rows):
-        rates = deformation(law, start, row)[1] * deformation(law, end, row)[1]
-        memories = read_lanes(law.address, start + 2 * law.rows + row)
-        memories = memories * read_lanes(law.address, end + 2 * law.rows + row)
-        found |= any_less(rates, splat(0.0)) or any_less(memories, splat(0.0))
-    return found
-
-
-@jit
-def first_kink(law, step):
-    """The first kink of the step not yet passed, -1 if none, and where: a fraction of the step."""
-    which, where = -1, 1.0
-    if any_kink(law):
-        passed = PASSED * law.rows * LANES
-        for k in range(2 * law.n):
-            before, slope_before = kink_value(law, 0, k)
-            after, slope_after = kink_value(law, LAST, k)
-            if before * after < 0.0 and read_number(law.address, passed + k) == 0.0:
-                x = cubic_root(before, after, step * slope_before, step * slope_after)
-                if which < 0 or x < where:
-                    which, where = k, x
-    return which, where
-
-
-@jit
 def step_to_kink(law, which, step, piece, ground, trend):
     """Make the step that ends at a kink, from a guess `piece` of its length; return the length."""
     for iteration in range(NEWTON_STEPS):
@@ -184,26 +117,43 @@ def step_to_kink(law, which, step, piece, ground, trend):
 
 
 @jit
-def step_forward(law, step, ground, trend, tape):
-    """Advance the state by `step`, in pieces that end at kinks, each kink at most once."""
+def begin_piece(law, step, ground):
+    """Choose the branches of a step that begins at the present state, and renew the slope if they change."""
+    if has_kinks(law) and turn(law, AHEAD * step):
+        write_slope(law, ground, state(law, 0), slope(law, 0))
+
+
+@jit
+def pass_kinks(law, step, ground, trend, tape):
+    """Advance a step that has been tried through its kinks, in pieces; what is left of it is tried then."""
     left = step
-    try_step(law, left, ground, trend)
-    if has_kinks(law):
+    first = PASSED * law.rows * LANES
+    which, where = first_kink(law, left)
+    while which >= 0:
+        write_number(law.address, first + which, 1.0 + read_number(law.address, first + which))
+        piece = step_to_kink(law, which, left, where * left, ground, trend)
+        if tape is not None:
+            write_tape(law, tape, piece, ground, trend, which)
+        accept(law)
+        ground += trend * piece
+        left -= piece
+        begin_piece(law, left, ground)
+        try_step(law, left, ground, trend)
         which, where = first_kink(law, left)
-        if which >= 0:
-            passed = PASSED * law.rows * LANES
-            while which >= 0:
-                write_number(law.address, passed + which, 1.0)
-                piece = step_to_kink(law, which, left, where * left, ground, trend)
-                if tape is not None:
-                    write_tape(law, tape, piece, ground, trend, which)
-                accept(law)
-                ground += trend * piece
-                left -= piece
-                try_step(law, left, ground, trend)
-                which, where = first_kink(law, left)
-            for k in range(2 * law.n):
-                write_number(law.address, passed + k, 0.0)
+    if left < step:
+        for k in range(2 * law.n):
+            write_number(law.address, first + k, 0.0)
+    return left, ground
+
+
+@jit
+def step_forward(law, step, ground, trend, tape):
+    """Advance the state by `step`, in pieces that end at kinks."""
+    left = step
+    begin_piece(law, step, ground)
+    try_step(law, step, ground, trend)
+    if has_kinks(law):
+        left, ground = pass_kinks(law, step, ground, trend, tape)
     if tape is not None:
         write_tape(law, tape, left, ground, trend, -1)
     accept(law)
@@ -232,14 +182,14 @@ def is_finite(law):
 
 
 @jit
-def advance(law, length, ground, trend, refine, tape):
+def advance(law, length, ground, trend, tape):
     """Advance the state over a segment of `length` [s] in which the ground acceleration is linear.
 
     Steps are so short that their product with `fastest` stays below `PHASE`: what is left of the segment is
-    divided by a whole number, and the steps once more by `refine`. Returns False where that takes too many
+    divided by a whole number, and the steps once more by `REFINE`. Returns False where that takes too many
     steps or the state is not finite.
     """
-    left = length
+    left, refine = length, int(scalar(law, REFINE))
     for _ in range(MAX_STEPS):
         rate = fastest(law)
         if not rate * left < PHASE * MAX_STEPS:

@@ -72,9 +72,10 @@ def simulate(
 
     The base shear is influence' M a, with the absolute accelerations a, less influence' f under forces f: the
     force of the ground on the structure, in the direction of positive ground acceleration, by the balance
-    of all forces. Without damping it is minus stiffness times drift of storey 0 of a chain. With several
-    supports it is the part of each that is in balance with inertia, damping and forces; what the supports
-    force on each other by their quasi-static motion is not in M, C and K, and not in it.
+    of all forces, influence' (C v + K x) = -shear. Of a chain without damping it is minus stiffness times
+    drift of storey 0. With several supports it is what inertia and forces ask of each; what the supports
+    force on each other by their quasi-static motion is not in M, C and K, and not in it. Forces on modes
+    left out by `n_modes` go to the ground statically.
     """
     check_arguments(structure, record)
     asked, outputs = checked_request(

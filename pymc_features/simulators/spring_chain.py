@@ -30,13 +30,17 @@ from pymc_features.simulators.modal_damping import damping_coefficients
 from pymc_features.simulators.restoring import PARAMETERS, is_law, spring
 
 N_STAGES = 7  # states and slopes of a step: at its start, at five stages, and at its end
+LAST = N_STAGES - 1
 
-# Blocks behind the law's parameters: 1 below n and 0 beyond; 1/m; k; beta k; alpha; two scalars; kinks passed
+# Blocks behind the law's parameters: 1 below n and 0 beyond; 1/m; k; beta k; alpha; three scalars; kinks
+# passed in this step; the springs' branches (1 or -1), which are part of the state
 ACTIVE, INVERSE_MASS, STIFFNESS, DASHPOT, DRAG, SCALARS, PASSED = range(PARAMETERS, PARAMETERS + 7)
-STATES = PASSED + 2
+BRANCH = PASSED + 2
+STATES = BRANCH + 1
 SLOPES = STATES + 3 * N_STAGES
 MODAL = SLOPES + 3 * N_STAGES  # M^-1 C of damping by modal ratios: n columns, then n rows
-OMEGA, DAMPED = range(2)  # scalars: highest rate of change of the linear chain [1/s]; whether MODAL is used
+# Scalars: highest rate of change of the linear chain [1/s]; whether MODAL is used; what divides every step
+OMEGA, DAMPED, REFINE = range(3)
 
 
 def padded(n: int) -> int:
@@ -74,24 +78,40 @@ def scalar(law, name):
 
 
 @jit
-def fill(law, block, values, last):
-    """Write a block: `values` (n,), and `last` behind."""
-    first = block * law.rows * LANES
-    for i in range(law.rows * LANES):
-        write_number(law.address, first + i, values[i] if i < values.size else last)
+def put(address, rows, block, i, value):
+    """Write number `i` of a block."""
+    write_number(address, block * rows * LANES + i, value)
 
 
 @jit
-def prepare(law, parameters):
+def describe(law, parameters):
+    """Write the constants of a chain, and its law's parameters; what lies beyond is as the last spring."""
+    mass, stiffness, rayleigh, _, values = parameters
+    address, rows, n = law.address, law.rows, law.n
+    for i in range(rows * LANES):
+        spring = min(i, n - 1)
+        inside = 1.0 if i < n else 0.0
+        for k in range(values.shape[0]):
+            put(address, rows, k, i, values[k, spring])
+        put(address, rows, ACTIVE, i, inside)
+        put(address, rows, INVERSE_MASS, i, inside / mass[spring])
+        put(address, rows, STIFFNESS, i, stiffness[spring])
+        put(address, rows, DASHPOT, i, inside * rayleigh[1] * stiffness[spring])
+        put(address, rows, DRAG, i, inside * rayleigh[0])
+        for block in range(PASSED, MODAL):
+            put(address, rows, block, i, 1.0 if block == BRANCH else 0.0)
+
+
+@jit
+def prepare(law, parameters, refine):
     """Write what describes a chain into its memory, which is at rest then; False if it is no chain.
 
     `parameters`: masses (n,), initial stiffnesses (n,), Rayleigh pair (2,), damping ratios (n,), and the
-    law's (rows, n).
+    law's (rows, n). `refine` divides every step.
     """
-    mass, stiffness, rayleigh, ratios, values = parameters
+    mass, stiffness, rayleigh, ratios, _ = parameters
     n = mass.size
-    for k in range(values.shape[0]):
-        fill(law, k, values[k], values[k, n - 1])
+    describe(law, parameters)
     omega, participation, shapes = np.empty(n), np.empty(n), np.empty((n, n))
     valid = chain_modes(mass, stiffness, omega, shapes, participation)
     highest = 0.0
@@ -102,22 +122,16 @@ def prepare(law, parameters):
         valid &= 0.0 <= drag < np.inf
         highest = max(highest, omega[r] + drag)
         any_ratio |= ratios[r] != 0.0
-    if not valid:
-        return False
-    fill(law, ACTIVE, np.ones(n), 0.0)
-    fill(law, INVERSE_MASS, 1.0 / mass, 0.0)
-    fill(law, STIFFNESS, stiffness, stiffness[n - 1])
-    fill(law, DASHPOT, rayleigh[1] * stiffness, 0.0)
-    fill(law, DRAG, np.full(n, rayleigh[0]), 0.0)
-    fill(law, SCALARS, np.array([highest, 1.0 if any_ratio else 0.0]), 0.0)
-    for block in range(PASSED, MODAL):
-        fill(law, block, np.empty(0), 0.0)
-    if any_ratio:
-        matrix = damping_coefficients(mass, 2.0 * ratios * omega, shapes)
+    put(law.address, law.rows, SCALARS, OMEGA, highest)
+    put(law.address, law.rows, SCALARS, REFINE, refine)
+    put(law.address, law.rows, SCALARS, DAMPED, 1.0 if any_ratio else 0.0)
+    if valid and any_ratio:
+        matrix = damping_coefficients(mass, omega, shapes, ratios)
         for i in range(n):
-            fill(law, MODAL + i, matrix[:, i], 0.0)
-            fill(law, MODAL + n + i, matrix[i], 0.0)
-    return True
+            for j in range(n):
+                put(law.address, law.rows, MODAL + j, i, matrix[i, j])
+                put(law.address, law.rows, MODAL + n + i, j, matrix[i, j])
+    return valid
 
 
 @jit
@@ -140,7 +154,8 @@ def write_slope(law, ground, here, target):
         v = read_lanes(law.address, here + law.rows + row)
         memory = read_lanes(law.address, here + 2 * law.rows + row)
         drift, rate = deformation(law, here, row)
-        force, change = spring(law, row, constant(law, STIFFNESS, row), drift, rate, memory)
+        branch = constant(law, BRANCH, row)
+        force, change = spring(law, row, constant(law, STIFFNESS, row), drift, rate, memory, branch)
         force = force + constant(law, DASHPOT, row) * rate
         push = constant(law, INVERSE_MASS, row) * (above(force, upper) - force)
         push = push - constant(law, DRAG, row) * v - ground * constant(law, ACTIVE, row)

@@ -9,6 +9,7 @@ and each stage adds to the gradient with respect to the parameters.
 """
 
 from pymc_features.simulators.compilation import jit
+from pymc_features.simulators.kinks import kink_function
 from pymc_features.simulators.lane_bits import (
     above,
     below,
@@ -20,13 +21,15 @@ from pymc_features.simulators.lane_bits import (
 )
 from pymc_features.simulators.lanes import LANES, splat
 from pymc_features.simulators.restoring import partials
-from pymc_features.simulators.runge_kutta import LAST, TIMES, WEIGHTS, kink_function, try_step
+from pymc_features.simulators.runge_kutta import TIMES, WEIGHTS, try_step
 from pymc_features.simulators.spring_chain import (
     ACTIVE,
+    BRANCH,
     DAMPED,
     DASHPOT,
     DRAG,
     INVERSE_MASS,
+    LAST,
     MODAL,
     STIFFNESS,
     constant,
@@ -68,7 +71,8 @@ def pull_spring(law, work, s, step, row):
     change = step * read_lanes(work, bars + rows + row)
     drift, rate = deformation(law, here, row)
     memory = read_lanes(law.address, here + 2 * rows + row)
-    by_force, by_change = partials(law, row, stiffness, drift, rate, memory)
+    branch = constant(law, BRANCH, row)
+    by_force, by_change = partials(law, row, stiffness, drift, rate, memory, branch)
     add(law, work, OF_STIFFNESS, row, by_force[0] * force + by_change[0] * change)
     add(law, work, OF_DASHPOT, row, force * rate)
     for k in range(len(by_force) - 4):

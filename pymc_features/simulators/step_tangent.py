@@ -13,17 +13,18 @@ from pymc_features.simulators.lane_bits import (
     read_lanes,
     read_number,
     write_lanes,
-    write_number,
 )
 from pymc_features.simulators.lanes import LANES, splat
 from pymc_features.simulators.restoring import PARAMETERS, partials, spring
-from pymc_features.simulators.runge_kutta import LAST, TIMES, WEIGHTS
+from pymc_features.simulators.runge_kutta import TIMES, WEIGHTS
 from pymc_features.simulators.spring_chain import (
     ACTIVE,
+    BRANCH,
     DAMPED,
     DASHPOT,
     DRAG,
     INVERSE_MASS,
+    LAST,
     MODAL,
     N_STAGES,
     STIFFNESS,
@@ -68,14 +69,6 @@ def own(law, work, name, row):
 
 
 @jit
-def put(law, work, block, values):
-    """Write a block from `values` (n,), zero behind."""
-    first = block * law.rows * LANES
-    for i in range(law.rows * LANES):
-        write_number(work, first + i, values[i] if i < values.size else 0.0)
-
-
-@jit
 def deformation_tangent(law, work, here, row):
     """Derivatives of the drifts and of their rates of the springs of group `row`."""
     u, v = read_lanes(work, here + row), read_lanes(work, here + law.rows + row)
@@ -87,19 +80,20 @@ def deformation_tangent(law, work, here, row):
 
 
 @jit
-def force_tangent(law, work, s, row, parametric):
+def force_tangent(law, work, s, row, along):
     """Derivatives of forces and of rates of internal variables, of group `row`; and the forces themselves."""
     here, stiffness = state(law, s), constant(law, STIFFNESS, row)
     memory = read_lanes(law.address, here + 2 * law.rows + row)
     drift, rate = deformation(law, here, row)
     of_drift, of_rate = deformation_tangent(law, work, of_state(law, s), row)
     of_memory = read_lanes(work, of_state(law, s) + 2 * law.rows + row)
-    by_force, by_change = partials(law, row, stiffness, drift, rate, memory)
+    branch = constant(law, BRANCH, row)
+    by_force, by_change = partials(law, row, stiffness, drift, rate, memory, branch)
     force = by_force[1] * of_drift + by_force[2] * of_rate + by_force[3] * of_memory
     change = by_change[1] * of_drift + by_change[2] * of_rate + by_change[3] * of_memory
     force = force + constant(law, DASHPOT, row) * of_rate
     value = splat(0.0)
-    if parametric:
+    if along > 0.0:
         direction = own(law, work, OF_STIFFNESS, row)
         force = force + by_force[0] * direction + own(law, work, OF_DASHPOT, row) * rate
         change = change + by_change[0] * direction
@@ -107,21 +101,22 @@ def force_tangent(law, work, s, row, parametric):
             direction = own(law, work, k, row)
             force = force + by_force[4 + k] * direction
             change = change + by_change[4 + k] * direction
-        value = spring(law, row, stiffness, drift, rate, memory)[0] + constant(law, DASHPOT, row) * rate
+        value = spring(law, row, stiffness, drift, rate, memory, branch)[0]
+        value = value + constant(law, DASHPOT, row) * rate
     return force, change, value
 
 
 @jit
-def slope_tangent(law, work, s, of_ground, parametric):
-    """Write the derivative of the slope of stage `s`; without that by the parameters unless `parametric`."""
+def slope_tangent(law, work, s, of_ground, along):
+    """Write the derivative of the slope of stage `s`; `along`: 1, or 0 without that by the parameters."""
     rows, upper, upper_value = law.rows, splat(0.0), splat(0.0)
     here, target = of_state(law, s), of_slope(law, s)
     for row in range(rows - 1, -1, -1):
         of_v = read_lanes(work, here + rows + row)
-        force, change, value = force_tangent(law, work, s, row, parametric)
+        force, change, value = force_tangent(law, work, s, row, along)
         push = constant(law, INVERSE_MASS, row) * (above(force, upper) - force)
         push = push - constant(law, DRAG, row) * of_v - of_ground * constant(law, ACTIVE, row)
-        if parametric:
+        if along > 0.0:
             push = push + own(law, work, OF_MASS, row) * (above(value, upper_value) - value)
             v = read_lanes(law.address, state(law, s) + rows + row)
             push = push - own(law, work, OF_DRAG, row) * v
@@ -150,14 +145,14 @@ def combine_tangent(law, work, step, of_step, s):
 
 
 @jit
-def step_tangent(law, work, step, trend, of_step, of_ground, parametric):
+def step_tangent(law, work, step, trend, of_step, of_ground, along):
     """Write the derivative of a step, whose stages are in the chain's memory, to stage `LAST`.
 
     `of_step`, `of_ground`: of its length and of the ground acceleration at its start; stage 0 holds that of
-    the state there.
+    the state there, and `along` is 1, or 0 without the direction of the parameters.
     """
     for s in range(LAST):
-        slope_tangent(law, work, s, of_ground + TIMES[s] * trend * of_step, parametric)
+        slope_tangent(law, work, s, of_ground + TIMES[s] * trend * of_step, along)
         combine_tangent(law, work, step, of_step, s + 1)
 
 
@@ -180,4 +175,4 @@ def add_multiple(law, work, source, target, factor):
 def length_tangent(law, work, step, trend):
     """Write the derivative of a step by its length to stage `LAST`."""
     move(law, work, of_state(law, 0), of_state(law, 0), 0.0)
-    step_tangent(law, work, step, trend, 1.0, 0.0, False)
+    step_tangent(law, work, step, trend, 1.0, 0.0, 0.0)

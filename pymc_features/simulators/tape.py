@@ -11,11 +11,12 @@ import numpy as np
 from pymc_features.simulators.compilation import jit
 from pymc_features.simulators.lane_bits import aligned, read_lanes, read_number, write_lanes, write_number
 from pymc_features.simulators.lanes import LANES
-from pymc_features.simulators.spring_chain import padded, state
+from pymc_features.simulators.spring_chain import BRANCH, padded
 
 CAPACITY = 256
+NEVER = 1 << 52  # first step to be kept, of a march that is not recorded
 COUNT, FIRST = range(2)  # header: steps so far, number of the first one kept
-STEP, GROUND, TREND, KINK = range(4)  # of a step, behind the state at its start
+STEP, GROUND, TREND, KINK = range(4)  # of a step, behind branches and state at its start
 
 
 class Tape(NamedTuple):
@@ -32,7 +33,7 @@ def tape_memory(n: int) -> np.ndarray:
 
 def record_size(n: int) -> int:
     """Vectors in one record for n degrees of freedom."""
-    return 3 * padded(n) // LANES + 1
+    return 4 * padded(n) // LANES + 1
 
 
 @jit
@@ -57,9 +58,9 @@ def write_tape(law, tape, step, ground, trend, which):
     write_number(tape.address, COUNT, count + 1.0)
     if 0 <= index < CAPACITY:
         first = 1 + index * tape.size
-        for row in range(3 * law.rows):
-            write_lanes(tape.address, first + row, read_lanes(law.address, state(law, 0) + row))
-        last = (first + 3 * law.rows) * LANES
+        for row in range(4 * law.rows):
+            write_lanes(tape.address, first + row, read_lanes(law.address, BRANCH * law.rows + row))
+        last = (first + 4 * law.rows) * LANES
         write_number(tape.address, last + STEP, step)
         write_number(tape.address, last + GROUND, ground)
         write_number(tape.address, last + TREND, trend)
@@ -68,11 +69,11 @@ def write_tape(law, tape, step, ground, trend, which):
 
 @jit
 def read_tape(law, tape, index):
-    """Make the state at the start of kept step `index` the present one; return step, ground, trend, kink."""
+    """Make branches and state at the start of kept step `index` present; return step, ground, trend, kink."""
     first = 1 + index * tape.size
-    for row in range(3 * law.rows):
-        write_lanes(law.address, state(law, 0) + row, read_lanes(tape.address, first + row))
-    last = (first + 3 * law.rows) * LANES
+    for row in range(4 * law.rows):
+        write_lanes(law.address, BRANCH * law.rows + row, read_lanes(tape.address, first + row))
+    last = (first + 4 * law.rows) * LANES
     return (
         read_number(tape.address, last + STEP),
         read_number(tape.address, last + GROUND),

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features.algebra import to_dense
 from pymc_features.simulators.recursion import n_outputs
 
 
@@ -76,9 +77,24 @@ class Arguments(NamedTuple):
         return self.damping.shape[0] == 0
 
     @property
+    def is_dense(self) -> bool:
+        """Whether the matrices have all their entries."""
+        return self.starts.size == 0
+
+    @property
     def inputs(self) -> np.ndarray:
         """`acceleration` for a kernel."""
         return writable(self.acceleration)
+
+    @property
+    def loads(self) -> tuple[np.ndarray, np.ndarray]:
+        """`influence` and `forces` for a kernel."""
+        return writable(self.influence), writable(self.forces)
+
+    @property
+    def outputs(self) -> np.ndarray:
+        """`sensors` for a kernel, dense."""
+        return writable(to_dense(self.sensors))
 
     def check(self, history=None, weights=None):
         """Refuse sizes that do not agree.

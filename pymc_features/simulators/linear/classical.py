@@ -8,15 +8,57 @@ import numpy as np
 from pymc_features.simulators.compilation import jit
 from pymc_features.simulators.linear.blocks import take_block
 from pymc_features.simulators.recursion import (
+    ABSOLUTE_ACCELERATION,
     BLOCK,
     N_ROWS,
+    RELATIVE_ACCELERATION,
     advance,
     first_order_hold,
     n_outputs,
     output_row,
 )
 
+STIFFEST = 1e6  # omega h and D h of a mode that can be stepped
 SMALLEST_FREQUENCY = 1e-100  # rad/s, stands for zero: its square drowns, and D = 2 zeta omega is kept
+
+
+@jit
+def classical_drag(omega, rayleigh, ratios, step, drag):
+    """Write D = alpha + beta omega^2 + 2 ratio omega (m,) [1/s]; False if negative or too stiff."""
+    for r in range(omega.size):
+        drag[r] = rayleigh[0] + rayleigh[1] * omega[r] ** 2 + 2.0 * ratios[r] * omega[r]
+        if not (drag[r] >= 0.0 and max(omega[r], drag[r]) * step < STIFFEST):  # NaN too
+            return False
+    return True
+
+
+@jit
+def feed_through(seen, participation, pushed, moved, quantity, complete, direct):
+    """Write what stands before the inputs in the response, (s, d).
+
+    Parameters
+    ----------
+    seen : array (s, m)
+        Mode shapes at the outputs.
+    participation, pushed : array (m, d)
+        Phi' load, and Phi' forces alone.
+    moved : array (s, d)
+        What the outputs see of the supports' motion.
+    complete : bool
+        Whether all modes are kept: their sum is then known without its rounding error. With modes left out
+        the absolute acceleration keeps the ground's share of them.
+    """
+    direct[:] = 0.0
+    if quantity not in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION):
+        return
+    for j in range(direct.shape[0]):
+        for i in range(direct.shape[1]):
+            carried, forced = 0.0, 0.0
+            for r in range(seen.shape[1]):
+                carried += seen[j, r] * participation[r, i]
+                forced += seen[j, r] * pushed[r, i]
+            whole = moved[j, i] if quantity == ABSOLUTE_ACCELERATION else 0.0
+            direct[j, i] = whole - moved[j, i] + forced if complete else whole - carried
 
 
 @jit

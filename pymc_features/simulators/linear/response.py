@@ -10,6 +10,7 @@ import numpy as np
 from pymc_features.simulators.linear.arguments import N_ARGUMENTS, Arguments
 from pymc_features.simulators.linear.blocks import destination
 from pymc_features.simulators.linear.classical import classical_matrices, march_modes
+from pymc_features.simulators.linear.dense_population import dense_tables
 from pymc_features.simulators.linear.state_space import march_state, step_matrices
 from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
 
@@ -24,7 +25,7 @@ def linear_response(*arguments) -> np.ndarray:
     """
     a = Arguments(*arguments)
     a.check()
-    return evaluate(a, solve_system(a), None)
+    return solve(a, None)
 
 
 def response_in_modes(omega, shapes, *arguments) -> np.ndarray:
@@ -46,23 +47,42 @@ def linear_misfit(*arguments) -> np.ndarray:
     """
     a, observed = Arguments(*arguments[:N_ARGUMENTS]), *arguments[N_ARGUMENTS:]
     a.check(observed)
-    return evaluate(a, solve_system(a), observed)
+    return solve(a, observed)
+
+
+def solve(a, observed):
+    """Response (s, u) or, with data, misfits (s, 4); NaN if there is no structure.
+
+    Dense structures with classical damping stay in compiled code.
+    """
+    if not (a.is_dense and a.is_classical):
+        return evaluate(a, solve_system(a), observed)
+    tables = dense_tables(a)
+    return nothing(a, observed) if tables is None else march(a, march_modes, tables, observed)
 
 
 def evaluate(a, system, observed):
     """Response (s, u) of a system or, with data, their misfits (s, 4); NaN if there is no system."""
-    n_sensors, total = a.shape
     if system is None:
-        return np.full((n_sensors, total if observed is None else 4), np.nan)
+        return nothing(a, observed)
     seen, direct = observe(a, system)
-    observed, history, sums = destination(a.shape, observed)
     if is_coupled(system.drag):
         matrices = step_matrices(system.omega, system.drag, system.participation, seen, a.step, a.quantity)
-        march_state(*matrices, direct, a.inputs, *a.grid, observed, history, sums)
-    else:
-        matrices = classical_matrices(a, system, seen)
-        march_modes(*matrices, direct, a.inputs, *a.grid, observed, history, sums)
+        return march(a, march_state, (*matrices, direct), observed)
+    return march(a, march_modes, (*classical_matrices(a, system, seen), direct), observed)
+
+
+def nothing(a, observed):
+    """What is returned where there is no structure."""
+    n_sensors, total = a.shape
+    return np.full((n_sensors, total if observed is None else 4), np.nan)
+
+
+def march(a, kernel, matrices, observed):
+    """Response or misfits by `march_modes` or `march_state`."""
+    observed, history, sums = destination(a.shape, observed)
+    kernel(*matrices, a.inputs, *a.grid, observed, history, sums)
     if history.size:
         return history
-    sums[:2] /= total
+    sums[:2] /= a.shape[1]
     return np.ascontiguousarray(sums.T)

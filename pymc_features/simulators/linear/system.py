@@ -6,10 +6,11 @@ import numpy as np
 from scipy import sparse
 
 from pymc_features.algebra import assemble, is_definite, natural_modes, shifted_factor, spectral_shift
-from pymc_features.simulators.recursion import ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION
+from pymc_features.simulators.linear.arguments import writable
+from pymc_features.simulators.linear.classical import STIFFEST, classical_drag, feed_through
+from pymc_features.simulators.linear.dense import dense_modes
 
 COUPLING = 1e-12  # off-diagonal entries of D below this times the largest are rounding
-STIFFEST = 1e6  # omega h and D h of a mode that can be stepped
 
 
 class System(NamedTuple):
@@ -20,7 +21,7 @@ class System(NamedTuple):
     mass, damping, stiffness : array or csc_array (n, n)
         `damping` is None if classical.
     factor
-        Of K + shift M, see `algebra.shifted_factor`.
+        Of K + shift M, see `algebra.shifted_factor`, if they are sparse.
     omega : array (m,)
         [rad/s], exactly zero for rigid-body modes.
     shapes : array (n, m)
@@ -64,13 +65,9 @@ def solve_system(a, *, left_out=False, known=None) -> System | None:
     n, m, factor, others = a.influence.shape[0], a.n_modes, None, None
     mass, stiffness = (assemble(stack, a.theta, a.rows, a.starts, n) for stack in (a.mass, a.stiffness))
     if known is None:
-        factor = admissible_factor(mass, stiffness)
-        if factor is None:
-            return None
-        every = left_out and m < n and not a.starts.size
-        try:
-            known = natural_modes(mass, stiffness, n if every else m, factor)
-        except (np.linalg.LinAlgError, RuntimeError):  # modes that cannot be found
+        every = left_out and m < n and a.is_dense
+        factor, *known = admissible_modes(mass, stiffness, n if every else m)
+        if not known:
             return None
         others = (known[0][m:], known[1][:, m:]) if every else None
     omega, shapes = known[0][:m], np.ascontiguousarray(known[1][:, :m])
@@ -82,19 +79,32 @@ def solve_system(a, *, left_out=False, known=None) -> System | None:
     return System(mass, damping, stiffness, factor, omega, shapes, others, drag, load, shapes.T @ load)
 
 
-def admissible_factor(mass, stiffness):
-    """The factor of K + shift M; None if M is not positive definite or some omega^2 is negative."""
-    for matrix in (mass, stiffness):
-        if not np.isfinite(matrix.data if sparse.issparse(matrix) else matrix).all():
-            return None
-    return shifted_factor(mass, stiffness) if is_definite(mass) else None
+def admissible_modes(mass, stiffness, n_modes):
+    """(factor, omega, shapes); None alone where M is not positive definite or some omega^2 is negative.
+
+    The factor, of K + shift M, is None of dense matrices.
+    """
+    if not sparse.issparse(mass):
+        omega, rows = np.empty(n_modes), np.empty((n_modes, mass.shape[0]))
+        found = dense_modes(writable(mass), writable(stiffness), omega, rows)
+        return (None, omega, rows.T) if found else (None,)
+    if not (np.isfinite(mass.data).all() and np.isfinite(stiffness.data).all() and is_definite(mass)):
+        return (None,)
+    factor = shifted_factor(mass, stiffness)
+    if factor is None:
+        return (None,)
+    try:
+        return factor, *natural_modes(mass, stiffness, n_modes, factor)
+    except (np.linalg.LinAlgError, RuntimeError):  # modes that cannot be found
+        return (None,)
 
 
 def modal_drag(a, mass, damping, omega, shapes):
     """D of the modes, (m,) or (m, m); None if it feeds energy into some motion."""
     if damping is None:
-        drag = a.rayleigh[0] + a.rayleigh[1] * omega**2 + 2.0 * a.ratios[: omega.size] * omega
-        return drag if (drag >= 0.0).all() else None
+        drag = np.empty(omega.size)
+        law = writable(a.rayleigh), writable(a.ratios)
+        return drag if classical_drag(writable(omega), *law, a.step, drag) else None
     drag = shapes.T @ (damping @ shapes)
     if not np.isfinite(drag).all():
         return None
@@ -111,18 +121,9 @@ def is_coupled(drag: np.ndarray) -> bool:
 
 
 def observe(a, system):
-    """Mode shapes at the outputs (s, m), and feed-through of the inputs (s, d).
-
-    With modes left out the absolute acceleration keeps the ground's share of them.
-    """
-    seen = np.ascontiguousarray(a.sensors @ system.shapes)
-    direct = np.zeros((seen.shape[0], system.load.shape[1]))
-    if a.quantity in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION):
-        moved = a.sensors @ a.influence
-        if a.n_modes == system.load.shape[0]:  # complete: without the rounding error of the modes
-            direct = seen @ (system.shapes.T @ a.forces) - moved
-        else:
-            direct = -seen @ system.participation
-        if a.quantity == ABSOLUTE_ACCELERATION:
-            direct = direct + moved
-    return seen, np.ascontiguousarray(direct)
+    """Mode shapes at the outputs (s, m), and feed-through of the inputs (s, d)."""
+    seen, moved = writable(a.sensors @ system.shapes), writable(a.sensors @ a.influence)
+    pushed, direct = writable(system.shapes.T @ a.forces), np.empty(moved.shape)
+    complete = a.n_modes == system.load.shape[0]
+    feed_through(seen, writable(system.participation), pushed, moved, a.quantity, complete, direct)
+    return seen, direct

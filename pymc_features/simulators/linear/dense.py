@@ -1,0 +1,225 @@
+"""Modes of dense structures inside compiled code: what `algebra.natural_modes` finds, and whether they exist.
+
+K phi = omega^2 M phi becomes the standard problem of F^-1 K F^-T, F F' = M, for LAPACK; where M is diagonal F
+is its root and costs nothing. The eigenvalues are then replaced by the Rayleigh quotients of their vectors.
+"""
+
+import numpy as np
+
+from pymc_features.algebra.eigen import ROUNDING
+from pymc_features.algebra.factorisation import ZERO_STIFFNESS
+from pymc_features.simulators.compilation import jit
+from pymc_features.simulators.modal import ascending
+
+
+@jit
+def assemble_dense(stack, theta, matrix):
+    """Write A_0 + sum_i theta_i A_i (n, n); entries (1 + p, n n) or, of a constant, (1, n n)."""
+    entries = matrix.reshape(-1)
+    entries[:] = stack[0]
+    for i in range(stack.shape[0] - 1):
+        factor, term = theta[i], stack[1 + i]
+        for e in range(entries.size):
+            entries[e] += factor * term[e]
+
+
+@jit
+def is_finite(array):
+    """Whether no entry of an array, of any shape, is NaN or infinite."""
+    possible = True
+    for value in array.flat:
+        possible &= np.isfinite(value)
+    return possible
+
+
+@jit
+def is_diagonal(matrix):
+    """Whether all entries off the diagonal are zero."""
+    for i in range(matrix.shape[0]):
+        for j in range(i):
+            if matrix[i, j] != 0.0 or matrix[j, i] != 0.0:
+                return False
+    return True
+
+
+@jit
+def factorise(matrix, factor):
+    """Write the Cholesky factor of a matrix into the lower half of another; False if it is not definite."""
+    for i in range(matrix.shape[0]):
+        row = factor[i]
+        for j in range(i + 1):
+            other, total = factor[j], matrix[i, j]
+            for k in range(j):
+                total -= row[k] * other[k]
+            if j < i:
+                row[j] = total / other[j]
+            elif 0.0 < total < np.inf:
+                row[i] = np.sqrt(total)
+            else:
+                return False
+    return True
+
+
+@jit
+def spectral_shift(mass, stiffness):
+    """`algebra.spectral_shift`."""
+    inertia, spring = 0.0, 0.0
+    for i in range(mass.shape[0]):
+        inertia += mass[i, i]
+        spring += stiffness[i, i]
+    return ZERO_STIFFNESS * (abs(spring) / inertia if spring != 0.0 else 1.0)
+
+
+@jit
+def reduce_diagonal(mass, stiffness, reduced):
+    """Write M^-1/2 K M^-1/2; False if M is not positive."""
+    n = mass.shape[0]
+    scale = np.empty(n)
+    for i in range(n):
+        if not mass[i, i] > 0.0:
+            return False
+        scale[i] = 1.0 / np.sqrt(mass[i, i])
+    for i in range(n):
+        for j in range(n):
+            reduced[i, j] = stiffness[i, j] * scale[i] * scale[j]
+    return True
+
+
+@jit
+def reduce_full(mass, stiffness, factor, reduced):
+    """Write F, and F^-1 K F^-T; False if M is not positive definite."""
+    n = mass.shape[0]
+    if not factorise(mass, factor):
+        return False
+    half = np.empty((n, n))  # F^-1 K
+    for i in range(n):
+        row, multipliers = half[i], factor[i]
+        row[:] = stiffness[i]
+        for k in range(i):
+            other = half[k]
+            for j in range(n):
+                row[j] -= multipliers[k] * other[j]
+        for j in range(n):
+            row[j] /= multipliers[i]
+    for i in range(n):
+        row = reduced[i]
+        for j in range(i + 1):
+            total, multipliers = half[i, j], factor[j]
+            for k in range(j):
+                total -= row[k] * multipliers[k]
+            row[j] = total / multipliers[j]
+    for i in range(n):
+        for j in range(i):
+            reduced[j, i] = reduced[i, j]
+    return True
+
+
+@jit
+def turn_back(mass, factor, diagonal, vectors, shapes):
+    """Write phi = F^-T y into the rows of `shapes` (m, n), y the first columns of `vectors` (n, n)."""
+    n = mass.shape[0]
+    for r in range(shapes.shape[0]):
+        shape = shapes[r]
+        for i in range(n):
+            shape[i] = vectors[i, r]
+        if diagonal:
+            for i in range(n):
+                shape[i] /= np.sqrt(mass[i, i])
+            continue
+        for k in range(n - 1, -1, -1):
+            multipliers = factor[k]
+            shape[k] /= multipliers[k]
+            for i in range(k):
+                shape[i] -= shape[k] * multipliers[i]
+
+
+@jit
+def rayleigh_quotient(stiffness, largest, shape, pushed, inertia):
+    """phi' K phi / phi' M phi, and zero where only rounding is left of it.
+
+    `pushed` (n,) is K phi, `inertia` phi' M phi, and no row of |K| has a sum above `largest`.
+    """
+    n = shape.size
+    energy, square = 0.0, 0.0
+    for i in range(n):
+        energy += shape[i] * pushed[i]
+        square += shape[i] * shape[i]
+    if energy >= ROUNDING * largest * square:  # which bounds the sum below, at less cost
+        return energy / inertia
+    terms = 0.0
+    for i in range(n):
+        for j in range(n):
+            terms += abs(shape[i] * stiffness[i, j] * shape[j])
+    return energy / inertia if energy >= ROUNDING * terms else 0.0
+
+
+@jit
+def normalise(mass, stiffness, diagonal, omega, shapes):
+    """Write the frequencies, ascending, and scale and sort the shapes as `algebra.natural_modes`."""
+    n_modes, n = shapes.shape
+    pushed = np.dot(shapes, stiffness)
+    moved = shapes if diagonal else np.dot(shapes, mass)
+    largest = 0.0
+    for i in range(n):
+        largest = max(largest, np.abs(stiffness[i]).sum())
+    for r in range(n_modes):
+        shape, inertia, peak = shapes[r], 0.0, 0
+        for i in range(n):
+            inertia += shape[i] * moved[r, i] * (mass[i, i] if diagonal else 1.0)
+            if abs(shape[i]) > abs(shape[peak]):
+                peak = i
+        omega[r] = np.sqrt(rayleigh_quotient(stiffness, largest, shape, pushed[r], inertia))
+        scale = (-1.0 if shape[peak] < 0.0 else 1.0) / np.sqrt(inertia)
+        for i in range(n):
+            shape[i] *= scale
+    order = ascending(omega)
+    omega[:], shapes[:] = omega[order], shapes[order]
+
+
+@jit
+def dense_modes(mass, stiffness, omega, shapes):
+    """Lowest modes of a structure, if it is admissible.
+
+    Parameters
+    ----------
+    mass, stiffness : array (n, n)
+        [kg] and [N/m], symmetric; only read.
+    omega, shapes : array (m,), (m, n)
+        Written: [rad/s], ascending, exactly zero for rigid-body modes; **rows** are mass-normalised, the
+        largest entry of each positive.
+
+    Returns
+    -------
+    bool
+        False, the arrays then undefined, where M is not positive definite or some omega^2 lies below
+        -shift, see `algebra.spectral_shift`.
+
+    Notes
+    -----
+    O(n^3), for n = 100 spent in LAPACK's syevd. Agrees with `algebra.natural_modes` to rounding
+    (tests/test_linear_kernels.py).
+    """
+    n = mass.shape[0]
+    if not (is_finite(mass) and is_finite(stiffness)):
+        return False
+    factor, reduced = np.empty((n, n)), np.empty((n, n))
+    shift = spectral_shift(mass, stiffness)
+    for i in range(n):
+        for j in range(i + 1):
+            reduced[i, j] = stiffness[i, j] + shift * mass[i, j]
+    if not factorise(reduced, factor):
+        return False
+    diagonal = is_diagonal(mass)
+    if diagonal:
+        possible = reduce_diagonal(mass, stiffness, reduced)
+    else:
+        possible = reduce_full(mass, stiffness, factor, reduced)
+    if not (possible and is_finite(reduced)):  # LAPACK would raise
+        return False
+    try:
+        _, vectors = np.linalg.eigh(reduced)
+    except Exception:  # noqa: BLE001  the iteration did not converge; compiled code knows no other class
+        return False
+    turn_back(mass, factor, diagonal, vectors, shapes)
+    normalise(mass, stiffness, diagonal, omega, shapes)
+    return True
