@@ -86,8 +86,8 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help="NORM, TN, EXP, ABC, CN, CN-SIGMA, CN-TAU (default: all; bouc-wen: the first four)",
     )
-    add("--draws", type=int, help="draws per chain (default: 2000, quick 250; bouc-wen: 500, quick 100)")
-    add("--chains", type=int, help="chains (default: 4, quick 2)")
+    add("--draws", type=int, help="draws per chain (default: 2000, quick 250; bouc-wen: 1000, quick 100)")
+    add("--chains", type=int, help="chains (default: 4, quick 2; bouc-wen: 2)")
     add("--cores", type=int, help="processes (default: all processors)")
     add("--traceback", action="store_true", help="on an error, show where it came from")
     return parser

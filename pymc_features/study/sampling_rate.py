@@ -59,7 +59,7 @@ def sampling_rate_study(
         all seven of the linear chain, the first four of the other.
     draws, chains, cores : int
         Of `sample_smc`, with `SubsetSimulation` for ABC and `PersistentSMC` otherwise; by default four chains
-        of 2000 draws of the linear chain, of 500 of the other, whose response takes longer, and all
+        of 2000 draws of the linear chain, two of 1000 of the other, whose response takes longer, and all
         processors.
     random_seed : int
         Of noise and samplers.
