@@ -107,21 +107,25 @@ def common_window(clocks: list[Clock]) -> Window:
     if any(clock.start is None for clock in clocks):
         return _without_clocks(clocks)
     dt = float(f"{np.mean([clock.dt for clock in clocks]):.10g}")
-    start = max(clock.start for clock in clocks)
-    offsets = np.array([(start - clock.start) / dt for clock in clocks])
-    skipped = np.rint(offsets).astype(int)
+    latest = max(clock.start for clock in clocks)
+    steps = int(np.rint((latest - first.start) / dt))  # of the first clock, to which the others are aligned
+    starts = np.array([clock.start for clock in clocks])
+    skipped = np.rint((first.start + steps * dt - starts) / dt).astype(int)
+    if skipped.min() < 0:
+        steps, skipped = steps + 1, skipped + 1
+    start = first.start + steps * dt
     n_times = min(clock.n_times - k for clock, k in zip(clocks, skipped, strict=True))
     if n_times < 2:
         ranges = ", ".join(f"{clock.file} {clock.start:.6g} s to {clock.stop:.6g} s" for clock in clocks)
         raise ValueError(
-            f"Sensors must have a common clock, these have no time in common: {ranges}. Pass clock=False and "
-            "`dt` if the files start together, or one event only."
+            f"Sensors must have a common clock, these have no time in common: {ranges}. Pass clock=False "
+            "and `dt` if the files start together, or one event only."
         )
-    for clock, rest in zip(clocks, offsets - skipped, strict=True):
-        if abs(rest) > _SIMULTANEOUS + 2.0 * clock.quantum / dt:
+    for clock, late in zip(clocks, starts + skipped * dt - start, strict=True):
+        if abs(late) > _SIMULTANEOUS * dt + 2.0 * clock.quantum:
             warn_channel(
-                f"{clock.file}: its samples come {1e3 * abs(rest) * dt:.3g} ms ({abs(rest):.2g} samples) "
-                f"{'before' if rest > 0.0 else 'after'} those of the others by their clocks; they are taken "
+                f"{clock.file}: its samples come {1e3 * abs(late):.3g} ms ({abs(late) / dt:.2g} samples) "
+                f"{'after' if late > 0.0 else 'before'} those of {first.file} by the clocks; they are taken "
                 "as simultaneous. Resample it first if that matters."
             )
         if n_times < 0.5 * clock.n_times:

@@ -58,7 +58,7 @@ def check_channels(
     ChannelWarning
         If a channel is clipped, interrupted, a copy, or implausible in m/s^2; or against the base inverted,
         unrelated (coherence below 0.5), larger or smaller by a factor that units explain (gain beyond 0.4 to
-        2.5), or late or early by more than a tenth of a sample, what the damping explains and four standard
+        2.5), or late or early by more than a tenth of a sample, what the damping explains and three standard
         errors; or if the gains do not rise from the base up, so that sensors may be swapped.
     """
     check_array(channels, sensors=True)
@@ -100,7 +100,7 @@ def _against_base(row: dict, base: str, allowed: tuple[float, float]) -> list[st
             f"has a low-frequency gain of {gain:.3g} against {base}, where floors follow the base"
             f"{', ' if reason else ''}{reason}. Check units and sensitivity."
         )
-    limit = allowed[0] + abs(1.0 - 1.0 / max(abs(gain), 1.0)) * allowed[1] + 4.0 * row["lag_error"]
+    limit = allowed[0] + abs(1.0 - 1.0 / max(abs(gain), 1.0)) * allowed[1] + 3.0 * row["lag_error"]
     if abs(lag) > limit:
         messages.append(
             f"comes {1e3 * abs(lag):.3g} ms ({abs(lag) * _LATE / allowed[0]:.3g} samples) "

@@ -64,12 +64,15 @@ def _runs(history) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _clipped(history) -> str | None:
-    """Flat tops at the largest or smallest value."""
+    """Flat tops at the largest or smallest value, entered or left by more than the resolution explains."""
     starts, lengths = _runs(history)
+    resolution = np.diff(np.unique(history)).min()
+    jumps = _jumps(history, starts)
     for extreme, word in ((history.max(), "largest"), (history.min(), "smallest")):
         if abs(extreme - np.median(history)) < 0.5 * history.std():
             continue  # the value at rest
-        flat = lengths[(history[starts] == extreme) & (lengths >= _FLAT_TOP)]
+        # a smooth peak that rounds to three equal samples has 1.5 steps of the resolution beside them
+        flat = lengths[(history[starts] == extreme) & (lengths >= _FLAT_TOP) & (jumps > 3.0 * resolution)]
         if flat.size:
             return (
                 f"looks clipped: {flat.sum()} samples at its {word} value {extreme:.4g} m/s^2, in "
@@ -78,13 +81,18 @@ def _clipped(history) -> str | None:
     return None
 
 
+def _jumps(history, starts) -> np.ndarray:
+    """Larger one of the steps before and after each stretch."""
+    between = np.abs(np.diff(history)[starts[1:] - 1])
+    return np.maximum(np.r_[0.0, between], np.r_[between, 0.0])
+
+
 def _held(history) -> str | None:
     """A value held, or filled in, amid a motion: it ends, or starts, with a jump."""
     starts, lengths = _runs(history)
-    jumps = np.abs(np.diff(history)[starts[1:] - 1])  # between a stretch and the next
-    around = np.maximum(np.r_[0.0, jumps], np.r_[jumps, 0.0])
+    jumps = _jumps(history, starts)
     inner = (history[starts] != history.max()) & (history[starts] != history.min())
-    held = np.flatnonzero((lengths >= _HELD) & (around > 2.0 * np.diff(history).std()) & inner)
+    held = np.flatnonzero((lengths >= _HELD) & (jumps > 2.0 * np.diff(history).std()) & inner)
     if not held.size:
         return None
     longest = held[np.argmax(lengths[held])]
