@@ -310,8 +310,8 @@ def in_row_20(change):
 BROKEN = {
     "gap": (
         lambda rows: rows[:20] + rows[23:],
-        r"floor2.csv, line 27: no samples may be missing, 3 are, in 1 gap\(s\), the first from 991.1700\d* s to "
-        r"991.20\d* s at a step of 0.008333 s. Cut the file",
+        r"floor2.csv, line 27: no samples may be missing, 3 are, in 1 gap\(s\), the first from 991.1700\d* s "
+        r"to 991.20\d* s at a step of 0.008333 s. Cut the file",
     ),
     "two gaps": (
         lambda rows: rows[:20] + rows[21:30] + rows[32:],
@@ -444,24 +444,27 @@ def test_files_without_clocks_must_fit(tmp_path):
 def test_clocks_that_are_not_simultaneous(tmp_path):
     files = group(tmp_path)
     files["floor2"] = export(tmp_path, "floor2", MOTION[2, :N], ticks=991_014_697 + TICK * np.arange(N))
-    [message] = messages(lambda: read(files))
-    assert message.startswith(
-        "floor2.csv: its samples come 3 ms (0.36 samples) after those of base.csv by the"
-    )
-    np.testing.assert_allclose(read(files).values, MOTION[:, :N], atol=1e-13)
-    early = {"floor2": files["floor2"], "base": files["base"]}
-    assert (
-        "base.csv: its samples come 3 ms (0.36 samples) before those of floor2"
-        in messages(lambda: read(early))[0]
-    )
+    with pytest.warns(ChannelWarning, match=r"floor2.csv: its samples come 3 ms \(0.36 samples\) after"):
+        np.testing.assert_allclose(read(files).values, MOTION[:, :N], atol=1e-13)
+    with pytest.warns(
+        ChannelWarning, match=r"base.csv: .* 3 ms \(0.36 samples\) before those of floor2.csv by"
+    ):
+        read({"floor2": files["floor2"], "base": files["base"]})
     files["floor2"] = export(tmp_path, "floor2", MOTION[2, :N], ticks=991_017_697 + TICK * np.arange(N))
-    [message] = messages(lambda: read(files))  # nearer to the next sample of the others
-    assert message.startswith(
-        "floor2.csv: its samples come 2.33 ms (0.28 samples) before those of base.csv by the"
-    )
-    aligned = read(files)
+    with pytest.warns(
+        ChannelWarning, match=r"floor2.csv: .* 2.33 ms \(0.28 samples\) before those of base.csv"
+    ):
+        aligned = read(files)  # nearer to the next sample of the others
     np.testing.assert_allclose(aligned.values[0], MOTION[0, 1:N], atol=1e-13)
     np.testing.assert_allclose(aligned.values[2], MOTION[2, : N - 1], atol=1e-13)
+    assert len(messages(lambda: read(files))) == 1
+
+
+def test_clocks_read_to_a_coarse_tick_are_simultaneous(tmp_path):
+    """What the resolution of a clock explains is no lag."""
+    ticks = [991_000 + np.round(20.0 * np.arange(N)).astype(int) + late for late in (0, 2)]  # [ms]
+    files = [export(tmp_path, f"s{k}", MOTION[k, :N], ticks=tick) for k, tick in enumerate(ticks)]
+    assert messages(lambda: read(files, clock_units="ms")) == []
 
 
 def test_short_window(tmp_path):
