@@ -7,6 +7,7 @@ import warnings
 import h5py
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.io import savemat
 
 from pymc_features import ChannelWarning, check_channels, read_channels
@@ -81,6 +82,12 @@ def test_a_group_of_raw_exports(tmp_path):
     assert channels.attrs["units"] == "m/s^2"
     assert channels.attrs["start"] == pytest.approx(991.02003, abs=1e-9)
     assert channels["time"].attrs["units"] == "s"
+
+
+def test_channels_save_to_netcdf(tmp_path):
+    channels = read(group(tmp_path))
+    channels.to_netcdf(tmp_path / "channels.nc", engine="h5netcdf")
+    xr.testing.assert_identical(xr.load_dataarray(tmp_path / "channels.nc", engine="h5netcdf"), channels)
 
 
 def test_sensors_are_aligned_on_their_clocks(tmp_path):

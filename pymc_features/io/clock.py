@@ -111,8 +111,6 @@ def common_window(clocks: list[Clock]) -> Window:
     steps = int(np.rint((latest - first.start) / dt))  # of the first clock, to which the others are aligned
     starts = np.array([clock.start for clock in clocks])
     skipped = np.rint((first.start + steps * dt - starts) / dt).astype(int)
-    if skipped.min() < 0:
-        steps, skipped = steps + 1, skipped + 1
     start = first.start + steps * dt
     n_times = min(clock.n_times - k for clock, k in zip(clocks, skipped, strict=True))
     if n_times < 2:
