@@ -63,6 +63,9 @@ def check_channels(
 
     Notes
     -----
+    A swap is found if the gains differ by more than 1 % and three standard errors, so not in a band where the
+    base hardly moves, nor between high floors of almost the same gain: look at `gain_error`.
+
     No false alarm in 240 shaken chains of random stiffness, with noise of 0.3 % of the peak, over 20 and 60 s
     (a part of them in tests/test_signals.py).
     """
