@@ -15,7 +15,7 @@ A feature likelihood is a probability model of the mean-square discrepancy of ea
 sample: its uncertainty does not depend on the sampling rate.
 """
 
-from pymc_features import datasets
+from pymc_features import datasets, signals
 from pymc_features.distributions import (
     CorrelatedNormal,
     ExpFeature,
@@ -35,10 +35,11 @@ from pymc_features.inference import (
     sample_nuts,
     tolerance_sweep,
 )
-from pymc_features.io import read_matrices, read_record
+from pymc_features.io import read_channels, read_matrices, read_record
 from pymc_features.likelihood_free import DiscrepancySimulator, SimulationWarning, abc_tolerance
 from pymc_features.ops import NotDifferentiableError, mean_square_discrepancy, response
 from pymc_features.records import Loading, Record
+from pymc_features.signals import ChannelWarning, check_channels
 from pymc_features.simulators import integration_error, simulate, spring_forces
 from pymc_features.smc import (
     TMCMC,
@@ -65,6 +66,7 @@ from pymc_features.study import paper, sampling_rate_study
 __all__ = [
     "AffineStructure",
     "ChainsDisagreeWarning",
+    "ChannelWarning",
     "CorrelatedNormal",
     "DiscrepancySimulator",
     "DuffingChain",
@@ -91,6 +93,7 @@ __all__ = [
     "ToleranceNotReachedError",
     "TruncNormalFeature",
     "abc_tolerance",
+    "check_channels",
     "datasets",
     "first_passage_probability",
     "fisher_information",
@@ -105,6 +108,7 @@ __all__ = [
     "plot_tolerance",  # noqa: F822
     "plot_widths",  # noqa: F822
     "posterior_response",
+    "read_channels",
     "read_matrices",
     "read_record",
     "response",
@@ -112,6 +116,7 @@ __all__ = [
     "sample_smc",
     "sampling_rate_study",
     "sigma_mpv",
+    "signals",
     "simulate",
     "spring_forces",
     "synthetic_earthquake",

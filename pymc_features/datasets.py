@@ -1,15 +1,18 @@
-"""Real ground motions, downloaded once and checked, or taken from a local folder."""
+"""Real ground motions and measurements, downloaded once and checked, or taken from a local folder."""
 
 import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
+import xarray as xr
 
+from pymc_features.io import read_channels
 from pymc_features.records import Record
 
-__all__ = ["DatasetUnavailableError", "el_centro"]
+__all__ = ["DatasetUnavailableError", "el_centro", "mini_shake_table"]
 
 #: Name of the environment variable with the folder that is searched before the network.
 DATA_VARIABLE = "PYMC_FEATURES_DATA"
@@ -37,6 +40,41 @@ _SOURCES = {
         url="https://raw.githubusercontent.com/insane-group/interpretable-structural-dynamics/"
         "a63b3e533484f791464aaa1f3354eaca8292c575/data/elcentro.dat",
         sha256="9836d860a6943ae728bed3b52e6dbbf0d4f54fd123f52b54e5980fd6e6c9d0aa",
+    ),
+}
+
+
+_SHAKE_TABLE = (
+    "https://raw.githubusercontent.com/STAIRlab/mdof/c8c0f8c8b773d11acd72d141842d4fd8150b6167/"
+    + quote("notebooks/uploads/mini_shake_table/Flexible vs. Stiff/Flexible 3 story/")
+)
+_LEVELS = {
+    "base": "Ground Floor/({})Xsens DOT_{}.csv",
+    "floor1": "1st Floor/({})Xsens DOT_{}.csv",
+    "floor2": "2nd Floor/({})left leg_{}.csv",
+    "floor3": "3rd Floor (Top floor)/({})Xsens DOT_{}.csv",
+}
+# event: name of the local files, name and time in the published ones, SHA-256 from the base up
+_EVENTS = {
+    "northridge": (
+        "northridge",
+        ("Northridge", "20250306_122607"),
+        (
+            "d38c0442e1836535852f2b45217af3486615714e7742f26feaa0b2ff3d9e52a9",
+            "3086df1825be77215bb5344ee76bb6ad55afac815871bc6845c122749fec07a1",
+            "26f8cc9dac2d1afd7923b8dd41992b33ae2922b8cdcc5943d1a4b034a30ae424",
+            "a3f9fa56a402b0177f89dc88236f37b85a474cb92f72e04ce9c01f71fe914c07",
+        ),
+    ),
+    "sine1p5": (
+        "sine1p5hz",
+        ("Sine 1.5", "20250306_121949"),
+        (
+            "ab0002eea09f13086d5024e0340771624a17cf9f3f7b7e21bfe38d59016ce165",
+            "4462d46f87f0794f65cbbb76909abcd9e2304f5f7f3ce81ffe05a8fe11870797",
+            "d8ee143acdb5ec7d586f9bdb32ceb3de7ff692af76105f6da6e324a5eec67b8a",
+            "9c384a59016c35e6867c6f596e731b63a438619f4c82fff47381aed9444d1b65",
+        ),
     ),
 }
 
@@ -72,6 +110,55 @@ def el_centro() -> Record:
     return Record(_GRAVITY * acceleration, dt=0.02, name="El Centro 1940 NS")
 
 
+def mini_shake_table(event: str) -> xr.DataArray:
+    """Accelerations of a three-storey model on a shaking table, as its sensors measured them.
+
+    A flexible steel-wall model (University of California, Berkeley, 6 March 2025), one wireless sensor on the
+    table and on each floor. Looked for as `el_centro` is: ``PYMC_FEATURES_DATA/mini_shake_table``, cache,
+    network, with SHA-256.
+
+    Parameters
+    ----------
+    event : str
+        "northridge", a scaled ground motion from 10.3 to 62.2 s, or "sine1p5", a sine of 1.5 Hz from 16.0
+        to 48.2 s. Before it the model is still, but for 0.03 m/s^2 rms on floor3 before northridge; after it
+        the model vibrates freely.
+
+    Returns
+    -------
+    xarray.DataArray (sensor, time)
+        Absolute acceleration [m/s^2] in the direction of shaking: sensors base, floor1, floor2, floor3;
+        12116 or 7307 samples 0.008333 s apart, by the sensors' clocks.
+
+    Raises
+    ------
+    DatasetUnavailableError
+        If a file is not at hand and cannot be downloaded.
+    ValueError
+        If there is no such event, or a local file is not the published one.
+
+    Notes
+    -----
+    As measured, but for the empty first packet. Each sensor has an offset of -0.05 to 0.22 m/s^2 (tilt);
+    noise 0.010 to 0.012 m/s^2 rms. No channel is inverted; floor3 comes 2 ms after the base, a quarter sample
+    (`check_channels`). Lumped floor masses 0.1601, 0.1601, 0.1421 kg: weighed blocks and sensors, and the
+    share of two walls. Natural frequencies near 3.7, 11.2 and 16.7 Hz.
+
+    References
+    ----------
+    STAIRlab, mdof, https://github.com/STAIRlab/mdof, BSD-2-Clause.
+    """
+    if event not in _EVENTS:
+        raise ValueError(f"`event` must be one of {', '.join(_EVENTS)}, got {event!r}.")
+    local, names, digests = _EVENTS[event]
+    paths = {}
+    for (level, there), digest in zip(_LEVELS.items(), digests, strict=True):
+        file = f"mini_shake_table/flexible_{local}_{level}.csv"
+        paths[level] = _fetch(_Source(file, _SHAKE_TABLE + quote(there.format(*names), safe="/()"), digest))
+    channels = read_channels(paths, columns="Acc_X", units="m/s^2", skip=1)
+    return channels.assign_attrs(event=event)
+
+
 def _fetch(source: _Source) -> Path:
     """Path of the checked file: the local folder first, then the cache, then the network."""
     if folder := os.environ.get(DATA_VARIABLE):
@@ -105,6 +192,7 @@ def _download(source: _Source) -> Path:
     except (OSError, ValueError) as error:  # no network, no cache folder, or other bytes
         raise DatasetUnavailableError(
             f"{source.file} could not be downloaded from {source.url} ({error}). Set "
-            f"{DATA_VARIABLE} to a folder that holds it, or pass a record file to `read_record`."
+            f"{DATA_VARIABLE} to a folder that holds it, or pass a record file to `read_record`, or "
+            "measured channels to `read_channels`."
         ) from error
     return Path(path)

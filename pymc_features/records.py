@@ -61,6 +61,38 @@ class Record:
         object.__setattr__(self, "dt", dt)
         object.__setattr__(self, "name", str(self.name))
 
+    @classmethod
+    def from_channel(cls, channels, sensor=None, name=None) -> "Record":
+        """Make a record of a measured channel, such as the base of a shaking table.
+
+        Parameters
+        ----------
+        channels : xarray.DataArray (sensor, time) or (time,)
+            Accelerations in m/s^2 with an even time coordinate [s], as `read_channels` returns them.
+        sensor : optional
+            Label of the channel; to be left out if there is only one.
+        name : str, optional
+            Of the record, that of the sensor by default.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If there is no such sensor, the units are not m/s^2, or the times are not even.
+        """
+        if not all(hasattr(channels, part) for part in ("dims", "coords", "attrs")):
+            raise TypeError(
+                f"`channels` must be an xarray.DataArray, got {type(channels).__name__}. "
+                "Pass arrays as Record(acceleration, dt)."
+            )
+        channel = _picked(channels, sensor)
+        if channel.attrs.get("units") != "m/s^2":
+            raise ValueError(
+                f'`channels` must have attrs["units"] "m/s^2", got {channel.attrs.get("units")!r}. '
+                "Convert them, and say so there."
+            )
+        label = channel.coords["sensor"].item() if "sensor" in channel.coords else ""
+        return cls(channel.values, _even_step(channel), str(label) if name is None else name)
+
     def __repr__(self):
         label = f"{self.name!r}, " if self.name else ""
         return (
@@ -193,6 +225,33 @@ class Loading:
     def duration(self) -> float:
         """Time of the last sample [s]."""
         return (self.n_times - 1) * self.dt
+
+
+def _picked(channels, sensor):
+    """One channel (time,) of an array (sensor, time) or (time,)."""
+    if sensor is not None:
+        labels = channels.coords["sensor"].values.tolist() if "sensor" in channels.coords else []
+        if "sensor" not in channels.dims or sensor not in labels:
+            raise ValueError(f"`sensor` must be one of the channels {labels}, got {sensor!r}.")
+        channels = channels.isel(sensor=labels.index(sensor))
+    elif "sensor" in channels.dims and channels.sizes["sensor"] == 1:
+        channels = channels.isel(sensor=0)
+    if channels.dims != ("time",):
+        raise ValueError(
+            f"`sensor` must name one channel, got None for an array with dimensions {channels.dims}."
+        )
+    return channels
+
+
+def _even_step(channel):
+    """Sampling interval [s] of a channel, from its time coordinate."""
+    if "time" not in channel.coords or channel.sizes["time"] < 2:
+        raise ValueError("`channels` must have a time coordinate [s] of at least 2 samples, got none.")
+    time = np.asarray(channel.coords["time"].values, dtype=np.float64)
+    step = (time[-1] - time[0]) / (time.size - 1)
+    if not (step > 0.0 and np.abs(time - time[0] - step * np.arange(time.size)).max() <= 1e-3 * step):
+        raise ValueError("`channels` must be evenly sampled, their time steps vary. Resample them first.")
+    return float(f"{step:.10g}")
 
 
 def _numbers(value, name):

@@ -6,8 +6,8 @@ import numpy as np
 import pooch
 import pytest
 
-from pymc_features import datasets
-from pymc_features.datasets import DatasetUnavailableError, el_centro
+from pymc_features import Record, datasets
+from pymc_features.datasets import DatasetUnavailableError, el_centro, mini_shake_table
 from pymc_features.io import read_record
 from pymc_features.io.units import G
 
@@ -128,3 +128,55 @@ def test_failed_download(cache, monkeypatch, action, reason):
     assert isinstance(caught.value, OSError)
     assert len(calls) == 1  # no retries
     assert not (cache / FILE).exists()
+
+
+LEVELS = ["base", "floor1", "floor2", "floor3"]
+EVENTS = [("northridge", "northridge", 12116, 7.878), ("sine1p5", "sine1p5hz", 7307, 6.652)]
+
+
+@pytest.mark.parametrize(("event", "file", "n_times", "pga"), EVENTS)
+def test_mini_shake_table(no_download, data_dir, recwarn, event, file, n_times, pga):
+    channels = mini_shake_table(event)
+    assert not recwarn.list
+    assert list(channels["sensor"].values) == LEVELS
+    assert channels.sizes["time"] == n_times
+    assert (channels.attrs["units"], channels.attrs["event"]) == ("m/s^2", event)
+    for level in LEVELS:
+        path = data_dir / "mini_shake_table" / f"flexible_{file}_{level}.csv"
+        column = np.loadtxt(path, delimiter=",", skiprows=9, usecols=5)  # without the empty packet
+        np.testing.assert_array_equal(channels.sel(sensor=level).values, column)
+    base = Record.from_channel(channels, "base")
+    assert (base.dt, base.name) == (0.008333, "base")
+    assert base.pga == pytest.approx(pga, abs=1e-3)
+
+
+def test_mini_shake_table_has_two_events():
+    with pytest.raises(ValueError, match="`event` must be one of northridge, sine1p5, got 'kobe'"):
+        mini_shake_table("kobe")
+
+
+def test_mini_shake_table_is_downloaded_once(cache, data_dir, monkeypatch):
+    def copy(target):
+        shutil.copyfile(
+            data_dir / "mini_shake_table" / f"flexible_sine1p5hz_{LEVELS[len(calls) - 1]}.csv", target
+        )
+
+    calls = serve(monkeypatch, copy)
+    first, second = mini_shake_table("sine1p5"), mini_shake_table("sine1p5")
+    assert len(calls) == 4
+    np.testing.assert_array_equal(first.values, second.values)
+    folder = (
+        "https://raw.githubusercontent.com/STAIRlab/mdof/c8c0f8c8b773d11acd72d141842d4fd8150b6167/notebooks/"
+    )
+    folder += "uploads/mini_shake_table/Flexible%20vs.%20Stiff/Flexible%203%20story/"
+    assert calls[0] == f"{folder}Ground%20Floor/(Sine%201.5)Xsens%20DOT_20250306_121949.csv"
+    assert calls[2] == f"{folder}2nd%20Floor/(Sine%201.5)left%20leg_20250306_121949.csv"
+    assert calls[3] == f"{folder}3rd%20Floor%20(Top%20floor)/(Sine%201.5)Xsens%20DOT_20250306_121949.csv"
+
+
+def test_mini_shake_table_unavailable(cache, monkeypatch):
+    serve(monkeypatch, no_answer)
+    with pytest.raises(
+        DatasetUnavailableError, match="flexible_northridge_base.csv could not be downloaded.*no route"
+    ):
+        mini_shake_table("northridge")

@@ -6,6 +6,7 @@ import pickle
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from pymc_features import Record
 
@@ -109,3 +110,46 @@ def test_bad_acceleration(acceleration, error, match):
 def test_bad_dt(dt, error, match):
     with pytest.raises(error, match=match):
         Record([0.0, 1.0], dt=dt)
+
+
+def measured(**attrs):
+    return xr.DataArray(
+        [[0.0, 1.0, -3.0], [0.0, 2.0, 4.0]],
+        dims=("sensor", "time"),
+        coords={"sensor": ["base", "roof"], "time": [5.0, 5.02, 5.04]},
+        attrs={"units": "m/s^2"} | attrs,
+    )
+
+
+def test_record_of_a_channel():
+    record = Record.from_channel(measured(), "base")
+    assert (record.dt, record.name, record.n_times) == (0.02, "base", 3)
+    np.testing.assert_array_equal(record.acceleration, [0.0, 1.0, -3.0])
+    assert Record.from_channel(measured().sel(sensor="roof"), name="top").name == "top"
+    assert Record.from_channel(measured().isel(sensor=[1])).pga == 4.0
+    assert Record.from_channel(measured().isel(sensor=0, drop=True)).name == ""
+    numbered = measured().assign_coords(sensor=[7, 8])
+    assert Record.from_channel(numbered, 8).pga == 4.0
+
+
+@pytest.mark.parametrize(
+    ("channels", "settings", "error", "match"),
+    [
+        ([0.0, 1.0], {}, TypeError, "`channels` must be an xarray.DataArray, got list"),
+        (measured(), {}, ValueError, "`sensor` must name one channel, got None for an array with dimensions"),
+        (
+            measured(),
+            {"sensor": "ground"},
+            ValueError,
+            r"one of the channels \['base', 'roof'\], got 'ground'",
+        ),
+        (measured()[0], {"sensor": "base"}, ValueError, "`sensor` must be one of the channels"),
+        (measured(units="g"), {"sensor": "base"}, ValueError, '"units"] "m/s.2", got \'g\'. Convert them'),
+        (measured().drop_attrs(), {"sensor": "base"}, ValueError, "got None. Convert them"),
+        (measured()[:, [0, 2, 1]], {"sensor": "base"}, ValueError, "must be evenly sampled"),
+        (measured().drop_vars("time"), {"sensor": "base"}, ValueError, "must have a time coordinate"),
+    ],
+)
+def test_channels_that_are_no_record(channels, settings, error, match):
+    with pytest.raises(error, match=match):
+        Record.from_channel(channels, **settings)

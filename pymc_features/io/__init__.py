@@ -1,9 +1,10 @@
-"""Ground-motion files, one format, one file, one line in `READERS`; and matrices of structures."""
+"""Ground motions, one format, one file, one line in `READERS`; measured channels; matrices of structures."""
 
 from os import PathLike
 from pathlib import Path
 
 from pymc_features.io.at2 import read_at2
+from pymc_features.io.channels import CHANNEL_READERS, read_channels
 from pymc_features.io.check import check_readable
 from pymc_features.io.mat import read_mat
 from pymc_features.io.matrices import read_matrices
@@ -11,7 +12,7 @@ from pymc_features.io.text import read_text
 from pymc_features.io.units import check_dt, unit_factor
 from pymc_features.records import Record
 
-__all__ = ["READERS", "read_matrices", "read_record"]
+__all__ = ["CHANNEL_READERS", "READERS", "read_channels", "read_matrices", "read_record"]
 
 #: Reader of every file suffix (lower case); any other suffix is read as text.
 READERS = {

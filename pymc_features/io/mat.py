@@ -13,18 +13,13 @@ from scipy.io import loadmat
 from pymc_features.io.units import resolve_dt, resolve_units, time_step
 from pymc_features.records import Record
 
-_TIMES = ("t", "time")
-_SCALARS = ("dt", "fs")
+TIMES = ("t", "time")
+SCALARS = ("dt", "fs")
 
 
 def read_mat(path: Path, *, units=None, dt=None, column=None) -> Record:
     """Read one acceleration series from the variables of a .mat file; see `read_record`."""
-    try:
-        variables = _load_hdf5(path) if h5py.is_hdf5(path) else _load_mat(path)
-    except Exception as error:  # each damaged file fails in its own way, inside the parsers
-        raise ValueError(
-            f"{path.name} must be a MATLAB .mat file, it cannot be read ({error}). Save it again."
-        ) from error
+    variables = load_variables(path)
     name = _pick(variables, column, path.name)
     values = variables[name].astype(np.float64).squeeze()
     stated = {}
@@ -34,9 +29,7 @@ def read_mat(path: Path, *, units=None, dt=None, column=None) -> Record:
         values = values[:, 1]
     stated |= _stated_steps(variables, values.size, path.name, dt)
     step = resolve_dt(dt, _agreed(stated, path.name, dt), path.name)
-    unit = variables.get("units")
-    unit = str(unit.item()) if unit is not None and unit.dtype.kind == "U" else None
-    factor = resolve_units(units, unit, path.name)
+    factor = resolve_units(units, stated_units(variables), path.name)
     if not np.isfinite(values).all():
         bad = int(np.argmin(np.isfinite(values)))
         raise ValueError(
@@ -44,6 +37,31 @@ def read_mat(path: Path, *, units=None, dt=None, column=None) -> Record:
             f"{values[bad]}. Correct or cut it first."
         )
     return Record(factor * values, step, name=path.stem)
+
+
+def load_variables(path: Path) -> dict[str, np.ndarray]:
+    """Arrays of numbers and texts of a .mat file of any version, by name."""
+    try:
+        return _load_hdf5(path) if h5py.is_hdf5(path) else _load_mat(path)
+    except Exception as error:  # each damaged file fails in its own way, inside the parsers
+        raise ValueError(
+            f"{path.name} must be a MATLAB .mat file, it cannot be read ({error}). Save it again."
+        ) from error
+
+
+def stated_units(variables: dict[str, np.ndarray]) -> str | None:
+    """The text in the variable `units`."""
+    unit = variables.get("units")
+    return str(unit.item()) if unit is not None and unit.dtype.kind == "U" else None
+
+
+def describe(variables: dict[str, np.ndarray], file: str) -> str:
+    """What a file holds, as a sentence of a message."""
+    found = ", ".join(
+        f"{name} {'text' if value.dtype.kind == 'U' else value.shape}"
+        for name, value in sorted(variables.items())
+    )
+    return f"{file} holds {found or 'no arrays of numbers'}."
 
 
 def _load_mat(path: Path) -> dict[str, np.ndarray]:
@@ -92,11 +110,7 @@ def _is_series(value: np.ndarray) -> bool:
 
 def _pick(variables: dict[str, np.ndarray], column, file: str) -> str:
     """Name of the acceleration variable."""
-    found = ", ".join(
-        f"{name} {'text' if value.dtype.kind == 'U' else value.shape}"
-        for name, value in sorted(variables.items())
-    )
-    found = f"{file} holds {found or 'no arrays of numbers'}."
+    found = describe(variables, file)
     if column is not None:
         if not isinstance(column, str):
             raise TypeError(f"`column` must be the name of a variable, got {column!r}. {found}")
@@ -107,9 +121,7 @@ def _pick(variables: dict[str, np.ndarray], column, file: str) -> str:
             )
         return column
     candidates = [
-        name
-        for name, value in variables.items()
-        if _is_series(value) and name.lower() not in _TIMES + _SCALARS
+        name for name, value in variables.items() if _is_series(value) and name.lower() not in TIMES + SCALARS
     ]
     if len(candidates) != 1:
         raise ValueError(
@@ -137,10 +149,10 @@ def _stated_steps(variables, n_times: int, file: str, dt: float | None) -> dict[
     for name, value in variables.items():
         if value.dtype.kind == "U":
             continue
-        if name.lower() in _SCALARS and value.size == 1 and float(value.item()) > 0.0:
+        if name.lower() in SCALARS and value.size == 1 and float(value.item()) > 0.0:
             number = float(value.item())
             steps[name] = number if name.lower() == "dt" else 1.0 / number
-        elif name.lower() in _TIMES and _shape(value) == (n_times,):
+        elif name.lower() in TIMES and _shape(value) == (n_times,):
             steps[name] = _even(np.squeeze(value), name, file, dt)
     return steps
 

@@ -1,0 +1,195 @@
+"""Measured channels of several sensors, from one file or a group of files, on their common clock."""
+
+import operator
+from collections.abc import Iterable, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from pymc_features.io.at2 import read_at2
+from pymc_features.io.check import check_readable
+from pymc_features.io.clock import Clock, clock_seconds, common_window
+from pymc_features.io.mat_channels import read_mat_channels
+from pymc_features.io.measured import MeasuredFile, Request
+from pymc_features.io.text_channels import read_text_channels
+from pymc_features.io.units import check_dt, unit_factor
+from pymc_features.signals.single import check_each
+
+
+def _read_at2_channel(path: Path, request: Request) -> MeasuredFile:
+    record = read_at2(path, units=request.units, dt=request.dt, column=None)
+    values = record.acceleration[None, request.skip :]
+    return MeasuredFile([path.stem], values, Clock(path.name, values.shape[1], record.dt))
+
+
+#: Reader of channels by file suffix (lower case); any other suffix is read as text.
+CHANNEL_READERS = {".at2": _read_at2_channel, ".mat": read_mat_channels}
+
+
+def read_channels(
+    files: str | PathLike | Sequence[str | PathLike] | Mapping[str, str | PathLike],
+    *,
+    columns: int | str | Sequence[int | str] | Mapping[str, int | str] | None = None,
+    units: str | float | None = None,
+    dt: float | None = None,
+    clock: int | str | bool | None = None,
+    clock_units: str | float | None = None,
+    skip: int = 0,
+) -> xr.DataArray:
+    """Read measured accelerations of several sensors, aligned on their common clock, in m/s^2.
+
+    One file with several columns, or one file for each sensor. Files are aligned by whole samples of their
+    clocks and cut to the window they have in common; nothing else is changed.
+
+    Parameters
+    ----------
+    files : path, sequence of paths or mapping of sensor name to path
+        Text (raw exports with any lines above the numbers, CSV), MATLAB (``.mat``) or PEER AT2 files. List
+        sensors from the base up.
+    columns : int, str, sequence of them, or mapping of sensor name to column, optional
+        Which columns of every file are accelerations, by index from 0 or header name, or which MATLAB
+        variables; a matrix there is several sensors. All but the clock by default.
+    units : str or float, optional
+        "g" (9.81 m/s^2), "m/s^2", "cm/s^2" or "gal", or m/s^2 per file unit, positive. Headers such as
+        ``acc [g]`` and a MATLAB text variable ``units`` state it.
+    dt : float, optional
+        Sampling interval [s], positive; stated by the clock, or by MATLAB's ``dt`` or ``fs`` [Hz].
+    clock : int, str or False, optional
+        Column or variable with the times; by default one called t, time, timestamp or SampleTimeFine, else a
+        first column that runs forward. False: there is none, the files start together.
+    clock_units : str or float, optional
+        Of the clock: "s", "ms", "us", "ns" or seconds per count. Headers such as ``time [ms]`` state it;
+        without a statement seconds, of SampleTimeFine microseconds.
+    skip : int
+        Rows left out at the start of every file, such as an empty first packet.
+
+    Returns
+    -------
+    xarray.DataArray (sensor, time)
+        Accelerations [m/s^2] with coordinates `sensor`, the keys of `files` or `columns`, else file or column
+        names, and `time` [s] from 0. `attrs`: `units`, and `start`, the clock at the first sample [s].
+
+    Raises
+    ------
+    FileNotFoundError, IsADirectoryError, OSError
+        If there is no such file or it cannot be opened.
+    ValueError, TypeError
+        If an argument is not admissible, a file is broken, its clock has gaps or uneven steps, the sensors
+        have no common clock, or a channel is constant; the message names file and line.
+
+    Warns
+    -----
+    ChannelWarning
+        If a channel looks clipped or interrupted, is a copy of another or implausible in these units, if the
+        first samples are empty, or the clocks are not simultaneous. `check_channels` compares the sensors.
+    UserWarning
+        If `units` or `dt` contradicts a file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "frame.csv"
+    ...     _ = path.write_text("time [s],base [g],roof [g]\\n0.00,0.1,0.0\\n0.02,0.0,0.3\\n0.04,-0.2,0.1\\n")
+    ...     read_channels(path).sel(sensor="roof").values
+    array([0.   , 2.943, 0.981])
+    """
+    paths, labels = _named_paths(files)
+    keys, picked = _named_columns(columns)
+    request = Request(
+        columns=picked,
+        units=units,
+        dt=check_dt(dt),
+        clock=clock,
+        clock_units=None if clock_units is None else clock_seconds(clock_units),
+        skip=_check_skip(skip),
+    )
+    _check_clock(clock, dt)
+    if units is not None:
+        unit_factor(units)
+    found = []
+    for path in paths:
+        check_readable(path)
+        found.append(CHANNEL_READERS.get(path.suffix.lower(), read_text_channels)(path, request))
+    window = common_window([file.clock for file in found])
+    values = [file.values[:, k : k + window.n_times] for file, k in zip(found, window.first, strict=True)]
+    channels = xr.DataArray(
+        np.concatenate(values),
+        dims=("sensor", "time"),
+        coords={
+            "sensor": _sensor_names(found, labels, keys, isinstance(files, Mapping)),
+            "time": ("time", window.dt * np.arange(window.n_times), {"units": "s"}),
+        },
+        name="acceleration",
+        attrs={"units": "m/s^2", "start": window.start},
+    )
+    check_each(channels)
+    return channels
+
+
+def _named_paths(files) -> tuple[list[Path], list[str]]:
+    """Paths, and what each is called."""
+    if isinstance(files, str | PathLike):
+        files = [files]
+    if isinstance(files, Mapping):
+        paths, labels = [Path(path) for path in files.values()], [str(name) for name in files]
+    elif isinstance(files, Iterable):
+        paths = [Path(path) for path in files]
+        labels = [path.stem for path in paths]
+    else:
+        raise TypeError(
+            f"`files` must be a path, several, or a mapping of sensor names to paths, got {files!r}."
+        )
+    if not paths:
+        raise ValueError("`files` must name at least one file, got none.")
+    return paths, labels
+
+
+def _named_columns(columns) -> tuple[list[str] | None, list | None]:
+    """Names of the sensors where they are given, and the columns."""
+    if columns is None:
+        return None, None
+    if isinstance(columns, Mapping):
+        names, picked = [str(name) for name in columns], list(columns.values())
+    else:
+        single = isinstance(columns, str) or not isinstance(columns, Iterable)
+        names, picked = None, [columns] if single else list(columns)
+    if not picked:
+        raise ValueError("`columns` must name at least one column, got none.")
+    return names, picked
+
+
+def _check_skip(skip) -> int:
+    try:
+        number = operator.index(skip)
+    except TypeError:
+        raise TypeError(f"`skip` must be an integer, got {skip!r}.") from None
+    if number < 0:
+        raise ValueError(f"`skip` must not be negative, got {skip}. It counts rows at the start.")
+    return number
+
+
+def _check_clock(clock, dt) -> None:
+    if clock is True:
+        raise TypeError("`clock` must be a column, False or None, got True.")
+    if clock is False and dt is None:
+        raise ValueError("`dt` must be given with clock=False. Pass the sampling interval in seconds.")
+
+
+def _sensor_names(found, labels, keys, named: bool) -> list[str]:
+    """One name for each channel: of its file, of its column, or of both where there are several of both."""
+    names = []
+    for file, label in zip(found, labels, strict=True):
+        own = keys if keys is not None and len(keys) == len(file.names) else file.names
+        if len(own) == 1 and (keys is None or named or len(found) > 1):
+            names.append(label)
+        else:
+            names += own if len(found) == 1 and not named else [f"{label} {name}" for name in own]
+    if len(set(names)) < len(names):
+        raise ValueError(
+            f"Sensors must have different names, got {', '.join(names)}. Pass `files` or `columns` as a "
+            "mapping of names."
+        )
+    return names

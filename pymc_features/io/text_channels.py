@@ -1,0 +1,73 @@
+"""Channels of text and CSV files: the exports of loggers and of tables."""
+
+from pathlib import Path
+
+import numpy as np
+
+from pymc_features.io.clock import SECONDS, Clock, even_step
+from pymc_features.io.measured import MeasuredFile, Request
+from pymc_features.io.table import Table, parse_table
+from pymc_features.io.units import resolve_dt, resolve_units
+
+#: Seconds per count of columns that are clocks by their labels (lower case). "SampleTimeFine" is the
+#: microsecond counter in exports of Movella (Xsens) DOT sensors.
+CLOCKS = {"t": 1.0, "time": 1.0, "timestamp": 1.0, "sampletimefine": 1e-6}
+
+
+def read_text_channels(path: Path, request: Request) -> MeasuredFile:
+    """Read columns of a text file and its clock; see `read_channels`."""
+    table = parse_table(path, request.skip)
+    timer = _clock_column(table, request.clock)
+    if request.columns is None:
+        picked = [index for index in range(table.values.shape[1]) if index != timer]
+    else:
+        picked = [table.find(column, "columns", "acceleration") for column in request.columns]
+    if not picked or timer in picked:
+        raise ValueError(
+            f"`columns` must name accelerations in {table.file}, beside its clock (column {timer}), which is "
+            f"one of or all that is picked among {table.names()}. Pass others, or `clock`."
+        )
+    factors = [resolve_units(request.units, table.stated_unit(index), table.file) for index in picked]
+    values = np.array(factors)[:, None] * table.values[:, picked].T
+    names = [table.name(index) or f"column {index}" for index in picked]
+    return MeasuredFile(names, values, _clock(table, timer, request))
+
+
+def _clock_column(table: Table, clock) -> int | None:
+    """Index of the column with the times: as asked, by its label, or a first column that runs forward."""
+    if clock is False:
+        return None
+    if clock is not None:
+        return table.find(clock, "clock", "times")
+    n_columns = table.values.shape[1]
+    labelled = [i for i in range(n_columns) if (table.name(i) or "").lower() in CLOCKS]
+    if labelled:
+        return labelled[0]
+    forward = n_columns > 1 and (np.diff(table.values[:, 0]) > 0.0).mean() > 0.9
+    return 0 if forward else None
+
+
+def _clock(table: Table, timer: int | None, request: Request) -> Clock:
+    n_times = table.values.shape[0]
+    if timer is None:
+        return Clock(table.file, n_times, resolve_dt(request.dt, None, table.file))
+    stated = [SECONDS[unit.lower()] for unit in table.brackets(timer) if unit.lower() in SECONDS]
+    known = CLOCKS.get((table.name(timer) or "").lower(), 1.0)
+    scale = request.clock_units or next(iter(stated), known)
+    quantum = table.quantum(timer)
+    times = scale * table.values[:, timer]
+    step = even_step(times, table.where, scale * quantum)
+    if (
+        step >= 1.0 and request.clock_units is None and not stated and known == 1.0
+    ):  # a counter, or other units
+        if request.dt is None:
+            raise ValueError(
+                f"`clock_units` must be given, the clock of {table.file} (column {timer}) has a step of "
+                f"{step:g}, "
+                'too long for seconds. Pass "ms", "us" or the seconds per count.'
+            )
+        scale = request.dt / step
+        times, step = scale * table.values[:, timer], request.dt
+    return Clock(
+        table.file, n_times, resolve_dt(request.dt, step, table.file), float(times[0]), scale * quantum
+    )

@@ -1,0 +1,29 @@
+"""Processing and checks of measured channels, `xarray` arrays (sensor, time) as `read_channels` returns them.
+
+    window = pmf.signals.trim(channels, 18.0, 48.0)
+    still = pmf.signals.detrend(window, window=(0.0, 2.0))
+    clean = pmf.signals.band_pass(still, low=0.2, high=40.0)
+    slower = pmf.signals.decimate(clean, 2)
+
+Each function takes an array and returns a new one; the same goes for every channel, base and floors, so that
+their ratios stay what they were.
+"""
+
+from pymc_features.signals.channels import ChannelWarning, sampling_step
+from pymc_features.signals.check import check_channels
+from pymc_features.signals.decimate import decimate
+from pymc_features.signals.detrend import detrend
+from pymc_features.signals.filter import band_pass
+from pymc_features.signals.quasi_static import low_frequency_gains
+from pymc_features.signals.trim import trim
+
+__all__ = [
+    "ChannelWarning",
+    "band_pass",
+    "check_channels",
+    "decimate",
+    "detrend",
+    "low_frequency_gains",
+    "sampling_step",
+    "trim",
+]

@@ -1,0 +1,51 @@
+"""Removing offsets and drifts of sensors."""
+
+import numpy as np
+import xarray as xr
+
+from pymc_features.signals.channels import check_window, rebuilt, sampling_step
+
+_DEGREES = {"constant": 0, "linear": 1}
+
+
+def detrend(
+    channels: xr.DataArray, kind: str = "constant", *, window: tuple[float, float] | None = None
+) -> xr.DataArray:
+    """Channels less their offset, or less the straight line of least squares.
+
+    Parameters
+    ----------
+    channels : xarray.DataArray (sensor, time) or (time,)
+        Measured channels.
+    kind : str
+        "constant", such as the share of gravity in a tilted sensor, or "linear", a slow drift besides.
+    window : tuple of float, optional
+        (from, to) [s] to take offset or line from, such as the quiet time before the shaking, where the mean
+        of a short record is not its offset. The whole record by default.
+
+    Returns
+    -------
+    xarray.DataArray
+        Of the same shape.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If `kind` is unknown or the window does not lie within the record.
+
+    Examples
+    --------
+    >>> ramp = xr.DataArray([1.0, 2.0, 4.0], dims="time", coords={"time": [0.0, 0.1, 0.2]})
+    >>> detrend(ramp, window=(0.0, 0.1)).values
+    array([-0.5,  0.5,  2.5])
+    """
+    if kind not in _DEGREES:
+        raise ValueError(f"`kind` must be one of {', '.join(_DEGREES)}, got {kind!r}.")
+    step = sampling_step(channels)
+    low, high = (0, channels.sizes["time"]) if window is None else check_window(channels, window)
+    # about the middle of the window, in units of its half: offset and slope are then orthogonal
+    place = (np.arange(channels.sizes["time"]) - (low + high - 1) / 2.0) / max((high - low) / 2.0, 1.0)
+    powers = place ** np.arange(_DEGREES[kind] + 1)[:, None]  # (power, time)
+    values = channels.values.astype(np.float64)
+    fit = np.linalg.lstsq(powers[:, low:high].T, np.atleast_2d(values)[:, low:high].T)[0]
+    return rebuilt(channels, values - (fit.T @ powers).reshape(values.shape), step)

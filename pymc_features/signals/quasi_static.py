@@ -1,0 +1,141 @@
+"""What channels say below the first natural frequency, where a structure follows its base."""
+
+import numpy as np
+import xarray as xr
+
+from pymc_features.signals.channels import check_array, check_frequency, sampling_step
+
+_SEGMENTS = 8  # at least, without overlap, so that a coherence means something
+_BINS = 6  # frequencies of a spectrum inside the band, at least
+
+
+def low_frequency_gains(
+    channels: xr.DataArray, band: tuple[float, float], *, base: str | int | None = None
+) -> xr.Dataset:
+    """Gain, time lag and coherence of every channel against the base, below the first natural frequency.
+
+    There the floors move with the base, y(t) = gain x(t - lag), with gains a little above 1 that grow with
+    height. Estimated from the cross-spectrum over the band: the lag by least squares of the phase, weighted
+    by the coherence, after whole samples by the largest cross-correlation; the gain by regression.
+
+    Parameters
+    ----------
+    channels : xarray.DataArray (sensor, time)
+        Absolute accelerations in one direction.
+    band : tuple of float
+        (from, to) [Hz]: where the base moves, and not above half of the first natural frequency.
+    base : str or int, optional
+        The channel to compare with, the first by default.
+
+    Returns
+    -------
+    xarray.Dataset (sensor)
+        `gain`, negative for an inverted sensor; `lag` [s], positive for a channel that comes late;
+        `gain_error` and `lag_error`, their standard errors; `coherence`, mean over the band.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the base is no channel, or the record is too short for the band.
+
+    Notes
+    -----
+    Damping delays the floors too, by (1 - 1/gain) zeta / (pi f_1) well below f_1. A lag in a motion of a
+    single frequency is ambiguous by its period: what tells are the start and the end of the motion.
+
+    References
+    ----------
+    Bendat and Piersol, Random Data, 4th ed., sections 5.2 (delays) and 9.2 (errors of gain and phase).
+    """
+    check_array(channels, sensors=True)
+    step = sampling_step(channels)
+    low, high = check_band(band, step)
+    names = [str(name) for name in sensor_names(channels)]
+    x = channels.values[base_index(channels, base)].astype(np.float64)
+    shortest = max(_BINS / (high - low), 2.0 / low) / step
+    size = max(x.size // _SEGMENTS, int(np.ceil(shortest)))
+    if x.size < 2 * size:
+        raise ValueError(
+            f"`channels` must last at least {2 * size * step:.3g} s for the band {low:g} to {high:g} Hz, got "
+            f"{x.size * step:.3g} s. Widen the band or take a longer window."
+        )
+    rows = [_compare(x, y.astype(np.float64), step, (low, high), size) for y in channels.values]
+    columns = ("gain", "gain_error", "lag", "lag_error", "coherence")
+    seconds = {"units": "s"}
+    found = {
+        name: ("sensor", values, seconds if name.startswith("lag") else {})
+        for name, values in zip(columns, np.transpose(rows), strict=True)
+    }
+    return xr.Dataset(found, coords={"sensor": names}, attrs={"band": [low, high]})
+
+
+def sensor_names(channels: xr.DataArray) -> list:
+    """Labels of the sensors, counted where they have none."""
+    coords = channels.coords
+    return list(coords["sensor"].values) if "sensor" in coords else list(range(channels.sizes["sensor"]))
+
+
+def base_index(channels: xr.DataArray, base) -> int:
+    """Place of the base among the sensors."""
+    names = sensor_names(channels)
+    if base is None:
+        return 0
+    if base not in names:
+        listed = ", ".join(map(repr, map(str, names)))
+        raise ValueError(f"`base` must be one of the sensors {listed}, got {base!r}.")
+    return names.index(base)
+
+
+def check_band(band, step: float) -> tuple[float, float]:
+    """Two rising frequencies [Hz] below half the sampling rate."""
+    try:
+        low, high = band
+    except (TypeError, ValueError):
+        raise TypeError(f"`band` must be two frequencies (from, to) in Hz, got {band!r}.") from None
+    low, high = (check_frequency(edge, "band", 0.5 / step) for edge in (low, high))
+    if not low < high:
+        raise ValueError(f"`band` must rise, got ({low:g}, {high:g}) Hz.")
+    return low, high
+
+
+def _compare(x, y, step, band, size) -> tuple[float, float, float, float, float]:
+    """Gain, its error, lag, its error and coherence of y (time,) against x (time,)."""
+    from scipy import signal  # a second to import
+
+    shift, sign = _whole_lag(x, y, step, band)
+    x, y = (x[: x.size - shift], y[shift:]) if shift >= 0 else (x[-shift:], y[:shift])
+    size = min(size, x.size)
+    settings = {"fs": 1.0 / step, "nperseg": size}
+    frequencies, cross = signal.csd(x, y, **settings)
+    inside = (frequencies >= band[0]) & (frequencies <= band[1])
+    power_x, power_y = (signal.welch(z, **settings)[1][inside] for z in (x, y))
+    cross, omega = sign * cross[inside], 2.0 * np.pi * frequencies[inside]
+    coherence = np.abs(cross) ** 2 / np.maximum(power_x * power_y, np.finfo(float).tiny)
+    scatter = np.maximum(1.0 - coherence, 0.0) / np.maximum(
+        2.0 * coherence * x.size / size, 1e-12
+    )  # variance of a phase
+    weights = omega**2 / (scatter + 1e-12)
+    rest = -(weights * np.angle(cross) / omega).sum() / weights.sum()
+    gain = (cross * np.exp(1j * omega * rest)).real.sum() / power_x.sum()
+    # neighbours of a Hann window are correlated: two thirds as many independent ones
+    lag_variance = 1.5 * (weights**2 * scatter / omega**2).sum() / weights.sum() ** 2
+    gain_variance = 1.5 * (power_x**2 * scatter).sum() / power_x.sum() ** 2
+    return (
+        float(sign * gain),
+        float(abs(gain) * np.sqrt(gain_variance)),
+        float(shift * step + rest),
+        float(np.sqrt(lag_variance)),
+        float((coherence * power_x).sum() / power_x.sum()),
+    )
+
+
+def _whole_lag(x, y, step, band) -> tuple[int, float]:
+    """Lag in samples, and sign, of the largest cross-correlation within the band, up to a quarter record."""
+    n = x.size
+    frequencies = np.fft.rfftfreq(2 * n, step)
+    inside = (frequencies >= band[0]) & (frequencies <= band[1])
+    spectra = [np.fft.rfft(z - z.mean(), 2 * n) * inside for z in (x, y)]
+    correlation = np.fft.irfft(np.conj(spectra[0]) * spectra[1], 2 * n)
+    lags = np.arange(-(n // 4), n // 4 + 1)
+    best = int(lags[np.argmax(np.abs(correlation[lags]))])
+    return best, 1.0 if correlation[best] >= 0.0 else -1.0
