@@ -4,6 +4,7 @@ from pymc_features.simulators.compilation import SOURCE_HASH
 from pymc_features.simulators.discrepancy import chain_discrepancy, chain_misfit
 from pymc_features.simulators.gradient import discrepancy_gradient, population_gradient, response_gradient
 from pymc_features.simulators.histories import HISTORIES, has_response, modal_systems, response_blocks
+from pymc_features.simulators.nonlinear_kernels import nonlinear_kernels
 from pymc_features.simulators.population import population_discrepancy, population_misfit
 from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
 from pymc_features.simulators.sampling import UNITS, request
@@ -25,6 +26,7 @@ __all__ = [
     "integration_error",
     "modal_systems",
     "n_outputs",
+    "nonlinear_kernels",
     "population_discrepancy",
     "population_gradient",
     "population_misfit",
