@@ -157,6 +157,27 @@ def test_order_five(structure):
     assert order == pytest.approx(5.0, abs=0.1)
 
 
+@pytest.mark.parametrize(("sharpness", "push"), [(1.0, 7.835), (2.0, 7.8185)])
+def test_there_and_back_within_one_step(sharpness, push):
+    """Velocity of one sign at both ends of a step and of the other for 2 ms between: 1e-6 if overlooked."""
+    chain = HystereticChain(
+        1.0,
+        [50.0],
+        ModalDamping(0.0),
+        yield_displacement=0.01,
+        post_yield_ratio=0.1,
+        beta=0.5,
+        gamma=0.4,
+        sharpness=sharpness,
+    )
+    record = Record([0.0, -3.0, -3.0, -1.0, push, -4.0, -4.0, 0.0, 0.0], 0.02)
+    velocity = simulate(chain, record, dt=0.02 / 64, quantity="relative_velocity").values[0]
+    turned = np.flatnonzero(velocity < 0.0)
+    assert 0.001 < 0.02 / 64 * np.sum(turned < 340) < 0.005, turned
+    coarse, fine = (histories(chain, record, refine, quantities=[3]) for refine in (1, 32))
+    assert distance(coarse, fine) < 1e-7
+
+
 def test_duffing_free_vibration_is_a_jacobi_elliptic_cosine():
     """u" + k u + c u^3 = 0: u = A cn(W t + p | m) with W^2 = k + c A^2, m = c A^2 / (2 W^2)."""
     k, c = 300.0, 2e6

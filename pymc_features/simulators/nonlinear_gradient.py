@@ -8,6 +8,10 @@ What a step's length depends on: the number of steps into which a segment is div
 constant but where it jumps, and the response jumps there by no more than the error of the integration. Steps
 that end at a kink have lengths that depend on the state, through the time of the kink; their derivatives are
 included (`step_adjoint.remove_time`).
+
+Against a tight solution the derivatives are right to 1e-8 ... 1e-7 of their peak (tests), for Bouc-Wen
+springs with n = 1 to 1e-6 and with n = 1.2 to 4e-5: |z|^n is no smoother than that where z passes zero. One
+gradient costs about six responses, whatever the number of parameters.
 """
 
 import numpy as np

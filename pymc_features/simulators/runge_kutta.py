@@ -3,7 +3,8 @@
 A method of order 5 keeps its order only if the right-hand side is smooth within each step. It is not where
 a hysteretic spring turns back (d' = 0) or its internal variable passes zero: a step across such a kink would
 have a local error of second order. There the step ends at the kink, found by a cubic through the step's
-ends and then by Newton's method, and a second step makes up the rest.
+ends and then by Newton's method, and a second step makes up the rest. All stages of a step are on one branch
+of the law: what they see is smooth, even where a stage lies a little beyond the kink.
 
 Nothing is tried and rejected: the number of steps is a function of the state at their start (`advance`),
 and the state a deterministic function of the parameters.
