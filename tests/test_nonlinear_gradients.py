@@ -7,12 +7,12 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
 from pymc_features.simulators import discrepancy_gradient, response_gradient
+from pymc_features.simulators.families import NONLINEAR
 from pymc_features.simulators.lane_bits import aligned, read_lanes, write_lanes
 from pymc_features.simulators.lane_functions import logarithm, power
 from pymc_features.simulators.lanes import LANES
 from pymc_features.simulators.nonlinear import nonlinear_histories
 from pymc_features.simulators.nonlinear_kernels import nonlinear_kernels
-from pymc_features.simulators.simulate import NONLINEAR
 from pymc_features.simulators.tape import CAPACITY
 
 KERNELS = {family: nonlinear_kernels(law) for family, law in NONLINEAR.items()}

@@ -15,21 +15,20 @@ from pymc_features.simulators.springs import integration_error, spring_forces
 from pymc_features.simulators.tangent import discrepancy_tangent, response_tangent
 
 __all__ = [
-    "at_outputs",
-    "checked_request",
-    "force_share",
-    "rows_of",
     "FAMILIES",
-    "Ensemble",
     "HISTORIES",
     "QUANTITIES",
     "SOURCE_HASH",
     "UNITS",
+    "Ensemble",
+    "at_outputs",
     "chain_discrepancy",
     "chain_misfit",
     "chain_response",
+    "checked_request",
     "discrepancy_gradient",
     "discrepancy_tangent",
+    "force_share",
     "integration_error",
     "largest",
     "n_outputs",
@@ -39,6 +38,7 @@ __all__ = [
     "request",
     "response_gradient",
     "response_tangent",
+    "rows_of",
     "simulate",
     "spring_forces",
 ]
