@@ -509,6 +509,9 @@ def test_refusals_of_the_functions(chain):
         simulate(chain, record, dt=0.03)
     with pytest.raises(TypeError, match="`record` must be a Record, got list"):
         spring_forces(chain, [1.0])
+    for function in (spring_forces, integration_error):
+        with pytest.raises(TypeError, match="`record` must be a Record for a .*Chain, got Loading"):
+            function(chain, pmf.Loading([[0.0, 1.0]], 0.02))
     symbolic = chain.scale_stiffness(pt.scalar("f"), [0])
     with pytest.raises(TypeError, match="got PyTensor variables. Use `response"):
         simulate(symbolic, record)
