@@ -724,6 +724,9 @@ def test_a_dashpot_or_a_shared_mass_is_a_connection():
             ValueError,
             r"`influence` must have shape \(2,\) or \(2, supports\), got \(3,\)",
         ),
+        ({"influence": "all"}, TypeError, "`influence` must be an array of numbers, got str"),
+        ({"influence": pt.vector()}, TypeError, "got TensorVariable. .* they cannot be random"),
+        ({"mass": pt.vector()}, TypeError, "what is random goes into the `theta` of an AffineStructure"),
         ({"influence": [1.0, np.inf]}, ValueError, "`influence` must be finite, got NaN or infinity"),
     ],
 )
@@ -777,6 +780,15 @@ def test_refused_arguments(changes, error, match):
             ValueError,
             "`theta` must be 1 .* got 2 values",
         ),
+        (
+            {"stiffness_terms": [K2] * 2, "theta": [pt.vector(), 1.0]},
+            ValueError,
+            "`theta` must be 2 .* got entries that are no scalars",
+        ),
+        ({"stiffness_terms": [K2], "theta": "soft"}, TypeError, "`theta` must be numbers or .* got str"),
+        ({"stiffness_terms": K2}, TypeError, "`stiffness_terms` must be a sequence of matrices, got ndarray"),
+        ({"mass_terms": sparse.eye_array(2)}, TypeError, "`mass_terms` must be a sequence of matrices, got "),
+        ({"stiffness_terms": None}, TypeError, "`stiffness_terms` must be a sequence .* got NoneType"),
     ],
 )
 def test_refused_affine_arguments(changes, error, match):

@@ -113,6 +113,10 @@ def response(
         structure, record, quantity, dt=step, sensors=sensors, n_modes=n_modes, outputs=outputs
     )
     if HISTORIES[quantity].dim == "support":
+        if sensors is not None:
+            raise ValueError(
+                f"`sensors` must be left out for the base shear, got {sensors!r}. It sums all masses."
+            )
         return base_shear(structure, record, dt, asked)
     return respond(structure, record, dt, asked, rows_of(structure, quantity, asked.sensors, outputs).picked)
 

@@ -62,6 +62,8 @@ def cubic_root(c, high):
     """Root in (0, high) of a cubic whose values at 0 and `high` differ in sign."""
     low, positive = 0.0, c[0] > 0.0
     x = high * c[0] / (c[0] - cubic(c, high))
+    if not low <= x <= high:  # rounding errors have the signs that are not expected
+        x = 0.5 * high
     for _ in range(8):
         value = cubic(c, x)
         if (value > 0.0) == positive:
@@ -84,7 +86,8 @@ def next_root(before, after, slope_before, slope_after, passed):
     third = 2.0 * (before - after) + slope_before + slope_after
     c = (before, slope_before, second, third)
     if passed:
-        return cubic_root((slope_before, second, third, 0.0), 1.0) if slope_before * after < 0.0 else 2.0
+        ahead = slope_before * (after - before) < 0.0
+        return cubic_root((slope_before, second, third, 0.0), 1.0) if ahead else 2.0
     if before * after < 0.0:
         return cubic_root(c, 1.0)
     if before * slope_before < 0.0 < after * slope_after:  # there and back?

@@ -61,6 +61,7 @@ MAX_STEPS = 4000  # in one segment; more are needed by parameters far from any s
 KINK_TOLERANCE = 1e-9  # of where a kink lies, in steps; the error left behind is proportional to it
 NEWTON_STEPS = 4
 AHEAD = 1e-6  # part of a step after which a kink at its start is over
+ROUNDING = 1e-10  # a drift rate that is smaller beside the velocities it is the difference of says nothing
 
 
 @jit
@@ -118,6 +119,22 @@ def step_to_kink(law, which, step, piece, ground, trend):
 
 
 @jit
+def is_noise(law, which, step):
+    """Whether the kink at the end of a step is one of a spring that does not move, but for rounding errors.
+
+    So are the upper springs of a long chain at first: the ground moves all masses alike. The time of such a
+    kink has no derivative, and nothing depends on it.
+    """
+    spring = which if which < law.n else which - law.n
+    first = (state(law, LAST) + law.rows) * LANES + spring
+    speed = abs(read_number(law.address, first))
+    if spring > 0:
+        speed += abs(read_number(law.address, first - 1))
+    rate, change = kink_value(law, LAST, spring)
+    return abs(rate if which >= law.n else change * step) <= ROUNDING * speed
+
+
+@jit
 def begin_piece(law, step, ground):
     """Choose the branches of a step that begins at the present state, and renew the slope if they change."""
     if has_kinks(law) and turn(law, AHEAD * step):
@@ -134,7 +151,7 @@ def pass_kinks(law, step, ground, trend, tape):
         write_number(law.address, first + which, 1.0 + read_number(law.address, first + which))
         piece = step_to_kink(law, which, left, where * left, ground, trend)
         if tape is not None:
-            write_tape(law, tape, piece, ground, trend, which)
+            write_tape(law, tape, piece, ground, trend, -1 if is_noise(law, which, step) else which)
         accept(law)
         ground += trend * piece
         left -= piece

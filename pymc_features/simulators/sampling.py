@@ -54,7 +54,7 @@ def request(
         raise ValueError(f"`quantity` must be one of {', '.join(QUANTITIES)}, got {quantity!r}.")
     if n_modes is None:
         n_modes = n_dof
-    elif isinstance(n_modes, bool) or int(n_modes) != n_modes or not 1 <= n_modes <= n_dof:
+    elif isinstance(n_modes, bool | str) or int(n_modes) != n_modes or not 1 <= n_modes <= n_dof:
         raise ValueError(
             f"`n_modes` must be an integer from 1 to {n_dof}, got {n_modes}. Leave it out for all modes."
         )
@@ -78,7 +78,13 @@ def check_sensors(sensors, n_dof: int) -> np.ndarray:
 
 def check_outputs(outputs, n_dof: int) -> np.ndarray:
     """Return the matrix S (s, n) of wanted combinations S x as an array of its own."""
-    matrix = np.array(outputs.toarray() if hasattr(outputs, "toarray") else outputs, dtype=np.float64)
+    try:
+        matrix = np.array(outputs.toarray() if hasattr(outputs, "toarray") else outputs, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"`outputs` must be a matrix of numbers, got {type(outputs).__name__}. Combine a response by "
+            "variables with `pt.dot`."
+        ) from None
     if matrix.ndim != 2 or matrix.shape[1] != n_dof or matrix.shape[0] == 0:
         raise ValueError(
             f"`outputs` must have shape (s, {n_dof}), got {matrix.shape}. "
@@ -100,6 +106,11 @@ def sampling_grid(record_dt: float, dt: float | None) -> tuple[int, int]:
     """
     if dt is None:
         return 1, 1
+    if np.ndim(dt) or not isinstance(dt, float | int | np.number | np.ndarray):
+        raise TypeError(
+            f"`dt` must be a number, got {type(dt).__name__}. Pass the output step in seconds; in a model it "
+            "may be pm.Data."
+        )
     if not 0.0 < dt < np.inf:
         raise ValueError(f"`dt` must be positive, got {dt}. Pass the output step in seconds.")
     ratio = dt / record_dt

@@ -81,7 +81,7 @@ def _histories(structure, record, codes, *, dt=None, refine=1):
     values = nonlinear_histories(
         NONLINEAR[structure.family],
         structure.parameters(),
-        record.acceleration,
+        structure.excitation(record),
         record.dt,
         asked.substeps,
         asked.stride,

@@ -51,9 +51,9 @@ class AffineStructure(LinearStructure):
     ):
         stiffness = as_matrix(stiffness, "stiffness", "N/m")
         given = {
-            "mass_terms": (tuple(mass_terms), "kg"),
-            "damping_terms": (tuple(damping_terms), "N s/m"),
-            "stiffness_terms": (tuple(stiffness_terms), "N/m"),
+            "mass_terms": (_listed(mass_terms, "mass_terms"), "kg"),
+            "damping_terms": (_listed(damping_terms, "damping_terms"), "N s/m"),
+            "stiffness_terms": (_listed(stiffness_terms, "stiffness_terms"), "N/m"),
         }
         lengths = {len(terms) for terms, _ in given.values()} - {0}
         if len(lengths) != 1:
@@ -84,11 +84,18 @@ class AffineStructure(LinearStructure):
                 return vector
             got = f"a tensor of shape {vector.type.shape}"
         elif isinstance(theta, list | tuple) and any(isinstance(entry, Variable) for entry in theta):
-            if len(theta) == p:
-                return pt.stack([pt.as_tensor_variable(entry, dtype="float64") for entry in theta])
-            got = f"{len(theta)} values"
+            entries = [pt.as_tensor_variable(entry, dtype="float64") for entry in theta]
+            if len(entries) == p and not any(entry.ndim for entry in entries):
+                return pt.stack(entries)
+            got = f"{len(entries)} values" if len(entries) != p else "entries that are no scalars"
         else:
-            vector = np.atleast_1d(np.array(theta, dtype=np.float64))
+            try:
+                vector = np.atleast_1d(np.array(theta, dtype=np.float64))
+            except (TypeError, ValueError):
+                raise TypeError(
+                    f"`theta` must be numbers or PyTensor variables, got {type(theta).__name__}. "
+                    "Pass one for each parameter."
+                ) from None
             if vector.shape == (p,) and np.isfinite(vector).all():
                 vector.setflags(write=False)
                 return vector
@@ -107,6 +114,16 @@ class AffineStructure(LinearStructure):
         changed = copy.copy(self)
         changed._install(self._as_theta(theta))
         return changed
+
+
+def _listed(terms, name):
+    """A tuple of matrices; a single matrix would pass for its rows, each of them a diagonal."""
+    if sparse.issparse(terms) or not np.iterable(terms) or getattr(terms, "ndim", 3) != 3:
+        raise TypeError(
+            f"`{name}` must be a sequence of matrices, got {type(terms).__name__}. "
+            "Pass a list, with None where a parameter does not act."
+        )
+    return tuple(terms)
 
 
 def _checked(matrix, label, unit, stiffness, name):

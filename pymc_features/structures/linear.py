@@ -259,7 +259,13 @@ class LinearStructure(Structure):
 def _influence(value, n):
     if value is None:
         value = np.ones(n)
-    influence = np.array(value.toarray() if sparse.issparse(value) else value, dtype=np.float64)
+    try:
+        influence = np.array(value.toarray() if sparse.issparse(value) else value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"`influence` must be an array of numbers, got {type(value).__name__}. "
+            "Pass displacement ratios [-]; they cannot be random."
+        ) from None
     if influence.ndim not in (1, 2) or influence.shape[0] != n or influence.size == 0:
         raise ValueError(
             f"`influence` must have shape ({n},) or ({n}, supports), got {influence.shape}. "

@@ -53,7 +53,8 @@ def _numbers(value, name, unit):
     except (TypeError, ValueError):
         raise TypeError(
             f"`{name}` must be a matrix of real numbers, got {type(value).__name__}. "
-            f"Pass an array or a SciPy sparse matrix in {unit}."
+            f"Pass an array or a SciPy sparse matrix in {unit}; what is random goes into the `theta` of an "
+            "AffineStructure."
         ) from None
     return matrix.astype(np.float64)
 
