@@ -30,6 +30,7 @@ from pymc_features.algebra.factorisation import count_below, eliminate
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear.blocks import destination
 from pymc_features.simulators.linear.classical import march_modes, modal_table
+from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.state_space import march_state, step_matrices
 from pymc_features.simulators.linear.system import is_coupled
 from pymc_features.simulators.recursion import N_ROWS
@@ -882,3 +883,18 @@ def test_refused_requests():
         simulate(chain, record, outputs=[[np.nan, 1.0]])
     with pytest.raises(TypeError, match="`record` must be a Record, got ndarray"):
         simulate(structure, np.ones(4))
+
+
+def test_negative_stiffness_beside_stiff_elements_is_found():
+    """A soft negative spring below a stiff one: omega^2 = -175 (rad/s)^2 where the largest is 2e12."""
+    stiff = 1e12
+    negative = np.array(
+        [[stiff - 500.0, -stiff, 0.0], [-stiff, stiff + 1000.0, -1000.0], [0.0, -1000.0, 1000.0]]
+    )
+    structure = LinearStructure(np.ones(3), UNDAMPED, negative)
+    with pytest.raises(ValueError, match=r"no negative eigenvalue, got omega\^2 = -17\d"):
+        simulate(structure, noise_record(0))
+    omega, rows = np.empty(3), np.empty((3, 3))
+    assert not dense_modes(np.eye(3), negative, omega, rows)
+    assert dense_modes(np.eye(3), negative + np.diag([500.0, 0.0, 0.0]), omega, rows)
+    assert omega[0] < 1e-2  # a rigid body beside the same stiff element

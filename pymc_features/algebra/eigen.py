@@ -9,6 +9,7 @@ from pymc_features.algebra.affine import to_dense
 from pymc_features.algebra.factorisation import count_below, shifted_factor, spectral_shift
 
 ROUNDING = 1e-15  # a sum this small beside the sum of its absolute terms is taken as zero
+NEGATIVE = 1e-11  # beyond this share of its absolute terms a negative sum is no rounding
 MAX_DENSE = 3000  # a sparse structure of more degrees of freedom is never solved as a dense one
 
 
@@ -31,6 +32,11 @@ def natural_modes(mass, stiffness, n_modes: int, factor=None):
     shapes : array (n, n_modes)
         Columns, the largest entry of each positive.
 
+    Raises
+    ------
+    LinAlgError, a ValueError
+        If an eigenvalue is negative beyond rounding.
+
     Notes
     -----
     Dense: LAPACK, O(n^3). Sparse: implicitly restarted Lanczos on (K + shift M)^-1 M (ARPACK), whose shift
@@ -52,6 +58,11 @@ def natural_modes(mass, stiffness, n_modes: int, factor=None):
     inertia = (shapes * (mass @ shapes)).sum(axis=0)
     values = (shapes * (stiffness @ shapes)).sum(axis=0) / inertia
     terms = (abs(shapes) * (abs(stiffness) @ abs(shapes))).sum(axis=0) / inertia
+    if (values < -NEGATIVE * terms).any():
+        raise np.linalg.LinAlgError(
+            f"`stiffness` must have no negative eigenvalue, got omega^2 = {values.min():.4g} (rad/s)^2. "
+            "Check the signs of the elements; rigid-body modes (omega = 0) are welcome."
+        )
     values = np.where(values < ROUNDING * terms, 0.0, values)
     order = np.argsort(values, kind="stable")
     values, shapes = values[order], (shapes / np.sqrt(inertia))[:, order]

@@ -6,7 +6,7 @@ is its root and costs nothing. The eigenvalues are then replaced by the Rayleigh
 
 import numpy as np
 
-from pymc_features.algebra.eigen import ROUNDING
+from pymc_features.algebra.eigen import NEGATIVE, ROUNDING
 from pymc_features.algebra.factorisation import ZERO_STIFFNESS
 from pymc_features.simulators.compilation import jit
 from pymc_features.simulators.modal import ascending
@@ -135,7 +135,7 @@ def turn_back(mass, factor, diagonal, vectors, shapes):
 
 @jit
 def rayleigh_quotient(stiffness, largest, shape, pushed, inertia):
-    """phi' K phi / phi' M phi, and zero where only rounding is left of it.
+    """phi' K phi / phi' M phi; zero where only rounding is left of it, NaN where it is negative beyond that.
 
     `pushed` (n,) is K phi, `inertia` phi' M phi, and no row of |K| has a sum above `largest`.
     """
@@ -150,12 +150,17 @@ def rayleigh_quotient(stiffness, largest, shape, pushed, inertia):
     for i in range(n):
         for j in range(n):
             terms += abs(shape[i] * stiffness[i, j] * shape[j])
-    return energy / inertia if energy >= ROUNDING * terms else 0.0
+    if energy >= ROUNDING * terms:
+        return energy / inertia
+    return 0.0 if energy >= -NEGATIVE * terms else np.nan
 
 
 @jit
 def normalise(mass, stiffness, diagonal, omega, shapes):
-    """Write the frequencies, ascending, and scale and sort the shapes as `algebra.natural_modes`."""
+    """Write the frequencies, ascending, and scale and sort the shapes as `algebra.natural_modes`.
+
+    False where one is imaginary.
+    """
     n_modes, n = shapes.shape
     pushed = np.dot(shapes, stiffness)
     moved = shapes if diagonal else np.dot(shapes, mass)
@@ -169,11 +174,14 @@ def normalise(mass, stiffness, diagonal, omega, shapes):
             if abs(shape[i]) > abs(shape[peak]):
                 peak = i
         omega[r] = np.sqrt(rayleigh_quotient(stiffness, largest, shape, pushed[r], inertia))
+        if not omega[r] >= 0.0:
+            return False
         scale = (-1.0 if shape[peak] < 0.0 else 1.0) / np.sqrt(inertia)
         for i in range(n):
             shape[i] *= scale
     order = ascending(omega)
     omega[:], shapes[:] = omega[order], shapes[order]
+    return True
 
 
 @jit
@@ -191,8 +199,7 @@ def dense_modes(mass, stiffness, omega, shapes):
     Returns
     -------
     bool
-        False, the arrays then undefined, where M is not positive definite or some omega^2 lies below
-        -shift, see `algebra.spectral_shift`.
+        False, the arrays then undefined, where M is not positive definite or some omega^2 is negative.
 
     Notes
     -----
@@ -221,5 +228,4 @@ def dense_modes(mass, stiffness, omega, shapes):
     except Exception:  # noqa: BLE001  the iteration did not converge; compiled code knows no other class
         return False
     turn_back(mass, factor, diagonal, vectors, shapes)
-    normalise(mass, stiffness, diagonal, omega, shapes)
-    return True
+    return normalise(mass, stiffness, diagonal, omega, shapes)
