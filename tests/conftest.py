@@ -13,8 +13,17 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 
 def pytest_collection_modifyitems(items):
-    """Tests that use JAX come last: it starts threads, and other tests fork. Large files come first."""
-    items.sort(key=lambda item: (item.path.name == "test_jax.py", -item.path.stat().st_size))
+    """Tests that use JAX come last: it starts threads, and other tests fork. Long work comes first."""
+
+    def place(item):
+        name = item.path.name
+        return (
+            name == "test_jax.py",
+            name not in ("test_documents.py", "test_study.py"),
+            -item.path.stat().st_size,
+        )
+
+    items.sort(key=place)
 
 
 @pytest.fixture(scope="session")

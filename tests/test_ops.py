@@ -605,7 +605,7 @@ def edits(tmp_path_factory):
         {},
         {
             "simulators/discrepancy.py": ("errors[j] /= total", "errors[j] *= 2.0 / total"),
-            "simulators/population.py": ("errors[j, lane] / n_times", "5.0 * errors[j, lane] / n_times"),
+            "simulators/recursion_lanes.py": ("errors[j, lane] / n_times", "5.0 * errors[j, lane] / n_times"),
             "ops/numba_dispatch.py": ("return kernel(", "return 3.0 * kernel("),
         },
     ):

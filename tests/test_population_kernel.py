@@ -191,7 +191,7 @@ def test_other_batches_are_left_to_blockwise(case):
 def test_wrong_dimensions_are_refused():
     chain = SpringMassChain(np.ones(2), 100.0, ModalDamping(0.02))
     inputs = response(chain, Record([0.0, 1.0], DT)).owner.inputs
-    with pytest.raises(ValueError, match=r"`mass` must be \(particle, entry\), got 1 dimensions"):
+    with pytest.raises(ValueError, match=r"`mass` must be \(particle, n\), got 1 dimensions"):
         PopulationDiscrepancy()(*inputs, np.zeros((2, 2)))
     rows = [x[None] for x in inputs[:4]]
     with pytest.raises(ValueError, match=r"`observed` must be \(sensor, time\), got 1 dimensions"):
