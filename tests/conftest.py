@@ -13,15 +13,16 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 
 def pytest_collection_modifyitems(items):
-    """Tests that use JAX come last: it starts threads, and other tests fork. Long work comes first."""
+    """README and notebooks first, then what compiles nothing, then large files, and JAX last.
+
+    So one process compiles the kernels that the other will need. JAX starts threads, and other tests fork.
+    """
 
     def place(item):
         name = item.path.name
-        return (
-            name == "test_jax.py",
-            name not in ("test_documents.py", "test_study.py"),
-            -item.path.stat().st_size,
-        )
+        light = name.startswith(("test_io", "test_records", "test_channels", "test_signals", "test_datasets"))
+        rank = 0 if name == "test_documents.py" else 1 if light else 3 if name == "test_jax.py" else 2
+        return rank, -item.path.stat().st_size
 
     items.sort(key=place)
 
