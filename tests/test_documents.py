@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def test_readme_code_runs():
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
     assert blocks
-    code = "\n".join(blocks).replace("chains=2", "chains=2, cores=1")
+    code = "\n".join(blocks).replace("chains=2", "chains=2, cores=1").replace("nuts(1000)", "nuts(200)")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
