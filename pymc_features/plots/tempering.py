@@ -30,7 +30,7 @@ def plot_tempering(idata, axes=None):
     axes = np.asarray(axes)
     labels = {
         "beta": "inverse temperature β [-]",
-        "tolerance": "tolerance δ [squared units of the data]",
+        "tolerance": "tolerance δ [(unit of the data)²]",
     }
     for ax, part, label in ((axes[0], name, labels[name]), (axes[1], "accept_rate", "acceptance rate [-]")):
         if part in stats:

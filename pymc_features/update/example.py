@@ -29,7 +29,7 @@ TABLE_PROCESSING = """\
 detrend = {{ window = [0.5, 9.5] }}   # offset, from the quiet time before the shaking [s]
 check_band = [0.5, 1.8]             # Hz, below half of the first natural frequency: gains, lags, signs
 band_pass = {{ high = 25.0 }}         # corner frequencies low and high [Hz]; without low a low-pass
-trim = [9.0, 21.0]                  # s; the structure is at rest at the start\
+trim = [9.0, 24.0]                  # s; the structure is at rest at the start\
 """
 SYNTHETIC_PROCESSING = """\
 band_pass = {{ high = 25.0 }}         # corner frequencies low and high [Hz]; without low a low-pass
@@ -67,7 +67,7 @@ zeta = {{ distribution = "LogNormal", mu = -4.6, sigma = 0.4 }}   # median 1 %
 sigma = {{ distribution = "HalfNormal", sigma = {scale} }}          # m/s^2, scale of the misfit
 
 [likelihood]
-kinds = ["TN", "EXP", "ABC"]        # and NORM, for which every sample is a new observation
+kinds = ["NORM", "TN", "EXP", "ABC"]   # NORM takes every sample for a new observation
 sigma = "sigma"                     # one for all sensors, or a list with one for each
 # tolerance = 5.0                   # of ABC [m^2/s^4]; without it from EXP, Eq. (16)
 

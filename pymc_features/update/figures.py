@@ -29,9 +29,9 @@ def figures(problem: Problem, result) -> list[Figure]:
         ),
         Figure(
             "frequencies",
-            "Gain of the sensors against the base (Welch), and below it the 5-95 % intervals of the natural "
-            "frequencies with their medians under each likelihood. Dotted: peaks of the gain; dashed: "
-            "frequencies given in the configuration.",
+            "Gain of the sensors against the base (root of the ratio of power spectra), and below it the "
+            "5-95 % intervals of the natural frequencies with their medians under each likelihood. Dotted: "
+            "peaks of the gain; dashed: frequencies given in the configuration.",
             lambda: plots.plot_natural_frequencies(result),
         ),
     ]
@@ -75,8 +75,8 @@ def of_one(problem, part, kind) -> list[Figure]:
         found.append(
             Figure(
                 f"{kind}_ranks",
-                f"{kind}: density of each chain, and ranks of its draws; those of chains that agree stay in "
-                "the band.",
+                f"{kind}: density of each chain, and ranks of its draws; the curves "
+                "of chains that agree stay near the middle (p: of a test that they do).",
                 lambda: plots.plot_chains(part, "rank"),
             )
         )

@@ -242,7 +242,8 @@ def fit_of(part) -> str:
         peaks, label = bands[name], str(name).removesuffix("_peak").replace("_", " ")
         values = np.reshape(peaks.transpose("quantile", ...).values, (peaks.sizes["quantile"], -1))
         dim = next((d for d in peaks.dims if d != "quantile"), None)
-        places = [label] if dim is None else [f"{label} {v}" for v in peaks[dim].values]
+        names = [] if dim is None else [f"{label}, {dim.rpartition('_')[2]} {v}" for v in peaks[dim].values]
+        places = names or [label]
         rows = [(place, *(f"{v:.4g}" for v in row)) for place, row in zip(places, values.T, strict=True)]
         unit = pretty(peaks.attrs.get("units", ""))
         html += html_table((f"largest [{unit}]", "5 %", "50 %", "95 %"), rows)
