@@ -39,10 +39,18 @@ class Measured:
 
 
 class Keyed:
-    """Errors inside get the key of the file they are about in front."""
+    """Errors inside get the section they are about in front.
 
-    def __init__(self, key: str):
-        self.key = key
+    Parameters
+    ----------
+    key : str
+        The section.
+    **renamed
+        Names of arguments to the keys that stand for them.
+    """
+
+    def __init__(self, key: str, **renamed: str):
+        self.key, self.renamed = key, renamed
 
     def __enter__(self):
         return self
@@ -50,7 +58,10 @@ class Keyed:
     def __exit__(self, kind, error, traceback):
         named = isinstance(error, ConfigError | datasets.DatasetUnavailableError)
         if isinstance(error, ValueError | TypeError | OSError) and not named:
-            raise ConfigError(f"[{self.key}]: {error}") from error
+            text = str(error)
+            for argument, key in self.renamed.items():
+                text = text.replace(f"`{argument}`", f"`{key}`")
+            raise ConfigError(f"[{self.key}]: {text}") from error
 
 
 def read_measured(config: Config, folder: Path) -> Measured:
@@ -62,7 +73,7 @@ def read_measured(config: Config, folder: Path) -> Measured:
         If a file is missing or broken, a sensor is not in it, or a step of the processing fails; the message
         names the key.
     """
-    with Keyed("data"):
+    with Keyed("data", path="files"):
         channels, source = read_all(config, folder)
     known = [str(name) for name in channels["sensor"].values]
     wanted = ([] if config.data.base is None else [config.data.base]) + list(config.data.sensors)

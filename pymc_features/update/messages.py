@@ -1,6 +1,7 @@
 """From what pydantic finds to one sentence that names the key."""
 
 import difflib
+import re
 import typing
 from dataclasses import dataclass
 
@@ -58,7 +59,8 @@ def words(error, at: Place) -> str:
         return f"`{at.path}` {error['ctx']['error']}."
     if kind in ("model_type", "model_attributes_type", "dict_type"):
         return f"`{at.path}` must be a table, got {shown(error['input'])}."
-    return f"`{at.path}` must be {meaning(at)}, got {shown(error['input'])}."
+    whole = re.sub(r"\[\d+\]$", "", at.path)  # the words are those of the list
+    return f"`{whole}` must be {meaning(at)}, got {shown(error['input'])}."
 
 
 def meaning(at: Place) -> str:

@@ -15,8 +15,8 @@ from pymc_features.update.messages import ConfigError
 from pymc_features.update.priors import Prior
 from pymc_features.update.structure import StructureOf
 
-#: Sections whose keys change no draw, by themselves or but for what is finished.
-WITHOUT_EFFECT = ("report", "likelihood.kinds", "sampler.cores")
+#: Keys that change no draw, or, as the tolerance, those of ABC alone.
+WITHOUT_EFFECT = ("report", "likelihood.kinds", "likelihood.tolerance", "sampler.cores")
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ def run_update(
         From `read_problem`.
     out : path, optional
         Folder in which each finished likelihood is kept at once; a second call with the same problem
-        continues. Other likelihoods, another report and other `cores` are no other problem.
+        continues. Other likelihoods, another tolerance, report or `cores` are no other problem.
     cores : int, optional
         Processes; as the configuration says, or all processors.
     progress : callable (str, int, int), optional
@@ -65,22 +65,21 @@ def run_update(
     tell = progress or (lambda part, done, total: None)
     for done, kind in enumerate(kinds):
         tell(kind, done, len(kinds))
-        part = store.load(kind)
-        if part is None:
-            part = run_part(problem, kind, parts, cores, progressbar)
+        part, tolerance = store.load(kind), tolerance_of(problem, parts) if kind == "ABC" else None
+        if part is None or part.attrs.get("tolerance") != tolerance:
+            part = run_part(problem, kind, tolerance, cores, progressbar)
             store.save(kind, part)
         parts[kind] = part
     tell("report", len(kinds), len(kinds))
     return xr.DataTree.from_dict({**parts, "data": data_of(problem)}, name=problem.config.report.title)
 
 
-def run_part(problem, kind, parts, cores, progressbar) -> xr.DataTree:
+def run_part(problem, kind, tolerance, cores, progressbar) -> xr.DataTree:
     """Sample one posterior and predict with it; warnings on the way are part of the result."""
     start = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
-        tolerance = tolerance_of(problem, parts) if kind == "ABC" else None
         model = declare(problem, kind, tolerance)
         idata = sample(problem, kind, model, cores, progressbar)
         draws = int(idata["posterior"].sizes["draw"])
@@ -149,7 +148,8 @@ def sample(problem, kind, model, cores, progressbar) -> xr.DataTree:
         return sample_smc(asked.draws, getattr(smc, method), chains=asked.chains, **smc_settings, **common)
     except ToleranceNotReachedError as error:
         raise ConfigError(
-            f"`likelihood.tolerance` must be within reach of the model: {error} What is finished is kept."
+            f"`likelihood.tolerance` must be within reach of the model: {error} Or leave ABC out of "
+            "`likelihood.kinds`; what is finished is kept."
         ) from error
     except (ParallelSamplingError, pm.exceptions.SamplingError, ValueError) as error:
         reason = error.__cause__ if isinstance(error, ParallelSamplingError) else error

@@ -75,7 +75,7 @@ def loaded(value, key, folder):
 
 def read_matrix(asked: Matrix, key, folder):
     """One matrix of a file."""
-    with Keyed(key):
+    with Keyed(key, path="file"):
         found = read_matrices(folder / asked.file)
     if asked.name is None and len(found) == 1:
         return next(iter(found.values()))
