@@ -417,6 +417,14 @@ def test_tolerance_out_of_reach_keeps_the_rest(example, tmp_path, capsys):
     assert (tmp_path / "out" / "parts" / "EXP.nc").exists()
 
 
+def test_what_a_stopped_sampler_returns_is_not_kept(example, tmp_path, monkeypatch):
+    problem, sample = read_problem(example), run.sample
+    monkeypatch.setattr(run, "sample", lambda *all: sample(*all).isel(draw=slice(60)))
+    with pytest.raises(KeyboardInterrupt):
+        run.run_update(problem, out=tmp_path, cores=1, progressbar=False)
+    assert not list((tmp_path / "parts").iterdir())
+
+
 def test_another_tolerance_samples_abc_again(finished, example, tmp_path, monkeypatch):
     """And nothing but ABC."""
     problem = read_problem(variant(example, tmp_path, ("# tolerance = 5.0 ", "tolerance = 40.0 ")))

@@ -82,8 +82,7 @@ def run_part(problem, kind, tolerance, cores, progressbar) -> xr.DataTree:
         warnings.simplefilter("always", UserWarning)
         model = declare(problem, kind, tolerance)
         idata = sample(problem, kind, model, cores, progressbar)
-        draws = int(idata["posterior"].sizes["draw"])
-        if draws < problem.config.sampler.draws:  # PyMC's NUTS returns what it has when it is stopped
+        if is_cut_short(problem, kind, idata["posterior"].sizes):
             raise KeyboardInterrupt
         part = {name: idata[name].to_dataset() for name in GROUPS if name in idata.children}
         part["prior"] = prior_draws(problem, kind)
@@ -101,6 +100,13 @@ def run_part(problem, kind, tolerance, cores, progressbar) -> xr.DataTree:
     if tolerance is not None:
         tree.attrs["tolerance"] = tolerance
     return tree
+
+
+def is_cut_short(problem, kind, sizes) -> bool:
+    """Whether draws or chains are missing: PyMC's NUTS returns what it has when it is stopped."""
+    asked = problem.config.sampler
+    chains = 1 if method_of(problem, kind) == "Laplace" else asked.chains
+    return sizes["draw"] < asked.draws or sizes["chain"] < chains
 
 
 def is_ours(category) -> bool:
