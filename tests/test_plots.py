@@ -198,12 +198,13 @@ def test_tempering_figure(updated):
 def test_prior_posterior_figure(updated):
     [ax] = plots.plot_prior_posterior(updated["EXP"], units={"k": "N/m^2"})
     assert ax.get_xlabel() == "k [N/m²]"
-    prior, posterior = ([(b.get_x(), b.get_width(), b.get_height()) for b in bars] for bars in ax.containers)
-    for bars in (prior, posterior):
-        assert sum(width * height for _, width, height in bars) == pytest.approx(1.0)
+    for step, group in zip(ax.patches, ("prior", "posterior"), strict=True):
+        heights, edges, _ = step.get_data()
+        counts, _ = np.histogram(updated[f"EXP/{group}"]["k"], edges)
+        assert step.get_label() == group
+        np.testing.assert_allclose(heights, counts / counts.max())
     draws = updated["EXP/posterior"]["k"].values
-    assert posterior[0][0] == draws.min()
-    assert posterior[-1][0] + posterior[-1][1] == pytest.approx(draws.max())
+    assert edges[[0, -1]].tolist() == [draws.min(), draws.max()]
     left, right = ax.get_xlim()
     assert left == pytest.approx(np.quantile(updated["EXP/prior"]["k"], 0.005))
     plots.close([ax])

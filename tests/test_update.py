@@ -4,6 +4,7 @@ import base64
 import json
 import re
 import shutil
+import tomllib
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from pymc_features.update import (
     write_example,
 )
 from pymc_features.update.config import read_config
+from pymc_features.update.structure import StructureOf
 
 SMALL = [
     ('kinds = ["NORM", "TN", "EXP", "ABC"]', 'kinds = ["EXP", "ABC"]'),
@@ -223,6 +225,7 @@ def test_missing_configuration_and_traceback(tmp_path, capsys):
 
 
 def test_catalogues_of_the_schema_are_those_of_the_package():
+    assert {*SECTIONS, "AffineStructure"} == set(structure_sections.STRUCTURES)  # all are tested below
     assert list(structure_sections.STRUCTURES) == [cls.__name__ for cls in structures.STRUCTURES]
     assert list(structure_sections.DAMPINGS) == [cls.__name__ for cls in structures.DAMPINGS]
 
@@ -506,6 +509,75 @@ def test_matrices_come_from_files(example, tmp_path):
         messages.ConfigError, match="must not have inter_storey_drift for a structure without"
     ):
         read_problem(variant(example, tmp_path, (section, MATRICES), (k3, "")))
+
+
+CHAIN = """
+type = "{}"
+mass = 0.15
+stiffness = ["k1", "k2", "k3"]
+damping = {{ type = "ModalDamping", ratios = ["zeta", 0.02, 0.01] }}
+"""
+FRAME = """
+type = "LinearStructure"
+mass = [0.1, 0.1, 0.1]
+stiffness = [[800.0, -400.0, 0.0], [-400.0, 800.0, -400.0], [0.0, -400.0, 400.0]]
+damping = { type = "RayleighDamping", alpha = "zeta", beta = 1e-4 }
+"""
+SECTIONS = {
+    "SpringMassChain": CHAIN,
+    "HystereticChain": f"{CHAIN}yield_displacement = 0.01\npost_yield_ratio = 0.1\n",
+    "DuffingChain": f'{CHAIN}cubic = {{{{ prior = "k1", times = 100.0 }}}}\n',
+    "LinearStructure": FRAME.replace("{", "{{").replace("}", "}}"),
+}
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_structures_by_name(name):
+    raw = tomllib.loads(SECTIONS[name].format(name))
+    built = StructureOf(structure_sections.STRUCTURES[name].model_validate(raw), ".")
+    values = {
+        n: v for n, v in {"k1": 385.0, "k2": 420.0, "k3": 600.0, "zeta": 0.3}.items() if n in built.names
+    }
+    structure = built(**values)
+    assert type(structure) is getattr(structures, name)
+    if name == "LinearStructure":
+        mass, damping, stiffness = structure.matrices()
+        np.testing.assert_allclose(damping, 0.3 * mass + 1e-4 * stiffness)
+        return
+    assert structure.mass.tolist() == 0.15
+    assert structure.stiffness.tolist() == [385.0, 420.0, 600.0]
+    assert structure.damping.ratios.tolist() == [0.3, 0.02, 0.01]
+    if name == "DuffingChain":
+        assert structure.cubic == 38500.0
+
+
+def test_files_of_sensors_and_a_floor_without_one(tmp_path, data_dir):
+    """Raw exports by their names give what the data set gives; the first floor is left out."""
+    path = tmp_path / "table.toml"
+    write_example(path)
+    folder = data_dir / "mini_shake_table"
+    names = {"base": "base", "low": "floor1", "top": "floor3"}
+    files = ", ".join(f'{k} = "{folder}/flexible_northridge_{v}.csv"' for k, v in names.items())
+    own = f'files = {{ {files} }}\ncolumns = "Acc_X"\nunits = "m/s^2"\nskip = 1\n#'
+    pairs = [
+        ('dataset = "mini_shake_table" ', own),
+        ('event = "northridge"', ""),
+        ('["floor1", "floor2", "floor3"]', '["top"]'),
+        ("# dofs = [0, 1, 2]", "dofs = [2]"),
+        ("check_band", "# check_band"),
+    ]
+    measured = read_problem(path_of(tmp_path, replaced(path.read_text(), pairs))).measured
+    with pytest.warns(UserWarning, match="Channel 'floor3' comes"):
+        expected = read_problem(path).measured
+    np.testing.assert_allclose(measured.record.acceleration, expected.record.acceleration, atol=1e-12)
+    np.testing.assert_allclose(measured.channels[0], expected.channels[2], atol=1e-12)
+
+
+def path_of(folder, text):
+    """Text as a configuration in a folder."""
+    path = folder / "changed.toml"
+    path.write_text(text)
+    return path
 
 
 def test_laplace_and_a_sigma_for_each_sensor(example, tmp_path):

@@ -7,7 +7,7 @@ BINS = 40
 
 
 def plot_prior_posterior(idata, var_names=None, units=None, axes=None):
-    """Histograms of prior and posterior of each scalar parameter, as densities.
+    """Histograms of prior and posterior of each scalar parameter, each to its own height.
 
     Parameters
     ----------
@@ -46,10 +46,13 @@ def plot_prior_posterior(idata, var_names=None, units=None, axes=None):
         before, after = prior[name].values.ravel(), posterior[name].values.ravel()
         low, high = np.quantile(before, [0.005, 0.995])  # a far tail would leave nothing to see
         low, high = min(low, after.min()), max(high, after.max())
-        bins = np.linspace(low, high, BINS + 1)
-        ax.hist(before, bins, density=True, color="0.75", label="prior")
-        # as fine as the posterior asks for, on the axis of the prior
-        ax.hist(after, "auto", density=True, color="C0", alpha=0.6, label="posterior")
+        # each as fine as it asks for; as densities a narrow posterior would leave no prior to see
+        for draws, bins, colour, label in (
+            (before, np.linspace(low, high, BINS + 1), "0.75", "prior"),
+            (after, "auto", "C0", "posterior"),
+        ):
+            counts, edges = np.histogram(draws, bins)
+            ax.stairs(counts / counts.max(), edges, fill=True, color=colour, alpha=0.6, label=label)
         unit = (units or {}).get(name, "").replace("^2", "²")
         ax.set(xlabel=f"{name} [{unit}]" if unit else name, yticks=[], xlim=(low, high))
         ax.xaxis.get_major_locator().set_params(nbins=4)

@@ -49,7 +49,7 @@ def of_one(problem, part, kind) -> list[Figure]:
     found = [
         Figure(
             f"{kind}_prior_posterior",
-            f"{kind}: prior (grey) against posterior.",
+            f"{kind}: prior (grey) against posterior, each to its own height.",
             lambda: plots.plot_prior_posterior(part, units=units),
         ),
         Figure(
