@@ -101,10 +101,15 @@ __all__ = [
     "laplace",
     "mean_square_discrepancy",
     "paper",
+    "plot_chains",  # noqa: F822
     "plot_loops",  # noqa: F822
+    "plot_natural_frequencies",  # noqa: F822
+    "plot_predictive",  # noqa: F822
+    "plot_prior_posterior",  # noqa: F822
     "plot_record",  # noqa: F822
     "plot_response_bands",  # noqa: F822
     "plot_sampling_rate",  # noqa: F822
+    "plot_tempering",  # noqa: F822
     "plot_tolerance",  # noqa: F822
     "plot_widths",  # noqa: F822
     "posterior_response",
@@ -125,10 +130,15 @@ __all__ = [
 
 # on demand: matplotlib takes a second to import
 _PLOTS = (
+    "plot_chains",
     "plot_loops",
+    "plot_natural_frequencies",
+    "plot_predictive",
+    "plot_prior_posterior",
     "plot_record",
     "plot_response_bands",
     "plot_sampling_rate",
+    "plot_tempering",
     "plot_tolerance",
     "plot_widths",
 )

@@ -3,12 +3,12 @@
 import argparse
 import logging
 import os
-import signal
 import sys
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from pymc_features.progress import PartProgress
 
 FIGURES = {  # those with all their likelihoods in the study are drawn
     "fig2_norm.png": ["NORM"],
@@ -90,7 +90,35 @@ def make_parser() -> argparse.ArgumentParser:
     add("--chains", type=int, help="chains (default: 4, quick 2; bouc-wen: 2)")
     add("--cores", type=int, help="processes (default: all processors)")
     add("--traceback", action="store_true", help="on an error, show where it came from")
+    add_update(commands)
     return parser
+
+
+def add_update(commands):
+    """The commands for measurements of one's own."""
+    run = commands.add_parser(
+        "update",
+        help="update a structure with measured channels, and write a report",
+        description="Reads a configuration (TOML; `pymc-features init` writes a commented one), samples the "
+        "posterior under each of its likelihoods, and writes update.nc, table.csv, figures and report.html, "
+        "one page that needs no other file. A stopped run continues: finished likelihoods are kept.",
+    )
+    run.set_defaults(run=update)
+    run.add_argument("config", metavar="CONFIG", help="configuration file, TOML")
+    run.add_argument("--out", metavar="DIR", help="output folder (default: CONFIG-output beside CONFIG)")
+    run.add_argument("--cores", type=int, help="processes (default: as CONFIG says, or all processors)")
+    example = commands.add_parser(
+        "init",
+        help="write a commented configuration that runs",
+        description="Writes a configuration for the three-storey shaking-table model, with its measured data "
+        "if they are in PYMC_FEATURES_DATA, in the cache or can be downloaded, else with simulated data in a "
+        "file beside it.",
+    )
+    example.set_defaults(run=init)
+    example.add_argument("config", metavar="CONFIG", nargs="?", default="update.toml")
+    example.add_argument("--synthetic", action="store_true", help="simulated data in any case")
+    for command in (run, example):
+        command.add_argument("--traceback", action="store_true", help="on an error, show where it came from")
 
 
 def find_record(options):
@@ -133,7 +161,7 @@ def reproduce(options, console):
     for name in ("draws", "chains", "cores", "stiffness", "likelihoods"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
-    with StudyProgress(console) as progress:
+    with PartProgress(console, "study") as progress:
         result = sampling_rate_study(
             record,
             structure=options.structure,
@@ -149,65 +177,53 @@ def reproduce(options, console):
         console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
 
 
+def update(options, console):
+    """Update a structure as a configuration says, and write the report."""
+    import warnings
+
+    from pymc_features.update import read_problem, run_update, write_outputs
+
+    def say(sentence, style=None):
+        console.print(sentence, markup=False, highlight=False, soft_wrap=True, style=style)
+
+    config = Path(options.config)
+    options.out = Path(options.out or config.with_name(f"{config.stem}-output"))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        problem = read_problem(config)
+    told = list(dict.fromkeys(str(warning.message) for warning in caught))
+    for sentence in told:
+        say(f"warning: {sentence}", "yellow")
+    say(f"data: {problem.measured.source}; base: {problem.measured.record}")
+    with PartProgress(console, "update") as progress:
+        result = run_update(
+            problem,
+            out=options.out,
+            cores=options.cores,
+            progress=progress,
+            progressbar=console.is_terminal,
+        )
+    for path in write_outputs(problem, result, options.out, told):
+        if path.parent == options.out:
+            say(f"wrote {path}")
+
+
+def init(options, console):
+    """Write an example of a configuration."""
+    from pymc_features.update import write_example
+
+    paths, sentence = write_example(options.config, synthetic=options.synthetic)
+    for line in (sentence, *(f"wrote {path}" for path in paths), f"run: pymc-features update {paths[0]}"):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
 def default_folder(options) -> str:
     """Where a study goes that was given no folder; the linear one has no name, for it came first."""
     parts = ["reproduce-output"]
     if options.structure != "linear":
         parts.append(options.structure)
     return "-".join([*parts, "quick"] if options.quick else parts)
-
-
-class StudyProgress:
-    """A bar for the whole study above PyMC's bar for the part; plain lines where there is no terminal.
-
-    Ctrl-C is remembered: where Python drops the exception, as it does inside the callbacks by which Numba
-    frees compiled code, the study stops before its next part.
-    """
-
-    def __init__(self, console):
-        self.console = console
-        self.bar = Progress(
-            TextColumn("[bold]study"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.description}"),
-            console=console,
-            disable=not console.is_terminal,
-        )
-
-    def __enter__(self):
-        self.interrupted = False
-        self.unraisable = sys.unraisablehook
-        sys.unraisablehook = self._ignored
-        self.handler = signal.getsignal(signal.SIGINT)
-        if self.handler is signal.default_int_handler:
-            signal.signal(signal.SIGINT, self._interrupt)
-        self.bar.start()
-        self.task = self.bar.add_task("")
-        return self.update
-
-    def __exit__(self, *error):
-        self.bar.stop()
-        sys.unraisablehook = self.unraisable
-        if self.handler is signal.default_int_handler:
-            signal.signal(signal.SIGINT, self.handler)
-
-    def _interrupt(self, number, frame):
-        self.interrupted = True
-        raise KeyboardInterrupt
-
-    def _ignored(self, unraisable):
-        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
-            self.unraisable(unraisable)
-
-    def update(self, part, done, total):
-        """Show that `part` is in work after `done` of `total`; stop if asked to."""
-        if self.interrupted:
-            raise KeyboardInterrupt
-        self.bar.update(self.task, completed=done, total=total, description=part)
-        if not self.console.is_terminal:
-            self.console.print(f"[{done}/{total}] {part}", markup=False, highlight=False)
 
 
 def write_outputs(result, folder: Path) -> list[Path]:

@@ -31,6 +31,11 @@ ALLOWED = {
         *("ops", "distributions", "likelihood_free", "smc"),
     },
     "plots": set(),
+    "progress": set(),
+    "update": {
+        *("records", "structures", "signals", "io", "datasets", "ground_motion", "simulators"),
+        *("ops", "distributions", "likelihood_free", "smc", "inference", "study", "plots"),
+    },
 }
 ANYTHING = {"__init__", "cli"}
 
@@ -72,10 +77,15 @@ PUBLIC_NAMES = [
     "laplace",
     "mean_square_discrepancy",
     "paper",
+    "plot_chains",
     "plot_loops",
+    "plot_natural_frequencies",
+    "plot_predictive",
+    "plot_prior_posterior",
     "plot_record",
     "plot_response_bands",
     "plot_sampling_rate",
+    "plot_tempering",
     "plot_tolerance",
     "plot_widths",
     "posterior_response",

@@ -125,3 +125,116 @@ def test_sampling_rate_figure(result):
     plots.close(axes[:1])
     with pytest.raises(ValueError, match=r"`likelihoods` must be among \['EXP', 'ABC'\], got \['TN'\]"):
         plots.plot_sampling_rate(result, "TN")
+
+
+@pytest.fixture
+def updated():
+    """A made-up result of an update: two chains, one likelihood, two sensors."""
+    rng = np.random.default_rng(5)
+    draws = {"k": (("chain", "draw"), rng.normal(4.0, 1.0, (2, 50)))}
+    time, quantile, sensor = 0.1 * np.arange(30), [0.05, 0.5, 0.95], ["floor1", "floor2"]
+    middle = np.sin(np.arange(60.0)).reshape(2, 30)
+    coords = {"quantile": quantile, "sensor": sensor, "time": time}
+    dims = ("quantile", "sensor", "time")
+    bands = {
+        "response": (dims, middle + np.array([-0.1, 0.0, 0.1])[:, None, None]),
+        "predictive": (dims, middle + np.array([-0.3, 0.0, 0.3])[:, None, None]),
+        "normalised_error": ("sensor", [0.25, 0.5]),
+    }
+    stats = {
+        "beta": (("chain", "stage"), [[0.1, 1.0, np.nan], [0.05, 0.5, 1.0]]),
+        "accept_rate": (("chain", "stage"), [[0.3, 0.4, np.nan], [0.5, 0.4, 0.3]]),
+    }
+    modal = {"natural_frequency": (("chain", "draw", "mode"), rng.normal([1.0, 3.0], 0.1, (2, 50, 2)))}
+    gain = xr.DataArray(1.0 + rng.random((2, 20)), {"sensor": sensor, "frequency": np.arange(20.0)},
+                        ("sensor", "frequency"))  # fmt: skip
+    data = {"gain": gain, "peak_frequency": ("peak", [1.1, 2.9]), "given_frequency": ("given", [1.0])}
+    parts = {
+        "posterior": xr.Dataset(draws, coords={"chain": [0, 1], "draw": np.arange(50)}),
+        "prior": xr.Dataset({"k": (("chain", "draw"), rng.normal(0.0, 5.0, (1, 400)))}),
+        "sample_stats": xr.Dataset(stats, coords={"chain": [0, 1]}),
+        "observed_data": xr.Dataset({"y": (dims[1:], middle + 0.2)}, coords={"sensor": sensor, "time": time}),
+        "bands": xr.Dataset(bands, coords=coords),
+        "modal": xr.Dataset(modal, coords={"mode": [1, 2]}),
+    }
+    tree = {f"EXP/{name}": part for name, part in parts.items()}
+    return xr.DataTree.from_dict({**tree, "data": xr.Dataset(data)})
+
+
+def test_predictive_figure(updated):
+    axes = plots.plot_predictive(updated["EXP"])
+    assert [ax.get_title() for ax in axes] == [
+        f"floor{i}: rms error of the median {p} % of the measured rms" for i, p in ((1, 25), (2, 50))
+    ]
+    lines = {line.get_label(): line.get_ydata() for line in axes[1].lines}
+    bands = updated["EXP/bands"].to_dataset()
+    np.testing.assert_array_equal(lines["median response"], bands["response"].values[1, 1])
+    np.testing.assert_allclose(lines["measured"] - lines["median response"], 0.2)
+    widths = {p.get_label(): np.ptp(p.get_paths()[0].vertices[:, 1]) for p in axes[0].collections}
+    span = np.ptp(bands["response"].values[1, 0])
+    assert widths == pytest.approx({"predictive, 90 %": span + 0.6, "response, 90 %": span + 0.2})
+    [ax] = plots.plot_predictive(updated["EXP"], "floor2", window=(0.95, 2.05), axes=axes[1])
+    assert ax.lines[-1].get_xdata()[[0, -1]] == pytest.approx([1.0, 2.0])
+    plots.close(axes[:1])
+    with pytest.raises(ValueError, match=r"`sensors` must be among \['floor1', 'floor2'\], got \['roof'\]"):
+        plots.plot_predictive(updated["EXP"], "roof")
+    with pytest.raises(ValueError, match="`window` must hold samples"):
+        plots.plot_predictive(updated["EXP"], window=(50.0, 60.0))
+    with pytest.raises(ValueError, match="`axes` must be one for each of 2 sensors, got 1"):
+        plots.plot_predictive(updated["EXP"], axes=ax)
+
+
+def test_tempering_figure(updated):
+    axes = plots.plot_tempering(updated["EXP"])
+    assert [line.get_label() for line in axes[0].lines] == ["chain 0", "chain 1"]
+    np.testing.assert_array_equal(axes[0].lines[1].get_xydata(), [[1, 0.05], [2, 0.5], [3, 1.0]])
+    assert axes[0].get_ylabel() == "inverse temperature β [-]"
+    np.testing.assert_array_equal(axes[1].lines[0].get_ydata(), [0.3, 0.4, np.nan])
+    plots.close(axes[:1])
+    with pytest.raises(ValueError, match="`idata` must be of a sampler with stages, got none"):
+        plots.plot_tempering(xr.DataTree())
+
+
+def test_prior_posterior_figure(updated):
+    [ax] = plots.plot_prior_posterior(updated["EXP"], units={"k": "N/m^2"})
+    assert ax.get_xlabel() == "k [N/m²]"
+    for step, group in zip(ax.patches, ("prior", "posterior"), strict=True):
+        heights, edges, _ = step.get_data()
+        counts, _ = np.histogram(updated[f"EXP/{group}"]["k"], edges)
+        assert step.get_label() == group
+        np.testing.assert_allclose(heights, counts / counts.max())
+    draws = updated["EXP/posterior"]["k"].values
+    assert edges[[0, -1]].tolist() == [draws.min(), draws.max()]
+    left, right = ax.get_xlim()
+    assert left == pytest.approx(np.quantile(updated["EXP/prior"]["k"], 0.005))
+    plots.close([ax])
+    with pytest.raises(ValueError, match=r"`var_names` must be among \['k'\], got \['c'\]"):
+        plots.plot_prior_posterior(updated["EXP"], ["c"])
+
+
+def test_natural_frequencies_figure(updated):
+    axes = plots.plot_natural_frequencies(updated)
+    found = updated["EXP/modal"]["natural_frequency"].values.reshape(-1, 2)
+    np.testing.assert_allclose(axes[1].lines[0].get_xdata(), np.median(found, axis=0))
+    low, high = axes[1].collections[0].get_segments()[1][:, 0]
+    np.testing.assert_allclose([low, high], np.quantile(found[:, 1], [0.05, 0.95]))
+    assert [text.get_text() for text in axes[1].get_yticklabels()] == ["EXP"]
+    marks = {line.get_label(): line.get_xdata()[0] for line in axes[0].lines[2:]}
+    assert marks["peaks of the gain"] == 1.1
+    assert marks["given"] == 1.0
+    plots.close(axes[:1])
+    with pytest.raises(ValueError, match="`result` must have a likelihood with natural frequencies"):
+        plots.plot_natural_frequencies(xr.DataTree())
+
+
+@pytest.mark.parametrize("kind", plots.chains.KINDS)
+def test_chains_figure(updated, kind):
+    axes = plots.plot_chains(updated["EXP"], kind)
+    label = {"rank": "k: fractional rank", "trace": "k: draw"}[kind]
+    assert [ax.get_xlabel() for ax in axes] == ["k", label]
+    if kind == "trace":
+        drawn = {tuple(line.get_ydata()) for line in axes[1].lines}
+        assert drawn == {tuple(chain) for chain in updated["EXP/posterior"]["k"].values}
+    plots.close(axes[:1])
+    with pytest.raises(ValueError, match="`kind` must be one of rank, trace, got 'bars'"):
+        plots.plot_chains(updated["EXP"], "bars")

@@ -7,11 +7,9 @@ from pathlib import Path
 
 import xarray as xr
 
-SETTINGS_FILE = "study.json"
-
 
 class StudyMismatchError(ValueError):
-    """The output folder holds a study with other settings."""
+    """The output folder holds a study, or an update, with other settings."""
 
 
 class PartStore:
@@ -23,9 +21,12 @@ class PartStore:
         Where the study is kept; made if needed.
     settings : dict
         All that determines the results. A folder with other settings is refused.
+    what : str
+        What has these parts: the name of the file with the settings, and of it in messages.
     """
 
-    def __init__(self, folder, settings: dict):
+    def __init__(self, folder, settings: dict, what: str = "study"):
+        self.what = what
         self._memory: dict[str, xr.DataTree] = {}
         self.folder = None if folder is None else Path(folder)
         if self.folder is not None:
@@ -33,7 +34,7 @@ class PartStore:
             self._check(settings)
 
     def _check(self, settings):
-        path = self.folder / SETTINGS_FILE
+        path = self.folder / f"{self.what}.json"
         wanted = json.loads(json.dumps(settings))
         if not path.exists():
             write_atomically(path, lambda p: p.write_text(json.dumps(wanted, indent=2) + "\n"))
@@ -49,8 +50,8 @@ class PartStore:
         ]
         if different:
             raise StudyMismatchError(
-                f"`out` must be empty or hold the same study, got {self.folder} with {', '.join(different)}. "
-                "Choose another folder, or delete this one."
+                f"`out` must be empty or hold the same {self.what}, got {self.folder} with "
+                f"{', '.join(different)}. Choose another folder, or delete this one."
             )
 
     def _path(self, name):

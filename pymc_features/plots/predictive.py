@@ -1,0 +1,68 @@
+"""What was measured, in the bands of the updated model."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+
+def plot_predictive(idata, sensors=None, window=None, axes=None):
+    """Bands of the response, and of data like those measured, at each sensor.
+
+    The darker band holds the uncertainty of the parameters; the lighter one, where there is one, the errors
+    of the likelihood besides: measured samples should lie in it.
+
+    Parameters
+    ----------
+    idata : DataTree
+        One likelihood of `run_update`: `bands` with response and predictive (quantile, sensor, time)
+        [m/s^2], `observed_data` with y (sensor, time).
+    sensors : str or sequence of str, optional
+        To draw; all by default.
+    window : tuple of float, optional
+        (from, to) [s]; all by default.
+    axes : matplotlib Axes or sequence of them, optional
+        One for each sensor; a new figure by default.
+
+    Returns
+    -------
+    list of matplotlib Axes
+    """
+    bands, observed = idata["bands"].to_dataset(), idata["observed_data"]["y"]
+    known = bands["sensor"].values.tolist()
+    chosen = known if sensors is None else np.atleast_1d(sensors).tolist()
+    if not chosen or not set(chosen) <= set(known):
+        raise ValueError(f"`sensors` must be among {known}, got {chosen}.")
+    if window is not None:
+        bands, observed = (x.sel(time=slice(*window)) for x in (bands, observed))
+        if not bands.sizes["time"]:
+            raise ValueError(f"`window` must hold samples of the record, got {window} in seconds.")
+    if axes is None:
+        size = 9.0, 1.0 + 1.7 * len(chosen)
+        _, axes = plt.subplots(len(chosen), 1, figsize=size, layout="constrained", squeeze=False, sharex=True)
+        axes = axes[:, 0]
+    axes = list(np.atleast_1d(axes))
+    if len(axes) != len(chosen):
+        raise ValueError(f"`axes` must be one for each of {len(chosen)} sensors, got {len(axes)}.")
+    for ax, sensor in zip(axes, chosen, strict=True):
+        _draw(ax, bands.sel(sensor=sensor), observed.sel(sensor=sensor))
+        error = 100.0 * float(bands["normalised_error"].sel(sensor=sensor))
+        ax.set_title(
+            f"{sensor}: rms error of the median {error:.0f} % of the measured rms", fontsize="medium"
+        )
+        ax.set_ylabel("[m/s²]")
+    axes[-1].set_xlabel("time [s]")
+    handles, labels = axes[0].get_legend_handles_labels()
+    axes[0].figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
+    return axes
+
+
+def _draw(ax, bands, observed):
+    """Bands, median and measurement of one sensor."""
+    time, probabilities = bands["time"].values, bands["quantile"].values
+    share = f"{100.0 * (probabilities[-1] - probabilities[0]):g} %"
+    for name, alpha in (("predictive", 0.18), ("response", 0.4)):
+        if name in bands:
+            low, *_, high = bands[name].transpose("quantile", "time").values
+            ax.fill_between(time, low, high, color="C0", alpha=alpha, lw=0, label=f"{name}, {share}")
+    ax.plot(time, bands["response"].sel(quantile=0.5), color="C0", lw=0.9, label="median response")
+    ax.plot(time, observed, color="0.1", lw=0.7, ls="--", label="measured")
+    ax.margins(x=0.0)

@@ -1,0 +1,61 @@
+"""What the data have taught: prior against posterior."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+BINS = 40
+
+
+def plot_prior_posterior(idata, var_names=None, units=None, axes=None):
+    """Histograms of prior and posterior of each scalar parameter, each to its own height.
+
+    Parameters
+    ----------
+    idata : DataTree
+        Groups `posterior` and `prior` (chain, draw).
+    var_names : sequence of str, optional
+        Parameters to draw; by default all scalars that both groups have.
+    units : dict, optional
+        Names of parameters to their units, for the labels.
+    axes : matplotlib Axes or sequence of them, optional
+        One for each parameter; a new figure by default.
+
+    Returns
+    -------
+    list of matplotlib Axes
+    """
+    posterior, prior = idata["posterior"].to_dataset(), idata["prior"].to_dataset()
+    known = [
+        str(n) for n, v in posterior.data_vars.items() if n in prior and set(v.dims) == {"chain", "draw"}
+    ]
+    names = known if var_names is None else list(var_names)
+    if not names or not set(names) <= set(known):
+        raise ValueError(f"`var_names` must be among {known}, got {names}.")
+    if axes is None:
+        columns = min(4, len(names))
+        rows = -(-len(names) // columns)
+        size = 2.6 * columns, 0.5 + 2.2 * rows
+        _, grid = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+        axes = grid.ravel()[: len(names)]
+        for spare in grid.ravel()[len(names) :]:
+            spare.remove()
+    axes = list(np.atleast_1d(axes))
+    if len(axes) != len(names):
+        raise ValueError(f"`axes` must be one for each of {len(names)} parameters, got {len(axes)}.")
+    for ax, name in zip(axes, names, strict=True):
+        before, after = prior[name].values.ravel(), posterior[name].values.ravel()
+        low, high = np.quantile(before, [0.005, 0.995])  # a far tail would leave nothing to see
+        low, high = min(low, after.min()), max(high, after.max())
+        # each as fine as it asks for; as densities a narrow posterior would leave no prior to see
+        for draws, bins, colour, label in (
+            (before, np.linspace(low, high, BINS + 1), "0.75", "prior"),
+            (after, "auto", "C0", "posterior"),
+        ):
+            counts, edges = np.histogram(draws, bins)
+            ax.stairs(counts / counts.max(), edges, fill=True, color=colour, alpha=0.6, label=label)
+        unit = (units or {}).get(name, "").replace("^2", "²")
+        ax.set(xlabel=f"{name} [{unit}]" if unit else name, yticks=[], xlim=(low, high))
+        ax.xaxis.get_major_locator().set_params(nbins=4)
+    handles, labels = axes[0].get_legend_handles_labels()
+    axes[0].figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=False)
+    return axes

@@ -1,0 +1,25 @@
+"""From measured channels and a configuration file to an updated model and its report.
+
+    problem = read_problem("update.toml")
+    result = run_update(problem, out="update-output")
+    write_outputs(problem, result, "update-output")
+
+The command `pymc-features update` does the same.
+"""
+
+from pymc_features.update.config import read_config
+from pymc_features.update.example import write_example
+from pymc_features.update.messages import ConfigError
+from pymc_features.update.outputs import write_outputs
+from pymc_features.update.problem import Problem, read_problem
+from pymc_features.update.run import run_update
+
+__all__ = [
+    "ConfigError",
+    "Problem",
+    "read_config",
+    "read_problem",
+    "run_update",
+    "write_example",
+    "write_outputs",
+]

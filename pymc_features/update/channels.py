@@ -1,0 +1,155 @@
+"""From files to the motion of the base and the measured responses, processed alike."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from pymc_features import datasets, signals
+from pymc_features.io import read_channels, read_record
+from pymc_features.records import Record
+from pymc_features.update.config import Config
+from pymc_features.update.messages import ConfigError
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What the model is updated with.
+
+    Attributes
+    ----------
+    record : Record
+        Motion of the base.
+    channels : DataArray (sensor, time)
+        Measured absolute accelerations [m/s^2], from time 0 of the record, at `step`.
+    step : float
+        Sampling interval of the channels [s], a multiple of the record's.
+    source : str
+        Where they come from.
+    gains : Dataset or None
+        What `check_channels` found.
+    """
+
+    record: Record
+    channels: xr.DataArray
+    step: float
+    source: str
+    gains: xr.Dataset | None
+
+
+class Keyed:
+    """Errors inside get the section they are about in front.
+
+    Parameters
+    ----------
+    key : str
+        The section.
+    **renamed
+        Names of arguments to the keys that stand for them.
+    """
+
+    def __init__(self, key: str, **renamed: str):
+        self.key, self.renamed = key, renamed
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, traceback):
+        named = isinstance(error, ConfigError | datasets.DatasetUnavailableError)
+        if isinstance(error, ValueError | TypeError | OSError) and not named:
+            text = str(error)
+            for argument, key in self.renamed.items():
+                text = text.replace(f"`{argument}`", f"`{key}`")
+            raise ConfigError(f"[{self.key}]: {text}") from error
+
+
+def read_measured(config: Config, folder: Path) -> Measured:
+    """Read, process and check the channels of a configuration; files are relative to `folder`.
+
+    Raises
+    ------
+    ConfigError
+        If a file is missing or broken, a sensor is not in it, or a step of the processing fails; the message
+        names the key.
+    """
+    with Keyed("data", path="files"):
+        channels, source = read_all(config, folder)
+    known = [str(name) for name in channels["sensor"].values]
+    wanted = ([] if config.data.base is None else [config.data.base]) + list(config.data.sensors)
+    for name in wanted:
+        if name not in known:
+            key = "base" if name == config.data.base else "sensors"
+            raise ConfigError(f"`data.{key}` must be among the sensors {', '.join(known)}, got {name!r}.")
+    channels = channels.isel(sensor=[known.index(name) for name in wanted])
+    if config.record is None:
+        motion = None
+    else:
+        with Keyed("record"):
+            motion = read_motion(config, folder, signals.sampling_step(channels))
+            common = min(motion.sizes["time"], channels.sizes["time"])
+            channels = xr.concat(
+                [motion.isel(time=slice(common)), channels.isel(time=slice(common)).drop_attrs()],
+                dim="sensor",
+                join="override",
+            ).assign_attrs(channels.attrs)
+    channels, gains = processed(channels, config)
+    base, floors = channels.isel(sensor=0), channels.isel(sensor=slice(1, None))
+    name = source if config.record is None else Path(config.record.path).name
+    record = Record.from_channel(base, name=f"{config.data.base or 'ground motion'}, {name}")
+    factor = config.processing.decimate
+    with Keyed("processing.decimate"):
+        floors = signals.decimate(floors, factor)
+    return Measured(record, floors, factor * record.dt, source, gains)
+
+
+def read_all(config, folder) -> tuple[xr.DataArray, str]:
+    """All channels of the files or the data set, and what they are called."""
+    data = config.data
+    if data.dataset is not None:
+        return datasets.mini_shake_table(data.event), f"{data.dataset} ({data.event})"
+    files = data.files
+    if isinstance(files, dict):
+        paths, names = {name: folder / file for name, file in files.items()}, list(files.values())
+    elif isinstance(files, list):
+        paths, names = [folder / file for file in files], files
+    else:
+        paths, names = folder / files, [files]
+    keys = ("columns", "units", "dt", "clock", "clock_units", "skip")
+    channels = read_channels(paths, **{key: getattr(data, key) for key in keys})
+    return channels, ", ".join(Path(name).name for name in names)
+
+
+def read_motion(config, folder, step) -> xr.DataArray:
+    """The ground motion of a file as a channel beside the others."""
+    section = config.record
+    record = read_record(folder / section.path, units=section.units, dt=section.dt, column=section.column)
+    if not np.isclose(record.dt, step, rtol=1e-4, atol=0.0):
+        raise ConfigError(
+            f"`record.dt` must be that of the channels, {step:g} s, got {record.dt:g} s. Resample one."
+        )
+    return xr.DataArray(
+        record.acceleration[None],
+        dims=("sensor", "time"),
+        coords={"sensor": ["ground motion"], "time": ("time", step * np.arange(record.n_times))},
+        name="acceleration",
+    )
+
+
+def processed(channels, config) -> tuple[xr.DataArray, xr.Dataset | None]:
+    """Channels after every step of [processing] but the decimation, and what the check found before."""
+    asked, gains = config.processing, None
+    if asked.detrend is not None:
+        with Keyed("processing.detrend"):
+            channels = signals.detrend(channels, asked.detrend.kind, window=asked.detrend.window)
+    if asked.check_band is not None:
+        with Keyed("processing.check_band"):
+            gains = signals.check_channels(channels, band=asked.check_band)
+    if asked.band_pass is not None:
+        filter_ = asked.band_pass
+        with Keyed("processing.band_pass"):
+            channels = signals.band_pass(channels, filter_.low, filter_.high, order=filter_.order)
+    if asked.trim is not None:
+        with Keyed("processing.trim"):
+            channels = signals.trim(channels, *asked.trim)
+    return channels, gains

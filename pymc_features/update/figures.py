@@ -1,0 +1,99 @@
+"""The figures of an update, with what they show in words."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features import plots
+from pymc_features.update.problem import Problem
+from pymc_features.update.summary import kinds_of
+
+ZOOM = 4.0  # [s] around the strongest motion
+
+
+class Figure(NamedTuple):
+    """A figure: its file name without suffix, its caption, and a function that draws it."""
+
+    name: str
+    caption: str
+    draw: object
+
+
+def figures(problem: Problem, result) -> list[Figure]:
+    """Every figure of the report; nothing is drawn yet."""
+    found = [
+        Figure(
+            "record",
+            "Motion of the base that the model is shaken with, after processing.",
+            lambda: plots.plot_record(result),
+        ),
+        Figure(
+            "frequencies",
+            "Gain of the sensors against the base (root of the ratio of power spectra), and below it the "
+            "5-95 % intervals of the natural frequencies with their medians under each likelihood. Dotted: "
+            "peaks of the gain; dashed: frequencies given in the configuration.",
+            lambda: plots.plot_natural_frequencies(result),
+        ),
+    ]
+    for kind in kinds_of(result):
+        found += of_one(problem, result[kind], kind)
+    return found
+
+
+def of_one(problem, part, kind) -> list[Figure]:
+    """Figures of one likelihood."""
+    units = {name: problem.unit(name) for name in problem.priors}
+    shades = "Dark: 5-95 % of the response, from the uncertainty of the parameters. "
+    if "predictive" in part["bands"]:
+        shades += "Light: 5-95 % of data drawn from the likelihood, where measured samples should lie."
+    found = [
+        Figure(
+            f"{kind}_prior_posterior",
+            f"{kind}: prior (grey) against posterior, each to its own height.",
+            lambda: plots.plot_prior_posterior(part, units=units),
+        ),
+        Figure(
+            f"{kind}_response",
+            f"{kind}: measured response and posterior predictive bands. {shades}",
+            lambda: plots.plot_predictive(part),
+        ),
+        Figure(
+            f"{kind}_response_zoom",
+            f"{kind}: the same, {ZOOM:g} s around the strongest motion.",
+            lambda: plots.plot_predictive(part, window=strongest(part)),
+        ),
+    ]
+    if has_stages(part):
+        found.append(
+            Figure(
+                f"{kind}_stages",
+                f"{kind}: the way from the prior to the posterior, and the acceptance of its moves.",
+                lambda: plots.plot_tempering(part),
+            )
+        )
+    if part["posterior"].sizes["chain"] > 1:
+        found.append(
+            Figure(
+                f"{kind}_ranks",
+                f"{kind}: density of each chain, and ranks of its draws; the curves "
+                "of chains that agree stay near the middle (p: of a test that they do).",
+                lambda: plots.plot_chains(part, "rank"),
+            )
+        )
+    if part.attrs["method"] == "NUTS":
+        found.append(Figure(f"{kind}_traces", f"{kind}: traces.", lambda: plots.plot_chains(part, "trace")))
+    return found
+
+
+def has_stages(part) -> bool:
+    """Whether the sampler went from the prior to the posterior in stages."""
+    return "sample_stats" in part.children and "stage" in part["sample_stats"].dims
+
+
+def strongest(part) -> tuple[float, float]:
+    """A window [s] around the largest measured acceleration."""
+    observed = part["observed_data"]["y"]
+    peak = float(observed["time"][int(np.abs(observed.values).max(axis=0).argmax())])
+    last = float(observed["time"][-1])
+    first = max(0.0, min(peak - 0.4 * ZOOM, last - ZOOM))
+    return first, min(last, first + ZOOM)

@@ -1,0 +1,59 @@
+"""What an update leaves behind: netCDF, table, figures and report."""
+
+import io
+from pathlib import Path
+
+from pymc_features import plots
+from pymc_features.study.store import write_atomically
+from pymc_features.update.figures import figures
+from pymc_features.update.problem import Problem
+from pymc_features.update.report import report
+from pymc_features.update.summary import as_csv, rows, warnings_of
+
+DPI = 110
+
+
+def write_outputs(problem: Problem, result, folder, channel_warnings=()) -> list[Path]:
+    """Write `update.nc`, `table.csv`, the figures and `report.html`; return their paths.
+
+    Parameters
+    ----------
+    problem : Problem
+        What was updated.
+    result : DataTree
+        From `run_update`.
+    folder : path
+        Made if needed.
+    channel_warnings : sequence of str
+        What was said about the channels when they were read.
+
+    Returns
+    -------
+    list of Path
+        The report last.
+    """
+    folder = Path(folder)
+    (folder / "figures").mkdir(parents=True, exist_ok=True)
+    table = rows(problem, result)
+    doubts = [*(f"data: {text}" for text in channel_warnings), *warnings_of(problem, result, table)]
+    drawn = [(figure, png(figure.draw())) for figure in figures(problem, result)]
+    writers = {
+        "update.nc": lambda path: result.to_netcdf(path, engine="h5netcdf"),
+        "table.csv": lambda path: path.write_text(as_csv(table), encoding="utf-8"),
+    }
+    for figure, image in drawn:
+        writers[f"figures/{figure.name}.png"] = lambda path, image=image: path.write_bytes(image)
+    html = report(problem, result, table, doubts, drawn)
+    writers["report.html"] = lambda path: path.write_text(html, encoding="utf-8")
+    for name, write in writers.items():
+        write_atomically(folder / name, write)
+    return [folder / name for name in writers]
+
+
+def png(axes) -> bytes:
+    """A figure as a PNG file; it is released."""
+    first = axes if hasattr(axes, "figure") else axes[0]
+    buffer = io.BytesIO()
+    first.figure.savefig(buffer, dpi=DPI, format="png")
+    plots.close([first])
+    return buffer.getvalue()

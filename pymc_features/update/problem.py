@@ -1,0 +1,175 @@
+"""A configuration with everything it refers to, checked before anything is sampled."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pymc_features.study.store import fingerprint
+from pymc_features.update.channels import Keyed, Measured, read_measured
+from pymc_features.update.config import Config, read_config
+from pymc_features.update.entries import Matrix
+from pymc_features.update.messages import ConfigError
+from pymc_features.update.priors import Prior
+from pymc_features.update.structure import StructureOf
+
+#: Keys that change no draw, or, as the tolerance, those of ABC alone.
+WITHOUT_EFFECT = ("report", "likelihood.kinds", "likelihood.tolerance", "sampler.cores")
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is updated with what.
+
+    Attributes
+    ----------
+    path : Path
+        The configuration file.
+    text : str
+        What it says.
+    config : Config
+        The same, validated.
+    raw : dict
+        The same, as it was parsed.
+    measured : Measured
+        Motion of the base, and measured responses.
+    structure : StructureOf
+        Values of the priors to a structure.
+    priors : dict
+        Names to `Prior`, in the order of the file.
+    dofs : list of int
+        Degree of freedom of each sensor.
+    """
+
+    path: Path
+    text: str
+    config: Config
+    raw: dict
+    measured: Measured
+    structure: StructureOf
+    priors: dict[str, Prior]
+    dofs: list[int]
+
+    @property
+    def kinds(self) -> list[str]:
+        """Likelihoods in the order they are sampled: ABC may need EXP."""
+        return sorted(self.config.likelihood.kinds, key=lambda kind: kind == "ABC")
+
+    def unit(self, name: str) -> str:
+        """Unit of a prior, from where it is used."""
+        return self.config.uses()[name][0][1]
+
+    def settings(self) -> dict:
+        """All that determines the draws, flat, for the folder they are kept in."""
+        flat = dict(flattened(self.raw))
+        kept = {k: v for k, v in flat.items() if not k.startswith(WITHOUT_EFFECT)}
+        kept["base_sha256"] = fingerprint(self.measured.record.acceleration)
+        kept["channels_sha256"] = fingerprint(np.ascontiguousarray(self.measured.channels.values))
+        for file in sorted(files_of(self.config.structure)):
+            digest = hashlib.sha256((self.path.parent / file).read_bytes())
+            kept[f"{file}_sha256"] = digest.hexdigest()
+        return json.loads(json.dumps(kept, default=str))
+
+
+def flattened(table, prefix=""):
+    """Dotted keys and values of a parsed file."""
+    for name, value in table.items():
+        if isinstance(value, dict):
+            yield from flattened(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def files_of(section) -> set[str]:
+    """Files with matrices that a section names."""
+    values = [getattr(section, name) for name in type(section).model_fields]
+    found = [v for value in values for v in (value if isinstance(value, list) else [value])]
+    return {value.file for value in found if isinstance(value, Matrix)}
+
+
+def read_problem(path) -> Problem:
+    """Read a configuration file and everything it refers to.
+
+    Parameters
+    ----------
+    path : path
+        Of the configuration; other files are relative to its folder.
+
+    Returns
+    -------
+    Problem
+
+    Raises
+    ------
+    FileNotFoundError, ConfigError, DatasetUnavailableError
+        Whatever is wrong with it; the message names the key.
+
+    Warns
+    -----
+    ChannelWarning
+        If a channel is suspicious.
+    """
+    path = Path(path)
+    config, raw = read_config(path)
+    priors = {
+        name: Prior(f"priors.{name}", section.distribution, section.arguments)
+        for name, section in config.priors.items()
+    }
+    structure = StructureOf(config.structure, path.parent)
+    measured = read_measured(config, path.parent)
+    with Keyed("structure"):
+        size = structure(**{n: float(np.median(priors[n].draw(501, 1))) for n in structure.names}).n_dof
+    dofs = checked_dofs(config, size)
+    check_sigma(config)
+    frequencies = config.report.natural_frequencies
+    if frequencies is not None and not (frequencies and np.all(np.diff([0.0, *frequencies]) > 0.0)):
+        raise ConfigError(
+            f"`report.natural_frequencies` must be positive and rise, got {frequencies}. Pass them in Hz."
+        )
+    if "inter_storey_drift" in config.report.quantities and "Chain" not in config.structure.type:
+        raise ConfigError(
+            "`report.quantities` must not have inter_storey_drift for a structure without storeys, "
+            f"{config.structure.type}. Use relative_displacement."
+        )
+    text = path.read_text(encoding="utf-8")
+    return Problem(path, text, config, raw, measured, structure, priors, dofs)
+
+
+def checked_dofs(config, size) -> list[int]:
+    """A degree of freedom for each sensor."""
+    sensors, dofs = config.data.sensors, config.data.dofs
+    if dofs is None:
+        if len(sensors) != size:
+            raise ConfigError(
+                f"`data.sensors` must be one for each of the {size} degrees of freedom of the structure, got "
+                f"{len(sensors)}. Say by `data.dofs` where they are."
+            )
+        return list(range(size))
+    if len(dofs) != len(sensors):
+        raise ConfigError(
+            f"`data.dofs` must have one value for each of the {len(sensors)} sensors, got {len(dofs)}."
+        )
+    if len(set(dofs)) < len(dofs) or not all(0 <= dof < size for dof in dofs):
+        raise ConfigError(
+            f"`data.dofs` must be different numbers from 0 to {size - 1}, got {dofs}. 0 is next to the base."
+        )
+    return dofs
+
+
+def check_sigma(config) -> None:
+    """One sigma, or one for each sensor; what ABC takes from EXP must be one."""
+    sigma, sensors = config.likelihood.sigma, config.data.sensors
+    if isinstance(sigma, list) and len(sigma) != len(sensors):
+        raise ConfigError(
+            f"`likelihood.sigma` must be one value or one for each of the {len(sensors)} sensors, got "
+            f"{len(sigma)}."
+        )
+    for value in sigma if isinstance(sigma, list) else [sigma]:
+        if isinstance(value, float) and value <= 0.0:
+            raise ConfigError(f"`likelihood.sigma` must be positive, got {value:g}. Pass it in m/s^2.")
+    if "ABC" in config.likelihood.kinds and config.likelihood.tolerance is None and isinstance(sigma, list):
+        raise ConfigError(
+            "`likelihood.tolerance` must be given for ABC where each sensor has its own sigma, got none."
+        )

@@ -1,0 +1,203 @@
+"""Sampling every likelihood of a problem; what is finished is kept."""
+
+import json
+import time
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import pymc as pm
+import xarray as xr
+from pymc.sampling.parallel import ParallelSamplingError
+
+from pymc_features import smc
+from pymc_features.inference import laplace, sample_nuts
+from pymc_features.likelihood_free import abc_tolerance
+from pymc_features.smc import ToleranceNotReachedError, sample_smc
+from pymc_features.study.store import PartStore
+from pymc_features.update.entries import Parameter
+from pymc_features.update.messages import ConfigError
+from pymc_features.update.model import LIKELIHOODS, declare, names_for
+from pymc_features.update.predict import bands, frequencies, measured_gain
+from pymc_features.update.problem import Problem
+
+PRIOR_DRAWS = 4000
+GROUPS = ("posterior", "sample_stats", "particles", "modes")
+
+
+def run_update(
+    problem: Problem,
+    *,
+    out=None,
+    cores: int | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+    progressbar: bool = True,
+) -> xr.DataTree:
+    """Sample the posterior of every likelihood, and predict with it.
+
+    Parameters
+    ----------
+    problem : Problem
+        From `read_problem`.
+    out : path, optional
+        Folder in which each finished likelihood is kept at once; a second call with the same problem
+        continues. Other likelihoods, another tolerance, report or `cores` are no other problem.
+    cores : int, optional
+        Processes; as the configuration says, or all processors.
+    progress : callable (str, int, int), optional
+        Called with the name of the likelihood in work, the number finished, and the number in all.
+    progressbar : bool
+        Whether each likelihood shows PyMC's own progress bar.
+
+    Returns
+    -------
+    DataTree
+        For each likelihood `/<kind>/`: posterior, prior, sample_stats, observed_data, bands, modal. And
+        `/data`: motion of the base, measured responses and their gain.
+
+    Raises
+    ------
+    ConfigError
+        If `out` holds another problem, or the tolerance of ABC is out of reach; everything else is kept.
+    """
+    store = PartStore(out, problem.settings(), "update")
+    kinds, parts = problem.kinds, {}
+    tell = progress or (lambda part, done, total: None)
+    for done, kind in enumerate(kinds):
+        tell(kind, done, len(kinds))
+        part, tolerance = store.load(kind), tolerance_of(problem, parts) if kind == "ABC" else None
+        if part is None or part.attrs.get("tolerance") != tolerance:
+            part = run_part(problem, kind, tolerance, cores, progressbar)
+            store.save(kind, part)
+        parts[kind] = part
+    tell("report", len(kinds), len(kinds))
+    return xr.DataTree.from_dict({**parts, "data": data_of(problem)}, name=problem.config.report.title)
+
+
+def run_part(problem, kind, tolerance, cores, progressbar) -> xr.DataTree:
+    """Sample one posterior and predict with it; warnings on the way are part of the result."""
+    start = time.perf_counter()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        model = declare(problem, kind, tolerance)
+        idata = sample(problem, kind, model, cores, progressbar)
+        if is_cut_short(problem, kind, idata["posterior"].sizes):
+            raise KeyboardInterrupt
+        part = {name: idata[name].to_dataset() for name in GROUPS if name in idata.children}
+        part["prior"] = prior_draws(problem, kind)
+        part["observed_data"] = xr.Dataset({"y": problem.measured.channels.drop_attrs()})
+        part["bands"] = bands(problem, kind, model, idata)
+        part["modal"] = frequencies(problem, idata)
+    tree = xr.DataTree.from_dict(part)
+    messages = list(dict.fromkeys(str(w.message) for w in caught if is_ours(w.category)))
+    tree.attrs = {
+        "kind": kind,
+        "method": method_of(problem, kind),
+        "seconds": time.perf_counter() - start,
+        "warnings": json.dumps(messages),
+    }
+    if tolerance is not None:
+        tree.attrs["tolerance"] = tolerance
+    return tree
+
+
+def is_cut_short(problem, kind, sizes) -> bool:
+    """Whether draws or chains are missing: PyMC's NUTS returns what it has when it is stopped."""
+    asked = problem.config.sampler
+    chains = 1 if method_of(problem, kind) == "Laplace" else asked.chains
+    return sizes["draw"] < asked.draws or sizes["chain"] < chains
+
+
+def is_ours(category) -> bool:
+    """Warnings of this package; others speak of machinery."""
+    return category.__module__.split(".")[0] == "pymc_features"
+
+
+def method_of(problem, kind) -> str:
+    """How a likelihood is sampled."""
+    sampler = problem.config.sampler
+    if kind == "ABC":
+        return "SubsetSimulation"
+    return {"smc": sampler.kernel, "nuts": "NUTS", "laplace": "Laplace"}[sampler.method]
+
+
+def sample(problem, kind, model, cores, progressbar) -> xr.DataTree:
+    """The posterior by the sampler of the configuration."""
+    asked = problem.config.sampler
+    seed = int(np.random.SeedSequence([asked.seed, list(LIKELIHOODS).index(kind)]).generate_state(1)[0])
+    # one Op does the work: to compile the few around it takes longer than it saves
+    quick = {"mode": "FAST_COMPILE"}
+    method = method_of(problem, kind)
+    common = {"model": model, "random_seed": seed}
+    smc_settings = {
+        "cores": cores or asked.cores,
+        "compile_kwargs": quick,
+        "compute_convergence_checks": False,
+        "progressbar": progressbar,
+    }
+    try:
+        if method == "Laplace":
+            return laplace(asked.draws, compile_kwargs=quick, **common)
+        if method == "NUTS":
+            first = {**smc_settings, "draws": max(500, asked.draws // 2), "chains": asked.chains}
+            workers = {} if cores is None and asked.cores is None else {"cores": cores or asked.cores}
+            return sample_nuts(
+                asked.draws,
+                tune=asked.tune,
+                chains=asked.chains,
+                smc_settings=first,
+                progressbar=progressbar,
+                **workers,
+                **common,
+            )
+        return sample_smc(asked.draws, getattr(smc, method), chains=asked.chains, **smc_settings, **common)
+    except ToleranceNotReachedError as error:
+        raise ConfigError(
+            f"`likelihood.tolerance` must be within reach of the model: {error} Or leave ABC out of "
+            "`likelihood.kinds`; what is finished is kept."
+        ) from error
+    except (ParallelSamplingError, pm.exceptions.SamplingError, ValueError) as error:
+        reason = error.__cause__ if isinstance(error, ParallelSamplingError) else error
+        raise ConfigError(f"`priors` must lead to a posterior that {method} can sample: {reason}") from error
+
+
+def tolerance_of(problem, parts) -> float:
+    """delta of ABC: as the configuration says, or Eq. (16) with the posterior of EXP."""
+    likelihood, n_sensors = problem.config.likelihood, len(problem.dofs)
+    if likelihood.tolerance is not None:
+        return likelihood.tolerance
+    if not isinstance(likelihood.sigma, Parameter):
+        return abc_tolerance(likelihood.sigma, n_sensors)
+    sigma = likelihood.sigma.times * parts["EXP"]["posterior"][likelihood.sigma.prior]
+    return abc_tolerance(sigma, n_sensors)
+
+
+def prior_draws(problem, kind) -> xr.Dataset:
+    """Draws of the priors, to compare with."""
+    names = names_for(problem, kind)
+    columns = {
+        name: (("chain", "draw"), problem.priors[name].draw(PRIOR_DRAWS, k)[None])
+        for k, name in enumerate(names)
+    }
+    return xr.Dataset(columns, coords={"chain": [0], "draw": np.arange(PRIOR_DRAWS)})
+
+
+def data_of(problem) -> xr.Dataset:
+    """What was measured, as figures take it."""
+    measured = problem.measured
+    gain, peaks = measured_gain(problem)
+    given = problem.config.report.natural_frequencies
+    data = xr.Dataset(
+        {
+            "ground_acceleration": ("record_time", measured.record.acceleration, {"units": "m/s^2"}),
+            "measured": measured.channels.drop_attrs().assign_attrs(units="m/s^2"),
+            "gain": gain,
+            "peak_frequency": ("peak", peaks, {"units": "Hz"}),
+        },
+        coords={"record_time": measured.record.time},
+        attrs={"record": measured.record.name, "source": measured.source},
+    )
+    if given is not None:
+        data["given_frequency"] = ("given", np.array(given, dtype=np.float64), {"units": "Hz"})
+    return data

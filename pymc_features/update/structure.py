@@ -1,0 +1,97 @@
+"""The structure of a configuration, as a function of the values of its priors."""
+
+import inspect
+from pathlib import Path
+
+from pymc_features import structures
+from pymc_features.io import read_matrices
+from pymc_features.structures import RayleighDamping
+from pymc_features.update.channels import Keyed
+from pymc_features.update.config import parameters_of
+from pymc_features.update.entries import Matrix, evaluated, priors_in
+from pymc_features.update.messages import ConfigError
+from pymc_features.update.sections import Section
+
+CATALOGUE = {cls.__name__: cls for cls in structures.STRUCTURES}
+DAMPINGS = {cls.__name__: cls for cls in structures.DAMPINGS}
+BY_POSITION = ("mass", "damping", "stiffness")
+
+
+class StructureOf:
+    """Values of the priors, by name, to a structure: random variables in a model, numbers of one draw.
+
+    Its signature lists the names of the priors, so that `posterior_response` finds them.
+
+    Parameters
+    ----------
+    section : Section
+        [structure] of the file.
+    folder : path
+        Files of matrices are relative to it.
+    """
+
+    def __init__(self, section, folder):
+        self.section = section
+        names = {p.prior for _, _, value in parameters_of("", section) for p in priors_in(value)}
+        self.names = sorted(names)
+        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+        self.__signature__ = inspect.Signature([inspect.Parameter(name, kind) for name in self.names])
+        self.given = {}
+        for name in type(section).model_fields:
+            if name not in ("type", "n_modes"):
+                self.given[name] = loaded(getattr(section, name), f"structure.{name}", Path(folder))
+        self.damping_is_constant = not any(
+            True for key, _, value in parameters_of("", section) if "damping" in key for _ in priors_in(value)
+        )
+        self._constant = None
+
+    @property
+    def n_modes(self) -> int | None:
+        """Number of modes kept."""
+        return getattr(self.section, "n_modes", None)
+
+    def __call__(self, **values):
+        """Return the structure."""
+        if self._constant is not None:
+            return self._constant.with_parameters(evaluated(self.given["theta"], values))
+        arguments = {name: built(value, values) for name, value in self.given.items()}
+        first = [arguments.pop(name) for name in BY_POSITION]
+        if self.section.type in ("SpringMassChain", "HystereticChain", "DuffingChain"):
+            first[1], first[2] = first[2], first[1]
+        structure = CATALOGUE[self.section.type](*first, **arguments)
+        if self.section.type == "AffineStructure" and self.damping_is_constant:
+            self._constant = structure
+        return structure
+
+
+def loaded(value, key, folder):
+    """A value of the file with matrices read."""
+    if isinstance(value, Matrix):
+        return read_matrix(value, key, folder)
+    if isinstance(value, list | tuple):
+        return [loaded(item, f"{key}[{i}]", folder) for i, item in enumerate(value)]
+    return value
+
+
+def read_matrix(asked: Matrix, key, folder):
+    """One matrix of a file."""
+    with Keyed(key, path="file"):
+        found = read_matrices(folder / asked.file)
+    if asked.name is None and len(found) == 1:
+        return next(iter(found.values()))
+    if asked.name not in found:
+        raise ConfigError(
+            f"`{key}.name` must be one of the matrices {', '.join(sorted(found))} of {asked.file}, got "
+            f"{asked.name!r}."
+        )
+    return found[asked.name]
+
+
+def built(value, values):
+    """A damping as an object, anything else with values in place of names."""
+    if isinstance(value, Section):
+        damping = DAMPINGS[value.type]
+        if damping is RayleighDamping:
+            return damping(evaluated(value.alpha, values), evaluated(value.beta, values))
+        return damping(evaluated(value.ratios, values))
+    return evaluated(value, values)

@@ -1,0 +1,122 @@
+"""The posterior in a table, and what to doubt about it in sentences."""
+
+import json
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from pymc_features.update.problem import Problem
+
+R_HAT = 1.05  # of chains of SMC that agree; they are few and short
+R_HAT_NUTS = 1.01
+FEWEST = 100  # effective draws of each chain
+TAUGHT = 0.1  # share of the prior's variance that the data must take away to have said something
+ESTIMATED_CHAINS = 2  # R-hat compares chains
+
+
+class Row(NamedTuple):
+    """One parameter under one likelihood."""
+
+    kind: str
+    name: str
+    unit: str
+    mean: float
+    sd: float
+    q05: float
+    q50: float
+    q95: float
+    taught: float
+    r_hat: float
+    ess: float
+
+
+COLUMNS = ("likelihood", "parameter", "unit", "mean", "sd", "5 %", "50 %", "95 %", "learned", "R-hat", "ESS")
+
+
+def kinds_of(result) -> list[str]:
+    """Likelihoods in a result."""
+    return [name for name, part in result.children.items() if "posterior" in part.children]
+
+
+def rows(problem: Problem, result: xr.DataTree) -> list[Row]:
+    """All parameters and natural frequencies under all likelihoods."""
+    import arviz as az  # slow to import
+
+    found = []
+    for kind in kinds_of(result):
+        part = result[kind]
+        posterior, prior = part["posterior"].to_dataset(), part["prior"].to_dataset()
+        several = posterior.sizes["chain"] >= ESTIMATED_CHAINS
+        for name in prior.data_vars:
+            draws = posterior[str(name)]
+            taught = 1.0 - float(draws.var() / prior[name].var())
+            r_hat = float(az.rhat(draws)) if several else np.nan
+            unit = problem.unit(str(name))
+            found.append(Row(kind, str(name), unit, *moments(draws), taught, r_hat, float(az.ess(draws))))
+        modal = part["modal"]["natural_frequency"]
+        for mode in modal["mode"].values:
+            one = modal.sel(mode=mode)
+            found.append(Row(kind, f"f{mode}", "Hz", *moments(one), np.nan, np.nan, np.nan))
+    return found
+
+
+def moments(draws) -> tuple[float, ...]:
+    """Mean, standard deviation and quantiles."""
+    values = draws.values[np.isfinite(draws.values)]
+    return float(values.mean()), float(values.std()), *map(float, np.quantile(values, [0.05, 0.5, 0.95]))
+
+
+def warnings_of(problem: Problem, result: xr.DataTree, table: list[Row]) -> list[str]:
+    """What to doubt, from the run and from its numbers, each with the likelihood in front."""
+    found = []
+    for kind in kinds_of(result):
+        part = result[kind]
+        found += [f"{kind}: {message}" for message in json.loads(part.attrs["warnings"])]
+        limit = R_HAT_NUTS if part.attrs["method"] == "NUTS" else R_HAT
+        of_kind = [row for row in table if row.kind == kind and np.isfinite(row.taught)]
+        found += listed(kind, "chains disagree on", [r.name for r in of_kind if r.r_hat > limit], CHAINS)
+        chains = part["posterior"].sizes["chain"]
+        few = [r.name for r in of_kind if r.ess < FEWEST * chains]
+        found += listed(kind, f"fewer than {FEWEST} effective draws of each chain for", few, DRAWS)
+        found += listed(
+            kind, "the data say little about", [r.name for r in of_kind if r.taught < TAUGHT], LITTLE
+        )
+        at_edge = [row.name for row in of_kind if leans(part, row)]
+        found += listed(kind, "the posterior leans on the edge of the prior for", at_edge, EDGE)
+        stats = part["sample_stats"].to_dataset() if "sample_stats" in part.children else {}
+        if "failed" in stats and (failed := int(stats["failed"].sum())):
+            total = int(stats["evaluations"].sum())
+            found.append(f"{kind}: {failed} of {total} evaluations gave no response and count as impossible.")
+        if "coverage" in part["bands"]:
+            low = part["bands"]["coverage"]
+            bad = [str(s) for s in low["sensor"].values if float(low.sel(sensor=s)) < 0.8]
+            found += listed(
+                kind, "fewer than 80 % of the samples lie in the 90 % predictive band of", bad, BAND
+            )
+    return found
+
+
+CHAINS = "Increase `sampler.draws`, and look at the ranks."
+DRAWS = "Increase `sampler.draws`."
+LITTLE = "Their posterior is the prior: fix them, or add sensors."
+EDGE = "Widen the prior, or ask why."
+BAND = "The likelihood takes the errors for smaller than they are."
+
+
+def listed(kind, sentence, names, advice) -> list[str]:
+    """A sentence on some names, if there are any."""
+    return [f"{kind}: {sentence} {', '.join(names)}. {advice}"] if names else []
+
+
+def leans(part, row) -> bool:
+    """Whether a posterior lies where the prior has one per cent of its mass."""
+    low, high = np.quantile(part["prior"][row.name].values, [0.01, 0.99])
+    return not low < row.q50 < high
+
+
+def as_csv(table: list[Row]) -> str:
+    """The table in full precision."""
+    lines = [",".join(COLUMNS)]
+    lines += [",".join(v if isinstance(v, str) else f"{v:.10g}" for v in row) for row in table]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,623 @@
+"""Updating from a configuration file: messages, numbers of the report, continuation."""
+
+import base64
+import json
+import re
+import shutil
+import tomllib
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.stats
+import xarray as xr
+
+from pymc_features import cli, datasets, simulate, structures
+from pymc_features.update import (
+    messages,
+    predict,
+    priors,
+    read_problem,
+    run,
+    structure_sections,
+    write_example,
+)
+from pymc_features.update.config import read_config
+from pymc_features.update.structure import StructureOf
+
+SMALL = [
+    ('kinds = ["NORM", "TN", "EXP", "ABC"]', 'kinds = ["EXP", "ABC"]'),
+    ("draws = 1000", "draws = 100"),
+    ("chains = 2", "chains = 1"),
+    ("# trim = [0.0, 10.0]", "trim = [0.0, 6.0]"),
+]
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    """The example with simulated data, few draws of EXP and ABC."""
+    path = tmp_path_factory.mktemp("update") / "frame.toml"
+    paths, sentence = write_example(path, synthetic=True)
+    assert paths == [path, path.with_name("frame-measured.csv")]
+    assert sentence == "data: simulated, in frame-measured.csv, as asked"
+    path.write_text(replaced(path.read_text(), SMALL))
+    return path
+
+
+def replaced(text, pairs):
+    """Text with every old part, which must be there once, replaced by the new one."""
+    for old, new in pairs:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return text
+
+
+def variant(example, tmp_path, *pairs):
+    """The example changed, in a folder of its own beside the same data."""
+    data = example.with_name("frame-measured.csv")
+    path = tmp_path / "changed.toml"
+    path.write_text(replaced(example.read_text(), [('"frame-measured.csv"', f'"{data}"'), *pairs]))
+    return path
+
+
+SIGMA = 'sigma = "sigma" '
+BROKEN = {  # what is changed, into what, and what is said of it
+    "unknown key": (
+        ("draws = 100", "drwas = 100"),
+        "`sampler.drwas` must be left out, it is no key. Did you",
+    ),
+    "unknown section": (
+        ("[sampler]", "[sampling]"),
+        "`sampling` must be left out, it is no key. Did you mean",
+    ),
+    "unknown key of a damping": (
+        ('ratios = "zeta"', 'ratio = "zeta"'),
+        "`structure.damping.ratios` must be given: a number, the name of a prior",
+    ),
+    "type of a value": (
+        ("draws = 100", 'draws = "many"'),
+        "`sampler.draws` must be a whole number of at least",
+    ),
+    "range of a value": (
+        ("draws = 100", "draws = 10"),
+        "`sampler.draws` must be a whole number of at least 50",
+    ),
+    "choice": (
+        ('"smc"', '"gibbs"'),
+        '`sampler.method` must be "smc", "nuts" or "laplace", got \'gibbs\'.',
+    ),
+    "likelihood": (
+        ('["EXP", "ABC"]', '["MAX"]'),
+        "`likelihood.kinds` must be a list of NORM, TN, EXP, ABC, each once, got 'MAX'.",
+    ),
+    "ABC alone": (
+        ('["EXP", "ABC"]', '["ABC"]'),
+        "`likelihood` must have `tolerance` for ABC, or EXP among",
+    ),
+    "missing file": (
+        ("frame-measured.csv", "nothing.csv"),
+        "[data]: `files` must be an existing file, got",
+    ),
+    "wrong unit": (
+        ('# units = "m/s^2" ', 'units = "furlong" #'),
+        "[data]: `units` must be one of",
+    ),
+    "no sensor of this name": (
+        ('"floor3"]', '"roof"]'),
+        "`data.sensors` must be among the sensors base, floor1",
+    ),
+    "no base of this name": (
+        ('base = "base" ', 'base = "ground"'),
+        "`data.base` must be among the sensors base",
+    ),
+    "number of sensors": (
+        (', "floor3"]', "]"),
+        "`data.sensors` must be one for each of the 3 degrees of freedom of the structure, got 2.",
+    ),
+    "number of places": (
+        ("# dofs = [0, 1, 2]", "dofs = [0, 1]"),
+        "`data.dofs` must have one value for each of",
+    ),
+    "places": (
+        ("# dofs = [0, 1, 2]", "dofs = [0, 1, 3]"),
+        "`data.dofs` must be different numbers from 0 to 2",
+    ),
+    "structure": (
+        ('"SpringMassChain"', '"Steel"'),
+        "`structure.type` must be one of SpringMassChain, LinearStructure, AffineStructure, HystereticChain",
+    ),
+    "masses": (
+        ("mass = [0.1601, ", "mass = [-0.1601, "),
+        "[structure]: `mass` must be positive and finite, got",
+    ),
+    "lengths": (
+        ('["k1", "k2", "k3"]', '["k1", "k2", "k3", 600.0]'),
+        "[structure]: `mass` and `stiffness` must have the same",
+    ),
+    "entry": (
+        ('["k1", "k2", "k3"]', "[true]"),
+        "`structure.stiffness` must be a number, the name of a prior",
+    ),
+    "no prior": (
+        ('["k1", "k2", "k3"]', '["k1", "k2", "k4"]'),
+        "`structure.stiffness` must name priors of the file, got 'k4'. Add [priors.k4]",
+    ),
+    "prior not used": (
+        ('["k1", "k2", "k3"]', '["k1", "k2", 600]'),
+        "`priors.k3` must be used by the structure",
+    ),
+    "name of a prior": (
+        ("k3 = {", "draw = {"),
+        "`priors.draw` must have a name of letters, digits and underscores that is not taken",
+    ),
+    "distribution": (
+        ('"HalfNormal"', '"HalfNormol"'),
+        "`priors.sigma.distribution` must be a continuous",
+    ),
+    "code as distribution": (
+        ('"HalfNormal"', '"__import__"'),
+        "`priors.sigma.distribution` must be a continuous",
+    ),
+    "improper": (
+        ('"HalfNormal", sigma = 0.5', '"HalfFlat"'),
+        "`priors.sigma.distribution` must be one that can",
+    ),
+    "argument": (
+        ('"HalfNormal", sigma', '"HalfNormal", scale'),
+        "`priors.sigma.scale` must be left out, it is no",
+    ),
+    "range of an argument": (
+        ("sigma = 0.5", "sigma = -0.5"),
+        "`priors.sigma` must have admissible arguments of HalfNormal, got HalfNormal(sigma=-0.5): sigma > 0.",
+    ),
+    "argument of text": (
+        ("sigma = 0.5", 'sigma = "half"'),
+        "`priors.sigma.sigma` must be a finite number, got",
+    ),
+    "sigma": (
+        (SIGMA, "sigma = 0.3 "),
+        "`priors.sigma` must be used by the structure or by sigma",
+    ),
+    "sigma of each": (
+        (SIGMA, 'sigma = ["sigma"] '),
+        "`likelihood.sigma` must be one value or one for each of the 3",
+    ),
+    "window": (
+        ("[0.0, 6.0]", "[0.0, 60.0]"),
+        "[processing.trim]: `start, stop` must lie within the record",
+    ),
+    "window backward": (
+        ("[0.0, 6.0]", "[6.0, 0.0]"),
+        "`processing.trim` must be two rising numbers [from, to]",
+    ),
+    "corner": (
+        ("high = 25.0", "high = 80.0"),
+        "[processing.band_pass]: `high` must lie between 0 and 50 Hz",
+    ),
+    "frequencies": (
+        ("natural_frequencies = [", "natural_frequencies = [9, "),
+        "`report.natural_frequencies` must",
+    ),
+    "not TOML": (
+        ("[sampler]", "[sampler"),
+        "must be a TOML file",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_broken_configurations_name_the_key(example, tmp_path, capsys, case):
+    change, message = BROKEN[case]
+    assert cli.main(["update", str(variant(example, tmp_path, change))]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert "Traceback" not in error
+    assert error.splitlines()[-1].startswith("pymc-features: error: ")
+    assert not (tmp_path / "changed-output").exists()
+
+
+def test_missing_configuration_and_traceback(tmp_path, capsys):
+    missing = str(tmp_path / "no.toml")
+    assert cli.main(["update", missing]) == 2
+    assert "`CONFIG` must be an existing file" in capsys.readouterr().err
+    with pytest.raises(FileNotFoundError, match="`pymc-features init` writes an example"):
+        cli.main(["update", missing, "--traceback"])
+
+
+def test_catalogues_of_the_schema_are_those_of_the_package():
+    assert {*SECTIONS, "AffineStructure"} == set(structure_sections.STRUCTURES)  # all are tested below
+    assert list(structure_sections.STRUCTURES) == [cls.__name__ for cls in structures.STRUCTURES]
+    assert list(structure_sections.DAMPINGS) == [cls.__name__ for cls in structures.DAMPINGS]
+
+
+def test_every_key_says_what_it_must_be(example):
+    config, _ = read_config(example)
+    sections = [config, config.data, config.processing, config.likelihood, config.sampler, config.report]
+    classes = [type(s) for s in sections] + list(structure_sections.STRUCTURES.values())
+    for cls in classes:
+        for name, field in cls.model_fields.items():
+            assert field.description or name == "type", f"{cls.__name__}.{name}"
+
+
+def test_two_errors_are_counted(example, tmp_path):
+    path = variant(example, tmp_path, ("draws = 100", "draws = 1"), ("seed = 0", "seed = -1"))
+    with pytest.raises(messages.ConfigError, match=r"`sampler.draws` .* \(1 more after this one.\)"):
+        read_config(path)
+
+
+def test_priors_are_the_distributions_of_pymc():
+    draws = priors.Prior("priors.x", "Gamma", {"mu": 3.0, "sigma": 0.5}).draw(4000, 1)
+    assert scipy.stats.kstest(draws, scipy.stats.gamma(36.0, scale=1.0 / 12.0).cdf).pvalue > 1e-3
+    points = {"x_points": [0, 1, 2], "pdf_points": [0, 1, 0]}
+    draws = priors.Prior("priors.x", "Interpolated", points).draw(4000, 1)
+    assert scipy.stats.kstest(draws, scipy.stats.triang(0.5, scale=2.0).cdf).pvalue > 1e-3
+    with pytest.raises(messages.ConfigError, match="`priors.x` must be a scalar"):
+        priors.Prior("priors.x", "Normal", {"mu": [0.0, 1.0], "sigma": 1.0})
+    with pytest.raises(messages.ConfigError, match="Either use alpha and beta"):
+        priors.Prior("priors.x", "Gamma", {"alpha": 2.0})
+    with pytest.raises(messages.ConfigError, match="must spread over finite values"):
+        priors.Prior("priors.x", "Uniform", {"lower": 2.0, "upper": 2.0})
+
+
+@pytest.fixture(scope="module")
+def finished(example):
+    """A run of the example, stopped before ABC and continued."""
+    sample, out = run.sample, example.with_name("out")
+
+    def stopped(problem, kind, *rest):
+        if kind == "ABC":
+            raise KeyboardInterrupt
+        return sample(problem, kind, *rest)
+
+    def only_abc(problem, kind, *rest):
+        assert kind == "ABC", f"{kind} is sampled again"
+        return sample(problem, kind, *rest)
+
+    with pytest.MonkeyPatch.context() as patch:
+        command = ["update", str(example), "--out", str(out), "--cores", "1"]
+        patch.setattr(run, "sample", stopped)
+        assert cli.main(command) == 130
+        assert [path.name for path in (out / "parts").iterdir()] == ["EXP.nc"]
+        patch.setattr(run, "sample", only_abc)
+        assert cli.main(command) == 0
+        patch.setattr(run, "sample", None)
+        before = (out / "table.csv").read_text()
+        assert cli.main(command) == 0  # nothing is sampled
+        assert (out / "table.csv").read_text() == before
+    return out
+
+
+def test_outputs(finished):
+    names = {path.name for path in finished.iterdir()}
+    assert names == {"figures", "parts", "report.html", "table.csv", "update.json", "update.nc"}
+    figures = {path.stem for path in (finished / "figures").iterdir()}
+    of_each = {"prior_posterior", "response", "response_zoom", "stages"}
+    assert figures == {"record", "frequencies", *(f"{k}_{name}" for k in ("EXP", "ABC") for name in of_each)}
+
+
+def test_other_settings_are_refused_other_reports_are_not(example, finished, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(run, "sample", None)
+    text = example.read_text()
+    try:
+        example.write_text(replaced(text, [("seed = 0", "seed = 1")]))
+        assert cli.main(["update", str(example), "--out", str(finished)]) == 2
+        error = capsys.readouterr().err
+        assert "must be empty or hold the same update" in error
+        assert "sampler.seed = 0 instead of 1" in error
+        example.write_text(replaced(text, [("Simulated, three storeys", "Another <title>")]))
+        assert cli.main(["update", str(example), "--out", str(finished)]) == 0
+        assert "<h1>Another &lt;title&gt;</h1>" in (finished / "report.html").read_text()
+    finally:
+        example.write_text(text)
+
+
+def table_of(html, after):
+    """Cells of the first table after a heading."""
+    part = html[html.index(f"<h2>{after}</h2>") :]
+    part = part[: part.index("</table>")]
+    found = [re.findall(r"<t[dh][^>]*>(.*?)</t[dh]>", row) for row in part.split("<tr")[1:]]
+    return found[0], found[1:]
+
+
+def test_report_has_the_numbers_of_the_posterior(finished):
+    html = (finished / "report.html").read_text()
+    header, body = table_of(html, "Posterior")
+    assert header[:8] == ["likelihood", "parameter", "unit", "mean", "sd", "5 %", "50 %", "95 %"]
+    cells = {(row[0], row[1]): row[2:] for row in body}
+    units = {"k1": "N/m", "k3": "N/m", "zeta": "-", "sigma": "m/s²", "f1": "Hz"}
+    with xr.open_datatree(finished / "update.nc", engine="h5netcdf") as tree:
+        for kind, name in (("EXP", "k1"), ("EXP", "zeta"), ("EXP", "sigma"), ("ABC", "k3"), ("EXP", "f1")):
+            posterior = tree[f"{kind}/posterior"].to_dataset()
+            if name == "f1":
+                draws = tree[f"{kind}/modal"]["natural_frequency"].sel(mode=1).values
+            else:
+                draws = posterior[name].values
+            unit, *numbers = cells[kind, name][:6]
+            assert unit == units[name]
+            expected = [draws.mean(), draws.std(), *np.quantile(draws, [0.05, 0.5, 0.95])]
+            np.testing.assert_allclose([float(v) for v in numbers], expected, rtol=6e-4)
+    assert ("ABC", "sigma") not in cells
+    assert "3 measured accelerations over 6 s, 5 uncertain parameters, under EXP, ABC" in html
+
+
+def test_report_needs_no_other_file(finished):
+    html = (finished / "report.html").read_text()
+    assert not re.search(r"<(script|link|iframe)|https?://|@import|url\(", html)
+    sources = re.findall(r'src="([^"]*)"', html)
+    assert len(sources) == len(list((finished / "figures").iterdir()))
+    for source in sources:
+        assert source.startswith("data:image/png;base64,")
+        assert base64.b64decode(source.split(",")[1], validate=True).startswith(b"\x89PNG")
+
+
+def test_posterior_finds_the_structure_and_its_modes(example, finished):
+    """The frequencies of a draw by dense algebra; true ones within the posterior."""
+    problem = read_problem(example)
+    with xr.open_datatree(finished / "update.nc", engine="h5netcdf") as tree:
+        posterior, modal = tree["EXP/posterior"].to_dataset(), tree["EXP/modal"].to_dataset()
+        draw = int(modal["draw"][3])
+        k1, k2, k3 = (float(posterior[f"k{i}"].sel(chain=0, draw=draw)) for i in (1, 2, 3))
+        stiffness = np.array([[k1 + k2, -k2, 0.0], [-k2, k2 + k3, -k3], [0.0, -k3, k3]])
+        omega2 = scipy.linalg.eigvalsh(stiffness, np.diag([0.1601, 0.1601, 0.1421]))
+        own = modal["natural_frequency"].sel(chain=0, draw=draw)
+        np.testing.assert_allclose(own, np.sqrt(omega2) / (2.0 * np.pi), rtol=1e-10)
+        low, high = modal["natural_frequency"].quantile([0.005, 0.995], dim=["chain", "draw"]).values
+        true = tree["data"]["given_frequency"].values
+        assert (low < true).all()
+        assert (true < high).all()
+        # Eq. (16), from the sampled posterior
+        sigma = float(np.quantile(posterior["sigma"], 0.9))
+        assert tree["ABC"].attrs["tolerance"] == pytest.approx(6.0 * sigma**2)
+        # draws of ABC lie within it
+        last = tree["ABC/posterior"].to_dataset().isel(chain=0, draw=-1)
+        built = problem.structure(**{n: float(last[n]) for n in problem.structure.names})
+        off = simulate(built, problem.measured.record).values - problem.measured.channels.values
+        assert (off**2).mean(axis=1).sum() <= tree["ABC"].attrs["tolerance"]
+
+
+def test_gain_peaks_at_the_natural_frequencies(example, tmp_path):
+    problem = read_problem(variant(example, tmp_path, ("trim = [0.0, 6.0]", "")))
+    gain, peaks = predict.measured_gain(problem)
+    true = np.array(problem.config.report.natural_frequencies)
+    resolution = 1.0 / 4.0  # Hz, of windows of a third of 12 s
+    assert np.abs(peaks[:, None] - true).min(axis=0).max() < resolution
+    slow = gain.sel(frequency=slice(0.5, 2.5))
+    mass, damping, stiffness = problem.structure(k1=385.0, k2=420.0, k3=600.0, zeta=0.01).matrices()
+    exact = []
+    for omega in 2.0 * np.pi * slow["frequency"].values:
+        dynamic = stiffness - omega**2 * mass + 1j * omega * damping
+        exact.append(np.abs(1.0 + omega**2 * np.linalg.solve(dynamic, mass.sum(axis=1))))
+    np.testing.assert_allclose(slow, np.transpose(exact), rtol=0.1)
+
+
+def test_bands_hold_what_they_say(finished):
+    with xr.open_datatree(finished / "update.nc", engine="h5netcdf") as tree:
+        bands, y = tree["EXP/bands"].to_dataset(), tree["EXP/observed_data"]["y"]
+        low, middle, high = bands["response"].values
+        error = np.sqrt(((y.values - middle) ** 2).mean(axis=1) / (y.values**2).mean(axis=1))
+        np.testing.assert_allclose(bands["normalised_error"], error)
+        assert error.max() < 0.2
+        below, _, above = bands["predictive"].values
+        inside = (y.values >= below) & (y.values <= above)
+        np.testing.assert_allclose(bands["coverage"], inside.mean(axis=1))
+        assert inside.mean() > 0.8
+        assert (above - below).mean() > (high - low).mean()
+        assert "predictive" not in tree["ABC/bands"]
+        drift = bands["inter_storey_drift_peak"]
+        assert drift.attrs["units"] == "m"
+        assert drift.sizes == {"quantile": 3, "inter_storey_drift_storey": 3}
+
+
+def test_thinned_draws_are_spread_over_the_chain():
+    posterior = xr.Dataset({"x": (("chain", "draw"), np.arange(20.0).reshape(2, 10))})
+    assert predict.thinned(posterior, 6)["x"].values.tolist() == [[0, 3, 6], [10, 13, 16]]
+
+
+def test_tolerance_out_of_reach_keeps_the_rest(example, tmp_path, capsys):
+    path = variant(example, tmp_path, ("# tolerance = 5.0 ", "tolerance = 1e-9 "))
+    assert cli.main(["update", str(path), "--cores", "1", "--out", str(tmp_path / "out")]) == 2
+    assert "`likelihood.tolerance` must be within reach of the model" in capsys.readouterr().err
+    assert (tmp_path / "out" / "parts" / "EXP.nc").exists()
+
+
+def test_what_a_stopped_sampler_returns_is_not_kept(example, tmp_path, monkeypatch):
+    problem, sample = read_problem(example), run.sample
+    monkeypatch.setattr(run, "sample", lambda *all: sample(*all).isel(draw=slice(60)))
+    with pytest.raises(KeyboardInterrupt):
+        run.run_update(problem, out=tmp_path, cores=1, progressbar=False)
+    assert not list((tmp_path / "parts").iterdir())
+
+
+def test_another_tolerance_samples_abc_again(finished, example, tmp_path, monkeypatch):
+    """And nothing but ABC."""
+    problem = read_problem(variant(example, tmp_path, ("# tolerance = 5.0 ", "tolerance = 40.0 ")))
+    asked = []
+
+    def stopped(problem, kind, *rest):
+        asked.append(kind)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "sample", stopped)
+    shutil.copytree(finished, tmp_path / "out")
+    settings = json.loads((tmp_path / "out" / "update.json").read_text())
+    settings["data.files"] = str(example.with_name("frame-measured.csv"))
+    (tmp_path / "out" / "update.json").write_text(json.dumps(settings))
+    with pytest.raises(KeyboardInterrupt):
+        run.run_update(problem, out=tmp_path / "out")
+    assert asked == ["ABC"]
+
+
+def test_motion_from_a_file_of_its_own(example, tmp_path):
+    channels = np.loadtxt(example.with_name("frame-measured.csv"), delimiter=",", skiprows=1)
+    lines = "\n".join(f"{v / 9.81:.8f}" for v in channels[:, 1])
+    (tmp_path / "motion.csv").write_text(f"acceleration\n{lines}\n")
+    record = '[record]\npath = "motion.csv"\nunits = "g"\ndt = 0.01\n\n[processing] '
+    changes = ('base = "base" ', "#"), ("[processing] ", record)
+    alone = read_problem(variant(example, tmp_path, *changes)).measured
+    together = read_problem(example).measured
+    np.testing.assert_allclose(alone.record.acceleration, together.record.acceleration, atol=1e-6)
+    np.testing.assert_allclose(alone.channels, together.channels, rtol=1e-12)
+    both = variant(example, tmp_path, ("[processing] ", record))
+    with pytest.raises(messages.ConfigError, match=r"`record` must be left out with `data.base`"):
+        read_problem(both)
+
+
+def test_decimated_sensors_keep_the_motion(example, tmp_path):
+    problem = read_problem(variant(example, tmp_path, ("# decimate = 2", "decimate = 2")))
+    assert problem.measured.step == pytest.approx(0.02)
+    assert problem.measured.record.dt == pytest.approx(0.01)
+    assert problem.measured.channels.shape == (3, 301)
+    assert run.declare(problem, "EXP")["y"].shape.eval().tolist() == [3, 301]
+
+
+MATRICES = """
+type = "AffineStructure"
+mass = { file = "frame.npz", name = "M" }
+stiffness = { file = "frame.npz", name = "K0" }
+stiffness_terms = [{ file = "frame.npz", name = "K1" }, { file = "frame.npz", name = "K2" }]
+theta = ["k1", { prior = "k2", times = 2.0 }]
+damping = { type = "RayleighDamping", alpha = 0.1, beta = "zeta" }
+"""
+
+
+def test_matrices_come_from_files(example, tmp_path):
+    lower, upper = np.diag([1.0, 0.0, 0.0]), np.array([[1.0, -1, 0], [-1, 1, 0], [0, 0, 0]])
+    top = 600.0 * np.array([[0.0, 0, 0], [0, 1, -1], [0, -1, 1]])
+    masses = np.diag([0.1601, 0.1601, 0.1421])
+    np.savez(tmp_path / "frame.npz", M=masses, K0=top, K1=lower, K2=upper)
+    text = example.read_text()
+    section = text[text.index("[structure]") + len("[structure]") : text.index("[priors]")]
+    k3 = next(line for line in text.splitlines() if line.startswith("k3 ="))
+    drift = '"inter_storey_drift", '
+    path = variant(example, tmp_path, (section, MATRICES), (k3, ""), (drift, ""))
+    problem = read_problem(path)
+    assert problem.structure.names == ["k1", "k2", "zeta"]
+    assert [problem.unit(name) for name in ("k1", "k2", "zeta")] == ["-", "-", "s"]
+    mass, damping, stiffness = problem.structure(k1=385.0, k2=210.0, zeta=1e-3).matrices()
+    expected = top + 385.0 * lower + 420.0 * upper
+    np.testing.assert_allclose(stiffness, expected)
+    np.testing.assert_allclose(damping, 0.1 * masses + 1e-3 * expected)
+    assert "frame.npz_sha256" in problem.settings()
+    model = run.declare(problem, "ABC", 1.0)
+    assert {rv.name for rv in model.free_RVs} == {"k1", "k2", "zeta"}
+    wrong = variant(example, tmp_path, (section, MATRICES.replace('"K1"', '"K9"')), (k3, ""), (drift, ""))
+    with pytest.raises(
+        messages.ConfigError, match=r"`structure.stiffness_terms\[0\].name` must be one of the"
+    ):
+        read_problem(wrong)
+    with pytest.raises(
+        messages.ConfigError, match="must not have inter_storey_drift for a structure without"
+    ):
+        read_problem(variant(example, tmp_path, (section, MATRICES), (k3, "")))
+
+
+CHAIN = """
+type = "{}"
+mass = 0.15
+stiffness = ["k1", "k2", "k3"]
+damping = {{ type = "ModalDamping", ratios = ["zeta", 0.02, 0.01] }}
+"""
+FRAME = """
+type = "LinearStructure"
+mass = [0.1, 0.1, 0.1]
+stiffness = [[800.0, -400.0, 0.0], [-400.0, 800.0, -400.0], [0.0, -400.0, 400.0]]
+damping = { type = "RayleighDamping", alpha = "zeta", beta = 1e-4 }
+"""
+SECTIONS = {
+    "SpringMassChain": CHAIN,
+    "HystereticChain": f"{CHAIN}yield_displacement = 0.01\npost_yield_ratio = 0.1\n",
+    "DuffingChain": f'{CHAIN}cubic = {{{{ prior = "k1", times = 100.0 }}}}\n',
+    "LinearStructure": FRAME.replace("{", "{{").replace("}", "}}"),
+}
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_structures_by_name(name):
+    raw = tomllib.loads(SECTIONS[name].format(name))
+    built = StructureOf(structure_sections.STRUCTURES[name].model_validate(raw), ".")
+    values = {
+        n: v for n, v in {"k1": 385.0, "k2": 420.0, "k3": 600.0, "zeta": 0.3}.items() if n in built.names
+    }
+    structure = built(**values)
+    assert type(structure) is getattr(structures, name)
+    if name == "LinearStructure":
+        mass, damping, stiffness = structure.matrices()
+        np.testing.assert_allclose(damping, 0.3 * mass + 1e-4 * stiffness)
+        return
+    assert structure.mass.tolist() == 0.15
+    assert structure.stiffness.tolist() == [385.0, 420.0, 600.0]
+    assert structure.damping.ratios.tolist() == [0.3, 0.02, 0.01]
+    if name == "DuffingChain":
+        assert structure.cubic == 38500.0
+
+
+def test_files_of_sensors_and_a_floor_without_one(tmp_path, data_dir):
+    """Raw exports by their names give what the data set gives; the first floor is left out."""
+    path = tmp_path / "table.toml"
+    write_example(path)
+    folder = data_dir / "mini_shake_table"
+    names = {"base": "base", "low": "floor1", "top": "floor3"}
+    files = ", ".join(f'{k} = "{folder}/flexible_northridge_{v}.csv"' for k, v in names.items())
+    own = f'files = {{ {files} }}\ncolumns = "Acc_X"\nunits = "m/s^2"\nskip = 1\n#'
+    pairs = [
+        ('dataset = "mini_shake_table" ', own),
+        ('event = "northridge"', ""),
+        ('["floor1", "floor2", "floor3"]', '["top"]'),
+        ("# dofs = [0, 1, 2]", "dofs = [2]"),
+        ("check_band", "# check_band"),
+    ]
+    measured = read_problem(path_of(tmp_path, replaced(path.read_text(), pairs))).measured
+    with pytest.warns(UserWarning, match="Channel 'floor3' comes"):
+        expected = read_problem(path).measured
+    np.testing.assert_allclose(measured.record.acceleration, expected.record.acceleration, atol=1e-12)
+    np.testing.assert_allclose(measured.channels[0], expected.channels[2], atol=1e-12)
+
+
+def path_of(folder, text):
+    """Text as a configuration in a folder."""
+    path = folder / "changed.toml"
+    path.write_text(text)
+    return path
+
+
+def test_laplace_and_a_sigma_for_each_sensor(example, tmp_path):
+    path = variant(
+        example,
+        tmp_path,
+        ('method = "smc"', 'method = "laplace"'),
+        ('["EXP", "ABC"]', '["NORM"]'),
+        (SIGMA, 'sigma = ["sigma", { prior = "sigma", times = 1.3 }, 0.3] '),
+        (', "base_shear"', ""),
+    )
+    problem = read_problem(path)
+    result = run.run_update(problem, progressbar=False)
+    assert result["NORM"].attrs["method"] == "Laplace"
+    low, high = np.quantile(result["NORM/posterior"]["k1"], [0.001, 0.999])
+    assert low < 385.0 < high
+    assert high - low < 20.0
+
+
+def test_init_says_which_data(tmp_path, monkeypatch, capsys):
+    def unavailable(event):
+        raise datasets.DatasetUnavailableError("no network")
+
+    monkeypatch.setattr(datasets, "mini_shake_table", unavailable)
+    path = tmp_path / "mine.toml"
+    assert cli.main(["init", str(path)]) == 0
+    told = capsys.readouterr().err
+    assert "data: simulated, in mine-measured.csv, since the shaking table's could not be had here" in told
+    assert f"run: pymc-features update {path}" in told
+    assert cli.main(["init", str(path)]) == 2
+    assert f"`CONFIG` must be a new file, got {path}" in capsys.readouterr().err
+    assert read_problem(path).config.likelihood.kinds == ["NORM", "TN", "EXP", "ABC"]
+
+
+def test_init_takes_the_shaking_table(tmp_path, data_dir):
+    path = tmp_path / "table.toml"
+    [written], sentence = write_example(path)
+    assert written == path
+    assert "measured, a three-storey model on a shaking table" in sentence
+    with pytest.warns(UserWarning, match="Channel 'floor3' comes 2.43 ms"):
+        problem = read_problem(path)
+    assert problem.measured.record.duration == pytest.approx(14.99, abs=0.01)
+    assert problem.dofs == [0, 1, 2]
