@@ -66,7 +66,7 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="NAME",
         default="linear",
         help="linear: the source's (default; three minutes on two cores), or bouc-wen: the same with "
-        "hysteretic springs (half an hour)",
+        "hysteretic springs (hours)",
     )
     add("--record", metavar="FILE", help="ground motion: PEER AT2, text/CSV or .mat")
     add("--units", help="units of the record's file: g, m/s^2, cm/s^2, gal, or m/s^2 per unit")
@@ -76,7 +76,7 @@ def make_parser() -> argparse.ArgumentParser:
     add(
         "--quick",
         action="store_true",
-        help="three sampling steps and fewer draws, for a first look (bouc-wen: four minutes)",
+        help="three sampling steps and fewer draws, for a first look (bouc-wen: most of an hour)",
     )
     add("--seed", type=int, default=0, help="of noise and samplers (default: 0)")
     add("--stiffness", type=float, metavar="N/m", help="nominal, initial spring stiffness (default: 1800)")
