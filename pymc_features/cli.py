@@ -76,7 +76,8 @@ def make_parser() -> argparse.ArgumentParser:
     add(
         "--quick",
         action="store_true",
-        help="three sampling steps and fewer draws, for a first look (bouc-wen: most of an hour)",
+        help="three sampling steps and fewer draws, for a first look; bouc-wen: of the record until 8 s "
+        "after its peak (two minutes)",
     )
     add("--seed", type=int, default=0, help="of noise and samplers (default: 0)")
     add("--stiffness", type=float, metavar="N/m", help="nominal, initial spring stiffness (default: 1800)")
@@ -86,7 +87,7 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help="NORM, TN, EXP, ABC, CN, CN-SIGMA, CN-TAU (default: all; bouc-wen: the first four)",
     )
-    add("--draws", type=int, help="draws per chain (default: 2000, quick 250; bouc-wen: 1000, quick 100)")
+    add("--draws", type=int, help="draws per chain (default: 2000, quick 250; bouc-wen: 1000)")
     add("--chains", type=int, help="chains (default: 4, quick 2; bouc-wen: 2)")
     add("--cores", type=int, help="processes (default: all processors)")
     add("--traceback", action="store_true", help="on an error, show where it came from")
@@ -157,6 +158,9 @@ def reproduce(options, console):
     options.out = Path(options.out or default_folder(options))
     record, sentence = find_record(options)
     console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+    if options.quick and described.quick_seconds is not None:
+        record = strong_part(record, described.quick_seconds)
+        console.print(f"used: {record}", markup=False, highlight=False, soft_wrap=True)
     settings = dict(described.quick) if options.quick else {}
     for name in ("draws", "chains", "cores", "stiffness", "likelihoods"):
         if getattr(options, name) is not None:
@@ -216,6 +220,17 @@ def init(options, console):
     paths, sentence = write_example(options.config, synthetic=options.synthetic)
     for line in (sentence, *(f"wrote {path}" for path in paths), f"run: pymc-features update {paths[0]}"):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def strong_part(record, seconds: float):
+    """The record until some seconds after its peak, with a name that says so."""
+    from pymc_features import Record
+
+    end = record.time[abs(record.acceleration).argmax()] + seconds
+    kept = record.acceleration[record.time <= end]
+    if kept.size == record.n_times:
+        return record
+    return Record(kept, record.dt, name=f"{record.name}, first {kept.size * record.dt:.3g} s")
 
 
 def default_folder(options) -> str:

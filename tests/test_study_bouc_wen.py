@@ -213,6 +213,16 @@ def as_markdown_without_loops(result):
     return as_markdown(linear)
 
 
+def test_first_look_at_costly_structures_takes_the_strong_part_of_a_record():
+    acceleration = np.zeros(1001)
+    acceleration[150], acceleration[400] = 1.0, -2.0
+    record = Record(acceleration, 0.02, name="pulses")
+    part = cli.strong_part(record, 8.0)
+    assert (part.n_times, part.pga, part.dt, part.name) == (801, 2.0, 0.02, "pulses, first 16 s")
+    np.testing.assert_array_equal(part.acceleration, acceleration[:801])
+    assert cli.strong_part(record, 20.0) is record
+
+
 def test_default_folder_names_the_structure():
     parse = cli.make_parser().parse_args
     assert cli.default_folder(parse(["reproduce"])) == "reproduce-output"

@@ -1,14 +1,14 @@
 """The structures of the study. A new one is one file with its chain, and one entry here."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pymc_features.structures import Structure
 from pymc_features.study import bouc_wen, paper
 from pymc_features.study.models import LIKELIHOODS
 
 DEFAULT = "linear"
-QUICK_MULTIPLIERS = (0.2, 1.0, 10.0)
+QUICK = {"draws": 250, "chains": 2, "multipliers": (0.2, 1.0, 10.0)}
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,8 @@ class StudyStructure:
         Those compared by default.
     draws, chains : int
         Of `sample_smc`.
+    quick_seconds : float, optional
+        How much of a record after its peak is enough for a first look, where a response is costly [s].
     quick : dict
         Settings for a first look.
     """
@@ -34,7 +36,8 @@ class StudyStructure:
     likelihoods: tuple[str, ...]
     draws: int
     chains: int
-    quick: dict
+    quick_seconds: float | None = None
+    quick: dict = field(default_factory=lambda: dict(QUICK))
 
 
 STRUCTURES = {
@@ -44,7 +47,6 @@ STRUCTURES = {
         tuple(LIKELIHOODS),
         draws=2000,
         chains=4,
-        quick={"draws": 250, "chains": 2, "multipliers": QUICK_MULTIPLIERS},
     ),
     "bouc-wen": StudyStructure(
         "Bouc-Wen chain",
@@ -53,7 +55,7 @@ STRUCTURES = {
         # few large chains: small stages often miss the one per cent of the prior where the posterior lies
         draws=1000,
         chains=2,
-        quick={"draws": 100, "chains": 2, "multipliers": QUICK_MULTIPLIERS},
+        quick_seconds=8.0,
     ),
 }
 
