@@ -41,7 +41,7 @@ def tolerance_sweep(
     -----
     A large tolerance gives the prior. As it falls to the smallest rho there is, the interval shrinks to a
     point: the tolerance *is* the statement on the uncertainty. That of `abc_tolerance` gives an interval
-    about twice as wide as EXP's in the ten-storey example (notebooks/tolerance.ipynb).
+    about twice as wide as EXP's in the ten-storey example (notebooks/3_tolerance.ipynb).
     """
     try:
         tolerances = np.sort(np.atleast_1d(np.asarray(tolerances, dtype=np.float64)))[::-1]
