@@ -94,7 +94,7 @@ class CommandLine:
                     f"`inputs` must name parameters ({', '.join(self.parameters)}), got {name!r} in {where}."
                 )
             try:
-                format(1.0, form)
+                format(1.0, form.rstrip())
             except ValueError:
                 raise ValueError(
                     f"`inputs` must have formats of numbers, such as .3e, got {form!r} in {where}."
@@ -156,6 +156,6 @@ def filled(text: str, values: dict) -> str:
     def number(match):
         name, index, form = match.groups()
         value = values[name] if index is None else np.ravel(values[name])[int(index)]
-        return format(float(value), form) if form else repr(float(value))
+        return format(float(value), form.rstrip()) if form else repr(float(value))
 
     return PLACE.sub(number, text)
