@@ -206,7 +206,7 @@ def remembered(folder, random_seed, chains, default_chains):
 def model_fingerprint(model) -> str:
     """SHA-256 of a model's log-probability: its graph, constants and data.
 
-    Of functions called by it only the name counts.
+    Simulators of ours count with what they do; of other functions called by it only the name.
     """
     outputs = [model.varlogp, model.datalogp]
     text = pytensor.dprint(outputs, file="str", id_type="CHAR")
@@ -219,9 +219,11 @@ def model_fingerprint(model) -> str:
             digest.update(repr(value.shape).encode())
             if value.dtype != object:
                 digest.update(value.tobytes())
-        identity = getattr(getattr(v.owner, "op", None), "identity", None)
-        if isinstance(identity, str):
-            digest.update(identity.encode())
+        op = getattr(v.owner, "op", None)
+        for called in (op, getattr(op, "fn", None)):
+            identity = getattr(called, "identity", None)
+            if isinstance(identity, str):
+                digest.update(identity.encode())
     return digest.hexdigest()
 
 
