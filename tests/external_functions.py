@@ -1,4 +1,4 @@
-"""Simulators for the tests: what runs in processes of its own imports only this."""
+"""Simulators for the tests, and a look at their processes; what runs in these imports nothing else."""
 
 import hashlib
 import os
@@ -13,6 +13,7 @@ import numpy as np
 SHAPE = (2, 5)
 TIMES = np.arange(1.0, 6.0)
 SCALE = 2.0
+SECONDS = 20.0  # for what should be over at once, on a busy machine
 
 
 def beam(k):
@@ -44,6 +45,22 @@ def two(a, b):
 def two_gradient(a, b, cotangent):
     """By both."""
     return np.sum(cotangent * beam(1.0)), 2.0 * np.asarray(b) * np.sum(cotangent, axis=1)
+
+
+def lives(pid) -> bool:
+    """Whether a process is there and no zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def wait_until(condition):
+    """Wait for something that should happen at once."""
+    end = time.monotonic() + SECONDS
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 def note(path, text):

@@ -6,6 +6,7 @@ import inspect
 import multiprocessing
 import os
 import re
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -19,7 +20,7 @@ import numpy as np
 import pymc as pm
 import pytensor
 import pytest
-from external_functions import SHAPE, Counted, beam
+from external_functions import SHAPE, Counted, beam, lives, wait_until
 
 from pymc_features import CommandLine, ExternalSimulator, TruncNormalFeature, sample_smc
 from pymc_features.external import EvaluationCache, checks
@@ -152,8 +153,8 @@ HOLDERS = {
     "generator": lambda v: closure(np.random.default_rng(int(v))),
     "path": lambda v: closure(Path(str(v))),
     "class": lambda v: closure(type("Solver", (), {"order": v})),
-    # a function that an installed package made, which holds the value
-    "library": lambda v: np.vectorize(closure(v)),
+    "vectorized": lambda v: np.vectorize(closure(v)),
+    "library": lambda v: shutil.ignore_patterns(str(v)),  # a closure of its own
     "decorated": lambda v: functools.wraps(beam)(closure(v)),
     "command": lambda v: CommandLine("run", ["k"], {"in": f"{{{{k}}}} {v}"}, "out"),
     "reader": lambda v: CommandLine("run", ["k"], {}, closure(v)),
@@ -215,7 +216,7 @@ import pytensor
 pytensor.config.mode = "FAST_COMPILE"
 import numpy as np
 import test_external_cache as here
-from external_functions import SHAPE, Counted, beam
+from external_functions import SHAPE, Counted, beam, lives, wait_until
 print(here.fingerprint(here.function_of(here.WITH_SETS), here.function_of(here.BASE), Counted("path")))
 with here.ExternalSimulator(Counted({calls!r}), SHAPE, executor=1, cache={cache!r}) as s:
     assert np.array_equal(s.responses(np.array([1.0, 2.0])), [beam(1.0), beam(2.0)])
@@ -338,6 +339,23 @@ def test_several_threads(tmp_path):
     for thread in threads:
         thread.join()
     assert not wrong and cache.execute("SELECT count(*) FROM results") == [(200,)]
+
+
+def test_connections_do_not_survive_a_fork(tmp_path):
+    """SQLite's must not be used, nor closed, in another process than they were opened in."""
+    cache = EvaluationCache(tmp_path / "cache.sqlite")
+    cache.add("1", (1.0,), Outcome("ok", np.ones(1)))
+    assert cache.connection is not None
+
+    def child():
+        fresh = cache.connection is None
+        cache.add("2", (1.0,), Outcome("ok", np.ones(1)))
+        os._exit(0 if fresh and cache.find("1") == [1.0] else 1)
+
+    process = multiprocessing.get_context("fork").Process(target=child)
+    process.start()
+    process.join()
+    assert process.exitcode == 0 and cache.find("2") == [1.0]
 
 
 def test_what_is_no_cache_is_refused(tmp_path):
@@ -489,8 +507,7 @@ def test_command_line_as_a_simulator(simulator, tmp_path):
     }
     s.close()
     assert list((tmp_path / "scratch").iterdir()) == []
-    for pid in (tmp_path / "pids").read_text().split():
-        assert not Path(f"/proc/{pid}").exists() or ") Z" in Path(f"/proc/{pid}/stat").read_text()
+    wait_until(lambda: not any(map(lives, (tmp_path / "pids").read_text().split())))
 
 
 def test_mean_squares_by_a_program(simulator):

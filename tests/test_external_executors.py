@@ -4,14 +4,13 @@ import logging
 import os
 import signal
 import time
-from pathlib import Path
 
 import external_functions as functions
 import numpy as np
 import pymc as pm
 import pytensor
 import pytest
-from external_functions import SHAPE, Counted, beam
+from external_functions import SHAPE, Counted, beam, lives, wait_until
 
 from pymc_features import ExternalSimulator, PopulationIMH, TruncNormalFeature, sample_smc
 from pymc_features.external.batch import NoWorkersError
@@ -20,7 +19,7 @@ distributed = pytest.importorskip("distributed")
 
 DATA = 2.0 * beam(1.0)
 QUIET = {"progressbar": False, "compute_convergence_checks": False}
-SECONDS = 60.0  # for a worker to start, on a busy machine
+START_SECONDS = 60.0  # of a worker, on a busy machine
 pytestmark = pytest.mark.filterwarnings("ignore:2 sensors with one sigma")
 
 
@@ -42,21 +41,13 @@ def cluster(tmp_path_factory):
 def client(cluster):
     """Of the test's own; both workers are there."""
     with distributed.Client(cluster, set_as_default=False) as client:
-        client.wait_for_workers(2, timeout=SECONDS)
+        client.wait_for_workers(2, timeout=START_SECONDS)
         yield client
 
 
 def on(executor, function=beam, **settings):
     """A simulator there."""
     return ExternalSimulator(function, SHAPE, executor=executor, progress=False, **settings)
-
-
-def lives(pid) -> bool:
-    """Whether a process is there and no zombie."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
 
 
 def test_the_same_particles_as_here(cluster, tmp_path):
@@ -128,10 +119,7 @@ def test_stopping_kills_what_runs_there(client, tmp_path):
     simulator.evaluator.lines.tick = stop_when_running
     with pytest.raises(KeyboardInterrupt):
         simulator.responses(np.arange(1.0, 9.0))
-    end = time.monotonic() + SECONDS
-    while any(lives(pid) for pid in path.read_text().split()):
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    wait_until(lambda: not any(map(lives, path.read_text().split())))
     assert len(path.read_text().splitlines()) == 2
 
 
