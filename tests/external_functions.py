@@ -95,9 +95,9 @@ class Hanging:
         self.path = str(path)
 
     def __call__(self, k):
-        child = subprocess.Popen([sys.executable, "-S", "-c", "import time; time.sleep(600)"])
+        child = subprocess.Popen([sys.executable, "-S", "-c", "import time; time.sleep(100)"])
         note(self.path, f"{os.getpid()} {child.pid}")
-        time.sleep(600)
+        time.sleep(100)
 
 
 def lot(k):
@@ -111,7 +111,7 @@ def troubled_line(a):
     if chance < 0.1:
         raise ValueError("no equilibrium")
     if chance < 0.15:
-        time.sleep(600)
+        time.sleep(100)
     return a * beam(1.0)
 
 
@@ -134,7 +134,7 @@ def ways_to_fail(k):
         case 7.0:
             os.kill(os.getpid(), signal.SIGKILL)
         case 8.0:
-            time.sleep(600)
+            time.sleep(100)
     return beam(k)
 
 

@@ -494,7 +494,7 @@ def test_a_process_that_died_while_idle(simulator, tmp_path):
 def test_a_dead_process_whose_socket_lives_on(simulator):
     def leaves_a_child(k):
         if os.fork() == 0:
-            time.sleep(600)
+            time.sleep(100)
         os.kill(os.getpid(), signal.SIGKILL)
 
     s = simulator(leaves_a_child)

@@ -22,16 +22,19 @@ import pytensor
 import pytest
 from external_functions import SHAPE, Counted, beam, lives, wait_until
 
-from pymc_features import CommandLine, ExternalSimulator, TruncNormalFeature, sample_smc
+from pymc_features import CommandLine, DiscrepancySimulator, ExternalSimulator, TruncNormalFeature, sample_smc
 from pymc_features.external import EvaluationCache, checks
 from pymc_features.external.calls import Outcome
 from pymc_features.external.identity import UnknownIdentityError, fingerprint
 from pymc_features.smc.checkpoint import model_fingerprint
+from pymc_features.smc.sample import is_parallel_by_itself
 
 DATA = 2.0 * beam(1.0)
 QUIET = {"progressbar": False, "compute_convergence_checks": False}
 pytestmark = [
     pytest.mark.filterwarnings("ignore:2 sensors with one sigma"),
+    pytest.mark.filterwarnings("ignore:RandomVariable Ops will stop hiding"),
+    pytest.mark.filterwarnings("ignore:Calling a RandomVariable without an explicit rng"),
     pytest.mark.filterwarnings("ignore:This process .* is multi-threaded"),  # of processes that only wait
 ]
 
@@ -414,6 +417,17 @@ class Held:
         raise RuntimeError("closed")
 
 
+@pytest.mark.parametrize("noise", [None, 0.1])
+def test_chains_are_not_parallel_by_default(noise, simulator):
+    """Their simulations are."""
+    for s, expected in ((simulator(), True), (beam, False)):
+        with pm.Model() as model:
+            k = pm.Uniform("k", 0.5, 1.5)
+            mu, parameters = (s(k), ()) if expected else (s, (k,))
+            DiscrepancySimulator("y", mu, *parameters, epsilon=1.0, observed=DATA, noise=noise)
+        assert is_parallel_by_itself(model) == expected
+
+
 def test_chains_in_parallel_give_the_same(simulator, tmp_path):
     draws = []
     for cores in (1, 2):
@@ -487,7 +501,7 @@ def test_command_line_as_a_simulator(simulator, tmp_path):
     """In scratch folders, failures and time-outs counted; a program that hangs is killed."""
     code = (
         "import sys, time, os\nk = float(sys.argv[1])\nopen(sys.argv[2], 'a').write(f'{os.getpid()} ')\n"
-        "if k == 2: sys.exit('no convergence')\nif k == 3: time.sleep(600)\n"
+        "if k == 2: sys.exit('no convergence')\nif k == 3: time.sleep(100)\n"
         "open('out.txt', 'w').writelines(f'{t / k!r} {2 * t / k!r}\\n' for t in range(1, 6))\n"
     )
     (tmp_path / "solver.py").write_text(code)

@@ -134,7 +134,10 @@ class ExternalSimulator:
 
     @property
     def failures(self) -> list[Failure]:
-        """The last thousand failures, with their parameters; all of them are in the cache."""
+        """The last thousand failures in this process, with their parameters.
+
+        All of them, also those of chains in other processes: `external.EvaluationCache(path).failures()`.
+        """
         return list(self.evaluator.failures)
 
     def responses(self, *parameters) -> np.ndarray:

@@ -110,7 +110,8 @@ def is_parallel_by_itself(model) -> bool:
     """Whether something in the model takes many processors for one chain."""
     for v in ancestors([*model.basic_RVs, *model.potentials]):
         op = getattr(v.owner, "op", None)
-        inner = getattr(getattr(op, "fn", None), "op", None)  # of a simulator node
+        fn = getattr(op, "fn", None)  # of a simulator node; with noise there is another inside
+        inner = getattr(getattr(fn, "simulator", fn), "op", None)
         if getattr(op, "expensive", False) or getattr(inner, "expensive", False):
             return True
     return False
