@@ -124,20 +124,21 @@ def kill_at(size, folder, function, *arguments):
 def test_killed_ten_times(tmp_path):
     function = InProcess()
     model = model_of(function)
-    expected, _ = sample(model, checkpoint=tmp_path / "whole")  # also compiles, for the forked
+    settings = {"kernel": PopulationIMH}  # all batches are equally large
+    expected, _ = sample(model, checkpoint=tmp_path / "whole", **settings)  # also compiles, for the forked
     whole, most = size_of(tmp_path / "whole"), max(map(len, particles_in(tmp_path / "whole")))
     folder, function.path, function.seconds = tmp_path / "killed", tmp_path / "calls", 5e-4
     sizes = np.sort(np.random.default_rng(7).uniform(0, 0.85 * whole, 10))
     kills = known = 0
     finished = set()
     for size in sizes:
-        kills += kill_at(size, folder, resume, model, folder)
+        kills += kill_at(size, folder, resume, model, folder, settings)
         calls = calls_in(function.path)
         assert finished.isdisjoint(calls[known:]), "evaluated again"
         known, finished = len(calls), {row for batch in particles_in(folder) for row in batch}
         assert len(set(calls) - finished) <= most, "more is lost than the batch in work"
     assert kills == 10
-    draws, idata = sample(model, checkpoint=folder)
+    draws, _ = sample(model, checkpoint=folder, **settings)
     np.testing.assert_array_equal(draws, expected)
     assert finished.isdisjoint(calls_in(function.path)[known:])
     assert size_of(folder) == whole
@@ -145,9 +146,9 @@ def test_killed_ten_times(tmp_path):
     assert len(calls_in(function.path)) <= len(set(calls_in(function.path))) + 10 * most
 
 
-def resume(model, folder):
+def resume(model, folder, settings):
     """What a killed process was doing."""
-    sample(model, checkpoint=folder)
+    sample(model, checkpoint=folder, **settings)
 
 
 def test_killed_with_an_external_simulator_and_a_cache(tmp_path):
