@@ -57,7 +57,7 @@ def test_the_same_particles_as_here(cluster, tmp_path):
             k, sigma = pm.Uniform("k", 0.3, 1.5), pm.HalfNormal("sigma", 1.0)
             TruncNormalFeature("y", simulator(k), sigma, observed=DATA)
             with pytensor.config.change_flags(mode="FAST_COMPILE"):
-                idata = sample_smc(60, PopulationIMH, chains=1, random_seed=1, **QUIET)
+                idata = sample_smc(30, PopulationIMH, chains=1, random_seed=1, **QUIET)
             draws.append(idata.posterior["k"].values)
             assert idata.sample_stats["failed"].sum() == 0
     half = len(Counted(tmp_path / "calls").calls()) // 2
