@@ -1,20 +1,20 @@
-"""Sphinx: `python -m sphinx -W docs docs/_build`. Nothing is downloaded."""
+"""Sphinx: `python -m uv run sphinx-build docs docs/_build`. Nothing is downloaded."""
 
 import os
 import sys
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
-sys.path.insert(0, str(Path(__file__).parent))  # public_names
+sys.path.insert(0, str(Path(__file__).parent))  # the directives
 
 project = "pymc_features"
 author = "The pymc_features authors"
 extensions = [
     "myst_parser",
     "numpydoc",
+    "notebook_list",
     "public_names",
     "sphinx.ext.autodoc",
-    "sphinx.ext.autosummary",
     "sphinx.ext.mathjax",
 ]
 html_theme = "furo"
@@ -26,7 +26,6 @@ myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 
 autodoc_typehints = "none"  # types, shapes and units are in the docstrings
-autosummary_generate = False
 numpydoc_show_class_members = False
 default_role = "py:obj"  # a name in single backticks is a link where it is one of ours
 nitpicky = True

@@ -14,6 +14,7 @@ from types import ModuleType
 from docutils.parsers.rst import directives
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
+from tables import first_sentence
 
 import pymc_features
 
@@ -65,23 +66,31 @@ class Public(SphinxDirective):
         data = self.env.metadata[self.env.docname]
         data["public"] = " ".join([*data.get("public", "").split(), *parts])
         names = sorted((name for name, part in public_names().items() if part in parts), key=str.lower)
-        lines = [".. autosummary::", "", *(f"   ~{name}" for name in names), ""]
+        table = ["| | |", "|---|---|"]
+        entries = []
         for name in names:
-            kind = kind_of(name)
-            lines.append(f".. auto{kind}:: {name}")
+            value = looked_up(name)
+            kind = kind_of(value)
+            table.append(f"| {{py:obj}}`~{name}` | {first_sentence(value)} |")
+            entries.append(f".. auto{kind}:: {name}")
             if kind == "class":
-                lines.append("   :show-inheritance:")
+                entries.append("   :show-inheritance:")
                 if "members-of-bases-only" not in self.options or name.count(".") > 1:
-                    lines.append("   :members:")
-            lines.append("")
-        return self.parse_text_to_nodes("\n".join(["```{eval-rst}", *lines, "```"]))
+                    entries.append("   :members:")
+            entries.append("")
+        return self.parse_text_to_nodes("\n".join([*table, "", "```{eval-rst}", *entries, "```"]))
 
 
-def kind_of(name: str) -> str:
-    """What autodoc calls an object."""
+def looked_up(name: str):
+    """The object of a full name."""
     value = pymc_features
     for part in name.split(".")[1:]:
         value = getattr(value, part)
+    return value
+
+
+def kind_of(value) -> str:
+    """What autodoc calls an object."""
     if not inspect.isclass(value):
         return "function"
     return "exception" if issubclass(value, BaseException) else "class"

@@ -13,9 +13,11 @@ from pymc_features.smc.subset import SubsetSimulation, SubsetSimulationWarning
 from pymc_features.smc.tmcmc import TMCMC
 
 KERNELS = (PopulationIMH, PopulationMH, PersistentSMC, TMCMC)  # for any model
+SIMULATOR_KERNELS = (SubsetSimulation,)  # for models with one pm.Simulator node
 
 __all__ = [
     "KERNELS",
+    "SIMULATOR_KERNELS",
     "PersistentSMC",
     "PopulationIMH",
     "PopulationKernel",
