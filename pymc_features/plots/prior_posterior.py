@@ -45,7 +45,7 @@ def plot_prior_posterior(idata, var_names=None, units=None, axes=None):
     for ax, name in zip(axes, names, strict=True):
         before, after = prior[name].values.ravel(), posterior[name].values.ravel()
         low, high = np.quantile(before, [0.005, 0.995])  # a far tail would leave nothing to see
-        low, high = min(low, after.min()), max(high, after.max())
+        low, high = min(low, np.quantile(after, 0.001)), max(high, np.quantile(after, 0.999))
         # each as fine as it asks for; as densities a narrow posterior would leave no prior to see
         for draws, bins, colour, label in (
             (before, np.linspace(low, high, BINS + 1), "0.75", "prior"),
