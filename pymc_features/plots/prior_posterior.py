@@ -35,7 +35,8 @@ def plot_prior_posterior(idata, var_names=None, units=None, axes=None):
         columns = min(4, len(names))
         rows = -(-len(names) // columns)
         size = 2.6 * columns, 0.5 + 2.2 * rows
-        _, grid = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+        figure, grid = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+        figure.get_layout_engine().set(w_pad=0.12)  # inches, between the numbers below neighbours
         axes = grid.ravel()[: len(names)]
         for spare in grid.ravel()[len(names) :]:
             spare.remove()
