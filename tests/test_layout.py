@@ -24,7 +24,7 @@ ALLOWED = {
     "external": {"ops"},
     "ops": {"algebra", "records", "structures", "simulators"},
     "distributions": {"ops"},
-    "likelihood_free": {"ops", "simulators"},
+    "likelihood_free": {"ops", "simulators", "external"},
     "smc": set(),
     "inference": {"records", "structures", "simulators", "distributions", "smc"},
     "study": {

@@ -1,13 +1,16 @@
 """Many simulations at once, whatever happens to single ones."""
 
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, wait
+from concurrent.futures import BrokenExecutor, CancelledError
+from contextlib import suppress
 from dataclasses import dataclass
+from queue import Empty, SimpleQueue
 
 from pymc_features.external.calls import Outcome, call
 from pymc_features.external.process import UnusableSimulatorError
 
 LOST_AT_MOST = 5  # times that a place of work may vanish under one and the same call
+SMALL = 2**16  # bytes that travel with every call; more of them only where they are missing
 
 
 class NoWorkersError(RuntimeError):
@@ -45,7 +48,8 @@ class Batch:
     Parameters
     ----------
     executor : object with submit()
-        Where.
+        Where. If it has `brings` that is true, it brings the payload to each place once; and `check()`, which
+        raises a `NoWorkersError`.
     work : Work
         What.
     done : callable
@@ -56,23 +60,25 @@ class Batch:
 
     def __init__(self, executor, work: Work, done: Callable, tick: Callable):
         self.executor, self.work, self.done, self.tick = executor, work, done, tick
+        brings = getattr(executor, "brings", False) or len(work.payload) <= SMALL
+        self.first_payload = work.payload if brings else None
         self.running: dict = {}  # future -> number, arguments, attempts, times lost
+        self.over: SimpleQueue = SimpleQueue()
 
     def run(self, calls):
         """Run all of (number, arguments); Ctrl-C drops those that have not begun."""
         try:
             for number, arguments in calls:
-                self.submit(number, arguments, 1, 0)
+                self.submit(number, arguments, 1, 0, self.first_payload)
             while self.running:
-                finished, _ = wait(self.running, timeout=1.0, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    self.settle(future)
+                with suppress(Empty):
+                    self.settle(self.over.get(timeout=1.0))
                 self.tick()
         finally:
             for future in self.running:
                 future.cancel()
 
-    def submit(self, number, arguments, attempt, lost, payload=None):
+    def submit(self, number, arguments, attempt, lost, payload):
         """Hand one call to the executor."""
         try:
             future = self.executor.submit(call, self.work.digest, arguments, self.work.timeout, payload)
@@ -82,6 +88,7 @@ class Batch:
                 "kept where there is a cache; start again with a new executor."
             ) from error
         self.running[future] = number, arguments, attempt, lost
+        future.add_done_callback(self.over.put)
 
     def settle(self, future):
         """Take the outcome of a call, or try again."""
@@ -103,6 +110,6 @@ class Batch:
         if outcome.state == "died":
             allowed = max(allowed, 2)
         if outcome.state != "ok" and attempt < allowed:
-            self.submit(number, arguments, attempt + 1, lost)
+            self.submit(number, arguments, attempt + 1, lost, self.first_payload)
             return
         self.done(number, outcome)

@@ -2,26 +2,33 @@
 
 import os
 import sqlite3
+import threading
 import time
+from contextlib import closing
 from pathlib import Path
+from weakref import WeakSet
 
 import numpy as np
 
 from pymc_features.external.calls import Outcome
 
 VERSION = 1
+WAIT_SECONDS = 60.0  # for other writers
 TABLES = """
-CREATE TABLE IF NOT EXISTS results (
+CREATE TABLE results (
     key TEXT PRIMARY KEY, parameters BLOB, shape TEXT, value BLOB, seconds REAL, at REAL
 ) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS failures (
+CREATE TABLE failures (
     key TEXT, parameters BLOB, state TEXT, message TEXT, seconds REAL, at REAL
 );
 """
 
+_ALL: WeakSet["EvaluationCache"] = WeakSet()
+_HELD: list["EvaluationCache"] = []
+
 
 class EvaluationCache:
-    """A SQLite file of results and failures; several processes may use it at once.
+    """A SQLite file of results and failures; several processes of one machine may use it at once.
 
     Parameters
     ----------
@@ -39,33 +46,10 @@ class EvaluationCache:
     """
 
     def __init__(self, path):
-        self.path = Path(path)
-        self._connection, self._pid = None, None
-        self.connection  # noqa: B018  a wrong file is refused now
-
-    @property
-    def connection(self) -> sqlite3.Connection:
-        """This process's connection: SQLite's do not survive a fork."""
-        if self._connection is None or self._pid != os.getpid():
-            self._connection, self._pid = self._open(), os.getpid()
-        return self._connection
-
-    def _open(self):
+        self.__setstate__({"path": Path(path).absolute()})
         try:
-            connection = sqlite3.connect(
-                self.path, timeout=60.0, isolation_level=None, check_same_thread=False
-            )
-            version = connection.execute("PRAGMA user_version").fetchone()[0]
-            known = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
-            if version != VERSION and known:
-                raise ValueError(
-                    f"`cache` must be a cache of simulations of version {VERSION}, got {self.path} with "
-                    f"version {version}. Choose another file."
-                )
-            connection.execute("PRAGMA journal_mode = WAL")
-            connection.execute("PRAGMA synchronous = NORMAL")
-            connection.executescript(TABLES)
-            connection.execute(f"PRAGMA user_version = {VERSION}")
+            with closing(connected(self.path)) as connection:
+                prepare(connection, self.path)
         except sqlite3.OperationalError as error:
             raise ValueError(
                 f"`cache` must be a file that can be written, got {self.path} ({error}). Is there its folder?"
@@ -75,15 +59,21 @@ class EvaluationCache:
                 f"`cache` must be a cache of simulations, got {self.path} ({error}). It is damaged or "
                 "something else; choose another file."
             ) from None
-        return connection
+
+    def execute(self, *statement):
+        """Rows of a statement; the connection is opened when it is first needed."""
+        with self.lock:
+            if self.connection is None:
+                self.connection = connected(self.path)
+            return self.connection.execute(*statement).fetchall()
 
     def find(self, key: str) -> np.ndarray | None:
         """The result of a call, or None."""
-        row = self.connection.execute("SELECT shape, value FROM results WHERE key = ?", (key,)).fetchone()
-        if row is None:
+        rows = self.execute("SELECT shape, value FROM results WHERE key = ?", (key,))
+        if not rows:
             return None
-        shape = tuple(int(n) for n in row[0].split(",") if n)
-        return np.frombuffer(row[1], dtype=np.float64).reshape(shape).copy()
+        shape = tuple(int(n) for n in rows[0][0].split(",") if n)
+        return np.frombuffer(rows[0][1], dtype=np.float64).reshape(shape).copy()
 
     def add(self, key: str, parameters: tuple, outcome: Outcome):
         """Keep what became of a call."""
@@ -91,24 +81,76 @@ class EvaluationCache:
         own = flat.tobytes(), outcome.seconds, time.time()
         if outcome.state == "ok":
             shape = ",".join(map(str, outcome.value.shape))
-            self.connection.execute(
+            self.execute(
                 "INSERT OR IGNORE INTO results VALUES (?, ?, ?, ?, ?, ?)",
                 (key, own[0], shape, outcome.value.tobytes(), *own[1:]),
             )
         else:
-            self.connection.execute(
+            self.execute(
                 "INSERT INTO failures VALUES (?, ?, ?, ?, ?, ?)",
                 (key, own[0], outcome.state, outcome.message, *own[1:]),
             )
 
+    def failures(self) -> list[dict]:
+        """All failures, the oldest first: parameters (one array), state, message, seconds, at (Unix time)."""
+        names = ("parameters", "state", "message", "seconds", "at")
+        rows = self.execute(f"SELECT {', '.join(names)} FROM failures ORDER BY rowid")
+        return [dict(zip(names, (np.frombuffer(p), *more), strict=True)) for p, *more in rows]
+
     def close(self):
-        """Close this process's connection."""
-        if self._connection is not None and self._pid == os.getpid():
-            self._connection.close()
-        self._connection = None
+        """Close the connection; it opens again when needed."""
+        with self.lock:
+            if self.connection is not None:
+                self.connection.close()
+            self.connection = None
 
     def __getstate__(self):
         return {"path": self.path}
 
     def __setstate__(self, state):
-        self.path, self._connection, self._pid = state["path"], None, None
+        self.path, self.connection, self.lock = state["path"], None, threading.RLock()
+        _ALL.add(self)
+
+
+def connected(path) -> sqlite3.Connection:
+    """A connection that any thread may use, one at a time."""
+    connection = sqlite3.connect(path, timeout=WAIT_SECONDS, isolation_level=None, check_same_thread=False)
+    connection.execute("PRAGMA synchronous = NORMAL")  # outlives the process, if not the power supply
+    return connection
+
+
+def prepare(connection, path):
+    """Make the tables in a new file, all or nothing; refuse another one."""
+    if connection.execute("PRAGMA user_version").fetchone()[0] != VERSION:
+        connection.execute("BEGIN IMMEDIATE")
+        version = connection.execute("PRAGMA user_version").fetchone()[0]
+        if version != VERSION:  # nor has another process made it meanwhile
+            if version or connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+                connection.execute("ROLLBACK")
+                raise ValueError(
+                    f"`cache` must be a cache of simulations of version {VERSION}, got {path} with version "
+                    f"{version}. Choose another file."
+                )
+            for statement in TABLES.split(";")[:-1]:
+                connection.execute(statement)
+            connection.execute(f"PRAGMA user_version = {VERSION}")
+        connection.execute("COMMIT")
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("SELECT count(*) FROM results").fetchone()
+
+
+def before_fork():
+    """Close all connections: SQLite's do not survive a fork."""
+    _HELD.extend(_ALL)
+    for cache in _HELD:
+        cache.lock.acquire()
+        cache.close()
+
+
+def after_fork():
+    """Let them open again."""
+    while _HELD:
+        _HELD.pop().lock.release()
+
+
+os.register_at_fork(before=before_fork, after_in_parent=after_fork, after_in_child=after_fork)

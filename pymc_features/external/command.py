@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-PLACE = re.compile(r"\{\{\s*(\w+)(?:\[(\d+)\])?(?::([^}]*))?\s*\}\}")
+PLACE = re.compile(r"\{\{\s*([^\W\d]\w*)(?:\[(\d+)\])?(?::([^}]*))?\s*\}\}")
 TAIL = 300  # characters of a program's last words that are kept
 
 
@@ -84,22 +84,29 @@ class CommandLine:
             raise TypeError(f"`result` must be the name of a file or a function, got {result!r}.")
         self.result, self.transpose = result, bool(transpose)
         self.columns = None if columns is None else tuple(int(c) for c in columns)
-        self.files = {Path(f).name: read_bytes(f) for f in files}
+        self.files = {Path(f).name: (read_bytes(f), Path(f).stat().st_mode) for f in files}
 
     def check_places(self, where, text):
         """Refuse a template that asks for what is not there."""
-        for name, _, _ in PLACE.findall(text):
+        for name, _, form in PLACE.findall(text):
             if name not in self.parameters:
                 raise ValueError(
                     f"`inputs` must name parameters ({', '.join(self.parameters)}), got {name!r} in {where}."
                 )
+            try:
+                format(1.0, form.rstrip())
+            except ValueError:
+                raise ValueError(
+                    f"`inputs` must have formats of numbers, such as .3e, got {form!r} in {where}."
+                ) from None
 
     def __call__(self, *values):
         if len(values) != len(self.parameters):
             raise TypeError(f"the program has {len(self.parameters)} parameters, got {len(values)}")
         known = dict(zip(self.parameters, values, strict=True))
-        for name, content in self.files.items():
+        for name, (content, mode) in self.files.items():
             Path(name).write_bytes(content)
+            Path(name).chmod(mode)  # a program among them runs
         for name, text in self.inputs.items():
             Path(name).parent.mkdir(parents=True, exist_ok=True)
             Path(name).write_text(filled(text, known))
@@ -149,6 +156,6 @@ def filled(text: str, values: dict) -> str:
     def number(match):
         name, index, form = match.groups()
         value = values[name] if index is None else np.ravel(values[name])[int(index)]
-        return format(float(value), form) if form else repr(float(value))
+        return format(float(value), form.rstrip()) if form else repr(float(value))
 
     return PLACE.sub(number, text)

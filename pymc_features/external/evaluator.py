@@ -2,21 +2,24 @@
 
 import hashlib
 import os
+import uuid
 from collections import deque
 from dataclasses import dataclass
 
 import cloudpickle
 import numpy as np
 
+from pymc_features.external import command, gradient
 from pymc_features.external.batch import Batch, Work
 from pymc_features.external.cache import EvaluationCache
-from pymc_features.external.calls import Outcome, end_processes
+from pymc_features.external.calls import Outcome
 from pymc_features.external.executors import open_executor
 from pymc_features.external.identity import fingerprint
 from pymc_features.external.progress import Lines
 
 FAILURES_KEPT = 1000
 WORKS_KEPT = 8  # data sets for which the payload is kept
+BY_VALUE = (command, gradient)  # their classes come along: to import the package takes seconds
 STATES = ("ok", "error", "timeout", "died", "invalid", "cached")
 
 
@@ -79,7 +82,8 @@ class Evaluator:
         self.counts = dict.fromkeys(STATES, 0)
         self.failures: deque[Failure] = deque(maxlen=FAILURES_KEPT)
         self.lines = Lines(progress)
-        self._opened, self._works = None, {}
+        self._opened = None  # process (id), token, executor, function that ends it
+        self._works, self._digests = {}, set()
 
     def run(self, task: Task, rows: list[np.ndarray]) -> np.ndarray:
         """Results (particle, ...) for parameters with equally many rows; NaN where a simulation failed."""
@@ -120,9 +124,10 @@ class Evaluator:
                 self.note(calls[key], outcome)
             self.lines.count(outcome.state == "ok")
 
+        self.open()
         self.lines.begin(len(calls))
         try:
-            Batch(self.open(), self.work(task, own), done, self.lines.tick).run(calls.items())
+            Batch(self._opened[2], self.work(task, own), done, self.lines.tick).run(calls.items())
         except BaseException:
             self.close()  # nothing goes on behind the back of whoever pressed Ctrl-C
             raise
@@ -135,7 +140,7 @@ class Evaluator:
     def work(self, task, own) -> Work:
         """The task as it travels, made once."""
         if own not in self._works or self._works[own][0] is not task.function:
-            payload = cloudpickle.dumps(
+            payload = packed(
                 {
                     "function": task.function,
                     "observed": task.observed,
@@ -143,24 +148,24 @@ class Evaluator:
                     "scratch": self.scratch,
                 }
             )
-            digest = hashlib.sha256(payload).hexdigest()
+            # processes are not shared, lest one evaluator ends those of another
+            digest = hashlib.sha256(self._opened[1] + payload).hexdigest()
             while len(self._works) >= WORKS_KEPT:
                 self._works.pop(next(iter(self._works)))
             self._works[own] = task.function, Work(digest, payload, self.timeout, self.retries)
+            self._digests.add(digest)
         return self._works[own][1]
 
     def open(self):
-        """The executor, opened in this process when it is first needed."""
+        """Open the executor, in this process, if it is not."""
         if self._opened is None or self._opened[0] != os.getpid():
-            self._opened = os.getpid(), *open_executor(self.executor)
-        return self._opened[1]
+            self._opened = os.getpid(), uuid.uuid4().bytes, *open_executor(self.executor)
+            self._works, self._digests = {}, set()
 
     def close(self):
         """End what was started here; it starts again when needed."""
         if self._opened is not None and self._opened[0] == os.getpid():
-            self._opened[2]()
-            for _, work in self._works.values():
-                end_processes(work.digest)
+            self._opened[3](self._digests)
         self._opened = None
         if self.cache is not None:
             self.cache.close()
@@ -171,7 +176,18 @@ class Evaluator:
                 f"`executor` must be a number or an address to travel to another process, got "
                 f"{type(self.executor).__name__}. Sample with cores=1, or pass an address."
             )
-        return {**self.__dict__, "_opened": None, "_works": {}}
+        return {**self.__dict__, "_opened": None, "_works": {}, "_digests": set()}
+
+
+def packed(content) -> bytes:
+    """Content as bytes that can be unpacked without this package."""
+    for module in BY_VALUE:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        return cloudpickle.dumps(content)
+    finally:
+        for module in BY_VALUE:
+            cloudpickle.unregister_pickle_by_value(module)
 
 
 def call_key(own: str, arguments) -> str:

@@ -2,22 +2,40 @@
 
 import os
 import pickle
+import shutil
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
+import time
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 SCRIPT = Path(__file__).with_name("runner.py")
 START_SECONDS = 300.0  # to import what a simulator needs may take long on a busy file system
+LOOK_SECONDS = 1.0  # what a dead process started may hold its end of the socket open
+END_SECONDS = 5.0  # between the end of the connection and that of the process
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class UnusableSimulatorError(RuntimeError):
     """A simulator that cannot be loaded where it is to run."""
+
+    def __init__(self, reason):
+        super().__init__(
+            f"the simulator must be loadable in another process, got {reason}. Define it in a module that "
+            "can be imported there, or in the script itself."
+        )
+        self.reason = reason
+
+    def __reduce__(self):
+        return type(self), (self.reason,)
+
+
+class DiedAtStartError(RuntimeError):
+    """A simulator process that ended before it was ready."""
 
 
 class SimulatorProcess:
@@ -32,13 +50,16 @@ class SimulatorProcess:
     ------
     UnusableSimulatorError
         If the function cannot be loaded there.
+    DiedAtStartError
+        If the process ends before.
     """
 
     def __init__(self, payload: bytes):
         ours, theirs = socket.socketpair()
         self.log = tempfile.TemporaryFile()  # noqa: SIM115  as long as the process
+        self.folder = ""
         self.process = subprocess.Popen(
-            [sys.executable, str(SCRIPT), str(theirs.fileno())],
+            [sys.executable, "-P", str(SCRIPT), str(theirs.fileno())],
             pass_fds=[theirs.fileno()],
             stdin=subprocess.DEVNULL,
             stdout=self.log,
@@ -49,44 +70,58 @@ class SimulatorProcess:
         theirs.close()
         self.connection = Connection(ours.detach())
         with suppress(OSError):  # it died; said below
-            self.connection.send_bytes(pickle.dumps(sys.path))
+            self.connection.send_bytes(pickle.dumps([os.path.abspath(p) for p in sys.path]))
             self.connection.send_bytes(payload)
         state, text, _ = self.receive(START_SECONDS)
-        if state != "ready":
-            self.close()
-            raise UnusableSimulatorError(
-                f"the simulator must be loadable in another process, got {text}. Define it in a module that "
-                "can be imported there, or in the script itself."
-            )
+        if state == "ready":
+            self.folder = text
+            return
+        self.close()
+        raise (UnusableSimulatorError if state == "unusable" else DiedAtStartError)(text)
 
     def ask(self, arguments, timeout: float | None):
         """Run one simulation: (state, result or text, seconds), state ok, error, timeout or died."""
+        os.lseek(self.log.fileno(), 0, os.SEEK_SET)  # both sides share the position
+        os.ftruncate(self.log.fileno(), 0)
         try:
             self.connection.send(arguments)
         except OSError:
-            text = self.last_words()
-            self.close()
-            return "died", text, 0.0
+            return "died", self.last_words(), 0.0
         return self.receive(timeout)
 
     def receive(self, timeout):
         """Wait for an answer; a process that gives none is killed."""
+        start = time.monotonic()
         try:
-            if self.connection.poll(timeout):
+            if self.answers(timeout):
                 return self.connection.recv()
         except (EOFError, OSError):
-            text = self.last_words()
-            self.close()
-            return "died", text, 0.0
+            return "died", self.last_words(), time.monotonic() - start
         self.close()
         return "timeout", f"no result after {timeout:g} s", float(timeout)
 
+    def answers(self, timeout) -> bool:
+        """Whether something comes in time."""
+        end = float("inf") if timeout is None else time.monotonic() + timeout
+        while True:
+            left = min(LOOK_SECONDS, end - time.monotonic())
+            if self.connection.poll(max(left, 0.0)):
+                return True
+            if self.process.poll() is not None:
+                raise EOFError
+            if left < LOOK_SECONDS:
+                return False
+
     def last_words(self) -> str:
-        """How the process ended, and the last line it printed."""
-        code = self.process.wait()
+        """Close it, and say how it ended and the last line it printed."""
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(END_SECONDS)
+        size = os.fstat(self.log.fileno()).st_size
+        text = os.pread(self.log.fileno(), 2000, max(0, size - 2000))
+        self.close()
+        code = self.process.returncode
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        self.log.seek(max(0, os.fstat(self.log.fileno()).st_size - 2000))
-        lines = self.log.read().decode(errors="replace").strip().splitlines()
+        lines = text.decode(errors="replace").strip().splitlines()
         return f"the process ended with {how}" + (f": {lines[-1]}" if lines else "")
 
     @property
@@ -102,8 +137,16 @@ class SimulatorProcess:
         self.kill()
         self.process.wait()
         self.log.close()
+        if self.folder:
+            shutil.rmtree(self.folder, ignore_errors=True)
 
     def kill(self):
-        """Kill it and what it started."""
+        """Kill it and what it started; before it is waited for, or at once after, while its number is its."""
         with suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
+
+    def leave(self):
+        """In a forked process: it is the parent's, whose end it must see."""
+        self.connection.close()
+        self.log.close()
+        self.process.returncode = 0

@@ -18,20 +18,25 @@ class Lines:
 
     def __init__(self, shown: bool):
         self.shown = shown
-        self.started = self.last = None
+        self.last = None
         self.done = self.failed = 0
+        self.seconds = 0.0  # of the batches before: what lies between them does not count in the rate
+        self.batch_start = self.latest = 0.0
 
     def begin(self, total: int):
         """A batch of calls begins."""
         now = time.monotonic()
-        if self.started is None:
-            self.started, self.last = now, now + SILENT_SECONDS - EVERY_SECONDS
+        if self.last is None:
+            self.last = now + SILENT_SECONDS - EVERY_SECONDS
+        self.seconds += self.latest - self.batch_start
+        self.latest = now
         self.total, self.before, self.batch_start = total, self.done, now
 
     def count(self, ok: bool):
         """A call is over."""
         self.done += 1
         self.failed += not ok
+        self.latest = time.monotonic()
 
     def tick(self):
         """Write a line if it is time to."""
@@ -43,7 +48,7 @@ class Lines:
     def line(self, now: float) -> str:
         """The line."""
         done = self.done - self.before
-        rate = self.done / max(now - self.started, 1e-9)
+        rate = self.done / max(self.seconds + now - self.batch_start, 1e-9)
         text = f"simulations: {self.done} done, {self.failed} failed, {rate:.3g}/s"
         if 0 < done < self.total:
             left = (now - self.batch_start) / done * (self.total - done)

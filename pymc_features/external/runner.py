@@ -6,9 +6,12 @@ the socket whose number is its first argument; what a simulator prints goes to i
 
 import os
 import pickle
+import select
 import shutil
+import signal
 import sys
 import tempfile
+import threading
 import time
 from multiprocessing.connection import Connection
 
@@ -16,64 +19,91 @@ import cloudpickle
 import numpy as np
 
 
-def one_call(work, arguments, folder):
-    """Result of one simulation as an array, and its seconds; in a scratch folder if there is to be one."""
-    function, observed = work["function"], work["observed"]
-    start = time.perf_counter()
-    if folder is not None:
-        os.chdir(folder)
-    result = function(*arguments)
+def one_call(work, arguments):
+    """Result of one simulation as an array."""
+    result = work["function"](*arguments)
     if np.iscomplexobj(result):
         raise TypeError("the simulator must return real numbers, got complex ones. Return their parts.")
     result = np.array(result, dtype=np.float64)
+    if len(work["shape"]) == 1 and result.ndim == 2 and 1 in result.shape:
+        result = result.ravel()  # one line, or one column, of a file
     if result.shape != work["shape"]:
         raise ValueError(
             f"the simulator must return an array of shape {work['shape']}, got {result.shape}. Time is the "
             "last axis."
         )
-    if observed is not None:
-        result = np.mean((observed - result) ** 2, axis=-1)
-    return result, time.perf_counter() - start
+    if work["observed"] is not None:
+        result = np.mean((work["observed"] - result) ** 2, axis=-1)
+    return result
 
 
-def answer(work, arguments):
-    """("ok", result, seconds) or ("error", text, seconds) of one call."""
-    folder = None
-    if work["scratch"] is not None:
-        folder = tempfile.mkdtemp(prefix="simulation-", dir=work["scratch"] or None)
-    home, start = os.getcwd(), time.perf_counter()
+def answer(work, arguments, scratch):
+    """("ok", result, seconds) or ("error", text, seconds) of one call, in an empty folder in `scratch`."""
+    home = folder = None
+    start = time.perf_counter()
     try:
-        result, seconds = one_call(work, arguments, folder)
+        home = os.getcwd()
+        if scratch:
+            folder = tempfile.mkdtemp(prefix="simulation-", dir=scratch)
+            os.chdir(folder)
+        result = one_call(work, arguments)
         if not np.isfinite(result).all():
-            return "error", "the result is not finite", seconds
-        return "ok", result, seconds
+            return "error", "the result is not finite", time.perf_counter() - start
+        return "ok", result, time.perf_counter() - start
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a solver may fail in its own way, and even try to exit
         text = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
         return "error", text, time.perf_counter() - start
     finally:
-        os.chdir(home)
+        if home is not None:
+            os.chdir(home)
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def end_with_parent(connection, scratch):
+    """Wait until the parent is gone; then end this process and what it started, whatever it is doing."""
+    hangup = select.poll()
+    hangup.register(connection.fileno(), 0)
+    hangup.poll()
+    remove(scratch)
+    os.killpg(0, signal.SIGKILL)
+
+
+def remove(scratch):
+    """Remove a folder, if there is one."""
+    if scratch:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def own_folder(work) -> str:
+    """A folder for the scratch folders of this process; empty if it needs none."""
+    if work["scratch"] is None:
+        return ""
+    if work["scratch"]:
+        os.makedirs(work["scratch"], exist_ok=True)
+    return tempfile.mkdtemp(prefix="simulator-", dir=work["scratch"] or None)
 
 
 def main():
     """Load the function, then answer calls until the parent is gone."""
     connection = Connection(int(sys.argv[1]))
+    os.set_inheritable(connection.fileno(), False)
     sys.path[:] = pickle.loads(connection.recv_bytes())
     try:
         work = cloudpickle.loads(connection.recv_bytes())
-        connection.send(("ready", "", 0.0))
+        scratch = own_folder(work)
+        connection.send(("ready", scratch, 0.0))
     except BaseException as error:
         connection.send(("unusable", f"{type(error).__name__}: {error}", 0.0))
         return
-    while True:
-        try:
-            arguments = connection.recv()
-        except (EOFError, OSError):
-            return
-        connection.send(answer(work, arguments))
+    threading.Thread(target=end_with_parent, args=(connection, scratch), daemon=True).start()
+    try:
+        while True:
+            connection.send(answer(work, connection.recv(), scratch))
+    except (EOFError, OSError):
+        remove(scratch)
 
 
 if __name__ == "__main__":

@@ -45,8 +45,9 @@ class ExternalSimulator:
     cache : path-like, optional
         SQLite file that keeps every result; several runs may share it.
     version : str, optional
-        Stands for the function in the cache. By default that is its code and what it holds; not what other
-        modules or programs do, so give a version where these change.
+        Stands for the function of this name in the cache. By default that is its code, that of the functions
+        and classes it names, and what they hold; not what installed packages, modules that it calls by name
+        (`solver.run()`) or programs do, so give a version where these change.
     dt : float, optional
         Time step of the data [s], for the time axis.
     progress : bool
@@ -102,10 +103,13 @@ class ExternalSimulator:
             progress=progress,
         )
         self.identity = self._identity(function)
+        if gradient is not None:
+            self._flat_gradient, self._gradient_identity = FlatGradient(gradient), self._identity(gradient)
 
     def _identity(self, function) -> str:
         if self.version is not None:
-            return fingerprint(self.version)
+            name = getattr(function, "__qualname__", type(function).__qualname__)
+            return fingerprint(name, self.version)
         try:
             return fingerprint(function)
         except UnknownIdentityError as error:
@@ -130,7 +134,10 @@ class ExternalSimulator:
 
     @property
     def failures(self) -> list[Failure]:
-        """The last thousand failures, with their parameters; all of them are in the cache."""
+        """The last thousand failures in this process, with their parameters.
+
+        All of them, also those of chains in other processes: `external.EvaluationCache(path).failures()`.
+        """
         return list(self.evaluator.failures)
 
     def responses(self, *parameters) -> np.ndarray:
@@ -149,6 +156,11 @@ class ExternalSimulator:
             task = Task(self.function, self.shape[:1], None, self.identity)
         else:
             observed = np.ascontiguousarray(observed, dtype=np.float64)
+            if observed.shape != self.shape:
+                raise ValueError(
+                    f"`observed` must have shape (sensor, time) = {self.shape}, got {observed.shape}. Give "
+                    "one row for each sensor and one column for each output step."
+                )
             task = Task(self.function, self.shape, observed, self.identity)
         return self.evaluator.run(task, spread(parameters))
 
@@ -157,7 +169,7 @@ class ExternalSimulator:
         rows = spread(parameters)
         sizes = [int(np.prod(r.shape[1:])) for r in rows]
         more = np.broadcast_to(cotangent, (len(rows[0]), *np.shape(cotangent)))
-        task = Task(FlatGradient(self.gradient), (sum(sizes),), None, self._identity(self.gradient))
+        task = Task(self._flat_gradient, (sum(sizes),), None, self._gradient_identity)
         flat = self.evaluator.run(task, [*rows, more])
         parts = np.split(flat, np.cumsum(sizes)[:-1], axis=1)
         return [part.reshape(r.shape) for part, r in zip(parts, rows, strict=True)]
@@ -183,5 +195,9 @@ class ExternalSimulator:
 def spread(parameters) -> list[np.ndarray]:
     """Parameters (particle, ...) with equally many rows, from some that have one for all."""
     rows = [np.asarray(p, dtype=np.float64) for p in parameters]
+    if not rows or min(r.ndim for r in rows) == 0:
+        raise ValueError(
+            "the simulator's parameters must have a row for each particle, got a number. Pass arrays."
+        )
     n = max(len(r) for r in rows)
     return [np.broadcast_to(r, (n, *r.shape[1:])) for r in rows]

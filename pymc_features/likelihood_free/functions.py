@@ -10,6 +10,7 @@ from pytensor.compile.mode import Mode
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant
 
+from pymc_features.external.identity import UnknownIdentityError, fingerprint
 from pymc_features.ops import NoGradient, StructuralResponse, mean_square_discrepancy
 
 ADVICE = (
@@ -33,6 +34,8 @@ class ResponseSimulator:
     settings : list of TensorVariable
         The inputs behind its parameters; data among them are read anew in each call.
     """
+
+    draws_random_numbers = False
 
     def __init__(self, op: StructuralResponse, settings: list):
         self.op = op
@@ -64,9 +67,12 @@ class FunctionSimulator:
     ----------
     last_error : str
         What the function raised last, or nothing.
+    identity : str
+        Fingerprint of the function as it was given, for checkpoints; empty where it cannot be told.
     """
 
     batched = True  # takes batches, by a loop where the function does not
+    draws_random_numbers = False
 
     def __init__(self, function: Callable, ndims_params: tuple[int, ...], shape: tuple[int, ...]):
         self.function = function
@@ -74,6 +80,10 @@ class FunctionSimulator:
         self.ndims_params = ndims_params
         self.shape = shape
         self.last_error, self.warned_of = "", set()
+        try:
+            self.identity = fingerprint(function)
+        except UnknownIdentityError:
+            self.identity = ""
 
     def __call__(self, rng, *parameters_and_size):
         *parameters, size = parameters_and_size

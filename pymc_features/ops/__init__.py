@@ -1,6 +1,6 @@
 """The PyTensor Ops of the package, and their Numba dispatch."""
 
-from pymc_features.ops import jax_loader, numba_dispatch
+from pymc_features.ops import external_dispatch, jax_loader, numba_dispatch
 from pymc_features.ops.base import check_shape
 from pymc_features.ops.discrepancy import StructuralDiscrepancy
 from pymc_features.ops.external import ExternalDiscrepancy, ExternalGradient, ExternalResponse
@@ -42,6 +42,7 @@ __all__ = [
     "mean_square_discrepancy",
     "misfit_statistics",
     "name_the_time_axis",
+    "external_dispatch",
     "numba_dispatch",
     "response",
     "response_node",

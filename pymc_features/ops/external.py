@@ -80,7 +80,7 @@ class ExternalOp(Op):
         rows = [np.asarray(p) if self.batched else np.asarray(p)[None] for p in parameters]
         results = self.compute(rows, *more)
         for storage, result in zip(output_storage, results, strict=True):
-            storage[0] = np.ascontiguousarray(result if self.batched else result[0])
+            storage[0] = np.asarray(result if self.batched else result[0], order="C")
 
     def run(self, inputs):
         """What `perform` computes, for one particle."""

@@ -8,6 +8,7 @@ there are no more of them. Its particles are then those of an uninterrupted run,
 import hashlib
 import io
 import json
+import operator
 import os
 import re
 import struct
@@ -175,30 +176,37 @@ class Checkpoint:
             )
 
 
-def remembered_seed(folder, random_seed, chains):
-    """The seed of a checkpoint's run: the one given, or that of the folder, or a new one, kept there."""
+def remembered(folder, random_seed, chains, default_chains):
+    """Seed and number of chains: those given, or of the checkpoint's run, or new ones, kept there."""
     path = Path(folder) / "seed.json"
     known = read_json(path)
-    asked = None if random_seed is None else np.ravel(random_seed).tolist()
-    if known is not None:
-        if asked not in (None, known["random_seed"]) or chains != known["chains"]:
-            raise CheckpointError(
-                f"`checkpoint` must be of this run, got {folder} of one with random_seed="
-                f"{known['random_seed']}, chains={known['chains']}. {ADVICE}"
-            )
-        asked = known["random_seed"]
-    else:
-        if asked is None:
-            asked = [int(np.random.default_rng().integers(2**31))]
+    try:
+        asked = None if random_seed is None else [operator.index(s) for s in np.ravel(random_seed)]
+    except TypeError:
+        raise TypeError(
+            f"`random_seed` must be integers with `checkpoint`, got {random_seed!r}. Or leave it out: the "
+            "checkpoint keeps one."
+        ) from None
+    if known is None:
+        known = {
+            "random_seed": asked or [int(np.random.default_rng().integers(2**31))],
+            "chains": default_chains if chains is None else chains,
+        }
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_json(path, {"random_seed": asked, "chains": chains})
-    return asked if len(asked) > 1 else asked[0]
+        write_json(path, known)
+    elif asked not in (None, known["random_seed"]) or chains not in (None, known["chains"]):
+        raise CheckpointError(
+            f"`checkpoint` must be of this run, got {folder} of one with random_seed="
+            f"{known['random_seed']}, chains={known['chains']}. {ADVICE}"
+        )
+    seeds = known["random_seed"]
+    return seeds if len(seeds) > 1 else seeds[0], known["chains"]
 
 
 def model_fingerprint(model) -> str:
     """SHA-256 of a model's log-probability: its graph, constants and data.
 
-    Of functions called by it only the name counts.
+    Simulators of ours count with what they do; of other functions called by it only the name.
     """
     outputs = [model.varlogp, model.datalogp]
     text = pytensor.dprint(outputs, file="str", id_type="CHAR")
@@ -211,9 +219,11 @@ def model_fingerprint(model) -> str:
             digest.update(repr(value.shape).encode())
             if value.dtype != object:
                 digest.update(value.tobytes())
-        identity = getattr(getattr(v.owner, "op", None), "identity", None)
-        if isinstance(identity, str):
-            digest.update(identity.encode())
+        op = getattr(v.owner, "op", None)
+        for called in (op, getattr(op, "fn", None)):
+            identity = getattr(called, "identity", None)
+            if isinstance(identity, str):
+                digest.update(identity.encode())
     return digest.hexdigest()
 
 

@@ -22,9 +22,17 @@ from pytensor.graph.replace import clone_replace, vectorize_graph
 from pytensor.graph.rewriting.basic import dfs_rewriter
 from pytensor.graph.rewriting.db import RewriteDatabaseQuery
 from pytensor.graph.traversal import ancestors, io_toposort
-from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.random.type import RandomGeneratorType
 from pytensor.tensor.type import TensorType
+
+from pymc_features.smc.nodes import (
+    core_op,
+    inner_nodes,
+    is_random,
+    simulator_functions,
+    simulators_inside,
+    why_not_batched,
+)
 
 BATCH_BYTES = 2**26  # of the largest intermediate result of one call; larger populations are split
 
@@ -146,7 +154,7 @@ class PopulationLogp:
     @property
     def draws_random_numbers(self) -> bool:
         """Whether two evaluations of the same particle may differ."""
-        return any(isinstance(v.type, RandomGeneratorType) for v in self.function.get_shared())
+        return any(map(is_random, inner_nodes(self.function.maker.fgraph)))
 
     @property
     def is_expensive(self) -> bool:
@@ -236,41 +244,6 @@ def joined_graph(model, point, terms):
         outputs.append(failed)
     joined, vector = join_nonshared_inputs(point, outputs, inputs)
     return joined, vector, len(failures)
-
-
-def core_op(node):
-    """The Op of a node, without the wrapping of batches."""
-    return node.op.core_op if isinstance(node.op, Blockwise) else node.op
-
-
-def why_not_batched(outputs) -> str | None:
-    """Say which part of the graph takes one set of parameters at a time; None if there is none."""
-    for op in simulator_functions(outputs):
-        if not getattr(op.fn, "batched", False):
-            return (
-                f"the function of {op.name} takes one set of parameters at a time. If it accepts a "
-                "leading particle dimension, say so by `function.batched = True`"
-            )
-    return None
-
-
-def simulator_functions(outputs) -> list:
-    """Ops of the graph that call a simulator function."""
-    owners = {v.owner for v in ancestors(outputs) if v.owner is not None}
-    return [node.op for node in owners if isinstance(node.op, SimulatorRV)]
-
-
-def simulators_inside(graph) -> list:
-    """Ops of a compiled graph that call a simulator function."""
-    return [node.op for node in inner_nodes(graph) if isinstance(node.op, SimulatorRV)]
-
-
-def inner_nodes(graph):
-    """Nodes of a compiled graph, also where PyTensor has wrapped them."""
-    for node in graph.apply_nodes:
-        yield node
-        if getattr(node.op, "fgraph", None) is not None:
-            yield from inner_nodes(node.op.fgraph)
 
 
 def batch_size(outputs, vector) -> int:

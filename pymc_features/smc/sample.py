@@ -8,7 +8,7 @@ from pymc.model import modelcontext
 from pymc.sampling.parallel import ParallelSamplingError
 from pytensor.graph.traversal import ancestors
 
-from pymc_features.smc.checkpoint import CheckpointError, remembered_seed
+from pymc_features.smc.checkpoint import CheckpointError, remembered
 from pymc_features.smc.levels import ToleranceNotReachedError
 from pymc_features.smc.persistent import PersistentSMC
 from pymc_features.smc.population import PopulationKernel
@@ -77,16 +77,17 @@ def sample_smc(
         raise ValueError(
             "`return_inferencedata` must be True, got False. Use pm.sample_smc() for a MultiTrace."
         )
-    if chains is None:
-        chains = max(2, cores or processors())
+    default_chains = max(2, cores or processors())
     if checkpoint is not None:
         if not (isinstance(kernel, type) and issubclass(kernel, PopulationKernel)):
             raise TypeError(
                 f"`checkpoint` must be left out for {getattr(kernel, '__name__', kernel)}, which keeps none. "
                 "Use a kernel of pymc_features."
             )
-        random_seed = remembered_seed(checkpoint, random_seed, chains)
+        random_seed, chains = remembered(checkpoint, random_seed, chains, default_chains)
         settings["checkpoint"] = checkpoint
+    if chains is None:
+        chains = default_chains
     if cores is None:
         cores = 1 if is_parallel_by_itself(modelcontext(settings.get("model"))) else processors()
     try:
@@ -109,7 +110,8 @@ def is_parallel_by_itself(model) -> bool:
     """Whether something in the model takes many processors for one chain."""
     for v in ancestors([*model.basic_RVs, *model.potentials]):
         op = getattr(v.owner, "op", None)
-        inner = getattr(getattr(op, "fn", None), "op", None)  # of a simulator node
+        fn = getattr(op, "fn", None)  # of a simulator node; with noise there is another inside
+        inner = getattr(getattr(fn, "simulator", fn), "op", None)
         if getattr(op, "expensive", False) or getattr(inner, "expensive", False):
             return True
     return False
