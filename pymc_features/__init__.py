@@ -23,6 +23,7 @@ from pymc_features.distributions import (
     TruncNormalFeature,
     sigma_mpv,
 )
+from pymc_features.external import CommandLine, ExternalSimulator
 from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.inference import (
     ChainsDisagreeWarning,
@@ -43,6 +44,7 @@ from pymc_features.signals import ChannelWarning, check_channels
 from pymc_features.simulators import integration_error, simulate, spring_forces
 from pymc_features.smc import (
     TMCMC,
+    CheckpointError,
     PersistentSMC,
     PopulationIMH,
     PopulationMH,
@@ -67,10 +69,13 @@ __all__ = [
     "AffineStructure",
     "ChainsDisagreeWarning",
     "ChannelWarning",
+    "CheckpointError",
+    "CommandLine",
     "CorrelatedNormal",
     "DiscrepancySimulator",
     "DuffingChain",
     "ExpFeature",
+    "ExternalSimulator",
     "FeatureLikelihoodWarning",
     "HystereticChain",
     "LaplaceWarning",

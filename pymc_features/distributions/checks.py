@@ -194,6 +194,8 @@ def _warn_about_noise(mu, observed):
     try:
         e = mean_square_discrepancy(mu, observed)
         upstream = set(ancestors([e]))
+        if any(v.owner is not None and getattr(v.owner.op, "expensive", False) for v in upstream):
+            return
         free = [rv for rv in model.free_RVs if rv in upstream]
         points = make_initial_point_expression(
             free_rvs=free,

@@ -1,0 +1,7 @@
+"""Simulators outside PyTensor: run in processes of their own, here or on a cluster, and remembered."""
+
+from pymc_features.external.cache import EvaluationCache
+from pymc_features.external.command import CommandLine
+from pymc_features.external.simulator import ExternalSimulator
+
+__all__ = ["CommandLine", "EvaluationCache", "ExternalSimulator"]

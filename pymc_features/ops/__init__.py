@@ -1,7 +1,9 @@
 """The PyTensor Ops of the package, and their Numba dispatch."""
 
 from pymc_features.ops import jax_loader, numba_dispatch
-from pymc_features.ops.discrepancy import StructuralDiscrepancy, check_shape
+from pymc_features.ops.base import check_shape
+from pymc_features.ops.discrepancy import StructuralDiscrepancy
+from pymc_features.ops.external import ExternalDiscrepancy, ExternalGradient, ExternalResponse
 from pymc_features.ops.gradient import (
     DiscrepancyGradient,
     DiscrepancyTangent,
@@ -23,6 +25,9 @@ __all__ = [
     "StructuralDiscrepancy",
     "DiscrepancyGradient",
     "DiscrepancyTangent",
+    "ExternalDiscrepancy",
+    "ExternalGradient",
+    "ExternalResponse",
     "StructuralMisfit",
     "StructuralResponse",
     "ResponseGradient",

@@ -132,3 +132,17 @@ class StructuralOp(Op):
 def shapes(inputs: dict[str, str]) -> str:
     """Shapes of inputs as a gufunc signature has them."""
     return ",".join(f"({dims})" for dims in inputs.values())
+
+
+def check_shape(expected, got, name="observed"):
+    """Refuse static shapes (None where unknown) of (..., sensor, time) arrays that cannot agree."""
+    pairs = list(zip(expected[::-1], got[::-1], strict=False))[:2]
+    if all(a is None or b is None or a == b for a, b in pairs):
+        return
+    known = tuple(expected[-2:])
+    hint = "Give one row for each sensor and one column for each output step."
+    if tuple(got[-2:]) == known[::-1]:
+        hint = "Transpose it: time is the last axis."
+    raise ValueError(
+        f"`{name}` must have shape (sensor, time) = {known} to match `mu`, got {tuple(got)}. {hint}"
+    )

@@ -4,7 +4,7 @@ import pytensor.tensor as pt
 from pytensor.gradient import disconnected_type
 from pytensor.graph.basic import Apply
 
-from pymc_features.ops.base import StructuralOp
+from pymc_features.ops.base import StructuralOp, check_shape
 from pymc_features.ops.gradient import DiscrepancyGradient
 from pymc_features.ops.response import StructuralResponse
 
@@ -53,17 +53,3 @@ class StructuralDiscrepancy(StructuralComparison):
             *(disconnected_type() for _ in common[self.n_parameters :]),
             weights[:, None] * (2.0 / observed.shape[1]) * misfit,
         ]
-
-
-def check_shape(expected, got, name="observed"):
-    """Refuse static shapes (None where unknown) of (..., sensor, time) arrays that cannot agree."""
-    pairs = list(zip(expected[::-1], got[::-1], strict=False))[:2]
-    if all(a is None or b is None or a == b for a, b in pairs):
-        return
-    known = tuple(expected[-2:])
-    hint = "Give one row for each sensor and one column for each output step."
-    if tuple(got[-2:]) == known[::-1]:
-        hint = "Transpose it: time is the last axis."
-    raise ValueError(
-        f"`{name}` must have shape (sensor, time) = {known} to match `mu`, got {tuple(got)}. {hint}"
-    )

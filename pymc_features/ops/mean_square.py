@@ -5,7 +5,9 @@ import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 from pytensor.tensor.blockwise import Blockwise
 
-from pymc_features.ops.discrepancy import StructuralDiscrepancy, check_shape
+from pymc_features.ops.base import check_shape
+from pymc_features.ops.discrepancy import StructuralDiscrepancy
+from pymc_features.ops.external import ExternalResponse
 from pymc_features.ops.misfit import StructuralMisfit, misfit_values
 from pymc_features.ops.population import fused_comparison
 from pymc_features.ops.response import response_node
@@ -89,4 +91,12 @@ def fused_or_plain(op_type, plain, mu, observed):
     if node is None or observed.ndim < 2:
         return plain(observed - mu)
     core = node.op.core_op if isinstance(node.op, Blockwise) else node.op
+    if isinstance(core, ExternalResponse):
+        simple = op_type is StructuralDiscrepancy and core is node.op and observed.ndim == 2
+        if not simple and core.simulator.returns == "mean_square":
+            raise ValueError(
+                "`mu` must be a history here, got a simulator that returns mean squares. Use NORM, "
+                "TruncNormalFeature or ExpFeature, or let the simulator return responses."
+            )
+        return core.compare(node.inputs, observed) if simple else plain(observed - mu)
     return fused_comparison(core.like(op_type), [*node.inputs[: core.n_common], observed])

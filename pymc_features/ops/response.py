@@ -16,6 +16,7 @@ from pytensor.tensor.variable import TensorVariable
 
 from pymc_features.algebra import to_dense
 from pymc_features.ops.base import StructuralOp
+from pymc_features.ops.external import ExternalResponse
 from pymc_features.ops.gradient import ResponseGradient
 from pymc_features.records import Loading, Record
 from pymc_features.simulators import HISTORIES, at_outputs, checked_request, force_share, rows_of
@@ -185,7 +186,7 @@ def response_node(variable: TensorVariable) -> Apply | None:
     while variable.owner is not None:
         op = variable.owner.op
         core = op.core_op if isinstance(op, Blockwise) else op
-        if isinstance(core, StructuralResponse):
+        if isinstance(core, StructuralResponse | ExternalResponse):
             return variable.owner
         is_copy = isinstance(op, ViewOp) or (
             isinstance(op, Elemwise) and op.scalar_op == pytensor.scalar.identity
@@ -202,8 +203,10 @@ def response_step(variable: TensorVariable) -> float | None:
     node = response_node(variable)
     if node is None:
         return None
+    core = node.op.core_op if isinstance(node.op, Blockwise) else node.op
+    if isinstance(core, ExternalResponse):
+        return core.simulator.dt
     try:
-        core = node.op.core_op if isinstance(node.op, Blockwise) else node.op
         places = (core.at(name) for name in ("dt", "substeps", "stride"))
         dt, substeps, stride = (pt.get_underlying_scalar_constant_value(node.inputs[i]) for i in places)
     except pt.exceptions.NotScalarConstantError:

@@ -1,5 +1,6 @@
 """Kernels for `pm.sample_smc`, and results that can be saved. Nothing here knows of structures."""
 
+from pymc_features.smc.checkpoint import CheckpointError
 from pymc_features.smc.evaluation import PopulationLogp, PopulationWarning, population_logp
 from pymc_features.smc.imh import PopulationIMH
 from pymc_features.smc.levels import ToleranceNotReachedError
@@ -15,6 +16,7 @@ from pymc_features.smc.tmcmc import TMCMC
 KERNELS = (PopulationIMH, PopulationMH, PersistentSMC, TMCMC)  # for any model
 
 __all__ = [
+    "CheckpointError",
     "KERNELS",
     "PersistentSMC",
     "PopulationIMH",

@@ -95,8 +95,9 @@ class PopulationLogp:
             )
         self.function.trust_input = True
         _ALIVE[self.token] = self
-        # once in this process, that forked ones need not begin with the machine code
-        self(np.concatenate([np.ravel(point[v.name]) for v in model.value_vars])[None].astype(dtype))
+        if not self.is_expensive:
+            # once in this process, that forked ones need not begin with the machine code
+            self(np.concatenate([np.ravel(point[v.name]) for v in model.value_vars])[None].astype(dtype))
 
     def __call__(self, particles: np.ndarray):
         """Evaluate particles (p, d).
@@ -141,6 +142,17 @@ class PopulationLogp:
         """What the model raised last, or else a simulator function; empty if nothing did."""
         ops = simulators_inside(self.function.maker.fgraph)
         return next(filter(None, [self.raised, *(getattr(op.fn, "last_error", "") for op in ops)]), "")
+
+    @property
+    def draws_random_numbers(self) -> bool:
+        """Whether two evaluations of the same particle may differ."""
+        return any(isinstance(v.type, RandomGeneratorType) for v in self.function.get_shared())
+
+    @property
+    def is_expensive(self) -> bool:
+        """Whether something in the model says that it is not to be evaluated more often than need be."""
+        nodes = inner_nodes(self.function.maker.fgraph)
+        return any(getattr(core_op(node), "expensive", False) for node in nodes)
 
     def with_rng(self, rng: np.random.Generator) -> "PopulationLogp":
         """An evaluation with random streams of its own; this one if there are no random draws in it."""
@@ -249,14 +261,16 @@ def simulator_functions(outputs) -> list:
 
 
 def simulators_inside(graph) -> list:
-    """Ops of a compiled graph that call a simulator function, also where PyTensor has wrapped them."""
-    found = []
+    """Ops of a compiled graph that call a simulator function."""
+    return [node.op for node in inner_nodes(graph) if isinstance(node.op, SimulatorRV)]
+
+
+def inner_nodes(graph):
+    """Nodes of a compiled graph, also where PyTensor has wrapped them."""
     for node in graph.apply_nodes:
-        if isinstance(node.op, SimulatorRV):
-            found.append(node.op)
-        elif getattr(node.op, "fgraph", None) is not None:
-            found += simulators_inside(node.op.fgraph)
-    return found
+        yield node
+        if getattr(node.op, "fgraph", None) is not None:
+            yield from inner_nodes(node.op.fgraph)
 
 
 def batch_size(outputs, vector) -> int:

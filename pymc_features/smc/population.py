@@ -7,6 +7,7 @@ from pymc.model import modelcontext
 from pymc.smc.kernels import SMC_KERNEL, Pearson
 from pymc.vartypes import discrete_types
 
+from pymc_features.smc.checkpoint import Checkpoint, model_fingerprint
 from pymc_features.smc.evaluation import population_logp
 from pymc_features.smc.prior import prior_draws
 
@@ -41,6 +42,9 @@ class PopulationKernel(SMC_KERNEL):
         Number of particles.
     start, model, random_seed, threshold, compile_kwargs
         As in PyMC's kernels.
+    checkpoint : path-like, optional
+        Folder that keeps every evaluation; a run that was killed goes on from there with the same
+        `random_seed`, to the same particles. See `sample_smc`.
 
     Notes
     -----
@@ -62,7 +66,14 @@ class PopulationKernel(SMC_KERNEL):
     }
 
     def __init__(
-        self, draws=2000, start=None, model=None, random_seed=None, threshold=0.5, compile_kwargs=None
+        self,
+        draws=2000,
+        start=None,
+        model=None,
+        random_seed=None,
+        threshold=0.5,
+        compile_kwargs=None,
+        checkpoint=None,
     ):
         # not SMC_KERNEL's own: it would compile two functions for single particles
         self.draws = whole_number("draws", draws, 2)
@@ -81,6 +92,10 @@ class PopulationKernel(SMC_KERNEL):
         self.var_info = {name: (value.shape, value.size) for name, value in point.items()}
         self.n_parameters = sum(size for _, size in self.var_info.values())
         self.compile_evaluation(model, point, compile_kwargs or {})
+        self.checkpoint = self.journal = None
+        if checkpoint is not None:
+            self.checkpoint = Checkpoint(checkpoint, model_fingerprint(model))
+            self.checkpoint.refuse_random(self.logp)
         self._reset_state()
 
     def _reset_state(self):
@@ -102,10 +117,21 @@ class PopulationKernel(SMC_KERNEL):
         """Use this generator; random draws inside the log-probability get streams of their own."""
         self.rng = rng
         self.logp = self.logp.with_rng(rng)
+        if self.checkpoint is not None:
+            settings = {"kernel": type(self).__name__, "draws": self.draws, **self.sample_settings()}
+            if self.journal is not None:
+                self.journal.close()  # the chain before
+            self.journal = self.checkpoint.journal(settings, rng)
+
+    def evaluated(self, particles):
+        """Log prior, log-likelihood and failures, each (p,), of particles (p, d); journals remember them."""
+        if self.journal is None:
+            return self.logp(particles)
+        return self.journal.evaluate(self.logp, particles)
 
     def evaluate(self, particles):
         """Log prior and log-likelihood, each (p,), of particles (p, d); counts evaluations and failures."""
-        prior, likelihood, failed = self.logp(particles)
+        prior, likelihood, failed = self.evaluated(particles)
         self.evaluations += len(particles)
         self.failed += int(failed.sum())
         return prior, likelihood

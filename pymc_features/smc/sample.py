@@ -4,15 +4,26 @@ import os
 
 import pymc as pm
 import xarray as xr
+from pymc.model import modelcontext
 from pymc.sampling.parallel import ParallelSamplingError
+from pytensor.graph.traversal import ancestors
 
+from pymc_features.smc.checkpoint import CheckpointError, remembered_seed
 from pymc_features.smc.levels import ToleranceNotReachedError
 from pymc_features.smc.persistent import PersistentSMC
+from pymc_features.smc.population import PopulationKernel
 from pymc_features.smc.results import savable
 
 
 def sample_smc(
-    draws: int = 2000, kernel=PersistentSMC, *, cores: int | None = None, **settings
+    draws: int = 2000,
+    kernel=PersistentSMC,
+    *,
+    chains: int | None = None,
+    cores: int | None = None,
+    random_seed=None,
+    checkpoint=None,
+    **settings,
 ) -> xr.DataTree:
     """`pm.sample_smc` with `PersistentSMC` by default and a result that saves to netCDF and Zarr.
 
@@ -22,11 +33,20 @@ def sample_smc(
         Draws of each chain.
     kernel : type
         Any kernel of `pm.sample_smc`.
+    chains : int, optional
+        As many as processors, and at least two, by default.
     cores : int, optional
-        Chains in parallel; as many as there are processors by default. Where JAX has been used, pass
+        Chains in parallel; as many as there are processors by default, and one for a model with an
+        `ExternalSimulator`, which is parallel by itself. Where JAX has been used, pass
         mp_ctx="forkserver": a fork may hang.
+    random_seed : int or sequence of int, optional
+        For the same particles each time.
+    checkpoint : path-like, optional
+        Folder that keeps every evaluation, for the kernels of this package. A run that was killed at any
+        moment and is started again goes on from there, with the same seed, and ends with the particles that
+        it would have had. Remove the folder when it is done.
     **settings
-        Of `pm.sample_smc` (`model`, `chains`, `random_seed`, `progressbar`, `mp_ctx`, ...) and of the kernel.
+        Of `pm.sample_smc` (`model`, `progressbar`, `mp_ctx`, ...) and of the kernel.
 
     Returns
     -------
@@ -38,6 +58,10 @@ def sample_smc(
     ------
     ToleranceNotReachedError
         From `SubsetSimulation`.
+    CheckpointError
+        If the checkpoint is damaged, in use, or of another run.
+    RuntimeError
+        If a process dies that samples a chain.
 
     Examples
     --------
@@ -53,12 +77,42 @@ def sample_smc(
         raise ValueError(
             "`return_inferencedata` must be True, got False. Use pm.sample_smc() for a MultiTrace."
         )
+    if chains is None:
+        chains = max(2, cores or processors())
+    if checkpoint is not None:
+        if not (isinstance(kernel, type) and issubclass(kernel, PopulationKernel)):
+            raise TypeError(
+                f"`checkpoint` must be left out for {getattr(kernel, '__name__', kernel)}, which keeps none. "
+                "Use a kernel of pymc_features."
+            )
+        random_seed = remembered_seed(checkpoint, random_seed, chains)
+        settings["checkpoint"] = checkpoint
+    if cores is None:
+        cores = 1 if is_parallel_by_itself(modelcontext(settings.get("model"))) else processors()
     try:
-        return savable(pm.sample_smc(draws, kernel, cores=cores or processors(), **settings))
+        return savable(
+            pm.sample_smc(draws, kernel, chains=chains, cores=cores, random_seed=random_seed, **settings)
+        )
     except ParallelSamplingError as error:
-        if isinstance(error.__cause__, ToleranceNotReachedError):  # the same with one process and with many
+        # the same with one process and with many
+        if isinstance(error.__cause__, ToleranceNotReachedError | CheckpointError):
             raise error.__cause__ from None
         raise
+    except (EOFError, ConnectionResetError) as error:
+        raise RuntimeError(
+            "a process that sampled a chain died: killed, or out of memory. Sample with fewer `cores` or "
+            "`draws`; with `checkpoint` the next run goes on from there."
+        ) from error
+
+
+def is_parallel_by_itself(model) -> bool:
+    """Whether something in the model takes many processors for one chain."""
+    for v in ancestors([*model.basic_RVs, *model.potentials]):
+        op = getattr(v.owner, "op", None)
+        inner = getattr(getattr(op, "fn", None), "op", None)  # of a simulator node
+        if getattr(op, "expensive", False) or getattr(inner, "expensive", False):
+            return True
+    return False
 
 
 def processors() -> int:

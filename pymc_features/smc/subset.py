@@ -107,8 +107,9 @@ class SubsetSimulation(PopulationKernel):
         model=None,
         random_seed=None,
         compile_kwargs=None,
+        checkpoint=None,
     ):
-        super().__init__(draws, start, model, random_seed, compile_kwargs=compile_kwargs)
+        super().__init__(draws, start, model, random_seed, 0.5, compile_kwargs, checkpoint)
         check_share("p0", p0, 0.2)
         self.p0 = float(p0)
         # each half of the particles that a level keeps must show a shape
@@ -140,8 +141,7 @@ class SubsetSimulation(PopulationKernel):
         self.logp = population_logp(model, point, compile_kwargs, "rho", node.rho_terms)
 
     def __getstate__(self):
-        # the model stays where it is
-        return {key: value for key, value in self.__dict__.items() if key != "node"}
+        return {key: value for key, value in self.__dict__.items() if key != "node"}  # the model stays
 
     def _initialize_kernel(self):
         """Simulate draws from the prior until enough of them give a number."""
@@ -181,7 +181,7 @@ class SubsetSimulation(PopulationKernel):
 
     def simulate(self, x):
         """rho (n,) of particles (n, d), infinite where the simulation failed; counted."""
-        _, minus_rho, failed = self.logp(x)
+        _, minus_rho, failed = self.evaluated(x)
         self.evaluations += len(x)
         self.failed += int(failed.sum())
         self.smallest = min(self.smallest, -minus_rho.max())

@@ -50,8 +50,11 @@ class TMCMC(PopulationKernel):
         model=None,
         random_seed=None,
         compile_kwargs=None,
+        checkpoint=None,
     ):
-        super().__init__(draws, start, model, random_seed, compile_kwargs=compile_kwargs)
+        super().__init__(
+            draws, start, model, random_seed, compile_kwargs=compile_kwargs, checkpoint=checkpoint
+        )
         for name, value in (("scale", scale), ("coefficient_of_variation", coefficient_of_variation)):
             if not 0.0 < value < np.inf:
                 raise ValueError(f"`{name}` must be positive, got {value}. Leave it out for the source's.")

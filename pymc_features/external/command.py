@@ -1,0 +1,154 @@
+"""A program outside Python as a simulator function."""
+
+import re
+import shlex
+import subprocess
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+PLACE = re.compile(r"\{\{\s*(\w+)(?:\[(\d+)\])?(?::([^}]*))?\s*\}\}")
+TAIL = 300  # characters of a program's last words that are kept
+
+
+class CommandLine:
+    """A program: input files written from templates, a command run, a result file read.
+
+    Parameters
+    ----------
+    command : str or sequence of str
+        The program and its arguments; no shell. A string is split as a shell would.
+    parameters : sequence of str
+        Names of the parameters, in the order in which the simulator is called.
+    inputs : dict of str to str or path-like
+        For each file to be written its template: a text, or a `Path` to a file. `{{name}}` stands for a
+        parameter with all its digits, `{{name[2]}}` for an entry of one that is an array, and
+        `{{name:.3e}}` for a format of your own. Also in `command`.
+    result : str or callable
+        The file that the program leaves: `.npy`, `.csv` (commas) or text in columns. Or a function that reads
+        the folder: path -> array.
+    columns : sequence of int, optional
+        Columns of the file that count, for example without that of the times. All by default.
+    transpose : bool
+        Rows of the file are times (the default) and become columns: (sensor, time).
+    files : sequence of path-like
+        Copied into the folder as they are.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a template names no parameter, or a file is missing.
+
+    Notes
+    -----
+    Runs in the folder it is called in, a scratch folder of `ExternalSimulator`. An exit code other than zero
+    is a failure, with the last line that the program wrote.
+
+    Examples
+    --------
+    >>> import sys
+    >>> program = "import sys, numpy; numpy.savetxt('out.txt', numpy.ones((3, 2)) / float(sys.argv[1]))"
+    >>> halves = CommandLine([sys.executable, "-c", program, "{{k}}"], ["k"], {}, "out.txt")
+    >>> from pymc_features import ExternalSimulator
+    >>> with ExternalSimulator(halves, shape=(2, 3), executor=1) as simulator:
+    ...     simulator.responses([2.0])[0, 0]
+    array([0.5, 0.5, 0.5])
+    """
+
+    needs_scratch = True
+
+    def __init__(
+        self,
+        command: str | Sequence[str],
+        parameters: Sequence[str],
+        inputs: dict,
+        result: str | Callable,
+        *,
+        columns: Sequence[int] | None = None,
+        transpose: bool = True,
+        files: Sequence = (),
+    ):
+        self.command = shlex.split(command) if isinstance(command, str) else [str(part) for part in command]
+        if not self.command:
+            raise ValueError("`command` must name a program, got nothing. Give it as a list of words.")
+        if isinstance(parameters, str) or not all(
+            isinstance(p, str) and p.isidentifier() for p in parameters
+        ):
+            raise ValueError(f"`parameters` must be a list of names, got {parameters!r}.")
+        self.parameters = tuple(parameters)
+        self.inputs = {str(name): template_text(name, text) for name, text in dict(inputs).items()}
+        for where, text in [*self.inputs.items(), *(("command", word) for word in self.command)]:
+            self.check_places(where, text)
+        if not (isinstance(result, str) or callable(result)):
+            raise TypeError(f"`result` must be the name of a file or a function, got {result!r}.")
+        self.result, self.transpose = result, bool(transpose)
+        self.columns = None if columns is None else tuple(int(c) for c in columns)
+        self.files = {Path(f).name: read_bytes(f) for f in files}
+
+    def check_places(self, where, text):
+        """Refuse a template that asks for what is not there."""
+        for name, _, _ in PLACE.findall(text):
+            if name not in self.parameters:
+                raise ValueError(
+                    f"`inputs` must name parameters ({', '.join(self.parameters)}), got {name!r} in {where}."
+                )
+
+    def __call__(self, *values):
+        if len(values) != len(self.parameters):
+            raise TypeError(f"the program has {len(self.parameters)} parameters, got {len(values)}")
+        known = dict(zip(self.parameters, values, strict=True))
+        for name, content in self.files.items():
+            Path(name).write_bytes(content)
+        for name, text in self.inputs.items():
+            Path(name).parent.mkdir(parents=True, exist_ok=True)
+            Path(name).write_text(filled(text, known))
+        command = [filled(word, known) for word in self.command]
+        done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL)
+        if done.returncode:
+            words = (done.stderr or done.stdout).decode(errors="replace").strip()[-TAIL:].splitlines()
+            raise RuntimeError(f"exit code {done.returncode}" + (f": {words[-1]}" if words else ""))
+        return self.read()
+
+    def read(self) -> np.ndarray:
+        """The result as (sensor, time), or as the user's function gives it."""
+        if callable(self.result):
+            return self.result(Path.cwd())
+        path = Path(self.result)
+        if not path.exists():
+            raise FileNotFoundError(f"the program left no {self.result}")
+        if path.suffix == ".npy":
+            table = np.load(path, allow_pickle=False)
+        else:
+            table = np.loadtxt(path, delimiter="," if path.suffix == ".csv" else None, ndmin=2)
+        if self.columns is not None:
+            table = table[:, self.columns]
+        return table.T if self.transpose else table
+
+
+def template_text(name, template) -> str:
+    """The text of a template, or of the file it is in."""
+    if isinstance(template, Path):
+        return read_bytes(template).decode()
+    if not isinstance(template, str):
+        raise TypeError(f"`inputs` must give a text or a Path for {name}, got {type(template).__name__}.")
+    return template
+
+
+def read_bytes(path) -> bytes:
+    """Contents of a file that must be there."""
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise ValueError(f"a file of the program must exist, got {path} ({error.strerror}).") from None
+
+
+def filled(text: str, values: dict) -> str:
+    """A template with its parameters; numbers with all their digits."""
+
+    def number(match):
+        name, index, form = match.groups()
+        value = values[name] if index is None else np.ravel(values[name])[int(index)]
+        return format(float(value), form) if form else repr(float(value))
+
+    return PLACE.sub(number, text)

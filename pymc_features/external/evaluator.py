@@ -1,0 +1,182 @@
+"""Simulations of many parameters: found in the cache, or run, counted, and kept."""
+
+import hashlib
+import os
+from collections import deque
+from dataclasses import dataclass
+
+import cloudpickle
+import numpy as np
+
+from pymc_features.external.batch import Batch, Work
+from pymc_features.external.cache import EvaluationCache
+from pymc_features.external.calls import Outcome, end_processes
+from pymc_features.external.executors import open_executor
+from pymc_features.external.identity import fingerprint
+from pymc_features.external.progress import Lines
+
+FAILURES_KEPT = 1000
+WORKS_KEPT = 8  # data sets for which the payload is kept
+STATES = ("ok", "error", "timeout", "died", "invalid", "cached")
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A simulation that failed.
+
+    Attributes
+    ----------
+    parameters : tuple
+        As passed to the function.
+    state : str
+        "error" (an exception, an exit code, a result that is not finite), "timeout", "died", or "invalid"
+        (parameters that are not finite: not run).
+    message : str
+        What is known about it.
+    seconds : float
+        Its time.
+    """
+
+    parameters: tuple
+    state: str
+    message: str
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is computed from the parameters.
+
+    Attributes
+    ----------
+    function : callable
+        To run.
+    shape : tuple of int
+        Of what it returns.
+    observed : array (sensor, time) or None
+        If given, the results are mean squares of its difference from what the function returns.
+    identity : str
+        Of the function, for the cache.
+    """
+
+    function: object
+    shape: tuple[int, ...]
+    observed: np.ndarray | None
+    identity: str
+
+    @property
+    def result_shape(self):
+        """Of what is kept."""
+        return self.shape if self.observed is None else self.shape[:1]
+
+
+class Evaluator:
+    """Runs tasks for rows of parameters; settings are those of `ExternalSimulator`."""
+
+    def __init__(self, *, timeout, retries, scratch, executor, cache, progress):
+        self.timeout, self.retries, self.scratch, self.executor = timeout, retries, scratch, executor
+        self.cache = None if cache is None else EvaluationCache(cache)
+        self.counts = dict.fromkeys(STATES, 0)
+        self.failures: deque[Failure] = deque(maxlen=FAILURES_KEPT)
+        self.lines = Lines(progress)
+        self._opened, self._works = None, {}
+
+    def run(self, task: Task, rows: list[np.ndarray]) -> np.ndarray:
+        """Results (particle, ...) for parameters with equally many rows; NaN where a simulation failed."""
+        results = np.full((len(rows[0]), *task.result_shape), np.nan)
+        own = fingerprint(task.identity, task.shape, task.observed)
+        places: dict[str, list[int]] = {}  # equal parameters are simulated once
+        calls = {}
+        for i in range(len(rows[0])):
+            arguments = tuple(r[i].item() if r.ndim == 1 else np.array(r[i]) for r in rows)
+            key = call_key(own, arguments)
+            if key in places:
+                places[key].append(i)
+                continue
+            places[key] = [i]
+            if not all(np.isfinite(a).all() for a in arguments):
+                self.note(arguments, Outcome("invalid", message="the parameters are not finite"))
+            elif self.cache is not None and (known := self.cache.find(key)) is not None:
+                self.counts["cached"] += 1
+                results[i] = known
+            else:
+                calls[key] = arguments
+        if calls:
+            self.simulate(task, own, calls, lambda key, value: results.__setitem__(places[key][0], value))
+        for first, *others in places.values():
+            results[others] = results[first]
+        return results
+
+    def simulate(self, task, own, calls, keep):
+        """Run what is not known yet."""
+
+        def done(key, outcome):
+            if self.cache is not None:
+                self.cache.add(key, calls[key], outcome)
+            if outcome.state == "ok":
+                self.counts["ok"] += 1
+                keep(key, outcome.value)
+            else:
+                self.note(calls[key], outcome)
+            self.lines.count(outcome.state == "ok")
+
+        self.lines.begin(len(calls))
+        try:
+            Batch(self.open(), self.work(task, own), done, self.lines.tick).run(calls.items())
+        except BaseException:
+            self.close()  # nothing goes on behind the back of whoever pressed Ctrl-C
+            raise
+
+    def note(self, arguments, outcome):
+        """Count and keep a failure."""
+        self.counts[outcome.state] += 1
+        self.failures.append(Failure(arguments, outcome.state, outcome.message, outcome.seconds))
+
+    def work(self, task, own) -> Work:
+        """The task as it travels, made once."""
+        if own not in self._works or self._works[own][0] is not task.function:
+            payload = cloudpickle.dumps(
+                {
+                    "function": task.function,
+                    "observed": task.observed,
+                    "shape": task.shape,
+                    "scratch": self.scratch,
+                }
+            )
+            digest = hashlib.sha256(payload).hexdigest()
+            while len(self._works) >= WORKS_KEPT:
+                self._works.pop(next(iter(self._works)))
+            self._works[own] = task.function, Work(digest, payload, self.timeout, self.retries)
+        return self._works[own][1]
+
+    def open(self):
+        """The executor, opened in this process when it is first needed."""
+        if self._opened is None or self._opened[0] != os.getpid():
+            self._opened = os.getpid(), *open_executor(self.executor)
+        return self._opened[1]
+
+    def close(self):
+        """End what was started here; it starts again when needed."""
+        if self._opened is not None and self._opened[0] == os.getpid():
+            self._opened[2]()
+            for _, work in self._works.values():
+                end_processes(work.digest)
+        self._opened = None
+        if self.cache is not None:
+            self.cache.close()
+
+    def __getstate__(self):
+        if not (self.executor is None or isinstance(self.executor, int | str)):
+            raise TypeError(
+                f"`executor` must be a number or an address to travel to another process, got "
+                f"{type(self.executor).__name__}. Sample with cores=1, or pass an address."
+            )
+        return {**self.__dict__, "_opened": None, "_works": {}}
+
+
+def call_key(own: str, arguments) -> str:
+    """Key of a call in the cache."""
+    digest = hashlib.sha256(own.encode())
+    for a in arguments:
+        digest.update(str(np.shape(a)).encode() + np.asarray(a, dtype=np.float64).tobytes())
+    return digest.hexdigest()

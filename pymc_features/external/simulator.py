@@ -1,0 +1,187 @@
+"""`ExternalSimulator`: a model that runs outside PyTensor, inside PyMC models."""
+
+from pathlib import Path
+
+import numpy as np
+import pytensor.tensor as pt
+from pytensor.tensor.variable import TensorVariable
+
+from pymc_features.external.checks import check_settings
+from pymc_features.external.evaluator import Evaluator, Failure, Task
+from pymc_features.external.gradient import FlatGradient
+from pymc_features.external.identity import UnknownIdentityError, fingerprint
+from pymc_features.ops import ExternalResponse
+
+
+class ExternalSimulator:
+    """A simulator that runs in processes of its own, as a part of PyMC models.
+
+    Called with random variables it gives what `response` gives, for feature likelihoods, `pm.Normal` and
+    `DiscrepancySimulator`. Population kernels evaluate many parameters at once: here on several processes,
+    or machines.
+
+    Parameters
+    ----------
+    function : callable
+        Parameters, numbers or arrays, to an array; for example a `CommandLine`. It is sent to the processes
+        that run it, so that whatever it needs must be found there.
+    shape : tuple of two int
+        Of the data: sensors and times.
+    returns : {"response", "mean_square"}
+        What the function returns: histories (sensor, time), or e_j of Eq. (3), (sensor,), from data of its
+        own.
+    gradient : callable, optional
+        (*parameters, cotangent) -> for each parameter the gradient of sum(cotangent * result), in its shape.
+    timeout : float, optional
+        Of a simulation [s]; then its process is killed.
+    retries : int
+        Further attempts after a failure. A process that died is tried once more in any case.
+    scratch : bool or path-like, optional
+        Run each simulation in an empty folder of its own, its working directory: True, or the folder that
+        will hold these. By default only what says that it needs one, as `CommandLine` does.
+    executor : int, str, dask Client or Executor, optional
+        Number of local processes (as many as processors by default), address of a Dask scheduler, or any
+        object with `submit` as of `concurrent.futures`.
+    cache : path-like, optional
+        SQLite file that keeps every result; several runs may share it.
+    version : str, optional
+        Stands for the function in the cache. By default that is its code and what it holds; not what other
+        modules or programs do, so give a version where these change.
+    dt : float, optional
+        Time step of the data [s], for the time axis.
+    progress : bool
+        Write lines about simulations done, failed and left to standard error.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a setting cannot be used.
+
+    Notes
+    -----
+    Results do not depend on the executor. A failure gives -inf, is counted (`sample_stats["failed"]`) and
+    never stops sampling. `sample_smc` runs chains one after the other: their simulations are parallel.
+
+    Examples
+    --------
+    >>> def beam(stiffness):
+    ...     return np.outer([1.0, 2.0], np.arange(3)) / stiffness
+    >>> with ExternalSimulator(beam, shape=(2, 3), executor=1) as simulator:
+    ...     simulator.responses(np.array([1.0, 2.0]))[:, 1, 2]
+    array([4., 2.])
+    """
+
+    def __init__(
+        self,
+        function,
+        shape: tuple[int, int],
+        *,
+        returns: str = "response",
+        gradient=None,
+        timeout: float | None = None,
+        retries: int = 0,
+        scratch=None,
+        executor=None,
+        cache=None,
+        version: str | None = None,
+        dt: float | None = None,
+        progress: bool = True,
+    ):
+        check_settings(function, shape, returns, gradient, timeout, retries, executor, version, dt)
+        self.function, self.shape, self.returns = function, tuple(int(n) for n in shape), returns
+        self.gradient, self.version, self.dt = gradient, version, dt
+        if scratch is None:
+            scratch = getattr(function, "needs_scratch", False)
+        self.evaluator = Evaluator(
+            timeout=timeout,
+            retries=int(retries),
+            # "" stands for the system's folder of temporary files
+            scratch=None if scratch is False else "" if scratch is True else str(Path(scratch).resolve()),
+            executor=executor,
+            cache=cache,
+            progress=progress,
+        )
+        self.identity = self._identity(function)
+
+    def _identity(self, function) -> str:
+        if self.version is not None:
+            return fingerprint(self.version)
+        try:
+            return fingerprint(function)
+        except UnknownIdentityError as error:
+            if self.evaluator.cache is None:
+                return ""
+            raise ValueError(
+                f"`version` must be given with `cache` for this function: {error}. Choose a text, and "
+                "another one whenever results change."
+            ) from None
+
+    def __call__(self, *parameters) -> TensorVariable:
+        """The response (sensor, time) inside a model, at tensors or numbers."""
+        if not parameters:
+            raise ValueError("the simulator must be called with parameters, got none. Pass random variables.")
+        tensors = [pt.as_tensor_variable(p) for p in parameters]
+        return ExternalResponse(self, tuple(t.ndim for t in tensors))(*tensors)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many simulations were "ok", "error", "timeout", "died", "invalid" or found in the cache."""
+        return dict(self.evaluator.counts)
+
+    @property
+    def failures(self) -> list[Failure]:
+        """The last thousand failures, with their parameters; all of them are in the cache."""
+        return list(self.evaluator.failures)
+
+    def responses(self, *parameters) -> np.ndarray:
+        """Responses (particle, sensor, time) at parameters (particle, ...) each; NaN where they fail."""
+        if self.returns == "mean_square":
+            raise ValueError(
+                "the simulator must return responses for this, got one that returns mean squares. Histories "
+                'and predictions need `returns="response"`.'
+            )
+        task = Task(self.function, self.shape, None, self.identity)
+        return self.evaluator.run(task, spread(parameters))
+
+    def discrepancies(self, *parameters, observed) -> np.ndarray:
+        """e_j (particle, sensor) of Eq. (3) at parameters (particle, ...) each; NaN where they fail."""
+        if self.returns == "mean_square":
+            task = Task(self.function, self.shape[:1], None, self.identity)
+        else:
+            observed = np.ascontiguousarray(observed, dtype=np.float64)
+            task = Task(self.function, self.shape, observed, self.identity)
+        return self.evaluator.run(task, spread(parameters))
+
+    def gradients(self, *parameters, cotangent) -> list[np.ndarray]:
+        """Gradients of sum(cotangent * result), each with a row for every row of the parameters."""
+        rows = spread(parameters)
+        sizes = [int(np.prod(r.shape[1:])) for r in rows]
+        more = np.broadcast_to(cotangent, (len(rows[0]), *np.shape(cotangent)))
+        task = Task(FlatGradient(self.gradient), (sum(sizes),), None, self._identity(self.gradient))
+        flat = self.evaluator.run(task, [*rows, more])
+        parts = np.split(flat, np.cumsum(sizes)[:-1], axis=1)
+        return [part.reshape(r.shape) for part, r in zip(parts, rows, strict=True)]
+
+    def close(self):
+        """End the processes that were started; they start again when needed."""
+        self.evaluator.close()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self.close()
+
+    def __deepcopy__(self, memo):
+        return self  # copies of a model run on the same processes
+
+    def __repr__(self):
+        name = getattr(self.function, "__qualname__", type(self.function).__qualname__)
+        return f"ExternalSimulator({name}, shape={self.shape})"
+
+
+def spread(parameters) -> list[np.ndarray]:
+    """Parameters (particle, ...) with equally many rows, from some that have one for all."""
+    rows = [np.asarray(p, dtype=np.float64) for p in parameters]
+    n = max(len(r) for r in rows)
+    return [np.broadcast_to(r, (n, *r.shape[1:])) for r in rows]

@@ -1,0 +1,248 @@
+"""A journal of a sampler's evaluations, by which a run that was killed goes on as if nothing had happened.
+
+A kernel is deterministic given its random numbers and the results of its evaluations. So these are written
+down as they come; a run started again asks for the same particles, and is given the results on record until
+there are no more of them. Its particles are then those of an uninterrupted run, bit for bit.
+"""
+
+import hashlib
+import io
+import json
+import os
+import re
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytensor
+from pytensor.compile.sharedvalue import SharedVariable
+from pytensor.graph.basic import Constant
+from pytensor.graph.traversal import ancestors
+from pytensor.tensor.random.type import RandomGeneratorType
+
+MAGIC = b"pymc_features journal 1\n"
+HEAD = struct.Struct("<QQI")  # rows and columns of the particles, CRC-32 of what follows
+VALUES = 3  # log prior, log-likelihood, failed
+ADVICE = "Choose another folder, or remove this one to begin anew."
+
+
+class CheckpointError(RuntimeError):
+    """A checkpoint that is damaged, in use, or of another run."""
+
+
+class Journal:
+    """The evaluations of one chain.
+
+    Parameters
+    ----------
+    path : Path
+        The file; continued if it exists.
+
+    Raises
+    ------
+    CheckpointError
+        If it is damaged, or another process writes to it.
+
+    Notes
+    -----
+    An incomplete record at the end, of a run that was killed while it wrote, is dropped. Plain binary
+    numbers; nothing is pickled.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.file = open(path, "a+b")  # noqa: SIM115  open as long as the chain runs
+        lock(self.file, path)
+        self.file.seek(0)
+        start = self.file.read(len(MAGIC))
+        if start != MAGIC[: len(start)]:
+            raise CheckpointError(f"`checkpoint` must hold journals of a sampler, got {path}. {ADVICE}")
+        self.end = self.file.tell()
+        if len(start) < len(MAGIC):
+            self.file.truncate(0)
+            self.file.write(MAGIC)
+            self.file.flush()
+            self.end = len(MAGIC)
+        self.replays = True
+
+    def evaluate(self, function, particles: np.ndarray):
+        """(log prior, log-likelihood, failed) of particles (p, d): from the record, or computed and added."""
+        if self.replays:
+            known = self.read(*particles.shape)
+            if known is not None:
+                if not np.array_equal(known[0], particles, equal_nan=True):
+                    raise CheckpointError(
+                        f"`checkpoint` must be of this run, got other particles in {self.path}. It was "
+                        f"written by another version of the software or another model. {ADVICE}"
+                    )
+                return known[1], known[2], known[3].astype(bool)
+            self.replays = False
+            self.file.truncate(self.end)
+            self.file.seek(self.end)
+        results = function(particles)
+        self.write(particles, results)
+        return results
+
+    def read(self, rows, columns):
+        """Particles and values of the next record; None at the end."""
+        head = self.file.read(HEAD.size)
+        if len(head) < HEAD.size:
+            return None
+        n, d, check = HEAD.unpack(head)
+        size = 8 * n * (d + VALUES)
+        if (n, d) != (rows, columns):
+            # a damaged head must not make us read gigabytes
+            raise CheckpointError(
+                f"`checkpoint` must be of this run, got {n} particles of {d} parameters for {rows} of "
+                f"{columns} in {self.path}: it is damaged, or of another run. {ADVICE}"
+            )
+        body = self.file.read(size)
+        if len(body) < size:
+            return None
+        if zlib.crc32(body) != check:
+            raise CheckpointError(f"`checkpoint` must be intact, got a wrong sum in {self.path}. {ADVICE}")
+        self.end = self.file.tell()
+        numbers = np.frombuffer(body, dtype=np.float64)
+        return numbers[: n * d].reshape(n, d), *(a.copy() for a in numbers[n * d :].reshape(VALUES, n))
+
+    def write(self, particles, results):
+        """Add a record; what is written outlives the process."""
+        body = io.BytesIO()
+        for array in (particles, *results):
+            body.write(np.ascontiguousarray(array, dtype=np.float64).tobytes())
+        body = body.getvalue()
+        self.file.write(HEAD.pack(*particles.shape, zlib.crc32(body)) + body)
+        self.file.flush()
+
+    def close(self):
+        """Close the file."""
+        self.file.close()
+
+
+class Checkpoint:
+    """A folder with the journals of all chains, and what they belong to.
+
+    Parameters
+    ----------
+    folder : path-like
+        Made if absent.
+    model : str
+        The model's fingerprint.
+    """
+
+    def __init__(self, folder, model: str):
+        self.folder, self.model = Path(folder), model
+
+    def refuse_random(self, logp):
+        """Refuse a log-probability with random draws inside: they would not be the same again."""
+        if logp.draws_random_numbers:
+            raise ValueError(
+                "`checkpoint` must be left out for a model with random draws inside (`noise`), for they "
+                "would not be the same again. Sample it without, or infer the noise by a likelihood."
+            )
+
+    def journal(self, settings: dict, rng: np.random.Generator) -> Journal:
+        """The journal of the chain that begins with these random numbers.
+
+        Raises
+        ------
+        CheckpointError
+            If the folder belongs to another run.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.claim({"model": self.model, **settings})
+        state = json.dumps(rng.bit_generator.state, sort_keys=True, default=int)
+        return Journal(self.folder / f"{hashlib.sha256(state.encode()).hexdigest()[:16]}.journal")
+
+    def claim(self, run: dict):
+        """Write what run this is, or compare."""
+        run = json.loads(json.dumps(run, default=float))
+        path = self.folder / "run.json"
+        known = read_json(path)
+        if known is None and any(self.folder.glob("*.journal")):
+            known = read_json(path)  # another chain's process may just have written both
+            if known is None:
+                raise CheckpointError(
+                    f"`checkpoint` must have a run.json, got none in {self.folder}. {ADVICE}"
+                )
+        if known is None:
+            write_json(path, run)
+        elif differing := sorted(k for k in run if known.get(k) != run[k]):
+            raise CheckpointError(
+                f"`checkpoint` must be of this run, got {self.folder} of one with other: "
+                f"{', '.join(differing)}. {ADVICE}"
+            )
+
+
+def remembered_seed(folder, random_seed, chains):
+    """The seed of a checkpoint's run: the one given, or that of the folder, or a new one, kept there."""
+    path = Path(folder) / "seed.json"
+    known = read_json(path)
+    asked = None if random_seed is None else np.ravel(random_seed).tolist()
+    if known is not None:
+        if asked not in (None, known["random_seed"]) or chains != known["chains"]:
+            raise CheckpointError(
+                f"`checkpoint` must be of this run, got {folder} of one with random_seed="
+                f"{known['random_seed']}, chains={known['chains']}. {ADVICE}"
+            )
+        asked = known["random_seed"]
+    else:
+        if asked is None:
+            asked = [int(np.random.default_rng().integers(2**31))]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_json(path, {"random_seed": asked, "chains": chains})
+    return asked if len(asked) > 1 else asked[0]
+
+
+def model_fingerprint(model) -> str:
+    """SHA-256 of a model's log-probability: its graph, constants and data.
+
+    Of functions called by it only the name counts.
+    """
+    outputs = [model.varlogp, model.datalogp]
+    text = pytensor.dprint(outputs, file="str", id_type="CHAR")
+    digest = hashlib.sha256(re.sub(r"0x[0-9a-fA-F]+", "", text).encode())
+    for v in ancestors(outputs):
+        if isinstance(v.type, RandomGeneratorType):
+            continue
+        if isinstance(v, Constant | SharedVariable):
+            value = np.asarray(v.data if isinstance(v, Constant) else v.get_value(borrow=True))
+            digest.update(repr(value.shape).encode())
+            if value.dtype != object:
+                digest.update(value.tobytes())
+        identity = getattr(getattr(v.owner, "op", None), "identity", None)
+        if isinstance(identity, str):
+            digest.update(identity.encode())
+    return digest.hexdigest()
+
+
+def lock(file, path):
+    """Take a file for this process alone, where the system can do that."""
+    try:
+        import fcntl
+    except ImportError:
+        return
+    try:
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        raise CheckpointError(
+            f"`checkpoint` must belong to one run at a time, got {path} in use. Wait for the other one."
+        ) from None
+
+
+def read_json(path):
+    """Contents of a JSON file, None if there is none."""
+    try:
+        return json.loads(path.read_text())
+    except FileNotFoundError:
+        return None
+    except (ValueError, OSError) as error:
+        raise CheckpointError(f"`checkpoint` must be intact, got {path}: {error}. {ADVICE}") from None
+
+
+def write_json(path, content):
+    """Write a JSON file that is there in whole or not at all."""
+    part = path.with_suffix(f".{os.getpid()}.part")
+    part.write_text(json.dumps(content, indent=1, sort_keys=True))
+    os.replace(part, path)
