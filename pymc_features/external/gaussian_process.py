@@ -1,8 +1,8 @@
 r"""A Gaussian process of several outputs that share one kernel, and what a further point would teach it.
 
-Outputs y (point, output) have unknown means and the covariance B_jk k(x, x') (kriging with a constant trend;
-intrinsic coregionalisation). One Cholesky factor serves all outputs, their prediction does not depend on B, and
-the covariance of the errors of a prediction is B v(x), v the variance for B = 1.
+Outputs y (point, output) have unknown means and the covariance B_jk k(x, x'): kriging with a constant trend,
+and intrinsic coregionalisation. One Cholesky factor serves all outputs, their prediction does not depend on
+B, and the covariance of the errors of a prediction is B v(x), v the variance for B = 1.
 """
 
 import warnings

@@ -57,8 +57,8 @@ class Check:
 def posterior_beyond(depth, m: float, n_parameters: int):
     """Probability that a draw from the posterior lies deeper than this below the top [nats], as an estimate.
 
-    With sigma integrated out the posterior is S^(-(m - 1)/2). Where S = S_min (1 + r^2) it is a Student-t, for
-    which r^2 / (1 + r^2) has the distribution Beta(d/2, (m - 1 - d)/2); m is taken large enough for it.
+    With sigma integrated out the posterior is S^(-(m - 1)/2). Where S = S_min (1 + r^2) it is a Student-t,
+    for which r^2 / (1 + r^2) has the distribution Beta(d/2, (m - 1 - d)/2); m is taken large enough for it.
     """
     share = -np.expm1(-2.0 * np.maximum(depth, 0.0) / m)
     return betaincc(0.5 * n_parameters, 0.5 * max(m - 1.0 - n_parameters, 1.0), share)
@@ -88,6 +88,8 @@ class Learner:
 
     def evaluate(self, x: np.ndarray, run) -> np.ndarray:
         """e_j (particle, sensor) at x (particle, parameter); `run(rows)` runs some of them: (row, sensor)."""
+        if not len(x):
+            return run(np.arange(0))
         left, e = np.arange(len(x)), None
         lottery = self.rng.random(len(x)) < self.settings.checked
         while len(left):
@@ -168,8 +170,8 @@ class Learner:
     def effect(self, e) -> np.ndarray:
         """Standard deviation (point,) of the log-likelihood [nats] for a process of variance one.
 
-        For one sigma, where the relative error of S counts, or one for each sensor, where all errors of log e_j
-        count alike: the larger.
+        For one sigma, where the relative error of S counts, or one for each sensor, where all errors of log
+        e_j count alike: the larger.
         """
         covariance = self.process.output_covariance
         shares = e / e.sum(axis=1, keepdims=True)
@@ -220,10 +222,8 @@ class Learner:
         for i, true in zip(chosen[good], self.log_likelihood(found[good]), strict=True):
             near = judged.near[i] or self.is_near(self.best - true)
             certain = self.inflation * judged.sd[i] <= judged.permitted[i]
-            error = judged.log_likelihood[i] - true
-            self.checks.append(
-                Check(float(error), float(judged.sd[i]), float(judged.permitted[i]), bool(near), bool(certain))
-            )
+            numbers = judged.log_likelihood[i] - true, judged.sd[i], judged.permitted[i]
+            self.checks.append(Check(*map(float, numbers), bool(near), bool(certain)))
         latest = [np.clip(c.error / max(c.sd, 1e-12), -LARGEST, LARGEST) for c in self.checks[-WINDOW:]]
         if len(latest) > SUB_BATCH:
             self.inflation = max(1.0, float(np.sqrt(np.mean(np.square(latest)))))

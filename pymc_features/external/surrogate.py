@@ -18,18 +18,23 @@ class Surrogate:
     Parameters
     ----------
     tolerance : float
-        Permitted standard deviation of a prediction, in nats of the log-likelihood.
+        Permitted standard deviation of a prediction near the best fit, in nats of the log-likelihood.
     degrees_of_freedom : float
-        m of e_j / sigma^2 in the likelihood: 1 for `TruncNormalFeature`, 2 for `ExpFeature`, and for
-        `pm.Normal` the number of times, with which hardly anything can be predicted.
+        m of e_j / sigma^2 in the likelihood. 1 is that of `TruncNormalFeature`, and cautious for
+        `ExpFeature`, which has 2; `pm.Normal` has the number of times, and leaves little to predict.
     initial : int, optional
         Runs before the first prediction; ten for each parameter by default.
     max_points : int
         Runs that a prediction is made from: those nearest to the population.
     checked : float
-        Share of the certain predictions that are run nevertheless.
+        Share of the predictions held to be good enough that are run nevertheless.
     seed : int
         Of that choice.
+
+    Attributes
+    ----------
+    learners : dict
+        What is known, for each data set.
 
     Raises
     ------
@@ -38,20 +43,24 @@ class Surrogate:
 
     Notes
     -----
-    With sigma inferred, what counts of the discrepancies is -m/2 ln S, m = `degrees_of_freedom` times sensors,
-    S = sum_j e_j. With `depth` that log-likelihood below the best run, less two predicted standard deviations,
+    With sigma inferred, what counts is the log-likelihood -(M/2) ln S, with S = sum_j e_j and M =
+    `degrees_of_freedom` times sensors. Deeper below the best run a larger standard deviation is permitted,
 
-        permitted = tolerance + max(0, depth - reach) / 4,
+        min(tolerance / sqrt(P), tolerance + depth / 2).
 
-    where `reach` holds 99 % of a Gaussian posterior. At inverse temperature beta points lie about d / (2 beta)
-    deep, for d parameters, so that the error of beta times the log-likelihood stays below d / 8: there is no
-    need for a good surrogate of all the prior, and none where the posterior is not. Without a surrogate's
-    knowledge of sigma, a likelihood with a sigma fixed far below the discrepancies needs a smaller tolerance.
+    P is the share of the posterior beyond that depth, if S is quadratic near its minimum: an error there
+    moves a probability by P times the error at most. The second bound serves the tempered posteriors: at
+    inverse temperature beta their points lie about d / (2 beta) deep, for d parameters, so that beta times
+    the error stays below d / 4. The depth is that of a point two standard deviations better than predicted.
+    So the surrogate is good where the posterior is, and nowhere else. A sigma fixed far below the
+    discrepancies makes errors larger than they are taken for, and needs a smaller tolerance.
 
-    Predicted deviations are scaled by the errors of the latest runs, all of which are predicted first, if
-    these are larger. Points whose nearest run failed are run, and all if no process can be fitted. The result
-    depends on the order of the populations only, not on where they run. A prediction takes about half a
-    millisecond for each particle (with 500 points): a simulation should take much longer.
+    Predicted standard deviations are multiplied by the root mean square of the latest standardised errors,
+    if that exceeds one: all runs are predicted first. Points whose nearest run failed are run, and all if
+    no process can be fitted. Results depend on the populations and their order, not on where they run. A
+    surrogate starts with nothing in every process, also after a restart from a checkpoint; chains run one
+    after the other share it. It takes about half a millisecond of a processor for each particle: a
+    simulation should take far longer.
 
     Examples
     --------
@@ -62,7 +71,7 @@ class Surrogate:
     ...     x = np.random.default_rng(seed).random((200, 2))
     ...     e = surrogate.evaluate(x, run)
     >>> report = surrogate.report()
-    >>> report["runs"] < 60, report["runs"] + report["predicted"], report["error"] < 0.1
+    >>> report["runs"] < 80, report["runs"] + report["predicted"], report["error"] < 0.1
     (True, 600, True)
     """
 
@@ -91,6 +100,10 @@ class Surrogate:
         self.checked, self.seed = float(checked), _count("seed", seed, 0)
         self.learners: dict = {}
 
+    def __repr__(self):
+        names = ("tolerance", "degrees_of_freedom", "initial", "max_points", "checked", "seed")
+        return f"Surrogate({', '.join(f'{name}={getattr(self, name)}' for name in names)})"
+
     def first_runs(self, n_parameters: int) -> int:
         """Runs before the first prediction."""
         return max(5, 10 * n_parameters) if self.initial is None else self.initial
@@ -111,9 +124,9 @@ class Surrogate:
         array (particle, sensor)
         """
         x = np.ascontiguousarray(x, dtype=np.float64)
-        learner = self.learners.setdefault(data, None) or Learner(self, x.shape[1])
-        self.learners[data] = learner
-        return learner.evaluate(x, run)
+        if data not in self.learners:
+            self.learners[data] = Learner(self, x.shape[1])
+        return self.learners[data].evaluate(x, run)
 
     def report(self) -> dict:
         """What was saved, and the errors measured.
