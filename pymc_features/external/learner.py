@@ -106,7 +106,6 @@ class Learner:
             self.add(x[left[chosen]], found)
             if judged is not None:
                 self.compare(judged, chosen, found)
-                lottery[:] = False
             left = np.delete(left, chosen)
         return e
 

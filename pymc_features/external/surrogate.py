@@ -158,7 +158,7 @@ class Surrogate:
             "checked": len(by_chance),
             "error": root_mean_square(near),
             "largest": float(np.max(np.abs(near))) if near else np.nan,
-            "excess": root_mean_square([c.error / c.permitted for c in by_chance]),
+            "excess": root_mean_square([c.error / max(c.permitted, 1e-12) for c in by_chance]),
             "calibration": root_mean_square([c.error / max(c.sd, 1e-12) for c in checks]),
         }
 
