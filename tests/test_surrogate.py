@@ -9,7 +9,7 @@ import pytensor
 import pytensor.tensor as pt
 import pytest
 from pytensor.graph.replace import vectorize_graph
-from scipy import optimize, special, stats
+from scipy import optimize, spatial, special, stats
 from scipy.integrate import quad
 
 from pymc_features import (
@@ -68,8 +68,41 @@ class AtOnce:
         return future
 
 
+class Remembering(Surrogate):
+    """Keeps what it answered."""
+
+    def evaluate(self, x, run, data=""):
+        """As always."""
+        e = super().evaluate(x, run, data)
+        self.answers = [*getattr(self, "answers", []), np.column_stack([x, e.sum(axis=1)])]
+        return e
+
+
+def error_of_answers(draws, answers, discrepancy):
+    """Largest change of a quantile, over the width, when draws (draw, x and sigma) get their true weights.
+
+    The draws are the same, so that this is the surrogate's error and not the sampler's.
+    """
+    answers = np.concatenate(answers)
+    distance, place = spatial.cKDTree(answers[:, :3]).query(draws[:, :3])
+    assert distance.max() < 1e-9  # the sampler transforms parameters
+    excess = discrepancy(draws[:, :3]).sum(axis=1) - answers[place, 3]
+    weights = np.exp(-excess / (2.0 * draws[:, 3] ** 2))
+    worst = 0.0
+    for column in draws.T:
+        before, after = (weighted_quantiles(column, w) for w in (np.ones(len(draws)), weights))
+        worst = max(worst, np.max(np.abs(before - after)) / (after[2] - after[0]))
+    return worst
+
+
+def weighted_quantiles(x, weights):
+    """Quantiles (level,) of weighted points (point,)."""
+    order = np.argsort(x)
+    return np.interp(LEVELS, (np.cumsum(weights[order]) - 0.5 * weights[order]) / weights.sum(), x[order])
+
+
 def sampled(example, likelihood, surrogate, draws):
-    """Draws of the factors (draw, 3), evaluations of the likelihood, and simulations."""
+    """Draws of factors and sigma (draw, 4), evaluations of the likelihood, and simulations."""
     data, discrepancy = example
     executor = AtOnce(discrepancy)
     simulator = ExternalSimulator(
@@ -80,7 +113,8 @@ def sampled(example, likelihood, surrogate, draws):
         sigma = pm.Uniform("sigma", 0.0, SIGMA)
         likelihood("y", mu=simulator(*factors), sigma=sigma, observed=data)
         result = sample_smc(draws, chains=1, random_seed=1, progressbar=False)
-    x = np.stack([result["posterior"][f"x{i}"].values.ravel() for i in range(3)], axis=1)
+    names = ("x0", "x1", "x2", "sigma")
+    x = np.stack([result["posterior"][name].values.ravel() for name in names], axis=1)
     return x, int(result["sample_stats"]["evaluations"].sum()), executor.runs
 
 
@@ -108,43 +142,38 @@ def exact(example):
         weights = (s / best.fun) ** -a * special.gammaincc(a, s / (2.0 * SIGMA**2))  # sigma integrated out
         weights /= sum(part.pdf(x) for part in mixture)
         assert weights.sum() ** 2 / (weights**2).sum() > 8_000
-        orders = np.argsort(x, axis=0).T
-        below = [np.cumsum(weights[order]) / weights.sum() for order in orders]
-        quantiles[m] = np.array(
-            [np.interp(LEVELS, *pair) for pair in zip(below, np.sort(x, axis=0).T, strict=True)]
-        )
+        quantiles[m] = np.array([weighted_quantiles(column, weights) for column in x.T])
     return quantiles
 
 
 def worst_error(x, exact):
     """Largest error of a quantile, over the exact 5-95 % width."""
-    found = np.quantile(x, LEVELS, axis=0).T
+    found = np.quantile(x[:, :3], LEVELS, axis=0).T
     return np.max(np.abs(found - exact) / (exact[:, 2:] - exact[:, :1]))
 
 
 @pytest.mark.parametrize(("likelihood", "m"), [(ExpFeature, 20), (TruncNormalFeature, 10)])
 def test_five_times_fewer_runs_and_the_same_posterior(example, exact, likelihood, m):
-    predicting = Surrogate()
-    x, evaluations, runs = sampled(example, likelihood, predicting, 2000)
+    predicting = Remembering()
+    x, evaluations, runs = sampled(example, likelihood, predicting, 1000)
     report = predicting.report()
     assert report["runs"] == runs
     assert report["runs"] + report["predicted"] >= evaluations
     assert 5 * runs < evaluations
-    print(report, evaluations, worst_error(x, exact[m]))
-    assert worst_error(x, exact[m]) < 0.05
+    assert error_of_answers(x, predicting.answers, example[1]) < 0.05
+    assert worst_error(x, exact[m]) < 0.12  # of 1000 draws: the sampler's error, mostly
     assert report["checked"] > 50
     assert report["error"] < 0.3
     assert report["excess"] < 1.0
 
 
-def test_a_useless_surrogate_gives_itself_away(example, exact):
+def test_a_useless_surrogate_gives_itself_away(example):
     """Negative control: nothing is demanded of the predictions."""
-    careless = Surrogate(tolerance=1e6, checked=0.01)
+    careless = Remembering(tolerance=1e6, checked=0.005)
     x, evaluations, runs = sampled(example, ExpFeature, careless, 400)
     assert runs < 0.05 * evaluations
-    assert careless.report()["error"] > 0.5
-    print(careless.report(), worst_error(x, exact[20]))
-    assert worst_error(x, exact[20]) > 0.15
+    assert careless.report()["error"] > 1.0
+    assert error_of_answers(x, careless.answers, example[1]) > 0.2
 
 
 def bowl(x):
