@@ -31,7 +31,7 @@ class ExternalSimulator:
         What the function returns: histories (sensor, time), or e_j of Eq. (3), (sensor,), from data of its
         own.
     gradient : callable, optional
-        (*parameters, cotangent) -> for each parameter the gradient of sum(cotangent * result), in its shape.
+        `gradient(*parameters, cotangent)`: for each parameter the derivative of sum(cotangent * result).
     timeout : float, optional
         Of a simulation [s]; then its process is killed.
     retries : int
