@@ -78,16 +78,18 @@ class Remembering(Surrogate):
         return e
 
 
-def error_of_answers(draws, answers, discrepancy):
+def error_of_answers(draws, answers, discrepancy, factor=1):
     """Largest change of a quantile, over the width, when draws (draw, x and sigma) get their true weights.
 
-    The draws are the same, so that this is the surrogate's error and not the sampler's.
+    `factor` is what the likelihood multiplies e_j / (2 sigma^2) by. The draws are the same, so that this is
+    the surrogate's error and not the sampler's.
     """
     answers = np.concatenate(answers)
     distance, place = spatial.cKDTree(answers[:, :3]).query(draws[:, :3])
     assert distance.max() < 1e-9  # the sampler transforms parameters
     excess = discrepancy(draws[:, :3]).sum(axis=1) - answers[place, 3]
-    weights = np.exp(-excess / (2.0 * draws[:, 3] ** 2))
+    log_weights = -factor * excess / (2.0 * draws[:, 3] ** 2)
+    weights = np.exp(log_weights - log_weights.max())
     worst = 0.0
     for column in draws.T:
         before, after = (weighted_quantiles(column, w) for w in (np.ones(len(draws)), weights))
@@ -152,24 +154,39 @@ def worst_error(x, exact):
     return np.max(np.abs(found - exact) / (exact[:, 2:] - exact[:, :1]))
 
 
-@pytest.mark.parametrize(("likelihood", "m"), [(ExpFeature, 20), (TruncNormalFeature, 10)])
+@pytest.mark.parametrize(("likelihood", "m"), [(ExpFeature, 2), (TruncNormalFeature, 1)])
 def test_five_times_fewer_runs_and_the_same_posterior(example, exact, likelihood, m):
-    predicting = Remembering()
+    predicting = Remembering(m)
     x, evaluations, runs = sampled(example, likelihood, predicting, 1000)
     report = predicting.report()
     assert report["runs"] == runs
     assert report["runs"] + report["predicted"] >= evaluations
     assert 5 * runs < evaluations
     assert error_of_answers(x, predicting.answers, example[1]) < 0.05
-    assert worst_error(x, exact[m]) < 0.12  # of 1000 draws: the sampler's error, mostly
+    assert worst_error(x, exact[10 * m]) < 0.12  # of 1000 draws: the sampler's error, mostly
     assert report["checked"] > 50
     assert report["error"] < 0.3
     assert report["excess"] < 1.0
 
 
+def test_the_conventional_likelihood_has_many_degrees_of_freedom(example):
+    """And a surrogate that is told of few is not good enough for it."""
+
+    def normal(name, mu, sigma, observed):
+        return pm.Normal(name, mu=mu, sigma=sigma, observed=observed)
+
+    n_times = example[0].shape[1]
+    for m, least, most in ((n_times, 0.0, 0.05), (1, 0.2, np.inf)):
+        predicting = Remembering(m)
+        x, evaluations, runs = sampled(example, normal, predicting, 400)
+        assert 5 * runs < evaluations
+        error = error_of_answers(x, predicting.answers, example[1], n_times)
+        assert least <= error < most
+
+
 def test_a_useless_surrogate_gives_itself_away(example):
     """Negative control: nothing is demanded of the predictions."""
-    careless = Remembering(tolerance=1e6, checked=0.005)
+    careless = Remembering(2, tolerance=1e6, checked=0.005)
     x, evaluations, runs = sampled(example, ExpFeature, careless, 400)
     assert runs < 0.05 * evaluations
     assert careless.report()["error"] > 1.0
@@ -190,14 +207,14 @@ def fed(predicting, function=bowl, n_batches=4, data="", batch=60):
 
 
 def test_predictions_are_close_and_runs_are_exact():
-    predicting = Surrogate(tolerance=0.02)
+    predicting = Surrogate(1, tolerance=0.02)
     e, xs = fed(predicting)
     true = bowl(np.concatenate(xs))
     report = predicting.report()
     np.testing.assert_allclose(e, true, rtol=0.05)
     assert (e == true).all(axis=1).sum() == report["runs"] == 240 - report["predicted"]
     assert report["runs"] < 80
-    everything = Surrogate(checked=1.0)
+    everything = Surrogate(1, checked=1.0)
     assert np.array_equal(fed(everything)[0], true)
     assert everything.report()["checked"] > 150
 
@@ -208,7 +225,7 @@ def test_failures_are_run_and_told():
         e[x[:, 0] > 0.6] = np.nan
         return e
 
-    predicting = Surrogate()
+    predicting = Surrogate(1)
     e, xs = fed(predicting, fails)
     true = fails(np.concatenate(xs))
     failed = np.isnan(true).any(axis=1)
@@ -219,7 +236,7 @@ def test_failures_are_run_and_told():
     assert not (found & ~failed).any()
     assert predicting.report()["failed"] == found.sum()
     assert predicting.report()["predicted"] > 50
-    nothing = Surrogate()
+    nothing = Surrogate(1)
     assert np.isnan(fed(nothing, lambda x: np.full((len(x), 4), np.nan))[0]).all()
     assert nothing.report()["runs"] == nothing.report()["failed"] == 240
 
@@ -230,7 +247,7 @@ def test_what_cannot_be_fitted_is_run(monkeypatch, error):
         raise error("singular")
 
     monkeypatch.setattr(learner, "fit_lengths", refuse)
-    predicting = Surrogate()
+    predicting = Surrogate(1)
     e, xs = fed(predicting)
     assert np.array_equal(e, bowl(np.concatenate(xs)))
     assert predicting.report()["predicted"] == 0
@@ -240,8 +257,8 @@ def test_constant_results_and_a_constant_parameter_do_no_harm():
     def flat(x):
         return np.full((len(x), 4), 2.0)
 
-    np.testing.assert_allclose(fed(Surrogate(), flat)[0], 2.0)
-    predicting = Surrogate()
+    np.testing.assert_allclose(fed(Surrogate(1), flat)[0], 2.0)
+    predicting = Surrogate(1)
     for _ in range(3):
         x = np.column_stack([np.random.default_rng(5).uniform(size=60), np.ones(60)])
         e = predicting.evaluate(x, lambda rows, x=x: bowl(x[rows]))
@@ -259,28 +276,28 @@ def test_results_depend_on_nothing_but_the_populations():
             (4, 9),
             returns="mean_square",
             executor=executor,
-            surrogate=Surrogate(),
+            surrogate=Surrogate(1),
             progress=False,
         ) as simulator:
-            directly, xs = fed(Surrogate())
+            directly, xs = fed(Surrogate(1))
             results.append(np.concatenate([simulator.discrepancies(*x.T, observed=None) for x in xs]))
     assert np.array_equal(results[0], results[1])
     np.testing.assert_allclose(results[0], results[2], rtol=1e-9)
     np.testing.assert_allclose(results[0], directly, rtol=1e-9)
-    first, travelled = Surrogate(), Surrogate()
+    first, travelled = Surrogate(1), Surrogate(1)
     fed(first, n_batches=2)
     fed(travelled, n_batches=2)
     travelled = pickle.loads(pickle.dumps(travelled))
     assert np.array_equal(fed(first)[0], fed(travelled)[0])
-    assert not np.array_equal(fed(Surrogate())[0], fed(Surrogate(seed=1))[0])
+    assert not np.array_equal(fed(Surrogate(1))[0], fed(Surrogate(1, seed=1))[0])
 
 
 def test_data_sets_are_learnt_apart():
-    predicting = Surrogate()
-    alone = fed(Surrogate())[0]
+    predicting = Surrogate(1)
+    alone = fed(Surrogate(1))[0]
     assert np.array_equal(fed(predicting, data="a")[0], alone)
     assert np.array_equal(fed(predicting, lambda x: 7.0 * bowl(x), data="b")[0] > alone, np.ones_like(alone))
-    assert np.array_equal(fed(Surrogate(), lambda x: 7.0 * bowl(x))[0].shape, alone.shape)
+    assert np.array_equal(fed(Surrogate(1), lambda x: 7.0 * bowl(x))[0].shape, alone.shape)
     assert len(predicting.learners) == 2
 
 
@@ -326,7 +343,7 @@ def test_share_of_the_posterior_beyond_a_depth(m, n_parameters):
 def test_scikit_learn_is_asked_for(monkeypatch):
     monkeypatch.setattr(surrogate, "find_spec", lambda name: None)
     with pytest.raises(ImportError, match="needs scikit-learn, which is not installed. Install it with: pip"):
-        Surrogate()
+        Surrogate(1)
 
 
 def test_settings_are_checked():
@@ -340,7 +357,7 @@ def test_settings_are_checked():
         ({"seed": -1}, "`seed` must be an integer of at least 0"),
     ]:
         with pytest.raises(ValueError, match=message):
-            Surrogate(**settings)
+            Surrogate(**{"degrees_of_freedom": 1, **settings})
     with pytest.raises(TypeError, match="`surrogate` must be a Surrogate, got bool. Pass pmf.Surrogate"):
         ExternalSimulator(bowl, (4, 9), surrogate=True)
 
@@ -349,5 +366,5 @@ def test_checkpoints_tell_surrogates_apart():
     def identity(surrogate):
         return ExternalSimulator(bowl, (4, 9), surrogate=surrogate, version="1").identity
 
-    assert identity(Surrogate()) == identity(Surrogate())
-    assert len({identity(None), identity(Surrogate()), identity(Surrogate(tolerance=0.2))}) == 3
+    assert identity(Surrogate(1)) == identity(Surrogate(1))
+    assert len({identity(None), identity(Surrogate(1)), identity(Surrogate(1, tolerance=0.2))}) == 3

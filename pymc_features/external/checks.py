@@ -27,7 +27,7 @@ def check_settings(function, shape, returns, gradient, timeout, retries, executo
         raise TypeError(f"`version` must be a text, got {version!r}.")
     if not (surrogate is None or callable(getattr(surrogate, "evaluate", None))):
         raise TypeError(
-            f"`surrogate` must be a Surrogate, got {type(surrogate).__name__}. Pass pmf.Surrogate()."
+            f"`surrogate` must be a Surrogate, got {type(surrogate).__name__}. Pass pmf.Surrogate(2) for EXP."
         )
     check_executor(executor)
 

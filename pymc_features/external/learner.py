@@ -28,8 +28,6 @@ class Judgement:
         In nats; `sd` is the predicted standard deviation, not yet scaled by the errors seen.
     per_unit : array (point,)
         The same where the process has variance one.
-    near : array of bool (point,)
-        Predicted to lie where the posterior is.
     process : Prediction
         Tells what a further run would teach.
     """
@@ -39,19 +37,23 @@ class Judgement:
     sd: np.ndarray
     permitted: np.ndarray
     per_unit: np.ndarray
-    near: np.ndarray
     process: Prediction
 
 
 @dataclass(frozen=True)
 class Check:
-    """A run that was predicted before: error, its predicted standard deviation, what was permitted (nats)."""
+    """A run that was predicted before: log-likelihoods, predicted standard deviation, what was permitted."""
 
-    error: float
+    predicted: float
+    true: float
     sd: float
     permitted: float
-    near: bool  # where the posterior is, as predicted or as found
     certain: bool  # held to be good enough, and run by chance
+
+    @property
+    def error(self) -> float:
+        """Of the prediction [nats]."""
+        return self.predicted - self.true
 
 
 def posterior_beyond(depth, m: float, n_parameters: int):
@@ -144,16 +146,16 @@ class Learner:
         if not self.usable.all():  # failures have neighbours
             _, nearest = cKDTree(self.x / self.lengths).query(x / self.lengths)
             permitted[~self.usable[nearest]] = 0.0
-        return Judgement(e, log_likelihood, sd, permitted, per_unit, self.is_near(depth), predicted)
+        return Judgement(e, log_likelihood, sd, permitted, per_unit, predicted)
 
     def beyond(self, depth):
         """Share of the posterior beyond this depth (point,)."""
         m = self.settings.degrees_of_freedom * self.e.shape[1]
         return posterior_beyond(depth, m, self.x.shape[1])
 
-    def is_near(self, depth):
-        """Whether 99 % of the posterior do not exclude this depth (point,)."""
-        return self.beyond(depth) > 0.01
+    def is_near(self, check: Check) -> bool:
+        """Whether a run was predicted or found where 99 % of the posterior are, by what is known now."""
+        return self.beyond(self.best - max(check.predicted, check.true)) > 0.01
 
     def permitted(self, depth):
         """Permitted standard deviation (point,) of a prediction at this depth [nats]; see `Surrogate`."""
@@ -219,10 +221,9 @@ class Learner:
         """Note the errors of predictions, and scale further predictions by them."""
         good = (np.isfinite(found) & (found > 0)).all(axis=1)
         for i, true in zip(chosen[good], self.log_likelihood(found[good]), strict=True):
-            near = judged.near[i] or self.is_near(self.best - true)
             certain = self.inflation * judged.sd[i] <= judged.permitted[i]
-            numbers = judged.log_likelihood[i] - true, judged.sd[i], judged.permitted[i]
-            self.checks.append(Check(*map(float, numbers), bool(near), bool(certain)))
+            numbers = judged.log_likelihood[i], true, judged.sd[i], judged.permitted[i]
+            self.checks.append(Check(*map(float, numbers), bool(certain)))
         latest = [np.clip(c.error / max(c.sd, 1e-12), -LARGEST, LARGEST) for c in self.checks[-WINDOW:]]
         if len(latest) > SUB_BATCH:
             self.inflation = max(1.0, float(np.sqrt(np.mean(np.square(latest)))))

@@ -17,11 +17,11 @@ class Surrogate:
 
     Parameters
     ----------
+    degrees_of_freedom : float
+        m of e_j / sigma^2 in the likelihood, which says how much an error of e_j matters: 1 for
+        `TruncNormalFeature`, 2 for `ExpFeature`, the number of times for `pm.Normal`.
     tolerance : float
         Permitted standard deviation of a prediction near the best fit, in nats of the log-likelihood.
-    degrees_of_freedom : float
-        m of e_j / sigma^2 in the likelihood. 1 is that of `TruncNormalFeature`, and cautious for
-        `ExpFeature`, which has 2; `pm.Normal` has the number of times, and leaves little to predict.
     initial : int, optional
         Runs before the first prediction; ten for each parameter by default.
     max_points : int
@@ -66,7 +66,7 @@ class Surrogate:
     --------
     >>> def run(rows):
     ...     return 1.0 + np.sum((x[rows] - 0.5) ** 2, axis=1, keepdims=True) * np.ones(10)
-    >>> surrogate = Surrogate()
+    >>> surrogate = Surrogate(degrees_of_freedom=1)
     >>> for seed in range(3):
     ...     x = np.random.default_rng(seed).random((200, 2))
     ...     e = surrogate.evaluate(x, run)
@@ -77,9 +77,9 @@ class Surrogate:
 
     def __init__(
         self,
-        tolerance: float = 0.1,
+        degrees_of_freedom: float,
         *,
-        degrees_of_freedom: float = 1,
+        tolerance: float = 0.1,
         initial: int | None = None,
         max_points: int = 500,
         checked: float = 0.02,
@@ -101,7 +101,7 @@ class Surrogate:
         self.learners: dict = {}
 
     def __repr__(self):
-        names = ("tolerance", "degrees_of_freedom", "initial", "max_points", "checked", "seed")
+        names = ("degrees_of_freedom", "tolerance", "initial", "max_points", "checked", "seed")
         return f"Surrogate({', '.join(f'{name}={getattr(self, name)}' for name in names)})"
 
     def first_runs(self, n_parameters: int) -> int:
@@ -150,7 +150,7 @@ class Surrogate:
         learners = list(self.learners.values())
         checks = [c for learner in learners for c in learner.checks]
         by_chance = [c for c in checks if c.certain]
-        near = [c.error for c in by_chance if c.near]
+        near = [c.error for of in learners for c in of.checks if c.certain and of.is_near(c)]
         return {
             "runs": sum(len(learner.x) for learner in learners),
             "failed": sum(int((~learner.usable).sum()) for learner in learners),
