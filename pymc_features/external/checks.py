@@ -5,7 +5,7 @@ from pymc_features.external.executors import check_executor
 RETURNS = ("response", "mean_square")
 
 
-def check_settings(function, shape, returns, gradient, timeout, retries, executor, version, dt):
+def check_settings(function, shape, returns, gradient, timeout, retries, executor, version, surrogate, dt):
     """Refuse what cannot be used."""
     for name, value in (("function", function), ("gradient", gradient)):
         if not callable(value) and not (name == "gradient" and value is None):
@@ -25,6 +25,10 @@ def check_settings(function, shape, returns, gradient, timeout, retries, executo
         raise ValueError(f"`retries` must be an integer of at least 0, got {retries!r}.")
     if not (version is None or isinstance(version, str)):
         raise TypeError(f"`version` must be a text, got {version!r}.")
+    if not (surrogate is None or callable(getattr(surrogate, "evaluate", None))):
+        raise TypeError(
+            f"`surrogate` must be a Surrogate, got {type(surrogate).__name__}. Pass pmf.Surrogate(2) for EXP."
+        )
     check_executor(executor)
 
 
