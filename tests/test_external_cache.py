@@ -586,6 +586,7 @@ BAD_SETTINGS = {
     "`retries` must be an integer of at least 0, got 1.5": {"retries": 1.5},
     "`retries` must be an integer of at least 0, got True": {"retries": True},
     "`version` must be a text, got 1": {"version": 1},
+    "`surrogate` must be a Surrogate, got int": {"surrogate": 1},
     "`executor` must be something that runs simulations, got 0": {"executor": 0},
     "`executor` must be something that runs simulations, got True": {"executor": True},
     "`executor` must be something that runs simulations, got \\[\\]": {"executor": []},
