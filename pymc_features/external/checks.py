@@ -23,6 +23,11 @@ def check_settings(function, shape, returns, gradient, timeout, retries, executo
             raise ValueError(f"`{name}` must be a positive number of seconds, got {value!r}.")
     if not (is_number(retries) and retries >= 0 and int(retries) == retries):
         raise ValueError(f"`retries` must be an integer of at least 0, got {retries!r}.")
+    if gradient is not None and surrogate is not None:
+        raise ValueError(
+            "`gradient` must be left out with `surrogate`, got both: predictions have other derivatives. "
+            "Sample with pmf.sample_smc()."
+        )
     if not (version is None or isinstance(version, str)):
         raise TypeError(f"`version` must be a text, got {version!r}.")
     if not (surrogate is None or callable(getattr(surrogate, "evaluate", None))):
