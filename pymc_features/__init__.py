@@ -23,7 +23,7 @@ from pymc_features.distributions import (
     TruncNormalFeature,
     sigma_mpv,
 )
-from pymc_features.external import CommandLine, ExternalSimulator
+from pymc_features.external import CommandLine, ExternalSimulator, Surrogate
 from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.inference import (
     ChainsDisagreeWarning,
@@ -94,6 +94,7 @@ __all__ = [
     "SpringMassChain",
     "SubsetSimulation",
     "SubsetSimulationWarning",
+    "Surrogate",
     "TMCMC",
     "ToleranceNotReachedError",
     "TruncNormalFeature",

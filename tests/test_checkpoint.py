@@ -172,7 +172,7 @@ def test_killed_with_an_external_simulator_and_a_cache(tmp_path):
         def run():
             sample(model, checkpoint=folder, **settings)
 
-        for n in (30, 120, 250):
+        for n in (20, 60, 120):
             process = multiprocessing.get_context("fork").Process(target=run)
             process.start()
             while process.is_alive() and len(function.calls()) < n:

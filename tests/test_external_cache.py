@@ -22,7 +22,14 @@ import pytensor
 import pytest
 from external_functions import SHAPE, Counted, beam, lives, wait_until
 
-from pymc_features import CommandLine, DiscrepancySimulator, ExternalSimulator, TruncNormalFeature, sample_smc
+from pymc_features import (
+    CommandLine,
+    DiscrepancySimulator,
+    ExternalSimulator,
+    Surrogate,
+    TruncNormalFeature,
+    sample_smc,
+)
 from pymc_features.external import EvaluationCache, checks
 from pymc_features.external.calls import Outcome
 from pymc_features.external.identity import UnknownIdentityError, fingerprint
@@ -586,6 +593,8 @@ BAD_SETTINGS = {
     "`retries` must be an integer of at least 0, got 1.5": {"retries": 1.5},
     "`retries` must be an integer of at least 0, got True": {"retries": True},
     "`version` must be a text, got 1": {"version": 1},
+    "`surrogate` must be a Surrogate, got int": {"surrogate": 1},
+    "`gradient` must be left out with `surrogate`": {"gradient": beam, "surrogate": Surrogate(1)},
     "`executor` must be something that runs simulations, got 0": {"executor": 0},
     "`executor` must be something that runs simulations, got True": {"executor": True},
     "`executor` must be something that runs simulations, got \\[\\]": {"executor": []},

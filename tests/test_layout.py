@@ -69,6 +69,7 @@ PUBLIC_NAMES = [
     "SpringMassChain",
     "SubsetSimulation",
     "SubsetSimulationWarning",
+    "Surrogate",
     "TMCMC",
     "ToleranceNotReachedError",
     "TruncNormalFeature",
@@ -168,7 +169,7 @@ def test_public_names():
 
 
 def test_slow_modules_are_not_imported_with_the_package():
-    slow = ["jax", "matplotlib.pyplot", "scipy.signal", "arviz"]
+    slow = ["jax", "matplotlib.pyplot", "scipy.signal", "arviz", "sklearn"]
     code = f"import sys, pymc_features; print([m for m in {slow} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

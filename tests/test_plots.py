@@ -212,6 +212,16 @@ def test_prior_posterior_figure(updated):
         plots.plot_prior_posterior(updated["EXP"], ["c"])
 
 
+def test_prior_posterior_figure_is_not_stretched_by_one_far_draw():
+    rng = np.random.default_rng(1)
+    draws = np.append(rng.standard_normal(4999), 40.0)
+    one = xr.Dataset({"k": (("chain", "draw"), draws[None])})
+    [ax] = plots.plot_prior_posterior(xr.DataTree.from_dict({"prior": one, "posterior": one}))
+    left, right = ax.get_xlim()
+    assert -5.0 < left < -2.5 and 2.5 < right < 5.0
+    plots.close([ax])
+
+
 def test_natural_frequencies_figure(updated):
     axes = plots.plot_natural_frequencies(updated)
     found = updated["EXP/modal"]["natural_frequency"].values.reshape(-1, 2)

@@ -5,7 +5,7 @@ from pymc_features.external.executors import check_executor
 RETURNS = ("response", "mean_square")
 
 
-def check_settings(function, shape, returns, gradient, timeout, retries, executor, version, dt):
+def check_settings(function, shape, returns, gradient, timeout, retries, executor, version, surrogate, dt):
     """Refuse what cannot be used."""
     for name, value in (("function", function), ("gradient", gradient)):
         if not callable(value) and not (name == "gradient" and value is None):
@@ -23,8 +23,17 @@ def check_settings(function, shape, returns, gradient, timeout, retries, executo
             raise ValueError(f"`{name}` must be a positive number of seconds, got {value!r}.")
     if not (is_number(retries) and retries >= 0 and int(retries) == retries):
         raise ValueError(f"`retries` must be an integer of at least 0, got {retries!r}.")
+    if gradient is not None and surrogate is not None:
+        raise ValueError(
+            "`gradient` must be left out with `surrogate`, got both: predictions have other derivatives. "
+            "Sample with pmf.sample_smc()."
+        )
     if not (version is None or isinstance(version, str)):
         raise TypeError(f"`version` must be a text, got {version!r}.")
+    if not (surrogate is None or callable(getattr(surrogate, "evaluate", None))):
+        raise TypeError(
+            f"`surrogate` must be a Surrogate, got {type(surrogate).__name__}. Pass pmf.Surrogate(2) for EXP."
+        )
     check_executor(executor)
 
 

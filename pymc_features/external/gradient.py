@@ -9,7 +9,7 @@ class FlatGradient:
     Parameters
     ----------
     gradient : callable
-        (*parameters, cotangent) -> one array for each parameter.
+        `gradient(*parameters, cotangent)`: one array for each parameter.
     """
 
     def __init__(self, gradient):

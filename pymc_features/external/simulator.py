@@ -31,7 +31,7 @@ class ExternalSimulator:
         What the function returns: histories (sensor, time), or e_j of Eq. (3), (sensor,), from data of its
         own.
     gradient : callable, optional
-        (*parameters, cotangent) -> for each parameter the gradient of sum(cotangent * result), in its shape.
+        `gradient(*parameters, cotangent)`: for each parameter the derivative of sum(cotangent * result).
     timeout : float, optional
         Of a simulation [s]; then its process is killed.
     retries : int
@@ -48,6 +48,9 @@ class ExternalSimulator:
         Stands for the function of this name in the cache. By default that is its code, that of the functions
         and classes it names, and what they hold; not what installed packages, modules that it calls by name
         (`solver.run()`) or programs do, so give a version where these change.
+    surrogate : Surrogate, optional
+        Predicts most discrepancies in place of simulations; histories are always simulated. One for each
+        simulator.
     dt : float, optional
         Time step of the data [s], for the time axis.
     progress : bool
@@ -85,12 +88,13 @@ class ExternalSimulator:
         executor=None,
         cache=None,
         version: str | None = None,
+        surrogate=None,
         dt: float | None = None,
         progress: bool = True,
     ):
-        check_settings(function, shape, returns, gradient, timeout, retries, executor, version, dt)
+        check_settings(function, shape, returns, gradient, timeout, retries, executor, version, surrogate, dt)
         self.function, self.shape, self.returns = function, tuple(int(n) for n in shape), returns
-        self.gradient, self.version, self.dt = gradient, version, dt
+        self.gradient, self.version, self.surrogate, self.dt = gradient, version, surrogate, dt
         if scratch is None:
             scratch = getattr(function, "needs_scratch", False)
         self.evaluator = Evaluator(
@@ -102,7 +106,11 @@ class ExternalSimulator:
             cache=cache,
             progress=progress,
         )
-        self.identity = self._identity(function)
+        self.function_identity = self._identity(function)
+        # what goes on from a checkpoint must be predicted alike, what is in a cache was run
+        self.identity = self.function_identity
+        if surrogate is not None:
+            self.identity = fingerprint(self.function_identity, repr(surrogate))
         if gradient is not None:
             self._flat_gradient, self._gradient_identity = FlatGradient(gradient), self._identity(gradient)
 
@@ -147,13 +155,16 @@ class ExternalSimulator:
                 "the simulator must return responses for this, got one that returns mean squares. Histories "
                 'and predictions need `returns="response"`.'
             )
-        task = Task(self.function, self.shape, None, self.identity)
+        task = Task(self.function, self.shape, None, self.function_identity)
         return self.evaluator.run(task, spread(parameters))
 
     def discrepancies(self, *parameters, observed) -> np.ndarray:
-        """e_j (particle, sensor) of Eq. (3) at parameters (particle, ...) each; NaN where they fail."""
+        """e_j (particle, sensor) of Eq. (3) at parameters (particle, ...) each; NaN where they fail.
+
+        Simulated, or predicted by the surrogate.
+        """
         if self.returns == "mean_square":
-            task = Task(self.function, self.shape[:1], None, self.identity)
+            task = Task(self.function, self.shape[:1], None, self.function_identity)
         else:
             observed = np.ascontiguousarray(observed, dtype=np.float64)
             if observed.shape != self.shape:
@@ -161,8 +172,14 @@ class ExternalSimulator:
                     f"`observed` must have shape (sensor, time) = {self.shape}, got {observed.shape}. Give "
                     "one row for each sensor and one column for each output step."
                 )
-            task = Task(self.function, self.shape, observed, self.identity)
-        return self.evaluator.run(task, spread(parameters))
+            task = Task(self.function, self.shape, observed, self.function_identity)
+        rows = spread(parameters)
+        if self.surrogate is None:
+            return self.evaluator.run(task, rows)
+        flat = np.concatenate([r.reshape(len(r), -1) for r in rows], axis=1)
+        return self.surrogate.evaluate(
+            flat, lambda chosen: self.evaluator.run(task, [r[chosen] for r in rows]), fingerprint(observed)
+        )
 
     def gradients(self, *parameters, cotangent) -> list[np.ndarray]:
         """Gradients of sum(cotangent * result), each with a row for every row of the parameters."""

@@ -26,8 +26,8 @@ def first_passage_probability(
 ) -> xr.Dataset:
     """Probability under the posterior that the largest absolute response exceeds a limit.
 
-    P(limit) = E[ 1{max_t |r(t)| > limit} ] over the posterior, for each storey and for any of them; over many
-    limits it is a fragility curve, over many earthquakes, all as likely as each other, their total
+    ``P(limit) = E[ 1{max_t |r(t)| > limit} ]`` over the posterior, for each storey and for any of them; over
+    many limits it is a fragility curve, over many earthquakes, all as likely as each other, their total
     probability. The uncertainty is that of the parameters; see `posterior_response`.
 
     Parameters

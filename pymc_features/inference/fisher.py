@@ -89,11 +89,11 @@ def fisher_information(model: pm.Model | None = None, point: dict | None = None)
     Returns
     -------
     Dataset
-        `information` (parameter, parameter_), in the inverse of the parameters' units; `standard_deviation`
-        (parameter), the Cramer-Rao bound, infinite where the data tell nothing; `eigenvalue` (direction),
-        descending, and `direction_vector` (direction, parameter) of the information on relative changes of
-        the parameters: directions with an eigenvalue near 0 cannot be identified, one over the root of it is
-        the relative standard deviation; `point` (parameter).
+        `information` ``(parameter, parameter_)``, in the inverse of the parameters' units;
+        `standard_deviation` (parameter), the Cramer-Rao bound, infinite where the data tell nothing;
+        `eigenvalue` (direction), descending, and `direction_vector` (direction, parameter) of the
+        information on relative changes of the parameters: directions with an eigenvalue near 0 cannot be
+        identified, one over the root of it is the relative standard deviation; `point` (parameter).
 
     Raises
     ------

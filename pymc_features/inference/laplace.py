@@ -59,8 +59,9 @@ def laplace(
         `posterior`: draws (one chain). `sample_stats`: `log_marginal_likelihood` by Laplace's formula. By
         importance sampling of the true posterior with the same draws: `log_marginal_likelihood_is` with
         standard error `log_marginal_likelihood_is_se`, and `efficiency`, the effective share of the draws:
-        near one if the posterior is near the approximation. `modes` (mode): parameters, `log_density`,
-        `log_marginal_likelihood` and `weight`, the highest first.
+        near one if the posterior is near the approximation. `modes` (mode, or posterior_mode where the model
+        has a dimension mode): parameters, `log_density`, `log_marginal_likelihood` and `weight`, the highest
+        first.
 
     Raises
     ------
@@ -100,10 +101,9 @@ def laplace(
     evidences = np.array(
         [value + 0.5 * len(x) * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(h)[1] for x, value, h in found]
     )
-    weights = np.exp(evidences - np.logaddexp.reduce(evidences))
-    particles, log_density = draw_mixture(found, weights, int(draws), rng)
+    particles, log_density = draw_mixture(found, evidences, int(draws), rng)
     prior, likelihood = logp(particles)[:2]
-    return tree(model, space, particles, found, evidences, weights, prior + likelihood - log_density)
+    return tree(model, space, particles, found, evidences, prior + likelihood - log_density)
 
 
 def starting_points(model, space, logp, rng, starts, n, start):
@@ -123,8 +123,10 @@ def starting_points(model, space, logp, rng, starts, n, start):
     return [particles[i] for i in best if np.isfinite(total[i])]
 
 
-def draw_mixture(modes, weights, n, rng):
+def draw_mixture(modes, evidences, n, rng):
     """Draws (n, d) from Gaussians at the modes, stratified, and their log-density (n,)."""
+    log_weights = evidences - np.logaddexp.reduce(evidences)
+    weights = np.exp(log_weights)
     which = np.searchsorted(np.cumsum(weights), (np.arange(n) + rng.random()) / n).clip(max=len(modes) - 1)
     z = rng.standard_normal((n, len(modes[0][0])))
     particles = np.empty_like(z)
@@ -132,16 +134,16 @@ def draw_mixture(modes, weights, n, rng):
         factor = np.linalg.cholesky(curvature)
         particles[which == k] = x + np.linalg.solve(factor.T, z[which == k].T).T
     parts = []
-    for (x, _, curvature), weight in zip(modes, weights, strict=True):
+    for (x, _, curvature), log_weight in zip(modes, log_weights, strict=True):
         away = particles - x
         logdet = np.linalg.slogdet(curvature)[1]
         quadratic = np.einsum("ni,ij,nj->n", away, curvature, away)
-        parts.append(np.log(weight) + 0.5 * (logdet - len(x) * np.log(2 * np.pi) - quadratic))
+        parts.append(log_weight + 0.5 * (logdet - len(x) * np.log(2 * np.pi) - quadratic))
     order = rng.permutation(n)
     return particles[order], np.logaddexp.reduce(parts, axis=0)[order]
 
 
-def tree(model, space, particles, modes, evidences, weights, log_ratios):
+def tree(model, space, particles, modes, evidences, log_ratios):
     """The result as a DataTree."""
     import arviz as az  # slow to import
 
@@ -166,14 +168,16 @@ def tree(model, space, particles, modes, evidences, weights, log_ratios):
         {"posterior": {k: v[None] for k, v in space.variables(particles).items()}}, coords=coords, dims=dims
     )
     result["sample_stats"] = xr.DataTree(xr.Dataset({k: ("chain", np.array(v)) for k, v in stats.items()}))
+    # a damping ratio for each mode of vibration may well have taken the name
+    over = "posterior_mode" if any("mode" in of_one for of_one in dims.values()) else "mode"
     at_modes = {
-        name: (("mode", *dims.get(name, [f"{name}_dim_{i}" for i in range(v.ndim - 1)])), v)
+        name: ((over, *dims.get(name, [f"{name}_dim_{i}" for i in range(v.ndim - 1)])), v)
         for name, v in space.variables([m[0] for m in modes]).items()
     }
     summary = {
-        "log_density": ("mode", [m[1] for m in modes]),
-        "log_marginal_likelihood": ("mode", evidences),
-        "weight": ("mode", weights),
+        "log_density": (over, [m[1] for m in modes]),
+        "log_marginal_likelihood": (over, evidences),
+        "weight": (over, np.exp(evidences - np.logaddexp.reduce(evidences))),
     }
     result["modes"] = xr.DataTree(xr.Dataset({**at_modes, **summary}))
     return result

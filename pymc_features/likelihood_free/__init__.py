@@ -5,4 +5,6 @@ from pymc_features.likelihood_free.kernels import KERNELS
 from pymc_features.likelihood_free.simulator import DiscrepancySimulator
 from pymc_features.likelihood_free.tolerance import abc_tolerance
 
-__all__ = ["KERNELS", "DiscrepancySimulator", "SimulationWarning", "abc_tolerance"]
+NODES = (DiscrepancySimulator,)
+
+__all__ = ["KERNELS", "NODES", "DiscrepancySimulator", "SimulationWarning", "abc_tolerance"]

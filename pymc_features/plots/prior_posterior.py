@@ -35,7 +35,8 @@ def plot_prior_posterior(idata, var_names=None, units=None, axes=None):
         columns = min(4, len(names))
         rows = -(-len(names) // columns)
         size = 2.6 * columns, 0.5 + 2.2 * rows
-        _, grid = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+        figure, grid = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+        figure.get_layout_engine().set(w_pad=0.12)  # inches, between the numbers below neighbours
         axes = grid.ravel()[: len(names)]
         for spare in grid.ravel()[len(names) :]:
             spare.remove()
@@ -45,7 +46,7 @@ def plot_prior_posterior(idata, var_names=None, units=None, axes=None):
     for ax, name in zip(axes, names, strict=True):
         before, after = prior[name].values.ravel(), posterior[name].values.ravel()
         low, high = np.quantile(before, [0.005, 0.995])  # a far tail would leave nothing to see
-        low, high = min(low, after.min()), max(high, after.max())
+        low, high = min(low, np.quantile(after, 0.001)), max(high, np.quantile(after, 0.999))
         # each as fine as it asks for; as densities a narrow posterior would leave no prior to see
         for draws, bins, colour, label in (
             (before, np.linspace(low, high, BINS + 1), "0.75", "prior"),

@@ -14,10 +14,12 @@ from pymc_features.smc.subset import SubsetSimulation, SubsetSimulationWarning
 from pymc_features.smc.tmcmc import TMCMC
 
 KERNELS = (PopulationIMH, PopulationMH, PersistentSMC, TMCMC)  # for any model
+SIMULATOR_KERNELS = (SubsetSimulation,)  # for models with one pm.Simulator node
 
 __all__ = [
     "CheckpointError",
     "KERNELS",
+    "SIMULATOR_KERNELS",
     "PersistentSMC",
     "PopulationIMH",
     "PopulationKernel",

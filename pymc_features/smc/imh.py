@@ -8,7 +8,7 @@ from pymc_features.smc.population import PopulationKernel
 
 
 class PopulationIMH(PopulationKernel, IMH):
-    """Independent Metropolis-Hastings: the particles of `pymc.smc.kernels.IMH`, many times faster.
+    """Independent Metropolis-Hastings: the particles of `pymc.smc.kernels.IMH`, evaluated all at once.
 
     Parameters
     ----------

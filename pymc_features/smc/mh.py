@@ -8,7 +8,7 @@ from pymc_features.smc.population import PopulationKernel
 
 
 class PopulationMH(PopulationKernel, MH):
-    """Random-walk Metropolis: the particles of `pymc.smc.kernels.MH`, many times faster.
+    """Random-walk Metropolis: the particles of `pymc.smc.kernels.MH`, evaluated all at once.
 
     Parameters
     ----------

@@ -48,12 +48,16 @@ class AdaptiveMoves:
         self.scale, self.memory, self.n_steps = 1.0, 1.0, 0
 
     def fit(self, points, rng: np.random.Generator):
-        """Begin a stage: fit the mixture to equally weighted points (n, d) of its target."""
+        """Begin a stage: fit to equally weighted points (n, d) of its target."""
+        self.refit(points, rng)
+        self.memory, self.n_steps = 1.0, 0
+
+    def refit(self, points, rng: np.random.Generator):
+        """Fit the mixture to other points, in the course of a stage."""
         distinct, first, counts = np.unique(points, axis=0, return_index=True, return_counts=True)
         order = np.argsort(first)  # not sorted by value, lest the fit depend on it
         self.mixture = fit_mixture(distinct[order], counts[order], rng)
         self.points = points
-        self.memory, self.n_steps = 1.0, 0
 
     @property
     def kept(self) -> float:

@@ -10,6 +10,7 @@ from pymc_features.smc.population import PopulationKernel
 
 LOCAL_INFLATION = 3.0  # local steps that count for one independent point, roughly
 MAX_STEPS = 500
+REFIT_AFTER = 2  # times the draws of a stage, in one that goes on
 MORE_PRIOR = 50  # the prior is drawn from at most this many times, in search of possible points
 
 
@@ -96,8 +97,11 @@ class PersistentSMC(PopulationKernel):
 
     def tune(self):
         """Fit the proposal to the weighted pool."""
-        chosen = equal_draws(self.weights, 2 * self.stage_draws, self.rng)
-        self.moves.fit(self.pool.particles[chosen], self.rng)
+        self.moves.fit(self.fitting_points(self.weights), self.rng)
+
+    def fitting_points(self, weights):
+        """Equally weighted points of the pool (n, d) for a fit."""
+        return self.pool.particles[equal_draws(weights, 2 * self.stage_draws, self.rng)]
 
     def mutate(self):
         """Advance all chains until the stage is done, keeping every state and every proposal."""
@@ -105,7 +109,7 @@ class PersistentSMC(PopulationKernel):
         x, prior = pool.particles[position], pool.log_prior[position]
         likelihood, density = pool.log_likelihood[position], moves.mixture.log_density(x)
         group = np.arange(len(x))
-        acceptances = []
+        acceptances, refit_every = [], REFIT_AFTER * -(-self.stage_draws // len(x))
         while not self.stage_is_done(len(x)):
             proposal, local = moves.propose(x, self.rng)
             new_prior, new_likelihood = self.evaluate(proposal)
@@ -133,6 +137,11 @@ class PersistentSMC(PopulationKernel):
             )
             acceptances.append(probability.mean())
             moves.learn(acceptances[-1])
+            if moves.n_steps % refit_every == 0:
+                # a long stage knows more and more of its target than it did at its beginning
+                weights = pool.normalised(pool.log_weights(self.beta))
+                moves.refit(self.fitting_points(weights), self.rng)
+                density = moves.mixture.log_density(x)
         self.n_steps, self.accept_rate = moves.n_steps, float(np.mean(acceptances))
         pool.solve()
         if self.beta == 1.0:

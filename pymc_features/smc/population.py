@@ -57,6 +57,7 @@ class PopulationKernel(SMC_KERNEL):
     # integers of the real line they move on. Where the first particles must be draws from the prior, both
     # are undone.
     starts_from_prior = False
+    correlation_threshold = 0.01  # of `mutate`, as in PyMC
     stats_dtypes_shapes = {
         **SMC_KERNEL.stats_dtypes_shapes,
         "n_steps": (int, []),
@@ -204,3 +205,12 @@ class PopulationKernel(SMC_KERNEL):
         self.evaluations = self.failed = 0
         self.clock = now
         return stats
+
+    def sample_settings(self):
+        """Settings, saved as attributes of `sample_stats`; those of PyMC's kernels."""
+        return {
+            "_n_draws": self.draws,
+            "threshold": self.threshold,
+            "_n_tune": self.n_steps,
+            "correlation_threshold": self.correlation_threshold,
+        }

@@ -61,7 +61,7 @@ class SubsetSimulation(PopulationKernel):
 
     Notes
     -----
-    Works on any model with one `pm.Simulator` node, PyMC's own included: there rho is |s(y) - s(x)|, the
+    Works on any model with one `pm.Simulator` node, PyMC's own included: there rho is ``|s(y) - s(x)|``, the
     Euclidean norm for "gaussian" and the sum for "laplace". Noisy simulators are allowed: rho belongs to the
     state of a chain and is never drawn again. Failed simulations are counted and rejected. Proposals that
     the prior rejects are not simulated.

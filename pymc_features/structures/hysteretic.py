@@ -9,7 +9,7 @@ from pymc_features.structures.masses_and_springs import Chain
 class HystereticChain(Chain):
     """A spring-mass chain with Bouc-Wen springs.
 
-    With the drift d of a spring and a dimensionless internal variable z, at rest zero,
+    With the drift d of a spring and a dimensionless internal variable z, at rest zero::
 
         f = a k d + (1 - a) k d_y z,    d_y z' = d' [1 - |z|^n (gamma + beta sign(d' z))].
 
@@ -27,7 +27,7 @@ class HystereticChain(Chain):
         large n; with 20 the force at d_y is 3 % below the bilinear one.
     beta, gamma : float, array_like (n,) or TensorVariable
         Shape of the loops [-], beta > 0 and 0 <= gamma <= beta, for then every loop dissipates energy.
-        |z| stays below (beta + gamma)^(-1/n); leave the sum at one unless published values say otherwise.
+        ``|z|`` stays below (beta + gamma)^(-1/n); leave the sum at one unless published values say otherwise.
         With beta = gamma springs unload at the initial stiffness.
 
     Raises
@@ -48,7 +48,7 @@ class HystereticChain(Chain):
     References
     ----------
     Y.-K. Wen, J. Eng. Mech. Div. ASCE 102 (1976) 249-263. S. Erlicher & N. Point, C. R. Mecanique 332 (2004)
-    51-57: beta >= |gamma| for a law that dissipates.
+    51-57: ``beta >= |gamma|`` for a law that dissipates.
 
     Examples
     --------

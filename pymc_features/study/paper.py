@@ -69,7 +69,7 @@ def measurements(
     multipliers : sequence of float
         Sampling steps over the record's; the smallest is the finest step.
     structure : callable
-        (theta, *, stiffness) -> structure of numbers.
+        ``(theta, *, stiffness)`` -> structure of numbers.
 
     Returns
     -------
