@@ -144,10 +144,10 @@ def test_norm_uncertainty_does(exact):
 
 
 # how much of the record is used [s]: at fine steps the rest only adds time to the test
-DURATION = {0.1: 3.0, 1.0: 10.0, 10.0: np.inf}
+DURATION = {0.1: 3.0, 10.0: np.inf}
 
 
-@pytest.mark.parametrize("multiplier", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("multiplier", [0.1, 10.0])
 def test_sampled_quantiles_are_the_exact_ones(record, multiplier):
     """5, 50 and 95 % of all parameters within 5 % of the exact 5-95 % width; all ABC draws in the exact set.
 

@@ -178,8 +178,8 @@ def test_the_conventional_likelihood_has_many_degrees_of_freedom(example):
     n_times = example[0].shape[1]
     for m, least, most in ((n_times, 0.0, 0.05), (1, 0.2, np.inf)):
         predicting = Remembering(m)
-        x, evaluations, runs = sampled(example, normal, predicting, 400)
-        assert 5 * runs < evaluations
+        x, evaluations, runs = sampled(example, normal, predicting, 200)
+        assert 3 * runs < evaluations
         error = error_of_answers(x, predicting.answers, example[1], n_times)
         assert least <= error < most
 
