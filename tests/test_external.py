@@ -515,13 +515,14 @@ def test_a_dead_process_whose_socket_lives_on(simulator):
 
 def run_forked(function, *arguments):
     """A forked process that runs a function, and the function's end of the matter."""
-    process = multiprocessing.get_context("fork").Process(target=function, args=arguments)
+    process = multiprocessing.get_context("fork").Process(target=function, args=arguments, daemon=True)
     process.start()
     return process
 
 
-def hang(path, n, timeout=None):
+def hang(path, n):
     """Simulations that do not end."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background may ignore it
     with ExternalSimulator(Hanging(path), SHAPE, executor=n, progress=False) as s:
         s.responses(np.arange(1.0, 9.0))
 
