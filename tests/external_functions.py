@@ -13,7 +13,7 @@ import numpy as np
 SHAPE = (2, 5)
 TIMES = np.arange(1.0, 6.0)
 SCALE = 2.0
-SECONDS = 20.0  # for what should be over at once, on a busy machine
+SECONDS = 60.0  # for what should be over at once, on a busy machine
 
 
 def beam(k):
@@ -171,8 +171,8 @@ def curious(k):
 
 
 def slow(k):
-    """`beam` after a tenth of a second."""
-    time.sleep(0.1)
+    """`beam` after a fifth of a second."""
+    time.sleep(0.2)
     return beam(k)
 
 

@@ -221,12 +221,12 @@ def test_predictive_draws(simulator):
 # --- gradients
 
 
-@pytest.mark.parametrize("likelihood", ["NORM", "TN", "ABC"])
-@pytest.mark.parametrize("kind", ["response", "mean_square"])
-def test_gradient_against_differences(likelihood, kind, simulator):
+@pytest.mark.parametrize(
+    "kind, likelihood",
+    [*(("response", name) for name in ("NORM", "TN", "ABC")), ("mean_square", "TN"), ("mean_square", "ABC")],
+)
+def test_gradient_against_differences(kind, likelihood, simulator):
     if kind == "mean_square":
-        if likelihood == "NORM":
-            pytest.skip("needs a history")
         squares, gradient = functions.beam_squares, functions.beam_squares_gradient
         s = simulator(squares, returns=kind, gradient=gradient)
     else:
@@ -515,13 +515,14 @@ def test_a_dead_process_whose_socket_lives_on(simulator):
 
 def run_forked(function, *arguments):
     """A forked process that runs a function, and the function's end of the matter."""
-    process = multiprocessing.get_context("fork").Process(target=function, args=arguments)
+    process = multiprocessing.get_context("fork").Process(target=function, args=arguments, daemon=True)
     process.start()
     return process
 
 
-def hang(path, n, timeout=None):
+def hang(path, n):
     """Simulations that do not end."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background may ignore it
     with ExternalSimulator(Hanging(path), SHAPE, executor=n, progress=False) as s:
         s.responses(np.arange(1.0, 9.0))
 

@@ -515,7 +515,7 @@ def test_command_line_as_a_simulator(simulator, tmp_path):
     program = [*PYTHON, "solver.py", "{{k}}", str(tmp_path / "pids")]
     s = simulator(
         CommandLine(program, ["k"], {}, "out.txt", files=[tmp_path / "solver.py"]),
-        timeout=1.0,
+        timeout=2.0,
         scratch=tmp_path / "scratch",
         executor=2,
     )
@@ -524,7 +524,7 @@ def test_command_line_as_a_simulator(simulator, tmp_path):
     assert s.counts == {"ok": 2, "error": 1, "timeout": 1, "died": 0, "invalid": 0, "cached": 0}
     assert {f.message for f in s.failures} == {
         "RuntimeError: exit code 1: no convergence",
-        "no result after 1 s",
+        "no result after 2 s",
     }
     s.close()
     assert list((tmp_path / "scratch").iterdir()) == []

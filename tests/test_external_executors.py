@@ -30,7 +30,7 @@ def cluster(tmp_path_factory):
         processes=True,
         n_workers=2,
         threads_per_worker=1,
-        dashboard_address=None,
+        dashboard_address=":0",
         silence_logs=logging.CRITICAL,
         local_directory=str(tmp_path_factory.mktemp("dask")),
     ) as cluster:
@@ -68,7 +68,7 @@ def test_the_same_particles_as_here(cluster, tmp_path):
 
 def test_two_workers_are_nearly_twice_as_fast(cluster, client):
     first, _ = client.scheduler_info(n_workers=-1)["workers"]
-    rates, k = [], np.linspace(1.0, 2.0, 24)
+    rates, k = [], np.linspace(1.0, 2.0, 16)
     with client.get_executor(workers=[first], pure=False) as one:
         for executor in (one, cluster.scheduler_address):
             with on(executor, functions.slow) as simulator:
