@@ -66,7 +66,7 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="NAME",
         default="linear",
         help="linear: the source's (default; three minutes on two cores), or bouc-wen: the same with "
-        "hysteretic springs (hours)",
+        "hysteretic springs (most of an hour)",
     )
     add("--record", metavar="FILE", help="ground motion: PEER AT2, text/CSV or .mat")
     add("--units", help="units of the record's file: g, m/s^2, cm/s^2, gal, or m/s^2 per unit")
@@ -77,7 +77,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--quick",
         action="store_true",
         help="three sampling steps and fewer draws, for a first look; bouc-wen: of the record until 8 s "
-        "after its peak (two minutes)",
+        "after its peak (three minutes)",
     )
     add("--seed", type=int, default=0, help="of noise and samplers (default: 0)")
     add("--stiffness", type=float, metavar="N/m", help="nominal, initial spring stiffness (default: 1800)")
