@@ -39,7 +39,7 @@ class PersistentSMC(PopulationKernel):
     -----
     Proposals come from a mixture of Student-t distributions fitted to the weighted pool: independent of the
     present point where many are accepted, shortened towards it (t-preconditioned Crank-Nicolson) where few
-    are. A fifth of them are steps of differential evolution.
+    are. A fifth of them are steps of differential evolution. A long stage fits the mixture again as it goes.
 
     `sample_stats` has besides those of `PopulationKernel`: `accept_rate`, `scale` (1: independent proposals),
     `effective` (points behind the stage's weights) and, at the end, `log_marginal_likelihood_se`: its
