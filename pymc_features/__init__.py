@@ -28,17 +28,15 @@ from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.inference import (
     ChainsDisagreeWarning,
     LaplaceWarning,
-    PredictionWarning,
-    first_passage_probability,
     fisher_information,
     laplace,
-    posterior_response,
     sample_nuts,
     tolerance_sweep,
 )
 from pymc_features.io import read_channels, read_matrices, read_record
 from pymc_features.likelihood_free import DiscrepancySimulator, SimulationWarning, abc_tolerance
 from pymc_features.ops import NotDifferentiableError, mean_square_discrepancy, response
+from pymc_features.prediction import PredictionWarning, first_passage_probability, posterior_response
 from pymc_features.records import Loading, Record
 from pymc_features.signals import ChannelWarning, check_channels
 from pymc_features.simulators import integration_error, simulate, spring_forces

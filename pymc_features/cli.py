@@ -244,8 +244,8 @@ def default_folder(options) -> str:
 def write_outputs(result, folder: Path) -> list[Path]:
     """Write figures, tables and the result into `folder`; return their paths."""
     from pymc_features import plots
+    from pymc_features.storage import write_atomically
     from pymc_features.study import as_csv, as_markdown
-    from pymc_features.study.store import write_atomically
 
     def save(ax):
         return lambda path: ax.figure.savefig(path, dpi=150, format="png")

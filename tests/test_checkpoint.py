@@ -26,7 +26,7 @@ from pymc_features import (
     sample_smc,
 )
 from pymc_features.smc import KERNELS
-from pymc_features.smc.checkpoint import MAGIC, Checkpoint, Journal
+from pymc_features.smc.kernels.checkpoint import MAGIC, Checkpoint, Journal
 
 DATA = 2.0 * beam(1.0)
 QUIET = {"progressbar": False, "compute_convergence_checks": False}

@@ -31,8 +31,8 @@ from pymc_features.simulators import (
     population_misfit,
     request,
 )
-from pymc_features.simulators.lanes import LANES
-from pymc_features.smc.evaluation import population_logp
+from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.smc.density.evaluation import population_logp
 
 PLAIN = Mode(linker="py", optimizer=None)
 LIGHT = Mode(linker="py", optimizer="fast_compile")
@@ -504,7 +504,7 @@ PEAK_GROWTH = """
     import resource, sys
     import numpy as np, pymc as pm
     from pymc_features import CorrelatedNormal, paper, response, synthetic_earthquake
-    from pymc_features.smc.evaluation import population_logp
+    from pymc_features.smc.density.evaluation import population_logp
 
     def peak():
         size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -31,9 +31,10 @@ from pymc_features import (
     response,
     sample_smc,
 )
-from pymc_features.external import EvaluationCache, calls
-from pymc_features.external.batch import NoWorkersError
-from pymc_features.external.process import SimulatorProcess, UnusableSimulatorError
+from pymc_features.external import EvaluationCache
+from pymc_features.external.processes import calls
+from pymc_features.external.processes.batch import NoWorkersError
+from pymc_features.external.processes.process import SimulatorProcess, UnusableSimulatorError
 from pymc_features.external.progress import Lines, clock
 from pymc_features.smc import population_logp
 

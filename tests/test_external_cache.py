@@ -31,9 +31,9 @@ from pymc_features import (
     sample_smc,
 )
 from pymc_features.external import EvaluationCache, checks
-from pymc_features.external.calls import Outcome
-from pymc_features.external.identity import UnknownIdentityError, fingerprint
-from pymc_features.smc.checkpoint import model_fingerprint
+from pymc_features.external.processes.calls import Outcome
+from pymc_features.fingerprint import UnknownIdentityError, fingerprint
+from pymc_features.smc.kernels.checkpoint import model_fingerprint
 from pymc_features.smc.sample import is_parallel_by_itself
 
 DATA = 2.0 * beam(1.0)

@@ -13,7 +13,7 @@ import pytest
 from external_functions import SHAPE, Counted, beam, lives, wait_until
 
 from pymc_features import ExternalSimulator, PopulationIMH, TruncNormalFeature, sample_smc
-from pymc_features.external.batch import NoWorkersError
+from pymc_features.external.processes.batch import NoWorkersError
 
 distributed = pytest.importorskip("distributed")
 

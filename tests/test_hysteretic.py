@@ -21,7 +21,7 @@ from pymc_features import (
 )
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.families import FAMILIES, NONLINEAR
-from pymc_features.simulators.nonlinear import nonlinear_histories
+from pymc_features.simulators.nonlinear.response import nonlinear_histories
 
 RAYLEIGH = RayleighDamping(0.2, 1e-3)
 

@@ -21,21 +21,24 @@ ALLOWED = {
     "io": {"records", "signals"},
     "datasets": {"records", "io"},
     "ground_motion": {"records"},
-    "external": {"ops"},
+    "external": {"ops", "fingerprint"},
+    "storage": set(),
+    "fingerprint": set(),
+    "prediction": {"records", "structures", "simulators"},
     "ops": {"algebra", "records", "structures", "simulators"},
     "distributions": {"ops"},
-    "likelihood_free": {"ops", "simulators", "external"},
+    "likelihood_free": {"ops", "simulators", "fingerprint"},
     "smc": set(),
     "inference": {"records", "structures", "simulators", "distributions", "smc"},
     "study": {
         *("records", "structures", "simulators", "io", "datasets", "ground_motion"),
-        *("ops", "distributions", "likelihood_free", "smc"),
+        *("ops", "distributions", "likelihood_free", "smc", "storage"),
     },
     "plots": set(),
     "progress": set(),
     "update": {
         *("records", "structures", "signals", "io", "datasets", "ground_motion", "simulators"),
-        *("ops", "distributions", "likelihood_free", "smc", "inference", "study", "plots"),
+        *("ops", "distributions", "likelihood_free", "smc", "inference", "prediction", "storage", "plots"),
     },
 }
 ANYTHING = {"__init__", "cli"}

@@ -28,12 +28,12 @@ from pymc_features import (
 from pymc_features.algebra import eigen, natural_modes
 from pymc_features.algebra.factorisation import count_below, eliminate
 from pymc_features.simulators import QUANTITIES
-from pymc_features.simulators.linear.blocks import destination
-from pymc_features.simulators.linear.classical import march_modes, modal_table
 from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.state_space import march_state, step_matrices
 from pymc_features.simulators.linear.system import is_coupled
-from pymc_features.simulators.recursion import N_ROWS
+from pymc_features.simulators.oscillators.blocks import destination
+from pymc_features.simulators.oscillators.march import march_modes, modal_table
+from pymc_features.simulators.oscillators.recursion import N_ROWS
 
 UNDAMPED = ModalDamping(0.0)
 

@@ -17,7 +17,7 @@ from pymc_features import (
     simulators,
 )
 from pymc_features.algebra import AffineMatrix, common_pattern, natural_modes
-from pymc_features.simulators.lanes import LANES
+from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear import (
     linear_discrepancy,
     linear_discrepancy_gradient,

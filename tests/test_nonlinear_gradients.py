@@ -7,13 +7,13 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
 from pymc_features.simulators import discrepancy_gradient, response_gradient
+from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.compiled.vector_math import logarithm, power
+from pymc_features.simulators.compiled.vector_memory import aligned, read_lanes, write_lanes
 from pymc_features.simulators.families import NONLINEAR
-from pymc_features.simulators.lane_bits import aligned, read_lanes, write_lanes
-from pymc_features.simulators.lane_functions import logarithm, power
-from pymc_features.simulators.lanes import LANES
-from pymc_features.simulators.nonlinear import nonlinear_histories
-from pymc_features.simulators.nonlinear_kernels import nonlinear_kernels
-from pymc_features.simulators.tape import CAPACITY
+from pymc_features.simulators.nonlinear.kernels import nonlinear_kernels
+from pymc_features.simulators.nonlinear.response import nonlinear_histories
+from pymc_features.simulators.nonlinear.tape import CAPACITY
 
 KERNELS = {family: nonlinear_kernels(law) for family, law in NONLINEAR.items()}
 NAMES = ("mass", "stiffness", "rayleigh", "ratios", "values")

@@ -604,8 +604,11 @@ def edits(tmp_path_factory):
     for changes in (
         {},
         {
-            "simulators/discrepancy.py": ("errors[j] /= total", "errors[j] *= 2.0 / total"),
-            "simulators/recursion_lanes.py": ("errors[j, lane] / n_times", "5.0 * errors[j, lane] / n_times"),
+            "simulators/chain/discrepancy.py": ("errors[j] /= total", "errors[j] *= 2.0 / total"),
+            "simulators/oscillators/population_recursion.py": (
+                "errors[j, lane] / n_times",
+                "5.0 * errors[j, lane] / n_times",
+            ),
             "ops/numba_dispatch.py": ("return kernel(", "return 3.0 * kernel("),
         },
     ):

@@ -32,8 +32,9 @@ from pymc_features import (
     response,
     simulate,
 )
-from pymc_features.smc import KERNELS, PopulationLogp, evaluation
-from pymc_features.smc.evaluation import population_logp
+from pymc_features.smc import KERNELS, PopulationLogp
+from pymc_features.smc.density import evaluation
+from pymc_features.smc.density.evaluation import population_logp
 
 PULSE = Record(np.random.default_rng(0).normal(size=200), 0.02, name="pulse")
 SCALED = {"rtol": 1e-10, "atol": 1e-10}

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from pymc_features import ModalDamping, Record, SpringMassChain, mean_square_discrepancy, paper, response
 from pymc_features.ops import PopulationDiscrepancy, StructuralDiscrepancy
 from pymc_features.simulators import QUANTITIES, chain_discrepancy, population_discrepancy, request
-from pymc_features.simulators.lanes import LANES
+from pymc_features.simulators.compiled.vector import LANES
 
 DT = 0.02
 

@@ -13,8 +13,8 @@ from scipy.optimize import brentq
 
 import pymc_features as pmf
 from pymc_features import plots, simulators
-from pymc_features.inference.first_passage import standard_error
-from pymc_features.simulators import histories
+from pymc_features.prediction import histories
+from pymc_features.prediction.first_passage import standard_error
 
 DERIVED = ("inter_storey_drift", "base_shear")
 UNITS = {

@@ -10,7 +10,7 @@ import xarray as xr
 
 import pymc_features as pmf
 from pymc_features import plots
-from pymc_features.simulators import ensemble, histories, simulated
+from pymc_features.prediction import ensemble, histories, simulated
 
 SHAKE = pmf.synthetic_earthquake(4.0, 0.02, seed=5, pga=3.0)
 OTHER = pmf.synthetic_earthquake(3.0, 0.01, seed=8, pga=2.0)
@@ -272,7 +272,7 @@ def test_files_are_closed(idata, fails, monkeypatch):
             raise RuntimeError("no structure")
         return bouc_wen(k)
 
-    monkeypatch.setattr("pymc_features.simulators.spill.SpooledTemporaryFile", opened)
+    monkeypatch.setattr("pymc_features.prediction.history_file.SpooledTemporaryFile", opened)
     names = ["base_shear", "relative_velocity"]
     if fails:
         with pytest.raises(RuntimeError, match="no structure"):

@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
+from reference.newmark import newmark
 from scipy.linalg import expm
 from scipy.signal import lsim
 
 from pymc_features import ModalDamping, RayleighDamping, Record, SpringMassChain, paper, simulate
 from pymc_features.simulators import QUANTITIES, UNITS, chain_discrepancy, chain_response
-from pymc_features.simulators.newmark import newmark
-from pymc_features.simulators.recursion import N_ROWS, first_order_hold
+from pymc_features.simulators.oscillators.recursion import N_ROWS, first_order_hold
 
 # --------------------------------------------------------------------------- independent routes
 

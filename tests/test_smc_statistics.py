@@ -15,9 +15,11 @@ from scipy import stats
 from scipy.special import logsumexp
 
 from pymc_features import TMCMC, PersistentSMC, PopulationIMH, PopulationMH
-from pymc_features.smc import KERNELS, persistent, proposal
-from pymc_features.smc.mixture import Pool, bennett, next_beta
-from pymc_features.smc.proposal import StudentMixture, StudentT, fit_mixture
+from pymc_features.smc import KERNELS
+from pymc_features.smc.kernels import persistent
+from pymc_features.smc.proposals import proposal
+from pymc_features.smc.proposals.mixture import Pool, bennett, next_beta
+from pymc_features.smc.proposals.proposal import StudentMixture, StudentT, fit_mixture
 
 SEEDS = range(12)
 

@@ -17,7 +17,7 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.simulators import FAMILIES
-from pymc_features.simulators.modal import chain_modes
+from pymc_features.simulators.chain.modes import chain_modes
 from pymc_features.structures import STRUCTURES, Structure
 
 # One of each structure, with what its springs need

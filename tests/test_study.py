@@ -11,6 +11,7 @@ from scipy import integrate, stats
 from pymc_features import Record, abc_tolerance, sampling_rate_study
 from pymc_features.simulators import simulate
 from pymc_features.smc.results import pad_stages, savable
+from pymc_features.storage import PartStore
 from pymc_features.study import StudyMismatchError, as_csv, as_markdown, paper
 from pymc_features.study import sampling_rate as study_module
 from pymc_features.study.quadrature import (
@@ -20,7 +21,6 @@ from pymc_features.study.quadrature import (
     tolerance_interval,
 )
 from pymc_features.study.settings import checked_study
-from pymc_features.study.store import PartStore
 
 KINDS = ("NORM", "TN", "EXP")
 ALL_KINDS = (*KINDS, "ABC", "CN", "CN-SIGMA", "CN-TAU")

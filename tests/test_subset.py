@@ -32,9 +32,9 @@ from pymc_features import (
     sample_smc,
     simulate,
 )
-from pymc_features.smc import subset
-from pymc_features.smc.discrepancy import SimulatorNode
-from pymc_features.smc.levels import Levels
+from pymc_features.smc.density.discrepancy import SimulatorNode
+from pymc_features.smc.kernels import subset
+from pymc_features.smc.kernels.levels import Levels
 
 QUIET = {"cores": 1, "progressbar": False, "compute_convergence_checks": False}
 pytestmark = [

@@ -22,7 +22,7 @@ from pymc_features.update import (
     structure_sections,
     write_example,
 )
-from pymc_features.update.config import read_config
+from pymc_features.update.config.document import read_config
 from pymc_features.update.structure import StructureOf
 
 SMALL = [

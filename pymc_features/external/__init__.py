@@ -3,6 +3,6 @@
 from pymc_features.external.cache import EvaluationCache
 from pymc_features.external.command import CommandLine
 from pymc_features.external.simulator import ExternalSimulator
-from pymc_features.external.surrogate import Surrogate
+from pymc_features.external.surrogate.surrogate import Surrogate
 
 __all__ = ["CommandLine", "EvaluationCache", "ExternalSimulator", "Surrogate"]

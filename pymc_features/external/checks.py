@@ -1,6 +1,6 @@
 """Settings of a simulator, checked before anything runs."""
 
-from pymc_features.external.executors import check_executor
+from pymc_features.external.processes.executors import check_executor
 
 RETURNS = ("response", "mean_square")
 

@@ -10,12 +10,12 @@ import cloudpickle
 import numpy as np
 
 from pymc_features.external import command, gradient
-from pymc_features.external.batch import Batch, Work
 from pymc_features.external.cache import EvaluationCache
-from pymc_features.external.calls import Outcome
-from pymc_features.external.executors import open_executor
-from pymc_features.external.identity import fingerprint
+from pymc_features.external.processes.batch import Batch, Work
+from pymc_features.external.processes.calls import Outcome
+from pymc_features.external.processes.executors import open_executor
 from pymc_features.external.progress import Lines
+from pymc_features.fingerprint import fingerprint
 
 FAILURES_KEPT = 1000
 WORKS_KEPT = 8  # data sets for which the payload is kept

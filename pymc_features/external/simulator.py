@@ -9,7 +9,7 @@ from pytensor.tensor.variable import TensorVariable
 from pymc_features.external.checks import check_settings
 from pymc_features.external.evaluator import Evaluator, Failure, Task
 from pymc_features.external.gradient import FlatGradient
-from pymc_features.external.identity import UnknownIdentityError, fingerprint
+from pymc_features.fingerprint import UnknownIdentityError, fingerprint
 from pymc_features.ops import ExternalResponse
 
 

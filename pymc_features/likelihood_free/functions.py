@@ -10,7 +10,7 @@ from pytensor.compile.mode import Mode
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant
 
-from pymc_features.external.identity import UnknownIdentityError, fingerprint
+from pymc_features.fingerprint import UnknownIdentityError, fingerprint
 from pymc_features.ops import NoGradient, StructuralResponse, mean_square_discrepancy
 
 ADVICE = (

@@ -1,18 +1,20 @@
 """Arrays in, arrays out: modes, the exact recursion, and the discrepancy, as compiled kernels."""
 
-from pymc_features.simulators.compilation import SOURCE_HASH
-from pymc_features.simulators.discrepancy import chain_discrepancy, chain_misfit
-from pymc_features.simulators.ensemble import Ensemble
+from pymc_features.simulators.chain.discrepancy import chain_discrepancy, chain_misfit
+from pymc_features.simulators.chain.gradient import (
+    discrepancy_gradient,
+    population_gradient,
+    response_gradient,
+)
+from pymc_features.simulators.chain.population import population_discrepancy, population_misfit
+from pymc_features.simulators.chain.tangent import discrepancy_tangent, response_tangent
+from pymc_features.simulators.compiled.jit import SOURCE_HASH
 from pymc_features.simulators.families import FAMILIES
-from pymc_features.simulators.gradient import discrepancy_gradient, population_gradient, response_gradient
-from pymc_features.simulators.population import population_discrepancy, population_misfit
+from pymc_features.simulators.oscillators.recursion import QUANTITIES, chain_response, n_outputs
 from pymc_features.simulators.quantities import HISTORIES, at_outputs, checked_request, force_share, rows_of
-from pymc_features.simulators.recursion import QUANTITIES, chain_response, n_outputs
-from pymc_features.simulators.sampling import UNITS, request
+from pymc_features.simulators.request import UNITS, request
 from pymc_features.simulators.simulate import simulate
-from pymc_features.simulators.simulated import largest
-from pymc_features.simulators.springs import integration_error, spring_forces
-from pymc_features.simulators.tangent import discrepancy_tangent, response_tangent
+from pymc_features.simulators.spring_forces import integration_error, spring_forces
 
 __all__ = [
     "FAMILIES",
@@ -20,7 +22,6 @@ __all__ = [
     "QUANTITIES",
     "SOURCE_HASH",
     "UNITS",
-    "Ensemble",
     "at_outputs",
     "chain_discrepancy",
     "chain_misfit",
@@ -30,7 +31,6 @@ __all__ = [
     "discrepancy_tangent",
     "force_share",
     "integration_error",
-    "largest",
     "n_outputs",
     "population_discrepancy",
     "population_gradient",

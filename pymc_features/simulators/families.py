@@ -23,10 +23,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from pymc_features.simulators.bouc_wen import BoucWen
-from pymc_features.simulators.cubic import Cubic
-from pymc_features.simulators.discrepancy import chain_discrepancy, chain_misfit
-from pymc_features.simulators.gradient import discrepancy_gradient, population_gradient, response_gradient
+from pymc_features.simulators.chain.discrepancy import chain_discrepancy, chain_misfit
+from pymc_features.simulators.chain.gradient import (
+    discrepancy_gradient,
+    population_gradient,
+    response_gradient,
+)
+from pymc_features.simulators.chain.population import population_discrepancy, population_misfit
+from pymc_features.simulators.chain.tangent import discrepancy_tangent, response_tangent
 from pymc_features.simulators.linear import (
     linear_discrepancy,
     linear_discrepancy_gradient,
@@ -39,10 +43,10 @@ from pymc_features.simulators.linear import (
     linear_response_gradient,
     linear_response_tangent,
 )
-from pymc_features.simulators.nonlinear_kernels import nonlinear_kernels
-from pymc_features.simulators.population import population_discrepancy, population_misfit
-from pymc_features.simulators.recursion import chain_response
-from pymc_features.simulators.tangent import discrepancy_tangent, response_tangent
+from pymc_features.simulators.nonlinear.bouc_wen import BoucWen
+from pymc_features.simulators.nonlinear.duffing import Cubic
+from pymc_features.simulators.nonlinear.kernels import nonlinear_kernels
+from pymc_features.simulators.oscillators.recursion import chain_response
 
 
 class Family(NamedTuple):

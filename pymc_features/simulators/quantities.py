@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.simulators.recursion import QUANTITIES
-from pymc_features.simulators.sampling import UNITS, Request, check_outputs, request
+from pymc_features.simulators.oscillators.recursion import QUANTITIES
+from pymc_features.simulators.request import UNITS, Request, check_outputs, request
 
 
 class Response(NamedTuple):

@@ -1,17 +1,17 @@
 """Kernels for `pm.sample_smc`, and results that can be saved. Nothing here knows of structures."""
 
-from pymc_features.smc.checkpoint import CheckpointError
-from pymc_features.smc.evaluation import PopulationLogp, PopulationWarning, population_logp
-from pymc_features.smc.imh import PopulationIMH
-from pymc_features.smc.levels import ToleranceNotReachedError
-from pymc_features.smc.mh import PopulationMH
-from pymc_features.smc.persistent import PersistentSMC
-from pymc_features.smc.population import PopulationKernel
-from pymc_features.smc.prior import prior_draws
+from pymc_features.smc.density.evaluation import PopulationLogp, PopulationWarning, population_logp
+from pymc_features.smc.density.prior import prior_draws
+from pymc_features.smc.kernels.base import PopulationKernel
+from pymc_features.smc.kernels.checkpoint import CheckpointError
+from pymc_features.smc.kernels.imh import PopulationIMH
+from pymc_features.smc.kernels.levels import ToleranceNotReachedError
+from pymc_features.smc.kernels.mh import PopulationMH
+from pymc_features.smc.kernels.persistent import PersistentSMC
+from pymc_features.smc.kernels.subset import SubsetSimulation, SubsetSimulationWarning
+from pymc_features.smc.kernels.tmcmc import TMCMC
 from pymc_features.smc.results import savable
 from pymc_features.smc.sample import processors, sample_smc
-from pymc_features.smc.subset import SubsetSimulation, SubsetSimulationWarning
-from pymc_features.smc.tmcmc import TMCMC
 
 KERNELS = (PopulationIMH, PopulationMH, PersistentSMC, TMCMC)  # for any model
 SIMULATOR_KERNELS = (SubsetSimulation,)  # for models with one pm.Simulator node

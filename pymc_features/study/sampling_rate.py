@@ -10,10 +10,10 @@ import xarray as xr
 from pymc_features.distributions import FeatureLikelihoodWarning
 from pymc_features.records import Record
 from pymc_features.smc import PersistentSMC, SubsetSimulation, sample_smc
+from pymc_features.storage import PartStore
 from pymc_features.study import paper
 from pymc_features.study.models import declare, set_measurements
 from pymc_features.study.settings import checked_study
-from pymc_features.study.store import PartStore
 from pymc_features.study.structures import DEFAULT
 from pymc_features.study.summary import assemble
 

@@ -8,12 +8,12 @@ import xarray as xr
 
 from pymc_features.records import Record
 from pymc_features.simulators import simulate
+from pymc_features.storage import fingerprint
 from pymc_features.structures import Structure
 from pymc_features.study import paper
 from pymc_features.study.misfits import SharedResponses, computed_sums
 from pymc_features.study.models import LIKELIHOODS
 from pymc_features.study.references import Step
-from pymc_features.study.store import fingerprint
 from pymc_features.study.structures import DEFAULT, StudyStructure, find_structure
 
 

@@ -9,8 +9,8 @@ import xarray as xr
 from pymc_features import datasets, signals
 from pymc_features.io import read_channels, read_record
 from pymc_features.records import Record
-from pymc_features.update.config import Config
-from pymc_features.update.messages import ConfigError
+from pymc_features.update.config.document import Config
+from pymc_features.update.config.messages import ConfigError
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ import numpy as np
 from pymc_features import datasets
 from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.simulators import simulate
+from pymc_features.storage import write_atomically
 from pymc_features.structures import ModalDamping, SpringMassChain
-from pymc_features.study.store import write_atomically
 
 TABLE = """\
 dataset = "mini_shake_table"     # measured by others; or your own:

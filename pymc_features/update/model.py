@@ -7,7 +7,7 @@ from pymc_features.distributions import ExpFeature, TruncNormalFeature
 from pymc_features.likelihood_free import DiscrepancySimulator
 from pymc_features.ops import response
 from pymc_features.update.channels import Keyed
-from pymc_features.update.entries import evaluated, priors_in
+from pymc_features.update.config.entries import evaluated, priors_in
 from pymc_features.update.problem import Problem
 
 DIMS = ("sensor", "time")

@@ -4,7 +4,7 @@ import io
 from pathlib import Path
 
 from pymc_features import plots
-from pymc_features.study.store import write_atomically
+from pymc_features.storage import write_atomically
 from pymc_features.update.figures import figures
 from pymc_features.update.problem import Problem
 from pymc_features.update.report import report

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.algebra import to_dense
-from pymc_features.simulators.recursion import n_outputs
+from pymc_features.simulators.oscillators.recursion import n_outputs
 
 
 class Arguments(NamedTuple):

@@ -8,8 +8,8 @@ import numpy as np
 
 from pymc_features.algebra.eigen import NEGATIVE, ROUNDING
 from pymc_features.algebra.factorisation import ZERO_STIFFNESS
-from pymc_features.simulators.compilation import jit
-from pymc_features.simulators.modal import ascending
+from pymc_features.simulators.chain.modes import ascending
+from pymc_features.simulators.compiled.jit import jit
 
 
 @jit

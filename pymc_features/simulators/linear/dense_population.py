@@ -3,13 +3,13 @@
 import numpy as np
 
 from pymc_features.algebra import assemble
-from pymc_features.simulators.compilation import jit
-from pymc_features.simulators.lanes import LANES
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear.arguments import writable
-from pymc_features.simulators.linear.classical import classical_drag, feed_through, modal_table
 from pymc_features.simulators.linear.dense import assemble_dense, dense_modes, is_finite
-from pymc_features.simulators.linear.lane_group import march_group
-from pymc_features.simulators.recursion import N_ROWS
+from pymc_features.simulators.oscillators.march import classical_drag, feed_through, modal_table
+from pymc_features.simulators.oscillators.population_march import march_group
+from pymc_features.simulators.oscillators.recursion import N_ROWS
 
 
 @jit

@@ -7,18 +7,18 @@ weights on y; the rest is algebra of the size of the kept modes, with the divide
 
 import numpy as np
 
-from pymc_features.simulators.compilation import jit
-from pymc_features.simulators.lanes import LANES
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear.arguments import writable
-from pymc_features.simulators.linear.oscillator_sums import (
+from pymc_features.simulators.linear.projection import Cotangent
+from pymc_features.simulators.oscillators.close_modes import close_modes
+from pymc_features.simulators.oscillators.derivatives import (
     march_change,
     oscillator_coefficients,
     sum_histories,
 )
-from pymc_features.simulators.linear.projection import Cotangent
-from pymc_features.simulators.pairs import close_modes
-from pymc_features.simulators.recursion import ABSOLUTE_ACCELERATION
-from pymc_features.simulators.sensitivity import N_COEFFICIENTS
+from pymc_features.simulators.oscillators.recursion import ABSOLUTE_ACCELERATION
+from pymc_features.simulators.oscillators.sensitivity import N_COEFFICIENTS
 
 
 @jit

@@ -8,7 +8,7 @@ each particle or one for all.
 
 import numpy as np
 
-from pymc_features.simulators.lanes import LANES
+from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear.arguments import (
     N_ARGUMENTS,
     N_PARAMETERS,
@@ -17,12 +17,12 @@ from pymc_features.simulators.linear.arguments import (
     one_of,
     writable,
 )
-from pymc_features.simulators.linear.classical import classical_matrices
 from pymc_features.simulators.linear.dense_population import march_dense
-from pymc_features.simulators.linear.lane_group import march_group
 from pymc_features.simulators.linear.response import evaluate
 from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
-from pymc_features.simulators.recursion import N_ROWS
+from pymc_features.simulators.oscillators.march import classical_matrices
+from pymc_features.simulators.oscillators.population_march import march_group
+from pymc_features.simulators.oscillators.recursion import N_ROWS
 
 
 def linear_population_discrepancy(*arguments) -> np.ndarray:

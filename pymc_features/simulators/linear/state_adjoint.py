@@ -13,9 +13,8 @@ held fixed: the response does not depend on it, so that repeated frequencies nee
 import numpy as np
 from scipy.linalg import expm_frechet
 
-from pymc_features.simulators.compilation import jit
+from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.linear.arguments import writable
-from pymc_features.simulators.linear.blocks import take_change
 from pymc_features.simulators.linear.projection import Cotangent
 from pymc_features.simulators.linear.state_space import (
     advance_state,
@@ -24,7 +23,8 @@ from pymc_features.simulators.linear.state_space import (
     step_system,
 )
 from pymc_features.simulators.linear.system import observe
-from pymc_features.simulators.recursion import BLOCK, RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
+from pymc_features.simulators.oscillators.blocks import take_change
+from pymc_features.simulators.oscillators.recursion import BLOCK, RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
 
 
 @jit

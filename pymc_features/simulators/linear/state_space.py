@@ -14,9 +14,9 @@ S = max(Omega h, 1) make F small where a frequency is high: two to five times le
 import numpy as np
 from scipy.linalg import expm
 
-from pymc_features.simulators.compilation import jit
-from pymc_features.simulators.linear.blocks import take_block
-from pymc_features.simulators.recursion import (
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.oscillators.blocks import take_block
+from pymc_features.simulators.oscillators.recursion import (
     BLOCK,
     RELATIVE_DISPLACEMENT,
     RELATIVE_VELOCITY,

@@ -8,9 +8,9 @@ import numpy as np
 
 from pymc_features.simulators.linear import oscillators, state_adjoint
 from pymc_features.simulators.linear.arguments import N_ARGUMENTS, N_PARAMETERS, Arguments
-from pymc_features.simulators.linear.blocks import destination
 from pymc_features.simulators.linear.projection import move
 from pymc_features.simulators.linear.system import solve_system
+from pymc_features.simulators.oscillators.blocks import destination
 
 
 def linear_response_tangent(*arguments) -> np.ndarray:

@@ -1,0 +1,104 @@
+"""Where simulations run: local processes, a Dask cluster, or any executor."""
+
+import os
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import suppress
+
+from pymc_features.external.processes.calls import end_processes
+
+ADVICE = (
+    "Give a number of local processes, the address of a Dask scheduler, or an object with submit() like "
+    "those of concurrent.futures."
+)
+
+
+def check_executor(executor):
+    """Refuse what cannot run simulations."""
+    whole = isinstance(executor, int) and not isinstance(executor, bool) and executor >= 1
+    if not (executor is None or whole or isinstance(executor, str | Executor)) and not callable(
+        getattr(executor, "submit", None)
+    ):
+        raise TypeError(f"`executor` must be something that runs simulations, got {executor!r}. {ADVICE}")
+
+
+def open_executor(executor):
+    """Return an object with `submit`, and a function of digests that ends what runs and what is ours."""
+    if executor is None or isinstance(executor, int):
+        pool = LocalExecutor(executor or processors())
+        return pool, pool.end
+    if isinstance(executor, str):
+        pool = DaskExecutor(dask_client(executor), ours=True)
+        return pool, pool.end
+    if hasattr(executor, "scheduler_info") and hasattr(executor, "map"):  # a dask.distributed.Client
+        pool = DaskExecutor(executor, ours=False)
+        return pool, pool.end
+    return executor, end_processes
+
+
+class LocalExecutor(ThreadPoolExecutor):
+    """Threads that wait, each for a process of its own."""
+
+    brings = True
+
+    def __init__(self, n_processes: int):
+        super().__init__(n_processes, thread_name_prefix="simulation")
+
+    def end(self, digests):
+        """Drop what has not begun, and kill what has."""
+        self.shutdown(wait=False, cancel_futures=True)
+        end_processes(digests)
+
+
+class DaskExecutor:
+    """`submit` on a Dask cluster; a worker that dies hands its tasks to others.
+
+    Parameters
+    ----------
+    client : dask.distributed.Client
+    ours : bool
+        Whether it is to be closed at the end.
+    """
+
+    brings = True
+
+    def __init__(self, client, ours: bool):
+        self.client, self.ours = client, ours
+        self.executor = client.get_executor(pure=False)
+        self.payloads = {}
+
+    def submit(self, function, digest, arguments, timeout, payload):
+        """A `concurrent.futures.Future`; the payload goes to each worker once, and again to a new one."""
+        if self.client.status not in ("running", "connecting"):
+            raise RuntimeError(f"the Dask client is {self.client.status}")
+        if digest not in self.payloads:
+            self.payloads[digest] = self.client.submit(bytes, payload, key=f"simulator-{digest}")
+        return self.executor.submit(function, digest, arguments, timeout, self.payloads[digest])
+
+    def end(self, digests):
+        """End the processes on all workers."""
+        self.payloads.clear()
+        with suppress(Exception):  # there may be no cluster any more
+            self.client.run(end_processes, digests, on_error="ignore")
+        if self.ours:
+            self.client.close()
+
+
+def dask_client(address: str):
+    """A client of the Dask scheduler at an address."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ImportError(
+            f"`executor` must be reachable, got the address {address!r} without Dask. Install distributed."
+        ) from None
+    try:
+        return Client(address, timeout="30s", set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ValueError(
+            f"`executor` must be the address of a Dask scheduler, got {address!r} ({error}). Is it running?"
+        ) from None
+
+
+def processors() -> int:
+    """Number of processors that this process may use."""
+    return os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()

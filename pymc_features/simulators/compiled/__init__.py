@@ -1,0 +1,1 @@
+"""Compilation of the kernels, and vectors of numbers in the registers of the processor."""

@@ -1,0 +1,70 @@
+"""How the kernels of this folder are compiled, and how their machine code is kept on disk.
+
+Numba's own disk cache notices a change of the file that holds a function, not of the functions it
+calls in other files: after an upgrade it can run old machine code. Here the cache folder is named
+after a hash of every source file of the kernels, so that any change starts an empty one. The same
+hash goes into the cache keys of the PyTensor Ops (`pymc_features.ops`).
+"""
+
+import hashlib
+from pathlib import Path
+
+from numba import config, njit
+from numba.core.caching import CacheImpl, _CacheLocator
+from numba.misc.appdirs import AppDirs
+
+# Everything but `nnan` and `ninf`: the kernels rely on NaN and infinity to reject bad parameters.
+FASTMATH = {"arcp", "contract", "afn", "reassoc", "nsz"}
+
+
+def source_hash() -> str:
+    """SHA-256 of the sources of all kernels, and of the matrices whose constants they share (hexadecimal)."""
+    digest = hashlib.sha256()
+    here = Path(__file__).parents[1]
+    for path in sorted([*here.rglob("*.py"), *here.parent.joinpath("algebra").rglob("*.py")]):
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+SOURCE_HASH = source_hash()
+
+
+class KernelCacheLocator(_CacheLocator):
+    """Keeps the machine code of this folder's kernels in one directory for each `SOURCE_HASH`."""
+
+    def __init__(self, py_func):
+        base = config.CACHE_DIR or AppDirs("pymc_features", appauthor=False).user_cache_dir
+        self._path = Path(base) / "kernels" / SOURCE_HASH[:24]
+        self._name = f"{py_func.__module__}.{py_func.__qualname__}"
+
+    def get_cache_path(self):
+        return str(self._path)
+
+    def get_source_stamp(self):
+        return SOURCE_HASH
+
+    def get_disambiguator(self):
+        return self._name
+
+    @classmethod
+    def from_function(cls, py_func, py_file):
+        if not py_func.__module__.startswith("pymc_features.simulators."):
+            return None
+        locator = cls(py_func)
+        try:
+            locator.ensure_cache_path()
+        except OSError:  # read-only home: compile anew in each process
+            return None
+        return locator
+
+
+CacheImpl._locator_classes.insert(0, KernelCacheLocator)
+
+
+def jit(function):
+    """Compile a kernel: no Python objects, one thread, machine code kept on disk.
+
+    Division by zero gives infinity or NaN, as in NumPy, never an exception in the middle of sampling.
+    """
+    return njit(function, fastmath=FASTMATH, error_model="numpy", cache=True)

@@ -1,0 +1,1 @@
+"""Kernels of chains whose springs are nonlinear."""

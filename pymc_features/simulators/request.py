@@ -1,0 +1,123 @@
+"""What is asked of a response: output step, sensors, quantity and number of modes, checked."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features.simulators.oscillators.recursion import QUANTITIES
+
+UNITS = dict(zip(QUANTITIES, ("m/s^2", "m/s^2", "m/s", "m"), strict=True))
+
+
+class Request(NamedTuple):
+    """A checked request: the response of `sensors` at every `stride`-th of `substeps` per step."""
+
+    substeps: int
+    stride: int
+    sensors: np.ndarray
+    n_modes: int
+    quantity: str
+
+    @property
+    def quantity_code(self) -> int:
+        """What the kernels call the quantity."""
+        return QUANTITIES.index(self.quantity)
+
+    def n_outputs(self, n_times: int) -> int:
+        """Number of output samples for a record of `n_times` samples."""
+        return (n_times - 1) * self.substeps // self.stride + 1
+
+    def times(self, record_dt: float, n_outputs: int) -> np.ndarray:
+        """Output times (n_outputs,) [s], from 0."""
+        return np.arange(n_outputs) * (record_dt * self.stride / self.substeps)
+
+
+def request(
+    n_dof: int,
+    record_dt: float,
+    *,
+    dt: float | None = None,
+    sensors: Sequence[int] | None = None,
+    quantity: str = "absolute_acceleration",
+    n_modes: int | None = None,
+) -> Request:
+    """Check what a user asks of a structure of `n_dof` degrees of freedom.
+
+    Raises
+    ------
+    ValueError
+        With a message that names the argument, what it was and what to pass.
+    """
+    substeps, stride = sampling_grid(record_dt, dt)
+    if quantity not in QUANTITIES:
+        raise ValueError(f"`quantity` must be one of {', '.join(QUANTITIES)}, got {quantity!r}.")
+    if n_modes is None:
+        n_modes = n_dof
+    elif isinstance(n_modes, bool | str) or int(n_modes) != n_modes or not 1 <= n_modes <= n_dof:
+        raise ValueError(
+            f"`n_modes` must be an integer from 1 to {n_dof}, got {n_modes}. Leave it out for all modes."
+        )
+    return Request(substeps, stride, check_sensors(sensors, n_dof), int(n_modes), quantity)
+
+
+def check_sensors(sensors, n_dof: int) -> np.ndarray:
+    """Return the sensors as an integer array; None stands for all degrees of freedom."""
+    if sensors is None:
+        return np.arange(n_dof)
+    indices = np.atleast_1d(np.asarray(sensors))
+    if indices.ndim != 1 or indices.size == 0 or not np.issubdtype(indices.dtype, np.integer):
+        raise ValueError(f"`sensors` must be a list of degrees of freedom (integers), got {sensors!r}.")
+    if not ((indices >= 0) & (indices < n_dof)).all():
+        raise ValueError(
+            f"`sensors` must lie between 0 and {n_dof - 1}, got {indices.tolist()}. "
+            "Degree of freedom 0 is next to the base."
+        )
+    return indices.astype(np.int64)
+
+
+def check_outputs(outputs, n_dof: int) -> np.ndarray:
+    """Return the matrix S (s, n) of wanted combinations S x as an array of its own."""
+    try:
+        matrix = np.array(outputs.toarray() if hasattr(outputs, "toarray") else outputs, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"`outputs` must be a matrix of numbers, got {type(outputs).__name__}. Combine a response by "
+            "variables with `pt.dot`."
+        ) from None
+    if matrix.ndim != 2 or matrix.shape[1] != n_dof or matrix.shape[0] == 0:
+        raise ValueError(
+            f"`outputs` must have shape (s, {n_dof}), got {matrix.shape}. "
+            "Give one row for each combination and one column for each degree of freedom."
+        )
+    if not np.isfinite(matrix).all():
+        raise ValueError("`outputs` must be finite, got NaN or infinity. Pass real coefficients.")
+    return matrix
+
+
+def sampling_grid(record_dt: float, dt: float | None) -> tuple[int, int]:
+    """Return (substeps, stride) such that dt = record_dt * stride / substeps.
+
+    Parameters
+    ----------
+    record_dt, dt : float
+        Steps of the record and of the output [s]; one must be an integer multiple of the other.
+        `dt=None` is the record's own step.
+    """
+    if dt is None:
+        return 1, 1
+    if np.ndim(dt) or not isinstance(dt, float | int | np.number | np.ndarray):
+        raise TypeError(
+            f"`dt` must be a number, got {type(dt).__name__}. Pass the output step in seconds; in a model it "
+            "may be pm.Data."
+        )
+    if not 0.0 < dt < np.inf:
+        raise ValueError(f"`dt` must be positive, got {dt}. Pass the output step in seconds.")
+    ratio = dt / record_dt
+    factor = round(max(ratio, 1.0 / ratio))
+    if abs(max(ratio, 1.0 / ratio) / factor - 1.0) > 1e-6:
+        raise ValueError(
+            f"`dt` must be an integer multiple or divisor of the record's step {record_dt:g} s, "
+            f"got {dt:g} s. Resample the record first."
+        )
+    return (1, factor) if ratio >= 1.0 else (factor, 1)

@@ -1,0 +1,1 @@
+"""Kernels for `pm.sample_smc`, one a file."""

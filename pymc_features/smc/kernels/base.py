@@ -1,0 +1,216 @@
+"""What the kernels share that evaluate a whole population at once."""
+
+import time
+
+import numpy as np
+from pymc.model import modelcontext
+from pymc.smc.kernels import SMC_KERNEL, Pearson
+from pymc.vartypes import discrete_types
+
+from pymc_features.smc.density.evaluation import population_logp
+from pymc_features.smc.density.prior import prior_draws
+from pymc_features.smc.kernels.checkpoint import Checkpoint, model_fingerprint
+
+
+def whole_number(name, value, least: int) -> int:
+    """An integer argument, checked."""
+    try:
+        if not isinstance(value, bool) and int(value) == value and value >= least:
+            return int(value)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ValueError(f"`{name}` must be an integer of at least {least}, got {value!r}.")
+
+
+def check_share(name, value, default: float):
+    """Refuse what does not lie between 0 and 1."""
+    if not (isinstance(value, int | float | np.number) and 0.0 < value < 1.0):
+        raise ValueError(f"`{name}` must lie between 0 and 1, got {value!r}. The default is {default}.")
+
+
+class PopulationKernel(SMC_KERNEL):
+    """Base of the kernels for `pm.sample_smc` that evaluate all particles in one compiled call.
+
+    A kernel proposes (`propose`) and adapts (`tune`); the stages, the temperatures and the resampling are
+    PyMC's. It knows nothing of structures: any PyMC model runs on it. Models that cannot be vectorised,
+    such as those with a `pm.Simulator` whose function takes one set of parameters, are evaluated particle
+    by particle, with one `PopulationWarning`.
+
+    Parameters
+    ----------
+    draws : int
+        Number of particles.
+    start, model, random_seed, threshold, compile_kwargs
+        As in PyMC's kernels.
+    checkpoint : path-like, optional
+        Folder that keeps every evaluation; a run that was killed goes on from there with the same
+        `random_seed`, to the same particles. See `sample_smc`.
+
+    Notes
+    -----
+    `sample_stats` of each stage: `n_steps` Markov chain steps, `evaluations` of the likelihood (those of the
+    initial population count for the first stage), `failed` simulations among them, and `seconds`. Particles
+    whose log-density is not finite have probability zero, each on its own; nothing raises in between.
+    """
+
+    # PyMC starts every particle of a variable with an `initval` there, and those of discrete variables at
+    # integers of the real line they move on. Where the first particles must be draws from the prior, both
+    # are undone.
+    starts_from_prior = False
+    correlation_threshold = 0.01  # of `mutate`, as in PyMC
+    stats_dtypes_shapes = {
+        **SMC_KERNEL.stats_dtypes_shapes,
+        "n_steps": (int, []),
+        "evaluations": (int, []),
+        "failed": (int, []),
+        "seconds": (float, []),
+    }
+
+    def __init__(
+        self,
+        draws=2000,
+        start=None,
+        model=None,
+        random_seed=None,
+        threshold=0.5,
+        compile_kwargs=None,
+        checkpoint=None,
+    ):
+        # not SMC_KERNEL's own: it would compile two functions for single particles
+        self.draws = whole_number("draws", draws, 2)
+        check_share("threshold", threshold, 0.5)
+        self.start = start
+        self.threshold = threshold
+        self.rng = np.random.default_rng(seed=random_seed)
+        model = modelcontext(model)
+        self.variables = model.value_vars
+        self.prior = prior_draws(model, self.starts_from_prior)
+        self.prior_names = [model.rvs_to_values[rv].name for rv in model.free_RVs]
+        # in place of PyMC's initial point, which is compiled anew each time
+        draw = self.prior(1, np.random.default_rng(self.rng.integers(2**30)))
+        point = {name: values[0] for name, values in zip(self.prior_names, draw, strict=True)}
+        point = {v.name: point[v.name] for v in self.variables}
+        self.var_info = {name: (value.shape, value.size) for name, value in point.items()}
+        self.n_parameters = sum(size for _, size in self.var_info.values())
+        self.compile_evaluation(model, point, compile_kwargs or {})
+        self.checkpoint = self.journal = None
+        if checkpoint is not None:
+            self.checkpoint = Checkpoint(checkpoint, model_fingerprint(model))
+            self.checkpoint.refuse_random(self.logp)
+        self._reset_state()
+
+    def _reset_state(self):
+        super()._reset_state()
+        self.n_steps = self.evaluations = self.failed = 0
+        self.clock = time.perf_counter()
+
+    def checked_stage_draws(self, stage_draws, share: float, least: int, default: int) -> int:
+        """Size of a stage: as asked for, or a share of the draws that suffices for the parameters."""
+        if stage_draws is None:
+            return max(int(share * self.draws), 50 * self.n_parameters, default)
+        return whole_number("stage_draws", stage_draws, least)
+
+    def compile_evaluation(self, model, point, compile_kwargs):
+        """Compile what `evaluate` calls."""
+        self.logp = population_logp(model, point, compile_kwargs)
+
+    def set_rng(self, rng):
+        """Use this generator; random draws inside the log-probability get streams of their own."""
+        self.rng = rng
+        self.logp = self.logp.with_rng(rng)
+        if self.checkpoint is not None:
+            settings = {"kernel": type(self).__name__, "draws": self.draws, **self.sample_settings()}
+            if self.journal is not None:
+                self.journal.close()  # the chain before
+            self.journal = self.checkpoint.journal(settings, rng)
+
+    def evaluated(self, particles):
+        """Log prior, log-likelihood and failures, each (p,), of particles (p, d); journals remember them."""
+        if self.journal is None:
+            return self.logp(particles)
+        return self.journal.evaluate(self.logp, particles)
+
+    def evaluate(self, particles):
+        """Log prior and log-likelihood, each (p,), of particles (p, d); counts evaluations and failures."""
+        prior, likelihood, failed = self.evaluated(particles)
+        self.evaluations += len(particles)
+        self.failed += int(failed.sum())
+        return prior, likelihood
+
+    def initial_particles(self, n: int) -> np.ndarray:
+        """The given start, or `n` draws from the prior: (n, d)."""
+        initial = self.start or dict(zip(self.prior_names, self.prior(n, self.rng), strict=True))
+        columns = []
+        for v in self.variables:
+            values = np.array(initial[v.name], dtype=np.float64)
+            if self.starts_from_prior and v.dtype in discrete_types:
+                values += self.rng.uniform(-0.5, 0.5, values.shape)
+            columns.append(values.reshape(len(values), -1))
+        return np.hstack(columns)
+
+    def _initialize_kernel(self):
+        self.tempered_posterior = self.initial_particles(self.draws)
+        self.prior_logp, self.likelihood_logp = self.evaluate(self.tempered_posterior)
+        if not (self.prior_logp + self.likelihood_logp > -np.inf).any():
+            self.refuse_impossible_model()
+
+    def refuse_impossible_model(self):
+        """Say that no initial particle is possible."""
+        error = f", the last with {self.logp.last_error}" if self.logp.last_error else ""
+        raise ValueError(
+            f"the model must have a finite log-density somewhere, got none at {self.evaluations} draws from "
+            f"the prior ({self.failed} failed simulations{error}). Increase `draws`, narrow the priors, or "
+            "check the model at one point with model.point_logps()."
+        )
+
+    def propose(self):
+        """Return proposals (p, d) and the log-densities of the moves back and forth, each (p,) or 0."""
+        raise NotImplementedError
+
+    def mutate(self):
+        """Metropolis-Hastings steps until the particles have forgotten where the stage began, as in PyMC."""
+        self.n_steps = 0
+        previous = 2.0
+        correlation = Pearson(self.tempered_posterior)
+        accepted_steps = []
+        while True:
+            log_u = np.log(self.rng.random(self.draws))
+            proposal, backward, forward = self.propose()
+            prior, likelihood = self.evaluate(proposal)
+            logp = prior + likelihood * self.beta
+            accepted = log_u < (logp + backward) - (self.tempered_posterior_logp + forward)
+            self.tempered_posterior[accepted] = proposal[accepted]
+            self.tempered_posterior_logp[accepted] = logp[accepted]
+            self.prior_logp[accepted] = prior[accepted]
+            self.likelihood_logp[accepted] = likelihood[accepted]
+            accepted_steps.append(accepted)
+            self.n_steps += 1
+            r = correlation.get(self.tempered_posterior)
+            if not np.mean((previous - r) > self.correlation_threshold) > 0.9:
+                break
+            previous = r
+        self.accepted = np.array(accepted_steps)
+
+    def sample_stats(self):
+        """Statistics of the stage just finished."""
+        now = time.perf_counter()
+        stats = {
+            "log_marginal_likelihood": self.log_marginal_likelihood if self.beta == 1 else np.nan,
+            "beta": self.beta,
+            "n_steps": self.n_steps,
+            "evaluations": self.evaluations,
+            "failed": self.failed,
+            "seconds": now - self.clock,
+        }
+        self.evaluations = self.failed = 0
+        self.clock = now
+        return stats
+
+    def sample_settings(self):
+        """Settings, saved as attributes of `sample_stats`; those of PyMC's kernels."""
+        return {
+            "_n_draws": self.draws,
+            "threshold": self.threshold,
+            "_n_tune": self.n_steps,
+            "correlation_threshold": self.correlation_threshold,
+        }

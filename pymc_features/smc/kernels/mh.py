@@ -1,0 +1,52 @@
+"""PyMC's random-walk Metropolis kernel on whole populations."""
+
+import numpy as np
+from pymc.pytensorf import floatX
+from pymc.smc.kernels import MH
+
+from pymc_features.smc.kernels.base import PopulationKernel
+
+
+class PopulationMH(PopulationKernel, MH):
+    """Random-walk Metropolis: the particles of `pymc.smc.kernels.MH`, evaluated all at once.
+
+    Parameters
+    ----------
+    correlation_threshold : float
+        Steps of a stage go on while the correlation with its first particles falls by more than this.
+    **settings
+        Of `PopulationKernel`.
+
+    Notes
+    -----
+    The same seed gives the same particles as PyMC's kernel (tests/test_population.py).
+    """
+
+    stats_dtypes_shapes = {
+        **PopulationKernel.stats_dtypes_shapes,
+        "mean_accept_rate": (float, []),
+        "mean_proposal_scale": (float, []),
+    }
+
+    def __init__(self, *args, correlation_threshold=0.01, **settings):
+        PopulationKernel.__init__(self, *args, **settings)
+        self.correlation_threshold = correlation_threshold
+        self.proposal_dist = self.proposal_scales = self.chain_acc_rate = None
+
+    def propose(self):
+        """Step from each particle, with the covariance of all and a scale of its own."""
+        step = self.proposal_dist(num_draws=self.draws, rng=self.rng)
+        return floatX(self.tempered_posterior + step * self.proposal_scales[:, None]), 0.0, 0.0
+
+    def mutate(self):
+        """Metropolis steps; their acceptance sets the scales of the next stage."""
+        super().mutate()
+        self.chain_acc_rate = np.mean(self.accepted, axis=0)
+
+    def sample_stats(self):
+        """Statistics of the stage just finished."""
+        return {
+            **PopulationKernel.sample_stats(self),
+            "mean_accept_rate": float(self.chain_acc_rate.mean()),
+            "mean_proposal_scale": float(self.proposal_scales.mean()),
+        }

@@ -1,0 +1,300 @@
+"""ABC with a hard tolerance by subset simulation."""
+
+import warnings
+
+import numpy as np
+
+from pymc_features.smc.density.discrepancy import SimulatorNode
+from pymc_features.smc.density.evaluation import population_logp
+from pymc_features.smc.kernels.base import PopulationKernel, check_share
+from pymc_features.smc.kernels.levels import Levels, ToleranceNotReachedError
+from pymc_features.smc.proposals.moves import CrossedMoves
+
+MOVES_PER_DRAW = 1.5  # accepted moves in the last level for each draw, so that most draws are distinct
+MAX_STEPS = 500  # of a level
+
+
+class SubsetSimulationWarning(UserWarning):
+    """A soft kernel is replaced by the threshold, or draws are correlated."""
+
+
+class SubsetSimulation(PopulationKernel):
+    """Draws from the prior where rho <= epsilon: ABC with a hard tolerance, reached in levels.
+
+    Each level keeps the fraction `p0` of its population with the smallest rho; the largest of these is the
+    next tolerance. From every particle kept a Markov chain fills the population up again, within that
+    tolerance. The last tolerance is epsilon itself. The product of the fractions is the evidence,
+    P(rho <= epsilon).
+
+    Parameters
+    ----------
+    draws : int
+        Draws to return, all with rho <= epsilon.
+    p0 : float
+        Fraction of a population that a level keeps, between 0 and 1.
+    stage_draws : int, optional
+        Population of the levels before the last: half of `draws`, and not less than 50 for each parameter and
+        400 in all, by default. More of them make the evidence more exact, and find several narrow modes; few
+        of them overestimate it, by a fraction of its standard error.
+    epsilon : float, optional
+        Tolerance to reach, in place of the node's.
+    max_simulations : int, optional
+        Simulations after which a chain gives up; 100 for each draw by default.
+    start : dict, optional
+        First particles, which must be draws from the prior: the evidence rests on it. Drawn by default.
+    model, random_seed, compile_kwargs
+        As in PyMC's kernels.
+
+    Raises
+    ------
+    ValueError
+        If the model has no `pm.Simulator` node, or several, or an argument is out of range.
+    ToleranceNotReachedError
+        If `max_simulations` are spent, or the levels make no more headway. The message says how far they
+        came. From `pm.sample_smc` with several processes it comes as the cause of a `ParallelSamplingError`;
+        `sample_smc` raises it as it is.
+
+    Warns
+    -----
+    SubsetSimulationWarning
+        If the node has a soft kernel, which the hard threshold replaces; if the last level is cut short.
+
+    Notes
+    -----
+    Works on any model with one `pm.Simulator` node, PyMC's own included: there rho is ``|s(y) - s(x)|``, the
+    Euclidean norm for "gaussian" and the sum for "laplace". Noisy simulators are allowed: rho belongs to the
+    state of a chain and is never drawn again. Failed simulations are counted and rejected. Proposals that
+    the prior rejects are not simulated.
+
+    The moves are those of `PersistentSMC`: a mixture of Student-t distributions fitted to the particles kept,
+    independent or conditional on the present point, of a length that adapts to the acceptance, and steps of
+    differential evolution. One half of the particles is moved by what is fitted to the other.
+
+    `sample_stats` of each level: `tolerance`, `accept_rate`, `evaluations` (simulations), `failed`,
+    `log_probability` of the level's tolerance and its `coefficient_of_variation` (Au & Beck, with the
+    correlation within chains), `scale` of the moves; for the chain `log_marginal_likelihood` and its standard
+    error.
+
+    References
+    ----------
+    Chiachio, Beck, Chiachio & Rus, Approximate Bayesian computation by subset simulation, SIAM J. Sci.
+    Comput. 36 (2014), A1339-A1358. Vakilzadeh, Huang, Beck & Abrahamsson, Approximate Bayesian computation by
+    subset simulation using hierarchical state-space models, Mech. Syst. Signal Process. 84 (2017), 2-20.
+    Au & Beck, Estimation of small failure probabilities in high dimensions by subset simulation, Probab.
+    Eng. Mech. 16 (2001), 263-277.
+    """
+
+    starts_from_prior = True
+    stats_dtypes_shapes = {
+        **PopulationKernel.stats_dtypes_shapes,
+        "tolerance": (float, []),
+        "accept_rate": (float, []),
+        "scale": (float, []),
+        "log_probability": (float, []),
+        "coefficient_of_variation": (float, []),
+        "log_marginal_likelihood_se": (float, []),
+    }
+
+    def __init__(
+        self,
+        draws=2000,
+        *,
+        p0=0.2,
+        stage_draws=None,
+        epsilon=None,
+        max_simulations=None,
+        start=None,
+        model=None,
+        random_seed=None,
+        compile_kwargs=None,
+        checkpoint=None,
+    ):
+        super().__init__(draws, start, model, random_seed, 0.5, compile_kwargs, checkpoint)
+        check_share("p0", p0, 0.2)
+        self.p0 = float(p0)
+        # each half of the particles that a level keeps must show a shape
+        self.least = int(np.ceil(4 / self.p0))
+        self.stage_draws = self.checked_stage_draws(stage_draws, share=0.5, least=self.least, default=400)
+        if max_simulations is None:
+            max_simulations = 100 * max(self.draws, self.stage_draws)
+        if not (isinstance(max_simulations, int | float | np.number) and max_simulations >= self.stage_draws):
+            raise ValueError(
+                f"`max_simulations` must allow for {self.stage_draws} draws from the prior, got "
+                f"{max_simulations!r}."
+            )
+        self.max_simulations = max_simulations
+        self.epsilon = self.node.tolerance(epsilon)
+        if not self.node.hard:
+            warnings.warn(
+                "SubsetSimulation draws from rho <= epsilon, not with the soft kernel of "
+                f"{self.node.rv.name}. For that kernel sample with pmf.sample_smc(); for the threshold "
+                'without this warning declare a DiscrepancySimulator with kernel="uniform".',
+                SubsetSimulationWarning,
+                stacklevel=4,
+            )
+
+    def compile_evaluation(self, model, point, compile_kwargs):
+        """Two functions: what can be told without a simulation, and rho."""
+        self.node = node = SimulatorNode(model)
+        self.conditions_on_more = node.conditions_on_more
+        self.base = population_logp(model, point, compile_kwargs, "base", node.base_terms)
+        self.logp = population_logp(model, point, compile_kwargs, "rho", node.rho_terms)
+
+    def __getstate__(self):
+        return {key: value for key, value in self.__dict__.items() if key != "node"}  # the model stays
+
+    def _initialize_kernel(self):
+        """Simulate draws from the prior until enough of them give a number."""
+        self.moves = CrossedMoves(self.n_parameters)
+        self.levels = Levels(self.epsilon, self.p0)
+        self.simulations, self.smallest = 0, np.inf
+        wanted, parts, possible = max(20, 4 * self.n_parameters), [], 0
+        while possible < wanted:
+            x, base = self.prior_particles()
+            if not self.spend(len(x)):
+                break
+            if len(x) < self.least:
+                raise ValueError(
+                    f"`start` must hold {self.least} draws from the prior or more, got {len(x)}."
+                )
+            parts.append((x, base, self.simulate(x)))
+            possible += int(np.isfinite(parts[-1][-1]).sum())
+            if self.start or (possible == 0 and len(parts) == 2):
+                break
+        if not parts:
+            self.give_up("`start` has more particles than `max_simulations` allows.")
+        self.population = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        self.chains = np.arange(len(self.population[0]))
+        if possible == 0:
+            self.refuse_impossible_model()
+        if possible < wanted and not self.start:
+            self.give_up("`max_simulations` were spent on simulations that fail.")
+
+    def prior_particles(self):
+        """Particles (n, d) from the prior and the model's other terms, with the log-density of both."""
+        x = self.initial_particles(self.stage_draws)
+        prior, rest, _ = self.base(x)
+        if self.conditions_on_more:
+            chosen = self.levels.condition(rest, self.rng)
+            x, prior, rest = x[chosen], prior[chosen], rest[chosen]
+        return x, prior + rest
+
+    def simulate(self, x):
+        """rho (n,) of particles (n, d), infinite where the simulation failed; counted."""
+        _, minus_rho, failed = self.evaluated(x)
+        self.evaluations += len(x)
+        self.failed += int(failed.sum())
+        self.smallest = min(self.smallest, -minus_rho.max())
+        return -minus_rho
+
+    def spend(self, n: int) -> bool:
+        """Take `n` simulations from the budget; False if they are no longer there."""
+        if self.simulations + n > self.max_simulations:
+            return False
+        self.simulations += n
+        return True
+
+    def update_beta_and_weights(self):
+        """Lower the tolerance, and find the particles within it."""
+        self.iteration += 1
+        self.seeds = self.levels.lower(self.population[2], self.chains)
+        self.beta = self.levels.progress
+        self.log_marginal_likelihood = self.levels.log_probability
+        if self.levels.has_stalled:
+            self.give_up("The last levels came no nearer: increase `epsilon`, or improve the model.")
+
+    def give_up(self, reason):
+        """Say how far the levels came."""
+        raise ToleranceNotReachedError(
+            f"`epsilon` must be within reach of the simulator, got {self.epsilon:.6g}: after "
+            f"{self.simulations} simulations the tolerance is {self.levels.tolerance:.6g} and the smallest "
+            f"rho {self.smallest:.6g}. {reason}"
+        )
+
+    def resample(self):
+        """Nothing: all particles within the tolerance begin a chain."""
+
+    def tune(self):
+        """Fit the moves to the particles within the tolerance."""
+        self.moves.fit(self.population[0][self.seeds], self.rng)
+
+    def mutate(self):
+        """From each particle kept, a Markov chain within the tolerance; its states are the new population."""
+        moves = self.moves
+        x, base, rho = (a[self.seeds] for a in self.population)
+        density = moves.log_density(x)
+        states, acceptances = [(x, base, rho)], []
+        while not self.level_is_done(len(x), sum(acceptances) * len(x)):
+            proposal, local = moves.propose(x, self.rng)
+            prior, rest, _ = self.base(proposal)
+            new_density = moves.log_density(proposal)
+            log_ratio = prior + rest - base + np.where(local, 0.0, density - new_density)
+            tried = np.log(self.rng.random(len(x))) < log_ratio
+            if not self.spend(tried.sum()):
+                if not self.levels.is_last:
+                    self.give_up("Increase `epsilon`, or `max_simulations`, which are spent.")
+                self.warn_of_correlation("`max_simulations` were spent")
+                break
+            new_rho = np.full(len(x), np.inf)
+            if tried.any():
+                new_rho[tried] = self.simulate(proposal[tried])
+            moved = new_rho <= self.levels.tolerance
+            x = np.where(moved[:, None], proposal, x)
+            base, density = np.where(moved, prior + rest, base), np.where(moved, new_density, density)
+            rho = np.where(moved, new_rho, rho)
+            states.append((x, base, rho))
+            acceptances.append(moved.mean())
+            moves.learn(moved)
+        self.n_steps = moves.n_steps
+        self.accept_rate = float(np.mean(acceptances)) if acceptances else np.nan
+        self.collect(states)
+
+    def level_is_done(self, n_chains, n_accepted):
+        """Whether the chains are long and mixed enough and, in the last level, the draws differ."""
+        steps, last = self.moves.n_steps, self.levels.is_last
+        if steps >= MAX_STEPS:
+            self.warn_of_correlation(f"a level took {MAX_STEPS} steps")
+            return True
+        if n_chains * (steps + 1) < (self.draws if last else self.stage_draws):
+            return False
+        return self.moves.has_forgotten and not (last and n_accepted < MOVES_PER_DRAW * self.draws)
+
+    def warn_of_correlation(self, reason):
+        """Say that draws repeat more often, or are more correlated, than they should."""
+        warnings.warn(
+            f"{reason} before the chains had forgotten where they began: draws are correlated. Increase "
+            "`stage_draws` or `max_simulations`, or look for parameters that the data do not determine.",
+            SubsetSimulationWarning,
+            stacklevel=3,
+        )
+
+    def collect(self, states):
+        """Spread the level's new population evenly over the steps of its chains."""
+        n_chains, n_steps = len(self.seeds), len(states) - 1
+        wanted = self.draws if self.levels.is_last else self.stage_draws
+        rows = min(-(-wanted // n_chains), n_steps + 1)
+        steps = np.linspace(0 if n_steps < rows else 1, n_steps, rows).round().astype(int)
+        self.population = [np.concatenate(column) for column in zip(*(states[k] for k in steps), strict=True)]
+        self.chains = np.tile(np.arange(n_chains), rows)
+        if self.levels.is_last:
+            total = len(self.chains)
+            chosen = self.rng.choice(total, self.draws, replace=total < self.draws)
+            self.tempered_posterior, _, self.rho = (a[chosen] for a in self.population)
+
+    def sample_stats(self):
+        """Statistics of the level just finished."""
+        cov = float(np.sqrt(self.levels.variance))
+        return {
+            **super().sample_stats(),
+            "tolerance": self.levels.tolerance,
+            "accept_rate": self.accept_rate,
+            "scale": self.moves.scale,
+            "log_probability": self.levels.log_probability,
+            "coefficient_of_variation": cov,
+            "log_marginal_likelihood_se": cov if self.levels.is_last else np.nan,
+        }
+
+    def sample_settings(self):
+        """Settings, saved as attributes of `sample_stats`."""
+        names = ("p0", "stage_draws", "epsilon", "max_simulations")
+        return {"_n_draws": self.draws, **{name: getattr(self, name) for name in names}}

@@ -1,0 +1,1 @@
+"""Proposals of Metropolis-Hastings steps, fitted to particles."""

@@ -1,0 +1,1 @@
+"""What `update.toml` may hold, checked."""

@@ -1,0 +1,144 @@
+"""The configuration file: TOML, validated, every name in it looked up."""
+
+import keyword
+import tomllib
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from pymc_features.update.config.entries import priors_in
+from pymc_features.update.config.messages import ConfigError, sentence
+from pymc_features.update.config.sections import (
+    Data,
+    Likelihood,
+    Processing,
+    RecordFile,
+    Report,
+    Sampler,
+    Section,
+)
+from pymc_features.update.config.structure_sections import StructureSection
+
+TAKEN = {"y", "chain", "draw", "sensor", "time", "sample", "mode"}
+
+
+class PriorSection(BaseModel):
+    """A prior: its distribution, and the distribution's own arguments besides."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
+    distribution: str = Field(description="the name of a continuous distribution of PyMC")
+
+    @property
+    def arguments(self) -> dict:
+        """Names of arguments to values."""
+        return dict(self.model_extra)
+
+
+class Config(Section):
+    """The whole file."""
+
+    data: Data = Field(description="a table")
+    record: RecordFile | None = Field(None, description="a table")
+    processing: Processing = Field(Processing(), description="a table")
+    structure: StructureSection = Field(description="a table with `type`, the name of a structure")
+    priors: dict[str, PriorSection] = Field(description="a table of priors, one or more", min_length=1)
+    likelihood: Likelihood = Field(description="a table")
+    sampler: Sampler = Field(Sampler(), description="a table")
+    report: Report = Field(Report(), description="a table")
+
+    def uses(self) -> dict[str, list[tuple[str, str]]]:
+        """Names of priors to (key, unit) of every place where they are used, in the order of use."""
+        found: dict[str, list[tuple[str, str]]] = {}
+        for key, unit, value in parameters_of("structure", self.structure):
+            for item in priors_in(value):
+                found.setdefault(item.prior, []).append((key, unit if item.times == 1.0 else "-"))
+        if set(self.likelihood.kinds) - {"ABC"}:
+            for item in priors_in(self.likelihood.sigma):
+                place = "likelihood.sigma", "m/s^2" if item.times == 1.0 else "-"
+                found.setdefault(item.prior, []).append(place)
+        return found
+
+
+def parameters_of(key, section):
+    """Key, unit and value of every entry of a section that may be random."""
+    for name, field in type(section).model_fields.items():
+        value = getattr(section, name)
+        if isinstance(value, Section):
+            yield from parameters_of(f"{key}.{name}", value)
+        elif isinstance(field.json_schema_extra, dict) and "unit" in field.json_schema_extra:
+            yield f"{key}.{name}", field.json_schema_extra["unit"], value
+
+
+def read_config(path) -> tuple[Config, dict]:
+    """Read and validate a configuration file.
+
+    Parameters
+    ----------
+    path : path
+        TOML; the example of `write_example` shows every section.
+
+    Returns
+    -------
+    Config, dict
+        The configuration, and the file as it was parsed.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ConfigError
+        If it is not TOML, a key is unknown, missing or out of its range, or a name refers to nothing.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"`CONFIG` must be an existing file, got {path}. `pymc-features init` writes an example."
+        )
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path.name} must be a TOML file: {error}.") from error
+    try:
+        config = Config.model_validate(raw)
+    except ValidationError as error:
+        raise ConfigError(f"{path.name}: {sentence(error, raw, Config)}") from error
+    try:
+        check_names(config)
+    except ConfigError as error:
+        raise ConfigError(f"{path.name}: {error}") from error
+    return config, raw
+
+
+def check_names(config: Config) -> None:
+    """Every name of a prior refers to one, every prior is used, and can be a variable's name."""
+    for name in config.priors:
+        if not name.isidentifier() or keyword.iskeyword(name) or name in TAKEN:
+            raise ConfigError(
+                f"`priors.{name}` must have a name of letters, digits and underscores that is not taken "
+                f"({', '.join(sorted(TAKEN))}). Rename it."
+            )
+    used = config.uses()
+    for name, places in used.items():
+        if name not in config.priors:
+            raise ConfigError(
+                f"`{places[0][0]}` must name priors of the file, got {name!r}. Add [priors.{name}], or write "
+                "a number."
+            )
+    for name in config.priors:
+        if name not in used:
+            raise ConfigError(
+                f"`priors.{name}` must be used by the structure or by sigma, it is nowhere. Use it or "
+                "remove it."
+            )
+    structural = [p for p, places in used.items() if any(k.startswith("structure") for k, _ in places)]
+    if not structural:
+        raise ConfigError(
+            "`structure` must have a parameter that is the name of a prior, got numbers only. There is "
+            "nothing to update."
+        )
+    if config.data.base is None and config.record is None:
+        raise ConfigError(
+            "`data.base` must name the sensor on the base, got none. Or give the ground motion in [record]."
+        )
+    if config.data.base is not None and config.record is not None:
+        raise ConfigError("`record` must be left out with `data.base`, got both. One motion of the base.")

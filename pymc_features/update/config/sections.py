@@ -1,0 +1,163 @@
+"""The sections of a configuration file: keys, types and what each must be.
+
+The description of a key completes the sentence "`key` must be ..." in messages, see `messages.py`.
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validator
+
+from pymc_features.update.config.entries import Vector
+
+LIKELIHOODS = ("NORM", "TN", "EXP", "ABC")
+KERNELS = ("PersistentSMC", "PopulationIMH", "PopulationMH", "TMCMC")
+
+
+class Section(BaseModel):
+    """A table of the file: unknown keys are refused, values are not converted."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+def key(description, default=..., **limits):
+    """A key with the words that complete "must be"."""
+    return Field(default, description=description, **limits)
+
+
+def window(value):
+    """Two rising times [s]."""
+    numbers = isinstance(value, list) and all(
+        isinstance(v, int | float) and not isinstance(v, bool) for v in value
+    )
+    if not (numbers and len(value) == 2 and value[0] < value[1]):
+        raise ValueError(f"must be two rising numbers [from, to] in seconds or Hz, got {value!r}")
+    return tuple(map(float, value))
+
+
+Window = Annotated[Any, PlainValidator(window)]
+Names = Annotated[list[str], Field(min_length=1)]
+
+
+class Data(Section):
+    """Which channels were measured, and where on the structure."""
+
+    dataset: Literal["mini_shake_table"] | None = key('"mini_shake_table", or left out', None)
+    event: Literal["northridge", "sine1p5"] = key('"northridge" or "sine1p5"', "northridge")
+    files: str | list[str] | dict[str, str] | None = key(
+        "a file, a list of files, or a table of sensor names to files", None
+    )
+    columns: int | str | list[int | str] | dict[str, int | str] | None = key(
+        "a column, by index from 0 or header name, a list, or a table of sensor names to columns", None
+    )
+    units: str | float | None = key('"g", "m/s^2", "cm/s^2", "gal", or m/s^2 per file unit', None)
+    dt: float | None = key("the sampling interval in seconds, positive", None, gt=0)
+    clock: int | str | Literal[False] | None = key("the column with the times, or false", None)
+    clock_units: str | float | None = key('"s", "ms", "us", "ns", or seconds per count', None)
+    skip: int = key("the number of rows to leave out at the start, not negative", 0, ge=0)
+    base: str | None = key("the sensor that measured the motion of the base", None)
+    sensors: Names = key("the names of the sensors on the structure, one or more")
+    dofs: list[int] | None = key(
+        "the degrees of freedom of `data.sensors`, whole numbers, 0 next to the base", None
+    )
+
+    @model_validator(mode="after")
+    def one_source(self):
+        """Files or a data set, each with its own keys."""
+        if (self.dataset is None) == (self.files is None):
+            raise ValueError("must have one of the keys `files` and `dataset`, got both or neither")
+        if self.dataset is None and "event" in self.model_fields_set:
+            raise ValueError("must have `event` only with `dataset`, got it with `files`")
+        if self.dataset is not None:
+            own = {"dataset", "event", "base", "sensors", "dofs"}
+            if more := sorted(self.model_fields_set - own):
+                raise ValueError(f"must have `{more[0]}` only with `files`, got it with `dataset`")
+        if len(set(self.sensors)) < len(self.sensors) or self.base in self.sensors:
+            raise ValueError(f"must name each sensor once, got base {self.base!r} and {self.sensors}")
+        return self
+
+
+class RecordFile(Section):
+    """The ground motion, where no sensor measured it."""
+
+    path: str = key("the file with the ground acceleration")
+    units: str | float | None = key('"g", "m/s^2", "cm/s^2", "gal", or m/s^2 per file unit', None)
+    dt: float | None = key("the sampling interval in seconds, positive", None, gt=0)
+    column: int | str | None = key("a column, by index from 0 or header name", None)
+
+
+class Detrend(Section):
+    """Offset or line to subtract."""
+
+    kind: Literal["constant", "linear"] = key('"constant" or "linear"', "constant")
+    window: Window | None = key("two times [from, to] in seconds", None)
+
+
+class BandPass(Section):
+    """Corner frequencies of the filter."""
+
+    low: float | None = key("a frequency in Hz, positive", None, gt=0)
+    high: float | None = key("a frequency in Hz, positive", None, gt=0)
+    order: int = key("a positive whole number", 4, ge=1)
+
+
+class Processing(Section):
+    """What is done to the channels, in this order."""
+
+    detrend: Detrend | None = key("a table with `kind` and `window`", None)
+    band_pass: BandPass | None = key("a table with `low`, `high` and `order`", None)
+    trim: Window | None = key("two times [from, to] in seconds", None)
+    decimate: int = key("a positive whole number", 1, ge=1)
+    check_band: Window | None = key("two frequencies [from, to] in Hz", None)
+
+
+class Likelihood(Section):
+    """How response and data are compared."""
+
+    kinds: list[Literal[LIKELIHOODS]] = key(
+        f"a list of {', '.join(LIKELIHOODS)}, each once", ["EXP"], min_length=1
+    )
+    sigma: Vector | None = key(
+        "the name of a prior or a positive number in m/s^2, one or one for each sensor", None
+    )
+    density: Literal["feature", "data"] = key('"feature" or "data"', "feature")
+    tolerance: float | None = key("the tolerance of ABC in m^2/s^4, positive", None, gt=0)
+
+    @model_validator(mode="after")
+    def complete(self):
+        """What each likelihood needs."""
+        if len(set(self.kinds)) < len(self.kinds):
+            raise ValueError(f"must name each of `kinds` once, got {self.kinds}")
+        if set(self.kinds) - {"ABC"} and self.sigma is None:
+            raise ValueError("must have the key `sigma` for NORM, TN and EXP, got none")
+        if "ABC" not in self.kinds and self.tolerance is not None:
+            raise ValueError(f"must have `tolerance` only with ABC, got kinds {self.kinds}")
+        if "ABC" in self.kinds and self.tolerance is None and "EXP" not in self.kinds:
+            raise ValueError("must have `tolerance` for ABC, or EXP among `kinds` to take it from")
+        return self
+
+
+class Sampler(Section):
+    """How posteriors are sampled; ABC by subset simulation always."""
+
+    method: Literal["smc", "nuts", "laplace"] = key('"smc", "nuts" or "laplace"', "smc")
+    kernel: Literal[KERNELS] = key(f"one of {', '.join(KERNELS)}", "PersistentSMC")
+    draws: int = key("a whole number of at least 50, draws of each chain", 1000, ge=50)
+    tune: int = key("a positive whole number, with `method` nuts", 1000, ge=1)
+    chains: int = key("a positive whole number", 2, ge=1)
+    cores: int | None = key("a positive whole number", None, ge=1)
+    seed: int = key("a whole number, not negative", 0, ge=0)
+
+
+QUANTITIES = Literal["inter_storey_drift", "base_shear", "relative_displacement", "absolute_acceleration"]
+
+
+class Report(Section):
+    """What the report shows besides."""
+
+    title: str = key("a line of text", "Updated model")
+    natural_frequencies: list[float] | None = key(
+        "a list of frequencies in Hz, lowest first, to compare with", None
+    )
+    quantities: list[QUANTITIES] = key(
+        "a list of inter_storey_drift, base_shear, relative_displacement, absolute_acceleration", []
+    )
