@@ -43,7 +43,7 @@ def natural_modes(mass, stiffness, n_modes: int, factor=None):
     lies below all eigenvalues, so that rigid-body modes do no harm. Lanczos may miss a copy of a repeated
     frequency; the inertia of K - omega^2 M says how many there are, and the search is widened until all
     are found. The eigenvalues are replaced by the Rayleigh quotients of the vectors, whose error is the
-    square of theirs: twenty frequencies of 2000 are right to 1e-11 (tests/test_linear.py).
+    square of theirs: twenty frequencies of 2000 are right to 1e-11 (tests/simulators/test_linear.py).
     """
     if sparse.issparse(stiffness) and 2 * n_modes < stiffness.shape[0]:
         shapes = _lanczos(mass, stiffness, n_modes, factor)

@@ -81,7 +81,8 @@ def posterior_response(
     -----
     Memory: besides the result, a block of times of all draws, 16 MiB at most, and each draw's modes; never
     (draw, sensor, time). 500 draws of the ten-storey example, 1559 samples at ten sensors, take a quarter of
-    a second, most of it for the quantiles (tests/test_prediction.py compares with those of all histories).
+    a second, most of it for the quantiles (tests/prediction/test_prediction.py compares with those of all
+    histories).
     Nonlinear structures, and those whose damping couples the modes, are simulated draw by draw; what their
     histories take beyond 16 MiB, 8 bytes for each draw, row and sample, is in a temporary file meanwhile.
 

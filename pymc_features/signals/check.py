@@ -67,7 +67,7 @@ def check_channels(
     base hardly moves, nor between high floors of almost the same gain: look at `gain_error`.
 
     No false alarm in 240 shaken chains of random stiffness, with noise of 0.3 % of the peak, over 20 and 60 s
-    (a part of them in tests/test_signals.py).
+    (a part of them in tests/signals/test_signals.py).
     """
     check_array(channels, sensors=True)
     if not 0.0 < damping_ratio < 1.0:

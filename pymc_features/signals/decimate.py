@@ -35,7 +35,8 @@ def decimate(channels: xr.DataArray, factor: int) -> xr.DataArray:
     Notes
     -----
     A symmetric filter of 40 factor + 1 coefficients (Kaiser window), so without phase: within 1e-3 of 1 up to
-    3/4 of half the new sampling rate, below 1e-3 from half the new rate on (tests/test_signals.py). The
+    3/4 of half the new sampling rate, below 1e-3 from half the new rate on
+    (tests/signals/test_signals.py). The
     straight line through first and last sample bypasses it; expect errors within 20 new samples of the ends.
 
     Models of this package take the ground acceleration as linear between its samples, which acts as another

@@ -65,10 +65,10 @@ def simulate(
 
     Notes
     -----
-    Agrees with a matrix exponential to 1e-12 of the peak (tests/test_response.py); damping that the modes do
-    not diagonalise to 1e-9 (tests/test_linear.py), at the cost of a dense transition matrix, (2 n_modes)^2
-    multiplications per step; a nonlinear structure with a tight ODE solution to 1e-6
-    (tests/test_hysteretic.py).
+    Agrees with a matrix exponential to 1e-12 of the peak (tests/simulators/test_response.py); damping that
+    the modes do not diagonalise to 1e-9 (tests/simulators/test_linear.py), at the cost of a dense transition
+    matrix, (2 n_modes)^2 multiplications per step; a nonlinear structure with a tight ODE solution to 1e-6
+    (tests/simulators/test_hysteretic.py).
 
     The base shear is influence' M a, with the absolute accelerations a, less influence' f under forces f: the
     force of the ground on the structure, in the direction of positive ground acceleration, by the balance

@@ -40,7 +40,8 @@ class HystereticChain(Chain):
     Numbers are checked here; variables cannot be. Where a draw leaves the ranges, the response is NaN.
 
     Integrated by a fifth-order method in steps that follow the state and end at the kinks of the law: to 1e-6
-    of the peak, mostly 1e-8 (tests/test_hysteretic.py; `integration_error` estimates it). Without damping
+    of the peak, mostly 1e-8 (tests/simulators/test_hysteretic.py; `integration_error` estimates it).
+    Without damping
     errors of phase add up, to 1e-6 after a dozen periods. One response of ten storeys under a record
     at 0.02 s costs about 0.5 microseconds for each spring and step with n = 1 or 2, 1 with another n; more
     where the highest period is shorter than five steps.

@@ -140,7 +140,7 @@ class Chain(Structure):
         """Natural frequencies, shapes, participation factors and damping ratios, see `Modes`.
 
         The eigenvalues are refined by Rayleigh quotients written as sums of spring energies; those
-        of a uniform chain agree with the closed form to 1e-14 (tests/test_structures.py).
+        of a uniform chain agree with the closed form to 1e-14 (tests/structures/test_structures.py).
         """
         mass, stiffness, rayleigh, ratios = self._numbers()
         root = np.sqrt(mass)

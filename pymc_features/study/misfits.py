@@ -82,7 +82,7 @@ class SharedResponses:
     Notes
     -----
     About a thousand responses. The splines are right to 1e-6 where the posteriors are
-    (tests/test_study_bouc_wen.py).
+    (tests/study/test_study_bouc_wen.py).
     """
 
     def __init__(self, respond: Callable, data: np.ndarray, strides: dict[float, int]):

@@ -204,7 +204,7 @@ def dense_modes(mass, stiffness, omega, shapes):
     Notes
     -----
     O(n^3), for n = 100 spent in LAPACK's syevd. Agrees with `algebra.natural_modes` to rounding
-    (tests/test_linear_kernels.py).
+    (tests/simulators/test_linear_kernels.py).
     """
     n = mass.shape[0]
     if not (is_finite(mass) and is_finite(stiffness)):

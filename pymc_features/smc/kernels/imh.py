@@ -19,8 +19,8 @@ class PopulationIMH(PopulationKernel, IMH):
 
     Notes
     -----
-    The same seed gives the same particles as PyMC's kernel (tests/test_population.py). Like there, 1e-6 is
-    added to the variances of the proposal, which starves posteriors narrower than 1e-3 in the sampled
+    The same seed gives the same particles as PyMC's kernel (tests/smc/test_population.py). Like there,
+    1e-6 is added to the variances of the proposal, which starves posteriors narrower than 1e-3 in the sampled
     coordinates: take `PersistentSMC` for those.
     """
 

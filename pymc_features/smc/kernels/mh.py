@@ -19,7 +19,7 @@ class PopulationMH(PopulationKernel, MH):
 
     Notes
     -----
-    The same seed gives the same particles as PyMC's kernel (tests/test_population.py).
+    The same seed gives the same particles as PyMC's kernel (tests/smc/test_population.py).
     """
 
     stats_dtypes_shapes = {

@@ -14,13 +14,13 @@ import threading
 from pathlib import Path
 
 import cloudpickle
-import external_functions as functions
 import numba
 import numpy as np
 import pymc as pm
 import pytensor
 import pytest
-from external_functions import SHAPE, Counted, beam, lives, wait_until
+from support import external_functions as functions
+from support.external_functions import SHAPE, Counted, beam, lives, wait_until
 
 from pymc_features import (
     CommandLine,
@@ -226,7 +226,7 @@ import pytensor
 pytensor.config.mode = "FAST_COMPILE"
 import numpy as np
 import test_external_cache as here
-from external_functions import SHAPE, Counted, beam, lives, wait_until
+from support.external_functions import SHAPE, Counted, beam, lives, wait_until
 print(here.fingerprint(here.function_of(here.WITH_SETS), here.function_of(here.BASE), Counted("path")))
 with here.ExternalSimulator(Counted({calls!r}), SHAPE, executor=1, cache={cache!r}) as s:
     assert np.array_equal(s.responses(np.array([1.0, 2.0])), [beam(1.0), beam(2.0)])
@@ -239,7 +239,7 @@ def test_the_same_in_another_process(simulator, tmp_path):
     s = simulator(Counted(tmp_path / "calls"), cache=tmp_path / "cache.sqlite")
     s.responses(np.array([1.0]))
     program = OTHER_PROCESS.format(
-        tests=str(Path(__file__).parent), calls=s.function.path, cache=str(tmp_path / "cache.sqlite")
+        tests=str(Path(__file__).parents[1]), calls=s.function.path, cache=str(tmp_path / "cache.sqlite")
     )
     command, environment = [sys.executable, "-c", program], {**os.environ, "PYTHONHASHSEED": "1"}
     done = subprocess.run(command, capture_output=True, text=True, env=environment)

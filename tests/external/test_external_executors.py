@@ -5,12 +5,12 @@ import os
 import signal
 import time
 
-import external_functions as functions
 import numpy as np
 import pymc as pm
 import pytensor
 import pytest
-from external_functions import SHAPE, Counted, beam, lives, wait_until
+from support import external_functions as functions
+from support.external_functions import SHAPE, Counted, beam, lives, wait_until
 
 from pymc_features import ExternalSimulator, PopulationIMH, TruncNormalFeature, sample_smc
 from pymc_features.external.processes.batch import NoWorkersError

@@ -36,7 +36,7 @@ def sweep(model):
 
 
 def test_intervals_are_the_exact_ones(sweep):
-    """Quantiles of 2 x 1000 draws within 6 % of the width: four standard errors, see tests/test_simulator."""
+    """Quantiles of 2 x 1000 draws within 6 % of the width: four standard errors."""
     np.testing.assert_array_equal(sweep["epsilon"], [2.0, 0.2, 0.101, 0.05])
     half = np.minimum(np.sqrt(sweep["epsilon"].values[:3] - 0.1), 1.0)
     for k, q in enumerate([0.05, 0.5, 0.95]):

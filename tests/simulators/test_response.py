@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
-from reference.newmark import newmark
 from scipy.linalg import expm
 from scipy.signal import lsim
+from support.newmark import newmark
 
 from pymc_features import ModalDamping, RayleighDamping, Record, SpringMassChain, paper, simulate
 from pymc_features.simulators import QUANTITIES, UNITS, chain_discrepancy, chain_response

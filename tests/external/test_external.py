@@ -10,12 +10,12 @@ import time
 import warnings
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 
-import external_functions as functions
 import numpy as np
 import pymc as pm
 import pytensor
 import pytest
-from external_functions import SECONDS, SHAPE, Counted, Hanging, beam, lives, wait_until
+from support import external_functions as functions
+from support.external_functions import SECONDS, SHAPE, Counted, Hanging, beam, lives, wait_until
 
 from pymc_features import (
     CorrelatedNormal,

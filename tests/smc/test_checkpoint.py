@@ -12,7 +12,7 @@ import numpy as np
 import pymc as pm
 import pytensor
 import pytest
-from external_functions import SHAPE, Counted, beam, note
+from support.external_functions import SHAPE, Counted, beam, note
 
 from pymc_features import (
     CheckpointError,

@@ -13,15 +13,8 @@ import scipy.stats
 import xarray as xr
 
 from pymc_features import cli, datasets, simulate, structures
-from pymc_features.update import (
-    messages,
-    predict,
-    priors,
-    read_problem,
-    run,
-    structure_sections,
-    write_example,
-)
+from pymc_features.update import predict, read_problem, run, write_example
+from pymc_features.update.config import messages, priors, structure_sections
 from pymc_features.update.config.document import read_config
 from pymc_features.update.structure import StructureOf
 
