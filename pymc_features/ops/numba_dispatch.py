@@ -24,7 +24,7 @@ from pymc_features.ops.gradient import (
 from pymc_features.ops.misfit import StructuralMisfit
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationMisfit
 from pymc_features.ops.response import StructuralResponse
-from pymc_features.simulators import SOURCE_HASH
+from pymc_features.simulators.compiled.dependencies import source_hash
 
 DISPATCH_HASH = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
@@ -43,11 +43,13 @@ OPS = (
 
 
 def cache_key(op) -> str:
-    """Key of an Op's machine code: type, properties, and hashes of the kernels' source and of this file.
+    """Key of an Op's machine code: type, properties, and hashes of this file and of the kernel's source.
 
-    PyTensor's own key sees neither: an edited kernel would silently run old code.
+    PyTensor's own key sees neither: an edited kernel would silently run old code. A kernel that runs in
+    Python is not part of the machine code.
     """
-    return default_hash_key_from_props(op, kernel=SOURCE_HASH, dispatch=DISPATCH_HASH)
+    kernel = source_hash(op.kernel.__module__) if op.spec.compiled else ""
+    return default_hash_key_from_props(op, kernel=kernel, dispatch=DISPATCH_HASH)
 
 
 def prepared(arrays):

@@ -8,7 +8,6 @@ from pymc_features.simulators.chain.gradient import (
 )
 from pymc_features.simulators.chain.population import population_discrepancy, population_misfit
 from pymc_features.simulators.chain.tangent import discrepancy_tangent, response_tangent
-from pymc_features.simulators.compiled.jit import SOURCE_HASH
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.oscillators.recursion import QUANTITIES, chain_response, n_outputs
 from pymc_features.simulators.quantities import HISTORIES, at_outputs, checked_request, force_share, rows_of
@@ -20,7 +19,6 @@ __all__ = [
     "FAMILIES",
     "HISTORIES",
     "QUANTITIES",
-    "SOURCE_HASH",
     "UNITS",
     "at_outputs",
     "chain_discrepancy",
