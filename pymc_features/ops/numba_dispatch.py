@@ -25,6 +25,7 @@ from pymc_features.ops.misfit import StructuralMisfit
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationMisfit
 from pymc_features.ops.response import StructuralResponse
 from pymc_features.simulators.compiled.dependencies import source_hash
+from pymc_features.simulators.oscillators.arguments import Excitation, Outputs
 
 DISPATCH_HASH = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
@@ -72,14 +73,28 @@ def funcify(op, node=None, **kwargs):
 
 
 def compiled(op):
-    """A call from compiled code to compiled code."""
-    kernel, quantity, n_common = op.kernel, op.quantity_code, op.n_common
+    """A call from compiled code to compiled code; Numba slices tuples between constants only."""
+    kernel, quantity, arguments = op.kernel, op.quantity_code, op.spec.arguments
+    settings = len(arguments._fields)
+    outputs, more = settings + len(Excitation._fields), op.n_common
+    directions = more + len(op.more_ndims) - op.n_parameters
+
+    @numba_njit
+    def assembled(inputs):
+        parameters, excitation = arguments(*inputs[:settings]), Excitation(*inputs[settings:outputs])
+        return parameters, excitation, Outputs(*inputs[outputs:more], quantity)
 
     @numba_njit
     def structural_op(*inputs):
-        return kernel(*prepared(inputs[:n_common]), quantity, *prepared(inputs[n_common:]))
+        given = prepared(inputs)
+        return kernel(*assembled(given), *given[more:])
 
-    return structural_op
+    @numba_njit
+    def along_directions(*inputs):
+        given = prepared(inputs)
+        return kernel(*assembled(given), *given[more:directions], given[directions:])
+
+    return along_directions if op.takes_directions else structural_op
 
 
 def in_python(op, node):

@@ -19,18 +19,12 @@ from pytensor.graph.replace import vectorize_graph
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor.blockwise import Blockwise
 from scipy import linalg, optimize, stats
+from support.kernels import chain_misfit, chain_response, population_discrepancy, population_misfit
 
 import pymc_features
 from pymc_features import CorrelatedNormal, RayleighDamping, Record, SpringMassChain, response, simulate
 from pymc_features.ops import OPS, PopulationMisfit, StructuralMisfit, StructuralResponse, misfit_statistics
-from pymc_features.simulators import (
-    QUANTITIES,
-    chain_misfit,
-    chain_response,
-    population_discrepancy,
-    population_misfit,
-    request,
-)
+from pymc_features.simulators import QUANTITIES, request
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.smc.density.evaluation import population_logp
 

@@ -119,5 +119,9 @@ def test_edits_compile_what_they_change_and_nothing_else(tmp_path):
         "errors[j, lane] / n_times",
         "5.0 * errors[j, lane] / n_times",
     )
-    copy.edit("ops/numba_dispatch.py", "return kernel(", "return 3.0 * kernel(")
+    copy.edit(
+        "ops/numba_dispatch.py",
+        "return kernel(*assembled(given), *given[more:])",
+        "return 3.0 * kernel(*assembled(given), *given[more:])",
+    )
     assert copy.run() == pytest.approx(values * [6.0, 15.0], rel=1e-14)

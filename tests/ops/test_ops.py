@@ -20,6 +20,7 @@ from pytensor.compile.mode import Mode
 from pytensor.graph.replace import vectorize_graph
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor.blockwise import Blockwise
+from support.kernels import chain_discrepancy, chain_response
 
 import pymc_features
 from pymc_features import (
@@ -47,7 +48,7 @@ from pymc_features.ops import (
 )
 from pymc_features.ops.base import count
 from pymc_features.ops.response import response_step
-from pymc_features.simulators import FAMILIES, QUANTITIES, chain_discrepancy, chain_response, n_outputs
+from pymc_features.simulators import FAMILIES, QUANTITIES, n_outputs
 
 CORE_OPS = (StructuralResponse, StructuralDiscrepancy, StructuralMisfit)  # of one set of parameters
 CORRELATED = functools.partial(CorrelatedNormal, correlation_time=0.1)

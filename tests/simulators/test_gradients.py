@@ -18,6 +18,14 @@ from pytensor.graph.replace import clone_replace, vectorize_graph
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor.blockwise import Blockwise
 from scipy.linalg import expm
+from support.kernels import (
+    chain_response,
+    discrepancy_gradient,
+    discrepancy_tangent,
+    population_gradient,
+    response_gradient,
+    response_tangent,
+)
 
 import pymc_features
 from pymc_features import (
@@ -40,16 +48,7 @@ from pymc_features.ops.gradient import (
     ResponseGradient,
     ResponseTangent,
 )
-from pymc_features.simulators import (
-    FAMILIES,
-    QUANTITIES,
-    chain_response,
-    discrepancy_gradient,
-    discrepancy_tangent,
-    population_gradient,
-    response_gradient,
-    response_tangent,
-)
+from pymc_features.simulators import FAMILIES, QUANTITIES
 
 CHAIN = FAMILIES["chain"]
 PLAIN = Mode(linker="py", optimizer=None)
@@ -695,7 +694,7 @@ def test_log_probability_of_models(likelihood):
 PEAK_GROWTH = """
     import resource, sys
     import numpy as np
-    from pymc_features.simulators import discrepancy_gradient, population_gradient, response_tangent
+    from support.kernels import discrepancy_gradient, population_gradient, response_tangent
 
     def peak():
         size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

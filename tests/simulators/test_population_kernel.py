@@ -6,10 +6,11 @@ import pytensor.tensor as pt
 import pytest
 from pytensor.graph.replace import vectorize_graph
 from scipy.linalg import expm
+from support.kernels import chain_discrepancy, population_discrepancy
 
 from pymc_features import ModalDamping, Record, SpringMassChain, mean_square_discrepancy, paper, response
 from pymc_features.ops import PopulationDiscrepancy, StructuralDiscrepancy
-from pymc_features.simulators import QUANTITIES, chain_discrepancy, population_discrepancy, request
+from pymc_features.simulators import QUANTITIES, request
 from pymc_features.simulators.compiled.vector import LANES
 
 DT = 0.02

@@ -7,10 +7,11 @@ import pytest
 import xarray as xr
 from scipy.linalg import expm
 from scipy.signal import lsim
+from support.kernels import chain_discrepancy, chain_response
 from support.newmark import newmark
 
 from pymc_features import ModalDamping, RayleighDamping, Record, SpringMassChain, paper, simulate
-from pymc_features.simulators import QUANTITIES, UNITS, chain_discrepancy, chain_response
+from pymc_features.simulators import QUANTITIES, UNITS
 from pymc_features.simulators.oscillators.recursion import N_ROWS, first_order_hold
 
 # --------------------------------------------------------------------------- independent routes
