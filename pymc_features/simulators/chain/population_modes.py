@@ -6,7 +6,8 @@ turned by the identity. The result is that of `modal.chain_modes` up to rounding
 
 import numpy as np
 
-from pymc_features.simulators.chain.modes import MAX_ITERATIONS, ascending, is_chain
+from pymc_features.simulators.chain.modes import MAX_ITERATIONS, is_chain
+from pymc_features.simulators.compiled.arrays import ascending
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import (
     highest,

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.algebra import to_dense
+from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.oscillators.arguments import n_outputs
 
 
@@ -140,11 +141,6 @@ class Arguments(NamedTuple):
 
 
 N_PARAMETERS = 3  # theta, rayleigh and ratios may be random
-
-
-def writable(array, dtype=np.float64) -> np.ndarray:
-    """The array, or a copy if it is read-only or strided: one compiled kernel serves all."""
-    return np.require(array, dtype, ["C", "W"])
 
 
 def one_of(parameters, p: int) -> tuple:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pymc_features.algebra.eigen import NEGATIVE, ROUNDING
 from pymc_features.algebra.factorisation import ZERO_STIFFNESS
-from pymc_features.simulators.chain.modes import ascending
+from pymc_features.simulators.compiled.arrays import ascending
 from pymc_features.simulators.compiled.jit import jit
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from pymc_features.algebra import assemble
+from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.linear.arguments import writable
 from pymc_features.simulators.linear.dense import assemble_dense, dense_modes, is_finite
 from pymc_features.simulators.oscillators.march import classical_drag, feed_through, modal_table
 from pymc_features.simulators.oscillators.population_march import march_group

@@ -7,9 +7,9 @@ weights on y; the rest is algebra of the size of the kept modes, with the divide
 
 import numpy as np
 
+from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.linear.arguments import writable
 from pymc_features.simulators.linear.projection import Cotangent
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION
 from pymc_features.simulators.oscillators.close_modes import close_modes

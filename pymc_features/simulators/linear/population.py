@@ -8,13 +8,13 @@ each particle or one for all.
 
 import numpy as np
 
+from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear.arguments import (
     N_PARAMETERS,
     Arguments,
     n_particles,
     one_of,
-    writable,
 )
 from pymc_features.simulators.linear.dense_population import march_dense
 from pymc_features.simulators.linear.response import evaluate

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.algebra import assemble
+from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.linear.arguments import writable
 from pymc_features.simulators.linear.complement import invert_outside
 
 

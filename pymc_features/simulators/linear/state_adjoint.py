@@ -13,8 +13,8 @@ held fixed: the response does not depend on it, so that repeated frequencies nee
 import numpy as np
 from scipy.linalg import expm_frechet
 
+from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.linear.arguments import writable
 from pymc_features.simulators.linear.projection import Cotangent
 from pymc_features.simulators.linear.state_space import (
     advance_state,

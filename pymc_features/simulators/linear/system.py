@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from pymc_features.algebra import assemble, is_definite, natural_modes, shifted_factor, spectral_shift
-from pymc_features.simulators.linear.arguments import writable
+from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.oscillators.march import STIFFEST, classical_drag, feed_through
 

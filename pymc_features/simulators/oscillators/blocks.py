@@ -3,8 +3,8 @@
 import numpy as np
 
 from pymc_features.simulators.chain.discrepancy import add_increments
+from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.linear.arguments import writable
 
 
 @jit
