@@ -8,6 +8,7 @@ discrepancy             data (s, u)                         mean squares (s,) of
 misfit                  data                                its statistics (s, 4), see `chain_misfit`
 response_gradient       cotangent W (s, u)                  gradient of sum W y by each parameter
 discrepancy_gradient    data, weights c (s,)                gradient of sum c_j e_j by each parameter
+misfit_gradient         data, weights c (s, 1 or 4)         gradient of sum c_ji misfit_ji by each parameter
 response_tangent        tuple of a direction of each         derivative (s, u) along it
 discrepancy_tangent     data, tuple of directions           derivative (s,) along it
 population_discrepancy  data                                (p, s), with parameters (p, ...) or (1, ...)
@@ -37,6 +38,7 @@ from pymc_features.simulators.linear import (
     linear_discrepancy_gradient,
     linear_discrepancy_tangent,
     linear_misfit,
+    linear_misfit_gradient,
     linear_population_discrepancy,
     linear_population_gradient,
     linear_population_misfit,
@@ -166,6 +168,7 @@ FAMILIES = {
             "misfit": linear_misfit,
             "response_gradient": linear_response_gradient,
             "discrepancy_gradient": linear_discrepancy_gradient,
+            "misfit_gradient": linear_misfit_gradient,
             "response_tangent": linear_response_tangent,
             "discrepancy_tangent": linear_discrepancy_tangent,
             "population_discrepancy": linear_population_discrepancy,

@@ -5,6 +5,7 @@ Modes are found with LAPACK or ARPACK, once for each set of parameters; what run
 
 from pymc_features.simulators.linear.gradient import (
     linear_discrepancy_gradient,
+    linear_misfit_gradient,
     linear_population_gradient,
     linear_response_gradient,
 )
@@ -17,6 +18,7 @@ __all__ = [
     "linear_discrepancy_gradient",
     "linear_discrepancy_tangent",
     "linear_misfit",
+    "linear_misfit_gradient",
     "linear_population_discrepancy",
     "linear_population_gradient",
     "linear_population_misfit",

@@ -99,30 +99,33 @@ def pull_back_modes(modes, feed, inputs, substeps, stride, history, weights):
 
 def modes_of(a, system):
     """What `prepare` takes, and what stands before the inputs in the response, (s, d)."""
-    duration, seen = a.shape[1] * a.stride * a.step, writable(a.sensors @ system.shapes)
-    feed = np.zeros((seen.shape[0], a.acceleration.shape[0]))
-    if a.quantity == ABSOLUTE_ACCELERATION:
-        feed += a.sensors @ a.influence
-    law = writable(a.rayleigh), writable(a.ratios[: system.omega.size])
-    modes = system.omega, system.drag, *law, seen, writable(system.participation)
-    return (*modes, a.step, a.quantity, duration), feed
+    given, sensors = a.parameters, a.wanted.sensors
+    duration, seen = a.shape[1] * a.excitation.stride * a.step, writable(sensors @ system.shapes)
+    feed = np.zeros((seen.shape[0], given.influence.shape[1]))
+    if a.wanted.quantity == ABSOLUTE_ACCELERATION:
+        feed += sensors @ given.influence
+    law = writable(given.rayleigh), writable(given.ratios[: system.omega.size])
+    modes = system.omega, system.modal_damping, *law, seen, writable(system.participation)
+    return (*modes, a.step, a.wanted.quantity, duration), feed
 
 
 def pull_back(a, system, history, weights):
     """Derivatives of L = sum w y, or of sum_j c_j e_j with `weights` c, see `Cotangent`."""
     modes, feed = modes_of(a, system)
+    weights = np.zeros(0) if weights is None else weights[:, 0]
+    acceleration, _, substeps, stride = a.inputs
     (by_stiffness, by_mass, by_load, f), by_drag = pull_back_modes(
-        *(modes, feed, a.inputs, *a.grid),
+        *(modes, feed, acceleration, substeps, stride),
         *(writable(history), writable(weights)),
     )
-    omega, ratios = system.omega, np.zeros(a.ratios.size)
+    omega, ratios = system.omega, np.zeros(a.parameters.ratios.size)
     ratios[: omega.size] = 2.0 * omega * by_drag
     return Cotangent(
         stiffness=by_stiffness,
         mass=by_mass,
         damping=None,
         load=by_load,
-        shapes=a.sensors.T @ f + system.load @ by_load.T,
+        shapes=a.wanted.sensors.T @ f + system.load @ by_load.T,
         rayleigh=np.array([by_drag.sum(), omega**2 @ by_drag]),
         ratios=ratios,
     )
@@ -139,7 +142,7 @@ def push_forward(a, system, motion, d_rayleigh, d_ratios, observed, history, sum
     apart = change / np.where(close, np.inf, gaps)
     together = np.where(close, 0.5 * change, 0.0)
     drag = d_rayleigh[0] + d_rayleigh[1] * eigenvalues + 2.0 * d_ratios[:m] * omega
-    moved = a.sensors @ motion.shapes
+    moved = a.wanted.sensors @ motion.shapes
     load = motion.load + motion.shapes.T @ system.load
     seen_change = (
         seen @ (-apart - 0.5 * motion.mass) + moved,
@@ -152,7 +155,8 @@ def push_forward(a, system, motion, d_rayleigh, d_ratios, observed, history, sum
         combination[k, :, :m] = participation.T[:, :, None] * seen_change[k].T
         if load_change[k] is not None:
             combination[k, :, :m] += load_change[k].T[:, :, None] * seen.T
+    acceleration, _, substeps, stride = a.inputs
     march_change(
-        *(coefficients, combination, outputs, feed, a.inputs, *a.grid),
+        *(coefficients, combination, outputs, feed, acceleration, substeps, stride),
         *(observed, history, sums),
     )

@@ -14,7 +14,6 @@ from pymc_features.simulators.oscillators.arguments import (
 from pymc_features.simulators.oscillators.blocks import take_block
 from pymc_features.simulators.oscillators.recursion import (
     BLOCK,
-    N_ROWS,
     advance,
     first_order_hold,
     output_row,
@@ -110,11 +109,3 @@ def march_modes(table, shapes, direct, inputs, substeps, stride, observed, histo
                 for b in range(count):
                     block[j, b] += part[j, b] + direct[j, i] * ground[b]
         take_block(block, first, count, observed, history, sums)
-
-
-def classical_matrices(a, system, seen):
-    """Table and shapes of `march_modes`."""
-    drag = system.drag if system.drag.ndim == 1 else np.maximum(np.diagonal(system.drag), 0.0)
-    table = np.empty((N_ROWS, system.omega.size))
-    modal_table(system.omega, np.ascontiguousarray(drag), a.step, a.quantity, table)
-    return table, np.ascontiguousarray(system.participation.T[:, None, :] * seen)
