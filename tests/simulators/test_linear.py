@@ -32,8 +32,7 @@ from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.state_space import (
     StateMatrices,
     march_state,
-    output_matrix,
-    step_matrices,
+    modal_equations,
 )
 from pymc_features.simulators.linear.system import is_coupled
 from pymc_features.simulators.oscillators.arguments import Excitation
@@ -237,11 +236,9 @@ def test_both_routes_on_the_same_modes(quantity):
     modal_table(omega, damping, 0.02, quantity, table)
     singly, together = destination((5, 200), None), destination((5, 200), None)
     march_modes(table, shapes[None], direct, inputs, 1, 1, *singly)
-    matrices = StateMatrices(
-        *step_matrices(omega, np.diag(damping), participation, 0.02),
-        output_matrix(omega, np.diag(damping), shapes, 0.02, quantity),
-        direct,
-    )
+    equations = modal_equations(omega, np.diag(damping), participation, 0.02)
+    outputs = equations.output_matrix(shapes, quantity)
+    matrices = StateMatrices(*equations.step_matrices(), outputs, direct)
     march_state(matrices, Excitation(inputs, 0.02, 1, 1), *together)
     for one, other in zip(singly[1], together[1], strict=True):
         at_rest = np.abs(one).max() < 1e-150  # the rigid body's acceleration relative to its base

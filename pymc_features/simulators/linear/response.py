@@ -66,7 +66,7 @@ def evaluate(a, system, observed):
     if system is None:
         return not_a_number(a, observed)
     coupled = is_coupled(system.modal_damping)
-    return march(a, state_matrices(a, system) if coupled else modal_tables(a, system), observed)
+    return march(a, state_matrices(a, system)[1] if coupled else modal_tables(a, system), observed)
 
 
 def not_a_number(a, observed):
