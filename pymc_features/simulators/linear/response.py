@@ -43,7 +43,8 @@ def linear_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:
 def linear_misfit(parameters, excitation, wanted, observed) -> np.ndarray:
     """Statistics (s, 4) of the misfit with the data (s, u), in the order of `discrepancy.chain_misfit`.
 
-    Memory: a few blocks of 128 samples; of modes that the damping couples also their state at every 128th step.
+    Memory: a few blocks of 128 samples; of modes that the damping couples their state at every 128th step as
+    well.
     """
     a = Arguments(parameters, excitation, wanted)
     a.check(observed)
