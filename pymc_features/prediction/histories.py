@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.oscillators.recursion import BLOCK, advance
+from pymc_features.simulators.oscillators_old.recursion import BLOCK, advance
 from pymc_features.simulators.request import Request
 
 MEMORY = 16 * 2**20  # of a block of responses [bytes]

@@ -9,8 +9,8 @@ from pymc_features.simulators.oscillators.arguments import (
     QUANTITIES,
     RELATIVE_ACCELERATION,
 )
-from pymc_features.simulators.oscillators.march import modal_table
-from pymc_features.simulators.oscillators.recursion import N_ROWS, modal_system
+from pymc_features.simulators.oscillators_old.march import modal_table
+from pymc_features.simulators.oscillators_old.recursion import N_ROWS, modal_system
 from pymc_features.simulators.quantities import HISTORIES, force_share, rows_of
 
 

@@ -7,9 +7,9 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear.arguments import writable
 from pymc_features.simulators.linear.dense import assemble_dense, dense_modes, is_finite
-from pymc_features.simulators.oscillators.march import classical_drag, feed_through, modal_table
-from pymc_features.simulators.oscillators.population_march import march_group
-from pymc_features.simulators.oscillators.recursion import N_ROWS
+from pymc_features.simulators.oscillators_old.march import classical_drag, feed_through, modal_table
+from pymc_features.simulators.oscillators_old.population_march import march_group
+from pymc_features.simulators.oscillators_old.recursion import N_ROWS
 
 
 @jit

@@ -54,6 +54,7 @@ def linear_population_gradient(parameters, excitation, wanted, observed, weights
     share, in one row, gets the sum.
     """
     parameters, rest = parameters[:N_PARAMETERS], (*parameters[N_PARAMETERS:], *excitation, *wanted)
+    weights = np.ascontiguousarray(weights[..., 0])
     count = n_particles(parameters, weights)
     sums = tuple(np.zeros(array.shape) for array in parameters)
     for p in range(count):
@@ -71,3 +72,8 @@ def gradient(a, history, weights):
         return tuple(np.full(array.shape, np.nan) for array in a[:N_PARAMETERS])
     route = oscillators if a.is_classical else state_adjoint
     return to_parameters(a, system, route.pull_back(a, system, history, weights))
+
+
+def linear_misfit_gradient(parameters, excitation, wanted, observed, weights):
+    """Temporary."""
+    return linear_discrepancy_gradient(parameters, excitation, wanted, observed, np.ascontiguousarray(weights[:, 0]))

@@ -19,9 +19,9 @@ from pymc_features.simulators.linear.arguments import (
 from pymc_features.simulators.linear.dense_population import march_dense
 from pymc_features.simulators.linear.response import evaluate
 from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
-from pymc_features.simulators.oscillators.march import classical_matrices
-from pymc_features.simulators.oscillators.population_march import march_group
-from pymc_features.simulators.oscillators.recursion import N_ROWS
+from pymc_features.simulators.oscillators_old.march import classical_matrices
+from pymc_features.simulators.oscillators_old.population_march import march_group
+from pymc_features.simulators.oscillators_old.recursion import N_ROWS
 
 
 def linear_population_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:

@@ -11,8 +11,8 @@ from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.dense_population import dense_tables
 from pymc_features.simulators.linear.state_space import march_state, step_matrices
 from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
-from pymc_features.simulators.oscillators.blocks import destination
-from pymc_features.simulators.oscillators.march import classical_matrices, march_modes
+from pymc_features.simulators.oscillators_old.blocks import destination
+from pymc_features.simulators.oscillators_old.march import classical_matrices, march_modes
 
 
 def linear_response(parameters, excitation, wanted) -> np.ndarray:

@@ -24,8 +24,8 @@ from pymc_features.simulators.linear.state_space import (
 )
 from pymc_features.simulators.linear.system import observe
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
-from pymc_features.simulators.oscillators.blocks import take_change
-from pymc_features.simulators.oscillators.recursion import BLOCK
+from pymc_features.simulators.oscillators_old.blocks import take_change
+from pymc_features.simulators.oscillators_old.recursion import BLOCK
 
 
 @jit

@@ -8,7 +8,7 @@ from scipy import sparse
 from pymc_features.algebra import assemble, is_definite, natural_modes, shifted_factor, spectral_shift
 from pymc_features.simulators.linear.arguments import writable
 from pymc_features.simulators.linear.dense import dense_modes
-from pymc_features.simulators.oscillators.march import STIFFEST, classical_drag, feed_through
+from pymc_features.simulators.oscillators_old.march import STIFFEST, classical_drag, feed_through
 
 COUPLING = 1e-12  # off-diagonal entries of D below this times the largest are rounding
 

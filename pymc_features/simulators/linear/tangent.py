@@ -10,7 +10,7 @@ from pymc_features.simulators.linear import oscillators, state_adjoint
 from pymc_features.simulators.linear.arguments import N_PARAMETERS, Arguments
 from pymc_features.simulators.linear.projection import move
 from pymc_features.simulators.linear.system import solve_system
-from pymc_features.simulators.oscillators.blocks import destination
+from pymc_features.simulators.oscillators_old.blocks import destination
 
 
 def linear_response_tangent(parameters, excitation, wanted, directions) -> np.ndarray:

@@ -85,10 +85,10 @@ def nonlinear_kernels(law) -> dict:
         "discrepancy": lambda *given: misfit(*given)[:, 0],
         "misfit": misfit,
         "response_gradient": response_gradient,
-        "discrepancy_gradient": discrepancy_gradient,
+        "misfit_gradient": lambda p, e, w, o, c: discrepancy_gradient(p, e, w, o, c[:, 0]),
         "response_tangent": response_tangent,
         "discrepancy_tangent": discrepancy_tangent,
         "population_discrepancy": lambda *given: population_misfit(*given)[..., 0],
         "population_misfit": population_misfit,
-        "population_gradient": population_gradient,
+        "population_gradient": lambda p, e, w, o, c: population_gradient(p, e, w, o, c[..., 0]),
     }

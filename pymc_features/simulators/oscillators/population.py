@@ -1,4 +1,4 @@
-"""The recursion and the comparison with data for one particle in each lane of a vector register.
+"""The recursion and the comparison with data for one structure in each lane of a vector register.
 
 The recursion of `recursion.py` in coordinates made for speed. For mode r, z = (z1, z2) is the state turned
 and scaled so that z1 is the mode's output, Eq. (24), and z2 its complement in energy; the turned equations
@@ -10,11 +10,15 @@ and with y2 scaled so that the coefficient by which it enters y1 is one, five pr
 instead of ten; what stands before a[k] in the output goes into the feed-through of the sensors. A block of
 16 outputs of all modes stays in the first-level cache, where it is combined with the mode shapes and
 compared with the data, two sensors and four samples at a time. Where the increments of the misfit are asked
-for, the misfits of the block go through a buffer in that cache; where not, numba leaves that code out.
+for, the misfits of the block go through a buffer in that cache; where not, Numba leaves that code out.
 """
 
+from typing import NamedTuple
+
+import numpy as np
+
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import load, splat, store
+from pymc_features.simulators.compiled.vector import LANES, load, splat, store
 from pymc_features.simulators.oscillators.arguments import interpolate
 from pymc_features.simulators.oscillators.recursion import (
     OUT_P,
@@ -34,19 +38,111 @@ SAMPLES = 16  # outputs handled at a time; a multiple of four
 N_COEFFICIENTS = 5
 
 
+class Lanes(NamedTuple):
+    """Structures, one in each lane, with what they need on their way through a record.
+
+    Sensors and modes are filled up to even numbers.
+
+    Attributes
+    ----------
+    coefficients, states : array (5 m, LANES), (2 m, LANES)
+        Of the recursion.
+    shapes, feed : array (s m, LANES), (s, LANES)
+        Output of each mode at the sensors, and feed-through.
+    outputs, ground, data : array (m SAMPLES, LANES), (SAMPLES stride,), (sensors, SAMPLES)
+        One block: modal outputs, excitation, data.
+    squares : array (s, LANES)
+        Sums of squared misfits.
+    """
+
+    coefficients: np.ndarray
+    states: np.ndarray
+    shapes: np.ndarray
+    feed: np.ndarray
+    outputs: np.ndarray
+    ground: np.ndarray
+    data: np.ndarray
+    squares: np.ndarray
+
+
+class Increments(NamedTuple):
+    """What the increments of the misfit need besides.
+
+    Attributes
+    ----------
+    misfits : array (s SAMPLES, LANES)
+        Of one block.
+    squares, first, last : array (s, LANES)
+        Sums of squared increments, first and last misfits.
+    """
+
+    misfits: np.ndarray
+    squares: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+
+
 @jit
-def turn_to_output(table, r, start, shapes, direct, coefficients, states, lane):
-    """Write one mode of one particle into its lane: coefficients, initial state, feed-through.
+def new_lanes(n_sensors, n_modes, stride):
+    """Lanes without structures."""
+    s, m = n_sensors + n_sensors % 2, n_modes + n_modes % 2
+    return Lanes(
+        coefficients=np.zeros((N_COEFFICIENTS * m, LANES)),
+        states=np.zeros((2 * m, LANES)),
+        shapes=np.zeros((s * m, LANES)),
+        feed=np.zeros((s, LANES)),
+        outputs=np.empty((SAMPLES * m, LANES)),
+        ground=np.empty(SAMPLES * stride),
+        data=np.empty((n_sensors, SAMPLES)),
+        squares=np.empty((s, LANES)),
+    )
+
+
+@jit
+def new_increments(n_sensors):
+    """Room for the increments of the misfit."""
+    s = n_sensors + n_sensors % 2
+    squares, first, last = np.empty((s, LANES)), np.empty((s, LANES)), np.empty((s, LANES))
+    return Increments(np.empty((s * SAMPLES, LANES)), squares, first, last)
+
+
+@jit
+def clear(lanes):
+    """Take the structures out: zeros in lanes without one."""
+    lanes.coefficients.fill(0.0)
+    lanes.states.fill(0.0)
+    lanes.shapes.fill(0.0)
+    lanes.feed.fill(0.0)
+
+
+@jit
+def fill_lane(lanes, lane, table, system, feed, start):
+    """Write one structure under one input into a lane.
 
     Parameters
     ----------
-    table, shapes, direct : array
-        From `modal_system`; `direct` (s,) is updated.
+    table : array (11, m)
+        From `recursion.write_table`.
+    system : ModalSystem
+    feed : array (s,)
+        Feed-through; overwritten.
     start : float
         First sample of the ground acceleration [m/s^2].
-    coefficients, states : array (5 m, LANES), (2 m, LANES)
-        Written.
     """
+    even_modes = lanes.states.shape[0] // 2
+    for r in range(table.shape[1]):
+        after = turn_to_output(table, r, start, lanes.coefficients, lanes.states, lane)
+        for j in range(feed.size):
+            shape = system.shapes[j, r] * system.participation[r, 0]
+            feed[j] += shape * after
+            lanes.shapes[j * even_modes + r, lane] = shape
+    for j in range(feed.size):
+        lanes.feed[j, lane] = feed[j]
+
+
+@jit
+def turn_to_output(table, r, start, coefficients, states, lane):
+    """Write coefficients and initial state of one mode; return what stands before a[k] in its output."""
     w = table[W, r]
     out, cross = table[OUT_Q, r] / w, table[OUT_P, r]  # output of the state (w q, p)
     norm = out * out + cross * cross
@@ -69,42 +165,7 @@ def turn_to_output(table, r, start, shapes, direct, coefficients, states, lane):
     coefficients[row + 4, lane] = a12 * input_2
     states[2 * r, lane] = -after_1 * start
     states[2 * r + 1, lane] = -a12 * after_2 * start
-    for j in range(direct.size):
-        direct[j] += shapes[j, r] * after_1
-
-
-@jit
-def fill_recursion(table, own_shapes, own_direct, start, lane, coefficients, states, shapes, direct):
-    """Write one particle into its lane.
-
-    Parameters
-    ----------
-    table, own_shapes, own_direct : arrays (11, m), (s, m), (s,)
-        From `modal_system`; `own_direct` is overwritten.
-    start : float
-        First sample of the ground acceleration [m/s^2].
-    coefficients, states, shapes, direct : array (..., LANES)
-        Written; there are an even number of modes.
-    """
-    even_modes = states.shape[0] // 2
-    for r in range(table.shape[1]):
-        turn_to_output(table, r, start, own_shapes, own_direct, coefficients, states, lane)
-    for j in range(own_direct.size):
-        direct[j, lane] = own_direct[j]
-        for r in range(table.shape[1]):
-            shapes[j * even_modes + r, lane] = own_shapes[j, r]
-
-
-@jit
-def take_sums(errors, misfits, chained, n_times, result):
-    """Write what `march` summed up into `result` (particles, s, 1), or (particles, s, 4) with `misfits`."""
-    for lane in range(result.shape[0]):
-        for j in range(result.shape[1]):
-            result[lane, j, 0] = errors[j, lane] / n_times
-            if misfits is not None:
-                result[lane, j, 1] = chained[0][j, lane] / n_times
-                result[lane, j, 2] = chained[1][j, lane]
-                result[lane, j, 3] = chained[2][j, lane]
+    return after_1
 
 
 @jit
@@ -136,27 +197,27 @@ def advance_lanes(coefficients, states, ground, first, stride, outputs):
 
 
 @jit
-def add_squares(shapes, direct, outputs, data, sample, ground, step, stride, errors, misfits):
-    """Add the squared misfits of `SAMPLES` samples to `errors` (sensors, LANES); an even number of sensors.
+def add_squares(lanes, data, sample, ground, step, stride, misfits):
+    """Add the squared misfits of `SAMPLES` samples to `lanes.squares`.
 
-    `shapes` (sensors m, LANES) and `direct` (sensors, LANES) belong to the lanes; `data` (sensors, time) from
-    column `sample` on and `ground` from entry `step` on are common to all. The misfits are written into
-    `misfits` (sensors SAMPLES, LANES), unless it is None.
+    `data` (sensors, time) from column `sample` on and `ground` from entry `step` on are common to all lanes.
+    The misfits are written into `misfits` (s SAMPLES, LANES), unless it is None.
     """
+    shapes, feed, outputs, squares = lanes.shapes, lanes.feed, lanes.outputs, lanes.squares
     n_modes = outputs.shape[0] // SAMPLES
     last = data.shape[0] - 1
-    for j in range(0, errors.shape[0], 2):
+    for j in range(0, squares.shape[0], 2):
         k = min(j + 1, last)  # an odd number of sensors is filled up with one of no consequence
-        sum_a, sum_b = load(errors, j), load(errors, j + 1)
-        direct_a, direct_b = load(direct, j), load(direct, j + 1)
+        sum_a, sum_b = load(squares, j), load(squares, j + 1)
+        feed_a, feed_b = load(feed, j), load(feed, j + 1)
         for t in range(0, SAMPLES, 4):
             g, i = step + t * stride, sample + t
             g0, g1 = splat(ground[g]), splat(ground[g + stride])
             g2, g3 = splat(ground[g + 2 * stride]), splat(ground[g + 3 * stride])
-            a0, a1 = splat(data[j, i]) - direct_a * g0, splat(data[j, i + 1]) - direct_a * g1
-            a2, a3 = splat(data[j, i + 2]) - direct_a * g2, splat(data[j, i + 3]) - direct_a * g3
-            b0, b1 = splat(data[k, i]) - direct_b * g0, splat(data[k, i + 1]) - direct_b * g1
-            b2, b3 = splat(data[k, i + 2]) - direct_b * g2, splat(data[k, i + 3]) - direct_b * g3
+            a0, a1 = splat(data[j, i]) - feed_a * g0, splat(data[j, i + 1]) - feed_a * g1
+            a2, a3 = splat(data[j, i + 2]) - feed_a * g2, splat(data[j, i + 3]) - feed_a * g3
+            b0, b1 = splat(data[k, i]) - feed_b * g0, splat(data[k, i + 1]) - feed_b * g1
+            b2, b3 = splat(data[k, i + 2]) - feed_b * g2, splat(data[k, i + 3]) - feed_b * g3
             for r in range(n_modes):
                 shape_a, shape_b = load(shapes, j * n_modes + r), load(shapes, (j + 1) * n_modes + r)
                 z0, z1 = load(outputs, SAMPLES * r + t), load(outputs, SAMPLES * r + t + 1)
@@ -177,58 +238,41 @@ def add_squares(shapes, direct, outputs, data, sample, ground, step, stride, err
                 store(misfits, row_b + 1, b1)
                 store(misfits, row_b + 2, b2)
                 store(misfits, row_b + 3, b3)
-        store(errors, j, sum_a)
-        store(errors, j + 1, sum_b)
+        store(squares, j, sum_a)
+        store(squares, j + 1, sum_b)
 
 
 @jit
-def add_increments(misfits, count, is_first, increments, first, last):
-    """Add the squared increments of `count` samples of `misfits`, and keep the first and last misfit.
-
-    `increments`, `first` and `last` are (sensors, LANES); `last` has the misfit before these samples, unless
-    they are the first.
-    """
-    for j in range(increments.shape[0]):
+def add_increments(increments, count, is_first):
+    """Add the squared increments of `count` samples of a block, and keep the first and last misfit."""
+    misfits, squares, first, last = increments
+    for j in range(squares.shape[0]):
         row = SAMPLES * j
         if is_first:
             store(first, j, load(misfits, row))
             store(last, j, load(misfits, row))
-        total, before = load(increments, j), load(last, j)
+        total, before = load(squares, j), load(last, j)
         for b in range(count):
             now = load(misfits, row + b)
             step = now - before
             total = total + step * step
             before = now
-        store(increments, j, total)
+        store(squares, j, total)
         store(last, j, before)
 
 
 @jit
-def march(
-    coefficients,
-    states,
-    shapes,
-    direct,
-    acceleration,
-    substeps,
-    stride,
-    observed,
-    errors,
-    work,
-    misfits,
-    chained,
-):
-    """Sums of squares of all sensors for the particles of one vector, into `errors` (sensors, LANES).
+def march(lanes, excitation, observed, increments):
+    """Sums of squares of all sensors for the structures in the lanes, into `lanes.squares`.
 
-    `work` has the arrays outputs (m SAMPLES, LANES), ground (SAMPLES stride,) and data (s, SAMPLES). Unless
-    `misfits` (sensors SAMPLES, LANES) is None, `chained` gets the sums of squared increments, the first and
-    the last misfits, each (sensors, LANES).
+    `increments` is None if they are not asked for.
     """
-    outputs, own_ground, own_data = work
+    acceleration, _, substeps, stride = excitation
+    own_ground, own_data, outputs = lanes.ground, lanes.data, lanes.outputs
     n_times = observed.shape[1]
-    errors.fill(0.0)
-    if misfits is not None:
-        chained[0].fill(0.0)
+    lanes.squares.fill(0.0)
+    if increments is not None:
+        increments.squares.fill(0.0)
     for first in range(0, n_times, SAMPLES):
         step, sample = first * stride, first
         ground, data = acceleration, observed
@@ -243,10 +287,24 @@ def march(
                 for b in range(SAMPLES):
                     own_data[j, b] = observed[j, first + b] if b < count else 0.0
             data, sample = own_data, 0
-        advance_lanes(coefficients, states, ground, step, stride, outputs)
+        advance_lanes(lanes.coefficients, lanes.states, ground, step, stride, outputs)
         for r in range(outputs.shape[0] // SAMPLES):
             for b in range(count, SAMPLES):
                 store(outputs, SAMPLES * r + b, splat(0.0))
-        add_squares(shapes, direct, outputs, data, sample, ground, step, stride, errors, misfits)
-        if misfits is not None:
-            add_increments(misfits, min(count, SAMPLES), first == 0, *chained)
+        if increments is None:
+            add_squares(lanes, data, sample, ground, step, stride, None)
+        else:
+            add_squares(lanes, data, sample, ground, step, stride, increments.misfits)
+            add_increments(increments, min(count, SAMPLES), first == 0)
+
+
+@jit
+def take_statistics(lanes, increments, n_times, result):
+    """Write the statistics of the misfit of each lane into `result` (structures, s, 1 or 4)."""
+    for lane in range(result.shape[0]):
+        for j in range(result.shape[1]):
+            result[lane, j, 0] = lanes.squares[j, lane] / n_times
+            if increments is not None:
+                result[lane, j, 1] = increments.squares[j, lane] / n_times
+                result[lane, j, 2] = increments.first[j, lane]
+                result[lane, j, 3] = increments.last[j, lane]

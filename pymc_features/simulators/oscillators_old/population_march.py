@@ -4,7 +4,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.oscillators.population_recursion import (
+from pymc_features.simulators.oscillators_old.population_recursion import (
     N_COEFFICIENTS,
     SAMPLES,
     fill_recursion,

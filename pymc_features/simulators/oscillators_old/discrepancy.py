@@ -4,7 +4,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.arguments import n_outputs
-from pymc_features.simulators.oscillators.recursion import BLOCK, advance, check_sizes, modal_system
+from pymc_features.simulators.oscillators_old.recursion import BLOCK, advance, check_sizes, modal_system
 
 
 @jit

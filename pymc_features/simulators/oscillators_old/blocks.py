@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pymc_features.simulators.chain.discrepancy import add_increments
+from pymc_features.simulators.oscillators_old.discrepancy import add_increments
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.linear.arguments import writable
 
