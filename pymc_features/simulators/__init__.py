@@ -10,8 +10,8 @@ from pymc_features.simulators.chain.gradient import (
 from pymc_features.simulators.chain.parameters import ChainParameters
 from pymc_features.simulators.chain.population import population_discrepancy, population_misfit
 from pymc_features.simulators.chain.response import chain_discrepancy, chain_misfit, chain_response
-from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation, Outputs, n_outputs
 from pymc_features.simulators.families import FAMILIES
+from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation, Outputs, n_outputs
 from pymc_features.simulators.quantities import HISTORIES, at_outputs, checked_request, force_share, rows_of
 from pymc_features.simulators.request import UNITS, request
 from pymc_features.simulators.simulate import simulate

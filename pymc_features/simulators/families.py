@@ -30,14 +30,14 @@ from pymc_features.simulators.chain.gradient import (
     response_gradient,
     response_tangent,
 )
+from pymc_features.simulators.chain.parameters import ChainParameters
 from pymc_features.simulators.chain.population import population_discrepancy, population_misfit
 from pymc_features.simulators.chain.response import chain_discrepancy, chain_misfit, chain_response
-from pymc_features.simulators.chain.parameters import ChainParameters
 from pymc_features.simulators.linear import (
     linear_discrepancy,
-    linear_misfit_gradient,
     linear_discrepancy_tangent,
     linear_misfit,
+    linear_misfit_gradient,
     linear_population_discrepancy,
     linear_population_gradient,
     linear_population_misfit,

@@ -33,7 +33,7 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.ops import OPS, PopulationDiscrepancy, StructuralDiscrepancy, misfit_statistics
-from pymc_features.ops.misfit import misfit_values
+from pymc_features.ops.comparison import misfit_values
 from pymc_features.simulators import FAMILIES
 from pymc_features.structures import STRUCTURES
 

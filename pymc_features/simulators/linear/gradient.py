@@ -76,4 +76,6 @@ def gradient(a, history, weights):
 
 def linear_misfit_gradient(parameters, excitation, wanted, observed, weights):
     """Temporary."""
-    return linear_discrepancy_gradient(parameters, excitation, wanted, observed, np.ascontiguousarray(weights[:, 0]))
+    return linear_discrepancy_gradient(
+        parameters, excitation, wanted, observed, np.ascontiguousarray(weights[:, 0])
+    )

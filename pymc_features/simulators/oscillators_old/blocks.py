@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from pymc_features.simulators.oscillators_old.discrepancy import add_increments
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.linear.arguments import writable
+from pymc_features.simulators.oscillators_old.discrepancy import add_increments
 
 
 @jit

@@ -5,11 +5,11 @@ The recursion of `sensitivity`, a mode in each lane; the responses to the inputs
 
 import numpy as np
 
-from pymc_features.simulators.oscillators_old.gradient import copy_block, weigh_misfit
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.oscillators.arguments import interpolate
 from pymc_features.simulators.oscillators_old.blocks import take_change
+from pymc_features.simulators.oscillators_old.gradient import copy_block, weigh_misfit
 from pymc_features.simulators.oscillators_old.march import SMALLEST_FREQUENCY
 from pymc_features.simulators.oscillators_old.recursion import BLOCK, N_ROWS
 from pymc_features.simulators.oscillators_old.sensitivity import (
