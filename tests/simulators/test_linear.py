@@ -29,8 +29,14 @@ from pymc_features.algebra import eigen, natural_modes
 from pymc_features.algebra.factorisation import count_below, eliminate
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear.dense import dense_modes
-from pymc_features.simulators.linear.state_space import march_state, step_matrices
+from pymc_features.simulators.linear.state_space import (
+    StateMatrices,
+    march_state,
+    output_matrix,
+    step_matrices,
+)
 from pymc_features.simulators.linear.system import is_coupled
+from pymc_features.simulators.oscillators.arguments import Excitation
 from pymc_features.simulators.oscillators.blocks import destination
 from pymc_features.simulators.oscillators.march import march_modes, modal_table
 from pymc_features.simulators.oscillators.recursion import N_ROWS
@@ -224,15 +230,19 @@ def test_both_routes_on_the_same_modes(quantity):
     """Uncoupled modes, omega h from 0 to 1e4, stepped singly and as one state."""
     omega = np.array([0.0, 1.0, 30.0, 3e3, 5e5])
     zeta = np.array([0.0, 0.02, 1.0, 0.1, 3.0])
-    participation, seen = np.ones((5, 1)), np.eye(5)
+    participation, shapes = np.ones((5, 1)), np.eye(5)
     inputs, direct = noise(18, (1, 200)), np.zeros((5, 1))
     table = np.empty((N_ROWS, 5))
-    drag = 2.0 * zeta * omega
-    modal_table(omega, drag, 0.02, quantity, table)
+    damping = 2.0 * zeta * omega
+    modal_table(omega, damping, 0.02, quantity, table)
     singly, together = destination((5, 200), None), destination((5, 200), None)
-    march_modes(table, seen[None], direct, inputs, 1, 1, *singly)
-    matrices = step_matrices(omega, np.diag(drag), participation, seen, 0.02, quantity)
-    march_state(*matrices, direct, inputs, 1, 1, *together)
+    march_modes(table, shapes[None], direct, inputs, 1, 1, *singly)
+    matrices = StateMatrices(
+        *step_matrices(omega, np.diag(damping), participation, 0.02),
+        output_matrix(omega, np.diag(damping), shapes, 0.02, quantity),
+        direct,
+    )
+    march_state(matrices, Excitation(inputs, 0.02, 1, 1), *together)
     for one, other in zip(singly[1], together[1], strict=True):
         at_rest = np.abs(one).max() < 1e-150  # the rigid body's acceleration relative to its base
         assert not np.any(other) if at_rest else peak_error(other, one) < 1e-9

@@ -10,6 +10,7 @@ from support.kernels import (
     linear_discrepancy_gradient,
     linear_discrepancy_tangent,
     linear_misfit,
+    linear_misfit_gradient,
     linear_population_discrepancy,
     linear_population_gradient,
     linear_population_misfit,
@@ -29,6 +30,7 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.algebra import AffineMatrix, common_pattern, natural_modes
+from pymc_features.simulators import FAMILIES
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear import population
 from pymc_features.simulators.linear.arguments import Arguments
@@ -36,7 +38,7 @@ from pymc_features.simulators.linear.complement import invert_outside
 from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.system import is_coupled, solve_system
 
-N_PARAMETERS = 3
+N_PARAMETERS, LINEAR = 3, FAMILIES["linear"]
 
 # --------------------------------------------------------------------------- independent routes
 
@@ -99,6 +101,18 @@ class Case:
     @property
     def arguments(self):
         return *self.parameters, *self.rest
+
+    def named(self):
+        """The same by name."""
+        return dict(zip([*LINEAR.inputs, "quantity"], self.arguments, strict=True))
+
+    def arguments_with(self, **changes):
+        """The same, some of them others."""
+        return tuple((self.named() | changes).values())
+
+    def grouped(self):
+        """The same as the kernels take them."""
+        return Arguments(*LINEAR.assemble(self.arguments[:-1], self.quantity))
 
     def reference(self, flat):
         """The response (s, u) without our modes; analytic in the parameters but for ratios and truncation."""
@@ -259,6 +273,16 @@ CASES |= {
 }
 
 
+MISFIT_CASES = [
+    "coupled, quantity 0",
+    "coupled, quantity 3",
+    "coupled, two supports",
+    "coupled, stride",
+    "coupled, substeps",
+    "coupled, truncated, sparse",
+]
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_response_and_derivatives(name):
     """Response, gradients and tangents of both kinds, and tangents as transposes of gradients."""
@@ -313,6 +337,47 @@ def test_misfits_are_those_of_the_response(name):
     )
     np.testing.assert_allclose(linear_misfit(*case.arguments, observed), expected, rtol=1e-11)
     np.testing.assert_allclose(linear_discrepancy(*case.arguments, observed), expected[:, 0], rtol=1e-12)
+
+
+def statistics(misfit):
+    """Mean square, mean squared increment over all samples, first and last of r (..., u); (..., 4)."""
+    increments = (np.diff(misfit) ** 2).sum(axis=-1) / misfit.shape[-1]
+    return np.stack([(misfit**2).mean(axis=-1), increments, misfit[..., 0], misfit[..., -1]], axis=-1)
+
+
+@pytest.mark.parametrize("name", MISFIT_CASES)
+def test_gradient_of_the_misfit(name):
+    """All four statistics by the derivatives of the response without our modes; e_j alone by one column."""
+    case, accuracy = CASES[name]
+    rng = np.random.default_rng(20)
+    expected = case.reference(np.concatenate(case.parameters))
+    observed = expected + 0.3 * np.abs(expected).max() * rng.normal(size=expected.shape)
+    weights = rng.uniform(1.0, 2.0, (expected.shape[0], 4))
+    directions, derivatives = case.derivatives()
+    # the statistics are quadratic in the response: central differences of any step have no error
+    up, down = (statistics(observed - expected - step * derivatives) for step in (0.01, -0.01))
+    slopes = (up - down) / 0.02 * weights
+    for columns in (4, 1):
+        found = linear_misfit_gradient(*case.arguments, observed, weights[:, :columns])
+        by_response = slopes[..., :columns].sum(axis=(1, 2))
+        assert peak_error(directions @ np.concatenate(found), by_response) < accuracy
+
+
+@pytest.mark.parametrize("total", [1, 2, 128, 129, 257])
+@pytest.mark.parametrize(("substeps", "stride"), [(1, 1), (1, 3), (2, 1), (1, 200)])
+def test_gradient_of_the_misfit_across_blocks(total, substeps, stride):
+    """Records that end before, at and behind the border of a block of 128 steps, by the whole cotangent."""
+    n_times = -(-(total - 1) * stride // substeps) + 1
+    case = random_case(21, 3, coupled=True, grid=(substeps, stride), n_times=n_times)
+    rng, response = np.random.default_rng(22), linear_response(*case.arguments)
+    misfit, weights, n = rng.normal(size=response.shape), rng.normal(size=(3, 4)), response.shape[1]
+    increments = np.diff(misfit, axis=1, prepend=misfit[:, :1], append=misfit[:, -1:])
+    cotangent = -2.0 / n * (weights[:, :1] * misfit - weights[:, 1:2] * np.diff(increments, axis=1))
+    cotangent[:, 0] -= weights[:, 2]
+    cotangent[:, -1] -= weights[:, 3]
+    expected = np.concatenate(linear_response_gradient(*case.arguments, cotangent))
+    found = np.concatenate(linear_misfit_gradient(*case.arguments, response + misfit, weights))
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
 
 
 # --------------------------------------------------------------------------- the chain is a member
@@ -511,9 +576,9 @@ def test_no_compiled_modes(mass, stiffness):
 
 @pytest.mark.parametrize("name", ["classical, two supports", "coupled, two supports", "classical, sparse"])
 def test_sparse_outputs(name):
-    arguments = Arguments(*CASES[name][0].arguments)
-    thin = arguments._replace(sensors=sparse.csr_array(arguments.sensors))
-    assert peak_error(linear_response(*thin), linear_response(*arguments)) < 1e-13
+    case, _ = CASES[name]
+    thin = case.arguments_with(sensors=sparse.csr_array(case.sensors))
+    assert peak_error(linear_response(*thin), linear_response(*case.arguments)) < 1e-13
 
 
 # --------------------------------------------------------------------------- what is no structure
@@ -570,23 +635,23 @@ def test_no_structure_gives_nan(coupled, name, value, large):
 
 def test_sizes_that_disagree():
     case = random_case(16, 4)
-    good = Arguments(*case.arguments)
+    good, stiffness = case.arguments, case.named()["stiffness"]
     for change, match in (
         (dict(theta=np.zeros(2)), "`mass` must have shape"),
-        (dict(stiffness=good.stiffness[:, 1:]), "`stiffness` must have shape"),
+        (dict(stiffness=stiffness[:, 1:]), "`stiffness` must have shape"),
         (dict(starts=np.zeros(5, dtype=int)), "`rows` and `starts` must be the pattern"),
         (dict(forces=np.zeros((4, 2))), "`influence` and `forces` must have shape"),
-        (dict(acceleration=good.acceleration[0]), "`influence` and `forces` must have shape|not enough"),
+        (dict(acceleration=case.inputs[0]), "`influence` and `forces` must have shape|not enough"),
         (dict(sensors=np.eye(3)), "`sensors` must have one column"),
         (dict(n_modes=5), "`n_modes` must lie between 1"),
         (dict(ratios=np.zeros(3)), "`rayleigh` must have 2 values, and `ratios` one for each mode kept"),
     ):
         with pytest.raises((ValueError, IndexError), match=match):
-            linear_response(*good._replace(**change))
+            linear_response(*case.arguments_with(**change))
     observed, weights = np.zeros((3, 120)), np.ones(3)
     with pytest.raises(ValueError, match="must have the shape .sensor, time. of the response"):
         linear_discrepancy(*good, observed[:, 1:])
-    with pytest.raises(ValueError, match="`weights` must have one value for each sensor"):
+    with pytest.raises(ValueError, match="`weights` must have one value or four for each sensor"):
         linear_discrepancy_gradient(*good, observed, weights[1:])
     with pytest.raises(ValueError, match="the directions must have the shapes of the parameters"):
         linear_response_tangent(*good, np.zeros(2), np.zeros(2), np.zeros(4))
@@ -656,8 +721,8 @@ def test_complement_of_sparse_and_dense_modes(free):
     dense = random_case(17, 30, free=free, constant_mass=True, n_modes=4)
     thin = random_case(17, 30, free=free, constant_mass=True, n_modes=4, is_sparse=True)
     loads = np.random.default_rng(7).normal(size=(30, 4))
-    by_modes = solve_system(Arguments(*dense.arguments), left_out=True)
-    by_factor = solve_system(Arguments(*thin.arguments), left_out=True)
+    by_modes = solve_system(dense.grouped(), left_out=True)
+    by_factor = solve_system(thin.grouped(), left_out=True)
     signs = np.sign((by_modes.shapes * (by_modes.mass @ by_factor.shapes)).sum(axis=0))
     assert peak_error(by_factor.shapes * signs, by_modes.shapes) < 1e-9 and by_factor.others is None
     assert peak_error(invert_outside(by_factor, loads), invert_outside(by_modes, loads)) < 1e-9

@@ -41,6 +41,7 @@ linear_response, linear_discrepancy, linear_misfit = (
 )
 linear_response_gradient, linear_response_tangent = LINEAR["response_gradient"], LINEAR["response_tangent"]
 linear_discrepancy_gradient = LINEAR["discrepancy_gradient"]
+linear_misfit_gradient = LINEAR["misfit_gradient"]
 linear_discrepancy_tangent = LINEAR["discrepancy_tangent"]
 linear_population_discrepancy = LINEAR["population_discrepancy"]
 linear_population_misfit = LINEAR["population_misfit"]

@@ -16,12 +16,10 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.oscillators.modal_system import ModalSystem
 from pymc_features.simulators.oscillators.population import (
-    clear,
     fill_lane,
-    march,
+    lane_statistics,
     new_increments,
     new_lanes,
-    take_statistics,
 )
 from pymc_features.simulators.oscillators.recursion import N_ROWS, write_damping, write_table
 
@@ -113,7 +111,6 @@ def march_population(parameters, excitation, wanted, observed, increments):
     system = ModalSystem(omega[:m], damping, shapes, participation[:m].reshape(m, 1))
     for first in range(0, n_particles, LANES):
         count = min(LANES, n_particles - first)
-        clear(lanes)
         solve_modes(modes, parameters, first, count)
         for lane in range(count):
             if not modes.valid[lane]:
@@ -126,9 +123,9 @@ def march_population(parameters, excitation, wanted, observed, increments):
                 write_table(system.omega, damping, step, quantity, table)
                 write_feed(system, quantity, m == n, feed)
                 fill_lane(lanes, lane, table, system, feed, excitation.acceleration[0])
-        march(lanes, excitation, observed, increments)
-        take_statistics(lanes, increments, observed.shape[1], result[first : first + count])
+        found = lane_statistics(lanes, excitation, observed, increments)
         for lane in range(count):
+            result[first + lane] = found[lane]
             if not modes.valid[lane]:
                 result[first + lane] = np.nan
     return result

@@ -1,4 +1,4 @@
-"""Small operations on arrays that several rooms need."""
+"""Arrays as compiled code takes them, and the order of their entries."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ def writable(array, dtype=np.float64) -> np.ndarray:
 
 @jit
 def ascending(values):
-    """Positions of numbers in ascending order, by insertion: the iteration leaves them nearly in order."""
+    """Positions of numbers in ascending order, by insertion: fast for numbers that are nearly in order."""
     order = np.arange(values.size)
     for i in range(1, values.size):
         here, k = order[i], i

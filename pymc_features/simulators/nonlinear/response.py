@@ -26,7 +26,7 @@ from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_VELOCITY,
     n_outputs,
 )
-from pymc_features.simulators.oscillators_old.recursion import check_sizes
+from pymc_features.simulators.oscillators.recursion import check_sizes
 
 # What else can be asked of a spring, after the codes of `QUANTITIES`
 SPRING_FORCE, DRIFT, MEMORY = range(len(QUANTITIES), len(QUANTITIES) + 3)

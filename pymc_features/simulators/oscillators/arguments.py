@@ -62,6 +62,13 @@ def n_outputs(n_times, substeps, stride):
 
 
 @jit
+def single_input(excitation):
+    """The excitation with its only input as (t,)."""
+    acceleration, dt, substeps, stride = excitation
+    return Excitation(acceleration.reshape(acceleration.size), dt, substeps, stride)
+
+
+@jit
 def ground_at(acceleration, fine, substeps):
     """Excitation after `fine` steps of the recursion, `substeps` to a sample; zero behind the record."""
     i = fine // substeps

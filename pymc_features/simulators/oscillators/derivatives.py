@@ -18,7 +18,7 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.oscillators.arguments import interpolate
 from pymc_features.simulators.oscillators.close_modes import close_modes
-from pymc_features.simulators.oscillators.misfit import add_change, copy_block, weigh_misfit
+from pymc_features.simulators.oscillators.misfit import copy_block, take_change, weigh_misfit
 from pymc_features.simulators.oscillators.recursion import BLOCK
 from pymc_features.simulators.oscillators.sensitivity import (
     N_COEFFICIENTS,
@@ -329,10 +329,7 @@ def march_change(system, law, feed, excitation, quantity, change, observed, hist
             for i in range(combination.shape[1]):
                 np.dot(modes.values[k, i, 1:], combination[k, i], part)
                 change_block += part
-        if history.size:
-            for b in range(min(BLOCK, total - first)):
-                history[:, first + b] = change_block[b]
-        else:
+        if not history.size:
             write_response(modes, feed, stride, part, response)
-            add_change(response, change_block, observed, first, sums)
+        take_change(response, change_block, first, observed, history, sums)
     return sums

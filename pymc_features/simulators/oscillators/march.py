@@ -7,7 +7,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.arguments import interpolate
-from pymc_features.simulators.oscillators.misfit import compare_block
+from pymc_features.simulators.oscillators.misfit import take_block
 from pymc_features.simulators.oscillators.recursion import BLOCK, N_ROWS, advance, write_table
 
 
@@ -41,7 +41,7 @@ def march_modes(system, feed, excitation, quantity, observed, history, sums):
     history : array (s, u) or (0, 0)
         Written, unless it is empty.
     sums : array (q, s)
-        Otherwise: statistics of the misfit, see `compare_block`; updated.
+        Otherwise: sums over the misfit, see `misfit.compare_block`; updated.
     """
     inputs, dt, substeps, stride = excitation
     n_sensors, n_modes = system.shapes.shape
@@ -64,8 +64,4 @@ def march_modes(system, feed, excitation, quantity, observed, history, sums):
                     target[j, b] += feed[j, i] * ground[i, b * stride]
             if i > 0:
                 block += part
-        if history.size:
-            for j in range(n_sensors):
-                history[j, first : first + count] = block[j, :count]
-        else:
-            compare_block(block, observed, first, count, sums)
+        take_block(block, first, count, observed, history, sums)

@@ -14,7 +14,28 @@ from pymc_features.simulators.oscillators.recursion import BLOCK
 
 
 @jit
-def compare_block(block, observed, first, count, sums):
+def take_block(block, first, count, observed, history, sums):
+    """Store `count` samples of the response, from sample `first` on, or compare them with the data.
+
+    Parameters
+    ----------
+    block : array (s, >= count)
+    observed : array (s, u)
+        Data; not read if there is a `history`.
+    history : array (s, u) or (0, 0)
+        Written, unless it is empty.
+    sums : array (1, s) or (4, s)
+        Otherwise, see `compare_block`; updated.
+    """
+    if history.size:
+        for j in range(history.shape[0]):
+            history[j, first : first + count] = block[j, :count]
+    else:
+        compare_block(block, first, count, observed, sums)
+
+
+@jit
+def compare_block(block, first, count, observed, sums):
     """Add `count` samples, from sample `first` on, to the sums of squares.
 
     Parameters
@@ -102,6 +123,24 @@ def weigh_misfit(response, data, first, weights, misfits, weighted):
 
 
 @jit
+def weigh_history(response, observed, weights):
+    """Overwrite a whole response (s, u) by the derivatives of L by it, see `weigh_misfit`."""
+    n_sensors, total = response.shape
+    for j in range(n_sensors):
+        by_square, by_increment = 2.0 * weights[j, 0] / total, 0.0
+        if weights.shape[1] == 4:
+            by_increment = 2.0 * weights[j, 1] / total
+        misfit, increment = observed[j, 0] - response[j, 0], 0.0
+        for k in range(total):
+            following = observed[j, k + 1] - response[j, k + 1] if k + 1 < total else misfit
+            response[j, k] = -by_square * misfit - by_increment * (increment - (following - misfit))
+            misfit, increment = following, following - misfit
+        if weights.shape[1] == 4:
+            response[j, 0] -= weights[j, 2]
+            response[j, total - 1] -= weights[j, 3]
+
+
+@jit
 def copy_block(history, first, weighted):
     """Copy a block of a history (s, u) into rows 1 ... of `weighted` (BLOCK + 1, s), zero behind its end."""
     count = min(BLOCK, history.shape[1] - first)
@@ -112,20 +151,26 @@ def copy_block(history, first, weighted):
 
 
 @jit
-def add_change(response, change, data, first, sums):
-    """Add what a change of a block of the response does to the sums of squares.
+def take_change(response, change, first, observed, history, sums):
+    """Store a block of the change of the response, or what it does to the sums of squares.
 
     Parameters
     ----------
-    response, change : array (BLOCK, s)
-    data : array (s, u)
+    response, change : array (>= count, s)
+        The response is not read if there is a `history`.
     first : int
         Sample with which the block begins.
+    observed, history
+        As in `take_block`.
     sums : array (s,)
-        Updated.
+        Change of sum_k r_k^2; updated, unless there is a history.
     """
-    for j in range(data.shape[0]):
+    count = min(change.shape[0], max(history.shape[1], observed.shape[1]) - first)
+    for j in range(change.shape[1]):
         total = 0.0
-        for b in range(min(BLOCK, data.shape[1] - first)):
-            total += (response[b, j] - data[j, first + b]) * change[b, j]
+        for b in range(count):
+            if history.size:
+                history[j, first + b] = change[b, j]
+            else:
+                total += (response[b, j] - observed[j, first + b]) * change[b, j]
         sums[j] += 2.0 * total

@@ -19,8 +19,9 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, splat, store
-from pymc_features.simulators.oscillators.arguments import interpolate
+from pymc_features.simulators.oscillators.arguments import interpolate, single_input
 from pymc_features.simulators.oscillators.recursion import (
+    N_ROWS,
     OUT_P,
     OUT_Q,
     P_NEXT,
@@ -32,6 +33,7 @@ from pymc_features.simulators.oscillators.recursion import (
     Q_P,
     Q_Q,
     W,
+    write_table,
 )
 
 SAMPLES = 16  # outputs handled at a time; a multiple of four
@@ -299,12 +301,35 @@ def march(lanes, excitation, observed, increments):
 
 
 @jit
-def take_statistics(lanes, increments, n_times, result):
-    """Write the statistics of the misfit of each lane into `result` (structures, s, 1 or 4)."""
-    for lane in range(result.shape[0]):
-        for j in range(result.shape[1]):
+def lane_statistics(lanes, excitation, observed, increments):
+    """Statistics (LANES, s, 1 or 4) of the misfit of the structures in the lanes, which are then taken out.
+
+    Parameters
+    ----------
+    excitation : Excitation
+        One input, (t,) or (1, t).
+    observed : array (s, u)
+        Data.
+    increments : Increments or None
+        None if only e_j is asked for.
+    """
+    march(lanes, single_input(excitation), observed, increments)
+    n_sensors, n_times = observed.shape
+    result = np.empty((LANES, n_sensors, 1 if increments is None else 4))
+    for lane in range(LANES):
+        for j in range(n_sensors):
             result[lane, j, 0] = lanes.squares[j, lane] / n_times
             if increments is not None:
                 result[lane, j, 1] = increments.squares[j, lane] / n_times
                 result[lane, j, 2] = increments.first[j, lane]
                 result[lane, j, 3] = increments.last[j, lane]
+    clear(lanes)
+    return result
+
+
+@jit
+def put_system(lanes, lane, system, feed, excitation, quantity):
+    """Write a `ModalSystem` under one input into a lane; `feed` (s,) is overwritten."""
+    table = np.empty((N_ROWS, system.omega.size))
+    write_table(system.omega, system.damping, excitation.dt / excitation.substeps, quantity, table)
+    fill_lane(lanes, lane, table, system, feed, single_input(excitation).acceleration[0])
