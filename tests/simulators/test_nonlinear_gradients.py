@@ -12,7 +12,7 @@ from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_math import logarithm, power
 from pymc_features.simulators.compiled.vector_memory import aligned, read_lanes, write_lanes
 from pymc_features.simulators.families import NONLINEAR
-from pymc_features.simulators.nonlinear.response import nonlinear_histories
+from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
 from pymc_features.simulators.nonlinear.tape import CAPACITY
 
 KERNELS = {family: flat_kernels(family) for family in NONLINEAR}
