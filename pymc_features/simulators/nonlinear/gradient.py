@@ -6,7 +6,7 @@ does not grow with the number of steps.
 
 The number of steps per segment is piecewise constant and contributes no derivative; where it jumps, the
 response jumps by no more than the error of the integration. Steps that end at a kink have lengths that depend
-on the state, through the time of the kink; their derivatives are included (`fix_end_at_kink`).
+on the state, through the time of the kink; their derivatives are included (`kink_adjoint`).
 
 Against a tight solution the derivatives are right to 1e-8 ... 1e-7 of their peak (tests), for Bouc-Wen
 springs with n = 1 to 1e-6 and with n = 1.2 to 4e-5: |z|^n is no smoother than that where z passes zero. One

@@ -10,7 +10,7 @@ Block               Memory of the chain                      Unit        Memory 
 ==================  =======================================  ==========  ================================
 0 ... 7             parameters of the law, one block each    the law's   dL/d(parameter)
 `ACTIVE`            1, or 0 in the padding beyond n          -           unused
-`INVERSE_MASS`      1/m_i                                    1/kg        1/m_i dL/d(1/m_i), see `spread`
+`INVERSE_MASS`      1/m_i                                    1/kg        dL/d ln(1/m_i), see `collect`
 `STIFFNESS`         k_i                                      N/m         dL/dk_i at constant beta k_i
 `DASHPOT`           beta k_i, stiffness-proportional         N s/m       dL/d(beta k_i)
 `MASS_DAMPING`      alpha, mass-proportional                 1/s         unused
@@ -20,7 +20,7 @@ Block               Memory of the chain                      Unit        Memory 
                     they are unloaded
 `STATES` + 3 s      state at stage s: u, v and z, a block    m, m/s, -   dL/d(state at stage s)
                     each
-`SLOPES` + 3 s      its time derivative: u', v' and z'                   dL/d(slope at stage s)
+`SLOPES` + 3 s      its time derivative: u', v' and z'                   dL/d(slope at stage s), s < 6
 `MODAL_DAMPING`     columns of M^-1 C of modal ratios (n),   1/s         dL/d(M^-1 C), columns only
                     then its rows (n)
 ==================  =======================================  ==========  ================================

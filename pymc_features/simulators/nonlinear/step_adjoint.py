@@ -8,7 +8,7 @@ Xbar_6 by the step's result goes back through the stages in reverse,
 and each stage adds kbar_s' dk_s/dp to the gradient by a parameter p. The derivatives by the length of the
 step and by the ground acceleration at its start, where a_g(s) = ground + c_s h trend, are
 
-    dL/dh = 1/h sum_s kbar_s' k_s + trend dL/da_g(s) c_s,    dL/dground = sum_s dL/da_g(s),
+    dL/dh = 1/h sum_s kbar_s' k_s + trend sum_s c_s dL/da_g(s),    dL/dground = sum_s dL/da_g(s),
 
 with dL/da_g(s) the negative sum of kbar_s over the accelerations.
 
@@ -111,7 +111,10 @@ def slope_adjoint(law, grad, s, ground):
 
 @jit
 def step_adjoint(law, grad, step, ground, trend):
-    """Turn the gradient by a step's result into that by its start; both lie at stage `LAST`."""
+    """Turn the gradient by a step's result into that by its start; both lie at stage `LAST`.
+
+    Returns the gradients by the length of the step and by the ground acceleration at its start.
+    """
     for s in range(LAST - 1, -1, -1):
         for row in range(3 * law.rows):
             bar = splat(0.0)
@@ -119,46 +122,59 @@ def step_adjoint(law, grad, step, ground, trend):
                 bar = bar + WEIGHTS[r, s] * read_lanes(grad, state(law, r) + row)
             write_lanes(grad, slope(law, s) + row, step * bar)
         slope_adjoint(law, grad, s, ground + TIMES[s] * step * trend)
-    for row in range(3 * law.rows):
-        bar = read_lanes(grad, state(law, LAST) + row)
-        for s in range(LAST):
-            bar = bar + read_lanes(grad, state(law, s) + row)
-        write_lanes(grad, state(law, LAST) + row, bar)
-
-
-@jit
-def length_adjoint(law, grad, step, trend):
-    """Gradients by the length of a step and by the ground acceleration at its start, after `step_adjoint`."""
     by_slopes, grad_ground, by_times = splat(0.0), splat(0.0), splat(0.0)
-    for s in range(LAST):
-        for row in range(3 * law.rows):
-            bar = read_lanes(grad, slope(law, s) + row)
-            by_slopes = by_slopes + bar * read_lanes(law.address, slope(law, s) + row)
-            if law.rows <= row < 2 * law.rows:
-                grad_ground = grad_ground - bar
-                by_times = by_times - TIMES[s] * bar
+    for row in range(3 * law.rows):
+        xbar = read_lanes(grad, state(law, LAST) + row)
+        for s in range(LAST):
+            xbar = xbar + read_lanes(grad, state(law, s) + row)
+            kbar = read_lanes(grad, slope(law, s) + row)
+            by_slopes = by_slopes + kbar * read_lanes(law.address, slope(law, s) + row)
+            if law.rows <= row < 2 * law.rows:  # v' contains -a_g
+                grad_ground = grad_ground - kbar
+                by_times = by_times - TIMES[s] * kbar
+        write_lanes(grad, state(law, LAST) + row, xbar)
     return total(by_slopes) / step + trend * total(by_times), total(grad_ground)
 
 
 @jit
-def fix_end_at_kink(law, grad, which, grad_time):
-    """Replace the gradient by the result of a step of given length by that of one which ends at a kink.
-
-    The kink lies where the kink function g is zero, so that the length changes by dh = -dg / (dg/dh), with dg
-    at given h. `grad_time` is the gradient by the time at which the step ends. The result changes with h by
-    its slope k_6: of the computed result that is right to the error of the method.
-    """
-    by_length = splat(0.0)
-    for row in range(3 * law.rows):
-        bar = read_lanes(grad, state(law, LAST) + row)
-        by_length = by_length + bar * read_lanes(law.address, slope(law, LAST) + row)
-    factor = (total(by_length) + grad_time) / kink_value(law, LAST, which)[1]
-    # Xbar_6 - factor dg/dX_6, where g is v_i - v_{i-1} or z_i
+def subtract_kink(law, grad, which, factor):
+    """Subtract from Xbar_6 a multiple of dg/dX_6, where the kink function g is v_i - v_{i-1} or z_i."""
     p = law.rows * LANES
     here = state(law, LAST) * LANES + (p + which if which < law.n else 2 * p + which - law.n)
     write_number(grad, here, read_number(grad, here) - factor)
     if 0 < which < law.n:
         write_number(grad, here - 1, read_number(grad, here - 1) + factor)
+
+
+@jit
+def kink_adjoint(law, grad, recorded_step, grad_time):
+    """As `step_adjoint` for a step that ends at a kink; returns the gradient by the time of its start.
+
+    The kink lies where g = 0, so that the length of the step depends on its start: dh = -dg / (dg/dh), with
+    dg at constant h. The gradient is that at constant h for Xbar_6 - lambda dg/dX_6, where lambda makes the
+    derivative by h vanish, with the part `grad_time` by the time of the kink. X_6 changes with h by the slope
+    k_6 but for the error of the method: that gives lambda, and a second sweep makes up what is left.
+    """
+    step, ground, trend, which = recorded_step
+    by_length = splat(0.0)
+    for row in range(3 * law.rows):
+        xbar = read_lanes(grad, state(law, LAST) + row)
+        by_length = by_length + xbar * read_lanes(law.address, slope(law, LAST) + row)
+        write_lanes(grad, slope(law, LAST) + row, splat(0.0))  # kbar_6 is not used: the sum of the sweeps
+    g_rate = kink_value(law, LAST, which)[1]
+    residual, grad_ground = total(by_length) + grad_time, 0.0
+    for _ in range(2):
+        subtract_kink(law, grad, which, residual / g_rate)
+        grad_step, part = step_adjoint(law, grad, step, ground, trend)
+        residual, grad_ground = grad_step + grad_time, grad_ground + part
+        for row in range(3 * law.rows):
+            sweep = read_lanes(grad, state(law, LAST) + row)
+            sweeps = read_lanes(grad, slope(law, LAST) + row) + sweep
+            write_lanes(grad, slope(law, LAST) + row, sweeps)
+            write_lanes(grad, state(law, LAST) + row, splat(0.0))
+    for row in range(3 * law.rows):
+        write_lanes(grad, state(law, LAST) + row, read_lanes(grad, slope(law, LAST) + row))
+    return grad_time + trend * grad_ground  # a kink at a given state moves with the start of the step
 
 
 @jit
@@ -169,11 +185,8 @@ def reverse_step(law, grad, recorded_step, grad_time):
     -1, at a given time; `grad_time` is the gradient by the time of its end.
     """
     step, ground, trend, which = recorded_step
-    ends_at_kink = which >= 0
     try_step(law, step, ground, trend)
-    if ends_at_kink:
-        fix_end_at_kink(law, grad, which, grad_time)
-    step_adjoint(law, grad, step, ground, trend)
-    grad_step, grad_ground = length_adjoint(law, grad, step, trend)
-    # a later start shortens a step whose end is given; one that ends at a kink moves with its start
-    return trend * grad_ground + (grad_time if ends_at_kink else -grad_step)
+    if which >= 0:
+        return kink_adjoint(law, grad, recorded_step, grad_time)
+    grad_step, grad_ground = step_adjoint(law, grad, step, ground, trend)
+    return trend * grad_ground - grad_step  # a later start shortens a step whose end is given
