@@ -48,7 +48,8 @@ from pymc_features.simulators.linear import (
 from pymc_features.simulators.linear.arguments import LinearParameters
 from pymc_features.simulators.nonlinear.bouc_wen import BoucWen
 from pymc_features.simulators.nonlinear.duffing import Cubic
-from pymc_features.simulators.nonlinear.kernels import NonlinearParameters, nonlinear_kernels
+from pymc_features.simulators.nonlinear.kernels import nonlinear_kernels
+from pymc_features.simulators.nonlinear.parameters import NonlinearParameters
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs
 
 

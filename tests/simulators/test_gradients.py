@@ -39,15 +39,18 @@ from pymc_features import (
     mean_square_discrepancy,
     response,
 )
-from pymc_features.ops import OPS, PopulationDiscrepancy, StructuralDiscrepancy, StructuralResponse
-from pymc_features.ops.base import count
-from pymc_features.ops.gradient import (
+from pymc_features.ops import (
+    OPS,
     DiscrepancyTangent,
     MisfitGradient,
+    PopulationDiscrepancy,
     PopulationGradient,
     ResponseGradient,
     ResponseTangent,
+    StructuralDiscrepancy,
+    StructuralResponse,
 )
+from pymc_features.ops.base import count
 from pymc_features.simulators import FAMILIES, QUANTITIES
 
 CHAIN = FAMILIES["chain"]

@@ -37,9 +37,8 @@ from pymc_features.simulators.linear.state_space import (
 )
 from pymc_features.simulators.linear.system import is_coupled
 from pymc_features.simulators.oscillators.arguments import Excitation
-from pymc_features.simulators.oscillators.blocks import destination
-from pymc_features.simulators.oscillators.march import march_modes, modal_table
-from pymc_features.simulators.oscillators.recursion import N_ROWS
+from pymc_features.simulators.oscillators.march import march_modes
+from pymc_features.simulators.oscillators.modal_system import ModalSystem
 
 UNDAMPED = ModalDamping(0.0)
 
@@ -232,18 +231,17 @@ def test_both_routes_on_the_same_modes(quantity):
     zeta = np.array([0.0, 0.02, 1.0, 0.1, 3.0])
     participation, shapes = np.ones((5, 1)), np.eye(5)
     inputs, direct = noise(18, (1, 200)), np.zeros((5, 1))
-    table = np.empty((N_ROWS, 5))
     damping = 2.0 * zeta * omega
-    modal_table(omega, damping, 0.02, quantity, table)
-    singly, together = destination((5, 200), None), destination((5, 200), None)
-    march_modes(table, shapes[None], direct, inputs, 1, 1, *singly)
+    singly, together, excitation = np.empty((5, 200)), np.empty((5, 200)), Excitation(inputs, 0.02, 1, 1)
+    system = ModalSystem(omega, damping, shapes, participation)
+    march_modes(system, direct, excitation, quantity, singly, singly, np.empty((1, 0)))
     matrices = StateMatrices(
         *step_matrices(omega, np.diag(damping), participation, 0.02),
         output_matrix(omega, np.diag(damping), shapes, 0.02, quantity),
         direct,
     )
-    march_state(matrices, Excitation(inputs, 0.02, 1, 1), *together)
-    for one, other in zip(singly[1], together[1], strict=True):
+    march_state(matrices, excitation, together, together, np.empty((1, 0)))
+    for one, other in zip(singly, together, strict=True):
         at_rest = np.abs(one).max() < 1e-150  # the rigid body's acceleration relative to its base
         assert not np.any(other) if at_rest else peak_error(other, one) < 1e-9
 
