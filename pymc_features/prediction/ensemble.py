@@ -87,9 +87,8 @@ class Ensemble:
                 self.rows = {name: wanted.rows(structure, name) for name in wanted.names}
         kind = kind_of(structure, self.wanted.requests[0].n_modes)
         if kind not in self._groups:
-            self._groups[kind] = (
-                Simulated(self.wanted, self._files()) if kind is Simulated else kind(self.wanted)
-            )
+            files = (self._files(),) if kind is Simulated else ()
+            self._groups[kind] = kind(self.wanted, *files)
         group = self._groups[kind]
         added = group.add(structure)
         if added:

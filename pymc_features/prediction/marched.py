@@ -135,9 +135,8 @@ class Oscillators(Marched):
         participation, output_shapes, direct = {}, {}, {}
         for load, k in self.examples.items():
             record, request = self.wanted.records[k], self.wanted.requests[k]
-            inputs = family.inputs_of(
-                structure, record, request, family.rows(request.sensors, structure.n_dof)
-            )
+            rows = family.rows(request.sensors, structure.n_dof)
+            inputs = family.inputs_of(structure, record, request, rows)
             a = Arguments(*family.assemble(inputs, request.quantity_code))
             system = solve_system(a, known=known)
             if system is None:

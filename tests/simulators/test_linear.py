@@ -29,12 +29,7 @@ from pymc_features.algebra import eigen, natural_modes
 from pymc_features.algebra.factorisation import count_below, eliminate
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear.dense import dense_modes
-from pymc_features.simulators.linear.state_space import (
-    StateMatrices,
-    march_state,
-    output_matrix,
-    step_matrices,
-)
+from pymc_features.simulators.linear.state_space import StateMatrices, march_state, modal_equations
 from pymc_features.simulators.linear.system import is_coupled
 from pymc_features.simulators.oscillators.arguments import Excitation
 from pymc_features.simulators.oscillators.march import march_modes
@@ -235,11 +230,9 @@ def test_both_routes_on_the_same_modes(quantity):
     singly, together, excitation = np.empty((5, 200)), np.empty((5, 200)), Excitation(inputs, 0.02, 1, 1)
     system = ModalSystem(omega, damping, shapes, participation)
     march_modes(system, direct, excitation, quantity, singly, singly, np.empty((1, 0)))
-    matrices = StateMatrices(
-        *step_matrices(omega, np.diag(damping), participation, 0.02),
-        output_matrix(omega, np.diag(damping), shapes, 0.02, quantity),
-        direct,
-    )
+    equations = modal_equations(omega, np.diag(damping), participation, 0.02)
+    outputs = equations.output_matrix(shapes, quantity)
+    matrices = StateMatrices(*equations.step_matrices(), outputs, direct)
     march_state(matrices, excitation, together, together, np.empty((1, 0)))
     for one, other in zip(singly, together, strict=True):
         at_rest = np.abs(one).max() < 1e-150  # the rigid body's acceleration relative to its base

@@ -118,12 +118,14 @@ class Arguments(NamedTuple):
     @property
     def inputs(self) -> Excitation:
         """The excitation in arrays that compiled code takes."""
-        return self.excitation._replace(acceleration=writable(self.excitation.acceleration))
+        acceleration, *grid = self.excitation
+        return Excitation(writable(acceleration), *grid)
 
     @property
     def outputs(self) -> Outputs:
         """The outputs in arrays that compiled code takes, the matrix of sensors dense."""
-        return self.wanted._replace(sensors=writable(to_dense(self.wanted.sensors)))
+        sensors, n_modes, quantity = self.wanted
+        return Outputs(writable(to_dense(sensors)), n_modes, quantity)
 
     def check(self, history=None, weights=None):
         """Refuse sizes that do not agree.

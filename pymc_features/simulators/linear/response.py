@@ -70,7 +70,7 @@ def evaluate(a, system, observed):
     if system is None:
         history[:], sums[:] = np.nan, np.nan
     elif is_coupled(system.modal_damping):
-        march_state(state_matrices(a, system), a.inputs, observed, history, sums)
+        march_state(state_matrices(a, system)[1], a.inputs, observed, history, sums)
     else:
         modes, feed = observe(a, system)
         march_modes(modes, feed, a.inputs, a.wanted.quantity, observed, history, sums)

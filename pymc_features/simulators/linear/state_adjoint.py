@@ -9,8 +9,8 @@ checkpoints, 128 steps at a time. The derivatives of the matrix exponential foll
 derivative (Al-Mohy & Higham, SIAM J. Matrix Anal. Appl. 30, 1639-1657, 2009).
 
 The modes are a basis Phi that is held fixed: the response does not depend on it, so that repeated frequencies
-need no care. Its modal equations have Omega^2 = X^-1 Phi' K Phi, D = X^-1 Phi' C Phi and Gamma = X^-1 Phi' L,
-X = Phi' M Phi, which is the identity before any change.
+need no care. In this basis R = X^-1 [Phi' K Phi, Phi' C Phi, Phi' L], where X = Phi' M Phi is the identity
+before any change, so that a change is dR = [..] - dX R.
 """
 
 import numpy as np
@@ -23,33 +23,13 @@ from pymc_features.simulators.linear.state_space import (
     StateMatrices,
     advance_state,
     block_samples,
-    generator,
-    output_matrix,
-    outputs_of,
+    march_state,
     state_matrices,
 )
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
-from pymc_features.simulators.oscillators.misfit import take_change, weigh_history
+from pymc_features.simulators.oscillators.misfit import weigh_history
 
-
-@jit
-def checkpoints(matrices, excitation, response):
-    """States (blocks, 2 m) at the first sample of each block; the outputs go into `response` (s, u)."""
-    (size, n_inputs), stride, total = matrices.now.shape, excitation.stride, response.shape[1]
-    samples = block_samples(stride)
-    n_blocks = (total + samples - 1) // samples
-    starts = np.zeros((n_blocks, size))
-    states, ground = np.zeros((samples * stride + 1, size)), np.zeros((n_inputs, samples * stride + 1))
-    for block in range(n_blocks):
-        first = block * samples
-        count = min(samples, total - first)
-        steps = count * stride if block + 1 < n_blocks else (count - 1) * stride
-        states[0] = starts[block]
-        advance_state(matrices, excitation, first * stride, steps, states, ground)
-        response[:, first : first + count] = outputs_of(matrices, states, ground, count, stride)
-        if block + 1 < n_blocks:
-            starts[block + 1] = states[steps]
-    return starts
+NO_SUMS = np.empty((1, 0))  # of a comparison with data, where there is none
 
 
 @jit
@@ -61,7 +41,7 @@ def matrix_gradients(matrices, excitation, starts, weighted):
     matrices : StateMatrices
     excitation : Excitation
     starts : array (blocks, 2 m)
-        States from `checkpoints`.
+        States at the first sample of each block, from `march_state`.
     weighted : array (s, u)
         w = dL/dy.
     """
@@ -96,25 +76,6 @@ def matrix_gradients(matrices, excitation, starts, weighted):
     return StateMatrices(grad_transition, grad_now, grad_after, grad_output, grad_direct)
 
 
-@jit
-def march_state_change(matrices, excitation, observed, history, sums):
-    """Carry the response and its change through the record; see `take_change` for what becomes of them.
-
-    The matrices are those of states beside their changes; the outputs likewise, the response first.
-    """
-    (size, n_inputs), stride = matrices.now.shape, excitation.stride
-    n_sensors, total = matrices.direct.shape[0] // 2, max(history.shape[1], observed.shape[1])
-    samples = block_samples(stride)
-    states, ground = np.zeros((samples * stride + 1, size)), np.zeros((n_inputs, samples * stride + 1))
-    for first in range(0, total, samples):
-        count = min(samples, total - first)
-        steps = count * stride if first + count < total else (count - 1) * stride
-        advance_state(matrices, excitation, first * stride, steps, states, ground)
-        both = np.ascontiguousarray(outputs_of(matrices, states, ground, count, stride).T)
-        take_change(both[:, :n_sensors], both[:, n_sensors:], first, observed, history, sums)
-        states[0] = states[steps]
-
-
 def pull_back(a, system, history, weights=None):
     """Derivatives of a number L, see `Cotangent`.
 
@@ -131,49 +92,37 @@ def pull_back(a, system, history, weights=None):
     -----
     Memory: the response of this one structure, and the states at every 128th step.
     """
-    (m, d), step, omega, D = system.participation.shape, a.step, system.omega, system.modal_damping
-    matrices = state_matrices(a, system)
+    m, quantity = system.omega.size, a.wanted.quantity
+    equations, matrices = state_matrices(a, system)
     weighted = np.empty(a.shape)
-    starts = checkpoints(matrices, a.inputs, weighted)
+    starts = march_state(matrices, a.inputs, weighted, weighted, NO_SUMS)
     if weights is None:
         weighted = writable(history)
     else:
         weigh_history(weighted, writable(history), writable(weights))
     grad = matrix_gradients(matrices, a.inputs, starts, weighted)
 
-    # the exponential E of the generator B: E_2 = N + A and E_3 = A stand beside T, and
-    # B has the rows [-(Omega h)^2 / S, -D h, -h^2 Gamma]
-    matrix, scale = generator(omega, D, system.participation, step)
-    grad_exponential = np.zeros_like(matrix)
+    # by R: the exponential of the generator has [T, N + A, A] in its rows
+    generator, width = equations.generator(), equations.scales.size
+    grad_exponential = np.zeros_like(generator)
     grad_exponential[: 2 * m] = np.hstack([grad.transition, grad.now, grad.after - grad.now])
-    grad_generator = expm_frechet(matrix.T, grad_exponential, compute_expm=False)[m : 2 * m]
-    grad_spring = -(step**2) * grad_generator[:, :m] / scale  # by Omega^2, D and Gamma
-    grad_damping = -step * grad_generator[:, m : 2 * m]
-    grad_participation = -(step**2) * grad_generator[:, 2 * m : 2 * m + d]
-
-    # outputs, by what stands before q and q': S Phi, or -S Phi (Omega^2 q + D q' + Gamma a)
-    grad_q, grad_velocity = grad.output[:, :m] / scale, grad.output[:, m:] / step
-    if a.wanted.quantity == RELATIVE_DISPLACEMENT:
-        grad_output_shapes = grad_q
-    elif a.wanted.quantity == RELATIVE_VELOCITY:
-        grad_output_shapes = grad_velocity
-    else:
-        grad_output_shapes = -grad_q * omega**2 - grad_velocity @ D.T - grad.direct @ system.participation.T
-        output_shapes = a.wanted.sensors @ system.shapes
-        grad_spring -= output_shapes.T @ grad_q
-        grad_damping -= output_shapes.T @ grad_velocity
-        grad_participation -= output_shapes.T @ grad.direct
-
-    # by X = Phi' M Phi, which divides all three, and by Phi outside its span
-    grad_mass = -(grad_damping @ D.T + grad_spring * omega**2 + grad_participation @ system.participation.T)
+    grad_generator = expm_frechet(generator.T, grad_exponential, compute_expm=False)
+    grad_rows = -(a.step**2) * grad_generator[m : 2 * m, :width] / equations.scales
+    # by S Phi and once more by R: [O, J] (z, a) = S Phi W (q, q', a)
+    grad_outputs = np.hstack([grad.output, grad.direct]) / equations.scales
+    grad_output_shapes = grad_outputs @ equations.selection(quantity).T
+    if quantity not in (RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY):  # W = -R
+        grad_rows -= (a.wanted.sensors @ system.shapes).T @ grad_outputs
+    # by Phi outside its span, through Phi' C Phi, Phi' L and S Phi
+    grad_stiffness, grad_damping, grad_load = np.split(grad_rows, [m, 2 * m], axis=1)
     shapes, damping = system.shapes, system.damping
-    grad_shapes = a.wanted.sensors.T @ grad_output_shapes + system.load @ grad_participation.T
+    grad_shapes = a.wanted.sensors.T @ grad_output_shapes + system.load @ grad_load.T
     grad_shapes += (damping @ shapes) @ grad_damping.T + damping.T @ (shapes @ grad_damping)
     return Cotangent(
-        stiffness=grad_spring,
-        mass=grad_mass,
+        stiffness=grad_stiffness,
+        mass=-grad_rows @ equations.rows.T,
         damping=grad_damping,
-        load=grad_participation,
+        load=grad_load,
         shapes=grad_shapes,
         rayleigh=np.zeros(2),
         ratios=np.zeros(a.parameters.ratios.size),
@@ -181,43 +130,40 @@ def pull_back(a, system, history, weights=None):
 
 
 def push_forward(a, system, change, directions, observed, history):
-    """As `oscillators.push_forward`; with a matrix for damping nothing depends on the `directions`."""
-    (m, d), step = system.participation.shape, a.step
-    shapes, square, D = system.shapes, system.omega**2, system.modal_damping
-    # changes of Omega^2, D and Gamma, with X and Phi outside its span
-    d_spring = change.stiffness - change.mass * square
-    d_damping = change.damping - change.mass @ D
-    d_damping += change.shapes.T @ (system.damping @ shapes) + (shapes.T @ system.damping) @ change.shapes
-    d_participation = change.load + change.shapes.T @ system.load - change.mass @ system.participation
+    """As `oscillators.push_forward`; with a matrix for damping nothing depends on the `directions`.
 
-    # changes of T, N and A, from that of the generator's exponential
-    matrix, scale = generator(system.omega, D, system.participation, step)
-    d_matrix = np.zeros_like(matrix)
-    d_matrix[m : 2 * m, :m] = -step * step * d_spring / scale
-    d_matrix[m : 2 * m, m : 2 * m] = -step * d_damping
-    d_matrix[m : 2 * m, 2 * m : 2 * m + d] = -step * step * d_participation
-    d_exponential = expm_frechet(matrix, d_matrix, compute_expm=False)[: 2 * m]
-    d_transition, d_after = d_exponential[:, : 2 * m], d_exponential[:, 2 * m + d :]
-    d_now = d_exponential[:, 2 * m : 2 * m + d] - d_after
-
-    # changes of O and J: of S Phi, and for accelerations of what it multiplies
-    output_shapes = a.wanted.sensors @ system.shapes
-    d_output_shapes, quantity = a.wanted.sensors @ change.shapes, a.wanted.quantity
-    d_output = output_matrix(system.omega, D, d_output_shapes, step, quantity)
-    d_direct = np.zeros((output_shapes.shape[0], d))
-    if quantity not in (RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY):
-        d_output[:, :m] -= output_shapes @ d_spring / scale
-        d_output[:, m:] -= output_shapes @ d_damping / step
-        d_direct -= d_output_shapes @ system.participation + output_shapes @ d_participation
-
-    transition, now, after, output, direct = state_matrices(a, system)
+    Notes
+    -----
+    Memory: the response of this one structure and its change.
+    """
+    m, quantity, shapes = system.omega.size, a.wanted.quantity, system.shapes
+    equations, matrices = state_matrices(a, system)
+    # of R, with X and with Phi outside its span
+    d_damping = change.shapes.T @ (system.damping @ shapes) + (shapes.T @ system.damping) @ change.shapes
+    d_load = change.load + change.shapes.T @ system.load
+    d_rows = np.hstack([change.stiffness, change.damping + d_damping, d_load]) - change.mass @ equations.rows
+    # of [T, N + A, A], the exponential of the generator, and of [O, J] (z, a) = S Phi W (q, q', a)
+    generator, width = equations.generator(), equations.scales.size
+    d_exponential = expm_frechet(generator, equations.generator_change(d_rows), compute_expm=False)[: 2 * m]
+    d_transition, d_both, d_after = np.split(d_exponential, [2 * m, width], axis=1)
+    d_outputs = (a.wanted.sensors @ change.shapes) @ equations.selection(quantity)
+    if quantity not in (RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY):  # W = -R
+        d_outputs -= (a.wanted.sensors @ shapes) @ d_rows
+    d_output, d_direct = np.split(d_outputs / equations.scales, [2 * m], axis=1)
+    # the recursion of the states beside their changes
+    transition, now, after, output, direct = matrices
     both = StateMatrices(
         np.block([[transition, np.zeros_like(transition)], [d_transition, transition]]),
-        np.vstack([now, d_now]),
+        np.vstack([now, d_both - d_after]),
         np.vstack([after, d_after]),
         np.block([[output, np.zeros_like(output)], [d_output, output]]),
         np.vstack([direct, d_direct]),
     )
-    sums = np.zeros(a.shape[0])
-    march_state_change(both, a.inputs, observed, history, sums)
-    return sums
+    n_sensors, total = a.shape
+    histories = np.empty((2 * n_sensors, total))
+    march_state(both, a.inputs, histories, histories, NO_SUMS)
+    response, d_response = np.split(histories, 2)
+    if history.size:
+        history[:] = d_response
+        return np.zeros(n_sensors)
+    return 2.0 * ((response - observed) * d_response).sum(axis=1)

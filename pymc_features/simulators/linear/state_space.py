@@ -1,7 +1,7 @@
 """Exact response of coupled modes: first-order hold of the whole state.
 
-With the state z = (s q, h q') of all modes, h the step, and inputs linear over it, the exact solution of
-q" + D q' + Omega^2 q = -Gamma a(t) is
+The modes obey q" = -R (q, q', a), R = [Omega^2, D, Gamma]. With the state z = (S q, h q') of all modes, h the
+step, and inputs a linear over it, the exact solution is
 
     z[k+1] = T z[k] + N a[k] + A a[k+1],   T = phi0(F),   N = (phi1(F) - phi2(F)) G,   A = phi2(F) G,
     F = [[0, S], [-(Omega h)^2 / S, -D h]],   G = (0, -h^2 Gamma),
@@ -12,7 +12,8 @@ of one matrix exponential (Van Loan, IEEE Trans. Autom. Control 23, 395-404, 197
     exp [[F, G, 0], [0, 0, 1], [0, 0, 0]] = [[T, N + A, A], [0, 1, 1], [0, 0, 1]].
 
 The scales S = max(Omega h, 1) make F small where a frequency is high: two to five times less rounding. The
-outputs are y[k] = O z[k] + J a[k].
+outputs are y[k] = O z[k] + J a[k], and in exact arithmetic O z + J a = S Phi W (q, q', a), where W takes q, q'
+or the accelerations -R from its argument.
 """
 
 from typing import NamedTuple
@@ -54,62 +55,71 @@ class StateMatrices(NamedTuple):
     direct: np.ndarray
 
 
-def generator(omega, modal_damping, participation, step):
-    """The matrix whose exponential has all blocks, (2m + 2d, 2m + 2d), and the scales S (m,)."""
-    m, d = participation.shape
-    w = omega * step
-    scale = np.maximum(w, 1.0)
-    matrix = np.zeros((2 * m + 2 * d, 2 * m + 2 * d))
-    matrix[:m, m : 2 * m] = np.diag(scale)
-    matrix[m : 2 * m, :m] = np.diag(-w * w / scale)
-    matrix[m : 2 * m, m : 2 * m] = -step * modal_damping
-    matrix[m : 2 * m, 2 * m : 2 * m + d] = -step * step * participation
-    matrix[2 * m : 2 * m + d, 2 * m + d :] = np.eye(d)
-    return matrix, scale
+class ModalEquations(NamedTuple):
+    """Modal equations q" = -R (q, q', a) under steps of the recursion.
 
-
-def step_matrices(omega, modal_damping, participation, step):
-    """T (2m, 2m), N and A (2m, d) of a step h [s].
-
-    Parameters
+    Attributes
     ----------
-    omega : array (m,)
-        [rad/s], not negative.
-    modal_damping : array (m, m)
-        D [1/s].
-    participation : array (m, d)
-        Gamma.
+    rows : array (m, 2m + d)
+        R = [Omega^2, D, Gamma].
+    scales : array (2m + d,)
+        What (z, a) is of (q, q', a): S, h and 1.
+    step : float
+        h [s].
     """
-    m, d = participation.shape
-    whole = expm(generator(omega, modal_damping, participation, step)[0])
-    both, after = whole[: 2 * m, 2 * m : 2 * m + d], whole[: 2 * m, 2 * m + d :]
-    return tuple(np.ascontiguousarray(x) for x in (whole[: 2 * m, : 2 * m], both - after, after))
+
+    rows: np.ndarray
+    scales: np.ndarray
+    step: float
+
+    def generator(self):
+        """The matrix (2m + 2d, 2m + 2d) whose exponential has T, N + A and A in its first rows."""
+        m, width = self.rows.shape
+        matrix = self.generator_change(self.rows)
+        matrix[:m, m : 2 * m] = np.diag(self.scales[:m])
+        matrix[2 * m : width, width:] = np.eye(width - 2 * m)
+        return matrix
+
+    def generator_change(self, d_rows):
+        """Its change by a change of R, the scales held fixed."""
+        m, width = self.rows.shape
+        matrix = np.zeros((2 * width - 2 * m, 2 * width - 2 * m))
+        matrix[m : 2 * m, :width] = -(self.step**2) * d_rows / self.scales
+        return matrix
+
+    def step_matrices(self):
+        """T (2m, 2m), N and A (2m, d)."""
+        n_states, width = 2 * len(self.rows), self.rows.shape[1]
+        whole = expm(self.generator())[:n_states]
+        transition, both, after = np.split(whole, [n_states, width], axis=1)
+        return tuple(np.ascontiguousarray(x) for x in (transition, both - after, after))
+
+    def selection(self, quantity):
+        """W (m, 2m + d) of a quantity, a position in `QUANTITIES`."""
+        m = len(self.rows)
+        if quantity == RELATIVE_DISPLACEMENT:
+            return np.eye(m, self.scales.size)
+        return np.eye(m, self.scales.size, m) if quantity == RELATIVE_VELOCITY else -self.rows
+
+    def output_matrix(self, output_shapes, quantity):
+        """O (s, 2m) of mode shapes at the outputs S Phi (s, m)."""
+        n_states = 2 * len(self.rows)
+        return output_shapes @ self.selection(quantity)[:, :n_states] / self.scales[:n_states]
 
 
-def output_matrix(omega, modal_damping, output_shapes, step, quantity):
-    """O (s, 2m) of a quantity; accelerations are -S Phi (Omega^2 q + D q') and the feed-through.
-
-    `output_shapes` (s, m) are S Phi, `quantity` is a position in `QUANTITIES`.
-    """
-    m, scale = omega.size, np.maximum(omega * step, 1.0)
-    output = np.zeros((output_shapes.shape[0], 2 * m))
-    if quantity == RELATIVE_DISPLACEMENT:
-        output[:, :m] = output_shapes / scale
-    elif quantity == RELATIVE_VELOCITY:
-        output[:, m:] = output_shapes / step
-    else:
-        output[:, :m] = -output_shapes * (omega**2 / scale)
-        output[:, m:] = -output_shapes @ modal_damping / step
-    return output
+def modal_equations(omega, modal_damping, participation, step) -> ModalEquations:
+    """Modal equations of omega (m,), D (m, m) and Gamma (m, d)."""
+    rows = np.hstack([np.diag(omega**2), modal_damping, participation])
+    h, one = np.full(omega.size, step), np.ones(participation.shape[1])
+    return ModalEquations(rows, np.concatenate([np.maximum(omega * step, 1.0), h, one]), step)
 
 
-def state_matrices(a, system) -> StateMatrices:
-    """Matrices of a system."""
-    omega, modal_damping, step = system.omega, system.modal_damping, a.step
+def state_matrices(a, system):
+    """Modal equations and `StateMatrices` of a system."""
+    equations = modal_equations(system.omega, system.modal_damping, system.participation, a.step)
     modes, direct = observe(a, system)
-    steps = step_matrices(omega, modal_damping, system.participation, step)
-    output = output_matrix(omega, modal_damping, modes.shapes, step, a.wanted.quantity)
-    return StateMatrices(*steps, output, direct)
+    output = equations.output_matrix(modes.shapes, a.wanted.quantity)
+    return equations, StateMatrices(*equations.step_matrices(), output, direct)
 
 
 @jit
@@ -145,24 +155,23 @@ def advance_state(matrices, excitation, first, count, states, ground):
 def march_state(matrices, excitation, observed, history, sums):
     """Carry coupled modes through the record; see `take_block` for what becomes of the response.
 
-    Parameters as in `advance_state`, and `observed`, `history` and `sums` as in `take_block`.
+    Parameters as in `advance_state` and `take_block`. Returns the states (blocks, 2m) at the first sample of
+    each block.
     """
     (size, n_inputs), stride = matrices.now.shape, excitation.stride
     total = n_outputs(excitation.acceleration.shape[1], excitation.substeps, stride)
     samples = block_samples(stride)
     states, ground = np.zeros((samples * stride + 1, size)), np.zeros((n_inputs, samples * stride + 1))
-    for first in range(0, total, samples):
+    starts = np.zeros(((total + samples - 1) // samples, size))
+    for block in range(starts.shape[0]):
+        first = block * samples
         count = min(samples, total - first)
         steps = count * stride if first + count < total else (count - 1) * stride
         advance_state(matrices, excitation, first * stride, steps, states, ground)
-        block = outputs_of(matrices, states, ground, count, stride)
-        take_block(block, first, count, observed, history, sums)
+        starts[block] = states[0]
+        at_samples = np.ascontiguousarray(states[: count * stride : stride].T)
+        inputs = np.ascontiguousarray(ground[:, : count * stride : stride])
+        outputs = np.dot(matrices.output, at_samples) + np.dot(matrices.direct, inputs)
+        take_block(outputs, first, count, observed, history, sums)
         states[0] = states[steps]
-
-
-@jit
-def outputs_of(matrices, states, ground, count, stride):
-    """Outputs (s, count) at every `stride`-th of some steps."""
-    at_samples = np.ascontiguousarray(states[: count * stride : stride].T)
-    inputs = np.ascontiguousarray(ground[:, : count * stride : stride])
-    return np.dot(matrices.output, at_samples) + np.dot(matrices.direct, inputs)
+    return starts
