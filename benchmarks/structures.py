@@ -88,10 +88,10 @@ def value_and_gradient(structure, record):
         return family.assemble((np.array(theta), *rest, *excitation, rows, N_MODES), 0)
 
     data = family.kernels["response"](*arguments([1.1, 0.9]))
-    inputs, weights = (*arguments([1.0, 1.0]), data), np.ones(sensors.size)
+    inputs, weights = (*arguments([1.0, 1.0]), data), np.ones((sensors.size, 1))
     return {
         "value": lambda: family.kernels["discrepancy"](*inputs),
-        "gradient": lambda: family.kernels["discrepancy_gradient"](*inputs, weights),
+        "gradient": lambda: family.kernels["misfit_gradient"](*inputs, weights),
     }
 
 

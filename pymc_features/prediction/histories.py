@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.oscillators.arguments import Excitation, n_outputs
+from pymc_features.simulators.oscillators.arguments import Excitation, interpolate, n_outputs
 from pymc_features.simulators.oscillators.recursion import BLOCK, advance
 
 MEMORY = 16 * 2**20  # of a block of responses [bytes]
@@ -76,11 +76,13 @@ def advance_all(recursions, excitation, states, first, count, responses):
     n, n_rows, n_modes = shapes.shape
     size = responses.shape[1]
     unit, modal = np.empty((size, n_modes)), np.empty((size, n_modes))  # outputs per unit participation
-    ground, block = np.empty((inputs.shape[0], size)), np.empty((n_rows, size))
+    ground, block = np.empty((inputs.shape[0], size * stride + 1)), np.empty((n_rows, size))
+    for k in range(inputs.shape[0]):
+        interpolate(inputs[k], substeps, first * stride, ground[k])
     for i in range(n):
         modal[:] = 0.0
         for k in range(inputs.shape[0]):
-            advance(tables[i], q[i, k], p[i, k], inputs[k], substeps, stride, first, count, unit, ground[k])
+            advance(tables[i], q[i, k], p[i, k], ground[k], stride, count, unit)
             for b in range(count):
                 for r in range(n_modes):
                     modal[b, r] += participation[i, k, r] * unit[b, r]
@@ -88,7 +90,7 @@ def advance_all(recursions, excitation, states, first, count, responses):
         for k in range(1, inputs.shape[0]):
             for j in range(n_rows):
                 for b in range(count):
-                    block[j, b] += direct[i, j, k] * ground[k, b]
+                    block[j, b] += direct[i, j, k] * ground[k, b * stride]
         for j in range(n_rows):
             for b in range(count):
-                responses[j, b, i] = block[j, b] + direct[i, j, 0] * ground[0, b]
+                responses[j, b, i] = block[j, b] + direct[i, j, 0] * ground[0, b * stride]

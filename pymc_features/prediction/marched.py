@@ -6,13 +6,14 @@ import numpy as np
 
 from pymc_features.prediction.histories import Recursions, response_blocks
 from pymc_features.prediction.simulated import largest
+from pymc_features.simulators.chain.parameters import ChainParameters
+from pymc_features.simulators.chain.response import chain_feed, modes_of
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.system import observe, solve_system, uncoupled
 from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation, Outputs
-from pymc_features.simulators.oscillators.march import modal_table
-from pymc_features.simulators.oscillators.recursion import N_ROWS, modal_system
+from pymc_features.simulators.oscillators.recursion import N_ROWS, write_table
 from pymc_features.simulators.quantities import HISTORIES, force_share
 
 
@@ -61,9 +62,9 @@ class Chains(Marched):
 
     def add(self, structure) -> bool:
         """Keep a chain; False where it has no response to one of the records."""
-        parameters, first = structure.parameters(), np.zeros(1, dtype=np.int64)
-        n_modes = self.wanted.requests[0].n_modes
-        if not all(modal_system(*parameters, step, first, n_modes, 0)[0] for step in set(self.steps)):
+        parameters = ChainParameters(*structure.parameters())
+        outputs = Outputs(np.zeros(1, dtype=np.int64), self.wanted.requests[0].n_modes, 0)
+        if not all(modes_of(parameters, step, outputs)[0] for step in set(self.steps)):
             return False
         self.keep(structure, (structure, parameters))
         return True
@@ -77,17 +78,18 @@ class Chains(Marched):
             degrees = np.arange(first.n_dof)
         if quantity.dim == "support":  # of each structure its own masses
             combinations = np.stack([self.wanted.rows(chain, name).outputs for chain, _ in self.kept])
-        code = QUANTITIES.index(quantity.source)
-        found = [
-            modal_system(*parameters, self.steps[k], degrees, request.n_modes, code)[1:]
-            for _, parameters in self.kept
-        ]
-        tables, shapes, direct = (np.stack(part) for part in zip(*found, strict=True))
-        direct = direct[..., None]
+        wanted = Outputs(degrees, request.n_modes, QUANTITIES.index(quantity.source))
+        complete, found = request.n_modes == first.n_dof, []
+        for _, parameters in self.kept:
+            _, system, _, _ = modes_of(parameters, self.steps[k], wanted)
+            table = np.empty((N_ROWS, request.n_modes))
+            write_table(system.omega, system.damping, self.steps[k], wanted.quantity, table)
+            feed = chain_feed(system, wanted, complete)
+            found.append((table, system.participation.T, system.shapes, feed))
+        tables, participation, shapes, direct = (np.stack(part) for part in zip(*found, strict=True))
         if combinations is not None:
             shapes, direct = combinations @ shapes, combinations @ direct
-        # the kernel's shapes are products with the participation factors already
-        return Recursions(tables, np.ones((len(self), 1, request.n_modes)), shapes, direct)
+        return Recursions(tables, participation, shapes, direct)
 
 
 class KeptModes(NamedTuple):
@@ -144,7 +146,8 @@ class Oscillators(Marched):
                 picked = self.wanted.rows(structure, name).picked
                 rows, code = family.rows(picked, structure.n_dof), QUANTITIES.index(HISTORIES[name].source)
                 outputs = Outputs(rows, request.n_modes, code)
-                output_shapes[name], direct[name, load] = observe(a._replace(wanted=outputs), system)
+                modes_seen, direct[name, load] = observe(a._replace(wanted=outputs), system)
+                output_shapes[name] = modes_seen.shapes
                 share = force_share(structure, record, name)
                 if share is not None:
                     direct[name, load] += share
@@ -157,7 +160,7 @@ class Oscillators(Marched):
         load, code = self.loads[k], QUANTITIES.index(HISTORIES[name].source)
         tables = np.empty((len(self), N_ROWS, self.kept[0].omega.size))
         for modes, table in zip(self.kept, tables, strict=True):
-            modal_table(modes.omega, modes.modal_damping, self.steps[k], code, table)
+            write_table(modes.omega, modes.modal_damping, self.steps[k], code, table)
         return Recursions(
             tables,
             np.stack([modes.participation[load] for modes in self.kept]),

@@ -4,7 +4,7 @@ import numpy as np
 
 from pymc_features.prediction.history_file import HistoryFile
 from pymc_features.simulators.families import NONLINEAR
-from pymc_features.simulators.nonlinear.response import nonlinear_histories
+from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
 from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation
 from pymc_features.simulators.quantities import HISTORIES
 from pymc_features.simulators.simulate import simulate

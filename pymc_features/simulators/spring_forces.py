@@ -3,7 +3,8 @@
 import xarray as xr
 
 from pymc_features.simulators.families import NONLINEAR
-from pymc_features.simulators.nonlinear.response import DRIFT, MEMORY, SPRING_FORCE, nonlinear_histories
+from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
+from pymc_features.simulators.nonlinear.response import DRIFT, INTERNAL_VARIABLE, SPRING_FORCE
 from pymc_features.simulators.oscillators.arguments import Excitation
 from pymc_features.simulators.request import request
 from pymc_features.simulators.simulate import check_arguments
@@ -32,13 +33,14 @@ def spring_forces(structure, record, *, dt: float | None = None) -> xr.Dataset:
     ValueError, TypeError
         If an argument is out of range or the structure is linear.
     """
-    (force, drift, memory), times = _histories(structure, record, [SPRING_FORCE, DRIFT, MEMORY], dt=dt)
+    codes = [SPRING_FORCE, DRIFT, INTERNAL_VARIABLE]
+    (force, drift, z), times = _histories(structure, record, codes, dt=dt)
     axes = ("spring", "time")
     return xr.Dataset(
         {
             "force": (axes, force, {"units": "N"}),
             "drift": (axes, drift, {"units": "m"}),
-            "z": (axes, memory, {"long_name": "internal variable"}),
+            "z": (axes, z, {"long_name": "internal variable"}),
         },
         coords={"spring": range(structure.n_dof), "time": ("time", times, {"units": "s"})},
         attrs={"record": record.name},

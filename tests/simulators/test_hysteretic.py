@@ -22,7 +22,7 @@ from pymc_features import (
 )
 from pymc_features.simulators import QUANTITIES, Excitation
 from pymc_features.simulators.families import NONLINEAR
-from pymc_features.simulators.nonlinear.response import nonlinear_histories
+from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
 
 RAYLEIGH = RayleighDamping(0.2, 1e-3)
 

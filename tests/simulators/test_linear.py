@@ -29,16 +29,11 @@ from pymc_features.algebra import eigen, natural_modes
 from pymc_features.algebra.factorisation import count_below, eliminate
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear.dense import dense_modes
-from pymc_features.simulators.linear.state_space import (
-    StateMatrices,
-    march_state,
-    modal_equations,
-)
+from pymc_features.simulators.linear.state_space import StateMatrices, march_state, modal_equations
 from pymc_features.simulators.linear.system import is_coupled
 from pymc_features.simulators.oscillators.arguments import Excitation
-from pymc_features.simulators.oscillators.blocks import destination
-from pymc_features.simulators.oscillators.march import march_modes, modal_table
-from pymc_features.simulators.oscillators.recursion import N_ROWS
+from pymc_features.simulators.oscillators.march import march_modes
+from pymc_features.simulators.oscillators.modal_system import ModalSystem
 
 UNDAMPED = ModalDamping(0.0)
 
@@ -231,16 +226,15 @@ def test_both_routes_on_the_same_modes(quantity):
     zeta = np.array([0.0, 0.02, 1.0, 0.1, 3.0])
     participation, shapes = np.ones((5, 1)), np.eye(5)
     inputs, direct = noise(18, (1, 200)), np.zeros((5, 1))
-    table = np.empty((N_ROWS, 5))
     damping = 2.0 * zeta * omega
-    modal_table(omega, damping, 0.02, quantity, table)
-    singly, together = destination((5, 200), None), destination((5, 200), None)
-    march_modes(table, shapes[None], direct, inputs, 1, 1, *singly)
+    singly, together, excitation = np.empty((5, 200)), np.empty((5, 200)), Excitation(inputs, 0.02, 1, 1)
+    system = ModalSystem(omega, damping, shapes, participation)
+    march_modes(system, direct, excitation, quantity, singly, singly, np.empty((1, 0)))
     equations = modal_equations(omega, np.diag(damping), participation, 0.02)
     outputs = equations.output_matrix(shapes, quantity)
     matrices = StateMatrices(*equations.step_matrices(), outputs, direct)
-    march_state(matrices, Excitation(inputs, 0.02, 1, 1), *together)
-    for one, other in zip(singly[1], together[1], strict=True):
+    march_state(matrices, excitation, together, together, np.empty((1, 0)))
+    for one, other in zip(singly, together, strict=True):
         at_rest = np.abs(one).max() < 1e-150  # the rigid body's acceleration relative to its base
         assert not np.any(other) if at_rest else peak_error(other, one) < 1e-9
 

@@ -1,26 +1,31 @@
 """The kernels of all families, called with their inputs one by one instead of in named tuples."""
 
+import numpy as np
+
 from pymc_features.simulators import FAMILIES
 
 
 def flat(family: str, name: str):
     """A kernel that takes the family's inputs, the code of the quantity, and what follows, in their order."""
     spec = FAMILIES[family]
-    n = len(spec.inputs)
+    n, of_discrepancy = len(spec.inputs), name in ("discrepancy_gradient", "population_gradient")
+    run = spec.kernels["misfit_gradient" if name == "discrepancy_gradient" else name]
 
     def kernel(*given):
         more = given[n + 1 :]
+        if of_discrepancy:  # weights (s,) or (p, s) of e_j alone
+            more = (*more[:-1], np.asarray(more[-1])[..., None])
         if name.endswith("tangent"):
             first = len(more) - len(spec.parameters)
             more = (*more[:first], tuple(more[first:]))
-        return spec.kernels[name](*spec.assemble(given[:n], given[n]), *more)
+        return run(*spec.assemble(given[:n], given[n]), *more)
 
     return kernel
 
 
 def flat_kernels(family: str) -> dict:
     """All kernels of a family by name."""
-    return {name: flat(family, name) for name in FAMILIES[family].kernels}
+    return {name: flat(family, name) for name in (*FAMILIES[family].kernels, "discrepancy_gradient")}
 
 
 CHAIN = flat_kernels("chain")

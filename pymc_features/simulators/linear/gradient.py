@@ -43,19 +43,12 @@ def linear_misfit_gradient(parameters, excitation, wanted, observed, weights) ->
     return gradient(a, observed, weights)
 
 
-def linear_discrepancy_gradient(parameters, excitation, wanted, observed, weights) -> tuple:
-    """Gradient of sum_j c_j e_j; data (s, u), weights c (s,)."""
-    return linear_misfit_gradient(parameters, excitation, wanted, observed, weights[:, None])
-
-
 def linear_population_gradient(parameters, excitation, wanted, observed, weights) -> tuple:
     """Gradient of the weighted statistics of a population; data (s, u), weights c (p, s, 1) or (p, s, 4).
 
     theta, rayleigh and ratios have one more axis in front. Returns arrays of their shapes; what all particles
-    share, in one row, gets the sum. Weights (p, s) are those of e_j.
+    share, in one row, gets the sum.
     """
-    if weights.ndim == 2:
-        weights = weights[:, :, None]
     count = n_particles(parameters, weights)
     sums = tuple(np.zeros(array.shape) for array in parameters.random)
     for p in range(count):

@@ -12,8 +12,13 @@ from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear.arguments import Arguments, n_particles
 from pymc_features.simulators.linear.dense_population import march_dense
 from pymc_features.simulators.linear.response import evaluate
-from pymc_features.simulators.linear.system import is_coupled, modal_tables, solve_system
-from pymc_features.simulators.oscillators.population_march import march_group
+from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
+from pymc_features.simulators.oscillators.population import (
+    lane_statistics,
+    new_increments,
+    new_lanes,
+    put_system,
+)
 
 
 def linear_population_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:
@@ -33,41 +38,26 @@ def march_population(a: Arguments, observed, with_increments):
     """Misfits (p, s, 1 or 4) of all particles."""
     count, shared = n_particles(a.parameters), a._replace(parameters=a.parameters.one_of(0))
     shared.check(observed)
-    observed, increments = writable(observed), with_increments or None
+    observed, increments = writable(observed), new_increments(a.shape[0]) if with_increments else None
     given, one_input = shared.parameters, a.excitation.acceleration.shape[0] == 1
     if given.is_dense and given.is_classical and one_input:
         return march_dense(a.parameters.for_kernel(), a.inputs, a.outputs, observed, increments)
     result = np.full((count, a.shape[0], 4 if with_increments else 1), np.nan)
-    places, waiting = [], []
+    lanes, places = new_lanes(a.shape[0], a.wanted.n_modes, a.excitation.stride), []
     for p in range(count):
         own = a._replace(parameters=a.parameters.one_of(p))
         system = solve_system(own)
         if system is None:
             continue
         if one_input and not is_coupled(system.modal_damping):
+            modes, feed = observe(own, system)
+            put_system(lanes, len(places), modes, feed[:, 0].copy(), a.inputs, a.wanted.quantity)
             places.append(p)
-            waiting.append(modal_tables(own, system))
         else:
             result[p] = evaluate(own, system, observed)[:, : result.shape[2]]
-        if len(waiting) == LANES:
-            result[places] = march_together(waiting, a.inputs, observed, increments)
-            places, waiting = [], []
-    if waiting:
-        result[places] = march_together(waiting, a.inputs, observed, increments)
+        if len(places) == LANES:
+            result[places] = lane_statistics(lanes, a.inputs, observed, increments)
+            places = []
+    if places:
+        result[places] = lane_statistics(lanes, a.inputs, observed, increments)[: len(places)]
     return result
-
-
-def march_together(tables, excitation, observed, increments):
-    """Misfits of up to `LANES` particles under one input, from their `ModalTables`."""
-    table, shapes, direct = (np.stack(arrays) for arrays in zip(*tables, strict=True))
-    acceleration, _, substeps, stride = excitation
-    return march_group(
-        table,
-        np.ascontiguousarray(shapes[:, 0]),
-        np.ascontiguousarray(direct[:, :, 0]),
-        acceleration[0],
-        substeps,
-        stride,
-        observed,
-        increments,
-    )

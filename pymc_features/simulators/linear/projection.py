@@ -41,7 +41,7 @@ class Cotangent(NamedTuple):
     ratios: np.ndarray
 
 
-class ModalChange(NamedTuple):
+class ReducedChange(NamedTuple):
     """Changes of Phi' K Phi, Phi' M Phi, Phi' C Phi (m, m) and Phi' L (m, d), and of Phi outside its span.
 
     The first four are at fixed Phi; `shapes` (n, m).
@@ -98,7 +98,7 @@ def sparse_products(left, right, rows, starts):
     return entries
 
 
-def project_direction(a, system, d_theta) -> ModalChange:
+def project_direction(a, system, d_theta) -> ReducedChange:
     """Change of the reduced matrices along a direction of theta."""
     given, shapes = a.parameters, system.shapes
     d_stiffness = change_times(given, given.stiffness, d_theta, shapes)
@@ -109,7 +109,7 @@ def project_direction(a, system, d_theta) -> ModalChange:
     if shapes.shape[1] < shapes.shape[0] and not given.has_constant_modes:
         d_shapes -= invert_outside(system, d_stiffness - d_mass * system.omega**2)
     reduced = (shapes.T @ vectors for vectors in (d_stiffness, d_mass, d_damping, d_load))
-    return ModalChange(*reduced, d_shapes)
+    return ReducedChange(*reduced, d_shapes)
 
 
 def change_times(parameters, stack, d_theta, vectors):

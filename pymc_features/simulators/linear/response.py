@@ -7,12 +7,13 @@ eigenvalue, or the damping is negative.
 
 import numpy as np
 
+from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear.arguments import Arguments
-from pymc_features.simulators.linear.dense_population import dense_tables
+from pymc_features.simulators.linear.dense_population import march_structure
 from pymc_features.simulators.linear.state_space import march_state, state_matrices
-from pymc_features.simulators.linear.system import ModalTables, is_coupled, modal_tables, solve_system
-from pymc_features.simulators.oscillators.blocks import destination
+from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
 from pymc_features.simulators.oscillators.march import march_modes
+from pymc_features.simulators.oscillators.misfit import statistics
 
 
 def linear_response(parameters, excitation, wanted) -> np.ndarray:
@@ -41,7 +42,7 @@ def linear_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:
 
 
 def linear_misfit(parameters, excitation, wanted, observed) -> np.ndarray:
-    """Statistics (s, 4) of the misfit with the data (s, u), in the order of `discrepancy.chain_misfit`.
+    """Statistics (s, 4) of the misfit with the data (s, u), in the order of `oscillators.misfit`.
 
     Memory: a few blocks of 128 samples; of modes that the damping couples their state at every 128th step as
     well.
@@ -58,33 +59,28 @@ def solve(a, observed):
     """
     if not (a.parameters.is_dense and a.parameters.is_classical):
         return evaluate(a, solve_system(a), observed)
-    tables = dense_tables(a)
-    return not_a_number(a, observed) if tables is None else march(a, tables, observed)
+    observed, history = data_or_history(a, observed)
+    sums = march_structure(a.parameters.for_kernel(), a.inputs, a.outputs, observed, history)
+    return history if history.size else sums
 
 
 def evaluate(a, system, observed):
     """Response (s, u) of a system or, with data, its misfits (s, 4); NaN if there is no system."""
+    observed, history = data_or_history(a, observed)
+    sums = np.zeros((4, a.shape[0]))
     if system is None:
-        return not_a_number(a, observed)
-    coupled = is_coupled(system.modal_damping)
-    return march(a, state_matrices(a, system)[1] if coupled else modal_tables(a, system), observed)
-
-
-def not_a_number(a, observed):
-    """The result where the parameters describe no structure."""
-    n_sensors, total = a.shape
-    return np.full((n_sensors, total if observed is None else 4), np.nan)
-
-
-def march(a, matrices, observed):
-    """Response or misfits by `march_modes` (of `ModalTables`) or `march_state` (of `StateMatrices`)."""
-    observed, history, sums = destination(a.shape, observed)
-    if isinstance(matrices, ModalTables):
-        acceleration, _, substeps, stride = a.inputs
-        march_modes(*matrices, acceleration, substeps, stride, observed, history, sums)
+        history[:], sums[:] = np.nan, np.nan
+    elif is_coupled(system.modal_damping):
+        march_state(state_matrices(a, system)[1], a.inputs, observed, history, sums)
     else:
-        march_state(matrices, a.inputs, observed, history, sums)
-    if history.size:
-        return history
-    sums[:2] /= a.shape[1]
-    return np.ascontiguousarray(sums.T)
+        modes, feed = observe(a, system)
+        march_modes(modes, feed, a.inputs, a.wanted.quantity, observed, history, sums)
+    return history if history.size else statistics(sums, a.shape[1])
+
+
+def data_or_history(a, observed):
+    """Data (s, u) and no room for a history, or, without data, a history (s, u) twice."""
+    if observed is not None:
+        return writable(observed), np.empty((0, 0))
+    history = np.empty(a.shape)
+    return history, history

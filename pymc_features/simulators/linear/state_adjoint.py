@@ -27,38 +27,9 @@ from pymc_features.simulators.linear.state_space import (
     state_matrices,
 )
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
-from pymc_features.simulators.oscillators.blocks import destination
+from pymc_features.simulators.oscillators.misfit import weigh_history
 
-
-@jit
-def misfit_gradient(response, observed, weights):
-    """Overwrite the response (s, u) by the derivatives by it of sum_ji c_ji times the misfit statistics.
-
-    With the misfit r = y - g of each sensor, its weights c and N = u,
-
-        -dL/dg[k] = 2 c_0 r[k] / N + 2 c_1 (s[k] - s[k+1]) / N + c_2 (k = 0) + c_3 (k = N - 1),
-
-    s[k] = r[k] - r[k-1] being the increments, zero before the first sample and behind the last.
-
-    Parameters
-    ----------
-    observed : array (s, u)
-        Data y.
-    weights : array (s, 1) or (s, 4)
-        c, of e_j alone or of all that `linear_misfit` returns.
-    """
-    n_sensors, total = response.shape
-    c = np.zeros((n_sensors, 4))
-    c[:, : weights.shape[1]] = weights
-    for j in range(n_sensors):
-        misfit, increment = observed[j, 0] - response[j, 0], 0.0
-        for k in range(total):
-            following = observed[j, k + 1] - response[j, k + 1] if k + 1 < total else misfit
-            next_increment = following - misfit
-            response[j, k] = -2.0 / total * (c[j, 0] * misfit + c[j, 1] * (increment - next_increment))
-            misfit, increment = following, next_increment
-        response[j, 0] -= c[j, 2]
-        response[j, total - 1] -= c[j, 3]
+NO_SUMS = np.empty((1, 0))  # of a comparison with data, where there is none
 
 
 @jit
@@ -115,7 +86,7 @@ def pull_back(a, system, history, weights=None):
     history : array (s, u)
         The weights w of L = sum w y or, if there are `weights`, the data.
     weights : array (s, 1) or (s, 4), optional
-        c of L = sum c times the statistics of the misfit, see `misfit_gradient`.
+        c of L = sum c times the statistics of the misfit, see `oscillators.misfit`.
 
     Notes
     -----
@@ -123,12 +94,12 @@ def pull_back(a, system, history, weights=None):
     """
     m, quantity = system.omega.size, a.wanted.quantity
     equations, matrices = state_matrices(a, system)
-    nothing, weighted, sums = destination(a.shape, None)
-    starts = march_state(matrices, a.inputs, nothing, weighted, sums)
+    weighted = np.empty(a.shape)
+    starts = march_state(matrices, a.inputs, weighted, weighted, NO_SUMS)
     if weights is None:
         weighted = writable(history)
     else:
-        misfit_gradient(weighted, writable(history), writable(weights))
+        weigh_history(weighted, writable(history), writable(weights))
     grad = matrix_gradients(matrices, a.inputs, starts, weighted)
 
     # by R: the exponential of the generator has [T, N + A, A] in its rows
@@ -158,18 +129,8 @@ def pull_back(a, system, history, weights=None):
     )
 
 
-def push_forward(a, system, change, d_rayleigh, d_ratios, observed, history, sums):
-    """Write the change of the response into `history` (s, u), or add that of N_D e_j to `sums` (s,).
-
-    Parameters
-    ----------
-    a : Arguments
-    system : System
-    change : ModalChange
-    d_rayleigh, d_ratios
-        With a matrix for damping nothing depends on them.
-    observed, history, sums
-        As in `oscillators.push_forward`: without data there is a history.
+def push_forward(a, system, change, directions, observed, history):
+    """As `oscillators.push_forward`; with a matrix for damping nothing depends on the `directions`.
 
     Notes
     -----
@@ -199,10 +160,10 @@ def push_forward(a, system, change, d_rayleigh, d_ratios, observed, history, sum
         np.vstack([direct, d_direct]),
     )
     n_sensors, total = a.shape
-    nothing, histories, no_sums = destination((2 * n_sensors, total), None)
-    march_state(both, a.inputs, nothing, histories, no_sums)
+    histories = np.empty((2 * n_sensors, total))
+    march_state(both, a.inputs, histories, histories, NO_SUMS)
     response, d_response = np.split(histories, 2)
     if history.size:
         history[:] = d_response
-    else:
-        sums += 2.0 * ((response - observed) * d_response).sum(axis=1)
+        return np.zeros(n_sensors)
+    return 2.0 * ((response - observed) * d_response).sum(axis=1)

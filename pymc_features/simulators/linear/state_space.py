@@ -29,7 +29,7 @@ from pymc_features.simulators.oscillators.arguments import (
     interpolate,
     n_outputs,
 )
-from pymc_features.simulators.oscillators.blocks import take_block
+from pymc_features.simulators.oscillators.misfit import take_block
 from pymc_features.simulators.oscillators.recursion import BLOCK
 
 
@@ -117,8 +117,8 @@ def modal_equations(omega, modal_damping, participation, step) -> ModalEquations
 def state_matrices(a, system):
     """Modal equations and `StateMatrices` of a system."""
     equations = modal_equations(system.omega, system.modal_damping, system.participation, a.step)
-    output_shapes, direct = observe(a, system)
-    output = equations.output_matrix(output_shapes, a.wanted.quantity)
+    modes, direct = observe(a, system)
+    output = equations.output_matrix(modes.shapes, a.wanted.quantity)
     return equations, StateMatrices(*equations.step_matrices(), output, direct)
 
 

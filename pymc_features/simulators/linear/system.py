@@ -9,8 +9,8 @@ from pymc_features.algebra import is_definite, natural_modes, shifted_factor, sp
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.dense import dense_modes
-from pymc_features.simulators.oscillators.march import STIFFEST, classical_drag, feed_through, modal_table
-from pymc_features.simulators.oscillators.recursion import N_ROWS
+from pymc_features.simulators.oscillators.modal_system import ModalSystem, write_feed
+from pymc_features.simulators.oscillators.recursion import STIFFEST, write_damping
 
 COUPLING = 1e-12  # off-diagonal entries of D below this times the largest are rounding
 
@@ -48,24 +48,6 @@ class System(NamedTuple):
     modal_damping: np.ndarray
     load: np.ndarray
     participation: np.ndarray
-
-
-class ModalTables(NamedTuple):
-    """What `march_modes` takes of a structure whose modes are uncoupled.
-
-    Attributes
-    ----------
-    table : array (11, m)
-        Recursion and output coefficients.
-    shapes : array (d, s, m)
-        S phi_r Gamma_ri.
-    direct : array (s, d)
-        Feed-through of the inputs.
-    """
-
-    table: np.ndarray
-    shapes: np.ndarray
-    direct: np.ndarray
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -125,7 +107,7 @@ def project_damping(a, mass, damping, omega, shapes):
     if damping is None:
         diagonal, given = np.empty(omega.size), a.parameters
         rayleigh, ratios = writable(given.rayleigh), writable(given.ratios)
-        return diagonal if classical_drag(writable(omega), rayleigh, ratios, a.step, diagonal) else None
+        return diagonal if write_damping(writable(omega), rayleigh, ratios, a.step, diagonal) else None
     projected = shapes.T @ (damping @ shapes)
     if not np.isfinite(projected).all():
         return None
@@ -148,29 +130,19 @@ def uncoupled(modal_damping: np.ndarray) -> np.ndarray:
     return np.maximum(np.diagonal(modal_damping), 0.0)
 
 
-def observe(a: Arguments, system: System):
-    """Mode shapes at the outputs S Phi (s, m), and feed-through of the inputs (s, d)."""
+def observe(a: Arguments, system: System) -> tuple[ModalSystem, np.ndarray]:
+    """The modes as the outputs have them, with the diagonal of D, and feed-through of the inputs (s, d)."""
     given, sensors = a.parameters, a.wanted.sensors
-    output_shapes, support_motion = writable(sensors @ system.shapes), writable(sensors @ given.influence)
-    modal_forces, direct = writable(system.shapes.T @ given.forces), np.empty(support_motion.shape)
-    complete = a.wanted.n_modes == given.n_dof
-    feed_through(
-        output_shapes,
+    modes = ModalSystem(
+        writable(system.omega),
+        writable(uncoupled(system.modal_damping)),
+        writable(sensors @ system.shapes),
         writable(system.participation),
-        modal_forces,
-        support_motion,
-        a.wanted.quantity,
-        complete,
-        direct,
     )
-    return output_shapes, direct
-
-
-def modal_tables(a: Arguments, system: System) -> ModalTables:
-    """Tables of a system that `is_coupled` denies to be coupled."""
-    output_shapes, direct = observe(a, system)
-    table = np.empty((N_ROWS, system.omega.size))
-    modal_table(system.omega, writable(uncoupled(system.modal_damping)), a.step, a.wanted.quantity, table)
-    return ModalTables(
-        table, np.ascontiguousarray(system.participation.T[:, None, :] * output_shapes), direct
+    modal_forces, support_motion = (
+        writable(system.shapes.T @ given.forces),
+        writable(sensors @ given.influence),
     )
+    feed = np.empty(support_motion.shape)
+    write_feed(modes, modal_forces, support_motion, a.wanted.quantity, a.wanted.n_modes == given.n_dof, feed)
+    return modes, feed

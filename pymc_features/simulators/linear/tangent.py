@@ -9,8 +9,8 @@ import numpy as np
 from pymc_features.simulators.linear import oscillators, state_adjoint
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.projection import project_direction
+from pymc_features.simulators.linear.response import data_or_history
 from pymc_features.simulators.linear.system import solve_system
-from pymc_features.simulators.oscillators.blocks import destination
 
 
 def linear_response_tangent(parameters, excitation, wanted, directions) -> np.ndarray:
@@ -35,9 +35,8 @@ def tangent(a, directions, observed):
     system = solve_system(a, left_out=True)
     if system is None:
         return np.full((n_sensors, total) if observed is None else n_sensors, np.nan)
-    observed, history, sums = destination(a.shape, observed)
-    d_theta, d_rayleigh, d_ratios = directions
-    change = project_direction(a, system, d_theta)
+    observed, history = data_or_history(a, observed)
+    change = project_direction(a, system, directions[0])
     route = oscillators if a.parameters.is_classical else state_adjoint
-    route.push_forward(a, system, change, d_rayleigh, d_ratios, observed, history, sums[0])
-    return history if history.size else sums[0] / total
+    sums = route.push_forward(a, system, change, directions[1:], observed, history)
+    return history if history.size else sums / total
