@@ -4,7 +4,7 @@ import numpy as np
 import pytensor.tensor as pt
 import pytest
 from numba import njit
-from pymc_features.ops.misfit import misfit_cotangent
+from pymc_features.ops.comparison import misfit_cotangent
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 from support.kernels import discrepancy_gradient, flat_kernels, response_gradient
