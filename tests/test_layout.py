@@ -32,13 +32,24 @@ ALLOWED = {
     "inference": {"records", "structures", "simulators", "distributions", "smc"},
     "study": {
         *("records", "structures", "simulators", "io", "datasets", "ground_motion"),
-        *("ops", "distributions", "likelihood_free", "smc", "storage"),
+        *("ops", "distributions", "likelihoods", "smc", "storage"),
     },
-    "plots": set(),
+    "likelihoods": {"ops", "distributions", "likelihood_free"},
+    "plots": {"likelihoods"},
     "progress": set(),
     "update": {
         *("records", "structures", "signals", "io", "datasets", "ground_motion", "simulators"),
-        *("ops", "distributions", "likelihood_free", "smc", "inference", "prediction", "storage", "plots"),
+        *(
+            "ops",
+            "distributions",
+            "likelihood_free",
+            "likelihoods",
+            "smc",
+            "inference",
+            "prediction",
+            "storage",
+            "plots",
+        ),
     },
 }
 ANYTHING = {"__init__", "cli"}

@@ -8,6 +8,8 @@ import pymc as pm
 import xarray as xr
 
 from pymc_features.distributions import FeatureLikelihoodWarning
+from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.likelihoods.free import exact_tolerance
 from pymc_features.records import Record
 from pymc_features.smc import PersistentSMC, SubsetSimulation, sample_smc
 from pymc_features.storage import PartStore
@@ -107,7 +109,8 @@ def sampling_rate_study(
             progress(label, done, len(names))
         part = store.load(label)
         if part is None:
-            tolerance = study.misfit(multiplier).delta if kind == "ABC" else None
+            is_abc = LIKELIHOODS[kind].is_likelihood_free
+            tolerance = exact_tolerance(study.misfit(multiplier)) if is_abc else None
             part = run_part(study, kind, multiplier, tolerance, models, cores, progressbar)
             store.save(label, part)
         parts[kind, multiplier] = part
@@ -139,7 +142,7 @@ def run_part(study, kind, multiplier, tolerance, models, cores, progressbar) -> 
         set_measurements(models[kind], data, tolerance)
         idata = sample_smc(
             study.draws,
-            SubsetSimulation if kind == "ABC" else PersistentSMC,
+            SubsetSimulation if LIKELIHOODS[kind].is_likelihood_free else PersistentSMC,
             model=models[kind],
             chains=study.chains,
             cores=cores,

@@ -6,14 +6,14 @@ from functools import cached_property
 import numpy as np
 import xarray as xr
 
+from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.likelihoods.exact.step import Priors, Step
 from pymc_features.records import Record
 from pymc_features.simulators import simulate
 from pymc_features.storage import fingerprint
 from pymc_features.structures import Structure
 from pymc_features.study import paper
 from pymc_features.study.misfits import SharedResponses, computed_sums
-from pymc_features.study.models import LIKELIHOODS
-from pymc_features.study.references import Step
 from pymc_features.study.structures import DEFAULT, StudyStructure, find_structure
 
 
@@ -81,7 +81,9 @@ class Study:
                 sums = computed_sums(self.at, self.record, data.values, dt)
             else:
                 sums = self.shared.sums(multiplier)
-            self.steps[multiplier] = Step(sums, data, dt, self.scale)
+            known = paper.CORRELATION_TIME, self.scale
+            priors = Priors(paper.THETA_RANGE, paper.SIGMA_RANGE, paper.TAU_RANGE, *known)
+            self.steps[multiplier] = Step(sums, data, dt, priors)
         return self.steps[multiplier]
 
     @cached_property

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.structures import Structure
 from pymc_features.study import bouc_wen, paper
-from pymc_features.study.models import LIKELIHOODS
 
 DEFAULT = "linear"
 QUICK = {"draws": 250, "chains": 2, "multipliers": (0.2, 1.0, 10.0)}

@@ -69,6 +69,7 @@ sigma = {{ distribution = "HalfNormal", sigma = {scale} }}          # m/s^2, sca
 [likelihood]
 kinds = ["NORM", "TN", "EXP", "ABC"]   # NORM takes every sample for a new observation
 sigma = "sigma"                     # one for all sensors, or a list with one for each
+# correlation_time = 0.05           # s, of CN, CN-SIGMA (numbers) and CN-TAU (a prior)
 # tolerance = 5.0                   # of ABC [m^2/s^4]; without it from EXP, Eq. (16)
 
 [sampler]

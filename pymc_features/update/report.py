@@ -6,15 +6,10 @@ from html import escape
 
 import numpy as np
 
+from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.problem import Problem
 from pymc_features.update.summary import COLUMNS, kinds_of
 
-MEANING = {
-    "NORM": "every sample an independent Gaussian observation, Eq. (2)",
-    "TN": "half-normal on the root mean square of each sensor, Eq. (7)",
-    "EXP": "exponential on the mean square of each sensor, Eq. (9)",
-    "ABC": "likelihood-free: sum of the mean squares within a tolerance, Eqs. (14)-(15)",
-}
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #222; max-width: 60rem }
 body { margin: 2rem auto; padding: 0 1rem }
@@ -131,7 +126,12 @@ def fitted(problem, result) -> str:
         for name, prior in problem.priors.items()
     ]
     kinds = [
-        (kind, MEANING[kind], result[kind].attrs["method"], f"{result[kind].attrs['seconds']:.0f}")
+        (
+            kind,
+            LIKELIHOODS[kind].meaning,
+            result[kind].attrs["method"],
+            f"{result[kind].attrs['seconds']:.0f}",
+        )
         for kind in kinds_of(result)
     ]
     return html_table(("prior", "unit", "distribution", "used as"), priors, 4) + html_table(

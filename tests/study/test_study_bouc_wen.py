@@ -8,10 +8,9 @@ import pytest
 import xarray as xr
 
 from pymc_features import Record, cli, sampling_rate_study, simulate
+from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.study import STRUCTURES, as_markdown, bouc_wen, find_structure, paper, yielding
 from pymc_features.study.misfits import computed_sums
-from pymc_features.study.models import LIKELIHOODS
-from pymc_features.study.references import REFERENCES
 from pymc_features.study.settings import checked_study
 from pymc_features.study.structures import DEFAULT
 
@@ -102,7 +101,9 @@ def test_kernel_of_the_family_gives_the_same_sums(study):
 def test_uncertainty_does_not_depend_on_the_sampling_rate(study):
     """As of the linear chain: half the step or five times it; NORM is the control."""
     width = {
-        kind: np.array([np.ptp(REFERENCES[kind](study.misfit(m)).statistics[0, 1:]) for m in (0.5, 1.0, 5.0)])
+        kind: np.array(
+            [np.ptp(LIKELIHOODS[kind].reference(study.misfit(m)).statistics[0, 1:]) for m in (0.5, 1.0, 5.0)]
+        )
         for kind in KINDS
     }
     for kind in ("TN", "EXP", "ABC"):

@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+import pytensor.tensor as pt
 from pydantic import PlainValidator
+from pytensor.graph.basic import Variable
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,9 @@ def evaluated(value, values):
     if isinstance(value, Parameter):
         found = values[value.prior]
         return found if value.times == 1.0 else value.times * found
-    if isinstance(value, list):
-        return [evaluated(item, values) for item in value]
-    return value
+    if not isinstance(value, list):
+        return value
+    found = [evaluated(item, values) for item in value]
+    if any(isinstance(item, Variable) for item in found):
+        return pt.stack([pt.as_tensor_variable(item, dtype="float64") for item in found])
+    return found
