@@ -13,5 +13,7 @@ from pymc_features.likelihoods.truncnormal import TN
 
 #: By name. The place of a likelihood is part of its seed: new ones go to the end.
 LIKELIHOODS = {entry.name: entry for entry in (NORM, TN, EXP, ABC, CN, CN_SIGMA, CN_TAU)}
+#: Names of those that the study can judge by their exact posteriors.
+WITH_REFERENCE = tuple(name for name, entry in LIKELIHOODS.items() if entry.has_reference)
 
-__all__ = ["DIMS", "LIKELIHOODS", "Comparison", "Likelihood"]
+__all__ = ["DIMS", "LIKELIHOODS", "WITH_REFERENCE", "Comparison", "Likelihood"]

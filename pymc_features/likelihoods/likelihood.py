@@ -58,7 +58,8 @@ class Likelihood:
     exponents : callable, optional
         From the numbers of sensors and samples to the `Exponents` of a likelihood of S(theta).
     posterior : callable, optional
-        From a `Step` of the study to the exact posterior, of any other likelihood.
+        From a `Step` of the study to the exact posterior, of any other likelihood. One that has neither
+        cannot be named in the study.
     takes : tuple of str
         Which of sigma, correlation_time and tolerance it needs.
     known, inferred : tuple of str
@@ -83,6 +84,11 @@ class Likelihood:
     def is_likelihood_free(self) -> bool:
         """Whether it has a tolerance in place of a density."""
         return "tolerance" in self.takes
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether its exact posterior is known, so that the study can judge draws by it."""
+        return self.exponents is not None or self.posterior is not None
 
     def reference(self, step: Step) -> Reference:
         """The exact posterior at one sampling step of the study."""

@@ -8,6 +8,8 @@ import numpy as np
 import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 
+from pymc_features.structures.inputs import Input
+
 
 class Structure(ABC):
     """A structure whose response to a ground acceleration can be computed.
@@ -23,11 +25,14 @@ class Structure(ABC):
         Whether its response is a sum of modes.
     has_storeys : bool
         Whether degree of freedom i moves against i - 1, so that there are inter-storey drifts.
+    inputs : dict
+        Names of its arguments to what they may be in a file, `Input`.
     """
 
     family: str
     is_linear: bool = True
     has_storeys: bool = False
+    inputs: dict[str, Input]
 
     @property
     @abstractmethod

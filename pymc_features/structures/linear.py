@@ -8,6 +8,7 @@ from pymc_features.algebra import AffineMatrix, common_pattern, natural_modes, t
 from pymc_features.structures.admissible import check_connected, check_damping, check_mass, check_stiffness
 from pymc_features.structures.base import Modes, Structure, static_length
 from pymc_features.structures.damping import Damping
+from pymc_features.structures.inputs import DAMPING_OR_MATRIX, MATRIX
 from pymc_features.structures.matrices import as_matrix
 
 
@@ -49,6 +50,12 @@ class LinearStructure(Structure):
     """
 
     family = "linear"
+    inputs = {
+        "mass": MATRIX,
+        "stiffness": MATRIX,
+        "damping": DAMPING_OR_MATRIX,
+        "influence": MATRIX,
+    }
 
     def __init__(self, mass, damping, stiffness, *, influence=None):
         stiffness = as_matrix(stiffness, "stiffness", "N/m")

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 import xarray as xr
 
-from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.likelihoods import LIKELIHOODS, WITH_REFERENCE
 from pymc_features.likelihoods.exact.step import Priors, Step
 from pymc_features.records import Record
 from pymc_features.simulators import simulate
@@ -126,9 +126,9 @@ def checked_study(
             f"`noise` must be positive, got {noise}. Without noise sigma runs to zero and no posterior "
             "exists; pass 0.05 for 5 %."
         )
-    unknown = [kind for kind in likelihoods if kind not in LIKELIHOODS]
+    unknown = [kind for kind in likelihoods if kind not in WITH_REFERENCE]
     if unknown or not likelihoods:
-        raise ValueError(f"`likelihoods` must be among {', '.join(LIKELIHOODS)}, got {likelihoods}.")
+        raise ValueError(f"`likelihoods` must be among {', '.join(WITH_REFERENCE)}, got {likelihoods}.")
     for name, value, least in (("draws", draws, 50), ("chains", chains, 1), ("random_seed", seed, 0)):
         if isinstance(value, bool) or int(value) != value or value < least:
             raise ValueError(f"`{name}` must be an integer of at least {least}, got {value}.")
@@ -141,7 +141,7 @@ def checked_study(
         float(stiffness),
         float(noise),
         multipliers,
-        tuple(kind for kind in LIKELIHOODS if kind in likelihoods),
+        tuple(kind for kind in WITH_REFERENCE if kind in likelihoods),
         int(draws),
         int(chains),
         int(seed),

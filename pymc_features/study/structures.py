@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.likelihoods import WITH_REFERENCE
 from pymc_features.structures import Structure
 from pymc_features.study import bouc_wen, paper
 
@@ -44,7 +44,7 @@ STRUCTURES = {
     "linear": StudyStructure(
         "linear chain",
         paper.chain,
-        tuple(LIKELIHOODS),
+        WITH_REFERENCE,
         draws=2000,
         chains=4,
     ),

@@ -129,7 +129,7 @@ def read_problem(path) -> Problem:
         raise ConfigError(
             f"`report.natural_frequencies` must be positive and rise, got {frequencies}. Pass them in Hz."
         )
-    if "inter_storey_drift" in config.report.quantities and "Chain" not in config.structure.type:
+    if "inter_storey_drift" in config.report.quantities and not structure.type.has_storeys:
         raise ConfigError(
             "`report.quantities` must not have inter_storey_drift for a structure without storeys, "
             f"{config.structure.type}. Use relative_displacement."
