@@ -8,6 +8,7 @@ import numpy as np
 import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 
+from pymc_features.records import Record
 from pymc_features.structures.inputs import Input
 
 
@@ -49,7 +50,7 @@ class Structure(ABC):
 
     def excitation(self, record) -> np.ndarray:
         """Return the ground acceleration (time,) of a record, or the inputs (input, time) of a loading."""
-        if not hasattr(record, "acceleration"):
+        if not isinstance(record, Record):
             raise TypeError(
                 f"`record` must be a Record for a {type(self).__name__}, got {type(record).__name__}. "
                 "Several supports and forces act on LinearStructure(*structure.matrices())."

@@ -146,14 +146,8 @@ class LinearStructure(Structure):
         n, entries = self.n_dof, self._terms[2].stack.shape[1]
         stacks = (np.zeros((0, entries)) if a is None else a.stack for a in self._terms)
         influence = self.influence.reshape(n, -1)
-        if getattr(record, "kind", "support_acceleration") == "force":
-            forces = np.eye(n) if record.matrix is None else record.matrix
-            if forces.shape != (n, record.n_inputs):
-                raise ValueError(
-                    f"`matrix` of the forces must have shape ({n}, {record.n_inputs}), got "
-                    f"{'none' if record.matrix is None else record.matrix.shape}. "
-                    "Give one row for each degree of freedom and one column for each input."
-                )
+        if record.is_force:
+            forces = record.places(n)
             influence = np.zeros(forces.shape)
         else:
             forces = np.zeros(influence.shape)
@@ -161,14 +155,12 @@ class LinearStructure(Structure):
 
     def excitation(self, record):
         """Support accelerations [m/s^2] or forces [N], array (d, t)."""
-        inputs = record.acceleration[None] if hasattr(record, "acceleration") else record.values
-        forces = getattr(record, "kind", "support_acceleration") == "force"
-        if not forces and inputs.shape[0] != self.n_supports:
+        if not record.is_force and record.n_inputs != self.n_supports:
             raise ValueError(
                 f"`record` must give {self.n_supports} support accelerations, one for each column of "
-                f"`influence`, got {inputs.shape[0]}. Pass Loading(values, dt) with that many rows."
+                f"`influence`, got {record.n_inputs}. Pass Loading(values, dt) with that many rows."
             )
-        return inputs
+        return record.inputs
 
     def _coefficients(self, n_modes=None):
         """Rayleigh pair, and ratios of all modes they are given for, or of the lowest `n_modes`."""
