@@ -18,10 +18,13 @@ def is_number(value) -> bool:
 
 
 def check_number(value, name: str, advice: str = "") -> float:
-    """A finite or infinite number as a float."""
-    if not is_number(value):
-        raise TypeError(message(name, "a number", repr(value), advice))
-    return float(value)
+    """A finite or infinite number, or an array with one, as a float."""
+    try:
+        if isinstance(value, str | bool) or np.ndim(value):
+            raise TypeError
+        return float(value)
+    except (TypeError, ValueError):
+        raise TypeError(message(name, "a number", repr(value), advice)) from None
 
 
 def check_positive(value, name: str, advice: str = "", *, allow_zero: bool = False) -> float:

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from numbers import Real
 
 import numpy as np
 
+from pymc_features._checks import is_number
 from pymc_features.io.units import time_step
 from pymc_features.signals.channels import warn_channel
 
@@ -46,7 +46,7 @@ def clock_seconds(units) -> float:
     """Seconds per unit of a clock: "s", "ms", "us", "ns" or a positive number."""
     if isinstance(units, str) and units.lower() in SECONDS:
         return SECONDS[units.lower()]
-    if isinstance(units, Real) and not isinstance(units, bool) and 0.0 < units < np.inf:
+    if is_number(units) and 0.0 < units < np.inf:
         return float(units)
     raise ValueError(
         '`clock_units` must be "s", "ms", "us", "ns" or a positive number of seconds per count, got '

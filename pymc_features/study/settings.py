@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import check_integer, check_positive
 from pymc_features.likelihoods import LIKELIHOODS, WITH_REFERENCE
 from pymc_features.likelihoods.exact.step import Priors, Step
 from pymc_features.records import Record
@@ -121,17 +122,13 @@ def checked_study(
     likelihoods = described.likelihoods if likelihoods is None else likelihoods
     draws = described.draws if draws is None else draws
     chains = described.chains if chains is None else chains
-    if not 0.0 < noise < np.inf:
-        raise ValueError(
-            f"`noise` must be positive, got {noise}. Without noise sigma runs to zero and no posterior "
-            "exists; pass 0.05 for 5 %."
-        )
+    advice = "Without noise sigma runs to zero and no posterior exists; pass 0.05 for 5 %."
+    noise = check_positive(noise, "noise", advice)
     unknown = [kind for kind in likelihoods if kind not in WITH_REFERENCE]
     if unknown or not likelihoods:
         raise ValueError(f"`likelihoods` must be among {', '.join(WITH_REFERENCE)}, got {likelihoods}.")
     for name, value, least in (("draws", draws, 50), ("chains", chains, 1), ("random_seed", seed, 0)):
-        if isinstance(value, bool) or int(value) != value or value < least:
-            raise ValueError(f"`{name}` must be an integer of at least {least}, got {value}.")
+        check_integer(value, name, least=least)
     multipliers = tuple(sorted({float(m) for m in multipliers}))
     if not multipliers:
         raise ValueError("`multipliers` must name at least one sampling step, got none.")

@@ -833,7 +833,11 @@ def test_refused_modes():
             ValueError,
             r"`values` must have shape \(input, time\) with at least 2 .* \(1, 1\). Time",
         ),
-        (([[0.0, np.nan]], 0.1), ValueError, r"`values` must be finite, got nan at index \(0, 1\). Fill or cut"),
+        (
+            ([[0.0, np.nan]], 0.1),
+            ValueError,
+            r"`values` must be finite, got nan at index \(0, 1\). Fill or cut",
+        ),
         (("push", 0.1), TypeError, "`values` must be an array of numbers, got str"),
         (
             ([0.0, 1.0], 0.0),

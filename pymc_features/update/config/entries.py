@@ -7,6 +7,8 @@ import pytensor.tensor as pt
 from pydantic import PlainValidator
 from pytensor.graph.basic import Variable
 
+from pymc_features._checks import is_number
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -25,11 +27,6 @@ class Matrix:
 
 
 WANTED = "must be a number, the name of a prior, or {prior = NAME, times = NUMBER}"
-
-
-def is_number(value) -> bool:
-    """Whether a value of the file is a number."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def entry(value):

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validator
 
+from pymc_features._checks import is_number
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.config.entries import Vector, priors_in
 
@@ -27,9 +28,7 @@ def key(description, default=..., **limits):
 
 def window(value):
     """Two rising times [s]."""
-    numbers = isinstance(value, list) and all(
-        isinstance(v, int | float) and not isinstance(v, bool) for v in value
-    )
+    numbers = isinstance(value, list) and all(map(is_number, value))
     if not (numbers and len(value) == 2 and value[0] < value[1]):
         raise ValueError(f"must be two rising numbers [from, to] in seconds or Hz, got {value!r}")
     return tuple(map(float, value))
