@@ -6,7 +6,7 @@ from pathlib import Path
 from pymc_features._checks import check_step
 from pymc_features.io.at2 import read_at2
 from pymc_features.io.channels import CHANNEL_READERS, read_channels
-from pymc_features.io.check import check_readable
+from pymc_features.io.lines import check_readable
 from pymc_features.io.mat import read_mat
 from pymc_features.io.matrices import read_matrices
 from pymc_features.io.text import read_text

@@ -9,10 +9,9 @@ import xarray as xr
 
 from pymc_features._checks import SAMPLING_INTERVAL, check_integer, check_step
 from pymc_features.io.at2 import read_at2
-from pymc_features.io.check import check_readable
-from pymc_features.io.clock import Clock, clock_seconds, common_window
+from pymc_features.io.clock import Clock, MeasuredFile, Request, clock_seconds, common_window
+from pymc_features.io.lines import check_readable
 from pymc_features.io.mat_channels import read_mat_channels
-from pymc_features.io.measured import MeasuredFile, Request
 from pymc_features.io.text_channels import read_text_channels
 from pymc_features.io.units import unit_factor
 from pymc_features.signals.single import check_each

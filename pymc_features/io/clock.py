@@ -1,4 +1,4 @@
-"""Clocks of sensors: their steps, their gaps, and the window that several have in common."""
+"""Measured files and their clocks: steps, gaps, and the window that several clocks have in common."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -40,6 +40,27 @@ class Window:
     start: float  # reading of the clocks at the first common sample [s], 0 without clocks
     n_times: int
     first: tuple[int, ...]  # first common sample of every file
+
+
+@dataclass(frozen=True)
+class MeasuredFile:
+    """Channels of one file, all sampled at the same times."""
+
+    names: list[str]
+    values: np.ndarray  # (channel, time) [m/s^2]
+    clock: Clock
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the caller of `read_channels` says about every file; None leaves it to the file."""
+
+    columns: list | None = None
+    units: str | float | None = None
+    dt: float | None = None
+    clock: str | int | bool | None = None  # False: no clock
+    clock_units: float | None = None  # [s] per count
+    skip: int = 0
 
 
 def clock_seconds(units) -> float:

@@ -4,12 +4,18 @@ import numpy as np
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
+from pymc_features._checks import check_finite, check_integer
 from pymc_features.algebra import AffineMatrix, common_pattern, natural_modes, to_dense
-from pymc_features.structures.admissible import check_connected, check_damping, check_mass, check_stiffness
 from pymc_features.structures.base import Modes, Structure, static_length
 from pymc_features.structures.damping import Damping
 from pymc_features.structures.inputs import DAMPING_OR_MATRIX, MATRIX
-from pymc_features.structures.matrices import as_matrix
+from pymc_features.structures.matrices import (
+    as_matrix,
+    check_connected,
+    check_damping,
+    check_mass,
+    check_stiffness,
+)
 
 
 class LinearStructure(Structure):
@@ -247,12 +253,7 @@ class LinearStructure(Structure):
         self._numbers()
         if n_modes is None:
             return self.n_dof
-        if isinstance(n_modes, bool) or int(n_modes) != n_modes or not 1 <= n_modes <= self.n_dof:
-            raise ValueError(
-                f"`n_modes` must be an integer from 1 to {self.n_dof}, got {n_modes}. "
-                "Leave it out for all modes."
-            )
-        return int(n_modes)
+        return check_integer(n_modes, "n_modes", most=self.n_dof, advice="Leave it out for all modes.")
 
 
 def _influence(value, n):
@@ -270,7 +271,6 @@ def _influence(value, n):
             f"`influence` must have shape ({n},) or ({n}, supports), got {influence.shape}. "
             "Give the displacement of every degree of freedom under a unit displacement of each support."
         )
-    if not np.isfinite(influence).all():
-        raise ValueError("`influence` must be finite, got NaN or infinity. Pass displacement ratios [-].")
+    check_finite(influence, "influence", "Pass displacement ratios [-].")
     influence.setflags(write=False)
     return influence
