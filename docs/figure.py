@@ -13,7 +13,7 @@ import numpy as np
 from pymc_features import datasets, paper
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.likelihoods.exact.step import STATISTICS
-from pymc_features.study.settings import checked_study
+from pymc_features.study.settings import Study
 
 LABELS = {
     "NORM": "NORM: every sample independent",
@@ -27,7 +27,7 @@ STYLE = {"font.size": 10.5, "svg.fonttype": "path", "svg.hashsalt": "pymc_featur
 
 def intervals(record, multipliers=paper.MULTIPLIERS):
     """Steps [s] (m,), and for each likelihood the exact 5, 50 and 95 % quantiles of theta (m, 3)."""
-    study = checked_study(record, likelihoods=list(LABELS), multipliers=multipliers)
+    study = Study(record, likelihoods=list(LABELS), multipliers=multipliers)
     columns = [STATISTICS.index(name) for name in ("q05", "q50", "q95")]
     return study.step(np.array(study.multipliers)), {
         kind: np.array(

@@ -69,6 +69,14 @@ class Structure(ABC):
     def inertia(self) -> np.ndarray:
         """Return influence' M (supports, n) [kg]: times the absolute accelerations, the base shear [N]."""
 
+    def check_numbers(self) -> None:
+        """Refuse variables where numbers are needed."""
+        if self.is_symbolic:
+            raise TypeError(
+                "`matrices` and `modes` must be asked of a structure of numbers, got PyTensor "
+                "variables. Build the structure with values, for example a posterior draw."
+            )
+
     @property
     def is_symbolic(self) -> bool:
         """Whether a parameter is a PyTensor variable."""

@@ -178,11 +178,7 @@ class LinearStructure(Structure):
         return rayleigh, ratios[:n_modes]
 
     def _numbers(self):
-        if self.is_symbolic:
-            raise TypeError(
-                "`matrices` and `modes` must be asked of a structure of numbers, got PyTensor "
-                "variables. Build the structure with values, for example a posterior draw."
-            )
+        self.check_numbers()
         return self._matrices
 
     @property

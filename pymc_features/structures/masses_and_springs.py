@@ -113,11 +113,7 @@ class Chain(Structure):
         return changed
 
     def _numbers(self):
-        if self.is_symbolic:
-            raise TypeError(
-                "`matrices` and `modes` must be asked of a structure of numbers, got PyTensor "
-                "variables. Build the structure with values, for example a posterior draw."
-            )
+        self.check_numbers()
         return self.linear_parameters()
 
     def inertia(self):

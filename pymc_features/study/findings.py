@@ -55,24 +55,13 @@ def agreement_rows(result: xr.DataTree) -> list[list]:
         return []
     sampled, exact = (intervals(result, "ABC", values).values for values in ("sampled", "exact"))
     abc = widths(result, "ABC")
+    beside = [widths(result, kind) / abc if kind in kinds else abc * np.nan for kind in ("EXP", "TN")]
     rows = []
     for j, multiplier in enumerate(summary["multiplier"].values):
         draws = result[f"ABC/x{multiplier:g}/posterior"]["theta"].values
-        rows.append(
-            [
-                float(multiplier),
-                float(summary["tolerance"][j]),
-                *map(float, summary["tolerance_interval"][j]),
-                float(draws.min()),
-                float(draws.max()),
-                *map(float, sampled[j]),
-                *map(float, exact[j]),
-                *(
-                    float(widths(result, kind)[j] / abc[j]) if kind in kinds else np.nan
-                    for kind in ("EXP", "TN")
-                ),
-            ]
-        )
+        delta, ends = summary["tolerance"][j], summary["tolerance_interval"].values[j]
+        numbers = multiplier, delta, *ends, draws.min(), draws.max(), *sampled[j], *exact[j]
+        rows.append([*map(float, numbers), *(float(ratio[j]) for ratio in beside)])
     return rows
 
 

@@ -15,7 +15,7 @@ from pymc_features.smc import PersistentSMC, SubsetSimulation, sample_smc
 from pymc_features.storage import PartStore
 from pymc_features.study import paper
 from pymc_features.study.models import declare, set_measurements
-from pymc_features.study.settings import checked_study
+from pymc_features.study.settings import Study
 from pymc_features.study.structures import DEFAULT
 from pymc_features.study.summary import assemble
 
@@ -88,16 +88,8 @@ def sampling_rate_study(
     ValueError
         If a setting is out of range, or `out` holds another study.
     """
-    study = checked_study(
-        record,
-        structure=structure,
-        stiffness=stiffness,
-        noise=noise,
-        multipliers=multipliers,
-        likelihoods=likelihoods,
-        draws=draws,
-        chains=chains,
-        seed=random_seed,
+    study = Study(
+        record, structure, stiffness, noise, multipliers, likelihoods, draws, chains, seed=random_seed
     )
     store = PartStore(out, study.settings())
     names = [(kind, m) for m in study.multipliers for kind in study.likelihoods]

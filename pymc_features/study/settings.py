@@ -1,5 +1,6 @@
 """What determines the numbers of a study: settings, checked, and the measurements made with them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -17,22 +18,60 @@ from pymc_features.study import paper
 from pymc_features.study.misfits import SharedResponses, computed_sums
 from pymc_features.study.structures import DEFAULT, StudyStructure, find_structure
 
+WITHOUT_NOISE = "Without noise sigma runs to zero and no posterior exists; pass 0.05 for 5 %."
+
 
 @dataclass(frozen=True)
 class Study:
-    """Settings of a study; see `sampling_rate_study`."""
+    """Settings of a study, checked; see `sampling_rate_study`. None stands for the structure's default."""
 
     record: Record
-    structure: str
-    stiffness: float
-    noise: float
-    multipliers: tuple[float, ...]
-    likelihoods: tuple[str, ...]
-    draws: int
-    chains: int
-    seed: int
-    finest: xr.DataArray = field(repr=False)
-    steps: dict[float, Step] = field(default_factory=dict, repr=False)
+    structure: str = DEFAULT
+    stiffness: float = paper.STIFFNESS
+    noise: float = paper.NOISE
+    multipliers: Sequence[float] = paper.MULTIPLIERS
+    likelihoods: Sequence[str] | None = None
+    draws: int | None = None
+    chains: int | None = None
+    seed: int = 0
+    steps: dict[float, Step] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self):
+        if not isinstance(self.record, Record):
+            raise TypeError(f"`record` must be a Record, got {type(self.record).__name__}.")
+        for name in ("likelihoods", "draws", "chains"):
+            if getattr(self, name) is None:
+                self._set(name, getattr(self.described, name))
+        unknown = [kind for kind in self.likelihoods if kind not in WITH_REFERENCE]
+        if unknown or not self.likelihoods:
+            raise ValueError(
+                f"`likelihoods` must be among {', '.join(WITH_REFERENCE)}, got {self.likelihoods}."
+            )
+        self._set("likelihoods", tuple(kind for kind in WITH_REFERENCE if kind in self.likelihoods))
+        self._set("stiffness", float(self.stiffness))
+        self._set("noise", check_positive(self.noise, "noise", WITHOUT_NOISE))
+        self._set("draws", check_integer(self.draws, "draws", least=50))
+        self._set("chains", check_integer(self.chains, "chains"))
+        self._set("seed", check_integer(self.seed, "random_seed", least=0))
+        self._set("multipliers", tuple(sorted({float(m) for m in self.multipliers})))
+        if not self.multipliers:
+            raise ValueError("`multipliers` must name at least one sampling step, got none.")
+        check_measurements(self)
+
+    def _set(self, name, value):
+        object.__setattr__(self, name, value)
+
+    @cached_property
+    def finest(self) -> xr.DataArray:
+        """Measurements at the smallest step (sensor, time) [m/s^2]."""
+        return paper.measurements(
+            self.record,
+            stiffness=self.stiffness,
+            noise=self.noise,
+            seed=self.seed,
+            multipliers=self.multipliers,
+            structure=self.described.chain,
+        )
 
     def settings(self) -> dict:
         """All that determines the numbers, for the folder they are kept in."""
@@ -101,58 +140,6 @@ class Study:
         """Seed of one part: the same at all sampling steps, which then differ by their data."""
         key = [self.seed, list(LIKELIHOODS).index(likelihood)]
         return int(np.random.SeedSequence(key).generate_state(1)[0])
-
-
-def checked_study(
-    record,
-    *,
-    structure=DEFAULT,
-    stiffness=paper.STIFFNESS,
-    noise=paper.NOISE,
-    multipliers=paper.MULTIPLIERS,
-    likelihoods=None,
-    draws=None,
-    chains=None,
-    seed=0,
-) -> Study:
-    """Return the settings, checked, with the measurements made; None stands for the structure's default."""
-    if not isinstance(record, Record):
-        raise TypeError(f"`record` must be a Record, got {type(record).__name__}.")
-    described = find_structure(structure)
-    likelihoods = described.likelihoods if likelihoods is None else likelihoods
-    draws = described.draws if draws is None else draws
-    chains = described.chains if chains is None else chains
-    advice = "Without noise sigma runs to zero and no posterior exists; pass 0.05 for 5 %."
-    noise = check_positive(noise, "noise", advice)
-    unknown = [kind for kind in likelihoods if kind not in WITH_REFERENCE]
-    if unknown or not likelihoods:
-        raise ValueError(f"`likelihoods` must be among {', '.join(WITH_REFERENCE)}, got {likelihoods}.")
-    for name, value, least in (("draws", draws, 50), ("chains", chains, 1), ("random_seed", seed, 0)):
-        check_integer(value, name, least=least)
-    multipliers = tuple(sorted({float(m) for m in multipliers}))
-    if not multipliers:
-        raise ValueError("`multipliers` must name at least one sampling step, got none.")
-    study = Study(
-        record,
-        structure,
-        float(stiffness),
-        float(noise),
-        multipliers,
-        tuple(kind for kind in WITH_REFERENCE if kind in likelihoods),
-        int(draws),
-        int(chains),
-        int(seed),
-        paper.measurements(
-            *(record,),
-            stiffness=stiffness,
-            noise=noise,
-            seed=seed,
-            multipliers=multipliers,
-            structure=described.chain,
-        ),
-    )
-    check_measurements(study)
-    return study
 
 
 def check_measurements(study: Study):

@@ -5,7 +5,7 @@ import pytensor.tensor as pt
 
 from pymc_features.likelihoods import DIMS, LIKELIHOODS, Comparison
 from pymc_features.ops import response
-from pymc_features.update.channels import Keyed
+from pymc_features.update.channels import named_key
 from pymc_features.update.config.entries import evaluated, priors_in
 from pymc_features.update.problem import Problem
 
@@ -39,7 +39,7 @@ def declare(problem: Problem, kind: str, tolerance: float | None = None) -> pm.M
     coords = {dim: observed[dim].values for dim in DIMS}
     with pm.Model(coords=coords) as model:
         values = {name: problem.priors[name].declare(name) for name in names_for(problem, kind)}
-        with Keyed("structure"):
+        with named_key("structure"):
             structure = problem.structure(**{name: values[name] for name in problem.structure.names})
             mu = response(
                 structure,

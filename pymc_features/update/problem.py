@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features.storage import fingerprint
-from pymc_features.update.channels import Keyed, Measured, read_measured
+from pymc_features.update.channels import Measured, named_key, read_measured
 from pymc_features.update.config.document import Config, read_config
 from pymc_features.update.config.entries import Matrix
 from pymc_features.update.config.messages import ConfigError
@@ -120,7 +120,7 @@ def read_problem(path) -> Problem:
     }
     structure = StructureOf(config.structure, path.parent)
     measured = read_measured(config, path.parent)
-    with Keyed("structure"):
+    with named_key("structure"):
         size = structure(**{n: float(np.median(priors[n].draw(501, 1))) for n in structure.names}).n_dof
     dofs = checked_dofs(config, size)
     check_errors(config)

@@ -6,7 +6,7 @@ from pathlib import Path
 from pymc_features import structures
 from pymc_features.io import read_matrices
 from pymc_features.structures import AffineStructure
-from pymc_features.update.channels import Keyed
+from pymc_features.update.channels import named_key
 from pymc_features.update.config.document import parameters_of
 from pymc_features.update.config.entries import Matrix, evaluated, priors_in
 from pymc_features.update.config.messages import ConfigError
@@ -70,7 +70,7 @@ def loaded(value, key, folder):
 
 def read_matrix(asked: Matrix, key, folder):
     """One matrix of a file."""
-    with Keyed(key, path="file"):
+    with named_key(key, path="file"):
         found = read_matrices(folder / asked.file)
     if asked.name is None and len(found) == 1:
         return next(iter(found.values()))

@@ -16,7 +16,7 @@ from pymc_features.smc.results import pad_stages, savable
 from pymc_features.storage import PartStore
 from pymc_features.study import StudyMismatchError, as_csv, as_markdown, paper
 from pymc_features.study import sampling_rate as study_module
-from pymc_features.study.settings import checked_study
+from pymc_features.study.settings import Study
 
 KINDS = ("NORM", "TN", "EXP")
 ALL_KINDS = (*KINDS, "ABC", "CN", "CN-SIGMA", "CN-TAU")
@@ -25,7 +25,7 @@ ALL_KINDS = (*KINDS, "ABC", "CN", "CN-SIGMA", "CN-TAU")
 @pytest.fixture(scope="module")
 def exact(record):
     """Curves and exact posteriors on the whole record at the seven steps."""
-    study = checked_study(record)
+    study = Study(record)
     result = {}
     for multiplier in paper.MULTIPLIERS:
         data = study.data(multiplier)
@@ -284,7 +284,7 @@ def test_folder_of_another_study_is_refused(short, tmp_path):
 
 @pytest.mark.parametrize("names", [("linear", "bouc-wen"), ("bouc-wen", "linear")])
 def test_folder_of_another_structure_is_refused(short, tmp_path, names):
-    first, second = (checked_study(short, structure=name, likelihoods=["TN"]).settings() for name in names)
+    first, second = (Study(short, structure=name, likelihoods=["TN"]).settings() for name in names)
     PartStore(tmp_path, first)
     PartStore(tmp_path, first)
     with pytest.raises(StudyMismatchError, match="hold the same study, got .* structure = .* instead of"):
@@ -294,8 +294,8 @@ def test_folder_of_another_structure_is_refused(short, tmp_path, names):
 def test_settings_of_the_linear_chain_are_those_of_older_folders(short):
     """Folders from before there was a choice of structures can be continued."""
     keys = "record record_sha256 record_dt stiffness noise multipliers likelihoods draws chains seed"
-    assert list(checked_study(short).settings()) == keys.split()
-    assert checked_study(short).settings()["draws"] == 2000
+    assert list(Study(short).settings()) == keys.split()
+    assert Study(short).settings()["draws"] == 2000
 
 
 @pytest.mark.parametrize(
