@@ -337,7 +337,7 @@ def test_measurements_have_the_stated_noise_once(short):
     np.testing.assert_allclose(noise.std(axis=1), 0.05 * rms, rtol=0.09)
     coarse = paper.decimate(finest, 2.0 * short.dt)
     np.testing.assert_array_equal(coarse.values, finest.values[:, ::20])
-    with pytest.raises(ValueError, match="`noise` must be finite and not negative, got -0.1"):
+    with pytest.raises(ValueError, match="`noise` must be positive or zero, got -0.1"):
         paper.measurements(short, noise=-0.1)
 
 
