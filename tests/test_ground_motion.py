@@ -195,9 +195,9 @@ def test_end_is_not_wrapped_around_to_the_start():
         ({"strong_time": "a"}, TypeError, "`strong_time` must be a number, got 'a'"),
         ({"end_level": 0.0}, ValueError, "`end_level` must be positive, got 0.0"),
         ({"end_level": 1.5}, ValueError, "`end_level` must be at most 1, the plateau, got 1.5"),
-        ({"seed": 1.0}, TypeError, "`seed` must be an integer, got 1.0"),
-        ({"seed": None}, TypeError, "`seed` must be an integer, got None"),
-        ({"seed": -1}, ValueError, "`seed` must not be negative, got -1"),
+        ({"seed": 1.5}, ValueError, "`seed` must be an integer of at least 0, got 1.5"),
+        ({"seed": None}, ValueError, "`seed` must be an integer of at least 0, got None"),
+        ({"seed": -1}, ValueError, "`seed` must be an integer of at least 0, got -1"),
     ],
 )
 def test_inadmissible_arguments(arguments, error, message):

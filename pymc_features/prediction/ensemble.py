@@ -6,7 +6,7 @@ damping couples the modes, is simulated at once (`simulated`); its histories go 
 of time are wanted, and otherwise only their peaks are kept.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -46,9 +46,7 @@ def checked_responses(structure, records, names, settings) -> WantedResponses:
         request, outputs = [checked_request(structure, record, name, **settings) for name in names][0]
         requests.append(request)
         # two samples: whether the record fits the structure
-        field = "acceleration" if hasattr(record, "acceleration") else "values"
-        start = replace(record, **{field: getattr(record, field)[..., :2]})
-        simulate(structure, start, dt=settings["dt"], n_modes=settings["n_modes"])
+        simulate(structure, record.first(2), dt=settings["dt"], n_modes=settings["n_modes"])
     return WantedResponses(records, requests, names, outputs, settings)
 
 

@@ -30,23 +30,17 @@ class Marched:
     """
 
     def __init__(self, wanted):
-        self.wanted, self.kept, self.inputs = wanted, [], None
+        self.wanted, self.kept = wanted, []
         pairs = zip(wanted.records, wanted.requests, strict=True)
         self.steps = [record.dt / request.substeps for record, request in pairs]
 
     def __len__(self):
         return len(self.kept)
 
-    def keep(self, structure, found):
-        """Keep what was `found` of a structure."""
-        if self.inputs is None:
-            self.inputs = [np.atleast_2d(structure.excitation(record)) for record in self.wanted.records]
-        self.kept.append(found)
-
     def blocks(self, k: int, name: str, size: int):
         """Yield (first sample, responses (row, time, structure)) of one block after another."""
         record, request = self.wanted.records[k], self.wanted.requests[k]
-        excitation = Excitation(writable(self.inputs[k]), record.dt, request.substeps, request.stride)
+        excitation = Excitation(writable(record.inputs), record.dt, request.substeps, request.stride)
         return response_blocks(self.recursions(k, name), excitation, size)
 
     def peaks(self, k: int, name: str, size: int) -> np.ndarray:
@@ -66,7 +60,7 @@ class Chains(Marched):
         outputs = Outputs(np.zeros(1, dtype=np.int64), self.wanted.requests[0].n_modes, 0)
         if not all(modes_of(parameters, step, outputs)[0] for step in set(self.steps)):
             return False
-        self.keep(structure, (structure, parameters))
+        self.kept.append((structure, parameters))
         return True
 
     def recursions(self, k: int, name: str) -> Recursions:
@@ -84,12 +78,14 @@ class Chains(Marched):
             _, system, _, _ = modes_of(parameters, self.steps[k], wanted)
             table = np.empty((N_ROWS, request.n_modes))
             write_table(system.omega, system.damping, self.steps[k], wanted.quantity, table)
-            feed = chain_feed(system, wanted, complete)
-            found.append((table, system.participation.T, system.shapes, feed))
-        tables, participation, shapes, direct = (np.stack(part) for part in zip(*found, strict=True))
+            # with the participation in the shapes a response is that of `simulate` to the last bit
+            found.append(
+                (table, system.shapes * system.participation[:, 0], chain_feed(system, wanted, complete))
+            )
+        tables, shapes, direct = (np.stack(part) for part in zip(*found, strict=True))
         if combinations is not None:
             shapes, direct = combinations @ shapes, combinations @ direct
-        return Recursions(tables, participation, shapes, direct)
+        return Recursions(tables, np.ones((len(self), 1, request.n_modes)), shapes, direct)
 
 
 class KeptModes(NamedTuple):
@@ -122,7 +118,7 @@ class Oscillators(Marched):
 
     def __init__(self, wanted):
         super().__init__(wanted)
-        of_forces = [getattr(record, "kind", "") == "force" for record in wanted.records]
+        of_forces = [record.is_force for record in wanted.records]
         self.loads = [k if force else "supports" for k, force in enumerate(of_forces)]
         # the record with the longest step stands for all with its kind of load
         ascending = np.argsort(self.steps, kind="stable")
@@ -150,7 +146,7 @@ class Oscillators(Marched):
                 if share is not None:
                     direct[name, load] += share
         modal_damping = uncoupled(system.modal_damping)
-        self.keep(structure, KeptModes(system.omega, modal_damping, participation, output_shapes, direct))
+        self.kept.append(KeptModes(system.omega, modal_damping, participation, output_shapes, direct))
         return True
 
     def outputs(self, structure, name: str, request) -> Outputs:

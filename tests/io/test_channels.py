@@ -393,8 +393,8 @@ def test_broken_files_are_refused(tmp_path, defect):
         ({"units": None}, ValueError, "`units` must be given, base.csv does not state them"),
         ({"units": "furlong"}, ValueError, "`units` must be one of"),
         ({"dt": -1.0}, ValueError, "`dt` must be positive"),
-        ({"skip": -1}, ValueError, "`skip` must not be negative"),
-        ({"skip": 1.5}, TypeError, "`skip` must be an integer"),
+        ({"skip": -1}, ValueError, "`skip` must be an integer of at least 0, got -1. It counts rows"),
+        ({"skip": 1.5}, ValueError, "`skip` must be an integer"),
         ({"skip": 59}, ValueError, "must hold at least 2 samples, got 1"),
         (
             {"clock": "Time"},

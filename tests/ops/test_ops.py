@@ -435,7 +435,7 @@ def test_response_refuses_wrong_types(arguments, error, match):
         ({"quantity": "base_shear", "sensors": [0]}, ValueError, "`sensors` must be left out for the base s"),
         ({"outputs": pt.matrix()}, TypeError, "`outputs` must be a matrix of numbers, got TensorVariable"),
         ({"outputs": "drifts"}, TypeError, "`outputs` must be a matrix of numbers, got str"),
-        ({"n_modes": "all"}, ValueError, "`n_modes` must be an integer from 1 to 3, got all"),
+        ({"n_modes": "all"}, ValueError, "`n_modes` must be an integer from 1 to 3, got 'all'"),
         ({"dt": "0.1"}, TypeError, "`dt` must be a number, got str"),
         ({"dt": pt.scalar()}, TypeError, "`dt` must be a number, got TensorVariable. .* may be pm.Data"),
         ({"dt": np.array([0.1])}, TypeError, "`dt` must be a number, got ndarray"),

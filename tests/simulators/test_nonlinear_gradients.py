@@ -4,11 +4,11 @@ import numpy as np
 import pytensor.tensor as pt
 import pytest
 from numba import njit
-from pymc_features.ops.misfit import misfit_cotangent
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 from support.kernels import discrepancy_gradient, flat_kernels, response_gradient
 
+from pymc_features.ops.comparison import misfit_cotangent
 from pymc_features.simulators import Excitation
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_math import logarithm, power
@@ -253,7 +253,7 @@ def test_tangents_at_the_bounds_of_a_law(case):
     ("family", "sharpness"), [("hysteretic", 1.0), ("hysteretic", 1.2), ("duffing", 2.0)]
 )
 def test_fisher_information_by_differences(record, family, sharpness):
-    """I = J' J of the response under El Centro, J by tangents against J' by gradients: 1e-5 of the diagonal."""
+    """I = J' J of the response under El Centro, J by tangents against J' by gradients: to 1e-5."""
     given = parameters(family, sharpness=sharpness, seed=12)
     where = (record.acceleration[:600], record.dt, 1, 1, np.array([2, 0]), 3, 0)
     changes = [change for _, change in each_entry(given)]

@@ -12,8 +12,8 @@ of one matrix exponential (Van Loan, IEEE Trans. Autom. Control 23, 395-404, 197
     exp [[F, G, 0], [0, 0, 1], [0, 0, 0]] = [[T, N + A, A], [0, 1, 1], [0, 0, 1]].
 
 The scales S = max(Omega h, 1) make F small where a frequency is high: two to five times less rounding. The
-outputs are y[k] = O z[k] + J a[k]. In exact arithmetic O z + J a = S Phi W (q, q', a), where W takes q, q' or
-the accelerations -R from its argument.
+outputs are y[k] = O z[k] + J a[k], and in exact arithmetic O z + J a = S Phi W (q, q', a), where W takes
+q, q' or the accelerations -R from its argument.
 """
 
 from typing import NamedTuple
