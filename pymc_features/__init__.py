@@ -16,42 +16,18 @@ sample: its uncertainty does not depend on the sampling rate.
 """
 
 from pymc_features import datasets, signals
-from pymc_features.distributions import (
-    CorrelatedNormal,
-    ExpFeature,
-    FeatureLikelihoodWarning,
-    TruncNormalFeature,
-    sigma_mpv,
-)
+from pymc_features.distributions import CorrelatedNormal, ExpFeature, TruncNormalFeature, sigma_mpv
 from pymc_features.external import CommandLine, ExternalSimulator, Surrogate
 from pymc_features.ground_motion import synthetic_earthquake
-from pymc_features.inference import (
-    ChainsDisagreeWarning,
-    LaplaceWarning,
-    fisher_information,
-    laplace,
-    sample_nuts,
-    tolerance_sweep,
-)
+from pymc_features.inference import fisher_information, laplace, sample_nuts, tolerance_sweep
 from pymc_features.io import read_channels, read_matrices, read_record
-from pymc_features.likelihood_free import DiscrepancySimulator, SimulationWarning, abc_tolerance
-from pymc_features.ops import NotDifferentiableError, mean_square_discrepancy, response
-from pymc_features.prediction import PredictionWarning, first_passage_probability, posterior_response
+from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
+from pymc_features.ops import mean_square_discrepancy, response
+from pymc_features.prediction import first_passage_probability, posterior_response
 from pymc_features.records import Loading, Record
-from pymc_features.signals import ChannelWarning, check_channels
+from pymc_features.signals import check_channels
 from pymc_features.simulators import integration_error, simulate, spring_forces
-from pymc_features.smc import (
-    TMCMC,
-    CheckpointError,
-    PersistentSMC,
-    PopulationIMH,
-    PopulationMH,
-    PopulationWarning,
-    SubsetSimulation,
-    SubsetSimulationWarning,
-    ToleranceNotReachedError,
-    sample_smc,
-)
+from pymc_features.smc import TMCMC, PersistentSMC, PopulationIMH, PopulationMH, SubsetSimulation, sample_smc
 from pymc_features.structures import (
     AffineStructure,
     DuffingChain,
@@ -65,36 +41,25 @@ from pymc_features.study import paper, sampling_rate_study
 
 __all__ = [
     "AffineStructure",
-    "ChainsDisagreeWarning",
-    "ChannelWarning",
-    "CheckpointError",
     "CommandLine",
     "CorrelatedNormal",
     "DiscrepancySimulator",
     "DuffingChain",
     "ExpFeature",
     "ExternalSimulator",
-    "FeatureLikelihoodWarning",
     "HystereticChain",
-    "LaplaceWarning",
     "LinearStructure",
     "Loading",
     "ModalDamping",
-    "NotDifferentiableError",
     "PersistentSMC",
     "PopulationIMH",
     "PopulationMH",
-    "PopulationWarning",
-    "PredictionWarning",
     "RayleighDamping",
     "Record",
-    "SimulationWarning",
     "SpringMassChain",
     "SubsetSimulation",
-    "SubsetSimulationWarning",
     "Surrogate",
     "TMCMC",
-    "ToleranceNotReachedError",
     "TruncNormalFeature",
     "abc_tolerance",
     "check_channels",

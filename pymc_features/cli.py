@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from pymc_features.exceptions import DatasetUnavailableError
 from pymc_features.progress import PartProgress
 
 FIGURES = {  # those with all their likelihoods in the study are drawn
@@ -137,7 +138,7 @@ def find_record(options):
     try:
         record = datasets.el_centro()
         return record, f"record: {record}"
-    except datasets.DatasetUnavailableError:
+    except DatasetUnavailableError:
         record = ground_motion.synthetic_earthquake(31.16, 0.02, seed=1940, pga=3.13)
         return record, f"record: {record}, since El Centro 1940 could not be had here"
 

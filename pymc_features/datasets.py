@@ -9,20 +9,17 @@ from urllib.parse import quote
 import numpy as np
 import xarray as xr
 
+from pymc_features.exceptions import DatasetUnavailableError
 from pymc_features.io import read_channels
 from pymc_features.records import Record
 
-__all__ = ["DatasetUnavailableError", "el_centro", "mini_shake_table"]
+__all__ = ["el_centro", "mini_shake_table"]
 
 #: Name of the environment variable with the folder that is searched before the network.
 DATA_VARIABLE = "PYMC_FEATURES_DATA"
 
 _TIMEOUT = 15.0  # [s]
 _GRAVITY = 9.81  # [m/s^2] per g, the value of the reference results
-
-
-class DatasetUnavailableError(OSError):
-    """A data set is neither in the local folder nor can it be downloaded."""
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,11 @@ import numpy as np
 import pytensor.tensor as pt
 from pytensor.tensor.variable import TensorVariable
 
+from pymc_features.exceptions import UnknownIdentityError
 from pymc_features.external.checks import check_settings
 from pymc_features.external.evaluator import Evaluator, Failure, Task
 from pymc_features.external.gradient import FlatGradient
-from pymc_features.fingerprint import UnknownIdentityError, fingerprint
+from pymc_features.fingerprint import fingerprint
 from pymc_features.ops import ExternalResponse
 
 

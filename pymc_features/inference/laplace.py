@@ -8,15 +8,12 @@ import xarray as xr
 from pymc.backends.arviz import coords_and_dims_for_inferencedata
 from pymc.initial_point import make_initial_point_fn
 
+from pymc_features.exceptions import LaplaceWarning
 from pymc_features.inference.parameters import Unconstrained, check_continuous, initial_values
 from pymc_features.inference.posterior_modes import Density, climb, distinct
 from pymc_features.smc import population_logp, prior_draws
 
 LOW_EFFICIENCY = 0.2
-
-
-class LaplaceWarning(UserWarning):
-    """The posterior is far from the Gaussians that stand for it."""
 
 
 def laplace(

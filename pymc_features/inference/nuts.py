@@ -7,15 +7,12 @@ import pymc as pm
 import xarray as xr
 from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
 
+from pymc_features.exceptions import ChainsDisagreeWarning
 from pymc_features.inference.parameters import check_continuous, to_unconstrained
 from pymc_features.smc import processors, sample_smc
 
 NUTS_SAMPLERS = ("pymc", "numpyro", "blackjax")
 AGREEMENT = 1.01  # largest R-hat of chains that agree
-
-
-class ChainsDisagreeWarning(UserWarning):
-    """Chains have not explored the same posterior."""
 
 
 def sample_nuts(

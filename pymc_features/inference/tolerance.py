@@ -4,7 +4,8 @@ import numpy as np
 import pymc as pm
 import xarray as xr
 
-from pymc_features.smc import SubsetSimulation, ToleranceNotReachedError, sample_smc
+from pymc_features.exceptions import ToleranceNotReachedError
+from pymc_features.smc import SubsetSimulation, sample_smc
 
 OF_THE_SAMPLER = ("log_probability", "log_probability_se", "simulations")
 

@@ -8,11 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from pymc_features.exceptions import PredictionWarning
 from pymc_features.prediction.ensemble import Ensemble
-
-
-class PredictionWarning(UserWarning):
-    """Draws of a posterior that describe no structure are left out of a prediction."""
 
 
 class StructureDraws(NamedTuple):

@@ -7,11 +7,9 @@ from numbers import Real
 import numpy as np
 import xarray as xr
 
+from pymc_features.exceptions import ChannelWarning
+
 _PACKAGE = os.path.dirname(os.path.dirname(__file__))
-
-
-class ChannelWarning(UserWarning):
-    """Measured channels can be used, but something about them is suspicious."""
 
 
 def warn_channel(message: str) -> None:

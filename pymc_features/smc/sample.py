@@ -8,9 +8,9 @@ from pymc.model import modelcontext
 from pymc.sampling.parallel import ParallelSamplingError
 from pytensor.graph.traversal import ancestors
 
+from pymc_features.exceptions import CheckpointError, ToleranceNotReachedError
 from pymc_features.smc.kernels.base import PopulationKernel
-from pymc_features.smc.kernels.checkpoint import CheckpointError, remembered
-from pymc_features.smc.kernels.levels import ToleranceNotReachedError
+from pymc_features.smc.kernels.checkpoint import remembered
 from pymc_features.smc.kernels.persistent import PersistentSMC
 from pymc_features.smc.results import savable
 

@@ -1,6 +1,5 @@
 """The sampling-rate study, of the source's structure and of one that yields; exact posteriors to judge by."""
 
-from pymc_features.storage import StudyMismatchError
 from pymc_features.study import paper
 from pymc_features.study.findings import yielding
 from pymc_features.study.sampling_rate import sampling_rate_study
@@ -9,7 +8,6 @@ from pymc_features.study.table import as_csv, as_markdown
 
 __all__ = [
     "STRUCTURES",
-    "StudyMismatchError",
     "as_csv",
     "as_markdown",
     "find_structure",

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import pymc as pm
 import xarray as xr
 
-from pymc_features.distributions import FeatureLikelihoodWarning
+from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.records import Record
 from pymc_features.smc import PersistentSMC, SubsetSimulation, sample_smc
 from pymc_features.storage import PartStore

@@ -7,10 +7,10 @@ import numpy as np
 import xarray as xr
 
 from pymc_features import datasets, signals
+from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 from pymc_features.io import read_channels, read_record
 from pymc_features.records import Record
 from pymc_features.update.config.document import Config
-from pymc_features.update.config.messages import ConfigError
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Keyed:
         return self
 
     def __exit__(self, kind, error, traceback):
-        named = isinstance(error, ConfigError | datasets.DatasetUnavailableError)
+        named = isinstance(error, ConfigError | DatasetUnavailableError)
         if isinstance(error, ValueError | TypeError | OSError) and not named:
             text = str(error)
             for argument, key in self.renamed.items():

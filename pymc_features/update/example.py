@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features import datasets
+from pymc_features.exceptions import DatasetUnavailableError
 from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.simulators import simulate
 from pymc_features.storage import write_atomically
@@ -115,7 +116,7 @@ def write_example(path, *, synthetic: bool = False) -> tuple[list[Path], str]:
     if not synthetic:
         try:
             datasets.mini_shake_table("northridge")
-        except datasets.DatasetUnavailableError:
+        except DatasetUnavailableError:
             synthetic, reason = True, "since the shaking table's could not be had here"
     for file in (path, measured) if synthetic else (path,):
         if file.exists():

@@ -4,8 +4,8 @@ import numpy as np
 import pymc as pm
 import xarray as xr
 
+from pymc_features.exceptions import ConfigError
 from pymc_features.prediction import posterior_response
-from pymc_features.update.config.messages import ConfigError
 
 QUANTILES = (0.05, 0.5, 0.95)
 DRAWS = 200

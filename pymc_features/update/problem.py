@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from pymc_features.exceptions import ConfigError
 from pymc_features.storage import fingerprint
 from pymc_features.update.channels import Keyed, Measured, read_measured
 from pymc_features.update.config.document import Config, read_config
 from pymc_features.update.config.entries import Matrix
-from pymc_features.update.config.messages import ConfigError
 from pymc_features.update.config.priors import Prior
 from pymc_features.update.structure import StructureOf
 

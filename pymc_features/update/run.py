@@ -11,12 +11,12 @@ import xarray as xr
 from pymc.sampling.parallel import ParallelSamplingError
 
 from pymc_features import smc
+from pymc_features.exceptions import ConfigError, ToleranceNotReachedError
 from pymc_features.inference import laplace, sample_nuts
 from pymc_features.likelihood_free import abc_tolerance
-from pymc_features.smc import ToleranceNotReachedError, sample_smc
+from pymc_features.smc import sample_smc
 from pymc_features.storage import PartStore
 from pymc_features.update.config.entries import Parameter
-from pymc_features.update.config.messages import ConfigError
 from pymc_features.update.model import LIKELIHOODS, declare, names_for
 from pymc_features.update.predict import bands, frequencies, measured_gain
 from pymc_features.update.problem import Problem

@@ -30,9 +30,10 @@ from pymc_features import (
     TruncNormalFeature,
     sample_smc,
 )
+from pymc_features.exceptions import UnknownIdentityError
 from pymc_features.external import EvaluationCache, checks
 from pymc_features.external.processes.calls import Outcome
-from pymc_features.fingerprint import UnknownIdentityError, fingerprint
+from pymc_features.fingerprint import fingerprint
 from pymc_features.smc.kernels.checkpoint import model_fingerprint
 from pymc_features.smc.sample import is_parallel_by_itself
 

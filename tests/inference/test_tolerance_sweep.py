@@ -7,7 +7,8 @@ import numpy as np
 import pymc as pm
 import pytest
 
-from pymc_features import DiscrepancySimulator, ToleranceNotReachedError, tolerance_sweep
+from pymc_features import DiscrepancySimulator, tolerance_sweep
+from pymc_features.exceptions import ToleranceNotReachedError
 
 QUIET = {"chains": 2, "cores": 1, "progressbar": False, "compile_kwargs": {"mode": "FAST_COMPILE"}}
 

@@ -319,7 +319,7 @@ def model_of(likelihood, dt=None):
         measured = pm.Data("measured", every(dt or RECORD.dt))
         mu = response(chain_of(100.0).scale_stiffness(theta, [0]), RECORD, dt=step)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", pmf.FeatureLikelihoodWarning)
+            warnings.simplefilter("ignore", pmf.exceptions.FeatureLikelihoodWarning)
             likelihood("y", mu=mu, sigma=sigma, observed=measured)
     return model
 

@@ -299,19 +299,25 @@ def test_a_nonlinear_chain_is_integrated_once(idata, monkeypatch):
 def test_draws_that_fail_to_integrate_are_left_out():
     """One is refused by the structure, one is too stiff to integrate; the warning points to the call."""
     k = np.array([[1.0, -1.0, 1.1, 1e30, 1.2]])
-    with pytest.warns(pmf.PredictionWarning, match="2 of 5 draws .* out: `stiffness` must be pos") as caught:
+    with pytest.warns(
+        pmf.exceptions.PredictionWarning, match="2 of 5 draws .* out: `stiffness` must be pos"
+    ) as caught:
         found = pmf.posterior_response(posterior(k), bouc_wen, SHAKE, ["base_shear", "relative_velocity"])
     assert caught[0].filename == __file__
     np.testing.assert_array_equal(found["draw"], [0, 2, 4])
     for name in ("base_shear", "relative_velocity"):
         slow = [pmf.simulate(bouc_wen(v), SHAKE, quantity=name).values for v in (1.0, 1.1, 1.2)]
         assert_bands(found, name, np.stack(slow))
-    with pytest.warns(pmf.PredictionWarning, match="1 of 2 draws .*or their integration fails") as caught:
+    with pytest.warns(
+        pmf.exceptions.PredictionWarning, match="1 of 2 draws .*or their integration fails"
+    ) as caught:
         pmf.first_passage_probability(posterior([[1e30, 1.0]]), bouc_wen, [SHAKE, OTHER], 0.01)
     assert caught[0].filename == __file__
     with pytest.raises(ValueError, match="must have a response for some draws, got none of 1. Their freq"):
         pmf.posterior_response(posterior([[1e30]]), bouc_wen, SHAKE)
-    with pytest.warns(pmf.PredictionWarning, match="1 of 2 draws .*frequencies or damping are not finite"):
+    with pytest.warns(
+        pmf.exceptions.PredictionWarning, match="1 of 2 draws .*frequencies or damping are not finite"
+    ):
         pmf.posterior_response(posterior([[1e30, 1.0]]), frame, SHAKE)
 
 

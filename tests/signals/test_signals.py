@@ -9,7 +9,6 @@ import xarray as xr
 from scipy import signal as scipy_signal
 
 from pymc_features import (
-    ChannelWarning,
     RayleighDamping,
     SpringMassChain,
     check_channels,
@@ -17,6 +16,7 @@ from pymc_features import (
     simulate,
     synthetic_earthquake,
 )
+from pymc_features.exceptions import ChannelWarning
 
 STEP = 0.01
 BAND = (0.6, 1.6)  # the chain below has its first natural frequency at 3.6 Hz

@@ -20,13 +20,13 @@ from pymc_features import (
     ModalDamping,
     RayleighDamping,
     Record,
-    SimulationWarning,
     SpringMassChain,
     response,
     simulate,
 )
 from pymc_features.algebra import eigen, natural_modes
 from pymc_features.algebra.factorisation import count_below, eliminate
+from pymc_features.exceptions import SimulationWarning
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.state_space import march_state, step_matrices

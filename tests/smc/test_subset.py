@@ -21,16 +21,18 @@ from scipy.special import expit, gamma
 from pymc_features import (
     DiscrepancySimulator,
     ModalDamping,
-    PopulationWarning,
     Record,
-    SimulationWarning,
     SpringMassChain,
     SubsetSimulation,
-    SubsetSimulationWarning,
-    ToleranceNotReachedError,
     response,
     sample_smc,
     simulate,
+)
+from pymc_features.exceptions import (
+    PopulationWarning,
+    SimulationWarning,
+    SubsetSimulationWarning,
+    ToleranceNotReachedError,
 )
 from pymc_features.smc.density.discrepancy import SimulatorNode
 from pymc_features.smc.kernels import subset

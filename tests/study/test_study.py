@@ -9,10 +9,11 @@ import xarray as xr
 from scipy import integrate, stats
 
 from pymc_features import Record, abc_tolerance, sampling_rate_study
+from pymc_features.exceptions import StudyMismatchError
 from pymc_features.simulators import simulate
 from pymc_features.smc.results import pad_stages, savable
 from pymc_features.storage import PartStore
-from pymc_features.study import StudyMismatchError, as_csv, as_markdown, paper
+from pymc_features.study import as_csv, as_markdown, paper
 from pymc_features.study import sampling_rate as study_module
 from pymc_features.study.quadrature import (
     DiscrepancyCurve,

@@ -13,8 +13,9 @@ import scipy.stats
 import xarray as xr
 
 from pymc_features import cli, datasets, simulate, structures
+from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 from pymc_features.update import predict, read_problem, run, write_example
-from pymc_features.update.config import messages, priors, structure_sections
+from pymc_features.update.config import priors, structure_sections
 from pymc_features.update.config.document import read_config
 from pymc_features.update.structure import StructureOf
 
@@ -234,7 +235,7 @@ def test_every_key_says_what_it_must_be(example):
 
 def test_two_errors_are_counted(example, tmp_path):
     path = variant(example, tmp_path, ("draws = 100", "draws = 1"), ("seed = 0", "seed = -1"))
-    with pytest.raises(messages.ConfigError, match=r"`sampler.draws` .* \(1 more after this one.\)"):
+    with pytest.raises(ConfigError, match=r"`sampler.draws` .* \(1 more after this one.\)"):
         read_config(path)
 
 
@@ -244,11 +245,11 @@ def test_priors_are_the_distributions_of_pymc():
     points = {"x_points": [0, 1, 2], "pdf_points": [0, 1, 0]}
     draws = priors.Prior("priors.x", "Interpolated", points).draw(4000, 1)
     assert scipy.stats.kstest(draws, scipy.stats.triang(0.5, scale=2.0).cdf).pvalue > 1e-3
-    with pytest.raises(messages.ConfigError, match="`priors.x` must be a scalar"):
+    with pytest.raises(ConfigError, match="`priors.x` must be a scalar"):
         priors.Prior("priors.x", "Normal", {"mu": [0.0, 1.0], "sigma": 1.0})
-    with pytest.raises(messages.ConfigError, match="Either use alpha and beta"):
+    with pytest.raises(ConfigError, match="Either use alpha and beta"):
         priors.Prior("priors.x", "Gamma", {"alpha": 2.0})
-    with pytest.raises(messages.ConfigError, match="must spread over finite values"):
+    with pytest.raises(ConfigError, match="must spread over finite values"):
         priors.Prior("priors.x", "Uniform", {"lower": 2.0, "upper": 2.0})
 
 
@@ -451,7 +452,7 @@ def test_motion_from_a_file_of_its_own(example, tmp_path):
     np.testing.assert_allclose(alone.record.acceleration, together.record.acceleration, atol=1e-6)
     np.testing.assert_allclose(alone.channels, together.channels, rtol=1e-12)
     both = variant(example, tmp_path, ("[processing] ", record))
-    with pytest.raises(messages.ConfigError, match=r"`record` must be left out with `data.base`"):
+    with pytest.raises(ConfigError, match=r"`record` must be left out with `data.base`"):
         read_problem(both)
 
 
@@ -494,13 +495,9 @@ def test_matrices_come_from_files(example, tmp_path):
     model = run.declare(problem, "ABC", 1.0)
     assert {rv.name for rv in model.free_RVs} == {"k1", "k2", "zeta"}
     wrong = variant(example, tmp_path, (section, MATRICES.replace('"K1"', '"K9"')), (k3, ""), (drift, ""))
-    with pytest.raises(
-        messages.ConfigError, match=r"`structure.stiffness_terms\[0\].name` must be one of the"
-    ):
+    with pytest.raises(ConfigError, match=r"`structure.stiffness_terms\[0\].name` must be one of the"):
         read_problem(wrong)
-    with pytest.raises(
-        messages.ConfigError, match="must not have inter_storey_drift for a structure without"
-    ):
+    with pytest.raises(ConfigError, match="must not have inter_storey_drift for a structure without"):
         read_problem(variant(example, tmp_path, (section, MATRICES), (k3, "")))
 
 
@@ -592,7 +589,7 @@ def test_laplace_and_a_sigma_for_each_sensor(example, tmp_path):
 
 def test_init_says_which_data(tmp_path, monkeypatch, capsys):
     def unavailable(event):
-        raise datasets.DatasetUnavailableError("no network")
+        raise DatasetUnavailableError("no network")
 
     monkeypatch.setattr(datasets, "mini_shake_table", unavailable)
     path = tmp_path / "mine.toml"

@@ -4,18 +4,15 @@ import warnings
 
 import numpy as np
 
+from pymc_features.exceptions import SubsetSimulationWarning, ToleranceNotReachedError
 from pymc_features.smc.density.discrepancy import SimulatorNode
 from pymc_features.smc.density.evaluation import population_logp
 from pymc_features.smc.kernels.base import PopulationKernel, check_share
-from pymc_features.smc.kernels.levels import Levels, ToleranceNotReachedError
+from pymc_features.smc.kernels.levels import Levels
 from pymc_features.smc.proposals.moves import CrossedMoves
 
 MOVES_PER_DRAW = 1.5  # accepted moves in the last level for each draw, so that most draws are distinct
 MAX_STEPS = 500  # of a level
-
-
-class SubsetSimulationWarning(UserWarning):
-    """A soft kernel is replaced by the threshold, or draws are correlated."""
 
 
 class SubsetSimulation(PopulationKernel):

@@ -8,8 +8,8 @@ import pymc as pm
 from pymc.distributions import continuous
 from pytensor.compile.mode import Mode
 
+from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.entries import is_number
-from pymc_features.update.config.messages import ConfigError
 
 #: Classes of `pymc.distributions.continuous` that stand for families of distributions.
 ABSTRACT = ("Continuous", "PositiveContinuous", "UnitContinuous", "CircularContinuous", "BoundedContinuous")
