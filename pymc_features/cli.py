@@ -248,24 +248,24 @@ def write_outputs(result, folder: Path) -> list[Path]:
     from pymc_features.storage import write_atomically
     from pymc_features.study import as_csv, as_markdown
 
-    def save(ax):
-        return lambda path: ax.figure.savefig(path, dpi=150, format="png")
+    def save(axes):
+        return lambda path: axes[0].figure.savefig(path, dpi=150, format="png")
 
     figures = {"fig1_record.png": plots.plot_record(result)}
     known = set(result["summary"]["likelihood"].values)
     for name, likelihoods in FIGURES.items():
         if known.issuperset(likelihoods):
-            figures[name] = plots.plot_sampling_rate(result, likelihoods)[0]
+            figures[name] = plots.plot_sampling_rate(result, likelihoods)
     figures["fig6_widths.png"] = plots.plot_widths(result)
     if "loops" in result.children:
-        figures["fig7_loops.png"] = plots.plot_loops(result)[0]
-    writers = {name: save(ax) for name, ax in figures.items()}
+        figures["fig7_loops.png"] = plots.plot_loops(result)
+    writers = {name: save(axes) for name, axes in figures.items()}
     writers["table.md"] = lambda path: path.write_text(as_markdown(result))
     writers["table.csv"] = lambda path: path.write_text(as_csv(result))
     writers["study.nc"] = lambda path: result.to_netcdf(path, engine="h5netcdf")
     for name, write in writers.items():
         write_atomically(folder / name, write)
-    plots.close(figures.values())
+    plots.close(axes[0] for axes in figures.values())
     return [folder / name for name in writers]
 
 

@@ -138,8 +138,8 @@ def mini_shake_table(event: str) -> xr.DataArray:
     -----
     As measured, but for the empty first packet. Each sensor has an offset of -0.05 to 0.22 m/s^2 (tilt);
     noise 0.010 to 0.012 m/s^2 rms. No channel is inverted; floor3 comes 2 ms after the base, a quarter sample
-    (`check_channels`). Lumped floor masses 0.1601, 0.1601, 0.1421 kg: weighed blocks and sensors, and the
-    share of two walls. Natural frequencies near 3.7, 11.2 and 16.7 Hz.
+    (`signals.check_channels`). Lumped floor masses 0.1601, 0.1601, 0.1421 kg: weighed blocks and sensors, and
+    the share of two walls. Natural frequencies near 3.7, 11.2 and 16.7 Hz.
 
     References
     ----------

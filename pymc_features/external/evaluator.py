@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import cloudpickle
 import numpy as np
 
-from pymc_features.external import command, gradient
+from pymc_features.external import gradient, program
 from pymc_features.external.cache import EvaluationCache
 from pymc_features.external.processes.batch import Batch, Work
 from pymc_features.external.processes.calls import Outcome
@@ -19,7 +19,7 @@ from pymc_features.fingerprint import fingerprint
 
 FAILURES_KEPT = 1000
 WORKS_KEPT = 8  # data sets for which the payload is kept
-BY_VALUE = (command, gradient)  # their classes come along: to import the package takes seconds
+BY_VALUE = (program, gradient)  # their classes come along: to import the package takes seconds
 STATES = ("ok", "error", "timeout", "died", "invalid", "cached")
 
 

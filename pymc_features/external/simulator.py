@@ -24,8 +24,8 @@ class ExternalSimulator:
     Parameters
     ----------
     function : callable
-        Parameters, numbers or arrays, to an array; for example a `CommandLine`. It is sent to the processes
-        that run it, so that whatever it needs must be found there.
+        Parameters, numbers or arrays, to an array; for example a `ProgramSimulator`. It is sent to the
+        processes that run it, so that whatever it needs must be found there.
     shape : tuple of two int
         Of the data: sensors and times.
     returns : {"response", "mean_square"}
@@ -39,7 +39,7 @@ class ExternalSimulator:
         Further attempts after a failure. A process that died is tried once more in any case.
     scratch : bool or path-like, optional
         Run each simulation in an empty folder of its own, its working directory: True, or the folder that
-        will hold these. By default only what says that it needs one, as `CommandLine` does.
+        will hold these. By default only what says that it needs one, as `ProgramSimulator` does.
     executor : int, str, dask Client or Executor, optional
         Number of local processes (as many as processors by default), address of a Dask scheduler, or any
         object with `submit` as of `concurrent.futures`.

@@ -1,10 +1,12 @@
 """The way of a sampler from the prior to the posterior."""
 
-import matplotlib.pyplot as plt
 import numpy as np
+import xarray as xr
+
+from pymc_features.plots.axes import AxesLike, checked_axes
 
 
-def plot_tempering(idata, axes=None):
+def plot_tempering(idata: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
     """Inverse temperature, or tolerance of ABC, and acceptance rate at each stage, one line for each chain.
 
     Parameters
@@ -25,9 +27,7 @@ def plot_tempering(idata, axes=None):
             "`idata` must be of a sampler with stages, got none in `sample_stats`. Pass what sample_smc() "
             "returned."
         )
-    if axes is None:
-        _, axes = plt.subplots(1, 2, figsize=(9.0, 3.2), layout="constrained")
-    axes = np.asarray(axes)
+    axes = checked_axes(axes, 2, "parts (temperature, acceptance)", columns=2, figsize=(9.0, 3.2))
     labels = {
         "beta": "inverse temperature β [-]",
         "tolerance": "tolerance δ [(unit of the data)²]",

@@ -449,7 +449,7 @@ def test_figure_of_bands(idata):
             {"measured": pmf.simulate(three_storeys(1.0), SHAKE).rename(sensor="floor")},
             r"`measured` must have dimensions \(sensor, time\), got \('floor",
         ),
-        ({"ax": [None]}, "`ax` must have one Axes for each of 3 sensors, got 1"),
+        ({"axes": [None]}, "`axes` must be one for each of 3 sensors, got 1"),
     ],
 )
 def test_figure_refuses(idata, arguments, match):

@@ -11,12 +11,12 @@ from scipy import signal as scipy_signal
 from pymc_features import (
     RayleighDamping,
     SpringMassChain,
-    check_channels,
     signals,
     simulate,
     synthetic_earthquake,
 )
 from pymc_features.exceptions import ChannelWarning
+from pymc_features.signals import check_channels
 
 STEP = 0.01
 BAND = (0.6, 1.6)  # the chain below has its first natural frequency at 3.6 Hz

@@ -12,7 +12,7 @@ PLACE = re.compile(r"\{\{\s*([^\W\d]\w*)(?:\[(\d+)\])?(?::([^}]*))?\s*\}\}")
 TAIL = 300  # characters of a program's last words that are kept
 
 
-class CommandLine:
+class ProgramSimulator:
     """A program: input files written from templates, a command run, a result file read.
 
     Parameters
@@ -49,7 +49,7 @@ class CommandLine:
     --------
     >>> import sys
     >>> program = "import sys, numpy; numpy.savetxt('out.txt', numpy.ones((3, 2)) / float(sys.argv[1]))"
-    >>> halves = CommandLine([sys.executable, "-c", program, "{{k}}"], ["k"], {}, "out.txt")
+    >>> halves = ProgramSimulator([sys.executable, "-c", program, "{{k}}"], ["k"], {}, "out.txt")
     >>> from pymc_features import ExternalSimulator
     >>> with ExternalSimulator(halves, shape=(2, 3), executor=1) as simulator:
     ...     simulator.responses([2.0])[0, 0]
