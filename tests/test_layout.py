@@ -18,7 +18,7 @@ ALLOWED = {
     "exceptions": set(),
     "records": set(),
     "algebra": set(),
-    "structures": {"algebra"},
+    "structures": {"algebra", "records"},
     "simulators": {"algebra"},
     "signals": set(),
     "io": {"records", "signals"},

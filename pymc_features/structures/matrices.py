@@ -1,7 +1,10 @@
 """The constant matrices of a linear structure, dense or sparse, checked."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
+
+type MatrixLike = ArrayLike | sparse.sparray | sparse.spmatrix
 
 SYMMETRY = 1e-10  # largest difference between A and A' over the largest entry that counts as rounding
 

@@ -14,7 +14,6 @@ from pymc_features.update.config.sections import Section
 
 CATALOGUE = {cls.__name__: cls for cls in structures.STRUCTURES}
 DAMPINGS = {cls.__name__: cls for cls in structures.DAMPINGS}
-BY_POSITION = ("mass", "damping", "stiffness")
 
 
 class StructureOf:
@@ -55,10 +54,7 @@ class StructureOf:
         if self._constant is not None:
             return self._constant.with_parameters(evaluated(self.given["theta"], values))
         arguments = {name: built(value, values) for name, value in self.given.items()}
-        first = [arguments.pop(name) for name in BY_POSITION]
-        if self.section.type in ("SpringMassChain", "HystereticChain", "DuffingChain"):
-            first[1], first[2] = first[2], first[1]
-        structure = CATALOGUE[self.section.type](*first, **arguments)
+        structure = CATALOGUE[self.section.type](**arguments)
         if self.section.type == "AffineStructure" and self.damping_is_constant:
             self._constant = structure
         return structure

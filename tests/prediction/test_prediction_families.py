@@ -28,19 +28,19 @@ def chain(k):
 def frame(k):
     """The same chain by its matrices."""
     mass, _, stiffness = chain(k).matrices()
-    return pmf.LinearStructure(mass, RAYLEIGH, stiffness)
+    return pmf.LinearStructure(mass, stiffness=stiffness, damping=RAYLEIGH)
 
 
 def dashpot(k):
     """With a dashpot at the top that couples the modes."""
     mass, damping, stiffness = chain(k).matrices()
     damping[2, 2] += 2.0
-    return pmf.LinearStructure(mass, damping, stiffness)
+    return pmf.LinearStructure(mass, stiffness=stiffness, damping=damping)
 
 
 def two_supports(k):
     mass, damping, stiffness = chain(k).matrices()
-    return pmf.LinearStructure(mass, damping, stiffness, influence=SHARE)
+    return pmf.LinearStructure(mass, stiffness=stiffness, damping=damping, influence=SHARE)
 
 
 def bouc_wen(k):
@@ -326,7 +326,7 @@ def test_draws_that_fail_to_integrate_are_left_out():
 
 def of_supports(k):
     influence = SHARE if k > 0.7 else SHARE @ np.ones((2, 1))
-    return pmf.LinearStructure(MASS, RAYLEIGH, frame(k).stiffness, influence=influence)
+    return pmf.LinearStructure(MASS, stiffness=frame(k).stiffness, damping=RAYLEIGH, influence=influence)
 
 
 @pytest.mark.parametrize(
