@@ -33,8 +33,8 @@ def bands(problem, kind, model, idata) -> xr.Dataset:
         predictive band. Peaks of other responses (`<quantity>_peak`) if the report asks for them.
     """
     measured, names = problem.measured, ["absolute_acceleration", *problem.config.report.quantities]
-    settings = {"draws": DRAWS, "quantiles": QUANTILES, "dt": measured.step}
-    settings["n_modes"] = problem.structure.n_modes
+    settings = {"draws": DRAWS, "quantiles": QUANTILES, "random_seed": 0}
+    settings |= {"dt": measured.step, "n_modes": problem.structure.n_modes}
     at_sensors = posterior_response(
         idata, problem.structure, measured.record, names[0], sensors=problem.dofs, **settings
     )

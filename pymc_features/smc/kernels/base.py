@@ -1,10 +1,14 @@
 """What the kernels share that evaluate a whole population at once."""
 
 import time
+from os import PathLike
+from typing import TypedDict
 
 import numpy as np
+import pymc as pm
 from pymc.model import modelcontext
 from pymc.smc.kernels import SMC_KERNEL, Pearson
+from pymc.util import RandomState
 from pymc.vartypes import discrete_types
 
 from pymc_features.smc.density.evaluation import population_logp
@@ -28,6 +32,14 @@ def check_share(name, value, default: float):
         raise ValueError(f"`{name}` must lie between 0 and 1, got {value!r}. The default is {default}.")
 
 
+class KernelOptions(TypedDict, total=False):
+    """Arguments of `PopulationKernel` that a kernel with many of its own takes as they come."""
+
+    start: dict | None
+    compile_kwargs: dict | None
+    checkpoint: str | PathLike | None
+
+
 class PopulationKernel(SMC_KERNEL):
     """Base of the kernels for `pm.sample_smc` that evaluate all particles in one compiled call.
 
@@ -40,8 +52,18 @@ class PopulationKernel(SMC_KERNEL):
     ----------
     draws : int
         Number of particles.
-    start, model, random_seed, threshold, compile_kwargs
-        As in PyMC's kernels.
+    threshold : float
+        Effective number of particles that a new temperature keeps, over `draws`, between 0 and 1; of kernels
+        whose temperatures are PyMC's.
+    start : dict, optional
+        Values of the variables (particle, ...), on the scale they are sampled on; draws from the prior by
+        default.
+    model : pymc.Model, optional
+        That of the context by default.
+    random_seed : int or Generator, optional
+        For the same particles each time.
+    compile_kwargs : dict, optional
+        For `pytensor.function`.
     checkpoint : path-like, optional
         Folder that keeps every evaluation; a run that was killed goes on from there with the same
         `random_seed`, to the same particles. See `sample_smc`.
@@ -68,13 +90,14 @@ class PopulationKernel(SMC_KERNEL):
 
     def __init__(
         self,
-        draws=2000,
-        start=None,
-        model=None,
-        random_seed=None,
-        threshold=0.5,
-        compile_kwargs=None,
-        checkpoint=None,
+        draws: int = 2000,
+        *,
+        threshold: float = 0.5,
+        start: dict | None = None,
+        model: pm.Model | None = None,
+        random_seed: RandomState = None,
+        compile_kwargs: dict | None = None,
+        checkpoint: str | PathLike | None = None,
     ):
         # not SMC_KERNEL's own: it would compile two functions for single particles
         self.draws = whole_number("draws", draws, 2)

@@ -1,8 +1,12 @@
 """PyMC's random-walk Metropolis kernel on whole populations."""
 
+from os import PathLike
+
 import numpy as np
+import pymc as pm
 from pymc.pytensorf import floatX
 from pymc.smc.kernels import MH
+from pymc.util import RandomState
 
 from pymc_features.smc.kernels.base import PopulationKernel
 
@@ -14,8 +18,8 @@ class PopulationMH(PopulationKernel, MH):
     ----------
     correlation_threshold : float
         Steps of a stage go on while the correlation with its first particles falls by more than this.
-    **settings
-        Of `PopulationKernel`.
+    draws, threshold, start, model, random_seed, compile_kwargs, checkpoint
+        As of `PopulationKernel`.
 
     Notes
     -----
@@ -28,8 +32,28 @@ class PopulationMH(PopulationKernel, MH):
         "mean_proposal_scale": (float, []),
     }
 
-    def __init__(self, *args, correlation_threshold=0.01, **settings):
-        PopulationKernel.__init__(self, *args, **settings)
+    def __init__(
+        self,
+        draws: int = 2000,
+        *,
+        threshold: float = 0.5,
+        correlation_threshold: float = 0.01,
+        start: dict | None = None,
+        model: pm.Model | None = None,
+        random_seed: RandomState = None,
+        compile_kwargs: dict | None = None,
+        checkpoint: str | PathLike | None = None,
+    ):
+        PopulationKernel.__init__(
+            self,
+            draws,
+            threshold=threshold,
+            start=start,
+            model=model,
+            random_seed=random_seed,
+            compile_kwargs=compile_kwargs,
+            checkpoint=checkpoint,
+        )
         self.correlation_threshold = correlation_threshold
         self.proposal_dist = self.proposal_scales = self.chain_acc_rate = None
 

@@ -1,8 +1,11 @@
 """Persistent sampling: a kernel that throws no evaluation away."""
 
 import warnings
+from os import PathLike
 
 import numpy as np
+import pymc as pm
+from pymc.util import RandomState
 
 from pymc_features.smc.kernels.base import PopulationKernel
 from pymc_features.smc.proposals.mixture import GROUPS, Pool, equal_draws, next_beta
@@ -32,8 +35,8 @@ class PersistentSMC(PopulationKernel):
         by default. The prior is evaluated at twice as many.
     threshold : float
         Effective number of points that a new temperature keeps, over `stage_draws`.
-    **settings
-        Of `PopulationKernel`.
+    start, model, random_seed, compile_kwargs, checkpoint
+        As of `PopulationKernel`.
 
     Notes
     -----
@@ -61,8 +64,27 @@ class PersistentSMC(PopulationKernel):
         "log_marginal_likelihood_se": (float, []),
     }
 
-    def __init__(self, draws=2000, *, stage_draws=None, **settings):
-        super().__init__(draws, **settings)
+    def __init__(
+        self,
+        draws: int = 2000,
+        *,
+        stage_draws: int | None = None,
+        threshold: float = 0.5,
+        start: dict | None = None,
+        model: pm.Model | None = None,
+        random_seed: RandomState = None,
+        compile_kwargs: dict | None = None,
+        checkpoint: str | PathLike | None = None,
+    ):
+        super().__init__(
+            draws,
+            threshold=threshold,
+            start=start,
+            model=model,
+            random_seed=random_seed,
+            compile_kwargs=compile_kwargs,
+            checkpoint=checkpoint,
+        )
         stage_draws = self.checked_stage_draws(stage_draws, share=0.4, least=20, default=200)
         self.stage_draws = GROUPS * -(-stage_draws // GROUPS)
 

@@ -1,13 +1,17 @@
 """ABC with a hard tolerance by subset simulation."""
 
 import warnings
+from typing import Unpack
 
 import numpy as np
+import pymc as pm
+from pymc.util import RandomState
 
 from pymc_features.exceptions import SubsetSimulationWarning, ToleranceNotReachedError
+from pymc_features.keywords import check_keywords
 from pymc_features.smc.density.discrepancy import SimulatorNode
 from pymc_features.smc.density.evaluation import population_logp
-from pymc_features.smc.kernels.base import PopulationKernel, check_share
+from pymc_features.smc.kernels.base import KernelOptions, PopulationKernel, check_share
 from pymc_features.smc.kernels.levels import Levels
 from pymc_features.smc.proposals.moves import CrossedMoves
 
@@ -37,10 +41,11 @@ class SubsetSimulation(PopulationKernel):
         Tolerance to reach, in place of the node's.
     max_simulations : int, optional
         Simulations after which a chain gives up; 100 for each draw by default.
-    start : dict, optional
-        First particles, which must be draws from the prior: the evidence rests on it. Drawn by default.
-    model, random_seed, compile_kwargs
-        As in PyMC's kernels.
+    model, random_seed
+        As of `PopulationKernel`.
+    **kwargs
+        `start`, `compile_kwargs` and `checkpoint` of `PopulationKernel`. First particles given by `start`
+        must be draws from the prior: the evidence rests on it.
 
     Raises
     ------
@@ -94,19 +99,18 @@ class SubsetSimulation(PopulationKernel):
 
     def __init__(
         self,
-        draws=2000,
+        draws: int = 2000,
         *,
-        p0=0.2,
-        stage_draws=None,
-        epsilon=None,
-        max_simulations=None,
-        start=None,
-        model=None,
-        random_seed=None,
-        compile_kwargs=None,
-        checkpoint=None,
+        p0: float = 0.2,
+        stage_draws: int | None = None,
+        epsilon: float | None = None,
+        max_simulations: float | None = None,
+        model: pm.Model | None = None,
+        random_seed: RandomState = None,
+        **kwargs: Unpack[KernelOptions],
     ):
-        super().__init__(draws, start, model, random_seed, 0.5, compile_kwargs, checkpoint)
+        check_keywords(kwargs, KernelOptions.__annotations__, "SubsetSimulation")
+        super().__init__(draws, model=model, random_seed=random_seed, **kwargs)
         check_share("p0", p0, 0.2)
         self.p0 = float(p0)
         # each half of the particles that a level keeps must show a shape

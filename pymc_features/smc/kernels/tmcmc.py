@@ -1,6 +1,10 @@
 """TMCMC as Ching & Chen (2007) wrote it, on whole populations."""
 
+from os import PathLike
+
 import numpy as np
+import pymc as pm
+from pymc.util import RandomState
 from scipy.optimize import brentq
 
 from pymc_features.smc.kernels.base import PopulationKernel
@@ -21,8 +25,8 @@ class TMCMC(PopulationKernel):
         beta of the source, the proposal's standard deviation over the sample's.
     coefficient_of_variation : float
         Of the weights of a stage.
-    start, model, random_seed, compile_kwargs
-        As in PyMC's kernels.
+    start, model, random_seed, compile_kwargs, checkpoint
+        As of `PopulationKernel`.
 
     Notes
     -----
@@ -42,18 +46,23 @@ class TMCMC(PopulationKernel):
 
     def __init__(
         self,
-        draws=2000,
+        draws: int = 2000,
         *,
-        scale=0.2,
-        coefficient_of_variation=1.0,
-        start=None,
-        model=None,
-        random_seed=None,
-        compile_kwargs=None,
-        checkpoint=None,
+        scale: float = 0.2,
+        coefficient_of_variation: float = 1.0,
+        start: dict | None = None,
+        model: pm.Model | None = None,
+        random_seed: RandomState = None,
+        compile_kwargs: dict | None = None,
+        checkpoint: str | PathLike | None = None,
     ):
         super().__init__(
-            draws, start, model, random_seed, compile_kwargs=compile_kwargs, checkpoint=checkpoint
+            draws,
+            start=start,
+            model=model,
+            random_seed=random_seed,
+            compile_kwargs=compile_kwargs,
+            checkpoint=checkpoint,
         )
         for name, value in (("scale", scale), ("coefficient_of_variation", coefficient_of_variation)):
             if not 0.0 < value < np.inf:
