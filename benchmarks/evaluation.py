@@ -27,7 +27,7 @@ def ground_motion():
         return pmf.datasets.el_centro()
     except pmf.exceptions.DatasetUnavailableError as error:
         print(f"El Centro record not available, a synthetic one takes its place. {error}".splitlines()[0])
-        return pmf.synthetic_earthquake(31.16, 0.02, seed=1940, pga=3.13)
+        return pmf.synthetic_earthquake(31.16, 0.02, random_seed=1940, pga=3.13)
 
 
 def check(name, found, reference):

@@ -139,7 +139,7 @@ def find_record(options):
         record = datasets.el_centro()
         return record, f"record: {record}"
     except DatasetUnavailableError:
-        record = ground_motion.synthetic_earthquake(31.16, 0.02, seed=1940, pga=3.13)
+        record = ground_motion.synthetic_earthquake(31.16, 0.02, random_seed=1940, pga=3.13)
         return record, f"record: {record}, since El Centro 1940 could not be had here"
 
 

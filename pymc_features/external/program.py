@@ -3,10 +3,12 @@
 import re
 import shlex
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 PLACE = re.compile(r"\{\{\s*([^\W\d]\w*)(?:\[(\d+)\])?(?::([^}]*))?\s*\}\}")
 TAIL = 300  # characters of a program's last words that are kept
@@ -62,12 +64,12 @@ class ProgramSimulator:
         self,
         command: str | Sequence[str],
         parameters: Sequence[str],
-        inputs: dict,
-        result: str | Callable,
+        inputs: Mapping[str, str | Path],
+        result: str | Callable[[Path], np.ndarray],
         *,
         columns: Sequence[int] | None = None,
         transpose: bool = True,
-        files: Sequence = (),
+        files: Sequence[str | PathLike] = (),
     ):
         self.command = shlex.split(command) if isinstance(command, str) else [str(part) for part in command]
         if not self.command:
@@ -86,7 +88,7 @@ class ProgramSimulator:
         self.columns = None if columns is None else tuple(int(c) for c in columns)
         self.files = {Path(f).name: (read_bytes(f), Path(f).stat().st_mode) for f in files}
 
-    def check_places(self, where, text):
+    def check_places(self, where: str, text: str) -> None:
         """Refuse a template that asks for what is not there."""
         for name, _, form in PLACE.findall(text):
             if name not in self.parameters:
@@ -100,7 +102,7 @@ class ProgramSimulator:
                     f"`inputs` must have formats of numbers, such as .3e, got {form!r} in {where}."
                 ) from None
 
-    def __call__(self, *values):
+    def __call__(self, *values: ArrayLike) -> np.ndarray:
         if len(values) != len(self.parameters):
             raise TypeError(f"the program has {len(self.parameters)} parameters, got {len(values)}")
         known = dict(zip(self.parameters, values, strict=True))

@@ -142,7 +142,7 @@ def write(path, data, processing, report, title, **values):
 
 def simulated() -> tuple[str, np.ndarray]:
     """Text of a file with the simulated channels, and the natural frequencies [Hz] behind them."""
-    record = synthetic_earthquake(12.0, 0.01, seed=7, pga=3.0)
+    record = synthetic_earthquake(12.0, 0.01, random_seed=7, pga=3.0)
     chain = SpringMassChain([0.1601, 0.1601, 0.1421], [385.0, 420.0, 600.0], ModalDamping(0.01))
     floors = simulate(chain, record).values
     exact = np.vstack([record.acceleration, floors])

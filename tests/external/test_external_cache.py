@@ -32,6 +32,7 @@ from pymc_features import (
 )
 from pymc_features.exceptions import UnknownIdentityError
 from pymc_features.external import EvaluationCache, checks
+from pymc_features.external.evaluator import EvaluationOptions, Evaluator
 from pymc_features.external.processes.calls import Outcome
 from pymc_features.fingerprint import fingerprint
 from pymc_features.smc.kernels.checkpoint import model_fingerprint
@@ -610,9 +611,18 @@ def test_settings_that_cannot_be(message):
         ExternalSimulator(**{"function": beam, "shape": SHAPE, **BAD_SETTINGS[message]})
 
 
+def test_options_of_the_evaluation_are_its_arguments():
+    assert set(EvaluationOptions.__annotations__) == set(inspect.signature(Evaluator).parameters)
+    with pytest.raises(
+        TypeError, match=r"of ExternalSimulator\(\) must .* got 'time_out'. Did you mean 'timeout'"
+    ):
+        ExternalSimulator(beam, SHAPE, time_out=1.0)
+
+
 def test_every_setting_that_is_checked_is_tested():
     names = {re.match("`(\\w+)`", message)[1] for message in BAD_SETTINGS}
-    assert names == set(inspect.signature(checks.check_settings).parameters)
+    checked = (inspect.signature(f).parameters for f in (checks.check_simulator, checks.check_evaluation))
+    assert names == set().union(*checked)
 
 
 def test_dask_has_to_be_installed_and_reachable(simulator, monkeypatch):

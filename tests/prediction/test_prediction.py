@@ -26,8 +26,8 @@ UNITS = {
     "base_shear": "N",
 }
 DIM = dict.fromkeys(simulators.QUANTITIES, "sensor") | {"inter_storey_drift": "storey", "base_shear": "row"}
-SHAKE = pmf.synthetic_earthquake(6.0, 0.02, seed=5, pga=3.0)
-OTHER = pmf.synthetic_earthquake(4.0, 0.01, seed=8, pga=2.0)
+SHAKE = pmf.synthetic_earthquake(6.0, 0.02, random_seed=5, pga=3.0)
+OTHER = pmf.synthetic_earthquake(4.0, 0.01, random_seed=8, pga=2.0)
 
 
 def posterior(**variables):
@@ -167,7 +167,7 @@ def test_a_degenerate_posterior_gives_the_simulation():
 def test_memory_is_bounded():
     """A tenth of what the histories of all draws would take, 200 MB."""
     theta = np.random.default_rng(2).normal(1.0, 0.1, (1, 400))
-    record = pmf.synthetic_earthquake(31.2, 0.005, seed=1, pga=3.0)
+    record = pmf.synthetic_earthquake(31.2, 0.005, random_seed=1, pga=3.0)
     pmf.posterior_response(posterior(theta=theta[:, :4]), pmf.paper.chain, OTHER)  # imports, compilation
     tracemalloc.start()
     try:

@@ -12,8 +12,8 @@ import pymc_features as pmf
 from pymc_features import plots
 from pymc_features.prediction import ensemble, histories, simulated
 
-SHAKE = pmf.synthetic_earthquake(4.0, 0.02, seed=5, pga=3.0)
-OTHER = pmf.synthetic_earthquake(3.0, 0.01, seed=8, pga=2.0)
+SHAKE = pmf.synthetic_earthquake(4.0, 0.02, random_seed=5, pga=3.0)
+OTHER = pmf.synthetic_earthquake(3.0, 0.01, random_seed=8, pga=2.0)
 RAYLEIGH = pmf.RayleighDamping(0.3, 2e-3)
 MASS = np.array([3.0, 2.0, 1.0])
 LINEAR = ("absolute_acceleration", "relative_acceleration", "relative_velocity", "relative_displacement")
@@ -245,7 +245,7 @@ def test_another_earthquake_may_yield_what_the_first_did_not(idata):
 def test_memory_is_bounded(monkeypatch):
     """Four tenths of what the histories take, 11 MB, with blocks of 1 MiB."""
     monkeypatch.setattr(histories, "MEMORY", 2**20)
-    record = pmf.synthetic_earthquake(30.0, 0.02, seed=1, pga=3.0)
+    record = pmf.synthetic_earthquake(30.0, 0.02, random_seed=1, pga=3.0)
     many = posterior(np.ones((1, 300, 3)) + np.random.default_rng(0).uniform(0.0, 0.2, (1, 300, 3)))
     pmf.posterior_response(many, dashpot, record, draws=4)  # compilation
     tracemalloc.start()
