@@ -155,7 +155,8 @@ def reproduce(options, console):
     """Run the study and write figures, table and result."""
     from pymc_features.study import find_structure, sampling_rate_study, yielding
 
-    described = find_structure(options.structure)
+    of_springs = {} if options.stiffness is None else {"stiffness": options.stiffness}
+    described = find_structure(options.structure, **of_springs)
     options.out = Path(options.out or default_folder(options))
     record, sentence = find_record(options)
     console.print(sentence, markup=False, highlight=False, soft_wrap=True)
@@ -163,13 +164,13 @@ def reproduce(options, console):
         record = strong_part(record, described.quick_seconds)
         console.print(f"used: {record}", markup=False, highlight=False, soft_wrap=True)
     settings = dict(described.quick) if options.quick else {}
-    for name in ("draws", "chains", "cores", "stiffness", "likelihoods"):
+    for name in ("draws", "chains", "cores", "likelihoods"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
     with PartProgress(console, "study") as progress:
         result = sampling_rate_study(
             record,
-            structure=options.structure,
+            structure=described,
             random_seed=options.seed,
             out=options.out,
             progress=progress,

@@ -37,6 +37,6 @@ def plot_tolerance(result: xr.Dataset, axes: AxesLike = None) -> np.ndarray:
         share = 100.0 * float(result["quantile"][2] - result["quantile"][0])
         ax.fill_between(epsilon, low, high, color="C4", alpha=0.3, lw=0, label=f"ABC, {share:g} %")
         ax.plot(epsilon, middle, "o-", color="C4", ms=3, lw=1.0, label="median")
-        ax.set(xscale="log", xlabel="tolerance δ on ρ [squared units of the data]", ylabel=name)
+        ax.set(xscale="log", xlabel="tolerance ε on ρ [squared units of the data]", ylabel=name)
         ax.legend(frameon=False)
     return axes

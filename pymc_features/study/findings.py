@@ -75,8 +75,8 @@ def agreement_rows(result: xr.DataTree) -> list[list]:
         rows.append(
             [
                 float(multiplier),
-                float(summary["tolerance"][j]),
-                *map(float, summary["tolerance_interval"][j]),
+                float(summary["epsilon"][j]),
+                *map(float, summary["epsilon_interval"][j]),
                 float(draws.min()),
                 float(draws.max()),
                 *map(float, sampled[j]),

@@ -22,14 +22,13 @@ class Study:
     """Settings of a study; see `sampling_rate_study`."""
 
     record: Record
-    structure: str
-    stiffness: float
+    structure: StudyStructure
     noise: float
     multipliers: tuple[float, ...]
     likelihoods: tuple[str, ...]
     draws: int
     chains: int
-    seed: int
+    random_seed: int
     finest: xr.DataArray = field(repr=False)
     steps: dict[float, Step] = field(default_factory=dict, repr=False)
 
@@ -39,25 +38,21 @@ class Study:
             "record": self.record.name,
             "record_sha256": fingerprint(self.record.acceleration),
             "record_dt": self.record.dt,
-            "stiffness": self.stiffness,
+            "stiffness": self.structure.stiffness,
             "noise": self.noise,
             "multipliers": list(self.multipliers),
             "likelihoods": list(self.likelihoods),
             "draws": self.draws,
             "chains": self.chains,
-            "seed": self.seed,
+            "random_seed": self.random_seed,
         }
         # folders of the linear chain are older than the choice
-        return settings if self.structure == DEFAULT else {"structure": self.structure} | settings
-
-    @property
-    def described(self) -> StudyStructure:
-        """The entry of the catalogue."""
-        return find_structure(self.structure)
+        name = self.structure.name
+        return settings if name == DEFAULT else {"structure": name} | settings
 
     def at(self, theta=1.0) -> Structure:
         """The structure with this factor, by default the true one."""
-        return self.described.chain(theta, stiffness=self.stiffness)
+        return self.structure.at(theta)
 
     def data(self, multiplier: float) -> xr.DataArray:
         """Measurements at one sampling step, decimated from the finest history."""
@@ -96,7 +91,7 @@ class Study:
 
     def part_seed(self, likelihood: str) -> int:
         """Seed of one part: the same at all sampling steps, which then differ by their data."""
-        key = [self.seed, list(LIKELIHOODS).index(likelihood)]
+        key = [self.random_seed, list(LIKELIHOODS).index(likelihood)]
         return int(np.random.SeedSequence(key).generate_state(1)[0])
 
 
@@ -104,21 +99,22 @@ def checked_study(
     record,
     *,
     structure=DEFAULT,
-    stiffness=paper.STIFFNESS,
     noise=paper.NOISE,
     multipliers=paper.MULTIPLIERS,
     likelihoods=None,
     draws=None,
     chains=None,
-    seed=0,
+    random_seed=None,
 ) -> Study:
     """Return the settings, checked, with the measurements made; None stands for the structure's default."""
     if not isinstance(record, Record):
         raise TypeError(f"`record` must be a Record, got {type(record).__name__}.")
-    described = find_structure(structure)
-    likelihoods = described.likelihoods if likelihoods is None else likelihoods
-    draws = described.draws if draws is None else draws
-    chains = described.chains if chains is None else chains
+    structure = structure if isinstance(structure, StudyStructure) else find_structure(structure)
+    likelihoods = structure.likelihoods if likelihoods is None else likelihoods
+    draws = structure.draws if draws is None else draws
+    chains = structure.chains if chains is None else chains
+    if random_seed is None:
+        random_seed = int(np.random.SeedSequence().generate_state(1)[0])
     if not 0.0 < noise < np.inf:
         raise ValueError(
             f"`noise` must be positive, got {noise}. Without noise sigma runs to zero and no posterior "
@@ -127,7 +123,7 @@ def checked_study(
     unknown = [kind for kind in likelihoods if kind not in LIKELIHOODS]
     if unknown or not likelihoods:
         raise ValueError(f"`likelihoods` must be among {', '.join(LIKELIHOODS)}, got {likelihoods}.")
-    for name, value, least in (("draws", draws, 50), ("chains", chains, 1), ("random_seed", seed, 0)):
+    for name, value, least in (("draws", draws, 50), ("chains", chains, 1), ("random_seed", random_seed, 0)):
         if isinstance(value, bool) or int(value) != value or value < least:
             raise ValueError(f"`{name}` must be an integer of at least {least}, got {value}.")
     multipliers = tuple(sorted({float(m) for m in multipliers}))
@@ -136,20 +132,19 @@ def checked_study(
     study = Study(
         record,
         structure,
-        float(stiffness),
         float(noise),
         multipliers,
         tuple(kind for kind in LIKELIHOODS if kind in likelihoods),
         int(draws),
         int(chains),
-        int(seed),
+        int(random_seed),
         paper.measurements(
-            *(record,),
-            stiffness=stiffness,
+            record,
+            stiffness=structure.stiffness,
             noise=noise,
-            seed=seed,
+            random_seed=random_seed,
             multipliers=multipliers,
-            structure=described.chain,
+            structure=structure.chain,
         ),
     )
     check_measurements(study)
@@ -160,7 +155,7 @@ def check_measurements(study: Study):
     """Refuse a response that failed, and sampling steps that leave too little of it."""
     if not np.isfinite(study.finest).all():
         raise ValueError(
-            f"`record` must give the {study.described.title} a finite response, got NaN. Check its units."
+            f"`record` must give the {study.structure.title} a finite response, got NaN. Check its units."
         )
     for multiplier in study.multipliers:
         if study.data(multiplier).sizes["time"] < 10:

@@ -70,13 +70,13 @@ sigma = {{ distribution = "HalfNormal", sigma = {scale} }}          # m/s^2, sca
 [likelihood]
 kinds = ["NORM", "TN", "EXP", "ABC"]   # NORM takes every sample for a new observation
 sigma = "sigma"                     # one for all sensors, or a list with one for each
-# tolerance = 5.0                   # of ABC [m^2/s^4]; without it from EXP, Eq. (16)
+# epsilon = 5.0                     # of ABC [m^2/s^4]; without it from EXP, Eq. (16)
 
 [sampler]
 method = "smc"                      # or nuts, laplace; ABC by subset simulation always
 draws = 1000                        # of each chain
 chains = 2
-seed = 0
+random_seed = 0
 # cores = 2                         # processes; all processors by default
 
 [report]

@@ -16,7 +16,7 @@ from pymc_features.update.config.priors import Prior
 from pymc_features.update.structure import StructureOf
 
 #: Keys that change no draw, or, as the tolerance, those of ABC alone.
-WITHOUT_EFFECT = ("report", "likelihood.kinds", "likelihood.tolerance", "sampler.cores")
+WITHOUT_EFFECT = ("report", "likelihood.kinds", "likelihood.epsilon", "sampler.cores")
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def check_sigma(config) -> None:
     for value in sigma if isinstance(sigma, list) else [sigma]:
         if isinstance(value, float) and value <= 0.0:
             raise ConfigError(f"`likelihood.sigma` must be positive, got {value:g}. Pass it in m/s^2.")
-    if "ABC" in config.likelihood.kinds and config.likelihood.tolerance is None and isinstance(sigma, list):
+    if "ABC" in config.likelihood.kinds and config.likelihood.epsilon is None and isinstance(sigma, list):
         raise ConfigError(
-            "`likelihood.tolerance` must be given for ABC where each sensor has its own sigma, got none."
+            "`likelihood.epsilon` must be given for ABC where each sensor has its own sigma, got none."
         )

@@ -86,7 +86,7 @@ BROKEN = {  # what is changed, into what, and what is said of it
     ),
     "ABC alone": (
         ('["EXP", "ABC"]', '["ABC"]'),
-        "`likelihood` must have `tolerance` for ABC, or EXP among",
+        "`likelihood` must have `epsilon` for ABC, or EXP among",
     ),
     "missing file": (
         ("frame-measured.csv", "nothing.csv"),
@@ -234,7 +234,7 @@ def test_every_key_says_what_it_must_be(example):
 
 
 def test_two_errors_are_counted(example, tmp_path):
-    path = variant(example, tmp_path, ("draws = 100", "draws = 1"), ("seed = 0", "seed = -1"))
+    path = variant(example, tmp_path, ("draws = 100", "draws = 1"), ("random_seed = 0", "random_seed = -1"))
     with pytest.raises(ConfigError, match=r"`sampler.draws` .* \(1 more after this one.\)"):
         read_config(path)
 
@@ -293,11 +293,11 @@ def test_other_settings_are_refused_other_reports_are_not(example, finished, tmp
     monkeypatch.setattr(run, "sample", None)
     text = example.read_text()
     try:
-        example.write_text(replaced(text, [("seed = 0", "seed = 1")]))
+        example.write_text(replaced(text, [("random_seed = 0", "random_seed = 1")]))
         assert cli.main(["update", str(example), "--out", str(finished)]) == 2
         error = capsys.readouterr().err
         assert "must be empty or hold the same update" in error
-        assert "sampler.seed = 0 instead of 1" in error
+        assert "sampler.random_seed = 0 instead of 1" in error
         example.write_text(replaced(text, [("Simulated, three storeys", "Another <title>")]))
         assert cli.main(["update", str(example), "--out", str(finished)]) == 0
         assert "<h1>Another &lt;title&gt;</h1>" in (finished / "report.html").read_text()
@@ -361,12 +361,12 @@ def test_posterior_finds_the_structure_and_its_modes(example, finished):
         assert (true < high).all()
         # Eq. (16), from the sampled posterior
         sigma = float(np.quantile(posterior["sigma"], 0.9))
-        assert tree["ABC"].attrs["tolerance"] == pytest.approx(6.0 * sigma**2)
+        assert tree["ABC"].attrs["epsilon"] == pytest.approx(6.0 * sigma**2)
         # draws of ABC lie within it
         last = tree["ABC/posterior"].to_dataset().isel(chain=0, draw=-1)
         built = problem.structure(**{n: float(last[n]) for n in problem.structure.names})
         off = simulate(built, problem.measured.record).values - problem.measured.channels.values
-        assert (off**2).mean(axis=1).sum() <= tree["ABC"].attrs["tolerance"]
+        assert (off**2).mean(axis=1).sum() <= tree["ABC"].attrs["epsilon"]
 
 
 def test_gain_peaks_at_the_natural_frequencies(example, tmp_path):
@@ -408,9 +408,9 @@ def test_thinned_draws_are_spread_over_the_chain():
 
 
 def test_tolerance_out_of_reach_keeps_the_rest(example, tmp_path, capsys):
-    path = variant(example, tmp_path, ("# tolerance = 5.0 ", "tolerance = 1e-9 "))
+    path = variant(example, tmp_path, ("# epsilon = 5.0 ", "epsilon = 1e-9 "))
     assert cli.main(["update", str(path), "--cores", "1", "--out", str(tmp_path / "out")]) == 2
-    assert "`likelihood.tolerance` must be within reach of the model" in capsys.readouterr().err
+    assert "`likelihood.epsilon` must be within reach of the model" in capsys.readouterr().err
     assert (tmp_path / "out" / "parts" / "EXP.nc").exists()
 
 
@@ -424,7 +424,7 @@ def test_what_a_stopped_sampler_returns_is_not_kept(example, tmp_path, monkeypat
 
 def test_another_tolerance_samples_abc_again(finished, example, tmp_path, monkeypatch):
     """And nothing but ABC."""
-    problem = read_problem(variant(example, tmp_path, ("# tolerance = 5.0 ", "tolerance = 40.0 ")))
+    problem = read_problem(variant(example, tmp_path, ("# epsilon = 5.0 ", "epsilon = 40.0 ")))
     asked = []
 
     def stopped(problem, kind, *rest):

@@ -72,8 +72,8 @@ class SubsetSimulation(PopulationKernel):
     independent or conditional on the present point, of a length that adapts to the acceptance, and steps of
     differential evolution. One half of the particles is moved by what is fitted to the other.
 
-    `sample_stats` of each level: `tolerance`, `accept_rate`, `evaluations` (simulations), `failed`,
-    `log_probability` of the level's tolerance and its `coefficient_of_variation` (Au & Beck, with the
+    `sample_stats` of each level: its tolerance `epsilon`, `accept_rate`, `evaluations` (simulations),
+    `failed`, `log_probability` of the tolerance and its `coefficient_of_variation` (Au & Beck, with the
     correlation within chains), `scale` of the moves; for the chain `log_marginal_likelihood` and its standard
     error.
 
@@ -89,7 +89,7 @@ class SubsetSimulation(PopulationKernel):
     starts_from_prior = True
     stats_dtypes_shapes = {
         **PopulationKernel.stats_dtypes_shapes,
-        "tolerance": (float, []),
+        "epsilon": (float, []),
         "accept_rate": (float, []),
         "scale": (float, []),
         "log_probability": (float, []),
@@ -287,7 +287,7 @@ class SubsetSimulation(PopulationKernel):
         cov = float(np.sqrt(self.levels.variance))
         return {
             **super().sample_stats(),
-            "tolerance": self.levels.tolerance,
+            "epsilon": self.levels.tolerance,
             "accept_rate": self.accept_rate,
             "scale": self.moves.scale,
             "log_probability": self.levels.log_probability,

@@ -120,7 +120,7 @@ class Likelihood(Section):
         "the name of a prior or a positive number in m/s^2, one or one for each sensor", None
     )
     density: Literal["feature", "data"] = key('"feature" or "data"', "feature")
-    tolerance: float | None = key("the tolerance of ABC in m^2/s^4, positive", None, gt=0)
+    epsilon: float | None = key("the tolerance of ABC in m^2/s^4, positive", None, gt=0)
 
     @model_validator(mode="after")
     def complete(self):
@@ -129,10 +129,10 @@ class Likelihood(Section):
             raise ValueError(f"must name each of `kinds` once, got {self.kinds}")
         if set(self.kinds) - {"ABC"} and self.sigma is None:
             raise ValueError("must have the key `sigma` for NORM, TN and EXP, got none")
-        if "ABC" not in self.kinds and self.tolerance is not None:
-            raise ValueError(f"must have `tolerance` only with ABC, got kinds {self.kinds}")
-        if "ABC" in self.kinds and self.tolerance is None and "EXP" not in self.kinds:
-            raise ValueError("must have `tolerance` for ABC, or EXP among `kinds` to take it from")
+        if "ABC" not in self.kinds and self.epsilon is not None:
+            raise ValueError(f"must have `epsilon` only with ABC, got kinds {self.kinds}")
+        if "ABC" in self.kinds and self.epsilon is None and "EXP" not in self.kinds:
+            raise ValueError("must have `epsilon` for ABC, or EXP among `kinds` to take it from")
         return self
 
 
@@ -145,7 +145,7 @@ class Sampler(Section):
     tune: int = key("a positive whole number, with `method` nuts", 1000, ge=1)
     chains: int = key("a positive whole number", 2, ge=1)
     cores: int | None = key("a positive whole number", None, ge=1)
-    seed: int = key("a whole number, not negative", 0, ge=0)
+    random_seed: int = key("a whole number, not negative", 0, ge=0)
 
 
 QUANTITIES = Literal["inter_storey_drift", "base_shear", "relative_displacement", "absolute_acceleration"]
