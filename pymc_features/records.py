@@ -1,8 +1,13 @@
 """What shakes a structure: a ground-motion record, or several histories of supports or forces."""
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,7 +67,9 @@ class Record:
         object.__setattr__(self, "name", str(self.name))
 
     @classmethod
-    def from_channel(cls, channels, sensor=None, name=None) -> "Record":
+    def from_channel(
+        cls, channels: "xr.DataArray", sensor: Hashable | None = None, name: str | None = None
+    ) -> "Record":
         """Make a record of a measured channel, such as the base of a shaking table.
 
         Parameters

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pytensor.tensor as pt
@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
-from pymc_features.records import Loading, Record
+if TYPE_CHECKING:
+    from pymc_features.records import Loading, Record
+
 
 # numbers, what PyTensor computes, or a list of both
 type Values = ArrayLike | Variable | Sequence[float | Variable]
@@ -46,11 +48,11 @@ class Structure(ABC):
     def parameters(self) -> tuple:
         """Return what the response kernels of its family take."""
 
-    def constants(self, record: Record | Loading) -> tuple:
+    def constants(self, record: "Record | Loading") -> tuple:
         """Return the arrays its kernels take besides, which are never random, for a record or loading."""
         return ()
 
-    def excitation(self, record: Record | Loading) -> np.ndarray:
+    def excitation(self, record: "Record | Loading") -> np.ndarray:
         """Return the ground acceleration (time,) of a record, or the inputs (input, time) of a loading."""
         if not hasattr(record, "acceleration"):
             raise TypeError(

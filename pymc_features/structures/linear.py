@@ -1,15 +1,19 @@
 """Any linear structure M x" + C x' + K x = load."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
 from pymc_features.algebra import AffineMatrix, common_pattern, natural_modes, to_dense
-from pymc_features.records import Loading, Record
 from pymc_features.structures.admissible import check_connected, check_damping, check_mass, check_stiffness
 from pymc_features.structures.base import Matrices, Modes, Structure, static_length
 from pymc_features.structures.damping import Damping
 from pymc_features.structures.matrices import MatrixLike, as_matrix
+
+if TYPE_CHECKING:
+    from pymc_features.records import Loading, Record
 
 
 class LinearStructure(Structure):
@@ -135,7 +139,7 @@ class LinearStructure(Structure):
             rayleigh, ratios = self._coefficients()
         return self.theta, rayleigh, ratios
 
-    def constants(self, record: Record | Loading) -> tuple:
+    def constants(self, record: "Record | Loading") -> tuple:
         """Matrices and load, M x" + C x' + K x = -M influence a(t) + forces a(t), for `excitation(record)`.
 
         Returns
@@ -163,7 +167,7 @@ class LinearStructure(Structure):
             forces = np.zeros(influence.shape)
         return *stacks, self._terms[2].rows, self._terms[2].starts, influence, forces
 
-    def excitation(self, record: Record | Loading) -> np.ndarray:
+    def excitation(self, record: "Record | Loading") -> np.ndarray:
         """Support accelerations [m/s^2] or forces [N], array (d, t)."""
         inputs = record.acceleration[None] if hasattr(record, "acceleration") else record.values
         forces = getattr(record, "kind", "support_acceleration") == "force"

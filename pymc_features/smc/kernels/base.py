@@ -2,7 +2,7 @@
 
 import time
 from os import PathLike
-from typing import TypedDict
+from typing import NoReturn, TypedDict
 
 import numpy as np
 import pymc as pm
@@ -127,17 +127,17 @@ class PopulationKernel(SMC_KERNEL):
         self.n_steps = self.evaluations = self.failed = 0
         self.clock = time.perf_counter()
 
-    def checked_stage_draws(self, stage_draws, share: float, least: int, default: int) -> int:
+    def checked_stage_draws(self, stage_draws: int | None, share: float, least: int, default: int) -> int:
         """Size of a stage: as asked for, or a share of the draws that suffices for the parameters."""
         if stage_draws is None:
             return max(int(share * self.draws), 50 * self.n_parameters, default)
         return whole_number("stage_draws", stage_draws, least)
 
-    def compile_evaluation(self, model, point, compile_kwargs):
+    def compile_evaluation(self, model: pm.Model, point: dict, compile_kwargs: dict) -> None:
         """Compile what `evaluate` calls."""
         self.logp = population_logp(model, point, compile_kwargs)
 
-    def set_rng(self, rng):
+    def set_rng(self, rng: np.random.Generator) -> None:
         """Use this generator; random draws inside the log-probability get streams of their own."""
         self.rng = rng
         self.logp = self.logp.with_rng(rng)
@@ -147,13 +147,13 @@ class PopulationKernel(SMC_KERNEL):
                 self.journal.close()  # the chain before
             self.journal = self.checkpoint.journal(settings, rng)
 
-    def evaluated(self, particles):
+    def evaluated(self, particles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Log prior, log-likelihood and failures, each (p,), of particles (p, d); journals remember them."""
         if self.journal is None:
             return self.logp(particles)
         return self.journal.evaluate(self.logp, particles)
 
-    def evaluate(self, particles):
+    def evaluate(self, particles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Log prior and log-likelihood, each (p,), of particles (p, d); counts evaluations and failures."""
         prior, likelihood, failed = self.evaluated(particles)
         self.evaluations += len(particles)
@@ -177,7 +177,7 @@ class PopulationKernel(SMC_KERNEL):
         if not (self.prior_logp + self.likelihood_logp > -np.inf).any():
             self.refuse_impossible_model()
 
-    def refuse_impossible_model(self):
+    def refuse_impossible_model(self) -> NoReturn:
         """Say that no initial particle is possible."""
         error = f", the last with {self.logp.last_error}" if self.logp.last_error else ""
         raise ValueError(
@@ -186,11 +186,11 @@ class PopulationKernel(SMC_KERNEL):
             "check the model at one point with model.point_logps()."
         )
 
-    def propose(self):
+    def propose(self) -> tuple[np.ndarray, np.ndarray | float, np.ndarray | float]:
         """Return proposals (p, d) and the log-densities of the moves back and forth, each (p,) or 0."""
         raise NotImplementedError
 
-    def mutate(self):
+    def mutate(self) -> None:
         """Metropolis-Hastings steps until the particles have forgotten where the stage began, as in PyMC."""
         self.n_steps = 0
         previous = 2.0
@@ -214,7 +214,7 @@ class PopulationKernel(SMC_KERNEL):
             previous = r
         self.accepted = np.array(accepted_steps)
 
-    def sample_stats(self):
+    def sample_stats(self) -> dict:
         """Statistics of the stage just finished."""
         now = time.perf_counter()
         stats = {
@@ -229,7 +229,7 @@ class PopulationKernel(SMC_KERNEL):
         self.clock = now
         return stats
 
-    def sample_settings(self):
+    def sample_settings(self) -> dict:
         """Settings, saved as attributes of `sample_stats`; those of PyMC's kernels."""
         return {
             "_n_draws": self.draws,

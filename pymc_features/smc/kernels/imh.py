@@ -55,13 +55,13 @@ class PopulationIMH(PopulationKernel, IMH):
         self.correlation_threshold = correlation_threshold
         self.proposal_dist = None
 
-    def propose(self):
+    def propose(self) -> tuple[np.ndarray, np.ndarray | float, np.ndarray | float]:
         """Draw from the Gaussian fitted to the resampled particles."""
         proposal = floatX(self.proposal_dist.rvs(size=self.draws, random_state=self.rng))
         proposal = proposal.reshape(len(proposal), -1)
         forward = self.proposal_dist.logpdf(proposal)
         return proposal, self.proposal_dist.logpdf(self.tempered_posterior), forward
 
-    def sample_stats(self):
+    def sample_stats(self) -> dict:
         """Statistics of the stage just finished."""
         return {**PopulationKernel.sample_stats(self), "accept_rate": float(np.mean(self.accepted))}

@@ -57,17 +57,17 @@ class PopulationMH(PopulationKernel, MH):
         self.correlation_threshold = correlation_threshold
         self.proposal_dist = self.proposal_scales = self.chain_acc_rate = None
 
-    def propose(self):
+    def propose(self) -> tuple[np.ndarray, np.ndarray | float, np.ndarray | float]:
         """Step from each particle, with the covariance of all and a scale of its own."""
         step = self.proposal_dist(num_draws=self.draws, rng=self.rng)
         return floatX(self.tempered_posterior + step * self.proposal_scales[:, None]), 0.0, 0.0
 
-    def mutate(self):
+    def mutate(self) -> None:
         """Metropolis steps; their acceptance sets the scales of the next stage."""
         super().mutate()
         self.chain_acc_rate = np.mean(self.accepted, axis=0)
 
-    def sample_stats(self):
+    def sample_stats(self) -> dict:
         """Statistics of the stage just finished."""
         return {
             **PopulationKernel.sample_stats(self),

@@ -70,7 +70,7 @@ class TMCMC(PopulationKernel):
         self.scale = scale
         self.coefficient_of_variation = coefficient_of_variation
 
-    def update_beta_and_weights(self):
+    def update_beta_and_weights(self) -> None:
         """Next temperature, weights, and the factor S_j of the evidence."""
         self.iteration += 1
         old = self.beta
@@ -81,11 +81,11 @@ class TMCMC(PopulationKernel):
         self.weights /= self.weights.sum()
         self.log_marginal_likelihood += total - np.log(self.draws)
 
-    def resample(self):
+    def resample(self) -> None:
         """Draw how many steps each sample makes."""
         self.counts = self.rng.multinomial(self.draws, self.weights)
 
-    def tune(self):
+    def tune(self) -> None:
         """Covariance of the proposal: the weighted one of the sample, scaled."""
         mean = self.weights @ self.tempered_posterior
         centred = self.tempered_posterior - mean
@@ -98,7 +98,7 @@ class TMCMC(PopulationKernel):
             )
         self.factor = self.scale * np.linalg.cholesky(covariance + 1e-9 * np.diag(variances))
 
-    def mutate(self):
+    def mutate(self) -> None:
         """One chain for each seed, as long as it was drawn often; all states are kept."""
         alive = np.flatnonzero(self.counts)
         remaining = self.counts[alive]
@@ -127,11 +127,11 @@ class TMCMC(PopulationKernel):
         )
         self.accept_rate = n_accepted / self.draws
 
-    def sample_stats(self):
+    def sample_stats(self) -> dict:
         """Statistics of the stage just finished."""
         return {**super().sample_stats(), "accept_rate": float(self.accept_rate)}
 
-    def sample_settings(self):
+    def sample_settings(self) -> dict:
         """Settings, saved as attributes of `sample_stats`."""
         return {
             "_n_draws": self.draws,
