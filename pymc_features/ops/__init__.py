@@ -13,7 +13,7 @@ from pymc_features.ops.gradient import (
 )
 from pymc_features.ops.mean_square import mean_square_discrepancy, misfit_statistics
 from pymc_features.ops.misfit import StructuralMisfit
-from pymc_features.ops.no_gradient import NoGradient, NotDifferentiableError
+from pymc_features.ops.no_gradient import NoGradient
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationMisfit
 from pymc_features.ops.response import StructuralResponse, response, response_node, response_step
 from pymc_features.ops.time_axis import name_the_time_axis
@@ -33,7 +33,6 @@ __all__ = [
     "ResponseGradient",
     "ResponseTangent",
     "NoGradient",
-    "NotDifferentiableError",
     "PopulationDiscrepancy",
     "PopulationGradient",
     "PopulationMisfit",

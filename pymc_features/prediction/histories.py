@@ -53,26 +53,28 @@ def response_blocks(systems: Systems, inputs, asked: Request, size: int):
     total = asked.n_outputs(inputs.shape[1])
     for first in range(0, total, size):
         count = min(size, total - first)
-        advance_all(*systems, *states, inputs, asked.substeps, asked.stride, first, count, buffer)
+        advance_all(systems, states, inputs, (asked.substeps, asked.stride), first, count, buffer)
         yield first, buffer[:, :count]
 
 
 @jit
-def advance_all(
-    tables, participation, shapes, direct, q, p, inputs, substeps, stride, first, count, responses
-):
+def advance_all(systems, states, inputs, sampling, first, count, responses):
     """Carry structures through output samples `first` ... `first + count - 1`, as `advance` does with one.
 
     Parameters
     ----------
-    tables, participation, shapes, direct : array
-        Of `Systems`.
-    q, p : array (n, d, m)
-        Modal states; overwritten.
+    systems : Systems
+    states : array (2, n, d, m)
+        Modal states q and p; overwritten.
     inputs : array (d, t)
+    sampling : tuple of int
+        `substeps` and `stride` of the request.
     responses : array (row, >= count, n)
         Written.
     """
+    tables, participation, shapes, direct = systems
+    q, p = states[0], states[1]
+    substeps, stride = sampling
     n, n_rows, n_modes = shapes.shape
     size = responses.shape[1]
     modal = np.empty((size, n_modes))

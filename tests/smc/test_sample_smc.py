@@ -12,15 +12,8 @@ import xarray as xr
 from pymc.smc.kernels import IMH
 from scipy import stats
 
-from pymc_features import (
-    TMCMC,
-    DiscrepancySimulator,
-    PersistentSMC,
-    PopulationIMH,
-    PopulationMH,
-    PopulationWarning,
-    sample_smc,
-)
+from pymc_features import TMCMC, DiscrepancySimulator, PersistentSMC, PopulationIMH, PopulationMH, sample_smc
+from pymc_features.exceptions import PopulationWarning
 from pymc_features.smc import KERNELS
 
 QUIET = {"cores": 1, "progressbar": False, "compute_convergence_checks": False}

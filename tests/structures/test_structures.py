@@ -239,9 +239,13 @@ def test_every_chain_keeps_the_contract(kind):
 MATRICES = assembled([1.0, 2.0, 1.5], [300.0, 200.0, 100.0])
 EXAMPLES = {
     SpringMassChain: lambda: SpringMassChain([1.0, 2.0, 1.5], [300.0, 200.0, 100.0], ModalDamping(0.02)),
-    LinearStructure: lambda: LinearStructure(MATRICES[0], ModalDamping(0.02), MATRICES[1]),
+    LinearStructure: lambda: LinearStructure(MATRICES[0], stiffness=MATRICES[1], damping=ModalDamping(0.02)),
     AffineStructure: lambda: AffineStructure(
-        MATRICES[0], ModalDamping(0.02), 0.5 * MATRICES[1], stiffness_terms=[MATRICES[1]], theta=[0.5]
+        MATRICES[0],
+        stiffness=0.5 * MATRICES[1],
+        damping=ModalDamping(0.02),
+        stiffness_terms=[MATRICES[1]],
+        theta=[0.5],
     ),
 }
 
