@@ -22,7 +22,7 @@ class StudyStructure:
     title : str
         For figures and messages.
     chain : callable
-        (theta, *, stiffness) -> structure; theta is a number or a random variable.
+        ``(theta, *, stiffness)`` -> structure; theta is a number or a random variable.
     likelihoods : tuple of str
         Those compared by default.
     draws, chains : int

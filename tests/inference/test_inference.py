@@ -473,3 +473,12 @@ def test_fisher_refuses_what_it_does_not_know(example):
         )
     with pytest.raises(ValueError, match="density='feature', got 'data'"):
         pmf.fisher_information(model)
+
+
+def test_arguments_that_pm_sample_does_not_know_are_refused_before_sampling():
+    with pm.Model() as model:
+        pm.Normal("x")
+    with pytest.raises(
+        TypeError, match=r"sample_nuts\(\) must be .* got 'target_acept'. Did you mean 'target_acc"
+    ):
+        pmf.sample_nuts(model=model, target_acept=0.9)

@@ -569,3 +569,13 @@ def test_refusals_of_one(function, arguments, match):
     defaults = {"idata": posterior(k=[[0.5, 1.5]]), "structure": three_storeys, "record": SHAKE}
     with pytest.raises(ValueError, match=match):
         function(**(defaults | arguments))
+
+
+@pytest.mark.parametrize(
+    "predict", [pmf.posterior_response, lambda *a, **k: pmf.first_passage_probability(*a, 1.0, **k)]
+)
+def test_options_of_the_response_are_known_by_name(predict):
+    with pytest.raises(
+        TypeError, match=r"its own or dt, sensors, n_modes, outputs, got 'modes'. Did you mean"
+    ):
+        predict(posterior(k=[[1.0]]), three_storeys, SHAKE, modes=2)

@@ -367,3 +367,19 @@ def test_ragged_statistics_are_padded():
     tree = savable(xr.DataTree.from_dict({"posterior": posterior, "sample_stats": stats}))
     assert tree["sample_stats"]["beta"].dims == ("chain", "stage")
     assert tree["sample_stats"].attrs == {"note": "None"}
+
+
+def test_arguments_of_samplers_are_known_by_name(short):
+    with pytest.raises(
+        TypeError, match=r"own or draws, chains, cores, progressbar, got 'chain'. Did you mean"
+    ):
+        small_study(short, chain=1)
+
+
+def test_a_study_without_a_seed_takes_another_each_time_and_goes_on_with_its_own(short, tmp_path):
+    first, second = (checked_study(short, likelihoods=["TN"]) for _ in range(2))
+    assert first.random_seed != second.random_seed
+    assert not np.array_equal(first.finest, second.finest)
+    assert study_module.seed_in(None) is study_module.seed_in(tmp_path) is None
+    PartStore(tmp_path, first.settings())
+    assert study_module.seed_in(tmp_path) == first.random_seed
