@@ -377,7 +377,7 @@ def test_arguments_of_samplers_are_known_by_name(short):
 
 
 def test_a_study_without_a_seed_takes_another_each_time_and_goes_on_with_its_own(short, tmp_path):
-    first, second = (checked_study(short, likelihoods=["TN"]) for _ in range(2))
+    first, second = (Study(short, likelihoods=["TN"]) for _ in range(2))
     assert first.random_seed != second.random_seed
     assert not np.array_equal(first.finest, second.finest)
     assert study_module.seed_in(None) is study_module.seed_in(tmp_path) is None
