@@ -85,7 +85,7 @@ def test_tables_of_the_readme_are_those_of_the_catalogues():
 
 def test_the_figure_can_be_drawn_anew(tmp_path):
     """From a short record; that of the README is of El Centro and takes ten seconds."""
-    record = pymc_features.synthetic_earthquake(4.0, 0.02, seed=1, pga=3.0)
+    record = pymc_features.synthetic_earthquake(4.0, 0.02, random_seed=1, pga=3.0)
     from_docs("figure").write(tmp_path / "figure.svg", record, multipliers=(0.5, 1.0, 2.0))
     assert (tmp_path / "figure.svg").read_text().startswith("<?xml")
     assert (ROOT / "docs" / "figure.svg").stat().st_size < 200_000
@@ -132,7 +132,7 @@ def test_reference_is_built_without_warnings(tmp_path):
     run(*command, str(ROOT / "docs"), str(tmp_path / "html"))
     inventory = InventoryFile.loads((tmp_path / "html" / "objects.inv").read_bytes(), uri="")
     shown = {name for kind, names in inventory.data.items() if kind.startswith("py:") for name in names}
-    modules = {"datasets", "paper", "signals"}
+    modules = {"datasets", "exceptions", "paper", "signals"}
     assert {f"pymc_features.{name}" for name in set(pymc_features.__all__) - modules} <= shown
     assert {"pymc_features.signals.trim", "pymc_features.update.read_problem"} <= shown
 
@@ -151,7 +151,7 @@ def skip_without_measurements():
     for event in ("northridge", "sine1p5"):
         try:
             pymc_features.datasets.mini_shake_table(event)
-        except pymc_features.datasets.DatasetUnavailableError as error:
+        except pymc_features.exceptions.DatasetUnavailableError as error:
             pytest.skip(str(error))
 
 

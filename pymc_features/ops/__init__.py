@@ -11,7 +11,7 @@ from pymc_features.ops.comparison import (
 from pymc_features.ops.external import ExternalDiscrepancy, ExternalGradient, ExternalResponse
 from pymc_features.ops.gradient import ResponseGradient, ResponseTangent
 from pymc_features.ops.mean_square import mean_square_discrepancy, misfit_statistics
-from pymc_features.ops.no_gradient import NoGradient, NotDifferentiableError
+from pymc_features.ops.no_gradient import NoGradient
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradient, PopulationMisfit
 from pymc_features.ops.response import StructuralResponse, response, response_node, response_step
 from pymc_features.ops.time_axis import name_the_time_axis
@@ -31,7 +31,6 @@ __all__ = [
     "ResponseGradient",
     "ResponseTangent",
     "NoGradient",
-    "NotDifferentiableError",
     "PopulationDiscrepancy",
     "PopulationGradient",
     "PopulationMisfit",

@@ -3,6 +3,7 @@
 import numpy as np
 import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
+from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.blockwise import Blockwise
 
 from pymc_features.ops.base import check_shape
@@ -12,7 +13,7 @@ from pymc_features.ops.population import fused_comparison
 from pymc_features.ops.response import response_node
 
 
-def mean_square_discrepancy(mu, observed):
+def mean_square_discrepancy(mu: TensorLike, observed: TensorLike) -> np.ndarray | TensorVariable:
     """Mean-square discrepancy of each sensor, e_j = mean_k [y_j(k) - g_j(k)]^2, Eq. (3).
 
     Parameters

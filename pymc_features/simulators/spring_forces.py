@@ -1,5 +1,7 @@
 """What the springs of a nonlinear chain do, and how accurate its integration is."""
 
+from typing import TYPE_CHECKING
+
 import xarray as xr
 
 from pymc_features.simulators.families import NONLINEAR
@@ -9,8 +11,12 @@ from pymc_features.simulators.oscillators.arguments import Excitation
 from pymc_features.simulators.request import request
 from pymc_features.simulators.simulate import check_arguments
 
+if TYPE_CHECKING:
+    from pymc_features.records import Record
+    from pymc_features.structures import Structure
 
-def spring_forces(structure, record, *, dt: float | None = None) -> xr.Dataset:
+
+def spring_forces(structure: "Structure", record: "Record", *, dt: float | None = None) -> xr.Dataset:
     """Force and drift histories of the springs of a nonlinear chain: its hysteresis loops.
 
     Parameters
@@ -47,7 +53,9 @@ def spring_forces(structure, record, *, dt: float | None = None) -> xr.Dataset:
     )
 
 
-def integration_error(structure, record, *, quantity: str = "absolute_acceleration") -> float:
+def integration_error(
+    structure: "Structure", record: "Record", *, quantity: str = "absolute_acceleration"
+) -> float:
     """Estimate the largest error of a nonlinear chain's response, over its peak, by step doubling.
 
     Parameters

@@ -18,7 +18,6 @@ from scipy import optimize, special, stats
 from pymc_features import (
     CorrelatedNormal,
     ExpFeature,
-    FeatureLikelihoodWarning,
     RayleighDamping,
     Record,
     SpringMassChain,
@@ -30,6 +29,7 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.distributions import FEATURE_LIKELIHOODS, LIKELIHOODS
+from pymc_features.exceptions import FeatureLikelihoodWarning
 
 PLAIN = Mode(linker="py", optimizer=None)
 LIGHT = Mode(linker="py", optimizer="fast_compile")

@@ -22,7 +22,6 @@ from pymc_features import (
     DiscrepancySimulator,
     ExpFeature,
     ExternalSimulator,
-    NotDifferentiableError,
     PopulationIMH,
     RayleighDamping,
     Record,
@@ -31,10 +30,10 @@ from pymc_features import (
     response,
     sample_smc,
 )
+from pymc_features.exceptions import NotDifferentiableError, NoWorkersError, UnusableSimulatorError
 from pymc_features.external import EvaluationCache
 from pymc_features.external.processes import calls
-from pymc_features.external.processes.batch import NoWorkersError
-from pymc_features.external.processes.process import SimulatorProcess, UnusableSimulatorError
+from pymc_features.external.processes.process import SimulatorProcess
 from pymc_features.external.progress import Lines, clock
 from pymc_features.smc import population_logp
 

@@ -13,7 +13,7 @@ from support import external_functions as functions
 from support.external_functions import SHAPE, Counted, beam, lives, wait_until
 
 from pymc_features import ExternalSimulator, PopulationIMH, TruncNormalFeature, sample_smc
-from pymc_features.external.processes.batch import NoWorkersError
+from pymc_features.exceptions import NoWorkersError
 
 distributed = pytest.importorskip("distributed")
 

@@ -15,7 +15,6 @@ from pymc_features import (
     DiscrepancySimulator,
     ExpFeature,
     ModalDamping,
-    NotDifferentiableError,
     PersistentSMC,
     PopulationIMH,
     RayleighDamping,
@@ -28,6 +27,7 @@ from pymc_features import (
     sigma_mpv,
     simulate,
 )
+from pymc_features.exceptions import NotDifferentiableError
 from pymc_features.likelihood_free import KERNELS
 from pymc_features.smc import population_logp
 

@@ -320,7 +320,7 @@ def model_of(likelihood, dt=None):
         measured = pm.Data("measured", every(dt or RECORD.dt))
         mu = response(chain_of(100.0).scale_stiffness(theta, [0]), RECORD, dt=step)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", pmf.FeatureLikelihoodWarning)
+            warnings.simplefilter("ignore", pmf.exceptions.FeatureLikelihoodWarning)
             likelihood("y", mu=mu, sigma=sigma, observed=measured)
     return model
 
@@ -432,8 +432,8 @@ SAMPLERS = {
 @pytest.fixture(scope="module")
 def one_stiffness():
     """TN for the ten-storey chain: the model, and the exact mean and standard deviation of theta."""
-    record = pmf.synthetic_earthquake(4.0, 0.02, seed=1)
-    data = paper.measurements(record, multipliers=(1.0,)).values
+    record = pmf.synthetic_earthquake(4.0, 0.02, random_seed=1)
+    data = paper.measurements(record, multipliers=(1.0,), random_seed=0).values
 
     def total(theta):
         return float(((simulate(paper.chain(theta), record).values - data) ** 2).mean(axis=1).sum())

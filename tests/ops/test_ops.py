@@ -27,9 +27,7 @@ from pymc_features import (
     CorrelatedNormal,
     DiscrepancySimulator,
     ExpFeature,
-    FeatureLikelihoodWarning,
     ModalDamping,
-    NotDifferentiableError,
     RayleighDamping,
     Record,
     SpringMassChain,
@@ -38,6 +36,7 @@ from pymc_features import (
     response,
     simulate,
 )
+from pymc_features.exceptions import FeatureLikelihoodWarning, NotDifferentiableError
 from pymc_features.ops import (
     OPS,
     PopulationDiscrepancy,

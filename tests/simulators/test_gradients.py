@@ -30,7 +30,6 @@ from support.kernels import (
 import pymc_features
 from pymc_features import (
     ExpFeature,
-    FeatureLikelihoodWarning,
     ModalDamping,
     RayleighDamping,
     Record,
@@ -39,6 +38,7 @@ from pymc_features import (
     mean_square_discrepancy,
     response,
 )
+from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.ops import (
     OPS,
     DiscrepancyTangent,

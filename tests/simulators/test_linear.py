@@ -20,13 +20,13 @@ from pymc_features import (
     ModalDamping,
     RayleighDamping,
     Record,
-    SimulationWarning,
     SpringMassChain,
     response,
     simulate,
 )
 from pymc_features.algebra import eigen, natural_modes
 from pymc_features.algebra.factorisation import count_below, eliminate
+from pymc_features.exceptions import SimulationWarning
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.state_space import StateMatrices, march_state, modal_equations
@@ -38,6 +38,11 @@ from pymc_features.simulators.oscillators.modal_system import ModalSystem
 UNDAMPED = ModalDamping(0.0)
 
 # --------------------------------------------------------------------------- independent routes
+
+
+def of_matrices(mass, damping, stiffness):
+    """The linear structure with M, C and K."""
+    return LinearStructure(mass, stiffness=stiffness, damping=damping)
 
 
 def peak_error(actual, expected):
@@ -118,7 +123,9 @@ def random_chain(seed, damping):
 def as_linear(chain):
     """With the same damping object, and with its matrix."""
     mass, damping, stiffness = chain.matrices()
-    return LinearStructure(mass, chain.damping, stiffness), LinearStructure(mass, damping, stiffness)
+    return LinearStructure(mass, stiffness=stiffness, damping=chain.damping), LinearStructure(
+        mass, stiffness=stiffness, damping=damping
+    )
 
 
 @pytest.mark.parametrize("damping", DAMPINGS)
@@ -178,7 +185,7 @@ def test_modes_and_matrices_of_the_chain(damping):
 def test_coupled_damping_against_matrix_exponential(n, rank, damping, substeps, stride):
     """Physical coordinates, no modes: 1e-9 of the peak, light to over-critical damping."""
     matrices = random_structure(n, n, damping=damping, rank=rank)
-    structure, record = LinearStructure(*matrices), noise_record(n)
+    structure, record = of_matrices(*matrices), noise_record(n)
     assert is_coupled(structure.modal_damping())
     ones = np.ones((n, 1))
     expected = by_exponential(
@@ -202,7 +209,7 @@ def test_gyroscopic_damping():
     record, ones = noise_record(1), np.ones((2, 1))
     expected = by_exponential(matrices, -mass @ ones, record.acceleration[None], record.dt, ones)
     for quantity in QUANTITIES:
-        found = simulate(LinearStructure(*matrices), record, quantity=quantity)
+        found = simulate(of_matrices(*matrices), record, quantity=quantity)
         assert peak_error(found, expected[quantity]) < 1e-9
 
 
@@ -212,7 +219,10 @@ def test_both_routes_meet_at_the_tolerance():
     mass, damping, stiffness = chain.matrices()
     nudged = damping.copy()
     nudged[0, 0] *= 1.0 + 1e-10
-    classical, coupled = LinearStructure(mass, damping, stiffness), LinearStructure(mass, nudged, stiffness)
+    classical, coupled = (
+        LinearStructure(mass, stiffness=stiffness, damping=damping),
+        LinearStructure(mass, stiffness=stiffness, damping=nudged),
+    )
     assert not is_coupled(classical.modal_damping()) and is_coupled(coupled.modal_damping())
     for quantity in QUANTITIES:
         expected = simulate(classical, record, quantity=quantity)
@@ -244,7 +254,7 @@ def test_truncated_coupled_modes(n_modes):
     """The kept modes are carried by their own block of phi' C phi; the ground's share is kept whole."""
     mass, damping, stiffness = random_structure(3, 6)
     record = noise_record(3)
-    structure = LinearStructure(mass, damping, stiffness)
+    structure = LinearStructure(mass, stiffness=stiffness, damping=damping)
     values, shapes = eigh(stiffness, mass)
     kept = shapes[:, :n_modes]
     reduced = np.eye(n_modes), kept.T @ damping @ kept, np.diag(values[:n_modes])
@@ -269,7 +279,7 @@ def test_repeated_frequencies():
     record = noise_record(4)
     direction = np.kron([1.0, 0.5], np.ones(3))
     for drag in (damping, chain.damping):
-        tower = LinearStructure(mass, drag, stiffness, influence=direction)
+        tower = LinearStructure(mass, stiffness=stiffness, damping=drag, influence=direction)
         omega = chain.modes().angular_frequencies
         np.testing.assert_allclose(tower.modes().angular_frequencies, np.repeat(omega, 2), rtol=1e-12)
         for quantity in QUANTITIES:
@@ -281,7 +291,7 @@ def test_repeated_frequencies():
 def test_a_soft_mode_is_no_rigid_body():
     """A spring 1e12 times softer than the next keeps its frequency, to the digits that K holds."""
     stiffness = np.array([[1e12 + 1.0, -1e12], [-1e12, 1e12]])
-    omega = LinearStructure(np.ones(2), UNDAMPED, stiffness).modes().angular_frequencies
+    omega = LinearStructure(np.ones(2), stiffness=stiffness, damping=UNDAMPED).modes().angular_frequencies
     np.testing.assert_allclose(omega, [np.sqrt(0.5), np.sqrt(2e12)], rtol=1e-3)
 
 
@@ -292,7 +302,11 @@ def test_rigid_bodies_are_found(n):
     stiffness = np.diag(np.append(springs, 0.0) + np.append(0.0, springs))
     stiffness -= np.diag(springs, 1) + np.diag(springs, -1)
     for kind in (np.asarray, sparse.csc_array):
-        omega = LinearStructure(np.ones(n), UNDAMPED, kind(stiffness)).modes(min(n, 4)).angular_frequencies
+        omega = (
+            LinearStructure(np.ones(n), stiffness=kind(stiffness), damping=UNDAMPED)
+            .modes(min(n, 4))
+            .angular_frequencies
+        )
         assert (omega == 0.0).tolist() == [True] + [False] * (omega.size - 1)
 
 
@@ -301,7 +315,9 @@ def test_sparse_solver_finds_every_copy(n, copies, groups):
     """Equal frequencies many times over; of twenty copies Lanczos alone misses some (seen by inertia)."""
     one = spring_chain(n, 100.0)
     lowest = np.sqrt(np.linalg.eigvalsh(one.toarray()))[:groups]
-    structure = LinearStructure(np.ones(n * copies), UNDAMPED, sparse.block_diag([one] * copies).tocsc())
+    structure = LinearStructure(
+        np.ones(n * copies), stiffness=sparse.block_diag([one] * copies).tocsc(), damping=UNDAMPED
+    )
     modes = structure.modes(groups * copies)
     np.testing.assert_allclose(modes.angular_frequencies, np.repeat(lowest, copies), rtol=1e-10)
     shapes = modes.mode_shapes
@@ -325,7 +341,7 @@ def test_rigid_body_under_a_force(kind, alpha):
     """Two free masses, step force on the first: the centre drifts, the spring oscillates; closed forms."""
     (m1, m2), k, force = (1.0, 3.0), 50.0, 8.0
     stiffness = kind(k * np.array([[1.0, -1.0], [-1.0, 1.0]]))
-    structure = LinearStructure([m1, m2], RayleighDamping(alpha, 0.0), stiffness)
+    structure = LinearStructure([m1, m2], stiffness=stiffness, damping=RayleighDamping(alpha, 0.0))
     loading = Loading(np.full(400, force), 0.01, kind="force", matrix=[[1.0], [0.0]])
     t = loading.time
     omega = structure.modes().angular_frequencies
@@ -339,7 +355,7 @@ def test_rigid_body_under_a_force(kind, alpha):
     expected = centre + np.outer([m2, -m1], stretch) / (m1 + m2)
     found = simulate(structure, loading, quantity="relative_displacement")
     assert peak_error(found, expected) < 1e-12
-    as_matrix = LinearStructure([m1, m2], alpha * np.diag([m1, m2]), stiffness)
+    as_matrix = LinearStructure([m1, m2], stiffness=stiffness, damping=alpha * np.diag([m1, m2]))
     assert peak_error(simulate(as_matrix, loading, quantity="relative_displacement"), expected) < 1e-12
 
 
@@ -349,12 +365,12 @@ def test_floating_chain_with_a_dashpot():
     damping = np.diag([0.0, 5.0, 0.0, 0.0])
     values, load = noise(5, (1, 150)), np.eye(4)[:, [3]]
     expected = by_exponential((np.eye(4), damping, stiffness), load, values, 0.02)
-    structure = LinearStructure(np.ones(4), damping, stiffness)
+    structure = LinearStructure(np.ones(4), stiffness=stiffness, damping=damping)
     assert is_coupled(structure.modal_damping()) and structure.modes().angular_frequencies[0] == 0.0
     loading = Loading(values, 0.02, kind="force", matrix=load)
     for quantity in QUANTITIES:
         assert peak_error(simulate(structure, loading, quantity=quantity), expected[quantity]) < 1e-9
-    raft = LinearStructure([2.0], [[3.0]], [[0.0]])
+    raft = LinearStructure([2.0], stiffness=[[0.0]], damping=[[3.0]])
     found = simulate(raft, Loading(np.full(100, 6.0), 0.02, kind="force"), quantity="relative_velocity")
     assert peak_error(found[0], 2.0 * (1.0 - np.exp(-1.5 * found["time"]))) < 1e-12
 
@@ -366,7 +382,7 @@ def test_modes_far_beyond_the_sampling_rate():
     record, ones = noise_record(6), np.ones((2, 1))
     matrices = np.eye(2), damping, stiffness
     expected = by_exponential(matrices, -ones, record.acceleration[None], record.dt, ones)
-    structure = LinearStructure(*matrices)
+    structure = of_matrices(*matrices)
     assert is_coupled(structure.modal_damping())
     assert (
         peak_error(simulate(structure, record, quantity="relative_displacement"), expected[QUANTITIES[3]])
@@ -385,18 +401,18 @@ def test_large_sparse_structure(n):
     mass = sparse.eye_array(n)
     j = np.arange(1, kept + 1)
     exact = 2.0 * np.sqrt(k) * np.sin((2 * j - 1) * np.pi / (2 * (2 * n + 1)))
-    structure = LinearStructure(mass, ModalDamping(np.full(kept, 0.02)), stiffness)
+    structure = LinearStructure(mass, stiffness=stiffness, damping=ModalDamping(np.full(kept, 0.02)))
     np.testing.assert_allclose(structure.modes(kept).angular_frequencies, exact, rtol=1e-11)
-    dense = LinearStructure(np.ones(n), ModalDamping(0.02), stiffness.toarray())
+    dense = LinearStructure(np.ones(n), stiffness=stiffness.toarray(), damping=ModalDamping(0.02))
     record = noise_record(7, 300)
     for quantity in ("absolute_acceleration", "relative_displacement"):
         asked = dict(quantity=quantity, n_modes=kept, sensors=[0, 999, 1999])
         assert peak_error(simulate(structure, record, **asked), simulate(dense, record, **asked)) < 1e-8
     damping = 0.5 * mass + 1e-4 * stiffness
     damping[n - 1, n - 1] += 200.0  # a dashpot at the top couples the modes
-    sparse_c = LinearStructure(mass, damping, stiffness)
+    sparse_c = LinearStructure(mass, stiffness=stiffness, damping=damping)
     assert is_coupled(sparse_c.modal_damping(kept))
-    dense_c = LinearStructure(np.ones(n), damping.toarray(), stiffness.toarray())
+    dense_c = LinearStructure(np.ones(n), stiffness=stiffness.toarray(), damping=damping.toarray())
     dense_c._modes = dense._modes  # found above
     asked = dict(n_modes=kept, sensors=[1999])
     assert peak_error(simulate(sparse_c, record, **asked), simulate(dense_c, record, **asked)) < 1e-8
@@ -407,7 +423,7 @@ def test_small_sparse_structure_with_all_modes():
     mass, damping, stiffness = chain.matrices()
     record = noise_record(8)
     structure = LinearStructure(
-        sparse.csr_matrix(mass), sparse.coo_array(damping), sparse.dia_matrix(stiffness)
+        sparse.csr_matrix(mass), stiffness=sparse.dia_matrix(stiffness), damping=sparse.coo_array(damping)
     )
     assert all(sparse.issparse(a) for a in structure.matrices())
     assert peak_error(simulate(structure, record), simulate(chain, record)) < 1e-12
@@ -432,7 +448,7 @@ def test_several_supports_against_lsim(coupled):
     system = np.block([[zero, eye], [-inverse @ stiffness, -inverse @ damping]])
     entry = np.vstack([np.zeros((4, 2)), -influence])
     below = np.hstack([-inverse @ stiffness, -inverse @ damping])
-    structure = LinearStructure(mass, damping, stiffness, influence=influence)
+    structure = LinearStructure(mass, stiffness=stiffness, damping=damping, influence=influence)
     assert is_coupled(structure.modal_damping()) == coupled
     for quantity, rows, through in (
         ("absolute_acceleration", below, np.zeros((4, 2))),
@@ -455,7 +471,7 @@ def test_forces_against_lsim(coupled, matrix):
     system = np.block([[zero, eye], [-inverse @ stiffness, -inverse @ damping]])
     push = inverse @ (eye if matrix is None else np.array(matrix))
     entry = np.vstack([np.zeros_like(push), push])
-    structure = LinearStructure(mass, damping, stiffness)
+    structure = LinearStructure(mass, stiffness=stiffness, damping=damping)
     for quantity, rows, through in (
         ("absolute_acceleration", system[3:], push),
         ("relative_acceleration", system[3:], push),
@@ -469,7 +485,9 @@ def test_supports_that_move_together_are_one_base():
     chain, record = random_chain(4, "rayleigh"), noise_record(11)
     mass, damping, stiffness = chain.matrices()
     share = np.linspace(0.1, 0.8, 5)
-    two = LinearStructure(mass, damping, stiffness, influence=np.column_stack([share, 1.0 - share]))
+    two = LinearStructure(
+        mass, stiffness=stiffness, damping=damping, influence=np.column_stack([share, 1.0 - share])
+    )
     loading = Loading([record.acceleration] * 2, record.dt, name="twins")
     assert two.n_supports == 2 and two.modes().participation_factors.shape == (5, 2)
     for quantity in QUANTITIES:
@@ -486,7 +504,7 @@ def test_outputs_are_combinations(kind, n_modes):
     """S x: drifts of a chain, of coupled damping, of any quantity, by hand."""
     chain, record = random_chain(4, "rayleigh"), noise_record(12)
     drifts = np.eye(5) - np.eye(5, k=-1)
-    for structure in (chain, *as_linear(chain), LinearStructure(*random_structure(12, 5))):
+    for structure in (chain, *as_linear(chain), of_matrices(*random_structure(12, 5))):
         for quantity in QUANTITIES:
             asked = dict(quantity=quantity, n_modes=n_modes)
             history = simulate(structure, record, **asked).values
@@ -511,8 +529,8 @@ def affine(kind=np.asarray, **kwargs):
     lower, upper = np.diag([100.0, 0.0]), 80.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     return AffineStructure(
         kind(np.diag([1.0, 2.0])),
-        kind(np.diag([0.5, 0.0])),
-        kind(lower),
+        stiffness=kind(lower),
+        damping=kind(np.diag([0.5, 0.0])),
         stiffness_terms=[kind(upper), None],
         mass_terms=[None, kind(np.diag([0.0, 1.0]))],
         damping_terms=[kind(0.01 * upper), None],
@@ -534,7 +552,7 @@ def test_affine_matrices(kind):
     )
     for a, b in zip(changed.matrices(), expected, strict=True):
         np.testing.assert_allclose(a.toarray() if sparse.issparse(a) else a, b, rtol=1e-15)
-    assert peak_error(simulate(changed, record), simulate(LinearStructure(*expected), record)) < 1e-12
+    assert peak_error(simulate(changed, record), simulate(of_matrices(*expected), record)) < 1e-12
     assert structure.theta.tolist() == [1.0, 0.0] and changed.theta.tolist() == [0.7, 0.25]
     for before, after in zip(structure.constants(record)[:3], changed.constants(record)[:3], strict=True):
         assert before is after and before.shape[0] == 3
@@ -546,7 +564,9 @@ def test_affine_sparse_patterns_may_differ():
     parts = [sparse.random_array((30, 30), density=0.05, rng=rng) for _ in range(3)]
     parts = [a + a.T for a in parts]
     base = 50.0 * sparse.eye_array(30)
-    structure = AffineStructure(np.ones(30), UNDAMPED, base, stiffness_terms=parts, theta=[0.5, -1.0, 2.0])
+    structure = AffineStructure(
+        np.ones(30), stiffness=base, damping=UNDAMPED, stiffness_terms=parts, theta=[0.5, -1.0, 2.0]
+    )
     expected = base.toarray() + sum(c * a.toarray() for c, a in zip([0.5, -1.0, 2.0], parts, strict=True))
     np.testing.assert_allclose(structure.stiffness.toarray(), expected, rtol=1e-14)
 
@@ -560,7 +580,7 @@ def test_symbolic_parameters_are_for_models():
         with pytest.raises(TypeError, match="must have numbers as parameters"):
             simulate(symbolic, noise_record(0))
         assert response(symbolic, noise_record(0)).type.shape[0] == 2
-    assert LinearStructure([1.0], RayleighDamping(pt.scalar(), 0.0), [1.0]).is_symbolic
+    assert LinearStructure([1.0], stiffness=[1.0], damping=RayleighDamping(pt.scalar(), 0.0)).is_symbolic
 
 
 def test_road_to_a_model():
@@ -587,7 +607,7 @@ def test_road_to_a_model():
 def test_is_a_value():
     """What was passed is copied, what is kept is read-only, copies and pickles are the same."""
     stiffness = np.array([[2.0, -1.0], [-1.0, 2.0]])
-    structure = LinearStructure([1.0, 1.0], UNDAMPED, stiffness)
+    structure = LinearStructure([1.0, 1.0], stiffness=stiffness, damping=UNDAMPED)
     stiffness[0, 0] = 99.0
     assert structure.stiffness[0, 0] == 2.0
     with pytest.raises(ValueError, match="read-only"):
@@ -603,7 +623,7 @@ def test_is_a_value():
             same.values[0, 0] = 1.0
     expected = simulate(structure, loading)
     np.testing.assert_array_equal(simulate(pickle.loads(pickle.dumps(structure)), loading), expected)
-    large = LinearStructure(np.ones(50), UNDAMPED, spring_chain(50, 100.0))
+    large = LinearStructure(np.ones(50), stiffness=spring_chain(50, 100.0), damping=UNDAMPED)
     asked = dict(record=noise_record(17), n_modes=3)
     for same in (copy.deepcopy(large), pickle.loads(pickle.dumps(large))):
         np.testing.assert_array_equal(simulate(same, **asked), simulate(large, **asked))
@@ -622,7 +642,7 @@ def test_modes_that_cannot_be_found_are_said(monkeypatch):
 
 def test_symmetric_up_to_rounding():
     matrix = np.array([[2.0, -1.0], [-1.0 - 1e-13, 2.0]])
-    structure = LinearStructure([1.0, 1.0], UNDAMPED, matrix)
+    structure = LinearStructure([1.0, 1.0], stiffness=matrix, damping=UNDAMPED)
     assert (structure.stiffness == structure.stiffness.T).all()
 
 
@@ -687,16 +707,16 @@ def test_refused_matrices(kind, changes, match):
 
 def test_the_negative_eigenvalue_is_named():
     with pytest.raises(ValueError, match=r"got omega\^2 = -1 \(rad/s\)\^2 as the lowest eigenvalue. Check"):
-        LinearStructure([1.0, 1.0], UNDAMPED, [[1.0, -2.0], [-2.0, 1.0]])
+        LinearStructure([1.0, 1.0], stiffness=[[1.0, -2.0], [-2.0, 1.0]], damping=UNDAMPED)
 
 
 def test_a_dashpot_or_a_shared_mass_is_a_connection():
     """The rule for degrees of freedom without stiffness: refused if nothing else touches them."""
     stiffness = np.diag([2.0, 0.0])
-    LinearStructure(np.eye(2), np.diag([0.0, 1.0]), stiffness)
-    LinearStructure([[2.0, 0.5], [0.5, 1.0]], UNDAMPED, stiffness)
+    LinearStructure(np.eye(2), stiffness=stiffness, damping=np.diag([0.0, 1.0]))
+    LinearStructure([[2.0, 0.5], [0.5, 1.0]], stiffness=stiffness, damping=UNDAMPED)
     with pytest.raises(ValueError, match="got a row of zeros for 1 and others. Remove the degree of freedom"):
-        LinearStructure(np.ones(3), RayleighDamping(0.1, 0.0), np.diag([2.0, 0.0, 0.0]))
+        LinearStructure(np.ones(3), stiffness=np.diag([2.0, 0.0, 0.0]), damping=RayleighDamping(0.1, 0.0))
 
 
 @pytest.mark.parametrize(
@@ -812,7 +832,9 @@ def test_refused_modes():
         ValueError, match="`n_modes` must be below half of the 3001 degrees of freedom of a spar"
     ):
         natural_modes(sparse.eye_array(3001), large, 3001)
-    few = LinearStructure(np.ones(3), ModalDamping([0.1, 0.2]), spring_chain(3, 1.0).toarray())
+    few = LinearStructure(
+        np.ones(3), stiffness=spring_chain(3, 1.0).toarray(), damping=ModalDamping([0.1, 0.2])
+    )
     np.testing.assert_allclose(few.modes(2).damping_ratios, [0.1, 0.2], rtol=1e-14)
     np.testing.assert_allclose(few.modes(1).damping_ratios, [0.1], rtol=1e-14)
     with pytest.raises(
@@ -896,7 +918,7 @@ def test_negative_stiffness_beside_stiff_elements_is_found():
     negative = np.array(
         [[stiff - 500.0, -stiff, 0.0], [-stiff, stiff + 1000.0, -1000.0], [0.0, -1000.0, 1000.0]]
     )
-    structure = LinearStructure(np.ones(3), UNDAMPED, negative)
+    structure = LinearStructure(np.ones(3), stiffness=negative, damping=UNDAMPED)
     with pytest.raises(ValueError, match=r"no negative eigenvalue, got omega\^2 = -17\d"):
         simulate(structure, noise_record(0))
     omega, rows = np.empty(3), np.empty((3, 3))

@@ -390,7 +390,9 @@ def chain_arguments(n, kind, ratios):
     zero = np.zeros((n, n))
     terms = [kind(springs(n, row)) for row in np.eye(n)], [kind(np.diag(row)) for row in np.eye(n)]
     structure = AffineStructure(
-        *(kind(zero), ModalDamping(ratios), kind(zero)),
+        kind(zero),
+        stiffness=kind(zero),
+        damping=ModalDamping(ratios),
         stiffness_terms=[*terms[0], *[None] * n],
         mass_terms=[*[None] * n, *terms[1]],
         theta=np.concatenate([stiffness, mass]),
@@ -677,7 +679,7 @@ def test_twenty_modes_of_two_thousand(coupled):
     top = sparse.coo_array(([200.0], ([n - 1], [n - 1])), shape=(n, n))
     damping = (0.5 * sparse.eye_array(n) + top).tocsc() if coupled else RayleighDamping(0.5, 0.0)
     structure = AffineStructure(
-        np.ones(n), damping, sparse.csc_array((n, n)), stiffness_terms=terms, theta=theta
+        np.ones(n), stiffness=sparse.csc_array((n, n)), damping=damping, stiffness_terms=terms, theta=theta
     )
     record = Record(rng.normal(size=300), 0.02)
     sensors = np.array([300, 999, 1999])
@@ -736,7 +738,11 @@ def test_constants_of_structures():
     stiffness = sparse.csc_array(springs(4, 100.0))
     dashpot = sparse.csc_array(np.diag([0.0, 0.0, 0.0, 2.0]))
     structure = AffineStructure(
-        np.ones(4), 0.1 * stiffness, stiffness, stiffness_terms=[dashpot], influence=np.eye(4)[:, :2]
+        np.ones(4),
+        stiffness=stiffness,
+        damping=0.1 * stiffness,
+        stiffness_terms=[dashpot],
+        influence=np.eye(4)[:, :2],
     )
     record = Loading(np.ones((2, 5)), 0.1)
     mass, damping, spring, rows, starts, influence, forces = structure.constants(record)
@@ -748,7 +754,7 @@ def test_constants_of_structures():
     push = Loading(np.ones(5), 0.1, kind="force", matrix=np.ones((4, 1)))
     *_, influence, forces = structure.constants(push)
     assert not influence.any() and forces.tolist() == [[1.0]] * 4
-    plain = LinearStructure(np.ones(2), ModalDamping(0.1), np.eye(2))
+    plain = LinearStructure(np.ones(2), stiffness=np.eye(2), damping=ModalDamping(0.1))
     mass, damping, _, rows, starts, *_ = plain.constants(Record([0.0, 1.0], 0.1))
     assert mass.shape == (1, 4) and damping.shape == (0, 4) and rows.size == starts.size == 0
     assert [a.size for a in plain.parameters()] == [0, 2, 2]
@@ -762,7 +768,7 @@ def test_simulate_and_the_kernel_are_one():
     """Of a damping matrix that couples the modes, and of one that does not."""
     case = random_case(18, 4, coupled=True, n_modes=3)
     for damping in (case.damping[0], 0.1 * case.mass[0]):
-        structure = LinearStructure(case.mass[0], damping, case.stiffness[0])
+        structure = LinearStructure(case.mass[0], stiffness=case.stiffness[0], damping=damping)
         record = Record(case.inputs[0], case.dt)
         expected = simulate(structure, record, n_modes=3, dt=0.06)
         found = linear_response(

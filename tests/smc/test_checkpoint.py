@@ -15,7 +15,6 @@ import pytest
 from support.external_functions import SHAPE, Counted, beam, note
 
 from pymc_features import (
-    CheckpointError,
     DiscrepancySimulator,
     ExternalSimulator,
     PersistentSMC,
@@ -25,6 +24,7 @@ from pymc_features import (
     TruncNormalFeature,
     sample_smc,
 )
+from pymc_features.exceptions import CheckpointError
 from pymc_features.smc import KERNELS
 from pymc_features.smc.kernels.checkpoint import MAGIC, Checkpoint, Journal
 

@@ -21,16 +21,18 @@ from scipy.special import expit, gamma
 from pymc_features import (
     DiscrepancySimulator,
     ModalDamping,
-    PopulationWarning,
     Record,
-    SimulationWarning,
     SpringMassChain,
     SubsetSimulation,
-    SubsetSimulationWarning,
-    ToleranceNotReachedError,
     response,
     sample_smc,
     simulate,
+)
+from pymc_features.exceptions import (
+    PopulationWarning,
+    SimulationWarning,
+    SubsetSimulationWarning,
+    ToleranceNotReachedError,
 )
 from pymc_features.smc.density.discrepancy import SimulatorNode
 from pymc_features.smc.kernels import subset
@@ -465,7 +467,7 @@ def test_report_of_a_run(tmp_path, monkeypatch):
     assert rho.max() > 0.99 * problem.epsilon
     found = idata.sample_stats
     expected = iter(fractions)
-    for k, tolerances in enumerate(found["tolerance"].values):
+    for k, tolerances in enumerate(found["epsilon"].values):
         tolerances = tolerances[~np.isnan(tolerances)]
         assert tolerances[-1] == problem.epsilon
         assert (np.diff(tolerances) < 0).all()
@@ -520,7 +522,7 @@ def test_parallel_chains_give_the_same_draws(mp_ctx):
         warnings.filterwarnings("ignore", message=".*use of fork", category=DeprecationWarning)
         found = sample(model, 200, chains=2, cores=2, mp_ctx=mp_ctx)
     np.testing.assert_allclose(found.posterior["theta"], expected.posterior["theta"], rtol=1e-12)
-    np.testing.assert_allclose(found.sample_stats["tolerance"], expected.sample_stats["tolerance"])
+    np.testing.assert_allclose(found.sample_stats["epsilon"], expected.sample_stats["epsilon"])
 
 
 PULSE = Record(np.random.default_rng(0).normal(size=100), 0.02)
