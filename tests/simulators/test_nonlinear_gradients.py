@@ -87,23 +87,23 @@ def data(family, given, where, seed=3):
 CASES = {
     "bouc-wen": ("hysteretic", {}, {}),
     "bouc-wen, modal, n = 3.3, coarse velocity": (
-        *("hysteretic", {"modal": True, "sharpness": 3.3}),
+        "hysteretic",
+        {"modal": True, "sharpness": 3.3},
         {"stride": 3, "quantity": 2},
     ),
     "bouc-wen, n = 1.3, fine displacement": (
-        *("hysteretic", {"sharpness": 1.3}),
+        "hysteretic",
+        {"sharpness": 1.3},
         {"substeps": 3, "n_times": 30, "quantity": 3},
     ),
     "bouc-wen, ten masses, one sensor twice": (
-        *("hysteretic", {"n": 10, "modal": True}),
+        "hysteretic",
+        {"n": 10, "modal": True},
         {"n": 10, "n_times": 40, "quantity": 1, "sensors": (9, 3, 9)},
     ),
     "duffing": ("duffing", {}, {}),
     "duffing, modal, fine": ("duffing", {"modal": True}, {"substeps": 2, "n_times": 40}),
-    "duffing, one mass, coarse displacement": (
-        *("duffing", {"n": 1}),
-        {"n": 1, "stride": 2, "quantity": 3},
-    ),
+    "duffing, one mass, coarse displacement": ("duffing", {"n": 1}, {"n": 1, "stride": 2, "quantity": 3}),
 }
 
 

@@ -3,6 +3,8 @@
 `n_modes` is the number of degrees of freedom. What surrounds a kernel takes some 20 microseconds.
 """
 
+from functools import cached_property
+
 import numpy as np
 
 from pymc_features.simulators.compiled.vector import LANES
@@ -69,12 +71,17 @@ class Problem:
             states,
         )
 
+    @cached_property
+    def adjoint_memory(self):
+        """Memory of a gradient, and of the steps that it goes back through."""
+        return chain_memory(self.n), tape_memory(self.n)
+
     def gradient(self, parameters, cotangent_of) -> NonlinearParameters:
         """Gradient of sum_jk W_jk y_jk for one chain; `cotangent_of` makes W (s, u) of its response."""
         (response,), states = self.response(parameters, [self.wanted.quantity], keep_states=True)
         if np.isnan(response).any():
             return NonlinearParameters(*(np.full(p.shape, np.nan) for p in parameters))
-        grad, tape = chain_memory(self.n), tape_memory(self.n)
+        grad, tape = self.adjoint_memory
         return gradient_kernel(
             self.chain,
             grad.ctypes.data,
