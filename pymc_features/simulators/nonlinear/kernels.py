@@ -79,7 +79,7 @@ class Problem:
     def gradient(self, parameters, cotangent_of) -> NonlinearParameters:
         """Gradient of sum_jk W_jk y_jk for one chain; `cotangent_of` makes W (s, u) of its response."""
         (response,), states = self.response(parameters, [self.wanted.quantity], keep_states=True)
-        if np.isnan(response).any():
+        if not np.isfinite(response[..., -1]).all():
             return NonlinearParameters(*(np.full(p.shape, np.nan) for p in parameters))
         grad, tape = self.adjoint_memory
         return gradient_kernel(
@@ -154,7 +154,7 @@ def nonlinear_kernels(law) -> dict:
         for k, own_weights in enumerate(weights):
 
             def cotangent_of(response, c=own_weights):
-                return response_cotangent(observed - response, c)
+                return response_cotangent(response, observed, c)
 
             own = problem.gradient(particle(problem.parameters, k), cotangent_of)
             for total, gradient in zip(gradients, own, strict=True):

@@ -50,18 +50,24 @@ def misfit_kernel(law, parameters, excitation, wanted, observed, result):
         march_misfit(law, particle(parameters, k), excitation, wanted, observed, result[k])
 
 
-def response_cotangent(misfit, weights):
+@jit
+def response_cotangent(response, observed, weights):
     """Derivative (s, u) by the response of the sum of weights (s, q) times the first q statistics.
 
     L = c_0 sum_k r_k^2 / N + c_1 sum_k (r_k - r_{k-1})^2 / N + c_2 r_0 + c_3 r_{N-1}, dL/dy = -dL/dr.
     """
-    c = np.zeros((len(misfit), 4))
-    c[:, : weights.shape[1]] = weights
-    increments = c[:, 1:2] * np.diff(misfit, axis=1)
-    by_misfit = c[:, :1] * misfit
-    by_misfit[:, 1:] += increments
-    by_misfit[:, :-1] -= increments
-    by_misfit *= 2.0 / misfit.shape[1]
-    by_misfit[:, 0] += c[:, 2]
-    by_misfit[:, -1] += c[:, 3]
-    return -by_misfit
+    n_sensors, total = response.shape
+    result, c = observed - response, np.zeros(4)
+    for j in range(n_sensors):
+        c[: weights.shape[1]] = weights[j]
+        before = result[j, 0]
+        result[j, 0] *= -2.0 * c[0] / total
+        for k in range(1, total):
+            misfit = result[j, k]
+            by_increment = 2.0 * c[1] / total * (misfit - before)
+            result[j, k] = -2.0 * c[0] / total * misfit - by_increment
+            result[j, k - 1] += by_increment
+            before = misfit
+        result[j, 0] -= c[2]
+        result[j, total - 1] -= c[3]
+    return result
