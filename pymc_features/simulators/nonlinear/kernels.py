@@ -11,7 +11,7 @@ from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.nonlinear.differences import directional_derivative
 from pymc_features.simulators.nonlinear.gradient import gradient_kernel
 from pymc_features.simulators.nonlinear.layout import chain_memory, padded
-from pymc_features.simulators.nonlinear.misfit import misfit_kernel, response_cotangent
+from pymc_features.simulators.nonlinear.misfit import misfit_kernel
 from pymc_features.simulators.nonlinear.parameters import (
     NonlinearParameters,
     check_history,
@@ -22,6 +22,7 @@ from pymc_features.simulators.nonlinear.parameters import (
 from pymc_features.simulators.nonlinear.response import history_kernel
 from pymc_features.simulators.nonlinear.tape import Tape, record_size, tape_memory
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs, n_outputs
+from pymc_features.simulators.oscillators.misfit import weigh_history
 
 
 def numbers(array) -> np.ndarray:
@@ -148,13 +149,17 @@ def nonlinear_kernels(law) -> dict:
         problem = Problem(law, parameters, excitation, wanted)
         observed, weights = problem.history(observed), numbers(weights)
         expected = (n_particles(problem.parameters), len(observed))
-        if weights.shape[:2] != expected:
-            raise ValueError(f"`weights` must have the shape {expected} of particles and sensors in front")
+        if weights.shape not in ((*expected, 1), (*expected, 4)):
+            raise ValueError(
+                f"`weights` must have the shape {(*expected, '1 or 4')} (particle, sensor, statistic), "
+                f"got {weights.shape}."
+            )
         gradients = NonlinearParameters(*(np.zeros(p.shape) for p in problem.parameters))
         for k, own_weights in enumerate(weights):
 
             def cotangent_of(response, c=own_weights):
-                return response_cotangent(response, observed, c)
+                weigh_history(response, observed, c)
+                return response
 
             own = problem.gradient(particle(problem.parameters, k), cotangent_of)
             for total, gradient in zip(gradients, own, strict=True):

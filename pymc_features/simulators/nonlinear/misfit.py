@@ -1,15 +1,16 @@
-"""Statistics of the misfit between data and the response of a nonlinear chain, and their derivative.
+"""Statistics of the misfit between data and the response of a nonlinear chain; no history is kept.
 
-Of r = data - response at N_D samples: the mean of r_k^2, the sum of (r_k - r_{k-1})^2 over N_D, r_0 and
-r_{N-1}, of each sensor. The values need no history.
+Of r = data - response at N samples: the mean of r_k^2, the sum of (r_k - r_{k-1})^2 over N, r_0 and r_{N-1},
+of each sensor.
 """
 
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.nonlinear.parameters import particle
-from pymc_features.simulators.nonlinear.response import begin, ground_at, next_sample, write_outputs
+from pymc_features.simulators.nonlinear.response import begin, next_sample, write_outputs
 from pymc_features.simulators.nonlinear.state import prepare
+from pymc_features.simulators.oscillators.arguments import ground_at
 
 
 @jit
@@ -48,26 +49,3 @@ def misfit_kernel(law, parameters, excitation, wanted, observed, result):
     """
     for k in range(result.shape[0]):
         march_misfit(law, particle(parameters, k), excitation, wanted, observed, result[k])
-
-
-@jit
-def response_cotangent(response, observed, weights):
-    """Derivative (s, u) by the response of the sum of weights (s, q) times the first q statistics.
-
-    L = c_0 sum_k r_k^2 / N + c_1 sum_k (r_k - r_{k-1})^2 / N + c_2 r_0 + c_3 r_{N-1}, dL/dy = -dL/dr.
-    """
-    n_sensors, total = response.shape
-    result, c = observed - response, np.zeros(4)
-    for j in range(n_sensors):
-        c[: weights.shape[1]] = weights[j]
-        before = result[j, 0]
-        result[j, 0] *= -2.0 * c[0] / total
-        for k in range(1, total):
-            misfit = result[j, k]
-            by_increment = 2.0 * c[1] / total * (misfit - before)
-            result[j, k] = -2.0 * c[0] / total * misfit - by_increment
-            result[j, k - 1] += by_increment
-            before = misfit
-        result[j, 0] -= c[2]
-        result[j, total - 1] -= c[3]
-    return result
