@@ -32,8 +32,8 @@ from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.state_space import StateMatrices, march_state, modal_equations
 from pymc_features.simulators.linear.system import is_coupled
 from pymc_features.simulators.oscillators.arguments import Excitation
-from pymc_features.simulators.oscillators.march import march_modes
 from pymc_features.simulators.oscillators.modal_system import ModalSystem
+from pymc_features.simulators.oscillators.recursion import march_modes
 
 UNDAMPED = ModalDamping(0.0)
 

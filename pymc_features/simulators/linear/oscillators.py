@@ -1,4 +1,4 @@
-"""Gradients and tangents of structures whose modes are uncoupled, by `oscillators.derivatives`."""
+"""Gradients and tangents of structures whose modes are uncoupled, by `oscillators.gradient`."""
 
 import numpy as np
 
@@ -6,8 +6,9 @@ from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear.projection import Cotangent
 from pymc_features.simulators.linear.system import modes_at_outputs
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION
-from pymc_features.simulators.oscillators.derivatives import ModalChange, march_change, modal_gradient
+from pymc_features.simulators.oscillators.gradient import modal_gradient
 from pymc_features.simulators.oscillators.modal_system import DampingLaw
+from pymc_features.simulators.oscillators.tangent import ModalChange, march_change
 
 NO_WEIGHTS = np.empty((0, 0))
 

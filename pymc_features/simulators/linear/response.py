@@ -12,8 +12,7 @@ from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.dense_population import march_structure
 from pymc_features.simulators.linear.state_space import march_state, state_matrices
 from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
-from pymc_features.simulators.oscillators.march import march_modes
-from pymc_features.simulators.oscillators.misfit import statistics
+from pymc_features.simulators.oscillators.recursion import march_modes, statistics
 
 
 def linear_response(parameters, excitation, wanted) -> np.ndarray:
