@@ -104,7 +104,8 @@ def response(op, static, parameters, acceleration, dt, sensors):
 def march_misfit(inputs, begin, add):
     """Sum over the misfit; returns the sums, how many samples they are of, and if there is a structure.
 
-    `inputs` are those of `discrepancy`; `begin(first)` makes the sums of none from the first misfit (s,), and `add(sums, misfit, there)` adds a
+    `inputs` are those of `discrepancy`; `begin(first)` makes the sums of none from the first misfit (s,), and
+    `add(sums, misfit, there)` adds a
     block (BLOCK, s), `there` (BLOCK, 1) being 0 behind the end.
     """
     op, (substeps, stride, n_modes), parameters, acceleration, dt, sensors, observed = inputs
