@@ -1,4 +1,32 @@
-"""Arrays in, arrays out: modes, the exact recursion, and the discrepancy, as compiled kernels."""
+"""Arrays in, arrays out: response, misfit and their derivatives, as compiled kernels.
+
+Rooms: `compiled` (machine code), `oscillators` (uncoupled modes through time), `chain`, `linear` and
+`nonlinear` (from the parameters of a family to its modes or states), and above them `families`, the table of
+all kernels. Nothing here knows of PyMC or PyTensor.
+
+Symbols, as in the equations of the documentation:
+
+=============================  ================================================================================
+`mass`, `damping`, `stiffness`  M [kg], C [N s/m], K [N/m] of M x" + C x' + K x = load; of chains their entries
+`theta`                         parameters of the matrices, A(theta) = A_0 + sum_i theta_i A_i
+`rayleigh`, `ratios`            alpha [1/s] and beta [s]; damping ratios [-] added to Rayleigh's
+`omega`                         angular frequencies of the modes [rad/s]; lambda = omega^2
+`modal_damping`                 D = 2 zeta omega = alpha + beta omega^2 + 2 ratio omega [1/s]
+`shapes`, `rows`                mode shapes Phi, Phi' M Phi = 1, in columns or in rows; S Phi at the outputs S
+`participation`                 Gamma = Phi' load: of unit accelerations of the supports, or of unit forces
+`influence`, `support_motion`   iota, displacements under unit displacements of the supports; S iota
+`feed`                          J of Eq. (24), what stands before the inputs in the response
+`acceleration`, `ground`        inputs at the record's samples; at the steps of the recursion
+`dt`, `step`                    sampling interval of the record [s]; h = dt / substeps of the recursion [s]
+`s`, `d`                        (omega h)^2 and D h of the recursion [-]
+`observed`, `misfit`            data y; r = y - g; its statistics e (Eq. 3), squared increments, first, last
+`weights`, `cotangent`          derivatives of a number L by those statistics; by the response
+`z`                             internal variable of a hysteretic spring [-]
+=============================  ================================================================================
+
+Letters for sizes: n degrees of freedom, m modes kept, s sensors, d inputs, t samples of the record, u of the
+response, p particles or parameters. The derivative of L by x is `grad_x` or `by_x`, a direction of x `d_x`.
+"""
 
 from pymc_features.simulators.chain.gradient import (
     discrepancy_tangent,
