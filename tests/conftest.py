@@ -13,17 +13,20 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 
 def pytest_collection_modifyitems(items):
-    """README and notebooks first, then what compiles nothing, then large files, and JAX last.
+    """What runs on one worker, and in which order: the longest first, so that workers end together.
 
-    So one process compiles the kernels that the other will need. JAX starts threads, and other tests fork.
+    A file is one group, for the sake of its fixtures, and so is each notebook. JAX comes last: it starts
+    threads, and other tests fork.
     """
 
     def place(item):
         name = item.path.name
-        light = name.startswith(("test_io", "test_records", "test_channels", "test_signals", "test_datasets"))
-        rank = 0 if name == "test_documents.py" else 1 if light else 3 if name == "test_jax.py" else 2
+        rank = 0 if "notebook" in item.keywords else 2 if name == "test_jax.py" else 1
         return rank, -item.path.stat().st_size
 
+    for item in items:
+        group = item.name if "notebook" in item.keywords else str(item.path)
+        item.add_marker(pytest.mark.xdist_group(group))
     items.sort(key=place)
 
 
