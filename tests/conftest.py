@@ -59,6 +59,15 @@ def record():
     return synthetic_earthquake(31.16, 0.02, seed=1940, pga=3.13)
 
 
+@pytest.fixture(scope="module")
+def fast_compile():
+    """Compile for small examples."""
+    import pytensor
+
+    with pytensor.config.change_flags(mode="FAST_COMPILE"):
+        yield
+
+
 @pytest.fixture(autouse=True)
 def no_network(monkeypatch):
     """Refuse connections to other machines: the tests must pass without a network."""

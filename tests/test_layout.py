@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.pages import run
 
 import pymc_features
+from support.pages import run
 
 ROOT = Path(pymc_features.__file__).parent
 

@@ -5,9 +5,9 @@ import sys
 
 import nbformat
 import pytest
-from support.pages import ROOT, run
 
 import pymc_features
+from support.pages import ROOT, run
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 

@@ -5,9 +5,8 @@ import json
 import re
 import sys
 
-from support.pages import PAGES, README, ROOT, blocks, run, script
-
 import pymc_features
+from support.pages import PAGES, README, ROOT, blocks, run, script
 
 
 def from_docs(name: str):

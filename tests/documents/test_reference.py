@@ -3,9 +3,9 @@
 import sys
 
 from sphinx.util.inventory import InventoryFile
-from support.pages import ROOT, run
 
 import pymc_features
+from support.pages import ROOT, run
 
 
 def test_reference_is_built_without_warnings(tmp_path):

@@ -14,8 +14,6 @@ import numpy as np
 import pymc as pm
 import pytensor
 import pytest
-from support import external_functions as functions
-from support.external_functions import SECONDS, SHAPE, Counted, Hanging, beam, lives, wait_until
 
 from pymc_features import (
     CorrelatedNormal,
@@ -37,22 +35,12 @@ from pymc_features.external.processes.batch import NoWorkersError
 from pymc_features.external.processes.process import SimulatorProcess, UnusableSimulatorError
 from pymc_features.external.progress import Lines, clock
 from pymc_features.smc import population_logp
+from support import external_functions as functions
+from support.external_functions import SECONDS, SHAPE, Counted, Hanging, beam, lives, wait_until
+from support.sampling import QUIET
 
 DATA = 2.0 * beam(1.0)
-QUIET = {"progressbar": False, "compute_convergence_checks": False}
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:. sensors with one sigma"),
-    pytest.mark.filterwarnings("ignore:RandomVariable Ops will stop hiding"),
-    pytest.mark.filterwarnings("ignore:Calling a RandomVariable without an explicit rng"),
-    pytest.mark.filterwarnings("ignore:This process .* is multi-threaded"),  # of processes that only wait
-]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    """Compile for small examples."""
-    with pytensor.config.change_flags(mode="FAST_COMPILE"):
-        yield
+pytestmark = pytest.mark.usefixtures("fast_compile")
 
 
 @pytest.fixture

@@ -17,10 +17,7 @@ import cloudpickle
 import numba
 import numpy as np
 import pymc as pm
-import pytensor
 import pytest
-from support import external_functions as functions
-from support.external_functions import SHAPE, Counted, beam, lives, wait_until
 
 from pymc_features import (
     CommandLine,
@@ -35,22 +32,12 @@ from pymc_features.external.processes.calls import Outcome
 from pymc_features.fingerprint import UnknownIdentityError, fingerprint
 from pymc_features.smc.kernels.checkpoint import model_fingerprint
 from pymc_features.smc.sample import is_parallel_by_itself
+from support import external_functions as functions
+from support.external_functions import SHAPE, Counted, beam, lives, wait_until
+from support.sampling import QUIET
 
 DATA = 2.0 * beam(1.0)
-QUIET = {"progressbar": False, "compute_convergence_checks": False}
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:2 sensors with one sigma"),
-    pytest.mark.filterwarnings("ignore:RandomVariable Ops will stop hiding"),
-    pytest.mark.filterwarnings("ignore:Calling a RandomVariable without an explicit rng"),
-    pytest.mark.filterwarnings("ignore:This process .* is multi-threaded"),  # of processes that only wait
-]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    """Compile for small examples."""
-    with pytensor.config.change_flags(mode="FAST_COMPILE"):
-        yield
+pytestmark = pytest.mark.usefixtures("fast_compile")
 
 
 @pytest.fixture

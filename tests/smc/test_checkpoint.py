@@ -10,9 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pymc as pm
-import pytensor
 import pytest
-from support.external_functions import SHAPE, Counted, beam, note
 
 from pymc_features import (
     CheckpointError,
@@ -27,24 +25,12 @@ from pymc_features import (
 )
 from pymc_features.smc import KERNELS
 from pymc_features.smc.kernels.checkpoint import MAGIC, Checkpoint, Journal
+from support.external_functions import SHAPE, Counted, beam, note
+from support.sampling import QUIET
 
 DATA = 2.0 * beam(1.0)
-QUIET = {"progressbar": False, "compute_convergence_checks": False}
 DRAWS = 80
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:. sensors with one sigma"),
-    pytest.mark.filterwarnings("ignore:SubsetSimulation draws from rho"),
-    pytest.mark.filterwarnings("ignore:RandomVariable Ops will stop hiding"),
-    pytest.mark.filterwarnings("ignore:Calling a RandomVariable without an explicit rng"),
-    pytest.mark.filterwarnings("ignore:This process .* is multi-threaded"),  # of processes that only wait
-]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    """Compile for small examples."""
-    with pytensor.config.change_flags(mode="FAST_COMPILE"):
-        yield
+pytestmark = pytest.mark.usefixtures("fast_compile")
 
 
 class Interrupted(BaseException):

@@ -4,7 +4,6 @@ import gc
 import multiprocessing
 import resource
 import sys
-import warnings
 import weakref
 
 import numpy as np
@@ -35,6 +34,7 @@ from pymc_features import (
 from pymc_features.smc import KERNELS, PopulationLogp
 from pymc_features.smc.density import evaluation
 from pymc_features.smc.density.evaluation import population_logp
+from support.sampling import SERIAL
 
 PULSE = Record(np.random.default_rng(0).normal(size=200), 0.02, name="pulse")
 SCALED = {"rtol": 1e-10, "atol": 1e-10}
@@ -48,13 +48,6 @@ def chain(theta, n_dof=3):
 def measured(n_dof=3, record=PULSE):
     exact = simulate(chain(1.0, n_dof), record).values
     return exact + 0.3 * np.random.default_rng(1).normal(size=exact.shape)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    """Compile for small examples; tests of the default mode leave this with `default_mode`."""
-    with pytensor.config.change_flags(mode="FAST_COMPILE"):
-        yield
 
 
 @pytest.fixture
@@ -116,17 +109,14 @@ def structure():
     return model
 
 
-pytestmark = pytest.mark.filterwarnings("ignore:3 sensors with one sigma")
+pytestmark = pytest.mark.usefixtures("fast_compile")
 MODELS = (gaussian, many_variables, discrete, potential, data, structure)
 
 
 def sample(model, kernel, draws=60, chains=1, **settings):
-    settings = {"cores": 1, "random_seed": 5, "progressbar": False, **settings}
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="More chains")
-        return pm.sample_smc(
-            draws, kernel, model=model, chains=chains, compute_convergence_checks=False, **settings
-        )
+    return pm.sample_smc(
+        draws, kernel, model=model, chains=chains, **{"random_seed": 5, **SERIAL, **settings}
+    )
 
 
 def assert_same(one, other, **tolerance):
