@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import pymc_features
-from support.pages import run
+from support.commands import run
 
 ROOT = Path(pymc_features.__file__).parent
 

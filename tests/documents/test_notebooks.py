@@ -7,7 +7,7 @@ import nbformat
 import pytest
 
 import pymc_features
-from support.pages import ROOT, run
+from support.commands import ROOT, run
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 

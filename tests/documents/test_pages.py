@@ -6,7 +6,8 @@ import re
 import sys
 
 import pymc_features
-from support.pages import PAGES, README, ROOT, blocks, run, script
+from support.commands import ROOT, run
+from support.pages import PAGES, README, blocks, script
 
 
 def from_docs(name: str):

@@ -6,7 +6,8 @@ import shutil
 import sys
 from pathlib import Path
 
-from support.pages import ROOT, run, script
+from support.commands import ROOT, run
+from support.pages import script
 
 
 def follow(page: Path, folder: Path) -> list[Path]:

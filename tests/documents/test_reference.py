@@ -5,7 +5,7 @@ import sys
 from sphinx.util.inventory import InventoryFile
 
 import pymc_features
-from support.pages import ROOT, run
+from support.commands import ROOT, run
 
 
 def test_reference_is_built_without_warnings(tmp_path):

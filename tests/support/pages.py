@@ -1,19 +1,12 @@
-"""The repository's pages: their blocks of code, and commands run on them."""
+"""The README and the pages of docs/, and their blocks of code."""
 
 import re
-import subprocess
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from support.commands import ROOT
+
 README = ROOT / "README.md"
 PAGES = sorted((ROOT / "docs").glob("*.md"))
-
-
-def run(*command, **options):
-    """Output of a command; a test fails with what it complained of."""
-    done = subprocess.run(command, capture_output=True, text=True, **options)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
 
 
 def blocks(path: Path, kind: str) -> list[str]:
