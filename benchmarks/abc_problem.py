@@ -13,7 +13,12 @@ from scipy.interpolate import RectBivariateSpline
 
 import pymc_features as pmf
 from benchmarks.problem import Problem
-from pymc_features.simulators import chain_discrepancy, chain_response, population_discrepancy
+from pymc_features.simulators import (
+    ChainParameters,
+    chain_discrepancy,
+    chain_response,
+    population_discrepancy,
+)
 
 LOWER, UPPER = 0.5, 1.5  # of both factors
 ACCEPTANCE = 2.6e-4  # P(rho <= epsilon) under the prior
@@ -35,7 +40,7 @@ class ToleranceProblem:
         example = Problem()
         self.record, self.measured = example.record, example.measured
         self.parameters = example.parameters
-        self.settings = (self.record.acceleration, self.record.dt, 1, 1, example.sensors, 10, 0)
+        self.settings = example.settings
 
     def stiffness(self, theta):
         """Springs [N/m], shape (..., 10), of factors (..., 2)."""
@@ -47,21 +52,21 @@ class ToleranceProblem:
     def rho(self, theta):
         """Discrepancies (n,) of points (n, 2), by the batched kernel."""
         mass, _, *damping = (p[None] for p in self.parameters)
-        population = (mass, self.stiffness(np.asarray(theta)), *damping)
-        return population_discrepancy(*population, *self.settings, self.measured).sum(axis=1)
+        population = ChainParameters(mass, self.stiffness(np.asarray(theta)), *damping)
+        return population_discrepancy(population, *self.settings, self.measured).sum(axis=1)
 
     def rho_of_one(self, theta):
         """Discrepancy of one point (2,), by the scalar kernel."""
-        return chain_discrepancy(*self.structure(theta), *self.settings, self.measured).sum()
+        return chain_discrepancy(self.structure(theta), *self.settings, self.measured).sum()
 
     def response_of_one(self, theta):
         """Response (10, 1000) of one point (2,)."""
-        return chain_response(*self.structure(theta), *self.settings)
+        return chain_response(self.structure(theta), *self.settings)
 
     def structure(self, theta):
         """Mass, stiffness, damping of one point (2,)."""
         mass, _, *damping = self.parameters
-        return mass, self.stiffness(np.asarray(theta)), *damping
+        return ChainParameters(mass, self.stiffness(np.asarray(theta)), *damping)
 
     @cached_property
     def exact(self):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import pymc_features as pmf
-from pymc_features.simulators import chain_response
+from pymc_features.simulators import ChainParameters, Excitation, Outputs, chain_response
 
 ALPHA, BETA = 0.2265, 6.7515e-4  # Rayleigh damping of the source's example [1/s], [s]
 STIFFNESS = 1800.0  # N/m
@@ -53,6 +53,12 @@ class Case:
         return np.array([ALPHA, BETA])
 
     @property
+    def settings(self):
+        """Excitation and outputs, as the kernels take them."""
+        excitation = Excitation(self.acceleration, self.dt, self.substeps, stride=1)
+        return excitation, Outputs(self.sensors, self.n_dof, quantity=0)
+
+    @property
     def step(self):
         """Step of the output [s]."""
         return self.dt / self.substeps
@@ -84,17 +90,9 @@ def build(record, *, particles, n_dof=10, n_sensors=None, substeps=1, seed=0):
     sensors = np.unique(np.linspace(0, n_dof - 1, n_sensors or n_dof).round().astype(np.int64))
     nominal = np.full(n_dof, STIFFNESS)
     exact = chain_response(
-        np.ones(n_dof),
-        nominal,
-        np.array([ALPHA, BETA]),
-        np.zeros(n_dof),
-        record.acceleration,
-        record.dt,
-        substeps,
-        1,
-        sensors,
-        n_dof,
-        0,
+        ChainParameters(np.ones(n_dof), nominal, np.array([ALPHA, BETA]), np.zeros(n_dof)),
+        Excitation(record.acceleration, record.dt, substeps, stride=1),
+        Outputs(sensors, n_dof, quantity=0),
     )
     scale = NOISE * np.sqrt(np.mean(exact**2, axis=1, keepdims=True))
     stiffness = np.tile(nominal, (particles, 1))

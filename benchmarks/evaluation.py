@@ -11,7 +11,7 @@ import numpy as np
 import pymc_features as pmf
 from benchmarks import likelihood
 from benchmarks.case import build
-from benchmarks.routes import ROUTES, batched, scalar
+from benchmarks.routes import ROUTES, scalar
 from benchmarks.tables import significant, table
 from benchmarks.timing import best_of_rounds, matrix_product
 
@@ -87,6 +87,4 @@ def run(quick=False):
         headers = ["route", "ns per particle and step", "us per particle", "x batched", "% of dgemm", "error"]
         print(table(headers, rows))
         print(f"\ndgemm of 1000 x 1000: {rate / 1e9:.1f} Gflop/s, one thread. Least of interleaved rounds.")
-    if batched.IS_STAND_IN:
-        print("population_discrepancy is not there: the scalar kernel in a loop stands in for it.")
     likelihood.run(quick)

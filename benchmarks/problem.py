@@ -12,7 +12,7 @@ import numpy as np
 import pymc as pm
 
 import pymc_features as pmf
-from pymc_features.simulators import chain_discrepancy
+from pymc_features.simulators import ChainParameters, Excitation, Outputs, chain_discrepancy
 from pymc_features.study.quadrature import DiscrepancyCurve, exact_posterior, exponents
 
 LOWER = np.array([0.5, 0.01])  # theta [-], sigma [m/s^2]
@@ -29,17 +29,18 @@ class Problem:
         self.record = pmf.synthetic_earthquake(19.98, 0.02, seed=1, pga=2.0)
         self.measured = pmf.paper.measurements(self.record, multipliers=(1.0,), seed=2).values
         self.parameters = pmf.paper.chain().parameters()
-        self.sensors = np.arange(10)
+        self.settings = (
+            Excitation(self.record.acceleration, self.record.dt, 1, 1),
+            Outputs(np.arange(10), n_modes=10, quantity=0),
+        )
 
     def discrepancies(self, theta):
         """e_j by the scalar kernel, shape (10,)."""
         mass, stiffness, rayleigh, ratios = self.parameters
         stiffness = stiffness.copy()
         stiffness[:3] *= theta
-        return chain_discrepancy(
-            *(mass, stiffness, rayleigh, ratios, self.record.acceleration, self.record.dt),
-            *(1, 1, self.sensors, 10, 0, self.measured),
-        )
+        chain = ChainParameters(mass, stiffness, rayleigh, ratios)
+        return chain_discrepancy(chain, *self.settings, self.measured)
 
     def log_likelihood(self, theta, sigma):
         """TN, Eq. (7)."""

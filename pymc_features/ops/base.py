@@ -29,12 +29,15 @@ class StructuralOp(Op):
     more_signature, output_signature : str
         Shapes of what comes behind the family's inputs, and of the outputs; "parameters" stands for those of
         the parameters.
+    takes_directions : bool
+        Whether a direction of each parameter comes last.
     """
 
     __props__ = ("quantity", "family")
     kernel_name: str
     more_signature = ""
     output_signature: str
+    takes_directions = False
 
     def __init__(self, quantity: str = "absolute_acceleration", family: str = "chain"):
         self.quantity = quantity
@@ -120,8 +123,17 @@ class StructuralOp(Op):
     def run(self, inputs) -> tuple[np.ndarray, ...]:
         """What the kernel makes of arrays."""
         arrays = [np.ascontiguousarray(x) if np.ndim(x) else x.item() for x in inputs]
-        results = self.kernel(*arrays[: self.n_common], self.quantity_code, *arrays[self.n_common :])
+        arguments = self.spec.assemble(arrays[: self.n_common], self.quantity_code)
+        more, directions = self.split(arrays[self.n_common :])
+        results = self.kernel(*arguments, *more, *directions)
         return results if isinstance(results, tuple) else (results,)
+
+    def split(self, more):
+        """What follows the family's inputs, and a tuple with the tuple of directions if there are any."""
+        if not self.takes_directions:
+            return more, ()
+        first = len(more) - self.n_parameters
+        return more[:first], (tuple(more[first:]),)
 
     def connection_pattern(self, node):
         """Parameters and data count; constants, the record, the sampling and the sensors do not."""

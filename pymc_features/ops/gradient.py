@@ -72,6 +72,8 @@ class Gradient(Derivative):
 class Tangent(Derivative):
     """Forward mode: directions of the parameters come last."""
 
+    takes_directions = True
+
     @property
     def n_linear(self):
         return self.n_parameters

@@ -24,7 +24,8 @@ from pymc_features.ops.gradient import (
 from pymc_features.ops.misfit import StructuralMisfit
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationMisfit
 from pymc_features.ops.response import StructuralResponse
-from pymc_features.simulators import SOURCE_HASH
+from pymc_features.simulators.compiled.dependencies import source_hash
+from pymc_features.simulators.oscillators.arguments import Excitation, Outputs
 
 DISPATCH_HASH = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
@@ -43,11 +44,13 @@ OPS = (
 
 
 def cache_key(op) -> str:
-    """Key of an Op's machine code: type, properties, and hashes of the kernels' source and of this file.
+    """Key of an Op's machine code: type, properties, and hashes of this file and of the kernel's source.
 
-    PyTensor's own key sees neither: an edited kernel would silently run old code.
+    PyTensor's own key sees neither: an edited kernel would silently run old code. A kernel that runs in
+    Python is not part of the machine code.
     """
-    return default_hash_key_from_props(op, kernel=SOURCE_HASH, dispatch=DISPATCH_HASH)
+    kernel = source_hash(op.kernel.__module__) if op.spec.compiled else ""
+    return default_hash_key_from_props(op, kernel=kernel, dispatch=DISPATCH_HASH)
 
 
 def prepared(arrays):
@@ -70,14 +73,28 @@ def funcify(op, node=None, **kwargs):
 
 
 def compiled(op):
-    """A call from compiled code to compiled code."""
-    kernel, quantity, n_common = op.kernel, op.quantity_code, op.n_common
+    """A call from compiled code to compiled code; Numba slices tuples between constants only."""
+    kernel, quantity, arguments = op.kernel, op.quantity_code, op.spec.arguments
+    settings = len(arguments._fields)
+    outputs, more = settings + len(Excitation._fields), op.n_common
+    directions = more + len(op.more_ndims) - op.n_parameters
+
+    @numba_njit
+    def assembled(inputs):
+        parameters, excitation = arguments(*inputs[:settings]), Excitation(*inputs[settings:outputs])
+        return parameters, excitation, Outputs(*inputs[outputs:more], quantity)
 
     @numba_njit
     def structural_op(*inputs):
-        return kernel(*prepared(inputs[:n_common]), quantity, *prepared(inputs[n_common:]))
+        given = prepared(inputs)
+        return kernel(*assembled(given), *given[more:])
 
-    return structural_op
+    @numba_njit
+    def along_directions(*inputs):
+        given = prepared(inputs)
+        return kernel(*assembled(given), *given[more:directions], given[directions:])
+
+    return along_directions if op.takes_directions else structural_op
 
 
 def in_python(op, node):

@@ -147,16 +147,12 @@ def respond(structure, record, dt, asked, rows) -> TensorVariable:
     rows = op.spec.rows(rows, structure.n_dof)
     if op.spec.takes_outputs:
         rows = as_data(to_dense(rows), "outputs")
-    return op(
-        *structure.parameters(),
-        *map(as_data, structure.constants(record), op.spec.constants),
-        as_data(structure.excitation(record), record.name or "acceleration"),
-        record.dt,
-        substeps,
-        stride,
-        rows,
-        asked.n_modes,
-    )
+    asked = asked._replace(substeps=substeps, stride=stride)
+    inputs = dict(zip(op.names, op.spec.inputs_of(structure, record, asked, rows), strict=True))
+    for name in op.spec.constants:
+        inputs[name] = as_data(inputs[name], name)
+    inputs["acceleration"] = as_data(inputs["acceleration"], record.name or "acceleration")
+    return op(*inputs.values())
 
 
 def as_data(array, name):

@@ -4,14 +4,13 @@ import numpy as np
 
 from pymc_features.prediction.histories import Systems, response_blocks
 from pymc_features.simulators.linear.system import STIFFEST
-from pymc_features.simulators.oscillators.march import modal_table
-from pymc_features.simulators.oscillators.recursion import (
+from pymc_features.simulators.oscillators.arguments import (
     ABSOLUTE_ACCELERATION,
-    N_ROWS,
     QUANTITIES,
     RELATIVE_ACCELERATION,
-    modal_system,
 )
+from pymc_features.simulators.oscillators.march import modal_table
+from pymc_features.simulators.oscillators.recursion import N_ROWS, modal_system
 from pymc_features.simulators.quantities import HISTORIES, force_share, rows_of
 
 

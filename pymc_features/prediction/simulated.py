@@ -5,7 +5,7 @@ import numpy as np
 from pymc_features.prediction.history_file import Spill
 from pymc_features.simulators.families import NONLINEAR
 from pymc_features.simulators.nonlinear.response import nonlinear_histories
-from pymc_features.simulators.oscillators.recursion import QUANTITIES
+from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation
 from pymc_features.simulators.quantities import HISTORIES, rows_of
 from pymc_features.simulators.simulate import simulate
 
@@ -51,10 +51,7 @@ class Simulated:
         values = nonlinear_histories(
             NONLINEAR[structure.family],
             structure.parameters(),
-            record.acceleration,
-            record.dt,
-            asked.substeps,
-            asked.stride,
+            Excitation(record.acceleration, record.dt, asked.substeps, asked.stride),
             np.arange(structure.n_dof),
             [QUANTITIES.index(source) for source in sources],
         )

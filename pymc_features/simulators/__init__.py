@@ -6,11 +6,12 @@ from pymc_features.simulators.chain.gradient import (
     population_gradient,
     response_gradient,
 )
+from pymc_features.simulators.chain.parameters import ChainParameters
 from pymc_features.simulators.chain.population import population_discrepancy, population_misfit
 from pymc_features.simulators.chain.tangent import discrepancy_tangent, response_tangent
-from pymc_features.simulators.compiled.jit import SOURCE_HASH
 from pymc_features.simulators.families import FAMILIES
-from pymc_features.simulators.oscillators.recursion import QUANTITIES, chain_response, n_outputs
+from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation, Outputs, n_outputs
+from pymc_features.simulators.oscillators.recursion import chain_response
 from pymc_features.simulators.quantities import HISTORIES, at_outputs, checked_request, force_share, rows_of
 from pymc_features.simulators.request import UNITS, request
 from pymc_features.simulators.simulate import simulate
@@ -20,7 +21,9 @@ __all__ = [
     "FAMILIES",
     "HISTORIES",
     "QUANTITIES",
-    "SOURCE_HASH",
+    "ChainParameters",
+    "Excitation",
+    "Outputs",
     "UNITS",
     "at_outputs",
     "chain_discrepancy",

@@ -1,15 +1,15 @@
 """Families of structures: for each the inputs of its kernels, and the kernels.
 
-All kernels take the family's parameters, its constants, then the excitation, the record's step, substeps,
-stride, sensors, number of modes and the code of the quantity; some take more behind that:
+All kernels take three named tuples, and some take more behind them: the parameters and constants of the
+family, see `arguments`; the `Excitation`; and the `Outputs` wanted.
 
 response                -                                   the history (s, u)
 discrepancy             data (s, u)                         mean squares (s,) of the misfit, Eq. (3)
 misfit                  data                                its statistics (s, 4), see `chain_misfit`
 response_gradient       cotangent W (s, u)                  gradient of sum W y by each parameter
 discrepancy_gradient    data, weights c (s,)                gradient of sum c_j e_j by each parameter
-response_tangent        a direction of each parameter       derivative (s, u) along it
-discrepancy_tangent     data, directions                    derivative (s,) along it
+response_tangent        tuple of a direction of each         derivative (s, u) along it
+discrepancy_tangent     data, tuple of directions           derivative (s,) along it
 population_discrepancy  data                                (p, s), with parameters (p, ...) or (1, ...)
 population_misfit       data                                (p, s, 4)
 population_gradient     data, weights (p, s)                gradients in the shapes of the parameters
@@ -29,6 +29,7 @@ from pymc_features.simulators.chain.gradient import (
     population_gradient,
     response_gradient,
 )
+from pymc_features.simulators.chain.parameters import ChainParameters
 from pymc_features.simulators.chain.population import population_discrepancy, population_misfit
 from pymc_features.simulators.chain.tangent import discrepancy_tangent, response_tangent
 from pymc_features.simulators.linear import (
@@ -43,9 +44,11 @@ from pymc_features.simulators.linear import (
     linear_response_gradient,
     linear_response_tangent,
 )
+from pymc_features.simulators.linear.arguments import LinearParameters
 from pymc_features.simulators.nonlinear.bouc_wen import BoucWen
 from pymc_features.simulators.nonlinear.duffing import Cubic
-from pymc_features.simulators.nonlinear.kernels import nonlinear_kernels
+from pymc_features.simulators.nonlinear.kernels import NonlinearParameters, nonlinear_kernels
+from pymc_features.simulators.oscillators.arguments import Excitation, Outputs
 from pymc_features.simulators.oscillators.recursion import chain_response
 
 
@@ -54,6 +57,8 @@ class Family(NamedTuple):
 
     Attributes
     ----------
+    arguments : type
+        Named tuple of the parameters and constants.
     parameters : dict
         Name and shape of what may be random and is differentiated.
     kernels : dict
@@ -66,6 +71,7 @@ class Family(NamedTuple):
         Whether the kernels can be called from compiled code.
     """
 
+    arguments: type
     parameters: dict[str, str]
     kernels: dict[str, Callable]
     constants: dict[str, str] = {}  # noqa: RUF012
@@ -84,6 +90,15 @@ class Family(NamedTuple):
             | {"sensors": self.sensors, "n_modes": ""}
         )
 
+    def assemble(self, inputs, quantity: int) -> tuple:
+        """The three named tuples of a kernel, from inputs in the order of `inputs`."""
+        n = len(self.arguments._fields)
+        return (
+            self.arguments(*inputs[:n]),
+            Excitation(*inputs[n : n + 4]),
+            Outputs(*inputs[n + 4 :], quantity),
+        )
+
     def dtype(self, name: str) -> str:
         """Type of an input."""
         whole = ("substeps", "stride", "n_modes", *self.integers)
@@ -94,6 +109,19 @@ class Family(NamedTuple):
     def takes_outputs(self) -> bool:
         """Whether the kernels take combinations of degrees of freedom, S (s, n)."""
         return count(self.sensors) == 2
+
+    def inputs_of(self, structure, record, asked, rows) -> list:
+        """Inputs in the order of `inputs`, for a request, and rows as from `rows`."""
+        return [
+            *structure.parameters(),
+            *structure.constants(record),
+            structure.excitation(record),
+            record.dt,
+            asked.substeps,
+            asked.stride,
+            rows,
+            asked.n_modes,
+        ]
 
     def rows(self, picked: np.ndarray, n_dof: int):
         """Degrees of freedom (s,) as the kernels take them; sparse where that is a matrix (s, n)."""
@@ -113,6 +141,7 @@ SPRINGS = {"mass": "n", "stiffness": "n", "rayleigh": "2", "ratios": "n"}
 
 FAMILIES = {
     "chain": Family(
+        ChainParameters,
         SPRINGS,
         {
             "response": chain_response,
@@ -129,6 +158,7 @@ FAMILIES = {
         compiled=True,
     ),
     "linear": Family(
+        LinearParameters,
         {"theta": "p", "rayleigh": "2", "ratios": "k"},
         {
             "response": linear_response,
@@ -157,5 +187,6 @@ FAMILIES = {
     ),
 }
 FAMILIES |= {
-    name: Family(SPRINGS | {"law": "l,n"}, nonlinear_kernels(law)) for name, law in NONLINEAR.items()
+    name: Family(NonlinearParameters, SPRINGS | {"law": "l,n"}, nonlinear_kernels(law))
+    for name, law in NONLINEAR.items()
 }

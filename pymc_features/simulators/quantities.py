@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.simulators.oscillators.recursion import QUANTITIES
+from pymc_features.simulators.oscillators.arguments import QUANTITIES
 from pymc_features.simulators.request import UNITS, Request, check_outputs, request
 
 

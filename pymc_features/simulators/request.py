@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.simulators.oscillators.recursion import QUANTITIES
+from pymc_features.simulators.oscillators.arguments import QUANTITIES
 
 UNITS = dict(zip(QUANTITIES, ("m/s^2", "m/s^2", "m/s", "m"), strict=True))
 

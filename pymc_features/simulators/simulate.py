@@ -111,17 +111,8 @@ def respond(structure, record, asked, rows) -> np.ndarray:
     if structure.family == "linear":  # keeps its modes from one response to the next
         modes = structure.modes(asked.n_modes)
         kernel = partial(response_in_modes, modes.angular_frequencies, modes.mode_shapes)
-    history = kernel(
-        *structure.parameters(),
-        *structure.constants(record),
-        structure.excitation(record),
-        record.dt,
-        asked.substeps,
-        asked.stride,
-        picked,
-        asked.n_modes,
-        asked.quantity_code,
-    )
+    inputs = family.inputs_of(structure, record, asked, picked)
+    history = kernel(*family.assemble(inputs, asked.quantity_code))
     return rows @ history if combined else history
 
 

@@ -4,6 +4,7 @@ import xarray as xr
 
 from pymc_features.simulators.families import NONLINEAR
 from pymc_features.simulators.nonlinear.response import DRIFT, MEMORY, SPRING_FORCE, nonlinear_histories
+from pymc_features.simulators.oscillators.arguments import Excitation
 from pymc_features.simulators.request import request
 from pymc_features.simulators.simulate import check_arguments
 
@@ -81,10 +82,7 @@ def _histories(structure, record, codes, *, dt=None, refine=1):
     values = nonlinear_histories(
         NONLINEAR[structure.family],
         structure.parameters(),
-        structure.excitation(record),
-        record.dt,
-        asked.substeps,
-        asked.stride,
+        Excitation(structure.excitation(record), record.dt, asked.substeps, asked.stride),
         asked.sensors,
         codes,
         refine,

@@ -42,22 +42,10 @@ def computed_sums(at: Callable[[float], Structure], record, data, dt: float) -> 
 
     def sums(theta):
         structure = at(theta)
-        squares, increments, first, last = (
-            FAMILIES[structure.family]
-            .kernels["misfit"](
-                *structure.parameters(),
-                *structure.constants(record),
-                structure.excitation(record),
-                record.dt,
-                asked.substeps,
-                asked.stride,
-                asked.sensors,
-                asked.n_modes,
-                asked.quantity_code,
-                data,
-            )
-            .T
-        )
+        family = FAMILIES[structure.family]
+        inputs = family.inputs_of(structure, record, asked, family.rows(asked.sensors, structure.n_dof))
+        arguments = family.assemble(inputs, asked.quantity_code)
+        squares, increments, first, last = family.kernels["misfit"](*arguments, data).T
         return np.array([squares.sum(), increments.sum(), first @ first, last @ last])
 
     return sums

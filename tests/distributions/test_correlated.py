@@ -15,18 +15,12 @@ from scipy import linalg, optimize, stats
 import pymc_features
 from pymc_features import CorrelatedNormal, RayleighDamping, SpringMassChain, response, simulate
 from pymc_features.ops import PopulationMisfit, StructuralMisfit, StructuralResponse, misfit_statistics
-from pymc_features.simulators import (
-    QUANTITIES,
-    chain_misfit,
-    chain_response,
-    population_discrepancy,
-    population_misfit,
-    request,
-)
+from pymc_features.simulators import QUANTITIES, request
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.smc.density.evaluation import population_logp
 from support.commands import run_python
 from support.graphs import LIGHT, PLAIN, our_ops, our_ops_of
+from support.kernels import chain_misfit, chain_response, population_discrepancy, population_misfit
 from support.structures import noise_record, three_storeys, with_first_spring, with_noise
 
 DT = 0.02

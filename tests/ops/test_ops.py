@@ -3,7 +3,6 @@
 import functools
 import os
 import pickle
-import shutil
 import subprocess
 import sys
 import textwrap
@@ -44,12 +43,12 @@ from pymc_features.ops import (
     StructuralDiscrepancy,
     StructuralMisfit,
     StructuralResponse,
-    numba_dispatch,
     response_node,
 )
 from pymc_features.ops.base import count
 from pymc_features.ops.response import response_step
-from pymc_features.simulators import FAMILIES, QUANTITIES, chain_discrepancy, chain_response, n_outputs
+from pymc_features.simulators import FAMILIES, QUANTITIES, n_outputs
+from support.kernels import chain_discrepancy, chain_response
 
 CORE_OPS = (StructuralResponse, StructuralDiscrepancy, StructuralMisfit)  # of one set of parameters
 CORRELATED = functools.partial(CorrelatedNormal, correlation_time=0.1)
@@ -545,19 +544,6 @@ def test_models_survive_cloudpickle(pulse, measured):
     assert np.isfinite(a)
 
 
-# --------------------------------------------------------------------------- caches
-
-
-def test_cache_key_holds_type_quantity_and_kernel_source(monkeypatch):
-    keys = {numba_dispatch.cache_key(op(quantity)) for op in OPS for quantity in QUANTITIES}
-    assert len(keys) == len(OPS) * len(QUANTITIES)
-    assert all(numba_dispatch.funcify(op())[1] == numba_dispatch.cache_key(op()) for op in OPS)
-    assert set(numba_dispatch.OPS) == set(OPS)
-    monkeypatch.setattr(numba_dispatch, "SOURCE_HASH", "edited")
-    edited = {numba_dispatch.cache_key(op(quantity)) for op in OPS for quantity in QUANTITIES}
-    assert not keys & edited
-
-
 def run_python(code, folder, **environment):
     """Standard output of a fresh interpreter that imports the package these tests import."""
     package = str(Path(pymc_features.__file__).parents[1])
@@ -571,62 +557,6 @@ def run_python(code, folder, **environment):
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
-
-
-@pytest.fixture(scope="module")
-def edits(tmp_path_factory):
-    """Discrepancy of one particle and of a population: first, then with kernels and dispatch edited."""
-    folder = tmp_path_factory.mktemp("edited")
-    package = folder / "pymc_features"
-    shutil.copytree(
-        Path(pymc_features.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__")
-    )
-    environment = {
-        "PYTHONPATH": str(folder),
-        "PYTHONDONTWRITEBYTECODE": "1",
-        "PYTENSOR_FLAGS": f"base_compiledir={folder / 'pytensor'}",
-        "NUMBA_CACHE_DIR": str(folder / "numba"),
-    }
-    code = """
-        import numpy as np, pytensor, pymc_features
-        import pytensor.tensor as pt
-        from pymc_features.ops import StructuralDiscrepancy
-        from pytensor.graph.replace import vectorize_graph
-        mass, masses = pt.vector("mass"), pt.matrix("masses")
-        one = np.ones(1)
-        e = StructuralDiscrepancy()(mass, 50 * one, 0 * np.ones(2), 0.1 * one, np.arange(3.0), 0.02, 1, 1,
-                               np.arange(1), 1, np.ones((1, 3)))
-        both = [e[0], vectorize_graph(e, {mass: masses})[0, 0]]
-        values = pytensor.function([mass, masses], both, mode="NUMBA")(one, np.ones((1, 1)))
-        print(pymc_features.__file__, *map(float, values))
-    """
-    values = []
-    for changes in (
-        {},
-        {
-            "simulators/chain/discrepancy.py": ("errors[j] /= total", "errors[j] *= 2.0 / total"),
-            "simulators/oscillators/population_recursion.py": (
-                "errors[j, lane] / n_times",
-                "5.0 * errors[j, lane] / n_times",
-            ),
-            "ops/numba_dispatch.py": ("return kernel(", "return 3.0 * kernel("),
-        },
-    ):
-        for file, (old, new) in changes.items():
-            source = (package / file).read_text()
-            assert source.count(old) == 1
-            (package / file).write_text(source.replace(old, new))
-        where, *numbers = run_python(code, folder, **environment).split()
-        assert Path(where).parent == package
-        values.append([float(x) for x in numbers])
-    return np.array(values)
-
-
-def test_edited_code_is_seen(edits):
-    """By the next process: in the kernel of one particle (twice), in that of populations (five times), and in
-    what stands between PyTensor and both (three times), which is compiled, and cached, with them.
-    """
-    assert edits[1] == pytest.approx(edits[0] * [6.0, 15.0], rel=1e-14)
 
 
 # --------------------------------------------------------------------------- memory

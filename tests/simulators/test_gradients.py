@@ -40,9 +40,8 @@ from pymc_features.ops.gradient import (
     ResponseGradient,
     ResponseTangent,
 )
-from pymc_features.simulators import (
-    FAMILIES,
-    QUANTITIES,
+from pymc_features.simulators import FAMILIES, QUANTITIES
+from support.kernels import (
     chain_response,
     discrepancy_gradient,
     discrepancy_tangent,
@@ -695,7 +694,7 @@ def test_log_probability_of_models(likelihood):
 PEAK_GROWTH = """
     import resource, sys
     import numpy as np
-    from pymc_features.simulators import discrepancy_gradient, population_gradient, response_tangent
+    from support.kernels import discrepancy_gradient, population_gradient, response_tangent
 
     def peak():
         size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -19,9 +19,10 @@ from pymc_features import (
     simulate,
     spring_forces,
 )
-from pymc_features.simulators import QUANTITIES
-from pymc_features.simulators.families import FAMILIES, NONLINEAR
+from pymc_features.simulators import QUANTITIES, Excitation
+from pymc_features.simulators.families import NONLINEAR
 from pymc_features.simulators.nonlinear.response import nonlinear_histories
+from support.kernels import flat_kernels
 
 RAYLEIGH = RayleighDamping(0.2, 1e-3)
 
@@ -90,8 +91,8 @@ def distance(ours, theirs):
 def histories(structure, record, refine=1, quantities=(0, 3)):
     """Histories (quantity, sensor, time), with the steps divided by `refine`."""
     law, sensors = NONLINEAR[structure.family], np.arange(structure.n_dof)
-    settings = (record.acceleration, record.dt, 1, 1, sensors, quantities)
-    return nonlinear_histories(law, structure.parameters(), *settings, refine)
+    excitation = Excitation(record.acceleration, record.dt, 1, 1)
+    return nonlinear_histories(law, structure.parameters(), excitation, sensors, quantities, refine)
 
 
 def tower(n):
@@ -160,7 +161,7 @@ def test_springs_that_do_not_move_yet():
 def test_gradient_where_springs_do_not_move_yet(n):
     """Kinks of rounding errors have no derivative: central differences, one-sided ones for no damping."""
     structure, record = tower(n), growing_record(50)
-    kernels = FAMILIES["hysteretic"].kernels
+    kernels = flat_kernels("hysteretic")
     parameters = [np.array(p) for p in structure.parameters()]
     settings = (record.acceleration, 0.02, 1, 1, np.arange(n), n, 0)
     cotangent = np.random.default_rng(1).normal(size=(n, 50))
@@ -442,7 +443,7 @@ def test_invalid_draws_give_nan(change):
         table = np.tile(np.array(list((TABLE | values).values()))[:, None], 2)
         settings = (np.array([0.0, 1.0, 0.5]), 0.02, 1, 1, np.arange(2), 2, 0)
         linear = (np.ones(2), np.full(2, 100.0), np.zeros(2), np.zeros(2))
-        return FAMILIES["hysteretic"].kernels["response"](*linear, table, *settings)
+        return flat_kernels("hysteretic")["response"](*linear, table, *settings)
 
     assert np.isfinite(run()).all()
     assert np.isnan(run(**change)).all()
@@ -460,7 +461,7 @@ def test_invalid_draws_give_nan(change):
     ],
 )
 def test_what_is_no_chain_gives_nan(linear):
-    kernel = FAMILIES["duffing"].kernels["response"]
+    kernel = flat_kernels("duffing")["response"]
     for cubic in (0.0, 10.0):
         settings = (np.array([0.0, 1.0, 0.5]), 0.02, 1, 1, np.arange(2), 2, 0)
         assert np.isnan(kernel(*linear, np.full((1, 2), cubic), *settings)).all()
@@ -542,4 +543,4 @@ def test_refusals_of_the_functions(chain):
             function(linear, record)
     arguments = (*chain.parameters(), record.acceleration, 0.02, 1, 1, np.arange(3), 2, 0)
     with pytest.raises(ValueError, match="`n_modes` must be all 3 of a nonlinear chain, got 2"):
-        FAMILIES[chain.family].kernels["response"](*arguments)
+        flat_kernels(chain.family)["response"](*arguments)

@@ -14,11 +14,16 @@ from pymc_features import (
     Record,
     SpringMassChain,
     simulate,
-    simulators,
 )
 from pymc_features.algebra import AffineMatrix, common_pattern, natural_modes
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.linear import (
+from pymc_features.simulators.linear import population
+from pymc_features.simulators.linear.arguments import Arguments
+from pymc_features.simulators.linear.complement import invert_outside
+from pymc_features.simulators.linear.dense import dense_modes
+from pymc_features.simulators.linear.system import is_coupled, solve_system
+from support import kernels
+from support.kernels import (
     linear_discrepancy,
     linear_discrepancy_gradient,
     linear_discrepancy_tangent,
@@ -29,12 +34,7 @@ from pymc_features.simulators.linear import (
     linear_response,
     linear_response_gradient,
     linear_response_tangent,
-    population,
 )
-from pymc_features.simulators.linear.arguments import Arguments
-from pymc_features.simulators.linear.complement import invert_outside
-from pymc_features.simulators.linear.dense import dense_modes
-from pymc_features.simulators.linear.system import is_coupled, solve_system
 
 N_PARAMETERS = 3
 
@@ -351,18 +351,18 @@ def test_kernels_of_the_chain(n_modes, quantity):
     (own, chain_rest), (parameters, rest) = chain_arguments(5, kind, np.linspace(0.01, 0.05, 5))
     chain = *own, *chain_rest, n_modes, quantity
     linear = *parameters, *rest, n_modes, quantity
-    expected = simulators.chain_response(*chain)
+    expected = kernels.chain_response(*chain)
     assert peak_error(linear_response(*linear), expected) < 1e-12
     observed = expected + np.abs(expected).max() * rng.normal(size=expected.shape)
     found = linear_misfit(*linear, observed)
-    np.testing.assert_allclose(found, simulators.chain_misfit(*chain, observed), rtol=1e-11)
+    np.testing.assert_allclose(found, kernels.chain_misfit(*chain, observed), rtol=1e-11)
     weights = rng.uniform(size=2)
-    mass, stiffness, rayleigh, ratios = simulators.discrepancy_gradient(*chain, observed, weights)
+    mass, stiffness, rayleigh, ratios = kernels.discrepancy_gradient(*chain, observed, weights)
     theta, *damping = linear_discrepancy_gradient(*linear, observed, weights)
     for one, other in zip((theta, *damping), (np.append(stiffness, mass), rayleigh, ratios), strict=True):
         assert peak_error(one, other) < 1e-10
     d_mass, d_stiffness, d_rayleigh, d_ratios = (rng.normal(size=a.size) * a for a in own)
-    expected = simulators.response_tangent(*chain, d_mass, d_stiffness, d_rayleigh, d_ratios)
+    expected = kernels.response_tangent(*chain, d_mass, d_stiffness, d_rayleigh, d_ratios)
     moved = linear_response_tangent(*linear, np.append(d_stiffness, d_mass), d_rayleigh, d_ratios)
     assert peak_error(moved, expected) < 1e-10
 
@@ -377,19 +377,19 @@ def test_population_of_chains(n, n_modes):
     population[3, 1], population[7, 0], damping = np.nan, -5000.0, np.tile(rayleigh, (19, 1))
     damping[11, 0] = -100.0
     theta = np.hstack([population, np.tile(mass, (19, 1))])
-    response = simulators.chain_response(*own, *chain_rest, n_modes, 0)
+    response = kernels.chain_response(*own, *chain_rest, n_modes, 0)
     observed = response + rng.normal(size=response.shape)
     chain = mass[None], population, damping, ratios[None], *chain_rest, n_modes, 0, observed
     linear = theta, damping, ratios[None], *rest, n_modes, 0, observed
     for of_chain, of_linear in (
-        (simulators.population_discrepancy, linear_population_discrepancy),
-        (simulators.population_misfit, linear_population_misfit),
+        (kernels.population_discrepancy, linear_population_discrepancy),
+        (kernels.population_misfit, linear_population_misfit),
     ):
         expected, found = of_chain(*chain), of_linear(*linear)
         assert np.isnan(found[[3, 7, 11]]).all() and np.isnan(found).any(axis=1).sum() in (3, 12)
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
     weights = rng.uniform(size=(19, 2))
-    expected = simulators.population_gradient(*chain, weights)
+    expected = kernels.population_gradient(*chain, weights)
     found = linear_population_gradient(*linear, weights)
     assert found[0].shape == theta.shape and found[2].shape == (1, n)
     good = np.setdiff1d(np.arange(19), [3, 7, 11])

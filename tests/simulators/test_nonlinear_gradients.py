@@ -6,16 +6,16 @@ from numba import njit
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
-from pymc_features.simulators import discrepancy_gradient, response_gradient
+from pymc_features.simulators import Excitation
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_math import logarithm, power
 from pymc_features.simulators.compiled.vector_memory import aligned, read_lanes, write_lanes
 from pymc_features.simulators.families import NONLINEAR
-from pymc_features.simulators.nonlinear.kernels import nonlinear_kernels
 from pymc_features.simulators.nonlinear.response import nonlinear_histories
 from pymc_features.simulators.nonlinear.tape import CAPACITY
+from support.kernels import discrepancy_gradient, flat_kernels, response_gradient
 
-KERNELS = {family: nonlinear_kernels(law) for family, law in NONLINEAR.items()}
+KERNELS = {family: flat_kernels(family) for family in NONLINEAR}
 NAMES = ("mass", "stiffness", "rayleigh", "ratios", "values")
 DT = 0.02
 
@@ -282,7 +282,7 @@ def test_accuracy_over_a_record(family, record):
     change = directions(given, 13)
 
     def fine(q):
-        return nonlinear_histories(NONLINEAR[family], q, *where[:5], [0], 6)[0]
+        return nonlinear_histories(NONLINEAR[family], q, Excitation(*where[:4]), where[4], [0], 6)[0]
 
     exact = differences(fine, given, change, 1e-5)
     ours = KERNELS[family]["response_tangent"](*given, *where, *change)

@@ -9,8 +9,9 @@ from scipy.linalg import expm
 
 from pymc_features import ModalDamping, Record, SpringMassChain, mean_square_discrepancy, paper, response
 from pymc_features.ops import PopulationDiscrepancy, StructuralDiscrepancy
-from pymc_features.simulators import QUANTITIES, chain_discrepancy, population_discrepancy, request
+from pymc_features.simulators import QUANTITIES, request
 from pymc_features.simulators.compiled.vector import LANES
+from support.kernels import chain_discrepancy, population_discrepancy
 
 DT = 0.02
 

@@ -9,8 +9,9 @@ from scipy.linalg import expm
 from scipy.signal import lsim
 
 from pymc_features import ModalDamping, RayleighDamping, Record, SpringMassChain, paper, simulate
-from pymc_features.simulators import QUANTITIES, UNITS, chain_discrepancy, chain_response
+from pymc_features.simulators import QUANTITIES, UNITS
 from pymc_features.simulators.oscillators.recursion import N_ROWS, first_order_hold
+from support.kernels import chain_discrepancy, chain_response
 from support.newmark import newmark
 
 # --------------------------------------------------------------------------- independent routes

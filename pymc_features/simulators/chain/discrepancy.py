@@ -3,13 +3,8 @@
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.oscillators.recursion import (
-    BLOCK,
-    advance,
-    check_sizes,
-    modal_system,
-    n_outputs,
-)
+from pymc_features.simulators.oscillators.arguments import n_outputs
+from pymc_features.simulators.oscillators.recursion import BLOCK, advance, check_sizes, modal_system
 
 
 @jit
@@ -72,26 +67,16 @@ def add_increments(misfits, count, is_first, chained, j):
 
 
 @jit
-def chain_discrepancy(
-    mass,
-    stiffness,
-    rayleigh,
-    ratios,
-    acceleration,
-    dt,
-    substeps,
-    stride,
-    sensors,
-    n_modes,
-    quantity,
-    observed,
-):
+def chain_discrepancy(parameters, excitation, wanted, observed):
     """e_j = (1/N_D) sum_k [y_j(k) - g_j(k; theta)]^2 of a spring-mass chain, Eq. (3).
 
     Parameters as in `recursion.chain_response`, and `observed` (s, u), the data in the units of
     the quantity. Returns an array (s,), NaN where the parameters describe no structure. Memory: a
     few blocks of 128 samples, whatever the length of the record.
     """
+    mass, stiffness, rayleigh, ratios = parameters
+    acceleration, dt, substeps, stride = excitation
+    sensors, n_modes, quantity = wanted
     return march_misfit(
         *((mass, stiffness, rayleigh, ratios), acceleration, dt, substeps, stride),
         *(sensors, n_modes, quantity, observed, None),
@@ -99,25 +84,15 @@ def chain_discrepancy(
 
 
 @jit
-def chain_misfit(
-    mass,
-    stiffness,
-    rayleigh,
-    ratios,
-    acceleration,
-    dt,
-    substeps,
-    stride,
-    sensors,
-    n_modes,
-    quantity,
-    observed,
-):
+def chain_misfit(parameters, excitation, wanted, observed):
     """What the log-density of errors correlated in time needs of the misfit r = y - g of each sensor.
 
     Parameters and cost in memory as those of `chain_discrepancy`. Returns an array (s, 4): e_j, the sum of
     the squared increments r(k) - r(k - 1) over N_D, the first misfit and the last.
     """
+    mass, stiffness, rayleigh, ratios = parameters
+    acceleration, dt, substeps, stride = excitation
+    sensors, n_modes, quantity = wanted
     result, chained = np.empty((sensors.size, 4)), np.empty((3, sensors.size))
     result[:, 0] = march_misfit(
         *((mass, stiffness, rayleigh, ratios), acceleration, dt, substeps, stride),

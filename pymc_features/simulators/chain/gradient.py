@@ -10,14 +10,9 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, interpolate, n_outputs
 from pymc_features.simulators.oscillators.close_modes import close_modes, pair_weights
-from pymc_features.simulators.oscillators.population_recursion import interpolate
-from pymc_features.simulators.oscillators.recursion import (
-    ABSOLUTE_ACCELERATION,
-    BLOCK,
-    check_sizes,
-    n_outputs,
-)
+from pymc_features.simulators.oscillators.recursion import BLOCK, check_sizes
 from pymc_features.simulators.oscillators.sensitivity import advance_modes, sensitive_modes
 
 
@@ -193,25 +188,15 @@ def add_gradient(
 
 
 @jit
-def response_gradient(
-    mass,
-    stiffness,
-    rayleigh,
-    ratios,
-    acceleration,
-    dt,
-    substeps,
-    stride,
-    sensors,
-    n_modes,
-    quantity,
-    cotangent,
-):
+def response_gradient(parameters, excitation, wanted, cotangent):
     """Gradient of sum_jk W_jk y_jk, W the `cotangent` (s, u), with respect to the parameters.
 
     Parameters as in `recursion.chain_response`. Returns arrays (n,), (n,), (2,), (n,) for mass, stiffness,
     rayleigh and ratios; NaN where the parameters describe no structure.
     """
+    mass, stiffness, rayleigh, ratios = parameters
+    acceleration, dt, substeps, stride = excitation
+    sensors, n_modes, quantity = wanted
     gradients = (np.zeros(mass.size), np.zeros(mass.size), np.zeros(2), np.zeros(mass.size))
     add_gradient(
         *((mass, stiffness, rayleigh, ratios), acceleration, dt, substeps, stride),
@@ -221,26 +206,15 @@ def response_gradient(
 
 
 @jit
-def discrepancy_gradient(
-    mass,
-    stiffness,
-    rayleigh,
-    ratios,
-    acceleration,
-    dt,
-    substeps,
-    stride,
-    sensors,
-    n_modes,
-    quantity,
-    observed,
-    weights,
-):
+def discrepancy_gradient(parameters, excitation, wanted, observed, weights):
     """Gradient of sum_j c_j e_j, c the `weights` (s,), e of Eq. (3), with respect to the parameters.
 
     Parameters as in `discrepancy.chain_discrepancy`. Returns as `response_gradient`. Memory: a few blocks of
     128 samples and modes, whatever the length of the record.
     """
+    mass, stiffness, rayleigh, ratios = parameters
+    acceleration, dt, substeps, stride = excitation
+    sensors, n_modes, quantity = wanted
     gradients = (np.zeros(mass.size), np.zeros(mass.size), np.zeros(2), np.zeros(mass.size))
     add_gradient(
         *((mass, stiffness, rayleigh, ratios), acceleration, dt, substeps, stride),
@@ -250,26 +224,15 @@ def discrepancy_gradient(
 
 
 @jit
-def population_gradient(
-    mass,
-    stiffness,
-    rayleigh,
-    ratios,
-    acceleration,
-    dt,
-    substeps,
-    stride,
-    sensors,
-    n_modes,
-    quantity,
-    observed,
-    weights,
-):
+def population_gradient(parameters, excitation, wanted, observed, weights):
     """Gradient of sum_pj c_pj e_pj of a population, c the `weights` (p, s), by its parameters.
 
     Parameters as in `population.population_discrepancy`. Returns arrays of the shapes of mass, stiffness,
     rayleigh and ratios; what all particles share gets the sum.
     """
+    mass, stiffness, rayleigh, ratios = parameters
+    acceleration, dt, substeps, stride = excitation
+    sensors, n_modes, quantity = wanted
     gradients = (
         *(np.zeros(mass.shape), np.zeros(stiffness.shape)),
         *(np.zeros(rayleigh.shape), np.zeros(ratios.shape)),

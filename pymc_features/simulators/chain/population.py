@@ -10,6 +10,7 @@ from pymc_features.simulators.chain.population_modes import (
 )
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.oscillators.arguments import n_outputs
 from pymc_features.simulators.oscillators.population_recursion import (
     N_COEFFICIENTS,
     SAMPLES,
@@ -17,7 +18,7 @@ from pymc_features.simulators.oscillators.population_recursion import (
     march,
     take_sums,
 )
-from pymc_features.simulators.oscillators.recursion import N_ROWS, check_sizes, modal_coefficients, n_outputs
+from pymc_features.simulators.oscillators.recursion import N_ROWS, check_sizes, modal_coefficients
 
 
 @jit
@@ -160,20 +161,7 @@ def march_population(
 
 
 @jit
-def population_discrepancy(
-    mass,
-    stiffness,
-    rayleigh,
-    ratios,
-    acceleration,
-    dt,
-    substeps,
-    stride,
-    sensors,
-    n_modes,
-    quantity,
-    observed,
-):
+def population_discrepancy(parameters, excitation, wanted, observed):
     """e_j of Eq. (3) for a population of spring-mass chains.
 
     Parameters
@@ -195,6 +183,9 @@ def population_discrepancy(
     One thread. Memory: the result and one block of 16 samples for 4 or 8 particles, whatever the length of
     the record and the number of particles. Agrees with `chain_discrepancy` to 1e-12.
     """
+    mass, stiffness, rayleigh, ratios = parameters
+    acceleration, dt, substeps, stride = excitation
+    sensors, n_modes, quantity = wanted
     result = march_population(
         *((mass, stiffness, rayleigh, ratios), acceleration, dt, substeps, stride),
         *(sensors, n_modes, quantity, observed, None, None),
@@ -203,24 +194,14 @@ def population_discrepancy(
 
 
 @jit
-def population_misfit(
-    mass,
-    stiffness,
-    rayleigh,
-    ratios,
-    acceleration,
-    dt,
-    substeps,
-    stride,
-    sensors,
-    n_modes,
-    quantity,
-    observed,
-):
+def population_misfit(parameters, excitation, wanted, observed):
     """What `discrepancy.chain_misfit` returns, for a population: an array (p, s, 4).
 
     Parameters and cost in memory as those of `population_discrepancy`.
     """
+    mass, stiffness, rayleigh, ratios = parameters
+    acceleration, dt, substeps, stride = excitation
+    sensors, n_modes, quantity = wanted
     even_sensors = sensors.size + sensors.size % 2
     chained = (
         *(np.empty((even_sensors, LANES)), np.empty((even_sensors, LANES))),

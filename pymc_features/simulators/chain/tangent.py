@@ -9,14 +9,9 @@ import numpy as np
 from pymc_features.simulators.chain.gradient import sensor_shapes
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, interpolate, n_outputs
 from pymc_features.simulators.oscillators.close_modes import close_modes
-from pymc_features.simulators.oscillators.population_recursion import interpolate
-from pymc_features.simulators.oscillators.recursion import (
-    ABSOLUTE_ACCELERATION,
-    BLOCK,
-    check_sizes,
-    n_outputs,
-)
+from pymc_features.simulators.oscillators.recursion import BLOCK, check_sizes
 from pymc_features.simulators.oscillators.sensitivity import advance_modes, sensitive_modes
 
 
@@ -159,30 +154,17 @@ def tangent(
 
 
 @jit
-def response_tangent(
-    mass,
-    stiffness,
-    rayleigh,
-    ratios,
-    acceleration,
-    dt,
-    substeps,
-    stride,
-    sensors,
-    n_modes,
-    quantity,
-    d_mass,
-    d_stiffness,
-    d_rayleigh,
-    d_ratios,
-):
+def response_tangent(parameters, excitation, wanted, directions):
     """Derivative (s, u) of the response along a direction of mass, stiffness, rayleigh and ratios.
 
     Parameters as in `recursion.chain_response`, and the direction. NaN where they describe no structure.
     """
+    mass, stiffness, rayleigh, ratios = parameters
+    acceleration, dt, substeps, stride = excitation
+    sensors, n_modes, quantity = wanted
     history = np.empty((sensors.size, n_outputs(acceleration.size, substeps, stride)))
     tangent(
-        *((mass, stiffness, rayleigh, ratios), (d_mass, d_stiffness, d_rayleigh, d_ratios)),
+        *(parameters, directions),
         *(acceleration, dt, substeps, stride, sensors, n_modes, quantity),
         *(np.empty((0, 0)), history, np.empty(0)),
     )
@@ -190,31 +172,17 @@ def response_tangent(
 
 
 @jit
-def discrepancy_tangent(
-    mass,
-    stiffness,
-    rayleigh,
-    ratios,
-    acceleration,
-    dt,
-    substeps,
-    stride,
-    sensors,
-    n_modes,
-    quantity,
-    observed,
-    d_mass,
-    d_stiffness,
-    d_rayleigh,
-    d_ratios,
-):
+def discrepancy_tangent(parameters, excitation, wanted, observed, directions):
     """Derivative (s,) of e_j, Eq. (3), along a direction of mass, stiffness, rayleigh and ratios.
 
     Parameters as in `discrepancy.chain_discrepancy`, and the direction. NaN where they describe no structure.
     """
+    mass, stiffness, rayleigh, ratios = parameters
+    acceleration, dt, substeps, stride = excitation
+    sensors, n_modes, quantity = wanted
     sums = np.zeros(sensors.size)
     tangent(
-        *((mass, stiffness, rayleigh, ratios), (d_mass, d_stiffness, d_rayleigh, d_ratios)),
+        *(parameters, directions),
         *(acceleration, dt, substeps, stride, sensors, n_modes, quantity),
         *(observed, np.empty((0, 0)), sums),
     )

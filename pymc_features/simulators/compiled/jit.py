@@ -1,48 +1,38 @@
-"""How the kernels of this folder are compiled, and how their machine code is kept on disk.
+"""How kernels are compiled, and how their machine code is kept on disk.
 
-Numba's own disk cache notices a change of the file that holds a function, not of the functions it
-calls in other files: after an upgrade it can run old machine code. Here the cache folder is named
-after a hash of every source file of the kernels, so that any change starts an empty one. The same
-hash goes into the cache keys of the PyTensor Ops (`pymc_features.ops`).
+Numba's own disk cache notices a change of the file that holds a function, not of the functions it calls in
+other files: after an upgrade it can run old machine code. Here the cache folder of a function is named after
+a hash of its own file and of all files of this package that this one depends on (`dependencies.py`): an edit
+compiles anew what it can change, and nothing else. The same hash goes into the cache keys of the PyTensor
+Ops (`pymc_features.ops`).
 """
 
-import hashlib
 from pathlib import Path
 
 from numba import config, njit
 from numba.core.caching import CacheImpl, _CacheLocator
 from numba.misc.appdirs import AppDirs
 
+from pymc_features.simulators.compiled.dependencies import source_hash
+
 # Everything but `nnan` and `ninf`: the kernels rely on NaN and infinity to reject bad parameters.
 FASTMATH = {"arcp", "contract", "afn", "reassoc", "nsz"}
 
 
-def source_hash() -> str:
-    """SHA-256 of the sources of all kernels, and of the matrices whose constants they share (hexadecimal)."""
-    digest = hashlib.sha256()
-    here = Path(__file__).parents[1]
-    for path in sorted([*here.rglob("*.py"), *here.parent.joinpath("algebra").rglob("*.py")]):
-        digest.update(path.name.encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-SOURCE_HASH = source_hash()
-
-
 class KernelCacheLocator(_CacheLocator):
-    """Keeps the machine code of this folder's kernels in one directory for each `SOURCE_HASH`."""
+    """Keeps the machine code of a kernel in a directory named after the hash of its source."""
 
     def __init__(self, py_func):
         base = config.CACHE_DIR or AppDirs("pymc_features", appauthor=False).user_cache_dir
-        self._path = Path(base) / "kernels" / SOURCE_HASH[:24]
+        self._stamp = source_hash(py_func.__module__)
+        self._path = Path(base) / "kernels" / self._stamp[:24]
         self._name = f"{py_func.__module__}.{py_func.__qualname__}"
 
     def get_cache_path(self):
         return str(self._path)
 
     def get_source_stamp(self):
-        return SOURCE_HASH
+        return self._stamp
 
     def get_disambiguator(self):
         return self._name

@@ -5,7 +5,22 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.algebra import to_dense
-from pymc_features.simulators.oscillators.recursion import n_outputs
+from pymc_features.simulators.oscillators.arguments import n_outputs
+
+
+class LinearParameters(NamedTuple):
+    """Parameters and matrices of a linear structure: the first ten of `Arguments`."""
+
+    theta: np.ndarray
+    rayleigh: np.ndarray
+    ratios: np.ndarray
+    mass: np.ndarray
+    damping: np.ndarray
+    stiffness: np.ndarray
+    rows: np.ndarray
+    starts: np.ndarray
+    influence: np.ndarray
+    forces: np.ndarray
 
 
 class Arguments(NamedTuple):
@@ -124,7 +139,6 @@ class Arguments(NamedTuple):
             raise ValueError("`weights` must have one value for each sensor")
 
 
-N_ARGUMENTS = len(Arguments._fields)
 N_PARAMETERS = 3  # theta, rayleigh and ratios may be random
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from pymc_features.simulators.linear import oscillators, state_adjoint
 from pymc_features.simulators.linear.arguments import (
-    N_ARGUMENTS,
     N_PARAMETERS,
     Arguments,
     n_particles,
@@ -18,7 +17,7 @@ from pymc_features.simulators.linear.projection import to_parameters
 from pymc_features.simulators.linear.system import solve_system
 
 
-def linear_response_gradient(*arguments) -> tuple:
+def linear_response_gradient(parameters, excitation, wanted, cotangent) -> tuple:
     """Gradient of sum_jk W_jk y_jk, W the cotangent (s, u) that follows the arguments.
 
     Returns
@@ -32,30 +31,29 @@ def linear_response_gradient(*arguments) -> tuple:
     Exact, at repeated frequencies and for rigid bodies too; not where `n_modes` cuts a pair of equal
     frequencies, nor where damping ratios that differ from mode to mode change places.
     """
-    a, cotangent = Arguments(*arguments[:N_ARGUMENTS]), *arguments[N_ARGUMENTS:]
+    a = Arguments(*parameters, *excitation, *wanted)
     a.check(cotangent)
     return gradient(a, cotangent, np.zeros(0))
 
 
-def linear_discrepancy_gradient(*arguments) -> tuple:
+def linear_discrepancy_gradient(parameters, excitation, wanted, observed, weights) -> tuple:
     """Gradient of sum_j c_j e_j; data (s, u) and weights c (s,) follow the arguments.
 
     Returns as `linear_response_gradient`. Memory: a few blocks of 128 samples; of modes that the damping
     couples also their state at every 128th step.
     """
-    a, observed, weights = Arguments(*arguments[:N_ARGUMENTS]), *arguments[N_ARGUMENTS:]
+    a = Arguments(*parameters, *excitation, *wanted)
     a.check(observed, weights)
     return gradient(a, observed, weights)
 
 
-def linear_population_gradient(*arguments) -> tuple:
+def linear_population_gradient(parameters, excitation, wanted, observed, weights) -> tuple:
     """Gradient of sum_pj c_pj e_pj of a population; data (s, u) and weights c (p, s) follow the arguments.
 
     theta, rayleigh and ratios have one more axis in front. Returns arrays of their shapes; what all particles
     share, in one row, gets the sum.
     """
-    parameters, rest = arguments[:N_PARAMETERS], arguments[N_PARAMETERS:N_ARGUMENTS]
-    observed, weights = arguments[N_ARGUMENTS:]
+    parameters, rest = parameters[:N_PARAMETERS], (*parameters[N_PARAMETERS:], *excitation, *wanted)
     count = n_particles(parameters, weights)
     sums = tuple(np.zeros(array.shape) for array in parameters)
     for p in range(count):

@@ -11,13 +11,13 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear.arguments import writable
 from pymc_features.simulators.linear.projection import Cotangent
+from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION
 from pymc_features.simulators.oscillators.close_modes import close_modes
 from pymc_features.simulators.oscillators.derivatives import (
     march_change,
     oscillator_coefficients,
     sum_histories,
 )
-from pymc_features.simulators.oscillators.recursion import ABSOLUTE_ACCELERATION
 from pymc_features.simulators.oscillators.sensitivity import N_COEFFICIENTS
 
 

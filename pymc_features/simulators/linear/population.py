@@ -10,7 +10,6 @@ import numpy as np
 
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear.arguments import (
-    N_ARGUMENTS,
     N_PARAMETERS,
     Arguments,
     n_particles,
@@ -25,23 +24,22 @@ from pymc_features.simulators.oscillators.population_march import march_group
 from pymc_features.simulators.oscillators.recursion import N_ROWS
 
 
-def linear_population_discrepancy(*arguments) -> np.ndarray:
+def linear_population_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:
     """e_j (p, s) of Eq. (3) of all particles, of the data that follow the arguments; NaN in invalid rows.
 
     Memory: the result and a few blocks, whatever the length of the record and the number of particles.
     """
-    return march_population(arguments, False)[:, :, 0].copy()
+    return march_population(parameters, (*excitation, *wanted), observed, False)[:, :, 0].copy()
 
 
-def linear_population_misfit(*arguments) -> np.ndarray:
+def linear_population_misfit(parameters, excitation, wanted, observed) -> np.ndarray:
     """What `linear_misfit` returns, for all particles: (p, s, 4)."""
-    return march_population(arguments, True)
+    return march_population(parameters, (*excitation, *wanted), observed, True)
 
 
-def march_population(arguments, with_increments):
+def march_population(parameters, rest, observed, with_increments):
     """Misfits (p, s, 1 or 4) of all particles."""
-    parameters, rest = arguments[:N_PARAMETERS], arguments[N_PARAMETERS:N_ARGUMENTS]
-    (observed,) = arguments[N_ARGUMENTS:]
+    parameters, rest = parameters[:N_PARAMETERS], (*parameters[N_PARAMETERS:], *rest)
     count = n_particles(parameters)
     shared = Arguments(*one_of(parameters, 0), *rest)
     shared.check(observed)

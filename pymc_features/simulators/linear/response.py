@@ -7,7 +7,7 @@ eigenvalue, or the damping is negative.
 
 import numpy as np
 
-from pymc_features.simulators.linear.arguments import N_ARGUMENTS, Arguments
+from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.dense_population import dense_tables
 from pymc_features.simulators.linear.state_space import march_state, step_matrices
 from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
@@ -15,7 +15,7 @@ from pymc_features.simulators.oscillators.blocks import destination
 from pymc_features.simulators.oscillators.march import classical_matrices, march_modes
 
 
-def linear_response(*arguments) -> np.ndarray:
+def linear_response(parameters, excitation, wanted) -> np.ndarray:
     """Response history (s, u), exact for inputs that are linear between their samples.
 
     Notes
@@ -23,29 +23,29 @@ def linear_response(*arguments) -> np.ndarray:
     Modes that the damping couples are carried together by a matrix exponential, see `state_space`, all
     others singly.
     """
-    a = Arguments(*arguments)
+    a = Arguments(*parameters, *excitation, *wanted)
     a.check()
     return solve(a, None)
 
 
-def response_in_modes(omega, shapes, *arguments) -> np.ndarray:
+def response_in_modes(omega, shapes, parameters, excitation, wanted) -> np.ndarray:
     """As `linear_response`, of an admissible structure whose modes are known: omega (m,), shapes (n, m)."""
-    a = Arguments(*arguments)
+    a = Arguments(*parameters, *excitation, *wanted)
     a.check()
     return evaluate(a, solve_system(a, known=(omega, shapes)), None)
 
 
-def linear_discrepancy(*arguments) -> np.ndarray:
+def linear_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:
     """e_j (s,) of Eq. (3), of the data that follow the arguments, `observed` (s, u)."""
-    return linear_misfit(*arguments)[:, 0].copy()
+    return linear_misfit(parameters, excitation, wanted, observed)[:, 0].copy()
 
 
-def linear_misfit(*arguments) -> np.ndarray:
+def linear_misfit(parameters, excitation, wanted, observed) -> np.ndarray:
     """What `discrepancy.chain_misfit` returns, (s, 4), of the data that follow the arguments.
 
     Memory: a few blocks of 128 samples, whatever the length of the record.
     """
-    a, observed = Arguments(*arguments[:N_ARGUMENTS]), *arguments[N_ARGUMENTS:]
+    a = Arguments(*parameters, *excitation, *wanted)
     a.check(observed)
     return solve(a, observed)
 

@@ -23,8 +23,9 @@ from pymc_features.simulators.linear.state_space import (
     step_system,
 )
 from pymc_features.simulators.linear.system import observe
+from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
 from pymc_features.simulators.oscillators.blocks import take_change
-from pymc_features.simulators.oscillators.recursion import BLOCK, RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
+from pymc_features.simulators.oscillators.recursion import BLOCK
 
 
 @jit

@@ -15,13 +15,9 @@ import numpy as np
 from scipy.linalg import expm
 
 from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY, n_outputs
 from pymc_features.simulators.oscillators.blocks import take_block
-from pymc_features.simulators.oscillators.recursion import (
-    BLOCK,
-    RELATIVE_DISPLACEMENT,
-    RELATIVE_VELOCITY,
-    n_outputs,
-)
+from pymc_features.simulators.oscillators.recursion import BLOCK
 
 
 def step_system(omega, damping, participation, step):

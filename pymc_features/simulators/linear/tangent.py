@@ -7,22 +7,22 @@ the directions of theta (p,), rayleigh (2,) and ratios (k,).
 import numpy as np
 
 from pymc_features.simulators.linear import oscillators, state_adjoint
-from pymc_features.simulators.linear.arguments import N_ARGUMENTS, N_PARAMETERS, Arguments
+from pymc_features.simulators.linear.arguments import N_PARAMETERS, Arguments
 from pymc_features.simulators.linear.projection import move
 from pymc_features.simulators.linear.system import solve_system
 from pymc_features.simulators.oscillators.blocks import destination
 
 
-def linear_response_tangent(*arguments) -> np.ndarray:
+def linear_response_tangent(parameters, excitation, wanted, directions) -> np.ndarray:
     """Derivative (s, u) of the response along a direction; NaN where there is no structure."""
-    a = Arguments(*arguments[:N_ARGUMENTS])
+    a = Arguments(*parameters, *excitation, *wanted)
     a.check()
-    return tangent(a, arguments[N_ARGUMENTS:], None)
+    return tangent(a, directions, None)
 
 
-def linear_discrepancy_tangent(*arguments) -> np.ndarray:
+def linear_discrepancy_tangent(parameters, excitation, wanted, observed, directions) -> np.ndarray:
     """Derivative (s,) of e_j along a direction; data (s, u) and the direction follow the arguments."""
-    a, observed, *directions = Arguments(*arguments[:N_ARGUMENTS]), *arguments[N_ARGUMENTS:]
+    a = Arguments(*parameters, *excitation, *wanted)
     a.check(observed)
     return tangent(a, directions, observed)
 

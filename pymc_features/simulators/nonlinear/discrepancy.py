@@ -11,7 +11,7 @@ from pymc_features.simulators.nonlinear.response import (
     write_outputs,
 )
 from pymc_features.simulators.nonlinear.state import prepare
-from pymc_features.simulators.oscillators.recursion import n_outputs
+from pymc_features.simulators.oscillators.arguments import n_outputs
 
 
 @jit

@@ -35,7 +35,7 @@ from pymc_features.simulators.nonlinear.step_tangent import (
     of_state,
 )
 from pymc_features.simulators.nonlinear.tape import CAPACITY, NEVER, read_tape, recorded, rewind
-from pymc_features.simulators.oscillators.recursion import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY, n_outputs
+from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY, n_outputs
 
 
 @jit

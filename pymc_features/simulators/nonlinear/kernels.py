@@ -1,11 +1,9 @@
 """The functions of a family of nonlinear chains, with the arguments that all families share.
 
-    kernel(mass, stiffness, rayleigh, ratios, values, acceleration, dt, substeps, stride, sensors, n_modes,
-           quantity, *more)
-
-with the law's table `values` (rows, n), everything else as of the linear chain's kernels. `n_modes` is the
-number of degrees of freedom.
+`n_modes` is the number of degrees of freedom.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,58 +17,68 @@ from pymc_features.simulators.nonlinear.tape import Tape, record_size, tape_memo
 NO_DATA = np.empty((0, 0))
 
 
+class NonlinearParameters(NamedTuple):
+    """As `ChainParameters`, and `law` (rows, n): the parameters of the law of each spring."""
+
+    mass: np.ndarray
+    stiffness: np.ndarray
+    rayleigh: np.ndarray
+    ratios: np.ndarray
+    law: np.ndarray
+
+
 def plain(array):
     """A copy in the type for which the kernels are compiled."""
     return np.array(array, dtype=np.float64)
 
 
 def nonlinear_kernels(law) -> dict:
-    """Return the functions of a law of `restoring.LAWS` by name.
+    """Return the functions of a law of `law.LAWS` by name.
 
     Each is called from Python and runs compiled code; what surrounds that takes some 20 microseconds. NaN
     where the parameters describe no structure or the integration fails.
     """
 
-    def call(kernel, given, *more):
-        parameters, settings, quantity = given[:5], given[5:-1], given[-1]
-        return in_memory(law, kernel, *arguments(parameters, *settings), int(quantity), *more)
+    def call(kernel, parameters, excitation, wanted, *more):
+        sensors, n_modes, quantity = wanted
+        settings = arguments(parameters, *excitation, sensors, n_modes)
+        return in_memory(law, kernel, *settings, int(quantity), *more)
 
-    def differentiate(kernel, given, *more):
-        n = np.shape(given[0])[-1]
+    def differentiate(kernel, parameters, excitation, wanted, *more):
+        n = np.shape(parameters[0])[-1]
         work, tape = derivative_memory(n), tape_memory(n)
-        return call(kernel, given, *more, work.ctypes.data, Tape(tape.ctypes.data, record_size(n)))
+        memory = work.ctypes.data, Tape(tape.ctypes.data, record_size(n))
+        return call(kernel, parameters, excitation, wanted, *more, *memory)
 
-    def gradient(given, history, weights):
-        one = [plain(p)[None] for p in given[:5]] + given[5:]
-        return tuple(g[0] for g in differentiate(gradient_kernel, one, plain(history), plain(weights)[None]))
+    def alone(parameters):
+        return NonlinearParameters(*(plain(p)[None] for p in parameters))
 
-    def population_misfit(*given):
-        *given, observed = given
-        return call(misfit_kernel, given, plain(observed))
+    def population_misfit(parameters, excitation, wanted, observed):
+        return call(misfit_kernel, parameters, excitation, wanted, plain(observed))
 
-    def misfit(*given):
-        one = [plain(p)[None] for p in given[:5]]
-        return population_misfit(*one, *given[5:])[0]
+    def misfit(parameters, excitation, wanted, observed):
+        return population_misfit(alone(parameters), excitation, wanted, observed)[0]
 
-    def response_gradient(*given):
-        *given, cotangent = given
-        return gradient(given, cotangent, [])
+    def population_gradient(parameters, excitation, wanted, observed, weights):
+        history, weights = plain(observed), plain(weights)
+        return differentiate(gradient_kernel, parameters, excitation, wanted, history, weights)
 
-    def discrepancy_gradient(*given):
-        *given, observed, weights = given
-        return gradient(given, observed, weights)
+    def discrepancy_gradient(parameters, excitation, wanted, observed, weights):
+        rows = plain(weights)[None]
+        return tuple(g[0] for g in population_gradient(alone(parameters), excitation, wanted, observed, rows))
 
-    def population_gradient(*given):
-        *given, observed, weights = given
-        return differentiate(gradient_kernel, given, plain(observed), plain(weights))
+    def response_gradient(parameters, excitation, wanted, cotangent):
+        return discrepancy_gradient(parameters, excitation, wanted, cotangent, [])
 
-    def response_tangent(*given):
-        given, directions = given[:-5], tuple(map(plain, given[-5:]))
-        return differentiate(tangent_kernel, given, NO_DATA, directions)
+    def tangent(parameters, excitation, wanted, observed, directions):
+        directions = tuple(map(plain, directions))
+        return differentiate(tangent_kernel, parameters, excitation, wanted, observed, directions)
 
-    def discrepancy_tangent(*given):
-        (*given, observed), directions = given[:-5], tuple(map(plain, given[-5:]))
-        return differentiate(tangent_kernel, given, plain(observed), directions)[:, 0]
+    def response_tangent(parameters, excitation, wanted, directions):
+        return tangent(parameters, excitation, wanted, NO_DATA, directions)
+
+    def discrepancy_tangent(parameters, excitation, wanted, observed, directions):
+        return tangent(parameters, excitation, wanted, plain(observed), directions)[:, 0]
 
     return {
         "response": nonlinear_response(law),

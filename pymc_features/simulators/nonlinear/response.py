@@ -19,14 +19,14 @@ from pymc_features.simulators.nonlinear.state import (
     state,
     write_slope,
 )
-from pymc_features.simulators.oscillators.recursion import (
+from pymc_features.simulators.oscillators.arguments import (
     ABSOLUTE_ACCELERATION,
     QUANTITIES,
     RELATIVE_ACCELERATION,
     RELATIVE_VELOCITY,
-    check_sizes,
     n_outputs,
 )
+from pymc_features.simulators.oscillators.recursion import check_sizes
 
 # What else can be asked of a spring, after the codes of `QUANTITIES`
 SPRING_FORCE, DRIFT, MEMORY = range(len(QUANTITIES), len(QUANTITIES) + 3)
@@ -161,7 +161,7 @@ def in_memory(law, kernel, parameters, *others):
     return kernel(law(memory.ctypes.data, padded(n) // LANES, n), parameters, *others)
 
 
-def nonlinear_histories(law, parameters, acceleration, dt, substeps, stride, sensors, quantities, refine=1):
+def nonlinear_histories(law, parameters, excitation, sensors, quantities, refine=1):
     """Histories (quantity, sensor, time); `law` is a type of `restoring.LAWS`.
 
     Parameters
@@ -170,7 +170,7 @@ def nonlinear_histories(law, parameters, acceleration, dt, substeps, stride, sen
         Masses (n,) [kg], initial stiffnesses (n,) [N/m], Rayleigh pair (2,), damping ratios (n,), and the
         law's own (rows, n).
     """
-    settings = (acceleration, dt, substeps, stride, sensors, len(parameters[0]))
+    settings = (*excitation, sensors, len(parameters[0]))
     codes = np.array(quantities, dtype=np.int64)
     return in_memory(law, history_kernel, *arguments(parameters, *settings), codes, float(refine))
 
@@ -178,11 +178,12 @@ def nonlinear_histories(law, parameters, acceleration, dt, substeps, stride, sen
 def nonlinear_response(law):
     """Return the response function of a law, as `simulators.FAMILIES` wants it."""
 
-    def response(mass, stiffness, rayleigh, ratios, values, *settings):
-        *where, n_modes, quantity = settings
-        if n_modes != len(mass):
-            raise ValueError(f"`n_modes` must be all {len(mass)} of a nonlinear chain, got {n_modes}.")
-        parameters = (mass, stiffness, rayleigh, ratios, values)
-        return nonlinear_histories(law, parameters, *where, [quantity])[0]
+    def response(parameters, excitation, wanted):
+        sensors, n_modes, quantity = wanted
+        if n_modes != len(parameters[0]):
+            raise ValueError(
+                f"`n_modes` must be all {len(parameters[0])} of a nonlinear chain, got {n_modes}."
+            )
+        return nonlinear_histories(law, parameters, excitation, sensors, [quantity])[0]
 
     return response

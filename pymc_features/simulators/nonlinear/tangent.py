@@ -32,7 +32,7 @@ from pymc_features.simulators.nonlinear.step_tangent import (
     step_tangent,
 )
 from pymc_features.simulators.nonlinear.tape import CAPACITY, read_tape
-from pymc_features.simulators.oscillators.recursion import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY, n_outputs
+from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY, n_outputs
 
 
 @jit

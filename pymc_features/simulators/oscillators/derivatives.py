@@ -8,9 +8,9 @@ import numpy as np
 from pymc_features.simulators.chain.gradient import copy_block, weigh_misfit
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.oscillators.arguments import interpolate
 from pymc_features.simulators.oscillators.blocks import take_change
 from pymc_features.simulators.oscillators.march import SMALLEST_FREQUENCY
-from pymc_features.simulators.oscillators.population_recursion import interpolate
 from pymc_features.simulators.oscillators.recursion import BLOCK, N_ROWS
 from pymc_features.simulators.oscillators.sensitivity import (
     N_COEFFICIENTS,

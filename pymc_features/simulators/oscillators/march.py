@@ -6,15 +6,17 @@ Each mode is the oscillator of `recursion`; the responses to the inputs add up.
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.oscillators.arguments import (
+    ABSOLUTE_ACCELERATION,
+    RELATIVE_ACCELERATION,
+    n_outputs,
+)
 from pymc_features.simulators.oscillators.blocks import take_block
 from pymc_features.simulators.oscillators.recursion import (
-    ABSOLUTE_ACCELERATION,
     BLOCK,
     N_ROWS,
-    RELATIVE_ACCELERATION,
     advance,
     first_order_hold,
-    n_outputs,
     output_row,
 )
 

@@ -15,6 +15,7 @@ for, the misfits of the block go through a buffer in that cache; where not, numb
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import load, splat, store
+from pymc_features.simulators.oscillators.arguments import interpolate
 from pymc_features.simulators.oscillators.recursion import (
     OUT_P,
     OUT_Q,
@@ -200,20 +201,6 @@ def add_increments(misfits, count, is_first, increments, first, last):
             before = now
         store(increments, j, total)
         store(last, j, before)
-
-
-@jit
-def interpolate(acceleration, substeps, first, ground):
-    """Write the ground acceleration at the recursion's steps from `first` on; zero behind the record."""
-    i, part = first // substeps, first % substeps
-    for k in range(ground.size):
-        if i + 1 < acceleration.size:
-            ground[k] = acceleration[i] + part / substeps * (acceleration[i + 1] - acceleration[i])
-        else:
-            ground[k] = acceleration[i] if i < acceleration.size and part == 0 else 0.0
-        part += 1
-        if part == substeps:
-            i, part = i + 1, 0
 
 
 @jit

@@ -21,6 +21,13 @@ import numpy as np
 
 from pymc_features.simulators.chain.modes import chain_modes
 from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.oscillators.arguments import (
+    ABSOLUTE_ACCELERATION,
+    RELATIVE_ACCELERATION,
+    RELATIVE_DISPLACEMENT,
+    RELATIVE_VELOCITY,
+    n_outputs,
+)
 
 BLOCK = 128  # output samples handled at a time: the working set stays in the first-level cache
 TAYLOR_TERMS = 13  # with |F| <= 1/4 the first dropped term is below 1e-19
@@ -28,15 +35,6 @@ TAYLOR_TERMS = 13  # with |F| <= 1/4 the first dropped term is below 1e-19
 # Rows of the recursion table: state transition, excitation at both ends of the step, output, omega h
 Q_Q, Q_P, P_Q, P_P, Q_NOW, P_NOW, Q_NEXT, P_NEXT, OUT_Q, OUT_P, W = range(11)
 N_ROWS = 11
-
-# What `response` can return; the position is the code used inside the kernels.
-QUANTITIES = (
-    "absolute_acceleration",
-    "relative_acceleration",
-    "relative_velocity",
-    "relative_displacement",
-)
-ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION, RELATIVE_VELOCITY, RELATIVE_DISPLACEMENT = range(4)
 
 
 @jit
@@ -226,30 +224,15 @@ def check_sizes(mass, stiffness, rayleigh, ratios, sensors, n_modes):
 
 
 @jit
-def n_outputs(n_times, substeps, stride):
-    """Number of output samples of a record of `n_times` samples."""
-    return ((n_times - 1) * substeps) // stride + 1
-
-
-@jit
-def chain_response(
-    mass,
-    stiffness,
-    rayleigh,
-    ratios,
-    acceleration,
-    dt,
-    substeps,
-    stride,
-    sensors,
-    n_modes,
-    quantity,
-):
+def chain_response(parameters, excitation, wanted):
     """Response history of a spring-mass chain, Eqs. (17)-(24), exact for a linear excitation.
 
     Parameters as in `modal_system` and `advance`; `dt` is the record's step [s]. Returns an array
     (s, u); all NaN where the parameters describe no structure.
     """
+    mass, stiffness, rayleigh, ratios = parameters
+    acceleration, dt, substeps, stride = excitation
+    sensors, n_modes, quantity = wanted
     check_sizes(mass, stiffness, rayleigh, ratios, sensors, n_modes)
     total = n_outputs(acceleration.size, substeps, stride)
     response = np.empty((sensors.size, total))

@@ -16,8 +16,12 @@ import numpy as np
 from pymc_features.simulators.chain.modes import chain_modes
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, splat, store
-from pymc_features.simulators.oscillators.recursion import (
+from pymc_features.simulators.oscillators.arguments import (
     ABSOLUTE_ACCELERATION,
+    RELATIVE_ACCELERATION,
+    RELATIVE_DISPLACEMENT,
+)
+from pymc_features.simulators.oscillators.recursion import (
     BLOCK,
     N_ROWS,
     P_NEXT,
@@ -28,8 +32,6 @@ from pymc_features.simulators.oscillators.recursion import (
     Q_NOW,
     Q_P,
     Q_Q,
-    RELATIVE_ACCELERATION,
-    RELATIVE_DISPLACEMENT,
     TAYLOR_TERMS,
     first_order_hold,
 )

@@ -1,0 +1,26 @@
+"""The parameters of a spring-mass chain."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class ChainParameters(NamedTuple):
+    """Masses on springs in a row, with Rayleigh damping and damping ratios added to it.
+
+    Of a population each array has one more axis in front: a row for each particle, or one for all.
+
+    Attributes
+    ----------
+    mass, stiffness : array (n,)
+        Masses [kg] and springs [N/m], both from the base upwards.
+    rayleigh : array (2,)
+        alpha [1/s] and beta [s].
+    ratios : array (n,)
+        Damping ratios [-] of the modes, lowest first.
+    """
+
+    mass: np.ndarray
+    stiffness: np.ndarray
+    rayleigh: np.ndarray
+    ratios: np.ndarray

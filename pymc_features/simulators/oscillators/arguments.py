@@ -1,0 +1,75 @@
+"""What every kernel takes besides the parameters of its structure: the excitation, and the outputs wanted."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features.simulators.compiled.jit import jit
+
+# What `response` can return; the position is the code used inside the kernels.
+QUANTITIES = (
+    "absolute_acceleration",
+    "relative_acceleration",
+    "relative_velocity",
+    "relative_displacement",
+)
+ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION, RELATIVE_VELOCITY, RELATIVE_DISPLACEMENT = range(4)
+
+
+class Excitation(NamedTuple):
+    """An input that is linear between its samples, and the steps in which a structure is taken through it.
+
+    Attributes
+    ----------
+    acceleration : array (t,) or (d, t)
+        Ground acceleration [m/s^2], or d inputs: accelerations of supports [m/s^2] or forces [N].
+    dt : float
+        Sampling interval [s].
+    substeps : int
+        Steps of the recursion between two samples.
+    stride : int
+        Steps of the recursion between two outputs.
+    """
+
+    acceleration: np.ndarray
+    dt: float
+    substeps: int
+    stride: int
+
+
+class Outputs(NamedTuple):
+    """What is asked of a structure.
+
+    Attributes
+    ----------
+    sensors : integer array (s,), or array (s, n)
+        Degrees of freedom, 0 next to the base; linear structures take a matrix of combinations of them.
+    n_modes : int
+        Modes kept, lowest first.
+    quantity : int
+        Position in `QUANTITIES`.
+    """
+
+    sensors: np.ndarray
+    n_modes: int
+    quantity: int
+
+
+@jit
+def n_outputs(n_times, substeps, stride):
+    """Number of output samples of a record of `n_times` samples."""
+    return ((n_times - 1) * substeps) // stride + 1
+
+
+@jit
+def interpolate(acceleration, substeps, first, ground):
+    """Write the ground acceleration at the recursion's steps from `first` on; zero behind the record."""
+    i, part = first // substeps, first % substeps
+    for k in range(ground.size):
+        if i + 1 < acceleration.size:
+            ground[k] = acceleration[i] + part / substeps * (acceleration[i + 1] - acceleration[i])
+        else:
+            ground[k] = acceleration[i] if i < acceleration.size and part == 0 else 0.0
+        part += 1
+        if part == substeps:
+            i, part = i + 1, 0

@@ -1,0 +1,127 @@
+"""Machine code on disk: an edit compiles anew what it can change, and nothing else."""
+
+import os
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pymc_features
+from pymc_features.ops import OPS, numba_dispatch
+from pymc_features.simulators import QUANTITIES
+from pymc_features.simulators.compiled import dependencies
+
+
+def test_cache_key_holds_type_quantity_and_kernel_source(monkeypatch):
+    keys = {numba_dispatch.cache_key(op(quantity)) for op in OPS for quantity in QUANTITIES}
+    assert len(keys) == len(OPS) * len(QUANTITIES)
+    assert all(numba_dispatch.funcify(op())[1] == numba_dispatch.cache_key(op()) for op in OPS)
+    assert set(numba_dispatch.OPS) == set(OPS)
+    monkeypatch.setattr(numba_dispatch, "source_hash", lambda module: "edited")
+    edited = {numba_dispatch.cache_key(op(quantity)) for op in OPS for quantity in QUANTITIES}
+    assert not keys & edited
+
+
+def test_dependencies_are_the_files_that_can_change_a_kernel():
+    def names(module):
+        path = dependencies.module_path(f"pymc_features.simulators.{module}")
+        return {str(file.relative_to(dependencies.ROOT)) for file in dependencies.dependencies(path)}
+
+    chain = names("chain.discrepancy")
+    assert {"simulators/chain/modes.py", "simulators/oscillators/recursion.py"} <= chain
+    assert not any("linear/" in name or "nonlinear/" in name for name in chain)
+    law = names("nonlinear.runge_kutta")  # which calls the laws by their type only
+    assert {"simulators/nonlinear/bouc_wen.py", "simulators/nonlinear/duffing.py"} <= law
+
+
+def run_python(code, folder, **environment):
+    """Standard output of a fresh interpreter that imports the package these tests import."""
+    package = str(Path(pymc_features.__file__).parents[1])
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": package} | environment,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+class Copy:
+    """A copy of the package, with caches of its own, whose source can be edited."""
+
+    def __init__(self, folder):
+        self.folder, self.package = folder, folder / "pymc_features"
+        source = Path(pymc_features.__file__).parent
+        shutil.copytree(source, self.package, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def edit(self, file, old, new):
+        source = (self.package / file).read_text()
+        assert source.count(old) == 1
+        (self.package / file).write_text(source.replace(old, new))
+
+    def run(self):
+        """Discrepancies of one particle and of a population, from a new process."""
+        environment = {
+            "PYTHONPATH": str(self.folder),
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "PYTENSOR_FLAGS": f"base_compiledir={self.folder / 'pytensor'}",
+            "NUMBA_CACHE_DIR": str(self.folder / "numba"),
+        }
+        where, *numbers = run_python(BOTH, self.folder, **environment).split()
+        assert Path(where).parent == self.package
+        return np.array([float(x) for x in numbers])
+
+    def machine_code(self):
+        """Files of machine code, of kernels and of PyTensor's graphs, with the times they were written."""
+        files = [*self.folder.rglob("*.nbc"), *self.folder.rglob("*.nbi")]
+        return {str(file): file.stat().st_mtime_ns for file in files}
+
+
+BOTH = """
+    import numpy as np, pytensor, pymc_features
+    import pytensor.tensor as pt
+    from pymc_features.ops import StructuralDiscrepancy
+    from pytensor.graph.replace import vectorize_graph
+    mass, masses = pt.vector("mass"), pt.matrix("masses")
+    one = np.ones(1)
+    e = StructuralDiscrepancy()(mass, 50 * one, 0 * np.ones(2), 0.1 * one, np.arange(3.0), 0.02, 1, 1,
+                           np.arange(1), 1, np.ones((1, 3)))
+    both = [e[0], vectorize_graph(e, {mass: masses})[0, 0]]
+    values = pytensor.function([mass, masses], both, mode="NUMBA")(one, np.ones((1, 1)))
+    print(pymc_features.__file__, *map(float, values))
+"""
+
+
+def test_edits_compile_what_they_change_and_nothing_else(tmp_path):
+    """Edits that cannot change the kernels; then edits in the kernel of one particle (twice), in that of
+    populations (five times), and in the call of both from PyTensor (three times), compiled with them.
+    """
+    copy = Copy(tmp_path)
+    values, code = copy.run(), copy.machine_code()
+    assert code
+    without_kernels = ("simulators/simulate.py", "simulators/quantities.py", "ops/response.py")
+    for file in (*without_kernels, "simulators/nonlinear/kinks.py"):  # or with those of another family
+        with open(copy.package / file, "a") as source:
+            source.write("\n\ndef more():\n    return 1\n")
+    assert copy.run() == pytest.approx(values, rel=1e-14)
+    assert copy.machine_code() == code
+    copy.edit("simulators/chain/discrepancy.py", "errors[j] /= total", "errors[j] *= 2.0 / total")
+    assert copy.run() == pytest.approx(values * [2.0, 1.0], rel=1e-14)
+    copy.edit(
+        "simulators/oscillators/population_recursion.py",
+        "errors[j, lane] / n_times",
+        "5.0 * errors[j, lane] / n_times",
+    )
+    copy.edit(
+        "ops/numba_dispatch.py",
+        "return kernel(*assembled(given), *given[more:])",
+        "return 3.0 * kernel(*assembled(given), *given[more:])",
+    )
+    assert copy.run() == pytest.approx(values * [6.0, 15.0], rel=1e-14)

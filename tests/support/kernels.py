@@ -1,0 +1,42 @@
+"""The kernels of all families, called with their inputs one by one instead of in named tuples."""
+
+from pymc_features.simulators import FAMILIES
+
+
+def flat(family: str, name: str):
+    """A kernel that takes the family's inputs, the code of the quantity, and what follows, in their order."""
+    spec = FAMILIES[family]
+    n = len(spec.inputs)
+
+    def kernel(*given):
+        more = given[n + 1 :]
+        if name.endswith("tangent"):
+            first = len(more) - len(spec.parameters)
+            more = (*more[:first], tuple(more[first:]))
+        return spec.kernels[name](*spec.assemble(given[:n], given[n]), *more)
+
+    return kernel
+
+
+def flat_kernels(family: str) -> dict:
+    """All kernels of a family by name."""
+    return {name: flat(family, name) for name in FAMILIES[family].kernels}
+
+
+CHAIN = flat_kernels("chain")
+chain_response, chain_discrepancy, chain_misfit = (CHAIN[k] for k in ("response", "discrepancy", "misfit"))
+response_gradient, response_tangent = CHAIN["response_gradient"], CHAIN["response_tangent"]
+discrepancy_gradient, discrepancy_tangent = CHAIN["discrepancy_gradient"], CHAIN["discrepancy_tangent"]
+population_discrepancy, population_misfit = CHAIN["population_discrepancy"], CHAIN["population_misfit"]
+population_gradient = CHAIN["population_gradient"]
+
+LINEAR = flat_kernels("linear")
+linear_response, linear_discrepancy, linear_misfit = (
+    LINEAR[name] for name in ("response", "discrepancy", "misfit")
+)
+linear_response_gradient, linear_response_tangent = LINEAR["response_gradient"], LINEAR["response_tangent"]
+linear_discrepancy_gradient = LINEAR["discrepancy_gradient"]
+linear_discrepancy_tangent = LINEAR["discrepancy_tangent"]
+linear_population_discrepancy = LINEAR["population_discrepancy"]
+linear_population_misfit = LINEAR["population_misfit"]
+linear_population_gradient = LINEAR["population_gradient"]
