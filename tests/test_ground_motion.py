@@ -9,17 +9,13 @@ from scipy import signal, stats
 
 from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.records import Record
+from support.refusals import refusals
 
 OMEGA_G = 5.0 * math.pi
 
 
 def test_signature():
-    assert list(inspect.signature(synthetic_earthquake).parameters)[:4] == [
-        "duration",
-        "dt",
-        "seed",
-        "pga",
-    ]
+    assert list(inspect.signature(synthetic_earthquake).parameters)[:4] == ["duration", "dt", "seed", "pga"]
     record = synthetic_earthquake(10.0, 0.01, 3, pga=1.5)
     assert isinstance(record, Record)
     assert (record.n_times, record.dt, record.pga) == (1001, 0.01, 1.5)
@@ -118,10 +114,7 @@ LIMIT = stats.chi2.isf(FALSE_ALARM, 19)
     ("settings", "filters"),
     [
         ({}, DEFAULTS),
-        (
-            {"omega_g": 9.0, "zeta_g": 0.35, "omega_f": 2.0, "zeta_f": 0.8},
-            (9.0, 0.35, 2.0, 0.8),
-        ),
+        ({"omega_g": 9.0, "zeta_g": 0.35, "omega_f": 2.0, "zeta_f": 0.8}, (9.0, 0.35, 2.0, 0.8)),
     ],
 )
 def test_spectrum_is_clough_penzien(dt, settings, filters):
@@ -164,42 +157,32 @@ def test_end_is_not_wrapped_around_to_the_start():
 # --- errors -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "message"),
-    [
-        ({"duration": 0.0}, ValueError, "`duration` must be positive, got 0.0"),
-        (
-            {"duration": 0.005},
-            ValueError,
-            "`duration` must be at least one step of 0.02 s, got 0.005",
-        ),
-        ({"duration": "30"}, TypeError, "`duration` must be a number, got '30'"),
-        ({"dt": -0.02}, ValueError, "`dt` must be positive, got -0.02"),
-        ({"dt": math.nan}, ValueError, "`dt` must be positive, got nan"),
-        ({"pga": 0}, ValueError, "`pga` must be positive, got 0"),
-        ({"pga": math.inf}, ValueError, "`pga` must be positive, got inf"),
-        ({"zeta_g": 0.0}, ValueError, "`zeta_g` must be positive, got 0.0"),
-        ({"zeta_f": -1.0}, ValueError, "`zeta_f` must be positive, got -1.0"),
-        ({"omega_f": 0.0}, ValueError, "`omega_f` must be positive, got 0.0"),
-        (
-            {"omega_g": 160.0},
-            ValueError,
-            "`omega_g` must be below the Nyquist frequency 157.1 rad/s",
-        ),
-        (
-            {"omega_f": 158.0},
-            ValueError,
-            "`omega_f` must be below the Nyquist .*got 158 rad/s. Take a",
-        ),
-        ({"rise_time": -1.0}, ValueError, "`rise_time` must be positive or zero, got -1.0"),
-        ({"strong_time": "a"}, TypeError, "`strong_time` must be a number, got 'a'"),
-        ({"end_level": 0.0}, ValueError, "`end_level` must be positive, got 0.0"),
-        ({"end_level": 1.5}, ValueError, "`end_level` must be at most 1, the plateau, got 1.5"),
-        ({"seed": 1.0}, TypeError, "`seed` must be an integer, got 1.0"),
-        ({"seed": None}, TypeError, "`seed` must be an integer, got None"),
-        ({"seed": -1}, ValueError, "`seed` must not be negative, got -1"),
-    ],
-)
-def test_inadmissible_arguments(arguments, error, message):
-    with pytest.raises(error, match=message):
+INADMISSIBLE_ARGUMENTS_VALUES = {  # what is said: what is given
+    "`duration` must be positive, got 0.0": {"duration": 0.0},
+    "`duration` must be at least one step of 0.02 s, got 0.005": {"duration": 0.005},
+    "`dt` must be positive, got -0.02": {"dt": -0.02},
+    "`dt` must be positive, got nan": {"dt": math.nan},
+    "`pga` must be positive, got 0": {"pga": 0},
+    "`pga` must be positive, got inf": {"pga": math.inf},
+    "`zeta_g` must be positive, got 0.0": {"zeta_g": 0.0},
+    "`zeta_f` must be positive, got -1.0": {"zeta_f": -1.0},
+    "`omega_f` must be positive, got 0.0": {"omega_f": 0.0},
+    "`omega_g` must be below the Nyquist frequency 157.1 rad/s": {"omega_g": 160.0},
+    "`omega_f` must be below the Nyquist .*got 158 rad/s. Take a": {"omega_f": 158.0},
+    "`rise_time` must be positive or zero, got -1.0": {"rise_time": -1.0},
+    "`end_level` must be positive, got 0.0": {"end_level": 0.0},
+    "`end_level` must be at most 1, the plateau, got 1.5": {"end_level": 1.5},
+    "`seed` must not be negative, got -1": {"seed": -1},
+}
+INADMISSIBLE_ARGUMENTS_TYPES = {
+    "`duration` must be a number, got '30'": {"duration": "30"},
+    "`strong_time` must be a number, got 'a'": {"strong_time": "a"},
+    "`seed` must be an integer, got 1.0": {"seed": 1.0},
+    "`seed` must be an integer, got None": {"seed": None},
+}
+
+
+@refusals("arguments", INADMISSIBLE_ARGUMENTS_VALUES, INADMISSIBLE_ARGUMENTS_TYPES)
+def test_inadmissible_arguments(arguments, error, match):
+    with pytest.raises(error, match=match):
         synthetic_earthquake(**arguments)

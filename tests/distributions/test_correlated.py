@@ -21,6 +21,7 @@ from pymc_features.smc.density.evaluation import population_logp
 from support.commands import run_python
 from support.graphs import LIGHT, PLAIN, our_ops, our_ops_of
 from support.kernels import chain_misfit, chain_response, population_discrepancy, population_misfit
+from support.refusals import refusals
 from support.structures import noise_record, three_storeys, with_first_spring, with_noise
 
 DT = 0.02
@@ -505,33 +506,25 @@ def test_populations_need_no_memory_for_histories(tmp_path):
 # --------------------------------------------------------------------------- refusals
 
 
-@pytest.mark.parametrize(
-    ("kwargs", "match"),
-    [
-        (
-            {"correlation_time": 0.0},
-            "`correlation_time` must be positive and finite, got 0.0. Pass the time in sec",
-        ),
-        (
-            {"correlation_time": [1.0, -1.0, 1.0]},
-            r"`correlation_time` must be positive .* got \[1.0, -1.0, 1.0\]",
-        ),
-        ({"correlation_time": np.inf}, "`correlation_time` must be positive and finite, got inf"),
-        (
-            {"correlation_time": [1.0, 2.0]},
-            "`correlation_time` must be a scalar or have one value for each of the 3",
-        ),
-        ({"dt": 0.0}, "`dt` must be positive and finite, got 0.0. Pass the sampling interval in seconds"),
-        ({"dt": np.nan}, "`dt` must be positive and finite, got nan"),
-        ({"dt": [0.1, 0.2]}, "`dt` must be one number, got 1 dimensions. Pass the sampling interval"),
-        (
-            {"dt": None},
-            "`dt` must be given where `mu` is not a response .* got None. Pass the sampling interval",
-        ),
-        ({"sigma": -1.0}, "`sigma` must be positive and finite, got -1.0"),
-        ({"mu": 1.0}, r"`mu` must be \(..., sensor, time\), got a scalar"),
-    ],
-)
+BAD_PARAMETERS = {  # what is said: what is given
+    "`correlation_time` must be positive and finite, got 0.0. Pass the time in sec": {
+        "correlation_time": 0.0
+    },
+    r"`correlation_time` must be positive .* got \[1.0, -1.0, 1.0\]": {"correlation_time": [1.0, -1.0, 1.0]},
+    "`correlation_time` must be positive and finite, got inf": {"correlation_time": np.inf},
+    "`correlation_time` must be a scalar or have one value for each of the 3": {
+        "correlation_time": [1.0, 2.0]
+    },
+    "`dt` must be positive and finite, got 0.0. Pass the sampling interval in seconds": {"dt": 0.0},
+    "`dt` must be positive and finite, got nan": {"dt": np.nan},
+    "`dt` must be one number, got 1 dimensions. Pass the sampling interval": {"dt": [0.1, 0.2]},
+    "`dt` must be given where `mu` is not a response .* got None. Pass the sampling interval": {"dt": None},
+    "`sigma` must be positive and finite, got -1.0": {"sigma": -1.0},
+    r"`mu` must be \(..., sensor, time\), got a scalar": {"mu": 1.0},
+}
+
+
+@refusals("kwargs", BAD_PARAMETERS)
 def test_bad_parameters(kwargs, match):
     arguments = {"mu": np.zeros((3, 5)), "sigma": 1.0, "correlation_time": 1.0, "dt": 0.1} | kwargs
     with pytest.raises(ValueError, match=match):

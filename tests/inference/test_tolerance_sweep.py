@@ -62,11 +62,7 @@ def test_sweep_saves(sweep, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "error", "match"),
     [
-        (
-            {"tolerances": [0.0, 1.0]},
-            ValueError,
-            r"`tolerances` must be positive and finite, got \[1.0, 0",
-        ),
+        ({"tolerances": [0.0, 1.0]}, ValueError, r"`tolerances` must be positive and finite, got \[1.0, 0"),
         ({"tolerances": [np.inf]}, ValueError, "`tolerances` must be positive and finite"),
         ({"tolerances": []}, ValueError, r"`tolerances` must be positive and finite, got \[\]"),
         ({"tolerances": ["a"]}, TypeError, r"`tolerances` must be numbers, got \['a'\]"),

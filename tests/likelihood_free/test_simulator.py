@@ -29,6 +29,7 @@ from pymc_features import (
 from pymc_features.likelihood_free import KERNELS
 from pymc_features.smc import population_logp
 from support.graphs import LIGHT
+from support.refusals import refusals
 from support.structures import noise_record, with_first_spring, with_noise
 
 PRIOR = (0.5, 1.5)
@@ -297,32 +298,26 @@ def test_predictive_draws_are_histories(pulse, measured):
 # --------------------------------------------------------------------------- refusals
 
 
-@pytest.mark.parametrize(
-    ("changes", "error", "match"),
-    [
-        ({"kernel": "box"}, ValueError, "`kernel` must be one of uniform, exponential, gaussian, got 'box'"),
-        ({"epsilon": 0.0}, ValueError, "`epsilon` must be positive and finite, got 0.0. Pass a tolerance"),
-        ({"epsilon": -1}, ValueError, "`epsilon` must be positive and finite, got -1"),
-        ({"epsilon": np.nan}, ValueError, "`epsilon` must be positive and finite, got nan"),
-        ({"epsilon": np.inf}, ValueError, "`epsilon` must be positive and finite, got inf"),
-        ({"mu": np.zeros((3, 60))}, TypeError, "`mu` must be what `response` returned or a function, got nd"),
-        ({"mu": pt.zeros((3, 60))}, TypeError, "got another PyTensor expression. Pass a function"),
-        ({"mu": shelf}, ValueError, "`params` must be given with a function, got none. Pass its parameters"),
-        ({"params": (1.0,)}, ValueError, "`params` must be left out when `mu` is a response: it has its own"),
-        ({"observed": np.zeros(60)}, ValueError, r"must be \(sensor, time\) to match a response, got shape"),
-        ({"observed": np.full((3, 60), np.nan)}, ValueError, "`observed` must be finite numbers of shape"),
-        (
-            {"observed": np.zeros((60, 3))},
-            ValueError,
-            r"\(3, 60\) to match `mu`, got \(60, 3\). Transpose it",
-        ),
-        (
-            {"observed": np.zeros((3, 59))},
-            ValueError,
-            r"\(3, 60\) to match `mu`, got \(3, 59\). Give one row",
-        ),
-    ],
-)
+REFUSALS_VALUES = {  # what is said: what is given
+    "`kernel` must be one of uniform, exponential, gaussian, got 'box'": {"kernel": "box"},
+    "`epsilon` must be positive and finite, got 0.0. Pass a tolerance": {"epsilon": 0.0},
+    "`epsilon` must be positive and finite, got -1": {"epsilon": -1},
+    "`epsilon` must be positive and finite, got nan": {"epsilon": np.nan},
+    "`epsilon` must be positive and finite, got inf": {"epsilon": np.inf},
+    "`params` must be given with a function, got none. Pass its parameters": {"mu": shelf},
+    "`params` must be left out when `mu` is a response: it has its own": {"params": (1.0,)},
+    r"must be \(sensor, time\) to match a response, got shape": {"observed": np.zeros(60)},
+    "`observed` must be finite numbers of shape": {"observed": np.full((3, 60), np.nan)},
+    r"\(3, 60\) to match `mu`, got \(60, 3\). Transpose it": {"observed": np.zeros((60, 3))},
+    r"\(3, 60\) to match `mu`, got \(3, 59\). Give one row": {"observed": np.zeros((3, 59))},
+}
+REFUSALS_TYPES = {
+    "`mu` must be what `response` returned or a function, got nd": {"mu": np.zeros((3, 60))},
+    "got another PyTensor expression. Pass a function": {"mu": pt.zeros((3, 60))},
+}
+
+
+@refusals("changes", REFUSALS_VALUES, REFUSALS_TYPES)
 def test_refusals(pulse, measured, changes, error, match):
     with pm.Model():
         theta = pm.Uniform("theta", *PRIOR)
@@ -628,35 +623,20 @@ def test_a_solver_may_use_its_array_again():
     np.testing.assert_allclose(-kernel.logp(particles)[1], (particles**2).sum(axis=1))
 
 
-@pytest.mark.parametrize(
-    ("changes", "match"),
-    [
-        (
-            {"epsilon": [1.0, 2.0]},
-            r"`epsilon` must be one number or one for each of the 3 sensors, got shape",
-        ),
-        ({"epsilon": np.ones((3, 1))}, r"`epsilon` must be one number or one for each of the 3 sensors, got"),
-        (
-            {"epsilon": [1.0, 0.0, 1.0]},
-            r"`epsilon` must be positive and finite, got \[1.0, 0.0, 1.0\]. Pass a",
-        ),
-        ({"noise": -0.1}, "`noise` must be not negative and finite, got -0.1. Pass a standard deviation in"),
-        ({"noise": np.nan}, "`noise` must be not negative and finite, got nan"),
-        ({"noise": [0.1, np.inf, 0.1]}, r"`noise` must be not negative and finite, got \[0.1, inf, 0.1\]"),
-        (
-            {"noise": [0.1, 0.2]},
-            r"`noise` must be one number or one for each of the 3 sensors, got shape \(2",
-        ),
-        (
-            {"noise": np.ones((3, 60))},
-            r"`noise` must be one number or one for each of the 3 sensors, got sha",
-        ),
-        (
-            {"observed": np.zeros((3, 60, 1))},
-            r"shape \(sensor, time\), or \(entry,\) for a summary, got shape",
-        ),
-    ],
-)
+REFUSALS_OF_TOLERANCE_AND_NOISE = {  # what is said: what is given
+    r"`epsilon` must be one number or one for each of the 3 sensors, got shape": {"epsilon": [1.0, 2.0]},
+    r"`epsilon` must be one number or one for each of the 3 sensors, got": {"epsilon": np.ones((3, 1))},
+    r"`epsilon` must be positive and finite, got \[1.0, 0.0, 1.0\]. Pass a": {"epsilon": [1.0, 0.0, 1.0]},
+    "`noise` must be not negative and finite, got -0.1. Pass a standard deviation in": {"noise": -0.1},
+    "`noise` must be not negative and finite, got nan": {"noise": np.nan},
+    r"`noise` must be not negative and finite, got \[0.1, inf, 0.1\]": {"noise": [0.1, np.inf, 0.1]},
+    r"`noise` must be one number or one for each of the 3 sensors, got shape \(2": {"noise": [0.1, 0.2]},
+    r"`noise` must be one number or one for each of the 3 sensors, got sha": {"noise": np.ones((3, 60))},
+    r"shape \(sensor, time\), or \(entry,\) for a summary, got shape": {"observed": np.zeros((3, 60, 1))},
+}
+
+
+@refusals("changes", REFUSALS_OF_TOLERANCE_AND_NOISE)
 def test_refusals_of_tolerance_and_noise(pulse, measured, changes, match):
     with pm.Model(), pytest.raises(ValueError, match=match):
         mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)

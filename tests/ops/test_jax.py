@@ -1,12 +1,7 @@
 """JAX: every Op and model as by the kernels; jax.grad, jax.vmap, NUTS; loaded late; what it refuses."""
 
 import functools
-import os
-import subprocess
 import sys
-import textwrap
-import warnings
-from pathlib import Path
 
 import arviz as az
 import jax
@@ -16,7 +11,6 @@ import pymc as pm
 import pytensor
 import pytensor.tensor as pt
 import pytest
-from pytensor.compile.mode import Mode
 from pytensor.graph.replace import vectorize_graph
 
 import pymc_features as pmf
@@ -25,9 +19,11 @@ from pymc_features.ops import OPS
 from pymc_features.ops.base import count
 from pymc_features.simulators import FAMILIES
 from pymc_features.study import quadrature
+from support.commands import run_python
+from support.graphs import PLAIN
+from support.structures import noise_record, three_storeys, with_first_spring, with_noise
 
 CHAIN = FAMILIES["chain"]
-PLAIN = Mode(linker="py", optimizer=None)  # the kernels themselves
 LIMIT = 1e-10  # relative, for each block of each output
 N_TIMES = 60
 
@@ -276,27 +272,17 @@ def test_derivatives_of_eigenvectors_fail_where_ours_do_not():
 
 # --------------------------------------------------------------------------- batches and settings
 
-RECORD = pmf.Record(np.random.default_rng(0).normal(size=N_TIMES), 0.02, name="pulse")
+RECORD = noise_record(N_TIMES)
 
 
-def chain_of(stiffness):
-    return pmf.SpringMassChain(np.ones(3), stiffness, pmf.RayleighDamping(0.1, 1e-3))
+MEASURED = with_noise(simulate(three_storeys(100.0), RECORD))
 
 
-MEASURED = simulate(chain_of(100.0), RECORD).values + np.random.default_rng(1).normal(size=(3, N_TIMES))
-
-
-@pytest.mark.parametrize(
-    "what",
-    [
-        "discrepancy",
-        "response",
-    ],
-)
+@pytest.mark.parametrize("what", ["discrepancy", "response"])
 def test_batches(what, quick_compilation):
     """vectorize_graph: discrepancies go to the population Op, responses to `Blockwise`."""
     stiffness, batch = pt.vector("k", shape=(3,)), pt.matrix("batch", shape=(None, 3))
-    y = response(chain_of(stiffness), RECORD)
+    y = response(three_storeys(stiffness), RECORD)
     y = pmf.mean_square_discrepancy(y, MEASURED) if what == "discrepancy" else y
     y = vectorize_graph(y, {stiffness: batch})
     numbers = np.random.default_rng(6).uniform(20.0, 400.0, (4, 3))
@@ -317,10 +303,8 @@ def model_of(likelihood, dt=None):
         theta, sigma = pm.Normal("theta", 1.0, 0.3), pm.HalfNormal("sigma", 2.0)
         step = None if dt is None else pm.Data("step", dt)
         measured = pm.Data("measured", every(dt or RECORD.dt))
-        mu = response(chain_of(100.0).scale_stiffness(theta, [0]), RECORD, dt=step)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", pmf.FeatureLikelihoodWarning)
-            likelihood("y", mu=mu, sigma=sigma, observed=measured)
+        mu = response(with_first_spring(theta), RECORD, dt=step)
+        likelihood("y", mu=mu, sigma=sigma, observed=measured)
     return model
 
 
@@ -381,7 +365,7 @@ def test_gradient_by_the_data():
     """Data that are no numbers, such as a record with unknown offset, count."""
     with pm.Model() as model:
         offset = pm.Flat("offset")
-        mu = response(chain_of(100.0), RECORD)
+        mu = response(three_storeys(100.0), RECORD)
         pm.Potential("misfit", pmf.mean_square_discrepancy(mu, MEASURED + offset).sum())
     _, [[expected]] = by_pymc(model, [[0.5]])
     [gradient] = jax.jit(jax.grad(log_density(model)))([np.array(0.5)])
@@ -487,13 +471,5 @@ LATE = """
 @pytest.mark.parametrize("first", ["pass", "import jax; assert jax.numpy.ones(1).dtype == 'float32'"])
 def test_dispatch_is_registered_when_a_graph_is_compiled_for_jax(first, tmp_path):
     """Not with the package; in double precision also if JAX was in use, in single precision, before."""
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(LATE).replace("FIRST", first)],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(Path(pmf.__file__).parents[1])},
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == [str(first != "pass"), "False"]
+    output = run_python(LATE.replace("FIRST", first), tmp_path)
+    assert output.split() == [str(first != "pass"), "False"]

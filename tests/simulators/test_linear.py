@@ -9,7 +9,7 @@ import pytensor.tensor as pt
 import pytest
 from pytensor.compile.mode import Mode
 from scipy import sparse
-from scipy.linalg import eigh, expm
+from scipy.linalg import eigh
 from scipy.signal import lsim
 
 from pymc_features import (
@@ -19,7 +19,6 @@ from pymc_features import (
     Loading,
     ModalDamping,
     RayleighDamping,
-    Record,
     SimulationWarning,
     SpringMassChain,
     response,
@@ -34,45 +33,28 @@ from pymc_features.simulators.linear.system import is_coupled
 from pymc_features.simulators.oscillators.blocks import destination
 from pymc_features.simulators.oscillators.march import march_modes, modal_table
 from pymc_features.simulators.oscillators.recursion import N_ROWS
+from support.reference import first_order_hold, interpolated
+from support.refusals import refusals
+from support.structures import noise_record, peak_error
 
 UNDAMPED = ModalDamping(0.0)
 
 # --------------------------------------------------------------------------- independent routes
 
 
-def peak_error(actual, expected):
-    """Largest difference over the largest value; NaN stays NaN."""
-    return np.abs(np.asarray(actual) - np.asarray(expected)).max() / np.abs(expected).max()
-
-
 def noise(seed, shape=150):
     return np.random.default_rng(seed).normal(size=shape)
-
-
-def noise_record(seed, n_times=150, dt=0.02):
-    return Record(noise(seed, n_times), dt)
 
 
 def by_exponential(matrices, load, inputs, dt, static=None, *, substeps=1, stride=1):
     """All quantities of M x" + C x' + K x = load inputs without modes, first-order hold (Van Loan)."""
     mass, damping, stiffness = matrices
-    n, d = load.shape
-    drag, spring, push = (np.linalg.solve(mass, a) for a in (damping, stiffness, load))
-    h = dt / substeps
-    system = np.zeros((2 * n + 2 * d, 2 * n + 2 * d))
-    system[:n, n : 2 * n] = np.eye(n)
-    system[n : 2 * n, : 2 * n + d] = np.hstack([-spring, -drag, push])
-    system[2 * n : 2 * n + d, 2 * n + d :] = np.eye(d) / h
-    whole = expm(system * h)
-    fine = np.arange((inputs.shape[1] - 1) * substeps + 1) / substeps
-    inputs = np.stack([np.interp(fine, np.arange(inputs.shape[1]), a) for a in inputs])
-    states = np.zeros((fine.size, 2 * n))
-    for k in range(fine.size - 1):
-        full = np.concatenate([states[k], inputs[:, k], inputs[:, k + 1] - inputs[:, k]])
-        states[k + 1] = (whole @ full)[: 2 * n]
-    x, v, a = states[::stride, :n].T, states[::stride, n:].T, inputs[:, ::stride]
-    relative = push @ a - spring @ x - drag @ v
-    absolute = relative if static is None else relative + static @ a
+    system, inputs = (
+        (np.linalg.solve(mass, a) for a in (damping, stiffness, load)),
+        interpolated(inputs, substeps),
+    )
+    x, v, relative = first_order_hold(*system, inputs, dt / substeps, stride)
+    absolute = relative if static is None else relative + static @ inputs[:, ::stride]
     return dict(zip(QUANTITIES, (absolute, relative, v, x), strict=True))
 
 
@@ -125,7 +107,7 @@ def as_linear(chain):
 @pytest.mark.parametrize("seed", range(8))
 def test_chain_by_its_matrices(seed, damping):
     """All quantities to 1e-12 of the peak; its damping matrix is seen to be classical."""
-    chain, record = random_chain(seed, damping), noise_record(seed)
+    chain, record = random_chain(seed, damping), noise_record(150, seed=seed)
     for linear in as_linear(chain):
         assert not is_coupled(linear.modal_damping())
         for quantity in QUANTITIES:
@@ -136,7 +118,7 @@ def test_chain_by_its_matrices(seed, damping):
 @pytest.mark.parametrize("n_modes", [1, 3, 7, 8])
 @pytest.mark.parametrize("factor", [5, 1, 0.25])
 def test_chain_with_truncated_modes_and_output_steps(n_modes, factor):
-    chain, record = random_chain(7, "rayleigh"), noise_record(1, 141)
+    chain, record = random_chain(7, "rayleigh"), noise_record(141, seed=1)
     for linear in as_linear(chain):
         for quantity in QUANTITIES:
             asked = dict(quantity=quantity, n_modes=n_modes, dt=factor * record.dt, sensors=[6, 0])
@@ -178,7 +160,7 @@ def test_modes_and_matrices_of_the_chain(damping):
 def test_coupled_damping_against_matrix_exponential(n, rank, damping, substeps, stride):
     """Physical coordinates, no modes: 1e-9 of the peak, light to over-critical damping."""
     matrices = random_structure(n, n, damping=damping, rank=rank)
-    structure, record = LinearStructure(*matrices), noise_record(n)
+    structure, record = LinearStructure(*matrices), noise_record(150, seed=n)
     assert is_coupled(structure.modal_damping())
     ones = np.ones((n, 1))
     expected = by_exponential(
@@ -199,7 +181,7 @@ def test_gyroscopic_damping():
     """A skew part couples without taking energy."""
     mass, _, stiffness = random_structure(1, 2)
     matrices = mass, np.array([[0.1, 4.0], [-4.0, 0.1]]), stiffness
-    record, ones = noise_record(1), np.ones((2, 1))
+    record, ones = noise_record(150, seed=1), np.ones((2, 1))
     expected = by_exponential(matrices, -mass @ ones, record.acceleration[None], record.dt, ones)
     for quantity in QUANTITIES:
         found = simulate(LinearStructure(*matrices), record, quantity=quantity)
@@ -208,7 +190,7 @@ def test_gyroscopic_damping():
 
 def test_both_routes_meet_at_the_tolerance():
     """A coupling just above the tolerance takes the other route and changes nothing."""
-    chain, record = random_chain(5, "rayleigh"), noise_record(2)
+    chain, record = random_chain(5, "rayleigh"), noise_record(150, seed=2)
     mass, damping, stiffness = chain.matrices()
     nudged = damping.copy()
     nudged[0, 0] *= 1.0 + 1e-10
@@ -242,7 +224,7 @@ def test_both_routes_on_the_same_modes(quantity):
 def test_truncated_coupled_modes(n_modes):
     """The kept modes are carried by their own block of phi' C phi; the ground's share is kept whole."""
     mass, damping, stiffness = random_structure(3, 6)
-    record = noise_record(3)
+    record = noise_record(150, seed=3)
     structure = LinearStructure(mass, damping, stiffness)
     values, shapes = eigh(stiffness, mass)
     kept = shapes[:, :n_modes]
@@ -265,7 +247,7 @@ def test_repeated_frequencies():
     """A tower that is the same in both directions: each direction is a chain of its own."""
     chain = SpringMassChain([2.0, 1.0, 1.0], [300.0, 200.0, 100.0], RayleighDamping(0.3, 2e-3))
     mass, damping, stiffness = (np.kron(np.eye(2), a) for a in chain.matrices())
-    record = noise_record(4)
+    record = noise_record(150, seed=4)
     direction = np.kron([1.0, 0.5], np.ones(3))
     for drag in (damping, chain.damping):
         tower = LinearStructure(mass, drag, stiffness, influence=direction)
@@ -362,7 +344,7 @@ def test_modes_far_beyond_the_sampling_rate():
     """A stiff link, omega h of 200, next to a soft spring, in coupled damping."""
     stiffness = np.array([[1e8, -1e8], [-1e8, 1e8 + 100.0]])
     damping = np.array([[3.0, 0.0], [0.0, 0.0]])
-    record, ones = noise_record(6), np.ones((2, 1))
+    record, ones = noise_record(150, seed=6), np.ones((2, 1))
     matrices = np.eye(2), damping, stiffness
     expected = by_exponential(matrices, -ones, record.acceleration[None], record.dt, ones)
     structure = LinearStructure(*matrices)
@@ -387,7 +369,7 @@ def test_large_sparse_structure(n):
     structure = LinearStructure(mass, ModalDamping(np.full(kept, 0.02)), stiffness)
     np.testing.assert_allclose(structure.modes(kept).angular_frequencies, exact, rtol=1e-11)
     dense = LinearStructure(np.ones(n), ModalDamping(0.02), stiffness.toarray())
-    record = noise_record(7, 300)
+    record = noise_record(300, seed=7)
     for quantity in ("absolute_acceleration", "relative_displacement"):
         asked = dict(quantity=quantity, n_modes=kept, sensors=[0, 999, 1999])
         assert peak_error(simulate(structure, record, **asked), simulate(dense, record, **asked)) < 1e-8
@@ -404,7 +386,7 @@ def test_large_sparse_structure(n):
 def test_small_sparse_structure_with_all_modes():
     chain = random_chain(7, "rayleigh")
     mass, damping, stiffness = chain.matrices()
-    record = noise_record(8)
+    record = noise_record(150, seed=8)
     structure = LinearStructure(
         sparse.csr_matrix(mass), sparse.coo_array(damping), sparse.dia_matrix(stiffness)
     )
@@ -465,7 +447,7 @@ def test_forces_against_lsim(coupled, matrix):
 
 
 def test_supports_that_move_together_are_one_base():
-    chain, record = random_chain(4, "rayleigh"), noise_record(11)
+    chain, record = random_chain(4, "rayleigh"), noise_record(150, seed=11)
     mass, damping, stiffness = chain.matrices()
     share = np.linspace(0.1, 0.8, 5)
     two = LinearStructure(mass, damping, stiffness, influence=np.column_stack([share, 1.0 - share]))
@@ -483,7 +465,7 @@ def test_supports_that_move_together_are_one_base():
 @pytest.mark.parametrize("n_modes", [None, 2])
 def test_outputs_are_combinations(kind, n_modes):
     """S x: drifts of a chain, of coupled damping, of any quantity, by hand."""
-    chain, record = random_chain(4, "rayleigh"), noise_record(12)
+    chain, record = random_chain(4, "rayleigh"), noise_record(150, seed=12)
     drifts = np.eye(5) - np.eye(5, k=-1)
     for structure in (chain, *as_linear(chain), LinearStructure(*random_structure(12, 5))):
         for quantity in QUANTITIES:
@@ -497,7 +479,7 @@ def test_outputs_are_combinations(kind, n_modes):
 def test_base_shear_is_an_output():
     """The first spring's force equals the inertia of all masses above (no damping)."""
     chain = SpringMassChain([1.0, 2.0, 3.0], [500.0, 400.0, 300.0], UNDAMPED)
-    record = noise_record(13)
+    record = noise_record(150, seed=13)
     shear = simulate(chain, record, quantity="relative_displacement", outputs=[[500.0, 0.0, 0.0]])
     inertia = simulate(as_linear(chain)[0], record, outputs=[[1.0, 2.0, 3.0]])
     assert peak_error(-shear, inertia) < 1e-10
@@ -523,7 +505,7 @@ def affine(kind=np.asarray, **kwargs):
 @pytest.mark.parametrize("kind", [np.asarray, sparse.csc_matrix], ids=["dense", "sparse"])
 def test_affine_matrices(kind):
     """M, C and K are the sums; the response is that of the structure assembled by hand; nothing is copied."""
-    structure, record = affine(kind), noise_record(14)
+    structure, record = affine(kind), noise_record(150, seed=14)
     changed = structure.with_parameters([0.7, 0.25])
     upper = 80.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     expected = (
@@ -557,14 +539,14 @@ def test_symbolic_parameters_are_for_models():
         with pytest.raises(TypeError, match="`matrices` and `modes` must be asked of a structure of numbers"):
             symbolic.modes()
         with pytest.raises(TypeError, match="must have numbers as parameters"):
-            simulate(symbolic, noise_record(0))
-        assert response(symbolic, noise_record(0)).type.shape[0] == 2
+            simulate(symbolic, noise_record(150, seed=0))
+        assert response(symbolic, noise_record(150, seed=0)).type.shape[0] == 2
     assert LinearStructure([1.0], RayleighDamping(pt.scalar(), 0.0), [1.0]).is_symbolic
 
 
 def test_road_to_a_model():
     """A function that simulates, in `DiscrepancySimulator`; what is no structure is rejected, not raised."""
-    structure, record = affine(), noise_record(16)
+    structure, record = affine(), noise_record(150, seed=16)
     observed = simulate(structure, record).values + 0.01
 
     def history(theta):
@@ -603,7 +585,7 @@ def test_is_a_value():
     expected = simulate(structure, loading)
     np.testing.assert_array_equal(simulate(pickle.loads(pickle.dumps(structure)), loading), expected)
     large = LinearStructure(np.ones(50), UNDAMPED, spring_chain(50, 100.0))
-    asked = dict(record=noise_record(17), n_modes=3)
+    asked = dict(record=noise_record(150, seed=17), n_modes=3)
     for same in (copy.deepcopy(large), pickle.loads(pickle.dumps(large))):
         np.testing.assert_array_equal(simulate(same, **asked), simulate(large, **asked))
 
@@ -630,54 +612,24 @@ GOOD = {"mass": np.eye(2), "damping": UNDAMPED, "stiffness": K2}
 BOTH = pytest.mark.parametrize("kind", [np.asarray, sparse.csc_matrix], ids=["dense", "sparse"])
 
 
+REFUSED_MATRICES = {  # what is said: what is given
+    "`mass` must be symmetric, got 0.5 in row 0, column 1 and 0 in row 1": {"mass": [[1.0, 0.5], [0.0, 1.0]]},
+    "`mass` must be positive definite, got an indefinite matrix. Cond": {"mass": [[1.0, 2.0], [2.0, 1.0]]},
+    "`mass` must be positive definite, got 0 kg at degree of freedom 1": {"mass": [[1.0, 0.0], [0.0, 0.0]]},
+    r"`mass` must have shape \(2, 2\) to match `stiffness`, got \(3, 3\). Give one row": {"mass": np.eye(3)},
+    "`stiffness` must be symmetric, got -1 in row 0, column 1": {"stiffness": [[2.0, -1.0], [1.0, 2.0]]},
+    "`stiffness` must have no negative eigenvalue, got .* signs": {"stiffness": [[1.0, -2.0], [-2.0, 1.0]]},
+    "`stiffness` must have no negative eigenvalue": {"stiffness": [[2.0, 0.0], [0.0, -1e-6]]},
+    "`stiffness` must hold every degree of freedom, got a row of z": {"stiffness": [[2.0, 0.0], [0.0, 0.0]]},
+    r"`stiffness` must be a square matrix, got .*\(2, 3\)": {"stiffness": [[2.0, 0.0, 1.0], [0.0, 1.0, 0.0]]},
+    "`stiffness` must be finite, got NaN or infinity. Pass": {"stiffness": [[2.0, np.nan], [np.nan, 2.0]]},
+    "`damping` must not feed energy into any motion, got a matrix": {"damping": [[1.0, -2.0], [-2.0, 1.0]]},
+    r"`damping` must have shape \(2, 2\) to match `stiffness`, got \(3, 3\)": {"damping": np.eye(3)},
+}
+
+
 @BOTH
-@pytest.mark.parametrize(
-    ("changes", "match"),
-    [
-        (
-            {"mass": [[1.0, 0.5], [0.0, 1.0]]},
-            "`mass` must be symmetric, got 0.5 in row 0, column 1 and 0 in row 1",
-        ),
-        (
-            {"mass": [[1.0, 2.0], [2.0, 1.0]]},
-            "`mass` must be positive definite, got an indefinite matrix. Cond",
-        ),
-        (
-            {"mass": [[1.0, 0.0], [0.0, 0.0]]},
-            "`mass` must be positive definite, got 0 kg at degree of freedom 1",
-        ),
-        (
-            {"mass": np.eye(3)},
-            r"`mass` must have shape \(2, 2\) to match `stiffness`, got \(3, 3\). Give one row",
-        ),
-        (
-            {"stiffness": [[2.0, -1.0], [1.0, 2.0]]},
-            "`stiffness` must be symmetric, got -1 in row 0, column 1",
-        ),
-        (
-            {"stiffness": [[1.0, -2.0], [-2.0, 1.0]]},
-            "`stiffness` must have no negative eigenvalue, got .* signs",
-        ),
-        ({"stiffness": [[2.0, 0.0], [0.0, -1e-6]]}, "`stiffness` must have no negative eigenvalue"),
-        (
-            {"stiffness": [[2.0, 0.0], [0.0, 0.0]]},
-            "`stiffness` must hold every degree of freedom, got a row of z",
-        ),
-        (
-            {"stiffness": [[2.0, 0.0, 1.0], [0.0, 1.0, 0.0]]},
-            r"`stiffness` must be a square matrix, got .*\(2, 3\)",
-        ),
-        (
-            {"stiffness": [[2.0, np.nan], [np.nan, 2.0]]},
-            "`stiffness` must be finite, got NaN or infinity. Pass",
-        ),
-        (
-            {"damping": [[1.0, -2.0], [-2.0, 1.0]]},
-            "`damping` must not feed energy into any motion, got a matrix",
-        ),
-        ({"damping": np.eye(3)}, r"`damping` must have shape \(2, 2\) to match `stiffness`, got \(3, 3\)"),
-    ],
-)
+@refusals("changes", REFUSED_MATRICES)
 def test_refused_matrices(kind, changes, match):
     arguments = {name: a if a is UNDAMPED else kind(np.array(a)) for name, a in (GOOD | changes).items()}
     with pytest.raises(ValueError, match=match):
@@ -698,100 +650,55 @@ def test_a_dashpot_or_a_shared_mass_is_a_connection():
         LinearStructure(np.ones(3), RayleighDamping(0.1, 0.0), np.diag([2.0, 0.0, 0.0]))
 
 
-@pytest.mark.parametrize(
-    ("changes", "error", "match"),
-    [
-        (
-            {"damping": None},
-            TypeError,
-            "`damping` must be a matrix or a Damping, got NoneType. Pass C in N s/m",
-        ),
-        ({"damping": "rayleigh"}, TypeError, "`damping` must be a matrix or a Damping, got str"),
-        ({"damping": 1j * np.eye(2)}, TypeError, "`damping` must be a matrix of real numbers, got ndarray"),
-        (
-            {"damping": ModalDamping([0.1] * 3)},
-            ValueError,
-            "`ratios` must have one value or .* the 2 modes, got 3",
-        ),
-        (
-            {"stiffness": "K"},
-            TypeError,
-            "`stiffness` must be a matrix of real numbers, got str. Pass an array",
-        ),
-        ({"stiffness": sparse.eye_array(2) * 1j}, TypeError, "`stiffness` must be a matrix of real numbers"),
-        ({"stiffness": 3.0}, ValueError, r"`stiffness` must be a square matrix, got shape \(\)"),
-        (
-            {"influence": np.ones(3)},
-            ValueError,
-            r"`influence` must have shape \(2,\) or \(2, supports\), got \(3,\)",
-        ),
-        ({"influence": "all"}, TypeError, "`influence` must be an array of numbers, got str"),
-        ({"influence": pt.vector()}, TypeError, "got TensorVariable. .* they cannot be random"),
-        ({"mass": pt.vector()}, TypeError, "what is random goes into the `theta` of an AffineStructure"),
-        ({"influence": [1.0, np.inf]}, ValueError, "`influence` must be finite, got NaN or infinity"),
-    ],
-)
+REFUSED_ARGUMENTS_VALUES = {  # what is said: what is given
+    "`ratios` must have one value or .* the 2 modes, got 3": {"damping": ModalDamping([0.1] * 3)},
+    r"`stiffness` must be a square matrix, got shape \(\)": {"stiffness": 3.0},
+    r"`influence` must have shape \(2,\) or \(2, supports\), got \(3,\)": {"influence": np.ones(3)},
+    "`influence` must be finite, got NaN or infinity": {"influence": [1.0, np.inf]},
+}
+REFUSED_ARGUMENTS_TYPES = {
+    "`damping` must be a matrix or a Damping, got NoneType. Pass C in N s/m": {"damping": None},
+    "`damping` must be a matrix or a Damping, got str": {"damping": "rayleigh"},
+    "`damping` must be a matrix of real numbers, got ndarray": {"damping": 1j * np.eye(2)},
+    "`stiffness` must be a matrix of real numbers, got str. Pass an array": {"stiffness": "K"},
+    "`stiffness` must be a matrix of real numbers": {"stiffness": sparse.eye_array(2) * 1j},
+    "`influence` must be an array of numbers, got str": {"influence": "all"},
+    "got TensorVariable. .* they cannot be random": {"influence": pt.vector()},
+    "what is random goes into the `theta` of an AffineStructure": {"mass": pt.vector()},
+}
+
+
+@refusals("changes", REFUSED_ARGUMENTS_VALUES, REFUSED_ARGUMENTS_TYPES)
 def test_refused_arguments(changes, error, match):
     with pytest.raises(error, match=match):
         LinearStructure(**(GOOD | changes))
 
 
-@pytest.mark.parametrize(
-    ("changes", "error", "match"),
-    [
-        (
-            {"stiffness_terms": []},
-            ValueError,
-            "must have one entry for each parameter, got 0 mass_terms, 0 damping",
-        ),
-        (
-            {"stiffness_terms": [K2], "mass_terms": [K2] * 2},
-            ValueError,
-            "got 2 mass_terms, 0 .* 1 stiffness_terms",
-        ),
-        ({"stiffness_terms": [np.eye(3)]}, ValueError, r"`stiffness_terms\[0\]` must have shape \(2, 2\)"),
-        ({"stiffness_terms": [np.triu(K2)]}, ValueError, r"`stiffness_terms\[0\]` must be symmetric, got -1"),
-        (
-            {"stiffness_terms": [K2], "damping_terms": [K2]},
-            TypeError,
-            "`damping` must be a matrix to go with",
-        ),
-        (
-            {"stiffness_terms": [K2], "theta": [1.0, 2.0]},
-            ValueError,
-            r"`theta` must be 1 finite values, .*\(2,\)",
-        ),
-        (
-            {"stiffness_terms": [K2], "theta": [np.nan]},
-            ValueError,
-            "one for each parameter, got NaN or infinity",
-        ),
-        (
-            {"stiffness_terms": [K2], "theta": [-2.0]},
-            ValueError,
-            "`stiffness` must have no negative eigenvalue",
-        ),
-        (
-            {"stiffness_terms": [K2], "theta": pt.matrix()},
-            ValueError,
-            "`theta` must be 1 finite .* got a tensor",
-        ),
-        (
-            {"stiffness_terms": [K2], "theta": [pt.scalar()] * 2},
-            ValueError,
-            "`theta` must be 1 .* got 2 values",
-        ),
-        (
-            {"stiffness_terms": [K2] * 2, "theta": [pt.vector(), 1.0]},
-            ValueError,
-            "`theta` must be 2 .* got entries that are no scalars",
-        ),
-        ({"stiffness_terms": [K2], "theta": "soft"}, TypeError, "`theta` must be numbers or .* got str"),
-        ({"stiffness_terms": K2}, TypeError, "`stiffness_terms` must be a sequence of matrices, got ndarray"),
-        ({"mass_terms": sparse.eye_array(2)}, TypeError, "`mass_terms` must be a sequence of matrices, got "),
-        ({"stiffness_terms": None}, TypeError, "`stiffness_terms` must be a sequence .* got NoneType"),
-    ],
-)
+REFUSED_AFFINE_ARGUMENTS_VALUES = {  # what is said: what is given
+    "must have one entry for each parameter, got 0 mass_terms, 0 damping": {"stiffness_terms": []},
+    "got 2 mass_terms, 0 .* 1 stiffness_terms": {"stiffness_terms": [K2], "mass_terms": [K2] * 2},
+    r"`stiffness_terms\[0\]` must have shape \(2, 2\)": {"stiffness_terms": [np.eye(3)]},
+    r"`stiffness_terms\[0\]` must be symmetric, got -1": {"stiffness_terms": [np.triu(K2)]},
+    r"`theta` must be 1 finite values, .*\(2,\)": {"stiffness_terms": [K2], "theta": [1.0, 2.0]},
+    "one for each parameter, got NaN or infinity": {"stiffness_terms": [K2], "theta": [np.nan]},
+    "`stiffness` must have no negative eigenvalue": {"stiffness_terms": [K2], "theta": [-2.0]},
+    "`theta` must be 1 finite .* got a tensor": {"stiffness_terms": [K2], "theta": pt.matrix()},
+    "`theta` must be 1 .* got 2 values": {"stiffness_terms": [K2], "theta": [pt.scalar()] * 2},
+    "`theta` must be 2 .* got entries that are no scalars": {
+        "stiffness_terms": [K2] * 2,
+        "theta": [pt.vector(), 1.0],
+    },
+}
+REFUSED_AFFINE_ARGUMENTS_TYPES = {
+    "`damping` must be a matrix to go with": {"stiffness_terms": [K2], "damping_terms": [K2]},
+    "`theta` must be numbers or .* got str": {"stiffness_terms": [K2], "theta": "soft"},
+    "`stiffness_terms` must be a sequence of matrices, got ndarray": {"stiffness_terms": K2},
+    "`mass_terms` must be a sequence of matrices, got ": {"mass_terms": sparse.eye_array(2)},
+    "`stiffness_terms` must be a sequence .* got NoneType": {"stiffness_terms": None},
+}
+
+
+@refusals("changes", REFUSED_AFFINE_ARGUMENTS_VALUES, REFUSED_AFFINE_ARGUMENTS_TYPES)
 def test_refused_affine_arguments(changes, error, match):
     with pytest.raises(error, match=match):
         AffineStructure(**(GOOD | changes))
@@ -805,7 +712,7 @@ def test_refused_modes():
         ):
             structure.modes(n_modes)
         with pytest.raises(ValueError, match="`n_modes` must be an integer from 1 to 2"):
-            simulate(structure, noise_record(0), n_modes=n_modes)
+            simulate(structure, noise_record(150, seed=0), n_modes=n_modes)
     large = spring_chain(3001, 1.0)
     with pytest.raises(
         ValueError, match="`n_modes` must be below half of the 3001 degrees of freedom of a spar"
@@ -820,42 +727,28 @@ def test_refused_modes():
         few.modes(3)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "match"),
-    [
-        (
-            ([[0.0, 1.0]], 0.1, "wind"),
-            ValueError,
-            "`kind` must be one of support_acceleration, force, got 'wind'",
-        ),
-        (
-            ([[0.0]], 0.1),
-            ValueError,
-            r"`values` must have shape \(input, time\) with at least 2 .* \(1, 1\). Time",
-        ),
-        (([[0.0, np.nan]], 0.1), ValueError, "`values` must be finite, got NaN or infinity. Fill or cut"),
-        (("push", 0.1), TypeError, "`values` must be an array of numbers, got str"),
-        (
-            ([0.0, 1.0], 0.0),
-            ValueError,
-            "`dt` must be positive, got 0.0. Pass the sampling interval in seconds",
-        ),
-        (([0.0, 1.0], "x"), TypeError, "`dt` must be a number, got 'x'"),
-        (([0.0, 1.0], 0.1, "force", [1.0]), ValueError, r"`matrix` must have shape \(n, 1\) .* got \(1,\)"),
-        (
-            ([0.0, 1.0], 0.1, "support_acceleration", [[1.0]]),
-            ValueError,
-            "`matrix` must be left out with support",
-        ),
-    ],
-)
+REFUSED_LOADINGS_VALUES = {  # what is said: what is given
+    "`kind` must be one of support_acceleration, force, got 'wind'": ([[0.0, 1.0]], 0.1, "wind"),
+    r"`values` must have shape \(input, time\) with at least 2 .* \(1, 1\). Time": ([[0.0]], 0.1),
+    "`values` must be finite, got NaN or infinity. Fill or cut": ([[0.0, np.nan]], 0.1),
+    "`dt` must be positive, got 0.0. Pass the sampling interval in seconds": ([0.0, 1.0], 0.0),
+    r"`matrix` must have shape \(n, 1\) .* got \(1,\)": ([0.0, 1.0], 0.1, "force", [1.0]),
+    "`matrix` must be left out with support": ([0.0, 1.0], 0.1, "support_acceleration", [[1.0]]),
+}
+REFUSED_LOADINGS_TYPES = {
+    "`values` must be an array of numbers, got str": ("push", 0.1),
+    "`dt` must be a number, got 'x'": ([0.0, 1.0], "x"),
+}
+
+
+@refusals("arguments", REFUSED_LOADINGS_VALUES, REFUSED_LOADINGS_TYPES)
 def test_refused_loadings(arguments, error, match):
     with pytest.raises(error, match=match):
         Loading(*arguments)
 
 
 def test_refused_requests():
-    structure, record = LinearStructure(**GOOD), noise_record(0)
+    structure, record = LinearStructure(**GOOD), noise_record(150, seed=0)
     chain = SpringMassChain([1.0, 1.0], 1.0, UNDAMPED)
     pair = Loading(np.ones((2, 5)), 0.1)
     with pytest.raises(ValueError, match="`record` must give 1 support accelerations, .* `influence`, got 2"):
@@ -893,7 +786,7 @@ def test_negative_stiffness_beside_stiff_elements_is_found():
     )
     structure = LinearStructure(np.ones(3), UNDAMPED, negative)
     with pytest.raises(ValueError, match=r"no negative eigenvalue, got omega\^2 = -17\d"):
-        simulate(structure, noise_record(0))
+        simulate(structure, noise_record(150, seed=0))
     omega, rows = np.empty(3), np.empty((3, 3))
     assert not dense_modes(np.eye(3), negative, omega, rows)
     assert dense_modes(np.eye(3), negative + np.diag([500.0, 0.0, 0.0]), omega, rows)

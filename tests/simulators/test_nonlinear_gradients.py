@@ -98,10 +98,7 @@ CASES = {
     ),
     "duffing": ("duffing", {}, {}),
     "duffing, modal, fine": ("duffing", {"modal": True}, {"substeps": 2, "n_times": 40}),
-    "duffing, one mass, coarse displacement": (
-        *("duffing", {"n": 1}),
-        {"n": 1, "stride": 2, "quantity": 3},
-    ),
+    "duffing, one mass, coarse displacement": (*("duffing", {"n": 1}), {"n": 1, "stride": 2, "quantity": 3}),
 }
 
 

@@ -27,6 +27,7 @@ from pymc_features import (
 from pymc_features.smc.density.discrepancy import SimulatorNode
 from pymc_features.smc.kernels import subset
 from pymc_features.smc.kernels.levels import Levels
+from support.refusals import refusals
 from support.sampling import QUIET, mean_within_errors
 from support.subset import Banana, ball, batched, cube, identity, itself, own, run, sample, stock, twice
 
@@ -339,29 +340,25 @@ def of_each():
     return stock(twice, observed=[0.0, 0.0], epsilon=np.array([0.1, 0.4]))
 
 
-@pytest.mark.parametrize(
-    ("build", "settings", "match"),
-    [
-        (without_simulator, {}, "the model must have one pm.Simulator node, got none. Declare one with Disc"),
-        (with_two, {}, "the model must have one pm.Simulator node, got y, z. Declare"),
-        (None, {"p0": 0.0}, "`p0` must lie between 0 and 1, got 0.0. The default is 0.2"),
-        (None, {"p0": 1.0}, "`p0` must lie between 0 and 1, got 1.0"),
-        (None, {"p0": np.nan}, "`p0` must lie between 0 and 1, got nan"),
-        (None, {"draws": 1}, "`draws` must be an integer of at least 2, got 1"),
-        (None, {"stage_draws": 19}, "`stage_draws` must be an integer of at least 20, got 19"),
-        (None, {"stage_draws": 39, "p0": 0.1}, "`stage_draws` must be an integer of at least 40, got 39"),
-        (None, {"stage_draws": 30.5}, "`stage_draws` must be an integer of at least 20, got 30.5"),
-        (
-            None,
-            {"max_simulations": 399},
-            "`max_simulations` must allow for 400 draws from the prior, got",
-        ),
-        (None, {"max_simulations": np.nan}, "`max_simulations` must allow for 400 draws from the prior"),
-        (None, {"epsilon": 0.0}, "`epsilon` must be positive and finite, got 0.0"),
-        (None, {"epsilon": np.inf}, "`epsilon` must be positive and finite, got inf"),
-        (of_each, {"epsilon": 0.1}, "`epsilon` must be left out where y has one for each sensor, got 0.1"),
-    ],
-)
+REFUSED = {  # what is said: what is given
+    "the model must have one pm.Simulator node, got none. Declare one with Disc": (without_simulator, {}),
+    "the model must have one pm.Simulator node, got y, z. Declare": (with_two, {}),
+    "`p0` must lie between 0 and 1, got 0.0. The default is 0.2": (None, {"p0": 0.0}),
+    "`p0` must lie between 0 and 1, got 1.0": (None, {"p0": 1.0}),
+    "`p0` must lie between 0 and 1, got nan": (None, {"p0": np.nan}),
+    "`draws` must be an integer of at least 2, got 1": (None, {"draws": 1}),
+    "`stage_draws` must be an integer of at least 20, got 19": (None, {"stage_draws": 19}),
+    "`stage_draws` must be an integer of at least 40, got 39": (None, {"stage_draws": 39, "p0": 0.1}),
+    "`stage_draws` must be an integer of at least 20, got 30.5": (None, {"stage_draws": 30.5}),
+    "`max_simulations` must allow for 400 draws from the prior, got": (None, {"max_simulations": 399}),
+    "`max_simulations` must allow for 400 draws from the prior": (None, {"max_simulations": np.nan}),
+    "`epsilon` must be positive and finite, got 0.0": (None, {"epsilon": 0.0}),
+    "`epsilon` must be positive and finite, got inf": (None, {"epsilon": np.inf}),
+    "`epsilon` must be left out where y has one for each sensor, got 0.1": (of_each, {"epsilon": 0.1}),
+}
+
+
+@refusals("build settings", REFUSED)
 def test_refusals(build, settings, match):
     model = ball(2, 0.01) if build is None else build()
     with pytest.raises(ValueError, match=match):

@@ -6,6 +6,7 @@ import pytensor.tensor as pt
 import pytest
 
 from pymc_features import DiscrepancySimulator, SimulationWarning, SubsetSimulationWarning
+from support.refusals import refusals
 from support.subset import batched, identity, itself, own, sample, stock, twice
 
 pytestmark = pytest.mark.usefixtures("fast_compile")
@@ -102,26 +103,19 @@ def always(rng, x, size):
     raise OSError("no licence")
 
 
+A_SIMULATOR_THAT_NEVER_SUCCEEDS_IS_REFUSED = {  # what is said: what is given
+    r"\(400 failed simulations, the last with ZeroDivisionError: d": lambda: own(lambda x: 1 / 0),
+    r"\(400 failed simulations, the last with OSError: no licence": lambda: stock(always, epsilon=1.0),
+    r"\(400 failed simulations\)": lambda: own(lambda x: np.array([np.nan])),
+    r"must return the shape of `observed`, \(1,\), got \(2,\)": lambda: own(lambda x: np.zeros(2)),
+    r"must return the shape of `observed`, \(1,\), got \(\)": lambda: own(lambda x: 0.0),
+    r"must return the shape of `observed`, \(1, 1\), got \(1,\)": lambda: own(wrong_batch),
+}
+
+
 @pytest.mark.filterwarnings("ignore:particles are evaluated one by one")
 @pytest.mark.filterwarnings("ignore:the simulator failed")
-@pytest.mark.parametrize(
-    ("build", "match"),
-    [
-        (
-            lambda: own(lambda x: 1 / 0),
-            r"\(400 failed simulations, the last with ZeroDivisionError: d",
-        ),
-        (
-            lambda: stock(always, epsilon=1.0),
-            r"\(400 failed simulations, the last with OSError: no licence",
-        ),
-        (lambda: own(lambda x: np.array([np.nan])), r"\(400 failed simulations\)"),
-        (lambda: own(lambda x: np.zeros(2)), r"must return the shape of `observed`, \(1,\), got \(2,\)"),
-        (lambda: own(lambda x: 0.0), r"must return the shape of `observed`, \(1,\), got \(\)"),
-        (lambda: own(wrong_batch), r"must return the shape of `observed`, \(1, 1\), got \(1,\)"),
-    ],
-    ids=["raises", "stock", "nan", "shape", "number", "batch"],
-)
+@refusals("build", A_SIMULATOR_THAT_NEVER_SUCCEEDS_IS_REFUSED)
 def test_a_simulator_that_never_succeeds_is_refused(build, match):
     with pytest.raises(ValueError, match=match):
         sample(build(), 100, stage_draws=200)

@@ -224,10 +224,7 @@ class VeryNoisy(Noisy):
 
 @pytest.mark.parametrize(
     ("build", "limit"),
-    [
-        (VeryNoisy().model, 50),
-        (lambda: ball(10, radius(10, 1e-4) ** 2), 60),
-    ],
+    [(VeryNoisy().model, 50), (lambda: ball(10, radius(10, 1e-4) ** 2), 60)],
     ids=["noise", "ten dimensions"],
 )
 def test_short_moves_are_not_the_answer(build, limit):

@@ -14,12 +14,7 @@ from pymc_features.smc.results import pad_stages, savable
 from pymc_features.storage import PartStore
 from pymc_features.study import StudyMismatchError, as_csv, as_markdown, paper
 from pymc_features.study import sampling_rate as study_module
-from pymc_features.study.quadrature import (
-    DiscrepancyCurve,
-    exact_posterior,
-    exponents,
-    tolerance_interval,
-)
+from pymc_features.study.quadrature import DiscrepancyCurve, exact_posterior, exponents, tolerance_interval
 from pymc_features.study.settings import checked_study
 
 KINDS = ("NORM", "TN", "EXP")

@@ -75,26 +75,14 @@ BROKEN = {  # what is changed, into what, and what is said of it
         ("draws = 100", "draws = 10"),
         "`sampler.draws` must be a whole number of at least 50",
     ),
-    "choice": (
-        ('"smc"', '"gibbs"'),
-        '`sampler.method` must be "smc", "nuts" or "laplace", got \'gibbs\'.',
-    ),
+    "choice": (('"smc"', '"gibbs"'), '`sampler.method` must be "smc", "nuts" or "laplace", got \'gibbs\'.'),
     "likelihood": (
         ('["EXP", "ABC"]', '["MAX"]'),
         "`likelihood.kinds` must be a list of NORM, TN, EXP, ABC, each once, got 'MAX'.",
     ),
-    "ABC alone": (
-        ('["EXP", "ABC"]', '["ABC"]'),
-        "`likelihood` must have `tolerance` for ABC, or EXP among",
-    ),
-    "missing file": (
-        ("frame-measured.csv", "nothing.csv"),
-        "[data]: `files` must be an existing file, got",
-    ),
-    "wrong unit": (
-        ('# units = "m/s^2" ', 'units = "furlong" #'),
-        "[data]: `units` must be one of",
-    ),
+    "ABC alone": (('["EXP", "ABC"]', '["ABC"]'), "`likelihood` must have `tolerance` for ABC, or EXP among"),
+    "missing file": (("frame-measured.csv", "nothing.csv"), "[data]: `files` must be an existing file, got"),
+    "wrong unit": (('# units = "m/s^2" ', 'units = "furlong" #'), "[data]: `units` must be one of"),
     "no sensor of this name": (
         ('"floor3"]', '"roof"]'),
         "`data.sensors` must be among the sensors base, floor1",
@@ -143,10 +131,7 @@ BROKEN = {  # what is changed, into what, and what is said of it
         ("k3 = {", "draw = {"),
         "`priors.draw` must have a name of letters, digits and underscores that is not taken",
     ),
-    "distribution": (
-        ('"HalfNormal"', '"HalfNormol"'),
-        "`priors.sigma.distribution` must be a continuous",
-    ),
+    "distribution": (('"HalfNormal"', '"HalfNormol"'), "`priors.sigma.distribution` must be a continuous"),
     "code as distribution": (
         ('"HalfNormal"', '"__import__"'),
         "`priors.sigma.distribution` must be a continuous",
@@ -167,34 +152,22 @@ BROKEN = {  # what is changed, into what, and what is said of it
         ("sigma = 0.5", 'sigma = "half"'),
         "`priors.sigma.sigma` must be a finite number, got",
     ),
-    "sigma": (
-        (SIGMA, "sigma = 0.3 "),
-        "`priors.sigma` must be used by the structure or by sigma",
-    ),
+    "sigma": ((SIGMA, "sigma = 0.3 "), "`priors.sigma` must be used by the structure or by sigma"),
     "sigma of each": (
         (SIGMA, 'sigma = ["sigma"] '),
         "`likelihood.sigma` must be one value or one for each of the 3",
     ),
-    "window": (
-        ("[0.0, 6.0]", "[0.0, 60.0]"),
-        "[processing.trim]: `start, stop` must lie within the record",
-    ),
+    "window": (("[0.0, 6.0]", "[0.0, 60.0]"), "[processing.trim]: `start, stop` must lie within the record"),
     "window backward": (
         ("[0.0, 6.0]", "[6.0, 0.0]"),
         "`processing.trim` must be two rising numbers [from, to]",
     ),
-    "corner": (
-        ("high = 25.0", "high = 80.0"),
-        "[processing.band_pass]: `high` must lie between 0 and 50 Hz",
-    ),
+    "corner": (("high = 25.0", "high = 80.0"), "[processing.band_pass]: `high` must lie between 0 and 50 Hz"),
     "frequencies": (
         ("natural_frequencies = [", "natural_frequencies = [9, "),
         "`report.natural_frequencies` must",
     ),
-    "not TOML": (
-        ("[sampler]", "[sampler"),
-        "must be a TOML file",
-    ),
+    "not TOML": (("[sampler]", "[sampler"), "must be a TOML file"),
 }
 
 
