@@ -15,7 +15,7 @@ from pymc_features.simulators.oscillators.recursion import first_order_hold as s
 from support.kernels import chain_discrepancy, chain_response
 from support.newmark import newmark
 from support.reference import first_order_hold, interpolated
-from support.structures import noise_record
+from support.structures import DAMPINGS, noise_record, random_chain
 
 # --------------------------------------------------------------------------- independent routes
 
@@ -53,25 +53,6 @@ def displacement(structure, record, **kwargs):
 def assert_close_to_peak(actual, expected, tolerance):
     """Largest difference over the largest value."""
     np.testing.assert_allclose(actual, expected, rtol=0.0, atol=tolerance * np.abs(expected).max())
-
-
-DAMPINGS = {
-    "rayleigh": lambda n: RayleighDamping(0.2, 1e-3),
-    "none": lambda n: ModalDamping(0.0),
-    "very light": lambda n: ModalDamping(1e-8),
-    "critical": lambda n: ModalDamping(1.0),
-    "over-critical": lambda n: ModalDamping(np.linspace(1.5, 4.0, n)),
-    "mixed": lambda n: ModalDamping(np.linspace(0.0, 2.0, n)),
-    "heavy rayleigh": lambda n: RayleighDamping(20.0, 0.05),
-}
-
-
-def random_chain(seed, damping="rayleigh"):
-    """One to eight masses with frequencies from below 1 Hz to beyond the sampling rate."""
-    rng = np.random.default_rng(seed)
-    n = seed % 8 + 1
-    stiffness = 10.0 ** rng.uniform(1.5, 4.5) * rng.uniform(0.2, 5.0, n)
-    return SpringMassChain(rng.uniform(0.2, 5.0, n), stiffness, DAMPINGS[damping](n))
 
 
 # --------------------------------------------------------------------------- coefficients
