@@ -334,6 +334,7 @@ def worst(draws, expected):
     return (np.abs(found - expected) / np.sqrt((1.0 + expected**2) / len(draws))).max()
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("mode", ["NUMBA", PLAIN], ids=["numba", "python"])
 @pytest.mark.parametrize("n_times", [1, 2, 7, 16])
 def test_covariance_of_draws(mode, n_times):
@@ -440,6 +441,7 @@ def test_times_of_a_response_of_another_kind():
     np.testing.assert_allclose(model.coords["time"], np.arange(5) * 0.5)
 
 
+@pytest.mark.statistical
 def test_smc_finds_the_posterior(pulse):
     """Unknown theta: mean and sd within five Monte Carlo errors of those on a grid.
 
@@ -495,6 +497,7 @@ PEAK_GROWTH = """
 """
 
 
+@pytest.mark.processes
 def test_populations_need_no_memory_for_histories(tmp_path):
     """256 particles of 10 x 15590: growth of the peak over the size of one history, and from histories."""
     pytest.importorskip("resource")

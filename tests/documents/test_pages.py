@@ -5,6 +5,8 @@ import json
 import re
 import sys
 
+import pytest
+
 import pymc_features
 from support.commands import ROOT, run
 from support.pages import PAGES, README, blocks, script
@@ -18,6 +20,7 @@ def from_docs(name: str):
     return module
 
 
+@pytest.mark.processes
 def test_code_of_readme_and_pages_runs():
     """Each page goes on from the README, in one process."""
     model, expected = blocks(README, "python")

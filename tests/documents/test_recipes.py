@@ -6,6 +6,8 @@ import shutil
 import sys
 from pathlib import Path
 
+import pytest
+
 from support.commands import ROOT, run
 from support.pages import script
 
@@ -29,6 +31,7 @@ def follow(page: Path, folder: Path) -> list[Path]:
     return written
 
 
+@pytest.mark.processes
 def test_recipes_can_be_followed(tmp_path):
     """Each new file and line in a copy of the package; the uses of what they add; and the style."""
     page = ROOT / "docs" / "extend.md"

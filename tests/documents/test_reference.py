@@ -2,12 +2,14 @@
 
 import sys
 
+import pytest
 from sphinx.util.inventory import InventoryFile
 
 import pymc_features
 from support.commands import ROOT, run
 
 
+@pytest.mark.processes
 def test_reference_is_built_without_warnings(tmp_path):
     """And holds every public name; one that it holds twice is a warning."""
     command = (sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-d", str(tmp_path / "doctrees"))

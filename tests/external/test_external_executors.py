@@ -13,13 +13,13 @@ import pytest
 from pymc_features import ExternalSimulator, PopulationIMH, TruncNormalFeature, sample_smc
 from pymc_features.external.processes.batch import NoWorkersError
 from support import external_functions as functions
-from support.external_functions import SHAPE, Counted, beam, lives, wait_until
+from support.external_functions import DATA, SHAPE, Counted, beam, lives, wait_until
 from support.sampling import QUIET
 
 distributed = pytest.importorskip("distributed")
 
-DATA = 2.0 * beam(1.0)
 START_SECONDS = 60.0  # of a worker, on a busy machine
+pytestmark = pytest.mark.processes
 
 
 @pytest.fixture(scope="module")

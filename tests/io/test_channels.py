@@ -13,6 +13,7 @@ from scipy.io import savemat
 from pymc_features import ChannelWarning, check_channels, read_channels
 from pymc_features.io.clock import Clock, common_window, even_step
 from support.refusals import refusals
+from support.warned import messages
 
 RNG = np.random.default_rng(11)
 N = 60
@@ -46,16 +47,6 @@ def group(folder, **settings):
 
 def read(files, **settings):
     return read_channels(files, **{"columns": "Acc_X", "units": "m/s^2"} | settings)
-
-
-def messages(action):
-    """Texts of our warnings; any other warning fails."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        action()
-    assert all(warning.category is ChannelWarning for warning in caught), [str(w.message) for w in caught]
-    assert all(warning.filename == __file__ for warning in caught)
-    return [str(warning.message) for warning in caught]
 
 
 @pytest.fixture(autouse=True)

@@ -1,7 +1,5 @@
 """DiscrepancySimulator: a pm.Simulator whose distance is the sum of mean squares, against exact answers."""
 
-import warnings
-
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
@@ -30,6 +28,7 @@ from pymc_features.likelihood_free import KERNELS
 from pymc_features.smc import population_logp
 from support.graphs import LIGHT
 from support.refusals import refusals
+from support.sampling import SERIAL
 from support.structures import noise_record, with_first_spring, with_noise
 
 PRIOR = (0.5, 1.5)
@@ -259,11 +258,8 @@ def test_stock_smc_fills_the_exact_interval(pulse, measured, rho):
     epsilon = abc_tolerance(1.5 * sigma_mpv(e), n_sensors=3)
     low, high = exact_interval(rho, epsilon)
     model = build_model(pulse, measured, epsilon=epsilon)
-    with model, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        idata = pm.sample_smc(
-            1000, chains=2, cores=1, random_seed=3, progressbar=False, compute_convergence_checks=False
-        )
+    with model:
+        idata = pm.sample_smc(1000, chains=2, random_seed=3, **SERIAL)
     theta = idata.posterior["theta"].values.ravel()
     assert theta.size == 2000
     slack = 1e-9 * (high - low)
@@ -484,10 +480,7 @@ def test_predictive_histories_contain_the_noise(pulse, measured):
 def test_noise_in_other_samplers(pulse, measured, kernel):
     """PyMC allows no random draws in a log-density but those of a simulator."""
     model = noisy_model(pulse, measured, 0.1, epsilon=0.5)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        settings = {"cores": 1, "chains": 1, "progressbar": False, "compute_convergence_checks": False}
-        idata = pm.sample_smc(100, kernel, model=model, random_seed=1, **settings)
+    idata = pm.sample_smc(100, kernel, model=model, chains=1, random_seed=1, **SERIAL)
     assert 0.8 < float(idata.posterior["theta"].mean()) < 1.2
 
 

@@ -468,6 +468,7 @@ LATE = """
 """
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("first", ["pass", "import jax; assert jax.numpy.ones(1).dtype == 'float32'"])
 def test_dispatch_is_registered_when_a_graph_is_compiled_for_jax(first, tmp_path):
     """Not with the package; in double precision also if JAX was in use, in single precision, before."""

@@ -81,6 +81,7 @@ BOTH = """
 """
 
 
+@pytest.mark.processes
 def test_edits_compile_what_they_change_and_nothing_else(tmp_path):
     """Edits that cannot change the kernels; then edits in the kernel of one particle (twice), in that of
     populations (five times), and in the call of both from PyTensor (three times), compiled with them.

@@ -676,6 +676,7 @@ PEAK_GROWTH = """
 """
 
 
+@pytest.mark.processes
 def test_gradients_need_no_memory_for_the_history(tmp_path):
     """Peak memory over the size of the data; negative control: forward mode, which returns a history."""
     pytest.importorskip("resource")

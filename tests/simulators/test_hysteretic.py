@@ -1,7 +1,6 @@
 """Hysteretic and Duffing chains: a tight ODE solution, closed forms, linear limits, energy, and refusals."""
 
 import numpy as np
-import pymc as pm
 import pytensor.tensor as pt
 import pytest
 from scipy.integrate import solve_ivp
@@ -382,23 +381,6 @@ def test_spring_forces_are_labelled():
     assert loops.attrs == {"record": "pulse"}
     np.testing.assert_allclose(loops["time"], np.arange(5) * 0.05)
     assert not spring_forces(duffing(2), noise_record())["z"].any()
-
-
-def test_updating_by_a_function():
-    """The way into a model: a function of the parameters for `DiscrepancySimulator`."""
-    record = noise_record(12, 40)
-
-    def history(dy):
-        return simulate(bouc_wen(2, yield_displacement=dy), record).values
-
-    with pm.Model():
-        dy = pm.Uniform("dy", 0.002, 0.02)
-        pmf.DiscrepancySimulator("y", history, dy, epsilon=0.05, observed=history(0.008))
-        idata = pmf.sample_smc(
-            60, kernel=pmf.SubsetSimulation, chains=1, cores=1, random_seed=1, progressbar=False
-        )
-    draws = idata.posterior["dy"].values
-    assert 0.006 < draws.min() < 0.008 < draws.max() < 0.01
 
 
 def test_parameters_may_be_variables():

@@ -1,7 +1,6 @@
 """The kernel of populations against the kernel of one particle, SciPy, and a matrix exponential."""
 
 import numpy as np
-import pytensor
 import pytensor.tensor as pt
 import pytest
 from pytensor.graph.replace import vectorize_graph
@@ -141,20 +140,6 @@ def case():
         return chain_discrepancy(*chain, record.acceleration, DT, 1, 1, np.arange(10), 10, 0, data)
 
     return theta, e, exact, record, data
-
-
-def test_vectorised_graphs_use_the_population_kernel(case):
-    theta, e, exact, *_ = case
-    thetas = pt.vector("thetas")
-    batch = vectorize_graph(e, {theta: thetas})
-    assert our_ops([batch]) == {PopulationDiscrepancy}
-    values = np.linspace(0.5, 1.5, 13)
-    expected = np.array([exact(v) for v in values])
-    for mode in ("NUMBA", "FAST_COMPILE"):
-        function = pytensor.function([thetas], [batch, batch.shape], mode=mode)
-        result, shape = function(values)
-        np.testing.assert_allclose(result, expected, rtol=1e-12)
-        assert tuple(shape) == (13, 10)
 
 
 def test_batches_of_batches(case):

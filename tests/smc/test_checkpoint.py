@@ -25,10 +25,9 @@ from pymc_features import (
 )
 from pymc_features.smc import KERNELS
 from pymc_features.smc.kernels.checkpoint import MAGIC, Checkpoint, Journal
-from support.external_functions import SHAPE, Counted, beam, note
+from support.external_functions import DATA, SHAPE, Counted, beam, note
 from support.sampling import QUIET
 
-DATA = 2.0 * beam(1.0)
 DRAWS = 80
 pytestmark = pytest.mark.usefixtures("fast_compile")
 
@@ -107,6 +106,7 @@ def kill_at(size, folder, function, *arguments):
     return process.exitcode == -signal.SIGKILL
 
 
+@pytest.mark.processes
 def test_killed_ten_times(tmp_path):
     function = InProcess()
     model = model_of(function)
@@ -137,6 +137,7 @@ def resume(model, folder, settings):
     sample(model, checkpoint=folder, **settings)
 
 
+@pytest.mark.processes
 def test_killed_with_an_external_simulator_and_a_cache(tmp_path):
     """Not even the evaluations of the batch in work are lost."""
 
@@ -200,6 +201,7 @@ def test_every_kernel_goes_on(kernel, tmp_path):
     assert len(calls_in(function.path)) == before
 
 
+@pytest.mark.processes
 def test_chains_in_parallel(tmp_path):
     """The same journals as those of chains one after the other, and the same particles."""
     model = model_of(InProcess())
@@ -213,6 +215,7 @@ def test_chains_in_parallel(tmp_path):
     assert len(serial) == 2 and serial == parallel
 
 
+@pytest.mark.processes
 def test_a_dead_chain_process_is_named(tmp_path):
     main = os.getpid()
 
@@ -462,6 +465,7 @@ def hold(folder, ready, end):
     journal.close()
 
 
+@pytest.mark.processes
 def test_a_checkpoint_in_use(tmp_path):
     context = multiprocessing.get_context("fork")
     ready, end = context.Event(), context.Event()
@@ -488,6 +492,7 @@ def test_models_and_kernels_that_cannot_go_on(tmp_path):
         sample(model, pm.smc.MH, checkpoint=tmp_path)
 
 
+@pytest.mark.processes
 def test_an_error_in_a_parallel_chain_comes_as_it_is(copied):
     model, folder, journal, _ = copied
     for path in folder.iterdir():

@@ -14,9 +14,6 @@ from support.sampling import mean_within_errors
 pytestmark = pytest.mark.usefixtures("fast_compile")
 
 
-# --------------------------------------------------------------------------- the pool
-
-
 def pool_of(rng, n=200, with_impossible=True):
     """A pool of three temperatures with masses, and log evidences that are a first guess."""
     x = rng.normal(size=(n, 2))
@@ -86,9 +83,6 @@ def test_next_beta_keeps_the_effective_number():
     assert next_beta(pool, 0.0, 1.0) == 1.0
     flat = Pool(np.zeros((10, 1)), np.zeros(10), np.where(np.arange(10) < 2, -7.0, -np.inf))
     assert next_beta(flat, 0.0, 150.0) == 1.0
-
-
-# --------------------------------------------------------------------------- the proposal
 
 
 def draws_from(mixture, n, rng):

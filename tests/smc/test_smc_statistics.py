@@ -21,9 +21,6 @@ pytestmark = [pytest.mark.usefixtures("fast_compile"), pytest.mark.statistical]
 SEEDS = range(12)
 
 
-# --------------------------------------------------------------------------- conjugate Gaussians
-
-
 CENTRE = 0.5
 
 
@@ -180,9 +177,6 @@ def test_shift_invariance(kernel, shift):
 def test_shift_invariance_can_fail(kernel):
     """The published defect that it catches."""
     assert moves_with_a_shift(kernel, 123.456)
-
-
-# --------------------------------------------------------------------------- other posteriors
 
 
 def narrow(scale=1e-5):

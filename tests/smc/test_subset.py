@@ -15,7 +15,6 @@ from pymc_features import (
     DiscrepancySimulator,
     ModalDamping,
     PopulationWarning,
-    Record,
     SpringMassChain,
     SubsetSimulation,
     SubsetSimulationWarning,
@@ -29,6 +28,7 @@ from pymc_features.smc.kernels import subset
 from pymc_features.smc.kernels.levels import Levels
 from support.refusals import refusals
 from support.sampling import QUIET, mean_within_errors
+from support.structures import noise_record, with_noise
 from support.subset import Banana, ball, batched, cube, identity, itself, own, run, sample, stock, twice
 
 pytestmark = pytest.mark.usefixtures("fast_compile")
@@ -101,6 +101,7 @@ def test_same_seed_same_result():
     assert not np.isin(one.posterior["x"][0], one.posterior["x"][1]).any(), "chains are independent"
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("mp_ctx", ["fork", "forkserver", "spawn"])
 def test_parallel_chains_give_the_same_draws(mp_ctx):
     """With noise, too: its streams travel with the chains."""
@@ -113,14 +114,14 @@ def test_parallel_chains_give_the_same_draws(mp_ctx):
     np.testing.assert_allclose(found.sample_stats["tolerance"], expected.sample_stats["tolerance"])
 
 
-PULSE = Record(np.random.default_rng(0).normal(size=100), 0.02)
+PULSE = noise_record(100)
 
 
 def chain(theta):
     return SpringMassChain(np.ones(2), 400.0 * theta * np.ones(2), ModalDamping(0.05))
 
 
-MEASURED = simulate(chain(1.0), PULSE).values + 0.2 * np.random.default_rng(1).normal(size=(2, 100))
+MEASURED = with_noise(simulate(chain(1.0), PULSE), 0.2)
 
 
 def structure(epsilon=0.2, **settings):
@@ -197,6 +198,7 @@ def test_budget_of_failures():
         sample(own(rarely), 100, stage_draws=100, max_simulations=250)
 
 
+@pytest.mark.processes
 def test_unreachable_tolerance_in_processes():
     """PyMC wraps the error of a process; `sample_smc` raises it as it is."""
     settings = {"chains": 2, "cores": 2, **QUIET}

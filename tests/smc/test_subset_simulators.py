@@ -12,9 +12,6 @@ from support.subset import batched, identity, itself, own, sample, stock, twice
 pytestmark = pytest.mark.usefixtures("fast_compile")
 
 
-# --------------------------------------------------------------------------- failed simulations
-
-
 def raising(error):
     def function(x):
         if x < 0:
@@ -119,9 +116,6 @@ A_SIMULATOR_THAT_NEVER_SUCCEEDS_IS_REFUSED = {  # what is said: what is given
 def test_a_simulator_that_never_succeeds_is_refused(build, match):
     with pytest.raises(ValueError, match=match):
         sample(build(), 100, stage_draws=200)
-
-
-# --------------------------------------------------------------------------- nodes of PyMC
 
 
 def largest(model, **settings):
