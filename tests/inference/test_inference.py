@@ -1,5 +1,6 @@
 """Fisher information, Laplace's approximation, NUTS from particles: against closed forms and quadrature."""
 
+import functools
 import warnings
 
 import arviz as az
@@ -36,8 +37,11 @@ class Example:
             kind: exact_posterior(curve, exponents(kind, *self.data.shape), paper.SIGMA_RANGE)
             for kind in LIKELIHOODS
         }
+
+    @functools.cached_property
+    def nuts(self):
         smc = {"draws": 500, "chains": 1, "cores": 1}
-        self.nuts = {
+        return {
             kind: pmf.sample_nuts(500, tune=500, model=model, smc_settings=smc, **QUIET)
             for kind, model in self.models.items()
         }

@@ -61,7 +61,7 @@ def test_labels():
     drift = simulate(CHAINS[0], SHAKE, quantity="inter_storey_drift", sensors=[2, 0], dt=0.04)
     assert (drift.dims, drift.name) == (("storey", "time"), "inter_storey_drift")
     assert drift["storey"].values.tolist() == [2, 0]
-    assert drift.attrs == {"units": "m", "record": "noise"}
+    assert drift.attrs == {"units": "m", "record": "pulse"}
     assert drift["time"].values[-1] == pytest.approx(2.36)
     shear = simulate(CHAINS[0], SHAKE, quantity="base_shear")
     assert (shear.dims, shear.attrs["units"]) == (("time",), "N")
