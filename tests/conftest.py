@@ -12,21 +12,26 @@ if "PYMC_FEATURES_DATA" not in os.environ and _BESIDE.is_dir():
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 
-def pytest_collection_modifyitems(items):
-    """What runs on one worker, and in which order: the longest first, so that workers end together.
+# in this order after all others: JAX starts threads, and others fork; the rest run in their own processes
+LAST = ["test_jax.py", "test_recipes.py", "test_notebooks.py", "test_pages.py", "test_reference.py"]
 
-    A file is one group, for the sake of its fixtures, and so is each notebook. JAX comes last: it starts
-    threads, and other tests fork.
+
+def pytest_collection_modifyitems(items):
+    """What runs on one worker, and in which order: kernels first, which are compiled for all others, too.
+
+    A file is one group, for the sake of its fixtures, and so is each notebook; the largest come first, so that
+    workers end together.
     """
 
+    def file(item):
+        return item.callspec.params["path"] if "notebook" in item.keywords else item.path
+
     def place(item):
-        name = item.path.name
-        rank = 0 if "notebook" in item.keywords else 2 if name == "test_jax.py" else 1
-        return rank, -item.path.stat().st_size
+        name, kernels = item.path.name, item.path.parent.name in ("simulators", "ops")
+        return LAST.index(name) if name in LAST else -2 if kernels else -1, -file(item).stat().st_size
 
     for item in items:
-        group = item.name if "notebook" in item.keywords else str(item.path)
-        item.add_marker(pytest.mark.xdist_group(group))
+        item.add_marker(pytest.mark.xdist_group(str(file(item))))
     items.sort(key=place)
 
 
