@@ -432,6 +432,7 @@ def one_stiffness():
     return model, mean, np.sqrt(probability @ (middle - mean) ** 2)
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("sampler", SAMPLERS)
 def test_samplers_find_the_posterior(sampler, one_stiffness):
     """Mean and sd of theta within 5 Monte Carlo errors of the quadrature; false alarms: below 1e-4 in all."""

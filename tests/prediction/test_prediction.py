@@ -363,6 +363,7 @@ def test_standard_error_of_what_never_happened():
 # --------------------------------------------------------------------------- coverage
 
 
+@pytest.mark.statistical
 def test_bands_cover_the_true_unmeasured_response():
     """Truths from the prior, data at the top, bands of everything else: 90 % of the times are in them.
 

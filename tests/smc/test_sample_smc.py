@@ -318,6 +318,7 @@ def test_a_marked_simulator_is_called_for_all(build, function):
     xr.testing.assert_allclose(found["posterior"].dataset, expected["posterior"].dataset, rtol=1e-9)
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_noisy_simulator_has_its_exact_posterior(kernel):
     """The mean of 20 draws within 0.3 of the data's, softly: Gaussian, with a closed-form evidence.

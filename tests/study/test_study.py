@@ -142,6 +142,7 @@ def test_norm_uncertainty_does(exact):
 DURATION = {0.1: 3.0, 10.0: np.inf}
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("multiplier", [0.1, 10.0])
 def test_sampled_quantiles_are_the_exact_ones(record, multiplier):
     """5, 50 and 95 % of all parameters within 5 % of the exact 5-95 % width; all ABC draws in the exact set.
