@@ -19,8 +19,8 @@ LAST = ["test_jax.py", "test_recipes.py", "test_notebooks.py", "test_pages.py", 
 def pytest_collection_modifyitems(items):
     """What runs on one worker, and in which order: kernels first, to compile them for all the others.
 
-    A file is one group, for the sake of its fixtures, and so is each notebook; the largest come first, so that
-    workers end together.
+    A file is one group, for the sake of its fixtures, and so is each notebook; the largest come first, so
+    that workers end together.
     """
 
     def file(item):
