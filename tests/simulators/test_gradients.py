@@ -33,6 +33,7 @@ from pymc_features.simulators import FAMILIES, QUANTITIES
 from support.commands import run_python
 from support.graphs import PLAIN, our_ops
 from support.kernels import (
+    DAMPINGS,
     chain_response,
     discrepancy_gradient,
     discrepancy_tangent,
@@ -125,17 +126,6 @@ def complex_steps(arguments, steps, by_modes=False):
 
 
 # --------------------------------------------------------------------------- structures
-
-DAMPINGS = {  # alpha, beta, ratios
-    "none": lambda n: ((0.0, 0.0), np.zeros(n)),
-    "rayleigh": lambda n: ((0.2, 1e-3), np.zeros(n)),
-    "heavy": lambda n: ((20.0, 0.05), np.zeros(n)),
-    "light": lambda n: ((0.0, 0.0), np.full(n, 1e-6)),
-    "equal": lambda n: ((0.1, 5e-4), np.full(n, 0.03)),
-    "critical": lambda n: ((0.0, 0.0), np.full(n, 1.0)),
-    "unequal": lambda n: ((0.1, 0.0), np.linspace(0.01, 0.3, n)),
-    "overdamped": lambda n: ((0.0, 0.0), np.linspace(4.0, 1.5, n)),
-}
 
 
 def random_chain(n, damping="rayleigh", quantity=0, **changes):
