@@ -12,5 +12,6 @@ def messages(action):
         warnings.simplefilter("always")
         action()
     assert all(warning.category is ChannelWarning for warning in caught), [str(w.message) for w in caught]
-    assert all(warning.filename == sys._getframe(1).f_code.co_filename for warning in caught)
+    caller = sys._getframe(1).f_code.co_filename
+    assert all(warning.filename == caller for warning in caught)
     return [str(warning.message) for warning in caught]
