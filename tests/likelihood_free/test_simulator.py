@@ -247,6 +247,7 @@ def exact_interval(rho, epsilon):
     return brentq(gap, first - step, first), brentq(gap, last, last + step)
 
 
+@pytest.mark.statistical
 def test_stock_smc_fills_the_exact_interval(pulse, measured, rho):
     """ABC posterior under a flat prior: uniform on {theta: rho <= epsilon}.
 
@@ -476,6 +477,7 @@ def test_predictive_histories_contain_the_noise(pulse, measured):
     assert abs(np.corrcoef(residuals[:, 1].ravel(), residuals[:, 2].ravel())[0, 1]) < 0.045
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("kernel", [PersistentSMC, PopulationIMH, pm.smc.kernels.IMH])
 def test_noise_in_other_samplers(pulse, measured, kernel):
     """PyMC allows no random draws in a log-density but those of a simulator."""

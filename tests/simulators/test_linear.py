@@ -290,10 +290,9 @@ def test_modes_far_beyond_the_sampling_rate():
 # --------------------------------------------------------------------------- sparse beside dense
 
 
-@pytest.mark.parametrize("n", [2000])
-def test_large_sparse_structure(n):
-    """Twenty modes of 2000: frequencies by the closed form to 1e-11, responses by dense modes to 1e-8."""
-    k, kept = 1e8, 20
+def test_large_sparse_structure():
+    """Twenty modes of 1000: frequencies by the closed form to 1e-11, responses by dense modes to 1e-8."""
+    n, k, kept = 1000, 1e8, 20
     stiffness = spring_chain(n, k)
     mass = sparse.eye_array(n)
     j = np.arange(1, kept + 1)
@@ -303,7 +302,7 @@ def test_large_sparse_structure(n):
     dense = LinearStructure(np.ones(n), ModalDamping(0.02), stiffness.toarray())
     record = noise_record(300, seed=7)
     for quantity in ("absolute_acceleration", "relative_displacement"):
-        asked = dict(quantity=quantity, n_modes=kept, sensors=[0, 999, 1999])
+        asked = dict(quantity=quantity, n_modes=kept, sensors=[0, 499, 999])
         assert peak_error(simulate(structure, record, **asked), simulate(dense, record, **asked)) < 1e-8
     damping = 0.5 * mass + 1e-4 * stiffness
     damping[n - 1, n - 1] += 200.0  # a dashpot at the top couples the modes
@@ -311,7 +310,7 @@ def test_large_sparse_structure(n):
     assert is_coupled(sparse_c.modal_damping(kept))
     dense_c = LinearStructure(np.ones(n), damping.toarray(), stiffness.toarray())
     dense_c._modes = dense._modes  # found above
-    asked = dict(n_modes=kept, sensors=[1999])
+    asked = dict(n_modes=kept, sensors=[999])
     assert peak_error(simulate(sparse_c, record, **asked), simulate(dense_c, record, **asked)) < 1e-8
 
 
