@@ -186,9 +186,10 @@ import pytensor
 pytensor.config.mode = "FAST_COMPILE"
 import numpy as np
 import test_external_cache as here
+from pymc_features import ExternalSimulator
 from support.external_functions import SHAPE, Counted, beam, lives, wait_until
 print(here.fingerprint(here.function_of(here.WITH_SETS), here.function_of(here.BASE), Counted("path")))
-with here.ExternalSimulator(Counted({calls!r}), SHAPE, executor=1, cache={cache!r}) as s:
+with ExternalSimulator(Counted({calls!r}), SHAPE, executor=1, cache={cache!r}) as s:
     assert np.array_equal(s.responses(np.array([1.0, 2.0])), [beam(1.0), beam(2.0)])
     print(s.counts["cached"], here.model_fingerprint(here.model_with(s)))
 """
