@@ -11,11 +11,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from pymc_features import datasets, paper
-from pymc_features.plots.sampling_rate import COLOURS
-from pymc_features.study.references import REFERENCES, STATISTICS
-from pymc_features.study.settings import checked_study
+from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.likelihoods.exact.step import STATISTICS
+from pymc_features.study.settings import Study
 
-LIKELIHOODS = {
+LABELS = {
     "NORM": "NORM: every sample independent",
     "TN": "TN: half-normal law of the misfit",
     "EXP": "EXP: exponential law of the misfit",
@@ -27,11 +27,13 @@ STYLE = {"font.size": 10.5, "svg.fonttype": "path", "svg.hashsalt": "pymc_featur
 
 def intervals(record, multipliers=paper.MULTIPLIERS):
     """Steps [s] (m,), and for each likelihood the exact 5, 50 and 95 % quantiles of theta (m, 3)."""
-    study = checked_study(record, likelihoods=list(LIKELIHOODS), multipliers=multipliers)
+    study = Study(record, likelihoods=list(LABELS), multipliers=multipliers)
     columns = [STATISTICS.index(name) for name in ("q05", "q50", "q95")]
     return study.step(np.array(study.multipliers)), {
-        kind: np.array([REFERENCES[kind](study.misfit(m)).statistics[0, columns] for m in study.multipliers])
-        for kind in LIKELIHOODS
+        kind: np.array(
+            [LIKELIHOODS[kind].reference(study.misfit(m)).statistics[0, columns] for m in study.multipliers]
+        )
+        for kind in LABELS
     }
 
 
@@ -43,8 +45,8 @@ def draw(steps, quantiles):
     for i, (kind, (low, middle, high)) in enumerate((k, q.T) for k, q in quantiles.items()):
         beside = steps * 1.15 ** (i - 1.5)
         errors = [middle - low, high - middle]
-        left.errorbar(beside, middle, errors, fmt="o", ms=3.5, lw=2.2, color=COLOURS[kind])
-        right.plot(steps, high - low, "o-", lw=1.8, ms=4, color=COLOURS[kind], label=LIKELIHOODS[kind])
+        left.errorbar(beside, middle, errors, fmt="o", ms=3.5, lw=2.2, color=LIKELIHOODS[kind].colour)
+        right.plot(steps, high - low, "o-", lw=1.8, ms=4, color=LIKELIHOODS[kind].colour, label=LABELS[kind])
     left.set(ylabel="stiffness factor θ [-]", title="5-95 % interval")
     left.ticklabel_format(axis="y", useOffset=False)
     left.legend(loc="upper left", bbox_to_anchor=(0.0, 1.02), frameon=False, fontsize="small")

@@ -122,6 +122,11 @@ def add_update(commands):
         command.add_argument("--traceback", action="store_true", help="on an error, show where it came from")
 
 
+def say(console, sentence, style=None):
+    """A sentence as it is, on one line."""
+    console.print(sentence, markup=False, highlight=False, soft_wrap=True, style=style)
+
+
 def find_record(options):
     """Return the record to use, and a sentence that says which and why."""
     from pymc_features import datasets, ground_motion, io
@@ -157,10 +162,10 @@ def reproduce(options, console):
     described = find_structure(options.structure)
     options.out = Path(options.out or default_folder(options))
     record, sentence = find_record(options)
-    console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+    say(console, sentence)
     if options.quick and described.quick_seconds is not None:
         record = strong_part(record, described.quick_seconds)
-        console.print(f"used: {record}", markup=False, highlight=False, soft_wrap=True)
+        say(console, f"used: {record}")
     settings = dict(described.quick) if options.quick else {}
     for name in ("draws", "chains", "cores", "stiffness", "likelihoods"):
         if getattr(options, name) is not None:
@@ -176,9 +181,9 @@ def reproduce(options, console):
             **settings,
         )
     if sentence := yielding(result):
-        console.print(f"springs: {sentence}", markup=False, highlight=False, soft_wrap=True)
+        say(console, f"springs: {sentence}")
     for path in write_outputs(result, options.out):
-        console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
+        say(console, f"wrote {path}")
 
 
 def update(options, console):
@@ -186,9 +191,6 @@ def update(options, console):
     import warnings
 
     from pymc_features.update import read_problem, run_update, write_outputs
-
-    def say(sentence, style=None):
-        console.print(sentence, markup=False, highlight=False, soft_wrap=True, style=style)
 
     config = Path(options.config)
     options.out = Path(options.out or config.with_name(f"{config.stem}-output"))
@@ -198,8 +200,8 @@ def update(options, console):
         problem = read_problem(config)
     told = list(dict.fromkeys(str(warning.message) for warning in caught))
     for sentence in told:
-        say(f"warning: {sentence}", "yellow")
-    say(f"data: {problem.measured.source}; base: {problem.measured.record}")
+        say(console, f"warning: {sentence}", "yellow")
+    say(console, f"data: {problem.measured.source}; base: {problem.measured.record}")
     with PartProgress(console, "update") as progress:
         result = run_update(
             problem,
@@ -210,7 +212,7 @@ def update(options, console):
         )
     for path in write_outputs(problem, result, options.out, told):
         if path.parent == options.out:
-            say(f"wrote {path}")
+            say(console, f"wrote {path}")
 
 
 def init(options, console):
@@ -219,7 +221,7 @@ def init(options, console):
 
     paths, sentence = write_example(options.config, synthetic=options.synthetic)
     for line in (sentence, *(f"wrote {path}" for path in paths), f"run: pymc-features update {paths[0]}"):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        say(console, line)
 
 
 def strong_part(record, seconds: float):

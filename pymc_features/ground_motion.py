@@ -7,11 +7,10 @@ wanted peak.
 """
 
 import math
-import operator
-from numbers import Real
 
 import numpy as np
 
+from pymc_features._checks import check_integer, check_positive
 from pymc_features.records import Record
 
 __all__ = ["synthetic_earthquake"]
@@ -92,12 +91,12 @@ def synthetic_earthquake(
     >>> record
     Record('synthetic 7', 2001 samples, dt=0.01 s, duration=20 s, pga=2.5 m/s^2)
     """
-    seed = _check_seed(seed)
+    seed = check_integer(seed, "seed", least=0)
     positive = dict(duration=duration, dt=dt, pga=pga, omega_g=omega_g, zeta_g=zeta_g, zeta_f=zeta_f)
     for name, value in positive.items():
-        _check_positive(name, value)
+        check_positive(value, name)
     omega_f = 0.1 * omega_g if omega_f is None else omega_f
-    _check_positive("omega_f", omega_f)
+    check_positive(omega_f, "omega_f")
     for name, omega in dict(omega_g=omega_g, omega_f=omega_f).items():
         if omega >= math.pi / dt:
             raise ValueError(
@@ -115,31 +114,14 @@ def synthetic_earthquake(
     return Record(acceleration, dt, name=f"synthetic {seed}")
 
 
-def _check_seed(seed) -> int:
-    try:
-        number = operator.index(seed)
-    except TypeError:
-        raise TypeError(f"`seed` must be an integer, got {seed!r}.") from None
-    if number < 0:
-        raise ValueError(f"`seed` must not be negative, got {number}.")
-    return number
-
-
-def _check_positive(name: str, value, or_zero: bool = False) -> None:
-    if not isinstance(value, Real) or isinstance(value, bool):
-        raise TypeError(f"`{name}` must be a number, got {value!r}.")
-    if not (0.0 < value < math.inf or (or_zero and value == 0.0)):
-        raise ValueError(f"`{name}` must be positive{' or zero' * or_zero}, got {value}.")
-
-
 def _envelope(time: np.ndarray, rise_time, strong_time, end_level) -> np.ndarray:
     """Amin-Ang envelope (time,)."""
     duration = time[-1]
     rise_time = 0.1 * duration if rise_time is None else rise_time
     strong_time = 0.3 * duration if strong_time is None else strong_time
     for name, value in dict(rise_time=rise_time, strong_time=strong_time).items():
-        _check_positive(name, value, or_zero=True)
-    _check_positive("end_level", end_level)
+        check_positive(value, name, allow_zero=True)
+    check_positive(end_level, "end_level")
     if end_level > 1.0:
         raise ValueError(f"`end_level` must be at most 1, the plateau, got {end_level}.")
     decay_start = rise_time + strong_time

@@ -1,12 +1,70 @@
 """What shakes a structure: a ground-motion record, or several histories of supports or forces."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
+import xarray as xr
+
+from pymc_features._checks import as_numbers, check_finite, check_step
+from pymc_features.signals import sampling_step
+
+FILL = "Fill or cut the gap first."
+
+
+class DynamicLoad:
+    """What shakes a structure that is at rest at the first sample; linear between the samples.
+
+    Structures and simulators take a `Record` or a `Loading` by these attributes, and by nothing else.
+
+    Attributes
+    ----------
+    inputs : array (input, time)
+        Accelerations of the base or the supports [m/s^2], or forces [N].
+    is_force : bool
+        Whether they are forces.
+    dt : float
+        Sampling interval [s].
+    name : str
+        For figures and messages.
+    """
+
+    inputs: np.ndarray
+    is_force: bool = False
+    dt: float
+    name: str
+
+    def first(self, n_times: int) -> "DynamicLoad":
+        """The same, cut to its first samples."""
+        raise NotImplementedError
+
+    def __reduce__(self):
+        # made anew, so that the arrays of a deep or pickled copy are read-only as well
+        values = (getattr(self, entry.name) for entry in fields(self))
+        return type(self), tuple(np.array(v) if isinstance(v, np.ndarray) else v for v in values)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of histories."""
+        return self.inputs.shape[0]
+
+    @property
+    def n_times(self) -> int:
+        """Number of samples."""
+        return self.inputs.shape[1]
+
+    @property
+    def time(self) -> np.ndarray:
+        """Sampling times (time,) [s], from 0."""
+        return np.arange(self.n_times) * self.dt
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample [s]."""
+        return (self.n_times - 1) * self.dt
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Record:
+class Record(DynamicLoad):
     """An evenly sampled ground acceleration, immutable.
 
     Between its samples the acceleration is taken as linear; the structure is at rest at the first.
@@ -37,28 +95,17 @@ class Record:
     name: str = ""
 
     def __post_init__(self):
-        try:
-            acceleration = np.array(self.acceleration, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise TypeError(
-                f"`acceleration` must be an array of numbers in m/s^2, got "
-                f"{type(self.acceleration).__name__}. Read files with `read_record`."
-            ) from None
+        acceleration = as_numbers(
+            self.acceleration, "acceleration", "Pass m/s^2, or read files with `read_record`."
+        )
         if acceleration.ndim != 1 or acceleration.size < 2:
             raise ValueError(
                 f"`acceleration` must be one-dimensional with at least 2 samples, got shape "
                 f"{acceleration.shape}. Pass one component of the ground motion."
             )
-        if not np.isfinite(acceleration).all():
-            bad = int(np.flatnonzero(~np.isfinite(acceleration))[0])
-            raise ValueError(
-                f"`acceleration` must be finite, got {acceleration[bad]} at sample {bad}. "
-                "Fill or cut the gap first."
-            )
-        dt = _checked_step(self.dt)
-        acceleration.setflags(write=False)
+        check_finite(acceleration, "acceleration", FILL)
         object.__setattr__(self, "acceleration", acceleration)
-        object.__setattr__(self, "dt", dt)
+        object.__setattr__(self, "dt", check_step(self.dt))
         object.__setattr__(self, "name", str(self.name))
 
     @classmethod
@@ -79,7 +126,7 @@ class Record:
         ValueError, TypeError
             If there is no such sensor, the units are not m/s^2, or the times are not even.
         """
-        if not all(hasattr(channels, part) for part in ("dims", "coords", "attrs")):
+        if not isinstance(channels, xr.DataArray):
             raise TypeError(
                 f"`channels` must be an xarray.DataArray, got {type(channels).__name__}. "
                 "Pass arrays as Record(acceleration, dt)."
@@ -91,7 +138,7 @@ class Record:
                 "Convert them, and say so there."
             )
         label = channel.coords["sensor"].item() if "sensor" in channel.coords else ""
-        return cls(channel.values, _even_step(channel), str(label) if name is None else name)
+        return cls(channel.values, sampling_step(channel), str(label) if name is None else name)
 
     def __repr__(self):
         label = f"{self.name!r}, " if self.name else ""
@@ -103,24 +150,14 @@ class Record:
     def __len__(self):
         return self.n_times
 
-    def __reduce__(self):
-        # made anew, so that the array of a deep or pickled copy is read-only as well
-        return type(self), (np.array(self.acceleration), self.dt, self.name)
-
     @property
-    def n_times(self) -> int:
-        """Number of samples."""
-        return self.acceleration.size
+    def inputs(self) -> np.ndarray:
+        """The acceleration as one input (1, time)."""
+        return self.acceleration[None]
 
-    @property
-    def time(self) -> np.ndarray:
-        """Sampling times (time,) [s], from 0."""
-        return np.arange(self.n_times) * self.dt
-
-    @property
-    def duration(self) -> float:
-        """Time of the last sample [s]."""
-        return (self.n_times - 1) * self.dt
+    def first(self, n_times: int) -> "Record":
+        """The same, cut to its first samples."""
+        return replace(self, acceleration=self.acceleration[:n_times])
 
     @property
     def pga(self) -> float:
@@ -132,7 +169,7 @@ KINDS = {"support_acceleration": "m/s^2", "force": "N"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Loading:
+class Loading(DynamicLoad):
     """Several evenly sampled histories that act together: support accelerations or nodal forces. Immutable.
 
     Between the samples they are taken as linear; the structure is at rest at the first.
@@ -172,14 +209,15 @@ class Loading:
     def __post_init__(self):
         if self.kind not in KINDS:
             raise ValueError(f"`kind` must be one of {', '.join(KINDS)}, got {self.kind!r}.")
-        values = np.atleast_2d(_numbers(self.values, "values"))
+        values = np.atleast_2d(as_numbers(self.values, "values"))
         if values.ndim != 2 or values.shape[1] < 2 or values.shape[0] == 0:
             raise ValueError(
                 f"`values` must have shape (input, time) with at least 2 samples, got {values.shape}. "
                 "Time is the last axis."
             )
+        check_finite(values, "values", FILL)
         object.__setattr__(self, "values", values)
-        object.__setattr__(self, "dt", _checked_step(self.dt))
+        object.__setattr__(self, "dt", check_step(self.dt))
         object.__setattr__(self, "name", str(self.name))
         if self.matrix is not None:
             object.__setattr__(self, "matrix", self._checked_matrix())
@@ -190,41 +228,47 @@ class Loading:
                 "`matrix` must be left out with support accelerations, got one. "
                 "Give the structure an `influence` matrix instead."
             )
-        matrix = _numbers(self.matrix, "matrix")
+        matrix = as_numbers(self.matrix, "matrix")
         if matrix.ndim != 2 or matrix.shape[1] != self.n_inputs:
             raise ValueError(
                 f"`matrix` must have shape (n, {self.n_inputs}) to match the inputs, got {matrix.shape}. "
                 "Give one column for each input."
             )
+        check_finite(matrix, "matrix", FILL)
         return matrix
 
     def __repr__(self):
         label = f"{self.name!r}, " if self.name else ""
         return f"Loading({label}{self.kind}, {self.n_inputs} x {self.n_times} samples, dt={self.dt:g} s)"
 
-    def __reduce__(self):
-        matrix = None if self.matrix is None else np.array(self.matrix)
-        return type(self), (np.array(self.values), self.dt, self.kind, matrix, self.name)
+    @property
+    def inputs(self) -> np.ndarray:
+        """The values (input, time)."""
+        return self.values
 
     @property
-    def n_inputs(self) -> int:
-        """Number of histories."""
-        return self.values.shape[0]
+    def is_force(self) -> bool:
+        """Whether they are forces."""
+        return self.kind == "force"
 
-    @property
-    def n_times(self) -> int:
-        """Number of samples."""
-        return self.values.shape[1]
+    def first(self, n_times: int) -> "Loading":
+        """The same, cut to its first samples."""
+        return replace(self, values=self.values[:, :n_times])
 
-    @property
-    def time(self) -> np.ndarray:
-        """Sampling times (time,) [s], from 0."""
-        return np.arange(self.n_times) * self.dt
+    def applied(self, shapes: np.ndarray) -> np.ndarray:
+        """Work of unit forces in shapes (m, n), shapes times `matrix`, (m, input)."""
+        return shapes if self.matrix is None else shapes @ self.matrix
 
-    @property
-    def duration(self) -> float:
-        """Time of the last sample [s]."""
-        return (self.n_times - 1) * self.dt
+    def places(self, n_dof: int) -> np.ndarray:
+        """Which force acts on which of n degrees of freedom (n, input)."""
+        matrix = np.eye(n_dof) if self.matrix is None else self.matrix
+        if matrix.shape != (n_dof, self.n_inputs):
+            raise ValueError(
+                f"`matrix` of the forces must have shape ({n_dof}, {self.n_inputs}), got "
+                f"{'none' if self.matrix is None else self.matrix.shape}. "
+                "Give one row for each degree of freedom and one column for each input."
+            )
+        return matrix
 
 
 def _picked(channels, sensor):
@@ -241,38 +285,3 @@ def _picked(channels, sensor):
             f"`sensor` must name one channel, got None for an array with dimensions {channels.dims}."
         )
     return channels
-
-
-def _even_step(channel):
-    """Sampling interval [s] of a channel, from its time coordinate."""
-    if "time" not in channel.coords or channel.sizes["time"] < 2:
-        raise ValueError("`channels` must have a time coordinate [s] of at least 2 samples, got none.")
-    time = np.asarray(channel.coords["time"].values, dtype=np.float64)
-    step = (time[-1] - time[0]) / (time.size - 1)
-    if not (step > 0.0 and np.abs(time - time[0] - step * np.arange(time.size)).max() <= 1e-3 * step):
-        raise ValueError("`channels` must be evenly sampled, their time steps vary. Resample them first.")
-    return float(f"{step:.10g}")
-
-
-def _numbers(value, name):
-    """A read-only float64 copy of finite numbers."""
-    try:
-        numbers = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(f"`{name}` must be an array of numbers, got {type(value).__name__}.") from None
-    if not np.isfinite(numbers).all():
-        raise ValueError(f"`{name}` must be finite, got NaN or infinity. Fill or cut the gap first.")
-    numbers.setflags(write=False)
-    return numbers
-
-
-def _checked_step(dt):
-    try:
-        step = float(dt)
-    except (TypeError, ValueError):
-        raise TypeError(
-            f"`dt` must be a number, got {dt!r}. Pass the sampling interval in seconds."
-        ) from None
-    if not 0.0 < step < np.inf:
-        raise ValueError(f"`dt` must be positive, got {step}. Pass the sampling interval in seconds.")
-    return step

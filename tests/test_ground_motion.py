@@ -172,13 +172,13 @@ INADMISSIBLE_ARGUMENTS_VALUES = {  # what is said: what is given
     "`rise_time` must be positive or zero, got -1.0": {"rise_time": -1.0},
     "`end_level` must be positive, got 0.0": {"end_level": 0.0},
     "`end_level` must be at most 1, the plateau, got 1.5": {"end_level": 1.5},
-    "`seed` must not be negative, got -1": {"seed": -1},
+    "`seed` must be an integer of at least 0, got 1.5": {"seed": 1.5},
+    "`seed` must be an integer of at least 0, got None": {"seed": None},
+    "`seed` must be an integer of at least 0, got -1": {"seed": -1},
 }
 INADMISSIBLE_ARGUMENTS_TYPES = {
     "`duration` must be a number, got '30'": {"duration": "30"},
     "`strong_time` must be a number, got 'a'": {"strong_time": "a"},
-    "`seed` must be an integer, got 1.0": {"seed": 1.0},
-    "`seed` must be an integer, got None": {"seed": None},
 }
 
 

@@ -79,15 +79,15 @@ def test_records_are_hashable_by_identity(pulse):
 @pytest.mark.parametrize(
     ("acceleration", "error", "match"),
     [
-        (["a", "b"], TypeError, "`acceleration` must be an array of numbers in m/s.2, got list"),
-        ([[1.0], [1.0, 2.0]], TypeError, "got list. Read files with `read_record`"),
-        ("elcentro.dat", TypeError, "got str. Read files with `read_record`"),
+        (["a", "b"], TypeError, "`acceleration` must be an array of numbers, got list. Pass m/s.2, or read"),
+        ([[1.0], [1.0, 2.0]], TypeError, "got list. Pass m/s.2, or read files with `read_record`"),
+        ("elcentro.dat", TypeError, "got str. Pass m/s.2, or read files with `read_record`"),
         ([[0.0, 1.0]], ValueError, r"one-dimensional with at least 2 samples, got shape \(1, 2\)"),
         ([1.0], ValueError, r"at least 2 samples, got shape \(1,\). Pass one component"),
         ([], ValueError, r"got shape \(0,\)"),
         (1.0, ValueError, r"got shape \(\)"),
-        ([0.0, 1.0, np.nan, np.inf], ValueError, "must be finite, got nan at sample 2. Fill or cut"),
-        ([0.0, -np.inf], ValueError, "must be finite, got -inf at sample 1"),
+        ([0.0, 1.0, np.nan, np.inf], ValueError, "must be finite, got nan at index 2. Fill or cut"),
+        ([0.0, -np.inf], ValueError, "must be finite, got -inf at index 1"),
     ],
 )
 def test_bad_acceleration(acceleration, error, match):

@@ -14,11 +14,7 @@ import numpy as np
 import pytensor.tensor as pt
 from pymc.distributions.dist_math import check_parameters
 from pymc.distributions.distribution import Continuous, SymbolicRandomVariable, _support_point
-from pymc.distributions.shape_utils import (
-    implicit_size_from_params,
-    maybe_resize,
-    rv_size_is_none,
-)
+from pymc.distributions.shape_utils import implicit_size_from_params, maybe_resize, rv_size_is_none
 from pymc.logprob.abstract import _logcdf, _logprob
 from pymc.pytensorf import normalize_rng_param
 from pytensor.tensor.random.utils import normalize_size_param

@@ -3,13 +3,14 @@
 from os import PathLike
 from pathlib import Path
 
+from pymc_features._checks import check_step
 from pymc_features.io.at2 import read_at2
 from pymc_features.io.channels import CHANNEL_READERS, read_channels
-from pymc_features.io.check import check_readable
+from pymc_features.io.lines import check_readable
 from pymc_features.io.mat import read_mat
 from pymc_features.io.matrices import read_matrices
 from pymc_features.io.text import read_text
-from pymc_features.io.units import check_dt, unit_factor
+from pymc_features.io.units import unit_factor
 from pymc_features.records import Record
 
 __all__ = ["CHANNEL_READERS", "READERS", "read_channels", "read_matrices", "read_record"]
@@ -84,7 +85,7 @@ def read_record(
     """
     path = Path(path)
     check_readable(path)
-    dt = check_dt(dt)
+    dt = None if dt is None else check_step(dt)
     if units is not None:
         unit_factor(units)
     reader = READERS.get(path.suffix.lower(), read_text)

@@ -1,6 +1,5 @@
 """Measured channels of several sensors, from one file or a group of files, on their common clock."""
 
-import operator
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -8,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import SAMPLING_INTERVAL, check_integer, check_step
 from pymc_features.io.at2 import read_at2
-from pymc_features.io.check import check_readable
-from pymc_features.io.clock import Clock, clock_seconds, common_window
+from pymc_features.io.clock import Clock, MeasuredFile, Request, clock_seconds, common_window
+from pymc_features.io.lines import check_readable
 from pymc_features.io.mat_channels import read_mat_channels
-from pymc_features.io.measured import MeasuredFile, Request
 from pymc_features.io.text_channels import read_text_channels
-from pymc_features.io.units import check_dt, unit_factor
+from pymc_features.io.units import unit_factor
 from pymc_features.signals.single import check_each
 
 
@@ -101,10 +100,10 @@ def read_channels(
     request = Request(
         columns=picked,
         units=units,
-        dt=check_dt(dt),
+        dt=None if dt is None else check_step(dt),
         clock=clock,
         clock_units=None if clock_units is None else clock_seconds(clock_units),
-        skip=_check_skip(skip),
+        skip=check_integer(skip, "skip", least=0, advice="It counts rows at the start."),
     )
     _check_clock(clock, dt)
     if units is not None:
@@ -161,21 +160,11 @@ def _named_columns(columns) -> tuple[list[str] | None, list | None]:
     return names, picked
 
 
-def _check_skip(skip) -> int:
-    try:
-        number = operator.index(skip)
-    except TypeError:
-        raise TypeError(f"`skip` must be an integer, got {skip!r}.") from None
-    if number < 0:
-        raise ValueError(f"`skip` must not be negative, got {skip}. It counts rows at the start.")
-    return number
-
-
 def _check_clock(clock, dt) -> None:
     if clock is True:
         raise TypeError("`clock` must be a column, False or None, got True.")
     if clock is False and dt is None:
-        raise ValueError("`dt` must be given with clock=False. Pass the sampling interval in seconds.")
+        raise ValueError(f"`dt` must be given with clock=False. {SAMPLING_INTERVAL}")
 
 
 def _sensor_names(found, labels, keys, named: bool) -> list[str]:

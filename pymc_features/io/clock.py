@@ -1,11 +1,11 @@
-"""Clocks of sensors: their steps, their gaps, and the window that several have in common."""
+"""Measured files and their clocks: steps, gaps, and the window that several clocks have in common."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from numbers import Real
 
 import numpy as np
 
+from pymc_features._checks import is_number
 from pymc_features.io.units import time_step
 from pymc_features.signals.channels import warn_channel
 
@@ -42,11 +42,32 @@ class Window:
     first: tuple[int, ...]  # first common sample of every file
 
 
+@dataclass(frozen=True)
+class MeasuredFile:
+    """Channels of one file, all sampled at the same times."""
+
+    names: list[str]
+    values: np.ndarray  # (channel, time) [m/s^2]
+    clock: Clock
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the caller of `read_channels` says about every file; None leaves it to the file."""
+
+    columns: list | None = None
+    units: str | float | None = None
+    dt: float | None = None
+    clock: str | int | bool | None = None  # False: no clock
+    clock_units: float | None = None  # [s] per count
+    skip: int = 0
+
+
 def clock_seconds(units) -> float:
     """Seconds per unit of a clock: "s", "ms", "us", "ns" or a positive number."""
     if isinstance(units, str) and units.lower() in SECONDS:
         return SECONDS[units.lower()]
-    if isinstance(units, Real) and not isinstance(units, bool) and 0.0 < units < np.inf:
+    if is_number(units) and 0.0 < units < np.inf:
         return float(units)
     raise ValueError(
         '`clock_units` must be "s", "ms", "us", "ns" or a positive number of seconds per count, got '

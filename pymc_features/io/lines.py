@@ -1,4 +1,4 @@
-"""Lines and numbers of any text file."""
+"""Files that can be read; lines and numbers of any text file."""
 
 import codecs
 import re
@@ -10,6 +10,20 @@ import numpy as np
 FLOAT = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
 _NUMBER = re.compile(FLOAT, re.ASCII)
 _NOT_FINITE = re.compile(r"[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
+
+
+def check_readable(path: Path) -> None:
+    """Refuse folders, missing files and files that cannot be opened."""
+    if path.is_dir():
+        raise IsADirectoryError(f"`path` must be a file, got the folder {path}. Name a file in it.")
+    if not path.exists():
+        raise FileNotFoundError(
+            f"`path` must be an existing file, got {path}. The current folder is {Path.cwd()}."
+        )
+    try:
+        path.open("rb").close()
+    except OSError as error:
+        raise type(error)(f"`path` must be readable, got {path}: {error.strerror}.") from error
 
 
 def read_lines(path: Path) -> list[str]:

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.clock import Clock, even_step
+from pymc_features.io.clock import Clock, MeasuredFile, Request, even_step
 from pymc_features.io.mat import SCALARS, TIMES, describe, load_variables, stated_units
-from pymc_features.io.measured import MeasuredFile, Request
 from pymc_features.io.units import resolve_dt, resolve_units
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 from scipy.io import loadmat, mmread
 
-from pymc_features.io.check import check_readable
+from pymc_features.io.lines import check_readable
 from pymc_features.io.mat import _load_hdf5
 
 

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.clock import SECONDS, Clock, even_step
-from pymc_features.io.measured import MeasuredFile, Request
+from pymc_features.io.clock import SECONDS, Clock, MeasuredFile, Request, even_step
 from pymc_features.io.table import Table, parse_table
 from pymc_features.io.units import resolve_dt, resolve_units
 

@@ -3,9 +3,10 @@
 import os
 import warnings
 from collections.abc import Callable
-from numbers import Real
 
 import numpy as np
+
+from pymc_features._checks import SAMPLING_INTERVAL, check_positive, is_number
 
 #: Acceleration of gravity [m/s^2] behind the unit "g". The reference results that records of this
 #: field are compared with use 9.81; who wants 9.80665 passes that number as `units`.
@@ -55,22 +56,9 @@ def unit_factor(units) -> float:
         if factor is None:
             raise ValueError(f"`units` must be one of {CHOICES}, got {units!r}.")
         return factor
-    if not isinstance(units, Real) or isinstance(units, bool):
+    if not is_number(units):
         raise TypeError(f"`units` must be one of {CHOICES}, got {units!r}.")
-    if not 0.0 < units < np.inf:
-        raise ValueError(f"`units` must be positive, got {units}. Pass the m/s^2 per file unit.")
-    return float(units)
-
-
-def check_dt(dt) -> float | None:
-    """The sampling interval [s] as a float, None left alone; an error unless positive."""
-    if dt is None:
-        return None
-    if not isinstance(dt, Real) or isinstance(dt, bool):
-        raise TypeError(f"`dt` must be a number, got {dt!r}. Pass the sampling interval in seconds.")
-    if not 0.0 < dt < np.inf:
-        raise ValueError(f"`dt` must be positive, got {dt}. Pass the sampling interval in seconds.")
-    return float(dt)
+    return check_positive(units, "units", "Pass the m/s^2 per file unit.")
 
 
 def warn_user(message: str) -> None:
@@ -106,13 +94,12 @@ def resolve_dt(dt: float | None, stated: float | None, source: str) -> float:
     if dt is None:
         if stated is None:
             raise ValueError(
-                f"`dt` must be given, {source} does not state the time step. "
-                "Pass the sampling interval in seconds."
+                f"`dt` must be given, {source} does not state the time step. {SAMPLING_INTERVAL}"
             )
         if stated >= 1.0:  # a counter or milliseconds, silently 1000 times too slow
             raise ValueError(
                 f"`dt` must be given, {source} states a time step of {stated:g}, too long for "
-                "seconds. Pass the sampling interval in seconds."
+                f"seconds. {SAMPLING_INTERVAL}"
             )
         return stated
     if stated is not None and not np.isclose(dt, stated, rtol=1e-3, atol=0.0):

@@ -3,6 +3,8 @@
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import check_integer
+
 QUANTILE = 0.9
 
 
@@ -32,9 +34,7 @@ def abc_tolerance(sigma, n_sensors: int):
     >>> round(abc_tolerance(draws, n_sensors=10), 4)  # 90 % quantile 0.57
     6.498
     """
-    whole = isinstance(n_sensors, int | float | np.number) and not isinstance(n_sensors, bool)
-    if not (whole and n_sensors >= 1 and n_sensors % 1 == 0):
-        raise ValueError(f"`n_sensors` must be a positive integer, got {n_sensors!r}.")
+    n_sensors = check_integer(n_sensors, "n_sensors")
     if isinstance(sigma, xr.DataTree | xr.Dataset | xr.DataArray):
         sigma = posterior_quantile(sigma)
     try:
@@ -43,7 +43,7 @@ def abc_tolerance(sigma, n_sensors: int):
         raise TypeError(
             f"`sigma` must be one number, got {type(sigma).__name__}. Pass a quantile of its posterior."
         ) from None
-    if values.shape not in ((), (int(n_sensors),)):
+    if values.shape not in ((), (n_sensors,)):
         raise ValueError(
             f"`sigma` must be one number or one for each of the {n_sensors} sensors, got shape "
             f"{values.shape}. Pass draws as a DataArray with dimensions chain and draw."
@@ -53,7 +53,7 @@ def abc_tolerance(sigma, n_sensors: int):
             f"`sigma` must be positive and finite, got {values.tolist()}. Pass the 90 % quantile of the EXP "
             "posterior, in the units of the data."
         )
-    delta = 2.0 * int(n_sensors) * values**2
+    delta = 2.0 * n_sensors * values**2
     return delta if delta.ndim else float(delta)
 
 

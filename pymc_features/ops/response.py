@@ -130,7 +130,7 @@ def base_shear(structure, record, dt, asked) -> TensorVariable:
         return shear
     if isinstance(dt, SharedVariable):
         raise TypeError("`dt` must be a number for a base shear under forces, got pm.Data. Pass seconds.")
-    return shear + share @ at_outputs(record.values, asked)
+    return shear + share @ at_outputs(record.inputs, asked)
 
 
 def respond(structure, record, dt, asked, rows) -> TensorVariable:

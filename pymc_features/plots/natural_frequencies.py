@@ -3,7 +3,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from pymc_features.plots.sampling_rate import COLOURS
+from pymc_features.likelihoods import LIKELIHOODS
 
 
 def plot_natural_frequencies(result, axes=None):
@@ -45,7 +45,7 @@ def plot_natural_frequencies(result, axes=None):
     for row, kind in enumerate(kinds):
         found = result[f"{kind}/modal"]["natural_frequency"]
         low, middle, high = found.quantile([0.05, 0.5, 0.95], dim=["chain", "draw"]).values
-        colour = COLOURS.get(kind, "C5")
+        colour = LIKELIHOODS[kind].colour
         axes[1].hlines(np.full(middle.size, row), low, high, color=colour, lw=5.0, alpha=0.4)
         axes[1].plot(middle, np.full(middle.size, row), "o", color=colour, ms=4)
         top = max(top, float(np.nanmax(high)))

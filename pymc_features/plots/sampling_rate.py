@@ -3,18 +3,11 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
+from pymc_features.likelihoods import LIKELIHOODS
+
 LABELS = {
     "theta": "stiffness factor θ [-]",
     "sigma": "scale σ [m/s²]",
-}
-COLOURS = {
-    "NORM": "C0",
-    "TN": "C1",
-    "EXP": "C2",
-    "ABC": "C4",
-    "CN": "C3",
-    "CN-SIGMA": "C5",
-    "CN-TAU": "C8",
 }
 
 
@@ -70,7 +63,7 @@ def plot_sampling_rate(result, likelihoods, axes=None):
 def _draw(ax, cell, kind, shift):
     """One likelihood and parameter: exact lines, sampled bars."""
     steps = cell["multiplier"].values
-    colour = COLOURS.get(kind, "C5")
+    colour = LIKELIHOODS[kind].colour
     exact = cell["exact"].transpose("statistic", "multiplier").values
     sampled = cell["sampled"].transpose("statistic", "multiplier").values
     ax.fill_between(steps, exact[1], exact[3], color=colour, alpha=0.15, lw=0)

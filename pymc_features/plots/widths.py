@@ -2,7 +2,7 @@
 
 import matplotlib.pyplot as plt
 
-from pymc_features.plots.sampling_rate import COLOURS
+from pymc_features.likelihoods import LIKELIHOODS
 
 
 def plot_widths(result, ax=None):
@@ -27,7 +27,7 @@ def plot_widths(result, ax=None):
     width = summary.sel(statistic="q95") - summary.sel(statistic="q05")
     steps = summary["multiplier"].values
     for kind in summary["likelihood"].values:
-        colour, cell = COLOURS.get(str(kind), "C5"), width.sel(likelihood=kind)
+        colour, cell = LIKELIHOODS[str(kind)].colour, width.sel(likelihood=kind)
         dashes = "--" if str(kind).startswith("CN") else "-"  # CN-TAU lies on NORM
         ax.plot(steps, cell["exact"], dashes, color=colour, lw=1.5, label=str(kind))
         ax.plot(steps, cell["sampled"], "o", color=colour, ms=4)

@@ -6,7 +6,6 @@ nonlinear structure or damping that couples the modes, is simulated at once; its
 file if blocks of time are wanted, and else leave nothing but their peaks.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -45,9 +44,7 @@ def ask(structure, records, names, settings) -> Question:
         asked, outputs = [checked_request(structure, record, name, **settings) for name in names][0]
         requests.append(asked)
         # two samples: whether the record fits the structure
-        field = "acceleration" if hasattr(record, "acceleration") else "values"
-        start = replace(record, **{field: getattr(record, field)[..., :2]})
-        simulate(structure, start, dt=settings["dt"], n_modes=settings["n_modes"])
+        simulate(structure, record.first(2), dt=settings["dt"], n_modes=settings["n_modes"])
     return Question(records, requests, names, outputs, settings)
 
 

@@ -34,7 +34,7 @@ class Marched:
     def blocks(self, k: int, name: str, size: int):
         """Yield (first sample, responses (row, time, structure)) of one block after another."""
         systems = self.systems(k, name)
-        return response_blocks(systems, inputs_of(self.question.records[k]), self.question.requests[k], size)
+        return response_blocks(systems, self.question.records[k].inputs, self.question.requests[k], size)
 
     def close(self) -> None:
         """Nothing is open."""
@@ -89,7 +89,7 @@ class Oscillators(Marched):
 
     def __init__(self, question):
         super().__init__(question)
-        forces = [k for k, record in enumerate(question.records) if is_force(record)]
+        forces = [k for k, record in enumerate(question.records) if record.is_force]
         self.loads = [1 + forces.index(k) if k in forces else 0 for k in range(len(question.records))]
         self.omega, self.drag, self.participation, self.seen, self.direct = [], [], [], [], []
 
@@ -133,21 +133,11 @@ class Oscillators(Marched):
         )
 
 
-def is_force(record) -> bool:
-    """Whether a record is forces on the degrees of freedom."""
-    return getattr(record, "kind", "support_acceleration") == "force"
-
-
-def inputs_of(record) -> np.ndarray:
-    """Inputs (d, t): the ground acceleration, or those of a `Loading`."""
-    return record.acceleration[None] if hasattr(record, "acceleration") else record.values
-
-
 def participation(structure, record, modes) -> np.ndarray:
     """Gamma (m, d) of q" + ... = -Gamma a(t)."""
     shapes = modes.mode_shapes
-    if is_force(record):
-        return -shapes.T if record.matrix is None else -shapes.T @ record.matrix
+    if record.is_force:
+        return record.applied(-shapes.T)
     return modes.participation_factors.reshape(shapes.shape[1], -1)
 
 
@@ -156,7 +146,7 @@ def feed_through(structure, record, name, rows, carried) -> np.ndarray:
     code = QUANTITIES.index(HISTORIES[name].source)
     if code not in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION):
         return np.zeros_like(carried)
-    if is_force(record):
+    if record.is_force:
         share = force_share(structure, record, name)
         return -carried if share is None else share - carried
     moved = rows.of(structure.influence.reshape(structure.n_dof, -1))

@@ -2,10 +2,11 @@
 
 import os
 import warnings
-from numbers import Real
 
 import numpy as np
 import xarray as xr
+
+from pymc_features._checks import check_finite, is_number
 
 _PACKAGE = os.path.dirname(os.path.dirname(__file__))
 
@@ -37,12 +38,7 @@ def check_array(channels, sensors: bool = False) -> xr.DataArray:
         )
     if channels.dtype.kind not in "iuf":
         raise TypeError(f"`channels` must hold numbers, got {channels.dtype}.")
-    finite = np.isfinite(channels.values)
-    if not finite.all():
-        where = tuple(int(index) for index in np.argwhere(~finite)[0])
-        raise ValueError(
-            f"`channels` must be finite, got {channels.values[where]} at {where}. Fill or cut the gap first."
-        )
+    check_finite(channels.values, "channels", "Fill or cut the gap first.")
     return channels
 
 
@@ -108,7 +104,7 @@ def check_window(channels: xr.DataArray, window, name: str = "window") -> tuple[
 
 def check_frequency(value, name: str, nyquist: float) -> float:
     """A frequency [Hz] between 0 and half the sampling rate."""
-    if not isinstance(value, Real) or isinstance(value, bool):
+    if not is_number(value):
         raise TypeError(f"`{name}` must be a frequency in Hz, got {value!r}.")
     if not 0.0 < value < nyquist:
         raise ValueError(

@@ -1,10 +1,9 @@
 """A lower sampling rate without aliases."""
 
-import operator
-
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import check_integer
 from pymc_features.signals.channels import check_array, rebuilt, sampling_step
 
 _HALF_LENGTH = 20  # of the filter, in samples of the result
@@ -45,12 +44,7 @@ def decimate(channels: xr.DataArray, factor: int) -> xr.DataArray:
     """
     from scipy import signal  # a second to import
 
-    try:
-        factor = operator.index(factor)
-    except TypeError:
-        raise TypeError(f"`factor` must be an integer, got {factor!r}.") from None
-    if factor < 1:
-        raise ValueError(f"`factor` must be positive, got {factor}. 2 halves the sampling rate.")
+    factor = check_integer(factor, "factor", advice="2 halves the sampling rate.")
     step = sampling_step(check_array(channels))
     values = channels.values.astype(np.float64)
     if factor > 1:

@@ -1,9 +1,8 @@
 """Band-pass without phase."""
 
-import operator
-
 import xarray as xr
 
+from pymc_features._checks import check_integer
 from pymc_features.signals.channels import check_frequency, rebuilt, sampling_step
 
 
@@ -52,12 +51,7 @@ def band_pass(
     ]
     if len(corners) == 2 and not corners[0] < corners[1]:
         raise ValueError(f"`low` must be below `high`, got {low:g} and {high:g} Hz.")
-    try:
-        order = operator.index(order)
-    except TypeError:
-        raise TypeError(f"`order` must be an integer, got {order!r}.") from None
-    if order < 1:
-        raise ValueError(f"`order` must be positive, got {order}.")
+    order = check_integer(order, "order")
     kind = "bandpass" if len(corners) == 2 else "lowpass" if low is None else "highpass"
     edges = corners if len(corners) == 2 else corners[0]
     sections = signal.butter(order, edges, kind, output="sos", fs=1.0 / step)

@@ -106,10 +106,9 @@ def checked_request(structure, record, quantity, *, dt=None, sensors=None, n_mod
 
 def force_share(structure, record, quantity: str) -> np.ndarray | None:
     """What a quantity takes from the forces of a `Loading` directly, (row, input); None for nothing."""
-    if HISTORIES[quantity].dim != "support" or getattr(record, "kind", "") != "force":
+    if HISTORIES[quantity].dim != "support" or not record.is_force:
         return None
-    influence = structure.influence.reshape(structure.n_dof, -1)
-    return -influence.T if record.matrix is None else -influence.T @ record.matrix
+    return record.applied(-structure.influence.reshape(structure.n_dof, -1).T)
 
 
 def at_outputs(values, asked: Request) -> np.ndarray:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features._checks import check_finite, check_integer, check_positive
 from pymc_features.simulators.oscillators.arguments import QUANTITIES
 
 UNITS = dict(zip(QUANTITIES, ("m/s^2", "m/s^2", "m/s", "m"), strict=True))
@@ -54,11 +55,8 @@ def request(
         raise ValueError(f"`quantity` must be one of {', '.join(QUANTITIES)}, got {quantity!r}.")
     if n_modes is None:
         n_modes = n_dof
-    elif isinstance(n_modes, bool | str) or int(n_modes) != n_modes or not 1 <= n_modes <= n_dof:
-        raise ValueError(
-            f"`n_modes` must be an integer from 1 to {n_dof}, got {n_modes}. Leave it out for all modes."
-        )
-    return Request(substeps, stride, check_sensors(sensors, n_dof), int(n_modes), quantity)
+    n_modes = check_integer(n_modes, "n_modes", most=n_dof, advice="Leave it out for all modes.")
+    return Request(substeps, stride, check_sensors(sensors, n_dof), n_modes, quantity)
 
 
 def check_sensors(sensors, n_dof: int) -> np.ndarray:
@@ -90,8 +88,7 @@ def check_outputs(outputs, n_dof: int) -> np.ndarray:
             f"`outputs` must have shape (s, {n_dof}), got {matrix.shape}. "
             "Give one row for each combination and one column for each degree of freedom."
         )
-    if not np.isfinite(matrix).all():
-        raise ValueError("`outputs` must be finite, got NaN or infinity. Pass real coefficients.")
+    check_finite(matrix, "outputs", "Pass real coefficients.")
     return matrix
 
 
@@ -111,9 +108,7 @@ def sampling_grid(record_dt: float, dt: float | None) -> tuple[int, int]:
             f"`dt` must be a number, got {type(dt).__name__}. Pass the output step in seconds; in a model it "
             "may be pm.Data."
         )
-    if not 0.0 < dt < np.inf:
-        raise ValueError(f"`dt` must be positive, got {dt}. Pass the output step in seconds.")
-    ratio = dt / record_dt
+    ratio = check_positive(dt, "dt", "Pass the output step in seconds.") / record_dt
     factor = round(max(ratio, 1.0 / ratio))
     if abs(max(ratio, 1.0 / ratio) / factor - 1.0) > 1e-6:
         raise ValueError(

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import xarray as xr
 
+from pymc_features.records import DynamicLoad
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.linear.response import response_in_modes
 from pymc_features.simulators.quantities import HISTORIES, at_outputs, checked_request, force_share, rows_of
@@ -89,7 +90,7 @@ def simulate(
     values = respond(structure, record, asked, rows.picked)
     share = force_share(structure, record, quantity)
     if share is not None:
-        values = values + share @ at_outputs(record.values, asked)
+        values = values + share @ at_outputs(record.inputs, asked)
     dims, coords = ("time",), {}
     if rows.dim:
         dims, coords = (rows.dim, "time"), {rows.dim: (rows.dim, rows.labels, {"long_name": rows.title})}
@@ -120,7 +121,7 @@ def check_arguments(structure, record):
     """Refuse what is no structure of numbers, or no record."""
     if not hasattr(structure, "parameters"):
         raise TypeError(f"`structure` must be a structure, got {type(structure).__name__}.")
-    if not (hasattr(record, "acceleration") or hasattr(record, "values")) or not hasattr(record, "n_times"):
+    if not isinstance(record, DynamicLoad):
         raise TypeError(
             f"`record` must be a Record, got {type(record).__name__}. "
             "Use read_record(path) or Record(acceleration, dt)."

@@ -6,6 +6,7 @@ from pymc_features.structures.chain import SpringMassChain
 from pymc_features.structures.damping import Damping, ModalDamping, RayleighDamping
 from pymc_features.structures.duffing import DuffingChain
 from pymc_features.structures.hysteretic import HystereticChain
+from pymc_features.structures.inputs import Input, Kind
 from pymc_features.structures.linear import LinearStructure
 
 STRUCTURES = (SpringMassChain, LinearStructure, AffineStructure, HystereticChain, DuffingChain)
@@ -18,6 +19,8 @@ __all__ = [
     "Damping",
     "DuffingChain",
     "HystereticChain",
+    "Input",
+    "Kind",
     "LinearStructure",
     "ModalDamping",
     "Modes",

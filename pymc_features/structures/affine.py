@@ -7,6 +7,7 @@ import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
+from pymc_features.structures.inputs import MATRICES, vector
 from pymc_features.structures.linear import LinearStructure
 from pymc_features.structures.matrices import as_matrix
 
@@ -36,6 +37,13 @@ class AffineStructure(LinearStructure):
     array([[150., -50.],
            [-50.,  50.]])
     """
+
+    inputs = LinearStructure.inputs | {
+        "theta": vector("-", required=True),
+        "stiffness_terms": MATRICES,
+        "mass_terms": MATRICES,
+        "damping_terms": MATRICES,
+    }
 
     def __init__(
         self,

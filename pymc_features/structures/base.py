@@ -8,6 +8,9 @@ import numpy as np
 import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 
+from pymc_features.records import Record
+from pymc_features.structures.inputs import Input
+
 
 class Structure(ABC):
     """A structure whose response to a ground acceleration can be computed.
@@ -23,11 +26,14 @@ class Structure(ABC):
         Whether its response is a sum of modes.
     has_storeys : bool
         Whether degree of freedom i moves against i - 1, so that there are inter-storey drifts.
+    inputs : dict
+        Names of its arguments to what they may be in a file, `Input`.
     """
 
     family: str
     is_linear: bool = True
     has_storeys: bool = False
+    inputs: dict[str, Input]
 
     @property
     @abstractmethod
@@ -44,7 +50,7 @@ class Structure(ABC):
 
     def excitation(self, record) -> np.ndarray:
         """Return the ground acceleration (time,) of a record, or the inputs (input, time) of a loading."""
-        if not hasattr(record, "acceleration"):
+        if not isinstance(record, Record):
             raise TypeError(
                 f"`record` must be a Record for a {type(self).__name__}, got {type(record).__name__}. "
                 "Several supports and forces act on LinearStructure(*structure.matrices())."
@@ -62,6 +68,14 @@ class Structure(ABC):
     @abstractmethod
     def inertia(self) -> np.ndarray:
         """Return influence' M (supports, n) [kg]: times the absolute accelerations, the base shear [N]."""
+
+    def check_numbers(self) -> None:
+        """Refuse variables where numbers are needed."""
+        if self.is_symbolic:
+            raise TypeError(
+                "`matrices` and `modes` must be asked of a structure of numbers, got PyTensor "
+                "variables. Build the structure with values, for example a posterior draw."
+            )
 
     @property
     def is_symbolic(self) -> bool:

@@ -7,10 +7,16 @@ import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 
 from pymc_features.structures.base import as_vector, spread, static_length
+from pymc_features.structures.inputs import Input, scalar, vector
 
 
 class Damping(ABC):
-    """Classical damping: zeta_r = alpha / (2 omega_r) + beta omega_r / 2 + ratio_r."""
+    """Classical damping: zeta_r = alpha / (2 omega_r) + beta omega_r / 2 + ratio_r.
+
+    `inputs` are its arguments in a file, as of a `Structure`.
+    """
+
+    inputs: dict[str, Input]
 
     @abstractmethod
     def coefficients(self, n: int) -> tuple:
@@ -33,6 +39,8 @@ class RayleighDamping(Damping):
     >>> print(f"{damping.alpha:.6f} {damping.beta:.6f}")
     0.201062 0.001273
     """
+
+    inputs = {"alpha": scalar("1/s"), "beta": scalar("s")}
 
     def __init__(self, alpha, beta):
         self.alpha = _scalar(alpha, "alpha", "1/s")
@@ -93,6 +101,8 @@ class ModalDamping(Damping):
     ratios : float, array_like (n,) or TensorVariable
         zeta_r [-], not negative, in ascending order of frequency; one value stands for all modes.
     """
+
+    inputs = {"ratios": vector("-")}
 
     def __init__(self, ratios):
         self.ratios = as_vector(ratios, "ratios", "fractions of critical damping", allow_zero=True)

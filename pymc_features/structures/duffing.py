@@ -1,5 +1,6 @@
 """The chain with springs that harden with the cube of their drift."""
 
+from pymc_features.structures.inputs import vector
 from pymc_features.structures.masses_and_springs import Chain
 
 
@@ -34,6 +35,7 @@ class DuffingChain(Chain):
 
     family = "duffing"
     is_linear = False
+    inputs = Chain.inputs | {"cubic": vector("N/m^3")}
 
     def __init__(self, mass, stiffness, damping, cubic):
         super().__init__(mass, stiffness, damping)

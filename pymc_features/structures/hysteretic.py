@@ -3,6 +3,7 @@
 import numpy as np
 from pytensor.graph.basic import Variable
 
+from pymc_features.structures.inputs import vector
 from pymc_features.structures.masses_and_springs import Chain
 
 
@@ -62,6 +63,13 @@ class HystereticChain(Chain):
 
     family = "hysteretic"
     is_linear = False
+    inputs = Chain.inputs | {
+        "yield_displacement": vector("m"),
+        "post_yield_ratio": vector("-"),
+        "sharpness": vector("-"),
+        "beta": vector("-"),
+        "gamma": vector("-"),
+    }
 
     def __init__(
         self,

@@ -4,11 +4,18 @@ import numpy as np
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
+from pymc_features._checks import check_finite, check_integer
 from pymc_features.algebra import AffineMatrix, common_pattern, natural_modes, to_dense
-from pymc_features.structures.admissible import check_connected, check_damping, check_mass, check_stiffness
 from pymc_features.structures.base import Modes, Structure, static_length
 from pymc_features.structures.damping import Damping
-from pymc_features.structures.matrices import as_matrix
+from pymc_features.structures.inputs import DAMPING_OR_MATRIX, MATRIX
+from pymc_features.structures.matrices import (
+    as_matrix,
+    check_connected,
+    check_damping,
+    check_mass,
+    check_stiffness,
+)
 
 
 class LinearStructure(Structure):
@@ -49,6 +56,12 @@ class LinearStructure(Structure):
     """
 
     family = "linear"
+    inputs = {
+        "mass": MATRIX,
+        "stiffness": MATRIX,
+        "damping": DAMPING_OR_MATRIX,
+        "influence": MATRIX,
+    }
 
     def __init__(self, mass, damping, stiffness, *, influence=None):
         stiffness = as_matrix(stiffness, "stiffness", "N/m")
@@ -139,14 +152,8 @@ class LinearStructure(Structure):
         n, entries = self.n_dof, self._terms[2].stack.shape[1]
         stacks = (np.zeros((0, entries)) if a is None else a.stack for a in self._terms)
         influence = self.influence.reshape(n, -1)
-        if getattr(record, "kind", "support_acceleration") == "force":
-            forces = np.eye(n) if record.matrix is None else record.matrix
-            if forces.shape != (n, record.n_inputs):
-                raise ValueError(
-                    f"`matrix` of the forces must have shape ({n}, {record.n_inputs}), got "
-                    f"{'none' if record.matrix is None else record.matrix.shape}. "
-                    "Give one row for each degree of freedom and one column for each input."
-                )
+        if record.is_force:
+            forces = record.places(n)
             influence = np.zeros(forces.shape)
         else:
             forces = np.zeros(influence.shape)
@@ -154,14 +161,12 @@ class LinearStructure(Structure):
 
     def excitation(self, record):
         """Support accelerations [m/s^2] or forces [N], array (d, t)."""
-        inputs = record.acceleration[None] if hasattr(record, "acceleration") else record.values
-        forces = getattr(record, "kind", "support_acceleration") == "force"
-        if not forces and inputs.shape[0] != self.n_supports:
+        if not record.is_force and record.n_inputs != self.n_supports:
             raise ValueError(
                 f"`record` must give {self.n_supports} support accelerations, one for each column of "
-                f"`influence`, got {inputs.shape[0]}. Pass Loading(values, dt) with that many rows."
+                f"`influence`, got {record.n_inputs}. Pass Loading(values, dt) with that many rows."
             )
-        return inputs
+        return record.inputs
 
     def _coefficients(self, n_modes=None):
         """Rayleigh pair, and ratios of all modes they are given for, or of the lowest `n_modes`."""
@@ -173,11 +178,7 @@ class LinearStructure(Structure):
         return rayleigh, ratios[:n_modes]
 
     def _numbers(self):
-        if self.is_symbolic:
-            raise TypeError(
-                "`matrices` and `modes` must be asked of a structure of numbers, got PyTensor "
-                "variables. Build the structure with values, for example a posterior draw."
-            )
+        self.check_numbers()
         return self._matrices
 
     @property
@@ -248,12 +249,7 @@ class LinearStructure(Structure):
         self._numbers()
         if n_modes is None:
             return self.n_dof
-        if isinstance(n_modes, bool) or int(n_modes) != n_modes or not 1 <= n_modes <= self.n_dof:
-            raise ValueError(
-                f"`n_modes` must be an integer from 1 to {self.n_dof}, got {n_modes}. "
-                "Leave it out for all modes."
-            )
-        return int(n_modes)
+        return check_integer(n_modes, "n_modes", most=self.n_dof, advice="Leave it out for all modes.")
 
 
 def _influence(value, n):
@@ -271,7 +267,6 @@ def _influence(value, n):
             f"`influence` must have shape ({n},) or ({n}, supports), got {influence.shape}. "
             "Give the displacement of every degree of freedom under a unit displacement of each support."
         )
-    if not np.isfinite(influence).all():
-        raise ValueError("`influence` must be finite, got NaN or infinity. Pass displacement ratios [-].")
+    check_finite(influence, "influence", "Pass displacement ratios [-].")
     influence.setflags(write=False)
     return influence

@@ -9,6 +9,7 @@ from scipy.linalg import eigh_tridiagonal
 
 from pymc_features.structures.base import Modes, Structure, as_vector, spread, static_length
 from pymc_features.structures.damping import Damping
+from pymc_features.structures.inputs import DAMPING, vector
 
 
 class Chain(Structure):
@@ -19,6 +20,7 @@ class Chain(Structure):
     """
 
     has_storeys = True
+    inputs = {"mass": vector("kg"), "stiffness": vector("N/m"), "damping": DAMPING}
 
     def __init__(self, mass, stiffness, damping):
         self.mass = as_vector(mass, "mass", "kg")
@@ -111,11 +113,7 @@ class Chain(Structure):
         return changed
 
     def _numbers(self):
-        if self.is_symbolic:
-            raise TypeError(
-                "`matrices` and `modes` must be asked of a structure of numbers, got PyTensor "
-                "variables. Build the structure with values, for example a posterior draw."
-            )
+        self.check_numbers()
         return self.linear_parameters()
 
     def inertia(self):

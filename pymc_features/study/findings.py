@@ -3,17 +3,10 @@
 import numpy as np
 import xarray as xr
 
+from pymc_features.likelihoods import LIKELIHOODS
+
 # a fine step shortens an interval, or lengthens it, by this exponent of the step where it matters at all
 NO_TREND = 0.05
-MEANING = {
-    "NORM": "every sample independent",
-    "TN": "half-normal on the root mean square of each sensor",
-    "EXP": "exponential on the mean square of each sensor",
-    "ABC": "likelihood-free, rho <= delta",
-    "CN": "errors correlated in time; tau and sigma known",
-    "CN-SIGMA": "errors correlated in time; tau known, sigma inferred",
-    "CN-TAU": "errors correlated in time; tau and sigma inferred",
-}
 
 
 def intervals(result: xr.DataTree, kind: str, values: str = "exact") -> xr.DataArray:
@@ -27,14 +20,6 @@ def widths(result: xr.DataTree, kind: str, values: str = "exact") -> np.ndarray:
     return np.diff(intervals(result, kind, values).values, axis=1)[:, 0]
 
 
-# why an interval follows the step, for those that do on a record of some length
-REASONS = {
-    ("narrows", "NORM"): ": sampling faster is taken for new information",
-    ("narrows", "CN-TAU"): ": white noise is found, and sampling it faster is taken for new information",
-    ("widens", "CN-SIGMA"): ": the errors do not have the correlation assumed, and sigma grows for it",
-}
-
-
 def verdict(kind: str, steps, width) -> str:
     """What a finer sampling does to an interval, from its widths at the two smallest steps."""
     if len(steps) < 2:
@@ -43,7 +28,8 @@ def verdict(kind: str, steps, width) -> str:
     if abs(exponent) <= NO_TREND:
         return f"settles: {abs(width[0] / width[1] - 1.0):.2%} between the two smallest steps"
     trend = "narrows" if exponent > 0 else "widens"
-    return f"{trend} as the step shrinks, like its power {exponent:.2g}{REASONS.get((trend, kind), '')}"
+    reason = LIKELIHOODS[kind].reasons.get(trend)
+    return f"{trend} as the step shrinks, like its power {exponent:.2g}" + (f": {reason}" if reason else "")
 
 
 def trend_rows(result: xr.DataTree) -> list[list]:
@@ -53,7 +39,7 @@ def trend_rows(result: xr.DataTree) -> list[list]:
     rows = []
     for kind in map(str, summary["likelihood"].values):
         width = widths(result, kind)
-        rows.append([kind, MEANING[kind], *map(float, width), verdict(kind, steps, width)])
+        rows.append([kind, LIKELIHOODS[kind].meaning, *map(float, width), verdict(kind, steps, width)])
     return rows
 
 
@@ -69,24 +55,13 @@ def agreement_rows(result: xr.DataTree) -> list[list]:
         return []
     sampled, exact = (intervals(result, "ABC", values).values for values in ("sampled", "exact"))
     abc = widths(result, "ABC")
+    beside = [widths(result, kind) / abc if kind in kinds else abc * np.nan for kind in ("EXP", "TN")]
     rows = []
     for j, multiplier in enumerate(summary["multiplier"].values):
         draws = result[f"ABC/x{multiplier:g}/posterior"]["theta"].values
-        rows.append(
-            [
-                float(multiplier),
-                float(summary["tolerance"][j]),
-                *map(float, summary["tolerance_interval"][j]),
-                float(draws.min()),
-                float(draws.max()),
-                *map(float, sampled[j]),
-                *map(float, exact[j]),
-                *(
-                    float(widths(result, kind)[j] / abc[j]) if kind in kinds else np.nan
-                    for kind in ("EXP", "TN")
-                ),
-            ]
-        )
+        delta, ends = summary["tolerance"][j], summary["tolerance_interval"].values[j]
+        numbers = multiplier, delta, *ends, draws.min(), draws.max(), *sampled[j], *exact[j]
+        rows.append([*map(float, numbers), *(float(ratio[j]) for ratio in beside)])
     return rows
 
 

@@ -10,10 +10,10 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve
 from pymc_features.simulators import FAMILIES, request
 from pymc_features.structures import Structure
 from pymc_features.study import paper
-from pymc_features.study.quadrature import DiscrepancyCurve
 
 N_NODES = 601
 

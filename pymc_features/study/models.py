@@ -1,96 +1,21 @@
 """The PyMC models of the study, one for each way to compare response and data."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import xarray as xr
 
-from pymc_features.distributions import CorrelatedNormal, ExpFeature, TruncNormalFeature
-from pymc_features.likelihood_free import DiscrepancySimulator
+from pymc_features.likelihoods import DIMS, LIKELIHOODS, Comparison
 from pymc_features.ops import response
 from pymc_features.records import Record
 from pymc_features.structures import Structure
 from pymc_features.study import paper
 
-DIMS = ("sensor", "time")
-
-
-@dataclass
-class Ingredients:
-    """What the likelihoods of the study are made of.
-
-    Attributes
-    ----------
-    mu : TensorVariable (sensor, time)
-        Response.
-    data, step, tolerance : pm.Data
-        Measurements, their step [s], and delta of ABC.
-    scale : float
-        Of the noise, where a likelihood knows it [m/s^2].
-    """
-
-    mu: pt.TensorVariable
-    data: pt.TensorVariable
-    step: pt.TensorVariable
-    tolerance: pt.TensorVariable | None
-    scale: float
-
-    @staticmethod
-    def sigma():
-        """The scale where it is inferred."""
-        return pm.Uniform("sigma", *paper.SIGMA_RANGE)
-
-
-def _norm(it):
-    pm.Normal("y", mu=it.mu, sigma=it.sigma(), observed=it.data, dims=DIMS)
-
-
-def _tn(it):
-    TruncNormalFeature("y", mu=it.mu, sigma=it.sigma(), observed=it.data, dims=DIMS)
-
-
-def _exp(it):
-    ExpFeature("y", mu=it.mu, sigma=it.sigma(), observed=it.data, dims=DIMS)
-
-
-def _abc(it):
-    DiscrepancySimulator("y", it.mu, epsilon=it.tolerance, observed=it.data, dims=DIMS)
-
-
-def _correlated(it, sigma, tau):
-    CorrelatedNormal("y", it.mu, sigma, tau, it.step, observed=it.data, dims=DIMS)
-
-
-def _all_known(it):
-    _correlated(it, it.scale, paper.CORRELATION_TIME)
-
-
-def _known_time(it):
-    _correlated(it, it.sigma(), paper.CORRELATION_TIME)
-
-
-def _unknown_time(it):
-    log_tau = pm.Uniform("log_tau", *np.log(paper.TAU_RANGE))
-    _correlated(it, it.sigma(), pm.Deterministic("tau", pt.exp(log_tau)))
-
-
-# The place of a likelihood is part of its seed: new ones go to the end.
-LIKELIHOODS = {
-    "NORM": _norm,
-    "TN": _tn,
-    "EXP": _exp,
-    "ABC": _abc,
-    "CN": _all_known,
-    "CN-SIGMA": _known_time,
-    "CN-TAU": _unknown_time,
-}
-
 
 def declare(
-    likelihood: str,
+    kind: str,
     record: Record,
     data: xr.DataArray,
     *,
@@ -102,9 +27,8 @@ def declare(
 
     Parameters
     ----------
-    likelihood : {"NORM", "TN", "EXP", "ABC", "CN", "CN-SIGMA", "CN-TAU"}
-        Eq. (2), (7), (9), the simulator node of Eqs. (14)-(15), or `CorrelatedNormal` with correlation time
-        and scale known, the scale inferred, or both.
+    kind : str
+        A name of `LIKELIHOODS`.
     record : Record
         Ground acceleration.
     data : DataArray (sensor, time)
@@ -123,16 +47,34 @@ def declare(
         and the tolerance are data of the model: `set_measurements` changes them without compiling anything
         anew.
     """
-    times = data["time"].values
+    likelihood, times = LIKELIHOODS[kind], data["time"].values
     coords = {"sensor": data["sensor"].values, "time": times}
     with pm.Model(coords=coords) as model:
         theta = pm.Uniform("theta", *paper.THETA_RANGE)
         step = pm.Data("step", times[1] - times[0])
-        measured = pm.Data("measured", data.values, dims=("sensor", "time"))
+        measured = pm.Data("measured", data.values, dims=DIMS)
         delta = None if tolerance is None else pm.Data("tolerance", tolerance)
         mu = response(structure(theta), record, dt=step)
-        LIKELIHOODS[likelihood](Ingredients(mu, measured, step, delta, scale))
+        tau, sigma = correlation_time(likelihood), noise_scale(likelihood, scale)
+        likelihood.declare(Comparison(mu, measured, sigma, tau, delta, dt=step))
     return model
+
+
+def noise_scale(likelihood, scale):
+    """sigma [m/s^2]: `scale` where it is known, else a variable."""
+    if "sigma" not in likelihood.takes:
+        return None
+    known = "sigma" in likelihood.known
+    return pt.as_tensor_variable(scale) if known else pm.Uniform("sigma", *paper.SIGMA_RANGE)
+
+
+def correlation_time(likelihood):
+    """tau [s]: that of the noise where it is known, else a variable."""
+    if "correlation_time" not in likelihood.takes:
+        return None
+    if "correlation_time" in likelihood.known:
+        return pt.as_tensor_variable(paper.CORRELATION_TIME)
+    return pm.Deterministic("tau", pt.exp(pm.Uniform("log_tau", *np.log(paper.TAU_RANGE))))
 
 
 def set_measurements(model: pm.Model, data: xr.DataArray, tolerance: float | None = None):

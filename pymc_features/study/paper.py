@@ -7,6 +7,7 @@ coefficients (2 % in modes 1 and 5), which follow from 1800 N/m; that is the def
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import check_positive
 from pymc_features.records import Record
 from pymc_features.simulators import simulate
 from pymc_features.structures import RayleighDamping, SpringMassChain
@@ -91,9 +92,9 @@ def noise_scale(exact: xr.DataArray, noise: float = NOISE) -> np.ndarray:
     noise : float
         Over the root mean square of each channel [-].
     """
-    if not 0.0 <= noise < np.inf:
-        raise ValueError(f"`noise` must be finite and not negative, got {noise}. Pass 0.05 for 5 %.")
-    return noise * np.sqrt((exact.values**2).mean(axis=1))
+    return check_positive(noise, "noise", "Pass 0.05 for 5 %.", allow_zero=True) * np.sqrt(
+        (exact.values**2).mean(axis=1)
+    )
 
 
 def decimate(finest: xr.DataArray, step: float) -> xr.DataArray:

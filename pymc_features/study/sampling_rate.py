@@ -8,12 +8,14 @@ import pymc as pm
 import xarray as xr
 
 from pymc_features.distributions import FeatureLikelihoodWarning
+from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.likelihoods.free import exact_tolerance
 from pymc_features.records import Record
 from pymc_features.smc import PersistentSMC, SubsetSimulation, sample_smc
 from pymc_features.storage import PartStore
 from pymc_features.study import paper
 from pymc_features.study.models import declare, set_measurements
-from pymc_features.study.settings import checked_study
+from pymc_features.study.settings import Study
 from pymc_features.study.structures import DEFAULT
 from pymc_features.study.summary import assemble
 
@@ -86,16 +88,8 @@ def sampling_rate_study(
     ValueError
         If a setting is out of range, or `out` holds another study.
     """
-    study = checked_study(
-        record,
-        structure=structure,
-        stiffness=stiffness,
-        noise=noise,
-        multipliers=multipliers,
-        likelihoods=likelihoods,
-        draws=draws,
-        chains=chains,
-        seed=random_seed,
+    study = Study(
+        record, structure, stiffness, noise, multipliers, likelihoods, draws, chains, seed=random_seed
     )
     store = PartStore(out, study.settings())
     names = [(kind, m) for m in study.multipliers for kind in study.likelihoods]
@@ -107,7 +101,8 @@ def sampling_rate_study(
             progress(label, done, len(names))
         part = store.load(label)
         if part is None:
-            tolerance = study.misfit(multiplier).delta if kind == "ABC" else None
+            is_abc = LIKELIHOODS[kind].is_likelihood_free
+            tolerance = exact_tolerance(study.misfit(multiplier)) if is_abc else None
             part = run_part(study, kind, multiplier, tolerance, models, cores, progressbar)
             store.save(label, part)
         parts[kind, multiplier] = part
@@ -139,7 +134,7 @@ def run_part(study, kind, multiplier, tolerance, models, cores, progressbar) -> 
         set_measurements(models[kind], data, tolerance)
         idata = sample_smc(
             study.draws,
-            SubsetSimulation if kind == "ABC" else PersistentSMC,
+            SubsetSimulation if LIKELIHOODS[kind].is_likelihood_free else PersistentSMC,
             model=models[kind],
             chains=study.chains,
             cores=cores,

@@ -1,37 +1,77 @@
 """What determines the numbers of a study: settings, checked, and the measurements made with them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import check_integer, check_positive
+from pymc_features.likelihoods import LIKELIHOODS, WITH_REFERENCE
+from pymc_features.likelihoods.exact.step import Priors, Step
 from pymc_features.records import Record
 from pymc_features.simulators import simulate
 from pymc_features.storage import fingerprint
 from pymc_features.structures import Structure
 from pymc_features.study import paper
 from pymc_features.study.misfits import SharedResponses, computed_sums
-from pymc_features.study.models import LIKELIHOODS
-from pymc_features.study.references import Step
 from pymc_features.study.structures import DEFAULT, StudyStructure, find_structure
+
+WITHOUT_NOISE = "Without noise sigma runs to zero and no posterior exists; pass 0.05 for 5 %."
 
 
 @dataclass(frozen=True)
 class Study:
-    """Settings of a study; see `sampling_rate_study`."""
+    """Settings of a study, checked; see `sampling_rate_study`. None stands for the structure's default."""
 
     record: Record
-    structure: str
-    stiffness: float
-    noise: float
-    multipliers: tuple[float, ...]
-    likelihoods: tuple[str, ...]
-    draws: int
-    chains: int
-    seed: int
-    finest: xr.DataArray = field(repr=False)
-    steps: dict[float, Step] = field(default_factory=dict, repr=False)
+    structure: str = DEFAULT
+    stiffness: float = paper.STIFFNESS
+    noise: float = paper.NOISE
+    multipliers: Sequence[float] = paper.MULTIPLIERS
+    likelihoods: Sequence[str] | None = None
+    draws: int | None = None
+    chains: int | None = None
+    seed: int = 0
+    steps: dict[float, Step] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self):
+        if not isinstance(self.record, Record):
+            raise TypeError(f"`record` must be a Record, got {type(self.record).__name__}.")
+        for name in ("likelihoods", "draws", "chains"):
+            if getattr(self, name) is None:
+                self._set(name, getattr(self.described, name))
+        unknown = [kind for kind in self.likelihoods if kind not in WITH_REFERENCE]
+        if unknown or not self.likelihoods:
+            raise ValueError(
+                f"`likelihoods` must be among {', '.join(WITH_REFERENCE)}, got {self.likelihoods}."
+            )
+        self._set("likelihoods", tuple(kind for kind in WITH_REFERENCE if kind in self.likelihoods))
+        self._set("stiffness", float(self.stiffness))
+        self._set("noise", check_positive(self.noise, "noise", WITHOUT_NOISE))
+        self._set("draws", check_integer(self.draws, "draws", least=50))
+        self._set("chains", check_integer(self.chains, "chains"))
+        self._set("seed", check_integer(self.seed, "random_seed", least=0))
+        self._set("multipliers", tuple(sorted({float(m) for m in self.multipliers})))
+        if not self.multipliers:
+            raise ValueError("`multipliers` must name at least one sampling step, got none.")
+        check_measurements(self)
+
+    def _set(self, name, value):
+        object.__setattr__(self, name, value)
+
+    @cached_property
+    def finest(self) -> xr.DataArray:
+        """Measurements at the smallest step (sensor, time) [m/s^2]."""
+        return paper.measurements(
+            self.record,
+            stiffness=self.stiffness,
+            noise=self.noise,
+            seed=self.seed,
+            multipliers=self.multipliers,
+            structure=self.described.chain,
+        )
 
     def settings(self) -> dict:
         """All that determines the numbers, for the folder they are kept in."""
@@ -81,7 +121,9 @@ class Study:
                 sums = computed_sums(self.at, self.record, data.values, dt)
             else:
                 sums = self.shared.sums(multiplier)
-            self.steps[multiplier] = Step(sums, data, dt, self.scale)
+            known = paper.CORRELATION_TIME, self.scale
+            priors = Priors(paper.THETA_RANGE, paper.SIGMA_RANGE, paper.TAU_RANGE, *known)
+            self.steps[multiplier] = Step(sums, data, dt, priors)
         return self.steps[multiplier]
 
     @cached_property
@@ -98,62 +140,6 @@ class Study:
         """Seed of one part: the same at all sampling steps, which then differ by their data."""
         key = [self.seed, list(LIKELIHOODS).index(likelihood)]
         return int(np.random.SeedSequence(key).generate_state(1)[0])
-
-
-def checked_study(
-    record,
-    *,
-    structure=DEFAULT,
-    stiffness=paper.STIFFNESS,
-    noise=paper.NOISE,
-    multipliers=paper.MULTIPLIERS,
-    likelihoods=None,
-    draws=None,
-    chains=None,
-    seed=0,
-) -> Study:
-    """Return the settings, checked, with the measurements made; None stands for the structure's default."""
-    if not isinstance(record, Record):
-        raise TypeError(f"`record` must be a Record, got {type(record).__name__}.")
-    described = find_structure(structure)
-    likelihoods = described.likelihoods if likelihoods is None else likelihoods
-    draws = described.draws if draws is None else draws
-    chains = described.chains if chains is None else chains
-    if not 0.0 < noise < np.inf:
-        raise ValueError(
-            f"`noise` must be positive, got {noise}. Without noise sigma runs to zero and no posterior "
-            "exists; pass 0.05 for 5 %."
-        )
-    unknown = [kind for kind in likelihoods if kind not in LIKELIHOODS]
-    if unknown or not likelihoods:
-        raise ValueError(f"`likelihoods` must be among {', '.join(LIKELIHOODS)}, got {likelihoods}.")
-    for name, value, least in (("draws", draws, 50), ("chains", chains, 1), ("random_seed", seed, 0)):
-        if isinstance(value, bool) or int(value) != value or value < least:
-            raise ValueError(f"`{name}` must be an integer of at least {least}, got {value}.")
-    multipliers = tuple(sorted({float(m) for m in multipliers}))
-    if not multipliers:
-        raise ValueError("`multipliers` must name at least one sampling step, got none.")
-    study = Study(
-        record,
-        structure,
-        float(stiffness),
-        float(noise),
-        multipliers,
-        tuple(kind for kind in LIKELIHOODS if kind in likelihoods),
-        int(draws),
-        int(chains),
-        int(seed),
-        paper.measurements(
-            *(record,),
-            stiffness=stiffness,
-            noise=noise,
-            seed=seed,
-            multipliers=multipliers,
-            structure=described.chain,
-        ),
-    )
-    check_measurements(study)
-    return study
 
 
 def check_measurements(study: Study):

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from pymc_features.likelihoods import WITH_REFERENCE
 from pymc_features.structures import Structure
 from pymc_features.study import bouc_wen, paper
-from pymc_features.study.models import LIKELIHOODS
 
 DEFAULT = "linear"
 QUICK = {"draws": 250, "chains": 2, "multipliers": (0.2, 1.0, 10.0)}
@@ -44,7 +44,7 @@ STRUCTURES = {
     "linear": StudyStructure(
         "linear chain",
         paper.chain,
-        tuple(LIKELIHOODS),
+        WITH_REFERENCE,
         draws=2000,
         chains=4,
     ),

@@ -3,9 +3,10 @@
 import numpy as np
 import xarray as xr
 
+from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.likelihoods.exact.step import PARAMETERS, PROBABILITIES, STATISTICS
+from pymc_features.likelihoods.free import exact_interval, exact_tolerance
 from pymc_features.simulators import spring_forces
-from pymc_features.study.quadrature import tolerance_interval
-from pymc_features.study.references import PARAMETERS, PROBABILITIES, REFERENCES, STATISTICS
 
 
 def assemble(study, parts: dict) -> xr.DataTree:
@@ -24,10 +25,10 @@ def assemble(study, parts: dict) -> xr.DataTree:
     for j, multiplier in enumerate(study.multipliers):
         step = study.misfit(multiplier)
         if "ABC" in study.likelihoods:
-            tolerance[j], interval[j] = step.delta, tolerance_interval(step.curve, step.delta)
+            tolerance[j], interval[j] = exact_tolerance(step), exact_interval(step)
         for i, kind in enumerate(study.likelihoods):
             part = parts[kind, multiplier]
-            reference = REFERENCES[kind](step)
+            reference = LIKELIHOODS[kind].reference(step)
             arrays["exact"][i, j] = reference.statistics
             arrays["log_evidence"][i, j] = reference.log_evidence
             arrays["sampled"][i, j] = sampled_statistics(reference, part)

@@ -2,7 +2,9 @@
 
 import csv
 import io
+from itertools import product
 
+import numpy as np
 import xarray as xr
 
 from pymc_features.study.findings import (
@@ -40,27 +42,14 @@ def study_rows(result: xr.DataTree) -> list[list]:
     """
     summary = result["summary"].to_dataset()
     rows = []
-    for kind in summary["likelihood"].values:
-        for multiplier in summary["multiplier"].values:
-            for parameter in summary["parameter"].values:
-                cell = summary.sel(likelihood=kind, multiplier=multiplier, parameter=parameter)
-                sampled, exact = cell["sampled"].values, cell["exact"].values
-                if exact[1] != exact[1]:  # NaN: ABC has no sigma, and most have no tau
-                    continue
-                error = abs(sampled[1:] - exact[1:]).max() / (exact[3] - exact[1])
-                rows.append(
-                    [
-                        str(kind),
-                        float(multiplier),
-                        str(parameter),
-                        *map(float, sampled),
-                        *map(float, exact),
-                        float(error),
-                        float(cell["r_hat"]),
-                        float(cell["ess_bulk"]),
-                        float(cell["seconds"]),
-                    ]
-                )
+    for kind, multiplier, parameter in product(*(summary[d].values for d in summary["exact"].dims[:3])):
+        cell = summary.sel(likelihood=kind, multiplier=multiplier, parameter=parameter)
+        sampled, exact = cell["sampled"].values, cell["exact"].values
+        if np.isnan(exact[1]):  # ABC has no sigma, and most have no tau
+            continue
+        error = abs(sampled[1:] - exact[1:]).max() / (exact[3] - exact[1])
+        numbers = *sampled, *exact, error, cell["r_hat"], cell["ess_bulk"], cell["seconds"]
+        rows.append([str(kind), float(multiplier), str(parameter), *map(float, numbers)])
     return rows
 
 
@@ -110,7 +99,5 @@ def markdown_table(title, columns, formats, rows) -> str:
 def as_csv(result: xr.DataTree) -> str:
     """Return the table as comma-separated values with full precision."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows(study_rows(result))
+    csv.writer(text, lineterminator="\n").writerows([COLUMNS, *study_rows(result)])
     return text.getvalue()

@@ -1,5 +1,6 @@
 """From files to the motion of the base and the measured responses, processed alike."""
 
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,30 +39,18 @@ class Measured:
     gains: xr.Dataset | None
 
 
-class Keyed:
-    """Errors inside get the section they are about in front.
-
-    Parameters
-    ----------
-    key : str
-        The section.
-    **renamed
-        Names of arguments to the keys that stand for them.
-    """
-
-    def __init__(self, key: str, **renamed: str):
-        self.key, self.renamed = key, renamed
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, kind, error, traceback):
-        named = isinstance(error, ConfigError | datasets.DatasetUnavailableError)
-        if isinstance(error, ValueError | TypeError | OSError) and not named:
-            text = str(error)
-            for argument, key in self.renamed.items():
-                text = text.replace(f"`{argument}`", f"`{key}`")
-            raise ConfigError(f"[{self.key}]: {text}") from error
+@contextmanager
+def named_key(key: str, **renamed: str):
+    """Errors inside get the section `key` in front, and the keys for arguments that are `renamed`."""
+    try:
+        yield
+    except (ConfigError, datasets.DatasetUnavailableError):
+        raise
+    except (ValueError, TypeError, OSError) as error:
+        text = str(error)
+        for argument, name in renamed.items():
+            text = text.replace(f"`{argument}`", f"`{name}`")
+        raise ConfigError(f"[{key}]: {text}") from error
 
 
 def read_measured(config: Config, folder: Path) -> Measured:
@@ -73,7 +62,7 @@ def read_measured(config: Config, folder: Path) -> Measured:
         If a file is missing or broken, a sensor is not in it, or a step of the processing fails; the message
         names the key.
     """
-    with Keyed("data", path="files"):
+    with named_key("data", path="files"):
         channels, source = read_all(config, folder)
     known = [str(name) for name in channels["sensor"].values]
     wanted = ([] if config.data.base is None else [config.data.base]) + list(config.data.sensors)
@@ -85,7 +74,7 @@ def read_measured(config: Config, folder: Path) -> Measured:
     if config.record is None:
         motion = None
     else:
-        with Keyed("record"):
+        with named_key("record"):
             motion = read_motion(config, folder, signals.sampling_step(channels))
             common = min(motion.sizes["time"], channels.sizes["time"])
             channels = xr.concat(
@@ -98,7 +87,7 @@ def read_measured(config: Config, folder: Path) -> Measured:
     name = source if config.record is None else Path(config.record.path).name
     record = Record.from_channel(base, name=f"{config.data.base or 'ground motion'}, {name}")
     factor = config.processing.decimate
-    with Keyed("processing.decimate"):
+    with named_key("processing.decimate"):
         floors = signals.decimate(floors, factor)
     return Measured(record, floors, factor * record.dt, source, gains)
 
@@ -140,16 +129,16 @@ def processed(channels, config) -> tuple[xr.DataArray, xr.Dataset | None]:
     """Channels after every step of [processing] but the decimation, and what the check found before."""
     asked, gains = config.processing, None
     if asked.detrend is not None:
-        with Keyed("processing.detrend"):
+        with named_key("processing.detrend"):
             channels = signals.detrend(channels, asked.detrend.kind, window=asked.detrend.window)
     if asked.check_band is not None:
-        with Keyed("processing.check_band"):
+        with named_key("processing.check_band"):
             gains = signals.check_channels(channels, band=asked.check_band)
     if asked.band_pass is not None:
         filter_ = asked.band_pass
-        with Keyed("processing.band_pass"):
+        with named_key("processing.band_pass"):
             channels = signals.band_pass(channels, filter_.low, filter_.high, order=filter_.order)
     if asked.trim is not None:
-        with Keyed("processing.trim"):
+        with named_key("processing.trim"):
             channels = signals.trim(channels, *asked.trim)
     return channels, gains

@@ -4,6 +4,7 @@ import numpy as np
 import pymc as pm
 import xarray as xr
 
+from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.prediction import posterior_response
 from pymc_features.update.config.messages import ConfigError
 
@@ -44,7 +45,7 @@ def bands(problem, kind, model, idata) -> xr.Dataset:
     found = xr.Dataset({"response": (dims, at_sensors[names[0]].values)}, coords=coords)
     off = observed - found["response"].sel(quantile=0.5, drop=True)
     found["normalised_error"] = np.sqrt((off**2).mean("time") / (observed**2).mean("time"))
-    if kind != "ABC":
+    if not LIKELIHOODS[kind].is_likelihood_free:
         found["predictive"] = dims, predictive(model, idata)
         low, high = found["predictive"].isel(quantile=0), found["predictive"].isel(quantile=-1)
         found["coverage"] = ((observed >= low) & (observed <= high)).mean("time")

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features.storage import fingerprint
-from pymc_features.update.channels import Keyed, Measured, read_measured
+from pymc_features.update.channels import Measured, named_key, read_measured
 from pymc_features.update.config.document import Config, read_config
 from pymc_features.update.config.entries import Matrix
 from pymc_features.update.config.messages import ConfigError
 from pymc_features.update.config.priors import Prior
+from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.structure import StructureOf
 
 #: Keys that change no draw, or, as the tolerance, those of ABC alone.
@@ -119,16 +120,16 @@ def read_problem(path) -> Problem:
     }
     structure = StructureOf(config.structure, path.parent)
     measured = read_measured(config, path.parent)
-    with Keyed("structure"):
+    with named_key("structure"):
         size = structure(**{n: float(np.median(priors[n].draw(501, 1))) for n in structure.names}).n_dof
     dofs = checked_dofs(config, size)
-    check_sigma(config)
+    check_errors(config)
     frequencies = config.report.natural_frequencies
     if frequencies is not None and not (frequencies and np.all(np.diff([0.0, *frequencies]) > 0.0)):
         raise ConfigError(
             f"`report.natural_frequencies` must be positive and rise, got {frequencies}. Pass them in Hz."
         )
-    if "inter_storey_drift" in config.report.quantities and "Chain" not in config.structure.type:
+    if "inter_storey_drift" in config.report.quantities and not structure.type.has_storeys:
         raise ConfigError(
             "`report.quantities` must not have inter_storey_drift for a structure without storeys, "
             f"{config.structure.type}. Use relative_displacement."
@@ -158,18 +159,20 @@ def checked_dofs(config, size) -> list[int]:
     return dofs
 
 
-def check_sigma(config) -> None:
-    """One sigma, or one for each sensor; what ABC takes from EXP must be one."""
-    sigma, sensors = config.likelihood.sigma, config.data.sensors
-    if isinstance(sigma, list) and len(sigma) != len(sensors):
-        raise ConfigError(
-            f"`likelihood.sigma` must be one value or one for each of the {len(sensors)} sensors, got "
-            f"{len(sigma)}."
-        )
-    for value in sigma if isinstance(sigma, list) else [sigma]:
-        if isinstance(value, float) and value <= 0.0:
-            raise ConfigError(f"`likelihood.sigma` must be positive, got {value:g}. Pass it in m/s^2.")
-    if "ABC" in config.likelihood.kinds and config.likelihood.tolerance is None and isinstance(sigma, list):
+def check_errors(config) -> None:
+    """One value, or one for each sensor; the sigma that ABC takes from EXP must be one."""
+    likelihood, n_sensors = config.likelihood, len(config.data.sensors)
+    for name, unit in ERRORS.items():
+        given = getattr(likelihood, name)
+        if isinstance(given, list) and len(given) != n_sensors:
+            raise ConfigError(
+                f"`likelihood.{name}` must be one value or one for each of the {n_sensors} sensors, got "
+                f"{len(given)}."
+            )
+        for value in given if isinstance(given, list) else [given]:
+            if isinstance(value, float) and value <= 0.0:
+                raise ConfigError(f"`likelihood.{name}` must be positive, got {value:g}. Pass it in {unit}.")
+    if "ABC" in likelihood.kinds and likelihood.tolerance is None and isinstance(likelihood.sigma, list):
         raise ConfigError(
             "`likelihood.tolerance` must be given for ABC where each sensor has its own sigma, got none."
         )

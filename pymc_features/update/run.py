@@ -13,11 +13,12 @@ from pymc.sampling.parallel import ParallelSamplingError
 from pymc_features import smc
 from pymc_features.inference import laplace, sample_nuts
 from pymc_features.likelihood_free import abc_tolerance
+from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.smc import ToleranceNotReachedError, sample_smc
 from pymc_features.storage import PartStore
 from pymc_features.update.config.entries import Parameter
 from pymc_features.update.config.messages import ConfigError
-from pymc_features.update.model import LIKELIHOODS, declare, names_for
+from pymc_features.update.model import declare, names_for
 from pymc_features.update.predict import bands, frequencies, measured_gain
 from pymc_features.update.problem import Problem
 
@@ -117,7 +118,7 @@ def is_ours(category) -> bool:
 def method_of(problem, kind) -> str:
     """How a likelihood is sampled."""
     sampler = problem.config.sampler
-    if kind == "ABC":
+    if LIKELIHOODS[kind].is_likelihood_free:
         return "SubsetSimulation"
     return {"smc": sampler.kernel, "nuts": "NUTS", "laplace": "Laplace"}[sampler.method]
 

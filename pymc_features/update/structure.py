@@ -5,8 +5,8 @@ from pathlib import Path
 
 from pymc_features import structures
 from pymc_features.io import read_matrices
-from pymc_features.structures import RayleighDamping
-from pymc_features.update.channels import Keyed
+from pymc_features.structures import AffineStructure
+from pymc_features.update.channels import named_key
 from pymc_features.update.config.document import parameters_of
 from pymc_features.update.config.entries import Matrix, evaluated, priors_in
 from pymc_features.update.config.messages import ConfigError
@@ -14,7 +14,6 @@ from pymc_features.update.config.sections import Section
 
 CATALOGUE = {cls.__name__: cls for cls in structures.STRUCTURES}
 DAMPINGS = {cls.__name__: cls for cls in structures.DAMPINGS}
-BY_POSITION = ("mass", "damping", "stiffness")
 
 
 class StructureOf:
@@ -31,15 +30,14 @@ class StructureOf:
     """
 
     def __init__(self, section, folder):
-        self.section = section
+        self.section, self.type = section, CATALOGUE[section.type]
         names = {p.prior for _, _, value in parameters_of("", section) for p in priors_in(value)}
         self.names = sorted(names)
         kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
         self.__signature__ = inspect.Signature([inspect.Parameter(name, kind) for name in self.names])
         self.given = {}
-        for name in type(section).model_fields:
-            if name not in ("type", "n_modes"):
-                self.given[name] = loaded(getattr(section, name), f"structure.{name}", Path(folder))
+        for name in self.type.inputs:
+            self.given[name] = loaded(getattr(section, name), f"structure.{name}", Path(folder))
         self.damping_is_constant = not any(
             True for key, _, value in parameters_of("", section) if "damping" in key for _ in priors_in(value)
         )
@@ -55,11 +53,8 @@ class StructureOf:
         if self._constant is not None:
             return self._constant.with_parameters(evaluated(self.given["theta"], values))
         arguments = {name: built(value, values) for name, value in self.given.items()}
-        first = [arguments.pop(name) for name in BY_POSITION]
-        if self.section.type in ("SpringMassChain", "HystereticChain", "DuffingChain"):
-            first[1], first[2] = first[2], first[1]
-        structure = CATALOGUE[self.section.type](*first, **arguments)
-        if self.section.type == "AffineStructure" and self.damping_is_constant:
+        structure = self.type(**arguments)
+        if self.type is AffineStructure and self.damping_is_constant:
             self._constant = structure
         return structure
 
@@ -75,7 +70,7 @@ def loaded(value, key, folder):
 
 def read_matrix(asked: Matrix, key, folder):
     """One matrix of a file."""
-    with Keyed(key, path="file"):
+    with named_key(key, path="file"):
         found = read_matrices(folder / asked.file)
     if asked.name is None and len(found) == 1:
         return next(iter(found.values()))
@@ -91,7 +86,5 @@ def built(value, values):
     """A damping as an object, anything else with values in place of names."""
     if isinstance(value, Section):
         damping = DAMPINGS[value.type]
-        if damping is RayleighDamping:
-            return damping(evaluated(value.alpha, values), evaluated(value.beta, values))
-        return damping(evaluated(value.ratios, values))
+        return damping(**{name: evaluated(getattr(value, name), values) for name in damping.inputs})
     return evaluated(value, values)

@@ -403,9 +403,9 @@ def test_abc_tolerance_refuses_what_is_no_posterior(given, match):
         (np.inf, 2, ValueError, "`sigma` must be positive and finite, got inf"),
         ([1.0, 2.0], 3, ValueError, r"one number or one for each of the 3 sensors, got shape \(2,\). Pass"),
         ("big", 2, TypeError, "`sigma` must be one number, got str. Pass a quantile"),
-        (1.0, 0, ValueError, "`n_sensors` must be a positive integer, got 0"),
-        (1.0, 1.5, ValueError, "`n_sensors` must be a positive integer, got 1.5"),
-        (1.0, True, ValueError, "`n_sensors` must be a positive integer, got True"),
+        (1.0, 0, ValueError, "`n_sensors` must be an integer of at least 1, got 0"),
+        (1.0, 1.5, ValueError, "`n_sensors` must be an integer of at least 1, got 1.5"),
+        (1.0, True, ValueError, "`n_sensors` must be an integer of at least 1, got True"),
     ],
 )
 def test_abc_tolerance_refuses(sigma, n_sensors, error, match):

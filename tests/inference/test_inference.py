@@ -12,10 +12,11 @@ import xarray as xr
 from scipy import stats
 
 import pymc_features as pmf
+from pymc_features import likelihoods as catalogue
 from pymc_features.inference import parameters
+from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve, exact_posterior
 from pymc_features.study import paper
 from pymc_features.study.models import declare
-from pymc_features.study.quadrature import DiscrepancyCurve, exact_posterior, exponents
 
 LIKELIHOODS = ["NORM", "TN", "EXP"]
 QUIET = {"progressbar": False, "random_seed": 1}
@@ -34,8 +35,9 @@ class Example:
 
         curve = DiscrepancyCurve(total, paper.THETA_RANGE, self.data.size)
         self.exact = {
-            kind: exact_posterior(curve, exponents(kind, *self.data.shape), paper.SIGMA_RANGE)
-            for kind in LIKELIHOODS
+            kind: exact_posterior(curve, entry.exponents(*self.data.shape), paper.SIGMA_RANGE)
+            for kind, entry in catalogue.LIKELIHOODS.items()
+            if kind in LIKELIHOODS
         }
 
     @functools.cached_property

@@ -365,7 +365,8 @@ REFUSED_ARGUMENTS_VALUES = {  # what is said: what is given
     "`units` must be given, base.csv does not state them": {"units": None},
     "`units` must be one of": {"units": "furlong"},
     "`dt` must be positive": {"dt": -1.0},
-    "`skip` must not be negative": {"skip": -1},
+    "`skip` must be an integer of at least 0, got -1. It counts rows": {"skip": -1},
+    "`skip` must be an integer": {"skip": 1.5},
     "must hold at least 2 samples, got 1": {"skip": 59},
     "`clock` must be one of the columns of base.csv.*header name of the times": {"clock": "Time"},
     "`dt` must be given with clock=False": {"clock": False},
@@ -375,7 +376,6 @@ REFUSED_ARGUMENTS_VALUES = {  # what is said: what is given
 }
 REFUSED_ARGUMENTS_TYPES = {
     "`columns` must be an index or a name, got 1.5": {"columns": 1.5},
-    "`skip` must be an integer": {"skip": 1.5},
     "`clock` must be a column, False or None": {"clock": True},
 }
 

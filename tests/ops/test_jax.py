@@ -15,10 +15,11 @@ from pytensor.graph.replace import vectorize_graph
 
 import pymc_features as pmf
 from pymc_features import ops, paper, response, simulate
+from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.likelihoods.exact import quadrature
 from pymc_features.ops import OPS
 from pymc_features.ops.base import count
 from pymc_features.simulators import FAMILIES
-from pymc_features.study import quadrature
 from support.commands import run_python
 from support.graphs import PLAIN
 from support.kernels import DAMPINGS
@@ -417,7 +418,7 @@ def one_stiffness():
         mu = response(paper.chain(pm.Uniform("theta", *paper.THETA_RANGE)), record)
         pmf.TruncNormalFeature("y", mu=mu, sigma=pm.Uniform("sigma", *paper.SIGMA_RANGE), observed=data)
     curve = quadrature.DiscrepancyCurve(total, paper.THETA_RANGE, data.size)
-    exact = quadrature.exact_posterior(curve, quadrature.exponents("TN", *data.shape), paper.SIGMA_RANGE)
+    exact = quadrature.exact_posterior(curve, LIKELIHOODS["TN"].exponents(*data.shape), paper.SIGMA_RANGE)
     nodes, below = exact.theta.nodes, exact.theta.below
     middle, probability = 0.5 * (nodes[1:] + nodes[:-1]), np.diff(below)
     mean = probability @ middle

@@ -416,7 +416,7 @@ def test_response_refuses_wrong_types(arguments, error, match):
         ({"sensors": [5]}, ValueError, "`sensors` must"),
         ({"quantity": "drift"}, ValueError, "`quantity` must"),
         ({"n_modes": 9}, ValueError, "`n_modes` must"),
-        ({"n_modes": "all"}, ValueError, "`n_modes` must be an integer from 1 to 3, got all"),
+        ({"n_modes": "all"}, ValueError, "`n_modes` must be an integer from 1 to 3, got 'all'"),
         ({"dt": "0.1"}, TypeError, "`dt` must be a number, got str"),
         ({"dt": pt.scalar()}, TypeError, "`dt` must be a number, got TensorVariable. .* may be pm.Data"),
         ({"dt": np.array([0.1])}, TypeError, "`dt` must be a number, got ndarray"),

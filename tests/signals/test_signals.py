@@ -161,7 +161,7 @@ LINE = array(np.arange(30.0))
         (lambda: signals.trim(np.zeros(5), 0, 1), TypeError, "`channels` must be an xarray.DataArray"),
         (lambda: signals.trim(LINE.rename(time="t"), 0, 1), ValueError, "must have dimensions .*Transpose"),
         (lambda: check_channels(LINE, (1, 2)), ValueError, r"must have dimensions \('sensor', 'time'\), got"),
-        (lambda: signals.detrend(LINE * np.nan), ValueError, r"must be finite, got nan at \(0,\)"),
+        (lambda: signals.detrend(LINE * np.nan), ValueError, "must be finite, got nan at index 0"),
         (lambda: signals.detrend(LINE.astype(str)), TypeError, "`channels` must hold numbers"),
         (lambda: signals.detrend(LINE.drop_vars("time")), ValueError, "must have a time coordinate"),
         (lambda: signals.detrend(LINE[[0, 1, 2, 5]]), ValueError, "evenly sampled.*0.01 s to 0.03 s"),
@@ -180,16 +180,20 @@ LINE = array(np.arange(30.0))
         (lambda: signals.band_pass(LINE, high=50.0), ValueError, "`high` must lie between 0 and 50 Hz"),
         (lambda: signals.band_pass(LINE, low=0.0), ValueError, "`low` must lie between"),
         (lambda: signals.band_pass(LINE, low="1"), TypeError, "`low` must be a frequency"),
-        (lambda: signals.band_pass(LINE, 1.0, order=0), ValueError, "`order` must be positive"),
-        (lambda: signals.band_pass(LINE, 1.0, order=2.5), TypeError, "`order` must be an integer"),
+        (
+            lambda: signals.band_pass(LINE, 1.0, order=0),
+            ValueError,
+            "`order` must be an integer of at least 1, got 0",
+        ),
+        (lambda: signals.band_pass(LINE, 1.0, order=2.5), ValueError, "`order` must be an integer"),
         (
             lambda: signals.band_pass(LINE, 1.0, 5.0, order=8),
             ValueError,
             "more than 51 samples.*Lower `order`",
         ),
         (lambda: signals.decimate(LINE, 2), ValueError, "at least 81 samples to be decimated by 2, got 30"),
-        (lambda: signals.decimate(LINE, 0), ValueError, "`factor` must be positive"),
-        (lambda: signals.decimate(LINE, 1.5), TypeError, "`factor` must be an integer"),
+        (lambda: signals.decimate(LINE, 0), ValueError, "`factor` must be an integer of at least 1, got 0"),
+        (lambda: signals.decimate(LINE, 1.5), ValueError, "`factor` must be an integer"),
     ],
 )
 def test_refused(action, error, match):

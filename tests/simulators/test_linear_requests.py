@@ -274,7 +274,7 @@ REFUSED_ARGUMENTS_VALUES = {  # what is said: what is given
     "`ratios` must have one value or .* the 2 modes, got 3": {"damping": ModalDamping([0.1] * 3)},
     r"`stiffness` must be a square matrix, got shape \(\)": {"stiffness": 3.0},
     r"`influence` must have shape \(2,\) or \(2, supports\), got \(3,\)": {"influence": np.ones(3)},
-    "`influence` must be finite, got NaN or infinity": {"influence": [1.0, np.inf]},
+    "`influence` must be finite, got inf at index 1": {"influence": [1.0, np.inf]},
 }
 REFUSED_ARGUMENTS_TYPES = {
     "`damping` must be a matrix or a Damping, got NoneType. Pass C in N s/m": {"damping": None},
@@ -350,7 +350,7 @@ def test_refused_modes():
 REFUSED_LOADINGS_VALUES = {  # what is said: what is given
     "`kind` must be one of support_acceleration, force, got 'wind'": ([[0.0, 1.0]], 0.1, "wind"),
     r"`values` must have shape \(input, time\) with at least 2 .* \(1, 1\). Time": ([[0.0]], 0.1),
-    "`values` must be finite, got NaN or infinity. Fill or cut": ([[0.0, np.nan]], 0.1),
+    r"`values` must be finite, got nan at index \(0, 1\). Fill or cut": ([[0.0, np.nan]], 0.1),
     "`dt` must be positive, got 0.0. Pass the sampling interval in seconds": ([0.0, 1.0], 0.0),
     r"`matrix` must have shape \(n, 1\) .* got \(1,\)": ([0.0, 1.0], 0.1, "force", [1.0]),
     "`matrix` must be left out with support": ([0.0, 1.0], 0.1, "support_acceleration", [[1.0]]),
@@ -392,7 +392,7 @@ def test_refused_requests():
         simulate(structure, record, sensors=[0], outputs=np.eye(2))
     with pytest.raises(ValueError, match=r"`outputs` must have shape \(s, 2\), got \(3,\). Give one row"):
         simulate(structure, record, outputs=np.ones(3))
-    with pytest.raises(ValueError, match="`outputs` must be finite, got NaN or infinity"):
+    with pytest.raises(ValueError, match="`outputs` must be finite, got nan at index"):
         simulate(chain, record, outputs=[[np.nan, 1.0]])
     with pytest.raises(TypeError, match="`record` must be a Record, got ndarray"):
         simulate(structure, np.ones(4))

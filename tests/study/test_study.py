@@ -9,13 +9,14 @@ import xarray as xr
 from scipy import integrate, stats
 
 from pymc_features import Record, abc_tolerance, sampling_rate_study
+from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve, exact_posterior, tolerance_interval
 from pymc_features.simulators import simulate
 from pymc_features.smc.results import pad_stages, savable
 from pymc_features.storage import PartStore
 from pymc_features.study import StudyMismatchError, as_csv, as_markdown, paper
 from pymc_features.study import sampling_rate as study_module
-from pymc_features.study.quadrature import DiscrepancyCurve, exact_posterior, exponents, tolerance_interval
-from pymc_features.study.settings import checked_study
+from pymc_features.study.settings import Study
 
 KINDS = ("NORM", "TN", "EXP")
 ALL_KINDS = (*KINDS, "ABC", "CN", "CN-SIGMA", "CN-TAU")
@@ -24,13 +25,14 @@ ALL_KINDS = (*KINDS, "ABC", "CN", "CN-SIGMA", "CN-TAU")
 @pytest.fixture(scope="module")
 def exact(record):
     """Curves and exact posteriors on the whole record at the seven steps."""
-    study = checked_study(record)
+    study = Study(record)
     result = {}
     for multiplier in paper.MULTIPLIERS:
         data = study.data(multiplier)
         curve = study.misfit(multiplier).curve
         posteriors = {
-            kind: exact_posterior(curve, exponents(kind, *data.shape), paper.SIGMA_RANGE) for kind in KINDS
+            kind: exact_posterior(curve, LIKELIHOODS[kind].exponents(*data.shape), paper.SIGMA_RANGE)
+            for kind in KINDS
         }
         result[multiplier] = curve, posteriors, data
     return result
@@ -47,7 +49,7 @@ def widths(exact, kind, parameter="theta"):
 def test_marginal_is_the_student_t_of_the_closed_form(exact, kind):
     """S^(-(m - 1)/2) with quadratic S: a Student-t; at 0.1 % of the 5-95 % width."""
     for curve, posteriors, data in exact.values():
-        m = exponents(kind, *data.shape).m
+        m = LIKELIHOODS[kind].exponents(*data.shape).m
         scale = np.sqrt(curve.minimum / curve.curvature / (m - 2))
         closed = curve.minimiser + scale * stats.t(m - 2).ppf([0.05, 0.25, 0.5, 0.75, 0.95])
         quantiles = posteriors[kind].theta.quantile([0.05, 0.25, 0.5, 0.75, 0.95])
@@ -74,7 +76,7 @@ def test_quadrature_on_a_parabola_against_adaptive_integration(kind):
     """Independent route: SciPy's adaptive integration of the same density, also for the evidence."""
     minimum, curvature, centre = 0.07, 1700.0, 1.003
     curve = DiscrepancyCurve(lambda t: minimum + curvature * (t - centre) ** 2, (0.5, 1.5), 10 * 50)
-    likelihood = exponents(kind, 10, 50)
+    likelihood = LIKELIHOODS[kind].exponents(10, 50)
     posterior = exact_posterior(curve, likelihood, (0.0, 2.0))
     m, c = likelihood.m, likelihood.c
     top = -m * np.log(np.sqrt(c * minimum / m)) - m / 2
@@ -105,11 +107,9 @@ def test_exponents_reproduce_the_likelihoods():
         "EXP": stats.expon(scale=2 * sigma**2).logpdf(e).sum(),
     }
     for kind, value in expected.items():
-        it = exponents(kind, 3, 40)
+        it = LIKELIHOODS[kind].exponents(3, 40)
         got = -it.m * np.log(sigma) - it.c * e.sum() / (2 * sigma**2) + it.constant
         assert got == pytest.approx(value, rel=1e-12)
-    with pytest.raises(ValueError, match="`kind` must be NORM, TN or EXP"):
-        exponents("ABC", 3, 40)
 
 
 @pytest.mark.parametrize("kind", ["TN", "EXP"])
@@ -289,7 +289,7 @@ def test_folder_of_another_study_is_refused(short, tmp_path):
 
 @pytest.mark.parametrize("names", [("linear", "bouc-wen"), ("bouc-wen", "linear")])
 def test_folder_of_another_structure_is_refused(short, tmp_path, names):
-    first, second = (checked_study(short, structure=name, likelihoods=["TN"]).settings() for name in names)
+    first, second = (Study(short, structure=name, likelihoods=["TN"]).settings() for name in names)
     PartStore(tmp_path, first)
     PartStore(tmp_path, first)
     with pytest.raises(StudyMismatchError, match="hold the same study, got .* structure = .* instead of"):
@@ -299,8 +299,8 @@ def test_folder_of_another_structure_is_refused(short, tmp_path, names):
 def test_settings_of_the_linear_chain_are_those_of_older_folders(short):
     """Folders from before there was a choice of structures can be continued."""
     keys = "record record_sha256 record_dt stiffness noise multipliers likelihoods draws chains seed"
-    assert list(checked_study(short).settings()) == keys.split()
-    assert checked_study(short).settings()["draws"] == 2000
+    assert list(Study(short).settings()) == keys.split()
+    assert Study(short).settings()["draws"] == 2000
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,10 @@ import pytest
 import xarray as xr
 
 from pymc_features import Record, cli, sampling_rate_study, simulate
+from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.study import STRUCTURES, as_markdown, bouc_wen, find_structure, paper, yielding
 from pymc_features.study.misfits import computed_sums
-from pymc_features.study.models import LIKELIHOODS
-from pymc_features.study.references import REFERENCES
-from pymc_features.study.settings import checked_study
+from pymc_features.study.settings import Study
 from pymc_features.study.structures import DEFAULT
 
 KINDS = ("NORM", "TN", "EXP", "ABC")
@@ -30,7 +29,7 @@ def test_structures_of_the_study(name, record):
     np.testing.assert_array_equal(entry.chain().matrices(), paper.chain().matrices())
     assert np.isfinite(simulate(changed, Record(record.acceleration[:50], record.dt))).all()
     assert set(entry.likelihoods) <= set(LIKELIHOODS)
-    study = checked_study(record, structure=name, likelihoods=["TN"], multipliers=[10.0])
+    study = Study(record, structure=name, likelihoods=["TN"], multipliers=[10.0])
     assert (study.draws, study.chains, study.at(1.1).family) == (entry.draws, entry.chains, changed.family)
     assert set(entry.quick) <= set(inspect.signature(sampling_rate_study).parameters)
     assert entry.quick["draws"] < entry.draws
@@ -65,7 +64,7 @@ def short(record):
 
 @pytest.fixture(scope="module")
 def study(short):
-    return checked_study(short, structure="bouc-wen", multipliers=(0.5, 1.0, 5.0))
+    return Study(short, structure="bouc-wen", multipliers=(0.5, 1.0, 5.0))
 
 
 def direct_sums(study, theta, multiplier):
@@ -102,7 +101,9 @@ def test_kernel_of_the_family_gives_the_same_sums(study):
 def test_uncertainty_does_not_depend_on_the_sampling_rate(study):
     """As of the linear chain: half the step or five times it; NORM is the control."""
     width = {
-        kind: np.array([np.ptp(REFERENCES[kind](study.misfit(m)).statistics[0, 1:]) for m in (0.5, 1.0, 5.0)])
+        kind: np.array(
+            [np.ptp(LIKELIHOODS[kind].reference(study.misfit(m)).statistics[0, 1:]) for m in (0.5, 1.0, 5.0)]
+        )
         for kind in KINDS
     }
     for kind in ("TN", "EXP", "ABC"):

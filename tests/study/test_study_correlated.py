@@ -5,19 +5,18 @@ import pytest
 from scipy import integrate, linalg, stats
 
 from pymc_features import Record, simulate
-from pymc_features.study import paper
-from pymc_features.study.correlated import (
-    correlated_likelihood,
+from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.likelihoods.exact.correlated import (
+    correlated_exponents,
     known_scale_posterior,
     log_determinant,
     unknown_time_posterior,
     weighted_square,
 )
-from pymc_features.study.findings import MEANING, verdict
-from pymc_features.study.models import LIKELIHOODS
-from pymc_features.study.quadrature import DiscrepancyCurve
-from pymc_features.study.references import REFERENCES
-from pymc_features.study.settings import checked_study
+from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve
+from pymc_features.study import paper
+from pymc_features.study.findings import verdict
+from pymc_features.study.settings import Study
 
 DT, N_TIMES, N_SENSORS = 0.02, 40, 3
 
@@ -44,7 +43,7 @@ def test_weighted_square_and_determinant_are_those_of_the_dense_matrix(tau):
     half = 0.5 * N_SENSORS * np.linalg.slogdet(correlation)[1]
     assert log_determinant(N_SENSORS, N_TIMES, DT, tau) == pytest.approx(half, rel=1e-9, abs=1e-12)
     log_p = stats.multivariate_normal(cov=0.49 * correlation).logpdf(misfit).sum()
-    it = correlated_likelihood(N_SENSORS, N_TIMES, DT, tau)
+    it = correlated_exponents(N_SENSORS, N_TIMES, DT, tau)
     got = it.constant - it.m * np.log(0.7) - it.c * expected / (2 * 0.49)
     assert got == pytest.approx(log_p, rel=1e-9)
 
@@ -65,7 +64,7 @@ def test_known_scale_posterior_is_the_normal_of_the_linear_model():
 
     curve = DiscrepancyCurve(total, (0.5, 1.5), N_SENSORS * N_TIMES)
     marginal, log_evidence = known_scale_posterior(
-        curve, correlated_likelihood(N_SENSORS, N_TIMES, DT, tau), sigma
+        curve, correlated_exponents(N_SENSORS, N_TIMES, DT, tau), sigma
     )
     at = np.array([total(t) for t in (0.0, 1.0, 2.0)])
     curvature = 0.5 * (at[0] - 2 * at[1] + at[2])
@@ -73,7 +72,7 @@ def test_known_scale_posterior_is_the_normal_of_the_linear_model():
     normal = stats.norm(centre, sigma / np.sqrt(curvature))
     q = np.array([0.01, 0.05, 0.5, 0.95, 0.99])
     np.testing.assert_allclose(marginal.quantile(q), normal.ppf(q), atol=1e-4 * normal.std())
-    it = correlated_likelihood(N_SENSORS, N_TIMES, DT, tau)
+    it = correlated_exponents(N_SENSORS, N_TIMES, DT, tau)
     top = it.constant - it.m * np.log(sigma) - total(centre) / (2 * sigma**2)
     expected = top + 0.5 * np.log(2 * np.pi) + np.log(normal.std())
     assert log_evidence == pytest.approx(expected, abs=1e-6)
@@ -149,10 +148,10 @@ def widths(record):
     """Exact 5-95 % width of theta under the three models of correlated errors, at three steps."""
     multipliers = (0.1, 0.2, 1.0)
     short = Record(record.acceleration[:501], record.dt)
-    study = checked_study(short, multipliers=multipliers)
+    study = Study(short, multipliers=multipliers)
     found = {}
     for kind in ("CN", "CN-SIGMA", "CN-TAU", "NORM"):
-        rows = [REFERENCES[kind](study.misfit(m)).statistics[0] for m in multipliers]
+        rows = [LIKELIHOODS[kind].reference(study.misfit(m)).statistics[0] for m in multipliers]
         found[kind] = np.array([row[3] - row[1] for row in rows])
     return found
 
@@ -175,7 +174,7 @@ def test_with_the_time_inferred_white_noise_is_found(widths):
 def test_curve_of_a_step_is_that_of_the_response(record):
     """The four sums, against the simulated histories."""
     short = Record(record.acceleration[:101], record.dt)
-    study = checked_study(short, multipliers=(1.0, 2.0))
+    study = Study(short, multipliers=(1.0, 2.0))
     step = study.misfit(2.0)
     theta = 1.07
     response = simulate(paper.chain(theta), short, dt=2 * short.dt).values
@@ -185,8 +184,19 @@ def test_curve_of_a_step_is_that_of_the_response(record):
     assert study.scale == pytest.approx(0.05 * np.sqrt(np.mean(exact**2)), rel=1e-12)
 
 
-def test_every_likelihood_has_a_reference_and_a_meaning():
-    assert list(LIKELIHOODS) == list(REFERENCES) == list(MEANING)
+@pytest.mark.parametrize("kind", LIKELIHOODS)
+def test_entries_of_the_catalogue(kind):
+    """What every likelihood must state."""
+    entry = LIKELIHOODS[kind]
+    others = [other for name, other in LIKELIHOODS.items() if name != kind]
+    assert entry.name == kind
+    assert entry.meaning not in [other.meaning for other in others]
+    assert entry.colour not in [other.colour for other in others]
+    assert set(entry.takes) <= {"sigma", "correlation_time", "tolerance"}
+    assert set(entry.known) | set(entry.inferred) <= set(entry.takes)
+    assert not set(entry.known) & set(entry.inferred)
+    assert entry.exponents is None or entry.posterior is None
+    assert set(entry.reasons) <= {"narrows", "widens"}
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Updating from a configuration file: messages, numbers of the report, continuation."""
 
 import base64
+import inspect
 import json
 import re
 import shutil
@@ -61,13 +62,10 @@ BROKEN = {  # what is said: what is changed, into what
         'ratios = "zeta"',
         'ratio = "zeta"',
     ),
-    "`sampler.draws` must be a whole number of at least 50, draws of each chain, got 'many'": (
-        "draws = 100",
-        'draws = "many"',
-    ),
+    "`sampler.draws` must be a whole number of at least 50, got 'many'": ("draws = 100", 'draws = "many"'),
     "`sampler.draws` must be a whole number of at least 50": ("draws = 100", "draws = 10"),
     '`sampler.method` must be "smc", "nuts" or "laplace", got \'gibbs\'.': ('"smc"', '"gibbs"'),
-    "`likelihood.kinds` must be a list of NORM, TN, EXP, ABC, each once, got 'MAX'.": (
+    "`likelihood.kinds` must be a list of NORM, TN, EXP, ABC, CN, CN-SIGMA, CN-TAU, each once, got ": (
         '["EXP", "ABC"]',
         '["MAX"]',
     ),
@@ -116,7 +114,31 @@ BROKEN = {  # what is said: what is changed, into what
         "sigma = -0.5",
     ),
     "`priors.sigma.sigma` must be a finite number, got": ("sigma = 0.5", 'sigma = "half"'),
-    "`priors.sigma` must be used by the structure or by sigma": (SIGMA, "sigma = 0.3 "),
+    "`priors.sigma` must be used by the structure or a likelihood": (SIGMA, "sigma = 0.3 "),
+    "`likelihood` must have the key `correlation_time` for CN-TAU, got none.": (
+        '["EXP", "ABC"]',
+        '["EXP", "CN-TAU"]',
+    ),
+    "`likelihood` must have `correlation_time` only with CN, CN-SIGMA, CN-TAU, got kinds ['EXP', 'ABC'].": (
+        SIGMA,
+        f"{SIGMA}\ncorrelation_time = 0.05 #",
+    ),
+    "must have the name of a prior as `correlation_time` for CN-TAU, which infers it, got 0.05. CN and ": (
+        'kinds = ["EXP", "ABC"]',
+        'kinds = ["CN-TAU"]\ncorrelation_time = 0.05 #',
+    ),
+    "must have numbers as `correlation_time` for CN-SIGMA, which takes it for known, got the prior": (
+        'kinds = ["EXP", "ABC"]',
+        'kinds = ["CN-SIGMA"]\ncorrelation_time = "zeta" #',
+    ),
+    "must have numbers as `sigma` for CN, which takes it for known, got the prior 'sigma'. CN-": (
+        'kinds = ["EXP", "ABC"]',
+        'kinds = ["CN"]\ncorrelation_time = 0.05 #',
+    ),
+    "`likelihood.correlation_time` must be positive, got -0.05. Pass it in s.": (
+        'kinds = ["EXP", "ABC"]',
+        'kinds = ["CN-SIGMA"]\ncorrelation_time = -0.05 #',
+    ),
     "`likelihood.sigma` must be one value or one for each of the 3": (SIGMA, 'sigma = ["sigma"] '),
     "[processing.trim]: `start, stop` must lie within the record": ("[0.0, 6.0]", "[0.0, 60.0]"),
     "`processing.trim` must be two rising numbers [from, to]": ("[0.0, 6.0]", "[6.0, 0.0]"),
@@ -144,10 +166,13 @@ def test_missing_configuration_and_traceback(tmp_path, capsys):
         cli.main(["update", missing, "--traceback"])
 
 
-def test_catalogues_of_the_schema_are_those_of_the_package():
-    assert {*SECTIONS, "AffineStructure"} == set(structure_sections.STRUCTURES)  # all are tested below
-    assert list(structure_sections.STRUCTURES) == [cls.__name__ for cls in structures.STRUCTURES]
-    assert list(structure_sections.DAMPINGS) == [cls.__name__ for cls in structures.DAMPINGS]
+def test_every_structure_has_an_example_below():
+    assert {*SECTIONS, "AffineStructure"} == set(structure_sections.STRUCTURES)
+
+
+@pytest.mark.parametrize("cls", [*structures.STRUCTURES, *structures.DAMPINGS])
+def test_structures_and_dampings_state_all_their_arguments(cls):
+    assert set(cls.inputs) == set(inspect.signature(cls).parameters)
 
 
 def test_every_key_says_what_it_must_be(example):
@@ -515,6 +540,42 @@ def test_laplace_and_a_sigma_for_each_sensor(example, tmp_path):
     low, high = np.quantile(result["NORM/posterior"]["k1"], [0.001, 0.999])
     assert low < 385.0 < high
     assert high - low < 20.0
+
+
+CORRELATED = {  # names in the file to the lines that it needs, and the distribution of the observed variable
+    "CN": "sigma = 0.15\ncorrelation_time = 0.02\n#",
+    "CN-SIGMA": f"{SIGMA}\ncorrelation_time = [0.02, 0.02, 0.03]\n#",
+    "CN-TAU": f'{SIGMA}\ncorrelation_time = {{ prior = "tau", times = 2.0 }}\n#',
+}
+TAU = 'tau = { distribution = "LogNormal", mu = -4.6, sigma = 0.5 }\n'
+
+
+@pytest.mark.parametrize("kind", CORRELATED)
+def test_errors_correlated_in_time(example, tmp_path, kind):
+    """From the file to the report: what is inferred, its unit, and a posterior where the truth is."""
+    pairs = [('["EXP", "ABC"]', f'["{kind}"]'), (SIGMA, CORRELATED[kind]), (', "base_shear"', "")]
+    sigma_line = next(line for line in example.read_text().splitlines() if line.startswith("sigma = {"))
+    if kind == "CN":
+        pairs.append((sigma_line, ""))
+    if kind == "CN-TAU":
+        pairs.append((sigma_line, f"{sigma_line}\n{TAU}"))
+    path = variant(example, tmp_path, *pairs)
+    assert cli.main(["update", str(path), "--cores", "1", "--out", str(tmp_path / "out")]) == 0
+    inferred = {"CN": set(), "CN-SIGMA": {"sigma"}, "CN-TAU": {"sigma", "tau"}}[kind]
+    problem = read_problem(path)
+    model = run.declare(problem, kind)
+    assert model["y"].owner.op.name == "CorrelatedNormal"
+    assert {rv.name for rv in model.free_RVs} == {"k1", "k2", "k3", "zeta"} | inferred
+    with xr.open_datatree(tmp_path / "out" / "update.nc", engine="h5netcdf") as tree:
+        posterior = tree[f"{kind}/posterior"].to_dataset()
+        assert inferred <= set(posterior.data_vars)
+        low, high = np.quantile(posterior["k1"], [0.005, 0.995])
+        assert low < 385.0 < high
+    html = (tmp_path / "out" / "report.html").read_text()
+    assert "errors correlated in time; tau" in html
+    if kind == "CN-TAU":
+        assert problem.unit("tau") == "-"  # of a prior that is multiplied
+        assert "likelihood.correlation_time" in html
 
 
 def test_init_says_which_data(tmp_path, monkeypatch, capsys):

@@ -7,12 +7,7 @@ does not grow with the number of parameters but for one product with the stacks 
 import numpy as np
 
 from pymc_features.simulators.linear import oscillators, state_adjoint
-from pymc_features.simulators.linear.arguments import (
-    N_PARAMETERS,
-    Arguments,
-    n_particles,
-    one_of,
-)
+from pymc_features.simulators.linear.arguments import N_PARAMETERS, Arguments, n_particles, one_of
 from pymc_features.simulators.linear.projection import to_parameters
 from pymc_features.simulators.linear.system import solve_system
 

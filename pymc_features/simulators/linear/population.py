@@ -9,13 +9,7 @@ each particle or one for all.
 import numpy as np
 
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.linear.arguments import (
-    N_PARAMETERS,
-    Arguments,
-    n_particles,
-    one_of,
-    writable,
-)
+from pymc_features.simulators.linear.arguments import N_PARAMETERS, Arguments, n_particles, one_of, writable
 from pymc_features.simulators.linear.dense_population import march_dense
 from pymc_features.simulators.linear.response import evaluate
 from pymc_features.simulators.linear.system import is_coupled, observe, solve_system

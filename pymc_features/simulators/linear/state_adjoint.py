@@ -16,12 +16,7 @@ from scipy.linalg import expm_frechet
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.linear.arguments import writable
 from pymc_features.simulators.linear.projection import Cotangent
-from pymc_features.simulators.linear.state_space import (
-    advance_state,
-    interpolate,
-    step_matrices,
-    step_system,
-)
+from pymc_features.simulators.linear.state_space import advance_state, interpolate, step_matrices, step_system
 from pymc_features.simulators.linear.system import observe
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
 from pymc_features.simulators.oscillators.blocks import take_change

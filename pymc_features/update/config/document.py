@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pymc_features.update.config.entries import priors_in
 from pymc_features.update.config.messages import ConfigError, sentence
 from pymc_features.update.config.sections import (
+    ERRORS,
     Data,
     Likelihood,
     Processing,
@@ -52,9 +53,10 @@ class Config(Section):
         for key, unit, value in parameters_of("structure", self.structure):
             for item in priors_in(value):
                 found.setdefault(item.prior, []).append((key, unit if item.times == 1.0 else "-"))
-        if set(self.likelihood.kinds) - {"ABC"}:
-            for item in priors_in(self.likelihood.sigma):
-                place = "likelihood.sigma", "m/s^2" if item.times == 1.0 else "-"
+        taken = dict(pair for kind in self.likelihood.kinds for pair in self.likelihood.parameters_of(kind))
+        for name, value in taken.items():
+            for item in priors_in(value):
+                place = f"likelihood.{name}", ERRORS[name] if item.times == 1.0 else "-"
                 found.setdefault(item.prior, []).append(place)
         return found
 
@@ -127,7 +129,7 @@ def check_names(config: Config) -> None:
     for name in config.priors:
         if name not in used:
             raise ConfigError(
-                f"`priors.{name}` must be used by the structure or by sigma, it is nowhere. Use it or "
+                f"`priors.{name}` must be used by the structure or a likelihood, it is nowhere. Use it or "
                 "remove it."
             )
     structural = [p for p, places in used.items() if any(k.startswith("structure") for k, _ in places)]

@@ -3,7 +3,11 @@
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+import pytensor.tensor as pt
 from pydantic import PlainValidator
+from pytensor.graph.basic import Variable
+
+from pymc_features._checks import is_number
 
 
 @dataclass(frozen=True)
@@ -23,11 +27,6 @@ class Matrix:
 
 
 WANTED = "must be a number, the name of a prior, or {prior = NAME, times = NUMBER}"
-
-
-def is_number(value) -> bool:
-    """Whether a value of the file is a number."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def entry(value):
@@ -93,6 +92,9 @@ def evaluated(value, values):
     if isinstance(value, Parameter):
         found = values[value.prior]
         return found if value.times == 1.0 else value.times * found
-    if isinstance(value, list):
-        return [evaluated(item, values) for item in value]
-    return value
+    if not isinstance(value, list):
+        return value
+    found = [evaluated(item, values) for item in value]
+    if any(isinstance(item, Variable) for item in found):
+        return pt.stack([pt.as_tensor_variable(item, dtype="float64") for item in found])
+    return found

@@ -8,7 +8,7 @@ import pymc as pm
 from pymc.distributions import continuous
 from pytensor.compile.mode import Mode
 
-from pymc_features.update.config.entries import is_number
+from pymc_features._checks import is_number
 from pymc_features.update.config.messages import ConfigError
 
 #: Classes of `pymc.distributions.continuous` that stand for families of distributions.

@@ -7,9 +7,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validator
 
-from pymc_features.update.config.entries import Vector
+from pymc_features._checks import is_number
+from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.update.config.entries import Vector, priors_in
 
-LIKELIHOODS = ("NORM", "TN", "EXP", "ABC")
+ERRORS = {"sigma": "m/s^2", "correlation_time": "s"}  # parameters of the errors, with their units
 KERNELS = ("PersistentSMC", "PopulationIMH", "PopulationMH", "TMCMC")
 
 
@@ -26,9 +28,7 @@ def key(description, default=..., **limits):
 
 def window(value):
     """Two rising times [s]."""
-    numbers = isinstance(value, list) and all(
-        isinstance(v, int | float) and not isinstance(v, bool) for v in value
-    )
+    numbers = isinstance(value, list) and all(map(is_number, value))
     if not (numbers and len(value) == 2 and value[0] < value[1]):
         raise ValueError(f"must be two rising numbers [from, to] in seconds or Hz, got {value!r}")
     return tuple(map(float, value))
@@ -113,11 +113,14 @@ class Processing(Section):
 class Likelihood(Section):
     """How response and data are compared."""
 
-    kinds: list[Literal[LIKELIHOODS]] = key(
+    kinds: list[Literal[tuple(LIKELIHOODS)]] = key(
         f"a list of {', '.join(LIKELIHOODS)}, each once", ["EXP"], min_length=1
     )
     sigma: Vector | None = key(
         "the name of a prior or a positive number in m/s^2, one or one for each sensor", None
+    )
+    correlation_time: Vector | None = key(
+        "the name of a prior or a positive number in s, one or one for each sensor", None
     )
     density: Literal["feature", "data"] = key('"feature" or "data"', "feature")
     tolerance: float | None = key("the tolerance of ABC in m^2/s^4, positive", None, gt=0)
@@ -127,13 +130,44 @@ class Likelihood(Section):
         """What each likelihood needs."""
         if len(set(self.kinds)) < len(self.kinds):
             raise ValueError(f"must name each of `kinds` once, got {self.kinds}")
-        if set(self.kinds) - {"ABC"} and self.sigma is None:
-            raise ValueError("must have the key `sigma` for NORM, TN and EXP, got none")
-        if "ABC" not in self.kinds and self.tolerance is not None:
-            raise ValueError(f"must have `tolerance` only with ABC, got kinds {self.kinds}")
+        for kind in self.kinds:
+            for name, value in self.parameters_of(kind):
+                self.check(LIKELIHOODS[kind], name, value)
+        for name in ("tolerance", "correlation_time"):
+            users = [kind for kind, entry in LIKELIHOODS.items() if name in entry.takes]
+            if getattr(self, name) is not None and not set(users) & set(self.kinds):
+                raise ValueError(f"must have `{name}` only with {', '.join(users)}, got kinds {self.kinds}")
         if "ABC" in self.kinds and self.tolerance is None and "EXP" not in self.kinds:
             raise ValueError("must have `tolerance` for ABC, or EXP among `kinds` to take it from")
         return self
+
+    def parameters_of(self, kind) -> list[tuple[str, Any]]:
+        """Names and values of the parameters of the errors that one likelihood takes."""
+        names = [name for name in ERRORS if name in LIKELIHOODS[kind].takes]
+        return [(name, getattr(self, name)) for name in names]
+
+    @staticmethod
+    def check(entry, name, value):
+        """A parameter is there, known or inferred as the likelihood says."""
+        if value is None:
+            raise ValueError(f"must have the key `{name}` for {entry.name}, got none")
+        inferred = sorted({item.prior for item in priors_in(value)})
+        if name in entry.known and inferred:
+            raise ValueError(
+                f"must have numbers as `{name}` for {entry.name}, which takes it for known, got the prior "
+                f"{inferred[0]!r}. {others('inferred', name)}"
+            )
+        if name in entry.inferred and not inferred:
+            raise ValueError(
+                f"must have the name of a prior as `{name}` for {entry.name}, which infers it, got {value}. "
+                f"{others('known', name)}"
+            )
+
+
+def others(how, name) -> str:
+    """Which likelihoods take a parameter of the errors for known, or infer it."""
+    names = [kind for kind, entry in LIKELIHOODS.items() if name in getattr(entry, how)]
+    return f"{' and '.join(names)} {'infer it' if how == 'inferred' else 'take numbers'}"
 
 
 class Sampler(Section):

@@ -1,39 +1,49 @@
-"""The section [structure]: one class for each structure of the package, and for each kind of damping."""
+"""The section [structure]: one class for each structure of the package, made of the inputs that it states."""
 
-from typing import Annotated, Any, Literal
+import inspect
+from typing import Annotated, Any, Literal, Union
 
-from pydantic import BaseModel, Discriminator, Field, PlainValidator, Tag
+from pydantic import Discriminator, Field, PlainValidator, Tag, create_model
 
+from pymc_features import structures
+from pymc_features.structures import Input, Kind, Structure
 from pymc_features.update.config.entries import Entry, MatrixEntry, Terms, Vector, matrix
 from pymc_features.update.config.sections import Section
 
 ONE = "a number, the name of a prior, or {prior = NAME, times = NUMBER}"
-ONE_OR_MORE = f"{ONE}, or a list of these"
 A_MATRIX = "a file with matrices, {file = FILE, name = NAME}, or rows of numbers"
 
-
-def parameter(unit, default=..., words=ONE_OR_MORE):
-    """A key that may be random, with its unit."""
-    return Field(default, description=f"{words}, in {unit}", json_schema_extra={"unit": unit})
-
-
-class RayleighSection(Section):
-    """C = alpha M + beta K."""
-
-    type: Literal["RayleighDamping"]
-    alpha: Entry = parameter("1/s", words=ONE)
-    beta: Entry = parameter("s", words=ONE)
+#: Type and words of the keys of each kind; those of dampings follow below.
+TYPES: dict[Kind, tuple[Any, str]] = {
+    Kind.SCALAR: (Entry, ONE),
+    Kind.VECTOR: (Vector, f"{ONE}, or a list of these"),
+    Kind.MATRIX: (MatrixEntry, A_MATRIX),
+    Kind.MATRICES: (Terms, "a list of matrices, {} where a parameter does not act"),
+}
 
 
-class ModalSection(Section):
-    """A ratio for each mode."""
+def section_of(cls) -> type[Section]:
+    """The keys of a structure or damping: its type and its inputs, with the defaults of its signature."""
+    signature = inspect.signature(cls).parameters
+    fields: dict[str, Any] = {"type": (Literal[cls.__name__], ...)}
+    for name, given in cls.inputs.items():
+        default = signature[name].default
+        must = given.required or default is inspect.Parameter.empty
+        fields[name] = key_of(given, ... if must else default)
+    if issubclass(cls, Structure) and cls.is_linear:
+        words = "the number of modes kept, positive"
+        fields["n_modes"] = int | None, Field(None, description=words, ge=1)
+    summary = inspect.getdoc(cls).partition("\n")[0]
+    return create_model(f"{cls.__name__}Section", __base__=Section, __doc__=summary, **fields)
 
-    type: Literal["ModalDamping"]
-    ratios: Vector = parameter("-")
 
-
-DAMPINGS = {"RayleighDamping": RayleighSection, "ModalDamping": ModalSection}
-Damping = Annotated[RayleighSection | ModalSection, Field(discriminator="type")]
+def key_of(given: Input, default) -> tuple:
+    """Type and field of one key; what may be random has its unit."""
+    kind, words = TYPES[given.kind]
+    if given.kind in (Kind.SCALAR, Kind.VECTOR):
+        unit = {"unit": given.unit}
+        return kind, Field(default, description=f"{words}, in {given.unit}", json_schema_extra=unit)
+    return (kind | None if default is None else kind), Field(default, description=words)
 
 
 def damping_kind(value):
@@ -43,82 +53,19 @@ def damping_kind(value):
     return "matrix" if isinstance(value, dict | list) else getattr(value, "type", None)
 
 
-DampingOrMatrix = Annotated[
-    Annotated[RayleighSection, Tag("RayleighDamping")]
-    | Annotated[ModalSection, Tag("ModalDamping")]
-    | Annotated[Any, PlainValidator(matrix), Tag("matrix")],
-    Discriminator(damping_kind),
+DAMPINGS = {cls.__name__: section_of(cls) for cls in structures.DAMPINGS}
+A_DAMPING = f"a table with `type`, {' or '.join(DAMPINGS)}"
+TYPES[Kind.DAMPING] = (
+    Annotated[Union[tuple(DAMPINGS.values())], Field(discriminator="type")],  # noqa: UP007
+    A_DAMPING,
+)
+OR_MATRIX = [
+    *(Annotated[section, Tag(name)] for name, section in DAMPINGS.items()),
+    Annotated[Any, PlainValidator(matrix), Tag("matrix")],
 ]
-
-
-class ChainSection(Section):
-    """What chains have in common."""
-
-    mass: Vector = parameter("kg")
-    stiffness: Vector = parameter("N/m")
-    damping: Damping = Field(description="a table with `type`, RayleighDamping or ModalDamping")
-
-
-class SpringMassSection(ChainSection):
-    """Linear springs."""
-
-    type: Literal["SpringMassChain"]
-
-
-class HystereticSection(ChainSection):
-    """Bouc-Wen springs."""
-
-    type: Literal["HystereticChain"]
-    yield_displacement: Vector = parameter("m")
-    post_yield_ratio: Vector = parameter("-")
-    sharpness: Vector = parameter("-", 2.0)
-    beta: Vector = parameter("-", 0.5)
-    gamma: Vector = parameter("-", 0.5)
-
-
-class DuffingSection(ChainSection):
-    """Cubic springs."""
-
-    type: Literal["DuffingChain"]
-    cubic: Vector = parameter("N/m^3")
-
-
-class MatrixSection(Section):
-    """What structures given by matrices have in common."""
-
-    mass: MatrixEntry = Field(description=A_MATRIX)
-    stiffness: MatrixEntry = Field(description=A_MATRIX)
-    damping: DampingOrMatrix = Field(
-        description=f"a table with `type`, RayleighDamping or ModalDamping, or {A_MATRIX}"
-    )
-    influence: MatrixEntry | None = Field(None, description=A_MATRIX)
-    n_modes: int | None = Field(None, description="the number of modes kept, positive", ge=1)
-
-
-class LinearSection(MatrixSection):
-    """Constant matrices; only damping coefficients can be random."""
-
-    type: Literal["LinearStructure"]
-
-
-class AffineSection(MatrixSection):
-    """K_0 + sum theta_i K_i."""
-
-    type: Literal["AffineStructure"]
-    theta: Vector = parameter("-")
-    stiffness_terms: Terms = Field([], description="a list of matrices, {} where a parameter does not act")
-    mass_terms: Terms = Field([], description="a list of matrices, {} where a parameter does not act")
-    damping_terms: Terms = Field([], description="a list of matrices, {} where a parameter does not act")
-
-
-STRUCTURES: dict[str, type[BaseModel]] = {
-    "SpringMassChain": SpringMassSection,
-    "LinearStructure": LinearSection,
-    "AffineStructure": AffineSection,
-    "HystereticChain": HystereticSection,
-    "DuffingChain": DuffingSection,
-}
-StructureSection = Annotated[
-    SpringMassSection | LinearSection | AffineSection | HystereticSection | DuffingSection,
-    Field(discriminator="type"),
-]
+TYPES[Kind.DAMPING_OR_MATRIX] = (
+    Annotated[Union[tuple(OR_MATRIX)], Discriminator(damping_kind)],  # noqa: UP007
+    f"{A_DAMPING}, or {A_MATRIX}",
+)
+STRUCTURES = {cls.__name__: section_of(cls) for cls in structures.STRUCTURES}
+StructureSection = Annotated[Union[tuple(STRUCTURES.values())], Field(discriminator="type")]  # noqa: UP007

@@ -21,24 +21,12 @@ N_SIGMA = 601
 
 
 @dataclass(frozen=True)
-class Likelihood:
-    """Exponents of a likelihood that depends on S only, and its constant for each sensor."""
+class Exponents:
+    """m and c of a likelihood that depends on S only, and its constant over all sensors."""
 
     m: float
     c: float
     constant: float
-
-
-def exponents(kind: str, n_sensors: int, n_times: int) -> Likelihood:
-    """Return m, c and the constant of NORM, TN or EXP, Eqs. (2), (7), (9)."""
-    if kind == "NORM":
-        n = n_sensors * n_times
-        return Likelihood(n, n_times, -0.5 * n * np.log(2.0 * np.pi))
-    if kind == "TN":
-        return Likelihood(n_sensors, 1.0, 0.5 * n_sensors * np.log(2.0 / np.pi))
-    if kind == "EXP":
-        return Likelihood(2 * n_sensors, 1.0, -n_sensors * np.log(2.0))
-    raise ValueError(f"`kind` must be NORM, TN or EXP, got {kind!r}.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +115,10 @@ class ExactPosterior:
 
 
 def exact_posterior(
-    curve: DiscrepancyCurve, likelihood: Likelihood, sigma_bounds: tuple[float, float]
+    curve: DiscrepancyCurve, exponents: Exponents, sigma_bounds: tuple[float, float]
 ) -> ExactPosterior:
     """Integrate the posterior under uniform priors of theta and sigma."""
-    m, c = likelihood.m, likelihood.c
+    m, c = exponents.m, exponents.c
     low, high = sigma_bounds
     best_sigma = min(np.sqrt(c * curve.minimum / m), high)
     width = 1.0 / np.sqrt(2.0 * m)
@@ -150,7 +138,7 @@ def exact_posterior(
         Marginal.on_grid(curve.theta, np.trapezoid(mass, dx=dt, axis=1), curve.u),
         Marginal.on_grid(sigma, np.trapezoid(mass, dx=du, axis=0), t),
         (curve.minimiser, float(best_sigma)),
-        float(np.log(evidence) + top + likelihood.constant),
+        float(np.log(evidence) + top + exponents.constant),
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.special import gammaincc, gammaln
 
-from pymc_features.study.quadrature import DiscrepancyCurve, Likelihood, Marginal
+from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve, Exponents, Marginal
 
 NEGLIGIBLE = 1e-12
 N_COARSE, N_THETA, N_TAU, N_SIGMA = 601, 201, 401, 401
@@ -41,21 +41,21 @@ def log_determinant(n_sensors: int, n_times: int, dt: float, tau):
     return 0.5 * n_sensors * (n_times - 1) * np.log(-np.expm1(-2.0 * dt / tau))
 
 
-def correlated_likelihood(n_sensors: int, n_times: int, dt: float, tau: float) -> Likelihood:
+def correlated_exponents(n_sensors: int, n_times: int, dt: float, tau: float) -> Exponents:
     """Exponents in W of the likelihood with tau known, and its constant."""
     n = n_sensors * n_times
     constant = -0.5 * n * np.log(2.0 * np.pi) - log_determinant(n_sensors, n_times, dt, tau)
-    return Likelihood(n, 1.0, constant)
+    return Exponents(n, 1.0, constant)
 
 
-def known_scale_posterior(curve: DiscrepancyCurve, likelihood: Likelihood, sigma: float):
+def known_scale_posterior(curve: DiscrepancyCurve, exponents: Exponents, sigma: float):
     """Marginal of theta and log evidence with sigma known; `curve` is that of W."""
     log_weights = -0.5 * (curve.values - curve.minimum) / sigma**2
     mass = np.exp(log_weights) * curve.slope
     marginal = Marginal.on_grid(curve.theta, mass, curve.u)
     low, high = curve.bounds
     evidence = np.trapezoid(mass, curve.u) / (high - low)
-    top = -likelihood.m * np.log(sigma) - 0.5 * curve.minimum / sigma**2 + likelihood.constant
+    top = -exponents.m * np.log(sigma) - 0.5 * curve.minimum / sigma**2 + exponents.constant
     return marginal, float(np.log(evidence) + top)
 
 
