@@ -25,9 +25,9 @@ def ground_motion():
     """El Centro 1940, or a synthetic record of the same length where it cannot be had."""
     try:
         return pmf.datasets.el_centro()
-    except pmf.datasets.DatasetUnavailableError as error:
+    except pmf.exceptions.DatasetUnavailableError as error:
         print(f"El Centro record not available, a synthetic one takes its place. {error}".splitlines()[0])
-        return pmf.synthetic_earthquake(31.16, 0.02, seed=1940, pga=3.13)
+        return pmf.synthetic_earthquake(31.16, 0.02, random_seed=1940, pga=3.13)
 
 
 def check(name, found, reference):

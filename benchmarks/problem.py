@@ -2,8 +2,8 @@
 
 The ten-storey chain of the source (1800 N/m, theta scales the lowest three springs), all ten floors
 measured, TN likelihood, priors theta ~ U(0.5, 1.5) and sigma ~ U(0.01, 0.5) m/s^2. The record is
-`synthetic_earthquake(19.98, 0.02, seed=1, pga=2.0)`: 1000 samples, scaled so that sigma lies around 0.08
-with its 99.99 % quantile at 0.33, well inside its prior. Data: theta = 1 with 5 % noise, seed 2.
+`synthetic_earthquake(19.98, 0.02, random_seed=1, pga=2.0)`: 1000 samples, scaled so that sigma lies around
+0.08 with its 99.99 % quantile at 0.33, well inside its prior. Data: theta = 1 with 5 % noise, seed 2.
 """
 
 from functools import cached_property
@@ -27,8 +27,8 @@ class Problem:
     """Record, data, likelihood, and the exact posterior."""
 
     def __init__(self):
-        self.record = pmf.synthetic_earthquake(19.98, 0.02, seed=1, pga=2.0)
-        self.measured = pmf.paper.measurements(self.record, multipliers=(1.0,), seed=2).values
+        self.record = pmf.synthetic_earthquake(19.98, 0.02, random_seed=1, pga=2.0)
+        self.measured = pmf.paper.measurements(self.record, multipliers=(1.0,), random_seed=2).values
         self.parameters = pmf.paper.chain().parameters()
         self.settings = (
             Excitation(self.record.acceleration, self.record.dt, 1, 1),

@@ -33,8 +33,8 @@ def structures(case):
     yields = {"yield_displacement": 0.05, "post_yield_ratio": 0.1}
     return {
         "chain": chain,
-        "LinearStructure": pmf.AffineStructure(m, damping, k, stiffness_terms=terms),
-        "coupled damping": pmf.AffineStructure(m, c + dashpot, k, stiffness_terms=terms),
+        "LinearStructure": pmf.AffineStructure(m, stiffness=k, damping=damping, stiffness_terms=terms),
+        "coupled damping": pmf.AffineStructure(m, stiffness=k, damping=c + dashpot, stiffness_terms=terms),
         "HystereticChain": pmf.HystereticChain(mass, stiffness, damping, **yields),
         "DuffingChain": pmf.DuffingChain(mass, stiffness, damping, cubic=1e4),
     }
@@ -72,7 +72,11 @@ def frame(bays, storeys):
     base = sparse.diags_array(np.where(np.arange(n) < bays, 1e5, 0.0))
     damping = pmf.ModalDamping(np.full(N_MODES, 0.02))
     return pmf.AffineStructure(
-        np.ones(n), damping, sparse.csc_array(base), stiffness_terms=halves, theta=[1.0, 1.0]
+        np.ones(n),
+        stiffness=sparse.csc_array(base),
+        damping=damping,
+        stiffness_terms=halves,
+        theta=[1.0, 1.0],
     )
 
 
@@ -88,10 +92,10 @@ def value_and_gradient(structure, record):
         return family.assemble((np.array(theta), *rest, *excitation, rows, N_MODES), 0)
 
     data = family.kernels["response"](*arguments([1.1, 0.9]))
-    inputs, weights = (*arguments([1.0, 1.0]), data), np.ones(sensors.size)
+    inputs, weights = (*arguments([1.0, 1.0]), data), np.ones((sensors.size, 1))
     return {
         "value": lambda: family.kernels["discrepancy"](*inputs),
-        "gradient": lambda: family.kernels["discrepancy_gradient"](*inputs, weights),
+        "gradient": lambda: family.kernels["misfit_gradient"](*inputs, weights),
     }
 
 

@@ -18,7 +18,8 @@ from tables import first_sentence
 
 import pymc_features
 
-MODULES = ("structures", "plots", "update")  # public, besides those that `pymc_features.__all__` names
+# public, besides those that `pymc_features.__all__` names
+MODULES = ("structures", "plots", "update", "external", "ground_motion", "study")
 LOGGER = logging.getLogger(__name__)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from pymc_features.exceptions import DatasetUnavailableError
 from pymc_features.progress import PartProgress
 
 FIGURES = {  # those with all their likelihoods in the study are drawn
@@ -142,8 +143,8 @@ def find_record(options):
     try:
         record = datasets.el_centro()
         return record, f"record: {record}"
-    except datasets.DatasetUnavailableError:
-        record = ground_motion.synthetic_earthquake(31.16, 0.02, seed=1940, pga=3.13)
+    except DatasetUnavailableError:
+        record = ground_motion.synthetic_earthquake(31.16, 0.02, random_seed=1940, pga=3.13)
         return record, f"record: {record}, since El Centro 1940 could not be had here"
 
 
@@ -159,7 +160,8 @@ def reproduce(options, console):
     """Run the study and write figures, table and result."""
     from pymc_features.study import find_structure, sampling_rate_study, yielding
 
-    described = find_structure(options.structure)
+    of_springs = {} if options.stiffness is None else {"stiffness": options.stiffness}
+    described = find_structure(options.structure, **of_springs)
     options.out = Path(options.out or default_folder(options))
     record, sentence = find_record(options)
     say(console, sentence)
@@ -167,13 +169,13 @@ def reproduce(options, console):
         record = strong_part(record, described.quick_seconds)
         say(console, f"used: {record}")
     settings = dict(described.quick) if options.quick else {}
-    for name in ("draws", "chains", "cores", "stiffness", "likelihoods"):
+    for name in ("draws", "chains", "cores", "likelihoods"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
     with PartProgress(console, "study") as progress:
         result = sampling_rate_study(
             record,
-            structure=options.structure,
+            structure=described,
             random_seed=options.seed,
             out=options.out,
             progress=progress,
@@ -249,24 +251,24 @@ def write_outputs(result, folder: Path) -> list[Path]:
     from pymc_features.storage import write_atomically
     from pymc_features.study import as_csv, as_markdown
 
-    def save(ax):
-        return lambda path: ax.figure.savefig(path, dpi=150, format="png")
+    def save(axes):
+        return lambda path: axes[0].figure.savefig(path, dpi=150, format="png")
 
     figures = {"fig1_record.png": plots.plot_record(result)}
     known = set(result["summary"]["likelihood"].values)
     for name, likelihoods in FIGURES.items():
         if known.issuperset(likelihoods):
-            figures[name] = plots.plot_sampling_rate(result, likelihoods)[0]
+            figures[name] = plots.plot_sampling_rate(result, likelihoods)
     figures["fig6_widths.png"] = plots.plot_widths(result)
     if "loops" in result.children:
-        figures["fig7_loops.png"] = plots.plot_loops(result)[0]
-    writers = {name: save(ax) for name, ax in figures.items()}
+        figures["fig7_loops.png"] = plots.plot_loops(result)
+    writers = {name: save(axes) for name, axes in figures.items()}
     writers["table.md"] = lambda path: path.write_text(as_markdown(result))
     writers["table.csv"] = lambda path: path.write_text(as_csv(result))
     writers["study.nc"] = lambda path: result.to_netcdf(path, engine="h5netcdf")
     for name, write in writers.items():
         write_atomically(folder / name, write)
-    plots.close(figures.values())
+    plots.close(axes[0] for axes in figures.values())
     return [folder / name for name in writers]
 
 

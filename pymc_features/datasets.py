@@ -9,20 +9,17 @@ from urllib.parse import quote
 import numpy as np
 import xarray as xr
 
+from pymc_features.exceptions import DatasetUnavailableError
 from pymc_features.io import read_channels
 from pymc_features.records import Record
 
-__all__ = ["DatasetUnavailableError", "el_centro", "mini_shake_table"]
+__all__ = ["el_centro", "mini_shake_table"]
 
 #: Name of the environment variable with the folder that is searched before the network.
 DATA_VARIABLE = "PYMC_FEATURES_DATA"
 
 _TIMEOUT = 15.0  # [s]
 _GRAVITY = 9.81  # [m/s^2] per g, the value of the reference results
-
-
-class DatasetUnavailableError(OSError):
-    """A data set is neither in the local folder nor can it be downloaded."""
 
 
 @dataclass(frozen=True)
@@ -141,8 +138,8 @@ def mini_shake_table(event: str) -> xr.DataArray:
     -----
     As measured, but for the empty first packet. Each sensor has an offset of -0.05 to 0.22 m/s^2 (tilt);
     noise 0.010 to 0.012 m/s^2 rms. No channel is inverted; floor3 comes 2 ms after the base, a quarter sample
-    (`check_channels`). Lumped floor masses 0.1601, 0.1601, 0.1421 kg: weighed blocks and sensors, and the
-    share of two walls. Natural frequencies near 3.7, 11.2 and 16.7 Hz.
+    (`signals.check_channels`). Lumped floor masses 0.1601, 0.1601, 0.1421 kg: weighed blocks and sensors, and
+    the share of two walls. Natural frequencies near 3.7, 11.2 and 16.7 Hz.
 
     References
     ----------

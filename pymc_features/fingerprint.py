@@ -9,12 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from pymc_features.exceptions import UnknownIdentityError
+
 PLAIN = str | bytes | int | float | complex | bool | None
 INSTALLED = tuple(Path(p) for name, p in sysconfig.get_paths().items() if name.endswith(("stdlib", "lib")))
-
-
-class UnknownIdentityError(TypeError):
-    """An object whose contents cannot be told."""
 
 
 def fingerprint(*things) -> str:

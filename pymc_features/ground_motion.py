@@ -7,38 +7,99 @@ wanted peak.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from pymc_features._checks import check_integer, check_positive
 from pymc_features.records import Record
 
-__all__ = ["synthetic_earthquake"]
+__all__ = ["AminAng", "CloughPenzien", "synthetic_earthquake"]
+
+
+@dataclass(frozen=True)
+class CloughPenzien:
+    r"""Power spectral density of the stationary ground acceleration, of bedrock noise S_0.
+
+    .. math:: S(\omega) =
+        \frac{\omega_g^4 + 4\zeta_g^2\omega_g^2\omega^2}
+             {(\omega_g^2-\omega^2)^2 + 4\zeta_g^2\omega_g^2\omega^2} \;
+        \frac{\omega^4}{(\omega_f^2-\omega^2)^2 + 4\zeta_f^2\omega_f^2\omega^2}\, S_0
+
+    Parameters
+    ----------
+    omega_g, zeta_g : float
+        Angular frequency [rad/s] and damping ratio of the ground, positive. The defaults, 5 pi rad/s
+        (2.5 Hz) and 0.6, stand for firm soil.
+    omega_f, zeta_f : float
+        The same of the high-pass filter; `omega_f` is 0.1 `omega_g` unless given.
+    """
+
+    omega_g: float = 5.0 * math.pi
+    zeta_g: float = 0.6
+    omega_f: float | None = None
+    zeta_f: float = 0.6
+
+    def __post_init__(self):
+        for name in ("omega_g", "zeta_g", "zeta_f"):
+            check_positive(getattr(self, name), name)
+        if self.omega_f is None:
+            object.__setattr__(self, "omega_f", 0.1 * self.omega_g)
+        check_positive(self.omega_f, "omega_f")
+
+
+@dataclass(frozen=True)
+class AminAng:
+    """Envelope (t / t_1)^2 up to t_1, 1 up to t_2 = t_1 + `strong_time`, then exp(-k (t - t_2)).
+
+    Parameters
+    ----------
+    rise_time, strong_time : float, optional
+        Rise t_1 and plateau t_2 - t_1 [s], non-negative; 0.1 and 0.3 of the duration unless given.
+    end_level : float
+        Value at the last sample, above 0 and at most 1; sets the decay rate k.
+    """
+
+    rise_time: float | None = None
+    strong_time: float | None = None
+    end_level: float = 0.05
+
+    def __post_init__(self):
+        for name in ("rise_time", "strong_time"):
+            if getattr(self, name) is not None:
+                check_positive(getattr(self, name), name, allow_zero=True)
+        check_positive(self.end_level, "end_level")
+        if self.end_level > 1.0:
+            raise ValueError(f"`end_level` must be at most 1, the plateau, got {self.end_level}.")
+
+    def at(self, time: np.ndarray) -> np.ndarray:
+        """Values at sampling times (time,) [s] from 0."""
+        duration = time[-1]
+        rise_time = 0.1 * duration if self.rise_time is None else self.rise_time
+        strong_time = 0.3 * duration if self.strong_time is None else self.strong_time
+        decay_start = rise_time + strong_time
+        envelope = np.ones_like(time)
+        rising, decaying = time < rise_time, time > decay_start
+        envelope[rising] = (time[rising] / rise_time) ** 2
+        if decaying.any():
+            rate = -math.log(self.end_level) / (duration - decay_start)
+            envelope[decaying] = np.exp(-rate * (time[decaying] - decay_start))
+        return envelope
 
 
 def synthetic_earthquake(
     duration: float = 30.0,
     dt: float = 0.02,
-    seed: int = 1940,
+    random_seed: int | None = None,
     *,
     pga: float = 3.0,
-    omega_g: float = 5.0 * math.pi,
-    zeta_g: float = 0.6,
-    omega_f: float | None = None,
-    zeta_f: float = 0.6,
-    rise_time: float | None = None,
-    strong_time: float | None = None,
-    end_level: float = 0.05,
+    spectrum: CloughPenzien | None = None,
+    envelope: AminAng | None = None,
 ) -> Record:
-    r"""Draw an earthquake-like ground acceleration with a Clough-Penzien spectrum.
+    """Draw an earthquake-like ground acceleration, a(t) = c e(t) x(t).
 
-    .. math:: a(t) = c\, e(t)\, x(t), \qquad S_x(\omega) =
-        \frac{\omega_g^4 + 4\zeta_g^2\omega_g^2\omega^2}
-             {(\omega_g^2-\omega^2)^2 + 4\zeta_g^2\omega_g^2\omega^2} \;
-        \frac{\omega^4}{(\omega_f^2-\omega^2)^2 + 4\zeta_f^2\omega_f^2\omega^2}\, S_0,
-
-    where x is stationary and Gaussian, the envelope e is (t/t_1)^2 up to t_1, 1 up to t_2 = t_1 +
-    `strong_time`, then exp(-k (t - t_2)), and c makes the peak equal to `pga`.
+    x is stationary and Gaussian with a Clough-Penzien spectrum, e the envelope of Amin and Ang, and c makes
+    the peak equal to `pga`.
 
     Parameters
     ----------
@@ -46,20 +107,14 @@ def synthetic_earthquake(
         Time of the last sample [s], positive, rounded to whole steps.
     dt : float
         Sampling interval [s], positive.
-    seed : int
+    random_seed : int, optional
         Non-negative; equal seeds and arguments give equal records.
     pga : float
         Peak ground acceleration [m/s^2], positive, reached exactly.
-    omega_g, zeta_g : float
-        Angular frequency [rad/s], below Nyquist, and damping ratio of the ground, positive. The
-        defaults, 5 pi rad/s (2.5 Hz) and 0.6, stand for firm soil.
-    omega_f, zeta_f : float
-        The same of the high-pass filter; `omega_f` is 0.1 `omega_g` unless given.
-    rise_time, strong_time : float, optional
-        Rise t_1 and plateau t_2 - t_1 of the envelope [s], non-negative; 0.1 and 0.3 of `duration`
-        unless given.
-    end_level : float
-        Value of the envelope at the last sample, above 0 and at most 1; sets the decay rate k.
+    spectrum : CloughPenzien, optional
+        Of the stationary part, firm soil by default. Its frequencies are below Nyquist.
+    envelope : AminAng, optional
+        By default one that rises for a tenth of the duration and holds for three.
 
     Returns
     -------
@@ -73,7 +128,7 @@ def synthetic_earthquake(
 
     Notes
     -----
-    The filter is applied in the frequency domain, so the spectrum of x is S_x up to the Nyquist
+    The filter is applied in the frequency domain, so the spectrum of x is that asked for up to the Nyquist
     frequency for every `dt`, without aliasing or frequency warping, and zero above; the transform
     is long enough for its wrapped-around end to have died out. Records of one seed at two `dt` are
     different draws. The velocity at the end is not exactly zero. `test_ground_motion.py` compares
@@ -91,13 +146,12 @@ def synthetic_earthquake(
     >>> record
     Record('synthetic 7', 2001 samples, dt=0.01 s, duration=20 s, pga=2.5 m/s^2)
     """
-    seed = check_integer(seed, "seed", least=0)
-    positive = dict(duration=duration, dt=dt, pga=pga, omega_g=omega_g, zeta_g=zeta_g, zeta_f=zeta_f)
-    for name, value in positive.items():
+    seed = None if random_seed is None else check_integer(random_seed, "random_seed", least=0)
+    for name, value in dict(duration=duration, dt=dt, pga=pga).items():
         check_positive(value, name)
-    omega_f = 0.1 * omega_g if omega_f is None else omega_f
-    check_positive(omega_f, "omega_f")
-    for name, omega in dict(omega_g=omega_g, omega_f=omega_f).items():
+    spectrum = CloughPenzien() if spectrum is None else _of_type("spectrum", spectrum, CloughPenzien)
+    envelope = AminAng() if envelope is None else _of_type("envelope", envelope, AminAng)
+    for name, omega in dict(omega_g=spectrum.omega_g, omega_f=spectrum.omega_f).items():
         if omega >= math.pi / dt:
             raise ValueError(
                 f"`{name}` must be below the Nyquist frequency {math.pi / dt:.4g} rad/s, got "
@@ -106,37 +160,22 @@ def synthetic_earthquake(
     n_times = round(duration / dt) + 1
     if n_times < 2:
         raise ValueError(f"`duration` must be at least one step of {dt} s, got {duration} s.")
-    time = np.arange(n_times) * dt
-    envelope = _envelope(time, rise_time, strong_time, end_level)
-    filters = (omega_g, zeta_g, omega_f, zeta_f)
-    acceleration = envelope * _stationary(n_times, dt, filters, np.random.default_rng(seed))
+    stationary = _stationary(n_times, dt, spectrum, np.random.default_rng(seed))
+    acceleration = envelope.at(np.arange(n_times) * dt) * stationary
     acceleration = acceleration / np.abs(acceleration).max() * pga
-    return Record(acceleration, dt, name=f"synthetic {seed}")
+    return Record(acceleration, dt, name="synthetic" if seed is None else f"synthetic {seed}")
 
 
-def _envelope(time: np.ndarray, rise_time, strong_time, end_level) -> np.ndarray:
-    """Amin-Ang envelope (time,)."""
-    duration = time[-1]
-    rise_time = 0.1 * duration if rise_time is None else rise_time
-    strong_time = 0.3 * duration if strong_time is None else strong_time
-    for name, value in dict(rise_time=rise_time, strong_time=strong_time).items():
-        check_positive(value, name, allow_zero=True)
-    check_positive(end_level, "end_level")
-    if end_level > 1.0:
-        raise ValueError(f"`end_level` must be at most 1, the plateau, got {end_level}.")
-    decay_start = rise_time + strong_time
-    envelope = np.ones_like(time)
-    rising, decaying = time < rise_time, time > decay_start
-    envelope[rising] = (time[rising] / rise_time) ** 2
-    if decaying.any():
-        rate = -math.log(end_level) / (duration - decay_start)
-        envelope[decaying] = np.exp(-rate * (time[decaying] - decay_start))
-    return envelope
+def _of_type(name: str, value, kind: type):
+    if not isinstance(value, kind):
+        raise TypeError(f"`{name}` must be {kind.__name__}(...), got {type(value).__name__}.")
+    return value
 
 
-def _stationary(n_times: int, dt: float, filters, rng: np.random.Generator) -> np.ndarray:
+def _stationary(n_times: int, dt: float, spectrum: CloughPenzien, rng: np.random.Generator) -> np.ndarray:
     """White noise (time,) through both filters, exact below the Nyquist frequency."""
-    omega_g, zeta_g, omega_f, zeta_f = filters
+    omega_g, zeta_g = spectrum.omega_g, spectrum.zeta_g
+    omega_f, zeta_f = spectrum.omega_f, spectrum.zeta_f
     slowest = min(  # decay rate [1/s] of the slowest pole
         omega * (zeta - math.sqrt(max(zeta**2 - 1.0, 0.0)))
         for omega, zeta in ((omega_g, zeta_g), (omega_f, zeta_f))

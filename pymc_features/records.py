@@ -1,5 +1,6 @@
 """What shakes a structure: a ground-motion record, or several histories of supports or forces."""
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -109,7 +110,9 @@ class Record(DynamicLoad):
         object.__setattr__(self, "name", str(self.name))
 
     @classmethod
-    def from_channel(cls, channels, sensor=None, name=None) -> "Record":
+    def from_channel(
+        cls, channels: "xr.DataArray", sensor: Hashable | None = None, name: str | None = None
+    ) -> "Record":
         """Make a record of a measured channel, such as the base of a shaking table.
 
         Parameters

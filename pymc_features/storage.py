@@ -7,9 +7,7 @@ from pathlib import Path
 
 import xarray as xr
 
-
-class StudyMismatchError(ValueError):
-    """The output folder holds a study, or an update, with other settings."""
+from pymc_features.exceptions import StudyMismatchError
 
 
 class PartStore:

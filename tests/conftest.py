@@ -61,7 +61,7 @@ def record():
     folder = os.environ.get("PYMC_FEATURES_DATA", "")
     if folder and (Path(folder) / "elcentro.dat").exists():
         return datasets.el_centro()
-    return synthetic_earthquake(31.16, 0.02, seed=1940, pga=3.13)
+    return synthetic_earthquake(31.16, 0.02, random_seed=1940, pga=3.13)
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 
 from pymc_features import cli, datasets
+from pymc_features.exceptions import DatasetUnavailableError
 from pymc_features.study import sampling_rate
 
 
@@ -90,7 +91,7 @@ def test_unknown_option_is_exit_code_2(capsys):
 
 def test_record_falls_back_to_the_synthetic_one_and_says_so(monkeypatch):
     def unavailable():
-        raise datasets.DatasetUnavailableError("no network")
+        raise DatasetUnavailableError("no network")
 
     monkeypatch.setattr(datasets, "el_centro", unavailable)
     record, sentence = cli.find_record(cli.make_parser().parse_args(["reproduce"]))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from pymc_features.ground_motion import synthetic_earthquake
+from pymc_features.ground_motion import AminAng, CloughPenzien, synthetic_earthquake
 from pymc_features.records import Record
 from support.refusals import refusals
 
@@ -15,7 +15,12 @@ OMEGA_G = 5.0 * math.pi
 
 
 def test_signature():
-    assert list(inspect.signature(synthetic_earthquake).parameters)[:4] == ["duration", "dt", "seed", "pga"]
+    assert list(inspect.signature(synthetic_earthquake).parameters)[:4] == [
+        "duration",
+        "dt",
+        "random_seed",
+        "pga",
+    ]
     record = synthetic_earthquake(10.0, 0.01, 3, pga=1.5)
     assert isinstance(record, Record)
     assert (record.n_times, record.dt, record.pga) == (1001, 0.01, 1.5)
@@ -29,18 +34,21 @@ def test_defaults():
 def test_seed_decides_and_global_state_does_not():
     np.random.seed(1)
     state = np.random.get_state()[1].copy()
-    first, second = synthetic_earthquake(seed=5), synthetic_earthquake(seed=5)
+    first, second = synthetic_earthquake(random_seed=5), synthetic_earthquake(random_seed=5)
     np.testing.assert_array_equal(first.acceleration, second.acceleration)
     np.testing.assert_array_equal(state, np.random.get_state()[1])
-    other = synthetic_earthquake(seed=6)
+    other = synthetic_earthquake(random_seed=6)
     assert abs(np.corrcoef(first.acceleration, other.acceleration)[0, 1]) < 0.3
+    one, another = synthetic_earthquake(), synthetic_earthquake()
+    assert abs(np.corrcoef(one.acceleration, another.acceleration)[0, 1]) < 0.3
+    assert (first.name, one.name) == ("synthetic 5", "synthetic")
 
 
 @pytest.mark.parametrize("pga", [1e-6, 0.1, 3.0, np.float64(7.3)])
 def test_pga_is_exact_and_only_scales(pga):
-    record = synthetic_earthquake(seed=9, pga=pga)
+    record = synthetic_earthquake(random_seed=9, pga=pga)
     assert record.pga == pga
-    unit = synthetic_earthquake(seed=9, pga=1.0)
+    unit = synthetic_earthquake(random_seed=9, pga=1.0)
     np.testing.assert_allclose(record.acceleration, pga * unit.acceleration, rtol=1e-14)
 
 
@@ -53,10 +61,10 @@ def test_number_of_samples(duration, dt):
 
 def test_envelope_is_that_of_amin_and_ang():
     """The ratio to the same draw under a flat envelope is the envelope, up to one factor."""
-    shape = dict(rise_time=4.0, strong_time=6.0, end_level=0.1)
-    flat = dict(rise_time=0.0, strong_time=30.0)
-    shaped = synthetic_earthquake(30.0, 0.02, 2, **shape)
-    ratio = shaped.acceleration / synthetic_earthquake(30.0, 0.02, 2, **flat).acceleration
+    shape = AminAng(rise_time=4.0, strong_time=6.0, end_level=0.1)
+    flat = AminAng(rise_time=0.0, strong_time=30.0)
+    shaped = synthetic_earthquake(30.0, 0.02, 2, envelope=shape)
+    ratio = shaped.acceleration / synthetic_earthquake(30.0, 0.02, 2, envelope=flat).acceleration
     t = shaped.time
     strong = (t >= 4.0) & (t <= 10.0)
     expected = np.where(t < 4.0, (t / 4.0) ** 2, np.where(strong, 1.0, 0.1 ** ((t - 10.0) / 20.0)))
@@ -66,10 +74,10 @@ def test_envelope_is_that_of_amin_and_ang():
 
 def test_default_envelope_scales_with_the_duration():
     for duration in (5.0, 50.0):
-        shape = dict(rise_time=0.1 * duration, strong_time=0.3 * duration, end_level=0.05)
+        shape = AminAng(rise_time=0.1 * duration, strong_time=0.3 * duration, end_level=0.05)
         np.testing.assert_array_equal(
             synthetic_earthquake(duration, 0.01, 2).acceleration,
-            synthetic_earthquake(duration, 0.01, 2, **shape).acceleration,
+            synthetic_earthquake(duration, 0.01, 2, envelope=shape).acceleration,
         )
 
 
@@ -92,7 +100,9 @@ def spectrum_statistic(settings, dt, filters, n_bands=20, n_records=4):
     """
     ratios = []
     for seed in range(n_records):
-        record = synthetic_earthquake(160.0, dt, seed, rise_time=0.0, strong_time=160.0, **settings)
+        record = synthetic_earthquake(
+            160.0, dt, seed, spectrum=CloughPenzien(**settings), envelope=AminAng(0.0, 160.0)
+        )
         frequency, periodogram = signal.periodogram(
             record.acceleration, 1.0 / dt, window="hann", detrend=False
         )
@@ -137,7 +147,7 @@ def test_spectrum_test_sees_a_wrong_filter(wrong):
 
 def test_stationary_part_is_gaussian():
     """Jarque-Bera on samples a second apart, false alarm 1 %; under an envelope it must fail."""
-    flat = synthetic_earthquake(400.0, 0.02, 4, rise_time=0.0, strong_time=400.0).acceleration[::50]
+    flat = synthetic_earthquake(400.0, 0.02, 4, envelope=AminAng(0.0, 400.0)).acceleration[::50]
     assert stats.jarque_bera(flat).pvalue > 0.01
     shaped = synthetic_earthquake(400.0, 0.02, 4).acceleration[::50]
     assert stats.jarque_bera(shaped).pvalue < 1e-6
@@ -145,9 +155,9 @@ def test_stationary_part_is_gaussian():
 
 def test_end_is_not_wrapped_around_to_the_start():
     """A circular filter without its tail cut off correlates the last sample with the first."""
-    flat = dict(rise_time=0.0, strong_time=5.0)
+    flat = AminAng(rise_time=0.0, strong_time=5.0)
     pairs = np.array(
-        [synthetic_earthquake(5.0, 0.02, seed, **flat).acceleration[[0, 1, -1]] for seed in range(300)]
+        [synthetic_earthquake(5.0, 0.02, seed, envelope=flat).acceleration[[0, 1, -1]] for seed in range(300)]
     )
     correlation = np.corrcoef(pairs.T)
     assert correlation[0, 1] > 0.8
@@ -164,25 +174,28 @@ INADMISSIBLE_ARGUMENTS_VALUES = {  # what is said: what is given
     "`dt` must be positive, got nan": {"dt": math.nan},
     "`pga` must be positive, got 0": {"pga": 0},
     "`pga` must be positive, got inf": {"pga": math.inf},
-    "`zeta_g` must be positive, got 0.0": {"zeta_g": 0.0},
-    "`zeta_f` must be positive, got -1.0": {"zeta_f": -1.0},
-    "`omega_f` must be positive, got 0.0": {"omega_f": 0.0},
-    "`omega_g` must be below the Nyquist frequency 157.1 rad/s": {"omega_g": 160.0},
-    "`omega_f` must be below the Nyquist .*got 158 rad/s. Take a": {"omega_f": 158.0},
-    "`rise_time` must be positive or zero, got -1.0": {"rise_time": -1.0},
-    "`end_level` must be positive, got 0.0": {"end_level": 0.0},
-    "`end_level` must be at most 1, the plateau, got 1.5": {"end_level": 1.5},
-    "`seed` must be an integer of at least 0, got 1.5": {"seed": 1.5},
-    "`seed` must be an integer of at least 0, got None": {"seed": None},
-    "`seed` must be an integer of at least 0, got -1": {"seed": -1},
+    "`zeta_g` must be positive, got 0.0": {"spectrum": {"zeta_g": 0.0}},
+    "`zeta_f` must be positive, got -1.0": {"spectrum": {"zeta_f": -1.0}},
+    "`omega_f` must be positive, got 0.0": {"spectrum": {"omega_f": 0.0}},
+    "`omega_g` must be below the Nyquist frequency 157.1 rad/s": {"spectrum": {"omega_g": 160.0}},
+    "`omega_f` must be below the Nyquist .*got 158 rad/s. Take a": {"spectrum": {"omega_f": 158.0}},
+    "`rise_time` must be positive or zero, got -1.0": {"envelope": {"rise_time": -1.0}},
+    "`end_level` must be positive, got 0.0": {"envelope": {"end_level": 0.0}},
+    "`end_level` must be at most 1, the plateau, got 1.5": {"envelope": {"end_level": 1.5}},
+    "`random_seed` must be an integer of at least 0, got 1.5": {"random_seed": 1.5},
+    "`random_seed` must be an integer of at least 0, got -1": {"random_seed": -1},
 }
 INADMISSIBLE_ARGUMENTS_TYPES = {
     "`duration` must be a number, got '30'": {"duration": "30"},
-    "`strong_time` must be a number, got 'a'": {"strong_time": "a"},
+    "`strong_time` must be a number, got 'a'": {"envelope": {"strong_time": "a"}},
+    "`spectrum` must be CloughPenzien\\(...\\), got float": {"spectrum": 1.0},
+    "`envelope` must be AminAng\\(...\\), got float": {"envelope": 1.0},
 }
 
 
 @refusals("arguments", INADMISSIBLE_ARGUMENTS_VALUES, INADMISSIBLE_ARGUMENTS_TYPES)
 def test_inadmissible_arguments(arguments, error, match):
+    parts = {"spectrum": CloughPenzien, "envelope": AminAng}
     with pytest.raises(error, match=match):
-        synthetic_earthquake(**arguments)
+        made = {n: parts[n](**v) if isinstance(v, dict) else v for n, v in arguments.items()}
+        synthetic_earthquake(**made)

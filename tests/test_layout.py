@@ -1,9 +1,12 @@
 """Who may import whom, what is public, and which members each catalogue has."""
 
 import ast
+import inspect
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -12,9 +15,13 @@ from support.commands import run
 
 ROOT = Path(pymc_features.__file__).parent
 
-# package -> what of ours it may import, besides itself
+GROUND = {"_checks", "exceptions", "keywords"}  # every unit may import these, and they import nothing of ours
+
+# package -> what of ours it may import, besides itself and the ground
 ALLOWED = {
-    "_checks": set(),  # which all may import
+    "_checks": set(),
+    "exceptions": set(),
+    "keywords": set(),
     "records": {"signals"},
     "algebra": set(),
     "structures": {"algebra", "records"},
@@ -37,7 +44,7 @@ ALLOWED = {
         *("ops", "distributions", "likelihoods", "smc", "storage"),
     },
     "likelihoods": {"ops", "distributions", "likelihood_free"},
-    "plots": {"likelihoods"},
+    "plots": {"records", "likelihoods"},
     "progress": set(),
     "update": {
         *("records", "structures", "signals", "io", "datasets", "ground_motion", "simulators", "ops"),
@@ -48,40 +55,29 @@ ANYTHING = {"__init__", "cli"}
 
 PUBLIC_NAMES = [
     "AffineStructure",
-    "ChainsDisagreeWarning",
-    "ChannelWarning",
-    "CheckpointError",
-    "CommandLine",
     "CorrelatedNormal",
     "DiscrepancySimulator",
     "DuffingChain",
     "ExpFeature",
     "ExternalSimulator",
-    "FeatureLikelihoodWarning",
     "HystereticChain",
-    "LaplaceWarning",
     "LinearStructure",
     "Loading",
     "ModalDamping",
-    "NotDifferentiableError",
     "PersistentSMC",
     "PopulationIMH",
     "PopulationMH",
-    "PopulationWarning",
-    "PredictionWarning",
+    "ProgramSimulator",
     "RayleighDamping",
     "Record",
-    "SimulationWarning",
     "SpringMassChain",
     "SubsetSimulation",
-    "SubsetSimulationWarning",
     "Surrogate",
     "TMCMC",
-    "ToleranceNotReachedError",
     "TruncNormalFeature",
     "abc_tolerance",
-    "check_channels",
     "datasets",
+    "exceptions",
     "first_passage_probability",
     "fisher_information",
     "integration_error",
@@ -117,9 +113,12 @@ PUBLIC_NAMES = [
 
 
 def imports_of(path: Path) -> set[str]:
-    """Names of modules a file imports, at any depth of its code."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    """Names of modules a file imports, at any depth of its code, but not for its annotations alone."""
+    found, tree = set(), ast.parse(path.read_text())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            node.body = []
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -142,7 +141,7 @@ def violations(path: Path, unit: str) -> list[str]:
     for module in imports_of(path):
         parts = module.split(".")
         ours = parts[0] == "pymc_features" and len(parts) > 1 and unit not in ANYTHING
-        if ours and parts[1] not in {unit, "_checks", *ALLOWED[unit]}:
+        if ours and parts[1] not in {unit, *GROUND, *ALLOWED[unit]}:
             wrong.append(module)
         if parts[0] == "matplotlib" and unit != "plots":
             wrong.append(module)
@@ -172,6 +171,14 @@ def test_public_names():
         assert getattr(pymc_features, name).__doc__, f"{name} has no docstring"
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         pymc_features.nothing  # noqa: B018
+
+
+def test_exceptions_live_in_one_module():
+    """All that is raised or warned of by a name of ours, and nothing else of it anywhere."""
+    for path in ROOT.rglob("*.py"):
+        kinds = {n.name for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.ClassDef)}
+        named = {name for name in kinds if name.endswith(("Error", "Warning"))}
+        assert named == (set(pymc_features.exceptions.__all__) if path.name == "exceptions.py" else set())
 
 
 def test_slow_modules_are_not_imported_with_the_package():
@@ -206,3 +213,54 @@ def test_grouped_arguments_are_found():
 @pytest.mark.parametrize("arguments", [["check"], ["format", "--check"]], ids=" ".join)
 def test_style(arguments):
     run(sys.executable, "-m", "ruff", *arguments, "--no-cache", str(ROOT.parent))
+
+
+FEW = 8
+
+
+def test_functions_have_few_parameters():
+    for path in ROOT.rglob("*.py"):
+        if unit_of(path) in ("simulators", "ops"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef):
+                names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+                count = len(names) - (names[:1] in (["self"], ["cls"]))
+                assert count <= FEW, f"{path.name}: {node.name} has {count} parameters"
+
+
+def public_functions(place: str, value) -> Iterator[tuple[str, Callable]]:
+    """A public function by its name; those of a module, and the methods of a class and its bases of ours."""
+    if isinstance(value, ModuleType):
+        for name in getattr(value, "__all__", [n for n in vars(value) if not n.startswith("_")]):
+            member = getattr(value, name)
+            if getattr(member, "__module__", "").startswith(value.__name__):
+                yield from public_functions(f"{place}.{name}", member)
+    elif inspect.isclass(value):
+        for base in value.__mro__:
+            if base.__module__.startswith("pymc_features"):
+                for name, member in vars(base).items():
+                    if name in ("__init__", "__new__", "__call__") or not name.startswith("_"):
+                        member = getattr(member, "__func__", getattr(member, "fget", member))
+                        if inspect.isfunction(member) and member.__module__.startswith("pymc_features"):
+                            yield f"{base.__name__}.{name}", member
+    elif inspect.isfunction(value):
+        yield place, value
+
+
+def test_public_functions_are_annotated():
+    """Every parameter of every public function and method, and what it returns."""
+    checked, silent = set(), []
+    for name in pymc_features.__all__:
+        for place, function in public_functions(name, getattr(pymc_features, name)):
+            signature = inspect.signature(function)
+            for parameter in signature.parameters.values():
+                allowed = parameter.name in ("self", "cls") or parameter.kind is parameter.VAR_KEYWORD
+                if parameter.annotation is parameter.empty and not allowed:
+                    silent.append(f"{place}: {parameter.name}")
+            if signature.return_annotation is signature.empty and not place.endswith("__init__"):
+                silent.append(f"{place}: what it returns")
+            checked.add(place)
+    assert silent == []
+    assert {"response", "paper.chain", "signals.trim", "PopulationKernel.set_rng", "Record.first"} <= checked
+    assert (ROOT / "py.typed").exists()

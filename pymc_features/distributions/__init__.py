@@ -1,7 +1,6 @@
 """Likelihoods of response histories. A new one is one file here and one line below."""
 
 from pymc_features.distributions import gaussian
-from pymc_features.distributions.checks import FeatureLikelihoodWarning
 from pymc_features.distributions.correlated import CorrelatedNormal
 from pymc_features.distributions.exponential import ExpFeature, sigma_mpv
 from pymc_features.distributions.truncnormal import TruncNormalFeature
@@ -14,7 +13,6 @@ __all__ = [
     "LIKELIHOODS",
     "CorrelatedNormal",
     "ExpFeature",
-    "FeatureLikelihoodWarning",
     "TruncNormalFeature",
     "gaussian",
     "sigma_mpv",

@@ -13,14 +13,11 @@ from pytensor.graph.basic import Constant, Variable
 from pytensor.graph.replace import graph_replace
 from pytensor.graph.traversal import ancestors
 
+from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.ops import check_shape, mean_square_discrepancy, response_step
 
 LARGE_CONSTANT = 10**6  # bytes; beyond it Numba cannot keep a compiled graph on disk
 NOISE_FREE = 1e-12  # misfit over mean square of the data
-
-
-class FeatureLikelihoodWarning(UserWarning):
-    """The posterior of a feature likelihood will not mean what the user expects."""
 
 
 def as_double(value):

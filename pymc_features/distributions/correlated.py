@@ -14,13 +14,19 @@ for phi near one,
 four numbers for each sensor, which the kernels give without a history.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytensor.tensor as pt
+from numpy.typing import ArrayLike
 from pymc.distributions.dist_math import check_parameters
 from pymc.distributions.distribution import Continuous, SymbolicRandomVariable, _support_point
 from pymc.distributions.shape_utils import implicit_size_from_params, maybe_resize, rv_size_is_none
 from pymc.logprob.abstract import _logprob
 from pymc.pytensorf import normalize_rng_param
+from pytensor.compile.sharedvalue import SharedVariable
+from pytensor.graph.basic import Variable
+from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.random.utils import normalize_size_param
 
 from pymc_features.distributions.checks import (
@@ -42,7 +48,16 @@ class CorrelatedNormalRV(SymbolicRandomVariable):
     _print_name = ("CorrelatedNormal", "\\operatorname{CorrelatedNormal}")
 
     @classmethod
-    def rv_op(cls, mu, sigma, correlation_time, dt, *, size=None, rng=None):
+    def rv_op(
+        cls,
+        mu: TensorVariable,
+        sigma: TensorVariable,
+        correlation_time: TensorVariable,
+        dt: TensorVariable,
+        *,
+        size: TensorVariable | None = None,
+        rng: Variable | None = None,
+    ) -> TensorVariable:
         """Build draws."""
         mu, *scalars = parameters = [pt.as_tensor_variable(x) for x in (mu, sigma, correlation_time, dt)]
         sigma, correlation_time, dt = scalars
@@ -180,17 +195,35 @@ class CorrelatedNormal(Continuous):
     rv_type = CorrelatedNormalRV
     rv_op = CorrelatedNormalRV.rv_op
 
-    def __new__(cls, name, mu, sigma, correlation_time, dt=None, *args, observed=None, dims=None, **kwargs):
+    def __new__(
+        cls,
+        name: str,
+        mu: TensorLike,
+        sigma: TensorLike,
+        correlation_time: TensorLike,
+        dt: TensorLike | None = None,
+        *,
+        observed: ArrayLike | SharedVariable | None = None,
+        dims: Sequence[str] | None = None,
+        **kwargs,
+    ) -> TensorVariable:
         if observed is not None:
             observed = prepare_observed(mu, observed, name)
         dt = check_dt(dt, mu)
         name_the_time_axis(dims, mu, observed, dt)
         return super().__new__(
-            cls, name, mu, sigma, correlation_time, dt, *args, observed=observed, dims=dims, **kwargs
+            cls, name, mu, sigma, correlation_time, dt, observed=observed, dims=dims, **kwargs
         )
 
     @classmethod
-    def dist(cls, mu, sigma, correlation_time, dt=None, **kwargs):
+    def dist(
+        cls,
+        mu: TensorLike,
+        sigma: TensorLike,
+        correlation_time: TensorLike,
+        dt: TensorLike | None = None,
+        **kwargs,
+    ) -> TensorVariable:
         mu, dt = as_response(mu), check_dt(dt, mu)
         correlation_time = check_correlation_time(correlation_time, mu)
         return super().dist([mu, check_sigma(sigma, mu), correlation_time, dt], **kwargs)

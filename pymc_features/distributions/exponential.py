@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytensor.tensor as pt
+from numpy.typing import ArrayLike
 from pymc.math import log1mexp
 
 from pymc_features.distributions.feature import FeatureLikelihood, FeatureRV
@@ -82,7 +83,7 @@ class ExpFeature(FeatureLikelihood):
     rv_types = {"feature": ExpFeatureRV, "data": ExpFeatureDataRV}
 
 
-def sigma_mpv(e):
+def sigma_mpv(e: ArrayLike) -> float | np.ndarray:
     """Most probable sigma under EXP and a flat prior, given the discrepancies, Eqs. (10)-(13).
 
     sigma_MPV^2 = (1 / (2 N_0)) sum_j e_j.

@@ -10,13 +10,23 @@ N_D dimensions; its density is that of the radius over the area of its sphere,
     p(y) = p_R(R) Gamma(N_D / 2) / (2 pi^(N_D / 2) R^(N_D - 1)).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytensor.tensor as pt
+from numpy.typing import ArrayLike
 from pymc.distributions.dist_math import check_parameters
 from pymc.distributions.distribution import Continuous, SymbolicRandomVariable, _support_point
-from pymc.distributions.shape_utils import implicit_size_from_params, maybe_resize, rv_size_is_none
+from pymc.distributions.shape_utils import (
+    implicit_size_from_params,
+    maybe_resize,
+    rv_size_is_none,
+)
 from pymc.logprob.abstract import _logcdf, _logprob
 from pymc.pytensorf import normalize_rng_param
+from pytensor.compile.sharedvalue import SharedVariable
+from pytensor.graph.basic import Variable
+from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.random.utils import normalize_size_param
 from scipy.special import gammaln
 
@@ -131,21 +141,38 @@ class FeatureLikelihood(Continuous):
         super().__init_subclass__(**kwargs)
         cls.rv_op = FeatureLikelihood.__dict__["rv_op"]  # PyMC's metaclass has just hidden it
 
-    def __new__(cls, name, mu, sigma, *args, observed=None, dims=None, **kwargs):
+    def __new__(
+        cls,
+        name: str,
+        mu: TensorLike,
+        sigma: TensorLike,
+        *,
+        observed: ArrayLike | SharedVariable | None = None,
+        dims: Sequence[str] | None = None,
+        **kwargs,
+    ) -> TensorVariable:
         if observed is not None:
             observed = prepare_observed(mu, observed, name)
             warn_about_the_posterior(cls.rv_types["feature"], mu, sigma, observed)
         name_the_time_axis(dims, mu, observed)
-        return super().__new__(cls, name, mu, sigma, *args, observed=observed, dims=dims, **kwargs)
+        return super().__new__(cls, name, mu, sigma, observed=observed, dims=dims, **kwargs)
 
     @classmethod
-    def dist(cls, mu, sigma, *, density="feature", **kwargs):
+    def dist(cls, mu: TensorLike, sigma: TensorLike, *, density: str = "feature", **kwargs) -> TensorVariable:
         if density not in DENSITIES:
             raise ValueError(f"`density` must be one of {', '.join(DENSITIES)}, got {density!r}.")
         mu = as_response(mu)
         return super().dist([mu, check_sigma(sigma, mu)], density=density, **kwargs)
 
     @classmethod
-    def rv_op(cls, mu, sigma, *, density="feature", size=None, rng=None):
+    def rv_op(
+        cls,
+        mu: TensorVariable,
+        sigma: TensorVariable,
+        *,
+        density: str = "feature",
+        size: TensorVariable | None = None,
+        rng: Variable | None = None,
+    ) -> TensorVariable:
         """Build the random variable of the wanted density."""
         return cls.rv_types[density].rv_op(mu, sigma, size=size, rng=rng)

@@ -5,8 +5,8 @@ from pymc_features.external.processes.executors import check_executor
 RETURNS = ("response", "mean_square")
 
 
-def check_settings(function, shape, returns, gradient, timeout, retries, executor, version, surrogate, dt):
-    """Refuse what cannot be used."""
+def check_simulator(function, shape, returns, gradient, version, surrogate, dt):
+    """Refuse what cannot be used of a simulator."""
     for name, value in (("function", function), ("gradient", gradient)):
         if not callable(value) and not (name == "gradient" and value is None):
             raise TypeError(f"`{name}` must be callable, got {type(value).__name__}.")
@@ -18,11 +18,7 @@ def check_settings(function, shape, returns, gradient, timeout, retries, executo
         raise ValueError(f"`shape` must be (sensors, times) of the data, got {shape!r}. Pass data.shape.")
     if returns not in RETURNS:
         raise ValueError(f"`returns` must be one of {', '.join(RETURNS)}, got {returns!r}.")
-    for name, value in (("timeout", timeout), ("dt", dt)):
-        if value is not None and not (is_number(value) and 0 < value < float("inf")):
-            raise ValueError(f"`{name}` must be a positive number of seconds, got {value!r}.")
-    if not (is_number(retries) and retries >= 0 and int(retries) == retries):
-        raise ValueError(f"`retries` must be an integer of at least 0, got {retries!r}.")
+    check_seconds("dt", dt)
     if gradient is not None and surrogate is not None:
         raise ValueError(
             "`gradient` must be left out with `surrogate`, got both: predictions have other derivatives. "
@@ -34,7 +30,20 @@ def check_settings(function, shape, returns, gradient, timeout, retries, executo
         raise TypeError(
             f"`surrogate` must be a Surrogate, got {type(surrogate).__name__}. Pass pmf.Surrogate(2) for EXP."
         )
+
+
+def check_evaluation(timeout, retries, executor):
+    """Refuse what cannot be used to run it."""
+    check_seconds("timeout", timeout)
+    if not (is_number(retries) and retries >= 0 and int(retries) == retries):
+        raise ValueError(f"`retries` must be an integer of at least 0, got {retries!r}.")
     check_executor(executor)
+
+
+def check_seconds(name, value):
+    """Refuse a time that is given and not positive."""
+    if value is not None and not (is_number(value) and 0 < value < float("inf")):
+        raise ValueError(f"`{name}` must be a positive number of seconds, got {value!r}.")
 
 
 def is_number(value) -> bool:

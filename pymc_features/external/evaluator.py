@@ -4,13 +4,18 @@ import hashlib
 import os
 import uuid
 from collections import deque
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TypedDict
 
 import cloudpickle
 import numpy as np
 
-from pymc_features.external import command, gradient
+from pymc_features.external import gradient, program
 from pymc_features.external.cache import EvaluationCache
+from pymc_features.external.checks import check_evaluation
 from pymc_features.external.processes.batch import Batch, Work
 from pymc_features.external.processes.calls import Outcome
 from pymc_features.external.processes.executors import open_executor
@@ -19,7 +24,7 @@ from pymc_features.fingerprint import fingerprint
 
 FAILURES_KEPT = 1000
 WORKS_KEPT = 8  # data sets for which the payload is kept
-BY_VALUE = (command, gradient)  # their classes come along: to import the package takes seconds
+BY_VALUE = (program, gradient)  # their classes come along: to import the package takes seconds
 STATES = ("ok", "error", "timeout", "died", "invalid", "cached")
 
 
@@ -73,11 +78,57 @@ class Task:
         return self.shape if self.observed is None else self.shape[:1]
 
 
-class Evaluator:
-    """Runs tasks for rows of parameters; settings are those of `ExternalSimulator`."""
+class EvaluationOptions(TypedDict, total=False):
+    """Arguments of `Evaluator`."""
 
-    def __init__(self, *, timeout, retries, scratch, executor, cache, progress):
-        self.timeout, self.retries, self.scratch, self.executor = timeout, retries, scratch, executor
+    timeout: float | None
+    retries: int
+    scratch: bool | str | PathLike
+    executor: int | str | Executor | None
+    cache: str | PathLike | None
+    progress: bool
+
+
+class Evaluator:
+    """Runs simulations, on processes of this machine or elsewhere, and remembers them.
+
+    Parameters
+    ----------
+    timeout : float, optional
+        Of a simulation [s]; then its process is killed.
+    retries : int
+        Further attempts after a failure. A process that died is tried once more in any case.
+    scratch : bool or path-like
+        Run each simulation in an empty folder of its own, its working directory: True, or the folder that
+        will hold these.
+    executor : int, str, dask Client or Executor, optional
+        Number of local processes (as many as processors by default), address of a Dask scheduler, or any
+        object with `submit` as of `concurrent.futures`.
+    cache : path-like, optional
+        SQLite file that keeps every result; several runs may share it.
+    progress : bool
+        Write lines about simulations done, failed and left to standard error.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument cannot be used.
+    """
+
+    def __init__(
+        self,
+        *,
+        timeout: float | None = None,
+        retries: int = 0,
+        scratch: bool | str | PathLike = False,
+        executor: int | str | Executor | None = None,
+        cache: str | PathLike | None = None,
+        progress: bool = True,
+    ):
+        check_evaluation(timeout, retries, executor)
+        self.timeout, self.retries, self.executor = timeout, int(retries), executor
+        # "" stands for the system's folder of temporary files
+        self.scratch = None if scratch is False else "" if scratch is True else str(Path(scratch).resolve())
         self.cache = None if cache is None else EvaluationCache(cache)
         self.counts = dict.fromkeys(STATES, 0)
         self.failures: deque[Failure] = deque(maxlen=FAILURES_KEPT)

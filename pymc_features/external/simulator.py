@@ -1,15 +1,21 @@
 """`ExternalSimulator`: a model that runs outside PyTensor, inside PyMC models."""
 
-from pathlib import Path
+from collections.abc import Callable
+from typing import Self, Unpack
 
 import numpy as np
 import pytensor.tensor as pt
+from numpy.typing import ArrayLike
+from pytensor.graph.basic import Variable
 from pytensor.tensor.variable import TensorVariable
 
-from pymc_features.external.checks import check_settings
-from pymc_features.external.evaluator import Evaluator, Failure, Task
+from pymc_features.exceptions import UnknownIdentityError
+from pymc_features.external.checks import check_simulator
+from pymc_features.external.evaluator import EvaluationOptions, Evaluator, Failure, Task
 from pymc_features.external.gradient import FlatGradient
-from pymc_features.fingerprint import UnknownIdentityError, fingerprint
+from pymc_features.external.surrogate.surrogate import Surrogate
+from pymc_features.fingerprint import fingerprint
+from pymc_features.keywords import check_keywords
 from pymc_features.ops import ExternalResponse
 
 
@@ -23,8 +29,8 @@ class ExternalSimulator:
     Parameters
     ----------
     function : callable
-        Parameters, numbers or arrays, to an array; for example a `CommandLine`. It is sent to the processes
-        that run it, so that whatever it needs must be found there.
+        Parameters, numbers or arrays, to an array; for example a `ProgramSimulator`. It is sent to the
+        processes that run it, so that whatever it needs must be found there.
     shape : tuple of two int
         Of the data: sensors and times.
     returns : {"response", "mean_square"}
@@ -32,18 +38,6 @@ class ExternalSimulator:
         own.
     gradient : callable, optional
         `gradient(*parameters, cotangent)`: for each parameter the derivative of sum(cotangent * result).
-    timeout : float, optional
-        Of a simulation [s]; then its process is killed.
-    retries : int
-        Further attempts after a failure. A process that died is tried once more in any case.
-    scratch : bool or path-like, optional
-        Run each simulation in an empty folder of its own, its working directory: True, or the folder that
-        will hold these. By default only what says that it needs one, as `CommandLine` does.
-    executor : int, str, dask Client or Executor, optional
-        Number of local processes (as many as processors by default), address of a Dask scheduler, or any
-        object with `submit` as of `concurrent.futures`.
-    cache : path-like, optional
-        SQLite file that keeps every result; several runs may share it.
     version : str, optional
         Stands for the function of this name in the cache. By default that is its code, that of the functions
         and classes it names, and what they hold; not what installed packages, modules that it calls by name
@@ -53,8 +47,10 @@ class ExternalSimulator:
         simulator.
     dt : float, optional
         Time step of the data [s], for the time axis.
-    progress : bool
-        Write lines about simulations done, failed and left to standard error.
+    **kwargs
+        `executor`, `timeout`, `retries`, `scratch`, `cache` and `progress` of `Evaluator`: how simulations
+        are run and kept. By default only a function that says that it needs one has a scratch folder, as
+        `ProgramSimulator` does.
 
     Raises
     ------
@@ -77,35 +73,21 @@ class ExternalSimulator:
 
     def __init__(
         self,
-        function,
+        function: Callable[..., ArrayLike],
         shape: tuple[int, int],
         *,
         returns: str = "response",
-        gradient=None,
-        timeout: float | None = None,
-        retries: int = 0,
-        scratch=None,
-        executor=None,
-        cache=None,
+        gradient: Callable | None = None,
         version: str | None = None,
-        surrogate=None,
+        surrogate: Surrogate | None = None,
         dt: float | None = None,
-        progress: bool = True,
+        **kwargs: Unpack[EvaluationOptions],
     ):
-        check_settings(function, shape, returns, gradient, timeout, retries, executor, version, surrogate, dt)
+        check_keywords(kwargs, EvaluationOptions.__annotations__, "ExternalSimulator")
+        check_simulator(function, shape, returns, gradient, version, surrogate, dt)
         self.function, self.shape, self.returns = function, tuple(int(n) for n in shape), returns
         self.gradient, self.version, self.surrogate, self.dt = gradient, version, surrogate, dt
-        if scratch is None:
-            scratch = getattr(function, "needs_scratch", False)
-        self.evaluator = Evaluator(
-            timeout=timeout,
-            retries=int(retries),
-            # "" stands for the system's folder of temporary files
-            scratch=None if scratch is False else "" if scratch is True else str(Path(scratch).resolve()),
-            executor=executor,
-            cache=cache,
-            progress=progress,
-        )
+        self.evaluator = Evaluator(**{"scratch": getattr(function, "needs_scratch", False)} | kwargs)
         self.function_identity = self._identity(function)
         # what goes on from a checkpoint must be predicted alike, what is in a cache was run
         self.identity = self.function_identity
@@ -128,7 +110,7 @@ class ExternalSimulator:
                 "another one whenever results change."
             ) from None
 
-    def __call__(self, *parameters) -> TensorVariable:
+    def __call__(self, *parameters: ArrayLike | Variable) -> TensorVariable:
         """The response (sensor, time) inside a model, at tensors or numbers."""
         if not parameters:
             raise ValueError("the simulator must be called with parameters, got none. Pass random variables.")
@@ -148,7 +130,7 @@ class ExternalSimulator:
         """
         return list(self.evaluator.failures)
 
-    def responses(self, *parameters) -> np.ndarray:
+    def responses(self, *parameters: ArrayLike) -> np.ndarray:
         """Responses (particle, sensor, time) at parameters (particle, ...) each; NaN where they fail."""
         if self.returns == "mean_square":
             raise ValueError(
@@ -158,7 +140,7 @@ class ExternalSimulator:
         task = Task(self.function, self.shape, None, self.function_identity)
         return self.evaluator.run(task, spread(parameters))
 
-    def discrepancies(self, *parameters, observed) -> np.ndarray:
+    def discrepancies(self, *parameters: ArrayLike, observed: ArrayLike | None) -> np.ndarray:
         """e_j (particle, sensor) of Eq. (3) at parameters (particle, ...) each; NaN where they fail.
 
         Simulated, or predicted by the surrogate.
@@ -181,7 +163,7 @@ class ExternalSimulator:
             flat, lambda chosen: self.evaluator.run(task, [r[chosen] for r in rows]), fingerprint(observed)
         )
 
-    def gradients(self, *parameters, cotangent) -> list[np.ndarray]:
+    def gradients(self, *parameters: ArrayLike, cotangent: ArrayLike) -> list[np.ndarray]:
         """Gradients of sum(cotangent * result), each with a row for every row of the parameters."""
         rows = spread(parameters)
         sizes = [int(np.prod(r.shape[1:])) for r in rows]
@@ -191,11 +173,11 @@ class ExternalSimulator:
         parts = np.split(flat, np.cumsum(sizes)[:-1], axis=1)
         return [part.reshape(r.shape) for part, r in zip(parts, rows, strict=True)]
 
-    def close(self):
+    def close(self) -> None:
         """End the processes that were started; they start again when needed."""
         self.evaluator.close()
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error):

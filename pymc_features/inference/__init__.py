@@ -1,13 +1,11 @@
 """Around the sampling: identifiability, asymptotics, NUTS, and the choice of a tolerance."""
 
 from pymc_features.inference.fisher import fisher_information
-from pymc_features.inference.laplace import LaplaceWarning, laplace
-from pymc_features.inference.nuts import ChainsDisagreeWarning, sample_nuts
+from pymc_features.inference.laplace import laplace
+from pymc_features.inference.nuts import sample_nuts
 from pymc_features.inference.tolerance import tolerance_sweep
 
 __all__ = [
-    "ChainsDisagreeWarning",
-    "LaplaceWarning",
     "fisher_information",
     "laplace",
     "sample_nuts",

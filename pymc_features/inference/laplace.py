@@ -7,16 +7,14 @@ import pymc as pm
 import xarray as xr
 from pymc.backends.arviz import coords_and_dims_for_inferencedata
 from pymc.initial_point import make_initial_point_fn
+from pymc.util import RandomState
 
+from pymc_features.exceptions import LaplaceWarning
 from pymc_features.inference.parameters import Unconstrained, check_continuous, initial_values
 from pymc_features.inference.posterior_modes import Density, climb, distinct
 from pymc_features.smc import population_logp, prior_draws
 
 LOW_EFFICIENCY = 0.2
-
-
-class LaplaceWarning(UserWarning):
-    """The posterior is far from the Gaussians that stand for it."""
 
 
 def laplace(
@@ -26,7 +24,7 @@ def laplace(
     starts: int = 5,
     n_prior: int = 500,
     start: dict | None = None,
-    random_seed=None,
+    random_seed: RandomState = None,
     compile_kwargs: dict | None = None,
 ) -> xr.DataTree:
     """Gaussian approximation of the posterior at its modes, on the unconstrained scale, with the evidence.
@@ -49,7 +47,8 @@ def laplace(
         first climbs look for the highest mode and the last for others.
     start : dict, optional
         A point to climb from instead, names to values of free parameters on their own scale.
-    random_seed : int, optional
+    random_seed : int or Generator, optional
+        For the same draws each time.
     compile_kwargs : dict, optional
         For `pytensor.function`.
 

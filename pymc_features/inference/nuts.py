@@ -1,21 +1,25 @@
 """NUTS that starts from the particles of SMC, since time histories make for many modes."""
 
+import inspect
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 import pymc as pm
 import xarray as xr
 from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
 
+from pymc_features.exceptions import ChainsDisagreeWarning
 from pymc_features.inference.parameters import check_continuous, to_unconstrained
+from pymc_features.keywords import check_keywords
 from pymc_features.smc import processors, sample_smc
 
 NUTS_SAMPLERS = ("pymc", "numpyro", "blackjax")
+# arguments of `pm.sample` that are not passed on: ours, or given by us
+OURS = {"draws", "tune", "chains", "model", "nuts_sampler", "random_seed", "kwargs"}
+OURS |= {"initvals", "compute_convergence_checks", "return_inferencedata"}
+OF_PYMC = [*(name for name in inspect.signature(pm.sample).parameters if name not in OURS), "target_accept"]
 AGREEMENT = 1.01  # largest R-hat of chains that agree
-
-
-class ChainsDisagreeWarning(UserWarning):
-    """Chains have not explored the same posterior."""
 
 
 def sample_nuts(
@@ -24,13 +28,11 @@ def sample_nuts(
     tune: int = 1000,
     chains: int = 4,
     particles: xr.DataTree | None = None,
+    smc_settings: dict | None = None,
     model: pm.Model | None = None,
     nuts_sampler: str = "pymc",
-    random_seed=None,
-    progressbar: bool = True,
-    smc_settings: dict | None = None,
-    target_accept: float = 0.8,
-    **settings,
+    random_seed: int | Sequence[int] | None = None,
+    **kwargs,
 ) -> xr.DataTree:
     """`sample_smc` first, then NUTS started from its particles.
 
@@ -44,18 +46,16 @@ def sample_nuts(
         As in `pm.sample`.
     particles : DataTree, optional
         What `sample_smc` returned for the same model; sampled here by default.
+    smc_settings : dict, optional
+        Arguments of `sample_smc`, such as {"draws": 2000, "chains": 2}.
     model : pymc.Model, optional
         The model of the context by default.
     nuts_sampler : {"pymc", "numpyro", "blackjax"}
         As in `pm.sample`; the first takes over the covariance of the particles, the others adapt their own.
-    random_seed : int, optional
-    progressbar : bool
-    smc_settings : dict, optional
-        For `sample_smc`, such as {"draws": 2000, "chains": 2}.
-    target_accept : float
-        As in `pm.sample`.
-    **settings
-        Of `pm.sample`.
+    random_seed : int or sequence of int, optional
+        For the same draws each time.
+    **kwargs
+        Of `pm.sample`, such as `cores`, `target_accept` and `progressbar`, which holds for SMC as well.
 
     Returns
     -------
@@ -82,18 +82,18 @@ def sample_nuts(
             f"`nuts_sampler` must start each chain at its own particle, as {', '.join(NUTS_SAMPLERS)} do, "
             f"got {nuts_sampler!r}. Call pm.sample() for others."
         )
+    check_keywords(kwargs, OF_PYMC, "sample_nuts")
     model.dlogp()  # says at once if there is no gradient
     smc_seed, pick_seed, nuts_seed = np.random.SeedSequence(random_seed).generate_state(3)
     if particles is None:
-        smc_settings = {"random_seed": int(smc_seed), "progressbar": progressbar, **(smc_settings or {})}
-        particles = sample_smc(model=model, **smc_settings)
+        of_smc = {"random_seed": int(smc_seed), "progressbar": kwargs.get("progressbar", True)}
+        particles = sample_smc(model=model, **of_smc | (smc_settings or {}))
     posterior = checked_posterior(model, particles)
     starts = pick(model, posterior, chains, np.random.default_rng(pick_seed))
     if nuts_sampler == "pymc":
-        settings.setdefault("cores", min(chains, processors()))
-        settings.setdefault("step", nuts_step(model, posterior, target_accept))
-    else:
-        settings["target_accept"] = target_accept
+        kwargs.setdefault("cores", min(chains, processors()))
+        target_accept = kwargs.pop("target_accept", 0.8)
+        kwargs.setdefault("step", nuts_step(model, posterior, target_accept))
     idata = pm.sample(
         draws,
         tune=tune,
@@ -102,9 +102,8 @@ def sample_nuts(
         initvals=starts,
         nuts_sampler=nuts_sampler,
         random_seed=int(nuts_seed),
-        progressbar=progressbar,
         compute_convergence_checks=False,
-        **settings,
+        **kwargs,
     )
     idata["particles"] = particles["posterior"].copy()
     return judge(idata, [rv.name for rv in model.free_RVs])

@@ -1,32 +1,42 @@
 """How the posterior of likelihood-free updating depends on its one knob, the tolerance."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pymc as pm
 import xarray as xr
+from numpy.typing import ArrayLike
 
-from pymc_features.smc import SubsetSimulation, ToleranceNotReachedError, sample_smc
+from pymc_features.exceptions import ToleranceNotReachedError
+from pymc_features.smc import SubsetSimulation, sample_smc
 
 OF_THE_SAMPLER = ("log_probability", "log_probability_se", "simulations")
 
 
 def tolerance_sweep(
-    tolerances, *, model=None, draws: int = 1000, probability: float = 0.9, random_seed=0, **settings
+    epsilon: ArrayLike,
+    *,
+    model: pm.Model | None = None,
+    draws: int = 1000,
+    probability: float = 0.9,
+    random_seed: int | Sequence[int] | None = None,
+    **kwargs,
 ) -> xr.Dataset:
     """Posterior intervals of every parameter at several tolerances, by `SubsetSimulation`.
 
     Parameters
     ----------
-    tolerances : array_like (n,)
-        Values of epsilon, positive, in squared units of the data.
+    epsilon : array_like (n,)
+        Tolerances, positive, in squared units of the data.
     model : pymc.Model, optional
         With one `pm.Simulator` node; that of the context by default. Its own epsilon is not used.
     draws : int
         Draws of each chain at each tolerance.
     probability : float
         Of the equal-tailed intervals, between 0 and 1.
-    random_seed : int
+    random_seed : int or sequence of int, optional
         Of all runs: the same, so that intervals differ by their tolerance and little else.
-    **settings
+    **kwargs
         Of `sample_smc` and `SubsetSimulation` (`chains`, `cores`, `p0`, `progressbar`, ...).
 
     Returns
@@ -44,11 +54,11 @@ def tolerance_sweep(
     about twice as wide as EXP's in the ten-storey example (notebooks/3_tolerance.ipynb).
     """
     try:
-        tolerances = np.sort(np.atleast_1d(np.asarray(tolerances, dtype=np.float64)))[::-1]
+        epsilon = np.sort(np.atleast_1d(np.asarray(epsilon, dtype=np.float64)))[::-1]
     except (TypeError, ValueError):
-        raise TypeError(f"`tolerances` must be numbers, got {tolerances!r}.") from None
-    if tolerances.ndim != 1 or not (tolerances.size and (np.isfinite(tolerances) & (tolerances > 0)).all()):
-        raise ValueError(f"`tolerances` must be positive and finite, got {tolerances.tolist()}.")
+        raise TypeError(f"`epsilon` must be numbers, got {epsilon!r}.") from None
+    if epsilon.ndim != 1 or not (epsilon.size and (np.isfinite(epsilon) & (epsilon > 0)).all()):
+        raise ValueError(f"`epsilon` must be positive and finite, got {epsilon.tolist()}.")
     if not 0.0 < probability < 1.0:
         raise ValueError(f"`probability` must lie between 0 and 1, got {probability}. Pass 0.9 for 5-95 %.")
     model = pm.modelcontext(model)
@@ -56,29 +66,31 @@ def tolerance_sweep(
     if taken := {"epsilon", "quantile", *OF_THE_SAMPLER} & set(names):
         raise ValueError(f"`model` must not have parameters named {', '.join(sorted(taken))}. Rename them.")
     quantiles = [round(q, 12) for q in (0.5 - 0.5 * probability, 0.5, 0.5 + 0.5 * probability)]
-    settings.setdefault("compute_convergence_checks", False)
+    if random_seed is None:
+        random_seed = int(np.random.SeedSequence().generate_state(1)[0])
+    kwargs.setdefault("compute_convergence_checks", False)
     rows, reached = [], []
-    for tolerance in tolerances:
+    for value in epsilon:
         try:
             result = sample_smc(
                 draws,
                 SubsetSimulation,
                 model=model,
-                epsilon=float(tolerance),
+                epsilon=float(value),
                 random_seed=random_seed,
-                **settings,
+                **kwargs,
             )
         except ToleranceNotReachedError:
             break  # smaller ones are not reached either
         rows.append(summary(result, names, quantiles))
-        reached.append(tolerance)
+        reached.append(value)
     if not rows:
         raise ToleranceNotReachedError(
-            f"`tolerances` must be within reach of the simulator, got {tolerances[0]:.6g} as the largest. "
+            f"`epsilon` must be within reach of the simulator, got {epsilon[0]:.6g} as the largest. "
             "Sample with SubsetSimulation at that one to see how far it comes."
         )
-    epsilon = xr.DataArray(reached, dims="epsilon", name="epsilon")
-    return xr.concat(rows, dim=epsilon).reindex({"epsilon": tolerances}).drop_attrs()
+    along = xr.DataArray(reached, dims="epsilon", name="epsilon")
+    return xr.concat(rows, dim=along).reindex({"epsilon": epsilon}).drop_attrs()
 
 
 def summary(result, names, quantiles) -> xr.Dataset:

@@ -82,7 +82,8 @@ def read_channels(
     -----
     ChannelWarning
         If a channel looks clipped or interrupted, is a copy of another or implausible in these units, if the
-        first samples are empty, or the clocks are not simultaneous. `check_channels` compares the sensors.
+        first samples are empty, or the clocks are not simultaneous. `signals.check_channels` compares the
+        sensors.
     UserWarning
         If `units` or `dt` contradicts a file.
 

@@ -10,7 +10,8 @@ from pytensor.compile.mode import Mode
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant
 
-from pymc_features.fingerprint import UnknownIdentityError, fingerprint
+from pymc_features.exceptions import SimulationWarning, UnknownIdentityError
+from pymc_features.fingerprint import fingerprint
 from pymc_features.ops import NoGradient, StructuralResponse, mean_square_discrepancy
 
 ADVICE = (
@@ -18,10 +19,6 @@ ADVICE = (
     "pm.sample(step=pm.DEMetropolisZ()), pm.find_MAP(method='powell')."
 )
 NO_GRADIENT_OF_NOISE = NoGradient(f"a simulator with noise has no gradient. {ADVICE}")
-
-
-class SimulationWarning(UserWarning):
-    """A simulator function raised an exception or returned a wrong shape; the parameters count as failed."""
 
 
 class ResponseSimulator:

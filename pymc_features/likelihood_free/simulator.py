@@ -1,13 +1,17 @@
 """Likelihood-free updating: a `pm.Simulator` node with the distance of Eq. (15)."""
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
+from numpy.typing import ArrayLike
 from pymc.distributions.distribution import SymbolicRandomVariable
 from pymc.logprob.abstract import _logprob
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant, Variable
 from pytensor.graph.traversal import ancestors
+from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.random.op import RandomVariable
 
@@ -48,7 +52,16 @@ def response_node_logp(op, values, rng, size, *parameters, **kwargs):
     return op._distance.of_discrepancy(op.epsilon, op.fn.discrepancy(parameters, value))
 
 
-def DiscrepancySimulator(name, mu, *params, epsilon, observed, kernel="uniform", noise=None, dims=None):
+def DiscrepancySimulator(
+    name: str,
+    mu: TensorVariable | Callable[..., ArrayLike],
+    *params: TensorLike,
+    epsilon: TensorLike,
+    observed: ArrayLike | SharedVariable,
+    kernel: str = "uniform",
+    noise: TensorLike | None = None,
+    dims: Sequence[str] | None = None,
+) -> TensorVariable:
     """Likelihood-free node: a `pm.Simulator` with the distance rho = sum_j e_j, Eqs. (14)-(15).
 
     Parameters

@@ -2,13 +2,16 @@
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
 
 from pymc_features._checks import check_integer
 
 QUANTILE = 0.9
 
 
-def abc_tolerance(sigma, n_sensors: int):
+def abc_tolerance(
+    sigma: ArrayLike | xr.DataTree | xr.Dataset | xr.DataArray, n_sensors: int
+) -> float | np.ndarray:
     """Tolerance delta = 2 N_0 sigma^2 on rho = sum_j e_j, Eq. (16).
 
     Parameters

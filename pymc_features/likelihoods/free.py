@@ -11,7 +11,7 @@ from pymc_features.likelihoods.likelihood import DIMS, Likelihood
 
 def declare(given):
     """Add the observed variable."""
-    DiscrepancySimulator("y", given.mu, epsilon=given.tolerance, observed=given.observed, dims=DIMS)
+    DiscrepancySimulator("y", given.mu, epsilon=given.epsilon, observed=given.observed, dims=DIMS)
 
 
 def exact_tolerance(step) -> float:
@@ -48,5 +48,5 @@ ABC = Likelihood(
     "C4",
     declare,
     posterior=exact,
-    takes=("tolerance",),
+    takes=("epsilon",),
 )

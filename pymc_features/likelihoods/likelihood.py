@@ -23,8 +23,8 @@ class Comparison:
         Measurements [m/s^2].
     sigma, correlation_time : TensorVariable () or (sensor,)
         Scale [m/s^2] and correlation time [s] of the errors.
-    tolerance : float or TensorVariable
-        delta of ABC [m^2/s^4].
+    epsilon : float or TensorVariable
+        Tolerance of ABC [m^2/s^4].
     dt : TensorVariable, optional
         Step of the measurements [s], where it is not the fixed output step of the response.
     density : {"feature", "data"}
@@ -35,7 +35,7 @@ class Comparison:
     observed: object
     sigma: pt.TensorVariable | None = None
     correlation_time: pt.TensorVariable | None = None
-    tolerance: object = None
+    epsilon: object = None
     dt: pt.TensorVariable | None = None
     density: str = "feature"
 
@@ -61,7 +61,7 @@ class Likelihood:
         From a `Step` of the study to the exact posterior, of any other likelihood. One that has neither
         cannot be named in the study.
     takes : tuple of str
-        Which of sigma, correlation_time and tolerance it needs.
+        Which of sigma, correlation_time and epsilon it needs.
     known, inferred : tuple of str
         Those of them that must be numbers, and those that must have a prior; others may be either.
     reasons : dict
@@ -83,7 +83,7 @@ class Likelihood:
     @property
     def is_likelihood_free(self) -> bool:
         """Whether it has a tolerance in place of a density."""
-        return "tolerance" in self.takes
+        return "epsilon" in self.takes
 
     @property
     def has_reference(self) -> bool:

@@ -2,19 +2,17 @@
 
 from pymc_features.ops import external_dispatch, jax_loader, numba_dispatch
 from pymc_features.ops.base import check_shape
-from pymc_features.ops.discrepancy import StructuralDiscrepancy
-from pymc_features.ops.external import ExternalDiscrepancy, ExternalGradient, ExternalResponse
-from pymc_features.ops.gradient import (
-    DiscrepancyGradient,
+from pymc_features.ops.comparison import (
     DiscrepancyTangent,
-    PopulationGradient,
-    ResponseGradient,
-    ResponseTangent,
+    MisfitGradient,
+    StructuralDiscrepancy,
+    StructuralMisfit,
 )
+from pymc_features.ops.external import ExternalDiscrepancy, ExternalGradient, ExternalResponse
+from pymc_features.ops.gradient import ResponseGradient, ResponseTangent
 from pymc_features.ops.mean_square import mean_square_discrepancy, misfit_statistics
-from pymc_features.ops.misfit import StructuralMisfit
-from pymc_features.ops.no_gradient import NoGradient, NotDifferentiableError
-from pymc_features.ops.population import PopulationDiscrepancy, PopulationMisfit
+from pymc_features.ops.no_gradient import NoGradient
+from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradient, PopulationMisfit
 from pymc_features.ops.response import StructuralResponse, response, response_node, response_step
 from pymc_features.ops.time_axis import name_the_time_axis
 
@@ -23,7 +21,7 @@ OPS = numba_dispatch.OPS
 __all__ = [
     "OPS",
     "StructuralDiscrepancy",
-    "DiscrepancyGradient",
+    "MisfitGradient",
     "DiscrepancyTangent",
     "ExternalDiscrepancy",
     "ExternalGradient",
@@ -33,7 +31,6 @@ __all__ = [
     "ResponseGradient",
     "ResponseTangent",
     "NoGradient",
-    "NotDifferentiableError",
     "PopulationDiscrepancy",
     "PopulationGradient",
     "PopulationMisfit",

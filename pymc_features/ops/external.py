@@ -11,8 +11,8 @@ from pytensor.graph.op import Op
 from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor.blockwise import Blockwise
 
+from pymc_features.exceptions import NotDifferentiableError
 from pymc_features.ops.base import check_shape
-from pymc_features.ops.no_gradient import NotDifferentiableError
 
 
 class ExternalOp(Op):

@@ -8,7 +8,6 @@ parameters do not exist: PyTensor says so if they are asked for.
 import pytensor.tensor as pt
 from pytensor.gradient import DisconnectedType, disconnected_type, grad_undefined
 from pytensor.graph.basic import Apply
-from pytensor.tensor.blockwise import Blockwise
 
 from pymc_features.ops.base import StructuralOp
 
@@ -105,53 +104,3 @@ class ResponseTangent(Tangent):
 
     def transpose(self, inputs, cotangents):
         return self.like(ResponseGradient)(*inputs, *cotangents, return_list=True)
-
-
-class DiscrepancyGradient(Gradient):
-    """Gradient of sum_j c_j e_j; the last inputs are the data (sensor, time) and c (sensor,)."""
-
-    kernel_name = "discrepancy_gradient"
-    more_signature = "(s,u),(s)"
-
-    def transpose(self, inputs, cotangents):
-        return [self.like(DiscrepancyTangent)(*inputs, *cotangents)]
-
-
-class DiscrepancyTangent(Tangent):
-    """Derivative (sensor,) of the discrepancy along a direction; the data come before that."""
-
-    kernel_name = "discrepancy_tangent"
-    more_signature = "(s,u),parameters"
-    output_signature = "(s)"
-
-    def output_variables(self, common):
-        return [pt.tensor(dtype="float64", shape=(self.static_n_sensors(common),))]
-
-    def infer_shape(self, node, shapes):
-        return [(shapes[self.at("sensors")][0],)]
-
-    def transpose(self, inputs, cotangents):
-        return self.like(DiscrepancyGradient)(*inputs, *cotangents, return_list=True)
-
-
-class PopulationGradient(Gradient):
-    """Gradient of sum_pj c_pj e_pj; as `PopulationDiscrepancy`, and c (particle, sensor)."""
-
-    kernel_name = "population_gradient"
-    more_signature = "(s,u),(particle,s)"
-    gufunc_signature = None
-
-    def prepare_inputs(self, inputs):
-        """Parameters have one row for each particle, or one for all."""
-        n = self.n_parameters
-        parameters = [pt.as_tensor_variable(x).astype("float64") for x in inputs[:n]]
-        return [*parameters, *super().prepare_inputs(inputs[n:], start=n)]
-
-    def transpose(self, inputs, cotangents):
-        n = self.n_parameters
-        rows = pt.as_tensor_variable(1)
-        for x in inputs[:n]:
-            rows = pt.maximum(rows, x.shape[0])
-        spread = [pt.broadcast_to(x, (rows, *tuple(x.shape)[1:])) for x in (*inputs[:n], *cotangents)]
-        tangent = Blockwise(self.like(DiscrepancyTangent))
-        return [tangent(*spread[:n], *inputs[n:], *spread[n:])]

@@ -3,17 +3,17 @@
 import numpy as np
 import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
+from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.blockwise import Blockwise
 
 from pymc_features.ops.base import check_shape
-from pymc_features.ops.discrepancy import StructuralDiscrepancy
+from pymc_features.ops.comparison import StructuralDiscrepancy, StructuralMisfit, misfit_values
 from pymc_features.ops.external import ExternalResponse
-from pymc_features.ops.misfit import StructuralMisfit, misfit_values
 from pymc_features.ops.population import fused_comparison
 from pymc_features.ops.response import response_node
 
 
-def mean_square_discrepancy(mu, observed):
+def mean_square_discrepancy(mu: TensorLike, observed: TensorLike) -> np.ndarray | TensorVariable:
     """Mean-square discrepancy of each sensor, e_j = mean_k [y_j(k) - g_j(k)]^2, Eq. (3).
 
     Parameters
@@ -73,7 +73,7 @@ def misfit_statistics(mu, observed):
 
     Notes
     -----
-    Where `mu` comes from `response`, no history is stored; a gradient keeps that of one particle.
+    Where `mu` comes from `response`, no history is stored, for the gradient neither.
 
     Examples
     --------

@@ -6,12 +6,7 @@ from pytensor.graph.replace import _vectorize_node
 from pytensor.graph.rewriting.basic import node_rewriter
 from pytensor.tensor.rewriting.basic import register_specialize
 
-
-class NotDifferentiableError(RuntimeError):
-    """A gradient was asked of what has none.
-
-    Not a `NotImplementedError`: PyMC answers that one by a silent change to Metropolis or Slice.
-    """
+from pymc_features.exceptions import NotDifferentiableError
 
 
 class NoGradient(Op):

@@ -13,16 +13,14 @@ from pytensor.link.numba.dispatch.basic import (
     register_funcify_and_cache_key,
 )
 
-from pymc_features.ops.discrepancy import StructuralDiscrepancy
-from pymc_features.ops.gradient import (
-    DiscrepancyGradient,
+from pymc_features.ops.comparison import (
     DiscrepancyTangent,
-    PopulationGradient,
-    ResponseGradient,
-    ResponseTangent,
+    MisfitGradient,
+    StructuralDiscrepancy,
+    StructuralMisfit,
 )
-from pymc_features.ops.misfit import StructuralMisfit
-from pymc_features.ops.population import PopulationDiscrepancy, PopulationMisfit
+from pymc_features.ops.gradient import ResponseGradient, ResponseTangent
+from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradient, PopulationMisfit
 from pymc_features.ops.response import StructuralResponse
 from pymc_features.simulators.compiled.dependencies import source_hash
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs
@@ -37,7 +35,7 @@ OPS = (
     PopulationMisfit,
     ResponseGradient,
     ResponseTangent,
-    DiscrepancyGradient,
+    MisfitGradient,
     DiscrepancyTangent,
     PopulationGradient,
 )

@@ -7,16 +7,20 @@ from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor.blockwise import Blockwise
 
 from pymc_features.ops.base import StructuralOp, count
-from pymc_features.ops.discrepancy import StructuralComparison, StructuralDiscrepancy
-from pymc_features.ops.gradient import PopulationGradient, ResponseGradient
-from pymc_features.ops.misfit import StructuralMisfit, misfit_cotangent
-from pymc_features.ops.response import StructuralResponse
+from pymc_features.ops.comparison import (
+    DiscrepancyTangent,
+    MisfitGradient,
+    StructuralComparison,
+    StructuralDiscrepancy,
+    StructuralMisfit,
+)
 
 
 class PopulationComparison(StructuralOp):
     """Base: as `StructuralComparison`, where each parameter has a row for each particle.
 
-    A parameter that all particles share has a single row. The result is (particle, sensor, *values).
+    A parameter that all particles share has a single row. The result is (particle, sensor, *values); no
+    history of any particle is stored, for the gradient neither.
     """
 
     gufunc_signature = None
@@ -42,45 +46,61 @@ class PopulationComparison(StructuralOp):
             rows = pt.maximum(rows, shape[0])
         return [(rows, shapes[self.at("sensors")][0], *self.values)]
 
-
-class PopulationDiscrepancy(PopulationComparison):
-    """e_j of Eq. (3) for a population (particle, sensor); no history of any particle is stored."""
-
-    kernel_name = "population_discrepancy"
-
     def pullback(self, inputs, outputs, cotangents):
         """By `PopulationGradient`; the data of a population are not differentiated."""
+        [weights] = cotangents
+        gradient = self.like(PopulationGradient, n_statistics=4 if self.values else 1)
         return [
-            *self.like(PopulationGradient)(*inputs, *cotangents, return_list=True),
+            *gradient(*inputs, weights if self.values else weights[..., None], return_list=True),
             *(disconnected_type() for _ in inputs[self.n_parameters : -1]),
             grad_undefined(self, len(inputs) - 1, inputs[-1], "Differentiate one particle, or the response."),
         ]
 
 
+class PopulationDiscrepancy(PopulationComparison):
+    """e_j of Eq. (3) for a population (particle, sensor)."""
+
+    kernel_name = "population_discrepancy"
+
+
 class PopulationMisfit(PopulationComparison):
-    """Statistics of the misfit (particle, sensor, 4), as `StructuralMisfit`; no history is stored."""
+    """All four statistics of the misfit (particle, sensor, 4)."""
 
     kernel_name = "population_misfit"
     values = (4,)
 
-    def pullback(self, inputs, outputs, cotangents):
-        """From the responses of all particles, which are stored for this: (particle, sensor, time)."""
+
+class PopulationGradient(MisfitGradient):
+    """As `MisfitGradient`, of a population; c (particle, sensor, n_statistics)."""
+
+    kernel_name = "population_gradient"
+    gufunc_signature = None
+
+    @property
+    def more_signature(self):
+        """Shapes of the data and of c."""
+        return f"(s,u),(particle,s,{self.n_statistics})"
+
+    def prepare_inputs(self, inputs):
+        """Parameters have one row for each particle, or one for all."""
         n = self.n_parameters
-        parameters, settings, observed = inputs[:n], inputs[n:-1], inputs[-1]
-        n_particles = outputs[0].shape[0]
-        rows = [pt.broadcast_to(x, (n_particles, *tuple(x.shape)[1:])) for x in parameters]
-        responses = Blockwise(self.like(StructuralResponse))(*rows, *settings)
-        by_misfit = misfit_cotangent(observed - responses, *cotangents)
-        gradients = Blockwise(self.like(ResponseGradient))(*rows, *settings, -by_misfit, return_list=True)
-        return [
-            # what all particles share gets the sum
-            *(
-                g.reshape((n_particles // x.shape[0], *x.shape)).sum(axis=0)
-                for g, x in zip(gradients, parameters, strict=True)
-            ),
-            *(disconnected_type() for _ in settings),
-            by_misfit.sum(axis=0),
-        ]
+        parameters = [pt.as_tensor_variable(x).astype("float64") for x in inputs[:n]]
+        return [*parameters, *super().prepare_inputs(inputs[n:], start=n)]
+
+    def transpose(self, inputs, cotangents):
+        """Particle by particle; of increments the changes of all responses would have to be stored."""
+        n = self.n_parameters
+        if self.n_statistics > 1:
+            raise NotImplementedError(
+                "The gradient of the misfit's increments has no forward mode for a population. "
+                "Differentiate one particle at a time."
+            )
+        rows = pt.as_tensor_variable(1)
+        for x in inputs[:n]:
+            rows = pt.maximum(rows, x.shape[0])
+        spread = [pt.broadcast_to(x, (rows, *tuple(x.shape)[1:])) for x in (*inputs[:n], *cotangents)]
+        tangent = Blockwise(self.like(DiscrepancyTangent))
+        return [tangent(*spread[:n], *inputs[n:], *spread[n:])[..., None]]
 
 
 POPULATIONS = {StructuralDiscrepancy: PopulationDiscrepancy, StructuralMisfit: PopulationMisfit}

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytensor
 import pytensor.tensor as pt
+from numpy.typing import ArrayLike
 from pytensor.compile.ops import ViewOp
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.gradient import disconnected_type
@@ -13,6 +14,7 @@ from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.elemwise import DimShuffle, Elemwise
 from pytensor.tensor.shape import SpecifyShape
 from pytensor.tensor.variable import TensorVariable
+from scipy import sparse
 
 from pymc_features.algebra import to_dense
 from pymc_features.ops.base import StructuralOp
@@ -47,11 +49,11 @@ def response(
     structure: Structure,
     record: Record | Loading,
     *,
-    dt=None,
+    dt: float | TensorVariable | None = None,
     sensors: Sequence[int] | None = None,
     quantity: str = "absolute_acceleration",
     n_modes: int | None = None,
-    outputs=None,
+    outputs: ArrayLike | sparse.sparray | None = None,
 ) -> TensorVariable:
     """Response history of a structure to a ground acceleration, or other loads, inside a PyMC model.
 

@@ -1,50 +1,19 @@
-"""Figures, each a function that takes a result and returns axes. A new one is one file and one line."""
+"""Figures, each a function that takes a result and returns an array of axes.
 
-from pymc_features.plots.chains import plot_chains
-from pymc_features.plots.loops import plot_loops
-from pymc_features.plots.natural_frequencies import plot_natural_frequencies
-from pymc_features.plots.predictive import plot_predictive
-from pymc_features.plots.prior_posterior import plot_prior_posterior
-from pymc_features.plots.record import plot_record
-from pymc_features.plots.response_bands import plot_response_bands
-from pymc_features.plots.sampling_rate import plot_sampling_rate
-from pymc_features.plots.tempering import plot_tempering
-from pymc_features.plots.tolerance import plot_tolerance
-from pymc_features.plots.widths import plot_widths
+A new one is one file and one line. matplotlib is imported when the first of them is drawn.
+"""
 
-PLOTS = (
-    plot_chains,
-    plot_loops,
-    plot_natural_frequencies,
-    plot_predictive,
-    plot_prior_posterior,
-    plot_record,
-    plot_response_bands,
-    plot_sampling_rate,
-    plot_tempering,
-    plot_tolerance,
-    plot_widths,
-)
+from pymc_features.plots.axes import close as close
+from pymc_features.plots.chains import plot_chains as plot_chains
+from pymc_features.plots.loops import plot_loops as plot_loops
+from pymc_features.plots.natural_frequencies import plot_natural_frequencies as plot_natural_frequencies
+from pymc_features.plots.predictive import plot_predictive as plot_predictive
+from pymc_features.plots.prior_posterior import plot_prior_posterior as plot_prior_posterior
+from pymc_features.plots.record import plot_record as plot_record
+from pymc_features.plots.response_bands import plot_response_bands as plot_response_bands
+from pymc_features.plots.sampling_rate import plot_sampling_rate as plot_sampling_rate
+from pymc_features.plots.tempering import plot_tempering as plot_tempering
+from pymc_features.plots.tolerance import plot_tolerance as plot_tolerance
+from pymc_features.plots.widths import plot_widths as plot_widths
 
-__all__ = [
-    "PLOTS",
-    "plot_chains",
-    "plot_loops",
-    "plot_natural_frequencies",
-    "plot_predictive",
-    "plot_prior_posterior",
-    "plot_record",
-    "plot_response_bands",
-    "plot_sampling_rate",
-    "plot_tempering",
-    "plot_tolerance",
-    "plot_widths",
-]
-
-
-def close(axes):
-    """Release the figures of some axes."""
-    from matplotlib import pyplot
-
-    for ax in axes:
-        pyplot.close(ax.figure)
+__all__ = [name for name in dir() if name.startswith("plot_")]

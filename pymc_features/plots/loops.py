@@ -1,10 +1,16 @@
 """Hysteresis loops: force against drift of the springs that yield most."""
 
-import matplotlib.pyplot as plt
+from collections.abc import Sequence
+
 import numpy as np
+import xarray as xr
+
+from pymc_features.plots.axes import AxesLike, checked_axes
 
 
-def plot_loops(result, springs=None, axes=None):
+def plot_loops(
+    result: xr.DataTree, springs: int | Sequence[int] | None = None, axes: AxesLike = None
+) -> np.ndarray:
     """Force of springs against their drift at the true parameter, and the displacement at which they yield.
 
     Parameters
@@ -19,7 +25,7 @@ def plot_loops(result, springs=None, axes=None):
 
     Returns
     -------
-    list of matplotlib Axes
+    array of matplotlib Axes
     """
     if "loops" not in result.children:
         raise ValueError(
@@ -33,16 +39,12 @@ def plot_loops(result, springs=None, axes=None):
     springs = np.atleast_1d(springs).tolist()
     if not springs or not set(springs) <= set(known):
         raise ValueError(f"`springs` must be among {known}, got {springs}.")
-    if axes is None:
-        size = 1.2 + 2.9 * len(springs), 3.4
-        _, axes = plt.subplots(1, len(springs), figsize=size, layout="constrained", squeeze=False)
-        axes = axes[0]
+    is_new, size = axes is None, (1.2 + 2.9 * len(springs), 3.4)
+    axes = checked_axes(axes, len(springs), "springs", columns=len(springs), figsize=size)
+    if is_new:
         axes[0].figure.suptitle(
             ", ".join(filter(None, [result.attrs.get("title"), loops.attrs.get("record")]))
         )
-    axes = list(np.atleast_1d(axes))
-    if len(axes) != len(springs):
-        raise ValueError(f"`axes` must be one for each of {len(springs)} springs, got {len(axes)}.")
     for ax, spring in zip(axes, springs, strict=True):
         cell = loops.sel(spring=spring)
         ax.plot(1e3 * cell["drift"], cell["force"], color="C0", lw=0.7)

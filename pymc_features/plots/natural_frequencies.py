@@ -1,12 +1,13 @@
 """Natural frequencies of the updated model beside those of the measurement."""
 
-import matplotlib.pyplot as plt
 import numpy as np
+import xarray as xr
 
 from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.plots.axes import AxesLike, checked_axes
 
 
-def plot_natural_frequencies(result, axes=None):
+def plot_natural_frequencies(result: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
     """Measured gain against frequency, and below it the 5-95 % intervals of every likelihood and mode.
 
     Dashed lines are frequencies given by the user, dotted ones the peaks of the measured gain.
@@ -27,17 +28,14 @@ def plot_natural_frequencies(result, axes=None):
     if not kinds:
         raise ValueError("`result` must have a likelihood with natural frequencies, got none.")
     data = result["data"].to_dataset()
-    if axes is None:
-        size = 9.0, 3.2 + 0.35 * len(kinds)
-        _, axes = plt.subplots(
-            2,
-            1,
-            figsize=size,
-            layout="constrained",
-            sharex=True,
-            height_ratios=[2.2, 0.5 + 0.35 * len(kinds)],
-        )
-    axes = np.asarray(axes)
+    axes = checked_axes(
+        axes,
+        2,
+        "parts (gain, frequencies)",
+        figsize=(9.0, 3.2 + 0.35 * len(kinds)),
+        sharex=True,
+        height_ratios=[2.2, 0.5 + 0.35 * len(kinds)],
+    )
     for sensor in data["sensor"].values:
         axes[0].plot(data["frequency"], data["gain"].sel(sensor=sensor), lw=1.0, label=str(sensor))
     axes[0].set(yscale="log", ylabel="gain against base [-]")

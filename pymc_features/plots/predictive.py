@@ -1,10 +1,19 @@
 """What was measured, in the bands of the updated model."""
 
-import matplotlib.pyplot as plt
+from collections.abc import Sequence
+
 import numpy as np
+import xarray as xr
+
+from pymc_features.plots.axes import AxesLike, checked_axes
 
 
-def plot_predictive(idata, sensors=None, window=None, axes=None):
+def plot_predictive(
+    idata: xr.DataTree,
+    sensors: str | Sequence[str] | None = None,
+    window: tuple[float, float] | None = None,
+    axes: AxesLike = None,
+) -> np.ndarray:
     """Bands of the response, and of data like those measured, at each sensor.
 
     The darker band holds the uncertainty of the parameters; the lighter one, where there is one, the errors
@@ -24,7 +33,7 @@ def plot_predictive(idata, sensors=None, window=None, axes=None):
 
     Returns
     -------
-    list of matplotlib Axes
+    array of matplotlib Axes
     """
     bands, observed = idata["bands"].to_dataset(), idata["observed_data"]["y"]
     known = bands["sensor"].values.tolist()
@@ -35,13 +44,8 @@ def plot_predictive(idata, sensors=None, window=None, axes=None):
         bands, observed = (x.sel(time=slice(*window)) for x in (bands, observed))
         if not bands.sizes["time"]:
             raise ValueError(f"`window` must hold samples of the record, got {window} in seconds.")
-    if axes is None:
-        size = 9.0, 1.0 + 1.7 * len(chosen)
-        _, axes = plt.subplots(len(chosen), 1, figsize=size, layout="constrained", squeeze=False, sharex=True)
-        axes = axes[:, 0]
-    axes = list(np.atleast_1d(axes))
-    if len(axes) != len(chosen):
-        raise ValueError(f"`axes` must be one for each of {len(chosen)} sensors, got {len(axes)}.")
+    size = 9.0, 1.0 + 1.7 * len(chosen)
+    axes = checked_axes(axes, len(chosen), "sensors", figsize=size, sharex=True)
     for ax, sensor in zip(axes, chosen, strict=True):
         _draw(ax, bands.sel(sensor=sensor), observed.sel(sensor=sensor))
         error = 100.0 * float(bands["normalised_error"].sel(sensor=sensor))

@@ -1,12 +1,21 @@
 """What the data have taught: prior against posterior."""
 
-import matplotlib.pyplot as plt
+from collections.abc import Mapping, Sequence
+
 import numpy as np
+import xarray as xr
+
+from pymc_features.plots.axes import AxesLike, checked_axes
 
 BINS = 40
 
 
-def plot_prior_posterior(idata, var_names=None, units=None, axes=None):
+def plot_prior_posterior(
+    idata: xr.DataTree,
+    var_names: Sequence[str] | None = None,
+    units: Mapping[str, str] | None = None,
+    axes: AxesLike = None,
+) -> np.ndarray:
     """Histograms of prior and posterior of each scalar parameter, each to its own height.
 
     Parameters
@@ -22,7 +31,7 @@ def plot_prior_posterior(idata, var_names=None, units=None, axes=None):
 
     Returns
     -------
-    list of matplotlib Axes
+    array of matplotlib Axes
     """
     posterior, prior = idata["posterior"].to_dataset(), idata["prior"].to_dataset()
     known = [
@@ -31,18 +40,12 @@ def plot_prior_posterior(idata, var_names=None, units=None, axes=None):
     names = known if var_names is None else list(var_names)
     if not names or not set(names) <= set(known):
         raise ValueError(f"`var_names` must be among {known}, got {names}.")
-    if axes is None:
-        columns = min(4, len(names))
-        rows = -(-len(names) // columns)
-        size = 2.6 * columns, 0.5 + 2.2 * rows
-        figure, grid = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
-        figure.get_layout_engine().set(w_pad=0.12)  # inches, between the numbers below neighbours
-        axes = grid.ravel()[: len(names)]
-        for spare in grid.ravel()[len(names) :]:
-            spare.remove()
-    axes = list(np.atleast_1d(axes))
-    if len(axes) != len(names):
-        raise ValueError(f"`axes` must be one for each of {len(names)} parameters, got {len(axes)}.")
+    is_new, columns = axes is None, min(4, len(names))
+    size = 2.6 * columns, 0.5 + 2.2 * -(-len(names) // columns)
+    axes = checked_axes(axes, len(names), "parameters", columns=columns, figsize=size)
+    if is_new:
+        # inches, between the numbers below neighbours
+        axes[0].figure.get_layout_engine().set(w_pad=0.12)
     for ax, name in zip(axes, names, strict=True):
         before, after = prior[name].values.ravel(), posterior[name].values.ravel()
         low, high = np.quantile(before, [0.005, 0.995])  # a far tail would leave nothing to see

@@ -1,11 +1,21 @@
 """Bands of a response under the posterior, against time."""
 
-import matplotlib.pyplot as plt
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
+
+from pymc_features.plots.axes import AxesLike, checked_axes
 
 
-def plot_response_bands(result, quantity, sensors=None, measured=None, ax=None):
+def plot_response_bands(
+    result: xr.Dataset,
+    quantity: str,
+    sensors: int | Sequence[int] | None = None,
+    measured: xr.DataArray | ArrayLike | None = None,
+    axes: AxesLike = None,
+) -> np.ndarray:
     """Band and median of a response at chosen sensors or storeys, with what was measured.
 
     The band is between the lowest and the highest quantile of the result. It holds the uncertainty of the
@@ -22,39 +32,28 @@ def plot_response_bands(result, quantity, sensors=None, measured=None, ax=None):
     measured : DataArray (sensor, time) or array_like (sensor, time), optional
         Measured response with its own sensors and times, which may be fewer; or an array for the sensors
         drawn and the times of the result. For the base shear (time).
-    ax : matplotlib Axes or sequence of them, optional
+    axes : matplotlib Axes or sequence of them, optional
         One for each sensor; a new figure by default.
 
     Returns
     -------
-    list of matplotlib Axes
+    array of matplotlib Axes
     """
     known = [str(name) for name, v in result.data_vars.items() if "quantile" in v.dims]
     if quantity not in known:
         raise ValueError(f"`quantity` must be one of {', '.join(known)}, got {quantity!r}.")
     bands, dim, chosen = rows(result[quantity], sensors)
-    if ax is None:
-        figure, axes = plt.subplots(
-            len(chosen),
-            1,
-            figsize=(8.0, 1.0 + 1.8 * len(chosen)),
-            layout="constrained",
-            squeeze=False,
-            sharex=True,
-        )
-        ax = axes[:, 0]
-    ax = list(np.atleast_1d(ax))
-    if len(ax) != len(chosen):
-        raise ValueError(f"`ax` must have one Axes for each of {len(chosen)} sensors, got {len(ax)}.")
+    size = 8.0, 1.0 + 1.8 * len(chosen)
+    axes = checked_axes(axes, len(chosen), "sensors", figsize=size, sharex=True)
     measured = labelled(measured, bands, dim)
-    for axis, label in zip(ax, chosen, strict=True):
-        draw_one(axis, bands.sel({dim: label}), measured, dim, label)
+    for ax, label in zip(axes, chosen, strict=True):
+        draw_one(ax, bands.sel({dim: label}), measured, dim, label)
         unit = bands.attrs.get("units", "").replace("^2", "²")
         place = f", {dim} {label}" if dim in result[quantity].dims else ""
-        axis.set(ylabel=f"[{unit}]", title=f"{quantity.replace('_', ' ')}{place}")
-    ax[-1].set_xlabel("time [s]")
-    ax[0].legend(frameon=False, loc="upper right", ncols=3)
-    return ax
+        ax.set(ylabel=f"[{unit}]", title=f"{quantity.replace('_', ' ')}{place}")
+    axes[-1].set_xlabel("time [s]")
+    axes[0].legend(frameon=False, loc="upper right", ncols=3)
+    return axes
 
 
 def rows(bands, sensors):
@@ -92,18 +91,16 @@ def labelled(measured, bands, dim):
     return xr.DataArray(values, {dim: bands[dim].values, "time": bands["time"].values}, (dim, "time"))
 
 
-def draw_one(axis, bands, measured, dim, label):
+def draw_one(ax, bands, measured, dim, label):
     """Band, median and measurement of one sensor."""
     bands = bands.transpose("quantile", "time")
     time, probabilities = bands["time"].values, bands["quantile"].values
     share = 100.0 * (probabilities[-1] - probabilities[0])
-    axis.fill_between(
+    ax.fill_between(
         time, bands.values[0], bands.values[-1], color="C0", alpha=0.3, lw=0, label=f"{share:g} %"
     )
     if 0.5 in probabilities:
-        axis.plot(time, bands.sel(quantile=0.5), color="C0", lw=1.0, label="median")
+        ax.plot(time, bands.sel(quantile=0.5), color="C0", lw=1.0, label="median")
     if measured is not None and label in measured[dim].values:
-        axis.plot(
-            measured["time"], measured.sel({dim: label}), color="0.2", lw=0.7, ls="--", label="measured"
-        )
-    axis.margins(x=0.0)
+        ax.plot(measured["time"], measured.sel({dim: label}), color="0.2", lw=0.7, ls="--", label="measured")
+    ax.margins(x=0.0)

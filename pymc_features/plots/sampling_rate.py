@@ -1,9 +1,12 @@
 """Figs. 2-4: maximum and 5-95 % interval of theta and sigma against the sampling step."""
 
-import matplotlib.pyplot as plt
+from collections.abc import Sequence
+
 import numpy as np
+import xarray as xr
 
 from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.plots.axes import AxesLike, checked_axes
 
 LABELS = {
     "theta": "stiffness factor θ [-]",
@@ -11,7 +14,9 @@ LABELS = {
 }
 
 
-def plot_sampling_rate(result, likelihoods, axes=None):
+def plot_sampling_rate(
+    result: xr.DataTree, likelihoods: str | Sequence[str], axes: AxesLike = None
+) -> np.ndarray:
     """Posterior of theta and sigma at each sampling step, sampled and exact.
 
     Bars are the sampled 5-95 % intervals with the draw of the highest density; lines are the exact
@@ -38,8 +43,7 @@ def plot_sampling_rate(result, likelihoods, axes=None):
         raise ValueError(
             f"`likelihoods` must be among {summary['likelihood'].values.tolist()}, got {missing}."
         )
-    if axes is None:
-        _, axes = plt.subplots(1, 2, figsize=(9.0, 3.6), layout="constrained")
+    axes = checked_axes(axes, 2, "parameters (theta, sigma)", columns=2, figsize=(9.0, 3.6))
     for ax, parameter in zip(axes, LABELS, strict=True):
         known = summary["exact"].sel(parameter=parameter, statistic="q05").notnull().all("multiplier")
         drawn = [k for k in likelihoods if known.sel(likelihood=k)]
@@ -57,7 +61,7 @@ def plot_sampling_rate(result, likelihoods, axes=None):
     figure = axes[0].figure
     figure.suptitle(", ".join(filter(None, [" and ".join(likelihoods), result.attrs.get("title")])))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-    return np.asarray(axes)
+    return axes
 
 
 def _draw(ax, cell, kind, shift):

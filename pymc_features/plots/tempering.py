@@ -1,16 +1,18 @@
 """The way of a sampler from the prior to the posterior."""
 
-import matplotlib.pyplot as plt
 import numpy as np
+import xarray as xr
+
+from pymc_features.plots.axes import AxesLike, checked_axes
 
 
-def plot_tempering(idata, axes=None):
+def plot_tempering(idata: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
     """Inverse temperature, or tolerance of ABC, and acceptance rate at each stage, one line for each chain.
 
     Parameters
     ----------
     idata : DataTree
-        From `sample_smc`: `sample_stats` with beta or tolerance (chain, stage).
+        From `sample_smc`: `sample_stats` with beta or epsilon (chain, stage).
     axes : sequence of two matplotlib Axes, optional
         A new figure by default.
 
@@ -19,18 +21,16 @@ def plot_tempering(idata, axes=None):
     array of two matplotlib Axes
     """
     stats = idata["sample_stats"].to_dataset() if "sample_stats" in idata.children else {}
-    name = next((n for n in ("tolerance", "beta") if n in stats and "stage" in stats[n].dims), None)
+    name = next((n for n in ("epsilon", "beta") if n in stats and "stage" in stats[n].dims), None)
     if name is None:
         raise ValueError(
             "`idata` must be of a sampler with stages, got none in `sample_stats`. Pass what sample_smc() "
             "returned."
         )
-    if axes is None:
-        _, axes = plt.subplots(1, 2, figsize=(9.0, 3.2), layout="constrained")
-    axes = np.asarray(axes)
+    axes = checked_axes(axes, 2, "parts (temperature, acceptance)", columns=2, figsize=(9.0, 3.2))
     labels = {
         "beta": "inverse temperature β [-]",
-        "tolerance": "tolerance δ [(unit of the data)²]",
+        "epsilon": "tolerance ε [(unit of the data)²]",
     }
     for ax, part, label in ((axes[0], name, labels[name]), (axes[1], "accept_rate", "acceptance rate [-]")):
         if part in stats:

@@ -1,11 +1,13 @@
 """Width of the posterior of theta against the sampling step, for every likelihood."""
 
-import matplotlib.pyplot as plt
+import numpy as np
+import xarray as xr
 
 from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.plots.axes import AxesLike, checked_axes
 
 
-def plot_widths(result, ax=None):
+def plot_widths(result: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
     """5-95 % width of theta at each sampling step: what a faster sampling does to the uncertainty.
 
     Lines are exact, by quadrature; markers are sampled.
@@ -14,15 +16,15 @@ def plot_widths(result, ax=None):
     ----------
     result : DataTree
         From `sampling_rate_study`.
-    ax : matplotlib Axes, optional
+    axes : matplotlib Axes, optional
         Where to draw; a new figure by default.
 
     Returns
     -------
-    matplotlib Axes
+    array of one matplotlib Axes
     """
-    if ax is None:
-        _, ax = plt.subplots(figsize=(7.5, 4.2), layout="constrained")
+    axes = checked_axes(axes, figsize=(7.5, 4.2))
+    ax = axes[0]
     summary = result["summary"].to_dataset().sel(parameter="theta")
     width = summary.sel(statistic="q95") - summary.sel(statistic="q05")
     steps = summary["multiplier"].values
@@ -38,4 +40,4 @@ def plot_widths(result, ax=None):
     ax.set(xlabel="sampling step / record step [-]", ylabel="5-95 % width of θ [-]")
     ax.set_title(result.attrs.get("title", ""))
     ax.legend(frameon=False, ncols=1, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    return ax
+    return axes

@@ -1,7 +1,6 @@
 """Predictions from posterior draws: bands of the response and probabilities of exceedance."""
 
-from pymc_features.prediction.draws import PredictionWarning
 from pymc_features.prediction.first_passage import first_passage_probability
 from pymc_features.prediction.posterior_response import posterior_response
 
-__all__ = ["PredictionWarning", "first_passage_probability", "posterior_response"]
+__all__ = ["first_passage_probability", "posterior_response"]

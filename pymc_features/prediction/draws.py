@@ -2,17 +2,33 @@
 
 import inspect
 import warnings
+from collections.abc import Sequence
 from contextlib import closing, contextmanager
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
+from scipy import sparse
 
+from pymc_features.exceptions import PredictionWarning
+from pymc_features.keywords import check_keywords
 from pymc_features.prediction.ensemble import Ensemble
 
 
-class PredictionWarning(UserWarning):
-    """Draws of a posterior that describe no structure are left out of a prediction."""
+class ResponseOptions(TypedDict, total=False):
+    """Arguments of `response` and `simulate` that hold for every draw."""
+
+    dt: float | None
+    sensors: Sequence[int] | None
+    n_modes: int | None
+    outputs: ArrayLike | sparse.sparray | None
+
+
+def response_options(given: dict, function: str) -> dict:
+    """All of these arguments, None where not given; refuse others."""
+    check_keywords(given, ResponseOptions.__annotations__, function)
+    return dict.fromkeys(ResponseOptions.__annotations__) | given
 
 
 class StructureDraws(NamedTuple):

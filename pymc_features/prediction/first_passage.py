@@ -1,28 +1,30 @@
 """The probability that a response exceeds a limit, under the posterior."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Unpack
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
+from pymc.util import RandomGenerator
 
-from pymc_features.prediction.draws import structure_draws
+from pymc_features.prediction.draws import ResponseOptions, response_options, structure_draws
 from pymc_features.prediction.posterior_response import row_coords
+from pymc_features.records import Loading, Record
 from pymc_features.simulators import HISTORIES
+from pymc_features.structures import Structure
 
 
 def first_passage_probability(
-    idata,
-    structure,
-    record,
-    limit,
+    idata: xr.DataTree | xr.Dataset,
+    structure: Callable[..., Structure],
+    record: Record | Loading | Sequence[Record | Loading],
+    limit: ArrayLike,
     quantity: str = "inter_storey_drift",
     *,
     draws: int = 500,
-    dt: float | None = None,
-    sensors=None,
-    n_modes: int | None = None,
-    outputs=None,
-    random_seed=0,
+    random_seed: RandomGenerator = None,
+    **kwargs: Unpack[ResponseOptions],
 ) -> xr.Dataset:
     """Probability under the posterior that the largest absolute response exceeds a limit.
 
@@ -32,14 +34,17 @@ def first_passage_probability(
 
     Parameters
     ----------
-    idata, structure, draws, dt, sensors, n_modes, outputs, random_seed
-        As in `posterior_response`. `dt` holds for every record. "Any" is any of `sensors` or `outputs`.
+    idata, structure, draws, random_seed
+        As in `posterior_response`.
     record : Record or Loading, or a sequence of them
         Ground accelerations, or other loads as in `posterior_response`.
     limit : float or array_like (limit,)
         Positive, in the unit of the quantity.
     quantity : str
         As in `posterior_response`.
+    **kwargs
+        `dt`, `sensors`, `n_modes` and `outputs` of `response`, the same for every draw and record. "Any" is
+        any of `sensors` or `outputs`.
 
     Returns
     -------
@@ -89,8 +94,8 @@ def first_passage_probability(
         raise ValueError(f"`quantity` must be one of {', '.join(HISTORIES)}, got {quantity!r}.")
     limits = checked_limits(limit)
     records = checked_records(record)
-    settings = {"dt": dt, "sensors": sensors, "n_modes": n_modes, "outputs": outputs}
-    with structure_draws(idata, structure, records, [quantity], draws, random_seed, **settings) as chosen:
+    options = response_options(kwargs, "first_passage_probability")
+    with structure_draws(idata, structure, records, [quantity], draws, random_seed, **options) as chosen:
         peak = np.stack([chosen.ensemble.peaks(k, quantity) for k in range(len(records))])
         cells = [exceedance(peak, value, chosen.used) for value in limits.ravel()]
         return dataset(quantity, cells, limits, peak, records, chosen)

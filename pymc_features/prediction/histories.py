@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.oscillators.arguments import Excitation, interpolate, n_outputs
 from pymc_features.simulators.oscillators.recursion import BLOCK, advance
-from pymc_features.simulators.request import Request
 
 MEMORY = 16 * 2**20  # of a block of responses [bytes]
 
 
-class Systems(NamedTuple):
+class Recursions(NamedTuple):
     """Recursions of n structures with m modes under d inputs.
 
     Attributes
@@ -25,7 +25,7 @@ class Systems(NamedTuple):
     participation : array (n, d, m)
         Of the modes in the inputs.
     shapes : array (n, row, m)
-        What each mode adds to the rows.
+        Mode shapes at the rows.
     direct : array (n, row, d)
         Feed-through of the inputs.
     """
@@ -41,56 +41,56 @@ def block_size(n: int, n_rows: int) -> int:
     return int(np.clip(MEMORY // (8 * n * n_rows), 1, BLOCK))
 
 
-def response_blocks(systems: Systems, inputs, asked: Request, size: int):
+def response_blocks(recursions: Recursions, excitation: Excitation, size: int):
     """Yield (first sample, responses (row, time, structure)) of one block of time after another.
 
     The responses are in a buffer that the next block overwrites; whoever receives them may do so as well.
-    A block has `size` samples, the last as many as are left; `inputs` (d, t).
+    A block has `size` samples, the last as many as are left; the excitation has inputs (d, t).
     """
-    n, n_rows, n_modes = systems.shapes.shape
-    states = np.zeros((2, n, inputs.shape[0], n_modes))
+    n, n_rows, n_modes = recursions.shapes.shape
+    states = np.zeros((2, n, excitation.acceleration.shape[0], n_modes))
     buffer = np.empty((n_rows, size, n))
-    total = asked.n_outputs(inputs.shape[1])
+    total = n_outputs(excitation.acceleration.shape[1], excitation.substeps, excitation.stride)
     for first in range(0, total, size):
         count = min(size, total - first)
-        advance_all(*systems, *states, inputs, asked.substeps, asked.stride, first, count, buffer)
+        advance_all(recursions, excitation, states, first, count, buffer)
         yield first, buffer[:, :count]
 
 
 @jit
-def advance_all(
-    tables, participation, shapes, direct, q, p, inputs, substeps, stride, first, count, responses
-):
+def advance_all(recursions, excitation, states, first, count, responses):
     """Carry structures through output samples `first` ... `first + count - 1`, as `advance` does with one.
 
     Parameters
     ----------
-    tables, participation, shapes, direct : array
-        Of `Systems`.
-    q, p : array (n, d, m)
-        Modal states; overwritten.
-    inputs : array (d, t)
+    recursions : Recursions
+    excitation : Excitation
+    states : array (2, n, d, m)
+        Modal displacements and velocities, scaled as in `advance`; overwritten.
     responses : array (row, >= count, n)
         Written.
     """
+    tables, participation, shapes, direct = recursions
+    inputs, _, substeps, stride = excitation
+    q, p = states
     n, n_rows, n_modes = shapes.shape
     size = responses.shape[1]
-    modal = np.empty((size, n_modes))
-    moved = np.empty((size, n_modes))
-    ground = np.empty((inputs.shape[0], size))
-    block = np.empty((n_rows, size))
+    unit, modal = np.empty((size, n_modes)), np.empty((size, n_modes))  # outputs per unit participation
+    ground, block = np.empty((inputs.shape[0], size * stride + 1)), np.empty((n_rows, size))
+    for k in range(inputs.shape[0]):
+        interpolate(inputs[k], substeps, first * stride, ground[k])
     for i in range(n):
-        moved[:] = 0.0
+        modal[:] = 0.0
         for k in range(inputs.shape[0]):
-            advance(tables[i], q[i, k], p[i, k], inputs[k], substeps, stride, first, count, modal, ground[k])
+            advance(tables[i], q[i, k], p[i, k], ground[k], stride, count, unit)
             for b in range(count):
                 for r in range(n_modes):
-                    moved[b, r] += participation[i, k, r] * modal[b, r]
-        np.dot(shapes[i], moved.T, block)
+                    modal[b, r] += participation[i, k, r] * unit[b, r]
+        np.dot(shapes[i], modal.T, block)
         for k in range(1, inputs.shape[0]):
             for j in range(n_rows):
                 for b in range(count):
-                    block[j, b] += direct[i, j, k] * ground[k, b]
+                    block[j, b] += direct[i, j, k] * ground[k, b * stride]
         for j in range(n_rows):
             for b in range(count):
-                responses[j, b, i] = block[j, b] + direct[i, j, 0] * ground[0, b]
+                responses[j, b, i] = block[j, b] + direct[i, j, 0] * ground[0, b * stride]

@@ -7,7 +7,7 @@ import numpy as np
 from pymc_features.prediction import histories
 
 
-class Spill:
+class HistoryFile:
     """Histories (row, time) of up to `capacity` structures; in memory while they take little of it.
 
     The file is laid out block of time after block of time, so that a block is read in one piece. It has no

@@ -1,40 +1,51 @@
-"""Structures whose modes are oscillators, kept to be marched through time together, see `histories`."""
+"""Classically damped structures, integrated together one block of time at a time."""
+
+from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.prediction.histories import Systems, response_blocks
-from pymc_features.simulators.linear.system import STIFFEST
-from pymc_features.simulators.oscillators.arguments import (
-    ABSOLUTE_ACCELERATION,
-    QUANTITIES,
-    RELATIVE_ACCELERATION,
-)
-from pymc_features.simulators.oscillators.march import modal_table
-from pymc_features.simulators.oscillators.recursion import N_ROWS, modal_system
-from pymc_features.simulators.quantities import HISTORIES, force_share, rows_of
+from pymc_features.prediction.histories import Recursions, response_blocks
+from pymc_features.prediction.simulated import largest
+from pymc_features.simulators.chain.parameters import ChainParameters
+from pymc_features.simulators.chain.response import chain_feed, modes_of
+from pymc_features.simulators.compiled.arrays import writable
+from pymc_features.simulators.families import FAMILIES
+from pymc_features.simulators.linear.arguments import Arguments
+from pymc_features.simulators.linear.system import observe, solve_system, uncoupled
+from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation, Outputs
+from pymc_features.simulators.oscillators.recursion import N_ROWS, write_table
+from pymc_features.simulators.quantities import HISTORIES, force_share
 
 
 class Marched:
-    """What both kinds of structures share.
+    """Structures that are kept to be integrated together.
 
-    A kind has `add(structure)`, which tells whether the structure has a response to every record and if so
-    keeps it, `__len__`, and `systems(k, name)`, the `Systems` for record `k` and a quantity.
+    Each kind has `add(structure)`, which keeps a structure and returns True, or returns False where it has no
+    response to one of the records; and `recursions(k, name)`, those for record `k` and a quantity.
 
     Parameters
     ----------
-    question : Question
+    wanted : WantedResponses
         See `ensemble`.
     """
 
-    def __init__(self, question):
-        self.question = question
-        pairs = zip(question.records, question.requests, strict=True)
-        self.steps = [record.dt / asked.substeps for record, asked in pairs]
+    def __init__(self, wanted):
+        self.wanted, self.kept = wanted, []
+        pairs = zip(wanted.records, wanted.requests, strict=True)
+        self.steps = [record.dt / request.substeps for record, request in pairs]
+
+    def __len__(self):
+        return len(self.kept)
 
     def blocks(self, k: int, name: str, size: int):
         """Yield (first sample, responses (row, time, structure)) of one block after another."""
-        systems = self.systems(k, name)
-        return response_blocks(systems, self.question.records[k].inputs, self.question.requests[k], size)
+        record, request = self.wanted.records[k], self.wanted.requests[k]
+        excitation = Excitation(writable(record.inputs), record.dt, request.substeps, request.stride)
+        return response_blocks(self.recursions(k, name), excitation, size)
+
+    def peaks(self, k: int, name: str, size: int) -> np.ndarray:
+        """Largest absolute values over the output samples, (row, structure)."""
+        return np.maximum.reduce([largest(values) for _, values in self.blocks(k, name, size)])
 
     def close(self) -> None:
         """Nothing is open."""
@@ -43,111 +54,110 @@ class Marched:
 class Chains(Marched):
     """Spring-mass chains, whose modes compiled code finds in microseconds: kept as they are."""
 
-    def __init__(self, question):
-        super().__init__(question)
-        self.structures, self.parameters = [], []
-
-    def __len__(self):
-        return len(self.structures)
-
     def add(self, structure) -> bool:
         """Keep a chain; False where it has no response to one of the records."""
-        own, first = structure.parameters(), np.zeros(1, dtype=np.int64)
-        n_modes = self.question.requests[0].n_modes
-        if not all(modal_system(*own, step, first, n_modes, 0)[0] for step in set(self.steps)):
+        parameters = ChainParameters(*structure.parameters())
+        outputs = Outputs(np.zeros(1, dtype=np.int64), self.wanted.requests[0].n_modes, 0)
+        if not all(modes_of(parameters, step, outputs)[0] for step in set(self.steps)):
             return False
-        self.structures.append(structure)
-        self.parameters.append(own)
+        self.kept.append((structure, parameters))
         return True
 
-    def systems(self, k: int, name: str) -> Systems:
+    def recursions(self, k: int, name: str) -> Recursions:
         """Recursions for record `k` and a quantity."""
-        asked, outputs = self.question.requests[k], self.question.outputs
-        source, dim, _ = HISTORIES[name]
-        rows = rows_of(self.structures[0], name, asked.sensors, outputs)
-        picked, at = rows.outputs, asked.sensors
-        if picked is not None:
-            at = np.arange(self.structures[0].n_dof)
-        if dim == "support":  # rows of their own for each
-            picked = np.stack([rows_of(one, name, asked.sensors).outputs for one in self.structures])
-        code = QUANTITIES.index(source)
-        found = [modal_system(*own, self.steps[k], at, asked.n_modes, code)[1:] for own in self.parameters]
-        tables, shapes, direct = (np.stack(part) for part in zip(*found, strict=True))
-        direct = direct[..., None]
-        if picked is not None:
-            shapes, direct = picked @ shapes, picked @ direct
-        # the kernel's shapes are products with the participation factors already
-        return Systems(tables, np.ones((len(self), 1, asked.n_modes)), shapes, direct)
+        (first, _), request, quantity = self.kept[0], self.wanted.requests[k], HISTORIES[name]
+        rows, degrees = self.wanted.rows(first, name), request.sensors
+        combinations = rows.outputs
+        if combinations is not None:
+            degrees = np.arange(first.n_dof)
+        if quantity.dim == "support":  # of each structure its own masses
+            combinations = np.stack([self.wanted.rows(chain, name).outputs for chain, _ in self.kept])
+        wanted = Outputs(degrees, request.n_modes, QUANTITIES.index(quantity.source))
+        complete, found = request.n_modes == first.n_dof, []
+        for _, parameters in self.kept:
+            _, system, _, _ = modes_of(parameters, self.steps[k], wanted)
+            table = np.empty((N_ROWS, request.n_modes))
+            write_table(system.omega, system.damping, self.steps[k], wanted.quantity, table)
+            feed = chain_feed(system, wanted, complete)
+            found.append((table, system.participation.T, system.shapes, feed))
+        tables, participation, shapes, direct = (np.stack(part) for part in zip(*found, strict=True))
+        if combinations is not None:
+            shapes, direct = combinations @ shapes, combinations @ direct
+        return Recursions(tables, participation, shapes, direct)
+
+
+class KeptModes(NamedTuple):
+    """Modes of a linear structure.
+
+    Attributes
+    ----------
+    omega, modal_damping : array (m,)
+        [rad/s] and 2 zeta omega [1/s].
+    participation : dict
+        Gamma' (d, m), by kind of load.
+    output_shapes : dict
+        S Phi (row, m), by quantity.
+    direct : dict
+        Feed-through (row, d), by quantity and kind of load.
+    """
+
+    omega: np.ndarray
+    modal_damping: np.ndarray
+    participation: dict
+    output_shapes: dict
+    direct: dict
 
 
 class Oscillators(Marched):
     """Linear structures whose damping the modes diagonalise: kept as modes at the rows asked for.
 
-    Records are grouped by how they load the modes: all motions of the supports in the same way, forces each
-    in its own.
+    All motions of the supports load the modes in one way, each record of forces in its own.
     """
 
-    def __init__(self, question):
-        super().__init__(question)
-        forces = [k for k, record in enumerate(question.records) if record.is_force]
-        self.loads = [1 + forces.index(k) if k in forces else 0 for k in range(len(question.records))]
-        self.omega, self.drag, self.participation, self.seen, self.direct = [], [], [], [], []
-
-    def __len__(self):
-        return len(self.omega)
+    def __init__(self, wanted):
+        super().__init__(wanted)
+        of_forces = [record.is_force for record in wanted.records]
+        self.loads = [k if force else "supports" for k, force in enumerate(of_forces)]
+        # the record with the longest step stands for all with its kind of load
+        ascending = np.argsort(self.steps, kind="stable")
+        self.examples = {self.loads[k]: k for k in ascending}
 
     def add(self, structure) -> bool:
         """Keep the modes of a structure; False where it has no response to one of the records."""
-        question, n_modes = self.question, self.question.requests[0].n_modes
-        modes, drag = structure.modes(n_modes), structure.modal_damping(n_modes)
-        # no negative damping beyond rounding
-        drag = np.maximum(drag if drag.ndim == 1 else np.diagonal(drag), 0.0)
-        if not max(modes.angular_frequencies.max(), drag.max()) * max(self.steps) < STIFFEST:
-            return False
-        loads = {load: question.records[k] for k, load in enumerate(self.loads)}
-        shares = {load: participation(structure, record, modes) for load, record in loads.items()}
-        seen, direct = {}, {}
-        for name in question.names:
-            rows = rows_of(structure, name, question.requests[0].sensors, question.outputs)
-            seen[name] = rows.of(modes.mode_shapes)
-            for load, record in loads.items():
-                direct[name, load] = feed_through(structure, record, name, rows, seen[name] @ shares[load])
-        self.omega.append(modes.angular_frequencies)
-        self.drag.append(drag)
-        self.participation.append(shares)
-        self.seen.append(seen)
-        self.direct.append(direct)
+        family, modes = FAMILIES[structure.family], structure.modes(self.wanted.requests[0].n_modes)
+        known = modes.angular_frequencies, modes.mode_shapes
+        participation, output_shapes, direct = {}, {}, {}
+        for load, k in self.examples.items():
+            record, request = self.wanted.records[k], self.wanted.requests[k]
+            rows = family.rows(request.sensors, structure.n_dof)
+            inputs = family.inputs_of(structure, record, request, rows)
+            a = Arguments(*family.assemble(inputs, request.quantity_code))
+            system = solve_system(a, known=known)
+            if system is None:
+                return False
+            participation[load] = np.ascontiguousarray(system.participation.T)
+            for name in self.wanted.names:
+                picked = self.wanted.rows(structure, name).picked
+                rows, code = family.rows(picked, structure.n_dof), QUANTITIES.index(HISTORIES[name].source)
+                outputs = Outputs(rows, request.n_modes, code)
+                modes_seen, direct[name, load] = observe(a._replace(wanted=outputs), system)
+                output_shapes[name] = modes_seen.shapes
+                share = force_share(structure, record, name)
+                if share is not None:
+                    direct[name, load] += share
+        modal_damping = uncoupled(system.modal_damping)
+        self.kept.append(KeptModes(system.omega, modal_damping, participation, output_shapes, direct))
         return True
 
-    def systems(self, k: int, name: str) -> Systems:
+    def recursions(self, k: int, name: str) -> Recursions:
         """Recursions for record `k` and a quantity."""
         load, code = self.loads[k], QUANTITIES.index(HISTORIES[name].source)
-        tables = np.empty((len(self), N_ROWS, self.omega[0].size))
-        for omega, drag, table in zip(self.omega, self.drag, tables, strict=True):
-            modal_table(omega, drag, self.steps[k], code, table)
-        return Systems(
+        tables = np.empty((len(self), N_ROWS, self.kept[0].omega.size))
+        for modes, table in zip(self.kept, tables, strict=True):
+            write_table(modes.omega, modes.modal_damping, self.steps[k], code, table)
+        return Recursions(
             tables,
-            np.stack([np.ascontiguousarray(shares[load].T) for shares in self.participation]),
-            np.stack([seen[name] for seen in self.seen]),
-            np.stack([direct[name, load] for direct in self.direct]),
+            np.stack([modes.participation[load] for modes in self.kept]),
+            np.stack([modes.output_shapes[name] for modes in self.kept]),
+            np.stack([modes.direct[name, load] for modes in self.kept]),
         )
-
-
-def participation(structure, record, modes) -> np.ndarray:
-    """Gamma (m, d) of q" + ... = -Gamma a(t)."""
-    shapes = modes.mode_shapes
-    if record.is_force:
-        return record.applied(-shapes.T)
-    return modes.participation_factors.reshape(shapes.shape[1], -1)
-
-
-def feed_through(structure, record, name, rows, carried) -> np.ndarray:
-    """What the inputs add to the rows directly, (row, d); `carried` (row, d) by the modes at once."""
-    code = QUANTITIES.index(HISTORIES[name].source)
-    if code not in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION):
-        return np.zeros_like(carried)
-    if record.is_force:
-        share = force_share(structure, record, name)
-        return -carried if share is None else share - carried
-    moved = rows.of(structure.influence.reshape(structure.n_dof, -1))
-    return moved - carried if code == ABSOLUTE_ACCELERATION else -carried

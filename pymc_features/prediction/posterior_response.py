@@ -1,26 +1,30 @@
 """What an updated model predicts: responses, measured or not, of this earthquake or of another."""
 
+from collections.abc import Callable, Sequence
+from typing import Unpack
+
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
+from pymc.util import RandomGenerator
 
-from pymc_features.prediction.draws import structure_draws
+from pymc_features.prediction.draws import ResponseOptions, response_options, structure_draws
 from pymc_features.prediction.simulated import largest
+from pymc_features.records import Loading, Record
 from pymc_features.simulators import HISTORIES
+from pymc_features.structures import Structure
 
 
 def posterior_response(
-    idata,
-    structure,
-    record,
-    quantities=("absolute_acceleration",),
+    idata: xr.DataTree | xr.Dataset,
+    structure: Callable[..., Structure],
+    record: Record | Loading,
+    quantities: str | Sequence[str] = ("absolute_acceleration",),
     *,
     draws: int = 500,
-    quantiles=(0.05, 0.5, 0.95),
-    dt: float | None = None,
-    sensors=None,
-    n_modes: int | None = None,
-    outputs=None,
-    random_seed=0,
+    quantiles: ArrayLike = (0.05, 0.5, 0.95),
+    random_seed: RandomGenerator = None,
+    **kwargs: Unpack[ResponseOptions],
 ) -> xr.Dataset:
     """Bands of responses under the posterior, of measured or unmeasured quantities, to any earthquake.
 
@@ -46,17 +50,11 @@ def posterior_response(
         At most so many draws, equally many of each chain (but one at least), evenly spaced.
     quantiles : array_like
         Probabilities of the quantiles, from 0 to 1; sorted.
-    dt : float, optional
-        Output step [s], an integer multiple or divisor of the record's step, which is the default.
-    sensors : sequence of int, optional
-        Degrees of freedom, and storeys of the drift, 0 next to the base. All by default.
-    n_modes : int, optional
-        Number of modes kept, lowest first. All by default, and of nonlinear structures always.
-    outputs : array_like or sparse matrix (s, n), optional
-        S, for combinations S x of the quantities over all degrees of freedom instead of `sensors`, as in
-        `simulate`. The same for every draw.
-    random_seed : int, optional
-        Of the first draw taken.
+    random_seed : int or Generator, optional
+        For the same draws each time.
+    **kwargs
+        `dt`, `sensors`, `n_modes` and `outputs` of `response`, the same for every draw. Drifts count their
+        storeys in place of sensors.
 
     Returns
     -------
@@ -101,9 +99,9 @@ def posterior_response(
     array([-0.1, -0.1, -0.1])
     """
     names, quantiles = checked_names(quantities), checked_quantiles(quantiles)
-    settings = {"dt": dt, "sensors": sensors, "n_modes": n_modes, "outputs": outputs}
+    options = response_options(kwargs, "posterior_response")
     drawn = structure_draws(
-        idata, structure, [record], names, draws, random_seed, keep_histories=True, **settings
+        idata, structure, [record], names, draws, random_seed, keep_histories=True, **options
     )
     with drawn as chosen:
         parts = {}

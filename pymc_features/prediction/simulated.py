@@ -2,64 +2,65 @@
 
 import numpy as np
 
-from pymc_features.prediction.history_file import Spill
+from pymc_features.prediction.history_file import HistoryFile
 from pymc_features.simulators.families import NONLINEAR
-from pymc_features.simulators.nonlinear.response import nonlinear_histories
+from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
 from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation
-from pymc_features.simulators.quantities import HISTORIES, rows_of
+from pymc_features.simulators.quantities import HISTORIES
 from pymc_features.simulators.simulate import simulate
 
 
 class Simulated:
-    """Structures that are simulated one by one as they come.
+    """Structures that are simulated one by one as they come; of each its peaks are kept.
 
     Parameters
     ----------
-    question : Question
+    wanted : WantedResponses
         See `ensemble`.
-    spills : dict of Spill
+    files : dict of HistoryFile
         Where histories go, by quantity, of the one record; empty to keep the peaks only.
     """
 
-    def __init__(self, question, spills: dict[str, Spill]):
-        self.question, self.spills = question, spills
-        self.found = []
+    def __init__(self, wanted, files: dict[str, HistoryFile]):
+        self.wanted, self.files, self.kept = wanted, files, []
 
     def __len__(self):
-        return len(self.found)
+        return len(self.kept)
 
     def add(self, structure) -> bool:
         """Simulate a structure; False, and nothing is kept, where a response is not finite."""
         found = {}
-        for k in range(len(self.question.records)):
+        for k in range(len(self.wanted.records)):
             histories = self.histories(structure, k)
             found |= {(k, name): largest(values) for name, values in histories.items()}
         if not all(np.isfinite(peaks).all() for peaks in found.values()):
             return False
-        for name, spill in self.spills.items():
-            spill.append(histories[name])
-        self.found.append(found)
+        for name, file in self.files.items():
+            file.append(histories[name])
+        self.kept.append(found)
         return True
 
     def histories(self, structure, k: int) -> dict[str, np.ndarray]:
         """Histories (row, time) of all quantities; a nonlinear structure is integrated once."""
-        record, asked, names = self.question.records[k], self.question.requests[k], self.question.names
+        record, request, names = self.wanted.records[k], self.wanted.requests[k], self.wanted.names
         if structure.family not in NONLINEAR:
             return {name: self._simulate(structure, record, name) for name in names}
-        rows = {name: rows_of(structure, name, asked.sensors, self.question.outputs) for name in names}
         sources = list(dict.fromkeys(HISTORIES[name].source for name in names))
         values = nonlinear_histories(
             NONLINEAR[structure.family],
             structure.parameters(),
-            Excitation(record.acceleration, record.dt, asked.substeps, asked.stride),
+            Excitation(record.acceleration, record.dt, request.substeps, request.stride),
             np.arange(structure.n_dof),
             [QUANTITIES.index(source) for source in sources],
         )
-        return {name: rows[name].of(values[sources.index(HISTORIES[name].source)]) for name in names}
+        by_source = dict(zip(sources, values, strict=True))
+        return {
+            name: self.wanted.rows(structure, name).of(by_source[HISTORIES[name].source]) for name in names
+        }
 
     def _simulate(self, structure, record, name):
         """History (row, time) of one quantity of a linear structure."""
-        settings = self.question.settings
+        settings = self.wanted.settings
         if HISTORIES[name].dim == "support":
             settings = settings | {"sensors": None}
         values = simulate(structure, record, quantity=name, **settings).values
@@ -67,12 +68,16 @@ class Simulated:
 
     def blocks(self, k: int, name: str, size: int):
         """Yield (first sample, responses (row, time, structure)) of one block after another."""
-        return self.spills[name].blocks()
+        return self.files[name].blocks()
+
+    def peaks(self, k: int, name: str, size: int) -> np.ndarray:
+        """Largest absolute values over the output samples, (row, structure)."""
+        return np.stack([peaks[k, name] for peaks in self.kept], axis=-1)
 
     def close(self) -> None:
         """Remove the files."""
-        for spill in self.spills.values():
-            spill.close()
+        for file in self.files.values():
+            file.close()
 
 
 def largest(values) -> np.ndarray:

@@ -9,7 +9,7 @@ Each function takes an array and returns a new one; the same goes for every chan
 their ratios stay what they were.
 """
 
-from pymc_features.signals.channels import ChannelWarning, sampling_step
+from pymc_features.signals.channels import sampling_step
 from pymc_features.signals.check import check_channels
 from pymc_features.signals.decimate import decimate
 from pymc_features.signals.detrend import detrend
@@ -18,7 +18,6 @@ from pymc_features.signals.quasi_static import low_frequency_gains
 from pymc_features.signals.trim import trim
 
 __all__ = [
-    "ChannelWarning",
     "band_pass",
     "check_channels",
     "decimate",

@@ -7,12 +7,9 @@ import numpy as np
 import xarray as xr
 
 from pymc_features._checks import check_finite, is_number
+from pymc_features.exceptions import ChannelWarning
 
 _PACKAGE = os.path.dirname(os.path.dirname(__file__))
-
-
-class ChannelWarning(UserWarning):
-    """Measured channels can be used, but something about them is suspicious."""
 
 
 def warn_channel(message: str) -> None:

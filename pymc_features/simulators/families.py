@@ -7,12 +7,12 @@ response                -                                   the history (s, u)
 discrepancy             data (s, u)                         mean squares (s,) of the misfit, Eq. (3)
 misfit                  data                                its statistics (s, 4), see `chain_misfit`
 response_gradient       cotangent W (s, u)                  gradient of sum W y by each parameter
-discrepancy_gradient    data, weights c (s,)                gradient of sum c_j e_j by each parameter
+misfit_gradient         data, weights c (s, 1) or (s, 4)    gradient of sum c_jq times those statistics
 response_tangent        tuple of a direction of each         derivative (s, u) along it
 discrepancy_tangent     data, tuple of directions           derivative (s,) along it
 population_discrepancy  data                                (p, s), with parameters (p, ...) or (1, ...)
 population_misfit       data                                (p, s, 4)
-population_gradient     data, weights (p, s)                gradients in the shapes of the parameters
+population_gradient     data, weights (p, s, 1) or (.., 4)  gradients in the shapes of the parameters
 
 What describes no structure gives NaN, in its own rows. A new family is one entry here.
 """
@@ -23,20 +23,21 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from pymc_features.simulators.chain.discrepancy import chain_discrepancy, chain_misfit
 from pymc_features.simulators.chain.gradient import (
-    discrepancy_gradient,
+    discrepancy_tangent,
+    misfit_gradient,
     population_gradient,
     response_gradient,
+    response_tangent,
 )
 from pymc_features.simulators.chain.parameters import ChainParameters
 from pymc_features.simulators.chain.population import population_discrepancy, population_misfit
-from pymc_features.simulators.chain.tangent import discrepancy_tangent, response_tangent
+from pymc_features.simulators.chain.response import chain_discrepancy, chain_misfit, chain_response
 from pymc_features.simulators.linear import (
     linear_discrepancy,
-    linear_discrepancy_gradient,
     linear_discrepancy_tangent,
     linear_misfit,
+    linear_misfit_gradient,
     linear_population_discrepancy,
     linear_population_gradient,
     linear_population_misfit,
@@ -47,9 +48,9 @@ from pymc_features.simulators.linear import (
 from pymc_features.simulators.linear.arguments import LinearParameters
 from pymc_features.simulators.nonlinear.bouc_wen import BoucWen
 from pymc_features.simulators.nonlinear.duffing import Cubic
-from pymc_features.simulators.nonlinear.kernels import NonlinearParameters, nonlinear_kernels
+from pymc_features.simulators.nonlinear.kernels import nonlinear_kernels
+from pymc_features.simulators.nonlinear.parameters import NonlinearParameters
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs
-from pymc_features.simulators.oscillators.recursion import chain_response
 
 
 class Family(NamedTuple):
@@ -148,7 +149,7 @@ FAMILIES = {
             "discrepancy": chain_discrepancy,
             "misfit": chain_misfit,
             "response_gradient": response_gradient,
-            "discrepancy_gradient": discrepancy_gradient,
+            "misfit_gradient": misfit_gradient,
             "response_tangent": response_tangent,
             "discrepancy_tangent": discrepancy_tangent,
             "population_discrepancy": population_discrepancy,
@@ -165,7 +166,7 @@ FAMILIES = {
             "discrepancy": linear_discrepancy,
             "misfit": linear_misfit,
             "response_gradient": linear_response_gradient,
-            "discrepancy_gradient": linear_discrepancy_gradient,
+            "misfit_gradient": linear_misfit_gradient,
             "response_tangent": linear_response_tangent,
             "discrepancy_tangent": linear_discrepancy_tangent,
             "population_discrepancy": linear_population_discrepancy,

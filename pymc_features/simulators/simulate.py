@@ -2,25 +2,32 @@
 
 from collections.abc import Sequence
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
+from scipy import sparse
 
 from pymc_features.records import DynamicLoad
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.linear.response import response_in_modes
 from pymc_features.simulators.quantities import HISTORIES, at_outputs, checked_request, force_share, rows_of
 
+if TYPE_CHECKING:
+    from pymc_features.records import Loading, Record
+    from pymc_features.structures import Structure
+
 
 def simulate(
-    structure,
-    record,
+    structure: "Structure",
+    record: "Record | Loading",
     *,
     dt: float | None = None,
     sensors: Sequence[int] | None = None,
     quantity: str = "absolute_acceleration",
     n_modes: int | None = None,
-    outputs=None,
+    outputs: ArrayLike | sparse.sparray | None = None,
 ) -> xr.DataArray:
     """Response history of a structure to a ground acceleration, Eqs. (17)-(24), or to other loads.
 

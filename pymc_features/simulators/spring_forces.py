@@ -1,15 +1,22 @@
 """What the springs of a nonlinear chain do, and how accurate its integration is."""
 
+from typing import TYPE_CHECKING
+
 import xarray as xr
 
 from pymc_features.simulators.families import NONLINEAR
-from pymc_features.simulators.nonlinear.response import DRIFT, MEMORY, SPRING_FORCE, nonlinear_histories
+from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
+from pymc_features.simulators.nonlinear.response import DRIFT, INTERNAL_VARIABLE, SPRING_FORCE
 from pymc_features.simulators.oscillators.arguments import Excitation
 from pymc_features.simulators.request import request
 from pymc_features.simulators.simulate import check_arguments
 
+if TYPE_CHECKING:
+    from pymc_features.records import Record
+    from pymc_features.structures import Structure
 
-def spring_forces(structure, record, *, dt: float | None = None) -> xr.Dataset:
+
+def spring_forces(structure: "Structure", record: "Record", *, dt: float | None = None) -> xr.Dataset:
     """Force and drift histories of the springs of a nonlinear chain: its hysteresis loops.
 
     Parameters
@@ -32,20 +39,23 @@ def spring_forces(structure, record, *, dt: float | None = None) -> xr.Dataset:
     ValueError, TypeError
         If an argument is out of range or the structure is linear.
     """
-    (force, drift, memory), times = _histories(structure, record, [SPRING_FORCE, DRIFT, MEMORY], dt=dt)
+    codes = [SPRING_FORCE, DRIFT, INTERNAL_VARIABLE]
+    (force, drift, z), times = _histories(structure, record, codes, dt=dt)
     axes = ("spring", "time")
     return xr.Dataset(
         {
             "force": (axes, force, {"units": "N"}),
             "drift": (axes, drift, {"units": "m"}),
-            "z": (axes, memory, {"long_name": "internal variable"}),
+            "z": (axes, z, {"long_name": "internal variable"}),
         },
         coords={"spring": range(structure.n_dof), "time": ("time", times, {"units": "s"})},
         attrs={"record": record.name},
     )
 
 
-def integration_error(structure, record, *, quantity: str = "absolute_acceleration") -> float:
+def integration_error(
+    structure: "Structure", record: "Record", *, quantity: str = "absolute_acceleration"
+) -> float:
     """Estimate the largest error of a nonlinear chain's response, over its peak, by step doubling.
 
     Parameters

@@ -6,23 +6,25 @@ import pymc as pm
 import xarray as xr
 from pymc.model import modelcontext
 from pymc.sampling.parallel import ParallelSamplingError
+from pymc.smc.kernels import SMC_KERNEL
+from pymc.util import RandomState
 from pytensor.graph.traversal import ancestors
 
+from pymc_features.exceptions import CheckpointError, ToleranceNotReachedError
 from pymc_features.smc.kernels.base import PopulationKernel
-from pymc_features.smc.kernels.checkpoint import CheckpointError, remembered
-from pymc_features.smc.kernels.levels import ToleranceNotReachedError
+from pymc_features.smc.kernels.checkpoint import remembered
 from pymc_features.smc.kernels.persistent import PersistentSMC
 from pymc_features.smc.results import savable
 
 
 def sample_smc(
     draws: int = 2000,
-    kernel=PersistentSMC,
+    kernel: type[SMC_KERNEL] = PersistentSMC,
     *,
     chains: int | None = None,
     cores: int | None = None,
-    random_seed=None,
-    checkpoint=None,
+    random_seed: RandomState = None,
+    checkpoint: str | os.PathLike | None = None,
     **settings,
 ) -> xr.DataTree:
     """`pm.sample_smc` with `PersistentSMC` by default and a result that saves to netCDF and Zarr.

@@ -1,7 +1,7 @@
 """Structures and their damping. A new structure is one file here and one line below."""
 
 from pymc_features.structures.affine import AffineStructure
-from pymc_features.structures.base import Modes, Structure
+from pymc_features.structures.base import Matrices, Modes, Structure
 from pymc_features.structures.chain import SpringMassChain
 from pymc_features.structures.damping import Damping, ModalDamping, RayleighDamping
 from pymc_features.structures.duffing import DuffingChain
@@ -22,6 +22,7 @@ __all__ = [
     "Input",
     "Kind",
     "LinearStructure",
+    "Matrices",
     "ModalDamping",
     "Modes",
     "RayleighDamping",

@@ -1,15 +1,19 @@
 """Linear structures whose matrices are affine in the parameters."""
 
 import copy
+from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
+from pymc_features.structures.base import Values
+from pymc_features.structures.damping import Damping
 from pymc_features.structures.inputs import MATRICES, vector
 from pymc_features.structures.linear import LinearStructure
-from pymc_features.structures.matrices import as_matrix
+from pymc_features.structures.matrices import MatrixLike, as_matrix
 
 
 class AffineStructure(LinearStructure):
@@ -17,8 +21,8 @@ class AffineStructure(LinearStructure):
 
     Parameters
     ----------
-    mass, damping, stiffness, influence
-        M_0, C_0 (or a `Damping`) and K_0, as in `LinearStructure`.
+    mass, stiffness, damping, influence
+        M_0, K_0 and C_0 (or a `Damping`), as in `LinearStructure`; all but the first by name.
     stiffness_terms, mass_terms, damping_terms : sequence of p matrices or None, optional
         K_i, M_i and C_i, symmetric (C_i: any); None where parameter i does not act. The same theta_i
         multiplies all three. `damping_terms` need a damping matrix.
@@ -32,7 +36,9 @@ class AffineStructure(LinearStructure):
     >>> from pymc_features import RayleighDamping
     >>> lower, upper = np.diag([100.0, 0.0]), 100.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     >>> damping = RayleighDamping(0.1, 0.0)
-    >>> frame = AffineStructure([1.0, 1.0], damping, lower, stiffness_terms=[upper], theta=[1.0])
+    >>> frame = AffineStructure(
+    ...     [1.0, 1.0], stiffness=lower, damping=damping, stiffness_terms=[upper], theta=[1.0]
+    ... )
     >>> frame.with_parameters([0.5]).stiffness
     array([[150., -50.],
            [-50.,  50.]])
@@ -47,15 +53,15 @@ class AffineStructure(LinearStructure):
 
     def __init__(
         self,
-        mass,
-        damping,
-        stiffness,
+        mass: MatrixLike,
         *,
-        stiffness_terms=(),
-        mass_terms=(),
-        damping_terms=(),
-        influence=None,
-        theta=None,
+        stiffness: MatrixLike,
+        damping: Damping | MatrixLike,
+        stiffness_terms: Sequence[MatrixLike | None] = (),
+        mass_terms: Sequence[MatrixLike | None] = (),
+        damping_terms: Sequence[MatrixLike | None] = (),
+        influence: MatrixLike | None = None,
+        theta: Values | None = None,
     ):
         stiffness = as_matrix(stiffness, "stiffness", "N/m")
         given = {
@@ -76,7 +82,7 @@ class AffineStructure(LinearStructure):
             or (None,) * self.n_parameters
             for name, (matrices, unit) in given.items()
         )
-        self._install_constants(mass, damping, stiffness, influence, terms)
+        self._install_constants((mass, stiffness, damping), influence, terms)
         if given["damping_terms"][0] and self._terms[1] is None:
             raise TypeError(
                 f"`damping` must be a matrix to go with `damping_terms`, got {type(damping).__name__}. "
@@ -110,7 +116,7 @@ class AffineStructure(LinearStructure):
             got = f"shape {vector.shape}" if vector.shape != (p,) else "NaN or infinity"
         raise ValueError(f"`theta` must be {p} finite values, one for each parameter, got {got}.")
 
-    def with_parameters(self, theta) -> "AffineStructure":
+    def with_parameters(self, theta: Values) -> Self:
         """Return the structure with other parameters; the constant matrices are shared.
 
         Parameters

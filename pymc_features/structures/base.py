@@ -3,13 +3,19 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pytensor.tensor as pt
+from numpy.typing import ArrayLike
 from pytensor.graph.basic import Variable
+from scipy import sparse
 
-from pymc_features.records import Record
+from pymc_features.records import DynamicLoad, Record
 from pymc_features.structures.inputs import Input
+
+# numbers, what PyTensor computes, or a list of both
+type Values = ArrayLike | Variable | Sequence[float | Variable]
 
 
 class Structure(ABC):
@@ -44,21 +50,21 @@ class Structure(ABC):
     def parameters(self) -> tuple:
         """Return what the response kernels of its family take."""
 
-    def constants(self, record) -> tuple:
+    def constants(self, record: DynamicLoad) -> tuple:
         """Return the arrays its kernels take besides, which are never random, for a record or loading."""
         return ()
 
-    def excitation(self, record) -> np.ndarray:
+    def excitation(self, record: DynamicLoad) -> np.ndarray:
         """Return the ground acceleration (time,) of a record, or the inputs (input, time) of a loading."""
         if not isinstance(record, Record):
             raise TypeError(
                 f"`record` must be a Record for a {type(self).__name__}, got {type(record).__name__}. "
-                "Several supports and forces act on LinearStructure(*structure.matrices())."
+                "Several supports and forces act on LinearStructure(**structure.matrices()._asdict())."
             )
         return record.acceleration
 
     @abstractmethod
-    def matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def matrices(self) -> "Matrices":
         """Return mass [kg], damping [N s/m] and (initial) stiffness [N/m] matrices, each (n, n)."""
 
     @abstractmethod
@@ -66,7 +72,7 @@ class Structure(ABC):
         """Return natural frequencies, mode shapes and damping ratios."""
 
     @abstractmethod
-    def inertia(self) -> np.ndarray:
+    def inertia(self) -> np.ndarray | Variable:
         """Return influence' M (supports, n) [kg]: times the absolute accelerations, the base shear [N]."""
 
     def check_numbers(self) -> None:
@@ -81,6 +87,20 @@ class Structure(ABC):
     def is_symbolic(self) -> bool:
         """Whether a parameter is a PyTensor variable."""
         return any(isinstance(value, Variable) for value in self.parameters())
+
+
+class Matrices(NamedTuple):
+    """Matrices of M x" + C x' + K x, in this order.
+
+    Attributes
+    ----------
+    mass, damping, stiffness : array (n, n), or sparse
+        M [kg], C [N s/m] and (initial) K [N/m]. `LinearStructure` takes them by name: `**matrices._asdict()`.
+    """
+
+    mass: np.ndarray | sparse.csc_array
+    damping: np.ndarray | sparse.csc_array
+    stiffness: np.ndarray | sparse.csc_array
 
 
 @dataclass(frozen=True, eq=False)

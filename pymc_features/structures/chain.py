@@ -48,8 +48,8 @@ class SpringMassChain(Chain):
         symbolic = isinstance(mass, Variable) or isinstance(stiffness, Variable)
         return AffineStructure(
             np.zeros((n, n)),
-            self.damping,
-            np.zeros((n, n)),
+            stiffness=np.zeros((n, n)),
+            damping=self.damping,
             mass_terms=[*(np.diag(unit) for unit in np.eye(n)), *(None,) * n],
             stiffness_terms=[*(None,) * n, *(np.outer(drift, drift) for drift in drifts)],
             theta=pt.concatenate([mass, stiffness]) if symbolic else np.concatenate([mass, stiffness]),

@@ -1,12 +1,14 @@
 """Classical damping: Rayleigh, Eq. (19), or a ratio for each mode."""
 
 from abc import ABC, abstractmethod
+from typing import Self
 
 import numpy as np
 import pytensor.tensor as pt
+from numpy.typing import ArrayLike
 from pytensor.graph.basic import Variable
 
-from pymc_features.structures.base import as_vector, spread, static_length
+from pymc_features.structures.base import Values, as_vector, spread, static_length
 from pymc_features.structures.inputs import Input, scalar, vector
 
 
@@ -42,7 +44,7 @@ class RayleighDamping(Damping):
 
     inputs = {"alpha": scalar("1/s"), "beta": scalar("s")}
 
-    def __init__(self, alpha, beta):
+    def __init__(self, alpha: float | Variable, beta: float | Variable):
         self.alpha = _scalar(alpha, "alpha", "1/s")
         self.beta = _scalar(beta, "beta", "s")
 
@@ -50,7 +52,7 @@ class RayleighDamping(Damping):
         return f"RayleighDamping(alpha={self.alpha}, beta={self.beta})"
 
     @classmethod
-    def from_ratios(cls, ratios, natural_frequencies) -> "RayleighDamping":
+    def from_ratios(cls, ratios: ArrayLike, natural_frequencies: ArrayLike) -> Self:
         """Rayleigh damping with given ratios at two frequencies.
 
         Solves zeta_i = alpha / (2 omega_i) + beta omega_i / 2 (Chopra, Dynamics of Structures, sec. 11.4).
@@ -85,7 +87,7 @@ class RayleighDamping(Damping):
             )
         return cls(max(float(alpha), 0.0), max(float(beta), 0.0))
 
-    def coefficients(self, n):
+    def coefficients(self, n: int) -> tuple:
         if isinstance(self.alpha, Variable) or isinstance(self.beta, Variable):
             pair = pt.stack([pt.as_tensor_variable(c, dtype="float64") for c in (self.alpha, self.beta)])
         else:
@@ -104,13 +106,13 @@ class ModalDamping(Damping):
 
     inputs = {"ratios": vector("-")}
 
-    def __init__(self, ratios):
+    def __init__(self, ratios: Values):
         self.ratios = as_vector(ratios, "ratios", "fractions of critical damping", allow_zero=True)
 
     def __repr__(self):
         return f"ModalDamping({self.ratios})"
 
-    def coefficients(self, n):
+    def coefficients(self, n: int) -> tuple:
         length = static_length(self.ratios)
         if length not in (None, n):
             raise ValueError(f"`ratios` must have one value or one for each of the {n} modes, got {length}.")

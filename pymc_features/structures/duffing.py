@@ -1,5 +1,7 @@
 """The chain with springs that harden with the cube of their drift."""
 
+from pymc_features.structures.base import Values
+from pymc_features.structures.damping import Damping
 from pymc_features.structures.inputs import vector
 from pymc_features.structures.masses_and_springs import Chain
 
@@ -37,9 +39,9 @@ class DuffingChain(Chain):
     is_linear = False
     inputs = Chain.inputs | {"cubic": vector("N/m^3")}
 
-    def __init__(self, mass, stiffness, damping, cubic):
+    def __init__(self, mass: Values, stiffness: Values, damping: Damping, cubic: Values):
         super().__init__(mass, stiffness, damping)
         self.cubic = self.spring_vector(cubic, "cubic", "N/m^3", allow_zero=True)
 
-    def parameters(self):
+    def parameters(self) -> tuple:
         return *self.linear_parameters(), self.spring_table(self.cubic)

@@ -3,6 +3,8 @@
 import numpy as np
 from pytensor.graph.basic import Variable
 
+from pymc_features.structures.base import Values
+from pymc_features.structures.damping import Damping
 from pymc_features.structures.inputs import vector
 from pymc_features.structures.masses_and_springs import Chain
 
@@ -73,15 +75,15 @@ class HystereticChain(Chain):
 
     def __init__(
         self,
-        mass,
-        stiffness,
-        damping,
+        mass: Values,
+        stiffness: Values,
+        damping: Damping,
         *,
-        yield_displacement,
-        post_yield_ratio,
-        sharpness=2.0,
-        beta=0.5,
-        gamma=0.5,
+        yield_displacement: Values,
+        post_yield_ratio: Values,
+        sharpness: Values = 2.0,
+        beta: Values = 0.5,
+        gamma: Values = 0.5,
     ):
         super().__init__(mass, stiffness, damping)
         self.yield_displacement = self.spring_vector(yield_displacement, "yield_displacement", "m")
@@ -112,7 +114,7 @@ class HystereticChain(Chain):
                 "Loops would produce energy; in this notation `beta` goes with sign(d' z)."
             )
 
-    def parameters(self):
+    def parameters(self) -> tuple:
         rows = (self.yield_displacement, self.post_yield_ratio, self.sharpness, self.beta, self.gamma)
         return *self.linear_parameters(), self.spring_table(*rows)
 

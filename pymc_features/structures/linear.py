@@ -6,10 +6,12 @@ from scipy import sparse
 
 from pymc_features._checks import check_finite, check_integer
 from pymc_features.algebra import AffineMatrix, common_pattern, natural_modes, to_dense
-from pymc_features.structures.base import Modes, Structure, static_length
+from pymc_features.records import DynamicLoad
+from pymc_features.structures.base import Matrices, Modes, Structure, static_length
 from pymc_features.structures.damping import Damping
 from pymc_features.structures.inputs import DAMPING_OR_MATRIX, MATRIX
 from pymc_features.structures.matrices import (
+    MatrixLike,
     as_matrix,
     check_connected,
     check_damping,
@@ -25,13 +27,14 @@ class LinearStructure(Structure):
     ----------
     mass : array_like (n, n) or (n,), or sparse matrix
         M [kg], symmetric and positive definite; a vector is a diagonal.
+    stiffness : array_like (n, n) or (n,), or sparse matrix
+        K [N/m], symmetric and positive semi-definite: structures that move as rigid bodies are allowed,
+        degrees of freedom that nothing touches are not. If it is sparse, so is everything. By name only, like
+        `damping`: the two matrices could be taken for each other.
     damping : Damping, or array_like (n, n), or sparse matrix
         `RayleighDamping`, `ModalDamping` (one ratio, or one for each mode, of which there may be fewer
         than n if no more are kept), or C [N s/m], which need not be diagonalised by the modes. Its
         symmetric part must be positive semi-definite; a skew part (gyroscopic forces) is allowed.
-    stiffness : array_like (n, n) or (n,), or sparse matrix
-        K [N/m], symmetric and positive semi-definite: structures that move as rigid bodies are allowed,
-        degrees of freedom that nothing touches are not. If it is sparse, so is everything.
     influence : array_like (n,) or (n, supports), optional
         Displacement of each degree of freedom under a unit displacement of the base or of each support [-],
         ones by default. With several supports, influence = -inv(K) K_support, and "relative" quantities are
@@ -50,7 +53,8 @@ class LinearStructure(Structure):
     Examples
     --------
     >>> from pymc_features import ModalDamping
-    >>> frame = LinearStructure([2.0, 2.0], ModalDamping(0.02), [[300.0, -100.0], [-100.0, 300.0]])
+    >>> stiffness = [[300.0, -100.0], [-100.0, 300.0]]
+    >>> frame = LinearStructure([2.0, 2.0], stiffness=stiffness, damping=ModalDamping(0.02))
     >>> frame.modes().angular_frequencies.round(6)  # sqrt(200 / 2), sqrt(400 / 2)
     array([10.      , 14.142136])
     """
@@ -63,13 +67,21 @@ class LinearStructure(Structure):
         "influence": MATRIX,
     }
 
-    def __init__(self, mass, damping, stiffness, *, influence=None):
+    def __init__(
+        self,
+        mass: MatrixLike,
+        *,
+        stiffness: MatrixLike,
+        damping: Damping | MatrixLike,
+        influence: MatrixLike | None = None,
+    ):
         stiffness = as_matrix(stiffness, "stiffness", "N/m")
-        self._install_constants(mass, damping, stiffness, influence, ((), (), ()))
+        self._install_constants((mass, stiffness, damping), influence, ((), (), ()))
         self._install(np.zeros(0))
 
-    def _install_constants(self, mass, damping, stiffness, influence, terms):
-        """Keep what does not depend on the coefficients: A_0 and A_i of M, C and K."""
+    def _install_constants(self, matrices, influence, terms):
+        """Keep what does not depend on the coefficients: A_0 of M, K and C, and A_i of M, C and K."""
+        mass, stiffness, damping = matrices
         n = stiffness.shape[0]
         mass = as_matrix(mass, "mass", "kg", n=n, thin=sparse.issparse(stiffness))
         constants = [mass, None, stiffness]
@@ -122,7 +134,7 @@ class LinearStructure(Structure):
         return f"{type(self).__name__}({self.n_dof} degrees of freedom, {kind}, {damping})"
 
     @property
-    def n_dof(self):
+    def n_dof(self) -> int:
         return self._terms[2].shape[0]
 
     @property
@@ -130,14 +142,14 @@ class LinearStructure(Structure):
         """Number of base accelerations it takes."""
         return 1 if self.influence.ndim == 1 else self.influence.shape[1]
 
-    def parameters(self):
+    def parameters(self) -> tuple:
         """Coefficients theta (p,), Rayleigh pair (2,) and damping ratios; zeros beside a damping matrix."""
         rayleigh, ratios = np.zeros(2), np.zeros(self.n_dof)
         if isinstance(self.damping, Damping):
             rayleigh, ratios = self._coefficients()
         return self.theta, rayleigh, ratios
 
-    def constants(self, record):
+    def constants(self, record: DynamicLoad) -> tuple:
         """Matrices and load, M x" + C x' + K x = -M influence a(t) + forces a(t), for `excitation(record)`.
 
         Returns
@@ -159,7 +171,7 @@ class LinearStructure(Structure):
             forces = np.zeros(influence.shape)
         return *stacks, self._terms[2].rows, self._terms[2].starts, influence, forces
 
-    def excitation(self, record):
+    def excitation(self, record: DynamicLoad) -> np.ndarray:
         """Support accelerations [m/s^2] or forces [N], array (d, t)."""
         if not record.is_force and record.n_inputs != self.n_supports:
             raise ValueError(
@@ -182,16 +194,16 @@ class LinearStructure(Structure):
         return self._matrices
 
     @property
-    def mass(self):
+    def mass(self) -> np.ndarray | sparse.csc_array:
         """M [kg], array or `csc_array` (n, n)."""
         return self._numbers()[0]
 
     @property
-    def stiffness(self):
+    def stiffness(self) -> np.ndarray | sparse.csc_array:
         """K [N/m], array or `csc_array` (n, n)."""
         return self._numbers()[2]
 
-    def inertia(self):
+    def inertia(self) -> np.ndarray | Variable:
         """Return influence' M (supports, n) [kg], the masses that the motion of each support moves."""
         static = self.influence.reshape(self.n_dof, -1)
         moved, *more = ((mass @ static).T for mass in self._terms[0].matrices())
@@ -199,7 +211,7 @@ class LinearStructure(Structure):
             moved = moved + self.theta[i] * part
         return moved
 
-    def matrices(self):
+    def matrices(self) -> Matrices:
         """Return M [kg], C [N s/m] and K [N/m], arrays (n, n), or sparse if K was given so.
 
         Of `ModalDamping` C is dense and needs all modes.
@@ -212,7 +224,7 @@ class LinearStructure(Structure):
                 omega, shapes = self._natural(self.n_dof)
                 moved = mass @ shapes
                 damping = to_dense(damping) + moved * (2.0 * ratios * omega) @ moved.T
-        return mass, damping, stiffness
+        return Matrices(mass, damping, stiffness)
 
     def _natural(self, n_modes):
         if n_modes not in self._modes:

@@ -1,13 +1,15 @@
 """What all chains share: masses in a row, springs between them, and the linear chain of Eqs. (17)-(19)."""
 
 import copy
+from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 from scipy.linalg import eigh_tridiagonal
 
-from pymc_features.structures.base import Modes, Structure, as_vector, spread, static_length
+from pymc_features.structures.base import Matrices, Modes, Structure, Values, as_vector, spread, static_length
 from pymc_features.structures.damping import Damping
 from pymc_features.structures.inputs import DAMPING, vector
 
@@ -22,7 +24,7 @@ class Chain(Structure):
     has_storeys = True
     inputs = {"mass": vector("kg"), "stiffness": vector("N/m"), "damping": DAMPING}
 
-    def __init__(self, mass, stiffness, damping):
+    def __init__(self, mass: Values, stiffness: Values, damping: Damping):
         self.mass = as_vector(mass, "mass", "kg")
         self.stiffness = as_vector(stiffness, "stiffness", "N/m")
         if not isinstance(damping, Damping):
@@ -49,10 +51,10 @@ class Chain(Structure):
         return f"{type(self).__name__}({self.n_dof} masses, {self.damping!r})"
 
     @property
-    def n_dof(self):
+    def n_dof(self) -> int:
         return self._n_dof
 
-    def parameters(self):
+    def parameters(self) -> tuple:
         return self.linear_parameters()
 
     def linear_parameters(self) -> tuple:
@@ -60,7 +62,9 @@ class Chain(Structure):
         rayleigh, ratios = self.damping.coefficients(self.n_dof)
         return spread(self.mass, self.n_dof), spread(self.stiffness, self.n_dof), rayleigh, ratios
 
-    def spring_vector(self, value, name, unit, *, allow_zero=False):
+    def spring_vector(
+        self, value: Values, name: str, unit: str, *, allow_zero: bool = False
+    ) -> np.ndarray | Variable:
         """Return a checked parameter of the springs: one value or one for each of them."""
         vector = as_vector(value, name, unit, allow_zero=allow_zero)
         if static_length(vector) not in (None, self.n_dof):
@@ -70,12 +74,12 @@ class Chain(Structure):
             )
         return vector
 
-    def spring_table(self, *rows):
+    def spring_table(self, *rows: np.ndarray | Variable) -> np.ndarray | Variable:
         """Stack parameters of the springs, (rows, n)."""
         rows = [spread(row, self.n_dof) for row in rows]
         return pt.stack(rows) if any(isinstance(row, Variable) for row in rows) else np.stack(rows)
 
-    def scale_stiffness(self, factor, springs) -> "Chain":
+    def scale_stiffness(self, factor: Values, springs: int | Sequence[int]) -> Self:
         """Return a chain with the chosen springs multiplied by `factor`.
 
         Parameters
@@ -116,11 +120,11 @@ class Chain(Structure):
         self.check_numbers()
         return self.linear_parameters()
 
-    def inertia(self):
+    def inertia(self) -> np.ndarray | Variable:
         """Return the masses (1, n) [kg]: the influence of the base is one on every mass."""
         return self.linear_parameters()[0][None]
 
-    def matrices(self):
+    def matrices(self) -> Matrices:
         """Return M [kg], C [N s/m] and initial K [N/m], Eqs. (17)-(19), each an array (n, n)."""
         mass, stiffness, rayleigh, ratios = self._numbers()
         matrix_m = np.diag(mass)
@@ -132,9 +136,9 @@ class Chain(Structure):
             modes = self.modes()
             shapes = matrix_m @ modes.mode_shapes
             matrix_c = matrix_c + shapes * (2.0 * ratios * modes.angular_frequencies) @ shapes.T
-        return matrix_m, matrix_c, matrix_k
+        return Matrices(matrix_m, matrix_c, matrix_k)
 
-    def modes(self):
+    def modes(self) -> Modes:
         """Natural frequencies, shapes, participation factors and damping ratios, see `Modes`.
 
         The eigenvalues are refined by Rayleigh quotients written as sums of spring energies; those

@@ -1,11 +1,14 @@
 """The constant matrices of a linear structure, dense or sparse, checked one by one and together."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.linalg import eigh
 
 from pymc_features._checks import message
 from pymc_features.algebra import is_definite, shifted_factor, spectral_shift
+
+type MatrixLike = ArrayLike | sparse.sparray | sparse.spmatrix
 
 SYMMETRY = 1e-10  # largest difference between A and A' over the largest entry that counts as rounding
 

@@ -7,6 +7,7 @@ drift 5.8 times as far at the base.
 """
 
 import numpy as np
+from pytensor.graph.basic import Variable
 
 from pymc_features.structures import HystereticChain
 from pymc_features.study import paper
@@ -16,7 +17,7 @@ POST_YIELD_RATIO = 0.1
 SHARPNESS = 2.0  # of the transition; with beta = gamma = 1/2 springs unload at the initial stiffness
 
 
-def chain(theta=1.0, *, stiffness: float = paper.STIFFNESS) -> HystereticChain:
+def chain(theta: float | Variable = 1.0, *, stiffness: float = paper.STIFFNESS) -> HystereticChain:
     """Ten masses of 1 kg on Bouc-Wen springs, the first three of them scaled by `theta`.
 
     Parameters

@@ -59,8 +59,8 @@ def agreement_rows(result: xr.DataTree) -> list[list]:
     rows = []
     for j, multiplier in enumerate(summary["multiplier"].values):
         draws = result[f"ABC/x{multiplier:g}/posterior"]["theta"].values
-        delta, ends = summary["tolerance"][j], summary["tolerance_interval"].values[j]
-        numbers = multiplier, delta, *ends, draws.min(), draws.max(), *sampled[j], *exact[j]
+        epsilon, ends = summary["epsilon"][j], summary["epsilon_interval"].values[j]
+        numbers = multiplier, epsilon, *ends, draws.min(), draws.max(), *sampled[j], *exact[j]
         rows.append([*map(float, numbers), *(float(ratio[j]) for ratio in beside)])
     return rows
 

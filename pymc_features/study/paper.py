@@ -4,13 +4,17 @@ Its printed spring stiffness, 1000 N/m, contradicts its printed frequencies (1.0
 coefficients (2 % in modes 1 and 5), which follow from 1800 N/m; that is the default here.
 """
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import xarray as xr
+from pymc.util import RandomSeed
+from pytensor.graph.basic import Variable
 
 from pymc_features._checks import check_positive
 from pymc_features.records import Record
 from pymc_features.simulators import simulate
-from pymc_features.structures import RayleighDamping, SpringMassChain
+from pymc_features.structures import RayleighDamping, SpringMassChain, Structure
 
 N_STOREYS = 10
 MASS = 1.0  # kg
@@ -26,7 +30,7 @@ CORRELATION_TIME = 0.05  # of the errors, where it is taken for known [s]
 TAU_RANGE = (1e-4, 0.1)  # prior of the correlation time elsewhere, uniform in its logarithm [s]
 
 
-def chain(theta=1.0, *, stiffness: float = STIFFNESS) -> SpringMassChain:
+def chain(theta: float | Variable = 1.0, *, stiffness: float = STIFFNESS) -> SpringMassChain:
     """Ten masses of 1 kg on springs of which the first three are scaled by `theta`.
 
     Parameters
@@ -51,9 +55,9 @@ def measurements(
     theta: float = 1.0,
     stiffness: float = STIFFNESS,
     noise: float = NOISE,
-    seed: int = 0,
-    multipliers=MULTIPLIERS,
-    structure=chain,
+    random_seed: RandomSeed = None,
+    multipliers: Sequence[float] = MULTIPLIERS,
+    structure: Callable[..., Structure] = chain,
 ) -> xr.DataArray:
     """Floor accelerations at the finest sampling step, with noise added once.
 
@@ -65,8 +69,8 @@ def measurements(
         The true structure.
     noise : float
         Standard deviation of the white Gaussian noise over the root mean square of each channel [-].
-    seed : int
-        Of the noise.
+    random_seed : int, optional
+        Of the noise; for the same each time.
     multipliers : sequence of float
         Sampling steps over the record's; the smallest is the finest step.
     structure : callable
@@ -79,7 +83,7 @@ def measurements(
     """
     exact = simulate(structure(theta, stiffness=stiffness), record, dt=min(multipliers) * record.dt)
     scale = noise_scale(exact, noise)[:, None]
-    return exact + scale * np.random.default_rng(seed).standard_normal(exact.shape)
+    return exact + scale * np.random.default_rng(random_seed).standard_normal(exact.shape)
 
 
 def noise_scale(exact: xr.DataArray, noise: float = NOISE) -> np.ndarray:

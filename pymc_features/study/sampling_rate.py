@@ -1,13 +1,18 @@
 """The source's study: posteriors of the same data at seven sampling steps (Figs. 2-4)."""
 
+import json
 import time
 import warnings
 from collections.abc import Callable, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TypedDict, Unpack
 
 import pymc as pm
 import xarray as xr
 
-from pymc_features.distributions import FeatureLikelihoodWarning
+from pymc_features.exceptions import FeatureLikelihoodWarning
+from pymc_features.keywords import check_keywords
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.likelihoods.free import exact_tolerance
 from pymc_features.records import Record
@@ -16,25 +21,30 @@ from pymc_features.storage import PartStore
 from pymc_features.study import paper
 from pymc_features.study.models import declare, set_measurements
 from pymc_features.study.settings import Study
-from pymc_features.study.structures import DEFAULT
+from pymc_features.study.structures import DEFAULT, StudyStructure
 from pymc_features.study.summary import assemble
+
+
+class SamplingOptions(TypedDict, total=False):
+    """Arguments of `sample_smc` that hold for every part of the study."""
+
+    draws: int | None
+    chains: int | None
+    cores: int | None
+    progressbar: bool
 
 
 def sampling_rate_study(
     record: Record,
     *,
-    structure: str = DEFAULT,
-    stiffness: float = paper.STIFFNESS,
+    structure: str | StudyStructure = DEFAULT,
     noise: float = paper.NOISE,
     multipliers: Sequence[float] = paper.MULTIPLIERS,
     likelihoods: Sequence[str] | None = None,
-    draws: int | None = None,
-    chains: int | None = None,
-    cores: int | None = None,
-    random_seed: int = 0,
-    out=None,
+    random_seed: int | None = None,
+    out: str | PathLike | None = None,
     progress: Callable[[str, int, int], None] | None = None,
-    progressbar: bool = True,
+    **kwargs: Unpack[SamplingOptions],
 ) -> xr.DataTree:
     """Posterior of theta and sigma at several sampling steps, sampled and exact.
 
@@ -47,10 +57,9 @@ def sampling_rate_study(
     ----------
     record : Record
         Ground acceleration.
-    structure : {"linear", "bouc-wen"}
-        The chain of the source, or the same with springs that yield (study/bouc_wen.py).
-    stiffness : float
-        Nominal (initial) spring stiffness [N/m], positive.
+    structure : {"linear", "bouc-wen"} or StudyStructure
+        The chain of the source, or the same with springs that yield (study/bouc_wen.py); with another nominal
+        stiffness of the springs, `study.find_structure("linear", stiffness=1000.0)`.
     noise : float
         Standard deviation of the noise over the root mean square of each channel [-], positive.
     multipliers : sequence of float
@@ -59,37 +68,43 @@ def sampling_rate_study(
         The tolerance of ABC follows from the exact posterior of EXP, Eq. (16). CN is `CorrelatedNormal` with
         correlation time and sigma known, CN-SIGMA with sigma inferred, CN-TAU with both inferred. By default
         all seven of the linear chain, the first four of the other.
-    draws, chains, cores : int
-        Of `sample_smc`, with `SubsetSimulation` for ABC and `PersistentSMC` otherwise; by default four chains
-        of 2000 draws of the linear chain, two of 1000 of the other, whose response takes longer, and all
-        processors.
-    random_seed : int
-        Of noise and samplers.
+    random_seed : int, optional
+        Of noise and samplers; by default another one each time, or that of the study in `out`.
     out : path, optional
         Folder in which each finished part is kept at once; a second call with the same settings
         continues. In memory only by default.
     progress : callable (str, int, int), optional
         Called with the name of the part in work, the number finished, and the number in all.
-    progressbar : bool
-        Whether each part shows PyMC's own progress bar.
+    **kwargs
+        `draws`, `chains`, `cores` and `progressbar` of `sample_smc`, which samples ABC with
+        `SubsetSimulation` and the others with `PersistentSMC`. By default four chains of 2000 draws of the
+        linear chain, two of 1000 of the other, whose response takes longer.
 
     Returns
     -------
     DataTree
         `/summary`: maximum, 5, 50 and 95 % quantiles, `sampled` and `exact` by quadrature, both
-        (likelihood, multiplier, parameter, statistic); `r_hat`, `ess_bulk`, `seconds`, `log_evidence`;
-        `tolerance` of ABC and the ends of the exact `tolerance_interval`. `/<likelihood>/x<multiplier>`:
-        posterior and sampler statistics. `/data`: record and finest measurements. `/loops`, of springs that
-        can yield: their force and drift (spring, time) at the true theta, and where they yield. Saves with
-        `to_netcdf`.
+        (likelihood, multiplier, parameter, statistic); `r_hat`, `ess_bulk`, `seconds`, `log_evidence`; the
+        tolerance `epsilon` of ABC and the ends of the exact `epsilon_interval`.
+        `/<likelihood>/x<multiplier>`: posterior and sampler statistics. `/data`: record and finest
+        measurements. `/loops`, of springs that can yield: their force and drift (spring, time) at the true
+        theta, and where they yield. Saves with `to_netcdf`.
 
     Raises
     ------
     ValueError
         If a setting is out of range, or `out` holds another study.
     """
+    check_keywords(kwargs, SamplingOptions.__annotations__, "sampling_rate_study")
+    cores, progressbar = kwargs.pop("cores", None), kwargs.pop("progressbar", True)
     study = Study(
-        record, structure, stiffness, noise, multipliers, likelihoods, draws, chains, seed=random_seed
+        record,
+        structure=structure,
+        noise=noise,
+        multipliers=multipliers,
+        likelihoods=likelihoods,
+        random_seed=seed_in(out) if random_seed is None else random_seed,
+        **kwargs,
     )
     store = PartStore(out, study.settings())
     names = [(kind, m) for m in study.multipliers for kind in study.likelihoods]
@@ -109,6 +124,12 @@ def sampling_rate_study(
     if progress is not None:
         progress("exact posteriors", len(names), len(names))
     return assemble(study, parts)
+
+
+def seed_in(out) -> int | None:
+    """The seed of the study that a folder holds, if it holds one."""
+    path = None if out is None else Path(out) / "study.json"
+    return json.loads(path.read_text()).get("random_seed") if path is not None and path.exists() else None
 
 
 def part_name(kind: str, multiplier: float) -> str:
@@ -149,5 +170,5 @@ def run_part(study, kind, multiplier, tolerance, models, cores, progressbar) -> 
     )
     part.attrs = {"seconds": time.perf_counter() - start}
     if tolerance is not None:
-        part.attrs["tolerance"] = tolerance
+        part.attrs["epsilon"] = tolerance
     return part

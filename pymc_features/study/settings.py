@@ -26,33 +26,35 @@ class Study:
     """Settings of a study, checked; see `sampling_rate_study`. None stands for the structure's default."""
 
     record: Record
-    structure: str = DEFAULT
-    stiffness: float = paper.STIFFNESS
+    structure: str | StudyStructure = DEFAULT
     noise: float = paper.NOISE
     multipliers: Sequence[float] = paper.MULTIPLIERS
     likelihoods: Sequence[str] | None = None
     draws: int | None = None
     chains: int | None = None
-    seed: int = 0
+    random_seed: int | None = None
     steps: dict[float, Step] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self):
         if not isinstance(self.record, Record):
             raise TypeError(f"`record` must be a Record, got {type(self.record).__name__}.")
+        if not isinstance(self.structure, StudyStructure):
+            self._set("structure", find_structure(self.structure))
         for name in ("likelihoods", "draws", "chains"):
             if getattr(self, name) is None:
-                self._set(name, getattr(self.described, name))
+                self._set(name, getattr(self.structure, name))
+        if self.random_seed is None:
+            self._set("random_seed", int(np.random.SeedSequence().generate_state(1)[0]))
         unknown = [kind for kind in self.likelihoods if kind not in WITH_REFERENCE]
         if unknown or not self.likelihoods:
             raise ValueError(
                 f"`likelihoods` must be among {', '.join(WITH_REFERENCE)}, got {self.likelihoods}."
             )
         self._set("likelihoods", tuple(kind for kind in WITH_REFERENCE if kind in self.likelihoods))
-        self._set("stiffness", float(self.stiffness))
         self._set("noise", check_positive(self.noise, "noise", WITHOUT_NOISE))
         self._set("draws", check_integer(self.draws, "draws", least=50))
         self._set("chains", check_integer(self.chains, "chains"))
-        self._set("seed", check_integer(self.seed, "random_seed", least=0))
+        self._set("random_seed", check_integer(self.random_seed, "random_seed", least=0))
         self._set("multipliers", tuple(sorted({float(m) for m in self.multipliers})))
         if not self.multipliers:
             raise ValueError("`multipliers` must name at least one sampling step, got none.")
@@ -66,11 +68,11 @@ class Study:
         """Measurements at the smallest step (sensor, time) [m/s^2]."""
         return paper.measurements(
             self.record,
-            stiffness=self.stiffness,
+            stiffness=self.structure.stiffness,
             noise=self.noise,
-            seed=self.seed,
+            random_seed=self.random_seed,
             multipliers=self.multipliers,
-            structure=self.described.chain,
+            structure=self.structure.chain,
         )
 
     def settings(self) -> dict:
@@ -79,25 +81,21 @@ class Study:
             "record": self.record.name,
             "record_sha256": fingerprint(self.record.acceleration),
             "record_dt": self.record.dt,
-            "stiffness": self.stiffness,
+            "stiffness": self.structure.stiffness,
             "noise": self.noise,
             "multipliers": list(self.multipliers),
             "likelihoods": list(self.likelihoods),
             "draws": self.draws,
             "chains": self.chains,
-            "seed": self.seed,
+            "random_seed": self.random_seed,
         }
         # folders of the linear chain are older than the choice
-        return settings if self.structure == DEFAULT else {"structure": self.structure} | settings
-
-    @property
-    def described(self) -> StudyStructure:
-        """The entry of the catalogue."""
-        return find_structure(self.structure)
+        name = self.structure.name
+        return settings if name == DEFAULT else {"structure": name} | settings
 
     def at(self, theta=1.0) -> Structure:
         """The structure with this factor, by default the true one."""
-        return self.described.chain(theta, stiffness=self.stiffness)
+        return self.structure.at(theta)
 
     def data(self, multiplier: float) -> xr.DataArray:
         """Measurements at one sampling step, decimated from the finest history."""
@@ -138,7 +136,7 @@ class Study:
 
     def part_seed(self, likelihood: str) -> int:
         """Seed of one part: the same at all sampling steps, which then differ by their data."""
-        key = [self.seed, list(LIKELIHOODS).index(likelihood)]
+        key = [self.random_seed, list(LIKELIHOODS).index(likelihood)]
         return int(np.random.SeedSequence(key).generate_state(1)[0])
 
 
@@ -146,7 +144,7 @@ def check_measurements(study: Study):
     """Refuse a response that failed, and sampling steps that leave too little of it."""
     if not np.isfinite(study.finest).all():
         raise ValueError(
-            f"`record` must give the {study.described.title} a finite response, got NaN. Check its units."
+            f"`record` must give the {study.structure.title} a finite response, got NaN. Check its units."
         )
     for multiplier in study.multipliers:
         if study.data(multiplier).sizes["time"] < 10:

@@ -1,7 +1,7 @@
 """The structures of the study. A new one is one file with its chain, and one entry here."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pymc_features.likelihoods import WITH_REFERENCE
 from pymc_features.structures import Structure
@@ -17,10 +17,12 @@ class StudyStructure:
 
     Attributes
     ----------
+    name : str
+        By which it is asked for.
     title : str
         For figures and messages.
     chain : callable
-        (theta, *, stiffness) -> structure; theta is a number or a random variable.
+        ``(theta, *, stiffness)`` -> structure; theta is a number or a random variable.
     likelihoods : tuple of str
         Those compared by default.
     draws, chains : int
@@ -29,8 +31,11 @@ class StudyStructure:
         How much of a record after its peak is enough for a first look, where a response is costly [s].
     quick : dict
         Settings for a first look.
+    stiffness : float
+        Nominal (initial) spring stiffness [N/m], positive.
     """
 
+    name: str
     title: str
     chain: Callable[..., Structure]
     likelihoods: tuple[str, ...]
@@ -38,10 +43,16 @@ class StudyStructure:
     chains: int
     quick_seconds: float | None = None
     quick: dict = field(default_factory=lambda: dict(QUICK))
+    stiffness: float = paper.STIFFNESS
+
+    def at(self, theta=1.0) -> Structure:
+        """The structure with this factor, by default the true one."""
+        return self.chain(theta, stiffness=self.stiffness)
 
 
 STRUCTURES = {
     "linear": StudyStructure(
+        "linear",
         "linear chain",
         paper.chain,
         WITH_REFERENCE,
@@ -49,6 +60,7 @@ STRUCTURES = {
         chains=4,
     ),
     "bouc-wen": StudyStructure(
+        "bouc-wen",
         "Bouc-Wen chain",
         bouc_wen.chain,
         ("NORM", "TN", "EXP", "ABC"),
@@ -60,8 +72,8 @@ STRUCTURES = {
 }
 
 
-def find_structure(name: str) -> StudyStructure:
-    """Return the structure of this name."""
+def find_structure(name: str, *, stiffness: float = paper.STIFFNESS) -> StudyStructure:
+    """Return the structure of this name, with a nominal stiffness [N/m] of its springs."""
     if name not in STRUCTURES:
         raise ValueError(f"`structure` must be one of {', '.join(STRUCTURES)}, got {name!r}.")
-    return STRUCTURES[name]
+    return replace(STRUCTURES[name], stiffness=float(stiffness))

@@ -44,8 +44,8 @@ def assemble(study, parts: dict) -> xr.DataTree:
             "statistic": list(STATISTICS),
         },
     )
-    summary["tolerance"] = ("multiplier", tolerance)
-    summary["tolerance_interval"] = (("multiplier", "end"), interval)
+    summary["epsilon"] = ("multiplier", tolerance)
+    summary["epsilon_interval"] = (("multiplier", "end"), interval)
     summary = summary.assign_coords(end=["low", "high"])
     summary["step"] = ("multiplier", np.array(study.multipliers) * study.record.dt, {"units": "s"})
     nodes = {f"/{kind}/x{m:g}": part for (kind, m), part in parts.items()}
@@ -56,7 +56,7 @@ def assemble(study, parts: dict) -> xr.DataTree:
     for path, part in nodes.items():
         tree[path] = part
     tree.attrs = {key: value for key, value in study.settings().items() if not isinstance(value, list)}
-    tree.attrs |= {"structure": study.structure, "title": study.described.title}
+    tree.attrs |= {"structure": study.structure.name, "title": study.structure.title}
     return tree
 
 

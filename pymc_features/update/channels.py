@@ -8,10 +8,10 @@ import numpy as np
 import xarray as xr
 
 from pymc_features import datasets, signals
+from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 from pymc_features.io import read_channels, read_record
 from pymc_features.records import Record
 from pymc_features.update.config.document import Config
-from pymc_features.update.config.messages import ConfigError
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def named_key(key: str, **renamed: str):
     """Errors inside get the section `key` in front, and the keys for arguments that are `renamed`."""
     try:
         yield
-    except (ConfigError, datasets.DatasetUnavailableError):
+    except (ConfigError, DatasetUnavailableError):
         raise
     except (ValueError, TypeError, OSError) as error:
         text = str(error)

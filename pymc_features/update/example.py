@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features import datasets
+from pymc_features.exceptions import DatasetUnavailableError
 from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.simulators import simulate
 from pymc_features.storage import write_atomically
@@ -40,7 +41,7 @@ def write_example(path, *, synthetic: bool = False) -> tuple[list[Path], str]:
     if not synthetic:
         try:
             datasets.mini_shake_table("northridge")
-        except datasets.DatasetUnavailableError:
+        except DatasetUnavailableError:
             synthetic, reason = True, "since the shaking table's could not be had here"
     for file in (path, measured) if synthetic else (path,):
         if file.exists():
@@ -69,7 +70,7 @@ def write(path, **values):
 
 def simulated() -> tuple[str, np.ndarray]:
     """Text of a file with the simulated channels, and the natural frequencies [Hz] behind them."""
-    record = synthetic_earthquake(12.0, 0.01, seed=7, pga=3.0)
+    record = synthetic_earthquake(12.0, 0.01, random_seed=7, pga=3.0)
     chain = SpringMassChain([0.1601, 0.1601, 0.1421], [385.0, 420.0, 600.0], ModalDamping(0.01))
     floors = simulate(chain, record).values
     exact = np.vstack([record.acceleration, floors])

@@ -51,6 +51,6 @@ def declare(problem: Problem, kind: str, tolerance: float | None = None) -> pm.M
         errors = {
             name: pt.as_tensor_variable(evaluated(value, values)) for name, value in asked.parameters_of(kind)
         }
-        given = Comparison(mu, observed.values, tolerance=tolerance, density=asked.density, **errors)
+        given = Comparison(mu, observed.values, epsilon=tolerance, density=asked.density, **errors)
         LIKELIHOODS[kind].declare(given)
     return model

@@ -52,8 +52,7 @@ def write_outputs(problem: Problem, result, folder, channel_warnings=()) -> list
 
 def png(axes) -> bytes:
     """A figure as a PNG file; it is released."""
-    first = axes if hasattr(axes, "figure") else axes[0]
     buffer = io.BytesIO()
-    first.figure.savefig(buffer, dpi=DPI, format="png")
-    plots.close([first])
+    axes[0].figure.savefig(buffer, dpi=DPI, format="png")
+    plots.close(axes[:1])
     return buffer.getvalue()

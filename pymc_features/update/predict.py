@@ -4,9 +4,9 @@ import numpy as np
 import pymc as pm
 import xarray as xr
 
+from pymc_features.exceptions import ConfigError
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.prediction import posterior_response
-from pymc_features.update.config.messages import ConfigError
 
 QUANTILES = (0.05, 0.5, 0.95)
 DRAWS = 200
@@ -34,8 +34,8 @@ def bands(problem, kind, model, idata) -> xr.Dataset:
         predictive band. Peaks of other responses (`<quantity>_peak`) if the report asks for them.
     """
     measured, names = problem.measured, ["absolute_acceleration", *problem.config.report.quantities]
-    settings = {"draws": DRAWS, "quantiles": QUANTILES, "dt": measured.step}
-    settings["n_modes"] = problem.structure.n_modes
+    settings = {"draws": DRAWS, "quantiles": QUANTILES, "random_seed": 0}
+    settings |= {"dt": measured.step, "n_modes": problem.structure.n_modes}
     at_sensors = posterior_response(
         idata, problem.structure, measured.record, names[0], sensors=problem.dofs, **settings
     )

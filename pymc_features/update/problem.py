@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
+from pymc_features.exceptions import ConfigError
 from pymc_features.storage import fingerprint
 from pymc_features.update.channels import Measured, named_key, read_measured
 from pymc_features.update.config.document import Config, read_config
 from pymc_features.update.config.entries import Matrix
-from pymc_features.update.config.messages import ConfigError
 from pymc_features.update.config.priors import Prior
 from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.structure import StructureOf
 
 #: Keys that change no draw, or, as the tolerance, those of ABC alone.
-WITHOUT_EFFECT = ("report", "likelihood.kinds", "likelihood.tolerance", "sampler.cores")
+WITHOUT_EFFECT = ("report", "likelihood.kinds", "likelihood.epsilon", "sampler.cores")
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ def check_errors(config) -> None:
         for value in given if isinstance(given, list) else [given]:
             if isinstance(value, float) and value <= 0.0:
                 raise ConfigError(f"`likelihood.{name}` must be positive, got {value:g}. Pass it in {unit}.")
-    if "ABC" in likelihood.kinds and likelihood.tolerance is None and isinstance(likelihood.sigma, list):
+    if "ABC" in likelihood.kinds and likelihood.epsilon is None and isinstance(likelihood.sigma, list):
         raise ConfigError(
-            "`likelihood.tolerance` must be given for ABC where each sensor has its own sigma, got none."
+            "`likelihood.epsilon` must be given for ABC where each sensor has its own sigma, got none."
         )

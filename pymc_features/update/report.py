@@ -140,8 +140,8 @@ def run_sentences(part) -> list[str]:
     stats = part["sample_stats"].to_dataset() if "sample_stats" in part.children else {}
     if "evaluations" in stats:
         told.append(f"{int(stats['evaluations'].sum())} evaluations")
-    if "tolerance" in part.attrs:
-        told.append(f"tolerance {part.attrs['tolerance']:.4g} m²/s⁴")
+    if "epsilon" in part.attrs:
+        told.append(f"tolerance {part.attrs['epsilon']:.4g} m²/s⁴")
     if "log_marginal_likelihood" in stats:
         values = stats["log_marginal_likelihood"].values
         told.append(f"log evidence {', '.join(f'{v:.2f}' for v in np.ravel(values))}")

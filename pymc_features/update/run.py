@@ -11,13 +11,13 @@ import xarray as xr
 from pymc.sampling.parallel import ParallelSamplingError
 
 from pymc_features import smc
+from pymc_features.exceptions import ConfigError, ToleranceNotReachedError
 from pymc_features.inference import laplace, sample_nuts
 from pymc_features.likelihood_free import abc_tolerance
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.smc import ToleranceNotReachedError, sample_smc
+from pymc_features.smc import sample_smc
 from pymc_features.storage import PartStore
 from pymc_features.update.config.entries import Parameter
-from pymc_features.update.config.messages import ConfigError
 from pymc_features.update.model import declare, names_for
 from pymc_features.update.predict import bands, frequencies, measured_gain
 from pymc_features.update.problem import Problem
@@ -67,7 +67,7 @@ def run_update(
     for done, kind in enumerate(kinds):
         tell(kind, done, len(kinds))
         part, tolerance = store.load(kind), tolerance_of(problem, parts) if kind == "ABC" else None
-        if part is None or part.attrs.get("tolerance") != tolerance:
+        if part is None or part.attrs.get("epsilon") != tolerance:
             part = run_part(problem, kind, tolerance, cores, progressbar)
             store.save(kind, part)
         parts[kind] = part
@@ -99,7 +99,7 @@ def run_part(problem, kind, tolerance, cores, progressbar) -> xr.DataTree:
         "warnings": json.dumps(messages),
     }
     if tolerance is not None:
-        tree.attrs["tolerance"] = tolerance
+        tree.attrs["epsilon"] = tolerance
     return tree
 
 
@@ -126,7 +126,9 @@ def method_of(problem, kind) -> str:
 def sample(problem, kind, model, cores, progressbar) -> xr.DataTree:
     """The posterior by the sampler of the configuration."""
     asked = problem.config.sampler
-    seed = int(np.random.SeedSequence([asked.seed, list(LIKELIHOODS).index(kind)]).generate_state(1)[0])
+    seed = int(
+        np.random.SeedSequence([asked.random_seed, list(LIKELIHOODS).index(kind)]).generate_state(1)[0]
+    )
     # one Op does the work: to compile the few around it takes longer than it saves
     quick = {"mode": "FAST_COMPILE"}
     method = method_of(problem, kind)
@@ -155,7 +157,7 @@ def sample(problem, kind, model, cores, progressbar) -> xr.DataTree:
         return sample_smc(asked.draws, getattr(smc, method), chains=asked.chains, **smc_settings, **common)
     except ToleranceNotReachedError as error:
         raise ConfigError(
-            f"`likelihood.tolerance` must be within reach of the model: {error} Or leave ABC out of "
+            f"`likelihood.epsilon` must be within reach of the model: {error} Or leave ABC out of "
             "`likelihood.kinds`; what is finished is kept."
         ) from error
     except (ParallelSamplingError, pm.exceptions.SamplingError, ValueError) as error:
@@ -166,8 +168,8 @@ def sample(problem, kind, model, cores, progressbar) -> xr.DataTree:
 def tolerance_of(problem, parts) -> float:
     """delta of ABC: as the configuration says, or Eq. (16) with the posterior of EXP."""
     likelihood, n_sensors = problem.config.likelihood, len(problem.dofs)
-    if likelihood.tolerance is not None:
-        return likelihood.tolerance
+    if likelihood.epsilon is not None:
+        return likelihood.epsilon
     if not isinstance(likelihood.sigma, Parameter):
         return abc_tolerance(likelihood.sigma, n_sensors)
     sigma = likelihood.sigma.times * parts["EXP"]["posterior"][likelihood.sigma.prior]

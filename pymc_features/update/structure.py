@@ -4,12 +4,12 @@ import inspect
 from pathlib import Path
 
 from pymc_features import structures
+from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_matrices
 from pymc_features.structures import AffineStructure
 from pymc_features.update.channels import named_key
 from pymc_features.update.config.document import parameters_of
 from pymc_features.update.config.entries import Matrix, evaluated, priors_in
-from pymc_features.update.config.messages import ConfigError
 from pymc_features.update.config.sections import Section
 
 CATALOGUE = {cls.__name__: cls for cls in structures.STRUCTURES}

@@ -487,7 +487,7 @@ PEAK_GROWTH = """
             CorrelatedNormal("y", mu, 1.0, 0.1, record.dt, observed=change(data))
         return population_logp(model, model.initial_point(), {})
 
-    record = synthetic_earthquake(31.18, 0.002, seed=1)
+    record = synthetic_earthquake(31.18, 0.002, random_seed=1)
     data = np.random.default_rng(0).normal(size=(10, record.n_times))
     functions = [evaluation(lambda mu: mu), evaluation(lambda mu: mu[::-1])]
     particles = np.linspace(0.5, 1.5, 256)[:, None]

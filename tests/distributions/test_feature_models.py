@@ -14,7 +14,6 @@ from scipy import optimize, special, stats
 from pymc_features import (
     CorrelatedNormal,
     ExpFeature,
-    FeatureLikelihoodWarning,
     RayleighDamping,
     SpringMassChain,
     TruncNormalFeature,
@@ -25,6 +24,7 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.distributions import FEATURE_LIKELIHOODS, LIKELIHOODS
+from pymc_features.exceptions import FeatureLikelihoodWarning
 from support.graphs import LIGHT
 from support.likelihoods import EVERY, EVERY_FEATURE, OTHER, RMS_LAW, declare, equation, evaluate, random_data
 from support.structures import noise_record, with_first_spring, with_noise

@@ -26,7 +26,7 @@ def skip_without_measurements():
     for event in ("northridge", "sine1p5"):
         try:
             pymc_features.datasets.mini_shake_table(event)
-        except pymc_features.datasets.DatasetUnavailableError as error:
+        except pymc_features.exceptions.DatasetUnavailableError as error:
             pytest.skip(str(error))
 
 

@@ -54,7 +54,7 @@ def test_tables_of_the_readme_are_those_of_the_catalogues():
 
 def test_the_figure_can_be_drawn_anew(tmp_path):
     """From a short record; that of the README is of El Centro and takes ten seconds."""
-    record = pymc_features.synthetic_earthquake(4.0, 0.02, seed=1, pga=3.0)
+    record = pymc_features.synthetic_earthquake(4.0, 0.02, random_seed=1, pga=3.0)
     from_docs("figure").write(tmp_path / "figure.svg", record, multipliers=(0.5, 1.0, 2.0))
     assert (tmp_path / "figure.svg").read_text().startswith("<?xml")
     assert (ROOT / "docs" / "figure.svg").stat().st_size < 200_000

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pymc_features import CommandLine, ExternalSimulator, Surrogate
+from pymc_features import ExternalSimulator, ProgramSimulator, Surrogate
 from pymc_features.external import checks
+from pymc_features.external.evaluator import EvaluationOptions, Evaluator
 from support.external_functions import DATA, SHAPE, beam, lives, wait_until
 
 pytestmark = pytest.mark.usefixtures("fast_compile")
@@ -31,7 +32,7 @@ def test_templates(tmp_path, monkeypatch):
     (tmp_path / "model.tcl").write_text("set k {{k}}")
     program = [*PYTHON, "-c", "open('out.txt', 'w').write('{{v[1]:.1f}} 2')"]
     inputs = {"deep/in.txt": template, "model.tcl": tmp_path / "model.tcl"}
-    c = CommandLine(program, ["k", "v"], inputs, "out.txt", transpose=False)
+    c = ProgramSimulator(program, ["k", "v"], inputs, "out.txt", transpose=False)
     result = run_in(tmp_path / "run", monkeypatch, c, 1 / 3, np.array([1.5, 1e-9]))
     assert result.tolist() == [[0.0, 2.0]]
     text = (tmp_path / "run" / "deep" / "in.txt").read_text()
@@ -43,28 +44,30 @@ def test_templates(tmp_path, monkeypatch):
 
 def test_results_of_programs(tmp_path, monkeypatch):
     program = [*PYTHON, "-c", SUM]
-    c = CommandLine(program, ["a", "b"], {"in.txt": "{{a}} {{b}}"}, "out.csv", columns=[1, 2])
+    c = ProgramSimulator(program, ["a", "b"], {"in.txt": "{{a}} {{b}}"}, "out.csv", columns=[1, 2])
     assert run_in(tmp_path / "csv", monkeypatch, c, 1 / 3, 2.0).tolist() == [[1 / 3, 2.0], [2.0, 1 / 3]]
     np.save(tmp_path / "table.npy", np.arange(6.0).reshape(3, 2))
     nothing = [*PYTHON, "-c", ""]
-    c = CommandLine(nothing, ["a"], {}, "table.npy", files=[tmp_path / "table.npy"])
+    c = ProgramSimulator(nothing, ["a"], {}, "table.npy", files=[tmp_path / "table.npy"])
     assert run_in(tmp_path / "npy", monkeypatch, c, 1.0).tolist() == [[0.0, 2.0, 4.0], [1.0, 3.0, 5.0]]
-    c = CommandLine(
+    c = ProgramSimulator(
         nothing, ["a"], {}, lambda folder: np.load(folder / "table.npy"), files=[tmp_path / "table.npy"]
     )
     assert run_in(tmp_path / "function", monkeypatch, c, 1.0).shape == (3, 2)
     (tmp_path / "solver").write_text(f"#!{sys.executable}\nopen('out.txt', 'w').write('7')")
     (tmp_path / "solver").chmod(0o755)
-    c = CommandLine("./solver --fast", ["a"], {}, "out.txt", files=[tmp_path / "solver"])  # a string, split
+    c = ProgramSimulator(
+        "./solver --fast", ["a"], {}, "out.txt", files=[tmp_path / "solver"]
+    )  # a string, split
     assert run_in(tmp_path / "program", monkeypatch, c, 1.0).tolist() == [[7.0]]
 
 
 def test_programs_that_fail(tmp_path, monkeypatch):
     fails = [*PYTHON, "-c", "import sys; sys.stderr.write('first\\nsingular matrix\\n'); sys.exit(2)"]
     cases = {
-        "exit code 2: singular matrix": CommandLine(fails, ["a"], {}, "out.txt"),
-        "the program left no out.txt": CommandLine([*PYTHON, "-c", ""], ["a"], {}, "out.txt"),
-        "no-such-solver": CommandLine("no-such-solver", ["a"], {}, "out.txt"),
+        "exit code 2: singular matrix": ProgramSimulator(fails, ["a"], {}, "out.txt"),
+        "the program left no out.txt": ProgramSimulator([*PYTHON, "-c", ""], ["a"], {}, "out.txt"),
+        "no-such-solver": ProgramSimulator("no-such-solver", ["a"], {}, "out.txt"),
     }
     for message, c in cases.items():
         with pytest.raises((RuntimeError, FileNotFoundError), match=message):
@@ -81,7 +84,7 @@ def test_command_line_as_a_simulator(simulator, tmp_path):
     (tmp_path / "solver.py").write_text(code)
     program = [*PYTHON, "solver.py", "{{k}}", str(tmp_path / "pids")]
     s = simulator(
-        CommandLine(program, ["k"], {}, "out.txt", files=[tmp_path / "solver.py"]),
+        ProgramSimulator(program, ["k"], {}, "out.txt", files=[tmp_path / "solver.py"]),
         timeout=2.0,
         scratch=tmp_path / "scratch",
         executor=2,
@@ -101,18 +104,18 @@ def test_command_line_as_a_simulator(simulator, tmp_path):
 def test_mean_squares_by_a_program(simulator):
     for text in ("1.5 2.5", "1.5\\n2.5"):
         program = [*PYTHON, "-c", f"open('out.txt', 'w').write('{text}')"]
-        s = simulator(CommandLine(program, ["k"], {}, "out.txt"), returns="mean_square")
+        s = simulator(ProgramSimulator(program, ["k"], {}, "out.txt"), returns="mean_square")
         assert s.discrepancies(np.ones(1), observed=DATA).tolist() == [[1.5, 2.5]]
 
 
 def test_ours_travel_without_the_package(simulator, tmp_path, monkeypatch):
-    """A process that runs a `CommandLine` or a gradient does not import PyMC."""
+    """A process that runs a `ProgramSimulator` or a gradient does not import PyMC."""
 
     def modules(folder):
         loaded = sum(name.partition(".")[0] in ("pymc", "pymc_features") for name in sys.modules)
         return np.full(SHAPE, float(loaded))
 
-    s = simulator(CommandLine([*PYTHON, "-c", ""], ["k"], {}, modules))
+    s = simulator(ProgramSimulator([*PYTHON, "-c", ""], ["k"], {}, modules))
     assert (s.responses(np.ones(1)) == 0.0).all()
 
     def gradient(k, cotangent):
@@ -141,8 +144,8 @@ BAD_LINES = {
 def test_command_lines_that_cannot_be(message):
     settings = {**LINE, **BAD_LINES[message]}
     with pytest.raises((ValueError, TypeError), match=message):
-        CommandLine(**settings)
-    CommandLine(**LINE)
+        ProgramSimulator(**settings)
+    ProgramSimulator(**LINE)
 
 
 BAD_SETTINGS = {
@@ -172,9 +175,17 @@ def test_settings_that_cannot_be(message):
         ExternalSimulator(**{"function": beam, "shape": SHAPE, **BAD_SETTINGS[message]})
 
 
+def test_options_of_the_evaluation_are_its_arguments():
+    assert set(EvaluationOptions.__annotations__) == set(inspect.signature(Evaluator).parameters)
+    match = r"of ExternalSimulator\(\) must .* got 'time_out'. Did you mean 'timeout'"
+    with pytest.raises(TypeError, match=match):
+        ExternalSimulator(beam, SHAPE, time_out=1.0)
+
+
 def test_every_setting_that_is_checked_is_tested():
     names = {re.match("`(\\w+)`", message)[1] for message in BAD_SETTINGS}
-    assert names == set(inspect.signature(checks.check_settings).parameters)
+    checked = (inspect.signature(f).parameters for f in (checks.check_simulator, checks.check_evaluation))
+    assert names == set().union(*checked)
 
 
 def test_dask_has_to_be_installed_and_reachable(simulator, monkeypatch):

@@ -12,13 +12,12 @@ import pytest
 from pymc_features import (
     DiscrepancySimulator,
     ExternalSimulator,
-    NotDifferentiableError,
     RayleighDamping,
     Record,
     SpringMassChain,
     response,
 )
-from pymc_features.external.processes.process import UnusableSimulatorError
+from pymc_features.exceptions import NotDifferentiableError, UnusableSimulatorError
 from pymc_features.smc import population_logp
 from support import external_functions as functions
 from support.external_functions import DATA, SHAPE, beam

@@ -15,10 +15,11 @@ import numpy as np
 import pymc as pm
 import pytest
 
-from pymc_features import CommandLine, DiscrepancySimulator, TruncNormalFeature, sample_smc
+from pymc_features import DiscrepancySimulator, ProgramSimulator, TruncNormalFeature, sample_smc
+from pymc_features.exceptions import UnknownIdentityError
 from pymc_features.external import EvaluationCache
 from pymc_features.external.processes.calls import Outcome
-from pymc_features.fingerprint import UnknownIdentityError, fingerprint
+from pymc_features.fingerprint import fingerprint
 from pymc_features.smc.kernels.checkpoint import model_fingerprint
 from pymc_features.smc.sample import is_parallel_by_itself
 from support import external_functions as functions
@@ -126,8 +127,8 @@ HOLDERS = {
     "vectorized": lambda v: np.vectorize(closure(v)),
     "library": lambda v: shutil.ignore_patterns(str(v)),  # a closure of its own
     "decorated": lambda v: functools.wraps(beam)(closure(v)),
-    "command": lambda v: CommandLine("run", ["k"], {"in": f"{{{{k}}}} {v}"}, "out"),
-    "reader": lambda v: CommandLine("run", ["k"], {}, closure(v)),
+    "command": lambda v: ProgramSimulator("run", ["k"], {"in": f"{{{{k}}}} {v}"}, "out"),
+    "reader": lambda v: ProgramSimulator("run", ["k"], {}, closure(v)),
 }
 
 

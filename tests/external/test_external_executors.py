@@ -11,7 +11,7 @@ import pytensor
 import pytest
 
 from pymc_features import ExternalSimulator, PopulationIMH, TruncNormalFeature, sample_smc
-from pymc_features.external.processes.batch import NoWorkersError
+from pymc_features.exceptions import NoWorkersError
 from support import external_functions as functions
 from support.external_functions import DATA, SHAPE, Counted, beam, lives, wait_until
 from support.sampling import QUIET

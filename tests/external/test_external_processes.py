@@ -13,10 +13,10 @@ import pymc as pm
 import pytest
 
 from pymc_features import ExternalSimulator, PopulationIMH, sample_smc
+from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
 from pymc_features.external import EvaluationCache
 from pymc_features.external.processes import calls
-from pymc_features.external.processes.batch import NoWorkersError
-from pymc_features.external.processes.process import SimulatorProcess, UnusableSimulatorError
+from pymc_features.external.processes.process import SimulatorProcess
 from pymc_features.external.progress import Lines, clock
 from support import external_functions as functions
 from support.external_functions import DATA, SECONDS, SHAPE, Counted, Hanging, beam, lives, wait_until

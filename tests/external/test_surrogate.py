@@ -154,7 +154,7 @@ def worst_error(x, exact):
 @pytest.mark.statistical
 def test_five_times_fewer_runs_and_the_same_posterior(example, exact):
     """Under TN; under EXP, whose tails are shorter, fewer still."""
-    predicting = Remembering(1)
+    predicting = Remembering(1, random_seed=0)
     x, evaluations, runs = sampled(example, TruncNormalFeature, predicting, 1000)
     report = predicting.report()
     assert report["runs"] == runs
@@ -176,7 +176,7 @@ def test_the_conventional_likelihood_has_many_degrees_of_freedom(example):
 
     n_times = example[0].shape[1]
     for m, least, most in ((n_times, 0.0, 0.05), (1, 0.2, np.inf)):
-        predicting = Remembering(m)
+        predicting = Remembering(m, random_seed=0)
         x, evaluations, runs = sampled(example, normal, predicting, 200)
         assert 3 * runs < evaluations
         error = error_of_answers(x, predicting.answers, example[1], n_times)
@@ -186,7 +186,7 @@ def test_the_conventional_likelihood_has_many_degrees_of_freedom(example):
 @pytest.mark.statistical
 def test_a_useless_surrogate_gives_itself_away(example):
     """Negative control: nothing is demanded of the predictions."""
-    careless = Remembering(2, tolerance=1e6, checked=0.005)
+    careless = Remembering(2, tolerance=1e6, check_fraction=0.005, random_seed=0)
     x, evaluations, runs = sampled(example, ExpFeature, careless, 400)
     assert runs < 0.05 * evaluations
     assert careless.report()["error"] > 1.0
@@ -207,14 +207,14 @@ def fed(predicting, function=bowl, n_batches=4, data="", batch=60):
 
 
 def test_predictions_are_close_and_runs_are_exact():
-    predicting = Surrogate(1, tolerance=0.02)
+    predicting = Surrogate(1, tolerance=0.02, random_seed=0)
     e, xs = fed(predicting)
     true = bowl(np.concatenate(xs))
     report = predicting.report()
     np.testing.assert_allclose(e, true, rtol=0.05)
     assert (e == true).all(axis=1).sum() == report["runs"] == 240 - report["predicted"]
     assert report["runs"] < 80
-    everything = Surrogate(1, checked=1.0)
+    everything = Surrogate(1, check_fraction=1.0)
     assert np.array_equal(fed(everything)[0], true)
     assert everything.report()["checked"] > 150
 
@@ -225,7 +225,7 @@ def test_failures_are_run_and_told():
         e[x[:, 0] > 0.6] = np.nan
         return e
 
-    predicting = Surrogate(1)
+    predicting = Surrogate(1, random_seed=0)
     e, xs = fed(predicting, fails)
     true = fails(np.concatenate(xs))
     failed = np.isnan(true).any(axis=1)
@@ -236,7 +236,7 @@ def test_failures_are_run_and_told():
     assert not (found & ~failed).any()
     assert predicting.report()["failed"] == found.sum()
     assert predicting.report()["predicted"] > 50
-    nothing = Surrogate(1)
+    nothing = Surrogate(1, random_seed=0)
     assert np.isnan(fed(nothing, lambda x: np.full((len(x), 4), np.nan))[0]).all()
     assert nothing.report()["runs"] == nothing.report()["failed"] == 240
 
@@ -247,7 +247,7 @@ def test_what_cannot_be_fitted_is_run(monkeypatch, error):
         raise error("singular")
 
     monkeypatch.setattr(learner, "fit_lengths", refuse)
-    predicting = Surrogate(1)
+    predicting = Surrogate(1, random_seed=0)
     e, xs = fed(predicting)
     assert np.array_equal(e, bowl(np.concatenate(xs)))
     assert predicting.report()["predicted"] == 0
@@ -257,8 +257,8 @@ def test_constant_results_and_a_constant_parameter_do_no_harm():
     def flat(x):
         return np.full((len(x), 4), 2.0)
 
-    np.testing.assert_allclose(fed(Surrogate(1), flat)[0], 2.0)
-    predicting = Surrogate(1)
+    np.testing.assert_allclose(fed(Surrogate(1, random_seed=0), flat)[0], 2.0)
+    predicting = Surrogate(1, random_seed=0)
     for _ in range(3):
         x = np.column_stack([np.random.default_rng(5).uniform(size=60), np.ones(60)])
         e = predicting.evaluate(x, lambda rows, x=x: bowl(x[rows]))
@@ -276,28 +276,28 @@ def test_results_depend_on_nothing_but_the_populations():
             (4, 9),
             returns="mean_square",
             executor=executor,
-            surrogate=Surrogate(1),
+            surrogate=Surrogate(1, random_seed=0),
             progress=False,
         ) as simulator:
-            directly, xs = fed(Surrogate(1))
+            directly, xs = fed(Surrogate(1, random_seed=0))
             results.append(np.concatenate([simulator.discrepancies(*x.T, observed=None) for x in xs]))
     assert np.array_equal(results[0], results[1])
     np.testing.assert_allclose(results[0], results[2], rtol=1e-9)
     np.testing.assert_allclose(results[0], directly, rtol=1e-9)
-    first, travelled = Surrogate(1), Surrogate(1)
+    first, travelled = Surrogate(1, random_seed=0), Surrogate(1, random_seed=0)
     fed(first, n_batches=2)
     fed(travelled, n_batches=2)
     travelled = pickle.loads(pickle.dumps(travelled))
     assert np.array_equal(fed(first)[0], fed(travelled)[0])
-    assert not np.array_equal(fed(Surrogate(1))[0], fed(Surrogate(1, seed=1))[0])
+    assert not np.array_equal(fed(Surrogate(1, random_seed=0))[0], fed(Surrogate(1, random_seed=1))[0])
 
 
 def test_data_sets_are_learnt_apart():
-    predicting = Surrogate(1)
-    alone = fed(Surrogate(1))[0]
+    predicting = Surrogate(1, random_seed=0)
+    alone = fed(Surrogate(1, random_seed=0))[0]
     assert np.array_equal(fed(predicting, data="a")[0], alone)
     assert np.array_equal(fed(predicting, lambda x: 7.0 * bowl(x), data="b")[0] > alone, np.ones_like(alone))
-    assert np.array_equal(fed(Surrogate(1), lambda x: 7.0 * bowl(x))[0].shape, alone.shape)
+    assert np.array_equal(fed(Surrogate(1, random_seed=0), lambda x: 7.0 * bowl(x))[0].shape, alone.shape)
     assert len(predicting.learners) == 2
 
 
@@ -343,7 +343,7 @@ def test_share_of_the_posterior_beyond_a_depth(m, n_parameters):
 def test_scikit_learn_is_asked_for(monkeypatch):
     monkeypatch.setattr(surrogate, "find_spec", lambda name: None)
     with pytest.raises(ImportError, match="needs scikit-learn, which is not installed. Install it with: pip"):
-        Surrogate(1)
+        Surrogate(1, random_seed=0)
 
 
 def test_settings_are_checked():
@@ -351,10 +351,10 @@ def test_settings_are_checked():
         ({"tolerance": 0.0}, "`tolerance` must be positive and finite, got 0.0"),
         ({"tolerance": "small"}, "`tolerance` must be positive"),
         ({"degrees_of_freedom": -1}, "`degrees_of_freedom` must be positive"),
-        ({"initial": 2}, "`initial` must be an integer of at least 5, got 2"),
+        ({"n_initial": 2}, "`n_initial` must be an integer of at least 5, got 2"),
         ({"max_points": 30.5}, "`max_points` must be an integer"),
-        ({"checked": 2.0}, "`checked` must lie between 0 and 1, got 2.0"),
-        ({"seed": -1}, "`seed` must be an integer of at least 0"),
+        ({"check_fraction": 2.0}, "`check_fraction` must lie between 0 and 1, got 2.0"),
+        ({"random_seed": -1}, "`random_seed` must be an integer of at least 0"),
     ]:
         with pytest.raises(ValueError, match=message):
             Surrogate(**{"degrees_of_freedom": 1, **settings})
@@ -366,5 +366,14 @@ def test_checkpoints_tell_surrogates_apart():
     def identity(surrogate):
         return ExternalSimulator(bowl, (4, 9), surrogate=surrogate, version="1").identity
 
-    assert identity(Surrogate(1)) == identity(Surrogate(1))
-    assert len({identity(None), identity(Surrogate(1)), identity(Surrogate(1, tolerance=0.2))}) == 3
+    assert identity(Surrogate(1, random_seed=0)) == identity(Surrogate(1, random_seed=0))
+    assert (
+        len(
+            {
+                identity(None),
+                identity(Surrogate(1, random_seed=0)),
+                identity(Surrogate(1, tolerance=0.2, random_seed=0)),
+            }
+        )
+        == 3
+    )

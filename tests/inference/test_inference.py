@@ -26,7 +26,7 @@ class Example:
     """The ten-storey example under each likelihood, its exact posteriors, and draws of NUTS."""
 
     def __init__(self, record):
-        self.data = paper.decimate(paper.measurements(record), record.dt)
+        self.data = paper.decimate(paper.measurements(record, random_seed=0), record.dt)
         self.models = {kind: declare(kind, record, self.data) for kind in LIKELIHOODS}
 
         def total(theta):
@@ -170,7 +170,9 @@ def two_modes():
 
 
 def test_disagreeing_chains_are_said_and_the_particles_kept():
-    with pytest.warns(pmf.ChainsDisagreeWarning, match=r"R-hat: x .*use the draws of SMC, in the group"):
+    with pytest.warns(
+        pmf.exceptions.ChainsDisagreeWarning, match=r"R-hat: x .*use the draws of SMC, in the group"
+    ):
         idata = pmf.sample_nuts(
             200,
             tune=200,
@@ -211,7 +213,7 @@ def test_what_cannot_work_is_refused_before_any_sampling(example, record):
     ):
         pmf.sample_nuts(model=example.models["TN"], nuts_sampler="nutpie")
     threshold = declare("ABC", record, example.data, tolerance=1.0)
-    with pytest.raises(pmf.NotDifferentiableError, match="hard threshold of DiscrepancySimulator"):
+    with pytest.raises(pmf.exceptions.NotDifferentiableError, match="hard threshold of DiscrepancySimulator"):
         pmf.sample_nuts(model=threshold)
 
 
@@ -360,7 +362,7 @@ def test_laplace_says_where_it_fails():
     with pm.Model() as banana:
         a = pm.Normal("a", 0.0, 5.0)
         pm.Normal("b", a**2, 0.05)
-    with pytest.warns(pmf.LaplaceWarning, match="are worth .* % of as many from the posterior"):
+    with pytest.warns(pmf.exceptions.LaplaceWarning, match="are worth .* % of as many from the posterior"):
         pmf.laplace(500, model=banana, random_seed=1)
     with pytest.raises(ValueError, match="`draws` must be a positive integer, got 0"):
         pmf.laplace(0, model=banana)
@@ -410,7 +412,7 @@ def test_fisher_against_the_posterior(kind, example):
 
 def test_fisher_does_not_grow_with_the_sampling_rate(record):
     """Under TN; under a Normal it doubles with twice the samples."""
-    finest = paper.measurements(record)
+    finest = paper.measurements(record, random_seed=0)
     for kind, growth in (("TN", 1.0), ("NORM", 2.0)):
         information = []
         for step in (0.5, 1.0):
@@ -479,3 +481,12 @@ def test_fisher_refuses_what_it_does_not_know(example):
         )
     with pytest.raises(ValueError, match="density='feature', got 'data'"):
         pmf.fisher_information(model)
+
+
+def test_arguments_that_pm_sample_does_not_know_are_refused_before_sampling():
+    with pm.Model() as model:
+        pm.Normal("x")
+    with pytest.raises(
+        TypeError, match=r"sample_nuts\(\) must be .* got 'target_acept'. Did you mean 'target_acc"
+    ):
+        pmf.sample_nuts(model=model, target_acept=0.9)

@@ -7,7 +7,8 @@ import numpy as np
 import pymc as pm
 import pytest
 
-from pymc_features import DiscrepancySimulator, ToleranceNotReachedError, tolerance_sweep
+from pymc_features import DiscrepancySimulator, tolerance_sweep
+from pymc_features.exceptions import ToleranceNotReachedError
 
 QUIET = {"chains": 2, "cores": 1, "progressbar": False, "compile_kwargs": {"mode": "FAST_COMPILE"}}
 
@@ -62,21 +63,21 @@ def test_sweep_saves(sweep, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "error", "match"),
     [
-        ({"tolerances": [0.0, 1.0]}, ValueError, r"`tolerances` must be positive and finite, got \[1.0, 0"),
-        ({"tolerances": [np.inf]}, ValueError, "`tolerances` must be positive and finite"),
-        ({"tolerances": []}, ValueError, r"`tolerances` must be positive and finite, got \[\]"),
-        ({"tolerances": ["a"]}, TypeError, r"`tolerances` must be numbers, got \['a'\]"),
+        ({"epsilon": [0.0, 1.0]}, ValueError, r"`epsilon` must be positive and finite, got \[1.0, 0"),
+        ({"epsilon": [np.inf]}, ValueError, "`epsilon` must be positive and finite"),
+        ({"epsilon": []}, ValueError, r"`epsilon` must be positive and finite, got \[\]"),
+        ({"epsilon": ["a"]}, TypeError, r"`epsilon` must be numbers, got \['a'\]"),
         ({"probability": 1.0}, ValueError, "`probability` must lie between 0 and 1, got 1.0. Pass 0.9"),
         (
-            {"tolerances": [0.05]},
+            {"epsilon": [0.05]},
             ToleranceNotReachedError,
-            "`tolerances` must be within reach of the simulator, got 0.05 as the largest",
+            "`epsilon` must be within reach of the simulator, got 0.05 as the largest",
         ),
     ],
 )
 def test_refusals(model, arguments, error, match):
     with pytest.raises(error, match=match):
-        tolerance_sweep(**({"tolerances": [0.2], "model": model, "draws": 200} | QUIET | arguments))
+        tolerance_sweep(**({"epsilon": [0.2], "model": model, "draws": 200} | QUIET | arguments))
 
 
 def test_sampling_does_not_import_jax():

@@ -10,8 +10,10 @@ import pytest
 import xarray as xr
 from scipy.io import savemat
 
-from pymc_features import ChannelWarning, check_channels, read_channels
+from pymc_features import read_channels
+from pymc_features.exceptions import ChannelWarning
 from pymc_features.io.clock import Clock, common_window, even_step
+from pymc_features.signals import check_channels
 from support.refusals import refusals
 from support.warned import messages
 

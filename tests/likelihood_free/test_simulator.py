@@ -12,7 +12,6 @@ from pymc_features import (
     DiscrepancySimulator,
     ExpFeature,
     ModalDamping,
-    NotDifferentiableError,
     PersistentSMC,
     PopulationIMH,
     RayleighDamping,
@@ -24,6 +23,7 @@ from pymc_features import (
     sigma_mpv,
     simulate,
 )
+from pymc_features.exceptions import NotDifferentiableError
 from pymc_features.likelihood_free import KERNELS
 from pymc_features.smc import population_logp
 from support.graphs import LIGHT

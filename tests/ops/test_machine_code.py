@@ -28,7 +28,7 @@ def test_dependencies_are_the_files_that_can_change_a_kernel():
         path = dependencies.module_path(f"pymc_features.simulators.{module}")
         return {str(file.relative_to(dependencies.ROOT)) for file in dependencies.dependencies(path)}
 
-    chain = names("chain.discrepancy")
+    chain = names("chain.response")
     assert {"simulators/chain/modes.py", "simulators/oscillators/recursion.py"} <= chain
     assert not any("linear/" in name or "nonlinear/" in name for name in chain)
     law = names("nonlinear.runge_kutta")  # which calls the laws by their type only
@@ -95,12 +95,12 @@ def test_edits_compile_what_they_change_and_nothing_else(tmp_path):
             source.write("\n\ndef more():\n    return 1\n")
     assert copy.run() == pytest.approx(values, rel=1e-14)
     assert copy.machine_code() == code
-    copy.edit("simulators/chain/discrepancy.py", "errors[j] /= total", "errors[j] *= 2.0 / total")
+    copy.edit("simulators/chain/response.py", "observed, 1)[:, 0].copy()", "observed, 1)[:, 0] * 2.0")
     assert copy.run() == pytest.approx(values * [2.0, 1.0], rel=1e-14)
     copy.edit(
-        "simulators/oscillators/population_recursion.py",
-        "errors[j, lane] / n_times",
-        "5.0 * errors[j, lane] / n_times",
+        "simulators/oscillators/population.py",
+        "lanes.squares[j, lane] / n_times",
+        "5.0 * lanes.squares[j, lane] / n_times",
     )
     copy.edit(
         "ops/numba_dispatch.py",

@@ -18,7 +18,6 @@ from pymc_features import (
     DiscrepancySimulator,
     ExpFeature,
     ModalDamping,
-    NotDifferentiableError,
     RayleighDamping,
     Record,
     SpringMassChain,
@@ -27,6 +26,7 @@ from pymc_features import (
     response,
     simulate,
 )
+from pymc_features.exceptions import NotDifferentiableError
 from pymc_features.ops import (
     OPS,
     PopulationDiscrepancy,

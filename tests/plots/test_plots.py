@@ -1,10 +1,11 @@
 """Figures show what the result holds."""
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
 
-from pymc_features import plots
+from pymc_features import Loading, Record, plots
 
 
 @pytest.fixture
@@ -30,12 +31,26 @@ def result():
 
 
 def test_record_figure(result):
-    ax = plots.plot_record(result)
+    record = Record([0.0, -2.0, 1.0], 0.1, name="pulse")
+    [ax] = plots.plot_record(record)
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), [0.0, -2.0, 1.0])
     assert ax.lines[1].get_xydata().tolist() == [[0.1, -2.0]]
     assert (ax.get_xlabel(), ax.get_title()) == ("time [s]", "pulse")
-    assert plots.plot_record(result, ax=ax) is ax
+    [same] = plots.plot_record(result, axes=ax)  # the record of a study
+    assert same is ax
+    np.testing.assert_array_equal(ax.lines[0].get_xydata(), ax.lines[3].get_xydata())
     plots.close([ax])
+    loading = Loading([[0.0, 5.0, 0.0], [1.0, 0.0, 2.0]], dt=0.1, kind="force", name="hammer")
+    [ax] = plots.plot_record(loading)
+    assert [list(line.get_ydata()) for line in ax.lines[:2]] == loading.values.tolist()
+    assert (ax.get_ylabel(), ax.get_title()) == ("force [N]", "hammer")
+    plots.close([ax])
+    with pytest.raises(TypeError, match="`record` must be a Record, a Loading or the result .*, got ndarray"):
+        plots.plot_record(record.acceleration)
+    with pytest.raises(ValueError, match="`record` must hold the ground acceleration in a group `data`"):
+        plots.plot_record(xr.DataTree())
+    with pytest.raises(ValueError, match="`axes` must be one, got 2"):
+        plots.plot_record(record, [ax, ax])
 
 
 @pytest.fixture
@@ -78,7 +93,7 @@ def test_loops_figure(loops):
 def test_titles_name_the_structure(loops):
     axes = plots.plot_sampling_rate(loops, ["EXP", "ABC"])
     assert axes[0].figure.get_suptitle() == "EXP and ABC, Bouc-Wen chain"
-    ax = plots.plot_widths(loops)
+    [ax] = plots.plot_widths(loops)
     assert ax.get_title() == "Bouc-Wen chain"
     plots.close([axes[0], ax])
 
@@ -96,19 +111,19 @@ def test_tolerance_figure():
     band = ax.collections[0].get_paths()[0].vertices
     assert {(1.0, 0.5), (1.0, 1.5), (0.1, 0.9), (0.1, 1.1)} <= set(map(tuple, band))
     assert (ax.get_ylabel(), ax.get_xscale()) == ("theta", "log")
-    assert plots.plot_tolerance(result, ax=[ax])[0] is ax
+    assert plots.plot_tolerance(result, axes=[ax])[0] is ax
     plots.close([ax])
     with pytest.raises(ValueError, match="`result` must have a scalar parameter, got none"):
         plots.plot_tolerance(result[["log_probability"]])
 
 
 def test_widths_figure(result):
-    ax = plots.plot_widths(result)
+    [ax] = plots.plot_widths(result)
     exact, sampled = ax.lines[0].get_xydata(), ax.lines[1].get_xydata()
     np.testing.assert_allclose(exact, [[0.1, 0.5], [1.0, 0.5], [10.0, 0.5]])
     np.testing.assert_allclose(sampled, exact)
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["EXP", "ABC"]
-    assert plots.plot_widths(result, ax=ax) is ax
+    assert plots.plot_widths(result, ax)[0] is ax
     plots.close([ax])
 
 
@@ -245,6 +260,14 @@ def test_chains_figure(updated, kind):
     if kind == "trace":
         drawn = {tuple(line.get_ydata()) for line in axes[1].lines}
         assert drawn == {tuple(chain) for chain in updated["EXP/posterior"]["k"].values}
-    plots.close(axes[:1])
+    _, own = plt.subplots(2)
+    assert plots.plot_chains(updated["EXP"], kind, axes=own) is not None
+    for ax, other in zip(own, axes, strict=True):
+        assert len(ax.lines) == len(other.lines) > 0
+        for line, same in zip(ax.lines, other.lines, strict=True):
+            np.testing.assert_array_equal(line.get_xydata(), same.get_xydata())
+    plots.close([axes[0], own[0]])
+    with pytest.raises(ValueError, match="`axes` must be one for each of 2 columns"):
+        plots.plot_chains(updated["EXP"], kind, axes=own[:1])
     with pytest.raises(ValueError, match="`kind` must be one of rank, trace, got 'bars'"):
         plots.plot_chains(updated["EXP"], "bars")

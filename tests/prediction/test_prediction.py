@@ -27,8 +27,8 @@ UNITS = {
     "base_shear": "N",
 }
 DIM = dict.fromkeys(simulators.QUANTITIES, "sensor") | {"inter_storey_drift": "storey", "base_shear": "row"}
-SHAKE = pmf.synthetic_earthquake(6.0, 0.02, seed=5, pga=3.0)
-OTHER = pmf.synthetic_earthquake(4.0, 0.01, seed=8, pga=2.0)
+SHAKE = pmf.synthetic_earthquake(6.0, 0.02, random_seed=5, pga=3.0)
+OTHER = pmf.synthetic_earthquake(4.0, 0.01, random_seed=8, pga=2.0)
 
 
 def posterior(**variables):
@@ -168,7 +168,7 @@ def test_a_degenerate_posterior_gives_the_simulation():
 def test_memory_is_bounded():
     """A tenth of what the histories of all draws would take, 200 MB."""
     theta = np.random.default_rng(2).normal(1.0, 0.1, (1, 400))
-    record = pmf.synthetic_earthquake(31.2, 0.005, seed=1, pga=3.0)
+    record = pmf.synthetic_earthquake(31.2, 0.005, random_seed=1, pga=3.0)
     pmf.posterior_response(posterior(theta=theta[:, :4]), pmf.paper.chain, OTHER)  # imports, compilation
     tracemalloc.start()
     try:
@@ -225,7 +225,9 @@ def test_impossible_draws_are_left_out_and_counted():
     possible = pmf.posterior_response(posterior(k=k), three_storeys, SHAKE, "base_shear")
     k = np.concatenate([k, [[-1.0], [1e30]]], axis=1)
     k[0, 1] = np.nan
-    with pytest.warns(pmf.PredictionWarning, match=r"3 of 10 draws have no response .*out: `stiffness` must"):
+    with pytest.warns(
+        pmf.exceptions.PredictionWarning, match=r"3 of 10 draws have no response .*out: `stiffness` must"
+    ):
         found = pmf.posterior_response(posterior(k=k), three_storeys, SHAKE, "base_shear")
     assert (found.attrs["draws_left_out"], found.attrs["draws_used"]) == (3, 7)
     np.testing.assert_array_equal(found["chain"], [0, 0, 0, 1, 1, 1, 1])
@@ -233,10 +235,12 @@ def test_impossible_draws_are_left_out_and_counted():
     expected = np.delete(possible["base_shear_peak"].values, 1)
     np.testing.assert_allclose(found["base_shear_peak"], expected, rtol=1e-12)
     assert found["base_shear"].notnull().all()
-    with pytest.warns(pmf.PredictionWarning, match="3 of 10 draws"):
+    with pytest.warns(pmf.exceptions.PredictionWarning, match="3 of 10 draws"):
         risk = pmf.first_passage_probability(posterior(k=k), three_storeys, SHAKE, 1e-9)
     assert (risk.attrs["draws_left_out"], float(risk["probability_any"])) == (3, 1.0)
-    with pytest.warns(pmf.PredictionWarning, match="1 of 2 draws .* frequencies or damping are not finite"):
+    with pytest.warns(
+        pmf.exceptions.PredictionWarning, match="1 of 2 draws .* frequencies or damping are not finite"
+    ):
         pmf.posterior_response(posterior(k=[[1.0, 1e30]]), three_storeys, SHAKE)
     for bad, why in ((-1.0, "none of 2: `stiffness` must be positive"), (1e30, "none of 2. Their freq")):
         with pytest.raises(ValueError, match=f"`structure` must have a response for some draws, got {why}"):
@@ -443,7 +447,7 @@ FIGURE_REFUSES = {  # what is said: what is given
     r"`measured` must have dimensions \(sensor, time\), got \('floor": {
         "measured": pmf.simulate(three_storeys(1.0), SHAKE).rename(sensor="floor")
     },
-    "`ax` must have one Axes for each of 3 sensors, got 1": {"ax": [None]},
+    "`axes` must be one for each of 3 sensors, got 1": {"axes": [None]},
 }
 
 
@@ -541,3 +545,13 @@ def test_refusals_of_one(function, arguments, match):
     defaults = {"idata": posterior(k=[[0.5, 1.5]]), "structure": three_storeys, "record": SHAKE}
     with pytest.raises(ValueError, match=match):
         function(**(defaults | arguments))
+
+
+@pytest.mark.parametrize(
+    "predict", [pmf.posterior_response, lambda *a, **k: pmf.first_passage_probability(*a, 1.0, **k)]
+)
+def test_options_of_the_response_are_known_by_name(predict):
+    with pytest.raises(
+        TypeError, match=r"its own or dt, sensors, n_modes, outputs, got 'modes'. Did you mean"
+    ):
+        predict(posterior(k=[[1.0]]), three_storeys, SHAKE, modes=2)

@@ -13,8 +13,8 @@ from pymc_features import plots
 from pymc_features.prediction import ensemble, histories, simulated
 from support.refusals import refusals
 
-SHAKE = pmf.synthetic_earthquake(4.0, 0.02, seed=5, pga=3.0)
-OTHER = pmf.synthetic_earthquake(3.0, 0.01, seed=8, pga=2.0)
+SHAKE = pmf.synthetic_earthquake(4.0, 0.02, random_seed=5, pga=3.0)
+OTHER = pmf.synthetic_earthquake(3.0, 0.01, random_seed=8, pga=2.0)
 RAYLEIGH = pmf.RayleighDamping(0.3, 2e-3)
 MASS = np.array([3.0, 2.0, 1.0])
 LINEAR = ("absolute_acceleration", "relative_acceleration", "relative_velocity", "relative_displacement")
@@ -29,19 +29,19 @@ def chain(k):
 def frame(k):
     """The same chain by its matrices."""
     mass, _, stiffness = chain(k).matrices()
-    return pmf.LinearStructure(mass, RAYLEIGH, stiffness)
+    return pmf.LinearStructure(mass, stiffness=stiffness, damping=RAYLEIGH)
 
 
 def dashpot(k):
     """With a dashpot at the top that couples the modes."""
     mass, damping, stiffness = chain(k).matrices()
     damping[2, 2] += 2.0
-    return pmf.LinearStructure(mass, damping, stiffness)
+    return pmf.LinearStructure(mass, stiffness=stiffness, damping=damping)
 
 
 def two_supports(k):
     mass, damping, stiffness = chain(k).matrices()
-    return pmf.LinearStructure(mass, damping, stiffness, influence=SHARE)
+    return pmf.LinearStructure(mass, stiffness=stiffness, damping=damping, influence=SHARE)
 
 
 def bouc_wen(k):
@@ -246,7 +246,7 @@ def test_another_earthquake_may_yield_what_the_first_did_not(idata):
 def test_memory_is_bounded(monkeypatch):
     """Four tenths of what the histories take, 11 MB, with blocks of 1 MiB."""
     monkeypatch.setattr(histories, "MEMORY", 2**20)
-    record = pmf.synthetic_earthquake(30.0, 0.02, seed=1, pga=3.0)
+    record = pmf.synthetic_earthquake(30.0, 0.02, random_seed=1, pga=3.0)
     many = posterior(np.ones((1, 300, 3)) + np.random.default_rng(0).uniform(0.0, 0.2, (1, 300, 3)))
     pmf.posterior_response(many, dashpot, record, draws=4)  # compilation
     tracemalloc.start()
@@ -300,19 +300,25 @@ def test_a_nonlinear_chain_is_integrated_once(idata, monkeypatch):
 def test_draws_that_fail_to_integrate_are_left_out():
     """One is refused by the structure, one is too stiff to integrate; the warning points to the call."""
     k = np.array([[1.0, -1.0, 1.1, 1e30, 1.2]])
-    with pytest.warns(pmf.PredictionWarning, match="2 of 5 draws .* out: `stiffness` must be pos") as caught:
+    with pytest.warns(
+        pmf.exceptions.PredictionWarning, match="2 of 5 draws .* out: `stiffness` must be pos"
+    ) as caught:
         found = pmf.posterior_response(posterior(k), bouc_wen, SHAKE, ["base_shear", "relative_velocity"])
     assert caught[0].filename == __file__
     np.testing.assert_array_equal(found["draw"], [0, 2, 4])
     for name in ("base_shear", "relative_velocity"):
         slow = [pmf.simulate(bouc_wen(v), SHAKE, quantity=name).values for v in (1.0, 1.1, 1.2)]
         assert_bands(found, name, np.stack(slow))
-    with pytest.warns(pmf.PredictionWarning, match="1 of 2 draws .*or their integration fails") as caught:
+    with pytest.warns(
+        pmf.exceptions.PredictionWarning, match="1 of 2 draws .*or their integration fails"
+    ) as caught:
         pmf.first_passage_probability(posterior([[1e30, 1.0]]), bouc_wen, [SHAKE, OTHER], 0.01)
     assert caught[0].filename == __file__
     with pytest.raises(ValueError, match="must have a response for some draws, got none of 1. Their freq"):
         pmf.posterior_response(posterior([[1e30]]), bouc_wen, SHAKE)
-    with pytest.warns(pmf.PredictionWarning, match="1 of 2 draws .*frequencies or damping are not finite"):
+    with pytest.warns(
+        pmf.exceptions.PredictionWarning, match="1 of 2 draws .*frequencies or damping are not finite"
+    ):
         pmf.posterior_response(posterior([[1e30, 1.0]]), frame, SHAKE)
 
 
@@ -321,7 +327,7 @@ def test_draws_that_fail_to_integrate_are_left_out():
 
 def of_supports(k):
     influence = SHARE if k > 0.7 else SHARE @ np.ones((2, 1))
-    return pmf.LinearStructure(MASS, RAYLEIGH, frame(k).stiffness, influence=influence)
+    return pmf.LinearStructure(MASS, stiffness=frame(k).stiffness, damping=RAYLEIGH, influence=influence)
 
 
 REFUSED_VALUES = {  # what is said: what is given

@@ -7,14 +7,8 @@ import pytest
 import xarray as xr
 from scipy import signal as scipy_signal
 
-from pymc_features import (
-    RayleighDamping,
-    SpringMassChain,
-    check_channels,
-    signals,
-    simulate,
-    synthetic_earthquake,
-)
+from pymc_features import RayleighDamping, SpringMassChain, signals, simulate, synthetic_earthquake
+from pymc_features.signals import check_channels
 from support.warned import messages
 
 STEP = 0.01
@@ -33,7 +27,7 @@ def array(values, step=STEP, start=0.0):
 @pytest.fixture(scope="module")
 def building():
     """Base and floors (4, time) of a shaken chain, with noise and offsets."""
-    record = synthetic_earthquake(60.0, STEP, seed=5, pga=3.0)
+    record = synthetic_earthquake(60.0, STEP, random_seed=5, pga=3.0)
     floors = simulate(CHAIN, record).values
     rng = np.random.default_rng(6)
     values = np.vstack([record.acceleration, floors])
@@ -266,7 +260,7 @@ def test_no_false_alarms():
     for seed in range(12):
         rng = np.random.default_rng(seed)
         stiffness = np.array([380.0, 450.0, 600.0]) * rng.uniform(0.7, 1.4, 3)
-        record = synthetic_earthquake(20.0, STEP, seed=seed, pga=3.0)
+        record = synthetic_earthquake(20.0, STEP, random_seed=seed, pga=3.0)
         floors = simulate(SpringMassChain([0.16, 0.16, 0.142], stiffness, RayleighDamping(0.5, 1e-3)), record)
         values = np.vstack([record.acceleration, floors.values])
         values += 0.01 * rng.standard_normal(values.shape)
@@ -341,7 +335,7 @@ def test_base_may_be_any_sensor(building):
 def test_lag_that_damping_explains_is_not_told(building):
     """A slow, damped chain: its floors lag by more than a tenth of a sample."""
     chain = SpringMassChain([1.0, 1.0, 1.0], [90.0, 90.0, 90.0], RayleighDamping(0.5, 0.02))
-    record = synthetic_earthquake(300.0, STEP, seed=5, pga=3.0)
+    record = synthetic_earthquake(300.0, STEP, random_seed=5, pga=3.0)
     channels = array(np.vstack([record.acceleration, simulate(chain, record).values]))
     assert messages(lambda: check_channels(channels, (0.15, 0.33), damping_ratio=0.1)) == []
     late = messages(lambda: check_channels(channels, (0.15, 0.33), damping_ratio=1e-4))

@@ -20,15 +20,17 @@ from pymc_features import (
     mean_square_discrepancy,
     response,
 )
-from pymc_features.ops import PopulationDiscrepancy, StructuralDiscrepancy, StructuralResponse
-from pymc_features.ops.base import count
-from pymc_features.ops.gradient import (
-    DiscrepancyGradient,
+from pymc_features.ops import (
     DiscrepancyTangent,
+    MisfitGradient,
+    PopulationDiscrepancy,
     PopulationGradient,
     ResponseGradient,
     ResponseTangent,
+    StructuralDiscrepancy,
+    StructuralResponse,
 )
+from pymc_features.ops.base import count
 from pymc_features.simulators import FAMILIES, QUANTITIES
 from support.commands import run_python
 from support.graphs import PLAIN, our_ops
@@ -431,7 +433,7 @@ def test_gradients_of_graphs(kind, mode):
     """pt.grad of response and discrepancy, by all parameters and by the data, without object mode."""
     mu, e = symbolic(kind)
     gradients = pt.grad((WEIGHTS * mu).sum(), WRT[kind]) + pt.grad((C * e).sum(), [*WRT[kind], OBSERVED])
-    assert our_ops(gradients) >= {ResponseGradient, DiscrepancyGradient}
+    assert our_ops(gradients) >= {ResponseGradient, MisfitGradient}
     values, arguments, (weights, observed, c) = numbers(kind)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -530,13 +532,13 @@ def derivative_ops():
         pt.TensorType(CHAIN.dtype(name), (None,) * count(dims))(name) for name, dims in CHAIN.inputs.items()
     ]
     batches = [pt.matrix() for _ in range(4)]
-    data, more, d = pt.matrix("data"), pt.vector("more"), [x.type() for x in common[:4]]
+    data, more, d = pt.matrix("data"), pt.matrix("more"), [x.type() for x in common[:4]]
     return {
         ResponseGradient: [*common, data],
         ResponseTangent: [*common, *d],
-        DiscrepancyGradient: [*common, data, more],
+        MisfitGradient: [*common, data, more],
         DiscrepancyTangent: [*common, data, *d],
-        PopulationGradient: [*batches, *common[4:], data, pt.matrix("c")],
+        PopulationGradient: [*batches, *common[4:], data, pt.tensor3("c")],
     }
 
 
@@ -553,7 +555,8 @@ def test_shapes_are_known_without_computing(op):
     arguments, observed, c = population(shared=(3,))
     if op is not PopulationGradient:
         arguments[:4], c = [x[0] for x in arguments[:4]], c[0]
-    more = {ResponseGradient: [observed], DiscrepancyGradient: [observed, c]}
+    c = c[..., None]
+    more = {ResponseGradient: [observed], MisfitGradient: [observed, c]}
     more |= {ResponseTangent: arguments[:4], DiscrepancyTangent: [observed, *arguments[:4]]}
     values = [*arguments[:-1], *more.get(op, [observed, c])]
     results = pytensor.function(inputs, outputs, mode=PLAIN)(*values)
@@ -563,7 +566,7 @@ def test_shapes_are_known_without_computing(op):
 @pytest.mark.parametrize("op", derivative_ops())
 def test_wrong_extra_inputs_are_refused(op):
     inputs = derivative_ops()[op]
-    for wrong in (inputs[:-1], [*inputs, pt.vector()], [*inputs[:-1], pt.tensor3()]):
+    for wrong in (inputs[:-1], [*inputs, pt.vector()], [*inputs[:-1], pt.tensor4()]):
         with pytest.raises(ValueError, match=f"{op.__name__} takes {len(inputs) - 10} more inputs of"):
             op()(*wrong)
 

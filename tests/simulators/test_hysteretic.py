@@ -20,7 +20,7 @@ from pymc_features import (
 )
 from pymc_features.simulators import QUANTITIES, Excitation
 from pymc_features.simulators.families import NONLINEAR
-from pymc_features.simulators.nonlinear.response import nonlinear_histories
+from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
 from support import structures as records
 from support.kernels import flat_kernels
 from support.refusals import refusals

@@ -8,12 +8,12 @@ from scipy.linalg import eigh
 from pymc_features import LinearStructure, Loading, ModalDamping, RayleighDamping, SpringMassChain, simulate
 from pymc_features.algebra.factorisation import count_below, eliminate
 from pymc_features.simulators import QUANTITIES
-from pymc_features.simulators.linear.state_space import march_state, step_matrices
+from pymc_features.simulators.linear.state_space import StateMatrices, march_state, modal_equations
 from pymc_features.simulators.linear.system import is_coupled
-from pymc_features.simulators.oscillators.blocks import destination
-from pymc_features.simulators.oscillators.march import march_modes, modal_table
-from pymc_features.simulators.oscillators.recursion import N_ROWS
-from support.linear import UNDAMPED, as_linear, noise, random_structure, spring_chain
+from pymc_features.simulators.oscillators.arguments import Excitation
+from pymc_features.simulators.oscillators.march import march_modes
+from pymc_features.simulators.oscillators.modal_system import ModalSystem
+from support.linear import UNDAMPED, as_linear, noise, of_matrices, random_structure, spring_chain
 from support.reference import first_order_hold, interpolated
 from support.structures import noise_record, peak_error, random_chain
 
@@ -23,11 +23,9 @@ from support.structures import noise_record, peak_error, random_chain
 def by_exponential(matrices, load, inputs, dt, static=None, *, substeps=1, stride=1):
     """All quantities of M x" + C x' + K x = load inputs without modes, first-order hold (Van Loan)."""
     mass, damping, stiffness = matrices
-    system, inputs = (
-        (np.linalg.solve(mass, a) for a in (damping, stiffness, load)),
-        interpolated(inputs, substeps),
-    )
-    x, v, relative = first_order_hold(*system, inputs, dt / substeps, stride)
+    drag, spring, push = (np.linalg.solve(mass, a) for a in (damping, stiffness, load))
+    inputs = interpolated(inputs, substeps)
+    x, v, relative = first_order_hold(drag, spring, push, inputs, dt / substeps, stride)
     absolute = relative if static is None else relative + static @ inputs[:, ::stride]
     return dict(zip(QUANTITIES, (absolute, relative, v, x), strict=True))
 
@@ -92,7 +90,7 @@ def test_modes_and_matrices_of_the_chain(damping):
 def test_coupled_damping_against_matrix_exponential(n, rank, damping, substeps, stride):
     """Physical coordinates, no modes: 1e-9 of the peak, light to over-critical damping."""
     matrices = random_structure(n, n, damping=damping, rank=rank)
-    structure, record = LinearStructure(*matrices), noise_record(150, seed=n)
+    structure, record = of_matrices(*matrices), noise_record(150, seed=n)
     assert is_coupled(structure.modal_damping())
     ones = np.ones((n, 1))
     expected = by_exponential(
@@ -116,7 +114,7 @@ def test_gyroscopic_damping():
     record, ones = noise_record(150, seed=1), np.ones((2, 1))
     expected = by_exponential(matrices, -mass @ ones, record.acceleration[None], record.dt, ones)
     for quantity in QUANTITIES:
-        found = simulate(LinearStructure(*matrices), record, quantity=quantity)
+        found = simulate(of_matrices(*matrices), record, quantity=quantity)
         assert peak_error(found, expected[quantity]) < 1e-9
 
 
@@ -126,7 +124,7 @@ def test_both_routes_meet_at_the_tolerance():
     mass, damping, stiffness = chain.matrices()
     nudged = damping.copy()
     nudged[0, 0] *= 1.0 + 1e-10
-    classical, coupled = LinearStructure(mass, damping, stiffness), LinearStructure(mass, nudged, stiffness)
+    classical, coupled = of_matrices(mass, damping, stiffness), of_matrices(mass, nudged, stiffness)
     assert not is_coupled(classical.modal_damping()) and is_coupled(coupled.modal_damping())
     for quantity in QUANTITIES:
         expected = simulate(classical, record, quantity=quantity)
@@ -138,16 +136,17 @@ def test_both_routes_on_the_same_modes(quantity):
     """Uncoupled modes, omega h from 0 to 1e4, stepped singly and as one state."""
     omega = np.array([0.0, 1.0, 30.0, 3e3, 5e5])
     zeta = np.array([0.0, 0.02, 1.0, 0.1, 3.0])
-    participation, seen = np.ones((5, 1)), np.eye(5)
+    participation, shapes = np.ones((5, 1)), np.eye(5)
     inputs, direct = noise(18, (1, 200)), np.zeros((5, 1))
-    table = np.empty((N_ROWS, 5))
-    drag = 2.0 * zeta * omega
-    modal_table(omega, drag, 0.02, quantity, table)
-    singly, together = destination((5, 200), None), destination((5, 200), None)
-    march_modes(table, seen[None], direct, inputs, 1, 1, *singly)
-    matrices = step_matrices(omega, np.diag(drag), participation, seen, 0.02, quantity)
-    march_state(*matrices, direct, inputs, 1, 1, *together)
-    for one, other in zip(singly[1], together[1], strict=True):
+    damping = 2.0 * zeta * omega
+    singly, together, excitation = np.empty((5, 200)), np.empty((5, 200)), Excitation(inputs, 0.02, 1, 1)
+    system = ModalSystem(omega, damping, shapes, participation)
+    march_modes(system, direct, excitation, quantity, singly, singly, np.empty((1, 0)))
+    equations = modal_equations(omega, np.diag(damping), participation, 0.02)
+    outputs = equations.output_matrix(shapes, quantity)
+    matrices = StateMatrices(*equations.step_matrices(), outputs, direct)
+    march_state(matrices, excitation, together, together, np.empty((1, 0)))
+    for one, other in zip(singly, together, strict=True):
         at_rest = np.abs(one).max() < 1e-150  # the rigid body's acceleration relative to its base
         assert not np.any(other) if at_rest else peak_error(other, one) < 1e-9
 
@@ -157,7 +156,7 @@ def test_truncated_coupled_modes(n_modes):
     """The kept modes are carried by their own block of phi' C phi; the ground's share is kept whole."""
     mass, damping, stiffness = random_structure(3, 6)
     record = noise_record(150, seed=3)
-    structure = LinearStructure(mass, damping, stiffness)
+    structure = LinearStructure(mass, stiffness=stiffness, damping=damping)
     values, shapes = eigh(stiffness, mass)
     kept = shapes[:, :n_modes]
     reduced = np.eye(n_modes), kept.T @ damping @ kept, np.diag(values[:n_modes])
@@ -182,7 +181,7 @@ def test_repeated_frequencies():
     record = noise_record(150, seed=4)
     direction = np.kron([1.0, 0.5], np.ones(3))
     for drag in (damping, chain.damping):
-        tower = LinearStructure(mass, drag, stiffness, influence=direction)
+        tower = LinearStructure(mass, stiffness=stiffness, damping=drag, influence=direction)
         omega = chain.modes().angular_frequencies
         np.testing.assert_allclose(tower.modes().angular_frequencies, np.repeat(omega, 2), rtol=1e-12)
         for quantity in QUANTITIES:
@@ -194,7 +193,7 @@ def test_repeated_frequencies():
 def test_a_soft_mode_is_no_rigid_body():
     """A spring 1e12 times softer than the next keeps its frequency, to the digits that K holds."""
     stiffness = np.array([[1e12 + 1.0, -1e12], [-1e12, 1e12]])
-    omega = LinearStructure(np.ones(2), UNDAMPED, stiffness).modes().angular_frequencies
+    omega = LinearStructure(np.ones(2), stiffness=stiffness, damping=UNDAMPED).modes().angular_frequencies
     np.testing.assert_allclose(omega, [np.sqrt(0.5), np.sqrt(2e12)], rtol=1e-3)
 
 
@@ -205,7 +204,7 @@ def test_rigid_bodies_are_found(n):
     stiffness = np.diag(np.append(springs, 0.0) + np.append(0.0, springs))
     stiffness -= np.diag(springs, 1) + np.diag(springs, -1)
     for kind in (np.asarray, sparse.csc_array):
-        omega = LinearStructure(np.ones(n), UNDAMPED, kind(stiffness)).modes(min(n, 4)).angular_frequencies
+        omega = of_matrices(np.ones(n), UNDAMPED, kind(stiffness)).modes(min(n, 4)).angular_frequencies
         assert (omega == 0.0).tolist() == [True] + [False] * (omega.size - 1)
 
 
@@ -214,7 +213,7 @@ def test_sparse_solver_finds_every_copy(n, copies, groups):
     """Equal frequencies many times over; of twenty copies Lanczos alone misses some (seen by inertia)."""
     one = spring_chain(n, 100.0)
     lowest = np.sqrt(np.linalg.eigvalsh(one.toarray()))[:groups]
-    structure = LinearStructure(np.ones(n * copies), UNDAMPED, sparse.block_diag([one] * copies).tocsc())
+    structure = of_matrices(np.ones(n * copies), UNDAMPED, sparse.block_diag([one] * copies).tocsc())
     modes = structure.modes(groups * copies)
     np.testing.assert_allclose(modes.angular_frequencies, np.repeat(lowest, copies), rtol=1e-10)
     shapes = modes.mode_shapes
@@ -238,7 +237,7 @@ def test_rigid_body_under_a_force(kind, alpha):
     """Two free masses, step force on the first: the centre drifts, the spring oscillates; closed forms."""
     (m1, m2), k, force = (1.0, 3.0), 50.0, 8.0
     stiffness = kind(k * np.array([[1.0, -1.0], [-1.0, 1.0]]))
-    structure = LinearStructure([m1, m2], RayleighDamping(alpha, 0.0), stiffness)
+    structure = LinearStructure([m1, m2], stiffness=stiffness, damping=RayleighDamping(alpha, 0.0))
     loading = Loading(np.full(400, force), 0.01, kind="force", matrix=[[1.0], [0.0]])
     t = loading.time
     omega = structure.modes().angular_frequencies
@@ -252,7 +251,7 @@ def test_rigid_body_under_a_force(kind, alpha):
     expected = centre + np.outer([m2, -m1], stretch) / (m1 + m2)
     found = simulate(structure, loading, quantity="relative_displacement")
     assert peak_error(found, expected) < 1e-12
-    as_matrix = LinearStructure([m1, m2], alpha * np.diag([m1, m2]), stiffness)
+    as_matrix = LinearStructure([m1, m2], stiffness=stiffness, damping=alpha * np.diag([m1, m2]))
     assert peak_error(simulate(as_matrix, loading, quantity="relative_displacement"), expected) < 1e-12
 
 
@@ -262,12 +261,12 @@ def test_floating_chain_with_a_dashpot():
     damping = np.diag([0.0, 5.0, 0.0, 0.0])
     values, load = noise(5, (1, 150)), np.eye(4)[:, [3]]
     expected = by_exponential((np.eye(4), damping, stiffness), load, values, 0.02)
-    structure = LinearStructure(np.ones(4), damping, stiffness)
+    structure = LinearStructure(np.ones(4), stiffness=stiffness, damping=damping)
     assert is_coupled(structure.modal_damping()) and structure.modes().angular_frequencies[0] == 0.0
     loading = Loading(values, 0.02, kind="force", matrix=load)
     for quantity in QUANTITIES:
         assert peak_error(simulate(structure, loading, quantity=quantity), expected[quantity]) < 1e-9
-    raft = LinearStructure([2.0], [[3.0]], [[0.0]])
+    raft = LinearStructure([2.0], stiffness=[[0.0]], damping=[[3.0]])
     found = simulate(raft, Loading(np.full(100, 6.0), 0.02, kind="force"), quantity="relative_velocity")
     assert peak_error(found[0], 2.0 * (1.0 - np.exp(-1.5 * found["time"]))) < 1e-12
 
@@ -279,7 +278,7 @@ def test_modes_far_beyond_the_sampling_rate():
     record, ones = noise_record(150, seed=6), np.ones((2, 1))
     matrices = np.eye(2), damping, stiffness
     expected = by_exponential(matrices, -ones, record.acceleration[None], record.dt, ones)
-    structure = LinearStructure(*matrices)
+    structure = of_matrices(*matrices)
     assert is_coupled(structure.modal_damping())
     assert (
         peak_error(simulate(structure, record, quantity="relative_displacement"), expected[QUANTITIES[3]])
@@ -297,18 +296,18 @@ def test_large_sparse_structure():
     mass = sparse.eye_array(n)
     j = np.arange(1, kept + 1)
     exact = 2.0 * np.sqrt(k) * np.sin((2 * j - 1) * np.pi / (2 * (2 * n + 1)))
-    structure = LinearStructure(mass, ModalDamping(np.full(kept, 0.02)), stiffness)
+    structure = LinearStructure(mass, stiffness=stiffness, damping=ModalDamping(np.full(kept, 0.02)))
     np.testing.assert_allclose(structure.modes(kept).angular_frequencies, exact, rtol=1e-11)
-    dense = LinearStructure(np.ones(n), ModalDamping(0.02), stiffness.toarray())
+    dense = LinearStructure(np.ones(n), stiffness=stiffness.toarray(), damping=ModalDamping(0.02))
     record = noise_record(300, seed=7)
     for quantity in ("absolute_acceleration", "relative_displacement"):
         asked = dict(quantity=quantity, n_modes=kept, sensors=[0, 499, 999])
         assert peak_error(simulate(structure, record, **asked), simulate(dense, record, **asked)) < 1e-8
     damping = 0.5 * mass + 1e-4 * stiffness
     damping[n - 1, n - 1] += 200.0  # a dashpot at the top couples the modes
-    sparse_c = LinearStructure(mass, damping, stiffness)
+    sparse_c = LinearStructure(mass, stiffness=stiffness, damping=damping)
     assert is_coupled(sparse_c.modal_damping(kept))
-    dense_c = LinearStructure(np.ones(n), damping.toarray(), stiffness.toarray())
+    dense_c = LinearStructure(np.ones(n), stiffness=stiffness.toarray(), damping=damping.toarray())
     dense_c._modes = dense._modes  # found above
     asked = dict(n_modes=kept, sensors=[999])
     assert peak_error(simulate(sparse_c, record, **asked), simulate(dense_c, record, **asked)) < 1e-8
@@ -319,7 +318,7 @@ def test_small_sparse_structure_with_all_modes():
     mass, damping, stiffness = chain.matrices()
     record = noise_record(150, seed=8)
     structure = LinearStructure(
-        sparse.csr_matrix(mass), sparse.coo_array(damping), sparse.dia_matrix(stiffness)
+        sparse.csr_matrix(mass), stiffness=sparse.dia_matrix(stiffness), damping=sparse.coo_array(damping)
     )
     assert all(sparse.issparse(a) for a in structure.matrices())
     assert peak_error(simulate(structure, record), simulate(chain, record)) < 1e-12

@@ -16,6 +16,7 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.algebra import AffineMatrix, common_pattern, natural_modes
+from pymc_features.simulators import FAMILIES
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear import population
 from pymc_features.simulators.linear.arguments import Arguments
@@ -28,6 +29,7 @@ from support.kernels import (
     linear_discrepancy_gradient,
     linear_discrepancy_tangent,
     linear_misfit,
+    linear_misfit_gradient,
     linear_population_discrepancy,
     linear_population_gradient,
     linear_population_misfit,
@@ -38,7 +40,7 @@ from support.kernels import (
 from support.reference import first_order_hold, interpolated
 from support.structures import peak_error
 
-N_PARAMETERS = 3
+N_PARAMETERS, LINEAR = 3, FAMILIES["linear"]
 
 # --------------------------------------------------------------------------- independent routes
 
@@ -85,6 +87,18 @@ class Case:
     @property
     def arguments(self):
         return *self.parameters, *self.rest
+
+    def named(self):
+        """The same by name."""
+        return dict(zip([*LINEAR.inputs, "quantity"], self.arguments, strict=True))
+
+    def arguments_with(self, **changes):
+        """The same, some of them others."""
+        return tuple((self.named() | changes).values())
+
+    def grouped(self):
+        """The same as the kernels take them."""
+        return Arguments(*LINEAR.assemble(self.arguments[:-1], self.quantity))
 
     def reference(self, flat):
         """The response (s, u) without our modes; analytic in the parameters but for ratios and truncation."""
@@ -237,6 +251,16 @@ CASES |= {
 }
 
 
+MISFIT_CASES = [
+    "coupled, quantity 0",
+    "coupled, quantity 3",
+    "coupled, two supports",
+    "coupled, stride",
+    "coupled, substeps",
+    "coupled, truncated, sparse",
+]
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_response_and_derivatives(name):
     """Response, gradients and tangents of both kinds, and tangents as transposes of gradients."""
@@ -293,6 +317,47 @@ def test_misfits_are_those_of_the_response(name):
     np.testing.assert_allclose(linear_discrepancy(*case.arguments, observed), expected[:, 0], rtol=1e-12)
 
 
+def statistics(misfit):
+    """Mean square, mean squared increment over all samples, first and last of r (..., u); (..., 4)."""
+    increments = (np.diff(misfit) ** 2).sum(axis=-1) / misfit.shape[-1]
+    return np.stack([(misfit**2).mean(axis=-1), increments, misfit[..., 0], misfit[..., -1]], axis=-1)
+
+
+@pytest.mark.parametrize("name", MISFIT_CASES)
+def test_gradient_of_the_misfit(name):
+    """All four statistics by the derivatives of the response without our modes; e_j alone by one column."""
+    case, accuracy = CASES[name]
+    rng = np.random.default_rng(20)
+    expected = case.reference(np.concatenate(case.parameters))
+    observed = expected + 0.3 * np.abs(expected).max() * rng.normal(size=expected.shape)
+    weights = rng.uniform(1.0, 2.0, (expected.shape[0], 4))
+    directions, derivatives = case.derivatives()
+    # the statistics are quadratic in the response: central differences of any step have no error
+    up, down = (statistics(observed - expected - step * derivatives) for step in (0.01, -0.01))
+    slopes = (up - down) / 0.02 * weights
+    for columns in (4, 1):
+        found = linear_misfit_gradient(*case.arguments, observed, weights[:, :columns])
+        by_response = slopes[..., :columns].sum(axis=(1, 2))
+        assert peak_error(directions @ np.concatenate(found), by_response) < accuracy
+
+
+@pytest.mark.parametrize("total", [1, 2, 128, 129, 257])
+@pytest.mark.parametrize(("substeps", "stride"), [(1, 1), (1, 3), (2, 1), (1, 200)])
+def test_gradient_of_the_misfit_across_blocks(total, substeps, stride):
+    """Records that end before, at and behind the border of a block of 128 steps, by the whole cotangent."""
+    n_times = -(-(total - 1) * stride // substeps) + 1
+    case = random_case(21, 3, coupled=True, grid=(substeps, stride), n_times=n_times)
+    rng, response = np.random.default_rng(22), linear_response(*case.arguments)
+    misfit, weights, n = rng.normal(size=response.shape), rng.normal(size=(3, 4)), response.shape[1]
+    increments = np.diff(misfit, axis=1, prepend=misfit[:, :1], append=misfit[:, -1:])
+    cotangent = -2.0 / n * (weights[:, :1] * misfit - weights[:, 1:2] * np.diff(increments, axis=1))
+    cotangent[:, 0] -= weights[:, 2]
+    cotangent[:, -1] -= weights[:, 3]
+    expected = np.concatenate(linear_response_gradient(*case.arguments, cotangent))
+    found = np.concatenate(linear_misfit_gradient(*case.arguments, response + misfit, weights))
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
+
+
 # --------------------------------------------------------------------------- the chain is a member
 
 
@@ -303,7 +368,9 @@ def chain_arguments(n, kind, ratios):
     zero = np.zeros((n, n))
     terms = [kind(springs(n, row)) for row in np.eye(n)], [kind(np.diag(row)) for row in np.eye(n)]
     structure = AffineStructure(
-        *(kind(zero), ModalDamping(ratios), kind(zero)),
+        kind(zero),
+        stiffness=kind(zero),
+        damping=ModalDamping(ratios),
         stiffness_terms=[*terms[0], *[None] * n],
         mass_terms=[*[None] * n, *terms[1]],
         theta=np.concatenate([stiffness, mass]),
@@ -489,9 +556,9 @@ def test_no_compiled_modes(mass, stiffness):
 
 @pytest.mark.parametrize("name", ["classical, two supports", "coupled, two supports", "classical, sparse"])
 def test_sparse_outputs(name):
-    arguments = Arguments(*CASES[name][0].arguments)
-    thin = arguments._replace(sensors=sparse.csr_array(arguments.sensors))
-    assert peak_error(linear_response(*thin), linear_response(*arguments)) < 1e-13
+    case, _ = CASES[name]
+    thin = case.arguments_with(sensors=sparse.csr_array(case.sensors))
+    assert peak_error(linear_response(*thin), linear_response(*case.arguments)) < 1e-13
 
 
 # --------------------------------------------------------------------------- what is no structure
@@ -548,23 +615,23 @@ def test_no_structure_gives_nan(coupled, name, value, large):
 
 def test_sizes_that_disagree():
     case = random_case(16, 4)
-    good = Arguments(*case.arguments)
+    good, stiffness = case.arguments, case.named()["stiffness"]
     for change, match in (
         (dict(theta=np.zeros(2)), "`mass` must have shape"),
-        (dict(stiffness=good.stiffness[:, 1:]), "`stiffness` must have shape"),
+        (dict(stiffness=stiffness[:, 1:]), "`stiffness` must have shape"),
         (dict(starts=np.zeros(5, dtype=int)), "`rows` and `starts` must be the pattern"),
         (dict(forces=np.zeros((4, 2))), "`influence` and `forces` must have shape"),
-        (dict(acceleration=good.acceleration[0]), "`influence` and `forces` must have shape|not enough"),
+        (dict(acceleration=case.inputs[0]), "`influence` and `forces` must have shape|not enough"),
         (dict(sensors=np.eye(3)), "`sensors` must have one column"),
         (dict(n_modes=5), "`n_modes` must lie between 1"),
         (dict(ratios=np.zeros(3)), "`rayleigh` must have 2 values, and `ratios` one for each mode kept"),
     ):
         with pytest.raises((ValueError, IndexError), match=match):
-            linear_response(*good._replace(**change))
+            linear_response(*case.arguments_with(**change))
     observed, weights = np.zeros((3, 120)), np.ones(3)
     with pytest.raises(ValueError, match="must have the shape .sensor, time. of the response"):
         linear_discrepancy(*good, observed[:, 1:])
-    with pytest.raises(ValueError, match="`weights` must have one value for each sensor"):
+    with pytest.raises(ValueError, match="`weights` must have one value or four for each sensor"):
         linear_discrepancy_gradient(*good, observed, weights[1:])
     with pytest.raises(ValueError, match="the directions must have the shapes of the parameters"):
         linear_response_tangent(*good, np.zeros(2), np.zeros(2), np.zeros(4))
@@ -590,7 +657,7 @@ def test_twenty_modes_of_two_thousand(coupled):
     top = sparse.coo_array(([200.0], ([n - 1], [n - 1])), shape=(n, n))
     damping = (0.5 * sparse.eye_array(n) + top).tocsc() if coupled else RayleighDamping(0.5, 0.0)
     structure = AffineStructure(
-        np.ones(n), damping, sparse.csc_array((n, n)), stiffness_terms=terms, theta=theta
+        np.ones(n), stiffness=sparse.csc_array((n, n)), damping=damping, stiffness_terms=terms, theta=theta
     )
     record = Record(rng.normal(size=300), 0.02)
     sensors = np.array([300, 999, 1999])
@@ -632,8 +699,8 @@ def test_complement_of_sparse_and_dense_modes(free):
     dense = random_case(17, 30, free=free, constant_mass=True, n_modes=4)
     thin = random_case(17, 30, free=free, constant_mass=True, n_modes=4, is_sparse=True)
     loads = np.random.default_rng(7).normal(size=(30, 4))
-    by_modes = solve_system(Arguments(*dense.arguments), left_out=True)
-    by_factor = solve_system(Arguments(*thin.arguments), left_out=True)
+    by_modes = solve_system(dense.grouped(), left_out=True)
+    by_factor = solve_system(thin.grouped(), left_out=True)
     signs = np.sign((by_modes.shapes * (by_modes.mass @ by_factor.shapes)).sum(axis=0))
     assert peak_error(by_factor.shapes * signs, by_modes.shapes) < 1e-9 and by_factor.others is None
     assert peak_error(invert_outside(by_factor, loads), invert_outside(by_modes, loads)) < 1e-9
@@ -647,7 +714,11 @@ def test_constants_of_structures():
     stiffness = sparse.csc_array(springs(4, 100.0))
     dashpot = sparse.csc_array(np.diag([0.0, 0.0, 0.0, 2.0]))
     structure = AffineStructure(
-        np.ones(4), 0.1 * stiffness, stiffness, stiffness_terms=[dashpot], influence=np.eye(4)[:, :2]
+        np.ones(4),
+        stiffness=stiffness,
+        damping=0.1 * stiffness,
+        stiffness_terms=[dashpot],
+        influence=np.eye(4)[:, :2],
     )
     record = Loading(np.ones((2, 5)), 0.1)
     mass, damping, spring, rows, starts, influence, forces = structure.constants(record)
@@ -659,7 +730,7 @@ def test_constants_of_structures():
     push = Loading(np.ones(5), 0.1, kind="force", matrix=np.ones((4, 1)))
     *_, influence, forces = structure.constants(push)
     assert not influence.any() and forces.tolist() == [[1.0]] * 4
-    plain = LinearStructure(np.ones(2), ModalDamping(0.1), np.eye(2))
+    plain = LinearStructure(np.ones(2), stiffness=np.eye(2), damping=ModalDamping(0.1))
     mass, damping, _, rows, starts, *_ = plain.constants(Record([0.0, 1.0], 0.1))
     assert mass.shape == (1, 4) and damping.shape == (0, 4) and rows.size == starts.size == 0
     assert [a.size for a in plain.parameters()] == [0, 2, 2]
@@ -673,7 +744,7 @@ def test_simulate_and_the_kernel_are_one():
     """Of a damping matrix that couples the modes, and of one that does not."""
     case = random_case(18, 4, coupled=True, n_modes=3)
     for damping in (case.damping[0], 0.1 * case.mass[0]):
-        structure = LinearStructure(case.mass[0], damping, case.stiffness[0])
+        structure = LinearStructure(case.mass[0], stiffness=case.stiffness[0], damping=damping)
         record = Record(case.inputs[0], case.dt)
         expected = simulate(structure, record, n_modes=3, dt=0.06)
         found = linear_response(

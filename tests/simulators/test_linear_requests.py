@@ -18,16 +18,16 @@ from pymc_features import (
     Loading,
     ModalDamping,
     RayleighDamping,
-    SimulationWarning,
     SpringMassChain,
     response,
     simulate,
 )
 from pymc_features.algebra import eigen, natural_modes
+from pymc_features.exceptions import SimulationWarning
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.system import is_coupled
-from support.linear import UNDAMPED, affine, as_linear, noise, random_structure, spring_chain
+from support.linear import UNDAMPED, affine, as_linear, noise, of_matrices, random_structure, spring_chain
 from support.refusals import refusals
 from support.structures import noise_record, peak_error, random_chain
 
@@ -47,7 +47,7 @@ def test_several_supports_against_lsim(coupled):
     system = np.block([[zero, eye], [-inverse @ stiffness, -inverse @ damping]])
     entry = np.vstack([np.zeros((4, 2)), -influence])
     below = np.hstack([-inverse @ stiffness, -inverse @ damping])
-    structure = LinearStructure(mass, damping, stiffness, influence=influence)
+    structure = LinearStructure(mass, stiffness=stiffness, damping=damping, influence=influence)
     assert is_coupled(structure.modal_damping()) == coupled
     for quantity, rows, through in (
         ("absolute_acceleration", below, np.zeros((4, 2))),
@@ -70,7 +70,7 @@ def test_forces_against_lsim(coupled, matrix):
     system = np.block([[zero, eye], [-inverse @ stiffness, -inverse @ damping]])
     push = inverse @ (eye if matrix is None else np.array(matrix))
     entry = np.vstack([np.zeros_like(push), push])
-    structure = LinearStructure(mass, damping, stiffness)
+    structure = LinearStructure(mass, stiffness=stiffness, damping=damping)
     for quantity, rows, through in (
         ("absolute_acceleration", system[3:], push),
         ("relative_acceleration", system[3:], push),
@@ -84,7 +84,9 @@ def test_supports_that_move_together_are_one_base():
     chain, record = random_chain(4, "rayleigh"), noise_record(150, seed=11)
     mass, damping, stiffness = chain.matrices()
     share = np.linspace(0.1, 0.8, 5)
-    two = LinearStructure(mass, damping, stiffness, influence=np.column_stack([share, 1.0 - share]))
+    two = LinearStructure(
+        mass, stiffness=stiffness, damping=damping, influence=np.column_stack([share, 1.0 - share])
+    )
     loading = Loading([record.acceleration] * 2, record.dt, name="twins")
     assert two.n_supports == 2 and two.modes().participation_factors.shape == (5, 2)
     for quantity in QUANTITIES:
@@ -101,7 +103,7 @@ def test_outputs_are_combinations(kind, n_modes):
     """S x: drifts of a chain, of coupled damping, of any quantity, by hand."""
     chain, record = random_chain(4, "rayleigh"), noise_record(150, seed=12)
     drifts = np.eye(5) - np.eye(5, k=-1)
-    for structure in (chain, *as_linear(chain), LinearStructure(*random_structure(12, 5))):
+    for structure in (chain, *as_linear(chain), of_matrices(*random_structure(12, 5))):
         for quantity in QUANTITIES:
             asked = dict(quantity=quantity, n_modes=n_modes)
             history = simulate(structure, record, **asked).values
@@ -135,7 +137,7 @@ def test_affine_matrices(kind):
     )
     for a, b in zip(changed.matrices(), expected, strict=True):
         np.testing.assert_allclose(a.toarray() if sparse.issparse(a) else a, b, rtol=1e-15)
-    assert peak_error(simulate(changed, record), simulate(LinearStructure(*expected), record)) < 1e-12
+    assert peak_error(simulate(changed, record), simulate(of_matrices(*expected), record)) < 1e-12
     assert structure.theta.tolist() == [1.0, 0.0] and changed.theta.tolist() == [0.7, 0.25]
     for before, after in zip(structure.constants(record)[:3], changed.constants(record)[:3], strict=True):
         assert before is after and before.shape[0] == 3
@@ -147,7 +149,9 @@ def test_affine_sparse_patterns_may_differ():
     parts = [sparse.random_array((30, 30), density=0.05, rng=rng) for _ in range(3)]
     parts = [a + a.T for a in parts]
     base = 50.0 * sparse.eye_array(30)
-    structure = AffineStructure(np.ones(30), UNDAMPED, base, stiffness_terms=parts, theta=[0.5, -1.0, 2.0])
+    structure = AffineStructure(
+        np.ones(30), stiffness=base, damping=UNDAMPED, stiffness_terms=parts, theta=[0.5, -1.0, 2.0]
+    )
     expected = base.toarray() + sum(c * a.toarray() for c, a in zip([0.5, -1.0, 2.0], parts, strict=True))
     np.testing.assert_allclose(structure.stiffness.toarray(), expected, rtol=1e-14)
 
@@ -161,7 +165,7 @@ def test_symbolic_parameters_are_for_models():
         with pytest.raises(TypeError, match="must have numbers as parameters"):
             simulate(symbolic, noise_record(150, seed=0))
         assert response(symbolic, noise_record(150, seed=0)).type.shape[0] == 2
-    assert LinearStructure([1.0], RayleighDamping(pt.scalar(), 0.0), [1.0]).is_symbolic
+    assert LinearStructure([1.0], stiffness=[1.0], damping=RayleighDamping(pt.scalar(), 0.0)).is_symbolic
 
 
 def test_road_to_a_model():
@@ -188,7 +192,7 @@ def test_road_to_a_model():
 def test_is_a_value():
     """What was passed is copied, what is kept is read-only, copies and pickles are the same."""
     stiffness = np.array([[2.0, -1.0], [-1.0, 2.0]])
-    structure = LinearStructure([1.0, 1.0], UNDAMPED, stiffness)
+    structure = LinearStructure([1.0, 1.0], stiffness=stiffness, damping=UNDAMPED)
     stiffness[0, 0] = 99.0
     assert structure.stiffness[0, 0] == 2.0
     with pytest.raises(ValueError, match="read-only"):
@@ -204,7 +208,7 @@ def test_is_a_value():
             same.values[0, 0] = 1.0
     expected = simulate(structure, loading)
     np.testing.assert_array_equal(simulate(pickle.loads(pickle.dumps(structure)), loading), expected)
-    large = LinearStructure(np.ones(50), UNDAMPED, spring_chain(50, 100.0))
+    large = LinearStructure(np.ones(50), stiffness=spring_chain(50, 100.0), damping=UNDAMPED)
     asked = dict(record=noise_record(150, seed=17), n_modes=3)
     for same in (copy.deepcopy(large), pickle.loads(pickle.dumps(large))):
         np.testing.assert_array_equal(simulate(same, **asked), simulate(large, **asked))
@@ -223,7 +227,7 @@ def test_modes_that_cannot_be_found_are_said(monkeypatch):
 
 def test_symmetric_up_to_rounding():
     matrix = np.array([[2.0, -1.0], [-1.0 - 1e-13, 2.0]])
-    structure = LinearStructure([1.0, 1.0], UNDAMPED, matrix)
+    structure = LinearStructure([1.0, 1.0], stiffness=matrix, damping=UNDAMPED)
     assert (structure.stiffness == structure.stiffness.T).all()
 
 
@@ -258,16 +262,16 @@ def test_refused_matrices(kind, changes, match):
 
 def test_the_negative_eigenvalue_is_named():
     with pytest.raises(ValueError, match=r"got omega\^2 = -1 \(rad/s\)\^2 as the lowest eigenvalue. Check"):
-        LinearStructure([1.0, 1.0], UNDAMPED, [[1.0, -2.0], [-2.0, 1.0]])
+        LinearStructure([1.0, 1.0], stiffness=[[1.0, -2.0], [-2.0, 1.0]], damping=UNDAMPED)
 
 
 def test_a_dashpot_or_a_shared_mass_is_a_connection():
     """The rule for degrees of freedom without stiffness: refused if nothing else touches them."""
     stiffness = np.diag([2.0, 0.0])
-    LinearStructure(np.eye(2), np.diag([0.0, 1.0]), stiffness)
-    LinearStructure([[2.0, 0.5], [0.5, 1.0]], UNDAMPED, stiffness)
+    LinearStructure(np.eye(2), stiffness=stiffness, damping=np.diag([0.0, 1.0]))
+    LinearStructure([[2.0, 0.5], [0.5, 1.0]], stiffness=stiffness, damping=UNDAMPED)
     with pytest.raises(ValueError, match="got a row of zeros for 1 and others. Remove the degree of freedom"):
-        LinearStructure(np.ones(3), RayleighDamping(0.1, 0.0), np.diag([2.0, 0.0, 0.0]))
+        LinearStructure(np.ones(3), stiffness=np.diag([2.0, 0.0, 0.0]), damping=RayleighDamping(0.1, 0.0))
 
 
 REFUSED_ARGUMENTS_VALUES = {  # what is said: what is given
@@ -338,7 +342,9 @@ def test_refused_modes():
         ValueError, match="`n_modes` must be below half of the 3001 degrees of freedom of a spar"
     ):
         natural_modes(sparse.eye_array(3001), large, 3001)
-    few = LinearStructure(np.ones(3), ModalDamping([0.1, 0.2]), spring_chain(3, 1.0).toarray())
+    few = LinearStructure(
+        np.ones(3), stiffness=spring_chain(3, 1.0).toarray(), damping=ModalDamping([0.1, 0.2])
+    )
     np.testing.assert_allclose(few.modes(2).damping_ratios, [0.1, 0.2], rtol=1e-14)
     np.testing.assert_allclose(few.modes(1).damping_ratios, [0.1], rtol=1e-14)
     with pytest.raises(
@@ -404,7 +410,7 @@ def test_negative_stiffness_beside_stiff_elements_is_found():
     negative = np.array(
         [[stiff - 500.0, -stiff, 0.0], [-stiff, stiff + 1000.0, -1000.0], [0.0, -1000.0, 1000.0]]
     )
-    structure = LinearStructure(np.ones(3), UNDAMPED, negative)
+    structure = LinearStructure(np.ones(3), stiffness=negative, damping=UNDAMPED)
     with pytest.raises(ValueError, match=r"no negative eigenvalue, got omega\^2 = -17\d"):
         simulate(structure, noise_record(150, seed=0))
     omega, rows = np.empty(3), np.empty((3, 3))

@@ -88,7 +88,7 @@ def test_shear_of_a_chain_by_its_matrices(kind, n_modes):
         mass, damping, stiffness = chain.matrices()
         expected = simulate(chain, SHAKE, quantity="base_shear", dt=0.01, n_modes=n_modes)
         for given in (chain.damping, damping):
-            linear = LinearStructure(kind(mass), given, kind(stiffness))
+            linear = LinearStructure(kind(mass), stiffness=kind(stiffness), damping=given)
             found = simulate(linear, SHAKE, quantity="base_shear", dt=0.01, n_modes=n_modes)
             assert found.dims == ("time",)
             assert peak_error(found, expected) < 1e-12
@@ -99,7 +99,9 @@ def coupled(influence=None):
     rng = np.random.default_rng(3)
     factors = rng.normal(size=(2, 4, 4))
     mass, stiffness = (f @ f.T + np.eye(4) for f in factors)
-    return LinearStructure(mass, np.diag([2.0, 0.0, 0.3, 0.0]), 200.0 * stiffness, influence=influence)
+    return LinearStructure(
+        mass, stiffness=200.0 * stiffness, damping=np.diag([2.0, 0.0, 0.3, 0.0]), influence=influence
+    )
 
 
 @pytest.mark.parametrize("damping", ["coupled", "classical"])
@@ -115,7 +117,7 @@ def test_balance_of_forces(damping):
         structure = coupled(influence)
         if damping == "classical":
             mass, _, stiffness = structure.matrices()
-            structure = LinearStructure(mass, RAYLEIGH, stiffness, influence=influence)
+            structure = LinearStructure(mass, stiffness=stiffness, damping=RAYLEIGH, influence=influence)
         _, matrix_c, matrix_k = structure.matrices()
         settings = {"dt": 0.01}
         v, x = (
@@ -139,7 +141,7 @@ def test_slow_forces_go_to_the_ground():
         np.outer([1.0, -3.0, 5.0, 2.0], np.clip(np.arange(400) / 300.0, 0.0, 1.0)), 1.0, kind="force"
     )
     for n_modes in (None, 1):
-        structure = LinearStructure(MASS, RAYLEIGH, CHAINS[0].matrices()[2])
+        structure = LinearStructure(MASS, stiffness=CHAINS[0].matrices()[2], damping=RAYLEIGH)
         shear = simulate(structure, ramp, quantity="base_shear", n_modes=n_modes)
         assert float(shear[-1]) == pytest.approx(-5.0, rel=1e-6)
 

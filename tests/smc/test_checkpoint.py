@@ -13,7 +13,6 @@ import pymc as pm
 import pytest
 
 from pymc_features import (
-    CheckpointError,
     DiscrepancySimulator,
     ExternalSimulator,
     PersistentSMC,
@@ -23,6 +22,7 @@ from pymc_features import (
     TruncNormalFeature,
     sample_smc,
 )
+from pymc_features.exceptions import CheckpointError
 from pymc_features.smc import KERNELS
 from pymc_features.smc.kernels.checkpoint import MAGIC, Checkpoint, Journal
 from support.external_functions import DATA, SHAPE, Counted, beam, note

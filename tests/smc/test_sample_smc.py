@@ -1,5 +1,6 @@
 """Runs of `pm.sample_smc` with our kernels: what they report, refuse and save; and models with simulators."""
 
+import inspect
 import warnings
 
 import arviz as az
@@ -17,9 +18,10 @@ from pymc_features import (
     PersistentSMC,
     PopulationIMH,
     PopulationMH,
-    PopulationWarning,
+    SubsetSimulation,
     sample_smc,
 )
+from pymc_features.exceptions import PopulationWarning
 from pymc_features.smc import KERNELS
 from support.sampling import SERIAL
 
@@ -346,3 +348,12 @@ def test_each_particle_and_call_has_its_own_noise():
     streams = [logp.with_rng(np.random.default_rng(seed))(np.zeros((20, 1)))[1] for seed in (1, 2, 1)]
     assert not np.isin(streams[0], streams[1]).any()
     np.testing.assert_array_equal(streams[0], streams[2])
+
+
+@pytest.mark.parametrize("kernel", [*KERNELS, SubsetSimulation])
+def test_signatures_of_kernels_say_what_they_take(kernel):
+    known = inspect.signature(kernel).parameters
+    assert {"draws", "model", "random_seed"} <= set(known)
+    assert not any(p.kind is p.VAR_POSITIONAL for p in known.values())
+    with pytest.raises(TypeError, match="threshhold"):
+        kernel(20, model=pm.Model(), threshhold=0.5)

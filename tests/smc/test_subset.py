@@ -14,15 +14,13 @@ from scipy import stats
 from pymc_features import (
     DiscrepancySimulator,
     ModalDamping,
-    PopulationWarning,
     SpringMassChain,
     SubsetSimulation,
-    SubsetSimulationWarning,
-    ToleranceNotReachedError,
     response,
     sample_smc,
     simulate,
 )
+from pymc_features.exceptions import PopulationWarning, SubsetSimulationWarning, ToleranceNotReachedError
 from pymc_features.smc.density.discrepancy import SimulatorNode
 from pymc_features.smc.kernels import subset
 from pymc_features.smc.kernels.levels import Levels
@@ -57,7 +55,7 @@ def test_report_of_a_run(tmp_path, monkeypatch):
     assert rho.max() > 0.99 * problem.epsilon
     found = idata.sample_stats
     expected = iter(fractions)
-    for k, tolerances in enumerate(found["tolerance"].values):
+    for k, tolerances in enumerate(found["epsilon"].values):
         tolerances = tolerances[~np.isnan(tolerances)]
         assert tolerances[-1] == problem.epsilon
         assert (np.diff(tolerances) < 0).all()
@@ -111,7 +109,7 @@ def test_parallel_chains_give_the_same_draws(mp_ctx):
     expected = sample(model, 200, chains=2)
     found = sample(model, 200, chains=2, cores=2, mp_ctx=mp_ctx)
     np.testing.assert_allclose(found.posterior["theta"], expected.posterior["theta"], rtol=1e-12)
-    np.testing.assert_allclose(found.sample_stats["tolerance"], expected.sample_stats["tolerance"])
+    np.testing.assert_allclose(found.sample_stats["epsilon"], expected.sample_stats["epsilon"])
 
 
 PULSE = noise_record(100)

@@ -5,7 +5,8 @@ import pymc as pm
 import pytensor.tensor as pt
 import pytest
 
-from pymc_features import DiscrepancySimulator, SimulationWarning, SubsetSimulationWarning
+from pymc_features import DiscrepancySimulator
+from pymc_features.exceptions import SimulationWarning, SubsetSimulationWarning
 from support.refusals import refusals
 from support.subset import batched, identity, itself, own, sample, stock, twice
 

@@ -239,9 +239,13 @@ def test_every_chain_keeps_the_contract(kind):
 MATRICES = assembled([1.0, 2.0, 1.5], [300.0, 200.0, 100.0])
 EXAMPLES = {
     SpringMassChain: lambda: SpringMassChain([1.0, 2.0, 1.5], [300.0, 200.0, 100.0], ModalDamping(0.02)),
-    LinearStructure: lambda: LinearStructure(MATRICES[0], ModalDamping(0.02), MATRICES[1]),
+    LinearStructure: lambda: LinearStructure(MATRICES[0], stiffness=MATRICES[1], damping=ModalDamping(0.02)),
     AffineStructure: lambda: AffineStructure(
-        MATRICES[0], ModalDamping(0.02), 0.5 * MATRICES[1], stiffness_terms=[MATRICES[1]], theta=[0.5]
+        MATRICES[0],
+        stiffness=0.5 * MATRICES[1],
+        damping=ModalDamping(0.02),
+        stiffness_terms=[MATRICES[1]],
+        theta=[0.5],
     ),
 }
 
@@ -437,3 +441,15 @@ def test_refusals(build, error, match):
 def test_scale_stiffness_refusals(factor, springs, error, match):
     with pytest.raises(error, match=match):
         numeric_scaling().scale_stiffness(factor, springs)
+
+
+def test_stiffness_and_damping_matrices_go_by_name():
+    """Both may be matrices: by position one could pass for the other."""
+    matrices = SpringMassChain([1.0, 2.0], [100.0, 80.0], RayleighDamping(0.1, 1e-3)).matrices()
+    again = LinearStructure(**matrices._asdict()).matrices()
+    for a, b in zip(matrices, again, strict=True):
+        np.testing.assert_allclose(a, b)
+    with pytest.raises(TypeError, match="positional argument"):
+        LinearStructure(matrices.mass, matrices.stiffness, matrices.damping)
+    with pytest.raises(TypeError, match="positional argument"):
+        AffineStructure(matrices.mass, matrices.stiffness, matrices.damping, stiffness_terms=[np.eye(2)])

@@ -9,14 +9,16 @@ import xarray as xr
 from scipy import integrate, stats
 
 from pymc_features import Record, abc_tolerance, sampling_rate_study
+from pymc_features.exceptions import StudyMismatchError
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve, exact_posterior, tolerance_interval
 from pymc_features.simulators import simulate
 from pymc_features.smc.results import pad_stages, savable
 from pymc_features.storage import PartStore
-from pymc_features.study import StudyMismatchError, as_csv, as_markdown, paper
+from pymc_features.study import as_csv, as_markdown, paper
 from pymc_features.study import sampling_rate as study_module
 from pymc_features.study.settings import Study
+from pymc_features.study.structures import find_structure
 
 KINDS = ("NORM", "TN", "EXP")
 ALL_KINDS = (*KINDS, "ABC", "CN", "CN-SIGMA", "CN-TAU")
@@ -25,7 +27,7 @@ ALL_KINDS = (*KINDS, "ABC", "CN", "CN-SIGMA", "CN-TAU")
 @pytest.fixture(scope="module")
 def exact(record):
     """Curves and exact posteriors on the whole record at the seven steps."""
-    study = Study(record)
+    study = Study(record, random_seed=0)
     result = {}
     for multiplier in paper.MULTIPLIERS:
         data = study.data(multiplier)
@@ -153,7 +155,13 @@ def test_sampled_quantiles_are_the_exact_ones(record, multiplier):
     """
     record = Record(record.acceleration[record.time <= DURATION[multiplier]], record.dt)
     result = sampling_rate_study(
-        record, multipliers=[multiplier], likelihoods=ALL_KINDS, draws=2000, chains=4, progressbar=False
+        record,
+        multipliers=[multiplier],
+        likelihoods=ALL_KINDS,
+        draws=2000,
+        chains=4,
+        random_seed=0,
+        progressbar=False,
     )
     summary = result["summary"].to_dataset().isel(multiplier=0)
     quantiles = ["q05", "q50", "q95"]
@@ -161,7 +169,7 @@ def test_sampled_quantiles_are_the_exact_ones(record, multiplier):
     error = (summary["sampled"] - summary["exact"]).sel(statistic=quantiles) / width
     assert float(np.abs(error).max()) < 0.05, error.values.round(3)
     assert float(summary["r_hat"].max()) < 1.01
-    low, high = summary["tolerance_interval"].values
+    low, high = summary["epsilon_interval"].values
     theta = result[f"ABC/x{multiplier:g}/posterior/theta"].values
     assert low * (1 - 1e-12) <= theta.min() <= theta.max() <= high * (1 + 1e-12)
     # negative control: the exact values of another likelihood are far away
@@ -178,7 +186,13 @@ def short():
 
 def small_study(record, **kwargs):
     """The study with few draws."""
-    settings = {"multipliers": (1.0, 2.0), "draws": 60, "chains": 2, "progressbar": False} | kwargs
+    settings = {
+        "multipliers": (1.0, 2.0),
+        "draws": 60,
+        "chains": 2,
+        "progressbar": False,
+        "random_seed": 0,
+    } | kwargs
     return sampling_rate_study(record, **settings)
 
 
@@ -209,14 +223,14 @@ def test_result_has_everything_and_saves(small_result, tmp_path):
 
 
 def test_abc_draws_are_inside_the_tolerance_and_follow_from_exp(short, small_result):
-    tolerance = small_result["summary"]["tolerance"].values
+    tolerance = small_result["summary"]["epsilon"].values
     for multiplier, delta in zip((1.0, 2.0), tolerance, strict=True):
         # of 120 draws: the standard error of the quantile is 5 %, of delta 10 %
         sigma = small_result[f"EXP/x{multiplier:g}/posterior/sigma"]
         assert delta == pytest.approx(abc_tolerance(sigma, paper.N_STOREYS), rel=0.4)
-        assert small_result[f"ABC/x{multiplier:g}"].attrs["tolerance"] == delta
+        assert small_result[f"ABC/x{multiplier:g}"].attrs["epsilon"] == delta
         measured = paper.decimate(
-            paper.measurements(short, multipliers=(1.0, 2.0)), multiplier * short.dt
+            paper.measurements(short, multipliers=(1.0, 2.0), random_seed=0), multiplier * short.dt
         ).values
         for theta in small_result[f"ABC/x{multiplier:g}/posterior/theta"].values.ravel()[::10]:
             mu = simulate(paper.chain(theta), short, dt=multiplier * short.dt).values
@@ -289,7 +303,9 @@ def test_folder_of_another_study_is_refused(short, tmp_path):
 
 @pytest.mark.parametrize("names", [("linear", "bouc-wen"), ("bouc-wen", "linear")])
 def test_folder_of_another_structure_is_refused(short, tmp_path, names):
-    first, second = (Study(short, structure=name, likelihoods=["TN"]).settings() for name in names)
+    first, second = (
+        Study(short, random_seed=0, structure=name, likelihoods=["TN"]).settings() for name in names
+    )
     PartStore(tmp_path, first)
     PartStore(tmp_path, first)
     with pytest.raises(StudyMismatchError, match="hold the same study, got .* structure = .* instead of"):
@@ -298,9 +314,9 @@ def test_folder_of_another_structure_is_refused(short, tmp_path, names):
 
 def test_settings_of_the_linear_chain_are_those_of_older_folders(short):
     """Folders from before there was a choice of structures can be continued."""
-    keys = "record record_sha256 record_dt stiffness noise multipliers likelihoods draws chains seed"
-    assert list(Study(short).settings()) == keys.split()
-    assert Study(short).settings()["draws"] == 2000
+    keys = "record record_sha256 record_dt stiffness noise multipliers likelihoods draws chains random_seed"
+    assert list(Study(short, random_seed=0).settings()) == keys.split()
+    assert Study(short, random_seed=0).settings()["draws"] == 2000
 
 
 @pytest.mark.parametrize(
@@ -317,7 +333,7 @@ def test_settings_of_the_linear_chain_are_those_of_older_folders(short):
         ({"multipliers": [1.0, 50.0]}, "`multipliers` must leave at least 10 samples, got 50"),
         ({"multipliers": [1.0, 1.5]}, "`step` must be an integer multiple of the finest step"),
         ({"multipliers": [0.3]}, "`dt` must be an integer multiple or divisor"),
-        ({"stiffness": -1.0}, "`stiffness` must be positive and finite, got -1"),
+        ({"structure": find_structure("linear", stiffness=-1.0)}, "`stiffness` must be positive and finite"),
     ],
 )
 def test_bad_settings(short, kwargs, message):
@@ -332,8 +348,8 @@ def test_record_must_be_a_record():
 
 def test_measurements_have_the_stated_noise_once(short):
     """The same finest history at every step; noise of 5 % of each channel's root mean square."""
-    finest = paper.measurements(short, seed=4)
-    again = paper.measurements(short, seed=4)
+    finest = paper.measurements(short, random_seed=4)
+    again = paper.measurements(short, random_seed=4)
     np.testing.assert_array_equal(finest, again)
     exact = simulate(paper.chain(), short, dt=0.1 * short.dt).values
     noise = finest.values - exact
@@ -342,7 +358,7 @@ def test_measurements_have_the_stated_noise_once(short):
     np.testing.assert_allclose(noise.std(axis=1), 0.05 * rms, rtol=0.09)
     coarse = paper.decimate(finest, 2.0 * short.dt)
     np.testing.assert_array_equal(coarse.values, finest.values[:, ::20])
-    with pytest.raises(ValueError, match="`noise` must be finite and not negative, got -0.1"):
+    with pytest.raises(ValueError, match="`noise` must be positive or zero, got -0.1"):
         paper.measurements(short, noise=-0.1)
 
 
@@ -356,3 +372,19 @@ def test_ragged_statistics_are_padded():
     tree = savable(xr.DataTree.from_dict({"posterior": posterior, "sample_stats": stats}))
     assert tree["sample_stats"]["beta"].dims == ("chain", "stage")
     assert tree["sample_stats"].attrs == {"note": "None"}
+
+
+def test_arguments_of_samplers_are_known_by_name(short):
+    with pytest.raises(
+        TypeError, match=r"own or draws, chains, cores, progressbar, got 'chain'. Did you mean"
+    ):
+        small_study(short, chain=1)
+
+
+def test_a_study_without_a_seed_takes_another_each_time_and_goes_on_with_its_own(short, tmp_path):
+    first, second = (Study(short, likelihoods=["TN"]) for _ in range(2))
+    assert first.random_seed != second.random_seed
+    assert not np.array_equal(first.finest, second.finest)
+    assert study_module.seed_in(None) is study_module.seed_in(tmp_path) is None
+    PartStore(tmp_path, first.settings())
+    assert study_module.seed_in(tmp_path) == first.random_seed

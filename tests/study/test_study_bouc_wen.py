@@ -11,6 +11,7 @@ from pymc_features import Record, cli, sampling_rate_study, simulate
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.study import STRUCTURES, as_markdown, bouc_wen, find_structure, paper, yielding
 from pymc_features.study.misfits import computed_sums
+from pymc_features.study.sampling_rate import SamplingOptions
 from pymc_features.study.settings import Study
 from pymc_features.study.structures import DEFAULT
 
@@ -29,9 +30,13 @@ def test_structures_of_the_study(name, record):
     np.testing.assert_array_equal(entry.chain().matrices(), paper.chain().matrices())
     assert np.isfinite(simulate(changed, Record(record.acceleration[:50], record.dt))).all()
     assert set(entry.likelihoods) <= set(LIKELIHOODS)
-    study = Study(record, structure=name, likelihoods=["TN"], multipliers=[10.0])
+    study = Study(record, random_seed=0, structure=name, likelihoods=["TN"], multipliers=[10.0])
     assert (study.draws, study.chains, study.at(1.1).family) == (entry.draws, entry.chains, changed.family)
-    assert set(entry.quick) <= set(inspect.signature(sampling_rate_study).parameters)
+    known = inspect.signature(sampling_rate_study).parameters
+    assert set(entry.quick) <= {*known, *SamplingOptions.__annotations__}
+    softer = find_structure(name, stiffness=1500.0)
+    np.testing.assert_array_equal(softer.at(1.2).stiffness, changed.stiffness)
+    assert Study(record, structure=softer, likelihoods=["TN"], multipliers=[10.0]).structure == softer
     assert entry.quick["draws"] < entry.draws
     assert name in cli.make_parser()._subparsers._group_actions[0].choices["reproduce"].format_help()
 
@@ -64,7 +69,7 @@ def short(record):
 
 @pytest.fixture(scope="module")
 def study(short):
-    return Study(short, structure="bouc-wen", multipliers=(0.5, 1.0, 5.0))
+    return Study(short, random_seed=0, structure="bouc-wen", multipliers=(0.5, 1.0, 5.0))
 
 
 def direct_sums(study, theta, multiplier):
@@ -165,7 +170,7 @@ def test_sampled_quantiles_are_the_exact_ones(result):
     assert abs(float(error.sel(tail))) < 1.0
     error.loc[tail] = np.nan
     assert float(np.abs(error).max()) < 0.2, error.values.round(3)
-    low, high = summary["tolerance_interval"].values
+    low, high = summary["epsilon_interval"].values
     theta = result["ABC/x1/posterior/theta"].values
     assert low * (1 - 1e-6) <= theta.min() <= theta.max() <= high * (1 + 1e-6)
     # negative control: the exact values of another likelihood are far away

@@ -19,21 +19,24 @@ DAMPINGS = {  # alpha and beta, ratios of n modes
 def flat(family: str, name: str):
     """A kernel that takes the family's inputs, the code of the quantity, and what follows, in their order."""
     spec = FAMILIES[family]
-    n = len(spec.inputs)
+    n, of_discrepancy = len(spec.inputs), name in ("discrepancy_gradient", "population_gradient")
+    run = spec.kernels["misfit_gradient" if name == "discrepancy_gradient" else name]
 
     def kernel(*given):
         more = given[n + 1 :]
+        if of_discrepancy:  # weights (s,) or (p, s) of e_j alone
+            more = (*more[:-1], np.asarray(more[-1])[..., None])
         if name.endswith("tangent"):
             first = len(more) - len(spec.parameters)
             more = (*more[:first], tuple(more[first:]))
-        return spec.kernels[name](*spec.assemble(given[:n], given[n]), *more)
+        return run(*spec.assemble(given[:n], given[n]), *more)
 
     return kernel
 
 
 def flat_kernels(family: str) -> dict:
     """All kernels of a family by name."""
-    return {name: flat(family, name) for name in FAMILIES[family].kernels}
+    return {name: flat(family, name) for name in (*FAMILIES[family].kernels, "discrepancy_gradient")}
 
 
 CHAIN = flat_kernels("chain")
@@ -49,6 +52,7 @@ linear_response, linear_discrepancy, linear_misfit = (
 )
 linear_response_gradient, linear_response_tangent = LINEAR["response_gradient"], LINEAR["response_tangent"]
 linear_discrepancy_gradient = LINEAR["discrepancy_gradient"]
+linear_misfit_gradient = LINEAR["misfit_gradient"]
 linear_discrepancy_tangent = LINEAR["discrepancy_tangent"]
 linear_population_discrepancy = LINEAR["population_discrepancy"]
 linear_population_misfit = LINEAR["population_misfit"]

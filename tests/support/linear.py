@@ -8,6 +8,11 @@ from pymc_features import AffineStructure, LinearStructure, ModalDamping
 UNDAMPED = ModalDamping(0.0)
 
 
+def of_matrices(mass, damping, stiffness):
+    """The linear structure with M, C and K."""
+    return LinearStructure(mass, stiffness=stiffness, damping=damping)
+
+
 def noise(seed, shape=150):
     return np.random.default_rng(seed).normal(size=shape)
 
@@ -36,15 +41,15 @@ def spring_chain(n, k, *, free=False):
 def as_linear(chain):
     """With the same damping object, and with its matrix."""
     mass, damping, stiffness = chain.matrices()
-    return LinearStructure(mass, chain.damping, stiffness), LinearStructure(mass, damping, stiffness)
+    return of_matrices(mass, chain.damping, stiffness), of_matrices(mass, damping, stiffness)
 
 
 def affine(kind=np.asarray, **kwargs):
     lower, upper = np.diag([100.0, 0.0]), 80.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     return AffineStructure(
         kind(np.diag([1.0, 2.0])),
-        kind(np.diag([0.5, 0.0])),
-        kind(lower),
+        stiffness=kind(lower),
+        damping=kind(np.diag([0.5, 0.0])),
         stiffness_terms=[kind(upper), None],
         mass_terms=[None, kind(np.diag([0.0, 1.0]))],
         damping_terms=[kind(0.01 * upper), None],

@@ -3,7 +3,7 @@
 import sys
 import warnings
 
-from pymc_features import ChannelWarning
+from pymc_features.exceptions import ChannelWarning
 
 
 def messages(action):

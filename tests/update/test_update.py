@@ -14,8 +14,9 @@ import scipy.stats
 import xarray as xr
 
 from pymc_features import cli, datasets, simulate, structures
+from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 from pymc_features.update import predict, read_problem, run, write_example
-from pymc_features.update.config import messages, priors, structure_sections
+from pymc_features.update.config import priors, structure_sections
 from pymc_features.update.config.document import read_config
 from pymc_features.update.structure import StructureOf
 
@@ -69,7 +70,7 @@ BROKEN = {  # what is said: what is changed, into what
         '["EXP", "ABC"]',
         '["MAX"]',
     ),
-    "`likelihood` must have `tolerance` for ABC, or EXP among": ('["EXP", "ABC"]', '["ABC"]'),
+    "`likelihood` must have `epsilon` for ABC, or EXP among": ('["EXP", "ABC"]', '["ABC"]'),
     "[data]: `files` must be an existing file, got": ("frame-measured.csv", "nothing.csv"),
     "[data]: `units` must be one of": ('# units = "m/s^2" ', 'units = "furlong" #'),
     "`data.sensors` must be among the sensors base, floor1": ('"floor3"]', '"roof"]'),
@@ -185,8 +186,8 @@ def test_every_key_says_what_it_must_be(example):
 
 
 def test_two_errors_are_counted(example, tmp_path):
-    path = variant(example, tmp_path, ("draws = 100", "draws = 1"), ("seed = 0", "seed = -1"))
-    with pytest.raises(messages.ConfigError, match=r"`sampler.draws` .* \(1 more after this one.\)"):
+    path = variant(example, tmp_path, ("draws = 100", "draws = 1"), ("random_seed = 0", "random_seed = -1"))
+    with pytest.raises(ConfigError, match=r"`sampler.draws` .* \(1 more after this one.\)"):
         read_config(path)
 
 
@@ -196,11 +197,11 @@ def test_priors_are_the_distributions_of_pymc():
     points = {"x_points": [0, 1, 2], "pdf_points": [0, 1, 0]}
     draws = priors.Prior("priors.x", "Interpolated", points).draw(4000, 1)
     assert scipy.stats.kstest(draws, scipy.stats.triang(0.5, scale=2.0).cdf).pvalue > 1e-3
-    with pytest.raises(messages.ConfigError, match="`priors.x` must be a scalar"):
+    with pytest.raises(ConfigError, match="`priors.x` must be a scalar"):
         priors.Prior("priors.x", "Normal", {"mu": [0.0, 1.0], "sigma": 1.0})
-    with pytest.raises(messages.ConfigError, match="Either use alpha and beta"):
+    with pytest.raises(ConfigError, match="Either use alpha and beta"):
         priors.Prior("priors.x", "Gamma", {"alpha": 2.0})
-    with pytest.raises(messages.ConfigError, match="must spread over finite values"):
+    with pytest.raises(ConfigError, match="must spread over finite values"):
         priors.Prior("priors.x", "Uniform", {"lower": 2.0, "upper": 2.0})
 
 
@@ -244,11 +245,11 @@ def test_other_settings_are_refused_other_reports_are_not(example, finished, tmp
     monkeypatch.setattr(run, "sample", None)
     text = example.read_text()
     try:
-        example.write_text(replaced(text, [("seed = 0", "seed = 1")]))
+        example.write_text(replaced(text, [("random_seed = 0", "random_seed = 1")]))
         assert cli.main(["update", str(example), "--out", str(finished)]) == 2
         error = capsys.readouterr().err
         assert "must be empty or hold the same update" in error
-        assert "sampler.seed = 0 instead of 1" in error
+        assert "sampler.random_seed = 0 instead of 1" in error
         example.write_text(replaced(text, [("Simulated, three storeys", "Another <title>")]))
         assert cli.main(["update", str(example), "--out", str(finished)]) == 0
         assert "<h1>Another &lt;title&gt;</h1>" in (finished / "report.html").read_text()
@@ -312,12 +313,12 @@ def test_posterior_finds_the_structure_and_its_modes(example, finished):
         assert (true < high).all()
         # Eq. (16), from the sampled posterior
         sigma = float(np.quantile(posterior["sigma"], 0.9))
-        assert tree["ABC"].attrs["tolerance"] == pytest.approx(6.0 * sigma**2)
+        assert tree["ABC"].attrs["epsilon"] == pytest.approx(6.0 * sigma**2)
         # draws of ABC lie within it
         last = tree["ABC/posterior"].to_dataset().isel(chain=0, draw=-1)
         built = problem.structure(**{n: float(last[n]) for n in problem.structure.names})
         off = simulate(built, problem.measured.record).values - problem.measured.channels.values
-        assert (off**2).mean(axis=1).sum() <= tree["ABC"].attrs["tolerance"]
+        assert (off**2).mean(axis=1).sum() <= tree["ABC"].attrs["epsilon"]
 
 
 def test_gain_peaks_at_the_natural_frequencies(example, tmp_path):
@@ -359,9 +360,9 @@ def test_thinned_draws_are_spread_over_the_chain():
 
 
 def test_tolerance_out_of_reach_keeps_the_rest(example, tmp_path, capsys):
-    path = variant(example, tmp_path, ("# tolerance = 5.0 ", "tolerance = 1e-9 "))
+    path = variant(example, tmp_path, ("# epsilon = 5.0 ", "epsilon = 1e-9 "))
     assert cli.main(["update", str(path), "--cores", "1", "--out", str(tmp_path / "out")]) == 2
-    assert "`likelihood.tolerance` must be within reach of the model" in capsys.readouterr().err
+    assert "`likelihood.epsilon` must be within reach of the model" in capsys.readouterr().err
     assert (tmp_path / "out" / "parts" / "EXP.nc").exists()
 
 
@@ -375,7 +376,7 @@ def test_what_a_stopped_sampler_returns_is_not_kept(example, tmp_path, monkeypat
 
 def test_another_tolerance_samples_abc_again(finished, example, tmp_path, monkeypatch):
     """And nothing but ABC."""
-    problem = read_problem(variant(example, tmp_path, ("# tolerance = 5.0 ", "tolerance = 40.0 ")))
+    problem = read_problem(variant(example, tmp_path, ("# epsilon = 5.0 ", "epsilon = 40.0 ")))
     asked = []
 
     def stopped(problem, kind, *rest):
@@ -403,7 +404,7 @@ def test_motion_from_a_file_of_its_own(example, tmp_path):
     np.testing.assert_allclose(alone.record.acceleration, together.record.acceleration, atol=1e-6)
     np.testing.assert_allclose(alone.channels, together.channels, rtol=1e-12)
     both = variant(example, tmp_path, ("[processing] ", record))
-    with pytest.raises(messages.ConfigError, match=r"`record` must be left out with `data.base`"):
+    with pytest.raises(ConfigError, match=r"`record` must be left out with `data.base`"):
         read_problem(both)
 
 
@@ -446,13 +447,9 @@ def test_matrices_come_from_files(example, tmp_path):
     model = run.declare(problem, "ABC", 1.0)
     assert {rv.name for rv in model.free_RVs} == {"k1", "k2", "zeta"}
     wrong = variant(example, tmp_path, (section, MATRICES.replace('"K1"', '"K9"')), (k3, ""), (drift, ""))
-    with pytest.raises(
-        messages.ConfigError, match=r"`structure.stiffness_terms\[0\].name` must be one of the"
-    ):
+    with pytest.raises(ConfigError, match=r"`structure.stiffness_terms\[0\].name` must be one of the"):
         read_problem(wrong)
-    with pytest.raises(
-        messages.ConfigError, match="must not have inter_storey_drift for a structure without"
-    ):
+    with pytest.raises(ConfigError, match="must not have inter_storey_drift for a structure without"):
         read_problem(variant(example, tmp_path, (section, MATRICES), (k3, "")))
 
 
@@ -580,7 +577,7 @@ def test_errors_correlated_in_time(example, tmp_path, kind):
 
 def test_init_says_which_data(tmp_path, monkeypatch, capsys):
     def unavailable(event):
-        raise datasets.DatasetUnavailableError("no network")
+        raise DatasetUnavailableError("no network")
 
     monkeypatch.setattr(datasets, "mini_shake_table", unavailable)
     path = tmp_path / "mine.toml"

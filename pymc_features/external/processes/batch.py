@@ -6,15 +6,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 
+from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
 from pymc_features.external.processes.calls import Outcome, call
-from pymc_features.external.processes.process import UnusableSimulatorError
 
 LOST_AT_MOST = 5  # times that a place of work may vanish under one and the same call
 SMALL = 2**16  # bytes that travel with every call; more of them only where they are missing
-
-
-class NoWorkersError(RuntimeError):
-    """An executor that runs nothing any more."""
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,8 @@ import os
 import threading
 from dataclasses import dataclass
 
-from pymc_features.external.processes.process import (
-    DiedAtStartError,
-    SimulatorProcess,
-    UnusableSimulatorError,
-)
+from pymc_features.exceptions import DiedAtStartError, UnusableSimulatorError
+from pymc_features.external.processes.process import SimulatorProcess
 
 STARTS = 3  # attempts at a process that dies before it is ready: the cause may have come from outside
 IDLE_KEPT = 64  # processes of all simulators, and payloads; where nobody says that one is not needed any more

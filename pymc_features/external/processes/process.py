@@ -13,29 +13,13 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from pymc_features.exceptions import DiedAtStartError, UnusableSimulatorError
+
 SCRIPT = Path(__file__).with_name("runner.py")
 START_SECONDS = 300.0  # to import what a simulator needs may take long on a busy file system
 LOOK_SECONDS = 1.0  # what a dead process started may hold its end of the socket open
 END_SECONDS = 5.0  # between the end of the connection and that of the process
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
-
-class UnusableSimulatorError(RuntimeError):
-    """A simulator that cannot be loaded where it is to run."""
-
-    def __init__(self, reason):
-        super().__init__(
-            f"the simulator must be loadable in another process, got {reason}. Define it in a module that "
-            "can be imported there, or in the script itself."
-        )
-        self.reason = reason
-
-    def __reduce__(self):
-        return type(self), (self.reason,)
-
-
-class DiedAtStartError(RuntimeError):
-    """A simulator process that ended before it was ready."""
 
 
 class SimulatorProcess:

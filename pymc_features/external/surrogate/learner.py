@@ -81,7 +81,7 @@ class Learner:
     """
 
     def __init__(self, settings, n_parameters: int):
-        self.settings, self.rng = settings, np.random.default_rng(settings.seed)
+        self.settings, self.rng = settings, np.random.default_rng(settings.random_seed)
         self.x, self.e = np.empty((0, n_parameters)), None
         self.usable = np.empty(0, dtype=bool)
         self.lengths, self.noise, self.fitted_to = None, 0.0, 0
@@ -93,7 +93,7 @@ class Learner:
         if not len(x):
             return run(np.arange(0))
         left, e = np.arange(len(x)), None
-        lottery = self.rng.random(len(x)) < self.settings.checked
+        lottery = self.rng.random(len(x)) < self.settings.check_fraction
         while len(left):
             judged = self.judge(x[left])
             chosen = self.first(len(left)) if judged is None else self.choose(judged, lottery[left])

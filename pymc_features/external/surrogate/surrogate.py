@@ -1,5 +1,6 @@
 """`Surrogate`: predicts most of the simulations of an `ExternalSimulator`."""
 
+from collections.abc import Callable, Hashable
 from importlib.util import find_spec
 
 import numpy as np
@@ -22,14 +23,14 @@ class Surrogate:
         `TruncNormalFeature`, 2 for `ExpFeature`, the number of times for `pm.Normal`.
     tolerance : float
         Permitted standard deviation of a prediction near the best fit, in nats of the log-likelihood.
-    initial : int, optional
+    n_initial : int, optional
         Runs before the first prediction; ten for each parameter by default.
     max_points : int
         Runs that a prediction is made from: those nearest to the population.
-    checked : float
+    check_fraction : float
         Share of the predictions held to be good enough that are run nevertheless.
-    seed : int
-        Of that choice.
+    random_seed : int, optional
+        Of that choice; for the same runs each time.
 
     Attributes
     ----------
@@ -80,10 +81,10 @@ class Surrogate:
         degrees_of_freedom: float,
         *,
         tolerance: float = 0.1,
-        initial: int | None = None,
+        n_initial: int | None = None,
         max_points: int = 500,
-        checked: float = 0.02,
-        seed: int = 0,
+        check_fraction: float = 0.02,
+        random_seed: int | None = None,
     ):
         if find_spec("sklearn") is None:
             raise ImportError(
@@ -93,22 +94,34 @@ class Surrogate:
         advice = "0.1 changes quantiles by a percent or so of the interval."
         self.tolerance = _positive("tolerance", tolerance, advice)
         self.degrees_of_freedom = _positive("degrees_of_freedom", degrees_of_freedom, "TN has 1, EXP 2.")
-        if not (isinstance(checked, int | float) and 0.0 <= checked <= 1.0):
-            raise ValueError(f"`checked` must lie between 0 and 1, got {checked!r}. The default is 0.02.")
-        self.initial = None if initial is None else _count("initial", initial, 5)
+        if not (isinstance(check_fraction, int | float) and 0.0 <= check_fraction <= 1.0):
+            raise ValueError(
+                f"`check_fraction` must lie between 0 and 1, got {check_fraction!r}. The default is 0.02."
+            )
+        self.n_initial = None if n_initial is None else _count("n_initial", n_initial, 5)
         self.max_points = _count("max_points", max_points, 20)
-        self.checked, self.seed = float(checked), _count("seed", seed, 0)
+        self.check_fraction = float(check_fraction)
+        self.random_seed = None if random_seed is None else _count("random_seed", random_seed, 0)
         self.learners: dict = {}
 
     def __repr__(self):
-        names = ("degrees_of_freedom", "tolerance", "initial", "max_points", "checked", "seed")
+        names = (
+            "degrees_of_freedom",
+            "tolerance",
+            "n_initial",
+            "max_points",
+            "check_fraction",
+            "random_seed",
+        )
         return f"Surrogate({', '.join(f'{name}={getattr(self, name)}' for name in names)})"
 
     def first_runs(self, n_parameters: int) -> int:
         """Runs before the first prediction."""
-        return max(5, 10 * n_parameters) if self.initial is None else self.initial
+        return max(5, 10 * n_parameters) if self.n_initial is None else self.n_initial
 
-    def evaluate(self, x: np.ndarray, run, data="") -> np.ndarray:
+    def evaluate(
+        self, x: np.ndarray, run: Callable[[np.ndarray], np.ndarray], data: Hashable = ""
+    ) -> np.ndarray:
         """e_j of a population: run, or predicted.
 
         Parameters
@@ -128,7 +141,7 @@ class Surrogate:
             self.learners[data] = Learner(self, x.shape[1])
         return self.learners[data].evaluate(x, run)
 
-    def report(self) -> dict:
+    def report(self) -> dict[str, int | float]:
         """What was saved, and the errors measured.
 
         Returns

@@ -9,25 +9,23 @@ import jax
 import pytensor.tensor as pt
 from pytensor.link.jax.dispatch.basic import jax_funcify
 
-from pymc_features.ops.discrepancy import StructuralDiscrepancy
-from pymc_features.ops.gradient import (
-    DiscrepancyGradient,
+from pymc_features.ops.comparison import (
     DiscrepancyTangent,
-    PopulationGradient,
-    ResponseGradient,
-    ResponseTangent,
+    MisfitGradient,
+    StructuralDiscrepancy,
+    StructuralMisfit,
 )
+from pymc_features.ops.gradient import ResponseGradient, ResponseTangent
 from pymc_features.ops.jax_dispatch.gradient import (
     differentiable_discrepancy,
     differentiable_misfit,
     differentiable_response,
     discrepancy_tangent,
-    gradient,
+    misfit_gradient,
     response_gradient,
     response_tangent,
 )
-from pymc_features.ops.misfit import StructuralMisfit
-from pymc_features.ops.population import PopulationDiscrepancy, PopulationMisfit
+from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradient, PopulationMisfit
 from pymc_features.ops.response import StructuralResponse
 
 
@@ -100,10 +98,10 @@ def on_population(kernel):
 jax_funcify.register(StructuralResponse)(on_one_particle(differentiable_response))
 jax_funcify.register(StructuralDiscrepancy)(on_one_particle(differentiable_discrepancy))
 jax_funcify.register(ResponseGradient)(on_one_particle(response_gradient))
-jax_funcify.register(DiscrepancyGradient)(on_one_particle(gradient))
+jax_funcify.register(MisfitGradient)(on_one_particle(misfit_gradient))
 jax_funcify.register(ResponseTangent)(on_one_particle(response_tangent))
 jax_funcify.register(DiscrepancyTangent)(on_one_particle(discrepancy_tangent))
 jax_funcify.register(PopulationDiscrepancy)(on_population(differentiable_discrepancy))
 jax_funcify.register(StructuralMisfit)(on_one_particle(differentiable_misfit))
 jax_funcify.register(PopulationMisfit)(on_population(differentiable_misfit))
-jax_funcify.register(PopulationGradient)(on_population(gradient))
+jax_funcify.register(PopulationGradient)(on_population(misfit_gradient))

@@ -86,6 +86,15 @@ def response_gradient(op, static, parameters, acceleration, dt, sensors, cotange
     return gradient(op, static, parameters, acceleration, dt, sensors, cotangent, None)
 
 
+def misfit_gradient(op, static, parameters, acceleration, dt, sensors, observed, weights):
+    """Gradients of the sum of weights (s, 1) or (s, 4) times the statistics of the misfit."""
+    common = (parameters, acceleration, dt, sensors)
+    if weights.shape[1] == 1:
+        return gradient(op, static, *common, observed, weights[:, 0])
+    _, transpose = jax.vjp(statistics, observed - response(op, static, *common))
+    return gradient(op, static, *common, -transpose(weights)[0], None)
+
+
 def response_tangent(op, static, parameters, acceleration, dt, sensors, *directions):
     """Derivative of the response: the transpose of its gradient."""
     total = Sampling(acceleration, dt, *static[:2]).total
@@ -147,7 +156,7 @@ def misfit_backward(op, static, inputs, cotangent):
 
 
 def statistics(misfit):
-    """`ops.misfit.misfit_values` in JAX."""
+    """`ops.comparison.misfit_values` in JAX."""
     squares = ((x**2).sum(axis=1) / misfit.shape[1] for x in (misfit, jnp.diff(misfit, axis=1)))
     return jnp.stack([*squares, misfit[:, 0], misfit[:, -1]], axis=-1)
 

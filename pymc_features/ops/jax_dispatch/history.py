@@ -132,7 +132,7 @@ def discrepancy(*inputs):
 
 
 def misfit_statistics(*inputs):
-    """Statistics (s, 4) of the misfit; see `ops.misfit`."""
+    """Statistics (s, 4) of the misfit; see `ops.comparison`."""
 
     def add(sums, misfit, there):
         squares, increments, first, last = sums

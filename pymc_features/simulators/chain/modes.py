@@ -10,6 +10,7 @@ is the square of the vector's, so that even the lowest frequency is right to the
 
 import numpy as np
 
+from pymc_features.simulators.compiled.arrays import ascending
 from pymc_features.simulators.compiled.jit import jit
 
 MAX_ITERATIONS = 60  # QL sweeps per eigenvalue; two or three are typical
@@ -103,19 +104,6 @@ def is_chain(mass, stiffness):
     for i in range(mass.size):
         possible &= 0.0 < mass[i] < np.inf and 0.0 < stiffness[i] < np.inf
     return possible
-
-
-@jit
-def ascending(values):
-    """Positions of numbers in ascending order, by insertion: the iteration leaves them nearly in order."""
-    order = np.arange(values.size)
-    for i in range(1, values.size):
-        here, k = order[i], i
-        while k > 0 and values[order[k - 1]] > values[here]:
-            order[k] = order[k - 1]
-            k -= 1
-        order[k] = here
-    return order
 
 
 @jit

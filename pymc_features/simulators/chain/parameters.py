@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features.simulators.compiled.jit import jit
+
 
 class ChainParameters(NamedTuple):
     """Masses on springs in a row, with Rayleigh damping and damping ratios added to it.
@@ -24,3 +26,15 @@ class ChainParameters(NamedTuple):
     stiffness: np.ndarray
     rayleigh: np.ndarray
     ratios: np.ndarray
+
+
+@jit
+def own_rows(parameters, p):
+    """Row p of each parameter of a population; one row stands for all."""
+    mass, stiffness, rayleigh, ratios = parameters
+    return ChainParameters(
+        mass[p % mass.shape[0]],
+        stiffness[p % stiffness.shape[0]],
+        rayleigh[p % rayleigh.shape[0]],
+        ratios[p % ratios.shape[0]],
+    )

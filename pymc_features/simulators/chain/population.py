@@ -1,32 +1,55 @@
-"""Mean-square discrepancies of many sets of parameters at once; see `recursion_lanes.py` for how."""
+"""Misfits of many chains at once; see `oscillators.population` for how."""
+
+from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features.simulators.chain.parameters import own_rows
 from pymc_features.simulators.chain.population_modes import (
     diagonalise_lanes,
-    fill_lane,
+    fill_matrix,
     normalise_lanes,
-    take_lane,
+    take_modes,
 )
+from pymc_features.simulators.chain.response import check_history, check_sizes, write_feed, write_shapes
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.oscillators.arguments import n_outputs
-from pymc_features.simulators.oscillators.population_recursion import (
-    N_COEFFICIENTS,
-    SAMPLES,
-    fill_recursion,
-    march,
-    take_sums,
+from pymc_features.simulators.oscillators.modal_system import ModalSystem
+from pymc_features.simulators.oscillators.population import (
+    fill_lane,
+    lane_statistics,
+    new_increments,
+    new_lanes,
 )
-from pymc_features.simulators.oscillators.recursion import N_ROWS, check_sizes, modal_coefficients
+from pymc_features.simulators.oscillators.recursion import N_ROWS, write_damping, write_table
+
+
+class ModeLanes(NamedTuple):
+    """Eigenproblems of chains, one in each lane.
+
+    Attributes
+    ----------
+    valid : bool array (LANES,)
+        Which lanes have a chain.
+    mass, stiffness, frequencies, participation, off_diagonal : array (n, LANES)
+    vectors : array (n n, LANES)
+    """
+
+    valid: np.ndarray
+    mass: np.ndarray
+    stiffness: np.ndarray
+    frequencies: np.ndarray
+    participation: np.ndarray
+    off_diagonal: np.ndarray
+    vectors: np.ndarray
 
 
 @jit
-def check_population(mass, stiffness, rayleigh, ratios, sensors, n_modes, n_times, observed):
+def check_population(parameters, excitation, wanted, observed):
     """Refuse inputs whose sizes do not agree; return the number of particles."""
-    check_sizes(mass[0], stiffness[0], rayleigh[0], ratios[0], sensors, n_modes)
-    if observed.shape[0] != sensors.size or observed.shape[1] != n_times:
-        raise ValueError("`observed` must have the shape (sensor, time) of the response")
+    check_sizes(own_rows(parameters, 0), wanted)
+    check_history(observed, excitation, wanted)
+    mass, stiffness, rayleigh, ratios = parameters
     n_particles = max(mass.shape[0], stiffness.shape[0], rayleigh.shape[0], ratios.shape[0])
     for size in (mass.shape[0], stiffness.shape[0], rayleigh.shape[0], ratios.shape[0]):
         if size != 1 and size != n_particles:
@@ -37,177 +60,98 @@ def check_population(mass, stiffness, rayleigh, ratios, sensors, n_modes, n_time
 
 
 @jit
-def group_modes(mass, stiffness, first, count, valid, lanes):
-    """Solve the eigenproblems of `count` particles together; `valid` (LANES,) says which there are.
+def new_modes(n):
+    """Room for the eigenproblems of chains of n masses."""
+    mass, stiffness, frequencies = np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n, LANES))
+    participation, off_diagonal = np.empty((n, LANES)), np.empty((n, LANES))
+    valid, vectors = np.empty(LANES, dtype=np.bool_), np.empty((n * n, LANES))
+    return ModeLanes(valid, mass, stiffness, frequencies, participation, off_diagonal, vectors)
 
-    `lanes` are arrays for masses, springs, frequencies, participation, off_diagonal (n, LANES) and vectors
-    (n n, LANES).
-    """
-    masses, springs, frequencies, participation, off_diagonal, vectors = lanes
-    for array in lanes:
+
+@jit
+def solve_modes(modes, parameters, first, count):
+    """Solve the eigenproblems of particles `first` ... `first + count - 1` together."""
+    valid, mass, stiffness, frequencies, participation, off_diagonal, vectors = modes
+    for array in (mass, stiffness, frequencies, participation, off_diagonal, vectors):
         array.fill(0.0)
+    valid.fill(False)
     for lane in range(count):
-        p = first + lane
-        lane_mass, lane_stiffness = mass[p % mass.shape[0]], stiffness[p % stiffness.shape[0]]
-        valid[lane] = fill_lane(
-            lane_mass, lane_stiffness, lane, masses, springs, frequencies, off_diagonal, vectors
-        )
+        own = own_rows(parameters, first + lane)
+        valid[lane] = fill_matrix(modes, lane, own.mass, own.stiffness)
     if not diagonalise_lanes(frequencies, off_diagonal, vectors):
         valid.fill(False)
-    normalise_lanes(masses, springs, frequencies, participation, off_diagonal, vectors)
+    normalise_lanes(modes)
 
 
 @jit
-def fill_group(
-    parameters, step, sensors, quantity, start, first, count, modes, coefficients, states, shapes, direct
-):
-    """Write what the recursion needs for `count` particles into their lanes.
+def march_population(parameters, excitation, wanted, observed, increments):
+    """Statistics of the misfit of all particles, a vector of them at a time.
 
     Parameters
     ----------
-    parameters : tuple of arrays
-        mass, stiffness, rayleigh, ratios.
-    modes : tuple of arrays
-        Work space: valid (LANES,), lanes as in `group_modes`, and for one particle omega, participation
-        (n,), mode_shapes (n, n), table (11, m), shapes and direct.
-    coefficients, states, shapes, direct : array (..., LANES)
-        Written.
-    """
-    mass, stiffness, rayleigh, ratios = parameters
-    valid, lanes, omega, participation, mode_shapes, table, own, own_direct = modes
-    _, _, frequencies, participations, _, vectors = lanes
-    for array in (coefficients, states, shapes, direct):
-        array.fill(0.0)
-    group_modes(mass, stiffness, first, count, valid, lanes)
-    for lane in range(count):
-        p = first + lane
-        if not valid[lane]:
-            continue
-        take_lane(lane, frequencies, participations, vectors, omega, participation, mode_shapes)
-        valid[lane] = modal_coefficients(
-            omega,
-            mode_shapes,
-            participation,
-            rayleigh[p % rayleigh.shape[0]],
-            ratios[p % ratios.shape[0]],
-            step,
-            sensors,
-            quantity,
-            table,
-            own,
-            own_direct,
-        )
-        if valid[lane]:
-            fill_recursion(table, own, own_direct, start, lane, coefficients, states, shapes, direct)
-
-
-@jit
-def march_population(
-    parameters, acceleration, dt, substeps, stride, sensors, n_modes, quantity, observed, misfits, chained
-):
-    """Sums over the samples for all particles, a vector of them at a time.
-
-    Parameters
-    ----------
-    parameters : tuple of arrays
-        mass, stiffness, rayleigh, ratios.
-    misfits, chained
-        As in `recursion_lanes.march`.
+    parameters : ChainParameters
+        Each array has a row for each particle, or one for all.
+    excitation, wanted, observed
+        Common to all, as in `response.chain_misfit`.
+    increments : Increments or None
 
     Returns
     -------
-    array (p, s, 1), or (p, s, 4) unless `misfits` is None
-        Mean squares of the misfit and of its increments, its first and its last value. NaN in the rows whose
-        parameters describe no structure.
+    array (p, s, 1), or (p, s, 4) with increments
+        NaN in the rows whose parameters describe no structure.
     """
-    mass, stiffness, rayleigh, ratios = parameters
-    n_sensors, n = sensors.size, mass.shape[1]
-    n_times = n_outputs(acceleration.size, substeps, stride)
-    n_particles = check_population(mass, stiffness, rayleigh, ratios, sensors, n_modes, n_times, observed)
-    even_sensors, even_modes = n_sensors + n_sensors % 2, n_modes + n_modes % 2
-    result = np.empty((n_particles, n_sensors, 1 if misfits is None else 4))
-    coefficients = np.empty((N_COEFFICIENTS * even_modes, LANES))
-    states = np.empty((2 * even_modes, LANES))
-    shapes = np.empty((even_sensors * even_modes, LANES))
-    direct, errors = np.empty((even_sensors, LANES)), np.empty((even_sensors, LANES))
-    valid = np.empty(LANES, dtype=np.bool_)
-    modes = (
-        valid,
-        (
-            *(np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n, LANES))),
-            *(np.empty((n, LANES)), np.empty((n * n, LANES))),
-        ),
-        *(np.empty(n), np.empty(n), np.empty((n, n))),
-        *(np.empty((N_ROWS, n_modes)), np.empty((n_sensors, n_modes)), np.empty(n_sensors)),
-    )
-    outputs, ground = np.empty((SAMPLES * even_modes, LANES)), np.empty(SAMPLES * stride)
-    work = (outputs, ground, np.empty((n_sensors, SAMPLES)))
-    step, start = dt / substeps, acceleration[0]
+    n_particles = check_population(parameters, excitation, wanted, observed)
+    sensors, m, quantity = wanted
+    n, step = parameters.mass.shape[1], excitation.dt / excitation.substeps
+    result = np.empty((n_particles, sensors.size, 1 if increments is None else 4))
+    lanes, modes = new_lanes(sensors.size, m, excitation.stride), new_modes(n)
+    omega, damping, table = np.empty(n), np.empty(m), np.empty((N_ROWS, m))
+    participation, rows = np.empty(n), np.empty((n, n))
+    shapes, feed = np.empty((sensors.size, m)), np.empty(sensors.size)
+    system = ModalSystem(omega[:m], damping, shapes, participation[:m].reshape(m, 1))
     for first in range(0, n_particles, LANES):
         count = min(LANES, n_particles - first)
-        fill_group(
-            *(parameters, step, sensors, quantity, start, first, count, modes),
-            *(coefficients, states, shapes, direct),
-        )
-        march(
-            *(coefficients, states, shapes, direct, acceleration, substeps, stride, observed, errors, work),
-            *(misfits, chained),
-        )
-        take_sums(errors, misfits, chained, n_times, result[first : first + count])
+        solve_modes(modes, parameters, first, count)
         for lane in range(count):
-            if not valid[lane]:
+            if not modes.valid[lane]:
+                continue
+            own = own_rows(parameters, first + lane)
+            take_modes(modes, lane, omega, participation, rows)
+            modes.valid[lane] = write_damping(system.omega, own.rayleigh, own.ratios, step, damping)
+            if modes.valid[lane]:
+                write_shapes(rows, sensors, shapes)
+                write_table(system.omega, damping, step, quantity, table)
+                write_feed(system, quantity, m == n, feed)
+                fill_lane(lanes, lane, table, system, feed, excitation.acceleration[0])
+        found = lane_statistics(lanes, excitation, observed, increments)
+        for lane in range(count):
+            result[first + lane] = found[lane]
+            if not modes.valid[lane]:
                 result[first + lane] = np.nan
     return result
 
 
 @jit
 def population_discrepancy(parameters, excitation, wanted, observed):
-    """e_j of Eq. (3) for a population of spring-mass chains.
+    """e_j (p, s) of Eq. (3) for a population; NaN in the rows whose parameters describe no structure.
 
     Parameters
     ----------
-    mass, stiffness, ratios : array (p or 1, n)
-        One row for each particle, or one for all; units as in `recursion.modal_system`.
-    rayleigh : array (p or 1, 2)
-        alpha [1/s] and beta [s].
-    acceleration, dt, substeps, stride, sensors, n_modes, quantity, observed
-        Common to all, as in `discrepancy.chain_discrepancy`.
-
-    Returns
-    -------
-    array (p, s)
-        NaN in the rows whose parameters describe no structure.
+    parameters : ChainParameters
+        Each array has a row for each particle, or one for all.
+    excitation, wanted, observed
+        Common to all, as in `response.chain_discrepancy`.
 
     Notes
     -----
     One thread. Memory: the result and one block of 16 samples for 4 or 8 particles, whatever the length of
     the record and the number of particles. Agrees with `chain_discrepancy` to 1e-12.
     """
-    mass, stiffness, rayleigh, ratios = parameters
-    acceleration, dt, substeps, stride = excitation
-    sensors, n_modes, quantity = wanted
-    result = march_population(
-        *((mass, stiffness, rayleigh, ratios), acceleration, dt, substeps, stride),
-        *(sensors, n_modes, quantity, observed, None, None),
-    )
-    return result[:, :, 0].copy()
+    return march_population(parameters, excitation, wanted, observed, None)[:, :, 0].copy()
 
 
 @jit
 def population_misfit(parameters, excitation, wanted, observed):
-    """What `discrepancy.chain_misfit` returns, for a population: an array (p, s, 4).
-
-    Parameters and cost in memory as those of `population_discrepancy`.
-    """
-    mass, stiffness, rayleigh, ratios = parameters
-    acceleration, dt, substeps, stride = excitation
-    sensors, n_modes, quantity = wanted
-    even_sensors = sensors.size + sensors.size % 2
-    chained = (
-        *(np.empty((even_sensors, LANES)), np.empty((even_sensors, LANES))),
-        np.empty((even_sensors, LANES)),
-    )
-    return march_population(
-        *((mass, stiffness, rayleigh, ratios), acceleration, dt, substeps, stride),
-        *(sensors, n_modes, quantity, observed, np.empty((even_sensors * SAMPLES, LANES)), chained),
-    )
+    """What `response.chain_misfit` returns, for a population: an array (p, s, 4)."""
+    increments = new_increments(wanted.sensors.size)
+    return march_population(parameters, excitation, wanted, observed, increments)

@@ -1,12 +1,13 @@
-"""Modes of many chains at once: the QL iteration of `modal.py` in lockstep, one chain in each vector lane.
+"""Modes of many chains at once: the QL iteration of `modes.py` in lockstep, one chain in each vector lane.
 
 Every chain takes its own shifts and splits where it must; lanes that have nothing to do in a sweep are
-turned by the identity. The result is that of `modal.chain_modes` up to rounding.
+turned by the identity. The result is that of `modes.chain_modes` up to rounding.
 """
 
 import numpy as np
 
-from pymc_features.simulators.chain.modes import MAX_ITERATIONS, ascending, is_chain
+from pymc_features.simulators.chain.modes import MAX_ITERATIONS, is_chain
+from pymc_features.simulators.compiled.arrays import ascending
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import (
     highest,
@@ -84,7 +85,7 @@ def sweep(diagonal, off_diagonal, vectors, low, split, at_split):
 def diagonalise_lanes(diagonal, off_diagonal, vectors):
     """Overwrite `diagonal` (n, LANES) by the eigenvalues and `vectors` (n n, LANES) by the eigenvectors.
 
-    As `modal.diagonalise`, for all lanes. Returns False if an eigenvalue of any lane does not converge.
+    As `modes.diagonalise`, for all lanes. Returns False if an eigenvalue of any lane does not converge.
     """
     n = diagonal.shape[0]
     for low in range(n - 1):
@@ -99,32 +100,33 @@ def diagonalise_lanes(diagonal, off_diagonal, vectors):
 
 
 @jit
-def fill_lane(mass, stiffness, lane, masses, springs, diagonal, off_diagonal, vectors):
-    """Write one chain, its symmetric tridiagonal matrix, and the identity, into a lane.
+def fill_matrix(modes, lane, mass, stiffness):
+    """Write one chain, its symmetric tridiagonal matrix, and the identity, into a lane of `ModeLanes`.
 
     Returns False, and leaves the matrix zero, where the parameters do not describe a chain.
     """
-    n = mass.size
+    n, diagonal, off_diagonal = mass.size, modes.frequencies, modes.off_diagonal
     possible = is_chain(mass, stiffness)
     for i in range(n):
-        masses[i, lane], springs[i, lane] = mass[i], stiffness[i]
+        modes.mass[i, lane], modes.stiffness[i, lane] = mass[i], stiffness[i]
         above = stiffness[i + 1] if i + 1 < n else 0.0
         diagonal[i, lane] = (stiffness[i] + above) / mass[i]
         off_diagonal[i, lane] = -above / (np.sqrt(mass[i]) * np.sqrt(mass[i + 1])) if i + 1 < n else 0.0
         possible &= diagonal[i, lane] < np.inf and off_diagonal[i, lane] > -np.inf
     for i in range(n):
-        vectors[i * n + i, lane] = 1.0
+        modes.vectors[i * n + i, lane] = 1.0
         if not possible:
             diagonal[i, lane] = off_diagonal[i, lane] = 0.0
     return possible
 
 
 @jit
-def normalise_lanes(masses, springs, frequencies, participation, work, vectors):
-    """Turn eigenvectors into mode shapes in place: `modal.normalise` for all lanes.
+def normalise_lanes(modes):
+    """Turn eigenvectors into mode shapes in place: `modes.normalise` for all lanes.
 
-    `frequencies`, `participation` and `work` (n, LANES) are written.
+    The frequencies and participation factors of `ModeLanes` are written, the off-diagonal overwritten.
     """
+    _, masses, springs, frequencies, participation, work, vectors = modes
     n = masses.shape[0]
     zero, one = splat(0.0), splat(1.0)
     for i in range(n):
@@ -150,12 +152,12 @@ def normalise_lanes(masses, springs, frequencies, participation, work, vectors):
 
 
 @jit
-def take_lane(lane, frequencies, participation, vectors, own_frequencies, own_participation, mode_shapes):
-    """Copy the modes of one lane out of it, in ascending order of frequency."""
-    n = own_frequencies.size
-    order = ascending(frequencies[:, lane])
+def take_modes(modes, lane, omega, participation, rows):
+    """Copy the modes of one lane of `ModeLanes` out of it, in ascending order of frequency."""
+    n = omega.size
+    order = ascending(modes.frequencies[:, lane])
     for r in range(n):
-        own_frequencies[r] = frequencies[order[r], lane]
-        own_participation[r] = participation[order[r], lane]
+        omega[r] = modes.frequencies[order[r], lane]
+        participation[r] = modes.participation[order[r], lane]
         for i in range(n):
-            mode_shapes[r, i] = vectors[order[r] * n + i, lane]
+            rows[r, i] = modes.vectors[order[r] * n + i, lane]

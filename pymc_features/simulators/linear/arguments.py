@@ -1,30 +1,16 @@
-"""What the kernels of linear structures take, in this order, and the check of its sizes."""
+"""Arguments of the kernels of linear structures, what follows from them, and the check of their sizes."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.algebra import to_dense
-from pymc_features.simulators.oscillators.arguments import n_outputs
+from pymc_features.algebra import assemble, to_dense
+from pymc_features.simulators.compiled.arrays import writable
+from pymc_features.simulators.oscillators.arguments import Excitation, Outputs, n_outputs
 
 
 class LinearParameters(NamedTuple):
-    """Parameters and matrices of a linear structure: the first ten of `Arguments`."""
-
-    theta: np.ndarray
-    rayleigh: np.ndarray
-    ratios: np.ndarray
-    mass: np.ndarray
-    damping: np.ndarray
-    stiffness: np.ndarray
-    rows: np.ndarray
-    starts: np.ndarray
-    influence: np.ndarray
-    forces: np.ndarray
-
-
-class Arguments(NamedTuple):
-    """M(theta) x" + C x' + K(theta) x = -M influence a(t) + forces a(t), and what is asked of it.
+    """Parameters and matrices of M(theta) x" + C x' + K(theta) x = -M influence a(t) + forces a(t).
 
     Attributes
     ----------
@@ -41,16 +27,6 @@ class Arguments(NamedTuple):
         The pattern of these entries, by columns; both empty for dense matrices, whose entries are in C order.
     influence, forces : array (n, d)
         Displacements under unit displacements of the supports [-], and loads per unit of the inputs.
-    acceleration : array (d, t)
-        The inputs, support accelerations [m/s^2] or forces [N], linear between their samples.
-    dt : float
-        Their step [s].
-    substeps, stride : int
-        Of the recursion between two samples, and between two outputs, as in `recursion.advance`.
-    sensors : array (s, n) or sparse matrix
-        Wanted combinations of the degrees of freedom: rows of the identity for sensors.
-    n_modes, quantity : int
-        Modes kept, and a position in `QUANTITIES`.
     """
 
     theta: np.ndarray
@@ -63,28 +39,21 @@ class Arguments(NamedTuple):
     starts: np.ndarray
     influence: np.ndarray
     forces: np.ndarray
-    acceleration: np.ndarray
-    dt: float
-    substeps: int
-    stride: int
-    sensors: np.ndarray
-    n_modes: int
-    quantity: int
 
     @property
-    def step(self) -> float:
-        """Step of the recursion [s]."""
-        return self.dt / self.substeps
+    def random(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """theta, rayleigh and ratios, which may be random and are differentiated."""
+        return self.theta, self.rayleigh, self.ratios
 
     @property
-    def grid(self) -> tuple[int, int]:
-        """Substeps and stride."""
-        return self.substeps, self.stride
+    def n_dof(self) -> int:
+        """Number of degrees of freedom n."""
+        return self.influence.shape[0]
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Shape (s, u) of the response."""
-        return self.sensors.shape[0], n_outputs(self.acceleration.shape[1], self.substeps, self.stride)
+    def is_finite(self) -> bool:
+        """Whether theta, rayleigh and ratios are finite."""
+        return all(np.isfinite(values).all() for values in self.random)
 
     @property
     def is_classical(self) -> bool:
@@ -97,64 +66,100 @@ class Arguments(NamedTuple):
         return self.starts.size == 0
 
     @property
-    def inputs(self) -> np.ndarray:
-        """`acceleration` for a kernel."""
-        return writable(self.acceleration)
+    def has_constant_modes(self) -> bool:
+        """Whether neither M nor K depends on theta."""
+        return max(self.mass.shape[0], self.stiffness.shape[0]) == 1
+
+    def assemble(self, stack):
+        """A(theta) of a stack of entries, an array or `csc_array` (n, n)."""
+        return assemble(stack, self.theta, self.rows, self.starts, self.n_dof)
+
+    def one_of(self, p: int) -> "LinearParameters":
+        """Parameters of particle p of a population: `random` has a row for each particle, or one for all."""
+        return LinearParameters(*(array[p % array.shape[0]] for array in self.random), *self[N_PARAMETERS:])
+
+    def for_kernel(self) -> "LinearParameters":
+        """The same in arrays that compiled code takes."""
+        whole = np.int64
+        pattern = {name: writable(getattr(self, name), whole) for name in ("rows", "starts")}
+        return LinearParameters(*map(writable, self))._replace(**pattern)
+
+
+N_PARAMETERS = 3  # theta, rayleigh and ratios come first
+
+
+class Arguments(NamedTuple):
+    """What a kernel takes.
+
+    Attributes
+    ----------
+    parameters : LinearParameters
+    excitation : Excitation
+        Its inputs (d, t) are support accelerations [m/s^2] or forces [N].
+    wanted : Outputs
+        Its `sensors` are a matrix (s, n), an array or sparse, of combinations of the degrees of freedom.
+    """
+
+    parameters: LinearParameters
+    excitation: Excitation
+    wanted: Outputs
 
     @property
-    def loads(self) -> tuple[np.ndarray, np.ndarray]:
-        """`influence` and `forces` for a kernel."""
-        return writable(self.influence), writable(self.forces)
+    def step(self) -> float:
+        """Step of the recursion [s]."""
+        return self.excitation.dt / self.excitation.substeps
 
     @property
-    def outputs(self) -> np.ndarray:
-        """`sensors` for a kernel, dense."""
-        return writable(to_dense(self.sensors))
+    def shape(self) -> tuple[int, int]:
+        """Shape (s, u) of the response."""
+        acceleration, _, substeps, stride = self.excitation
+        return self.wanted.sensors.shape[0], n_outputs(acceleration.shape[1], substeps, stride)
+
+    @property
+    def inputs(self) -> Excitation:
+        """The excitation in arrays that compiled code takes."""
+        acceleration, *grid = self.excitation
+        return Excitation(writable(acceleration), *grid)
+
+    @property
+    def outputs(self) -> Outputs:
+        """The outputs in arrays that compiled code takes, the matrix of sensors dense."""
+        sensors, n_modes, quantity = self.wanted
+        return Outputs(writable(to_dense(sensors)), n_modes, quantity)
 
     def check(self, history=None, weights=None):
         """Refuse sizes that do not agree.
 
-        `history` is the data or a cotangent of the response (s, u), `weights` a cotangent of e (s,).
+        `history` is the data or a cotangent of the response (s, u), `weights` a cotangent (s, 1 or 4) of
+        statistics of the misfit.
         """
-        n, entries = self.influence.shape[0], self.mass.shape[1]
-        if self.starts.size not in (0, n + 1) or entries != (self.rows.size if self.starts.size else n * n):
+        given, n = self.parameters, self.parameters.n_dof
+        entries, inputs = given.mass.shape[1], self.excitation.acceleration
+        if given.starts.size not in (0, n + 1) or entries != (n * n if given.is_dense else given.rows.size):
             raise ValueError("`rows` and `starts` must be the pattern of the matrices, or empty if dense")
-        lengths = {1, 1 + self.theta.size}
+        lengths = {1, 1 + given.theta.size}
         for name in ("mass", "damping", "stiffness"):
-            stack = getattr(self, name)
+            stack = getattr(given, name)
             legal = lengths | {0} if name == "damping" else lengths
             if stack.shape[1] != entries or stack.shape[0] not in legal:
                 raise ValueError(f"`{name}` must have shape (1 + p, e) or (1, e) to match `theta` and `mass`")
-        if self.forces.shape != self.influence.shape or self.influence.shape[1] != self.acceleration.shape[0]:
+        if given.forces.shape != given.influence.shape or given.influence.shape[1] != inputs.shape[0]:
             raise ValueError("`influence` and `forces` must have shape (n, d) to match `acceleration` (d, t)")
-        if self.sensors.ndim != 2 or self.sensors.shape[1] != n:
+        if self.wanted.sensors.ndim != 2 or self.wanted.sensors.shape[1] != n:
             raise ValueError("`sensors` must have one column for each degree of freedom")
-        if not 1 <= self.n_modes <= n:
+        if not 1 <= self.wanted.n_modes <= n:
             raise ValueError("`n_modes` must lie between 1 and the number of degrees of freedom")
-        if self.rayleigh.size != 2 or (self.is_classical and self.ratios.size < self.n_modes):
+        if given.rayleigh.size != 2 or (given.is_classical and given.ratios.size < self.wanted.n_modes):
             raise ValueError("`rayleigh` must have 2 values, and `ratios` one for each mode kept")
         if history is not None and history.shape != self.shape:
             raise ValueError("`observed` or the cotangent must have the shape (sensor, time) of the response")
-        if weights is not None and weights.shape != self.shape[:1]:
-            raise ValueError("`weights` must have one value for each sensor")
+        if weights is not None and weights.shape not in ((self.shape[0], 1), (self.shape[0], 4)):
+            raise ValueError("`weights` must have one value or four for each sensor")
 
 
-N_PARAMETERS = 3  # theta, rayleigh and ratios may be random
-
-
-def writable(array, dtype=np.float64) -> np.ndarray:
-    """The array, or a copy if it is read-only or strided: one compiled kernel serves all."""
-    return np.require(array, dtype, ["C", "W"])
-
-
-def one_of(parameters, p: int) -> tuple:
-    """Parameters of particle p: each array has a row for each particle, or one for all."""
-    return tuple(array[p % array.shape[0]] for array in parameters)
-
-
-def n_particles(parameters, weights=None) -> int:
-    """Number of particles of a population; `weights` (p, s) have a row for each."""
-    counts = {array.shape[0] for array in parameters}
+def n_particles(parameters: LinearParameters, weights=None) -> int:
+    """Number of particles of a population; `weights` (p, ...) have a row for each."""
+    counts = {array.shape[0] for array in parameters.random}
     given = counts if weights is None else {weights.shape[0]}
     if len((counts | given) - {1}) > 1 or max(given) < max(counts):
         raise ValueError("the parameters must have one row, or one for each particle, and `weights` all rows")

@@ -1,11 +1,11 @@
-"""How the kept modes turn out of their span when the matrices change.
+"""Component of the mode-shape derivatives orthogonal to the retained modes.
 
-For a change of K and M, mode r moves by what it had no part of before,
+For a change of K and M, mode r changes outside the span of the kept modes by
 
     dphi_r = -(K - lambda_r M)^+ (dK - lambda_r dM) phi_r,
 
 where ^+ is the inverse on the M-orthogonal complement of the kept modes: there K - lambda_r M is positive
-definite, for the modes left out are higher. How the modes turn within their span is the matter of `pairs`.
+definite, for the modes left out are higher. Changes within that span are treated in `close_modes`.
 """
 
 import numpy as np
@@ -35,26 +35,25 @@ def invert_outside(system, loads):
         omega, shapes = system.others
         gaps = (omega[:, None] - system.omega) * (omega[:, None] + system.omega)
         return shapes @ (shapes.T @ loads / gaps)
-    moved = system.mass @ system.shapes
-    residual = loads - moved @ (system.shapes.T @ loads)
+    inertia = system.mass @ system.shapes
+    residual = loads - inertia @ (system.shapes.T @ loads)
     solution = np.zeros_like(residual)
-    direction, energy, target = np.zeros_like(residual), None, None
+    direction, last_norm, target = np.zeros_like(residual), None, None
     for _ in range(MAX_STEPS):
-        better = system.factor.solve(residual)
-        better -= system.shapes @ (moved.T @ better)
-        found = np.maximum((residual * better).sum(axis=0), 0.0)
-        if energy is None:
-            target = TOLERANCE**2 * found
-        if (found <= target).all():
+        preconditioned = system.factor.solve(residual)
+        preconditioned -= system.shapes @ (inertia.T @ preconditioned)
+        norm = np.maximum((residual * preconditioned).sum(axis=0), 0.0)
+        if last_norm is None:
+            target, last_norm = TOLERANCE**2 * norm, np.full_like(norm, np.inf)
+        if (norm <= target).all():
             break
-        ratio = np.zeros_like(found) if energy is None else _quotient(found, energy)
-        energy = found
-        direction = better + ratio * direction
-        pushed = system.stiffness @ direction - (system.mass @ direction) * eigenvalues
-        pushed -= moved @ (system.shapes.T @ pushed)
-        size = np.where(found <= target, 0.0, _quotient(found, (direction * pushed).sum(axis=0)))
+        direction = preconditioned + _quotient(norm, last_norm) * direction
+        product = system.stiffness @ direction - (system.mass @ direction) * eigenvalues
+        product -= inertia @ (system.shapes.T @ product)
+        size = np.where(norm <= target, 0.0, _quotient(norm, (direction * product).sum(axis=0)))
         solution += size * direction
-        residual -= size * pushed
+        residual -= size * product
+        last_norm = norm
     return solution
 
 

@@ -1,4 +1,4 @@
-"""Modes of dense structures inside compiled code: what `algebra.natural_modes` finds, and whether they exist.
+"""Modes of dense structures inside compiled code, as `algebra.natural_modes`, and a test that they exist.
 
 K phi = omega^2 M phi becomes the standard problem of F^-1 K F^-T, F F' = M, for LAPACK; where M is diagonal F
 is its root and costs nothing. The eigenvalues are then replaced by the Rayleigh quotients of their vectors.
@@ -8,7 +8,7 @@ import numpy as np
 
 from pymc_features.algebra.eigen import NEGATIVE, ROUNDING
 from pymc_features.algebra.factorisation import ZERO_STIFFNESS
-from pymc_features.simulators.chain.modes import ascending
+from pymc_features.simulators.compiled.arrays import ascending
 from pymc_features.simulators.compiled.jit import jit
 
 
@@ -115,7 +115,7 @@ def reduce_full(mass, stiffness, factor, reduced):
 
 
 @jit
-def turn_back(mass, factor, diagonal, vectors, shapes):
+def physical_shapes(mass, factor, diagonal, vectors, shapes):
     """Write phi = F^-T y into the rows of `shapes` (m, n), y the first columns of `vectors` (n, n)."""
     n = mass.shape[0]
     for r in range(shapes.shape[0]):
@@ -134,15 +134,15 @@ def turn_back(mass, factor, diagonal, vectors, shapes):
 
 
 @jit
-def rayleigh_quotient(stiffness, largest, shape, pushed, inertia):
+def rayleigh_quotient(stiffness, largest, shape, forces, inertia):
     """phi' K phi / phi' M phi; zero where only rounding is left of it, NaN where it is negative beyond that.
 
-    `pushed` (n,) is K phi, `inertia` phi' M phi, and no row of |K| has a sum above `largest`.
+    `forces` (n,) are K phi, `inertia` phi' M phi, and no row of |K| has a sum above `largest`.
     """
     n = shape.size
     energy, square = 0.0, 0.0
     for i in range(n):
-        energy += shape[i] * pushed[i]
+        energy += shape[i] * forces[i]
         square += shape[i] * shape[i]
     if energy >= ROUNDING * largest * square:  # which bounds the sum below, at less cost
         return energy / inertia
@@ -162,18 +162,18 @@ def normalise(mass, stiffness, diagonal, omega, shapes):
     False where one is imaginary.
     """
     n_modes, n = shapes.shape
-    pushed = np.dot(shapes, stiffness)
-    moved = shapes if diagonal else np.dot(shapes, mass)
+    forces = np.dot(shapes, stiffness)
+    momenta = shapes if diagonal else np.dot(shapes, mass)
     largest = 0.0
     for i in range(n):
         largest = max(largest, np.abs(stiffness[i]).sum())
     for r in range(n_modes):
         shape, inertia, peak = shapes[r], 0.0, 0
         for i in range(n):
-            inertia += shape[i] * moved[r, i] * (mass[i, i] if diagonal else 1.0)
+            inertia += shape[i] * momenta[r, i] * (mass[i, i] if diagonal else 1.0)
             if abs(shape[i]) > abs(shape[peak]):
                 peak = i
-        omega[r] = np.sqrt(rayleigh_quotient(stiffness, largest, shape, pushed[r], inertia))
+        omega[r] = np.sqrt(rayleigh_quotient(stiffness, largest, shape, forces[r], inertia))
         if not omega[r] >= 0.0:
             return False
         scale = (-1.0 if shape[peak] < 0.0 else 1.0) / np.sqrt(inertia)
@@ -227,5 +227,5 @@ def dense_modes(mass, stiffness, omega, shapes):
         _, vectors = np.linalg.eigh(reduced)
     except Exception:  # noqa: BLE001  the iteration did not converge; compiled code knows no other class
         return False
-    turn_back(mass, factor, diagonal, vectors, shapes)
+    physical_shapes(mass, factor, diagonal, vectors, shapes)
     return normalise(mass, stiffness, diagonal, omega, shapes)

@@ -1,19 +1,19 @@
-"""Gradients of response and discrepancy of linear structures by theta, Rayleigh pair and damping ratios.
+"""Gradients of response and misfit of linear structures by theta, Rayleigh pair and damping ratios.
 
-The parameters of all functions are those of `Arguments`, in their order, and what else is said. The cost
-does not grow with the number of parameters but for one product with the stacks of their entries.
+All functions take a `LinearParameters`, an `Excitation` and the `Outputs` wanted, and what else is said. The
+cost does not grow with the number of parameters but for one product with the stacks of their entries.
 """
 
 import numpy as np
 
 from pymc_features.simulators.linear import oscillators, state_adjoint
-from pymc_features.simulators.linear.arguments import N_PARAMETERS, Arguments, n_particles, one_of
+from pymc_features.simulators.linear.arguments import Arguments, n_particles
 from pymc_features.simulators.linear.projection import to_parameters
 from pymc_features.simulators.linear.system import solve_system
 
 
 def linear_response_gradient(parameters, excitation, wanted, cotangent) -> tuple:
-    """Gradient of sum_jk W_jk y_jk, W the cotangent (s, u) that follows the arguments.
+    """Gradient of sum_jk W_jk y_jk, W the cotangent (s, u).
 
     Returns
     -------
@@ -26,43 +26,42 @@ def linear_response_gradient(parameters, excitation, wanted, cotangent) -> tuple
     Exact, at repeated frequencies and for rigid bodies too; not where `n_modes` cuts a pair of equal
     frequencies, nor where damping ratios that differ from mode to mode change places.
     """
-    a = Arguments(*parameters, *excitation, *wanted)
+    a = Arguments(parameters, excitation, wanted)
     a.check(cotangent)
-    return gradient(a, cotangent, np.zeros(0))
+    return gradient(a, cotangent, None)
 
 
-def linear_discrepancy_gradient(parameters, excitation, wanted, observed, weights) -> tuple:
-    """Gradient of sum_j c_j e_j; data (s, u) and weights c (s,) follow the arguments.
+def linear_misfit_gradient(parameters, excitation, wanted, observed, weights) -> tuple:
+    """Gradient of sum_ji c_ji times the statistics of the misfit; data (s, u), weights c (s, 1) or (s, 4).
 
-    Returns as `linear_response_gradient`. Memory: a few blocks of 128 samples; of modes that the damping
-    couples also their state at every 128th step.
+    One column weighs e_j alone, four all that `linear_misfit` returns. Returns as `linear_response_gradient`.
+    Memory: a few blocks of 128 samples; of modes that the damping couples also the response, and their state
+    at every 128th step.
     """
-    a = Arguments(*parameters, *excitation, *wanted)
+    a = Arguments(parameters, excitation, wanted)
     a.check(observed, weights)
     return gradient(a, observed, weights)
 
 
 def linear_population_gradient(parameters, excitation, wanted, observed, weights) -> tuple:
-    """Gradient of sum_pj c_pj e_pj of a population; data (s, u) and weights c (p, s) follow the arguments.
+    """Gradient of the weighted statistics of a population; data (s, u), weights c (p, s, 1) or (p, s, 4).
 
     theta, rayleigh and ratios have one more axis in front. Returns arrays of their shapes; what all particles
     share, in one row, gets the sum.
     """
-    parameters, rest = parameters[:N_PARAMETERS], (*parameters[N_PARAMETERS:], *excitation, *wanted)
     count = n_particles(parameters, weights)
-    sums = tuple(np.zeros(array.shape) for array in parameters)
+    sums = tuple(np.zeros(array.shape) for array in parameters.random)
     for p in range(count):
-        a = Arguments(*one_of(parameters, p), *rest)
-        a.check(observed, weights[p])
-        for total, own in zip(sums, gradient(a, observed, weights[p]), strict=True):
-            total[p % total.shape[0]] += own
+        own = linear_misfit_gradient(parameters.one_of(p), excitation, wanted, observed, weights[p])
+        for total, part in zip(sums, own, strict=True):
+            total[p % total.shape[0]] += part
     return sums
 
 
 def gradient(a, history, weights):
-    """Gradient of sum w y, w the `history`, or of sum_j c_j e_j with `weights` c and the data."""
+    """Gradient of sum w y, w the `history`, or of the misfit's statistics with `weights` and the data."""
     system = solve_system(a, left_out=True)
     if system is None:
-        return tuple(np.full(array.shape, np.nan) for array in a[:N_PARAMETERS])
-    route = oscillators if a.is_classical else state_adjoint
+        return tuple(np.full(array.shape, np.nan) for array in a.parameters.random)
+    route = oscillators if a.parameters.is_classical else state_adjoint
     return to_parameters(a, system, route.pull_back(a, system, history, weights))

@@ -1,73 +1,63 @@
-"""Discrepancies of populations of linear structures: modes one by one, the recursion for several at once.
+"""Misfits of populations of linear structures: modes one by one, the recursion for several at once.
 
 Dense structures with classical damping under one input stay in compiled code, `dense_population`.
 
-The parameters are those of `Arguments`; theta, rayleigh and ratios have one more axis in front, a row for
-each particle or one for all.
+theta, rayleigh and ratios have one more axis in front, a row for each particle or one for all.
 """
 
 import numpy as np
 
+from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.linear.arguments import N_PARAMETERS, Arguments, n_particles, one_of, writable
+from pymc_features.simulators.linear.arguments import Arguments, n_particles
 from pymc_features.simulators.linear.dense_population import march_dense
 from pymc_features.simulators.linear.response import evaluate
 from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
-from pymc_features.simulators.oscillators.march import classical_matrices
-from pymc_features.simulators.oscillators.population_march import march_group
-from pymc_features.simulators.oscillators.recursion import N_ROWS
+from pymc_features.simulators.oscillators.population import (
+    lane_statistics,
+    new_increments,
+    new_lanes,
+    put_system,
+)
 
 
 def linear_population_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:
-    """e_j (p, s) of Eq. (3) of all particles, of the data that follow the arguments; NaN in invalid rows.
+    """e_j (p, s) of Eq. (3) of all particles, of the data `observed` (s, u); NaN in invalid rows.
 
     Memory: the result and a few blocks, whatever the length of the record and the number of particles.
     """
-    return march_population(parameters, (*excitation, *wanted), observed, False)[:, :, 0].copy()
+    return march_population(Arguments(parameters, excitation, wanted), observed, False)[:, :, 0].copy()
 
 
 def linear_population_misfit(parameters, excitation, wanted, observed) -> np.ndarray:
     """What `linear_misfit` returns, for all particles: (p, s, 4)."""
-    return march_population(parameters, (*excitation, *wanted), observed, True)
+    return march_population(Arguments(parameters, excitation, wanted), observed, True)
 
 
-def march_population(parameters, rest, observed, with_increments):
+def march_population(a: Arguments, observed, with_increments):
     """Misfits (p, s, 1 or 4) of all particles."""
-    parameters, rest = parameters[:N_PARAMETERS], (*parameters[N_PARAMETERS:], *rest)
-    count = n_particles(parameters)
-    shared = Arguments(*one_of(parameters, 0), *rest)
+    count, shared = n_particles(a.parameters), a._replace(parameters=a.parameters.one_of(0))
     shared.check(observed)
-    if shared.is_dense and shared.is_classical and shared.inputs.shape[0] == 1:
-        return march_dense(
-            tuple(writable(array) for array in parameters),
-            *((writable(shared.mass), writable(shared.stiffness)), shared.loads, shared.inputs[0]),
-            *(shared.step, shared.grid, shared.outputs, shared.n_modes, shared.quantity),
-            *(writable(observed), with_increments or None),
-        )
-    n_sensors, m = shared.shape[0], shared.n_modes
-    result = np.full((count, n_sensors, 4 if with_increments else 1), np.nan)
-    tables = np.empty((LANES, N_ROWS, m)), np.empty((LANES, n_sensors, m)), np.empty((LANES, n_sensors))
-    settings = (
-        *(shared.inputs[0], *shared.grid),
-        *(writable(observed), with_increments or None),
-    )
-    waiting = []
+    observed, increments = writable(observed), new_increments(a.shape[0]) if with_increments else None
+    given, one_input = shared.parameters, a.excitation.acceleration.shape[0] == 1
+    if given.is_dense and given.is_classical and one_input:
+        return march_dense(a.parameters.for_kernel(), a.inputs, a.outputs, observed, increments)
+    result = np.full((count, a.shape[0], 4 if with_increments else 1), np.nan)
+    lanes, places = new_lanes(a.shape[0], a.wanted.n_modes, a.excitation.stride), []
     for p in range(count):
-        a = Arguments(*one_of(parameters, p), *rest)
-        system = solve_system(a)
+        own = a._replace(parameters=a.parameters.one_of(p))
+        system = solve_system(own)
         if system is None:
             continue
-        if is_coupled(system.drag) or a.acceleration.shape[0] > 1:
-            result[p] = evaluate(a, system, observed)[:, : result.shape[2]]
-            continue
-        seen, direct = observe(a, system)
-        table, shapes = classical_matrices(a, system, seen)
-        for array, own in zip(tables, (table, shapes[0], direct[:, 0]), strict=True):
-            array[len(waiting)] = own
-        waiting.append(p)
-        if len(waiting) == LANES:
-            result[waiting] = march_group(*tables, *settings)
-            waiting = []
-    if waiting:
-        result[waiting] = march_group(*(array[: len(waiting)] for array in tables), *settings)
+        if one_input and not is_coupled(system.modal_damping):
+            modes, feed = observe(own, system)
+            put_system(lanes, len(places), modes, feed[:, 0].copy(), a.inputs, a.wanted.quantity)
+            places.append(p)
+        else:
+            result[p] = evaluate(own, system, observed)[:, : result.shape[2]]
+        if len(places) == LANES:
+            result[places] = lane_statistics(lanes, a.inputs, observed, increments)
+            places = []
+    if places:
+        result[places] = lane_statistics(lanes, a.inputs, observed, increments)[: len(places)]
     return result

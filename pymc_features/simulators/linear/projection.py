@@ -1,7 +1,7 @@
-"""Between parameters and modes: gradients with respect to theta, and directions of it.
+"""The chain rule between parameters and reduced matrices: gradients by theta, and directions of it.
 
 The kernels over time know the structure by its reduced matrices Phi' A Phi, its load Phi' L and its outputs
-S Phi, the modes Phi being held fixed. What they say of these is brought to the parameters here, together with
+S Phi, the modes Phi being held fixed. Derivatives by these are brought to the parameters here, together with
 what the modes that are left out add (`complement`). Of n^2 derivatives by the entries of a matrix only those
 are formed that the structure stores.
 """
@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.algebra import assemble
+from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.linear.arguments import writable
 from pymc_features.simulators.linear.complement import invert_outside
 
 
@@ -41,7 +41,7 @@ class Cotangent(NamedTuple):
     ratios: np.ndarray
 
 
-class Motion(NamedTuple):
+class ReducedChange(NamedTuple):
     """Changes of Phi' K Phi, Phi' M Phi, Phi' C Phi (m, m) and Phi' L (m, d), and of Phi outside its span.
 
     The first four are at fixed Phi; `shapes` (n, m).
@@ -55,30 +55,34 @@ class Motion(NamedTuple):
 
 
 def to_parameters(a, system, cotangent):
-    """Gradient of L by theta, rayleigh and ratios."""
-    shapes, theta = system.shapes, np.zeros(a.theta.size)
-    by_stiffness, by_mass = shapes @ cotangent.stiffness, shapes @ cotangent.mass
-    if shapes.shape[1] < shapes.shape[0] and max(a.stiffness.shape[0], a.mass.shape[0]) > 1:
-        turned = invert_outside(system, cotangent.shapes)
-        by_stiffness -= turned
-        by_mass += turned * system.omega**2
-    if a.stiffness.shape[0] > 1:
-        theta += a.stiffness[1:] @ stored_products(a, by_stiffness, shapes)
-    if a.mass.shape[0] > 1:
-        left = np.hstack([by_mass, shapes @ cotangent.load])
-        theta += a.mass[1:] @ stored_products(a, left, np.hstack([shapes, a.influence]))
-    if a.damping.shape[0] > 1:
-        theta += a.damping[1:] @ stored_products(a, shapes @ cotangent.damping, shapes)
-    return theta, cotangent.rayleigh, cotangent.ratios
+    """Gradient of L by theta, rayleigh and ratios.
+
+    With G_A the derivative by the reduced Phi' A Phi, the entries of A have the derivatives Phi G_A Phi'; M
+    has those by the load as well, and by K and M the modes leave their span, see `complement`.
+    """
+    given, shapes = a.parameters, system.shapes
+    grad_theta = np.zeros(given.theta.size)
+    left_of_stiffness, left_of_mass = shapes @ cotangent.stiffness, shapes @ cotangent.mass
+    if shapes.shape[1] < shapes.shape[0] and not given.has_constant_modes:
+        outside = invert_outside(system, cotangent.shapes)
+        left_of_stiffness -= outside
+        left_of_mass += outside * system.omega**2
+    if given.stiffness.shape[0] > 1:
+        grad_theta += given.stiffness[1:] @ stored_products(given, left_of_stiffness, shapes)
+    if given.mass.shape[0] > 1:
+        left = np.hstack([left_of_mass, shapes @ cotangent.load])
+        grad_theta += given.mass[1:] @ stored_products(given, left, np.hstack([shapes, given.influence]))
+    if given.damping.shape[0] > 1:
+        grad_theta += given.damping[1:] @ stored_products(given, shapes @ cotangent.damping, shapes)
+    return grad_theta, cotangent.rayleigh, cotangent.ratios
 
 
-def stored_products(a, left, right):
+def stored_products(parameters, left, right):
     """Entries (e,) of left right' at the places of the pattern; two arrays (n, k)."""
-    if not a.starts.size:
+    if parameters.is_dense:
         return (left @ right.T).ravel()
-    return sparse_products(
-        writable(left), writable(right), writable(a.rows, np.int64), writable(a.starts, np.int64)
-    )
+    pattern = writable(parameters.rows, np.int64), writable(parameters.starts, np.int64)
+    return sparse_products(writable(left), writable(right), *pattern)
 
 
 @jit
@@ -94,26 +98,24 @@ def sparse_products(left, right, rows, starts):
     return entries
 
 
-def move(a, system, d_theta):
-    """What a direction of theta does to the reduced matrices, see `Motion`."""
-    shapes = system.shapes
-    n, m = shapes.shape
-    by_stiffness, by_mass, by_damping, pushed = (
-        _change(a, stack, d_theta, vectors)
-        for stack, vectors in (
-            *((a.stiffness, shapes), (a.mass, shapes)),
-            *((a.damping, shapes), (a.mass, a.influence)),
-        )
-    )
-    turned = np.zeros((n, m))
-    if m < n and max(a.stiffness.shape[0], a.mass.shape[0]) > 1:
-        turned = -invert_outside(system, by_stiffness - by_mass * system.omega**2)
-    return Motion(*(shapes.T @ v for v in (by_stiffness, by_mass, by_damping, pushed)), turned)
+def project_direction(a, system, d_theta) -> ReducedChange:
+    """Change of the reduced matrices along a direction of theta."""
+    given, shapes = a.parameters, system.shapes
+    d_stiffness = change_times(given, given.stiffness, d_theta, shapes)
+    d_mass = change_times(given, given.mass, d_theta, shapes)
+    d_damping = change_times(given, given.damping, d_theta, shapes)
+    d_load = change_times(given, given.mass, d_theta, given.influence)
+    d_shapes = np.zeros(shapes.shape)
+    if shapes.shape[1] < shapes.shape[0] and not given.has_constant_modes:
+        d_shapes -= invert_outside(system, d_stiffness - d_mass * system.omega**2)
+    reduced = (shapes.T @ vectors for vectors in (d_stiffness, d_mass, d_damping, d_load))
+    return ReducedChange(*reduced, d_shapes)
 
 
-def _change(a, stack, d_theta, vectors):
+def change_times(parameters, stack, d_theta, vectors):
     """sum_i dtheta_i A_i times vectors (n, k)."""
     if stack.shape[0] < 2:
         return np.zeros(vectors.shape)
     entries = (d_theta @ stack[1:])[None]
-    return assemble(entries, d_theta[:0], a.rows, a.starts, vectors.shape[0]) @ vectors
+    matrix = assemble(entries, d_theta[:0], parameters.rows, parameters.starts, parameters.n_dof)
+    return matrix @ vectors

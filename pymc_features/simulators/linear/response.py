@@ -1,18 +1,19 @@
-"""Response and discrepancies of linear structures: any M, C and K, several supports or forces.
+"""Response and misfits of linear structures: any M, C and K, several supports or forces.
 
-The parameters of all functions are those of `Arguments`, in their order, and what else is said. Where they
-describe no structure the result is NaN: M(theta) is not positive definite, K(theta) has a negative
+All functions take a `LinearParameters`, an `Excitation` and the `Outputs` wanted, see `arguments`. Where the
+parameters describe no structure the result is NaN: M(theta) is not positive definite, K(theta) has a negative
 eigenvalue, or the damping is negative.
 """
 
 import numpy as np
 
+from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear.arguments import Arguments
-from pymc_features.simulators.linear.dense_population import dense_tables
-from pymc_features.simulators.linear.state_space import march_state, step_matrices
+from pymc_features.simulators.linear.dense_population import march_structure
+from pymc_features.simulators.linear.state_space import march_state, state_matrices
 from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
-from pymc_features.simulators.oscillators.blocks import destination
-from pymc_features.simulators.oscillators.march import classical_matrices, march_modes
+from pymc_features.simulators.oscillators.march import march_modes
+from pymc_features.simulators.oscillators.misfit import statistics
 
 
 def linear_response(parameters, excitation, wanted) -> np.ndarray:
@@ -20,32 +21,32 @@ def linear_response(parameters, excitation, wanted) -> np.ndarray:
 
     Notes
     -----
-    Modes that the damping couples are carried together by a matrix exponential, see `state_space`, all
+    Modes that the damping couples are integrated together by a matrix exponential, see `state_space`, all
     others singly.
     """
-    a = Arguments(*parameters, *excitation, *wanted)
+    a = Arguments(parameters, excitation, wanted)
     a.check()
     return solve(a, None)
 
 
 def response_in_modes(omega, shapes, parameters, excitation, wanted) -> np.ndarray:
     """As `linear_response`, of an admissible structure whose modes are known: omega (m,), shapes (n, m)."""
-    a = Arguments(*parameters, *excitation, *wanted)
+    a = Arguments(parameters, excitation, wanted)
     a.check()
     return evaluate(a, solve_system(a, known=(omega, shapes)), None)
 
 
 def linear_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:
-    """e_j (s,) of Eq. (3), of the data that follow the arguments, `observed` (s, u)."""
+    """e_j (s,) of Eq. (3), of the data `observed` (s, u)."""
     return linear_misfit(parameters, excitation, wanted, observed)[:, 0].copy()
 
 
 def linear_misfit(parameters, excitation, wanted, observed) -> np.ndarray:
-    """What `discrepancy.chain_misfit` returns, (s, 4), of the data that follow the arguments.
+    """Statistics (s, 4) of the misfit with the data (s, u), in the order of `oscillators.misfit`.
 
     Memory: a few blocks of 128 samples, whatever the length of the record.
     """
-    a = Arguments(*parameters, *excitation, *wanted)
+    a = Arguments(parameters, excitation, wanted)
     a.check(observed)
     return solve(a, observed)
 
@@ -55,34 +56,30 @@ def solve(a, observed):
 
     Dense structures with classical damping stay in compiled code.
     """
-    if not (a.is_dense and a.is_classical):
+    if not (a.parameters.is_dense and a.parameters.is_classical):
         return evaluate(a, solve_system(a), observed)
-    tables = dense_tables(a)
-    return nothing(a, observed) if tables is None else march(a, march_modes, tables, observed)
+    observed, history = data_or_history(a, observed)
+    sums = march_structure(a.parameters.for_kernel(), a.inputs, a.outputs, observed, history)
+    return history if history.size else sums
 
 
 def evaluate(a, system, observed):
-    """Response (s, u) of a system or, with data, their misfits (s, 4); NaN if there is no system."""
+    """Response (s, u) of a system or, with data, its misfits (s, 4); NaN if there is no system."""
+    observed, history = data_or_history(a, observed)
+    sums = np.zeros((4, a.shape[0]))
     if system is None:
-        return nothing(a, observed)
-    seen, direct = observe(a, system)
-    if is_coupled(system.drag):
-        matrices = step_matrices(system.omega, system.drag, system.participation, seen, a.step, a.quantity)
-        return march(a, march_state, (*matrices, direct), observed)
-    return march(a, march_modes, (*classical_matrices(a, system, seen), direct), observed)
+        history[:], sums[:] = np.nan, np.nan
+    elif is_coupled(system.modal_damping):
+        march_state(state_matrices(a, system)[1], a.inputs, observed, history, sums)
+    else:
+        modes, feed = observe(a, system)
+        march_modes(modes, feed, a.inputs, a.wanted.quantity, observed, history, sums)
+    return history if history.size else statistics(sums, a.shape[1])
 
 
-def nothing(a, observed):
-    """What is returned where there is no structure."""
-    n_sensors, total = a.shape
-    return np.full((n_sensors, total if observed is None else 4), np.nan)
-
-
-def march(a, kernel, matrices, observed):
-    """Response or misfits by `march_modes` or `march_state`."""
-    observed, history, sums = destination(a.shape, observed)
-    kernel(*matrices, a.inputs, *a.grid, observed, history, sums)
-    if history.size:
-        return history
-    sums[:2] /= a.shape[1]
-    return np.ascontiguousarray(sums.T)
+def data_or_history(a, observed):
+    """Data (s, u) and no room for a history, or, without data, a history (s, u) twice."""
+    if observed is not None:
+        return writable(observed), np.empty((0, 0))
+    history = np.empty(a.shape)
+    return history, history

@@ -1,127 +1,177 @@
 """Exact response of coupled modes: first-order hold of the whole state.
 
-With the state z = (s q, h q') of all modes, h the step, and inputs linear over it, the exact solution of
-q" + D q' + Omega^2 q = -Gamma a(t) is
+The modes obey q" = -R (q, q', a), R = [Omega^2, D, Gamma]. With the state z = (S q, h q') of all modes, h the
+step, and inputs a linear over it, the exact solution is
 
-    z[k+1] = phi0(F) z[k] + (phi1(F) - phi2(F)) G a[k] + phi2(F) G a[k+1],
+    z[k+1] = T z[k] + N a[k] + A a[k+1],   T = phi0(F),   N = (phi1(F) - phi2(F)) G,   A = phi2(F) G,
     F = [[0, S], [-(Omega h)^2 / S, -D h]],   G = (0, -h^2 Gamma),
 
 phi0 = exp, phi1(z) = (e^z - 1)/z, phi2(z) = (e^z - 1 - z)/z^2, as in `recursion`. All of them are blocks
-of one matrix exponential (Van Loan, IEEE Trans. Autom. Control 23, 395-404, 1978). The scales
-S = max(Omega h, 1) make F small where a frequency is high: two to five times less rounding.
+of one matrix exponential (Van Loan, IEEE Trans. Autom. Control 23, 395-404, 1978),
+
+    exp [[F, G, 0], [0, 0, 1], [0, 0, 0]] = [[T, N + A, A], [0, 1, 1], [0, 0, 1]].
+
+The scales S = max(Omega h, 1) make F small where a frequency is high: two to five times less rounding. The
+outputs are y[k] = O z[k] + J a[k], and in exact arithmetic O z + J a = S Phi W (q, q', a), where W takes
+q, q' or the accelerations -R from its argument.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY, n_outputs
-from pymc_features.simulators.oscillators.blocks import take_block
+from pymc_features.simulators.linear.system import observe
+from pymc_features.simulators.oscillators.arguments import (
+    RELATIVE_DISPLACEMENT,
+    RELATIVE_VELOCITY,
+    interpolate,
+    n_outputs,
+)
+from pymc_features.simulators.oscillators.misfit import take_block
 from pymc_features.simulators.oscillators.recursion import BLOCK
 
 
-def step_system(omega, damping, participation, step):
-    """The matrix whose exponential has all blocks, (2m + 2d, 2m + 2d), and the scales S (m,)."""
-    m, d = participation.shape
-    w = omega * step
-    scale = np.maximum(w, 1.0)
-    system = np.zeros((2 * m + 2 * d, 2 * m + 2 * d))
-    system[:m, m : 2 * m] = np.diag(scale)
-    system[m : 2 * m, :m] = np.diag(-w * w / scale)
-    system[m : 2 * m, m : 2 * m] = -step * damping
-    system[m : 2 * m, 2 * m : 2 * m + d] = -step * step * participation
-    system[2 * m : 2 * m + d, 2 * m + d :] = np.eye(d)
-    return system, scale
+class StateMatrices(NamedTuple):
+    """Recursion of the state and its outputs, or derivatives of a number by these matrices.
 
-
-def step_matrices(omega, damping, participation, seen, step, quantity):
-    """Transition (2m, 2m), weights (2m, d) of both ends of the step, and output matrix (s, 2m).
-
-    Parameters
+    Attributes
     ----------
-    omega : array (m,)
-        [rad/s], not negative.
-    damping : array (m, m)
-        D [1/s].
-    participation : array (m, d)
-        Gamma.
-    seen : array (s, m)
-        Mode shapes at the outputs.
+    transition : array (2 m, 2 m)
+        T.
+    now, after : array (2 m, d)
+        N and A, the weights of the inputs at both ends of the step.
+    output : array (s, 2 m)
+        O.
+    direct : array (s, d)
+        J, feed-through of the inputs.
+    """
+
+    transition: np.ndarray
+    now: np.ndarray
+    after: np.ndarray
+    output: np.ndarray
+    direct: np.ndarray
+
+
+class ModalEquations(NamedTuple):
+    """Modal equations q" = -R (q, q', a) under steps of the recursion.
+
+    Attributes
+    ----------
+    rows : array (m, 2m + d)
+        R = [Omega^2, D, Gamma].
+    scales : array (2m + d,)
+        What (z, a) is of (q, q', a): S, h and 1.
     step : float
         h [s].
-    quantity : int
-        A position in `QUANTITIES`; feed-through is not included.
     """
-    m, d = participation.shape
-    system, scale = step_system(omega, damping, participation, step)
-    whole = expm(system)
-    first, second = whole[: 2 * m, 2 * m : 2 * m + d], whole[: 2 * m, 2 * m + d :]
-    output = np.zeros((seen.shape[0], 2 * m))
-    if quantity == RELATIVE_DISPLACEMENT:
-        output[:, :m] = seen / scale
-    elif quantity == RELATIVE_VELOCITY:
-        output[:, m:] = seen / step
-    else:
-        output[:, :m] = -seen * (omega**2 / scale)
-        output[:, m:] = -seen @ damping / step
-    arrays = whole[: 2 * m, : 2 * m], first - second, second, output
-    return tuple(np.ascontiguousarray(a) for a in arrays)
+
+    rows: np.ndarray
+    scales: np.ndarray
+    step: float
+
+    def generator(self):
+        """The matrix (2m + 2d, 2m + 2d) whose exponential has T, N + A and A in its first rows."""
+        m, width = self.rows.shape
+        matrix = self.generator_change(self.rows)
+        matrix[:m, m : 2 * m] = np.diag(self.scales[:m])
+        matrix[2 * m : width, width:] = np.eye(width - 2 * m)
+        return matrix
+
+    def generator_change(self, d_rows):
+        """Its change by a change of R, the scales held fixed."""
+        m, width = self.rows.shape
+        matrix = np.zeros((2 * width - 2 * m, 2 * width - 2 * m))
+        matrix[m : 2 * m, :width] = -(self.step**2) * d_rows / self.scales
+        return matrix
+
+    def step_matrices(self):
+        """T (2m, 2m), N and A (2m, d)."""
+        n_states, width = 2 * len(self.rows), self.rows.shape[1]
+        whole = expm(self.generator())[:n_states]
+        transition, both, after = np.split(whole, [n_states, width], axis=1)
+        return tuple(np.ascontiguousarray(x) for x in (transition, both - after, after))
+
+    def selection(self, quantity):
+        """W (m, 2m + d) of a quantity, a position in `QUANTITIES`."""
+        m = len(self.rows)
+        if quantity == RELATIVE_DISPLACEMENT:
+            return np.eye(m, self.scales.size)
+        return np.eye(m, self.scales.size, m) if quantity == RELATIVE_VELOCITY else -self.rows
+
+    def output_matrix(self, output_shapes, quantity):
+        """O (s, 2m) of mode shapes at the outputs S Phi (s, m)."""
+        n_states = 2 * len(self.rows)
+        return output_shapes @ self.selection(quantity)[:, :n_states] / self.scales[:n_states]
+
+
+def modal_equations(omega, modal_damping, participation, step) -> ModalEquations:
+    """Modal equations of omega (m,), D (m, m) and Gamma (m, d)."""
+    rows = np.hstack([np.diag(omega**2), modal_damping, participation])
+    h, one = np.full(omega.size, step), np.ones(participation.shape[1])
+    return ModalEquations(rows, np.concatenate([np.maximum(omega * step, 1.0), h, one]), step)
+
+
+def state_matrices(a, system):
+    """Modal equations and `StateMatrices` of a system."""
+    equations = modal_equations(system.omega, system.modal_damping, system.participation, a.step)
+    modes, direct = observe(a, system)
+    output = equations.output_matrix(modes.shapes, a.wanted.quantity)
+    return equations, StateMatrices(*equations.step_matrices(), output, direct)
 
 
 @jit
-def advance_state(transition, now, after, inputs, substeps, first, count, states, ground):
-    """Write the states after state 0, `count` steps of the recursion from step `first` on.
+def block_samples(stride):
+    """Output samples in a block of at most 128 steps; one, where it takes more steps."""
+    return max(BLOCK // stride, 1)
+
+
+@jit
+def advance_state(matrices, excitation, first, count, states, ground):
+    """Write the states after the first one, `count` steps of the recursion from step `first` on.
 
     Parameters
     ----------
-    states, ground : array (> count, 2m), (> count, d)
+    matrices : StateMatrices
+    excitation : Excitation
+        With inputs (d, t).
+    states, ground : array (> count, 2m), (d, > count)
         States and inputs at the steps; all but `states[0]` are written.
     """
-    interpolate(inputs, first, substeps, ground[0])
+    now, after = matrices.now.T.copy(), matrices.after.T.copy()
+    for i in range(ground.shape[0]):
+        interpolate(excitation.acceleration[i], excitation.substeps, first, ground[i])
     for k in range(count):
-        interpolate(inputs, first + k + 1, substeps, ground[k + 1])
-        states[k + 1] = np.dot(transition, states[k]) + np.dot(now, ground[k]) + np.dot(after, ground[k + 1])
+        state = states[k + 1]
+        np.dot(matrices.transition, states[k], state)
+        for i in range(ground.shape[0]):
+            for r in range(state.size):
+                state[r] += now[i, r] * ground[i, k] + after[i, r] * ground[i, k + 1]
 
 
 @jit
-def march_state(transition, now, after, output, direct, inputs, substeps, stride, observed, history, sums):
+def march_state(matrices, excitation, observed, history, sums):
     """Carry coupled modes through the record; see `take_block` for what becomes of the response.
 
-    Parameters
-    ----------
-    transition, now, after, output : arrays
-        From `step_matrices`.
-    direct : array (s, d)
-        Feed-through of the inputs.
-    inputs : array (d, t)
-    substeps, stride : int
-        As in `recursion.advance`.
+    Parameters as in `advance_state` and `take_block`. Returns the states (blocks, 2m) at the first sample of
+    each block.
     """
-    size, n_inputs = now.shape
-    total = n_outputs(inputs.shape[1], substeps, stride)
-    own_states, own_ground = np.zeros((stride + 1, size)), np.zeros((stride + 1, n_inputs))
-    states, ground = np.zeros((BLOCK, size)), np.zeros((BLOCK, n_inputs))
-    for first in range(0, total, BLOCK):
-        count = min(BLOCK, total - first)
-        for b in range(count):
-            if first + b > 0:
-                own_states[0] = own_states[stride]
-                begin = (first + b - 1) * stride
-                advance_state(
-                    *(transition, now, after, inputs, substeps, begin, stride, own_states, own_ground)
-                )
-            states[b] = own_states[stride]
-            interpolate(inputs, (first + b) * stride, substeps, ground[b])
-        block = np.dot(output, states.T) + np.dot(direct, ground.T)
-        take_block(block, first, count, observed, history, sums)
-
-
-@jit
-def interpolate(inputs, fine, substeps, values):
-    """Write the inputs at a step of the recursion, linear between their samples."""
-    i = fine // substeps
-    weight = (fine - i * substeps) / substeps
-    for j in range(inputs.shape[0]):
-        values[j] = inputs[j, i]
-        if weight > 0.0:
-            values[j] += weight * (inputs[j, i + 1] - inputs[j, i])
+    (size, n_inputs), stride = matrices.now.shape, excitation.stride
+    total = n_outputs(excitation.acceleration.shape[1], excitation.substeps, stride)
+    samples = block_samples(stride)
+    states, ground = np.zeros((samples * stride + 1, size)), np.zeros((n_inputs, samples * stride + 1))
+    starts = np.zeros(((total + samples - 1) // samples, size))
+    for block in range(starts.shape[0]):
+        first = block * samples
+        count = min(samples, total - first)
+        steps = count * stride if first + count < total else (count - 1) * stride
+        advance_state(matrices, excitation, first * stride, steps, states, ground)
+        starts[block] = states[0]
+        at_samples = np.ascontiguousarray(states[: count * stride : stride].T)
+        inputs = np.ascontiguousarray(ground[:, : count * stride : stride])
+        outputs = np.dot(matrices.output, at_samples) + np.dot(matrices.direct, inputs)
+        take_block(outputs, first, count, observed, history, sums)
+        states[0] = states[steps]
+    return starts

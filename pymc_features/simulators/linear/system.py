@@ -5,10 +5,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from pymc_features.algebra import assemble, is_definite, natural_modes, shifted_factor, spectral_shift
-from pymc_features.simulators.linear.arguments import writable
+from pymc_features.algebra import is_definite, natural_modes, shifted_factor, spectral_shift
+from pymc_features.simulators.compiled.arrays import writable
+from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.dense import dense_modes
-from pymc_features.simulators.oscillators.march import STIFFEST, classical_drag, feed_through
+from pymc_features.simulators.oscillators.modal_system import ModalSystem, write_feed
+from pymc_features.simulators.oscillators.recursion import STIFFEST, write_damping
 
 COUPLING = 1e-12  # off-diagonal entries of D below this times the largest are rounding
 
@@ -28,8 +30,8 @@ class System(NamedTuple):
         Phi, mass-normalised columns.
     others : tuple of arrays or None
         omega and shapes of the modes left out, where they are at hand.
-    drag : array (m,) or (m, m)
-        D [1/s], its diagonal if the damping is classical.
+    modal_damping : array (m,) or (m, m)
+        D [1/s], its diagonal 2 zeta omega if the damping is classical.
     load : array (n, d)
         M influence - forces.
     participation : array (m, d)
@@ -43,13 +45,13 @@ class System(NamedTuple):
     omega: np.ndarray
     shapes: np.ndarray
     others: tuple | None
-    drag: np.ndarray
+    modal_damping: np.ndarray
     load: np.ndarray
     participation: np.ndarray
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def solve_system(a, *, left_out=False, known=None) -> System | None:
+def solve_system(a: Arguments, *, left_out=False, known=None) -> System | None:
     """Modes of a structure; None where the parameters describe none.
 
     Parameters
@@ -60,23 +62,24 @@ def solve_system(a, *, left_out=False, known=None) -> System | None:
     known : tuple of arrays, optional
         omega and shapes of a structure that is known to be admissible; the system is without factor then.
     """
-    if not all(np.isfinite(values).all() for values in (a.theta, a.rayleigh, a.ratios)):
+    given, m, factor, others = a.parameters, a.wanted.n_modes, None, None
+    if not given.is_finite:
         return None
-    n, m, factor, others = a.influence.shape[0], a.n_modes, None, None
-    mass, stiffness = (assemble(stack, a.theta, a.rows, a.starts, n) for stack in (a.mass, a.stiffness))
+    mass, stiffness = given.assemble(given.mass), given.assemble(given.stiffness)
     if known is None:
-        every = left_out and m < n and a.is_dense
-        factor, *known = admissible_modes(mass, stiffness, n if every else m)
+        every = left_out and m < given.n_dof and given.is_dense
+        factor, *known = admissible_modes(mass, stiffness, given.n_dof if every else m)
         if not known:
             return None
         others = (known[0][m:], known[1][:, m:]) if every else None
     omega, shapes = known[0][:m], np.ascontiguousarray(known[1][:, :m])
-    damping = None if a.is_classical else assemble(a.damping, a.theta, a.rows, a.starts, n)
-    drag = modal_drag(a, mass, damping, omega, shapes)
-    if drag is None or not max(omega.max(), abs(drag).max()) * a.step < STIFFEST:
+    damping = None if given.is_classical else given.assemble(given.damping)
+    modal_damping = project_damping(a, mass, damping, omega, shapes)
+    if modal_damping is None or not max(omega.max(), abs(modal_damping).max()) * a.step < STIFFEST:
         return None
-    load = mass @ a.influence - a.forces
-    return System(mass, damping, stiffness, factor, omega, shapes, others, drag, load, shapes.T @ load)
+    load = mass @ given.influence - given.forces
+    participation = shapes.T @ load
+    return System(mass, damping, stiffness, factor, omega, shapes, others, modal_damping, load, participation)
 
 
 def admissible_modes(mass, stiffness, n_modes):
@@ -99,31 +102,47 @@ def admissible_modes(mass, stiffness, n_modes):
         return (None,)
 
 
-def modal_drag(a, mass, damping, omega, shapes):
+def project_damping(a, mass, damping, omega, shapes):
     """D of the modes, (m,) or (m, m); None if it feeds energy into some motion."""
     if damping is None:
-        drag = np.empty(omega.size)
-        law = writable(a.rayleigh), writable(a.ratios)
-        return drag if classical_drag(writable(omega), *law, a.step, drag) else None
-    drag = shapes.T @ (damping @ shapes)
-    if not np.isfinite(drag).all():
+        diagonal, given = np.empty(omega.size), a.parameters
+        rayleigh, ratios = writable(given.rayleigh), writable(given.ratios)
+        return diagonal if write_damping(writable(omega), rayleigh, ratios, a.step, diagonal) else None
+    projected = shapes.T @ (damping @ shapes)
+    if not np.isfinite(projected).all():
         return None
-    lowest = np.linalg.eigvalsh(0.5 * (drag + drag.T))[0]
-    return drag if lowest >= -spectral_shift(mass, damping) else None
+    lowest = np.linalg.eigvalsh(0.5 * (projected + projected.T))[0]
+    return projected if lowest >= -spectral_shift(mass, damping) else None
 
 
-def is_coupled(drag: np.ndarray) -> bool:
+def is_coupled(modal_damping: np.ndarray) -> bool:
     """Whether damping, 2 zeta omega (m,) or D (m, m), couples the modes beyond rounding (1e-12)."""
-    if drag.ndim == 1:
+    if modal_damping.ndim == 1:
         return False
-    off = drag - np.diag(np.diagonal(drag))
-    return bool(abs(off).max() > COUPLING * abs(drag).max())
+    off = modal_damping - np.diag(np.diagonal(modal_damping))
+    return bool(abs(off).max() > COUPLING * abs(modal_damping).max())
 
 
-def observe(a, system):
-    """Mode shapes at the outputs (s, m), and feed-through of the inputs (s, d)."""
-    seen, moved = writable(a.sensors @ system.shapes), writable(a.sensors @ a.influence)
-    pushed, direct = writable(system.shapes.T @ a.forces), np.empty(moved.shape)
-    complete = a.n_modes == system.load.shape[0]
-    feed_through(seen, writable(system.participation), pushed, moved, a.quantity, complete, direct)
-    return seen, direct
+def uncoupled(modal_damping: np.ndarray) -> np.ndarray:
+    """2 zeta omega (m,) of modes that the damping does not couple, without negative rounding errors."""
+    if modal_damping.ndim == 1:
+        return modal_damping
+    return np.maximum(np.diagonal(modal_damping), 0.0)
+
+
+def observe(a: Arguments, system: System) -> tuple[ModalSystem, np.ndarray]:
+    """The modes as the outputs have them, with the diagonal of D, and feed-through of the inputs (s, d)."""
+    given, sensors = a.parameters, a.wanted.sensors
+    modes = ModalSystem(
+        writable(system.omega),
+        writable(uncoupled(system.modal_damping)),
+        writable(sensors @ system.shapes),
+        writable(system.participation),
+    )
+    modal_forces, support_motion = (
+        writable(system.shapes.T @ given.forces),
+        writable(sensors @ given.influence),
+    )
+    feed = np.empty(support_motion.shape)
+    write_feed(modes, modal_forces, support_motion, a.wanted.quantity, a.wanted.n_modes == given.n_dof, feed)
+    return modes, feed

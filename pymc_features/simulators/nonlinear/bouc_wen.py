@@ -1,4 +1,13 @@
-"""The Bouc-Wen law: smooth hysteresis between an elastic and a post-yield stiffness."""
+"""The Bouc-Wen law: smooth hysteresis between an elastic and a post-yield stiffness.
+
+With the yield displacement d_y, the post-yield ratio a, the sharpness n and b = sign(d' z), the branch,
+
+    f = a k d + (1 - a) k d_y z,    z' = d' / d_y [1 - |z|^n (gamma + beta b)].
+
+References
+----------
+Y. K. Wen, J. Eng. Mech. Div. ASCE 102 (1976) 249-263.
+"""
 
 from typing import NamedTuple
 
@@ -8,7 +17,7 @@ from pymc_features.simulators.compiled.vector import magnitude, splat, square_ro
 from pymc_features.simulators.compiled.vector_math import logarithm, power
 from pymc_features.simulators.nonlinear.law import Functions, parameter, register, single
 
-YIELD, RATIO, SHARPNESS, BETA, GAMMA = range(5)
+YIELD_DISPLACEMENT, RATIO, SHARPNESS, BETA, GAMMA = range(5)
 
 
 class BoucWen(NamedTuple):
@@ -19,49 +28,59 @@ class BoucWen(NamedTuple):
     n: int
 
 
-def spring(law, row, stiffness, drift, rate, memory, branch):
-    """f = a k d + (1 - a) k d_y z,  d_y z' = d' [1 - |z|^n (gamma + beta b)], b = sign(d' z) the branch."""
-    reach, ratio = parameter(law, YIELD, row), parameter(law, RATIO, row)
-    size = power(magnitude(memory), parameter(law, SHARPNESS, row))
+def spring(law, row, stiffness, drift, rate, z, branch):
+    """Both equations above."""
+    yield_displacement, ratio = parameter(law, YIELD_DISPLACEMENT, row), parameter(law, RATIO, row)
+    power_of_z = power(magnitude(z), parameter(law, SHARPNESS, row))
     loss = parameter(law, GAMMA, row) + branch * parameter(law, BETA, row)
-    force = stiffness * (ratio * drift + (1.0 - ratio) * (reach * memory))
-    return force, rate * (1.0 - size * loss) / reach
+    force = stiffness * (ratio * drift + (1.0 - ratio) * (yield_displacement * z))
+    return force, rate * (1.0 - power_of_z * loss) / yield_displacement
 
 
-def partials(law, row, stiffness, drift, rate, memory, branch):
-    """|z|^n has the derivatives n |z|^n / z and |z|^n log |z|, both 0 at z = 0."""
-    reach, ratio = parameter(law, YIELD, row), parameter(law, RATIO, row)
+def partials(law, row, stiffness, drift, rate, z, branch):
+    """|z|^n has the derivatives n |z|^n / z by z and |z|^n log |z| by n, both 0 at z = 0."""
+    yield_displacement, ratio = parameter(law, YIELD_DISPLACEMENT, row), parameter(law, RATIO, row)
     sharpness = parameter(law, SHARPNESS, row)
-    size = power(magnitude(memory), sharpness)
+    power_of_z = power(magnitude(z), sharpness)
     loss = parameter(law, GAMMA, row) + branch * parameter(law, BETA, row)
-    nothing, hysteretic = splat(0.0), 1.0 - ratio
-    slip = 0.0 - rate * size / reach  # of z', by the loss
-    by_memory = where_less(nothing, size, slip * loss * sharpness / memory, nothing)
-    by_rate = (1.0 - size * loss) / reach
-    elastic = drift - reach * memory
+    zero, hysteretic = splat(0.0), 1.0 - ratio
+    by_loss = 0.0 - rate * power_of_z / yield_displacement  # of z'
+    by_rate = (1.0 - power_of_z * loss) / yield_displacement
     force = (
-        *(ratio * drift + hysteretic * (reach * memory), stiffness * ratio, nothing),
-        *(stiffness * hysteretic * reach, stiffness * hysteretic * memory, stiffness * elastic),
-        *(nothing, nothing, nothing),
+        ratio * drift + hysteretic * (yield_displacement * z),  # by stiffness
+        stiffness * ratio,  # by drift
+        zero,  # by rate
+        stiffness * hysteretic * yield_displacement,  # by z
+        stiffness * hysteretic * z,  # by yield displacement
+        stiffness * (drift - yield_displacement * z),  # by ratio
+        zero,
+        zero,
+        zero,
     )
-    by_sharpness = slip * loss * logarithm(magnitude(memory))
-    change = (
-        *(nothing, nothing, by_rate, by_memory, 0.0 - rate * by_rate / reach, nothing),
-        *(by_sharpness, slip * branch, slip),
+    z_rate = (
+        zero,
+        zero,
+        by_rate,
+        where_less(zero, power_of_z, by_loss * loss * sharpness / z, zero),  # by z
+        0.0 - rate * by_rate / yield_displacement,  # by yield displacement
+        zero,
+        by_loss * loss * logarithm(magnitude(z)),  # by sharpness
+        by_loss * branch,  # by beta
+        by_loss,  # by gamma
     )
-    return force, change
+    return force, z_rate
 
 
-def pace(law, row, stiffness, omega, drift, rate, change):
-    """Half of (1 + n) |d'| / d_y, about the slope of the law, and its like for a drift about to start."""
-    sharp = 0.5 * (1.0 + parameter(law, SHARPNESS, row)) / parameter(law, YIELD, row)
-    return sharp * magnitude(rate) + square_root(sharp * magnitude(change))
+def step_rate(law, row, stiffness, omega, drift, rate, acceleration):
+    """(1 + n) / 2 |d'| / d_y, and the corresponding term of the drift acceleration where d' = 0."""
+    curvature = 0.5 * (1.0 + parameter(law, SHARPNESS, row)) / parameter(law, YIELD_DISPLACEMENT, row)
+    return curvature * magnitude(rate) + square_root(curvature * magnitude(acceleration))
 
 
-def is_law(law, i):
+def is_admissible(law, i):
     """Positive yield displacement, ratio in [0, 1], n >= 1 and 0 <= gamma <= beta: loops dissipate."""
     beta = single(law, BETA, i)
-    positive = 0.0 < single(law, YIELD, i) < np.inf and 0.0 <= single(law, RATIO, i) <= 1.0
+    positive = 0.0 < single(law, YIELD_DISPLACEMENT, i) < np.inf and 0.0 <= single(law, RATIO, i) <= 1.0
     shape = 1.0 <= single(law, SHARPNESS, i) < np.inf and 0.0 < beta < np.inf
     return positive and shape and 0.0 <= single(law, GAMMA, i) <= beta
 
@@ -71,4 +90,4 @@ def has_kinks(law):
     return True
 
 
-register(BoucWen, Functions(5, spring, partials, pace, is_law, has_kinks))
+register(BoucWen, Functions(5, spring, partials, step_rate, is_admissible, has_kinks))

@@ -1,4 +1,4 @@
-"""The Duffing law: a spring that hardens with the cube of its drift."""
+"""The Duffing law: a spring that hardens with the cube of its drift, f = k d + c d^3."""
 
 from typing import NamedTuple
 
@@ -9,33 +9,33 @@ from pymc_features.simulators.nonlinear.law import Functions, parameter, registe
 
 
 class Cubic(NamedTuple):
-    """The parameter of each spring: cubic coefficient [N/m^3]."""
+    """The parameter of each spring: cubic coefficient c [N/m^3]."""
 
     address: int
     rows: int
     n: int
 
 
-def spring(law, row, stiffness, drift, rate, memory, branch):
+def spring(law, row, stiffness, drift, rate, z, branch):
     """f = k d + c d^3; there is no internal variable."""
     return drift * (stiffness + parameter(law, 0, row) * (drift * drift)), splat(0.0)
 
 
-def partials(law, row, stiffness, drift, rate, memory, branch):
-    """Of a polynomial."""
-    square, nothing = drift * drift, splat(0.0)
-    tangent = stiffness + 3.0 * (parameter(law, 0, row) * square)
-    return (drift, tangent, nothing, nothing, square * drift), (nothing, nothing, nothing, nothing, nothing)
+def partials(law, row, stiffness, drift, rate, z, branch):
+    """By stiffness, drift, rate, z and c."""
+    square, zero = drift * drift, splat(0.0)
+    tangent_stiffness = stiffness + 3.0 * (parameter(law, 0, row) * square)
+    return (drift, tangent_stiffness, zero, zero, square * drift), (zero, zero, zero, zero, zero)
 
 
-def pace(law, row, stiffness, omega, drift, rate, change):
+def step_rate(law, row, stiffness, omega, drift, rate, acceleration):
     """Growth of the frequency with the tangent stiffness k + 3 c d^2, now and soon, and from rest."""
     hardening = square_root(3.0 * parameter(law, 0, row) / stiffness)
-    fast = hardening * (omega * magnitude(drift) + magnitude(rate))
-    return fast + square_root(hardening * magnitude(change))
+    growth = hardening * (omega * magnitude(drift) + magnitude(rate))
+    return growth + square_root(hardening * magnitude(acceleration))
 
 
-def is_law(law, i):
+def is_admissible(law, i):
     """A hardening spring."""
     return 0.0 <= single(law, 0, i) < np.inf
 
@@ -45,4 +45,4 @@ def has_kinks(law):
     return False
 
 
-register(Cubic, Functions(1, spring, partials, pace, is_law, has_kinks))
+register(Cubic, Functions(1, spring, partials, step_rate, is_admissible, has_kinks))

@@ -1,91 +1,187 @@
-"""The functions of a family of nonlinear chains, with the arguments that all families share.
+"""The functions of a family of nonlinear chains; each takes NumPy arrays and runs compiled code.
 
-`n_modes` is the number of degrees of freedom.
+`n_modes` is the number of degrees of freedom. What surrounds a kernel takes some 20 microseconds.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.simulators.nonlinear.discrepancy import misfit_kernel
+from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.nonlinear.differences import directional_derivative
 from pymc_features.simulators.nonlinear.gradient import gradient_kernel
-from pymc_features.simulators.nonlinear.response import arguments, in_memory, nonlinear_response
-from pymc_features.simulators.nonlinear.step_tangent import derivative_memory
-from pymc_features.simulators.nonlinear.tangent import tangent_kernel
+from pymc_features.simulators.nonlinear.layout import chain_memory, padded
+from pymc_features.simulators.nonlinear.misfit import misfit_kernel, response_cotangent
+from pymc_features.simulators.nonlinear.parameters import (
+    NonlinearParameters,
+    check_history,
+    check_parameters,
+    n_particles,
+    particle,
+)
+from pymc_features.simulators.nonlinear.response import history_kernel
 from pymc_features.simulators.nonlinear.tape import Tape, record_size, tape_memory
-
-NO_DATA = np.empty((0, 0))
-
-
-class NonlinearParameters(NamedTuple):
-    """As `ChainParameters`, and `law` (rows, n): the parameters of the law of each spring."""
-
-    mass: np.ndarray
-    stiffness: np.ndarray
-    rayleigh: np.ndarray
-    ratios: np.ndarray
-    law: np.ndarray
+from pymc_features.simulators.oscillators.arguments import Excitation, Outputs, n_outputs
 
 
-def plain(array):
-    """A copy in the type for which the kernels are compiled."""
+def numbers(array) -> np.ndarray:
+    """A copy as float64: one compiled kernel serves writable and read-only arrays."""
     return np.array(array, dtype=np.float64)
 
 
-def nonlinear_kernels(law) -> dict:
-    """Return the functions of a law of `law.LAWS` by name.
+def one_particle(parameters) -> NonlinearParameters:
+    """The parameters of one chain as those of a population."""
+    return NonlinearParameters(*(np.asarray(p)[None] for p in parameters))
 
-    Each is called from Python and runs compiled code; what surrounds that takes some 20 microseconds. NaN
-    where the parameters describe no structure or the integration fails.
+
+class Problem:
+    """A chain, or a population of them, with memory to integrate in.
+
+    Parameters
+    ----------
+    law : type
+        One of `law.LAWS`.
+    parameters, excitation, wanted : NonlinearParameters, Excitation, Outputs
+        As of the family's functions; checked, and in the types for which the kernels are compiled.
     """
 
-    def call(kernel, parameters, excitation, wanted, *more):
+    def __init__(self, law, parameters, excitation, wanted):
+        acceleration, dt, substeps, stride = excitation
         sensors, n_modes, quantity = wanted
-        settings = arguments(parameters, *excitation, sensors, n_modes)
-        return in_memory(law, kernel, *settings, int(quantity), *more)
+        self.parameters = NonlinearParameters(*map(numbers, parameters))
+        self.excitation = Excitation(numbers(acceleration), float(dt), int(substeps), int(stride))
+        self.wanted = Outputs(np.array(sensors, dtype=np.int64), int(n_modes), int(quantity))
+        check_parameters(law, self.parameters, self.wanted)
+        self.n = self.parameters.mass.shape[-1]
+        self.n_outputs = n_outputs(len(self.excitation.acceleration), substeps, stride)
+        self.memory = chain_memory(self.n)  # as long as the address below is used
+        self.chain = law(self.memory.ctypes.data, padded(self.n) // LANES, self.n)
 
-    def differentiate(kernel, parameters, excitation, wanted, *more):
-        n = np.shape(parameters[0])[-1]
-        work, tape = derivative_memory(n), tape_memory(n)
-        memory = work.ctypes.data, Tape(tape.ctypes.data, record_size(n))
-        return call(kernel, parameters, excitation, wanted, *more, *memory)
+    def history(self, history) -> np.ndarray:
+        """Data or a cotangent, checked to have the shape of the response."""
+        return check_history(numbers(history), (self.wanted.sensors.size, self.n_outputs))
 
-    def alone(parameters):
-        return NonlinearParameters(*(plain(p)[None] for p in parameters))
+    def response(self, parameters, quantities, refine=1, keep_states=False):
+        """Histories (quantity, sensor, time) of a chain, and its states (time, 3 p) if they are kept."""
+        codes = np.array(quantities, dtype=np.int64)
+        states = np.empty((self.n_outputs, 3 * padded(self.n)) if keep_states else (0, 0))
+        sensors, refine = self.wanted.sensors, float(refine)
+        return (
+            history_kernel(self.chain, parameters, self.excitation, sensors, codes, refine, states),
+            states,
+        )
+
+    def gradient(self, parameters, cotangent_of) -> NonlinearParameters:
+        """Gradient of sum_jk W_jk y_jk for one chain; `cotangent_of` makes W (s, u) of its response."""
+        (response,), states = self.response(parameters, [self.wanted.quantity], keep_states=True)
+        if np.isnan(response).any():
+            return NonlinearParameters(*(np.full(p.shape, np.nan) for p in parameters))
+        grad, tape = chain_memory(self.n), tape_memory(self.n)
+        return gradient_kernel(
+            self.chain,
+            grad.ctypes.data,
+            Tape(tape.ctypes.data, record_size(self.n)),
+            parameters,
+            self.excitation,
+            self.wanted,
+            states,
+            cotangent_of(response),
+        )
+
+
+def nonlinear_histories(law, parameters, excitation, sensors, quantities, refine=1) -> np.ndarray:
+    """Histories (quantity, sensor, time) of a chain.
+
+    Parameters
+    ----------
+    law : type
+        One of `law.LAWS`.
+    parameters : NonlinearParameters
+        Or a tuple in its order.
+    excitation : Excitation
+    sensors, quantities : array_like of int
+        Degrees of freedom; codes of `QUANTITIES` and of `response`.
+    refine : int
+        Number of parts into which every step is divided.
+    """
+    problem = Problem(law, parameters, excitation, Outputs(sensors, len(parameters[0]), 0))
+    return problem.response(problem.parameters, quantities, refine)[0]
+
+
+def nonlinear_kernels(law) -> dict:
+    """Return the functions of a law of `law.LAWS` by name, as `families` describes them.
+
+    NaN where the parameters describe no structure or the integration fails.
+    """
+
+    def response(parameters, excitation, wanted):
+        problem = Problem(law, parameters, excitation, wanted)
+        return problem.response(problem.parameters, [wanted.quantity])[0][0]
 
     def population_misfit(parameters, excitation, wanted, observed):
-        return call(misfit_kernel, parameters, excitation, wanted, plain(observed))
+        problem = Problem(law, parameters, excitation, wanted)
+        result = np.empty((n_particles(problem.parameters), problem.wanted.sensors.size, 4))
+        misfit_kernel(
+            problem.chain,
+            problem.parameters,
+            problem.excitation,
+            problem.wanted,
+            problem.history(observed),
+            result,
+        )
+        return result
 
     def misfit(parameters, excitation, wanted, observed):
-        return population_misfit(alone(parameters), excitation, wanted, observed)[0]
-
-    def population_gradient(parameters, excitation, wanted, observed, weights):
-        history, weights = plain(observed), plain(weights)
-        return differentiate(gradient_kernel, parameters, excitation, wanted, history, weights)
-
-    def discrepancy_gradient(parameters, excitation, wanted, observed, weights):
-        rows = plain(weights)[None]
-        return tuple(g[0] for g in population_gradient(alone(parameters), excitation, wanted, observed, rows))
+        return population_misfit(one_particle(parameters), excitation, wanted, observed)[0]
 
     def response_gradient(parameters, excitation, wanted, cotangent):
-        return discrepancy_gradient(parameters, excitation, wanted, cotangent, [])
+        problem = Problem(law, parameters, excitation, wanted)
+        cotangent = problem.history(cotangent)
+        return problem.gradient(problem.parameters, lambda response: cotangent)
 
-    def tangent(parameters, excitation, wanted, observed, directions):
-        directions = tuple(map(plain, directions))
-        return differentiate(tangent_kernel, parameters, excitation, wanted, observed, directions)
+    def population_gradient(parameters, excitation, wanted, observed, weights):
+        problem = Problem(law, parameters, excitation, wanted)
+        observed, weights = problem.history(observed), numbers(weights)
+        expected = (n_particles(problem.parameters), len(observed))
+        if weights.shape[:2] != expected:
+            raise ValueError(f"`weights` must have the shape {expected} of particles and sensors in front")
+        gradients = NonlinearParameters(*(np.zeros(p.shape) for p in problem.parameters))
+        for k, own_weights in enumerate(weights):
+
+            def cotangent_of(response, c=own_weights):
+                return response_cotangent(observed - response, c)
+
+            own = problem.gradient(particle(problem.parameters, k), cotangent_of)
+            for total, gradient in zip(gradients, own, strict=True):
+                total[k % len(total)] += gradient  # what all particles share gets the sum
+        return gradients
+
+    def misfit_gradient(parameters, excitation, wanted, observed, weights):
+        rows = numbers(weights)[None]
+        gradients = population_gradient(one_particle(parameters), excitation, wanted, observed, rows)
+        return NonlinearParameters(*(g[0] for g in gradients))
 
     def response_tangent(parameters, excitation, wanted, directions):
-        return tangent(parameters, excitation, wanted, NO_DATA, directions)
+        problem = Problem(law, parameters, excitation, wanted)
+        directions = tuple(map(numbers, directions))
+        if [d.shape for d in directions] != [p.shape for p in problem.parameters]:
+            raise ValueError("the directions must have the shapes of the parameters")
+
+        def of_parameters(moved):
+            return problem.response(moved, [wanted.quantity])[0][0]
+
+        return directional_derivative(of_parameters, problem.parameters, directions)
 
     def discrepancy_tangent(parameters, excitation, wanted, observed, directions):
-        return tangent(parameters, excitation, wanted, plain(observed), directions)[:, 0]
+        history = response(parameters, excitation, wanted)
+        difference = history - check_history(numbers(observed), history.shape)
+        tangent = response_tangent(parameters, excitation, wanted, directions)
+        return (2.0 * difference * tangent).mean(axis=1)
 
     return {
-        "response": nonlinear_response(law),
+        "response": response,
         "discrepancy": lambda *given: misfit(*given)[:, 0],
         "misfit": misfit,
         "response_gradient": response_gradient,
-        "discrepancy_gradient": discrepancy_gradient,
+        "misfit_gradient": misfit_gradient,
         "response_tangent": response_tangent,
         "discrepancy_tangent": discrepancy_tangent,
         "population_discrepancy": lambda *given: population_misfit(*given)[..., 0],

@@ -1,6 +1,8 @@
-"""Where the law of a spring has kinks: found in a step, so that steps can end there.
+"""Kinks of the law of a spring, found in a step so that steps can end there.
 
-A law with kinks has one where the drift rate of a spring or its internal variable passes zero.
+A law with kinks has one where a kink function passes zero. There are 2n of them: number k < n is the drift
+rate of spring k, number n + k is its internal variable z. Within a step each is taken to be the cubic with
+its values and slopes at both ends of the step (Hermite interpolation).
 """
 
 from pymc_features.simulators.compiled.jit import jit
@@ -13,45 +15,43 @@ from pymc_features.simulators.compiled.vector_memory import (
     read_number,
     write_lanes,
 )
-from pymc_features.simulators.nonlinear.state import BRANCH, LAST, PASSED, constant, deformation, slope, state
+from pymc_features.simulators.nonlinear.layout import BRANCH, CROSSINGS, LAST, constant, slope, state
+from pymc_features.simulators.nonlinear.state import deformation
 
-CROSSINGS = 2.0  # of one kink in one step, at most
+MAX_CROSSINGS = 2.0  # of one kink in one step
 
 
 @jit
-def kink_function(law, address, here, which):
-    """Drift rate of a spring (which < n) or its internal variable; of a slope, their time derivatives."""
+def kink_function(law, here, which):
+    """Kink function number `which` of the state at `here`; of a slope, its time derivative."""
     p = law.rows * LANES
     first = here * LANES
     if which >= law.n:
-        return read_number(address, first + 2 * p + which - law.n)
-    lower = read_number(address, first + p + which - 1) if which > 0 else 0.0
-    return read_number(address, first + p + which) - lower
+        return read_number(law.address, first + 2 * p + which - law.n)
+    lower = read_number(law.address, first + p + which - 1) if which > 0 else 0.0
+    return read_number(law.address, first + p + which) - lower
 
 
 @jit
 def kink_value(law, s, which):
     """The kink function at stage `s`, and its time derivative."""
-    return (
-        kink_function(law, law.address, state(law, s), which),
-        kink_function(law, law.address, slope(law, s), which),
-    )
+    return kink_function(law, state(law, s), which), kink_function(law, slope(law, s), which)
 
 
 @jit
-def turn(law, ahead):
-    """Write the branches of the springs, as of the state `ahead` [s] of the present one; whether any changes.
+def set_branches(law, ahead):
+    """Set the springs' branches from the state extrapolated by `ahead` [s]; return whether any changed.
 
-    At a kink the present state does not tell: one of the two functions is zero but for rounding. If one stays
-    zero, at rest, the spring is about to be loaded.
+    The extrapolation is needed at a kink, where one of the two functions is zero but for rounding. If one
+    stays zero, at rest, the spring is about to be loaded.
     """
     changed = False
     here, rates = state(law, 0), slope(law, 0)
     for row in range(law.rows):
         third = 2 * law.rows + row
         rate = deformation(law, here, row)[1] + ahead * deformation(law, rates, row)[1]
-        memory = read_lanes(law.address, here + third) + ahead * read_lanes(law.address, rates + third)
-        branch = where_less(rate * memory, splat(0.0), splat(-1.0), splat(1.0))
+        z = read_lanes(law.address, here + third) + ahead * read_lanes(law.address, rates + third)
+        branch = where_less(rate * z, splat(0.0), splat(-1.0), splat(1.0))
         changed |= not all_equal(branch, constant(law, BRANCH, row))
         write_lanes(law.address, BRANCH * law.rows + row, branch)
     return changed
@@ -65,7 +65,7 @@ def cubic(c, x):
 
 @jit
 def cubic_root(c, high):
-    """Root in (0, high) of a cubic whose values at 0 and `high` differ in sign."""
+    """Root in (0, high) of a cubic whose values at 0 and `high` differ in sign: Newton, kept in a bracket."""
     low, positive = 0.0, c[0] > 0.0
     x = high * c[0] / (c[0] - cubic(c, high))
     if not low <= x <= high:  # rounding errors have the signs that are not expected
@@ -86,17 +86,18 @@ def cubic_root(c, high):
 def next_root(before, after, slope_before, slope_after, passed):
     """First root in (0, 1) of the cubic with these values and slopes at 0 and 1; 2 where there is none.
 
-    With `passed` the value at 0 is zero up to its rounding error, and that root is not meant.
+    With `passed` the value at 0 is a root but for its rounding error; the next one is wanted.
     """
+    # Hermite interpolation: c0 + c1 x + c2 x^2 + c3 x^3
     second = 3.0 * (after - before) - 2.0 * slope_before - slope_after
     third = 2.0 * (before - after) + slope_before + slope_after
     c = (before, slope_before, second, third)
-    if passed:
+    if passed:  # divided by x, the cubic is a parabola
         ahead = slope_before * (after - before) < 0.0
         return cubic_root((slope_before, second, third, 0.0), 1.0) if ahead else 2.0
     if before * after < 0.0:
         return cubic_root(c, 1.0)
-    if before * slope_before < 0.0 < after * slope_after:  # there and back?
+    if before * slope_before < 0.0 < after * slope_after:  # towards zero, then away: its extreme decides
         lowest = cubic_root((slope_before, 2.0 * second, 3.0 * third, 0.0), 1.0)
         if before * cubic(c, lowest) < 0.0:
             return cubic_root(c, lowest)
@@ -138,10 +139,10 @@ def first_kink(law, step):
     """The first kink of the step still ahead, -1 if none, and where: a fraction of the step."""
     which, where = -1, 1.0
     if any_kink(law, step):
-        first = PASSED * law.rows * LANES
+        first = CROSSINGS * law.rows * LANES
         for k in range(2 * law.n):
             times = read_number(law.address, first + k)
-            if times < CROSSINGS:
+            if times < MAX_CROSSINGS:
                 before, slope_before = kink_value(law, 0, k)
                 after, slope_after = kink_value(law, LAST, k)
                 x = next_root(before, after, step * slope_before, step * slope_after, times > 0.0)

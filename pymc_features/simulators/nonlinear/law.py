@@ -1,13 +1,23 @@
 """Restoring-force laws of springs, chosen when a kernel is compiled.
 
-A law is a type of named tuple that says where the memory of a chain lies (`spring_chain.py`): its `address`,
-the `rows` of vectors for its `n` springs; and five functions of it, registered by `register`. The kernels
-call `spring`, `partials`, `pace`, `is_law` and `has_kinks`; Numba picks the functions from the *type* of the
-tuple, so that each law has a kernel of its own, without a branch, and its machine code is kept on disk as
+A law is a type of named tuple that says where the memory of a chain lies (`layout.py`): its `address`, the
+`rows` of vectors for its `n` springs. Five functions of it are registered by `register`. The kernels call
+`spring`, `partials`, `step_rate`, `is_admissible` and `has_kinks`; Numba picks the functions by the *type* of
+the tuple, so that each law has a kernel of its own, without a branch, and its machine code is kept on disk as
 any other.
 
-`spring`, `partials` and `pace` take and return vectors (`lanes.py`): `LANES` springs at a time, the group
-number `row` of them. A law reads its parameters of these springs by `parameter`, of one spring by `single`.
+`spring`, `partials` and `step_rate` take and return vectors (`vector.py`): `LANES` springs at a time, the
+group number `row` of them. A law reads its parameters of these springs by `parameter`, of one spring by
+`single`. Both results of `spring` depend on
+
+    stiffness   initial stiffness k [N/m]
+    drift       d, the displacement between the ends of a spring [m]
+    rate        d', its time derivative [m/s]
+    z           internal variable of the spring, 0 where a law has none
+    branch      1 while the drift rate and z have one sign (loading), -1 while not (unloading)
+
+The branch is that of a whole step, which ends where it changes: a trial may lie a little beyond that point,
+and the law must be smooth there.
 """
 
 from collections.abc import Callable
@@ -19,7 +29,7 @@ from pymc_features.simulators.compiled.jit import FASTMATH, jit
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number
 
-PARAMETERS = 8  # at most, of a law; they lie at the beginning of the memory
+MAX_PARAMETERS = 8  # of a law; they lie at the beginning of the memory
 
 OPTIONS = {"fastmath": FASTMATH, "error_model": "numpy"}
 
@@ -30,8 +40,8 @@ class Functions(NamedTuple):
     n_parameters: int
     spring: Callable
     partials: Callable
-    pace: Callable
-    is_law: Callable
+    step_rate: Callable
+    is_admissible: Callable
     has_kinks: Callable
 
 
@@ -55,37 +65,31 @@ def single(law, name, i):
     return read_number(law.address, name * law.rows * LANES + i)
 
 
-def spring(law, row, stiffness, drift, rate, memory, branch):
-    """Forces of springs [N] and rates of their internal variables [1/s]; `drift` [m], `rate` [m/s].
-
-    `branch` is 1 where drift rate and internal variable have one sign (loading), -1 where not. It is that of
-    a whole step, which ends where it changes: on the way a trial may be a little beyond, and the law must be
-    smooth there.
-    """
-    return LAWS[type(law)].spring(law, row, stiffness, drift, rate, memory, branch)
+def spring(law, row, stiffness, drift, rate, z, branch):
+    """Forces f of springs [N], and time derivatives z' of their internal variables."""
+    return LAWS[type(law)].spring(law, row, stiffness, drift, rate, z, branch)
 
 
-def partials(law, row, stiffness, drift, rate, memory, branch):
+def partials(law, row, stiffness, drift, rate, z, branch):
     """Partial derivatives of both results of `spring`.
 
-    Returns two tuples, of the forces' derivatives and of the other rates', each by stiffness, drift, rate,
-    memory and the law's parameters in their order.
+    Returns two tuples, of the derivatives of f and of those of z', each by stiffness, drift, rate, z and the
+    law's parameters in their order.
     """
-    return LAWS[type(law)].partials(law, row, stiffness, drift, rate, memory, branch)
+    return LAWS[type(law)].partials(law, row, stiffness, drift, rate, z, branch)
 
 
-def pace(law, row, stiffness, omega, drift, rate, change):
-    """Rate [1/s] at which springs depart from linear ones: a step must be short beside its inverse.
+def step_rate(law, row, stiffness, omega, drift, rate, acceleration):
+    """Rate [1/s] at which springs depart from linear ones; steps must be short beside its inverse.
 
-    `omega` is the highest angular frequency of the linear chain [rad/s], `change` the second time
-    derivative of the drift [m/s^2].
+    `omega` is the largest rate of change of the linear chain [rad/s], `acceleration` d" [m/s^2].
     """
-    return LAWS[type(law)].pace(law, row, stiffness, omega, drift, rate, change)
+    return LAWS[type(law)].step_rate(law, row, stiffness, omega, drift, rate, acceleration)
 
 
-def is_law(law, i):
+def is_admissible(law, i):
     """Whether the parameters of spring `i` lie in their ranges; false for NaN."""
-    return LAWS[type(law)].is_law(law, i)
+    return LAWS[type(law)].is_admissible(law, i)
 
 
 def has_kinks(law):
@@ -94,23 +98,23 @@ def has_kinks(law):
 
 
 @overload(spring, jit_options=OPTIONS)
-def _spring(law, row, stiffness, drift, rate, memory, branch):
+def _spring(law, row, stiffness, drift, rate, z, branch):
     return LAWS[law.instance_class].spring
 
 
 @overload(partials, jit_options=OPTIONS)
-def _partials(law, row, stiffness, drift, rate, memory, branch):
+def _partials(law, row, stiffness, drift, rate, z, branch):
     return LAWS[law.instance_class].partials
 
 
-@overload(pace, jit_options=OPTIONS)
-def _pace(law, row, stiffness, omega, drift, rate, change):
-    return LAWS[law.instance_class].pace
+@overload(step_rate, jit_options=OPTIONS)
+def _step_rate(law, row, stiffness, omega, drift, rate, acceleration):
+    return LAWS[law.instance_class].step_rate
 
 
-@overload(is_law, jit_options=OPTIONS)
-def _is_law(law, i):
-    return LAWS[law.instance_class].is_law
+@overload(is_admissible, jit_options=OPTIONS)
+def _is_admissible(law, i):
+    return LAWS[law.instance_class].is_admissible
 
 
 @overload(has_kinks, jit_options=OPTIONS)

@@ -1,13 +1,17 @@
-"""Steps of a chain with nonlinear springs: Dormand & Prince's fifth-order method, split at kinks.
+"""Steps of a chain with nonlinear springs: Dormand and Prince's fifth-order method, split at kinks.
 
-A method of order 5 keeps its order only if the right-hand side is smooth within each step. It is not where
-a hysteretic spring turns back (d' = 0) or its internal variable passes zero: a step across such a kink would
+With x the state, k_s the slope at stage s and h the length of the step, the method is
+
+    X_s = x + h sum_{e < s} A_se k_e,    k_s = slope(X_s, a_g(t + c_s h)),    s = 0 ... 6,
+
+and X_6 is its result. The order is 5 only if the slope is smooth within each step. It is not where a
+hysteretic spring turns back (d' = 0) or its internal variable passes zero: a step across such a kink would
 have a local error of second order. There the step ends at the kink, found by a cubic through the step's
 ends and then by Newton's method, and a second step makes up the rest. All stages of a step are on one branch
-of the law: what they see is smooth, even where a stage lies a little beyond the kink.
+of the law, so that the slope is smooth even where a stage lies a little beyond the kink.
 
-Nothing is tried and rejected: the number of steps is a function of the state at their start (`advance`),
-and the state a deterministic function of the parameters.
+No step is rejected: the number of steps is a function of the state at their start (`advance`), and the state
+a deterministic function of the parameters.
 
 References
 ----------
@@ -26,24 +30,23 @@ from pymc_features.simulators.compiled.vector_memory import (
     write_lanes,
     write_number,
 )
-from pymc_features.simulators.nonlinear.kinks import first_kink, kink_value, turn
-from pymc_features.simulators.nonlinear.law import has_kinks, pace
-from pymc_features.simulators.nonlinear.state import (
+from pymc_features.simulators.nonlinear.kinks import first_kink, kink_value, set_branches
+from pymc_features.simulators.nonlinear.law import has_kinks, step_rate
+from pymc_features.simulators.nonlinear.layout import (
+    CROSSINGS,
     LAST,
-    OMEGA,
-    PASSED,
+    LINEAR_RATE,
     REFINE,
     STIFFNESS,
     constant,
-    deformation,
     scalar,
     slope,
     state,
-    write_slope,
 )
+from pymc_features.simulators.nonlinear.state import deformation, write_slope
 from pymc_features.simulators.nonlinear.tape import write_tape
 
-# Weights of the slopes before stages 1 ... 6; the last give the step's result (first same as last).
+# A_se of stages 1 ... 6; the last row gives the step's result, whose slope starts the next step.
 STAGES = (
     (1 / 5,),
     (3 / 40, 9 / 40),
@@ -52,21 +55,21 @@ STAGES = (
     (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
     (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
 )
-WEIGHTS = np.array([[*row, *[0.0] * (6 - len(row))] for row in ((), *STAGES)])  # the same, (7, 6)
-TIMES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0)
+WEIGHTS = np.array([[*row, *[0.0] * (6 - len(row))] for row in ((), *STAGES)])  # A, (7, 6)
+TIMES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0)  # c_s
 
 PHASE = 0.2  # largest product of step and rate of change
-VIBRATION = 1.5  # weight of the highest frequency in it: errors of phase add up over a free vibration
-MAX_STEPS = 4000  # in one segment; more are needed by parameters far from any structure only
-KINK_TOLERANCE = 1e-9  # of where a kink lies, in steps; the error left behind is proportional to it
+VIBRATION = 1.5  # weight of the linear chain's rate in it: errors of phase add up over a free vibration
+MAX_STEPS = 4000  # in one segment; only parameters far from any structure need more
+KINK_TOLERANCE = 1e-9  # of the position of a kink, in steps; the error left behind is proportional to it
 NEWTON_STEPS = 4
-AHEAD = 1e-6  # part of a step after which a kink at its start is over
-ROUNDING = 1e-10  # a drift rate that is smaller beside the velocities it is the difference of says nothing
+AHEAD = 1e-6  # part of a step after which a kink at its start has been left behind
+ROUNDING = 1e-10  # relative size below which a drift rate (a difference of velocities) is rounding error
 
 
 @jit
 def combine(law, step, s, weights):
-    """Write the state of stage `s` from the slopes of the stages before."""
+    """Write X_s of stage `s` from the slopes of the stages before; `weights` are the A_se."""
     here, target, slopes = state(law, 0), state(law, s), slope(law, 0)
     for row in range(3 * law.rows):
         change = step * weights[0] * read_lanes(law.address, slopes + row)
@@ -107,7 +110,7 @@ def accept(law):
 @jit
 def step_to_kink(law, which, step, piece, ground, trend):
     """Make the step that ends at a kink, from a guess `piece` of its length; return the length."""
-    for iteration in range(NEWTON_STEPS):
+    for iteration in range(NEWTON_STEPS):  # g(piece) = 0, with dg/dt by the slope at the step's end
         try_step(law, piece, ground, trend)
         value, change = kink_value(law, LAST, which)
         miss = value / change
@@ -120,10 +123,10 @@ def step_to_kink(law, which, step, piece, ground, trend):
 
 @jit
 def is_noise(law, which, step):
-    """Whether the kink at the end of a step is one of a spring that does not move, but for rounding errors.
+    """Whether the kink at the end of a step belongs to a spring that moves by rounding errors only.
 
-    So are the upper springs of a long chain at first: the ground moves all masses alike. The time of such a
-    kink has no derivative, and nothing depends on it.
+    The upper springs of a long chain do so at first, for the ground moves all masses alike. The time of such
+    a kink has no derivative, and nothing depends on it.
     """
     spring = which if which < law.n else which - law.n
     first = (state(law, LAST) + law.rows) * LANES + spring
@@ -137,15 +140,18 @@ def is_noise(law, which, step):
 @jit
 def begin_piece(law, step, ground):
     """Choose the branches of a step that begins at the present state, and renew the slope if they change."""
-    if has_kinks(law) and turn(law, AHEAD * step):
+    if has_kinks(law) and set_branches(law, AHEAD * step):
         write_slope(law, ground, state(law, 0), slope(law, 0))
 
 
 @jit
 def pass_kinks(law, step, ground, trend, tape):
-    """Advance a step that has been tried through its kinks, in pieces; what is left of it is tried then."""
+    """Advance a step that has been tried through its kinks, in pieces, and try the rest behind the last one.
+
+    Return the length of the rest and the ground acceleration at its start.
+    """
     left = step
-    first = PASSED * law.rows * LANES
+    first = CROSSINGS * law.rows * LANES
     which, where = first_kink(law, left)
     while which >= 0:
         write_number(law.address, first + which, 1.0 + read_number(law.address, first + which))
@@ -178,16 +184,16 @@ def step_forward(law, step, ground, trend, tape):
 
 
 @jit
-def fastest(law):
-    """Rate of change [1/s] of the chain in its present state: what a step must resolve."""
-    omega = scalar(law, OMEGA)
+def rate_of_change(law):
+    """Rate of change [1/s] of the chain in its present state, which a step must resolve."""
+    linear_rate = scalar(law, LINEAR_RATE)
     extra = splat(0.0)
     for row in range(law.rows):
         drift, rate = deformation(law, state(law, 0), row)
-        change = deformation(law, slope(law, 0), row)[1]
-        stiffness = constant(law, STIFFNESS, row)
-        extra = larger(extra, pace(law, row, stiffness, splat(omega), drift, rate, change))
-    return VIBRATION * omega + highest(extra)
+        acceleration = deformation(law, slope(law, 0), row)[1]
+        stiffness, omega = constant(law, STIFFNESS, row), splat(linear_rate)
+        extra = larger(extra, step_rate(law, row, stiffness, omega, drift, rate, acceleration))
+    return VIBRATION * linear_rate + highest(extra)
 
 
 @jit
@@ -203,13 +209,13 @@ def is_finite(law):
 def advance(law, length, ground, trend, tape):
     """Advance the state over a segment of `length` [s] in which the ground acceleration is linear.
 
-    Steps are so short that their product with `fastest` stays below `PHASE`: what is left of the segment is
-    divided by a whole number, and the steps once more by `REFINE`. Returns False where that takes too many
-    steps or the state is not finite.
+    Steps are so short that their product with `rate_of_change` stays below `PHASE`: what is left of the
+    segment is divided by a whole number, and each step once more by `REFINE`. Returns False where that takes
+    too many steps or the state is not finite.
     """
     left, refine = length, int(scalar(law, REFINE))
     for _ in range(MAX_STEPS):
-        rate = fastest(law)
+        rate = rate_of_change(law)
         if not rate * left < PHASE * MAX_STEPS:
             return False
         count = max(np.ceil(left * rate / PHASE), 1.0)

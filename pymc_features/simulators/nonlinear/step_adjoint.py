@@ -1,11 +1,19 @@
-"""Transposed derivative of one step of a nonlinear chain: from the gradient behind it to that before it.
+"""Transposed derivative of one step of a nonlinear chain: from the gradient at its end to that at its start.
 
-With the weights A of the stages, X_s = x + h sum_e A_se k_e and k_s the slope at X_s, the gradient with
-respect to the step's result, X_6, goes back through the stages in reverse,
+With the stages X_s = x + h sum_e A_se k_e of a step, L a scalar and bars for its derivatives, the gradient
+Xbar_6 by the step's result goes back through the stages in reverse,
 
-    kappa_s = sum_{r > s} A_rs Xbar_r,    Xbar_s = h (dk_s/dX_s)' kappa_s,    xbar = sum_s Xbar_s,
+    kbar_s = h sum_{r > s} A_rs Xbar_r,    Xbar_s = (dk_s/dX_s)' kbar_s,    xbar = sum_s Xbar_s,
 
-and each stage adds to the gradient with respect to the parameters.
+and each stage adds kbar_s' dk_s/dp to the gradient by a parameter p. The derivatives by the length of the
+step and by the ground acceleration at its start, where a_g(s) = ground + c_s h trend, are
+
+    dL/dh = 1/h sum_s kbar_s' k_s + trend sum_s c_s dL/da_g(s),    dL/dground = sum_s dL/da_g(s),
+
+with dL/da_g(s) the negative sum of kbar_s over the accelerations.
+
+The gradient's memory has the layout of the chain's (`layout.py`): Xbar_s lies at `state(law, s)` and kbar_s
+at `slope(law, s)` behind the address `grad`.
 """
 
 from pymc_features.simulators.compiled.jit import jit
@@ -19,163 +27,166 @@ from pymc_features.simulators.compiled.vector_memory import (
     write_lanes,
     write_number,
 )
-from pymc_features.simulators.nonlinear.kinks import kink_function
+from pymc_features.simulators.nonlinear.kinks import kink_value
 from pymc_features.simulators.nonlinear.law import partials
-from pymc_features.simulators.nonlinear.runge_kutta import TIMES, WEIGHTS, try_step
-from pymc_features.simulators.nonlinear.state import (
+from pymc_features.simulators.nonlinear.layout import (
     ACTIVE,
     BRANCH,
-    DAMPED,
     DASHPOT,
-    DRAG,
     INVERSE_MASS,
     LAST,
-    MODAL,
+    MASS_DAMPING,
+    MODAL_DAMPING,
     STIFFNESS,
     constant,
-    deformation,
-    scalar,
     slope,
     state,
 )
-from pymc_features.simulators.nonlinear.step_tangent import (
-    CARRY,
-    OF_DASHPOT,
-    OF_MASS,
-    OF_MODAL,
-    OF_STIFFNESS,
-    length_tangent,
-    move,
-    of_slope,
-    of_state,
-)
+from pymc_features.simulators.nonlinear.runge_kutta import TIMES, WEIGHTS, try_step
+from pymc_features.simulators.nonlinear.state import deformation, has_modal_damping
 
 
 @jit
-def add(law, work, block, row, value):
-    """Add to group `row` of a block."""
+def add(law, grad, block, row, value):
+    """Add to group `row` of a block of the gradient."""
     here = block * law.rows + row
-    write_lanes(work, here, read_lanes(work, here) + value)
+    write_lanes(grad, here, read_lanes(grad, here) + value)
 
 
 @jit
-def pull_spring(law, work, s, step, row):
-    """Add the gradient by the springs' parameters; return those by drifts, rates and internal variables."""
-    rows, here, bars = law.rows, state(law, s), of_slope(law, s) + law.rows
+def spring_adjoint(law, grad, s, row):
+    """Add the gradient by the springs' parameters; return those by drifts, their rates and z."""
+    rows, here, rates = law.rows, state(law, s), slope(law, s)
     stiffness, active = constant(law, STIFFNESS, row), constant(law, ACTIVE, row)
-    push = constant(law, INVERSE_MASS, row) * (step * read_lanes(work, bars + row))
+    # v_i' contains (f_{i+1} - f_i) / m_i, so that dL/df_i is that of mass i - 1 less that of mass i
+    push = constant(law, INVERSE_MASS, row) * read_lanes(grad, rates + rows + row)
     last = splat(0.0)
     if row > 0:
-        last = constant(law, INVERSE_MASS, row - 1) * (step * read_lanes(work, bars + row - 1))
-    force = active * (below(last, push) - push)
-    change = step * read_lanes(work, bars + rows + row)
+        last = constant(law, INVERSE_MASS, row - 1) * read_lanes(grad, rates + rows + row - 1)
+    grad_force = active * (below(last, push) - push)
+    grad_z_rate = read_lanes(grad, rates + 2 * rows + row)
     drift, rate = deformation(law, here, row)
-    memory = read_lanes(law.address, here + 2 * rows + row)
+    z = read_lanes(law.address, here + 2 * rows + row)
     branch = constant(law, BRANCH, row)
-    by_force, by_change = partials(law, row, stiffness, drift, rate, memory, branch)
-    add(law, work, OF_STIFFNESS, row, by_force[0] * force + by_change[0] * change)
-    add(law, work, OF_DASHPOT, row, force * rate)
-    for k in range(len(by_force) - 4):
-        add(law, work, k, row, by_force[4 + k] * force + by_change[4 + k] * change)
-    by_drift = active * (by_force[1] * force + by_change[1] * change)
-    by_rate = active * ((by_force[2] + constant(law, DASHPOT, row)) * force + by_change[2] * change)
-    return by_drift, by_rate, by_force[3] * force + by_change[3] * change
+    # chain rule through (f, z') = spring(k, d, d', z, parameters) and the dashpot beta k d' within f
+    of_force, of_z_rate = partials(law, row, stiffness, drift, rate, z, branch)
+    add(law, grad, STIFFNESS, row, of_force[0] * grad_force + of_z_rate[0] * grad_z_rate)
+    add(law, grad, DASHPOT, row, grad_force * rate)
+    for k in range(len(of_force) - 4):
+        add(law, grad, k, row, of_force[4 + k] * grad_force + of_z_rate[4 + k] * grad_z_rate)
+    grad_drift = of_force[1] * grad_force + of_z_rate[1] * grad_z_rate
+    grad_rate = (of_force[2] + constant(law, DASHPOT, row)) * grad_force + of_z_rate[2] * grad_z_rate
+    grad_z = of_force[3] * grad_force + of_z_rate[3] * grad_z_rate
+    return active * grad_drift, active * grad_rate, grad_z
 
 
 @jit
-def slope_adjoint(law, work, s, step, ground):
-    """Write Xbar_s from kappa_s, which is where the derivative of the slope lies."""
-    rows, address = law.rows, law.address
-    velocities, rates, bars = state(law, s) + rows, slope(law, s) + rows, of_slope(law, s)
-    target, upper_drift, upper_rate = of_state(law, s), splat(0.0), splat(0.0)
+def slope_adjoint(law, grad, s, ground):
+    """Write Xbar_s = (dk_s/dX_s)' kbar_s, and add the gradient by the parameters."""
+    rows, here, rates = law.rows, state(law, s), slope(law, s)
+    upper_drift, upper_rate = splat(0.0), splat(0.0)
     for row in range(rows - 1, -1, -1):
-        by_drift, by_rate, by_memory = pull_spring(law, work, s, step, row)
-        bar = step * read_lanes(work, bars + rows + row)
-        v, drag = read_lanes(address, velocities + row), constant(law, DRAG, row)
-        inertia = read_lanes(address, rates + row) + drag * v + ground * constant(law, ACTIVE, row)
-        add(law, work, OF_MASS, row, bar * inertia)
-        by_v = step * read_lanes(work, bars + row) - drag * bar + by_rate - above(by_rate, upper_rate)
-        for j in range(law.n):
-            add(law, work, OF_MODAL + j, row, (0.0 - read_number(address, velocities * LANES + j)) * bar)
-        if scalar(law, DAMPED) > 0.0:
+        grad_drift, grad_rate, grad_z = spring_adjoint(law, grad, s, row)
+        acceleration_bar = read_lanes(grad, rates + rows + row)
+        v, alpha = read_lanes(law.address, here + rows + row), constant(law, MASS_DAMPING, row)
+        # 1/m dv'/d(1/m): acceleration by the springs' forces; `collect` takes modal damping out of it
+        by_springs = read_lanes(law.address, rates + rows + row) + alpha * v
+        by_springs = by_springs + ground * constant(law, ACTIVE, row)
+        add(law, grad, INVERSE_MASS, row, acceleration_bar * by_springs)
+        for j in range(law.n):  # v_i' contains - (M^-1 C)_ij v_j
+            v_j = read_number(law.address, (here + rows) * LANES + j)
+            add(law, grad, MODAL_DAMPING + j, row, (0.0 - v_j) * acceleration_bar)
+        # u' = v, v' = ... - alpha v - M^-1 C v, and v_i takes part in the drift rates d_i' and d_{i+1}'
+        grad_v = read_lanes(grad, rates + row) - alpha * acceleration_bar
+        grad_v = grad_v + grad_rate - above(grad_rate, upper_rate)
+        if has_modal_damping(law):
             for i in range(law.n):
-                weight = step * read_number(work, (bars + rows) * LANES + i)
-                by_v = by_v - weight * constant(law, MODAL + law.n + i, row)
-        write_lanes(work, target + row, by_drift - above(by_drift, upper_drift))
-        write_lanes(work, target + rows + row, by_v)
-        write_lanes(work, target + 2 * rows + row, by_memory)
-        upper_drift, upper_rate = by_drift, by_rate
+                bar = read_number(grad, (rates + rows) * LANES + i)
+                grad_v = grad_v - bar * constant(law, MODAL_DAMPING + law.n + i, row)
+        write_lanes(grad, here + row, grad_drift - above(grad_drift, upper_drift))
+        write_lanes(grad, here + rows + row, grad_v)
+        write_lanes(grad, here + 2 * rows + row, grad_z)
+        upper_drift, upper_rate = grad_drift, grad_rate
 
 
 @jit
-def pull(law, work, s):
-    """Write kappa_s from the stages behind it."""
-    for row in range(3 * law.rows):
-        bar = splat(0.0)
-        for r in range(s + 1, LAST + 1):
-            bar = bar + WEIGHTS[r, s] * read_lanes(work, of_state(law, r) + row)
-        write_lanes(work, of_slope(law, s) + row, bar)
+def step_adjoint(law, grad, step, ground, trend):
+    """Turn the gradient by a step's result into that by its start; both lie at stage `LAST`.
 
-
-@jit
-def step_adjoint(law, work, step, ground, trend):
-    """Turn the gradient by a step's result into that by its start, both in stage `LAST`."""
+    Returns the gradients by the length of the step and by the ground acceleration at its start.
+    """
     for s in range(LAST - 1, -1, -1):
-        pull(law, work, s)
-        slope_adjoint(law, work, s, step, ground + TIMES[s] * step * trend)
-    for row in range(3 * law.rows):
-        bar = read_lanes(work, of_state(law, LAST) + row)
-        for s in range(LAST):
-            bar = bar + read_lanes(work, of_state(law, s) + row)
-        write_lanes(work, of_state(law, LAST) + row, bar)
-
-
-@jit
-def length_adjoint(law, work, step, trend):
-    """Gradients by the length of a step and by the ground acceleration at its start, after `step_adjoint`."""
-    by_step, by_ground, by_rise = splat(0.0), splat(0.0), splat(0.0)
-    for s in range(LAST):
         for row in range(3 * law.rows):
-            bar = read_lanes(work, of_slope(law, s) + row)
-            by_step = by_step + bar * read_lanes(law.address, slope(law, s) + row)
-            if law.rows <= row < 2 * law.rows:
-                by_ground = by_ground - bar
-                by_rise = by_rise - TIMES[s] * bar
-    return total(by_step) + step * trend * total(by_rise), step * total(by_ground)
-
-
-@jit
-def remove_time(law, work, step, trend, which, by_time):
-    """Replace the gradient by the result of a step of free length by that of one which ends at a kink.
-
-    The kink lies where g = 0, so that the length changes by dh = -(dg at fixed h) / (dg/dh). `by_time` is the
-    gradient by the time at which the step ends.
-    """
-    move(law, work, of_state(law, LAST), CARRY * law.rows, 1.0)
-    length_tangent(law, work, step, trend)
-    excess = splat(0.0)
+            bar = splat(0.0)
+            for r in range(s + 1, LAST + 1):
+                bar = bar + WEIGHTS[r, s] * read_lanes(grad, state(law, r) + row)
+            write_lanes(grad, slope(law, s) + row, step * bar)
+        slope_adjoint(law, grad, s, ground + TIMES[s] * step * trend)
+    by_slopes, grad_ground, by_times = splat(0.0), splat(0.0), splat(0.0)
     for row in range(3 * law.rows):
-        change = read_lanes(work, of_state(law, LAST) + row)
-        excess = excess + change * read_lanes(work, CARRY * law.rows + row)
-    factor = (total(excess) + by_time) / kink_function(law, work, of_state(law, LAST), which)
-    move(law, work, CARRY * law.rows, of_state(law, LAST), 1.0)
-    first, p = of_state(law, LAST) * LANES, law.rows * LANES
-    here = first + (p + which if which < law.n else 2 * p + which - law.n)
-    write_number(work, here, read_number(work, here) - factor)
-    if 0 < which < law.n:
-        write_number(work, here - 1, read_number(work, here - 1) + factor)
+        xbar = read_lanes(grad, state(law, LAST) + row)
+        for s in range(LAST):
+            xbar = xbar + read_lanes(grad, state(law, s) + row)
+            kbar = read_lanes(grad, slope(law, s) + row)
+            by_slopes = by_slopes + kbar * read_lanes(law.address, slope(law, s) + row)
+            if law.rows <= row < 2 * law.rows:  # v' contains -a_g
+                grad_ground = grad_ground - kbar
+                by_times = by_times - TIMES[s] * kbar
+        write_lanes(grad, state(law, LAST) + row, xbar)
+    return total(by_slopes) / step + trend * total(by_times), total(grad_ground)
 
 
 @jit
-def reverse_step(law, work, step, ground, trend, which, by_time):
-    """Carry the gradient, in stage `LAST`, back over an accepted step; return that by the time of its start.
+def subtract_kink(law, grad, which, factor):
+    """Subtract from Xbar_6 a multiple of dg/dX_6, where the kink function g is v_i - v_{i-1} or z_i."""
+    p = law.rows * LANES
+    here = state(law, LAST) * LANES + (p + which if which < law.n else 2 * p + which - law.n)
+    write_number(grad, here, read_number(grad, here) - factor)
+    if 0 < which < law.n:
+        write_number(grad, here - 1, read_number(grad, here - 1) + factor)
 
-    The chain's memory holds the state at the start, and its slope. A step ends at kink `which` or, if -1, at
-    a fixed time.
+
+@jit
+def kink_adjoint(law, grad, recorded_step, grad_time):
+    """As `step_adjoint` for a step that ends at a kink; returns the gradient by the time of its start.
+
+    The kink lies where g = 0, so that the length of the step depends on its start: dh = -dg / (dg/dh), with
+    dg at constant h. The gradient is that at constant h for Xbar_6 - lambda dg/dX_6, where lambda makes the
+    derivative by h vanish, with the part `grad_time` by the time of the kink. X_6 changes with h by the slope
+    k_6 but for the error of the method: that gives lambda, and a second sweep makes up what is left.
     """
+    step, ground, trend, which = recorded_step
+    by_length = splat(0.0)
+    for row in range(3 * law.rows):
+        xbar = read_lanes(grad, state(law, LAST) + row)
+        by_length = by_length + xbar * read_lanes(law.address, slope(law, LAST) + row)
+        write_lanes(grad, slope(law, LAST) + row, splat(0.0))  # kbar_6 is not used: the sum of the sweeps
+    g_rate = kink_value(law, LAST, which)[1]
+    residual, grad_ground = total(by_length) + grad_time, 0.0
+    for _ in range(2):
+        subtract_kink(law, grad, which, residual / g_rate)
+        grad_step, part = step_adjoint(law, grad, step, ground, trend)
+        residual, grad_ground = grad_step + grad_time, grad_ground + part
+        for row in range(3 * law.rows):
+            sweep = read_lanes(grad, state(law, LAST) + row)
+            sweeps = read_lanes(grad, slope(law, LAST) + row) + sweep
+            write_lanes(grad, slope(law, LAST) + row, sweeps)
+            write_lanes(grad, state(law, LAST) + row, splat(0.0))
+    for row in range(3 * law.rows):
+        write_lanes(grad, state(law, LAST) + row, read_lanes(grad, slope(law, LAST) + row))
+    return grad_time + trend * grad_ground  # a kink at a given state moves with the start of the step
+
+
+@jit
+def reverse_step(law, grad, recorded_step, grad_time):
+    """Carry the gradient, at stage `LAST`, back over a recorded step; return that by the time of its start.
+
+    The chain's memory holds the state at the start, and its slope. A step ends at a kink or, if its number is
+    -1, at a given time; `grad_time` is the gradient by the time of its end.
+    """
+    step, ground, trend, which = recorded_step
     try_step(law, step, ground, trend)
     if which >= 0:
-        remove_time(law, work, step, trend, which, by_time)
-    step_adjoint(law, work, step, ground, trend)
-    by_step, by_ground = length_adjoint(law, work, step, trend)
-    return trend * by_ground + (by_time if which >= 0 else -by_step)
+        return kink_adjoint(law, grad, recorded_step, grad_time)
+    grad_step, grad_ground = step_adjoint(law, grad, step, ground, trend)
+    return trend * grad_ground - grad_step  # a later start shortens a step whose end is given

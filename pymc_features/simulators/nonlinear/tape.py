@@ -1,7 +1,11 @@
-"""Records of accepted steps, from which derivatives of a response are computed (`step_derivatives.py`).
+"""Records of accepted steps, through which a gradient goes back (`step_adjoint.py`).
 
-A tape has room for `CAPACITY` steps, whatever their number: it keeps those from a given one on, and the
-march is repeated for others.
+A tape has room for `CAPACITY` steps. It keeps those from a given number on; where a march takes more of them,
+it is repeated for the others.
+
+    header   numbers `COUNT` and `FIRST`, in one vector
+    step     the block `BRANCH` and the three blocks of the state at its start, then one vector with the
+             numbers `STEP` [s], `GROUND` [m/s^2], `TREND` [m/s^3] and `KINK` (-1 where it ends at none)
 """
 
 from typing import NamedTuple
@@ -17,12 +21,11 @@ from pymc_features.simulators.compiled.vector_memory import (
     write_lanes,
     write_number,
 )
-from pymc_features.simulators.nonlinear.state import BRANCH, padded
+from pymc_features.simulators.nonlinear.layout import BRANCH, padded
 
 CAPACITY = 256
-NEVER = 1 << 52  # first step to be kept, of a march that is not recorded
-COUNT, FIRST = range(2)  # header: steps so far, number of the first one kept
-STEP, GROUND, TREND, KINK = range(4)  # of a step, behind branches and state at its start
+COUNT, FIRST = range(2)  # steps so far, number of the first one kept
+STEP, GROUND, TREND, KINK = range(4)
 
 
 class Tape(NamedTuple):
@@ -75,7 +78,7 @@ def write_tape(law, tape, step, ground, trend, which):
 
 @jit
 def read_tape(law, tape, index):
-    """Make branches and state at the start of kept step `index` present; return step, ground, trend, kink."""
+    """Restore branches and state at the start of kept step `index`; return step, ground, trend and kink."""
     first = 1 + index * tape.size
     for row in range(4 * law.rows):
         write_lanes(law.address, BRANCH * law.rows + row, read_lanes(tape.address, first + row))

@@ -62,14 +62,29 @@ def n_outputs(n_times, substeps, stride):
 
 
 @jit
+def single_input(excitation):
+    """The excitation with its only input as (t,)."""
+    acceleration, dt, substeps, stride = excitation
+    return Excitation(acceleration.reshape(acceleration.size), dt, substeps, stride)
+
+
+@jit
+def ground_at(acceleration, fine, substeps):
+    """Excitation after `fine` steps of the recursion, `substeps` to a sample; zero behind the record."""
+    i = fine // substeps
+    part = fine - i * substeps
+    if i + 1 < acceleration.size:
+        return acceleration[i] + part / substeps * (acceleration[i + 1] - acceleration[i])
+    return acceleration[i] if i < acceleration.size and part == 0 else 0.0
+
+
+@jit
 def interpolate(acceleration, substeps, first, ground):
-    """Write the ground acceleration at the recursion's steps from `first` on; zero behind the record."""
-    i, part = first // substeps, first % substeps
+    """Write the excitation at the recursion's steps from `first` on; zero behind the record."""
+    if substeps == 1:
+        count = max(min(ground.size, acceleration.size - first), 0)
+        ground[:count] = acceleration[first : first + count]
+        ground[count:] = 0.0
+        return
     for k in range(ground.size):
-        if i + 1 < acceleration.size:
-            ground[k] = acceleration[i] + part / substeps * (acceleration[i + 1] - acceleration[i])
-        else:
-            ground[k] = acceleration[i] if i < acceleration.size and part == 0 else 0.0
-        part += 1
-        if part == substeps:
-            i, part = i + 1, 0
+        ground[k] = ground_at(acceleration, first + k, substeps)

@@ -1,129 +1,335 @@
-"""Histories of uncoupled modes under several inputs with their derivatives, and sums over them.
+"""Derivatives of the response of uncoupled modes, and of its misfit: reverse mode and forward mode.
 
-The recursion of `sensitivity`, a mode in each lane; the responses to the inputs add up.
+The response is y = sum_ir S phi_r Gamma_ri f_r[a_i], f_r[a_i] the output of a mode under one input. All that
+the gradient of L needs of the history, with the weights w = dL/dy, are the sums over time
+
+    (S, f)  sum_k w_j f_r[a_i],    (S, f')  sum_k w_j df_r[a_i]/dlambda,    sum_k u_r df_r[a_i]/d(D h),
+
+with u = Phi' S' w, taken while the recursion runs forward: no history is kept, and no cost grows with the
+number of parameters. The rest is algebra of the size of the kept modes, with the divided differences of
+`close_modes`. Forward mode is its transpose: one combination of f, df/dlambda and df/d(D h).
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.simulators.chain.gradient import copy_block, weigh_misfit
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.oscillators.arguments import interpolate
-from pymc_features.simulators.oscillators.blocks import take_change
-from pymc_features.simulators.oscillators.march import SMALLEST_FREQUENCY
-from pymc_features.simulators.oscillators.recursion import BLOCK, N_ROWS
+from pymc_features.simulators.oscillators.close_modes import close_modes
+from pymc_features.simulators.oscillators.misfit import copy_block, take_change, weigh_misfit
+from pymc_features.simulators.oscillators.recursion import BLOCK
 from pymc_features.simulators.oscillators.sensitivity import (
     N_COEFFICIENTS,
-    N_OUTPUT,
-    N_STEP,
     advance_modes,
-    fill_mode,
+    sensitivity_coefficients,
 )
 
 
-@jit
-def oscillator_coefficients(omega, drag, rayleigh, ratios, step, quantity):
-    """Coefficients (27 groups, LANES) of `sensitivity.advance_modes`; zero in lanes without a mode."""
-    groups = (omega.size + LANES - 1) // LANES
-    coefficients = np.zeros((N_COEFFICIENTS * groups, LANES))
-    work = np.empty((N_ROWS, 1)), np.empty(N_STEP), np.empty(N_OUTPUT)
-    for r in range(omega.size):
-        frequency = max(omega[r], SMALLEST_FREQUENCY)
-        # of D = alpha + beta lambda + 2 ratio omega; nothing pushes a rigid body's lambda
-        slope = rayleigh[1]
-        if omega[r] > 0.0:
-            slope += ratios[r] / omega[r]
-        zeta = drag[r] / (2.0 * frequency)
-        fill_mode(frequency * step, zeta, slope, step, quantity, r, work, coefficients)
-    return coefficients
+class ModalGradient(NamedTuple):
+    """Derivatives of a number L with respect to what the kernels over time know of a structure.
 
-
-@jit
-def advance_inputs(coefficients, states, inputs, substeps, stride, first, ground, values):
-    """Write `BLOCK` samples of f, df/dlambda and df/d(D h) of all modes under each input.
-
-    Parameters
+    Attributes
     ----------
-    states : array (d, 4 groups, LANES)
-        Overwritten.
-    ground, values : array (d, BLOCK stride + 1), (3, d, BLOCK, padded)
-        Written: the inputs at the steps of the recursion, and the histories.
+    stiffness, mass : array (m, m)
+        By Phi' K Phi and Phi' M Phi, at fixed Phi.
+    load : array (m, d)
+        By Phi' L, the load whose projection is Gamma.
+    shapes : array (s, m)
+        By S Phi, outside of the span of Phi.
+    damping : array (m,)
+        By D.
     """
-    for i in range(inputs.shape[0]):
-        interpolate(inputs[i], substeps, first * stride, ground[i])
-        advance_modes(
-            *(coefficients, states[i], ground[i], stride, values[0, i].reshape(-1, LANES)),
-            *(values[1, i].reshape(-1, LANES), values[2, i].reshape(-1, LANES)),
-        )
+
+    stiffness: np.ndarray
+    mass: np.ndarray
+    load: np.ndarray
+    shapes: np.ndarray
+    damping: np.ndarray
 
 
-@jit
-def add_outputs(values, outputs, feed, ground, stride, part, response):
-    """Write one block of the response (BLOCK, s), from f (d, BLOCK, padded)."""
-    response[:] = 0.0
-    for i in range(outputs.shape[0]):
-        np.dot(values[i], outputs[i], part)
-        for b in range(BLOCK):
-            for j in range(part.shape[1]):
-                response[b, j] += part[b, j] + feed[j, i] * ground[i, b * stride]
+class ModalChange(NamedTuple):
+    """Changes of a structure along a direction, as the kernels over time see them.
+
+    Attributes
+    ----------
+    stiffness, mass : array (m, m)
+        Of Phi' K Phi and Phi' M Phi, at fixed Phi.
+    load : array (m, d)
+        Of Phi' L.
+    shapes : array (s, m)
+        Of S Phi, outside of the span of Phi.
+    damping : array (m,)
+        Of D.
+    """
+
+    stiffness: np.ndarray
+    mass: np.ndarray
+    load: np.ndarray
+    shapes: np.ndarray
+    damping: np.ndarray
 
 
-@jit
-def sum_histories(coefficients, outputs, feed, inputs, substeps, stride, history, weights):
-    """Sums over time of w_j f_r, w_j df_r/dlambda and w_j df_r/d(D h) of each input, (3, d, s, padded).
+class Histories(NamedTuple):
+    """The modes of a structure on their way through a record, one block of time after another.
 
-    Parameters
+    Attributes
     ----------
     coefficients : array (27 groups, LANES)
-        From `oscillator_coefficients`.
+        Of `advance_modes`.
+    states : array (d, 4 groups, LANES)
+    ground : array (d, BLOCK stride + 1)
+        The inputs at the steps of the recursion.
+    values : array (3, d, BLOCK + 1, padded)
+        f, df/dlambda and df/d(D h); row 0 is that of the sample before the block.
     outputs : array (d, padded, s)
         S phi_r Gamma_ri, zero beyond the modes.
-    feed : array (s, d)
-        What stands before the inputs in the response.
-    history : array (s, u)
-        The weights w or, if there are `weights`, the data.
-    weights : array (s,) or (0,)
-        Cotangent of the discrepancy.
     """
-    n_inputs, padded, n_sensors = outputs.shape
-    total = history.shape[1]
-    states = np.zeros((n_inputs, 4 * (padded // LANES), LANES))
-    ground, values = np.empty((n_inputs, BLOCK * stride + 1)), np.empty((3, n_inputs, BLOCK, padded))
-    weighted, part = np.empty((BLOCK, n_sensors)), np.empty((BLOCK, n_sensors))
-    product, sums = np.empty((n_sensors, padded)), np.zeros((3, n_inputs, n_sensors, padded))
-    for first in range(0, total, BLOCK):
-        advance_inputs(coefficients, states, inputs, substeps, stride, first, ground, values)
-        if weights.size:
-            add_outputs(values[0], outputs, feed, ground, stride, part, weighted)
-            weigh_misfit(weighted, ground[0], stride, 0.0, history, first, weights, total, weighted)
-        else:
-            copy_block(history, first, weighted)
-        for k in range(3):
-            for i in range(n_inputs):
-                np.dot(weighted.T, values[k, i], product)
-                sums[k, i] += product
-    return sums
+
+    coefficients: np.ndarray
+    states: np.ndarray
+    ground: np.ndarray
+    values: np.ndarray
+    outputs: np.ndarray
 
 
 @jit
-def march_change(coefficients, combination, outputs, feed, inputs, substeps, stride, observed, history, sums):
-    """Carry the change of the response through the record; see `take_change` for what becomes of it.
+def new_histories(system, law, excitation, quantity):
+    """The modes at rest before a record."""
+    step, stride = excitation.dt / excitation.substeps, excitation.stride
+    (n_modes, n_inputs), n_sensors = system.participation.shape, system.shapes.shape[0]
+    coefficients = sensitivity_coefficients(system, law, step, quantity)
+    groups = coefficients.shape[0] // N_COEFFICIENTS
+    outputs = np.zeros((n_inputs, groups * LANES, n_sensors))
+    for i in range(n_inputs):
+        for r in range(n_modes):
+            for j in range(n_sensors):
+                outputs[i, r, j] = system.participation[r, i] * system.shapes[j, r]
+    states, ground = np.zeros((n_inputs, 4 * groups, LANES)), np.empty((n_inputs, BLOCK * stride + 1))
+    values = np.zeros((3, n_inputs, BLOCK + 1, groups * LANES))
+    return Histories(coefficients, states, ground, values, outputs)
 
-    `combination` (3, d, padded, s) has the factors of f, df/dlambda and df/d(D h), the rest is as above.
-    """
-    n_inputs, padded, n_sensors = outputs.shape
-    total = max(history.shape[1], observed.shape[1])
-    states = np.zeros((n_inputs, 4 * (padded // LANES), LANES))
-    ground, values = np.empty((n_inputs, BLOCK * stride + 1)), np.empty((3, n_inputs, BLOCK, padded))
-    part, response = np.empty((BLOCK, n_sensors)), np.empty((BLOCK, n_sensors))
-    change = np.empty((BLOCK, n_sensors))
-    for first in range(0, total, BLOCK):
-        advance_inputs(coefficients, states, inputs, substeps, stride, first, ground, values)
-        change[:] = 0.0
+
+@jit
+def advance_histories(modes, excitation, first):
+    """Write a block of values of all modes under each input, from sample `first` on."""
+    inputs, _, substeps, stride = excitation
+    values, ground = modes.values, modes.ground
+    for i in range(inputs.shape[0]):
         for k in range(3):
-            for i in range(n_inputs):
-                np.dot(values[k, i], combination[k, i], part)
-                change += part
+            values[k, i, 0] = values[k, i, BLOCK]
+        interpolate(inputs[i], substeps, first * stride, ground[i])
+        f, f_lambda, f_damping = values[0, i, 1:], values[1, i, 1:], values[2, i, 1:]
+        lanes = f.reshape(-1, LANES), f_lambda.reshape(-1, LANES), f_damping.reshape(-1, LANES)
+        advance_modes(modes.coefficients, modes.states[i], ground[i], stride, *lanes)
+
+
+@jit
+def write_response(modes, feed, stride, part, response):
+    """Write one block of the response (BLOCK, s); `part` (BLOCK, s) is overwritten."""
+    for i in range(modes.outputs.shape[0]):
+        target = response if i == 0 else part
+        np.dot(modes.values[0, i, 1:], modes.outputs[i], target)
+        for j in range(part.shape[1]):
+            if feed[j, i] != 0.0:
+                for b in range(BLOCK):
+                    target[b, j] += feed[j, i] * modes.ground[i, b * stride]
+        if i > 0:
+            response += part
+
+
+@jit
+def sum_histories(modes, system, feed, excitation, history, weights, some_are_close):
+    """Sums over time, see above.
+
+    Parameters
+    ----------
+    modes : Histories
+    feed : array (s, d)
+        What stands before the inputs in the response, beside an f that has -a in accelerations.
+    history : array (s, u)
+        The weights w or, if there are `weights`, the data.
+    weights : array (s, q) or (0, 0)
+        Derivatives of L by the statistics of the misfit, see `misfit`.
+    some_are_close : bool
+        Whether (S, f') is wanted.
+
+    Returns
+    -------
+    outputs, slopes : array (d, s, padded)
+        (S, f) and (S, f').
+    by_lambda, by_damping : array (m, d)
+        sum_k u_r df_r[a_i]/dlambda and sum_k u_r df_r[a_i]/d(D h).
+    """
+    n_inputs, padded, n_sensors = modes.outputs.shape
+    total, (_, n_modes) = history.shape[1], system.shapes.shape
+    response, part = np.empty((BLOCK, n_sensors)), np.empty((BLOCK, n_sensors))
+    misfits, weighted = np.zeros((BLOCK + 1, n_sensors)), np.empty((BLOCK + 1, n_sensors))
+    product, in_modes = np.empty((n_sensors, padded)), np.empty((BLOCK + 1, n_modes))
+    outputs, slopes = np.zeros((n_inputs, n_sensors, padded)), np.zeros((n_inputs, n_sensors, padded))
+    by_lambda, by_damping = np.zeros((n_modes, n_inputs)), np.zeros((n_modes, n_inputs))
+    start = 0 if weights.size and weights.shape[1] == 4 else 1  # only increments reach back to row 0
+    for first in range(0, total, BLOCK):
+        advance_histories(modes, excitation, first)
+        if weights.size:
+            write_response(modes, feed, excitation.stride, part, response)
+            weigh_misfit(response, history, first, weights, misfits, weighted)
+        else:
+            copy_block(history, first, weighted)
+        w, u = weighted[start:], in_modes[start:]
+        np.dot(w, system.shapes, u)
+        for i in range(n_inputs):
+            f_lambda, f_damping = modes.values[1, i, start:], modes.values[2, i, start:]
+            np.dot(w.T, modes.values[0, i, start:], product)
+            outputs[i] += product
+            if some_are_close:
+                np.dot(w.T, f_lambda, product)
+                slopes[i] += product
+            for b in range(u.shape[0]):
+                for r in range(n_modes):
+                    by_lambda[r, i] += u[b, r] * f_lambda[b, r]
+                    by_damping[r, i] += u[b, r] * f_damping[b, r]
+    return outputs, slopes, by_lambda, by_damping
+
+
+@jit
+def reduce_sums(system, close, some_are_close, outputs, slopes, by_lambda):
+    """Derivatives of L by Phi' K Phi, Phi' M Phi (m, m), Phi' L (m, d) and S Phi (s, m), from the sums.
+
+    With P = Phi' S' F and Q = (dL/d(Phi' L)) Gamma', where F = sum_i (S, f)_i Gamma_i, the pair r, s has the
+    divided difference [(P - Q)_sr - (P - Q)_rs] / (lambda_r - lambda_s), or its limit where it is close.
+    """
+    omega, participation = system.omega, system.participation
+    (n_sensors, m), n_inputs = system.shapes.shape, participation.shape[1]
+    f, f_lambda, load = np.zeros((n_sensors, m)), np.zeros((n_sensors, m)), np.zeros((m, n_inputs))
+    for i in range(n_inputs):
+        for j in range(n_sensors):
+            for r in range(m):
+                f[j, r] += participation[r, i] * outputs[i, j, r]
+                f_lambda[j, r] += participation[r, i] * slopes[i, j, r]
+                load[r, i] += system.shapes[j, r] * outputs[i, j, r]
+    p, q = np.dot(system.shapes.T, f), np.dot(load, participation.T)
+    limits = np.dot(by_lambda, participation.T)
+    if some_are_close:
+        limits += np.dot(system.shapes.T, f_lambda)
+    else:
+        for r in range(m):
+            limits[r, r] *= 2.0  # both terms are equal for a mode by itself
+    stiffness, mass = np.empty((m, m)), np.empty((m, m))
+    for r in range(m):
+        for s in range(m):
+            if close[r, s]:
+                difference = 0.5 * (limits[r, s] + limits[s, r])
+            else:
+                apart = (p[s, r] - q[s, r]) - (p[r, s] - q[r, s])
+                difference = apart / ((omega[r] - omega[s]) * (omega[r] + omega[s]))
+            mean = 0.5 * (omega[r] * omega[r] + omega[s] * omega[s])
+            norm = p[r, s] + q[r, s] + p[s, r] + q[s, r]  # by the scale of the modes, phi' M phi = 1
+            stiffness[r, s] = 0.5 * difference
+            mass[r, s] = -0.5 * (mean * difference + 0.5 * norm)
+    return stiffness, mass, load, f
+
+
+@jit
+def modal_gradient(system, law, feed, excitation, quantity, history, weights):
+    """Gradient of L = sum w y, w the `history`, or of a function of the misfit, see `sum_histories`.
+
+    Parameters
+    ----------
+    system : ModalSystem
+    law : DampingLaw
+    feed, history, weights
+        As in `sum_histories`.
+
+    Returns
+    -------
+    ModalGradient
+    """
+    step = excitation.dt / excitation.substeps
+    duration = history.shape[1] * excitation.stride * step
+    close, some_are_close = close_modes(system.omega, law, duration)
+    modes = new_histories(system, law, excitation, quantity)
+    outputs, slopes, by_lambda, by_damping = sum_histories(
+        modes, system, feed, excitation, history, weights, some_are_close
+    )
+    damping = np.zeros(system.omega.size)
+    for r in range(damping.size):
+        for i in range(by_damping.shape[1]):
+            damping[r] += step * system.participation[r, i] * by_damping[r, i]
+    stiffness, mass, load, shapes = reduce_sums(system, close, some_are_close, outputs, slopes, by_lambda)
+    return ModalGradient(stiffness, mass, load, shapes, damping)
+
+
+@jit
+def combine_change(system, change, close, step, combination):
+    """Write the factors (3, d, padded, s) of f, df/dlambda and df/d(D h) in the change of the response.
+
+    Parameters
+    ----------
+    system : ModalSystem
+    change : ModalChange
+    close : array (m, m)
+        Of `close_modes`.
+    """
+    omega, participation = system.omega, system.participation
+    m = omega.size
+    turn, slope = np.empty((m, m)), np.zeros((m, m))  # of the modes among themselves
+    for r in range(m):
+        for s in range(m):
+            mean = 0.5 * (omega[r] * omega[r] + omega[s] * omega[s])
+            pair = change.stiffness[r, s] - mean * change.mass[r, s]
+            turn[r, s] = 0.0
+            if close[r, s]:
+                slope[r, s] = 0.5 * pair
+            else:
+                turn[r, s] = pair / ((omega[r] - omega[s]) * (omega[r] + omega[s]))
+    half = 0.5 * change.mass
+    shapes, shapes_slope = np.dot(system.shapes, -turn - half) + change.shapes, np.dot(system.shapes, slope)
+    load, load_slope = np.dot(turn - half, participation) + change.load, np.dot(slope, participation)
+    for i in range(participation.shape[1]):
+        for r in range(m):
+            for j in range(shapes.shape[0]):
+                shape, gamma = system.shapes[j, r], participation[r, i]
+                combination[0, i, r, j] = gamma * shapes[j, r] + load[r, i] * shape
+                combination[1, i, r, j] = gamma * shapes_slope[j, r] + load_slope[r, i] * shape
+                combination[2, i, r, j] = gamma * shape * step * change.damping[r]
+
+
+@jit
+def march_change(system, law, feed, excitation, quantity, change, observed, history):
+    """Write the change of the response along a direction into `history`, or return that of its misfit.
+
+    Parameters
+    ----------
+    system, law, feed, excitation, quantity
+        As in `modal_gradient`.
+    change : ModalChange
+    observed : array (s, u)
+        Data; not read if there is a `history`.
+    history : array (s, u) or (0, 0)
+
+    Returns
+    -------
+    array (s,)
+        Change of sum_k r_k^2; zero if there is a `history`.
+    """
+    n_sensors, total = system.shapes.shape[0], max(history.shape[1], observed.shape[1])
+    step, stride = excitation.dt / excitation.substeps, excitation.stride
+    close, _ = close_modes(system.omega, law, total * stride * step)
+    modes = new_histories(system, law, excitation, quantity)
+    combination = np.zeros((3, *modes.outputs.shape))
+    combine_change(system, change, close, step, combination)
+    part, response = np.empty((BLOCK, n_sensors)), np.empty((BLOCK, n_sensors))
+    change_block, sums = np.empty((BLOCK, n_sensors)), np.zeros(n_sensors)
+    for first in range(0, total, BLOCK):
+        advance_histories(modes, excitation, first)
+        change_block[:] = 0.0
+        for k in range(3):
+            for i in range(combination.shape[1]):
+                np.dot(modes.values[k, i, 1:], combination[k, i], part)
+                change_block += part
         if not history.size:
-            add_outputs(values[0], outputs, feed, ground, stride, part, response)
-        take_change(response, change, first, min(BLOCK, total - first), observed, history, sums)
+            write_response(modes, feed, stride, part, response)
+        take_change(response, change_block, first, observed, history, sums)
+    return sums

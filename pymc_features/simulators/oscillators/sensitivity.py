@@ -1,19 +1,19 @@
 """Modal responses together with their derivatives, exact for an excitation linear between its samples.
 
-In steps of the recursion, mode r obeys q" + d q' + s q = -a with s = (omega h)^2 and d = 2 zeta omega h
+In steps of the recursion, mode r obeys q" + d q' + s q = -a with s = (omega h)^2 and d = D h
 (`recursion.py`). Its derivative z = dq/ds obeys the same equation under the load q, and starts at rest; so
 does dq/dd, under the load q', and is therefore z'. One more pair (z, z') beside (q, q') gives all
 derivatives:
 
     z" = -q - d z' - s z,    z"' = -q' - d z" - s z',    dq"/ds = z",  dq"/dd = z"'.
 
-The pair moves on by the derivatives with respect to s of the transition and input coefficients, which come
-from the same Taylor series and doublings as these. Modes lie in the lanes of vector registers.
+The pair moves on by the derivatives with respect to s of the transition and input coefficients: the
+imaginary parts of the coefficients at s + i 1e-200, exact to rounding (Squire & Trapp, SIAM Review 40, 1998).
+Modes lie in the lanes of vector registers.
 """
 
 import numpy as np
 
-from pymc_features.simulators.chain.modes import chain_modes
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, splat, store
 from pymc_features.simulators.oscillators.arguments import (
@@ -21,75 +21,13 @@ from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_ACCELERATION,
     RELATIVE_DISPLACEMENT,
 )
-from pymc_features.simulators.oscillators.recursion import (
-    BLOCK,
-    N_ROWS,
-    P_NEXT,
-    P_NOW,
-    P_P,
-    P_Q,
-    Q_NEXT,
-    Q_NOW,
-    Q_P,
-    Q_Q,
-    TAYLOR_TERMS,
-    first_order_hold,
-)
+from pymc_features.simulators.oscillators.recursion import BLOCK, SMALLEST, first_order_hold
 
 # Coefficients of a mode: eight of the step, their derivatives with respect to s, and outputs
 N_STEP = 8
 N_OUTPUT = 11
 N_COEFFICIENTS = 2 * N_STEP + N_OUTPUT
-STEP_ROWS = (Q_Q, Q_P, P_Q, P_P, Q_NOW, P_NOW, Q_NEXT, P_NEXT)
-
-
-@jit
-def hold_derivative(w, zeta, derivative):
-    """Write the derivatives with respect to s = w^2, at fixed d, of the eight step coefficients.
-
-    Parameters as in `recursion.first_order_hold`; `derivative` (8,) in the order of `STEP_ROWS`.
-    """
-    square, drag, share = w * w, 2.0 * zeta * w, 1.0  # share: derivative of `square`
-    halvings = 0
-    while max(square, drag * drag) > 0.0625:
-        square, drag, share = 0.25 * square, 0.5 * drag, 0.25 * share
-        halvings += 1
-    a2, b2, da2, db2 = 1.0, 0.0, 0.0, 0.0
-    for k in range(TAYLOR_TERMS, 2, -1):
-        a2, b2, da2, db2 = (
-            1.0 - square * b2 / k,
-            (a2 - drag * b2) / k,
-            -(share * b2 + square * db2) / k,
-            (da2 - drag * db2) / k,
-        )
-    a2, b2, da2, db2 = 0.5 * a2, 0.5 * b2, 0.5 * da2, 0.5 * db2
-    a1, b1 = 1.0 - square * b2, a2 - drag * b2
-    da1, db1 = -share * b2 - square * db2, da2 - drag * db2
-    a0, b0 = 1.0 - square * b1, a1 - drag * b1
-    da0, db0 = -share * b1 - square * db1, da1 - drag * db1
-    for _ in range(halvings):
-        grown, mixed, dmixed = 1.0 + a0, 1.0 + a0 - drag * b0, da0 - drag * db0
-        load_b, dload_b = square * b0, share * b0 + square * db0
-        da2, db2 = (
-            0.25 * (da0 * a2 + grown * da2 - dload_b * b2 - load_b * db2 + da1),
-            0.125 * (dmixed * b2 + mixed * db2 + db0 * a2 + b0 * da2 + db1),
-        )
-        a2, b2 = 0.25 * (grown * a2 - load_b * b2 + a1), 0.125 * (mixed * b2 + b0 * a2 + b1)
-        da1, db1 = (
-            0.5 * (da0 * a1 + grown * da1 - dload_b * b1 - load_b * db1),
-            0.25 * (dmixed * b1 + mixed * db1 + db0 * a1 + b0 * da1),
-        )
-        a1, b1 = 0.5 * (grown * a1 - load_b * b1), 0.25 * (mixed * b1 + b0 * a1)
-        da0, db0 = (
-            2.0 * a0 * da0 - dload_b * b0 - load_b * db0,
-            0.5 * (db0 * (2.0 * a0 - drag * b0) + b0 * (2.0 * da0 - drag * db0)),
-        )
-        a0, b0 = a0 * a0 - load_b * b0, 0.5 * b0 * (2.0 * a0 - drag * b0)
-        square, drag, share = 4.0 * square, 2.0 * drag, 4.0 * share
-    derivative[0], derivative[1] = da0, db0
-    derivative[2], derivative[3] = -b0 - square * db0, da0 - drag * db0
-    derivative[4], derivative[5] = db2 - db1, da2 - da1 - drag * (db2 - db1)
-    derivative[6], derivative[7] = -db2, drag * db2 - da2
+TINY = 1e-200  # of the complex step: its square underflows
 
 
 @jit
@@ -101,7 +39,7 @@ def output_coefficients(quantity, s, d, step, slope, row):
     s, d, step : float
         As above; `step` h [s].
     slope : float
-        Derivative of 2 zeta omega with respect to lambda = omega^2 along the damping's own law [s].
+        Derivative of D with respect to lambda = omega^2 along the damping's own law [s].
     row : array (11,)
         Written: df/dlambda, in total, and df/dd, each from q, q', z, z'; f from q, q' and the ground
         acceleration. For accelerations f is relative: the ground's is added to what the sensors put out.
@@ -124,60 +62,35 @@ def output_coefficients(quantity, s, d, step, slope, row):
 
 
 @jit
-def fill_mode(w, zeta, slope, step, quantity, r, work, coefficients):
-    """Write what mode `r` needs into `coefficients` (27 groups, LANES).
+def sensitivity_coefficients(system, law, step, quantity):
+    """Coefficients (27 groups, LANES) of `advance_modes`; zero in lanes without a mode.
 
     Parameters
     ----------
-    w, zeta, slope, step
-        As in `recursion.first_order_hold` and `output_coefficients`.
-    work : tuple of arrays (11, 1), (8,), (11,)
-        Overwritten.
+    system : ModalSystem
+    law : DampingLaw
+    step : float
+        Of the recursion [s].
+    quantity : int
+        Position in `QUANTITIES`.
     """
-    table, derivative, output = work
-    first_order_hold(w, zeta, table, 0)
-    hold_derivative(w, zeta, derivative)
-    output_coefficients(quantity, w * w, 2.0 * zeta * w, step, slope, output)
-    first, lane = N_COEFFICIENTS * (r // LANES), r % LANES
-    for i in range(N_STEP):
-        coefficients[first + i, lane] = table[STEP_ROWS[i], 0]
-        coefficients[first + N_STEP + i, lane] = derivative[i]
-    for i in range(N_OUTPUT):
-        coefficients[first + 2 * N_STEP + i, lane] = output[i]
-
-
-@jit
-def sensitive_modes(mass, stiffness, rayleigh, ratios, step, n_modes, quantity):
-    """Modes, and the coefficients of their recursion with derivatives.
-
-    Parameters as in `recursion.modal_system`.
-
-    Returns
-    -------
-    valid : bool
-        False if the parameters describe no structure.
-    omega, participation : array (n,)
-        Angular frequencies [rad/s] and phi_r' M 1.
-    mode_shapes : array (n, n)
-        Rows are mass-normalised.
-    coefficients : array (27 groups, LANES)
-        Of `advance_modes`; zero in lanes without a mode.
-    """
-    n = mass.size
-    omega, participation, mode_shapes = np.empty(n), np.empty(n), np.empty((n, n))
-    groups = (n_modes + LANES - 1) // LANES
-    coefficients = np.zeros((N_COEFFICIENTS * groups, LANES))
-    work = np.empty((N_ROWS, 1)), np.empty(N_STEP), np.empty(N_OUTPUT)
-    valid = chain_modes(mass, stiffness, omega, mode_shapes, participation)
-    for r in range(n_modes if valid else 0):
-        w = omega[r] * step
-        zeta = 0.5 * (rayleigh[0] / omega[r] + rayleigh[1] * omega[r]) + ratios[r]
-        if not (w < 1e6 and 0.0 <= zeta * w < 1e6):
-            valid = False
-            break
-        slope = rayleigh[1] + ratios[r] / omega[r]
-        fill_mode(w, zeta, slope, step, quantity, r, work, coefficients)
-    return valid, omega, participation, mode_shapes, coefficients
+    omega, damping = system.omega, system.damping
+    groups = (omega.size + LANES - 1) // LANES
+    coefficients, output = np.zeros((N_COEFFICIENTS * groups, LANES)), np.empty(N_OUTPUT)
+    for r in range(omega.size):
+        slope = law.rayleigh[1]  # of D = alpha + beta lambda + 2 ratio sqrt(lambda)
+        if omega[r] > 0.0:  # nothing changes the lambda of a rigid body
+            slope += law.ratios[r] / omega[r]
+        s, d = max(omega[r] * step, SMALLEST) ** 2, damping[r] * step
+        hold, change = first_order_hold(s, d), first_order_hold(complex(s, TINY), d)
+        output_coefficients(quantity, s, d, step, slope, output)
+        first, lane = N_COEFFICIENTS * (r // LANES), r % LANES
+        for i in range(N_STEP):
+            coefficients[first + i, lane] = hold[i]
+            coefficients[first + N_STEP + i, lane] = change[i].imag / TINY
+        for i in range(N_OUTPUT):
+            coefficients[first + 2 * N_STEP + i, lane] = output[i]
+    return coefficients
 
 
 @jit
@@ -193,11 +106,11 @@ def advance_modes(coefficients, states, ground, stride, values, by_lambda, by_da
     Parameters
     ----------
     coefficients : array (27 groups, LANES)
-        From `sensitive_modes`.
+        From `sensitivity_coefficients`.
     states : array (4 groups, LANES)
         q, q', z, z'; overwritten.
     ground : array (BLOCK stride + 1,)
-        Ground acceleration at the steps of the recursion.
+        Excitation at the steps of the recursion.
     values, by_lambda, by_damping : array (BLOCK groups, LANES)
         Written: f, df/dlambda in total, df/dd; row `sample * groups + group`.
     """

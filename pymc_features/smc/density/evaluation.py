@@ -25,6 +25,7 @@ from pytensor.graph.traversal import ancestors, io_toposort
 from pytensor.tensor.random.type import RandomGeneratorType
 from pytensor.tensor.type import TensorType
 
+from pymc_features.exceptions import PopulationWarning
 from pymc_features.smc.density.nodes import (
     core_op,
     inner_nodes,
@@ -42,10 +43,6 @@ NUMERICAL_ERRORS = (ArithmeticError, np.linalg.LinAlgError)
 # In this process, and in those forked from it, a pickled evaluation finds its compiled function here.
 _ALIVE: WeakValueDictionary = WeakValueDictionary()
 _OF_MODEL: WeakKeyDictionary = WeakKeyDictionary()
-
-
-class PopulationWarning(UserWarning):
-    """Particles are evaluated one by one."""
 
 
 @contextmanager

@@ -1,10 +1,14 @@
 """What the kernels share that evaluate a whole population at once."""
 
 import time
+from os import PathLike
+from typing import NoReturn, TypedDict
 
 import numpy as np
+import pymc as pm
 from pymc.model import modelcontext
 from pymc.smc.kernels import SMC_KERNEL, Pearson
+from pymc.util import RandomState
 from pymc.vartypes import discrete_types
 
 from pymc_features.smc.density.evaluation import population_logp
@@ -28,6 +32,14 @@ def check_share(name, value, default: float):
         raise ValueError(f"`{name}` must lie between 0 and 1, got {value!r}. The default is {default}.")
 
 
+class KernelOptions(TypedDict, total=False):
+    """Arguments of `PopulationKernel` that a kernel with many of its own takes as they come."""
+
+    start: dict | None
+    compile_kwargs: dict | None
+    checkpoint: str | PathLike | None
+
+
 class PopulationKernel(SMC_KERNEL):
     """Base of the kernels for `pm.sample_smc` that evaluate all particles in one compiled call.
 
@@ -40,8 +52,18 @@ class PopulationKernel(SMC_KERNEL):
     ----------
     draws : int
         Number of particles.
-    start, model, random_seed, threshold, compile_kwargs
-        As in PyMC's kernels.
+    threshold : float
+        Effective number of particles that a new temperature keeps, over `draws`, between 0 and 1; of kernels
+        whose temperatures are PyMC's.
+    start : dict, optional
+        Values of the variables (particle, ...), on the scale they are sampled on; draws from the prior by
+        default.
+    model : pymc.Model, optional
+        That of the context by default.
+    random_seed : int or Generator, optional
+        For the same particles each time.
+    compile_kwargs : dict, optional
+        For `pytensor.function`.
     checkpoint : path-like, optional
         Folder that keeps every evaluation; a run that was killed goes on from there with the same
         `random_seed`, to the same particles. See `sample_smc`.
@@ -68,13 +90,14 @@ class PopulationKernel(SMC_KERNEL):
 
     def __init__(
         self,
-        draws=2000,
-        start=None,
-        model=None,
-        random_seed=None,
-        threshold=0.5,
-        compile_kwargs=None,
-        checkpoint=None,
+        draws: int = 2000,
+        *,
+        threshold: float = 0.5,
+        start: dict | None = None,
+        model: pm.Model | None = None,
+        random_seed: RandomState = None,
+        compile_kwargs: dict | None = None,
+        checkpoint: str | PathLike | None = None,
     ):
         # not SMC_KERNEL's own: it would compile two functions for single particles
         self.draws = whole_number("draws", draws, 2)
@@ -104,17 +127,17 @@ class PopulationKernel(SMC_KERNEL):
         self.n_steps = self.evaluations = self.failed = 0
         self.clock = time.perf_counter()
 
-    def checked_stage_draws(self, stage_draws, share: float, least: int, default: int) -> int:
+    def checked_stage_draws(self, stage_draws: int | None, share: float, least: int, default: int) -> int:
         """Size of a stage: as asked for, or a share of the draws that suffices for the parameters."""
         if stage_draws is None:
             return max(int(share * self.draws), 50 * self.n_parameters, default)
         return whole_number("stage_draws", stage_draws, least)
 
-    def compile_evaluation(self, model, point, compile_kwargs):
+    def compile_evaluation(self, model: pm.Model, point: dict, compile_kwargs: dict) -> None:
         """Compile what `evaluate` calls."""
         self.logp = population_logp(model, point, compile_kwargs)
 
-    def set_rng(self, rng):
+    def set_rng(self, rng: np.random.Generator) -> None:
         """Use this generator; random draws inside the log-probability get streams of their own."""
         self.rng = rng
         self.logp = self.logp.with_rng(rng)
@@ -124,13 +147,13 @@ class PopulationKernel(SMC_KERNEL):
                 self.journal.close()  # the chain before
             self.journal = self.checkpoint.journal(settings, rng)
 
-    def evaluated(self, particles):
+    def evaluated(self, particles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Log prior, log-likelihood and failures, each (p,), of particles (p, d); journals remember them."""
         if self.journal is None:
             return self.logp(particles)
         return self.journal.evaluate(self.logp, particles)
 
-    def evaluate(self, particles):
+    def evaluate(self, particles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Log prior and log-likelihood, each (p,), of particles (p, d); counts evaluations and failures."""
         prior, likelihood, failed = self.evaluated(particles)
         self.evaluations += len(particles)
@@ -154,7 +177,7 @@ class PopulationKernel(SMC_KERNEL):
         if not (self.prior_logp + self.likelihood_logp > -np.inf).any():
             self.refuse_impossible_model()
 
-    def refuse_impossible_model(self):
+    def refuse_impossible_model(self) -> NoReturn:
         """Say that no initial particle is possible."""
         error = f", the last with {self.logp.last_error}" if self.logp.last_error else ""
         raise ValueError(
@@ -163,11 +186,11 @@ class PopulationKernel(SMC_KERNEL):
             "check the model at one point with model.point_logps()."
         )
 
-    def propose(self):
+    def propose(self) -> tuple[np.ndarray, np.ndarray | float, np.ndarray | float]:
         """Return proposals (p, d) and the log-densities of the moves back and forth, each (p,) or 0."""
         raise NotImplementedError
 
-    def mutate(self):
+    def mutate(self) -> None:
         """Metropolis-Hastings steps until the particles have forgotten where the stage began, as in PyMC."""
         self.n_steps = 0
         previous = 2.0
@@ -191,7 +214,7 @@ class PopulationKernel(SMC_KERNEL):
             previous = r
         self.accepted = np.array(accepted_steps)
 
-    def sample_stats(self):
+    def sample_stats(self) -> dict:
         """Statistics of the stage just finished."""
         now = time.perf_counter()
         stats = {
@@ -206,7 +229,7 @@ class PopulationKernel(SMC_KERNEL):
         self.clock = now
         return stats
 
-    def sample_settings(self):
+    def sample_settings(self) -> dict:
         """Settings, saved as attributes of `sample_stats`; those of PyMC's kernels."""
         return {
             "_n_draws": self.draws,

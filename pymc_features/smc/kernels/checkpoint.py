@@ -22,14 +22,12 @@ from pytensor.graph.basic import Constant
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor.random.type import RandomGeneratorType
 
+from pymc_features.exceptions import CheckpointError
+
 MAGIC = b"pymc_features journal 1\n"
 HEAD = struct.Struct("<QQI")  # rows and columns of the particles, CRC-32 of what follows
 VALUES = 3  # log prior, log-likelihood, failed
 ADVICE = "Choose another folder, or remove this one to begin anew."
-
-
-class CheckpointError(RuntimeError):
-    """A checkpoint that is damaged, in use, or of another run."""
 
 
 class Journal:

@@ -1,8 +1,12 @@
 """PyMC's independent Metropolis-Hastings kernel on whole populations."""
 
+from os import PathLike
+
 import numpy as np
+import pymc as pm
 from pymc.pytensorf import floatX
 from pymc.smc.kernels import IMH
+from pymc.util import RandomState
 
 from pymc_features.smc.kernels.base import PopulationKernel
 
@@ -14,8 +18,8 @@ class PopulationIMH(PopulationKernel, IMH):
     ----------
     correlation_threshold : float
         Steps of a stage go on while the correlation with its first particles falls by more than this.
-    **settings
-        Of `PopulationKernel`.
+    draws, threshold, start, model, random_seed, compile_kwargs, checkpoint
+        As of `PopulationKernel`.
 
     Notes
     -----
@@ -26,18 +30,38 @@ class PopulationIMH(PopulationKernel, IMH):
 
     stats_dtypes_shapes = {**PopulationKernel.stats_dtypes_shapes, "accept_rate": (float, [])}
 
-    def __init__(self, *args, correlation_threshold=0.01, **settings):
-        PopulationKernel.__init__(self, *args, **settings)
+    def __init__(
+        self,
+        draws: int = 2000,
+        *,
+        threshold: float = 0.5,
+        correlation_threshold: float = 0.01,
+        start: dict | None = None,
+        model: pm.Model | None = None,
+        random_seed: RandomState = None,
+        compile_kwargs: dict | None = None,
+        checkpoint: str | PathLike | None = None,
+    ):
+        PopulationKernel.__init__(
+            self,
+            draws,
+            threshold=threshold,
+            start=start,
+            model=model,
+            random_seed=random_seed,
+            compile_kwargs=compile_kwargs,
+            checkpoint=checkpoint,
+        )
         self.correlation_threshold = correlation_threshold
         self.proposal_dist = None
 
-    def propose(self):
+    def propose(self) -> tuple[np.ndarray, np.ndarray | float, np.ndarray | float]:
         """Draw from the Gaussian fitted to the resampled particles."""
         proposal = floatX(self.proposal_dist.rvs(size=self.draws, random_state=self.rng))
         proposal = proposal.reshape(len(proposal), -1)
         forward = self.proposal_dist.logpdf(proposal)
         return proposal, self.proposal_dist.logpdf(self.tempered_posterior), forward
 
-    def sample_stats(self):
+    def sample_stats(self) -> dict:
         """Statistics of the stage just finished."""
         return {**PopulationKernel.sample_stats(self), "accept_rate": float(np.mean(self.accepted))}

@@ -8,10 +8,6 @@ FEWEST = 4  # particles within a tolerance: two for each half
 STALLED = (5, 0.01)  # levels in which the way to the tolerance must shorten by this share
 
 
-class ToleranceNotReachedError(RuntimeError):
-    """The tolerance asked for was not reached; the message says which one was."""
-
-
 class Levels:
     """Tolerances that fall to `epsilon`, each leaving the fraction `p0` of a population.
 

@@ -1,8 +1,12 @@
 """PyMC's random-walk Metropolis kernel on whole populations."""
 
+from os import PathLike
+
 import numpy as np
+import pymc as pm
 from pymc.pytensorf import floatX
 from pymc.smc.kernels import MH
+from pymc.util import RandomState
 
 from pymc_features.smc.kernels.base import PopulationKernel
 
@@ -14,8 +18,8 @@ class PopulationMH(PopulationKernel, MH):
     ----------
     correlation_threshold : float
         Steps of a stage go on while the correlation with its first particles falls by more than this.
-    **settings
-        Of `PopulationKernel`.
+    draws, threshold, start, model, random_seed, compile_kwargs, checkpoint
+        As of `PopulationKernel`.
 
     Notes
     -----
@@ -28,22 +32,42 @@ class PopulationMH(PopulationKernel, MH):
         "mean_proposal_scale": (float, []),
     }
 
-    def __init__(self, *args, correlation_threshold=0.01, **settings):
-        PopulationKernel.__init__(self, *args, **settings)
+    def __init__(
+        self,
+        draws: int = 2000,
+        *,
+        threshold: float = 0.5,
+        correlation_threshold: float = 0.01,
+        start: dict | None = None,
+        model: pm.Model | None = None,
+        random_seed: RandomState = None,
+        compile_kwargs: dict | None = None,
+        checkpoint: str | PathLike | None = None,
+    ):
+        PopulationKernel.__init__(
+            self,
+            draws,
+            threshold=threshold,
+            start=start,
+            model=model,
+            random_seed=random_seed,
+            compile_kwargs=compile_kwargs,
+            checkpoint=checkpoint,
+        )
         self.correlation_threshold = correlation_threshold
         self.proposal_dist = self.proposal_scales = self.chain_acc_rate = None
 
-    def propose(self):
+    def propose(self) -> tuple[np.ndarray, np.ndarray | float, np.ndarray | float]:
         """Step from each particle, with the covariance of all and a scale of its own."""
         step = self.proposal_dist(num_draws=self.draws, rng=self.rng)
         return floatX(self.tempered_posterior + step * self.proposal_scales[:, None]), 0.0, 0.0
 
-    def mutate(self):
+    def mutate(self) -> None:
         """Metropolis steps; their acceptance sets the scales of the next stage."""
         super().mutate()
         self.chain_acc_rate = np.mean(self.accepted, axis=0)
 
-    def sample_stats(self):
+    def sample_stats(self) -> dict:
         """Statistics of the stage just finished."""
         return {
             **PopulationKernel.sample_stats(self),

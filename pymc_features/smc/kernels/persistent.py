@@ -1,8 +1,11 @@
 """Persistent sampling: a kernel that throws no evaluation away."""
 
 import warnings
+from os import PathLike
 
 import numpy as np
+import pymc as pm
+from pymc.util import RandomState
 
 from pymc_features.smc.kernels.base import PopulationKernel
 from pymc_features.smc.proposals.mixture import GROUPS, Pool, equal_draws, next_beta
@@ -32,8 +35,8 @@ class PersistentSMC(PopulationKernel):
         by default. The prior is evaluated at twice as many.
     threshold : float
         Effective number of points that a new temperature keeps, over `stage_draws`.
-    **settings
-        Of `PopulationKernel`.
+    start, model, random_seed, compile_kwargs, checkpoint
+        As of `PopulationKernel`.
 
     Notes
     -----
@@ -61,8 +64,27 @@ class PersistentSMC(PopulationKernel):
         "log_marginal_likelihood_se": (float, []),
     }
 
-    def __init__(self, draws=2000, *, stage_draws=None, **settings):
-        super().__init__(draws, **settings)
+    def __init__(
+        self,
+        draws: int = 2000,
+        *,
+        stage_draws: int | None = None,
+        threshold: float = 0.5,
+        start: dict | None = None,
+        model: pm.Model | None = None,
+        random_seed: RandomState = None,
+        compile_kwargs: dict | None = None,
+        checkpoint: str | PathLike | None = None,
+    ):
+        super().__init__(
+            draws,
+            threshold=threshold,
+            start=start,
+            model=model,
+            random_seed=random_seed,
+            compile_kwargs=compile_kwargs,
+            checkpoint=checkpoint,
+        )
         stage_draws = self.checked_stage_draws(stage_draws, share=0.4, least=20, default=200)
         self.stage_draws = GROUPS * -(-stage_draws // GROUPS)
 
@@ -82,7 +104,7 @@ class PersistentSMC(PopulationKernel):
         if not len(self.pool.mass):
             self.refuse_impossible_model()
 
-    def update_beta_and_weights(self):
+    def update_beta_and_weights(self) -> None:
         """Choose the next temperature and weigh the pool for it."""
         self.iteration += 1
         self.beta = next_beta(self.pool, self.beta, self.threshold * self.stage_draws)
@@ -90,20 +112,20 @@ class PersistentSMC(PopulationKernel):
         self.weights = self.pool.normalised(log_weights)
         self.pool.add_temperature(self.beta, self.pool.log_evidence(log_weights))
 
-    def resample(self):
+    def resample(self) -> None:
         """Choose the points at which the chains of the stage start."""
         n_chains = GROUPS * max(1, self.stage_draws // (5 * GROUPS))
         self.position = equal_draws(self.weights, n_chains, self.rng)
 
-    def tune(self):
+    def tune(self) -> None:
         """Fit the proposal to the weighted pool."""
         self.moves.fit(self.fitting_points(self.weights), self.rng)
 
-    def fitting_points(self, weights):
+    def fitting_points(self, weights: np.ndarray) -> np.ndarray:
         """Equally weighted points of the pool (n, d) for a fit."""
         return self.pool.particles[equal_draws(weights, 2 * self.stage_draws, self.rng)]
 
-    def mutate(self):
+    def mutate(self) -> None:
         """Advance all chains until the stage is done, keeping every state and every proposal."""
         pool, position, moves = self.pool, self.position, self.moves
         x, prior = pool.particles[position], pool.log_prior[position]
@@ -147,7 +169,7 @@ class PersistentSMC(PopulationKernel):
         if self.beta == 1.0:
             self.finish()
 
-    def stage_is_done(self, n_chains):
+    def stage_is_done(self, n_chains: int) -> bool:
         """Whether the chains are long and mixed enough and, at the end, the pool is worth `draws`."""
         if self.moves.n_steps * n_chains < self.stage_draws:
             return False
@@ -167,7 +189,7 @@ class PersistentSMC(PopulationKernel):
             return False
         return self.pool.effective(self.pool.log_weights(1.0)) >= self.draws
 
-    def finish(self):
+    def finish(self) -> None:
         """Draw equally weighted points from the pool; evidence and its standard error."""
         pool = self.pool
         self.log_marginal_likelihood = pool.log_z[-1]
@@ -177,7 +199,7 @@ class PersistentSMC(PopulationKernel):
         self.tempered_posterior = pool.particles[chosen]
         self.prior_logp, self.likelihood_logp = pool.log_prior[chosen], pool.log_likelihood[chosen]
 
-    def sample_stats(self):
+    def sample_stats(self) -> dict:
         """Statistics of the stage just finished."""
         return {
             **super().sample_stats(),
@@ -187,6 +209,6 @@ class PersistentSMC(PopulationKernel):
             "log_marginal_likelihood_se": self.standard_error,
         }
 
-    def sample_settings(self):
+    def sample_settings(self) -> dict:
         """Settings, saved as attributes of `sample_stats`."""
         return {"_n_draws": self.draws, "threshold": self.threshold, "stage_draws": self.stage_draws}

@@ -1,21 +1,22 @@
 """ABC with a hard tolerance by subset simulation."""
 
 import warnings
+from typing import NoReturn, Unpack
 
 import numpy as np
+import pymc as pm
+from pymc.util import RandomState
 
+from pymc_features.exceptions import SubsetSimulationWarning, ToleranceNotReachedError
+from pymc_features.keywords import check_keywords
 from pymc_features.smc.density.discrepancy import SimulatorNode
 from pymc_features.smc.density.evaluation import population_logp
-from pymc_features.smc.kernels.base import PopulationKernel, check_share
-from pymc_features.smc.kernels.levels import Levels, ToleranceNotReachedError
+from pymc_features.smc.kernels.base import KernelOptions, PopulationKernel, check_share
+from pymc_features.smc.kernels.levels import Levels
 from pymc_features.smc.proposals.moves import CrossedMoves
 
 MOVES_PER_DRAW = 1.5  # accepted moves in the last level for each draw, so that most draws are distinct
 MAX_STEPS = 500  # of a level
-
-
-class SubsetSimulationWarning(UserWarning):
-    """A soft kernel is replaced by the threshold, or draws are correlated."""
 
 
 class SubsetSimulation(PopulationKernel):
@@ -23,8 +24,7 @@ class SubsetSimulation(PopulationKernel):
 
     Each level keeps the fraction `p0` of its population with the smallest rho; the largest of these is the
     next tolerance. From every particle kept a Markov chain fills the population up again, within that
-    tolerance. The last tolerance is epsilon itself. The product of the fractions is the evidence,
-    P(rho <= epsilon).
+    tolerance. The last tolerance is epsilon, and the product of the fractions the evidence P(rho <= epsilon).
 
     Parameters
     ----------
@@ -40,10 +40,11 @@ class SubsetSimulation(PopulationKernel):
         Tolerance to reach, in place of the node's.
     max_simulations : int, optional
         Simulations after which a chain gives up; 100 for each draw by default.
-    start : dict, optional
-        First particles, which must be draws from the prior: the evidence rests on it. Drawn by default.
-    model, random_seed, compile_kwargs
-        As in PyMC's kernels.
+    model, random_seed
+        As of `PopulationKernel`.
+    **kwargs
+        `start`, `compile_kwargs` and `checkpoint` of `PopulationKernel`. First particles given by `start`
+        must be draws from the prior: the evidence rests on it.
 
     Raises
     ------
@@ -70,8 +71,8 @@ class SubsetSimulation(PopulationKernel):
     independent or conditional on the present point, of a length that adapts to the acceptance, and steps of
     differential evolution. One half of the particles is moved by what is fitted to the other.
 
-    `sample_stats` of each level: `tolerance`, `accept_rate`, `evaluations` (simulations), `failed`,
-    `log_probability` of the level's tolerance and its `coefficient_of_variation` (Au & Beck, with the
+    `sample_stats` of each level: its tolerance `epsilon`, `accept_rate`, `evaluations` (simulations),
+    `failed`, `log_probability` of the tolerance and its `coefficient_of_variation` (Au & Beck, with the
     correlation within chains), `scale` of the moves; for the chain `log_marginal_likelihood` and its standard
     error.
 
@@ -87,7 +88,7 @@ class SubsetSimulation(PopulationKernel):
     starts_from_prior = True
     stats_dtypes_shapes = {
         **PopulationKernel.stats_dtypes_shapes,
-        "tolerance": (float, []),
+        "epsilon": (float, []),
         "accept_rate": (float, []),
         "scale": (float, []),
         "log_probability": (float, []),
@@ -97,19 +98,18 @@ class SubsetSimulation(PopulationKernel):
 
     def __init__(
         self,
-        draws=2000,
+        draws: int = 2000,
         *,
-        p0=0.2,
-        stage_draws=None,
-        epsilon=None,
-        max_simulations=None,
-        start=None,
-        model=None,
-        random_seed=None,
-        compile_kwargs=None,
-        checkpoint=None,
+        p0: float = 0.2,
+        stage_draws: int | None = None,
+        epsilon: float | None = None,
+        max_simulations: float | None = None,
+        model: pm.Model | None = None,
+        random_seed: RandomState = None,
+        **kwargs: Unpack[KernelOptions],
     ):
-        super().__init__(draws, start, model, random_seed, 0.5, compile_kwargs, checkpoint)
+        check_keywords(kwargs, KernelOptions.__annotations__, "SubsetSimulation")
+        super().__init__(draws, model=model, random_seed=random_seed, **kwargs)
         check_share("p0", p0, 0.2)
         self.p0 = float(p0)
         # each half of the particles that a level keeps must show a shape
@@ -133,7 +133,7 @@ class SubsetSimulation(PopulationKernel):
                 stacklevel=4,
             )
 
-    def compile_evaluation(self, model, point, compile_kwargs):
+    def compile_evaluation(self, model: pm.Model, point: dict, compile_kwargs: dict) -> None:
         """Two functions: what can be told without a simulation, and rho."""
         self.node = node = SimulatorNode(model)
         self.conditions_on_more = node.conditions_on_more
@@ -170,7 +170,7 @@ class SubsetSimulation(PopulationKernel):
         if possible < wanted and not self.start:
             self.give_up("`max_simulations` were spent on simulations that fail.")
 
-    def prior_particles(self):
+    def prior_particles(self) -> tuple[np.ndarray, np.ndarray]:
         """Particles (n, d) from the prior and the model's other terms, with the log-density of both."""
         x = self.initial_particles(self.stage_draws)
         prior, rest, _ = self.base(x)
@@ -179,7 +179,7 @@ class SubsetSimulation(PopulationKernel):
             x, prior, rest = x[chosen], prior[chosen], rest[chosen]
         return x, prior + rest
 
-    def simulate(self, x):
+    def simulate(self, x: np.ndarray) -> np.ndarray:
         """rho (n,) of particles (n, d), infinite where the simulation failed; counted."""
         _, minus_rho, failed = self.evaluated(x)
         self.evaluations += len(x)
@@ -194,7 +194,7 @@ class SubsetSimulation(PopulationKernel):
         self.simulations += n
         return True
 
-    def update_beta_and_weights(self):
+    def update_beta_and_weights(self) -> None:
         """Lower the tolerance, and find the particles within it."""
         self.iteration += 1
         self.seeds = self.levels.lower(self.population[2], self.chains)
@@ -203,7 +203,7 @@ class SubsetSimulation(PopulationKernel):
         if self.levels.has_stalled:
             self.give_up("The last levels came no nearer: increase `epsilon`, or improve the model.")
 
-    def give_up(self, reason):
+    def give_up(self, reason: str) -> NoReturn:
         """Say how far the levels came."""
         raise ToleranceNotReachedError(
             f"`epsilon` must be within reach of the simulator, got {self.epsilon:.6g}: after "
@@ -211,14 +211,14 @@ class SubsetSimulation(PopulationKernel):
             f"rho {self.smallest:.6g}. {reason}"
         )
 
-    def resample(self):
+    def resample(self) -> None:
         """Nothing: all particles within the tolerance begin a chain."""
 
-    def tune(self):
+    def tune(self) -> None:
         """Fit the moves to the particles within the tolerance."""
         self.moves.fit(self.population[0][self.seeds], self.rng)
 
-    def mutate(self):
+    def mutate(self) -> None:
         """From each particle kept, a Markov chain within the tolerance; its states are the new population."""
         moves = self.moves
         x, base, rho = (a[self.seeds] for a in self.population)
@@ -249,7 +249,7 @@ class SubsetSimulation(PopulationKernel):
         self.accept_rate = float(np.mean(acceptances)) if acceptances else np.nan
         self.collect(states)
 
-    def level_is_done(self, n_chains, n_accepted):
+    def level_is_done(self, n_chains: int, n_accepted: float) -> bool:
         """Whether the chains are long and mixed enough and, in the last level, the draws differ."""
         steps, last = self.moves.n_steps, self.levels.is_last
         if steps >= MAX_STEPS:
@@ -259,7 +259,7 @@ class SubsetSimulation(PopulationKernel):
             return False
         return self.moves.has_forgotten and not (last and n_accepted < MOVES_PER_DRAW * self.draws)
 
-    def warn_of_correlation(self, reason):
+    def warn_of_correlation(self, reason: str) -> None:
         """Say that draws repeat more often, or are more correlated, than they should."""
         warnings.warn(
             f"{reason} before the chains had forgotten where they began: draws are correlated. Increase "
@@ -268,7 +268,7 @@ class SubsetSimulation(PopulationKernel):
             stacklevel=3,
         )
 
-    def collect(self, states):
+    def collect(self, states: list[tuple]) -> None:
         """Spread the level's new population evenly over the steps of its chains."""
         n_chains, n_steps = len(self.seeds), len(states) - 1
         wanted = self.draws if self.levels.is_last else self.stage_draws
@@ -281,12 +281,12 @@ class SubsetSimulation(PopulationKernel):
             chosen = self.rng.choice(total, self.draws, replace=total < self.draws)
             self.tempered_posterior, _, self.rho = (a[chosen] for a in self.population)
 
-    def sample_stats(self):
+    def sample_stats(self) -> dict:
         """Statistics of the level just finished."""
         cov = float(np.sqrt(self.levels.variance))
         return {
             **super().sample_stats(),
-            "tolerance": self.levels.tolerance,
+            "epsilon": self.levels.tolerance,
             "accept_rate": self.accept_rate,
             "scale": self.moves.scale,
             "log_probability": self.levels.log_probability,
@@ -294,7 +294,7 @@ class SubsetSimulation(PopulationKernel):
             "log_marginal_likelihood_se": cov if self.levels.is_last else np.nan,
         }
 
-    def sample_settings(self):
+    def sample_settings(self) -> dict:
         """Settings, saved as attributes of `sample_stats`."""
         names = ("p0", "stage_draws", "epsilon", "max_simulations")
         return {"_n_draws": self.draws, **{name: getattr(self, name) for name in names}}

@@ -1,6 +1,10 @@
 """TMCMC as Ching & Chen (2007) wrote it, on whole populations."""
 
+from os import PathLike
+
 import numpy as np
+import pymc as pm
+from pymc.util import RandomState
 from scipy.optimize import brentq
 
 from pymc_features.smc.kernels.base import PopulationKernel
@@ -21,8 +25,8 @@ class TMCMC(PopulationKernel):
         beta of the source, the proposal's standard deviation over the sample's.
     coefficient_of_variation : float
         Of the weights of a stage.
-    start, model, random_seed, compile_kwargs
-        As in PyMC's kernels.
+    start, model, random_seed, compile_kwargs, checkpoint
+        As of `PopulationKernel`.
 
     Notes
     -----
@@ -42,18 +46,23 @@ class TMCMC(PopulationKernel):
 
     def __init__(
         self,
-        draws=2000,
+        draws: int = 2000,
         *,
-        scale=0.2,
-        coefficient_of_variation=1.0,
-        start=None,
-        model=None,
-        random_seed=None,
-        compile_kwargs=None,
-        checkpoint=None,
+        scale: float = 0.2,
+        coefficient_of_variation: float = 1.0,
+        start: dict | None = None,
+        model: pm.Model | None = None,
+        random_seed: RandomState = None,
+        compile_kwargs: dict | None = None,
+        checkpoint: str | PathLike | None = None,
     ):
         super().__init__(
-            draws, start, model, random_seed, compile_kwargs=compile_kwargs, checkpoint=checkpoint
+            draws,
+            start=start,
+            model=model,
+            random_seed=random_seed,
+            compile_kwargs=compile_kwargs,
+            checkpoint=checkpoint,
         )
         for name, value in (("scale", scale), ("coefficient_of_variation", coefficient_of_variation)):
             if not 0.0 < value < np.inf:
@@ -61,7 +70,7 @@ class TMCMC(PopulationKernel):
         self.scale = scale
         self.coefficient_of_variation = coefficient_of_variation
 
-    def update_beta_and_weights(self):
+    def update_beta_and_weights(self) -> None:
         """Next temperature, weights, and the factor S_j of the evidence."""
         self.iteration += 1
         old = self.beta
@@ -72,11 +81,11 @@ class TMCMC(PopulationKernel):
         self.weights /= self.weights.sum()
         self.log_marginal_likelihood += total - np.log(self.draws)
 
-    def resample(self):
+    def resample(self) -> None:
         """Draw how many steps each sample makes."""
         self.counts = self.rng.multinomial(self.draws, self.weights)
 
-    def tune(self):
+    def tune(self) -> None:
         """Covariance of the proposal: the weighted one of the sample, scaled."""
         mean = self.weights @ self.tempered_posterior
         centred = self.tempered_posterior - mean
@@ -89,7 +98,7 @@ class TMCMC(PopulationKernel):
             )
         self.factor = self.scale * np.linalg.cholesky(covariance + 1e-9 * np.diag(variances))
 
-    def mutate(self):
+    def mutate(self) -> None:
         """One chain for each seed, as long as it was drawn often; all states are kept."""
         alive = np.flatnonzero(self.counts)
         remaining = self.counts[alive]
@@ -118,11 +127,11 @@ class TMCMC(PopulationKernel):
         )
         self.accept_rate = n_accepted / self.draws
 
-    def sample_stats(self):
+    def sample_stats(self) -> dict:
         """Statistics of the stage just finished."""
         return {**super().sample_stats(), "accept_rate": float(self.accept_rate)}
 
-    def sample_settings(self):
+    def sample_settings(self) -> dict:
         """Settings, saved as attributes of `sample_stats`."""
         return {
             "_n_draws": self.draws,

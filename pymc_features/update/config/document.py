@@ -6,8 +6,9 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.entries import priors_in
-from pymc_features.update.config.messages import ConfigError, sentence
+from pymc_features.update.config.messages import sentence
 from pymc_features.update.config.sections import (
     ERRORS,
     Data,

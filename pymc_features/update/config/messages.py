@@ -11,10 +11,6 @@ from pydantic.fields import FieldInfo
 TAGS = ("union_tag_invalid", "union_tag_not_found")
 
 
-class ConfigError(ValueError):
-    """A configuration file that cannot be used; the message names the key."""
-
-
 @dataclass
 class Place:
     """Where in the file an error is.

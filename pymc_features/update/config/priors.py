@@ -9,7 +9,7 @@ from pymc.distributions import continuous
 from pytensor.compile.mode import Mode
 
 from pymc_features._checks import is_number
-from pymc_features.update.config.messages import ConfigError
+from pymc_features.exceptions import ConfigError
 
 #: Classes of `pymc.distributions.continuous` that stand for families of distributions.
 ABSTRACT = ("Continuous", "PositiveContinuous", "UnitContinuous", "CircularContinuous", "BoundedContinuous")

@@ -123,7 +123,7 @@ class Likelihood(Section):
         "the name of a prior or a positive number in s, one or one for each sensor", None
     )
     density: Literal["feature", "data"] = key('"feature" or "data"', "feature")
-    tolerance: float | None = key("the tolerance of ABC in m^2/s^4, positive", None, gt=0)
+    epsilon: float | None = key("the tolerance of ABC in m^2/s^4, positive", None, gt=0)
 
     @model_validator(mode="after")
     def complete(self):
@@ -133,12 +133,12 @@ class Likelihood(Section):
         for kind in self.kinds:
             for name, value in self.parameters_of(kind):
                 self.check(LIKELIHOODS[kind], name, value)
-        for name in ("tolerance", "correlation_time"):
+        for name in ("epsilon", "correlation_time"):
             users = [kind for kind, entry in LIKELIHOODS.items() if name in entry.takes]
             if getattr(self, name) is not None and not set(users) & set(self.kinds):
                 raise ValueError(f"must have `{name}` only with {', '.join(users)}, got kinds {self.kinds}")
-        if "ABC" in self.kinds and self.tolerance is None and "EXP" not in self.kinds:
-            raise ValueError("must have `tolerance` for ABC, or EXP among `kinds` to take it from")
+        if "ABC" in self.kinds and self.epsilon is None and "EXP" not in self.kinds:
+            raise ValueError("must have `epsilon` for ABC, or EXP among `kinds` to take it from")
         return self
 
     def parameters_of(self, kind) -> list[tuple[str, Any]]:
@@ -179,7 +179,7 @@ class Sampler(Section):
     tune: int = key("a positive whole number, with `method` nuts", 1000, ge=1)
     chains: int = key("a positive whole number", 2, ge=1)
     cores: int | None = key("a positive whole number", None, ge=1)
-    seed: int = key("a whole number, not negative", 0, ge=0)
+    random_seed: int = key("a whole number, not negative", 0, ge=0)
 
 
 QUANTITIES = Literal["inter_storey_drift", "base_shear", "relative_displacement", "absolute_acceleration"]

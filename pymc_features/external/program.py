@@ -3,16 +3,18 @@
 import re
 import shlex
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 PLACE = re.compile(r"\{\{\s*([^\W\d]\w*)(?:\[(\d+)\])?(?::([^}]*))?\s*\}\}")
 TAIL = 300  # characters of a program's last words that are kept
 
 
-class CommandLine:
+class ProgramSimulator:
     """A program: input files written from templates, a command run, a result file read.
 
     Parameters
@@ -49,7 +51,7 @@ class CommandLine:
     --------
     >>> import sys
     >>> program = "import sys, numpy; numpy.savetxt('out.txt', numpy.ones((3, 2)) / float(sys.argv[1]))"
-    >>> halves = CommandLine([sys.executable, "-c", program, "{{k}}"], ["k"], {}, "out.txt")
+    >>> halves = ProgramSimulator([sys.executable, "-c", program, "{{k}}"], ["k"], {}, "out.txt")
     >>> from pymc_features import ExternalSimulator
     >>> with ExternalSimulator(halves, shape=(2, 3), executor=1) as simulator:
     ...     simulator.responses([2.0])[0, 0]
@@ -62,12 +64,12 @@ class CommandLine:
         self,
         command: str | Sequence[str],
         parameters: Sequence[str],
-        inputs: dict,
-        result: str | Callable,
+        inputs: Mapping[str, str | Path],
+        result: str | Callable[[Path], np.ndarray],
         *,
         columns: Sequence[int] | None = None,
         transpose: bool = True,
-        files: Sequence = (),
+        files: Sequence[str | PathLike] = (),
     ):
         self.command = shlex.split(command) if isinstance(command, str) else [str(part) for part in command]
         if not self.command:
@@ -86,7 +88,7 @@ class CommandLine:
         self.columns = None if columns is None else tuple(int(c) for c in columns)
         self.files = {Path(f).name: (read_bytes(f), Path(f).stat().st_mode) for f in files}
 
-    def check_places(self, where, text):
+    def check_places(self, where: str, text: str) -> None:
         """Refuse a template that asks for what is not there."""
         for name, _, form in PLACE.findall(text):
             if name not in self.parameters:
@@ -100,7 +102,7 @@ class CommandLine:
                     f"`inputs` must have formats of numbers, such as .3e, got {form!r} in {where}."
                 ) from None
 
-    def __call__(self, *values):
+    def __call__(self, *values: ArrayLike) -> np.ndarray:
         if len(values) != len(self.parameters):
             raise TypeError(f"the program has {len(self.parameters)} parameters, got {len(values)}")
         known = dict(zip(self.parameters, values, strict=True))

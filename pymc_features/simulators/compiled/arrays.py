@@ -1,0 +1,23 @@
+"""Arrays as compiled code takes them, and the order of their entries."""
+
+import numpy as np
+
+from pymc_features.simulators.compiled.jit import jit
+
+
+def writable(array, dtype=np.float64) -> np.ndarray:
+    """The array, or a copy if it is read-only or strided: one compiled kernel serves all."""
+    return np.require(array, dtype, ["C", "W"])
+
+
+@jit
+def ascending(values):
+    """Positions of numbers in ascending order, by insertion: fast for numbers that are nearly in order."""
+    order = np.arange(values.size)
+    for i in range(1, values.size):
+        here, k = order[i], i
+        while k > 0 and values[order[k - 1]] > values[here]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = here
+    return order

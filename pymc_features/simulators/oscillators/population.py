@@ -1,0 +1,335 @@
+"""The recursion and the comparison with data for one structure in each lane of a vector register.
+
+The recursion of `recursion.py` in coordinates made for speed. For mode r, z = (z1, z2) is the state turned
+and scaled so that z1 is the mode's output, Eq. (24), and z2 its complement in energy; the turned equations
+are z[k+1] = A z[k] + b0 a[k] + b1 a[k+1]. With y = z - b1 a,
+
+    y[k+1] = A y[k] + (A b1 + b0) a[k],     output[k] = y1[k] + b1_1 a[k],
+
+and with y2 scaled so that the coefficient by which it enters y1 is one, five products for a mode and step
+instead of ten; what stands before a[k] in the output goes into the feed-through of the sensors. A block of
+16 outputs of all modes stays in the first-level cache, where it is combined with the mode shapes and
+compared with the data, two sensors and four samples at a time. Where the increments of the misfit are asked
+for, the misfits of the block go through a buffer in that cache; where not, Numba leaves that code out.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import LANES, load, splat, store
+from pymc_features.simulators.oscillators.arguments import interpolate, single_input
+from pymc_features.simulators.oscillators.recursion import (
+    N_ROWS,
+    OUT_P,
+    OUT_Q,
+    P_NEXT,
+    P_NOW,
+    P_P,
+    P_Q,
+    Q_NEXT,
+    Q_NOW,
+    Q_P,
+    Q_Q,
+    W,
+    write_table,
+)
+
+SAMPLES = 16  # outputs handled at a time; a multiple of four
+N_COEFFICIENTS = 5
+
+
+class Lanes(NamedTuple):
+    """Structures, one in each lane, with what they need on their way through a record.
+
+    Sensors and modes are filled up to even numbers.
+
+    Attributes
+    ----------
+    coefficients, states : array (5 m, LANES), (2 m, LANES)
+        Of the recursion.
+    shapes, feed : array (s m, LANES), (s, LANES)
+        Output of each mode at the sensors, and feed-through.
+    outputs, ground, data : array (m SAMPLES, LANES), (SAMPLES stride,), (sensors, SAMPLES)
+        One block: modal outputs, excitation, data.
+    squares : array (s, LANES)
+        Sums of squared misfits.
+    """
+
+    coefficients: np.ndarray
+    states: np.ndarray
+    shapes: np.ndarray
+    feed: np.ndarray
+    outputs: np.ndarray
+    ground: np.ndarray
+    data: np.ndarray
+    squares: np.ndarray
+
+
+class Increments(NamedTuple):
+    """What the increments of the misfit need besides.
+
+    Attributes
+    ----------
+    misfits : array (s SAMPLES, LANES)
+        Of one block.
+    squares, first, last : array (s, LANES)
+        Sums of squared increments, first and last misfits.
+    """
+
+    misfits: np.ndarray
+    squares: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+
+
+@jit
+def new_lanes(n_sensors, n_modes, stride):
+    """Lanes without structures."""
+    s, m = n_sensors + n_sensors % 2, n_modes + n_modes % 2
+    return Lanes(
+        coefficients=np.zeros((N_COEFFICIENTS * m, LANES)),
+        states=np.zeros((2 * m, LANES)),
+        shapes=np.zeros((s * m, LANES)),
+        feed=np.zeros((s, LANES)),
+        outputs=np.empty((SAMPLES * m, LANES)),
+        ground=np.empty(SAMPLES * stride),
+        data=np.empty((n_sensors, SAMPLES)),
+        squares=np.empty((s, LANES)),
+    )
+
+
+@jit
+def new_increments(n_sensors):
+    """Room for the increments of the misfit."""
+    s = n_sensors + n_sensors % 2
+    squares, first, last = np.empty((s, LANES)), np.empty((s, LANES)), np.empty((s, LANES))
+    return Increments(np.empty((s * SAMPLES, LANES)), squares, first, last)
+
+
+@jit
+def clear(lanes):
+    """Take the structures out: zeros in lanes without one."""
+    lanes.coefficients.fill(0.0)
+    lanes.states.fill(0.0)
+    lanes.shapes.fill(0.0)
+    lanes.feed.fill(0.0)
+
+
+@jit
+def fill_lane(lanes, lane, table, system, feed, start):
+    """Write one structure under one input into a lane.
+
+    Parameters
+    ----------
+    table : array (11, m)
+        From `recursion.write_table`.
+    system : ModalSystem
+    feed : array (s,)
+        Feed-through; overwritten.
+    start : float
+        First sample of the ground acceleration [m/s^2].
+    """
+    even_modes = lanes.states.shape[0] // 2
+    for r in range(table.shape[1]):
+        after = turn_to_output(table, r, start, lanes.coefficients, lanes.states, lane)
+        for j in range(feed.size):
+            shape = system.shapes[j, r] * system.participation[r, 0]
+            feed[j] += shape * after
+            lanes.shapes[j * even_modes + r, lane] = shape
+    for j in range(feed.size):
+        lanes.feed[j, lane] = feed[j]
+
+
+@jit
+def turn_to_output(table, r, start, coefficients, states, lane):
+    """Write coefficients and initial state of one mode; return what stands before a[k] in its output."""
+    w = table[W, r]
+    out, cross = table[OUT_Q, r] / w, table[OUT_P, r]  # output of the state (w q, p)
+    norm = out * out + cross * cross
+    qq, qp, pq, pp = table[Q_Q, r], table[Q_P, r] * w, table[P_Q, r] / w, table[P_P, r]
+    now_q, now_p = table[Q_NOW, r] * w, table[P_NOW, r]
+    next_q, next_p = table[Q_NEXT, r] * w, table[P_NEXT, r]
+    # rows of the turned transition T E, then times T' / norm, with T = [[out, cross], [-cross, out]]
+    top_q, top_p = out * qq + cross * pq, out * qp + cross * pp
+    low_q, low_p = out * pq - cross * qq, out * pp - cross * qp
+    a11, a12 = (top_q * out + top_p * cross) / norm, (top_p * out - top_q * cross) / norm
+    a21, a22 = (low_q * out + low_p * cross) / norm, (low_p * out - low_q * cross) / norm
+    after_1, after_2 = out * next_q + cross * next_p, out * next_p - cross * next_q
+    input_1 = a11 * after_1 + a12 * after_2 + out * now_q + cross * now_p
+    input_2 = a21 * after_1 + a22 * after_2 + out * now_p - cross * now_q
+    row = N_COEFFICIENTS * r
+    coefficients[row, lane] = a11
+    coefficients[row + 1, lane] = input_1
+    coefficients[row + 2, lane] = a12 * a21
+    coefficients[row + 3, lane] = a22
+    coefficients[row + 4, lane] = a12 * input_2
+    states[2 * r, lane] = -after_1 * start
+    states[2 * r + 1, lane] = -a12 * after_2 * start
+    return after_1
+
+
+@jit
+def advance_lanes(coefficients, states, ground, first, stride, outputs):
+    """Write `SAMPLES` outputs of every mode into `outputs` (m SAMPLES, LANES) and carry the states on.
+
+    `ground` has the ground acceleration at the steps of the recursion, from entry `first` on. Two modes go
+    together, so that one does not wait for the other; an even number of modes.
+    """
+    for r in range(0, states.shape[0] // 2, 2):
+        row = N_COEFFICIENTS * r
+        a11, b1 = load(coefficients, row), load(coefficients, row + 1)
+        a21, a22, b2 = load(coefficients, row + 2), load(coefficients, row + 3), load(coefficients, row + 4)
+        c11, d1 = load(coefficients, row + 5), load(coefficients, row + 6)
+        c21, c22, d2 = load(coefficients, row + 7), load(coefficients, row + 8), load(coefficients, row + 9)
+        y1, y2 = load(states, 2 * r), load(states, 2 * r + 1)
+        z1, z2 = load(states, 2 * r + 2), load(states, 2 * r + 3)
+        for sample in range(SAMPLES):
+            store(outputs, SAMPLES * r + sample, y1)
+            store(outputs, SAMPLES * (r + 1) + sample, z1)
+            for step in range(first + sample * stride, first + (sample + 1) * stride):
+                a = splat(ground[step])
+                y1, y2 = a11 * y1 + (y2 + b1 * a), a21 * y1 + (a22 * y2 + b2 * a)
+                z1, z2 = c11 * z1 + (z2 + d1 * a), c21 * z1 + (c22 * z2 + d2 * a)
+        store(states, 2 * r, y1)
+        store(states, 2 * r + 1, y2)
+        store(states, 2 * r + 2, z1)
+        store(states, 2 * r + 3, z2)
+
+
+@jit
+def add_squares(lanes, data, sample, ground, step, stride, misfits):
+    """Add the squared misfits of `SAMPLES` samples to `lanes.squares`.
+
+    `data` (sensors, time) from column `sample` on and `ground` from entry `step` on are common to all lanes.
+    The misfits are written into `misfits` (s SAMPLES, LANES), unless it is None.
+    """
+    shapes, feed, outputs, squares = lanes.shapes, lanes.feed, lanes.outputs, lanes.squares
+    n_modes = outputs.shape[0] // SAMPLES
+    last = data.shape[0] - 1
+    for j in range(0, squares.shape[0], 2):
+        k = min(j + 1, last)  # an odd number of sensors is filled up with one of no consequence
+        sum_a, sum_b = load(squares, j), load(squares, j + 1)
+        feed_a, feed_b = load(feed, j), load(feed, j + 1)
+        for t in range(0, SAMPLES, 4):
+            g, i = step + t * stride, sample + t
+            g0, g1 = splat(ground[g]), splat(ground[g + stride])
+            g2, g3 = splat(ground[g + 2 * stride]), splat(ground[g + 3 * stride])
+            a0, a1 = splat(data[j, i]) - feed_a * g0, splat(data[j, i + 1]) - feed_a * g1
+            a2, a3 = splat(data[j, i + 2]) - feed_a * g2, splat(data[j, i + 3]) - feed_a * g3
+            b0, b1 = splat(data[k, i]) - feed_b * g0, splat(data[k, i + 1]) - feed_b * g1
+            b2, b3 = splat(data[k, i + 2]) - feed_b * g2, splat(data[k, i + 3]) - feed_b * g3
+            for r in range(n_modes):
+                shape_a, shape_b = load(shapes, j * n_modes + r), load(shapes, (j + 1) * n_modes + r)
+                z0, z1 = load(outputs, SAMPLES * r + t), load(outputs, SAMPLES * r + t + 1)
+                z2, z3 = load(outputs, SAMPLES * r + t + 2), load(outputs, SAMPLES * r + t + 3)
+                a0, b0 = a0 - shape_a * z0, b0 - shape_b * z0
+                a1, b1 = a1 - shape_a * z1, b1 - shape_b * z1
+                a2, b2 = a2 - shape_a * z2, b2 - shape_b * z2
+                a3, b3 = a3 - shape_a * z3, b3 - shape_b * z3
+            sum_a = sum_a + ((a0 * a0 + a1 * a1) + (a2 * a2 + a3 * a3))
+            sum_b = sum_b + ((b0 * b0 + b1 * b1) + (b2 * b2 + b3 * b3))
+            if misfits is not None:
+                row_a, row_b = SAMPLES * j + t, SAMPLES * (j + 1) + t
+                store(misfits, row_a, a0)
+                store(misfits, row_a + 1, a1)
+                store(misfits, row_a + 2, a2)
+                store(misfits, row_a + 3, a3)
+                store(misfits, row_b, b0)
+                store(misfits, row_b + 1, b1)
+                store(misfits, row_b + 2, b2)
+                store(misfits, row_b + 3, b3)
+        store(squares, j, sum_a)
+        store(squares, j + 1, sum_b)
+
+
+@jit
+def add_increments(increments, count, is_first):
+    """Add the squared increments of `count` samples of a block, and keep the first and last misfit."""
+    misfits, squares, first, last = increments
+    for j in range(squares.shape[0]):
+        row = SAMPLES * j
+        if is_first:
+            store(first, j, load(misfits, row))
+            store(last, j, load(misfits, row))
+        total, before = load(squares, j), load(last, j)
+        for b in range(count):
+            now = load(misfits, row + b)
+            step = now - before
+            total = total + step * step
+            before = now
+        store(squares, j, total)
+        store(last, j, before)
+
+
+@jit
+def march(lanes, excitation, observed, increments):
+    """Sums of squares of all sensors for the structures in the lanes, into `lanes.squares`.
+
+    `increments` is None if they are not asked for.
+    """
+    acceleration, _, substeps, stride = excitation
+    own_ground, own_data, outputs = lanes.ground, lanes.data, lanes.outputs
+    n_times = observed.shape[1]
+    lanes.squares.fill(0.0)
+    if increments is not None:
+        increments.squares.fill(0.0)
+    for first in range(0, n_times, SAMPLES):
+        step, sample = first * stride, first
+        ground, data = acceleration, observed
+        if substeps > 1 or step + own_ground.size > acceleration.size:
+            interpolate(acceleration, substeps, step, own_ground)
+            ground, step = own_ground, 0
+        count = n_times - first
+        if count < SAMPLES:  # the end of the data: what lies behind it must come out as zero
+            for k in range(count * stride, own_ground.size):
+                own_ground[k] = 0.0
+            for j in range(observed.shape[0]):
+                for b in range(SAMPLES):
+                    own_data[j, b] = observed[j, first + b] if b < count else 0.0
+            data, sample = own_data, 0
+        advance_lanes(lanes.coefficients, lanes.states, ground, step, stride, outputs)
+        for r in range(outputs.shape[0] // SAMPLES):
+            for b in range(count, SAMPLES):
+                store(outputs, SAMPLES * r + b, splat(0.0))
+        if increments is None:
+            add_squares(lanes, data, sample, ground, step, stride, None)
+        else:
+            add_squares(lanes, data, sample, ground, step, stride, increments.misfits)
+            add_increments(increments, min(count, SAMPLES), first == 0)
+
+
+@jit
+def lane_statistics(lanes, excitation, observed, increments):
+    """Statistics (LANES, s, 1 or 4) of the misfit of the structures in the lanes, which are then taken out.
+
+    Parameters
+    ----------
+    excitation : Excitation
+        One input, (t,) or (1, t).
+    observed : array (s, u)
+        Data.
+    increments : Increments or None
+        None if only e_j is asked for.
+    """
+    march(lanes, single_input(excitation), observed, increments)
+    n_sensors, n_times = observed.shape
+    result = np.empty((LANES, n_sensors, 1 if increments is None else 4))
+    for lane in range(LANES):
+        for j in range(n_sensors):
+            result[lane, j, 0] = lanes.squares[j, lane] / n_times
+            if increments is not None:
+                result[lane, j, 1] = increments.squares[j, lane] / n_times
+                result[lane, j, 2] = increments.first[j, lane]
+                result[lane, j, 3] = increments.last[j, lane]
+    clear(lanes)
+    return result
+
+
+@jit
+def put_system(lanes, lane, system, feed, excitation, quantity):
+    """Write a `ModalSystem` under one input into a lane; `feed` (s,) is overwritten."""
+    table = np.empty((N_ROWS, system.omega.size))
+    write_table(system.omega, system.damping, excitation.dt / excitation.substeps, quantity, table)
+    fill_lane(lanes, lane, table, system, feed, single_input(excitation).acceleration[0])
