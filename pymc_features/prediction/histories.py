@@ -10,7 +10,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.arguments import Excitation, interpolate, n_outputs
-from pymc_features.simulators.oscillators.recursion import BLOCK, advance
+from pymc_features.simulators.oscillators.recursion import BLOCK, add_feed, advance
 
 MEMORY = 16 * 2**20  # of a block of responses [bytes]
 
@@ -75,22 +75,16 @@ def advance_all(recursions, excitation, states, first, count, responses):
     q, p = states
     n, n_rows, n_modes = shapes.shape
     size = responses.shape[1]
-    unit, modal = np.empty((size, n_modes)), np.empty((size, n_modes))  # outputs per unit participation
-    ground, block = np.empty((inputs.shape[0], size * stride + 1)), np.empty((n_rows, size))
+    modal, block = np.empty((size, n_modes)), np.empty((n_rows, size))
+    ground = np.empty((inputs.shape[0], size * stride + 1))
     for k in range(inputs.shape[0]):
         interpolate(inputs[k], substeps, first * stride, ground[k])
     for i in range(n):
         modal[:] = 0.0
         for k in range(inputs.shape[0]):
-            advance(tables[i], q[i, k], p[i, k], ground[k], stride, count, unit)
-            for b in range(count):
-                for r in range(n_modes):
-                    modal[b, r] += participation[i, k, r] * unit[b, r]
+            advance(tables[i], participation[i, k], q[i, k], p[i, k], ground[k], stride, count, modal)
         np.dot(shapes[i], modal.T, block)
-        for k in range(1, inputs.shape[0]):
-            for j in range(n_rows):
-                for b in range(count):
-                    block[j, b] += direct[i, j, k] * ground[k, b * stride]
+        add_feed(direct[i], ground, stride, count, block)
         for j in range(n_rows):
             for b in range(count):
-                responses[j, b, i] = block[j, b] + direct[i, j, 0] * ground[0, b * stride]
+                responses[j, b, i] = block[j, b]

@@ -78,12 +78,14 @@ class Chains(Marched):
             _, system, _, _ = modes_of(parameters, self.steps[k], wanted)
             table = np.empty((N_ROWS, request.n_modes))
             write_table(system.omega, system.damping, self.steps[k], wanted.quantity, table)
-            feed = chain_feed(system, wanted, complete)
-            found.append((table, system.participation.T, system.shapes, feed))
-        tables, participation, shapes, direct = (np.stack(part) for part in zip(*found, strict=True))
+            # with the participation in the shapes a response is that of `simulate` to the last bit
+            found.append(
+                (table, system.shapes * system.participation[:, 0], chain_feed(system, wanted, complete))
+            )
+        tables, shapes, direct = (np.stack(part) for part in zip(*found, strict=True))
         if combinations is not None:
             shapes, direct = combinations @ shapes, combinations @ direct
-        return Recursions(tables, participation, shapes, direct)
+        return Recursions(tables, np.ones((len(self), 1, request.n_modes)), shapes, direct)
 
 
 class KeptModes(NamedTuple):
@@ -121,6 +123,7 @@ class Oscillators(Marched):
         # the record with the longest step stands for all with its kind of load
         ascending = np.argsort(self.steps, kind="stable")
         self.examples = {self.loads[k]: k for k in ascending}
+        self.combinations = {}
 
     def add(self, structure) -> bool:
         """Keep the modes of a structure; False where it has no response to one of the records."""
@@ -129,25 +132,30 @@ class Oscillators(Marched):
         participation, output_shapes, direct = {}, {}, {}
         for load, k in self.examples.items():
             record, request = self.wanted.records[k], self.wanted.requests[k]
-            rows = family.rows(request.sensors, structure.n_dof)
-            inputs = family.inputs_of(structure, record, request, rows)
+            inputs = family.inputs_of(structure, record, request, np.empty((0, structure.n_dof)))
             a = Arguments(*family.assemble(inputs, request.quantity_code))
             system = solve_system(a, known=known)
             if system is None:
                 return False
             participation[load] = np.ascontiguousarray(system.participation.T)
             for name in self.wanted.names:
-                picked = self.wanted.rows(structure, name).picked
-                rows, code = family.rows(picked, structure.n_dof), QUANTITIES.index(HISTORIES[name].source)
-                outputs = Outputs(rows, request.n_modes, code)
-                modes_seen, direct[name, load] = observe(a._replace(wanted=outputs), system)
-                output_shapes[name] = modes_seen.shapes
+                outputs = self.outputs(structure, name, request)
+                modal_system, direct[name, load] = observe(a._replace(wanted=outputs), system)
+                output_shapes[name] = modal_system.shapes
                 share = force_share(structure, record, name)
                 if share is not None:
                     direct[name, load] += share
         modal_damping = uncoupled(system.modal_damping)
         self.kept.append(KeptModes(system.omega, modal_damping, participation, output_shapes, direct))
         return True
+
+    def outputs(self, structure, name: str, request) -> Outputs:
+        """Outputs of a quantity, the same for all structures unless they are sums over their masses."""
+        quantity = HISTORIES[name]
+        if name not in self.combinations or quantity.dim == "support":
+            picked = self.wanted.rows(structure, name).picked
+            self.combinations[name] = FAMILIES[structure.family].rows(picked, structure.n_dof)
+        return Outputs(self.combinations[name], request.n_modes, QUANTITIES.index(quantity.source))
 
     def recursions(self, k: int, name: str) -> Recursions:
         """Recursions for record `k` and a quantity."""

@@ -33,19 +33,15 @@ from pymc_features.simulators.chain.gradient import (
 from pymc_features.simulators.chain.parameters import ChainParameters
 from pymc_features.simulators.chain.population import population_discrepancy, population_misfit
 from pymc_features.simulators.chain.response import chain_discrepancy, chain_misfit, chain_response
-from pymc_features.simulators.linear import (
-    linear_discrepancy,
-    linear_discrepancy_tangent,
-    linear_misfit,
-    linear_misfit_gradient,
-    linear_population_discrepancy,
-    linear_population_gradient,
-    linear_population_misfit,
-    linear_response,
-    linear_response_gradient,
-    linear_response_tangent,
-)
 from pymc_features.simulators.linear.arguments import LinearParameters
+from pymc_features.simulators.linear.gradient import (
+    linear_misfit_gradient,
+    linear_population_gradient,
+    linear_response_gradient,
+)
+from pymc_features.simulators.linear.population import linear_population_discrepancy, linear_population_misfit
+from pymc_features.simulators.linear.response import linear_discrepancy, linear_misfit, linear_response
+from pymc_features.simulators.linear.tangent import linear_discrepancy_tangent, linear_response_tangent
 from pymc_features.simulators.nonlinear.bouc_wen import BoucWen
 from pymc_features.simulators.nonlinear.duffing import Cubic
 from pymc_features.simulators.nonlinear.kernels import nonlinear_kernels

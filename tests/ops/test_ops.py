@@ -386,7 +386,7 @@ def test_data_must_fit_the_response(pulse, measured):
         StructuralDiscrepancy()(*mu.owner.inputs, measured[0])
     unknown = pt.matrix("y")  # found out at run time only
     e = mean_square_discrepancy(mu, unknown)
-    with pytest.raises(ValueError, match="`observed` must have the shape"):
+    with pytest.raises(ValueError, match="`observed` or the cotangent must have the shape"):
         e.eval({unknown: measured.T}, mode=PLAIN)
 
 

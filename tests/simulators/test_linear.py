@@ -11,8 +11,8 @@ from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear.state_space import StateMatrices, march_state, modal_equations
 from pymc_features.simulators.linear.system import is_coupled
 from pymc_features.simulators.oscillators.arguments import Excitation
-from pymc_features.simulators.oscillators.march import march_modes
 from pymc_features.simulators.oscillators.modal_system import ModalSystem
+from pymc_features.simulators.oscillators.recursion import march_modes
 from support.linear import UNDAMPED, as_linear, noise, of_matrices, random_structure, spring_chain
 from support.reference import first_order_hold, interpolated
 from support.structures import noise_record, peak_error, random_chain

@@ -12,7 +12,7 @@ from pymc_features.simulators import Excitation
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_math import logarithm, power
 from pymc_features.simulators.compiled.vector_memory import aligned, read_lanes, write_lanes
-from pymc_features.simulators.families import NONLINEAR
+from pymc_features.simulators.families import FAMILIES, NONLINEAR
 from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
 from pymc_features.simulators.nonlinear.tape import CAPACITY
 from support.kernels import discrepancy_gradient, flat_kernels, response_gradient
@@ -87,20 +87,23 @@ def data(family, given, where, seed=3):
 CASES = {
     "bouc-wen": ("hysteretic", {}, {}),
     "bouc-wen, modal, n = 3.3, coarse velocity": (
-        *("hysteretic", {"modal": True, "sharpness": 3.3}),
+        "hysteretic",
+        {"modal": True, "sharpness": 3.3},
         {"stride": 3, "quantity": 2},
     ),
     "bouc-wen, n = 1.3, fine displacement": (
-        *("hysteretic", {"sharpness": 1.3}),
+        "hysteretic",
+        {"sharpness": 1.3},
         {"substeps": 3, "n_times": 30, "quantity": 3},
     ),
     "bouc-wen, ten masses, one sensor twice": (
-        *("hysteretic", {"n": 10, "modal": True}),
+        "hysteretic",
+        {"n": 10, "modal": True},
         {"n": 10, "n_times": 40, "quantity": 1, "sensors": (9, 3, 9)},
     ),
     "duffing": ("duffing", {}, {}),
     "duffing, modal, fine": ("duffing", {"modal": True}, {"substeps": 2, "n_times": 40}),
-    "duffing, one mass, coarse displacement": (*("duffing", {"n": 1}), {"n": 1, "stride": 2, "quantity": 3}),
+    "duffing, one mass, coarse displacement": ("duffing", {"n": 1}, {"n": 1, "stride": 2, "quantity": 3}),
 }
 
 
@@ -131,6 +134,13 @@ def test_fused_sums(case):
     )
 
 
+def population_gradient(family, population, where, observed, weights):
+    """With weights (p, s, q) of the statistics."""
+    *settings, quantity = where
+    given = FAMILIES[family].assemble([*population, *settings], quantity)
+    return FAMILIES[family].kernels["population_gradient"](*given, observed, weights)
+
+
 @pytest.mark.parametrize("family", KERNELS)
 def test_population_is_a_loop(family):
     """Parameters with a row for each particle or one for all; one that is no chain does not affect others."""
@@ -143,7 +153,7 @@ def test_population_is_a_loop(family):
     weights = np.random.default_rng(5).normal(size=(5, 2, 4))
     sums = kernels["population_misfit"](*population, *where, observed)
     errors = kernels["population_discrepancy"](*population, *where, observed)
-    gradient = kernels["population_gradient"](*population, *where, observed, weights)
+    gradient = population_gradient(family, population, where, observed, weights)
     assert [g.shape for g in gradient] == [p.shape for p in population]
     shared = 0.0
     for k, scale in enumerate(scales):
@@ -157,7 +167,7 @@ def test_population_is_a_loop(family):
     assert np.isnan(gradient[4]).all()  # the sum over all
     valid = np.arange(5) != 3
     population = (*population[:1], population[1][valid], *population[2:])
-    gradient = kernels["population_gradient"](*population, *where, observed, weights[valid])
+    gradient = population_gradient(family, population, where, observed, weights[valid])
     np.testing.assert_allclose(gradient[4][0], shared, rtol=1e-12)
 
 
@@ -435,6 +445,7 @@ def test_sizes_that_disagree(family):
         ("response_gradient", (short,)),
         ("misfit_gradient", (short, np.ones((2, 4)))),
         ("misfit_gradient", (observed, np.ones((3, 4)))),
+        ("misfit_gradient", (observed, np.ones((2, 2)))),
         ("discrepancy_tangent", (short, *given)),
         ("response_tangent", fewer),
     ):

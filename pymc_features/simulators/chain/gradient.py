@@ -1,7 +1,7 @@
 """Gradient of the response of a chain, and of its misfit, by masses, springs and damping; and its transpose.
 
 Between the chain's parameters and its modes: K = sum_i k_i d_i d_i' with the drift d_i' x = x_i - x_{i-1} of
-spring i, M = diag(m), load M 1. What the modes do over time is the matter of `oscillators.derivatives`.
+spring i, M = diag(m), load M 1. What the modes do over time is the matter of `oscillators.gradient`.
 """
 
 import numpy as np
@@ -15,8 +15,9 @@ from pymc_features.simulators.chain.response import (
 )
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, n_outputs
-from pymc_features.simulators.oscillators.derivatives import ModalChange, march_change, modal_gradient
+from pymc_features.simulators.oscillators.gradient import modal_gradient
 from pymc_features.simulators.oscillators.modal_system import DampingLaw
+from pymc_features.simulators.oscillators.tangent import ModalChange, march_change
 
 
 @jit
@@ -58,7 +59,7 @@ def add_gradient(parameters, excitation, wanted, history, weights, gradients):
     excitation : Excitation
     wanted : Outputs
     history, weights
-        As in `oscillators.derivatives.sum_histories`.
+        As in `oscillators.gradient.sum_histories`.
     """
     check_sizes(parameters, wanted)
     check_history(history, excitation, wanted)

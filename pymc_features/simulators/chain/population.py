@@ -14,13 +14,9 @@ from pymc_features.simulators.chain.population_modes import (
 from pymc_features.simulators.chain.response import check_history, check_sizes, write_feed, write_shapes
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
 from pymc_features.simulators.oscillators.modal_system import ModalSystem
-from pymc_features.simulators.oscillators.population import (
-    fill_lane,
-    lane_statistics,
-    new_increments,
-    new_lanes,
-)
+from pymc_features.simulators.oscillators.population import fill_lane, lane_statistics
 from pymc_features.simulators.oscillators.recursion import N_ROWS, write_damping, write_table
 
 

@@ -5,10 +5,8 @@ import numpy as np
 from pymc_features.simulators.chain.modes import chain_modes
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.arguments import Excitation, n_outputs
-from pymc_features.simulators.oscillators.march import march_modes
-from pymc_features.simulators.oscillators.misfit import statistics
 from pymc_features.simulators.oscillators.modal_system import ModalSystem, feed_through
-from pymc_features.simulators.oscillators.recursion import write_damping
+from pymc_features.simulators.oscillators.recursion import march_modes, statistics, write_damping
 
 
 @jit

@@ -5,11 +5,10 @@ import numpy as np
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear.dense import assemble_dense, dense_modes, is_finite
-from pymc_features.simulators.oscillators.march import march_modes
-from pymc_features.simulators.oscillators.misfit import statistics
+from pymc_features.simulators.oscillators.lanes import new_lanes
 from pymc_features.simulators.oscillators.modal_system import ModalSystem, write_feed
-from pymc_features.simulators.oscillators.population import lane_statistics, new_lanes, put_system
-from pymc_features.simulators.oscillators.recursion import write_damping
+from pymc_features.simulators.oscillators.population import lane_statistics, put_system
+from pymc_features.simulators.oscillators.recursion import march_modes, statistics, write_damping
 
 
 @jit

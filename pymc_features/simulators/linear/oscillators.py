@@ -1,23 +1,25 @@
-"""Gradients and tangents of structures whose modes are uncoupled, by `oscillators.derivatives`."""
+"""Gradients and tangents of structures whose modes are uncoupled, by `oscillators.gradient`."""
 
 import numpy as np
 
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear.projection import Cotangent
-from pymc_features.simulators.linear.system import observe
+from pymc_features.simulators.linear.system import modes_at_outputs
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION
-from pymc_features.simulators.oscillators.derivatives import ModalChange, march_change, modal_gradient
+from pymc_features.simulators.oscillators.gradient import modal_gradient
 from pymc_features.simulators.oscillators.modal_system import DampingLaw
+from pymc_features.simulators.oscillators.tangent import ModalChange, march_change
 
 NO_WEIGHTS = np.empty((0, 0))
 
 
 def kernel_inputs(a, system):
     """Modal system, damping law and what stands before the inputs beside outputs relative to them, (s, d)."""
-    given, (modes, feed) = a.parameters, observe(a, system)
+    given, modes, sensors = a.parameters, modes_at_outputs(a, system), a.wanted.sensors
     law = DampingLaw(writable(given.rayleigh), writable(given.ratios[: system.omega.size]))
-    is_absolute = a.wanted.quantity == ABSOLUTE_ACCELERATION
-    return modes, law, a.wanted.sensors @ given.influence if is_absolute else np.zeros(feed.shape)
+    if a.wanted.quantity == ABSOLUTE_ACCELERATION:
+        return modes, law, sensors @ given.influence
+    return modes, law, np.zeros((sensors.shape[0], given.influence.shape[1]))
 
 
 def pull_back(a, system, history, weights=None):

@@ -13,12 +13,8 @@ from pymc_features.simulators.linear.arguments import Arguments, n_particles
 from pymc_features.simulators.linear.dense_population import march_dense
 from pymc_features.simulators.linear.response import evaluate
 from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
-from pymc_features.simulators.oscillators.population import (
-    lane_statistics,
-    new_increments,
-    new_lanes,
-    put_system,
-)
+from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
+from pymc_features.simulators.oscillators.population import lane_statistics, put_system
 
 
 def linear_population_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:

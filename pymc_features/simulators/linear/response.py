@@ -12,8 +12,7 @@ from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.dense_population import march_structure
 from pymc_features.simulators.linear.state_space import march_state, state_matrices
 from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
-from pymc_features.simulators.oscillators.march import march_modes
-from pymc_features.simulators.oscillators.misfit import statistics
+from pymc_features.simulators.oscillators.recursion import march_modes, statistics
 
 
 def linear_response(parameters, excitation, wanted) -> np.ndarray:
@@ -44,7 +43,8 @@ def linear_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:
 def linear_misfit(parameters, excitation, wanted, observed) -> np.ndarray:
     """Statistics (s, 4) of the misfit with the data (s, u), in the order of `oscillators.misfit`.
 
-    Memory: a few blocks of 128 samples, whatever the length of the record.
+    Memory: a few blocks of 128 samples; of modes that the damping couples their state at every 128th step as
+    well.
     """
     a = Arguments(parameters, excitation, wanted)
     a.check(observed)

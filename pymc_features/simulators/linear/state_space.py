@@ -29,8 +29,7 @@ from pymc_features.simulators.oscillators.arguments import (
     interpolate,
     n_outputs,
 )
-from pymc_features.simulators.oscillators.misfit import take_block
-from pymc_features.simulators.oscillators.recursion import BLOCK
+from pymc_features.simulators.oscillators.recursion import BLOCK, take_block
 
 
 class StateMatrices(NamedTuple):

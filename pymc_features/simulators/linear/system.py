@@ -130,19 +130,21 @@ def uncoupled(modal_damping: np.ndarray) -> np.ndarray:
     return np.maximum(np.diagonal(modal_damping), 0.0)
 
 
-def observe(a: Arguments, system: System) -> tuple[ModalSystem, np.ndarray]:
-    """The modes as the outputs have them, with the diagonal of D, and feed-through of the inputs (s, d)."""
-    given, sensors = a.parameters, a.wanted.sensors
-    modes = ModalSystem(
+def modes_at_outputs(a: Arguments, system: System) -> ModalSystem:
+    """The modes as the outputs have them, with the diagonal of D."""
+    return ModalSystem(
         writable(system.omega),
         writable(uncoupled(system.modal_damping)),
-        writable(sensors @ system.shapes),
+        writable(a.wanted.sensors @ system.shapes),
         writable(system.participation),
     )
-    modal_forces, support_motion = (
-        writable(system.shapes.T @ given.forces),
-        writable(sensors @ given.influence),
-    )
+
+
+def observe(a: Arguments, system: System) -> tuple[ModalSystem, np.ndarray]:
+    """The modes as the outputs have them, and feed-through of the inputs (s, d)."""
+    given, modes = a.parameters, modes_at_outputs(a, system)
+    modal_forces = writable(system.shapes.T @ given.forces)
+    support_motion = writable(a.wanted.sensors @ given.influence)
     feed = np.empty(support_motion.shape)
     write_feed(modes, modal_forces, support_motion, a.wanted.quantity, a.wanted.n_modes == given.n_dof, feed)
     return modes, feed

@@ -122,10 +122,12 @@ def collect(law, grad, parameters):
 def gradient_kernel(law, grad, tape, parameters, excitation, wanted, states, cotangent):
     """Gradient of sum_jk W_jk y_jk by the parameters of one chain.
 
-    `grad` is the address of the gradient's memory, which is zero; `states` (u, 3 p) those of `history_kernel`
+    `grad` is the address of the gradient's memory; `states` (u, 3 p) those of `history_kernel`
     and `cotangent` W (s, u).
     """
     prepare(law, parameters, 1.0)
+    for row in range((MODAL_DAMPING + law.n) * law.rows):
+        write_lanes(grad, row, splat(0.0))
     for sample in range(states.shape[0] - 1, -1, -1):
         restore_state(law, states[sample])
         ground = begin(law, excitation, sample * excitation.stride)

@@ -3,13 +3,15 @@
 `n_modes` is the number of degrees of freedom. What surrounds a kernel takes some 20 microseconds.
 """
 
+from functools import cached_property
+
 import numpy as np
 
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.nonlinear.differences import directional_derivative
 from pymc_features.simulators.nonlinear.gradient import gradient_kernel
 from pymc_features.simulators.nonlinear.layout import chain_memory, padded
-from pymc_features.simulators.nonlinear.misfit import misfit_kernel, response_cotangent
+from pymc_features.simulators.nonlinear.misfit import misfit_kernel
 from pymc_features.simulators.nonlinear.parameters import (
     NonlinearParameters,
     check_history,
@@ -20,6 +22,7 @@ from pymc_features.simulators.nonlinear.parameters import (
 from pymc_features.simulators.nonlinear.response import history_kernel
 from pymc_features.simulators.nonlinear.tape import Tape, record_size, tape_memory
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs, n_outputs
+from pymc_features.simulators.oscillators.misfit import weigh_history
 
 
 def numbers(array) -> np.ndarray:
@@ -69,12 +72,17 @@ class Problem:
             states,
         )
 
+    @cached_property
+    def adjoint_memory(self):
+        """Memory of a gradient, and of the steps that it goes back through."""
+        return chain_memory(self.n), tape_memory(self.n)
+
     def gradient(self, parameters, cotangent_of) -> NonlinearParameters:
         """Gradient of sum_jk W_jk y_jk for one chain; `cotangent_of` makes W (s, u) of its response."""
         (response,), states = self.response(parameters, [self.wanted.quantity], keep_states=True)
-        if np.isnan(response).any():
+        if not np.isfinite(response[..., -1]).all():
             return NonlinearParameters(*(np.full(p.shape, np.nan) for p in parameters))
-        grad, tape = chain_memory(self.n), tape_memory(self.n)
+        grad, tape = self.adjoint_memory
         return gradient_kernel(
             self.chain,
             grad.ctypes.data,
@@ -141,13 +149,17 @@ def nonlinear_kernels(law) -> dict:
         problem = Problem(law, parameters, excitation, wanted)
         observed, weights = problem.history(observed), numbers(weights)
         expected = (n_particles(problem.parameters), len(observed))
-        if weights.shape[:2] != expected:
-            raise ValueError(f"`weights` must have the shape {expected} of particles and sensors in front")
+        if weights.shape not in ((*expected, 1), (*expected, 4)):
+            raise ValueError(
+                f"`weights` must have the shape {(*expected, '1 or 4')} (particle, sensor, statistic), "
+                f"got {weights.shape}."
+            )
         gradients = NonlinearParameters(*(np.zeros(p.shape) for p in problem.parameters))
         for k, own_weights in enumerate(weights):
 
             def cotangent_of(response, c=own_weights):
-                return response_cotangent(observed - response, c)
+                weigh_history(response, observed, c)
+                return response
 
             own = problem.gradient(particle(problem.parameters, k), cotangent_of)
             for total, gradient in zip(gradients, own, strict=True):

@@ -1,15 +1,16 @@
-"""Statistics of the misfit between data and the response of a nonlinear chain, and their derivative.
+"""Statistics of the misfit between data and the response of a nonlinear chain; no history is kept.
 
-Of r = data - response at N_D samples: the mean of r_k^2, the sum of (r_k - r_{k-1})^2 over N_D, r_0 and
-r_{N-1}, of each sensor. The values need no history.
+Of r = data - response at N samples: the mean of r_k^2, the sum of (r_k - r_{k-1})^2 over N, r_0 and r_{N-1},
+of each sensor.
 """
 
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.nonlinear.parameters import particle
-from pymc_features.simulators.nonlinear.response import begin, ground_at, next_sample, write_outputs
+from pymc_features.simulators.nonlinear.response import begin, next_sample, write_outputs
 from pymc_features.simulators.nonlinear.state import prepare
+from pymc_features.simulators.oscillators.arguments import ground_at
 
 
 @jit
@@ -48,20 +49,3 @@ def misfit_kernel(law, parameters, excitation, wanted, observed, result):
     """
     for k in range(result.shape[0]):
         march_misfit(law, particle(parameters, k), excitation, wanted, observed, result[k])
-
-
-def response_cotangent(misfit, weights):
-    """Derivative (s, u) by the response of the sum of weights (s, q) times the first q statistics.
-
-    L = c_0 sum_k r_k^2 / N + c_1 sum_k (r_k - r_{k-1})^2 / N + c_2 r_0 + c_3 r_{N-1}, dL/dy = -dL/dr.
-    """
-    c = np.zeros((len(misfit), 4))
-    c[:, : weights.shape[1]] = weights
-    increments = c[:, 1:2] * np.diff(misfit, axis=1)
-    by_misfit = c[:, :1] * misfit
-    by_misfit[:, 1:] += increments
-    by_misfit[:, :-1] -= increments
-    by_misfit *= 2.0 / misfit.shape[1]
-    by_misfit[:, 0] += c[:, 2]
-    by_misfit[:, -1] += c[:, 3]
-    return -by_misfit

@@ -21,19 +21,12 @@ from pymc_features.simulators.oscillators.arguments import (
     QUANTITIES,
     RELATIVE_DISPLACEMENT,
     RELATIVE_VELOCITY,
+    ground_at,
     n_outputs,
 )
 
 # What else can be asked of a spring, after the codes of `QUANTITIES`
 SPRING_FORCE, DRIFT, INTERNAL_VARIABLE = range(len(QUANTITIES), len(QUANTITIES) + 3)
-
-
-@jit
-def ground_at(acceleration, fine, substeps):
-    """Ground acceleration [m/s^2] after `fine` steps, `substeps` to a sample of the record."""
-    i = fine // substeps
-    part = fine - i * substeps
-    return acceleration[i] + (part * (acceleration[i + 1] - acceleration[i]) / substeps if part > 0 else 0.0)
 
 
 @jit

@@ -42,6 +42,7 @@ from pymc_features.simulators.nonlinear.layout import (
     put,
     scalar,
 )
+from pymc_features.simulators.oscillators.recursion import modal_damping
 
 
 @jit
@@ -78,7 +79,7 @@ def prepare(law, parameters, refine):
     any_ratio = False
     for r in range(n):
         valid &= is_admissible(law, r)
-        damping = rayleigh[0] + rayleigh[1] * omega[r] ** 2 + 2.0 * ratios[r] * omega[r]
+        damping = modal_damping(omega[r], rayleigh, ratios[r])
         valid &= 0.0 <= damping < np.inf
         linear_rate = max(linear_rate, omega[r] + damping)
         any_ratio |= ratios[r] != 0.0

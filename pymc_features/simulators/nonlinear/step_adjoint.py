@@ -45,6 +45,8 @@ from pymc_features.simulators.nonlinear.layout import (
 from pymc_features.simulators.nonlinear.runge_kutta import TIMES, WEIGHTS, try_step
 from pymc_features.simulators.nonlinear.state import deformation, has_modal_damping
 
+NEGLIGIBLE = 1e-7
+
 
 @jit
 def add(law, grad, block, row, value):
@@ -153,7 +155,8 @@ def kink_adjoint(law, grad, recorded_step, grad_time):
     The kink lies where g = 0, so that the length of the step depends on its start: dh = -dg / (dg/dh), with
     dg at constant h. The gradient is that at constant h for Xbar_6 - lambda dg/dX_6, where lambda makes the
     derivative by h vanish, with the part `grad_time` by the time of the kink. X_6 changes with h by the slope
-    k_6 but for the error of the method: that gives lambda, and a second sweep makes up what is left.
+    k_6 but for the error of the method: that gives lambda, and a second sweep makes up what is left of the
+    derivative, if it is more than `NEGLIGIBLE` of what it was.
     """
     step, ground, trend, which = recorded_step
     by_length = splat(0.0)
@@ -166,12 +169,15 @@ def kink_adjoint(law, grad, recorded_step, grad_time):
     for _ in range(2):
         subtract_kink(law, grad, which, residual / g_rate)
         grad_step, part = step_adjoint(law, grad, step, ground, trend)
-        residual, grad_ground = grad_step + grad_time, grad_ground + part
+        left, grad_ground = grad_step + grad_time, grad_ground + part
         for row in range(3 * law.rows):
             sweep = read_lanes(grad, state(law, LAST) + row)
             sweeps = read_lanes(grad, slope(law, LAST) + row) + sweep
             write_lanes(grad, slope(law, LAST) + row, sweeps)
             write_lanes(grad, state(law, LAST) + row, splat(0.0))
+        if abs(left) <= NEGLIGIBLE * abs(residual):
+            break
+        residual = left
     for row in range(3 * law.rows):
         write_lanes(grad, state(law, LAST) + row, read_lanes(grad, slope(law, LAST) + row))
     return grad_time + trend * grad_ground  # a kink at a given state moves with the start of the step

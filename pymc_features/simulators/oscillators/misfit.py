@@ -1,4 +1,4 @@
-"""Misfit r = y - g between data and response: its statistics, and what their gradient asks of the response.
+"""Misfit r = y - g between data and response: what a gradient by its statistics asks of the response.
 
 The statistics of each sensor are
 
@@ -7,79 +7,8 @@ The statistics of each sensor are
 of which all likelihoods but those of errors correlated in time need the first only.
 """
 
-import numpy as np
-
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.recursion import BLOCK
-
-
-@jit
-def take_block(block, first, count, observed, history, sums):
-    """Store `count` samples of the response, from sample `first` on, or compare them with the data.
-
-    Parameters
-    ----------
-    block : array (s, >= count)
-    observed : array (s, u)
-        Data; not read if there is a `history`.
-    history : array (s, u) or (0, 0)
-        Written, unless it is empty.
-    sums : array (1, s) or (4, s)
-        Otherwise, see `compare_block`; updated.
-    """
-    if history.size:
-        for j in range(history.shape[0]):
-            history[j, first : first + count] = block[j, :count]
-    else:
-        compare_block(block, first, count, observed, sums)
-
-
-@jit
-def compare_block(block, first, count, observed, sums):
-    """Add `count` samples, from sample `first` on, to the sums of squares.
-
-    Parameters
-    ----------
-    block : array (s, >= count)
-        Response; overwritten by the misfit if the increments are asked for.
-    observed : array (s, u)
-    sums : array (1, s) or (4, s)
-        Sums of squares of the misfit and, in four rows, of its increments, first and last misfit; updated.
-    """
-    for j in range(observed.shape[0]):
-        data = observed[j, first : first + count]
-        squares = 0.0
-        for b in range(count):
-            r = data[b] - block[j, b]
-            squares += r * r
-        sums[0, j] += squares
-        if sums.shape[0] == 4:
-            for b in range(count):
-                block[j, b] = data[b] - block[j, b]
-            add_increments(block[j], count, first == 0, sums[1:], j)
-
-
-@jit
-def add_increments(misfits, count, is_first, sums, j):
-    """Add the squared increments of `count` misfits of sensor j; keep its first misfit and its last one."""
-    if is_first:
-        sums[0, j], sums[1, j], sums[2, j] = 0.0, misfits[0], misfits[0]
-    squares = (misfits[0] - sums[2, j]) ** 2
-    for b in range(1, count):
-        step = misfits[b] - misfits[b - 1]
-        squares += step * step
-    sums[0, j] += squares
-    sums[2, j] = misfits[count - 1]
-
-
-@jit
-def statistics(sums, n_times):
-    """Statistics (s, q) of sums (q, s) over a record."""
-    result = np.empty((sums.shape[1], sums.shape[0]))
-    for j in range(sums.shape[1]):
-        for i in range(sums.shape[0]):
-            result[j, i] = sums[i, j] / n_times if i < 2 else sums[i, j]
-    return result
 
 
 @jit

@@ -13,13 +13,12 @@ compared with the data, two sensors and four samples at a time. Where the increm
 for, the misfits of the block go through a buffer in that cache; where not, Numba leaves that code out.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, splat, store
 from pymc_features.simulators.oscillators.arguments import interpolate, single_input
+from pymc_features.simulators.oscillators.lanes import N_COEFFICIENTS, SAMPLES, clear
 from pymc_features.simulators.oscillators.recursion import (
     N_ROWS,
     OUT_P,
@@ -35,86 +34,6 @@ from pymc_features.simulators.oscillators.recursion import (
     W,
     write_table,
 )
-
-SAMPLES = 16  # outputs handled at a time; a multiple of four
-N_COEFFICIENTS = 5
-
-
-class Lanes(NamedTuple):
-    """Structures, one in each lane, with what they need on their way through a record.
-
-    Sensors and modes are filled up to even numbers.
-
-    Attributes
-    ----------
-    coefficients, states : array (5 m, LANES), (2 m, LANES)
-        Of the recursion.
-    shapes, feed : array (s m, LANES), (s, LANES)
-        Output of each mode at the sensors, and feed-through.
-    outputs, ground, data : array (m SAMPLES, LANES), (SAMPLES stride,), (sensors, SAMPLES)
-        One block: modal outputs, excitation, data.
-    squares : array (s, LANES)
-        Sums of squared misfits.
-    """
-
-    coefficients: np.ndarray
-    states: np.ndarray
-    shapes: np.ndarray
-    feed: np.ndarray
-    outputs: np.ndarray
-    ground: np.ndarray
-    data: np.ndarray
-    squares: np.ndarray
-
-
-class Increments(NamedTuple):
-    """What the increments of the misfit need besides.
-
-    Attributes
-    ----------
-    misfits : array (s SAMPLES, LANES)
-        Of one block.
-    squares, first, last : array (s, LANES)
-        Sums of squared increments, first and last misfits.
-    """
-
-    misfits: np.ndarray
-    squares: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
-
-
-@jit
-def new_lanes(n_sensors, n_modes, stride):
-    """Lanes without structures."""
-    s, m = n_sensors + n_sensors % 2, n_modes + n_modes % 2
-    return Lanes(
-        coefficients=np.zeros((N_COEFFICIENTS * m, LANES)),
-        states=np.zeros((2 * m, LANES)),
-        shapes=np.zeros((s * m, LANES)),
-        feed=np.zeros((s, LANES)),
-        outputs=np.empty((SAMPLES * m, LANES)),
-        ground=np.empty(SAMPLES * stride),
-        data=np.empty((n_sensors, SAMPLES)),
-        squares=np.empty((s, LANES)),
-    )
-
-
-@jit
-def new_increments(n_sensors):
-    """Room for the increments of the misfit."""
-    s = n_sensors + n_sensors % 2
-    squares, first, last = np.empty((s, LANES)), np.empty((s, LANES)), np.empty((s, LANES))
-    return Increments(np.empty((s * SAMPLES, LANES)), squares, first, last)
-
-
-@jit
-def clear(lanes):
-    """Take the structures out: zeros in lanes without one."""
-    lanes.coefficients.fill(0.0)
-    lanes.states.fill(0.0)
-    lanes.shapes.fill(0.0)
-    lanes.feed.fill(0.0)
 
 
 @jit

@@ -1,4 +1,4 @@
-"""Exact modal response to an excitation that is linear between its samples.
+"""Exact modal response to an excitation that is linear between its samples, stored or compared with data.
 
 Mode r of Eqs. (20)-(22), per unit participation, obeys q" + D q' + omega^2 q = -a_g(t), D = 2 zeta omega.
 In the state x = (q, h q') / h^2 with the step h, and with a_g linear over the step, the exact
@@ -17,8 +17,14 @@ good for every frequency and damping, rigid-body and overdamped modes included. 
 held as a pair (a, b) standing for a I + b F, since F^2 = -s I - d F.
 """
 
+import numpy as np
+
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
+from pymc_features.simulators.oscillators.arguments import (
+    RELATIVE_DISPLACEMENT,
+    RELATIVE_VELOCITY,
+    interpolate,
+)
 
 BLOCK = 128  # output samples handled at a time: the working set stays in the first-level cache
 TAYLOR_TERMS = 13  # with |F| <= 1/4 the first dropped term is below 1e-19
@@ -108,13 +114,15 @@ def write_table(omega, damping, step, quantity, table):
 
 
 @jit
-def advance(table, q, p, ground, stride, count, outputs):
-    """Write `count` outputs of every mode and carry the modal states to the sample behind them.
+def advance(table, participation, q, p, ground, stride, count, outputs):
+    """Add `count` outputs of every mode and carry the modal states to the sample behind them.
 
     Parameters
     ----------
     table : array (11, m)
         From `write_table`.
+    participation : array (m,)
+        Gamma of one input, by which the outputs are multiplied.
     q, p : array (m,)
         Modal states at the first of these samples, at rest at the beginning; overwritten.
     ground : array (> count stride,)
@@ -122,11 +130,11 @@ def advance(table, q, p, ground, stride, count, outputs):
     stride : int
         Every `stride`-th state is an output.
     outputs : array (>= count, m)
-        Written.
+        Updated.
     """
     for b in range(count):
         for r in range(q.size):
-            outputs[b, r] = table[OUT_Q, r] * q[r] + table[OUT_P, r] * p[r]
+            outputs[b, r] += participation[r] * (table[OUT_Q, r] * q[r] + table[OUT_P, r] * p[r])
         for step in range(b * stride, (b + 1) * stride):
             now, after = ground[step], ground[step + 1]
             for r in range(q.size):
@@ -141,3 +149,115 @@ def advance(table, q, p, ground, stride, count, outputs):
                     + (table[P_NOW, r] * now + table[P_NEXT, r] * after)
                 )
                 q[r] = q_r
+
+
+@jit
+def add_feed(feed, ground, stride, count, block):
+    """Add what the inputs do to the response directly, to `count` samples of a block (s, >= count)."""
+    for j in range(block.shape[0]):
+        for i in range(ground.shape[0]):
+            for b in range(count):
+                block[j, b] += feed[j, i] * ground[i, b * stride]
+
+
+@jit
+def march_modes(system, feed, excitation, quantity, observed, history, sums):
+    """Store the response of uncoupled modes, or compare it with data.
+
+    Parameters
+    ----------
+    system : ModalSystem
+    feed : array (s, d)
+        What stands before the inputs in the response, see `feed_through`.
+    excitation : Excitation
+        Of d inputs (d, t), whose responses add up.
+    quantity : int
+        Position in `QUANTITIES`.
+    observed, history, sums
+        See `take_block`.
+    """
+    inputs, dt, substeps, stride = excitation
+    n_sensors, n_modes = system.shapes.shape
+    n_inputs, total = inputs.shape[0], max(history.shape[1], observed.shape[1])
+    table, participation = np.empty((N_ROWS, n_modes)), system.participation.T.copy()
+    write_table(system.omega, system.damping, dt / substeps, quantity, table)
+    ground, outputs = np.empty((n_inputs, BLOCK * stride + 1)), np.empty((BLOCK, n_modes))
+    q, p, block = np.zeros((n_inputs, n_modes)), np.zeros((n_inputs, n_modes)), np.empty((n_sensors, BLOCK))
+    for first in range(0, total, BLOCK):
+        count = min(BLOCK, total - first)
+        outputs[:] = 0.0
+        for i in range(n_inputs):
+            interpolate(inputs[i], substeps, first * stride, ground[i])
+            advance(table, participation[i], q[i], p[i], ground[i], stride, count, outputs)
+        np.dot(system.shapes, outputs.T, block)
+        add_feed(feed, ground, stride, count, block)
+        take_block(block, first, count, observed, history, sums)
+
+
+@jit
+def take_block(block, first, count, observed, history, sums):
+    """Store `count` samples of the response, from sample `first` on, or compare them with the data.
+
+    Parameters
+    ----------
+    block : array (s, >= count)
+    observed : array (s, u)
+        Data; not read if there is a `history`.
+    history : array (s, u) or (0, 0)
+        Written, unless it is empty.
+    sums : array (1, s) or (4, s)
+        Otherwise, see `compare_block`; updated.
+    """
+    if history.size:
+        for j in range(history.shape[0]):
+            history[j, first : first + count] = block[j, :count]
+    else:
+        compare_block(block, first, count, observed, sums)
+
+
+@jit
+def compare_block(block, first, count, observed, sums):
+    """Add `count` samples, from sample `first` on, to the sums of squares.
+
+    Parameters
+    ----------
+    block : array (s, >= count)
+        Response; overwritten by the misfit if the increments are asked for.
+    observed : array (s, u)
+    sums : array (1, s) or (4, s)
+        Sums of squares of the misfit and, in four rows, of its increments, first and last misfit; updated.
+    """
+    for j in range(observed.shape[0]):
+        data = observed[j, first : first + count]
+        squares = 0.0
+        for b in range(count):
+            r = data[b] - block[j, b]
+            squares += r * r
+        sums[0, j] += squares
+        if sums.shape[0] == 4:
+            for b in range(count):
+                block[j, b] = data[b] - block[j, b]
+            add_increments(block[j], count, first == 0, sums[1:], j)
+
+
+@jit
+def add_increments(misfits, count, is_first, sums, j):
+    """Add the squared increments of `count` misfits of sensor j; keep its first misfit and its last one."""
+    if is_first:
+        sums[0, j], sums[1, j], sums[2, j] = 0.0, misfits[0], misfits[0]
+    squares = (misfits[0] - sums[2, j]) ** 2
+    for b in range(1, count):
+        step = misfits[b] - misfits[b - 1]
+        squares += step * step
+    sums[0, j] += squares
+    sums[2, j] = misfits[count - 1]
+
+
+@jit
+def statistics(sums, n_times):
+    """Statistics (s, q) of sums (q, s) over a record."""
+    result = np.empty((sums.shape[1], sums.shape[0]))
+    for j in range(sums.shape[1]):
+        for i in range(sums.shape[0]):
+            result[j, i] = sums[i, j] / n_times if i < 2 else sums[i, j]
+    return result

@@ -1,4 +1,4 @@
-"""Derivatives of the response of uncoupled modes, and of its misfit: reverse mode and forward mode.
+"""Gradient of the response of uncoupled modes, and of its misfit, exact and in one sweep.
 
 The response is y = sum_ir S phi_r Gamma_ri f_r[a_i], f_r[a_i] the output of a mode under one input. All that
 the gradient of L needs of the history, with the weights w = dL/dy, are the sums over time
@@ -7,7 +7,7 @@ the gradient of L needs of the history, with the weights w = dL/dy, are the sums
 
 with u = Phi' S' w, taken while the recursion runs forward: no history is kept, and no cost grows with the
 number of parameters. The rest is algebra of the size of the kept modes, with the divided differences of
-`close_modes`. Forward mode is its transpose: one combination of f, df/dlambda and df/d(D h).
+`close_modes`.
 """
 
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.oscillators.arguments import interpolate
 from pymc_features.simulators.oscillators.close_modes import close_modes
-from pymc_features.simulators.oscillators.misfit import copy_block, take_change, weigh_misfit
+from pymc_features.simulators.oscillators.misfit import copy_block, weigh_misfit
 from pymc_features.simulators.oscillators.recursion import BLOCK
 from pymc_features.simulators.oscillators.sensitivity import (
     N_COEFFICIENTS,
@@ -40,28 +40,6 @@ class ModalGradient(NamedTuple):
         By S Phi, outside of the span of Phi.
     damping : array (m,)
         By D.
-    """
-
-    stiffness: np.ndarray
-    mass: np.ndarray
-    load: np.ndarray
-    shapes: np.ndarray
-    damping: np.ndarray
-
-
-class ModalChange(NamedTuple):
-    """Changes of a structure along a direction, as the kernels over time see them.
-
-    Attributes
-    ----------
-    stiffness, mass : array (m, m)
-        Of Phi' K Phi and Phi' M Phi, at fixed Phi.
-    load : array (m, d)
-        Of Phi' L.
-    shapes : array (s, m)
-        Of S Phi, outside of the span of Phi.
-    damping : array (m,)
-        Of D.
     """
 
     stiffness: np.ndarray
@@ -259,77 +237,3 @@ def modal_gradient(system, law, feed, excitation, quantity, history, weights):
             damping[r] += step * system.participation[r, i] * by_damping[r, i]
     stiffness, mass, load, shapes = reduce_sums(system, close, some_are_close, outputs, slopes, by_lambda)
     return ModalGradient(stiffness, mass, load, shapes, damping)
-
-
-@jit
-def combine_change(system, change, close, step, combination):
-    """Write the factors (3, d, padded, s) of f, df/dlambda and df/d(D h) in the change of the response.
-
-    Parameters
-    ----------
-    system : ModalSystem
-    change : ModalChange
-    close : array (m, m)
-        Of `close_modes`.
-    """
-    omega, participation = system.omega, system.participation
-    m = omega.size
-    turn, slope = np.empty((m, m)), np.zeros((m, m))  # of the modes among themselves
-    for r in range(m):
-        for s in range(m):
-            mean = 0.5 * (omega[r] * omega[r] + omega[s] * omega[s])
-            pair = change.stiffness[r, s] - mean * change.mass[r, s]
-            turn[r, s] = 0.0
-            if close[r, s]:
-                slope[r, s] = 0.5 * pair
-            else:
-                turn[r, s] = pair / ((omega[r] - omega[s]) * (omega[r] + omega[s]))
-    half = 0.5 * change.mass
-    shapes, shapes_slope = np.dot(system.shapes, -turn - half) + change.shapes, np.dot(system.shapes, slope)
-    load, load_slope = np.dot(turn - half, participation) + change.load, np.dot(slope, participation)
-    for i in range(participation.shape[1]):
-        for r in range(m):
-            for j in range(shapes.shape[0]):
-                shape, gamma = system.shapes[j, r], participation[r, i]
-                combination[0, i, r, j] = gamma * shapes[j, r] + load[r, i] * shape
-                combination[1, i, r, j] = gamma * shapes_slope[j, r] + load_slope[r, i] * shape
-                combination[2, i, r, j] = gamma * shape * step * change.damping[r]
-
-
-@jit
-def march_change(system, law, feed, excitation, quantity, change, observed, history):
-    """Write the change of the response along a direction into `history`, or return that of its misfit.
-
-    Parameters
-    ----------
-    system, law, feed, excitation, quantity
-        As in `modal_gradient`.
-    change : ModalChange
-    observed : array (s, u)
-        Data; not read if there is a `history`.
-    history : array (s, u) or (0, 0)
-
-    Returns
-    -------
-    array (s,)
-        Change of sum_k r_k^2; zero if there is a `history`.
-    """
-    n_sensors, total = system.shapes.shape[0], max(history.shape[1], observed.shape[1])
-    step, stride = excitation.dt / excitation.substeps, excitation.stride
-    close, _ = close_modes(system.omega, law, total * stride * step)
-    modes = new_histories(system, law, excitation, quantity)
-    combination = np.zeros((3, *modes.outputs.shape))
-    combine_change(system, change, close, step, combination)
-    part, response = np.empty((BLOCK, n_sensors)), np.empty((BLOCK, n_sensors))
-    change_block, sums = np.empty((BLOCK, n_sensors)), np.zeros(n_sensors)
-    for first in range(0, total, BLOCK):
-        advance_histories(modes, excitation, first)
-        change_block[:] = 0.0
-        for k in range(3):
-            for i in range(combination.shape[1]):
-                np.dot(modes.values[k, i, 1:], combination[k, i], part)
-                change_block += part
-        if not history.size:
-            write_response(modes, feed, stride, part, response)
-        take_change(response, change_block, first, observed, history, sums)
-    return sums
