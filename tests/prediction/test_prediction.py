@@ -16,6 +16,7 @@ from pymc_features import plots, simulators
 from pymc_features.prediction import histories
 from pymc_features.prediction.first_passage import standard_error
 from support.refusals import refusals
+from support.structures import peak_error
 
 DERIVED = ("inter_storey_drift", "base_shear")
 UNITS = {
@@ -162,7 +163,7 @@ def test_a_degenerate_posterior_gives_the_simulation():
     found = pmf.posterior_response(idata, pmf.paper.chain, SHAKE)["absolute_acceleration"]
     exact = pmf.simulate(pmf.paper.chain(1.1), SHAKE)
     assert np.ptp(found.values, axis=0).max() == 0.0
-    np.testing.assert_array_equal(found.sel(quantile=0.5), exact)
+    assert peak_error(found.sel(quantile=0.5), exact) < 1e-13
 
 
 def test_memory_is_bounded():
@@ -475,7 +476,7 @@ def test_parameters_the_posterior_lacks_keep_their_default():
         posterior(k=[[1.0]]), lambda k, damping=0.2: three_storeys(k, damping), OTHER
     )
     exact = pmf.simulate(three_storeys(1.0, 0.2), OTHER)
-    np.testing.assert_array_equal(found["absolute_acceleration_mean"], exact)
+    assert peak_error(found["absolute_acceleration_mean"], exact) < 1e-13
 
 
 GROWING = {"k": lambda k: pmf.SpringMassChain(np.ones(1 + int(k > 1)), 1.0, pmf.ModalDamping(0.1))}

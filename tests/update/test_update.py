@@ -63,7 +63,10 @@ BROKEN = {  # what is said: what is changed, into what
         'ratios = "zeta"',
         'ratio = "zeta"',
     ),
-    "`sampler.draws` must be a whole number of at least 50, got 'many'": ("draws = 100", 'draws = "many"'),
+    "`sampler.draws` must be a whole number of at least 50, draws of each chain, got 'many'": (
+        "draws = 100",
+        'draws = "many"',
+    ),
     "`sampler.draws` must be a whole number of at least 50": ("draws = 100", "draws = 10"),
     '`sampler.method` must be "smc", "nuts" or "laplace", got \'gibbs\'.': ('"smc"', '"gibbs"'),
     "`likelihood.kinds` must be a list of NORM, TN, EXP, ABC, CN, CN-SIGMA, CN-TAU, each once, got ": (
