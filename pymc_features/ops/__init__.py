@@ -7,10 +7,11 @@ from pymc_features.ops.comparison import (
     MisfitGradient,
     StructuralDiscrepancy,
     StructuralMisfit,
+    mean_square_discrepancy,
+    misfit_statistics,
 )
 from pymc_features.ops.external import ExternalDiscrepancy, ExternalGradient, ExternalResponse
 from pymc_features.ops.gradient import ResponseGradient, ResponseTangent
-from pymc_features.ops.mean_square import mean_square_discrepancy, misfit_statistics
 from pymc_features.ops.no_gradient import NoGradient
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradient, PopulationMisfit
 from pymc_features.ops.response import StructuralResponse, response, response_node, response_step

@@ -50,14 +50,21 @@ def static_settings(node) -> tuple[int, int, int]:
     return tuple(values)
 
 
+def split(op, inputs):
+    """Parameters; record, its step and sensors; and what follows the family's inputs."""
+    settings = (inputs[op.at(name)] for name in ("acceleration", "dt", "sensors"))
+    return tuple(inputs[: op.n_parameters]), tuple(settings), inputs[op.n_common :]
+
+
 def on_one_particle(kernel):
     """Return the dispatch of an Op whose kernel takes (op, static, parameters, record, dt, sensors, more)."""
 
     def funcify(op, node, **kwargs):
         static = static_settings(node)
 
-        def chain_op(mass, stiffness, rayleigh, ratios, acceleration, dt, _1, _2, sensors, _3, *more):
-            return kernel(op, static, (mass, stiffness, rayleigh, ratios), acceleration, dt, sensors, *more)
+        def chain_op(*inputs):
+            parameters, settings, more = split(op, inputs)
+            return kernel(op, static, parameters, *settings, *more)
 
         return chain_op
 
@@ -70,17 +77,15 @@ def on_population(kernel):
     def funcify(op, node, **kwargs):
         static = static_settings(node)
 
-        def chain_op(
-            mass, stiffness, rayleigh, ratios, acceleration, dt, _1, _2, sensors, _3, observed, *more
-        ):
-            parameters = (mass, stiffness, rayleigh, ratios)
+        def chain_op(*inputs):
+            parameters, settings, (observed, *more) = split(op, inputs)
             axes = tuple(0 if x.shape[0] > 1 else None for x in parameters)
             if all(axis is None for axis in axes):
                 axes = (0,) * len(axes)
             rows = tuple(x if axis == 0 else x[0] for x, axis in zip(parameters, axes, strict=True))
 
             def one(row, *more):
-                return kernel(op, static, row, acceleration, dt, sensors, observed, *more)
+                return kernel(op, static, row, *settings, observed, *more)
 
             results = jax.vmap(one, in_axes=(axes, *(0 for _ in more)))(rows, *more)
             if not more:

@@ -101,13 +101,14 @@ def response(op, static, parameters, acceleration, dt, sensors):
     return jnp.where(modes.valid, history.T, jnp.nan)
 
 
-def march_misfit(op, static, parameters, acceleration, dt, sensors, observed, begin, add):
+def march_misfit(inputs, begin, add):
     """Sum over the misfit; returns the sums, how many samples they are of, and if there is a structure.
 
-    `begin(first)` makes the sums of none from the first misfit (s,), and `add(sums, misfit, there)` adds a
+    `inputs` are those of `discrepancy`; `begin(first)` makes the sums of none from the first misfit (s,), and
+    `add(sums, misfit, there)` adds a
     block (BLOCK, s), `there` (BLOCK, 1) being 0 behind the end.
     """
-    substeps, stride, n_modes = static
+    op, (substeps, stride, n_modes), parameters, acceleration, dt, sensors, observed = inputs
     modes = Modes(op, parameters, dt / substeps, n_modes)
     sampling = Sampling(acceleration, dt, substeps, stride)
     output = sensor_output(op, modes, sensors)
@@ -126,7 +127,7 @@ def march_misfit(op, static, parameters, acceleration, dt, sensors, observed, be
 def discrepancy(*inputs):
     """e (s,), Eq. (3)."""
     errors, total, valid = march_misfit(
-        *inputs, jnp.zeros_like, lambda errors, misfit, there: errors + (there * misfit**2).sum(axis=0)
+        inputs, jnp.zeros_like, lambda errors, misfit, there: errors + (there * misfit**2).sum(axis=0)
     )
     return jnp.where(valid, errors / total, jnp.nan)
 
@@ -144,5 +145,5 @@ def misfit_statistics(*inputs):
     def begin(first):
         return jnp.zeros_like(first), jnp.zeros_like(first), first, first
 
-    (squares, increments, *ends), total, valid = march_misfit(*inputs, begin, add)
+    (squares, increments, *ends), total, valid = march_misfit(inputs, begin, add)
     return jnp.where(valid, jnp.stack([squares / total, increments / total, *ends], axis=-1), jnp.nan)

@@ -11,7 +11,6 @@ from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.nonlinear.differences import directional_derivative
 from pymc_features.simulators.nonlinear.gradient import gradient_kernel
 from pymc_features.simulators.nonlinear.layout import chain_memory, padded
-from pymc_features.simulators.nonlinear.misfit import misfit_kernel
 from pymc_features.simulators.nonlinear.parameters import (
     NonlinearParameters,
     check_history,
@@ -19,7 +18,7 @@ from pymc_features.simulators.nonlinear.parameters import (
     n_particles,
     particle,
 )
-from pymc_features.simulators.nonlinear.response import history_kernel
+from pymc_features.simulators.nonlinear.response import history_kernel, misfit_kernel
 from pymc_features.simulators.nonlinear.tape import Tape, record_size, tape_memory
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs, n_outputs
 from pymc_features.simulators.oscillators.misfit import weigh_history
