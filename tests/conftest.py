@@ -12,18 +12,26 @@ if "PYMC_FEATURES_DATA" not in os.environ and _BESIDE.is_dir():
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 
-def pytest_collection_modifyitems(items):
-    """README and notebooks first, then what compiles nothing, then large files, and JAX last.
+# in this order after all others: JAX starts threads, and others fork; the rest run in their own processes
+LAST = ["test_jax.py", "test_recipes.py", "test_notebooks.py", "test_pages.py", "test_reference.py"]
 
-    So one process compiles the kernels that the other will need. JAX starts threads, and other tests fork.
+
+def pytest_collection_modifyitems(items):
+    """What runs on one worker, and in which order: kernels first, to compile them for all the others.
+
+    A file is one group, for the sake of its fixtures, and so is each notebook; the largest come first, so
+    that workers end together.
     """
 
-    def place(item):
-        name = item.path.name
-        light = name.startswith(("test_io", "test_records", "test_channels", "test_signals", "test_datasets"))
-        rank = 0 if name == "test_documents.py" else 1 if light else 3 if name == "test_jax.py" else 2
-        return rank, -item.path.stat().st_size
+    def file(item):
+        return item.callspec.params["path"] if "notebook" in item.keywords else item.path
 
+    def place(item):
+        name, kernels = item.path.name, item.path.parent.name in ("simulators", "ops")
+        return LAST.index(name) if name in LAST else -2 if kernels else -1, -file(item).stat().st_size
+
+    for item in items:
+        item.add_marker(pytest.mark.xdist_group(str(file(item))))
     items.sort(key=place)
 
 
@@ -54,6 +62,15 @@ def record():
     if folder and (Path(folder) / "elcentro.dat").exists():
         return datasets.el_centro()
     return synthetic_earthquake(31.16, 0.02, random_seed=1940, pga=3.13)
+
+
+@pytest.fixture(scope="module")
+def fast_compile():
+    """Compile for small examples."""
+    import pytensor
+
+    with pytensor.config.change_flags(mode="FAST_COMPILE"):
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -105,6 +105,7 @@ def test_el_centro_is_the_default(data_dir):
     assert "El Centro" in sentence
 
 
+@pytest.mark.processes
 def test_interrupt_keeps_what_is_finished(record_file, tmp_path):
     """Ctrl-C after the first part: exit code 130, one line, no traceback, the part is there."""
     command = [sys.executable, "-m", "pymc_features.cli"]

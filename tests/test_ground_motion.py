@@ -9,6 +9,7 @@ from scipy import signal, stats
 
 from pymc_features.ground_motion import AminAng, CloughPenzien, synthetic_earthquake
 from pymc_features.records import Record
+from support.refusals import refusals
 
 OMEGA_G = 5.0 * math.pi
 
@@ -123,10 +124,7 @@ LIMIT = stats.chi2.isf(FALSE_ALARM, 19)
     ("settings", "filters"),
     [
         ({}, DEFAULTS),
-        (
-            {"omega_g": 9.0, "zeta_g": 0.35, "omega_f": 2.0, "zeta_f": 0.8},
-            (9.0, 0.35, 2.0, 0.8),
-        ),
+        ({"omega_g": 9.0, "zeta_g": 0.35, "omega_f": 2.0, "zeta_f": 0.8}, (9.0, 0.35, 2.0, 0.8)),
     ],
 )
 def test_spectrum_is_clough_penzien(dt, settings, filters):
@@ -169,45 +167,35 @@ def test_end_is_not_wrapped_around_to_the_start():
 # --- errors -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "message"),
-    [
-        ({"duration": 0.0}, ValueError, "`duration` must be positive, got 0.0"),
-        (
-            {"duration": 0.005},
-            ValueError,
-            "`duration` must be at least one step of 0.02 s, got 0.005",
-        ),
-        ({"duration": "30"}, TypeError, "`duration` must be a number, got '30'"),
-        ({"dt": -0.02}, ValueError, "`dt` must be positive, got -0.02"),
-        ({"dt": math.nan}, ValueError, "`dt` must be positive, got nan"),
-        ({"pga": 0}, ValueError, "`pga` must be positive, got 0"),
-        ({"pga": math.inf}, ValueError, "`pga` must be positive, got inf"),
-        ({"spectrum": {"zeta_g": 0.0}}, ValueError, "`zeta_g` must be positive, got 0.0"),
-        ({"spectrum": {"zeta_f": -1.0}}, ValueError, "`zeta_f` must be positive, got -1.0"),
-        ({"spectrum": {"omega_f": 0.0}}, ValueError, "`omega_f` must be positive, got 0.0"),
-        (
-            {"spectrum": {"omega_g": 160.0}},
-            ValueError,
-            "`omega_g` must be below the Nyquist frequency 157.1 rad/s",
-        ),
-        (
-            {"spectrum": {"omega_f": 158.0}},
-            ValueError,
-            "`omega_f` must be below the Nyquist .*got 158 rad/s. Take a",
-        ),
-        ({"envelope": {"rise_time": -1.0}}, ValueError, "`rise_time` must be positive or zero, got -1.0"),
-        ({"envelope": {"strong_time": "a"}}, TypeError, "`strong_time` must be a number, got 'a'"),
-        ({"envelope": {"end_level": 0.0}}, ValueError, "`end_level` must be positive, got 0.0"),
-        ({"envelope": {"end_level": 1.5}}, ValueError, "`end_level` must be at most 1, the plateau, got 1.5"),
-        ({"random_seed": 1.5}, ValueError, "`random_seed` must be an integer of at least 0, got 1.5"),
-        ({"spectrum": 1.0}, TypeError, "`spectrum` must be CloughPenzien\\(...\\), got float"),
-        ({"envelope": 1.0}, TypeError, "`envelope` must be AminAng\\(...\\), got float"),
-        ({"random_seed": -1}, ValueError, "`random_seed` must be an integer of at least 0, got -1"),
-    ],
-)
-def test_inadmissible_arguments(arguments, error, message):
+INADMISSIBLE_ARGUMENTS_VALUES = {  # what is said: what is given
+    "`duration` must be positive, got 0.0": {"duration": 0.0},
+    "`duration` must be at least one step of 0.02 s, got 0.005": {"duration": 0.005},
+    "`dt` must be positive, got -0.02": {"dt": -0.02},
+    "`dt` must be positive, got nan": {"dt": math.nan},
+    "`pga` must be positive, got 0": {"pga": 0},
+    "`pga` must be positive, got inf": {"pga": math.inf},
+    "`zeta_g` must be positive, got 0.0": {"spectrum": {"zeta_g": 0.0}},
+    "`zeta_f` must be positive, got -1.0": {"spectrum": {"zeta_f": -1.0}},
+    "`omega_f` must be positive, got 0.0": {"spectrum": {"omega_f": 0.0}},
+    "`omega_g` must be below the Nyquist frequency 157.1 rad/s": {"spectrum": {"omega_g": 160.0}},
+    "`omega_f` must be below the Nyquist .*got 158 rad/s. Take a": {"spectrum": {"omega_f": 158.0}},
+    "`rise_time` must be positive or zero, got -1.0": {"envelope": {"rise_time": -1.0}},
+    "`end_level` must be positive, got 0.0": {"envelope": {"end_level": 0.0}},
+    "`end_level` must be at most 1, the plateau, got 1.5": {"envelope": {"end_level": 1.5}},
+    "`random_seed` must be an integer of at least 0, got 1.5": {"random_seed": 1.5},
+    "`random_seed` must be an integer of at least 0, got -1": {"random_seed": -1},
+}
+INADMISSIBLE_ARGUMENTS_TYPES = {
+    "`duration` must be a number, got '30'": {"duration": "30"},
+    "`strong_time` must be a number, got 'a'": {"envelope": {"strong_time": "a"}},
+    "`spectrum` must be CloughPenzien\\(...\\), got float": {"spectrum": 1.0},
+    "`envelope` must be AminAng\\(...\\), got float": {"envelope": 1.0},
+}
+
+
+@refusals("arguments", INADMISSIBLE_ARGUMENTS_VALUES, INADMISSIBLE_ARGUMENTS_TYPES)
+def test_inadmissible_arguments(arguments, error, match):
     parts = {"spectrum": CloughPenzien, "envelope": AminAng}
-    with pytest.raises(error, match=message):
+    with pytest.raises(error, match=match):
         made = {n: parts[n](**v) if isinstance(v, dict) else v for n, v in arguments.items()}
         synthetic_earthquake(**made)

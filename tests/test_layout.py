@@ -11,6 +11,7 @@ from types import ModuleType
 import pytest
 
 import pymc_features
+from support.commands import run
 
 ROOT = Path(pymc_features.__file__).parent
 
@@ -187,15 +188,31 @@ def test_slow_modules_are_not_imported_with_the_package():
     assert done.stdout.strip() == "[]"
 
 
-def test_files_and_functions_stay_small():
+def grouped_arguments(source: str) -> list[int]:
+    """Lines with a tuple that is written only to be unpacked: `*(a, b), *(c, d)`."""
+    nodes = ast.walk(ast.parse(source))
+    return [n.lineno for n in nodes if isinstance(n, ast.Starred) and isinstance(n.value, ast.Tuple)]
+
+
+def test_files_stay_small():
     for path in ROOT.rglob("*.py"):
-        source = path.read_text()
-        assert source.count("\n") <= 300, f"{path.name}: is there a second concept inside?"
-        for node in ast.walk(ast.parse(source)):
-            if isinstance(node, ast.FunctionDef):
-                body = node.body[1:] if ast.get_docstring(node) else node.body
-                length = node.end_lineno - body[0].lineno + 1 if body else 0
-                assert length <= 60, f"{path.name}: {node.name} has {length} lines"
+        assert path.read_text().count("\n") <= 300, f"{path.name}: is there a second concept inside?"
+
+
+@pytest.mark.xfail(strict=False, reason="kernels are given named tuples step by step")
+def test_arguments_are_not_grouped():
+    """A call may be long; its arguments are not bundled to make it look shorter."""
+    found = {str(path.relative_to(ROOT)): grouped_arguments(path.read_text()) for path in ROOT.rglob("*.py")}
+    assert {name: lines for name, lines in found.items() if lines} == {}
+
+
+def test_grouped_arguments_are_found():
+    assert grouped_arguments("f(\n    *(a, b),\n    *c,\n    *(x for x in d),\n)") == [2]
+
+
+@pytest.mark.parametrize("arguments", [["check"], ["format", "--check"]], ids=" ".join)
+def test_style(arguments):
+    run(sys.executable, "-m", "ruff", *arguments, "--no-cache", str(ROOT.parent))
 
 
 FEW = 8

@@ -1,11 +1,6 @@
 """Errors correlated in time: density, fused Ops, gradients, draws, life inside a model, and every refusal."""
 
 import functools
-import os
-import subprocess
-import sys
-import textwrap
-from pathlib import Path
 
 import arviz as az
 import numpy as np
@@ -14,22 +9,21 @@ import pytensor
 import pytensor.tensor as pt
 import pytest
 from pymc.logprob.utils import ParameterValueError
-from pytensor.compile.mode import Mode
 from pytensor.graph.replace import vectorize_graph
-from pytensor.graph.traversal import ancestors
-from pytensor.tensor.blockwise import Blockwise
 from scipy import linalg, optimize, stats
-from support.kernels import chain_misfit, chain_response, population_discrepancy, population_misfit
 
 import pymc_features
-from pymc_features import CorrelatedNormal, RayleighDamping, Record, SpringMassChain, response, simulate
-from pymc_features.ops import OPS, PopulationMisfit, StructuralMisfit, StructuralResponse, misfit_statistics
+from pymc_features import CorrelatedNormal, RayleighDamping, SpringMassChain, response, simulate
+from pymc_features.ops import PopulationMisfit, StructuralMisfit, StructuralResponse, misfit_statistics
 from pymc_features.simulators import QUANTITIES, request
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.smc.density.evaluation import population_logp
+from support.commands import run_python
+from support.graphs import LIGHT, PLAIN, our_ops, our_ops_of
+from support.kernels import chain_misfit, chain_response, population_discrepancy, population_misfit
+from support.refusals import refusals
+from support.structures import noise_record, three_storeys, with_first_spring, with_noise
 
-PLAIN = Mode(linker="py", optimizer=None)
-LIGHT = Mode(linker="py", optimizer="fast_compile")
 DT = 0.02
 
 
@@ -212,27 +206,12 @@ def test_kernels_against_the_definition(settings, n_times):
 
 @pytest.fixture(scope="module")
 def pulse():
-    return Record(np.random.default_rng(0).normal(size=150), DT, name="pulse")
-
-
-def chain_of(stiffness):
-    return SpringMassChain(np.ones(3), stiffness, RayleighDamping(0.1, 1e-3))
+    return noise_record(150, DT)
 
 
 @pytest.fixture(scope="module")
 def measured(pulse):
-    exact = simulate(chain_of(100.0), pulse).values
-    return exact + np.random.default_rng(1).normal(size=exact.shape)
-
-
-def ops_in(variables):
-    """Our Ops in a graph, those inside Blockwise included."""
-    owners = [v.owner.op for v in ancestors(variables) if v.owner is not None]
-    return {type(op.core_op if isinstance(op, Blockwise) else op) for op in owners} & set(OPS)
-
-
-def ops_of(function):
-    return ops_in(getattr(function, "f", function).maker.fgraph.outputs)
+    return with_noise(simulate(three_storeys(100.0), pulse))
 
 
 def both_logps(pulse, measured, **settings):
@@ -242,7 +221,7 @@ def both_logps(pulse, measured, **settings):
         pt.vector("sigma", shape=(3,)),
         pt.vector("tau", shape=(3,)),
     )
-    mu = response(chain_of(stiffness), pulse, **settings)
+    mu = response(three_storeys(stiffness), pulse, **settings)
     dt = settings.get("dt", DT)
     fused, unfused = (
         pm.logp(CorrelatedNormal.dist(m, sigma, tau, dt if i else None), measured)
@@ -257,7 +236,7 @@ def test_fused_equals_unfused(mode, settings, pulse, measured):
     """Values, and gradients by all that may be random."""
     data = measured[:, :: 2 if settings else 1]
     inputs, fused, unfused = both_logps(pulse, data, **settings)
-    assert (ops_in([fused]), ops_in([unfused])) == ({StructuralMisfit}, {StructuralResponse})
+    assert (our_ops([fused]), our_ops([unfused])) == ({StructuralMisfit}, {StructuralResponse})
     outputs = [x for logp in (fused, unfused) for x in (logp, *pt.grad(logp.sum(), inputs))]
     function = pytensor.function(inputs, outputs, mode=mode)
     for tau in (0.003, 0.1, 5.0):
@@ -268,7 +247,7 @@ def test_fused_equals_unfused(mode, settings, pulse, measured):
 
 def test_fused_only_where_it_is_a_response(pulse, measured):
     """Through names and copies, and for batches of data; other expressions as they stand."""
-    mu = response(chain_of(100.0), pulse)
+    mu = response(three_storeys(100.0), pulse)
     exact = mu.eval(mode=PLAIN)
     with pm.Model():
         named = pm.Deterministic("mu", mu)
@@ -280,7 +259,7 @@ def test_fused_only_where_it_is_a_response(pulse, measured):
         (pt.as_tensor_variable(exact), exact, measured, set()),
     ]:
         statistics = misfit_statistics(tensor, data)
-        assert ops_in([statistics]) == ops
+        assert our_ops([statistics]) == ops
         np.testing.assert_allclose(statistics.eval(mode=PLAIN), definition(data - values), rtol=1e-10)
     with pytest.raises(ValueError, match=r"got \(150, 3\). Transpose it: time is the last axis"):
         misfit_statistics(mu, measured.T)
@@ -294,10 +273,10 @@ def test_batches_become_populations(mode, pulse, measured):
     data, c = pt.matrix("data", shape=(3, None)), np.random.default_rng(2).normal(size=(3, 4))
     one = misfit_statistics(response(chain, pulse), data)
     many = vectorize_graph(one, {stiffness: batch})
-    assert ops_in([many]) == {PopulationMisfit}
+    assert our_ops([many]) == {PopulationMisfit}
     shape = pytensor.function([mass, batch, data], many.shape, mode=LIGHT, on_unused_input="ignore")
     assert tuple(shape(np.ones(3), np.ones((2, 5, 3)), measured)) == (2, 5, 3, 4)
-    assert ops_of(shape) == set()
+    assert our_ops_of(shape) == set()
     wrt = [mass, data]
     slopes = pt.grad((c * one).sum(), [stiffness, *wrt])
     single = pytensor.function([mass, stiffness, data], [one, *slopes], mode="FAST_COMPILE")
@@ -324,10 +303,10 @@ def test_gradient_against_complex_steps_and_differences(pulse, measured):
     by_k, by_sigma, by_tau = gradients(k, sigma, tau)
 
     def total(k):
-        r = measured - simulate(chain_of(k), pulse).values
+        r = measured - simulate(three_storeys(k), pulse).values
         return sum(recursive(*x) for x in zip(r, sigma, DT / tau, strict=True))
 
-    r = measured - simulate(chain_of(k), pulse).values
+    r = measured - simulate(three_storeys(k), pulse).values
     for j in range(3):
         step = 1e-200j
         assert by_sigma[j] == pytest.approx(
@@ -355,6 +334,7 @@ def worst(draws, expected):
     return (np.abs(found - expected) / np.sqrt((1.0 + expected**2) / len(draws))).max()
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("mode", ["NUMBA", PLAIN], ids=["numba", "python"])
 @pytest.mark.parametrize("n_times", [1, 2, 7, 16])
 def test_covariance_of_draws(mode, n_times):
@@ -400,7 +380,7 @@ def build_model(pulse, observed, theta=None, sigma=None, tau=None, wrap=lambda m
         theta = pm.Uniform("theta", 0.5, 1.5) if theta is None else theta()
         sigma = pm.HalfNormal("sigma", 1.0) if sigma is None else sigma()
         tau = pm.HalfNormal("tau", 0.5) if tau is None else tau()
-        mu = wrap(response(chain_of(100.0).scale_stiffness(theta, [0]), pulse))
+        mu = wrap(response(with_first_spring(theta), pulse))
         CorrelatedNormal("y", mu, sigma, tau, observed=observed, dims=("sensor", "time"), **kwargs)
     return model
 
@@ -411,11 +391,11 @@ ANY = {name: (lambda name=name: pm.Normal(name)) for name in ("theta", "sigma", 
 def test_models_take_the_fused_ops(pulse, measured):
     """One particle and populations; a response that is changed first is the negative control."""
     model = build_model(pulse, measured)
-    assert ops_of(model.compile_logp(mode=LIGHT)) == {StructuralMisfit}
+    assert our_ops_of(model.compile_logp(mode=LIGHT)) == {StructuralMisfit}
     evaluation = population_logp(model, model.initial_point(), {"mode": LIGHT})
-    assert evaluation.batched and ops_of(evaluation.function) == {PopulationMisfit}
+    assert evaluation.batched and our_ops_of(evaluation.function) == {PopulationMisfit}
     control = build_model(pulse, measured, wrap=lambda mu: 2.0 * mu, dt=DT)
-    assert ops_of(control.compile_logp(mode=LIGHT)) == {StructuralResponse}
+    assert our_ops_of(control.compile_logp(mode=LIGHT)) == {StructuralResponse}
 
 
 def test_population_equals_single_and_counts_failures(pulse, measured):
@@ -437,7 +417,7 @@ def test_step_as_data(pulse, measured):
     """The output step is then no constant: dt is asked for, and may be the same data."""
     with pm.Model() as model:
         step, data = pm.Data("step", DT), pm.Data("data", measured)
-        mu = response(chain_of(100.0 * pm.HalfNormal("theta")), pulse, dt=step)
+        mu = response(three_storeys(100.0 * pm.HalfNormal("theta")), pulse, dt=step)
         with pytest.raises(
             ValueError, match="`dt` must be given where `mu` is not a response of fixed output"
         ):
@@ -447,7 +427,7 @@ def test_step_as_data(pulse, measured):
     for stride in (1, 2):
         with model:
             pm.set_data({"step": stride * DT, "data": measured[:, ::stride]})
-        r = measured[:, ::stride] - simulate(chain_of(100.0), pulse, dt=stride * DT).values
+        r = measured[:, ::stride] - simulate(three_storeys(100.0), pulse, dt=stride * DT).values
         expected = sum(recursive(x, 1.0, 10 * stride * DT) for x in r)
         assert float(logp({"theta_log__": 0.0})) == pytest.approx(expected, rel=1e-10)
 
@@ -461,12 +441,13 @@ def test_times_of_a_response_of_another_kind():
     np.testing.assert_allclose(model.coords["time"], np.arange(5) * 0.5)
 
 
+@pytest.mark.statistical
 def test_smc_finds_the_posterior(pulse):
     """Unknown theta: mean and sd within five Monte Carlo errors of those on a grid.
 
     False alarms: below 1e-5. The posterior under white errors is the negative control.
     """
-    exact = simulate(chain_of(100.0), pulse).values
+    exact = simulate(three_storeys(100.0), pulse).values
     errors = CorrelatedNormal.dist(0.0 * exact, 1.0, 0.2, DT)
     data = exact + pm.draw(errors, random_seed=6, mode=PLAIN)
     fixed = {"sigma": lambda: 1.0, "tau": lambda: 0.2}
@@ -476,7 +457,7 @@ def test_smc_finds_the_posterior(pulse):
     def moments(tau):
         logp = []
         for theta in grid:
-            r = data - simulate(chain_of(100.0).scale_stiffness(theta, [0]), pulse).values
+            r = data - simulate(with_first_spring(theta), pulse).values
             logp.append(evaluate(0 * r, 1.0, tau, DT, r).sum())
         weights = np.exp(np.array(logp) - max(logp))
         mean = weights @ grid / weights.sum()
@@ -495,14 +476,10 @@ def test_smc_finds_the_posterior(pulse):
 # --------------------------------------------------------------------------- memory
 
 PEAK_GROWTH = """
-    import resource, sys
     import numpy as np, pymc as pm
     from pymc_features import CorrelatedNormal, paper, response, synthetic_earthquake
     from pymc_features.smc.density.evaluation import population_logp
-
-    def peak():
-        size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return size if sys.platform == "darwin" else 1024 * size
+    from support.memory import growth
 
     def evaluation(change):
         with pm.Model() as model:
@@ -514,31 +491,17 @@ PEAK_GROWTH = """
     data = np.random.default_rng(0).normal(size=(10, record.n_times))
     functions = [evaluation(lambda mu: mu), evaluation(lambda mu: mu[::-1])]
     particles = np.linspace(0.5, 1.5, 256)[:, None]
-    ballast, start = [], peak()
-    while peak() < start + 2_000_000:  # until the peak is what is in use now
-        ballast.append(np.ones(50_000))
-    results = []
-    for function in functions:
-        before = peak()
-        results.append(function(particles)[1])
-        print((peak() - before) / (8 * data.size))
-    np.testing.assert_allclose(*results, rtol=1e-9)
+    (fused, one), (unfused, other) = (growth(lambda: function(particles)[1]) for function in functions)
+    np.testing.assert_allclose(one, other, rtol=1e-9)
+    print(fused / data.nbytes, unfused / data.nbytes)
 """
 
 
+@pytest.mark.processes
 def test_populations_need_no_memory_for_histories(tmp_path):
     """256 particles of 10 x 15590: growth of the peak over the size of one history, and from histories."""
     pytest.importorskip("resource")
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(PEAK_GROWTH)],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(Path(pymc_features.__file__).parents[1])},
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    fused, unfused = (float(x) for x in done.stdout.split())
+    fused, unfused = map(float, run_python(PEAK_GROWTH, tmp_path).split())
     assert fused < 1.0
     assert unfused > 30.0
 
@@ -546,33 +509,25 @@ def test_populations_need_no_memory_for_histories(tmp_path):
 # --------------------------------------------------------------------------- refusals
 
 
-@pytest.mark.parametrize(
-    ("kwargs", "match"),
-    [
-        (
-            {"correlation_time": 0.0},
-            "`correlation_time` must be positive and finite, got 0.0. Pass the time in sec",
-        ),
-        (
-            {"correlation_time": [1.0, -1.0, 1.0]},
-            r"`correlation_time` must be positive .* got \[1.0, -1.0, 1.0\]",
-        ),
-        ({"correlation_time": np.inf}, "`correlation_time` must be positive and finite, got inf"),
-        (
-            {"correlation_time": [1.0, 2.0]},
-            "`correlation_time` must be a scalar or have one value for each of the 3",
-        ),
-        ({"dt": 0.0}, "`dt` must be positive and finite, got 0.0. Pass the sampling interval in seconds"),
-        ({"dt": np.nan}, "`dt` must be positive and finite, got nan"),
-        ({"dt": [0.1, 0.2]}, "`dt` must be one number, got 1 dimensions. Pass the sampling interval"),
-        (
-            {"dt": None},
-            "`dt` must be given where `mu` is not a response .* got None. Pass the sampling interval",
-        ),
-        ({"sigma": -1.0}, "`sigma` must be positive and finite, got -1.0"),
-        ({"mu": 1.0}, r"`mu` must be \(..., sensor, time\), got a scalar"),
-    ],
-)
+BAD_PARAMETERS = {  # what is said: what is given
+    "`correlation_time` must be positive and finite, got 0.0. Pass the time in sec": {
+        "correlation_time": 0.0
+    },
+    r"`correlation_time` must be positive .* got \[1.0, -1.0, 1.0\]": {"correlation_time": [1.0, -1.0, 1.0]},
+    "`correlation_time` must be positive and finite, got inf": {"correlation_time": np.inf},
+    "`correlation_time` must be a scalar or have one value for each of the 3": {
+        "correlation_time": [1.0, 2.0]
+    },
+    "`dt` must be positive and finite, got 0.0. Pass the sampling interval in seconds": {"dt": 0.0},
+    "`dt` must be positive and finite, got nan": {"dt": np.nan},
+    "`dt` must be one number, got 1 dimensions. Pass the sampling interval": {"dt": [0.1, 0.2]},
+    "`dt` must be given where `mu` is not a response .* got None. Pass the sampling interval": {"dt": None},
+    "`sigma` must be positive and finite, got -1.0": {"sigma": -1.0},
+    r"`mu` must be \(..., sensor, time\), got a scalar": {"mu": 1.0},
+}
+
+
+@refusals("kwargs", BAD_PARAMETERS)
 def test_bad_parameters(kwargs, match):
     arguments = {"mu": np.zeros((3, 5)), "sigma": 1.0, "correlation_time": 1.0, "dt": 0.1} | kwargs
     with pytest.raises(ValueError, match=match):
@@ -582,7 +537,7 @@ def test_bad_parameters(kwargs, match):
 
 
 def test_step_must_be_that_of_the_response(pulse):
-    mu = response(chain_of(100.0), pulse)
+    mu = response(three_storeys(100.0), pulse)
     with pytest.raises(
         ValueError, match="`dt` must be the output step of the response, 0.02 s, got 0.05. Leave it"
     ):

@@ -1,15 +1,11 @@
-"""What a simulator's results are known by, the cache of them, command lines, and settings."""
+"""What a simulator's results are known by, the cache of them, and pickling."""
 
 import copy
 import functools
-import inspect
 import multiprocessing
 import os
-import re
 import shutil
 import sqlite3
-import subprocess
-import sys
 import threading
 from pathlib import Path
 
@@ -17,59 +13,22 @@ import cloudpickle
 import numba
 import numpy as np
 import pymc as pm
-import pytensor
 import pytest
-from support import external_functions as functions
-from support.external_functions import SHAPE, Counted, beam, lives, wait_until
 
-from pymc_features import (
-    DiscrepancySimulator,
-    ExternalSimulator,
-    ProgramSimulator,
-    Surrogate,
-    TruncNormalFeature,
-    sample_smc,
-)
+from pymc_features import DiscrepancySimulator, ProgramSimulator, TruncNormalFeature, sample_smc
 from pymc_features.exceptions import UnknownIdentityError
-from pymc_features.external import EvaluationCache, checks
-from pymc_features.external.evaluator import EvaluationOptions, Evaluator
+from pymc_features.external import EvaluationCache
 from pymc_features.external.processes.calls import Outcome
 from pymc_features.fingerprint import fingerprint
 from pymc_features.smc.kernels.checkpoint import model_fingerprint
 from pymc_features.smc.sample import is_parallel_by_itself
+from support import external_functions as functions
+from support.commands import run_python
+from support.external_functions import DATA, Counted, beam
+from support.sampling import QUIET
 
-DATA = 2.0 * beam(1.0)
-QUIET = {"progressbar": False, "compute_convergence_checks": False}
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:2 sensors with one sigma"),
-    pytest.mark.filterwarnings("ignore:RandomVariable Ops will stop hiding"),
-    pytest.mark.filterwarnings("ignore:Calling a RandomVariable without an explicit rng"),
-    pytest.mark.filterwarnings("ignore:This process .* is multi-threaded"),  # of processes that only wait
-]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    """Compile for small examples."""
-    with pytensor.config.change_flags(mode="FAST_COMPILE"):
-        yield
-
-
-@pytest.fixture
-def simulator():
-    """Makes simulators with the shape of `beam` on one process, and ends them."""
-    made = []
-
-    def make(function=beam, **settings):
-        made.append(ExternalSimulator(function, SHAPE, **{"executor": 1, "progress": False, **settings}))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
-
-
-# --- identity
+pytestmark = pytest.mark.usefixtures("fast_compile")
+# --------------------------------------------------------------------------- identity
 
 
 def function_of(source, name="f", **known):
@@ -223,30 +182,28 @@ def f(k):
 """
 OTHER_PROCESS = """
 import sys
-sys.path.insert(0, {tests!r})
+sys.path.insert(0, {folder!r})
 import pytensor
 pytensor.config.mode = "FAST_COMPILE"
 import numpy as np
 import test_external_cache as here
+from pymc_features import ExternalSimulator
 from support.external_functions import SHAPE, Counted, beam, lives, wait_until
 print(here.fingerprint(here.function_of(here.WITH_SETS), here.function_of(here.BASE), Counted("path")))
-with here.ExternalSimulator(Counted({calls!r}), SHAPE, executor=1, cache={cache!r}) as s:
+with ExternalSimulator(Counted({calls!r}), SHAPE, executor=1, cache={cache!r}) as s:
     assert np.array_equal(s.responses(np.array([1.0, 2.0])), [beam(1.0), beam(2.0)])
     print(s.counts["cached"], here.model_fingerprint(here.model_with(s)))
 """
 
 
+@pytest.mark.processes
 def test_the_same_in_another_process(simulator, tmp_path):
     """Fingerprints do not depend on the seed of hashes, and another process finds cached results."""
     s = simulator(Counted(tmp_path / "calls"), cache=tmp_path / "cache.sqlite")
     s.responses(np.array([1.0]))
-    program = OTHER_PROCESS.format(
-        tests=str(Path(__file__).parents[1]), calls=s.function.path, cache=str(tmp_path / "cache.sqlite")
-    )
-    command, environment = [sys.executable, "-c", program], {**os.environ, "PYTHONHASHSEED": "1"}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == [
+    folder, cache = str(Path(__file__).parent), str(tmp_path / "cache.sqlite")
+    program = OTHER_PROCESS.format(folder=folder, calls=s.function.path, cache=cache)
+    assert run_python(program, tmp_path, PYTHONHASHSEED="1").split() == [
         fingerprint(function_of(WITH_SETS), function_of(BASE), Counted("path")),
         "1",
         model_fingerprint(model_with(s)),
@@ -262,7 +219,7 @@ def test_model_fingerprints(simulator):
     assert own != model_fingerprint(model_with(simulator(closure(1.0))))
 
 
-# --- the cache
+# --------------------------------------------------------------------------- the cache
 
 
 def test_results_are_found_again(simulator, tmp_path):
@@ -318,6 +275,7 @@ def write(path, first, barrier):
         cache.add(str(i), (1.0,), Outcome("ok", np.full(3, float(i))))
 
 
+@pytest.mark.processes
 def test_several_writers(tmp_path):
     """The file is made, and written to, by several processes at once."""
     context = multiprocessing.get_context("fork")
@@ -353,6 +311,7 @@ def test_several_threads(tmp_path):
     assert not wrong and cache.execute("SELECT count(*) FROM results") == [(200,)]
 
 
+@pytest.mark.processes
 def test_connections_do_not_survive_a_fork(tmp_path):
     """SQLite's must not be used, nor closed, in another process than they were opened in."""
     cache = EvaluationCache(tmp_path / "cache.sqlite")
@@ -400,7 +359,7 @@ def test_a_relative_path_stays_where_it_was(tmp_path, monkeypatch):
     assert cache.find("1") == [1.0]  # opens again
 
 
-# --- pickling
+# --------------------------------------------------------------------------- pickling
 
 
 def test_pickling(simulator, tmp_path):
@@ -437,6 +396,7 @@ def test_chains_are_not_parallel_by_default(noise, simulator):
         assert is_parallel_by_itself(model) == expected
 
 
+@pytest.mark.processes
 def test_chains_in_parallel_give_the_same(simulator, tmp_path):
     draws = []
     for cores in (1, 2):
@@ -444,192 +404,3 @@ def test_chains_in_parallel_give_the_same(simulator, tmp_path):
             idata = sample_smc(40, chains=2, cores=cores, mp_ctx="fork", random_seed=1, **QUIET)
             draws.append(idata.posterior["k"].values)
     np.testing.assert_array_equal(draws[0], draws[1])
-
-
-# --- command lines
-
-PYTHON = [sys.executable, "-S"]
-SUM = (
-    "a, b = map(float, open('in.txt').read().split()); open('out.csv', 'w').write(f'0,{a},{b}\\n1,{b!r},{a}')"
-)
-
-
-def run_in(folder, monkeypatch, command, *values):
-    """What a command line returns in a folder."""
-    folder.mkdir(exist_ok=True)
-    monkeypatch.chdir(folder)
-    return command(*values)
-
-
-def test_templates(tmp_path, monkeypatch):
-    template = "{{k}} {{ k:.3e }} {{v[1]}} {{v[0]:8.2f}} {{1 2} {3}} {{4}} {k}"
-    (tmp_path / "model.tcl").write_text("set k {{k}}")
-    program = [*PYTHON, "-c", "open('out.txt', 'w').write('{{v[1]:.1f}} 2')"]
-    inputs = {"deep/in.txt": template, "model.tcl": tmp_path / "model.tcl"}
-    c = ProgramSimulator(program, ["k", "v"], inputs, "out.txt", transpose=False)
-    result = run_in(tmp_path / "run", monkeypatch, c, 1 / 3, np.array([1.5, 1e-9]))
-    assert result.tolist() == [[0.0, 2.0]]
-    text = (tmp_path / "run" / "deep" / "in.txt").read_text()
-    assert text == f"{1 / 3!r} 3.333e-01 1e-09     1.50 {{{{1 2}} {{3}}}} {{{{4}}}} {{k}}"
-    assert (tmp_path / "run" / "model.tcl").read_text() == f"set k {1 / 3!r}"
-    with pytest.raises(TypeError, match="the program has 2 parameters, got 1"):
-        c(1.0)
-
-
-def test_results_of_programs(tmp_path, monkeypatch):
-    program = [*PYTHON, "-c", SUM]
-    c = ProgramSimulator(program, ["a", "b"], {"in.txt": "{{a}} {{b}}"}, "out.csv", columns=[1, 2])
-    assert run_in(tmp_path / "csv", monkeypatch, c, 1 / 3, 2.0).tolist() == [[1 / 3, 2.0], [2.0, 1 / 3]]
-    np.save(tmp_path / "table.npy", np.arange(6.0).reshape(3, 2))
-    nothing = [*PYTHON, "-c", ""]
-    c = ProgramSimulator(nothing, ["a"], {}, "table.npy", files=[tmp_path / "table.npy"])
-    assert run_in(tmp_path / "npy", monkeypatch, c, 1.0).tolist() == [[0.0, 2.0, 4.0], [1.0, 3.0, 5.0]]
-    c = ProgramSimulator(
-        nothing, ["a"], {}, lambda folder: np.load(folder / "table.npy"), files=[tmp_path / "table.npy"]
-    )
-    assert run_in(tmp_path / "function", monkeypatch, c, 1.0).shape == (3, 2)
-    (tmp_path / "solver").write_text(f"#!{sys.executable}\nopen('out.txt', 'w').write('7')")
-    (tmp_path / "solver").chmod(0o755)
-    c = ProgramSimulator(
-        "./solver --fast", ["a"], {}, "out.txt", files=[tmp_path / "solver"]
-    )  # a string, split
-    assert run_in(tmp_path / "program", monkeypatch, c, 1.0).tolist() == [[7.0]]
-
-
-def test_programs_that_fail(tmp_path, monkeypatch):
-    fails = [*PYTHON, "-c", "import sys; sys.stderr.write('first\\nsingular matrix\\n'); sys.exit(2)"]
-    cases = {
-        "exit code 2: singular matrix": ProgramSimulator(fails, ["a"], {}, "out.txt"),
-        "the program left no out.txt": ProgramSimulator([*PYTHON, "-c", ""], ["a"], {}, "out.txt"),
-        "no-such-solver": ProgramSimulator("no-such-solver", ["a"], {}, "out.txt"),
-    }
-    for message, c in cases.items():
-        with pytest.raises((RuntimeError, FileNotFoundError), match=message):
-            run_in(tmp_path / "run", monkeypatch, c, 1.0)
-
-
-def test_command_line_as_a_simulator(simulator, tmp_path):
-    """In scratch folders, failures and time-outs counted; a program that hangs is killed."""
-    code = (
-        "import sys, time, os\nk = float(sys.argv[1])\nopen(sys.argv[2], 'a').write(f'{os.getpid()} ')\n"
-        "if k == 2: sys.exit('no convergence')\nif k == 3: time.sleep(100)\n"
-        "open('out.txt', 'w').writelines(f'{t / k!r} {2 * t / k!r}\\n' for t in range(1, 6))\n"
-    )
-    (tmp_path / "solver.py").write_text(code)
-    program = [*PYTHON, "solver.py", "{{k}}", str(tmp_path / "pids")]
-    s = simulator(
-        ProgramSimulator(program, ["k"], {}, "out.txt", files=[tmp_path / "solver.py"]),
-        timeout=2.0,
-        scratch=tmp_path / "scratch",
-        executor=2,
-    )
-    results = s.responses(np.array([1.0, 2.0, 3.0, 7.0]))
-    np.testing.assert_array_equal(results[[0, 3]], [beam(1.0), beam(7.0)])
-    assert s.counts == {"ok": 2, "error": 1, "timeout": 1, "died": 0, "invalid": 0, "cached": 0}
-    assert {f.message for f in s.failures} == {
-        "RuntimeError: exit code 1: no convergence",
-        "no result after 2 s",
-    }
-    s.close()
-    assert list((tmp_path / "scratch").iterdir()) == []
-    wait_until(lambda: not any(map(lives, (tmp_path / "pids").read_text().split())))
-
-
-def test_mean_squares_by_a_program(simulator):
-    for text in ("1.5 2.5", "1.5\\n2.5"):
-        program = [*PYTHON, "-c", f"open('out.txt', 'w').write('{text}')"]
-        s = simulator(ProgramSimulator(program, ["k"], {}, "out.txt"), returns="mean_square")
-        assert s.discrepancies(np.ones(1), observed=DATA).tolist() == [[1.5, 2.5]]
-
-
-def test_ours_travel_without_the_package(simulator, tmp_path, monkeypatch):
-    """A process that runs a `ProgramSimulator` or a gradient does not import PyMC."""
-
-    def modules(folder):
-        loaded = sum(name.partition(".")[0] in ("pymc", "pymc_features") for name in sys.modules)
-        return np.full(SHAPE, float(loaded))
-
-    s = simulator(ProgramSimulator([*PYTHON, "-c", ""], ["k"], {}, modules))
-    assert (s.responses(np.ones(1)) == 0.0).all()
-
-    def gradient(k, cotangent):
-        return float("pymc_features" in sys.modules)
-
-    s = simulator(gradient=gradient)
-    assert s.gradients(np.ones(1), cotangent=DATA)[0] == [0.0]
-
-
-LINE = {"command": "run", "parameters": ["k"], "inputs": {}, "result": "out.txt"}
-BAD_LINES = {
-    "`command` must name a program": {"command": ""},
-    "`parameters` must be a list of names, got 'k'": {"parameters": "k"},
-    "`parameters` must be a list of names, got \\['1'\\]": {"parameters": ["1"]},
-    "`inputs` must name parameters \\(k\\), got 'm' in in.txt": {"inputs": {"in.txt": "{{m}}"}},
-    "`inputs` must name parameters \\(k\\), got 'm' in command": {"command": "run {{m[1]}}"},
-    "`inputs` must have formats of numbers, such as .3e, got 'd'": {"inputs": {"in.txt": "{{k:d}}"}},
-    "`inputs` must give a text or a Path for in.txt, got int": {"inputs": {"in.txt": 1}},
-    "a file of the program must exist, got nowhere.txt": {"inputs": {"in.txt": Path("nowhere.txt")}},
-    "a file of the program must exist, got nowhere.dat": {"files": ["nowhere.dat"]},
-    "`result` must be the name of a file or a function, got 3": {"result": 3},
-}
-
-
-@pytest.mark.parametrize("message", BAD_LINES)
-def test_command_lines_that_cannot_be(message):
-    settings = {**LINE, **BAD_LINES[message]}
-    with pytest.raises((ValueError, TypeError), match=message):
-        ProgramSimulator(**settings)
-    ProgramSimulator(**LINE)
-
-
-# --- settings
-
-BAD_SETTINGS = {
-    "`function` must be callable, got int": {"function": 1},
-    "`gradient` must be callable, got int": {"gradient": 1},
-    "`shape` must be \\(sensors, times\\) of the data, got \\(2,\\)": {"shape": (2,)},
-    "`shape` must be \\(sensors, times\\) of the data, got \\(2, 0\\)": {"shape": (2, 0)},
-    "`shape` must be \\(sensors, times\\) of the data, got 3": {"shape": 3},
-    "`returns` must be one of response, mean_square, got 'e'": {"returns": "e"},
-    "`timeout` must be a positive number of seconds, got 0": {"timeout": 0},
-    "`timeout` must be a positive number of seconds, got inf": {"timeout": np.inf},
-    "`dt` must be a positive number of seconds, got -1.0": {"dt": -1.0},
-    "`retries` must be an integer of at least 0, got 1.5": {"retries": 1.5},
-    "`retries` must be an integer of at least 0, got True": {"retries": True},
-    "`version` must be a text, got 1": {"version": 1},
-    "`surrogate` must be a Surrogate, got int": {"surrogate": 1},
-    "`gradient` must be left out with `surrogate`": {"gradient": beam, "surrogate": Surrogate(1)},
-    "`executor` must be something that runs simulations, got 0": {"executor": 0},
-    "`executor` must be something that runs simulations, got True": {"executor": True},
-    "`executor` must be something that runs simulations, got \\[\\]": {"executor": []},
-}
-
-
-@pytest.mark.parametrize("message", BAD_SETTINGS)
-def test_settings_that_cannot_be(message):
-    with pytest.raises((ValueError, TypeError), match=message):
-        ExternalSimulator(**{"function": beam, "shape": SHAPE, **BAD_SETTINGS[message]})
-
-
-def test_options_of_the_evaluation_are_its_arguments():
-    assert set(EvaluationOptions.__annotations__) == set(inspect.signature(Evaluator).parameters)
-    with pytest.raises(
-        TypeError, match=r"of ExternalSimulator\(\) must .* got 'time_out'. Did you mean 'timeout'"
-    ):
-        ExternalSimulator(beam, SHAPE, time_out=1.0)
-
-
-def test_every_setting_that_is_checked_is_tested():
-    names = {re.match("`(\\w+)`", message)[1] for message in BAD_SETTINGS}
-    checked = (inspect.signature(f).parameters for f in (checks.check_simulator, checks.check_evaluation))
-    assert names == set().union(*checked)
-
-
-def test_dask_has_to_be_installed_and_reachable(simulator, monkeypatch):
-    with pytest.raises(
-        ValueError, match="`executor` must be the address of a Dask scheduler, got 'nonsense://a'"
-    ):
-        simulator(executor="nonsense://a").responses(np.ones(1))
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ImportError, match="without Dask. Install distributed"):
-        simulator(executor="tcp://127.0.0.1:1").responses(np.ones(1))

@@ -9,18 +9,17 @@ import numpy as np
 import pymc as pm
 import pytensor
 import pytest
-from support import external_functions as functions
-from support.external_functions import SHAPE, Counted, beam, lives, wait_until
 
 from pymc_features import ExternalSimulator, PopulationIMH, TruncNormalFeature, sample_smc
 from pymc_features.exceptions import NoWorkersError
+from support import external_functions as functions
+from support.external_functions import DATA, SHAPE, Counted, beam, lives, wait_until
+from support.sampling import QUIET
 
 distributed = pytest.importorskip("distributed")
 
-DATA = 2.0 * beam(1.0)
-QUIET = {"progressbar": False, "compute_convergence_checks": False}
 START_SECONDS = 60.0  # of a worker, on a busy machine
-pytestmark = pytest.mark.filterwarnings("ignore:2 sensors with one sigma")
+pytestmark = pytest.mark.processes
 
 
 @pytest.fixture(scope="module")

@@ -151,6 +151,7 @@ def worst_error(x, exact):
     return np.max(np.abs(found - exact) / (exact[:, 2:] - exact[:, :1]))
 
 
+@pytest.mark.statistical
 def test_five_times_fewer_runs_and_the_same_posterior(example, exact):
     """Under TN; under EXP, whose tails are shorter, fewer still."""
     predicting = Remembering(1, random_seed=0)
@@ -166,6 +167,7 @@ def test_five_times_fewer_runs_and_the_same_posterior(example, exact):
     assert report["excess"] < 1.0
 
 
+@pytest.mark.statistical
 def test_the_conventional_likelihood_has_many_degrees_of_freedom(example):
     """And a surrogate that is told of few is not good enough for it."""
 
@@ -181,6 +183,7 @@ def test_the_conventional_likelihood_has_many_degrees_of_freedom(example):
         assert least <= error < most
 
 
+@pytest.mark.statistical
 def test_a_useless_surrogate_gives_itself_away(example):
     """Negative control: nothing is demanded of the predictions."""
     careless = Remembering(2, tolerance=1e6, check_fraction=0.005, random_seed=0)

@@ -1,5 +1,6 @@
 """Fisher information, Laplace's approximation, NUTS from particles: against closed forms and quadrature."""
 
+import functools
 import warnings
 
 import arviz as az
@@ -38,8 +39,11 @@ class Example:
             for kind, entry in catalogue.LIKELIHOODS.items()
             if kind in LIKELIHOODS
         }
+
+    @functools.cached_property
+    def nuts(self):
         smc = {"draws": 500, "chains": 1, "cores": 1}
-        self.nuts = {
+        return {
             kind: pmf.sample_nuts(500, tune=500, model=model, smc_settings=smc, **QUIET)
             for kind, model in self.models.items()
         }
@@ -61,6 +65,7 @@ def quantile_scores(idata, name, quantile, off=0.0):
     return np.array(scores)
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("kind", LIKELIHOODS)
 def test_nuts_is_the_exact_posterior(kind, example):
     """Eighteen quantiles within 4.5 standard errors: a false alarm in 8000 runs."""
@@ -134,6 +139,7 @@ def standard_errors(idata, kind):
     return of_chains.mean(axis=0), scatter * sd
 
 
+@pytest.mark.statistical
 def test_ten_springs_by_nuts_from_particles(ten_springs):
     """R-hat below 1.01, 400 effective draws of 1000 on four chains, and the marginals of SMC.
 
@@ -184,6 +190,7 @@ def test_disagreeing_chains_are_said_and_the_particles_kept():
     assert set(ends) == {-1.0, 1.0}, "each chain is in the mode of its particle"
 
 
+@pytest.mark.statistical
 def test_result_saves(tmp_path, example):
     example.nuts["TN"].to_netcdf(tmp_path / "nuts.nc")
     back = xr.open_datatree(tmp_path / "nuts.nc")
@@ -391,6 +398,7 @@ def test_fisher_of_a_structure(kind, record, example):
     )
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("kind", LIKELIHOODS)
 def test_fisher_against_the_posterior(kind, example):
     """For NORM the bound is the posterior's standard deviation; TN's tail is longer than the bound says."""

@@ -63,11 +63,7 @@ def test_sweep_saves(sweep, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "error", "match"),
     [
-        (
-            {"epsilon": [0.0, 1.0]},
-            ValueError,
-            r"`epsilon` must be positive and finite, got \[1.0, 0",
-        ),
+        ({"epsilon": [0.0, 1.0]}, ValueError, r"`epsilon` must be positive and finite, got \[1.0, 0"),
         ({"epsilon": [np.inf]}, ValueError, "`epsilon` must be positive and finite"),
         ({"epsilon": []}, ValueError, r"`epsilon` must be positive and finite, got \[\]"),
         ({"epsilon": ["a"]}, TypeError, r"`epsilon` must be numbers, got \['a'\]"),

@@ -14,6 +14,8 @@ from pymc_features import read_channels
 from pymc_features.exceptions import ChannelWarning
 from pymc_features.io.clock import Clock, common_window, even_step
 from pymc_features.signals import check_channels
+from support.refusals import refusals
+from support.warned import messages
 
 RNG = np.random.default_rng(11)
 N = 60
@@ -47,16 +49,6 @@ def group(folder, **settings):
 
 def read(files, **settings):
     return read_channels(files, **{"columns": "Acc_X", "units": "m/s^2"} | settings)
-
-
-def messages(action):
-    """Texts of our warnings; any other warning fails."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        action()
-    assert all(warning.category is ChannelWarning for warning in caught), [str(w.message) for w in caught]
-    assert all(warning.filename == __file__ for warning in caught)
-    return [str(warning.message) for warning in caught]
 
 
 @pytest.fixture(autouse=True)
@@ -247,46 +239,37 @@ def test_matlab_variables_by_name_and_clock(tmp_path):
     assert read_channels(path, columns="b", **settings)["sensor"].values.tolist() == ["frame"]
 
 
-@pytest.mark.parametrize(
-    ("variables", "settings", "match"),
-    [
-        (
-            {"a": MOTION[0], "b": MOTION[1, :9]},
-            {},
-            r"same number of samples, got 2 different ones. frame.mat holds a",
-        ),
-        (
-            {"a": MOTION[0]},
-            {"columns": "x"},
-            r"`columns` must name variables that hold accel.*'x'. frame.mat holds a",
-        ),
-        ({"a": MOTION[0]}, {"columns": 0}, "`columns` must name variables"),
-        ({"a": MOTION[0]}, {"clock": "x"}, "`clock` must name the vector of times, got 'x'"),
-        (
-            {"a": MOTION[0], "t": np.arange(5.0)},
-            {},
-            r"`clock` must have one time for each of the 80 samples, got t",
-        ),
-        ({"a": MOTION[0]}, {}, "`dt` must be given, frame.mat does not state"),
-        (
-            {"a": MOTION[:4, :4], "dt": 0.1},
-            {},
-            r"time must be the longer side of a matrix, got shape \(4, 4\)",
-        ),
-        ({"a": MOTION[0] * np.nan, "dt": 0.1}, {}, "`a`, sample 0: values must be finite numbers, got nan"),
-        (
-            {"a": MOTION[0, :N], "t": TIME, "dt": 0.1},
-            {},
-            "contradicts itself, dt says a step of 0.1 s and t 0.02",
-        ),
-        ({"a": MOTION[0], "dt": 0.1}, {"skip": 79}, "must hold at least 2 samples, got 1"),
-        (
-            {"a": MOTION[0, :N], "t": np.delete(0.02 * np.arange(N + 2), [30, 31])},
-            {},
-            r"`t`, sample 30: no samples may",
-        ),
-    ],
-)
+MATLAB_REFUSED = {  # what is said: what is given
+    r"same number of samples, got 2 different ones. frame.mat holds a": (
+        {"a": MOTION[0], "b": MOTION[1, :9]},
+        {},
+    ),
+    r"`columns` must name variables that hold accel.*'x'. frame.mat holds a": (
+        {"a": MOTION[0]},
+        {"columns": "x"},
+    ),
+    "`columns` must name variables": ({"a": MOTION[0]}, {"columns": 0}),
+    "`clock` must name the vector of times, got 'x'": ({"a": MOTION[0]}, {"clock": "x"}),
+    r"`clock` must have one time for each of the 80 samples, got t": (
+        {"a": MOTION[0], "t": np.arange(5.0)},
+        {},
+    ),
+    "`dt` must be given, frame.mat does not state": ({"a": MOTION[0]}, {}),
+    r"time must be the longer side of a matrix, got shape \(4, 4\)": ({"a": MOTION[:4, :4], "dt": 0.1}, {}),
+    "`a`, sample 0: values must be finite numbers, got nan": ({"a": MOTION[0] * np.nan, "dt": 0.1}, {}),
+    "contradicts itself, dt says a step of 0.1 s and t 0.02": (
+        {"a": MOTION[0, :N], "t": TIME, "dt": 0.1},
+        {},
+    ),
+    "must hold at least 2 samples, got 1": ({"a": MOTION[0], "dt": 0.1}, {"skip": 79}),
+    r"`t`, sample 30: no samples may": (
+        {"a": MOTION[0, :N], "t": np.delete(0.02 * np.arange(N + 2), [30, 31])},
+        {},
+    ),
+}
+
+
+@refusals("variables settings", MATLAB_REFUSED)
 def test_matlab_refused(tmp_path, variables, settings, match):
     with pytest.raises(ValueError, match=match):
         read_channels(save(tmp_path, **variables), units="m/s^2", **settings)
@@ -375,45 +358,31 @@ def test_broken_files_are_refused(tmp_path, defect):
         read(files)
 
 
-@pytest.mark.parametrize(
-    ("settings", "error", "match"),
-    [
-        (
-            {"columns": "Acc_Y"},
-            ValueError,
-            r"`columns` must be one of the columns of base.csv \(Packet.*'Acc_Y'",
-        ),
-        ({"columns": 9}, ValueError, "`columns` must be one of the columns.* got 9"),
-        ({"columns": 1.5}, TypeError, "`columns` must be an index or a name, got 1.5"),
-        ({"columns": []}, ValueError, "`columns` must name at least one"),
-        ({"columns": "SampleTimeFine"}, ValueError, r"beside its clock \(column 1\)"),
-        (
-            {"columns": ["Acc_X", "Acc_X"]},
-            ValueError,
-            "Sensors must have different names, got base Acc_X, base Acc_X",
-        ),
-        ({"units": None}, ValueError, "`units` must be given, base.csv does not state them"),
-        ({"units": "furlong"}, ValueError, "`units` must be one of"),
-        ({"dt": -1.0}, ValueError, "`dt` must be positive"),
-        ({"skip": -1}, ValueError, "`skip` must be an integer of at least 0, got -1. It counts rows"),
-        ({"skip": 1.5}, ValueError, "`skip` must be an integer"),
-        ({"skip": 59}, ValueError, "must hold at least 2 samples, got 1"),
-        (
-            {"clock": "Time"},
-            ValueError,
-            "`clock` must be one of the columns of base.csv.*header name of the times",
-        ),
-        ({"clock": True}, TypeError, "`clock` must be a column, False or None"),
-        ({"clock": False}, ValueError, "`dt` must be given with clock=False"),
-        (
-            {"clock": 0},
-            ValueError,
-            "`clock_units` must be given, the clock of base.csv .column 0. has a step of 1, too",
-        ),
-        ({"clock_units": "hours"}, ValueError, "`clock_units` must be .*'hours'"),
-        ({"clock_units": 0.0}, ValueError, "`clock_units` must be"),
-    ],
-)
+REFUSED_ARGUMENTS_VALUES = {  # what is said: what is given
+    r"`columns` must be one of the columns of base.csv \(Packet.*'Acc_Y'": {"columns": "Acc_Y"},
+    "`columns` must be one of the columns.* got 9": {"columns": 9},
+    "`columns` must name at least one": {"columns": []},
+    r"beside its clock \(column 1\)": {"columns": "SampleTimeFine"},
+    "Sensors must have different names, got base Acc_X, base Acc_X": {"columns": ["Acc_X", "Acc_X"]},
+    "`units` must be given, base.csv does not state them": {"units": None},
+    "`units` must be one of": {"units": "furlong"},
+    "`dt` must be positive": {"dt": -1.0},
+    "`skip` must be an integer of at least 0, got -1. It counts rows": {"skip": -1},
+    "`skip` must be an integer": {"skip": 1.5},
+    "must hold at least 2 samples, got 1": {"skip": 59},
+    "`clock` must be one of the columns of base.csv.*header name of the times": {"clock": "Time"},
+    "`dt` must be given with clock=False": {"clock": False},
+    "`clock_units` must be given, the clock of base.csv .column 0. has a step of 1, too": {"clock": 0},
+    "`clock_units` must be .*'hours'": {"clock_units": "hours"},
+    "`clock_units` must be": {"clock_units": 0.0},
+}
+REFUSED_ARGUMENTS_TYPES = {
+    "`columns` must be an index or a name, got 1.5": {"columns": 1.5},
+    "`clock` must be a column, False or None": {"clock": True},
+}
+
+
+@refusals("settings", REFUSED_ARGUMENTS_VALUES, REFUSED_ARGUMENTS_TYPES)
 def test_arguments_are_refused(tmp_path, settings, error, match):
     with pytest.raises(error, match=match):
         read(group(tmp_path), **settings)
@@ -668,10 +637,7 @@ def test_swapped_and_copied_files_of_real_channels(tmp_path, table):
         (lambda r: r[:900] + r[960:], r"floor1.csv, line 909: no samples may be missing, 60 are, in 1 gap"),
         (lambda r: r[:900] + r[899:], r"floor1.csv, line 909: the clock must run forward"),
         (all_retimed(lambda t: t + 10**9), "no time in common"),
-        (
-            all_retimed(lambda t: 2 * t),
-            "must have a common clock, the step is 0.008333 s in base",
-        ),
+        (all_retimed(lambda t: 2 * t), "must have a common clock, the step is 0.008333 s in base"),
     ],
 )
 def test_broken_clocks_of_real_channels(tmp_path, table, change, match):

@@ -128,10 +128,7 @@ def test_round_trip_of_random_tables(tmp_path, separator, header):
     rng = np.random.default_rng(11)
     for form in ("%.18e", "%.12g", "%.9f"):
         n_times, n_columns = int(rng.integers(2, 80)), int(rng.integers(3, 6))
-        dt, column = (
-            float(rng.choice([0.001, 0.005, 1 / 120, 0.02])),
-            int(rng.integers(1, n_columns)),
-        )
+        dt, column = (float(rng.choice([0.001, 0.005, 1 / 120, 0.02])), int(rng.integers(1, n_columns)))
         table = rng.normal(size=(n_times, n_columns))
         table[:, 0] = 5.0 + dt * np.arange(n_times)
         path = tmp_path / "table.csv"

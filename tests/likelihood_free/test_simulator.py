@@ -1,13 +1,10 @@
 """DiscrepancySimulator: a pm.Simulator whose distance is the sum of mean squares, against exact answers."""
 
-import warnings
-
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import pytest
 from pymc.distributions.simulator import SimulatorRV
-from pytensor.compile.mode import Mode
 from scipy import stats
 from scipy.optimize import brentq
 
@@ -18,7 +15,6 @@ from pymc_features import (
     PersistentSMC,
     PopulationIMH,
     RayleighDamping,
-    Record,
     SpringMassChain,
     SubsetSimulation,
     abc_tolerance,
@@ -30,25 +26,22 @@ from pymc_features import (
 from pymc_features.exceptions import NotDifferentiableError
 from pymc_features.likelihood_free import KERNELS
 from pymc_features.smc import population_logp
+from support.graphs import LIGHT
+from support.refusals import refusals
+from support.sampling import SERIAL
+from support.structures import noise_record, with_first_spring, with_noise
 
-LIGHT = Mode(linker="py", optimizer="fast_compile")
 PRIOR = (0.5, 1.5)
-
-
-def chain_of(theta):
-    base = SpringMassChain(np.ones(3), 100.0, RayleighDamping(0.1, 1e-3))
-    return base.scale_stiffness(theta, springs=[0])
 
 
 @pytest.fixture(scope="module")
 def pulse():
-    return Record(np.random.default_rng(0).normal(size=60), 0.02, name="pulse")
+    return noise_record(60)
 
 
 @pytest.fixture(scope="module")
 def measured(pulse):
-    exact = simulate(chain_of(1.0), pulse).values
-    return exact + 0.05 * np.random.default_rng(1).normal(size=exact.shape)
+    return with_noise(simulate(with_first_spring(1.0), pulse), 0.05)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +49,7 @@ def rho(pulse, measured):
     """S(theta) of Eq. (15), by a route without PyMC."""
 
     def total(theta):
-        return np.square(simulate(chain_of(theta), pulse).values - measured).mean(axis=1).sum()
+        return np.square(simulate(with_first_spring(theta), pulse).values - measured).mean(axis=1).sum()
 
     return total
 
@@ -64,7 +57,7 @@ def rho(pulse, measured):
 def build_model(pulse, measured, *, epsilon, kernel="uniform", theta=None, **kwargs):
     with pm.Model() as model:
         theta = pm.Uniform("theta", *PRIOR) if theta is None else theta()
-        mu = response(chain_of(theta), pulse)
+        mu = response(with_first_spring(theta), pulse)
         DiscrepancySimulator("y", mu, epsilon=epsilon, observed=measured, kernel=kernel, **kwargs)
     return model
 
@@ -109,7 +102,7 @@ def test_exponential_kernel_is_exp_at_fixed_sigma(pulse, measured, rho):
     sigma = 0.13
     logp = log_likelihood(build_model(pulse, measured, epsilon=2 * sigma**2, kernel="exponential"))
     with pm.Model() as model:
-        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
         ExpFeature("y", mu=mu, sigma=sigma, observed=measured)
     feature = log_likelihood(model)
     constant = 3 * np.log(2 * sigma**2)
@@ -136,7 +129,7 @@ def test_failed_simulation_is_outside(pulse, measured, kernel):
 def test_tolerance_may_be_data(pulse, measured, rho):
     with pm.Model() as model:
         epsilon = pm.Data("epsilon", 2 * rho(1.2))
-        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
         DiscrepancySimulator("y", mu, epsilon=epsilon, observed=measured)
     logp = log_likelihood(model)
     assert logp(1.2) == 0.0
@@ -148,19 +141,19 @@ def test_tolerance_may_be_data(pulse, measured, rho):
 def test_data_may_be_data(pulse, measured, rho):
     with pm.Model() as model:
         data = pm.Data("measured", measured)
-        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
         DiscrepancySimulator("y", mu, epsilon=1.0, observed=data, kernel="exponential")
     logp = log_likelihood(model)
     assert logp(0.8) == pytest.approx(-rho(0.8), rel=1e-10)
     with model:
         pm.set_data({"measured": measured + 1.0})
-    shifted = np.square(simulate(chain_of(0.8), pulse).values - measured - 1.0).mean(axis=1).sum()
+    shifted = np.square(simulate(with_first_spring(0.8), pulse).values - measured - 1.0).mean(axis=1).sum()
     assert logp(0.8) == pytest.approx(-shifted, rel=1e-10)
 
 
 def test_response_may_be_recorded(pulse, measured, rho):
     with pm.Model() as model:
-        mu = pm.Deterministic("mu", response(chain_of(pm.Uniform("theta", *PRIOR)), pulse))
+        mu = pm.Deterministic("mu", response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse))
         DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured, kernel="exponential")
     assert log_likelihood(model)(0.8) == pytest.approx(-rho(0.8), rel=1e-10)
 
@@ -224,7 +217,7 @@ def test_function_of_a_scalar_and_a_vector():
 def test_simulator_function_takes_batches(pulse, measured):
     """Parameters of a batch, or a size, as PyMC passes them; NaN stays in its own row."""
     with pm.Model():
-        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
         node = DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured)
     function = node.owner.op.fn
     springs = np.array([[70.0, 100.0, 100.0], [-1.0, 100.0, 100.0], [130.0, 100.0, 100.0]])
@@ -232,7 +225,7 @@ def test_simulator_function_takes_batches(pulse, measured):
     histories = function(None, np.ones(3), springs, *rest, None)
     assert histories.shape == (3, 3, 60)
     for row, theta in ((0, 0.7), (2, 1.3)):
-        np.testing.assert_allclose(histories[row], simulate(chain_of(theta), pulse), rtol=1e-10)
+        np.testing.assert_allclose(histories[row], simulate(with_first_spring(theta), pulse), rtol=1e-10)
     assert np.isnan(histories[1]).all()
     repeated = function(None, np.ones(3), springs[0], *rest, (2, 1))
     np.testing.assert_array_equal(repeated, np.tile(histories[0], (2, 1, 1, 1)))
@@ -254,6 +247,7 @@ def exact_interval(rho, epsilon):
     return brentq(gap, first - step, first), brentq(gap, last, last + step)
 
 
+@pytest.mark.statistical
 def test_stock_smc_fills_the_exact_interval(pulse, measured, rho):
     """ABC posterior under a flat prior: uniform on {theta: rho <= epsilon}.
 
@@ -261,15 +255,12 @@ def test_stock_smc_fills_the_exact_interval(pulse, measured, rho):
     (measured over ten seeds) and a third of it elsewhere; the limit of 6 % is four of them, a false
     alarm in 1e4 seeds. The prior is the negative control.
     """
-    e = mean_square_discrepancy(simulate(chain_of(1.0), pulse).values, measured)
+    e = mean_square_discrepancy(simulate(with_first_spring(1.0), pulse).values, measured)
     epsilon = abc_tolerance(1.5 * sigma_mpv(e), n_sensors=3)
     low, high = exact_interval(rho, epsilon)
     model = build_model(pulse, measured, epsilon=epsilon)
-    with model, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        idata = pm.sample_smc(
-            1000, chains=2, cores=1, random_seed=3, progressbar=False, compute_convergence_checks=False
-        )
+    with model:
+        idata = pm.sample_smc(1000, chains=2, random_seed=3, **SERIAL)
     theta = idata.posterior["theta"].values.ravel()
     assert theta.size == 2000
     slack = 1e-9 * (high - low)
@@ -286,7 +277,7 @@ def test_predictive_draws_are_histories(pulse, measured):
     """Prior and posterior predictive: the response itself at each draw, with dimensions."""
     coords = {"sensor": ["low", "middle", "top"], "time": pulse.time}
     with pm.Model(coords=coords) as model:
-        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
         DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured, dims=("sensor", "time"))
         prior = pm.sample_prior_predictive(5, random_seed=1, compile_kwargs={"mode": LIGHT})
         predictive = pm.sample_posterior_predictive(
@@ -297,43 +288,37 @@ def test_predictive_draws_are_histories(pulse, measured):
         assert values.dims == ("chain", "draw", "sensor", "time")
         assert values.shape == (1, 5, 3, 60)
         for k, theta in enumerate(prior["prior"]["theta"].values[0]):
-            expected = simulate(chain_of(theta), pulse).values
+            expected = simulate(with_first_spring(theta), pulse).values
             np.testing.assert_allclose(values.values[0, k], expected, rtol=1e-10, atol=1e-12)
 
 
 # --------------------------------------------------------------------------- refusals
 
 
-@pytest.mark.parametrize(
-    ("changes", "error", "match"),
-    [
-        ({"kernel": "box"}, ValueError, "`kernel` must be one of uniform, exponential, gaussian, got 'box'"),
-        ({"epsilon": 0.0}, ValueError, "`epsilon` must be positive and finite, got 0.0. Pass a tolerance"),
-        ({"epsilon": -1}, ValueError, "`epsilon` must be positive and finite, got -1"),
-        ({"epsilon": np.nan}, ValueError, "`epsilon` must be positive and finite, got nan"),
-        ({"epsilon": np.inf}, ValueError, "`epsilon` must be positive and finite, got inf"),
-        ({"mu": np.zeros((3, 60))}, TypeError, "`mu` must be what `response` returned or a function, got nd"),
-        ({"mu": pt.zeros((3, 60))}, TypeError, "got another PyTensor expression. Pass a function"),
-        ({"mu": shelf}, ValueError, "`params` must be given with a function, got none. Pass its parameters"),
-        ({"params": (1.0,)}, ValueError, "`params` must be left out when `mu` is a response: it has its own"),
-        ({"observed": np.zeros(60)}, ValueError, r"must be \(sensor, time\) to match a response, got shape"),
-        ({"observed": np.full((3, 60), np.nan)}, ValueError, "`observed` must be finite numbers of shape"),
-        (
-            {"observed": np.zeros((60, 3))},
-            ValueError,
-            r"\(3, 60\) to match `mu`, got \(60, 3\). Transpose it",
-        ),
-        (
-            {"observed": np.zeros((3, 59))},
-            ValueError,
-            r"\(3, 60\) to match `mu`, got \(3, 59\). Give one row",
-        ),
-    ],
-)
+REFUSALS_VALUES = {  # what is said: what is given
+    "`kernel` must be one of uniform, exponential, gaussian, got 'box'": {"kernel": "box"},
+    "`epsilon` must be positive and finite, got 0.0. Pass a tolerance": {"epsilon": 0.0},
+    "`epsilon` must be positive and finite, got -1": {"epsilon": -1},
+    "`epsilon` must be positive and finite, got nan": {"epsilon": np.nan},
+    "`epsilon` must be positive and finite, got inf": {"epsilon": np.inf},
+    "`params` must be given with a function, got none. Pass its parameters": {"mu": shelf},
+    "`params` must be left out when `mu` is a response: it has its own": {"params": (1.0,)},
+    r"must be \(sensor, time\) to match a response, got shape": {"observed": np.zeros(60)},
+    "`observed` must be finite numbers of shape": {"observed": np.full((3, 60), np.nan)},
+    r"\(3, 60\) to match `mu`, got \(60, 3\). Transpose it": {"observed": np.zeros((60, 3))},
+    r"\(3, 60\) to match `mu`, got \(3, 59\). Give one row": {"observed": np.zeros((3, 59))},
+}
+REFUSALS_TYPES = {
+    "`mu` must be what `response` returned or a function, got nd": {"mu": np.zeros((3, 60))},
+    "got another PyTensor expression. Pass a function": {"mu": pt.zeros((3, 60))},
+}
+
+
+@refusals("changes", REFUSALS_VALUES, REFUSALS_TYPES)
 def test_refusals(pulse, measured, changes, error, match):
     with pm.Model():
         theta = pm.Uniform("theta", *PRIOR)
-        mu = changes.get("mu", response(chain_of(theta), pulse))
+        mu = changes.get("mu", response(with_first_spring(theta), pulse))
         arguments = {"epsilon": 1.0, "observed": measured} | changes
         params = arguments.pop("params", ())
         arguments.pop("mu", None)
@@ -343,7 +328,7 @@ def test_refusals(pulse, measured, changes, error, match):
 
 def test_scaled_response_is_refused(pulse, measured):
     with pm.Model(), pytest.raises(TypeError, match="must be what `response` returned, got another PyTensor"):
-        mu = 2.0 * response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        mu = 2.0 * response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
         DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured)
 
 
@@ -376,7 +361,7 @@ def population(model):
 
 def by_histories(pulse, measured, noise, theta=1.2, n=4000):
     """The slow reference: noisy histories, one by one, against the data."""
-    exact = simulate(chain_of(theta), pulse).values
+    exact = simulate(with_first_spring(theta), pulse).values
     noisy = exact + np.reshape(noise, (-1, 1)) * np.random.default_rng(5).standard_normal((n, *exact.shape))
     return np.square(noisy - measured).mean(axis=2)
 
@@ -406,7 +391,7 @@ def test_fused_noise_has_the_exact_law(pulse, measured, noise):
     found = mean_squares(pulse, measured, noise)
     assert same_law(found, by_histories(pulse, measured, noise))
     assert not same_law(found, by_histories(pulse, measured, 1.03 * noise))
-    misfit = np.square(simulate(chain_of(1.2), pulse).values - measured).mean(axis=1)
+    misfit = np.square(simulate(with_first_spring(1.2), pulse).values - measured).mean(axis=1)
     rng = np.random.default_rng(7)
     uncorrelated = misfit + noise**2 * rng.chisquare(60, (4000, 3)) / 60
     np.testing.assert_allclose(uncorrelated.mean(axis=0), found.mean(axis=0), rtol=0.05)
@@ -433,7 +418,7 @@ def test_noise_may_be_a_number_or_random(pulse, measured, noise):
     with pm.Model() as model:
         theta = pm.Uniform("theta", *PRIOR)
         scale = pm.HalfNormal("scale") if noise == "random" else noise
-        mu = response(chain_of(theta), pulse)
+        mu = response(with_first_spring(theta), pulse)
         DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured, kernel="exponential", noise=scale)
     logp = population(model).with_rng(np.random.default_rng(1))
     particles = np.full((4000, 1), np.log(0.7 / 0.3))
@@ -471,7 +456,7 @@ def test_without_noise_the_node_is_exact(pulse, measured, rho):
 def test_a_negative_random_noise_does_not_stop_a_run(pulse, measured):
     """NumPy refuses a negative scale; the law is that of its absolute value."""
     with pm.Model() as model:
-        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
         noise = pm.Normal("noise", 0.0, 0.1)
         DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured, kernel="exponential", noise=noise)
     values = [population(model)(np.tile([0.0, n], (500, 1)))[1] for n in (-0.2, 0.2)]
@@ -485,21 +470,19 @@ def test_predictive_histories_contain_the_noise(pulse, measured):
     assert len(model.free_RVs) == 1
     theta = prior["prior"]["theta"].values[0]
     residuals = prior["prior_predictive"]["y"].values[0] - [
-        simulate(chain_of(t), pulse).values for t in theta
+        simulate(with_first_spring(t), pulse).values for t in theta
     ]
     np.testing.assert_allclose(residuals.std(axis=(0, 2)), SCALE, rtol=0.029)
     assert abs(np.corrcoef(residuals[:, 2, :-1].ravel(), residuals[:, 2, 1:].ravel())[0, 1]) < 0.045
     assert abs(np.corrcoef(residuals[:, 1].ravel(), residuals[:, 2].ravel())[0, 1]) < 0.045
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("kernel", [PersistentSMC, PopulationIMH, pm.smc.kernels.IMH])
 def test_noise_in_other_samplers(pulse, measured, kernel):
     """PyMC allows no random draws in a log-density but those of a simulator."""
     model = noisy_model(pulse, measured, 0.1, epsilon=0.5)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        settings = {"cores": 1, "chains": 1, "progressbar": False, "compute_convergence_checks": False}
-        idata = pm.sample_smc(100, kernel, model=model, random_seed=1, **settings)
+    idata = pm.sample_smc(100, kernel, model=model, chains=1, random_seed=1, **SERIAL)
     assert 0.8 < float(idata.posterior["theta"].mean()) < 1.2
 
 
@@ -554,7 +537,7 @@ def test_exponential_kernel_with_a_sigma_for_each_sensor(pulse, measured):
     sigma = np.array([0.05, 0.13, 0.4])
     logp = log_likelihood(build_model(pulse, measured, epsilon=2 * sigma**2, kernel="exponential"))
     with pm.Model() as model:
-        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
         ExpFeature("y", mu=mu, sigma=sigma, observed=measured)
     feature = log_likelihood(model)
     found = np.array([[logp(t), feature(t)] for t in (0.6, 0.9, 1.0, 1.3)])
@@ -572,7 +555,7 @@ def test_kernels_are_in_double_precision(pulse, measured):
 
 def test_the_time_axis_is_named_as_by_the_likelihoods(pulse, measured):
     with pm.Model(coords={"sensor": ["a", "b", "c"]}) as model:
-        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
         DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured, dims=("sensor", "time"))
     np.testing.assert_allclose(model.coords["time"], pulse.time)
 
@@ -602,14 +585,14 @@ def test_a_function_that_always_fails_is_named_in_the_default_mode():
 )
 def test_what_is_no_number_is_refused(pulse, measured, changes, error, match):
     with pm.Model():
-        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
         with pytest.raises(error, match=match):
             DiscrepancySimulator("y", mu, **({"epsilon": 1.0, "observed": measured} | changes))
 
 
 def test_a_random_tolerance_is_refused(pulse, measured):
     with pm.Model():
-        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
         with pytest.raises(TypeError, match="`epsilon` must be a number.* got the random variable e. Look"):
             DiscrepancySimulator("y", mu, epsilon=pm.HalfNormal("e"), observed=measured)
     with pm.Model() as model:
@@ -635,36 +618,21 @@ def test_a_solver_may_use_its_array_again():
     np.testing.assert_allclose(-kernel.logp(particles)[1], (particles**2).sum(axis=1))
 
 
-@pytest.mark.parametrize(
-    ("changes", "match"),
-    [
-        (
-            {"epsilon": [1.0, 2.0]},
-            r"`epsilon` must be one number or one for each of the 3 sensors, got shape",
-        ),
-        ({"epsilon": np.ones((3, 1))}, r"`epsilon` must be one number or one for each of the 3 sensors, got"),
-        (
-            {"epsilon": [1.0, 0.0, 1.0]},
-            r"`epsilon` must be positive and finite, got \[1.0, 0.0, 1.0\]. Pass a",
-        ),
-        ({"noise": -0.1}, "`noise` must be not negative and finite, got -0.1. Pass a standard deviation in"),
-        ({"noise": np.nan}, "`noise` must be not negative and finite, got nan"),
-        ({"noise": [0.1, np.inf, 0.1]}, r"`noise` must be not negative and finite, got \[0.1, inf, 0.1\]"),
-        (
-            {"noise": [0.1, 0.2]},
-            r"`noise` must be one number or one for each of the 3 sensors, got shape \(2",
-        ),
-        (
-            {"noise": np.ones((3, 60))},
-            r"`noise` must be one number or one for each of the 3 sensors, got sha",
-        ),
-        (
-            {"observed": np.zeros((3, 60, 1))},
-            r"shape \(sensor, time\), or \(entry,\) for a summary, got shape",
-        ),
-    ],
-)
+REFUSALS_OF_TOLERANCE_AND_NOISE = {  # what is said: what is given
+    r"`epsilon` must be one number or one for each of the 3 sensors, got shape": {"epsilon": [1.0, 2.0]},
+    r"`epsilon` must be one number or one for each of the 3 sensors, got": {"epsilon": np.ones((3, 1))},
+    r"`epsilon` must be positive and finite, got \[1.0, 0.0, 1.0\]. Pass a": {"epsilon": [1.0, 0.0, 1.0]},
+    "`noise` must be not negative and finite, got -0.1. Pass a standard deviation in": {"noise": -0.1},
+    "`noise` must be not negative and finite, got nan": {"noise": np.nan},
+    r"`noise` must be not negative and finite, got \[0.1, inf, 0.1\]": {"noise": [0.1, np.inf, 0.1]},
+    r"`noise` must be one number or one for each of the 3 sensors, got shape \(2": {"noise": [0.1, 0.2]},
+    r"`noise` must be one number or one for each of the 3 sensors, got sha": {"noise": np.ones((3, 60))},
+    r"shape \(sensor, time\), or \(entry,\) for a summary, got shape": {"observed": np.zeros((3, 60, 1))},
+}
+
+
+@refusals("changes", REFUSALS_OF_TOLERANCE_AND_NOISE)
 def test_refusals_of_tolerance_and_noise(pulse, measured, changes, match):
     with pm.Model(), pytest.raises(ValueError, match=match):
-        mu = response(chain_of(pm.Uniform("theta", *PRIOR)), pulse)
+        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
         DiscrepancySimulator("y", mu, **{"epsilon": 1.0, "observed": measured, **changes})

@@ -1,10 +1,6 @@
 """Machine code on disk: an edit compiles anew what it can change, and nothing else."""
 
-import os
 import shutil
-import subprocess
-import sys
-import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +10,7 @@ import pymc_features
 from pymc_features.ops import OPS, numba_dispatch
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.compiled import dependencies
+from support.commands import run_python
 
 
 def test_cache_key_holds_type_quantity_and_kernel_source(monkeypatch):
@@ -36,21 +33,6 @@ def test_dependencies_are_the_files_that_can_change_a_kernel():
     assert not any("linear/" in name or "nonlinear/" in name for name in chain)
     law = names("nonlinear.runge_kutta")  # which calls the laws by their type only
     assert {"simulators/nonlinear/bouc_wen.py", "simulators/nonlinear/duffing.py"} <= law
-
-
-def run_python(code, folder, **environment):
-    """Standard output of a fresh interpreter that imports the package these tests import."""
-    package = str(Path(pymc_features.__file__).parents[1])
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code)],
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": package} | environment,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
 
 
 class Copy:
@@ -99,6 +81,7 @@ BOTH = """
 """
 
 
+@pytest.mark.processes
 def test_edits_compile_what_they_change_and_nothing_else(tmp_path):
     """Edits that cannot change the kernels; then edits in the kernel of one particle (twice), in that of
     populations (five times), and in the call of both from PyTensor (three times), compiled with them.

@@ -11,6 +11,7 @@ import xarray as xr
 import pymc_features as pmf
 from pymc_features import plots
 from pymc_features.prediction import ensemble, histories, simulated
+from support.refusals import refusals
 
 SHAKE = pmf.synthetic_earthquake(4.0, 0.02, random_seed=5, pga=3.0)
 OTHER = pmf.synthetic_earthquake(3.0, 0.01, random_seed=8, pga=2.0)
@@ -329,26 +330,20 @@ def of_supports(k):
     return pmf.LinearStructure(MASS, stiffness=frame(k).stiffness, damping=RAYLEIGH, influence=influence)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "match"),
-    [
-        ({"structure": of_supports}, ValueError, r"the same supports for every draw, got \[1, 2\]. Predict"),
-        ({"record": LOADS["forces"], "structure": chain}, TypeError, "a Record for a SpringMassChain, got L"),
-        ({"record": LOADS["forces"], "structure": duffing}, TypeError, "a Record for a DuffingChain, got L"),
-        (
-            {"record": LOADS["two supports"]},
-            ValueError,
-            "`record` must give 1 support accelerations, .* got 2",
-        ),
-        ({"n_modes": 2, "structure": bouc_wen}, ValueError, "`n_modes` must be left out for a nonlinear"),
-        ({"outputs": np.eye(2)}, ValueError, r"`outputs` must have shape \(s, 3\), got \(2, 2\)"),
-        (
-            {"outputs": np.eye(3), "sensors": [1]},
-            ValueError,
-            "`sensors` must be left out with `outputs`, got both",
-        ),
-    ],
-)
+REFUSED_VALUES = {  # what is said: what is given
+    r"the same supports for every draw, got \[1, 2\]. Predict": {"structure": of_supports},
+    "`record` must give 1 support accelerations, .* got 2": {"record": LOADS["two supports"]},
+    "`n_modes` must be left out for a nonlinear": {"n_modes": 2, "structure": bouc_wen},
+    r"`outputs` must have shape \(s, 3\), got \(2, 2\)": {"outputs": np.eye(2)},
+    "`sensors` must be left out with `outputs`, got both": {"outputs": np.eye(3), "sensors": [1]},
+}
+REFUSED_TYPES = {
+    "a Record for a SpringMassChain, got L": {"record": LOADS["forces"], "structure": chain},
+    "a Record for a DuffingChain, got L": {"record": LOADS["forces"], "structure": duffing},
+}
+
+
+@refusals("arguments", REFUSED_VALUES, REFUSED_TYPES)
 @pytest.mark.parametrize("function", [pmf.posterior_response, pmf.first_passage_probability])
 def test_refusals(function, arguments, error, match):
     given = {"idata": posterior([[0.5, 0.9]]), "structure": frame, "record": SHAKE} | arguments

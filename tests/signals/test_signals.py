@@ -1,22 +1,15 @@
 """Processing and checks of measured channels, on responses that are known."""
 
 import re
-import warnings
 
 import numpy as np
 import pytest
 import xarray as xr
 from scipy import signal as scipy_signal
 
-from pymc_features import (
-    RayleighDamping,
-    SpringMassChain,
-    signals,
-    simulate,
-    synthetic_earthquake,
-)
-from pymc_features.exceptions import ChannelWarning
+from pymc_features import RayleighDamping, SpringMassChain, signals, simulate, synthetic_earthquake
 from pymc_features.signals import check_channels
+from support.warned import messages
 
 STEP = 0.01
 BAND = (0.6, 1.6)  # the chain below has its first natural frequency at 3.6 Hz
@@ -45,16 +38,6 @@ def delayed(history, lag):
     """A history [time] that comes `lag` seconds later, by its Fourier series."""
     frequencies = np.fft.rfftfreq(history.size, STEP)
     return np.fft.irfft(np.fft.rfft(history) * np.exp(-2j * np.pi * frequencies * lag), history.size)
-
-
-def messages(action):
-    """Texts of our warnings; any other warning fails."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        action()
-    assert all(warning.category is ChannelWarning for warning in caught), [str(w.message) for w in caught]
-    assert all(warning.filename == __file__ for warning in caught)
-    return [str(warning.message) for warning in caught]
 
 
 # --- trim, detrend ------------------------------------------------------------------------------

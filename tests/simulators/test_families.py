@@ -9,9 +9,7 @@ import pymc as pm
 import pytensor
 import pytensor.tensor as pt
 import pytest
-from pytensor.compile.mode import Mode
 from pytensor.graph.replace import vectorize_graph
-from pytensor.graph.traversal import ancestors
 from scipy import sparse
 
 from pymc_features import (
@@ -36,8 +34,10 @@ from pymc_features.ops import OPS, PopulationDiscrepancy, StructuralDiscrepancy,
 from pymc_features.ops.comparison import misfit_values
 from pymc_features.simulators import FAMILIES
 from pymc_features.structures import STRUCTURES
+from support.graphs import PLAIN, our_ops
+from support.reference import richardson
+from support.sampling import SERIAL
 
-PLAIN = Mode(linker="py", optimizer=None)
 RAYLEIGH = RayleighDamping(0.4, 2e-3)
 K = np.array([[250.0, -150.0, 0.0], [-150.0, 270.0, -120.0], [0.0, -120.0, 120.0]])
 LOWER = np.diag([100.0, 0.0, 0.0])  # what theta_0 scales
@@ -94,11 +94,6 @@ def measured(name):
     return exact + 0.1 * abs(exact).max() * noise
 
 
-def core_ops_in(outputs):
-    ops = [v.owner.op for v in ancestors(outputs) if v.owner is not None]
-    return {type(getattr(op, "core_op", op)) for op in ops}
-
-
 def test_every_structure_is_in_a_family_and_here():
     assert {kind.family for kind in STRUCTURES} == set(FAMILIES)
     built = {CASES[name][0](TRUTH).family for name in CASES}
@@ -129,8 +124,8 @@ def test_fused_is_unfused_and_batch_is_loop(name):
     e, statistics = mean_square_discrepancy(mu, data), misfit_statistics(mu, data)
     plain = [pt.mean(pt.sqr(data - mu), axis=-1), misfit_values(data - mu)]
     batch = vectorize_graph([e, statistics], {x: rows})
-    assert core_ops_in([e]) & set(OPS) == {StructuralDiscrepancy}
-    assert core_ops_in(batch[:1]) & set(OPS) == {PopulationDiscrepancy}
+    assert our_ops([e]) == {StructuralDiscrepancy}
+    assert our_ops(batch[:1]) == {PopulationDiscrepancy}
     one = pytensor.function([x], [e, statistics, *plain], mode=PLAIN)
     all_rows = pytensor.function([rows], batch, mode=PLAIN)
     # more than one vector of particles, one of them no structure
@@ -148,13 +143,6 @@ def test_fused_is_unfused_and_batch_is_loop(name):
             np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12 * abs(data).max() ** 2)
     assert np.isnan(batched[0][4]).all()
     assert np.isfinite(np.delete(batched[0], 4, axis=0)).all()
-
-
-def richardson(function, x, direction, h=4e-3):
-    """Derivative along a direction, by three central differences."""
-    d = [(function(x + s * direction) - function(x - s * direction)) / (2 * s) for s in (h, h / 2, h / 4)]
-    first, second = (4 * d[1] - d[0]) / 3, (4 * d[2] - d[1]) / 3
-    return (16 * second - first) / 15
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -202,15 +190,8 @@ def model_of(name, likelihood=TruncNormalFeature):
 @pytest.mark.parametrize("name", MAIN)
 def test_models_sample_and_count_what_is_no_structure(name):
     model = model_of(name)
-    idata = sample_smc(
-        60,
-        model=model,
-        chains=2,
-        cores=1,
-        random_seed=1,
-        progressbar=False,
-        compile_kwargs={"mode": "FAST_COMPILE"},
-    )
+    quick = {"compile_kwargs": {"mode": "FAST_COMPILE"}, **SERIAL}
+    idata = sample_smc(60, model=model, chains=2, random_seed=1, **quick)
     assert float(idata["sample_stats"]["failed"].sum()) > 0
     x = idata["posterior"]["x"].values
     assert (x > 0).all()
@@ -252,7 +233,7 @@ def test_combinations_are_fused_where_the_structure_is_linear():
             drifts.eval({x: TRUTH}, mode=PLAIN), expected, rtol=0, atol=1e-12 * abs(expected).max()
         )
         e = mean_square_discrepancy(drifts, expected)
-        fused = {StructuralDiscrepancy} <= core_ops_in([e])
+        fused = {StructuralDiscrepancy} <= our_ops([e])
         assert fused == (structure != "hysteretic")
 
 

@@ -1,12 +1,10 @@
 """Hysteretic and Duffing chains: a tight ODE solution, closed forms, linear limits, energy, and refusals."""
 
 import numpy as np
-import pymc as pm
 import pytensor.tensor as pt
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipkinc
-from support.kernels import flat_kernels
 
 import pymc_features as pmf
 from pymc_features import (
@@ -23,6 +21,10 @@ from pymc_features import (
 from pymc_features.simulators import QUANTITIES, Excitation
 from pymc_features.simulators.families import NONLINEAR
 from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
+from support import structures as records
+from support.kernels import flat_kernels
+from support.refusals import refusals
+from support.structures import peak_error
 
 RAYLEIGH = RayleighDamping(0.2, 1e-3)
 
@@ -39,7 +41,7 @@ def duffing(n=3, damping=RAYLEIGH, cubic=1e6):
 
 
 def noise_record(seed=0, n_times=60, scale=3.0, dt=0.02):
-    return Record(scale * np.random.default_rng(seed).normal(size=n_times), dt)
+    return records.noise_record(n_times, dt, seed=seed, scale=scale)
 
 
 def pulse_record(n_times=80):
@@ -81,11 +83,6 @@ def reference(structure, record):
     slopes = [slope(0.0, s, a, 0.0) for s, a in zip(states, record.acceleration, strict=True)]
     relative = np.array(slopes).T[n : 2 * n]
     return dict(zip(QUANTITIES, (relative + record.acceleration, relative, y[n : 2 * n], y[:n]), strict=True))
-
-
-def distance(ours, theirs):
-    """Largest difference over the largest value."""
-    return np.abs(ours - theirs).max() / np.abs(theirs).max()
 
 
 def histories(structure, record, refine=1, quantities=(0, 3)):
@@ -142,9 +139,9 @@ def test_against_a_tight_ode_solution(case):
     structure, record = CASES[case]
     exact = reference(structure, record)
     for quantity in QUANTITIES:
-        assert distance(simulate(structure, record, quantity=quantity).values, exact[quantity]) < 1e-6
+        assert peak_error(simulate(structure, record, quantity=quantity).values, exact[quantity]) < 1e-6
     linear = SpringMassChain(structure.mass, structure.stiffness, structure.damping)
-    assert distance(simulate(linear, record), exact["absolute_acceleration"]) > 0.05
+    assert peak_error(simulate(linear, record), exact["absolute_acceleration"]) > 0.05
 
 
 def test_springs_that_do_not_move_yet():
@@ -154,7 +151,7 @@ def test_springs_that_do_not_move_yet():
             assert np.isfinite(simulate(tower(n), noise_record(seed, 8)).values).all()
     structure, record = tower(50), growing_record(6)
     ours = simulate(structure, record, quantity="relative_displacement").values
-    assert distance(ours, reference(structure, record)["relative_displacement"]) < 1e-6
+    assert peak_error(ours, reference(structure, record)["relative_displacement"]) < 1e-6
 
 
 @pytest.mark.parametrize("n", [10, 33])
@@ -187,7 +184,7 @@ def test_estimated_error_over_a_whole_record(record, structure):
     estimate = integration_error(structure, record)
     assert 0.0 < estimate < 1e-6
     coarse, fine = histories(structure, record)[0], histories(structure, record, 6)[0]
-    assert distance(coarse, fine) == pytest.approx(estimate, rel=0.2)
+    assert peak_error(coarse, fine) == pytest.approx(estimate, rel=0.2)
 
 
 @pytest.mark.parametrize(
@@ -221,7 +218,7 @@ def test_there_and_back_within_one_step(sharpness, push):
     turned = np.flatnonzero(velocity < 0.0)
     assert 0.001 < 0.02 / 64 * np.sum(turned < 340) < 0.005, turned
     coarse, fine = (histories(chain, record, refine, quantities=[3]) for refine in (1, 32))
-    assert distance(coarse, fine) < 1e-7
+    assert peak_error(coarse, fine) < 1e-7
 
 
 def test_duffing_free_vibration_is_a_jacobi_elliptic_cosine():
@@ -239,7 +236,7 @@ def test_duffing_free_vibration_is_a_jacobi_elliptic_cosine():
     phase = -np.sign(v[0]) * ellipkinc(np.arccos(u[0] / amplitude), m)
     exact = amplitude * ellipj(rate * np.arange(u.size) * record.dt + phase, m)[1]
     assert c * amplitude**2 > k  # far from linear
-    assert distance(u, exact) < 1e-6
+    assert peak_error(u, exact) < 1e-6
 
 
 # --------------------------------------------------------------------------- linear limits
@@ -261,7 +258,7 @@ def test_linear_limits(n, damping, quantity):
     exact = simulate(SpringMassChain(limits[0].mass, limits[0].stiffness, damping), record, quantity=quantity)
     for chain in limits:
         ours = simulate(chain, record, quantity=quantity)
-        assert distance(ours.values, exact.values) < 1e-6
+        assert peak_error(ours.values, exact.values) < 1e-6
         assert ours.attrs == exact.attrs
         assert ours.coords.equals(exact.coords)
 
@@ -364,9 +361,9 @@ def test_output_steps_and_sensors(chain):
     np.testing.assert_array_equal(coarse.values, base.values[:, ::3])
     np.testing.assert_allclose(coarse["time"], base["time"][::3])
     fine = simulate(chain, record, dt=0.005)
-    assert distance(fine.values[:, ::4], base.values) < 1e-6
+    assert peak_error(fine.values[:, ::4], base.values) < 1e-6
     resampled = Record(np.interp(np.arange(241) / 4, np.arange(61), record.acceleration), 0.005)
-    assert distance(simulate(chain, resampled).values, fine.values) < 1e-12
+    assert peak_error(simulate(chain, resampled).values, fine.values) < 1e-12
     np.testing.assert_array_equal(simulate(chain, record, sensors=[2, 0]).values, base.values[[2, 0]])
 
 
@@ -384,23 +381,6 @@ def test_spring_forces_are_labelled():
     assert loops.attrs == {"record": "pulse"}
     np.testing.assert_allclose(loops["time"], np.arange(5) * 0.05)
     assert not spring_forces(duffing(2), noise_record())["z"].any()
-
-
-def test_updating_by_a_function():
-    """The way into a model: a function of the parameters for `DiscrepancySimulator`."""
-    record = noise_record(12, 40)
-
-    def history(dy):
-        return simulate(bouc_wen(2, yield_displacement=dy), record).values
-
-    with pm.Model():
-        dy = pm.Uniform("dy", 0.002, 0.02)
-        pmf.DiscrepancySimulator("y", history, dy, epsilon=0.05, observed=history(0.008))
-        idata = pmf.sample_smc(
-            60, kernel=pmf.SubsetSimulation, chains=1, cores=1, random_seed=1, progressbar=False
-        )
-    draws = idata.posterior["dy"].values
-    assert 0.006 < draws.min() < 0.008 < draws.max() < 0.01
 
 
 def test_parameters_may_be_variables():
@@ -477,33 +457,23 @@ def test_absurd_draws_are_no_exception():
         assert np.isfinite(values).all() or np.isnan(values).all()
 
 
-@pytest.mark.parametrize(
-    ("changes", "error", "match"),
-    [
-        (
-            {"yield_displacement": 0.0},
-            ValueError,
-            "`yield_displacement` must be positive and finite, got 0. .* m",
-        ),
-        ({"yield_displacement": [0.1, 0.1]}, ValueError, "one for each of the 3 springs, got 2"),
-        ({"yield_displacement": "much"}, TypeError, "`yield_displacement` must be numbers or PyTensor var"),
-        (
-            {"post_yield_ratio": -0.1},
-            ValueError,
-            "`post_yield_ratio` must be finite and not negative, got -0.1",
-        ),
-        ({"post_yield_ratio": 1.5}, ValueError, "must lie between 0 and 1, got 1.5. .* `DuffingChain` for"),
-        ({"sharpness": 0.5}, ValueError, "`sharpness` must be at least 1, got 0.5. Pass 1 to 3 for gradual"),
-        ({"beta": 0.0}, ValueError, "`beta` must be positive and finite, got 0"),
-        ({"gamma": -0.1}, ValueError, "`gamma` must be finite and not negative, got -0.1"),
-        (
-            {"gamma": [0.5, 0.5, 0.6]},
-            ValueError,
-            "`gamma` must not exceed `beta`, got 0.6 and 0.5. Loops would",
-        ),
-        ({"damping": 0.05}, TypeError, "`damping` must be a Damping, got float"),
-    ],
-)
+REFUSALS_OF_THE_HYSTERETIC_CHAIN_VALUES = {  # what is said: what is given
+    "`yield_displacement` must be positive and finite, got 0. .* m": {"yield_displacement": 0.0},
+    "one for each of the 3 springs, got 2": {"yield_displacement": [0.1, 0.1]},
+    "`post_yield_ratio` must be finite and not negative, got -0.1": {"post_yield_ratio": -0.1},
+    "must lie between 0 and 1, got 1.5. .* `DuffingChain` for": {"post_yield_ratio": 1.5},
+    "`sharpness` must be at least 1, got 0.5. Pass 1 to 3 for gradual": {"sharpness": 0.5},
+    "`beta` must be positive and finite, got 0": {"beta": 0.0},
+    "`gamma` must be finite and not negative, got -0.1": {"gamma": -0.1},
+    "`gamma` must not exceed `beta`, got 0.6 and 0.5. Loops would": {"gamma": [0.5, 0.5, 0.6]},
+}
+REFUSALS_OF_THE_HYSTERETIC_CHAIN_TYPES = {
+    "`yield_displacement` must be numbers or PyTensor var": {"yield_displacement": "much"},
+    "`damping` must be a Damping, got float": {"damping": 0.05},
+}
+
+
+@refusals("changes", REFUSALS_OF_THE_HYSTERETIC_CHAIN_VALUES, REFUSALS_OF_THE_HYSTERETIC_CHAIN_TYPES)
 def test_refusals_of_the_hysteretic_chain(changes, error, match):
     with pytest.raises(error, match=match):
         bouc_wen(**changes)

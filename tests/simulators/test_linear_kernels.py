@@ -3,21 +3,7 @@
 import numpy as np
 import pytest
 from scipy import sparse
-from scipy.linalg import eigh, eigh_tridiagonal, expm
-from support import kernels
-from support.kernels import (
-    linear_discrepancy,
-    linear_discrepancy_gradient,
-    linear_discrepancy_tangent,
-    linear_misfit,
-    linear_misfit_gradient,
-    linear_population_discrepancy,
-    linear_population_gradient,
-    linear_population_misfit,
-    linear_response,
-    linear_response_gradient,
-    linear_response_tangent,
-)
+from scipy.linalg import eigh, eigh_tridiagonal
 
 from pymc_features import (
     AffineStructure,
@@ -37,26 +23,26 @@ from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.complement import invert_outside
 from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.system import is_coupled, solve_system
+from support import kernels
+from support.kernels import (
+    linear_discrepancy,
+    linear_discrepancy_gradient,
+    linear_discrepancy_tangent,
+    linear_misfit,
+    linear_misfit_gradient,
+    linear_population_discrepancy,
+    linear_population_gradient,
+    linear_population_misfit,
+    linear_response,
+    linear_response_gradient,
+    linear_response_tangent,
+)
+from support.reference import first_order_hold, interpolated
+from support.structures import peak_error
 
 N_PARAMETERS, LINEAR = 3, FAMILIES["linear"]
 
 # --------------------------------------------------------------------------- independent routes
-
-
-def first_order_hold(mass, damping, stiffness, load, inputs, step, stride):
-    """x, x', x" of M x" + C x' + K x = load inputs at every `stride`-th step, by one matrix exponential."""
-    n, d = load.shape
-    drag, spring, push = (np.linalg.solve(mass, a) for a in (damping, stiffness, load))
-    system = np.zeros((2 * n + 2 * d, 2 * n + 2 * d), dtype=np.result_type(spring, drag, push))
-    system[:n, n : 2 * n] = np.eye(n)
-    system[n : 2 * n, : 2 * n + d] = np.hstack([-spring, -drag, push])
-    system[2 * n : 2 * n + d, 2 * n + d :] = np.eye(d) / step
-    whole = expm(system * step)[: 2 * n]
-    states = np.zeros((inputs.shape[1], 2 * n), dtype=system.dtype)
-    for k in range(inputs.shape[1] - 1):
-        states[k + 1] = whole @ np.concatenate([states[k], inputs[:, k], inputs[:, k + 1] - inputs[:, k]])
-    x, v = states[::stride, :n].T, states[::stride, n:].T
-    return x, v, push @ inputs[:, ::stride] - spring @ x - drag @ v
 
 
 class Case:
@@ -135,13 +121,9 @@ class Case:
             keep = shapes[:, : self.n_modes]
         load = keep.T @ (self.forces - mass @ self.influence)
         reduced = [keep.T @ a @ keep for a in (mass, damping, stiffness)]
-        n_times = self.inputs.shape[1]
-        fine = np.arange((n_times - 1) * self.substeps + 1) / self.substeps
-        inputs = np.stack([np.interp(fine, np.arange(n_times), a) for a in self.inputs])
-        x, v, a = (
-            keep @ history
-            for history in first_order_hold(*reduced, load, inputs, self.dt / self.substeps, self.stride)
-        )
+        inputs, step = interpolated(self.inputs, self.substeps), self.dt / self.substeps
+        system = [np.linalg.solve(reduced[0], a) for a in (*reduced[1:], load)]
+        x, v, a = (keep @ history for history in first_order_hold(*system, inputs, step, self.stride))
         return self.sensors @ (a + self.influence @ inputs[:, :: self.stride], a, v, x)[self.quantity]
 
     def derivatives(self):
@@ -167,10 +149,6 @@ class Case:
 
 def split(flat, like):
     return np.split(flat, np.cumsum([a.size for a in like])[:-1])
-
-
-def peak_error(actual, expected):
-    return np.abs(np.asarray(actual) - np.asarray(expected)).max() / np.abs(expected).max()
 
 
 def definite(rng, n, scale):
@@ -697,11 +675,9 @@ def test_twenty_modes_of_two_thousand(coupled):
         above = np.append(spring[1:], 0.0)
         lowest, shapes = eigh_tridiagonal(spring + above, -spring[1:], select="i", select_range=(0, kept - 1))
         own_drag = shapes.T @ (drag[:, None] * shapes)
-        histories = first_order_hold(
-            *(np.eye(kept), own_drag, np.diag(lowest), -shapes.T @ np.ones((n, 1))),
-            *(record.acceleration[None], record.dt, 1),
-        )
-        return shapes[sensors] @ histories[2] + record.acceleration
+        system = own_drag, np.diag(lowest), -shapes.T @ np.ones((n, 1))
+        relative = first_order_hold(*system, record.acceleration[None], record.dt)[2]
+        return shapes[sensors] @ relative + record.acceleration
 
     _, rayleigh, ratios = structure.parameters()
     arguments = (

@@ -6,7 +6,6 @@ import pytest
 from numba import njit
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
-from support.kernels import discrepancy_gradient, flat_kernels, response_gradient
 
 from pymc_features.ops.comparison import misfit_cotangent
 from pymc_features.simulators import Excitation
@@ -16,6 +15,7 @@ from pymc_features.simulators.compiled.vector_memory import aligned, read_lanes,
 from pymc_features.simulators.families import FAMILIES, NONLINEAR
 from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
 from pymc_features.simulators.nonlinear.tape import CAPACITY
+from support.kernels import discrepancy_gradient, flat_kernels, response_gradient
 
 KERNELS = {family: flat_kernels(family) for family in NONLINEAR}
 NAMES = ("mass", "stiffness", "rayleigh", "ratios", "values")

@@ -11,28 +11,24 @@ from pymc_features import (
     Loading,
     ModalDamping,
     RayleighDamping,
-    Record,
     SpringMassChain,
     simulate,
     spring_forces,
 )
 from pymc_features.simulators import HISTORIES
+from support.refusals import refusals
+from support.structures import noise_record, peak_error
 
 MASS = np.array([3.0, 2.0, 1.0, 2.5])
 STIFFNESS = np.array([900.0, 700.0, 800.0, 500.0])
 RAYLEIGH = RayleighDamping(0.3, 2e-3)
-SHAKE = Record(3.0 * np.random.default_rng(0).normal(size=120), 0.02, name="noise")
+SHAKE = noise_record(120, scale=3.0)
 CHAINS = (
     SpringMassChain(MASS, STIFFNESS, RAYLEIGH),
     SpringMassChain(1.5, STIFFNESS, ModalDamping([0.02, 0.05, 0.1, 0.0])),
     HystereticChain(MASS, STIFFNESS, RAYLEIGH, yield_displacement=0.01, post_yield_ratio=0.1),
     DuffingChain(MASS, STIFFNESS, RAYLEIGH, cubic=1e6),
 )
-
-
-def peak_error(actual, expected):
-    """Largest difference over the largest value."""
-    return float(np.abs(np.asarray(actual) - expected).max() / np.abs(expected).max())
 
 
 def by_hand(structure, quantity, **settings):
@@ -65,7 +61,7 @@ def test_labels():
     drift = simulate(CHAINS[0], SHAKE, quantity="inter_storey_drift", sensors=[2, 0], dt=0.04)
     assert (drift.dims, drift.name) == (("storey", "time"), "inter_storey_drift")
     assert drift["storey"].values.tolist() == [2, 0]
-    assert drift.attrs == {"units": "m", "record": "noise"}
+    assert drift.attrs == {"units": "m", "record": "pulse"}
     assert drift["time"].values[-1] == pytest.approx(2.36)
     shear = simulate(CHAINS[0], SHAKE, quantity="base_shear")
     assert (shear.dims, shear.attrs["units"]) == (("time",), "N")
@@ -150,56 +146,41 @@ def test_slow_forces_go_to_the_ground():
         assert float(shear[-1]) == pytest.approx(-5.0, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("structure", "arguments", "error", "match"),
-    [
-        (
-            coupled(),
-            {"quantity": "inter_storey_drift"},
-            ValueError,
-            "`quantity` must be one of .*, base_shear for a LinearStructure, got 'inter_storey_drift'. "
-            ".* are no storeys: pass 'relative_displacement' and outputs=S",
-        ),
-        (CHAINS[0], {"quantity": "shear"}, ValueError, "`quantity` must be one of .*base_shear, got 'shear'"),
-        (CHAINS[0], {"quantity": None}, ValueError, "`quantity` must be one of .*, got None"),
-        (
-            CHAINS[2],
-            {"quantity": "base_shear", "sensors": [1]},
-            ValueError,
-            r"`sensors` must be left out for the base shear, got \[1\]. It is a sum",
-        ),
-        (
-            CHAINS[0],
-            {"quantity": "inter_storey_drift", "outputs": np.eye(4)},
-            ValueError,
-            "`outputs` must be left out for 'inter_storey_drift', got an array. .* combine 'relative_disp",
-        ),
-        (
-            coupled(),
-            {"quantity": "base_shear", "outputs": np.eye(4)},
-            ValueError,
-            "`outputs` must be left out for 'base_shear', got an array. .* combine 'absolute_acc",
-        ),
-        (
-            CHAINS[0],
-            {"quantity": "inter_storey_drift", "sensors": [4]},
-            ValueError,
-            "`sensors` must lie between",
-        ),
-        (
-            CHAINS[0],
-            {"quantity": "base_shear", "record": Loading(np.ones((4, 9)), 0.1, kind="force")},
-            TypeError,
-            "`record` must be a Record for a SpringMassChain, got Loading",
-        ),
-        (
-            coupled(),
-            {"quantity": "base_shear", "record": Loading(np.ones((3, 9)), 0.1, kind="force")},
-            ValueError,
-            r"`matrix` of the forces must have shape \(4, 3\), got none",
-        ),
-    ],
-)
+REFUSED_VALUES = {  # what is said: what is given
+    "`quantity` must be one of .*, base_shear for a LinearStructure, got 'inter_storey_drift'. "
+    ".* are no storeys: pass 'relative_displacement' and outputs=S": (
+        coupled(),
+        {"quantity": "inter_storey_drift"},
+    ),
+    "`quantity` must be one of .*base_shear, got 'shear'": (CHAINS[0], {"quantity": "shear"}),
+    "`quantity` must be one of .*, got None": (CHAINS[0], {"quantity": None}),
+    r"`sensors` must be left out for the base shear, got \[1\]. It is a sum": (
+        CHAINS[2],
+        {"quantity": "base_shear", "sensors": [1]},
+    ),
+    "`outputs` must be left out for 'inter_storey_drift', got an array. .* combine 'relative_disp": (
+        CHAINS[0],
+        {"quantity": "inter_storey_drift", "outputs": np.eye(4)},
+    ),
+    "`outputs` must be left out for 'base_shear', got an array. .* combine 'absolute_acc": (
+        coupled(),
+        {"quantity": "base_shear", "outputs": np.eye(4)},
+    ),
+    "`sensors` must lie between": (CHAINS[0], {"quantity": "inter_storey_drift", "sensors": [4]}),
+    r"`matrix` of the forces must have shape \(4, 3\), got none": (
+        coupled(),
+        {"quantity": "base_shear", "record": Loading(np.ones((3, 9)), 0.1, kind="force")},
+    ),
+}
+REFUSED_TYPES = {
+    "`record` must be a Record for a SpringMassChain, got Loading": (
+        CHAINS[0],
+        {"quantity": "base_shear", "record": Loading(np.ones((4, 9)), 0.1, kind="force")},
+    )
+}
+
+
+@refusals("structure arguments", REFUSED_VALUES, REFUSED_TYPES)
 def test_refusals(structure, arguments, error, match):
     with pytest.raises(error, match=match):
         simulate(structure, **({"record": SHAKE} | arguments))

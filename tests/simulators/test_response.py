@@ -7,12 +7,14 @@ import pytest
 import xarray as xr
 from scipy.linalg import expm
 from scipy.signal import lsim
-from support.kernels import chain_discrepancy, chain_response
-from support.newmark import newmark
 
 from pymc_features import ModalDamping, RayleighDamping, Record, SpringMassChain, paper, simulate
 from pymc_features.simulators import QUANTITIES, UNITS
-from pymc_features.simulators.oscillators.recursion import first_order_hold
+from pymc_features.simulators.oscillators.recursion import first_order_hold as step_coefficients
+from support.kernels import chain_discrepancy, chain_response
+from support.newmark import newmark
+from support.reference import first_order_hold, interpolated
+from support.structures import DAMPINGS, noise_record, random_chain
 
 # --------------------------------------------------------------------------- independent routes
 
@@ -26,26 +28,16 @@ def phi_functions(matrix):
 
 
 def full_response(structure, record, *, substeps=1, stride=1):
-    """All quantities without modes: first-order hold of z' = A z + B a_g, z = (u, v)."""
+    """All quantities without modes: first-order hold of M u" + C u' + K u = -M a_g."""
     matrix_m, matrix_c, matrix_k = structure.matrices()
     n = len(matrix_m)
     damping, stiffness = np.linalg.solve(matrix_m, matrix_c), np.linalg.solve(matrix_m, matrix_k)
-    system = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
-    inputs = np.append(np.zeros(n), -np.ones(n))
-    step = record.dt / substeps
-    transition, phi_1, phi_2 = phi_functions(system * step)
-    now, after = step * (phi_1 - phi_2) @ inputs, step * phi_2 @ inputs
-    fine = np.arange((record.n_times - 1) * substeps + 1) * step
-    ground = np.interp(fine, record.time, record.acceleration)
-    states = np.zeros((fine.size, 2 * n))
-    for k in range(fine.size - 1):
-        states[k + 1] = transition @ states[k] + now * ground[k] + after * ground[k + 1]
-    u, v = states[::stride, :n].T, states[::stride, n:].T
-    absolute = -(stiffness @ u + damping @ v)
-    return dict(
-        zip(QUANTITIES, (absolute, absolute - ground[::stride], v, u), strict=True),
-        ground=ground[::stride],
+    ground = interpolated(record.acceleration[None], substeps)
+    u, v, relative = first_order_hold(
+        damping, stiffness, -np.ones((n, 1)), ground, record.dt / substeps, stride
     )
+    [ground] = ground[:, ::stride]
+    return dict(zip(QUANTITIES, (relative + ground, relative, v, u), strict=True), ground=ground)
 
 
 def oscillator(omega, zeta):
@@ -62,29 +54,6 @@ def assert_close_to_peak(actual, expected, tolerance):
     np.testing.assert_allclose(actual, expected, rtol=0.0, atol=tolerance * np.abs(expected).max())
 
 
-def noise_record(seed, n_times=150, dt=0.02):
-    return Record(np.random.default_rng(seed).normal(size=n_times), dt)
-
-
-DAMPINGS = {
-    "rayleigh": lambda n: RayleighDamping(0.2, 1e-3),
-    "none": lambda n: ModalDamping(0.0),
-    "very light": lambda n: ModalDamping(1e-8),
-    "critical": lambda n: ModalDamping(1.0),
-    "over-critical": lambda n: ModalDamping(np.linspace(1.5, 4.0, n)),
-    "mixed": lambda n: ModalDamping(np.linspace(0.0, 2.0, n)),
-    "heavy rayleigh": lambda n: RayleighDamping(20.0, 0.05),
-}
-
-
-def random_chain(seed, damping="rayleigh"):
-    """One to eight masses with frequencies from below 1 Hz to beyond the sampling rate."""
-    rng = np.random.default_rng(seed)
-    n = seed % 8 + 1
-    stiffness = 10.0 ** rng.uniform(1.5, 4.5) * rng.uniform(0.2, 5.0, n)
-    return SpringMassChain(rng.uniform(0.2, 5.0, n), stiffness, DAMPINGS[damping](n))
-
-
 # --------------------------------------------------------------------------- coefficients
 
 
@@ -93,7 +62,7 @@ def test_step_coefficients_against_matrix_exponential(zeta):
     """w in 0..30: 1e-12 of the largest entry, the accuracy of the exponential itself."""
     grid = np.concatenate([[0.0], np.logspace(-8, np.log10(30.0), 60)])
     for w in grid:
-        hold = np.array(first_order_hold(w * w, 2.0 * zeta * w))
+        hold = np.array(step_coefficients(w * w, 2.0 * zeta * w))
         exact = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
         phi_0, phi_1, phi_2 = phi_functions(exact)
         now, after = (phi_2 - phi_1)[:, 1], -phi_2[:, 1]
@@ -171,12 +140,7 @@ def frame_forces(u, stiffness, height):
     """Top displacement [cm], top and base shear [kN], base moment [kN m] from displacements (5, t)."""
     shear = stiffness * np.diff(u, axis=0, prepend=0.0)  # below each floor
     moment = height * shear.sum(axis=0)
-    return {
-        "u5_cm": 100 * u[-1],
-        "V5_kN": shear[-1] / 1e3,
-        "Vb_kN": shear[0] / 1e3,
-        "Mb_kNm": moment / 1e3,
-    }
+    return {"u5_cm": 100 * u[-1], "V5_kN": shear[-1] / 1e3, "Vb_kN": shear[0] / 1e3, "Mb_kNm": moment / 1e3}
 
 
 def test_published_peaks_of_a_frame(five_storeys):
@@ -221,7 +185,7 @@ def test_equilibrium_of_a_frame(five_storeys):
 @pytest.mark.parametrize("seed", range(8))
 def test_against_full_matrix_exponential(seed, damping):
     """One to eight masses, all quantities, 1e-10 of the peak; no modes in the other route."""
-    chain, record = random_chain(seed, damping), noise_record(seed)
+    chain, record = random_chain(seed, damping), noise_record(150, seed=seed)
     exact = full_response(chain, record)
     for quantity in QUANTITIES:
         assert_close_to_peak(simulate(chain, record, quantity=quantity).values, exact[quantity], 1e-10)
@@ -231,7 +195,7 @@ def test_against_full_matrix_exponential(seed, damping):
 @pytest.mark.parametrize("quantity", QUANTITIES)
 def test_output_steps(substeps, stride, quantity):
     """Multiples and divisors of the record's step, over a block boundary of the recursion."""
-    record = noise_record(3, n_times=301)
+    record = noise_record(301, seed=3)
     for seed in (0, 4):
         chain = random_chain(seed)
         dt = record.dt * stride / substeps
@@ -243,7 +207,7 @@ def test_output_steps(substeps, stride, quantity):
 
 @pytest.mark.parametrize("n_times", [2, 3, 127, 128, 129, 256, 257])
 def test_record_lengths_around_the_block(n_times):
-    record = noise_record(8, n_times)
+    record = noise_record(n_times, seed=8)
     chain = random_chain(2)
     exact = full_response(chain, record)["absolute_acceleration"]
     assert_close_to_peak(simulate(chain, record).values, exact, 1e-11)
@@ -252,7 +216,7 @@ def test_record_lengths_around_the_block(n_times):
 @pytest.mark.parametrize("n_times", [10, 11, 12])
 def test_output_ends_with_the_last_whole_step(n_times):
     """A step of 5 samples: the samples after the last multiple of five are not reached."""
-    record = noise_record(8, n_times)
+    record = noise_record(n_times, seed=8)
     ours = simulate(random_chain(2), record, dt=5 * record.dt)
     fine = simulate(random_chain(2), record)
     np.testing.assert_allclose(ours, fine[:, ::5], rtol=1e-12)
@@ -261,7 +225,7 @@ def test_output_ends_with_the_last_whole_step(n_times):
 
 @pytest.mark.parametrize("sensors", [[0], [3], [3, 0], (1, 1, 2), np.array([2]), range(4)])
 def test_sensor_subsets(sensors):
-    chain, record = random_chain(3), noise_record(1)
+    chain, record = random_chain(3), noise_record(150, seed=1)
     for kwargs in ({}, {"n_modes": 2}):
         everything = simulate(chain, record, **kwargs)
         some = simulate(chain, record, sensors=sensors, **kwargs)
@@ -272,7 +236,7 @@ def test_sensor_subsets(sensors):
 @pytest.mark.parametrize("seed", range(4))
 def test_against_scipy_lsim(seed):
     """SciPy's own first-order hold, fed with matrices (A, B, C, D) as Eqs. (22)-(24) have them."""
-    chain, record = random_chain(seed), noise_record(seed)
+    chain, record = random_chain(seed), noise_record(150, seed=seed)
     matrix_m, matrix_c, matrix_k = chain.matrices()
     n = chain.n_dof
     lower = -np.linalg.solve(matrix_m, np.hstack([matrix_k, matrix_c]))
@@ -286,7 +250,7 @@ def test_against_scipy_lsim(seed):
 @pytest.mark.parametrize("quantity", QUANTITIES)
 def test_coarse_output_is_every_nth_of_the_fine(factor, quantity):
     """Nothing is integrated: the step of the output does not change the values, to 1e-12."""
-    chain, record = random_chain(7), noise_record(2, n_times=201)
+    chain, record = random_chain(7), noise_record(201, seed=2)
     own = simulate(chain, record, quantity=quantity).values
     coarse = simulate(chain, record, quantity=quantity, dt=factor * record.dt).values
     fine = simulate(chain, record, quantity=quantity, dt=record.dt / factor).values
@@ -295,7 +259,7 @@ def test_coarse_output_is_every_nth_of_the_fine(factor, quantity):
 
 
 def test_is_linear_in_the_record():
-    chain, one, two = random_chain(5), noise_record(1), noise_record(2)
+    chain, one, two = random_chain(5), noise_record(150, seed=1), noise_record(150, seed=2)
     both = Record(3.0 * one.acceleration - 0.5 * two.acceleration, one.dt)
     for quantity in QUANTITIES:
         parts = [simulate(chain, r, quantity=quantity).values for r in (one, two, both)]
@@ -304,7 +268,7 @@ def test_is_linear_in_the_record():
 
 def test_time_and_stiffness_scale_together():
     """The same chain seen with a clock that runs ten times faster: exact similarity."""
-    record = noise_record(4)
+    record = noise_record(150, seed=4)
     slow = SpringMassChain([1.0, 2.0], [50.0, 80.0], ModalDamping(0.05))
     fast = SpringMassChain([1.0, 2.0], [5000.0, 8000.0], ModalDamping(0.05))
     quick = Record(record.acceleration, record.dt / 10)
@@ -386,7 +350,7 @@ def test_at_rest_at_the_first_sample():
 def test_truncation_and_feed_through(n_modes):
     """Kept modes one by one as oscillators, and J_c a_g = (1 - sum phi Gamma) a_g, Eq. (24)."""
     chain = random_chain(4, "mixed")
-    record = noise_record(6)
+    record = noise_record(150, seed=6)
     modes = chain.modes()
     expected = dict.fromkeys(QUANTITIES, 0.0)
     carried = np.zeros((chain.n_dof, 1))
@@ -440,7 +404,7 @@ def newmark_error(chain, record, divisor, beta=0.25):
 @pytest.mark.parametrize("beta", [0.25, 1 / 6])
 def test_newmark_converges_to_the_response_with_order_two(beta):
     chain = SpringMassChain(np.ones(3), [400.0, 300.0, 200.0], RayleighDamping(0.2, 1e-3))
-    record = noise_record(9, n_times=60)
+    record = noise_record(60, seed=9)
     errors = np.array([newmark_error(chain, record, d, beta).max() for d in (4, 8, 16, 32)])
     orders = np.log2(errors[:-1] / errors[1:])
     np.testing.assert_allclose(orders, 2.0, atol=0.05)
@@ -606,11 +570,11 @@ def test_result_is_labelled():
 )
 def test_refusals(kwargs, match):
     with pytest.raises(ValueError, match=match):
-        simulate(random_chain(2), noise_record(0), **kwargs)
+        simulate(random_chain(2), noise_record(150, seed=0), **kwargs)
 
 
 def test_steps_may_carry_the_rounding_of_a_division():
-    chain, record = random_chain(1), noise_record(0)
+    chain, record = random_chain(1), noise_record(150, seed=0)
     for dt, factor in ((0.02 / 3, 3), (0.1 * 0.02, 10), (0.02 * (1 + 1e-9), 1)):
         assert simulate(chain, record, dt=dt).sizes["time"] == 149 * factor + 1
 
@@ -622,7 +586,7 @@ def test_symbolic_structures_are_for_models():
     with pytest.raises(
         TypeError, match="must have numbers as parameters, got PyTensor variables. Use `response"
     ):
-        simulate(chain, noise_record(0))
+        simulate(chain, noise_record(150, seed=0))
 
 
 def test_simulate_refuses_other_objects():

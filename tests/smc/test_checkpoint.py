@@ -10,9 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pymc as pm
-import pytensor
 import pytest
-from support.external_functions import SHAPE, Counted, beam, note
 
 from pymc_features import (
     DiscrepancySimulator,
@@ -27,24 +25,11 @@ from pymc_features import (
 from pymc_features.exceptions import CheckpointError
 from pymc_features.smc import KERNELS
 from pymc_features.smc.kernels.checkpoint import MAGIC, Checkpoint, Journal
+from support.external_functions import DATA, SHAPE, Counted, beam, note
+from support.sampling import QUIET
 
-DATA = 2.0 * beam(1.0)
-QUIET = {"progressbar": False, "compute_convergence_checks": False}
 DRAWS = 80
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:. sensors with one sigma"),
-    pytest.mark.filterwarnings("ignore:SubsetSimulation draws from rho"),
-    pytest.mark.filterwarnings("ignore:RandomVariable Ops will stop hiding"),
-    pytest.mark.filterwarnings("ignore:Calling a RandomVariable without an explicit rng"),
-    pytest.mark.filterwarnings("ignore:This process .* is multi-threaded"),  # of processes that only wait
-]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    """Compile for small examples."""
-    with pytensor.config.change_flags(mode="FAST_COMPILE"):
-        yield
+pytestmark = pytest.mark.usefixtures("fast_compile")
 
 
 class Interrupted(BaseException):
@@ -121,6 +106,7 @@ def kill_at(size, folder, function, *arguments):
     return process.exitcode == -signal.SIGKILL
 
 
+@pytest.mark.processes
 def test_killed_ten_times(tmp_path):
     function = InProcess()
     model = model_of(function)
@@ -151,6 +137,7 @@ def resume(model, folder, settings):
     sample(model, checkpoint=folder, **settings)
 
 
+@pytest.mark.processes
 def test_killed_with_an_external_simulator_and_a_cache(tmp_path):
     """Not even the evaluations of the batch in work are lost."""
 
@@ -214,6 +201,7 @@ def test_every_kernel_goes_on(kernel, tmp_path):
     assert len(calls_in(function.path)) == before
 
 
+@pytest.mark.processes
 def test_chains_in_parallel(tmp_path):
     """The same journals as those of chains one after the other, and the same particles."""
     model = model_of(InProcess())
@@ -227,6 +215,7 @@ def test_chains_in_parallel(tmp_path):
     assert len(serial) == 2 and serial == parallel
 
 
+@pytest.mark.processes
 def test_a_dead_chain_process_is_named(tmp_path):
     main = os.getpid()
 
@@ -476,6 +465,7 @@ def hold(folder, ready, end):
     journal.close()
 
 
+@pytest.mark.processes
 def test_a_checkpoint_in_use(tmp_path):
     context = multiprocessing.get_context("fork")
     ready, end = context.Event(), context.Event()
@@ -502,6 +492,7 @@ def test_models_and_kernels_that_cannot_go_on(tmp_path):
         sample(model, pm.smc.MH, checkpoint=tmp_path)
 
 
+@pytest.mark.processes
 def test_an_error_in_a_parallel_chain_comes_as_it_is(copied):
     model, folder, journal, _ = copied
     for path in folder.iterdir():

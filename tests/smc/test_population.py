@@ -4,7 +4,6 @@ import gc
 import multiprocessing
 import resource
 import sys
-import warnings
 import weakref
 
 import numpy as np
@@ -15,7 +14,6 @@ import pytest
 from pymc.distributions.dist_math import check_parameters
 from pymc.logprob.utils import ParameterValueError
 from pymc.smc.kernels import IMH, MH
-from pytensor.compile.mode import Mode
 from pytensor.graph.basic import Apply
 from pytensor.graph.op import Op
 from scipy import stats
@@ -26,7 +24,6 @@ from pymc_features import (
     PersistentSMC,
     PopulationIMH,
     PopulationMH,
-    Record,
     SpringMassChain,
     TruncNormalFeature,
     response,
@@ -35,8 +32,11 @@ from pymc_features import (
 from pymc_features.smc import KERNELS, PopulationLogp
 from pymc_features.smc.density import evaluation
 from pymc_features.smc.density.evaluation import population_logp
+from support.graphs import REWRITTEN
+from support.sampling import SERIAL
+from support.structures import noise_record, with_noise
 
-PULSE = Record(np.random.default_rng(0).normal(size=200), 0.02, name="pulse")
+PULSE = noise_record(200)
 SCALED = {"rtol": 1e-10, "atol": 1e-10}
 
 
@@ -46,15 +46,7 @@ def chain(theta, n_dof=3):
 
 
 def measured(n_dof=3, record=PULSE):
-    exact = simulate(chain(1.0, n_dof), record).values
-    return exact + 0.3 * np.random.default_rng(1).normal(size=exact.shape)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    """Compile for small examples; tests of the default mode leave this with `default_mode`."""
-    with pytensor.config.change_flags(mode="FAST_COMPILE"):
-        yield
+    return with_noise(simulate(chain(1.0, n_dof), record), 0.3)
 
 
 @pytest.fixture
@@ -116,17 +108,14 @@ def structure():
     return model
 
 
-pytestmark = pytest.mark.filterwarnings("ignore:3 sensors with one sigma")
+pytestmark = pytest.mark.usefixtures("fast_compile")
 MODELS = (gaussian, many_variables, discrete, potential, data, structure)
 
 
 def sample(model, kernel, draws=60, chains=1, **settings):
-    settings = {"cores": 1, "random_seed": 5, "progressbar": False, **settings}
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="More chains")
-        return pm.sample_smc(
-            draws, kernel, model=model, chains=chains, compute_convergence_checks=False, **settings
-        )
+    return pm.sample_smc(
+        draws, kernel, model=model, chains=chains, **{"random_seed": 5, **SERIAL, **settings}
+    )
 
 
 def assert_same(one, other, **tolerance):
@@ -219,6 +208,7 @@ def sequential():
         return model, {k: sample(model, k, chains=2) for k in (PersistentSMC, PopulationMH)}
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     ("mp_ctx", "kernel"),
     [
@@ -407,7 +397,7 @@ def test_splitting_changes_nothing(monkeypatch):
 # --------------------------------------------------------------------------- memory
 
 
-LONG = Record(np.random.default_rng(0).normal(size=3000), 0.02)
+LONG = noise_record(3000)
 N_PARTICLES = 1500
 
 
@@ -430,6 +420,7 @@ def peak_growth(function, queue):
     queue.put(1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before))
 
 
+@pytest.mark.processes
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="peak memory of a forked process")
 @pytest.mark.parametrize(("likelihood", "fused"), [(tn, True), (norm, True), (norm_unfused, False)])
 def test_memory_does_not_grow_with_histories(likelihood, fused):
@@ -466,12 +457,9 @@ def normal(mean=lambda mu: mu, sigma=lambda: 0.4):
     return model
 
 
-FAST_RUN = Mode(linker="py", optimizer="fast_run")  # PyTensor's usual rewrites without machine code
-
-
 def holds_a_history(model):
     """Whether the compiled log-likelihood computes a response, not only its discrepancy."""
-    graph = model.compile_fn(model.datalogp, mode=FAST_RUN).f.maker.fgraph
+    graph = model.compile_fn(model.datalogp, mode=REWRITTEN).f.maker.fgraph
     return any("StructuralResponse" in str(node.op) for node in graph.apply_nodes)
 
 
@@ -488,7 +476,7 @@ def test_normal_of_a_response_needs_no_history(sigma):
     assert not holds_a_history(model)
     mu = simulate(chain(1.1), PULSE).values
     exact = stats.norm.logpdf(measured(), mu, values).sum()
-    for mode in (FAST_RUN, "NUMBA") if sigma == "free" else (FAST_RUN,):
+    for mode in (REWRITTEN, "NUMBA") if sigma == "free" else (REWRITTEN,):
         datalogp = model.compile_fn(model.datalogp, mode=mode)
         assert float(datalogp(point)) == pytest.approx(exact, rel=1e-10)
     logp = population_logp(model, model.initial_point(), {})
@@ -531,7 +519,7 @@ def test_another_density_of_the_same_form_is_left_alone():
         pm.CustomDist("y", mu, 0.4, logp=almost_normal, observed=measured())
     exact = stats.norm.logpdf(measured(), simulate(chain(1.1), PULSE).values, 0.4).sum()
     exact += measured().size * 0.5 * np.log(2 * np.pi / 7.0)
-    found = model.compile_fn(model.datalogp, mode=FAST_RUN)({"theta": 1.1})
+    found = model.compile_fn(model.datalogp, mode=REWRITTEN)({"theta": 1.1})
     assert float(found) == pytest.approx(exact, rel=1e-10)
 
 
@@ -540,4 +528,4 @@ def test_normal_of_an_impossible_structure_is_impossible():
     possible, failed = compare(model, np.array([[1.0], [-0.5], [0.0], [0.8]]))
     np.testing.assert_array_equal(possible, [True, False, False, True])
     np.testing.assert_array_equal(failed, ~possible)
-    assert model.compile_fn(model.datalogp, mode=FAST_RUN)({"theta": -0.5}) == -np.inf
+    assert model.compile_fn(model.datalogp, mode=REWRITTEN)({"theta": -0.5}) == -np.inf

@@ -6,7 +6,6 @@ import warnings
 import arviz as az
 import numpy as np
 import pymc as pm
-import pytensor
 import pytensor.tensor as pt
 import pytest
 import xarray as xr
@@ -24,15 +23,9 @@ from pymc_features import (
 )
 from pymc_features.exceptions import PopulationWarning
 from pymc_features.smc import KERNELS
+from support.sampling import SERIAL
 
-QUIET = {"cores": 1, "progressbar": False, "compute_convergence_checks": False}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    """Compile for small examples."""
-    with pytensor.config.change_flags(mode="FAST_COMPILE"):
-        yield
+pytestmark = pytest.mark.usefixtures("fast_compile")
 
 
 def regression():
@@ -52,20 +45,15 @@ def model():
 
 # --------------------------------------------------------------------------- saving
 
-UNEQUAL = {
-    IMH: 2,
-    PopulationIMH: 2,
-    PopulationMH: 2,
-    PersistentSMC: 0,
-    TMCMC: 2,
-}  # seeds: chains differ in stages
+# seeds: chains differ in stages
+UNEQUAL = {IMH: 2, PopulationIMH: 2, PopulationMH: 2, PersistentSMC: 0, TMCMC: 2}
 
 
 @pytest.fixture(scope="module", params=UNEQUAL, ids=lambda kernel: kernel.__module__ + "." + kernel.__name__)
 def saved(request, model):
     """A result of every kernel, of three chains with unequal numbers of stages."""
     kernel = request.param
-    return kernel, sample_smc(60, kernel, model=model, chains=3, random_seed=UNEQUAL[kernel], **QUIET)
+    return kernel, sample_smc(60, kernel, model=model, chains=3, random_seed=UNEQUAL[kernel], **SERIAL)
 
 
 def test_unequal_stages_are_padded(saved):
@@ -117,8 +105,8 @@ def test_arviz_reads_it(saved):
 
 
 def test_default_kernel_is_persistent(model):
-    one = sample_smc(60, model=model, chains=2, random_seed=1, **QUIET)
-    other = sample_smc(60, PersistentSMC, model=model, chains=2, random_seed=1, **QUIET)
+    one = sample_smc(60, model=model, chains=2, random_seed=1, **SERIAL)
+    other = sample_smc(60, PersistentSMC, model=model, chains=2, random_seed=1, **SERIAL)
     xr.testing.assert_equal(one["posterior"].dataset, other["posterior"].dataset)
     assert one.posterior.sizes["draw"] == 60
     assert "stage_draws" in one.sample_stats.attrs
@@ -126,7 +114,7 @@ def test_default_kernel_is_persistent(model):
 
 def test_inside_a_model_and_as_many_chains_as_cores():
     with regression():
-        idata = sample_smc(40, chains=None, random_seed=1, **QUIET)
+        idata = sample_smc(40, chains=None, random_seed=1, **SERIAL)
     assert idata.posterior.sizes == {"chain": 2, "draw": 40, "place": 3}
 
 
@@ -136,7 +124,7 @@ def test_multitrace_is_refused(model):
 
 
 def test_settings_reach_the_kernel(model):
-    idata = sample_smc(60, model=model, chains=1, random_seed=1, stage_draws=200, threshold=0.9, **QUIET)
+    idata = sample_smc(60, model=model, chains=1, random_seed=1, stage_draws=200, threshold=0.9, **SERIAL)
     assert (idata.sample_stats.attrs["stage_draws"], idata.sample_stats.attrs["threshold"]) == (200, 0.9)
 
 
@@ -228,7 +216,7 @@ def test_an_impossible_model_is_refused(kernel, value):
         pm.Potential("never", pm.Normal("x") + value)
     match = r"finite log-density somewhere, got none at \d+ draws from the prior \(\d+ failed .*point_logps"
     with pytest.raises(ValueError, match=match):
-        sample_smc(40, kernel, model=model, chains=1, random_seed=1, **QUIET)
+        sample_smc(40, kernel, model=model, chains=1, random_seed=1, **SERIAL)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -239,7 +227,7 @@ def test_start_replaces_the_prior_draws(kernel, model):
     start = {"x": rng.normal(size=(40, 3)), "s_log__": rng.normal(size=40)}
     one.initialize(start, rng)
     assert one.evaluations == 40
-    idata = sample_smc(40, kernel, model=model, start=start, chains=2, random_seed=1, **QUIET)
+    idata = sample_smc(40, kernel, model=model, start=start, chains=2, random_seed=1, **SERIAL)
     assert idata.posterior.sizes["draw"] == 40
 
 
@@ -248,7 +236,7 @@ def test_smallest_runs(kernel, model):
     """Two draws are few, not an error."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        idata = sample_smc(2, kernel, model=model, chains=1, random_seed=1, **QUIET)
+        idata = sample_smc(2, kernel, model=model, chains=1, random_seed=1, **SERIAL)
     assert np.isfinite(idata.posterior["x"]).all()
 
 
@@ -304,7 +292,7 @@ def test_a_plain_simulator_is_called_for_each_particle():
     ) as caught:
         kernel = PopulationIMH(50, model=model)
         PersistentSMC(50, model=model)
-        sample_smc(50, PopulationMH, model=model, chains=1, **QUIET)
+        sample_smc(50, PopulationMH, model=model, chains=1, **SERIAL)
     assert sum(issubclass(w.category, PopulationWarning) for w in caught) == 1
     assert not kernel.logp.batched
 
@@ -323,15 +311,16 @@ def test_a_marked_simulator_is_called_for_all(build, function):
     """What the warning says does what it says, without a warning: the same draws from one call for all."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PopulationWarning)
-        expected = sample_smc(50, model=build(function), chains=2, random_seed=1, **QUIET)
+        expected = sample_smc(50, model=build(function), chains=2, random_seed=1, **SERIAL)
     with warnings.catch_warnings():
         warnings.simplefilter("error", PopulationWarning)
         model = build(marked(function))
-        found = sample_smc(50, model=model, chains=2, random_seed=1, **QUIET)
+        found = sample_smc(50, model=model, chains=2, random_seed=1, **SERIAL)
     assert PopulationIMH(50, model=model).logp.batched
     xr.testing.assert_allclose(found["posterior"].dataset, expected["posterior"].dataset, rtol=1e-9)
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_noisy_simulator_has_its_exact_posterior(kernel):
     """The mean of 20 draws within 0.3 of the data's, softly: Gaussian, with a closed-form evidence.
@@ -340,7 +329,7 @@ def test_noisy_simulator_has_its_exact_posterior(kernel):
     draws, the largest of all kernels (0.021, 0.011 and 0.050): a false alarm in 1e6 seeds for each.
     """
     variance = WIDTH**2 + 1 / 20
-    idata = sample_smc(500, kernel, model=simulator(marked(draws_of)), chains=2, random_seed=1, **QUIET)
+    idata = sample_smc(500, kernel, model=simulator(marked(draws_of)), chains=2, random_seed=1, **SERIAL)
     values = idata.posterior["mean"].values
     assert values.mean() == pytest.approx(VALUES.mean() / (1 + variance), abs=0.105)
     assert values.std() == pytest.approx(np.sqrt(variance / (1 + variance)), abs=0.055)

@@ -1,447 +1,35 @@
-"""Subset simulation against exact volumes, rejection and quadrature; wrong kernels are negative controls.
-
-Seeds are fixed. Where a docstring states a false-alarm rate, it is that of another seed.
-"""
+"""Runs of `SubsetSimulation`: what they report, budgets, other parts of a model, refusals."""
 
 import multiprocessing
 import warnings
-from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import pymc as pm
-import pytensor
 import pytensor.tensor as pt
 import pytest
 import xarray as xr
 from pymc.sampling.parallel import ParallelSamplingError
 from scipy import stats
-from scipy.special import expit, gamma
 
 from pymc_features import (
     DiscrepancySimulator,
     ModalDamping,
-    Record,
     SpringMassChain,
     SubsetSimulation,
     response,
     sample_smc,
     simulate,
 )
-from pymc_features.exceptions import (
-    PopulationWarning,
-    SimulationWarning,
-    SubsetSimulationWarning,
-    ToleranceNotReachedError,
-)
+from pymc_features.exceptions import PopulationWarning, SubsetSimulationWarning, ToleranceNotReachedError
 from pymc_features.smc.density.discrepancy import SimulatorNode
 from pymc_features.smc.kernels import subset
 from pymc_features.smc.kernels.levels import Levels
-
-QUIET = {"cores": 1, "progressbar": False, "compute_convergence_checks": False}
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:SubsetSimulation draws from rho"),
-    pytest.mark.filterwarnings("ignore:RandomVariable Ops will stop hiding"),
-    pytest.mark.filterwarnings("ignore:Calling a RandomVariable without an explicit rng"),
-]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    """Compile for small examples."""
-    with pytensor.config.change_flags(mode="FAST_COMPILE"):
-        yield
-
-
-def batched(function):
-    """Mark a function as one that takes all particles at once."""
-    function.batched = True
-    return function
-
-
-def run(model, draws=500, seed=0, kernel=SubsetSimulation, **settings):
-    """One chain: the kernel at its end, the statistics of its levels, and its first tolerance."""
-    one = kernel(draws, model=model, random_seed=seed, **settings)
-    one.initialize(None, np.random.default_rng(seed))
-    levels = []
-    while one.beta < 1.0:
-        one.update_beta_and_weights()
-        levels.append(one.step())
-    return SimpleNamespace(
-        x=one.tempered_posterior,
-        rho=one.rho,
-        evidence=one.log_marginal_likelihood,
-        se=levels[-1]["log_marginal_likelihood_se"],
-        simulations=one.simulations,
-        levels=levels,
-    )
-
-
-def sample(model, draws=300, chains=1, **settings):
-    return sample_smc(
-        draws, SubsetSimulation, model=model, chains=chains, **{"random_seed": 1, **QUIET, **settings}
-    )
-
-
-# --------------------------------------------------------------------------- exact volumes
-
-
-@batched
-def itself(x):
-    return x
-
-
-@cache
-def ball(d, epsilon):
-    """|x|^2 <= epsilon in a cube of side 2: the exact volume and moments are known."""
-    with pm.Model() as model:
-        x = pm.Uniform("x", -1.0, 1.0, shape=d)
-        DiscrepancySimulator("y", itself, x, epsilon=epsilon, observed=np.zeros(d))
-    return model
-
-
-def radius(d, probability):
-    """Of the ball that holds this share of the cube."""
-    return 2.0 * (probability * gamma(0.5 * d + 1)) ** (1 / d) / np.sqrt(np.pi)
-
-
-PROBABILITY = {1: 1e-3, 2: 2.6e-4, 5: 1e-4}
-N_RUNS = 40
-
-
-@cache
-def ball_runs(d, kernel=SubsetSimulation, n=N_RUNS):
-    model = ball(d, radius(d, PROBABILITY[d]) ** 2)
-    return [run(model, {1: 500, 2: 1000, 5: 1000}[d], seed, kernel) for seed in range(n)]
-
-
-def cube(r):
-    return 2.0 * expit(r.x) - 1.0
-
-
-def few(values, expected=0.0, error=0.0, limit=4.0):
-    """Whether the mean of values from independent runs is within `limit` of its standard errors."""
-    spread = np.hypot(np.std(values, ddof=1) / np.sqrt(len(values)), error)
-    return abs(np.mean(values) - expected) < limit * spread
-
-
-@pytest.mark.parametrize("d", PROBABILITY)
-def test_evidence_against_the_exact_volume(d):
-    """Each of 40 runs, and the mean of the evidences."""
-    runs = ball_runs(d)
-    errors = np.array([r.evidence for r in runs]) - np.log(PROBABILITY[d])
-    assert (np.abs(errors) < 4.0 * np.array([r.se for r in runs])).all()
-    assert few(errors)
-
-
-# --------------------------------------------------------------------------- against rejection
-
-
-class TwoModes:
-    """One parameter, two intervals of unequal share; seeds enough for a mixture of two."""
-
-    epsilon = 1e-4
-    stage_draws = 1000
-
-    @staticmethod
-    @batched
-    def square(x):
-        return x[:, None] ** 2
-
-    def model(self):
-        with pm.Model() as model:
-            x = pm.Normal("x", 0.3, 1.0)
-            DiscrepancySimulator("y", self.square, x, epsilon=self.epsilon, observed=np.ones(1))
-        return model
-
-    def prior(self, rng, n):
-        return rng.normal(0.3, 1.0, (n, 1))
-
-    def rho(self, x, rng):
-        return (x[:, 0] ** 2 - 1.0) ** 2
-
-    def natural(self, x):
-        return x
-
-
-class Banana:
-    """Two parameters, one of them positive, on a bent strip."""
-
-    epsilon = 1e-3
-    stage_draws = None
-
-    @staticmethod
-    @batched
-    def bent(a, b):
-        return np.stack([a**2 + b, 0.3 * a], axis=1)
-
-    def model(self):
-        with pm.Model() as model:
-            a, b = pm.Normal("a"), pm.Gamma("b", 2.0, 1.0)
-            DiscrepancySimulator("y", self.bent, a, b, epsilon=self.epsilon, observed=[1.0, 0.06])
-        return model
-
-    def prior(self, rng, n):
-        return np.column_stack([rng.normal(size=n), rng.gamma(2.0, size=n)])
-
-    def rho(self, x, rng):
-        a, b = x.T
-        return (a**2 + b - 1.0) ** 2 + (0.3 * a - 0.06) ** 2
-
-    def natural(self, x):
-        return np.column_stack([x[:, 0], np.exp(x[:, 1])])
-
-
-class Noisy:
-    """Five parameters of a stock `pm.Simulator` with noise: one draw of it belongs to each state."""
-
-    epsilon = 0.8
-    stage_draws = None
-    data = np.array([1.0, 0.5, 0.0, -0.5, -1.0])
-
-    @staticmethod
-    @batched
-    def measure(rng, x, size):
-        return x + 0.1 * rng.standard_normal(np.shape(x))
-
-    def model(self):
-        with pm.Model() as model:
-            x = pm.Normal("x", shape=5)
-            pm.Simulator("y", self.measure, x, epsilon=self.epsilon, signature="(d)->(d)", observed=self.data)
-        return model
-
-    def prior(self, rng, n):
-        return rng.standard_normal((n, 5))
-
-    def rho(self, x, rng):
-        return np.linalg.norm(x + 0.1 * rng.standard_normal(x.shape) - self.data, axis=1)
-
-    def natural(self, x):
-        return x
-
-
-PROBLEMS = (TwoModes(), Banana(), Noisy())
-problems = pytest.mark.parametrize("problem", PROBLEMS, ids=lambda p: type(p).__name__)
-N_CHAINS = 16
-
-
-@cache
-def rejection(problem, n=2_000_000):
-    """The slow reference: draws (m, d + 1) from the prior with rho <= epsilon, rho last; and their share."""
-    rng = np.random.default_rng(2)
-    kept = []
-    for _ in range(10):
-        x = problem.prior(rng, n // 10)
-        rho = problem.rho(x, rng)
-        kept.append(np.column_stack([x, rho])[rho <= problem.epsilon])
-    kept = np.concatenate(kept)
-    return kept, len(kept) / n
-
-
-@cache
-def model_of(problem):
-    return problem.model()
-
-
-@cache
-def chains_of(problem, kernel=SubsetSimulation):
-    model = model_of(problem)
-    return [run(model, 500, seed, kernel, stage_draws=problem.stage_draws) for seed in range(N_CHAINS)]
-
-
-def differences(problem, kernel=SubsetSimulation):
-    """What differs from rejection, over 16 independent chains.
-
-    "rho": a particle outside the tolerance. "distribution": two-sample Kolmogorov-Smirnov of a coordinate or
-    rho, below 1e-3 / number of columns; of every tenth draw, since those of one chain are correlated (50 of
-    500, at 1.3 to 2 draws for an effective one, are worth 45 or more). "mean" and "square" of a column, by
-    the means of chains: beyond 4.5 standard errors, a Student t with 15 degrees of freedom, 4e-4 each.
-    "evidence": beyond 4.5, too. In all a false alarm in 150 for five parameters, in 300 for one.
-    """
-    exact, share = rejection(problem)
-    runs = chains_of(problem, kernel)
-    columns = [np.column_stack([problem.natural(r.x), r.rho]) for r in runs]
-    found = set()
-    if max(c[:, -1].max() for c in columns) > problem.epsilon:
-        found.add("rho")
-    thinned = np.concatenate([c[::10] for c in columns])
-    for k, known in enumerate(exact.T):
-        if stats.ks_2samp(thinned[:, k], known).pvalue < 1e-3 / exact.shape[1]:
-            found.add("distribution")
-        for name, power in (("mean", 1), ("square", 2)):
-            means = [np.mean(c[:, k] ** power) for c in columns]
-            if not few(means, np.mean(known**power), np.std(known**power) / np.sqrt(len(known)), 4.5):
-                found.add(name)
-    if not few([r.evidence for r in runs], np.log(share), 1.0 / np.sqrt(len(exact)), 4.5):
-        found.add("evidence")
-    return found
-
-
-@problems
-def test_draws_are_those_of_rejection(problem):
-    assert differences(problem) == set()
-    assert rejection(problem)[1] < 0.01, "far more simulations than a run takes"
-
-
-class WithoutTolerance(SubsetSimulation):
-    """Accepts what the prior accepts."""
-
-    def simulate(self, x):
-        rho = super().simulate(x)
-        return rho if self.iteration == 0 else np.minimum(rho, self.levels.tolerance)
-
-
-class WithoutDensity(SubsetSimulation):
-    """Ignores the density of its proposal mixture."""
-
-    def tune(self):
-        super().tune()
-        self.moves.log_density = lambda x: np.zeros(len(x))
-
-
-class WithoutPrior(SubsetSimulation):
-    """Ignores the prior once it has begun."""
-
-    def mutate(self):
-        base = self.base
-        self.base = lambda x: (np.zeros(len(x)), np.zeros(len(x)), np.zeros(len(x), dtype=bool))
-        self.population[1] = np.zeros(len(self.population[1]))
-        super().mutate()
-        self.base = base
-
-
-class LooserLevel(SubsetSimulation):
-    """Returns the population of the level before the last."""
-
-    def collect(self, states):
-        if self.levels.is_last:
-            chosen = self.rng.choice(len(self.population[0]), self.draws)
-            self.tempered_posterior, _, self.rho = (a[chosen] for a in self.population)
-        else:
-            super().collect(states)
-
-
-class SecondTry(SubsetSimulation):
-    """Draws the noise of a proposal once more where the first did not please."""
-
-    def simulate(self, x):
-        return np.minimum(super().simulate(x), super().simulate(x)) if self.iteration else super().simulate(x)
-
-
-class AllLocal(SubsetSimulation):
-    """Takes all moves of the mixture for symmetric ones."""
-
-    def tune(self):
-        super().tune()
-        propose = self.moves.propose
-        self.moves.propose = lambda x, rng: (propose(x, rng)[0], np.ones(len(x), dtype=bool))
-
-
-@pytest.mark.parametrize(
-    ("kernel", "problem", "fault"),
-    [
-        (WithoutTolerance, PROBLEMS[1], "distribution"),
-        (WithoutDensity, PROBLEMS[0], "distribution"),
-        (WithoutDensity, PROBLEMS[2], "distribution"),
-        (WithoutPrior, PROBLEMS[0], "distribution"),
-        (LooserLevel, PROBLEMS[0], "rho"),
-        (SecondTry, PROBLEMS[2], "evidence"),
-        (AllLocal, PROBLEMS[2], "distribution"),
-    ],
-    ids=lambda x: x if isinstance(x, str) else getattr(x, "__name__", type(x).__name__),
-)
-def test_wrong_kernels_are_noticed(kernel, problem, fault):
-    """Negative controls of the test above."""
-    assert fault in differences(problem, kernel)
-
-
-class VeryNoisy(Noisy):
-    """Noise as large as the tolerance for each of its entries."""
-
-    @staticmethod
-    @batched
-    def measure(rng, x, size):
-        return x + 0.3 * rng.standard_normal(np.shape(x))
-
-
-@pytest.mark.parametrize(
-    ("build", "limit"),
-    [
-        (VeryNoisy().model, 50),
-        (lambda: ball(10, radius(10, 1e-4) ** 2), 60),
-    ],
-    ids=["noise", "ten dimensions"],
-)
-def test_short_moves_are_not_the_answer(build, limit):
-    """Noise and edges reject short moves, too: 20 and 34 simulations for each draw, with long ones.
-
-    When moves were shortened until a third of them was accepted, neither arrived within the budget of 100.
-    """
-    model = build()
-    runs = [run(model, seed=seed) for seed in range(2)]
-    assert max(r.simulations for r in runs) < limit * 500
-
-
-# --------------------------------------------------------------------------- calibration and cost
-
-
-@pytest.mark.parametrize("d", PROBABILITY)
-def test_standard_error_is_calibrated(d):
-    """Spread of 40 log evidences over the mean standard error reported, between 0.6 and 1.6.
-
-    The spread itself is known to 11 %: a false alarm in 1e4 for a true ratio between 0.9 and 1.15 (measured:
-    0.96 in one dimension, over 400 runs).
-    """
-    runs = ball_runs(d)
-    ratio = np.std([r.evidence for r in runs], ddof=1) / np.mean([r.se for r in runs])
-    assert 0.6 < ratio < 1.6
-
-
-class LastLevelOnly(SubsetSimulation):
-    """Reports the error of its last level for that of all."""
-
-    def update_beta_and_weights(self):
-        self.levels.variance = 0.0
-        super().update_beta_and_weights()
-
-
-def test_standard_error_calibration_can_fail():
-    runs = ball_runs(1, LastLevelOnly)
-    assert np.std([r.evidence for r in runs], ddof=1) / np.mean([r.se for r in runs]) > 1.6
-
-
-def test_cost_of_small_probabilities():
-    """At a prior acceptance of 2.6e-4 rejection takes 3800 simulations for each draw; here 4.4.
-
-    Each run stays below 6, with 70 % of its draws distinct. For a draw that counts, by the variance of 40
-    means of two coordinates around their exact zero, there are fewer than 25 (measured: 7; a chi-squared
-    with 80 degrees of freedom, no false alarm in 1e9).
-    """
-    runs = ball_runs(2)
-    n = len(runs[0].x)
-    assert max(r.simulations for r in runs) <= 6 * n
-    assert min(len(np.unique(r.x, axis=0)) for r in runs) >= 0.7 * n
-    variance = radius(2, PROBABILITY[2]) ** 2 / 4
-    effective = variance / np.mean([cube(r).mean(axis=0) ** 2 for r in runs])
-    assert np.mean([r.simulations for r in runs]) <= 25 * effective
-
-
-@pytest.mark.parametrize("d", PROBABILITY)
-def test_simulations_are_what_the_function_saw(d):
-    """Counted by the function itself; the compilation tries it once."""
-    seen = []
-
-    @batched
-    def counting(x):
-        seen.append(len(x))
-        return x
-
-    with pm.Model() as model:
-        x = pm.Uniform("x", -1.0, 1.0, shape=d)
-        DiscrepancySimulator("y", counting, x, epsilon=0.01, observed=np.zeros(d))
-    model_run = run(model)
-    assert sum(seen) - 1 == model_run.simulations
-    assert sum(level["evaluations"] for level in model_run.levels) == model_run.simulations
+from support.refusals import refusals
+from support.sampling import QUIET, mean_within_errors
+from support.structures import noise_record, with_noise
+from support.subset import Banana, ball, batched, cube, identity, itself, own, run, sample, stock, twice
+
+pytestmark = pytest.mark.usefixtures("fast_compile")
 
 
 # --------------------------------------------------------------------------- what a run reports
@@ -449,7 +37,7 @@ def test_simulations_are_what_the_function_saw(d):
 
 def test_report_of_a_run(tmp_path, monkeypatch):
     """Tolerances, evidence and settings of three chains; saved and loaded, everything is as it was."""
-    problem, fractions = PROBLEMS[1], []
+    problem, fractions = Banana(), []
     lower = Levels.lower
 
     def recorded(levels, rho, chains):
@@ -459,7 +47,7 @@ def test_report_of_a_run(tmp_path, monkeypatch):
         return inside
 
     monkeypatch.setattr(Levels, "lower", recorded)
-    idata = sample(model_of(problem), chains=3, p0=0.25, stage_draws=240)
+    idata = sample(problem.model(), chains=3, p0=0.25, stage_draws=240)
     a, b = (idata.posterior[name].values.ravel() for name in "ab")
     rho = problem.rho(np.column_stack([a, b]), None)
     assert rho.size == 900
@@ -511,6 +99,7 @@ def test_same_seed_same_result():
     assert not np.isin(one.posterior["x"][0], one.posterior["x"][1]).any(), "chains are independent"
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("mp_ctx", ["fork", "forkserver", "spawn"])
 def test_parallel_chains_give_the_same_draws(mp_ctx):
     """With noise, too: its streams travel with the chains."""
@@ -518,21 +107,19 @@ def test_parallel_chains_give_the_same_draws(mp_ctx):
         pytest.skip(f"no {mp_ctx} on this system")
     model = structure(noise=0.1)
     expected = sample(model, 200, chains=2)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*use of fork", category=DeprecationWarning)
-        found = sample(model, 200, chains=2, cores=2, mp_ctx=mp_ctx)
+    found = sample(model, 200, chains=2, cores=2, mp_ctx=mp_ctx)
     np.testing.assert_allclose(found.posterior["theta"], expected.posterior["theta"], rtol=1e-12)
     np.testing.assert_allclose(found.sample_stats["epsilon"], expected.sample_stats["epsilon"])
 
 
-PULSE = Record(np.random.default_rng(0).normal(size=100), 0.02)
+PULSE = noise_record(100)
 
 
 def chain(theta):
     return SpringMassChain(np.ones(2), 400.0 * theta * np.ones(2), ModalDamping(0.05))
 
 
-MEASURED = simulate(chain(1.0), PULSE).values + 0.2 * np.random.default_rng(1).normal(size=(2, 100))
+MEASURED = with_noise(simulate(chain(1.0), PULSE), 0.2)
 
 
 def structure(epsilon=0.2, **settings):
@@ -553,145 +140,10 @@ def test_structure_against_rejection():
     theta = rng.normal(1.0, 0.5, 300_000)
     theta = theta[(theta > 0.02) & (theta < 3.0)]
     rho = np.interp(theta, grid, rho)
-    found = np.concatenate([run(structure(), seed=seed).x[::10, 0] for seed in range(6)])
+    found = np.concatenate([run(structure(), seed=seed).draws[::10, 0] for seed in range(6)])
     assert stats.ks_2samp(found, theta[rho <= 0.2]).pvalue > 1e-3
     assert stats.ks_2samp(found, theta[rho <= 0.1]).pvalue < 1e-3
-    assert (run(structure(), seed=1).levels[0]["failed"]) > 0, "negative springs"
-
-
-# --------------------------------------------------------------------------- failed simulations
-
-
-def stock(function=itself, *, observed=(0.0,), prior=None, **settings):
-    """PyMC's own node, of x between -1 and 1."""
-    with pm.Model() as model:
-        x = pm.Uniform("x", -1.0, 1.0) if prior is None else prior()
-        pm.Simulator("y", function, x, observed=np.array(observed), **settings)
-    return model
-
-
-@batched
-def identity(rng, x, size):
-    return x + np.zeros(np.shape(x) if size is None else np.broadcast_shapes(np.shape(x), tuple(size)))
-
-
-def raising(error):
-    def function(x):
-        if x < 0:
-            raise error(f"no solution at {x}")
-        return np.array([x])
-
-    return function
-
-
-def returning(value):
-    def function(x):
-        return np.array([value if x < 0 else x])
-
-    return function
-
-
-@batched
-def batched_raising(x):
-    if (x < 0).any():
-        raise np.linalg.LinAlgError("singular")
-    return x[:, None]
-
-
-@batched
-def batched_nan(x):
-    return np.where(x < 0, np.nan, x)[:, None]
-
-
-def own(function, epsilon=1e-4):
-    with pm.Model() as model:
-        DiscrepancySimulator("y", function, pm.Uniform("x", -1, 1), epsilon=epsilon, observed=np.zeros(1))
-    return model
-
-
-def stock_raising(rng, x, size):
-    if x < 0:
-        raise KeyError("no solution")
-    return x
-
-
-@batched
-def stock_batched_raising(rng, x, size):
-    if (x < 0).any():
-        raise TypeError("no solution")
-    return identity(rng, x, size)
-
-
-FAILING = {
-    "RuntimeError": lambda: own(raising(RuntimeError)),
-    "KeyError": lambda: own(raising(KeyError)),
-    "LinAlgError": lambda: own(raising(np.linalg.LinAlgError)),
-    "MemoryError": lambda: own(raising(MemoryError)),
-    "nan": lambda: own(returning(np.nan)),
-    "inf": lambda: own(returning(np.inf)),
-    "-inf": lambda: own(returning(-np.inf)),
-    "batched error": lambda: own(batched_raising),
-    "batched nan": lambda: own(batched_nan),
-    "stock": lambda: stock(stock_raising, epsilon=0.01),
-    "stock batched": lambda: stock(stock_batched_raising, epsilon=0.01),
-}
-
-
-@pytest.mark.filterwarnings("ignore:particles are evaluated one by one")
-@pytest.mark.filterwarnings("ignore:the simulator failed")
-@pytest.mark.parametrize("build", FAILING.values(), ids=FAILING)
-def test_failed_simulations_are_counted_and_rejected(build):
-    """Half of the prior fails: P = 0.01 / 2, within four of its standard errors (a false alarm in 1e4)."""
-    idata = sample(build(), 200, stage_draws=200)
-    x = idata.posterior["x"].values
-    assert ((x >= 0) & (x <= 0.01)).all()
-    stats_ = idata.sample_stats
-    assert abs(stats_["failed"].values[0, 0] - 100) < 60, "of the first 200, and of the first level's moves"
-    assert stats_["failed"].values[0, -1] < 100
-    error = float(stats_["log_marginal_likelihood"][0]) - np.log(0.005)
-    assert abs(error) < 4.0 * float(stats_["log_marginal_likelihood_se"][0])
-
-
-def test_one_warning_for_each_type_of_exception():
-    """Their texts differ each time; thousands of them would hide all else."""
-    match = r"the simulator failed: RuntimeError: no solution at -\S+\. Parameters at which it does are"
-    with pytest.warns(SimulationWarning, match=match) as caught:
-        sample(own(raising(RuntimeError)), 200)
-    assert sum(issubclass(w.category, SimulationWarning) for w in caught) == 1
-
-
-@batched
-def wrong_batch(x):
-    return np.zeros(1)
-
-
-def always(rng, x, size):
-    raise OSError("no licence")
-
-
-@pytest.mark.filterwarnings("ignore:particles are evaluated one by one")
-@pytest.mark.filterwarnings("ignore:the simulator failed")
-@pytest.mark.parametrize(
-    ("build", "match"),
-    [
-        (
-            lambda: own(lambda x: 1 / 0),
-            r"\(400 failed simulations, the last with ZeroDivisionError: d",
-        ),
-        (
-            lambda: stock(always, epsilon=1.0),
-            r"\(400 failed simulations, the last with OSError: no licence",
-        ),
-        (lambda: own(lambda x: np.array([np.nan])), r"\(400 failed simulations\)"),
-        (lambda: own(lambda x: np.zeros(2)), r"must return the shape of `observed`, \(1,\), got \(2,\)"),
-        (lambda: own(lambda x: 0.0), r"must return the shape of `observed`, \(1,\), got \(\)"),
-        (lambda: own(wrong_batch), r"must return the shape of `observed`, \(1, 1\), got \(1,\)"),
-    ],
-    ids=["raises", "stock", "nan", "shape", "number", "batch"],
-)
-def test_a_simulator_that_never_succeeds_is_refused(build, match):
-    with pytest.raises(ValueError, match=match):
-        sample(build(), 100, stage_draws=200)
+    assert (run(structure(), seed=1).stages[0]["failed"]) > 0, "negative springs"
 
 
 # --------------------------------------------------------------------------- tolerances out of reach
@@ -744,15 +196,14 @@ def test_budget_of_failures():
         sample(own(rarely), 100, stage_draws=100, max_simulations=250)
 
 
+@pytest.mark.processes
 def test_unreachable_tolerance_in_processes():
     """PyMC wraps the error of a process; `sample_smc` raises it as it is."""
-    settings = {"chains": 2, "cores": 2, "progressbar": False, "compute_convergence_checks": False}
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*use of fork", category=DeprecationWarning)
-        with pytest.raises(ToleranceNotReachedError, match="`epsilon` must be within reach"):
-            sample_smc(200, SubsetSimulation, model=unreachable(), **settings)
-        with pytest.raises(ParallelSamplingError, match="failed with: `epsilon` must be within") as caught:
-            pm.sample_smc(200, SubsetSimulation, model=unreachable(), **settings)
+    settings = {"chains": 2, "cores": 2, **QUIET}
+    with pytest.raises(ToleranceNotReachedError, match="`epsilon` must be within reach"):
+        sample_smc(200, SubsetSimulation, model=unreachable(), **settings)
+    with pytest.raises(ParallelSamplingError, match="failed with: `epsilon` must be within") as caught:
+        pm.sample_smc(200, SubsetSimulation, model=unreachable(), **settings)
     assert isinstance(caught.value.__cause__, ToleranceNotReachedError)
 
 
@@ -760,11 +211,11 @@ def test_last_level_cut_short_warns():
     """The draws are inside, but correlated, and the budget holds."""
     model = ball(2, 0.01)
     needed = run(model, 2000, stage_draws=200)
-    before = needed.simulations - needed.levels[-1]["evaluations"]
+    before = needed.simulations - needed.stages[-1]["evaluations"]
     with pytest.warns(SubsetSimulationWarning, match="`max_simulations` were spent before the chains had"):
         cut = run(model, 2000, stage_draws=200, max_simulations=before + 300)
     assert cut.simulations <= before + 300
-    assert cut.x.shape == (2000, 2)
+    assert cut.draws.shape == (2000, 2)
     assert (np.square(cube(cut)).sum(axis=1) <= 0.01 * (1 + 1e-9)).all()
     with pytest.warns(SubsetSimulationWarning, match="`max_simulations` were spent"):
         none = run(model, 2000, stage_draws=200, max_simulations=before)
@@ -791,98 +242,11 @@ def test_ties_do_not_stall():
     exact = stats.poisson(12)
     for r in runs:
         assert abs(r.evidence - exact.logcdf(5)) < 4.0 * r.se
-    found = np.concatenate([np.round(r.x[::4, 0]) for r in runs])
+    found = np.concatenate([np.round(r.draws[::4, 0]) for r in runs])
     counts = np.array([(found <= 3).sum(), (found == 4).sum(), (found == 5).sum()])
     expected = np.array([exact.cdf(3), exact.pmf(4), exact.pmf(5)]) / exact.cdf(5) * len(found)
     assert counts.sum() == len(found)
     assert stats.chisquare(counts, expected * counts.sum() / expected.sum()).pvalue > 1e-4
-
-
-# --------------------------------------------------------------------------- nodes of PyMC
-
-
-def largest(model, **settings):
-    return float(np.abs(sample(model, 400, **settings).posterior["x"]).max())
-
-
-@batched
-def twice(rng, x, size):
-    return np.broadcast_to(x, (*np.shape(x)[:-1], 2)) * [1.0, -2.0]
-
-
-CUSTOM = {"distance": lambda epsilon, y, s: -pt.sqr(y - s) / epsilon}
-
-
-@pytest.mark.parametrize(
-    ("settings", "edge"),
-    [
-        ({"distance": "gaussian", "epsilon": 0.1}, 0.1 / np.sqrt(5)),
-        ({"distance": "laplace", "epsilon": 0.1}, 0.1 / 3),
-        ({**CUSTOM, "epsilon": 0.01}, np.sqrt(0.01 / 5)),
-        ({"distance": "gaussian", "epsilon": 0.1, "sum_stat": "mean"}, 0.2),
-        ({"distance": "laplace", "epsilon": np.array([0.1, 0.4])}, 1 / (1 / 0.1 + 2 / 0.4)),
-        ({"distance": "gaussian", "epsilon": np.array([0.1, 0.4])}, 1 / np.sqrt(1 / 0.01 + 4 / 0.16)),
-    ],
-    ids=["gaussian", "laplace", "function", "mean", "laplace of each", "gaussian of each"],
-)
-def test_thresholds_of_stock_distances(settings, edge):
-    """(x, -2 x) against zeros: the largest of 400 |x|, uniform up to the edge, is within 5 % of it.
-
-    Draws count for 200 or more: a false alarm in 3e4.
-    """
-    found = largest(stock(twice, observed=[0.0, 0.0], **settings))
-    assert 0.95 * edge < found <= edge * (1 + 1e-12)
-
-
-def test_sorted_summary():
-    """Order does not matter to it: x in (-1, 1) against (1, -1), epsilon 0.5: |x| beyond 1 - 0.5 / sqrt 2."""
-
-    @batched
-    def pair(rng, x, size):
-        return np.broadcast_to(x, (*np.shape(x)[:-1], 2)) * [1.0, -1.0]
-
-    settings = {"observed": [1.0, -1.0], "epsilon": 0.5}
-    x = np.ravel(sample(stock(pair, sum_stat="sort", **settings)).posterior["x"])
-    edge = 1 - 0.5 / np.sqrt(2)
-    assert edge <= np.abs(x).min() < 1.1 * edge
-    assert 0.3 < (x > 0).mean() < 0.7
-    assert (np.ravel(sample(stock(pair, **settings)).posterior["x"]) > 0).all(), "without sorting"
-
-
-def test_tolerance_may_be_data():
-    """New data take effect in the next run, and an argument goes before them."""
-    with pm.Model() as model:
-        x = pm.Uniform("x", -1.0, 1.0)
-        pm.Simulator("y", identity, x, epsilon=pm.Data("epsilon", 0.2), observed=np.zeros(1))
-    for epsilon in (0.2, 0.02, 0.3):
-        with model:
-            pm.set_data({"epsilon": epsilon})
-        assert 0.95 * epsilon < largest(model) <= epsilon
-    assert 0.095 < largest(model, epsilon=0.1) <= 0.1
-    with model:
-        pm.set_data({"epsilon": -1.0})
-    with pytest.raises(ValueError, match="`epsilon` must be positive and finite, got -1.0"):
-        largest(model)
-
-
-@pytest.mark.filterwarnings("error:SubsetSimulation draws from rho")
-@pytest.mark.parametrize("kernel", ["exponential", "gaussian", "stock"])
-def test_soft_kernels_give_the_threshold_with_a_warning(kernel):
-    def build(kernel):
-        if kernel == "stock":
-            return stock(identity, epsilon=0.1)
-        with pm.Model() as model:
-            x = pm.Uniform("x", -1.0, 1.0, shape=1)
-            DiscrepancySimulator("y", itself, x, epsilon=0.01, observed=np.zeros(1), kernel=kernel)
-        return model
-
-    model = build(kernel)
-    with pytest.warns(SubsetSimulationWarning, match="not with the soft kernel of y.*sample_smc") as caught:
-        found = largest(model)
-    [warning] = [w for w in caught if issubclass(w.category, SubsetSimulationWarning)]
-    assert warning.filename == __file__, "it points to the user's line"
-    assert 0.095 < found <= 0.1
-    largest(build("uniform"))
 
 
 # --------------------------------------------------------------------------- other parts of a model
@@ -904,13 +268,15 @@ def test_potential_and_second_likelihood():
     weights = np.exp(-np.abs(exact[:, 0] - exact[:, 1])) * stats.norm.pdf(0.7, exact[:, 1], 0.5)
     evidence = weights.sum() / 2_000_000
     runs = [run(model, seed=seed) for seed in range(16)]
-    assert few([r.evidence for r in runs], np.log(evidence), 1.0 / np.sqrt(len(exact)), 4.5)
+    assert mean_within_errors([r.evidence for r in runs], np.log(evidence), 1.0 / np.sqrt(len(exact)), 4.5)
     for statistic in (lambda x: x[:, 0], lambda x: x[:, 1], lambda x: (x[:, 0] - x[:, 1]) ** 2):
         mean = np.average(statistic(exact), weights=weights)
         error = statistic(exact).std() / np.sqrt(len(exact))
-        assert few([statistic(r.x).mean() for r in runs], mean, error, 4.5)
+        assert mean_within_errors([statistic(r.draws).mean() for r in runs], mean, error, 4.5)
     plain = statistic(exact).mean()
-    assert not few([statistic(r.x).mean() for r in runs], plain, error, 4.5), "the weights matter"
+    assert not mean_within_errors([statistic(r.draws).mean() for r in runs], plain, error, 4.5), (
+        "the weights matter"
+    )
 
 
 def test_potentials_that_leave_no_room_are_refused():
@@ -937,11 +303,13 @@ def test_discrete_variables_beside_vectors():
     # given the error in the second entry, the first is within a length that does not depend on k
     weights = stats.binom.pmf([0, 1, 2], 2, 0.3) * stats.norm.pdf([1.5, 0.5, -0.5])
     for value, share in enumerate(weights / weights.sum()):
-        found = [(np.round(r.x[:, 0]) == value).mean() for r in runs]
-        assert few(found, share, 0.002, 4.5), "0.002: the density's curvature over a length of 0.2"
+        found = [(np.round(r.draws[:, 0]) == value).mean() for r in runs]
+        assert mean_within_errors(found, share, 0.002, 4.5), (
+            "0.002: the density's curvature over a length of 0.2"
+        )
     for r in runs:
-        x = r.x[:, 1:]
-        rho = (x[:, 0] + np.round(r.x[:, 0]) - 1.5) ** 2 + (x[:, 1] - 0.2) ** 2
+        x = r.draws[:, 1:]
+        rho = (x[:, 0] + np.round(r.draws[:, 0]) - 1.5) ** 2 + (x[:, 1] - 0.2) ** 2
         np.testing.assert_allclose(rho, r.rho, rtol=1e-8, atol=1e-12)
 
 
@@ -972,29 +340,25 @@ def of_each():
     return stock(twice, observed=[0.0, 0.0], epsilon=np.array([0.1, 0.4]))
 
 
-@pytest.mark.parametrize(
-    ("build", "settings", "match"),
-    [
-        (without_simulator, {}, "the model must have one pm.Simulator node, got none. Declare one with Disc"),
-        (with_two, {}, "the model must have one pm.Simulator node, got y, z. Declare"),
-        (None, {"p0": 0.0}, "`p0` must lie between 0 and 1, got 0.0. The default is 0.2"),
-        (None, {"p0": 1.0}, "`p0` must lie between 0 and 1, got 1.0"),
-        (None, {"p0": np.nan}, "`p0` must lie between 0 and 1, got nan"),
-        (None, {"draws": 1}, "`draws` must be an integer of at least 2, got 1"),
-        (None, {"stage_draws": 19}, "`stage_draws` must be an integer of at least 20, got 19"),
-        (None, {"stage_draws": 39, "p0": 0.1}, "`stage_draws` must be an integer of at least 40, got 39"),
-        (None, {"stage_draws": 30.5}, "`stage_draws` must be an integer of at least 20, got 30.5"),
-        (
-            None,
-            {"max_simulations": 399},
-            "`max_simulations` must allow for 400 draws from the prior, got",
-        ),
-        (None, {"max_simulations": np.nan}, "`max_simulations` must allow for 400 draws from the prior"),
-        (None, {"epsilon": 0.0}, "`epsilon` must be positive and finite, got 0.0"),
-        (None, {"epsilon": np.inf}, "`epsilon` must be positive and finite, got inf"),
-        (of_each, {"epsilon": 0.1}, "`epsilon` must be left out where y has one for each sensor, got 0.1"),
-    ],
-)
+REFUSED = {  # what is said: what is given
+    "the model must have one pm.Simulator node, got none. Declare one with Disc": (without_simulator, {}),
+    "the model must have one pm.Simulator node, got y, z. Declare": (with_two, {}),
+    "`p0` must lie between 0 and 1, got 0.0. The default is 0.2": (None, {"p0": 0.0}),
+    "`p0` must lie between 0 and 1, got 1.0": (None, {"p0": 1.0}),
+    "`p0` must lie between 0 and 1, got nan": (None, {"p0": np.nan}),
+    "`draws` must be an integer of at least 2, got 1": (None, {"draws": 1}),
+    "`stage_draws` must be an integer of at least 20, got 19": (None, {"stage_draws": 19}),
+    "`stage_draws` must be an integer of at least 40, got 39": (None, {"stage_draws": 39, "p0": 0.1}),
+    "`stage_draws` must be an integer of at least 20, got 30.5": (None, {"stage_draws": 30.5}),
+    "`max_simulations` must allow for 400 draws from the prior, got": (None, {"max_simulations": 399}),
+    "`max_simulations` must allow for 400 draws from the prior": (None, {"max_simulations": np.nan}),
+    "`epsilon` must be positive and finite, got 0.0": (None, {"epsilon": 0.0}),
+    "`epsilon` must be positive and finite, got inf": (None, {"epsilon": np.inf}),
+    "`epsilon` must be left out where y has one for each sensor, got 0.1": (of_each, {"epsilon": 0.1}),
+}
+
+
+@refusals("build settings", REFUSED)
 def test_refusals(build, settings, match):
     model = ball(2, 0.01) if build is None else build()
     with pytest.raises(ValueError, match=match):

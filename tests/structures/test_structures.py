@@ -3,7 +3,6 @@
 import numpy as np
 import pytensor.tensor as pt
 import pytest
-from pytensor.compile.mode import Mode
 from scipy.linalg import eigh
 
 from pymc_features import (
@@ -19,6 +18,8 @@ from pymc_features import (
 from pymc_features.simulators import FAMILIES
 from pymc_features.simulators.chain.modes import chain_modes
 from pymc_features.structures import STRUCTURES, Structure
+from support.graphs import PLAIN
+from support.refusals import refusals
 
 # One of each structure, with what its springs need
 EXTRA = {
@@ -29,7 +30,6 @@ EXTRA = {
 
 CHAINS = [kind for kind in STRUCTURES if kind.__name__ in EXTRA]
 
-PLAIN = Mode(linker="py", optimizer=None)
 UNDAMPED = ModalDamping(0.0)
 
 
@@ -354,123 +354,69 @@ def test_representation_is_readable():
     assert repr(RayleighDamping(0.1, 0.2)) == "RayleighDamping(alpha=0.1, beta=0.2)"
 
 
-@pytest.mark.parametrize(
-    ("build", "error", "match"),
-    [
-        (
-            lambda: SpringMassChain([1, -2.0], 1.0, UNDAMPED),
-            ValueError,
-            "`mass` must be positive and finite, got -2. Pass values in kg",
-        ),
-        (
-            lambda: SpringMassChain([1, 1], 0.0, UNDAMPED),
-            ValueError,
-            "`stiffness` must be positive and finite, got 0. Pass values in N/m",
-        ),
-        (lambda: SpringMassChain([1, np.nan], 1.0, UNDAMPED), ValueError, "`mass` .* got nan"),
-        (lambda: SpringMassChain([1, 1], [1, np.inf], UNDAMPED), ValueError, "`stiffness` .* got inf"),
-        (
-            lambda: SpringMassChain([[1, 1]], 1.0, UNDAMPED),
-            ValueError,
-            r"`mass` must be a scalar or a vector, got shape \(1, 2\). Give one value for each",
-        ),
-        (
-            lambda: SpringMassChain([1.0], [], UNDAMPED),
-            ValueError,
-            r"`stiffness` must be a scalar or a vector, got shape \(0,\)",
-        ),
-        (
-            lambda: SpringMassChain(pt.matrix("m"), [1.0], UNDAMPED),
-            ValueError,
-            "`mass` must be a scalar or a vector, got a tensor of 2 dimensions",
-        ),
-        (
-            lambda: SpringMassChain("heavy", [1.0], UNDAMPED),
-            TypeError,
-            "`mass` must be numbers or PyTensor variables, got str. Pass values in kg",
-        ),
-        (
-            lambda: SpringMassChain([1, 1], [1, 1, 1], UNDAMPED),
-            ValueError,
-            "must have the same length, got 2 masses and 3 springs",
-        ),
-        (
-            lambda: SpringMassChain(1.0, 1.0, UNDAMPED),
-            ValueError,
-            "must have a known length, got none. Pass one of them as an array",
-        ),
-        (
-            lambda: SpringMassChain(pt.vector("m"), 1.0, UNDAMPED),
-            ValueError,
-            "must have a known length",
-        ),
-        (
-            lambda: SpringMassChain([1.0], 1.0, 0.02),
-            TypeError,
-            "`damping` must be a Damping, got float. Pass RayleighDamping",
-        ),
-        (
-            lambda: SpringMassChain([1.0, 1.0], 1.0, ModalDamping([0.1] * 3)),
-            ValueError,
-            "`ratios` must have one value or one for each of the 2 modes, got 3",
-        ),
-        (
-            lambda: ModalDamping(-0.1),
-            ValueError,
-            "`ratios` must be finite and not negative, got -0.1. Pass values in fractions of critical",
-        ),
-        (
-            lambda: RayleighDamping(-1.0, 0.0),
-            ValueError,
-            "`alpha` must be finite and not negative, got -1. Pass values in 1/s",
-        ),
-        (
-            lambda: RayleighDamping(0.0, np.nan),
-            ValueError,
-            "`beta` must be finite and not negative, got nan",
-        ),
-        (
-            lambda: RayleighDamping([0.1, 0.2], 0.0),
-            ValueError,
-            "`alpha` must be a scalar, got 1 dimension. Pass one value in 1/s",
-        ),
-        (
-            lambda: RayleighDamping(0.1, pt.vector("b")),
-            ValueError,
-            "`beta` must be a scalar, got 1 dimension",
-        ),
-        (
-            lambda: RayleighDamping.from_ratios(0.02, (1.0, 1.0)),
-            ValueError,
-            r"`natural_frequencies` must be two different positive values, got \(1.0, 1.0\)",
-        ),
-        (
-            lambda: RayleighDamping.from_ratios(0.02, (-1.0, 1.0)),
-            ValueError,
-            "two different positive values",
-        ),
-        (
-            lambda: RayleighDamping.from_ratios(0.02, (1.0, 2.0, 3.0)),
-            ValueError,
-            "two different positive values",
-        ),
-        (
-            lambda: RayleighDamping.from_ratios((0.02, 0.2), (1.0, 2.0)),
-            ValueError,
-            "must allow non-negative coefficients, got alpha = -.* Bring the two ratios closer",
-        ),
-        (
-            lambda: RayleighDamping.from_ratios((0.2, 0.02), (1.0, 2.0)),
-            ValueError,
-            "must allow non-negative coefficients, got .* beta = -.* or use `ModalDamping`",
-        ),
-        (
-            lambda: RayleighDamping.from_ratios(-0.02, (1.0, 2.0)),
-            ValueError,
-            "`ratios` must be finite and not negative",
-        ),
-    ],
-)
+REFUSED_VALUES = {  # what is said: what is given
+    "`mass` must be positive and finite, got -2. Pass values in kg": lambda: SpringMassChain(
+        [1, -2.0], 1.0, UNDAMPED
+    ),
+    "`stiffness` must be positive and finite, got 0. Pass values in N/m": lambda: SpringMassChain(
+        [1, 1], 0.0, UNDAMPED
+    ),
+    "`mass` .* got nan": lambda: SpringMassChain([1, np.nan], 1.0, UNDAMPED),
+    "`stiffness` .* got inf": lambda: SpringMassChain([1, 1], [1, np.inf], UNDAMPED),
+    r"`mass` must be a scalar or a vector, got shape \(1, 2\). Give one value for each": lambda: (
+        SpringMassChain([[1, 1]], 1.0, UNDAMPED)
+    ),
+    r"`stiffness` must be a scalar or a vector, got shape \(0,\)": lambda: SpringMassChain(
+        [1.0], [], UNDAMPED
+    ),
+    "`mass` must be a scalar or a vector, got a tensor of 2 dimensions": lambda: SpringMassChain(
+        pt.matrix("m"), [1.0], UNDAMPED
+    ),
+    "must have the same length, got 2 masses and 3 springs": lambda: SpringMassChain(
+        [1, 1], [1, 1, 1], UNDAMPED
+    ),
+    "must have a known length, got none. Pass one of them as an array": lambda: SpringMassChain(
+        1.0, 1.0, UNDAMPED
+    ),
+    "must have a known length": lambda: SpringMassChain(pt.vector("m"), 1.0, UNDAMPED),
+    "`ratios` must have one value or one for each of the 2 modes, got 3": lambda: SpringMassChain(
+        [1.0, 1.0], 1.0, ModalDamping([0.1] * 3)
+    ),
+    "`ratios` must be finite and not negative, got -0.1. Pass values in fractions of critical": lambda: (
+        ModalDamping(-0.1)
+    ),
+    "`alpha` must be finite and not negative, got -1. Pass values in 1/s": lambda: RayleighDamping(-1.0, 0.0),
+    "`beta` must be finite and not negative, got nan": lambda: RayleighDamping(0.0, np.nan),
+    "`alpha` must be a scalar, got 1 dimension. Pass one value in 1/s": lambda: RayleighDamping(
+        [0.1, 0.2], 0.0
+    ),
+    "`beta` must be a scalar, got 1 dimension": lambda: RayleighDamping(0.1, pt.vector("b")),
+    r"`natural_frequencies` must be two different positive values, got \(1.0, 1.0\)": lambda: (
+        RayleighDamping.from_ratios(0.02, (1.0, 1.0))
+    ),
+    r"two different positive values, got \(-1.0, 1.0\)": lambda: RayleighDamping.from_ratios(
+        0.02, (-1.0, 1.0)
+    ),
+    r"two different positive values, got \(1.0, 2.0, 3.0\)": lambda: RayleighDamping.from_ratios(
+        0.02, (1.0, 2.0, 3.0)
+    ),
+    "must allow non-negative coefficients, got alpha = -.* Bring the two ratios closer": lambda: (
+        RayleighDamping.from_ratios((0.02, 0.2), (1.0, 2.0))
+    ),
+    "must allow non-negative coefficients, got .* beta = -.* or use `ModalDamping`": lambda: (
+        RayleighDamping.from_ratios((0.2, 0.02), (1.0, 2.0))
+    ),
+    "`ratios` must be finite and not negative": lambda: RayleighDamping.from_ratios(-0.02, (1.0, 2.0)),
+}
+REFUSED_TYPES = {
+    "`mass` must be numbers or PyTensor variables, got str. Pass values in kg": lambda: SpringMassChain(
+        "heavy", [1.0], UNDAMPED
+    ),
+    "`damping` must be a Damping, got float. Pass RayleighDamping": lambda: SpringMassChain([1.0], 1.0, 0.02),
+}
+
+
+@refusals("build", REFUSED_VALUES, REFUSED_TYPES)
 def test_refusals(build, error, match):
     with pytest.raises(error, match=match):
         build()

@@ -155,6 +155,7 @@ def test_command_writes_everything(folder, result):
     assert len(table.split("## Springs")[1].splitlines()) == 4 + paper.N_STOREYS
 
 
+@pytest.mark.statistical
 def test_sampled_quantiles_are_the_exact_ones(result):
     """5, 50 and 95 % within 20 % of the exact 5-95 % width; all ABC draws in the exact set.
 

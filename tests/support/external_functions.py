@@ -21,9 +21,12 @@ def beam(k):
     return np.outer([1.0, SCALE], TIMES) / k
 
 
+DATA = 2.0 * beam(1.0)
+
+
 def beam_squares(k):
-    """e_j of `beam` and of data that are twice that of k = 1."""
-    return np.mean((2.0 * beam(1.0) - beam(k)) ** 2, axis=1)
+    """e_j of `beam` and `DATA`."""
+    return np.mean((DATA - beam(k)) ** 2, axis=1)
 
 
 def beam_gradient(k, cotangent):
@@ -33,7 +36,7 @@ def beam_gradient(k, cotangent):
 
 def beam_squares_gradient(k, cotangent):
     """Of sum(cotangent * beam_squares(k))."""
-    misfit = 2.0 * beam(1.0) - beam(k)
+    misfit = DATA - beam(k)
     return np.sum(cotangent * np.mean(2.0 * misfit * beam(k) / k, axis=1))
 
 

@@ -4,6 +4,17 @@ import numpy as np
 
 from pymc_features.simulators import FAMILIES
 
+DAMPINGS = {  # alpha and beta, ratios of n modes
+    "none": lambda n: ((0.0, 0.0), np.zeros(n)),
+    "rayleigh": lambda n: ((0.2, 1e-3), np.zeros(n)),
+    "heavy": lambda n: ((20.0, 0.05), np.zeros(n)),
+    "light": lambda n: ((0.0, 0.0), np.full(n, 1e-6)),
+    "equal": lambda n: ((0.1, 5e-4), np.full(n, 0.03)),
+    "critical": lambda n: ((0.0, 0.0), np.full(n, 1.0)),
+    "unequal": lambda n: ((0.1, 0.0), np.linspace(0.01, 0.3, n)),
+    "overdamped": lambda n: ((0.0, 0.0), np.linspace(4.0, 1.5, n)),
+}
+
 
 def flat(family: str, name: str):
     """A kernel that takes the family's inputs, the code of the quantity, and what follows, in their order."""

@@ -1,0 +1,50 @@
+"""Each notebook asks a question, runs, and its assertions hold."""
+
+import re
+import sys
+
+import nbformat
+import pytest
+
+import pymc_features
+from support.commands import ROOT, run
+
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+
+
+def test_notebooks_are_numbered_and_ask_a_question():
+    numbers = [int(path.name.split("_")[0]) for path in NOTEBOOKS]
+    assert len(set(numbers)) == len(numbers) > 0
+    for path in NOTEBOOKS:
+        cells = nbformat.read(path, as_version=4).cells
+        assert re.match(r"# .+\?(\n|$)", cells[0].source), f"{path.name}: the title is no question"
+        assert "assert" in [cell.source for cell in cells if cell.cell_type == "code"][-1]
+
+
+def skip_without_measurements():
+    """Skip where the shaking table's data are not at hand."""
+    for event in ("northridge", "sine1p5"):
+        try:
+            pymc_features.datasets.mini_shake_table(event)
+        except pymc_features.exceptions.DatasetUnavailableError as error:
+            pytest.skip(str(error))
+
+
+@pytest.mark.notebook
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.name)
+def test_notebook_runs(path, tmp_path):
+    """With half the draws that its cell with the tag `parameters` asks for."""
+    notebook = nbformat.read(path, as_version=4)
+    assert all(not cell.get("outputs") for cell in notebook.cells), "commit notebooks without outputs"
+    if any("mini_shake_table" in cell.source for cell in notebook.cells):
+        skip_without_measurements()
+    [cell] = [cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", [])]
+    [draws] = re.findall(r"^draws = (\d+)", cell.source, flags=re.MULTILINE)
+    cell.source = cell.source.replace(f"draws = {draws}", f"draws = {int(draws) // 2}")
+    nbformat.write(notebook, tmp_path / path.name)
+    # in a process of its own: its client leaves threads behind, and other tests fork
+    code = (
+        "import sys, nbformat, nbclient; "
+        "nbclient.NotebookClient(nbformat.read(sys.argv[1], as_version=4), timeout=300).execute()"
+    )
+    run(sys.executable, "-c", code, str(tmp_path / path.name))

@@ -1,0 +1,60 @@
+"""README and pages: their code runs, their tables and commands are those of the package."""
+
+import importlib.util
+import json
+import re
+import sys
+
+import pytest
+
+import pymc_features
+from support.commands import ROOT, run
+from support.pages import PAGES, README, blocks, script
+
+
+def from_docs(name: str):
+    """A module of docs/."""
+    spec = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / "docs" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.processes
+def test_code_of_readme_and_pages_runs():
+    """Each page goes on from the README, in one process."""
+    model, expected = blocks(README, "python")
+    assert len([line for line in model.splitlines() if line.strip()]) <= 15
+    assert expected.count("assert_allclose") == 2
+    pages = {path.name: script(path) for path in (README, *PAGES)}
+    assert sum(bool(code) for code in pages.values()) >= 5
+    code = (
+        "import json, sys; pages = json.load(sys.stdin); readme = {}; exec(pages.pop('README.md'), readme)\n"
+        "for name, page in pages.items(): exec(compile(page, name, 'exec'), dict(readme))"
+    )
+    run(sys.executable, "-c", code, input=json.dumps(pages))
+
+
+def test_ci_calls_the_command_of_the_readme():
+    command = "python -m pip install uv && python -m uv run pytest -n auto"
+    assert f"\n{command}\n" in README.read_text()
+    assert f"\n{command}\n" in (ROOT / ".ci" / "run").read_text()
+
+
+def test_files_that_the_readme_names_exist():
+    named = re.findall(r"\]\((?!http)([^)#]+)\)", README.read_text())
+    assert "docs/figure.svg" in named
+    assert [path for path in named if not (ROOT / path).exists()] == []
+
+
+def test_tables_of_the_readme_are_those_of_the_catalogues():
+    text = README.read_text()
+    assert text == from_docs("tables").with_tables(text), "run `python docs/tables.py`"
+
+
+def test_the_figure_can_be_drawn_anew(tmp_path):
+    """From a short record; that of the README is of El Centro and takes ten seconds."""
+    record = pymc_features.synthetic_earthquake(4.0, 0.02, random_seed=1, pga=3.0)
+    from_docs("figure").write(tmp_path / "figure.svg", record, multipliers=(0.5, 1.0, 2.0))
+    assert (tmp_path / "figure.svg").read_text().startswith("<?xml")
+    assert (ROOT / "docs" / "figure.svg").stat().st_size < 200_000

@@ -1,0 +1,364 @@
+"""Processes of external simulators: failures, kills, interrupts, scratch folders, progress."""
+
+import multiprocessing
+import os
+import pickle
+import signal
+import threading
+import time
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+
+import numpy as np
+import pymc as pm
+import pytest
+
+from pymc_features import ExternalSimulator, PopulationIMH, sample_smc
+from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
+from pymc_features.external import EvaluationCache
+from pymc_features.external.processes import calls
+from pymc_features.external.processes.process import SimulatorProcess
+from pymc_features.external.progress import Lines, clock
+from support import external_functions as functions
+from support.external_functions import DATA, SECONDS, SHAPE, Counted, Hanging, beam, lives, wait_until
+from support.external_models import BrokenElsewhere, model_of
+from support.sampling import QUIET
+
+pytestmark = [pytest.mark.usefixtures("fast_compile"), pytest.mark.processes]
+
+
+def test_ways_to_fail(simulator):
+    s = simulator(functions.ways_to_fail, executor=2, timeout=1.0)
+    k = np.array([*range(1, 9), 1.5, np.nan, np.inf])
+    results = s.responses(k)
+    assert np.isfinite(results[8]).all() and np.isnan(np.delete(results, 8, axis=0)).all()
+    failures = {
+        f.parameters[0]: (f.state, f.message) for f in s.failures if f.parameters[0] == f.parameters[0]
+    }
+    assert failures[1.0] == ("error", "ZeroDivisionError: first line")
+    assert failures[2.0] == ("error", "the result is not finite")
+    assert "must return an array of shape (2, 5), got (2, 4)" in failures[3.0][1]
+    assert "must return real numbers, got complex ones" in failures[4.0][1]
+    assert failures[5.0] == ("error", "SystemExit: no licence")
+    assert failures[6.0] == ("died", "the process ended with exit code 3: last words")
+    assert failures[7.0] == ("died", "the process ended with signal 9")
+    assert failures[8.0] == ("timeout", "no result after 1 s")
+    assert failures[np.inf] == ("invalid", "the parameters are not finite")
+    assert s.counts == {"ok": 1, "error": 5, "timeout": 1, "died": 2, "invalid": 2, "cached": 0}
+
+
+def test_retries(simulator, tmp_path):
+    k = np.arange(1.0, 4.0)
+    for n in (1, 2):
+        (tmp_path / f"{n}").mkdir()
+        s = simulator(functions.FailsAtFirst(tmp_path / f"{n}", n), retries=1)
+        assert np.isnan(s.responses(k)).all() == (n == 2)
+        assert s.counts["error"] == (3 if n == 2 else 0)
+    (tmp_path / "died").mkdir()
+    s = simulator(functions.FailsAtFirst(tmp_path / "died", 1, died=True))  # once more in any case
+    np.testing.assert_array_equal(s.responses(k[:1])[0], beam(1.0))
+    assert s.counts["died"] == 0
+
+
+def test_output_does_not_disturb(simulator, capfd):
+    s = simulator(functions.talkative)
+    np.testing.assert_array_equal(s.responses(np.array([1.0, 2.0])), [beam(1.0), beam(2.0)])
+    assert capfd.readouterr().out == ""
+    [[process]] = [calls._IDLE[digest] for digest in s.evaluator._digests]
+    assert 0 < os.fstat(process.log.fileno()).st_size < 1000  # of the last call only
+
+
+def test_a_function_that_cannot_be_loaded(simulator):
+    s = simulator(BrokenElsewhere())
+    with pytest.raises(UnusableSimulatorError, match="must be loadable in another process.*ImportError"):
+        s.responses(np.ones(1))
+    s = simulator(DiesWhenLoaded())
+    with pytest.raises(UnusableSimulatorError, match="must be loadable.*exit code 4"):
+        s.responses(np.ones(1))
+    error = pickle.loads(pickle.dumps(UnusableSimulatorError("nothing")))  # as it comes from a cluster
+    assert str(error).count("must be loadable") == 1
+
+
+class DiesWhenLoaded(BrokenElsewhere):
+    """Ends its process while it is unpickled."""
+
+    def __reduce__(self):
+        return os._exit, (4,)
+
+
+def test_a_process_killed_while_it_starts(simulator, monkeypatch):
+    started = []
+
+    class Unlucky(SimulatorProcess):
+        def receive(self, timeout):
+            if not started:
+                self.process.kill()
+            started.append(self.process.pid)
+            return super().receive(timeout)
+
+    monkeypatch.setattr(calls, "SimulatorProcess", Unlucky)
+    s = simulator()
+    np.testing.assert_array_equal(s.responses(np.ones(1))[0], beam(1.0))
+    assert not lives(started[0]) and s.counts["ok"] == 1
+
+
+def test_posterior_with_failures(tmp_path):
+    """10 % raise and 5 % hang, by lot: the rest is the conjugate posterior, and the counts are right."""
+    sigma, cache = 8.0, tmp_path / "cache.sqlite"
+    basis = functions.beam(1.0)
+    with ExternalSimulator(
+        functions.troubled_line, SHAPE, executor=8, timeout=0.5, cache=cache, progress=False
+    ) as s:
+        with pm.Model():
+            a = pm.Normal("a", 0.0, 1.0)
+            pm.Normal("y", s(a), sigma, observed=basis)
+            idata = sample_smc(100, PopulationIMH, chains=1, random_seed=3, **QUIET)
+        counts, kept = s.counts, EvaluationCache(cache)
+    failed = {float(f["parameters"][0]): f["state"] for f in kept.failures()}
+    for a, state in failed.items():
+        assert state == ("error" if functions.lot(a) < 0.1 else "timeout") and functions.lot(a) < 0.15
+    run = np.frombuffer(b"".join(row[0] for row in kept.execute("SELECT parameters FROM results")))
+    assert (np.array([functions.lot(a) for a in run]) >= 0.15).all()
+    assert len(run) == counts["ok"] and len(failed) == counts["error"] + counts["timeout"]
+    assert idata.sample_stats["failed"].sum() == len(failed) > 20 and counts["timeout"] > 5
+    precision = 1.0 + np.sum(basis**2) / sigma**2
+    mean, sd = np.sum(basis**2) / sigma**2 / precision, precision**-0.5
+    draws = idata.posterior["a"].values.ravel()
+    assert abs(draws.mean() - mean) < 4.5 * sd / np.sqrt(100)
+    assert 0.7 < draws.std() / sd < 1.4
+    assert not set(draws) & set(failed)
+
+
+def test_any_executor(simulator):
+    k = np.arange(1.0, 4.0)
+    expected = [beam(x) for x in k]
+    big = np.zeros(20_000)  # more than travels with every call
+
+    def loaded(x):
+        return beam(x) + big[0]
+
+    with ThreadPoolExecutor(2) as pool:
+        np.testing.assert_array_equal(simulator(executor=pool).responses(k), expected)
+        np.testing.assert_array_equal(simulator(loaded, executor=pool).responses(k), expected)
+    context = multiprocessing.get_context("fork")
+    with ProcessPoolExecutor(1, mp_context=context) as pool:
+        s = simulator(loaded, executor=pool)
+        np.testing.assert_array_equal(s.responses(k), expected)
+        np.testing.assert_array_equal(s.discrepancies(k, observed=DATA).shape, (3, 2))
+    with pytest.raises(NoWorkersError, match="`executor` must run simulations.*after shutdown"):
+        s.responses(k + 1.0)
+
+
+class Forgetful(Executor):
+    """Loses each call a number of times."""
+
+    def __init__(self, times):
+        self.times, self.lost = times, {}
+        self.pool = ThreadPoolExecutor(1)
+
+    def submit(self, function, digest, arguments, *more):
+        self.lost[arguments] = self.lost.get(arguments, 0) + 1
+        if self.lost[arguments] <= self.times:
+            return self.pool.submit(int, "a machine that is gone")
+        return self.pool.submit(function, digest, arguments, *more)
+
+
+def test_lost_calls_run_again(simulator):
+    k = np.arange(1.0, 4.0)
+    np.testing.assert_array_equal(simulator(executor=Forgetful(5)).responses(k), [beam(x) for x in k])
+    s = simulator(executor=Forgetful(7))
+    assert np.isnan(s.responses(k)).all() and s.counts["died"] == 3
+    assert "lost 6 times, last with ValueError" in s.failures[0].message
+
+
+def test_results_do_not_depend_on_the_number_of_processes(simulator):
+    draws = []
+    for n in (1, 3):
+        with model_of("TN", simulator(executor=n), DATA):
+            idata = sample_smc(60, PopulationIMH, chains=1, random_seed=1, **QUIET)
+            draws.append(idata.posterior["theta"].values)
+    np.testing.assert_array_equal(draws[0], draws[1])
+
+
+def test_processes_are_used_again_and_ended(simulator, tmp_path):
+    s = simulator(Counted(tmp_path / "calls"), executor=2)
+    s.responses(np.arange(1.0, 9.0))
+    s.responses(np.arange(11.0, 19.0))
+    pids = {pid for pid, _ in s.function.calls()}
+    assert len(pids) <= 2 and all(map(lives, pids))
+    s.close()
+    assert not any(map(lives, pids))
+    assert not {*s.evaluator._digests} & {*calls._IDLE, *calls._BUSY, *calls._PAYLOADS}
+    s.responses(np.ones(1))  # starts again
+    assert s.function.calls()[-1][0] not in pids
+    twin = simulator(s.function)
+    twin.responses(np.ones(1))
+    s.close()
+    assert lives(s.function.calls()[-1][0])  # not its own
+
+
+def test_idle_processes_of_others_are_limited(simulator, monkeypatch):
+    calls.end_processes()
+    monkeypatch.setattr(calls, "IDLE_KEPT", 2)
+    simulators = [simulator() for _ in range(4)]
+    for s in simulators:
+        s.responses(np.ones(1))
+    assert sum(map(len, calls._IDLE.values())) == 2 and len(calls._PAYLOADS) == 2
+    simulators[0].responses(np.ones(1))
+
+
+def test_a_process_that_died_while_idle(simulator, tmp_path):
+    s = simulator(Counted(tmp_path / "calls"))
+    s.responses(np.ones(1))
+    [(pid, _)] = s.function.calls()
+    os.kill(pid, signal.SIGKILL)
+    wait_until(lambda: not lives(pid))
+    np.testing.assert_array_equal(s.responses(np.array([2.0]))[0], beam(2.0))
+    assert s.counts["died"] == 0
+
+
+def test_a_dead_process_whose_socket_lives_on(simulator):
+    def leaves_a_child(k):
+        if os.fork() == 0:
+            time.sleep(100)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    s = simulator(leaves_a_child)
+    start = time.monotonic()
+    assert np.isnan(s.responses(np.ones(1))).all() and s.failures[0].state == "died"
+    assert time.monotonic() - start < SECONDS
+
+
+def run_forked(function, *arguments):
+    """A forked process that runs a function, and the function's end of the matter."""
+    process = multiprocessing.get_context("fork").Process(target=function, args=arguments, daemon=True)
+    process.start()
+    return process
+
+
+def hang(path, n):
+    """Simulations that do not end."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background may ignore it
+    with ExternalSimulator(Hanging(path), SHAPE, executor=n, progress=False) as s:
+        s.responses(np.arange(1.0, 9.0))
+
+
+def pids_in(path):
+    """All numbers in a file."""
+    return [int(word) for word in path.read_text().split()] if path.exists() else []
+
+
+@pytest.mark.parametrize("way", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "kill"])
+def test_a_run_that_is_stopped_leaves_no_orphans(way, tmp_path):
+    path = tmp_path / "pids"
+    process = run_forked(hang, path, 2)
+    wait_until(lambda: len(pids_in(path)) == 4)
+    assert all(map(lives, pids_in(path)))
+    os.kill(process.pid, way)
+    process.join(SECONDS)
+    assert process.exitcode not in (None, 0)
+    wait_until(lambda: not any(map(lives, pids_in(path))))
+    assert len(pids_in(path)) == 4  # nothing was begun after
+
+
+def test_ctrl_c_while_processes_start(tmp_path, simulator, monkeypatch):
+    """A process that is not ready when the run is dropped does not begin to simulate."""
+    begun, goes_on = threading.Event(), threading.Event()
+
+    class Late(SimulatorProcess):
+        def __init__(self, payload):
+            super().__init__(payload)
+            begun.set()
+            goes_on.wait(SECONDS)
+
+    monkeypatch.setattr(calls, "SimulatorProcess", Late)
+    s = simulator(Hanging(tmp_path / "pids"))
+    monkeypatch.setattr(s.evaluator.lines, "tick", lambda: begun.is_set() and stop())
+
+    def stop():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        s.responses(np.ones(1))
+    goes_on.set()
+    [thread] = [t for t in threading.enumerate() if t.name.startswith("simulation")][-1:]
+    thread.join(SECONDS)
+    assert not thread.is_alive() and not (tmp_path / "pids").exists()
+
+
+def test_fork_with_processes_of_its_own(simulator, tmp_path):
+    """A forked process starts its own, and the parent's live on; neither reads from the other's socket."""
+    s = simulator(Counted(tmp_path / "calls"), cache=tmp_path / "cache.sqlite")
+    s.responses(np.ones(1))
+    [(ours, _)] = s.function.calls()
+
+    def child():
+        ok = np.array_equal(s.responses(np.array([1.0, 2.0])), [beam(1.0), beam(2.0)])
+        ok &= not any(p.process.pid == ours for kept in calls._IDLE.values() for p in kept)
+        os._exit(0 if ok else 1)
+
+    process = run_forked(child)
+    s.responses(np.array([3.0]))
+    process.join(SECONDS)
+    assert process.exitcode == 0
+    by_parameter = {k: pid for pid, k in s.function.calls()}
+    assert by_parameter[3.0] == ours != by_parameter[2.0] and len(s.function.calls()) == 3
+    np.testing.assert_array_equal(s.responses(np.array([2.0]))[0], beam(2.0))
+    assert s.counts["cached"] == 1
+
+
+@pytest.mark.parametrize("where", [True, "folder"])
+def test_scratch_folders(where, simulator, tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    scratch = tmp_path / "scratch" if where == "folder" else True
+    s = simulator(functions.curious, scratch=scratch)
+    results = s.responses(np.arange(1.0, 4.0))
+    assert (results[:, 0, 0] == 0.0).all() and (results[:, 0, 1] == 1.0).all()
+    inside = tmp_path / "scratch" if where == "folder" else tmp_path
+    [own] = inside.iterdir()
+    assert list(own.iterdir()) == []
+    s.close()
+    assert list(inside.iterdir()) == []
+
+
+def test_scratch_folder_of_a_killed_simulation(simulator, tmp_path):
+    s = simulator(functions.ways_to_fail, scratch=tmp_path / "scratch", timeout=0.3)
+    s.responses(np.array([7.0, 8.0]))
+    assert s.counts["died"] == s.counts["timeout"] == 1
+    assert list((tmp_path / "scratch").iterdir()) == []
+    process = run_forked(hang_in_scratch, tmp_path)
+    wait_until(lambda: list((tmp_path / "scratch").glob("*/simulation-*")))
+    os.kill(process.pid, signal.SIGKILL)
+    process.join()
+    wait_until(lambda: not list((tmp_path / "scratch").iterdir()))
+
+
+def hang_in_scratch(folder):
+    """A simulation that does not end, in a scratch folder."""
+    s = ExternalSimulator(Hanging(folder / "pids"), SHAPE, scratch=folder / "scratch", progress=False)
+    s.responses(np.ones(1))
+
+
+def test_progress_lines(capsys, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    lines = Lines(True)
+    lines.begin(100)
+    for i in range(40):
+        now[0] += 0.5
+        lines.count(i % 4 != 0)
+        lines.tick()
+    now[0] += 1000.0  # between batches
+    lines.begin(3700)
+    now[0] += 20.0
+    for _ in range(50):
+        lines.count(True)
+    lines.tick()
+    assert capsys.readouterr().err.splitlines() == [
+        "simulations: 10 done, 3 failed, 2/s; of this batch 10 of 100, 0:45 left",
+        "simulations: 30 done, 8 failed, 2/s; of this batch 30 of 100, 0:35 left",
+        "simulations: 90 done, 10 failed, 2.25/s; of this batch 50 of 3700, 24:20 left",
+    ]
+    silent = Lines(False)
+    silent.begin(1)
+    silent.tick()
+    assert capsys.readouterr().err == "" and clock(3601) == "1:00:01"

@@ -1,0 +1,25 @@
+"""The README and the pages of docs/, and their blocks of code."""
+
+import re
+from pathlib import Path
+
+from support.commands import ROOT
+
+README = ROOT / "README.md"
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+
+
+def blocks(path: Path, kind: str) -> list[str]:
+    """Blocks of code of a page."""
+    return re.findall(rf"^```{kind}\n(.*?)^```", path.read_text(), flags=re.DOTALL | re.MULTILINE)
+
+
+def script(path: Path, kind: str = "python") -> str:
+    """The blocks of a page as one script, with fewer draws, in one process."""
+    code = "\n".join(blocks(path, kind))
+    for ours, theirs in (
+        ("chains=2", "chains=2, cores=1, progressbar=False"),
+        ("sample_nuts(1000", "sample_nuts(300"),
+    ):
+        code = code.replace(ours, theirs)
+    return code
