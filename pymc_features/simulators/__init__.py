@@ -6,8 +6,8 @@ all kernels. Nothing here knows of PyMC or PyTensor.
 
 Symbols, as in the equations of the documentation:
 
-=============================  ================================================================================
-`mass`, `damping`, `stiffness`  M [kg], C [N s/m], K [N/m] of M x" + C x' + K x = load; of chains their entries
+===============================  ============================================================================
+`mass`, `damping`, `stiffness`  M [kg], C [N s/m], K [N/m] of M x" + C x' + K x = load
 `theta`                         parameters of the matrices, A(theta) = A_0 + sum_i theta_i A_i
 `rayleigh`, `ratios`            alpha [1/s] and beta [s]; damping ratios [-] added to Rayleigh's
 `omega`                         angular frequencies of the modes [rad/s]; lambda = omega^2
@@ -22,7 +22,7 @@ Symbols, as in the equations of the documentation:
 `observed`, `misfit`            data y; r = y - g; its statistics e (Eq. 3), squared increments, first, last
 `weights`, `cotangent`          derivatives of a number L by those statistics; by the response
 `z`                             internal variable of a hysteretic spring [-]
-=============================  ================================================================================
+===============================  ============================================================================
 
 Letters for sizes: n degrees of freedom, m modes kept, s sensors, d inputs, t samples of the record, u of the
 response, p particles or parameters. The derivative of L by x is `grad_x` or `by_x`, a direction of x `d_x`.

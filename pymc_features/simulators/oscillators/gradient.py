@@ -19,7 +19,7 @@ from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.oscillators.arguments import interpolate
 from pymc_features.simulators.oscillators.close_modes import close_modes
 from pymc_features.simulators.oscillators.misfit import copy_block, weigh_misfit
-from pymc_features.simulators.oscillators.recursion import BLOCK
+from pymc_features.simulators.oscillators.recursion import BLOCK, add_feed
 from pymc_features.simulators.oscillators.sensitivity import (
     N_COEFFICIENTS,
     advance_modes,
@@ -61,7 +61,9 @@ class Histories(NamedTuple):
         The inputs at the steps of the recursion.
     values : array (3, d, BLOCK + 1, padded)
         f, df/dlambda and df/d(D h); row 0 is that of the sample before the block.
-    outputs : array (d, padded, s)
+    lanes : array (3, d, (BLOCK + 1) groups, LANES)
+        The same values, as `advance_modes` writes them.
+    outputs : array (d, s, padded)
         S phi_r Gamma_ri, zero beyond the modes.
     """
 
@@ -69,6 +71,7 @@ class Histories(NamedTuple):
     states: np.ndarray
     ground: np.ndarray
     values: np.ndarray
+    lanes: np.ndarray
     outputs: np.ndarray
 
 
@@ -79,42 +82,41 @@ def new_histories(system, law, excitation, quantity):
     (n_modes, n_inputs), n_sensors = system.participation.shape, system.shapes.shape[0]
     coefficients = sensitivity_coefficients(system, law, step, quantity)
     groups = coefficients.shape[0] // N_COEFFICIENTS
-    outputs = np.zeros((n_inputs, groups * LANES, n_sensors))
+    outputs = np.zeros((n_inputs, n_sensors, groups * LANES))
     for i in range(n_inputs):
         for r in range(n_modes):
             for j in range(n_sensors):
-                outputs[i, r, j] = system.participation[r, i] * system.shapes[j, r]
+                outputs[i, j, r] = system.participation[r, i] * system.shapes[j, r]
     states, ground = np.zeros((n_inputs, 4 * groups, LANES)), np.empty((n_inputs, BLOCK * stride + 1))
     values = np.zeros((3, n_inputs, BLOCK + 1, groups * LANES))
-    return Histories(coefficients, states, ground, values, outputs)
+    lanes = values.reshape(3, n_inputs, (BLOCK + 1) * groups, LANES)
+    return Histories(coefficients, states, ground, values, lanes, outputs)
 
 
 @jit
 def advance_histories(modes, excitation, first):
     """Write a block of values of all modes under each input, from sample `first` on."""
     inputs, _, substeps, stride = excitation
-    values, ground = modes.values, modes.ground
     for i in range(inputs.shape[0]):
         for k in range(3):
-            values[k, i, 0] = values[k, i, BLOCK]
-        interpolate(inputs[i], substeps, first * stride, ground[i])
-        f, f_lambda, f_damping = values[0, i, 1:], values[1, i, 1:], values[2, i, 1:]
-        lanes = f.reshape(-1, LANES), f_lambda.reshape(-1, LANES), f_damping.reshape(-1, LANES)
-        advance_modes(modes.coefficients, modes.states[i], ground[i], stride, *lanes)
+            own = modes.values[k, i]
+            for r in range(own.shape[1]):
+                own[0, r] = own[BLOCK, r]
+        ground, states = modes.ground[i], modes.states[i]
+        f, f_lambda, f_damping = modes.lanes[0, i], modes.lanes[1, i], modes.lanes[2, i]
+        interpolate(inputs[i], substeps, first * stride, ground)
+        advance_modes(modes.coefficients, states, ground, stride, f, f_lambda, f_damping)
 
 
 @jit
 def write_response(modes, feed, stride, part, response):
-    """Write one block of the response (BLOCK, s); `part` (BLOCK, s) is overwritten."""
+    """Write one block of the response (s, BLOCK); `part` (s, BLOCK) is overwritten."""
     for i in range(modes.outputs.shape[0]):
         target = response if i == 0 else part
-        np.dot(modes.values[0, i, 1:], modes.outputs[i], target)
-        for j in range(part.shape[1]):
-            if feed[j, i] != 0.0:
-                for b in range(BLOCK):
-                    target[b, j] += feed[j, i] * modes.ground[i, b * stride]
+        np.dot(modes.outputs[i], modes.values[0, i, 1:].T, target)
         if i > 0:
             response += part
+    add_feed(feed, modes.ground, stride, BLOCK, response)
 
 
 @jit
@@ -137,17 +139,16 @@ def sum_histories(modes, system, feed, excitation, history, weights, some_are_cl
     -------
     outputs, slopes : array (d, s, padded)
         (S, f) and (S, f').
-    by_lambda, by_damping : array (m, d)
+    by_lambda, by_damping : array (d, m)
         sum_k u_r df_r[a_i]/dlambda and sum_k u_r df_r[a_i]/d(D h).
     """
-    n_inputs, padded, n_sensors = modes.outputs.shape
+    n_inputs, n_sensors, padded = modes.outputs.shape
     total, (_, n_modes) = history.shape[1], system.shapes.shape
-    response, part = np.empty((BLOCK, n_sensors)), np.empty((BLOCK, n_sensors))
-    misfits, weighted = np.zeros((BLOCK + 1, n_sensors)), np.empty((BLOCK + 1, n_sensors))
+    response, part = np.empty((n_sensors, BLOCK)), np.empty((n_sensors, BLOCK))
+    misfits, weighted = np.zeros((n_sensors, BLOCK + 1)), np.empty((n_sensors, BLOCK + 1))
     product, in_modes = np.empty((n_sensors, padded)), np.empty((BLOCK + 1, n_modes))
     outputs, slopes = np.zeros((n_inputs, n_sensors, padded)), np.zeros((n_inputs, n_sensors, padded))
-    by_lambda, by_damping = np.zeros((n_modes, n_inputs)), np.zeros((n_modes, n_inputs))
-    start = 0 if weights.size and weights.shape[1] == 4 else 1  # only increments reach back to row 0
+    by_lambda, by_damping = np.zeros((n_inputs, n_modes)), np.zeros((n_inputs, n_modes))
     for first in range(0, total, BLOCK):
         advance_histories(modes, excitation, first)
         if weights.size:
@@ -155,19 +156,19 @@ def sum_histories(modes, system, feed, excitation, history, weights, some_are_cl
             weigh_misfit(response, history, first, weights, misfits, weighted)
         else:
             copy_block(history, first, weighted)
-        w, u = weighted[start:], in_modes[start:]
-        np.dot(w, system.shapes, u)
+        np.dot(weighted.T, system.shapes, in_modes)
         for i in range(n_inputs):
-            f_lambda, f_damping = modes.values[1, i, start:], modes.values[2, i, start:]
-            np.dot(w.T, modes.values[0, i, start:], product)
+            f_lambda, f_damping = modes.values[1, i], modes.values[2, i]
+            np.dot(weighted, modes.values[0, i], product)
             outputs[i] += product
             if some_are_close:
-                np.dot(w.T, f_lambda, product)
+                np.dot(weighted, f_lambda, product)
                 slopes[i] += product
-            for b in range(u.shape[0]):
+            own_lambda, own_damping = by_lambda[i], by_damping[i]
+            for b in range(BLOCK + 1):
                 for r in range(n_modes):
-                    by_lambda[r, i] += u[b, r] * f_lambda[b, r]
-                    by_damping[r, i] += u[b, r] * f_damping[b, r]
+                    own_lambda[r] += in_modes[b, r] * f_lambda[b, r]
+                    own_damping[r] += in_modes[b, r] * f_damping[b, r]
     return outputs, slopes, by_lambda, by_damping
 
 
@@ -188,7 +189,7 @@ def reduce_sums(system, close, some_are_close, outputs, slopes, by_lambda):
                 f_lambda[j, r] += participation[r, i] * slopes[i, j, r]
                 load[r, i] += system.shapes[j, r] * outputs[i, j, r]
     p, q = np.dot(system.shapes.T, f), np.dot(load, participation.T)
-    limits = np.dot(by_lambda, participation.T)
+    limits = np.dot(by_lambda.T, participation.T)
     if some_are_close:
         limits += np.dot(system.shapes.T, f_lambda)
     else:
@@ -233,7 +234,7 @@ def modal_gradient(system, law, feed, excitation, quantity, history, weights):
     )
     damping = np.zeros(system.omega.size)
     for r in range(damping.size):
-        for i in range(by_damping.shape[1]):
-            damping[r] += step * system.participation[r, i] * by_damping[r, i]
+        for i in range(by_damping.shape[0]):
+            damping[r] += step * system.participation[r, i] * by_damping[i, r]
     stiffness, mass, load, shapes = reduce_sums(system, close, some_are_close, outputs, slopes, by_lambda)
     return ModalGradient(stiffness, mass, load, shapes, damping)

@@ -15,40 +15,41 @@ from pymc_features.simulators.oscillators.recursion import BLOCK
 def weigh_misfit(response, data, first, weights, misfits, weighted):
     """Write the derivatives of L = sum_j weights_j . statistics_j by the samples of a block of the response.
 
-    An increment joins two samples: row 0 of what is written belongs to the last sample of the block before.
+    An increment joins two samples: column 0 belongs to the last sample of the block before.
 
     Parameters
     ----------
-    response : array (BLOCK, s)
+    response : array (s, BLOCK)
     data : array (s, u)
     first : int
         Sample with which the block begins.
     weights : array (s, 1) or (s, 4)
-    misfits : array (BLOCK + 1, s)
-        Overwritten; row 0 has the misfit before the block, from the call before this.
-    weighted : array (BLOCK + 1, s)
+    misfits : array (s, BLOCK + 1)
+        Overwritten; column 0 has the misfit before the block, from the call before this.
+    weighted : array (s, BLOCK + 1)
         Written; zero behind the end of the data.
     """
     total = data.shape[1]
     count = min(BLOCK, total - first)
-    weighted[0], weighted[count + 1 :] = 0.0, 0.0
     for j in range(data.shape[0]):
+        y, g, w, r = data[j, first : first + count], response[j], weighted[j], misfits[j]
         factor = 2.0 * weights[j, 0] / total
+        w[0], w[count + 1 :] = 0.0, 0.0
         for b in range(count):
-            misfits[b + 1, j] = data[j, first + b] - response[b, j]
-            weighted[b + 1, j] = -factor * misfits[b + 1, j]
-    if weights.shape[1] == 4:
-        for j in range(data.shape[0]):
+            w[b + 1] = factor * (g[b] - y[b])
+        if weights.shape[1] == 4:
+            for b in range(count):
+                r[b + 1] = y[b] - g[b]
             factor = 2.0 * weights[j, 1] / total
             for b in range(1 if first == 0 else 0, count):
-                change = factor * (misfits[b + 1, j] - misfits[b, j])
-                weighted[b, j] += change
-                weighted[b + 1, j] -= change
+                change = factor * (r[b + 1] - r[b])
+                w[b] += change
+                w[b + 1] -= change
             if first == 0:
-                weighted[1, j] -= weights[j, 2]
+                w[1] -= weights[j, 2]
             if first + count == total:
-                weighted[count, j] -= weights[j, 3]
-    misfits[0] = misfits[count]
+                w[count] -= weights[j, 3]
+            r[0] = r[count]
 
 
 @jit
@@ -71,12 +72,11 @@ def weigh_history(response, observed, weights):
 
 @jit
 def copy_block(history, first, weighted):
-    """Copy a block of a history (s, u) into rows 1 ... of `weighted` (BLOCK + 1, s), zero behind its end."""
+    """Copy a block of a history (s, u) into columns 1 ... of `weighted` (s, BLOCK + 1), zero behind it."""
     count = min(BLOCK, history.shape[1] - first)
-    weighted[0], weighted[count + 1 :] = 0.0, 0.0
     for j in range(history.shape[0]):
-        for b in range(count):
-            weighted[b + 1, j] = history[j, first + b]
+        weighted[j, 0], weighted[j, count + 1 :] = 0.0, 0.0
+        weighted[j, 1 : count + 1] = history[j, first : first + count]
 
 
 @jit
@@ -85,21 +85,21 @@ def take_change(response, change, first, observed, history, sums):
 
     Parameters
     ----------
-    response, change : array (>= count, s)
+    response, change : array (s, BLOCK)
         The response is not read if there is a `history`.
     first : int
         Sample with which the block begins.
     observed, history
-        As in `take_block`.
+        As in `recursion.take_block`.
     sums : array (s,)
         Change of sum_k r_k^2; updated, unless there is a history.
     """
-    count = min(change.shape[0], max(history.shape[1], observed.shape[1]) - first)
-    for j in range(change.shape[1]):
+    count = min(BLOCK, max(history.shape[1], observed.shape[1]) - first)
+    for j in range(change.shape[0]):
+        if history.size:
+            history[j, first : first + count] = change[j, :count]
+            continue
         total = 0.0
         for b in range(count):
-            if history.size:
-                history[j, first + b] = change[b, j]
-            else:
-                total += (response[b, j] - observed[j, first + b]) * change[b, j]
+            total += (response[j, b] - observed[j, first + b]) * change[j, b]
         sums[j] += 2.0 * total

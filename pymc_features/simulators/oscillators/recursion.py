@@ -154,10 +154,15 @@ def advance(table, participation, q, p, ground, stride, count, outputs):
 @jit
 def add_feed(feed, ground, stride, count, block):
     """Add what the inputs do to the response directly, to `count` samples of a block (s, >= count)."""
-    for j in range(block.shape[0]):
-        for i in range(ground.shape[0]):
-            for b in range(count):
-                block[j, b] += feed[j, i] * ground[i, b * stride]
+    at_samples = np.empty(count)
+    for i in range(ground.shape[0]):
+        for b in range(count):
+            at_samples[b] = ground[i, b * stride]
+        for j in range(block.shape[0]):
+            share = feed[j, i]
+            if share != 0.0:
+                for b in range(count):
+                    block[j, b] += share * at_samples[b]
 
 
 @jit

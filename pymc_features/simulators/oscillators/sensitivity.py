@@ -111,8 +111,8 @@ def advance_modes(coefficients, states, ground, stride, values, by_lambda, by_da
         q, q', z, z'; overwritten.
     ground : array (BLOCK stride + 1,)
         Excitation at the steps of the recursion.
-    values, by_lambda, by_damping : array (BLOCK groups, LANES)
-        Written: f, df/dlambda in total, df/dd; row `sample * groups + group`.
+    values, by_lambda, by_damping : array ((BLOCK + 1) groups, LANES)
+        Written: f, df/dlambda in total, df/dd; row `(sample + 1) * groups + group`.
     """
     groups = states.shape[0] // 4
     for group in range(groups):
@@ -127,7 +127,7 @@ def advance_modes(coefficients, states, ground, stride, values, by_lambda, by_da
         fa = load(coefficients, i + 2 * N_STEP + 10)
         q, p, y, z = load_four(states, k)
         for sample in range(BLOCK):
-            row = sample * groups + group
+            row = (sample + 1) * groups + group
             first = sample * stride
             store(values, row, fq * q + fp * p + fa * splat(ground[first]))
             store(by_lambda, row, lq * q + lp * p + ly * y + lz * z)

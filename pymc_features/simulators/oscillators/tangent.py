@@ -38,7 +38,7 @@ class ModalChange(NamedTuple):
 
 @jit
 def combine_change(system, change, close, step, combination):
-    """Write the factors (3, d, padded, s) of f, df/dlambda and df/d(D h) in the change of the response.
+    """Write the factors (3, d, s, padded) of f, df/dlambda and df/d(D h) in the change of the response.
 
     Parameters
     ----------
@@ -66,9 +66,9 @@ def combine_change(system, change, close, step, combination):
         for r in range(m):
             for j in range(shapes.shape[0]):
                 shape, gamma = system.shapes[j, r], participation[r, i]
-                combination[0, i, r, j] = gamma * shapes[j, r] + load[r, i] * shape
-                combination[1, i, r, j] = gamma * shapes_slope[j, r] + load_slope[r, i] * shape
-                combination[2, i, r, j] = gamma * shape * step * change.damping[r]
+                combination[0, i, j, r] = gamma * shapes[j, r] + load[r, i] * shape
+                combination[1, i, j, r] = gamma * shapes_slope[j, r] + load_slope[r, i] * shape
+                combination[2, i, j, r] = gamma * shape * step * change.damping[r]
 
 
 @jit
@@ -95,14 +95,14 @@ def march_change(system, law, feed, excitation, quantity, change, observed, hist
     modes = new_histories(system, law, excitation, quantity)
     combination = np.zeros((3, *modes.outputs.shape))
     combine_change(system, change, close, step, combination)
-    part, response = np.empty((BLOCK, n_sensors)), np.empty((BLOCK, n_sensors))
-    change_block, sums = np.empty((BLOCK, n_sensors)), np.zeros(n_sensors)
+    part, response = np.empty((n_sensors, BLOCK)), np.empty((n_sensors, BLOCK))
+    change_block, sums = np.empty((n_sensors, BLOCK)), np.zeros(n_sensors)
     for first in range(0, total, BLOCK):
         advance_histories(modes, excitation, first)
         change_block[:] = 0.0
         for k in range(3):
             for i in range(combination.shape[1]):
-                np.dot(modes.values[k, i, 1:], combination[k, i], part)
+                np.dot(combination[k, i], modes.values[k, i, 1:].T, part)
                 change_block += part
         if not history.size:
             write_response(modes, feed, stride, part, response)
