@@ -88,7 +88,8 @@ def new_histories(system, law, excitation, quantity):
             for j in range(n_sensors):
                 outputs[i, j, r] = system.participation[r, i] * system.shapes[j, r]
     states, ground = np.zeros((n_inputs, 4 * groups, LANES)), np.empty((n_inputs, BLOCK * stride + 1))
-    values = np.zeros((3, n_inputs, BLOCK + 1, groups * LANES))
+    values = np.empty((3, n_inputs, BLOCK + 1, groups * LANES))
+    values[:, :, BLOCK] = 0.0
     lanes = values.reshape(3, n_inputs, (BLOCK + 1) * groups, LANES)
     return Histories(coefficients, states, ground, values, lanes, outputs)
 
