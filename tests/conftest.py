@@ -16,6 +16,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 LAST = ["test_jax.py", "test_recipes.py", "test_notebooks.py", "test_pages.py", "test_reference.py"]
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items):
     """What runs on one worker, and in which order: kernels first, to compile them for all the others.
 

@@ -512,7 +512,7 @@ def test_kernel_refuses_to_read_outside_its_arrays(changes, match):
 
 def test_kernel_refuses_data_of_another_shape():
     for shape in ((2, 4), (1, 3), (3, 2)):
-        with pytest.raises(ValueError, match="`observed` must have the shape"):
+        with pytest.raises(ValueError, match="`observed` or the cotangent must have the shape"):
             chain_discrepancy(*kernel_arguments(), np.zeros(shape))
 
 
