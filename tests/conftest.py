@@ -16,24 +16,30 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 LAST = ["test_jax.py", "test_recipes.py", "test_notebooks.py", "test_pages.py", "test_reference.py"]
 
 
-@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items):
-    """What runs on one worker, and in which order: kernels first, to compile them for all the others.
+    """The order of the tests: kernels first, to compile them for all the others, and large files first.
 
-    A file is one group, for the sake of its fixtures, and so is each notebook; the largest come first, so
-    that workers end together.
+    So workers end together.
     """
-
-    def file(item):
-        return item.callspec.params["path"] if "notebook" in item.keywords else item.path
 
     def place(item):
         name, kernels = item.path.name, item.path.parent.name in ("simulators", "ops")
-        return LAST.index(name) if name in LAST else -2 if kernels else -1, -file(item).stat().st_size
+        file = item.callspec.params["path"] if "notebook" in item.keywords else item.path
+        return LAST.index(name) if name in LAST else -2 if kernels else -1, -file.stat().st_size
 
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group(str(file(item))))
     items.sort(key=place)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Files stay on one worker, for the sake of their fixtures; each notebook goes to any."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            return nodeid if "::test_notebook_runs[" in nodeid else super()._split_scope(nodeid)
+
+    return Scheduling(config, log)
 
 
 @pytest.fixture(scope="session")
