@@ -27,12 +27,10 @@ def step_coefficients(s, d):
     def double(i, state):
         s, d, a0, b0, a1, b1, a2, b2 = state
         grown, mixed = 1.0 + a0, 1.0 + a0 - d * b0
-        new = (
-            *(4.0 * s, 2.0 * d),
-            *(a0 * a0 - s * b0 * b0, 0.5 * b0 * (2.0 * a0 - d * b0)),
-            *(0.5 * (grown * a1 - s * b0 * b1), 0.25 * (mixed * b1 + b0 * a1)),
-            *(0.25 * (grown * a2 - s * b0 * b2 + a1), 0.125 * (mixed * b2 + b0 * a2 + b1)),
-        )
+        phi_0 = a0 * a0 - s * b0 * b0, 0.5 * b0 * (2.0 * a0 - d * b0)
+        phi_1 = 0.5 * (grown * a1 - s * b0 * b1), 0.25 * (mixed * b1 + b0 * a1)
+        phi_2 = 0.25 * (grown * a2 - s * b0 * b2 + a1), 0.125 * (mixed * b2 + b0 * a2 + b1)
+        new = (4.0 * s, 2.0 * d, *phi_0, *phi_1, *phi_2)
         return tuple(jnp.where(i < halvings, x, old) for x, old in zip(new, state, strict=True))
 
     *_, a0, b0, a1, b1, a2, b2 = lax.fori_loop(0, MAX_HALVINGS, double, (s, d, a0, b0, a1, b1, a2, b2))

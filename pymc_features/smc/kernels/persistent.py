@@ -142,21 +142,14 @@ class PersistentSMC(PopulationKernel):
             possible = probability > 0
             np.add.at(pool.mass, position, 1.0 - probability)  # chains may share a point
             ahead = position.copy()
-            ahead[possible] = pool.add(
-                *(a[possible] for a in (proposal, new_prior, new_likelihood, probability)),
-                np.where(local, LOCAL_INFLATION, (1.0 + moves.kept) / (1.0 - moves.kept))[possible],
-                group[possible],
-            )
+            inflation = np.where(local, LOCAL_INFLATION, (1.0 + moves.kept) / (1.0 - moves.kept))
+            added = (proposal, new_prior, new_likelihood, probability, inflation, group)
+            ahead[possible] = pool.add(*(values[possible] for values in added))
             pool.counts[-1] += len(x)
             moved = self.rng.random(len(x)) < probability
             x = np.where(moved[:, None], proposal, x)
-            prior, likelihood, density, position = (
-                np.where(moved, new, old)
-                for new, old in (
-                    *((new_prior, prior), (new_likelihood, likelihood)),
-                    *((new_density, density), (ahead, position)),
-                )
-            )
+            prior, likelihood = np.where(moved, [new_prior, new_likelihood], [prior, likelihood])
+            density, position = np.where(moved, new_density, density), np.where(moved, ahead, position)
             acceptances.append(probability.mean())
             moves.learn(acceptances[-1])
             if moves.n_steps % refit_every == 0:
