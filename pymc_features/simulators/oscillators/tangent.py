@@ -40,6 +40,9 @@ class ModalChange(NamedTuple):
 def combine_change(system, change, close, step, combination):
     """Write the factors (3, d, s, padded) of f, df/dlambda and df/d(D h) in the change of the response.
 
+    The factors of a pair of modes are opposite to the last bit: f_r and f_s cancel where they are nearly
+    equal.
+
     Parameters
     ----------
     system : ModalSystem
@@ -47,28 +50,30 @@ def combine_change(system, change, close, step, combination):
     close : array (m, m)
         Of `close_modes`.
     """
-    omega, participation = system.omega, system.participation
-    m = omega.size
-    turn, slope = np.empty((m, m)), np.zeros((m, m))  # of the modes among themselves
-    for r in range(m):
-        for s in range(m):
-            mean = 0.5 * (omega[r] * omega[r] + omega[s] * omega[s])
-            pair = change.stiffness[r, s] - mean * change.mass[r, s]
-            turn[r, s] = 0.0
-            if close[r, s]:
-                slope[r, s] = 0.5 * pair
-            else:
-                turn[r, s] = pair / ((omega[r] - omega[s]) * (omega[r] + omega[s]))
-    half = 0.5 * change.mass
-    shapes, shapes_slope = np.dot(system.shapes, -turn - half) + change.shapes, np.dot(system.shapes, slope)
-    load, load_slope = np.dot(turn - half, participation) + change.load, np.dot(slope, participation)
+    omega, shapes, participation = system.omega, system.shapes, system.participation
+    combination[:] = 0.0
+    by_f, by_f_lambda, by_f_damping = combination
     for i in range(participation.shape[1]):
-        for r in range(m):
-            for j in range(shapes.shape[0]):
-                shape, gamma = system.shapes[j, r], participation[r, i]
-                combination[0, i, j, r] = gamma * shapes[j, r] + load[r, i] * shape
-                combination[1, i, j, r] = gamma * shapes_slope[j, r] + load_slope[r, i] * shape
-                combination[2, i, j, r] = gamma * shape * step * change.damping[r]
+        for j in range(shapes.shape[0]):
+            for r in range(omega.size):
+                shape, gamma, scale = shapes[j, r], participation[r, i], change.mass[r, r]
+                own = change.stiffness[r, r] - omega[r] * omega[r] * scale
+                by_f[i, j, r] += gamma * change.shapes[j, r] + shape * (change.load[r, i] - gamma * scale)
+                by_f_lambda[i, j, r] += shape * gamma * own
+                by_f_damping[i, j, r] = shape * gamma * step * change.damping[r]
+                for s in range(r):
+                    both = gamma * shapes[j, s] + participation[s, i] * shape
+                    mean = 0.5 * (omega[r] * omega[r] + omega[s] * omega[s])
+                    pair = both * (change.stiffness[r, s] - mean * change.mass[r, s])
+                    scaled = 0.5 * both * change.mass[r, s]
+                    if close[r, s]:
+                        by_f_lambda[i, j, r] += 0.5 * pair
+                        by_f_lambda[i, j, s] += 0.5 * pair
+                        pair = 0.0
+                    else:
+                        pair /= (omega[r] - omega[s]) * (omega[r] + omega[s])
+                    by_f[i, j, r] += pair - scaled
+                    by_f[i, j, s] -= pair + scaled
 
 
 @jit
