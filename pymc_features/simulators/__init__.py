@@ -25,7 +25,7 @@ Symbols, as in the equations of the documentation:
 ===============================  ============================================================================
 
 Letters for sizes: n degrees of freedom, m modes kept, s sensors, d inputs, t samples of the record, u of the
-response, p particles or parameters. The derivative of L by x is `grad_x` or `by_x`, a direction of x `d_x`.
+response, p particles or parameters. The derivative of L by x is `grad_x`, a direction of x `d_x`.
 """
 
 from pymc_features.simulators.chain.gradient import (

@@ -251,10 +251,10 @@ class LinearStructure(Structure):
         """
         n_modes = self._check_n_modes(n_modes)
         omega, shapes = self._natural(n_modes)
-        drag = self.modal_damping(n_modes)
-        drag = drag if drag.ndim == 1 else np.diagonal(drag)
+        damping = self.modal_damping(n_modes)
+        damping = damping if damping.ndim == 1 else np.diagonal(damping)
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratios = np.where((omega == 0.0) & (abs(drag) < 1e-12), 0.0, drag / (2.0 * omega))
+            ratios = np.where((omega == 0.0) & (abs(damping) < 1e-12), 0.0, damping / (2.0 * omega))
         return Modes(omega, shapes, shapes.T @ (self.mass @ self.influence), ratios)
 
     def _check_n_modes(self, n_modes):

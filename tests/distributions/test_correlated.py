@@ -9,12 +9,19 @@ import pytensor
 import pytensor.tensor as pt
 import pytest
 from pymc.logprob.utils import ParameterValueError
+from pytensor.gradient import NullTypeGradError
 from pytensor.graph.replace import vectorize_graph
 from scipy import linalg, optimize, stats
 
 import pymc_features
 from pymc_features import CorrelatedNormal, RayleighDamping, SpringMassChain, response, simulate
-from pymc_features.ops import PopulationMisfit, StructuralMisfit, StructuralResponse, misfit_statistics
+from pymc_features.ops import (
+    PopulationGradient,
+    PopulationMisfit,
+    StructuralMisfit,
+    StructuralResponse,
+    misfit_statistics,
+)
 from pymc_features.simulators import QUANTITIES, request
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.smc.density.evaluation import population_logp
@@ -267,7 +274,7 @@ def test_fused_only_where_it_is_a_response(pulse, measured):
 
 @pytest.mark.parametrize("mode", ["NUMBA", "FAST_COMPILE"])
 def test_batches_become_populations(mode, pulse, measured):
-    """As one by one, an invalid row alone; gradients, too: what all share gets the sum."""
+    """As one by one, an invalid row alone; gradients, too: what all share gets the sum, data none."""
     mass, stiffness, batch = pt.vector("m", shape=(3,)), pt.vector("k", shape=(3,)), pt.tensor3("batch")
     chain = SpringMassChain(mass, stiffness, RayleighDamping(0.1, 1e-3))
     data, c = pt.matrix("data", shape=(3, None)), np.random.default_rng(2).normal(size=(3, 4))
@@ -277,12 +284,13 @@ def test_batches_become_populations(mode, pulse, measured):
     shape = pytensor.function([mass, batch, data], many.shape, mode=LIGHT, on_unused_input="ignore")
     assert tuple(shape(np.ones(3), np.ones((2, 5, 3)), measured)) == (2, 5, 3, 4)
     assert our_ops_of(shape) == set()
-    wrt = [mass, data]
-    slopes = pt.grad((c * one).sum(), [stiffness, *wrt])
+    slopes = pt.grad((c * one).sum(), [stiffness, mass])
+    gradients = pt.grad((c * many).sum(), [batch, mass])
+    assert our_ops(gradients) == {PopulationGradient, PopulationMisfit}  # no history
+    with pytest.raises(NullTypeGradError, match="Differentiate one particle"):
+        pt.grad(many.sum(), data)
     single = pytensor.function([mass, stiffness, data], [one, *slopes], mode="FAST_COMPILE")
-    together = pytensor.function(
-        [mass, batch, data], [many, *pt.grad((c * many).sum(), [batch, *wrt])], mode=mode
-    )
+    together = pytensor.function([mass, batch, data], [many, *gradients], mode=mode)
     springs = np.random.default_rng(3).uniform(50.0, 150.0, (2, 3, 3))
     statistics, by_stiffness, *shared = together(np.ones(3), springs, measured)
     alone = [single(np.ones(3), k, measured) for k in springs.reshape(-1, 3)]
@@ -476,8 +484,10 @@ def test_smc_finds_the_posterior(pulse):
 # --------------------------------------------------------------------------- memory
 
 PEAK_GROWTH = """
-    import numpy as np, pymc as pm
+    import numpy as np, pymc as pm, pytensor, pytensor.tensor as pt
+    from pytensor.graph.replace import vectorize_graph
     from pymc_features import CorrelatedNormal, paper, response, synthetic_earthquake
+    from pymc_features.ops import misfit_statistics
     from pymc_features.smc.density.evaluation import population_logp
     from support.memory import growth
 
@@ -493,7 +503,13 @@ PEAK_GROWTH = """
     particles = np.linspace(0.5, 1.5, 256)[:, None]
     (fused, one), (unfused, other) = (growth(lambda: function(particles)[1]) for function in functions)
     np.testing.assert_allclose(one, other, rtol=1e-9)
-    print(fused / data.nbytes, unfused / data.nbytes)
+    theta, batch = pt.dscalar(), pt.dvector()
+    alone = misfit_statistics(response(paper.chain(theta), record), pytensor.shared(data)).sum()
+    together = vectorize_graph(alone, {theta: batch}).sum()
+    slopes = pytensor.function([batch], pt.grad(together, batch), mode="NUMBA")
+    slopes(particles[:2, 0])  # compiles
+    gradient, _ = growth(lambda: slopes(particles[:, 0]))
+    print(fused / data.nbytes, gradient / data.nbytes, unfused / data.nbytes)
 """
 
 
@@ -501,8 +517,8 @@ PEAK_GROWTH = """
 def test_populations_need_no_memory_for_histories(tmp_path):
     """256 particles of 10 x 15590: growth of the peak over the size of one history, and from histories."""
     pytest.importorskip("resource")
-    fused, unfused = map(float, run_python(PEAK_GROWTH, tmp_path).split())
-    assert fused < 1.0
+    fused, gradient, unfused = map(float, run_python(PEAK_GROWTH, tmp_path).split())
+    assert max(fused, gradient) < 1.0
     assert unfused > 30.0
 
 

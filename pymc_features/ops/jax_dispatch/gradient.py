@@ -24,16 +24,16 @@ def gradient(op, static, parameters, acceleration, dt, sensors, history, weights
     n = shapes.shape[1]
 
     def visit(sums, states, at, there, data):
-        products, slopes, by_damping = sums
+        products, slopes, grad_damping = sums
         weighted = data
         if weights is not None:
             weighted = 2.0 / sampling.total * weights * there * (output(states, at) - data)
         modal = weighted @ shapes
-        by_lambda, by_d = modes.slopes(*states)
+        f_lambda, f_damping = modes.slopes(*states)
         return (
             products + modal.T @ modes.outputs(*states[:2], at),
-            slopes + modal.T @ by_lambda,
-            by_damping + (modal[:, :n_modes] * by_d).sum(axis=0),
+            slopes + modal.T @ f_lambda,
+            grad_damping + (modal[:, :n_modes] * f_damping).sum(axis=0),
         ), None
 
     zeros = (jnp.zeros((n, n_modes)), jnp.zeros((n, n_modes)), jnp.zeros(n_modes))
@@ -42,7 +42,7 @@ def gradient(op, static, parameters, acceleration, dt, sensors, history, weights
     return tuple(jnp.where(modes.valid, g, jnp.nan) for g in gradients)
 
 
-def to_parameters(modes, products, slopes, by_damping, close):
+def to_parameters(modes, products, slopes, grad_damping, close):
     """From the sums over the history to mass, stiffness, rayleigh and ratios; see `simulators.gradient`."""
     n, m = products.shape
     lam, gamma = modes.eigenvalues, modes.participation
@@ -70,12 +70,12 @@ def to_parameters(modes, products, slopes, by_damping, close):
         dropped = jnp.where(kept, 0.0, half)
         return square + jnp.zeros((n, n)).at[:m, :].set(dropped.T) + jnp.diag(own)
 
-    by_stiffness = symmetric(both, gamma * own_slopes)
-    by_mass = -symmetric(inertia, gamma * (own_products + lam * own_slopes))
-    force = gamma[:m] * modes.step * by_damping
+    grad_stiffness = symmetric(both, gamma * own_slopes)
+    grad_mass = -symmetric(inertia, gamma * (own_products + lam * own_slopes))
+    force = gamma[:m] * modes.step * grad_damping
     return (
-        jnp.einsum("ir,rs,is->i", modes.shapes, by_mass, modes.shapes) + modes.shapes @ own_products,
-        jnp.einsum("ir,rs,is->i", modes.drifts, by_stiffness, modes.drifts),
+        jnp.einsum("ir,rs,is->i", modes.shapes, grad_mass, modes.shapes) + modes.shapes @ own_products,
+        jnp.einsum("ir,rs,is->i", modes.drifts, grad_stiffness, modes.drifts),
         jnp.stack([force.sum(), force @ lam[:m]]),
         jnp.zeros(n).at[:m].set(2.0 * modes.omega[:m] * force),
     )
@@ -144,15 +144,15 @@ def response_backward(op, static, inputs, cotangent):
 def discrepancy_backward(op, static, inputs, weights):
     *common, observed = inputs
     misfit = observed - response(op, static, *common)
-    by_data = weights[:, None] * (2.0 / observed.shape[1]) * misfit
-    return (gradient(op, static, *inputs, weights), *without_gradient(*common[1:]), by_data)
+    grad_data = weights[:, None] * (2.0 / observed.shape[1]) * misfit
+    return (gradient(op, static, *inputs, weights), *without_gradient(*common[1:]), grad_data)
 
 
 def misfit_backward(op, static, inputs, cotangent):
     *common, observed = inputs
     _, transpose = jax.vjp(statistics, observed - response(op, static, *common))
-    [by_data] = transpose(cotangent)
-    return (gradient(op, static, *common, -by_data, None), *without_gradient(*common[1:]), by_data)
+    [grad_data] = transpose(cotangent)
+    return (gradient(op, static, *common, -grad_data, None), *without_gradient(*common[1:]), grad_data)
 
 
 def statistics(misfit):

@@ -17,6 +17,7 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, n_outputs
 from pymc_features.simulators.oscillators.gradient import modal_gradient
 from pymc_features.simulators.oscillators.modal_system import DampingLaw
+from pymc_features.simulators.oscillators.recursion import modal_damping
 from pymc_features.simulators.oscillators.tangent import ModalChange, march_change
 
 
@@ -72,20 +73,20 @@ def add_gradient(parameters, excitation, wanted, history, weights, gradients):
     feed, motion = relative_feed(wanted), ground_motion(excitation)
     found = modal_gradient(system, law, feed, motion, wanted.quantity, history, weights)
     shapes, load = np.ascontiguousarray(rows[:m].T), np.dot(rows[:m].T, found.load)
-    by_stiffness, by_mass = np.dot(shapes, found.stiffness), np.dot(shapes, found.mass)
+    left_stiffness, left_mass = np.dot(shapes, found.stiffness), np.dot(shapes, found.mass)
     if m < omega.size:
         outside = np.outer(parameters.mass, found.load)  # load M 1 times (dL/d(Phi' L))'
         for j in range(wanted.sensors.size):
             outside[wanted.sensors[j]] += found.shapes[j]
         outside = outside_span(omega, rows, m, outside)
-        by_stiffness -= outside
-        by_mass += outside * system.omega**2
-    drifts, turned = drifts_of(shapes), drifts_of(by_stiffness)
+        left_stiffness -= outside
+        left_mass += outside * system.omega**2
+    drifts, turned = drifts_of(shapes), drifts_of(left_stiffness)
     for i in range(omega.size):
         gradients.mass[i] += load[i, 0]
         for r in range(m):
             gradients.stiffness[i] += turned[i, r] * drifts[i, r]
-            gradients.mass[i] += by_mass[i, r] * shapes[i, r]
+            gradients.mass[i] += left_mass[i, r] * shapes[i, r]
     for r in range(m):
         gradients.rayleigh[0] += found.damping[r]
         gradients.rayleigh[1] += found.damping[r] * omega[r] ** 2
@@ -139,20 +140,21 @@ def change_of(parameters, directions, wanted, system, omega, rows):
     """What directions of the parameters do to the modes, a `ModalChange`."""
     m, d_mass = wanted.n_modes, directions.mass.reshape(omega.size, 1)
     shapes = np.ascontiguousarray(rows[:m].T)
-    by_mass, turned = d_mass * shapes, directions.stiffness.reshape(omega.size, 1) * drifts_of(shapes)
-    by_stiffness = turned.copy()
-    by_stiffness[:-1] -= turned[1:]
+    d_mass_shapes, turned = d_mass * shapes, directions.stiffness.reshape(omega.size, 1) * drifts_of(shapes)
+    d_stiffness_shapes = turned.copy()
+    d_stiffness_shapes[:-1] -= turned[1:]
     load, at_sensors = np.dot(rows[:m], d_mass), np.zeros((wanted.sensors.size, m))
     if m < omega.size:
-        outside = -outside_span(omega, rows, m, by_stiffness - by_mass * system.omega**2)
+        outside = -outside_span(omega, rows, m, d_stiffness_shapes - d_mass_shapes * system.omega**2)
         load += np.dot(outside.T, parameters.mass.reshape(omega.size, 1))
         for j in range(wanted.sensors.size):
             at_sensors[j] = outside[wanted.sensors[j]]
     damping = np.empty(m)
     for r in range(m):
-        damping[r] = directions.rayleigh[0] + directions.rayleigh[1] * omega[r] ** 2
-        damping[r] += 2.0 * omega[r] * directions.ratios[r]
-    return ModalChange(np.dot(rows[:m], by_stiffness), np.dot(rows[:m], by_mass), load, at_sensors, damping)
+        damping[r] = modal_damping(omega[r], directions.rayleigh, directions.ratios[r])
+    return ModalChange(
+        np.dot(rows[:m], d_stiffness_shapes), np.dot(rows[:m], d_mass_shapes), load, at_sensors, damping
+    )
 
 
 @jit

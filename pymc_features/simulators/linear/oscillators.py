@@ -8,6 +8,7 @@ from pymc_features.simulators.linear.system import modes_at_outputs
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION
 from pymc_features.simulators.oscillators.gradient import modal_gradient
 from pymc_features.simulators.oscillators.modal_system import DampingLaw
+from pymc_features.simulators.oscillators.recursion import modal_damping
 from pymc_features.simulators.oscillators.tangent import ModalChange, march_change
 
 NO_WEIGHTS = np.empty((0, 0))
@@ -49,7 +50,7 @@ def push_forward(a, system, change, directions, observed, history):
     """
     (d_rayleigh, d_ratios), omega = directions, system.omega
     modes, law, feed = kernel_inputs(a, system)
-    d_damping = d_rayleigh[0] + d_rayleigh[1] * omega**2 + 2.0 * d_ratios[: omega.size] * omega
+    d_damping = modal_damping(omega, writable(d_rayleigh), writable(d_ratios[: omega.size]))
     d_load = change.load + change.shapes.T @ system.load
     d_modes = ModalChange(
         *map(writable, (change.stiffness, change.mass, d_load, a.wanted.sensors @ change.shapes, d_damping))

@@ -140,7 +140,7 @@ def sum_histories(modes, system, feed, excitation, history, weights, some_are_cl
     -------
     outputs, slopes : array (d, s, padded)
         (S, f) and (S, f').
-    by_lambda, by_damping : array (d, m)
+    grad_lambda, grad_damping : array (d, m)
         sum_k u_r df_r[a_i]/dlambda and sum_k u_r df_r[a_i]/d(D h).
     """
     n_inputs, n_sensors, padded = modes.outputs.shape
@@ -149,7 +149,7 @@ def sum_histories(modes, system, feed, excitation, history, weights, some_are_cl
     misfits, weighted = np.zeros((n_sensors, BLOCK + 1)), np.empty((n_sensors, BLOCK + 1))
     product, in_modes = np.empty((n_sensors, padded)), np.empty((BLOCK + 1, n_modes))
     outputs, slopes = np.zeros((n_inputs, n_sensors, padded)), np.zeros((n_inputs, n_sensors, padded))
-    by_lambda, by_damping = np.zeros((n_inputs, n_modes)), np.zeros((n_inputs, n_modes))
+    grad_lambda, grad_damping = np.zeros((n_inputs, n_modes)), np.zeros((n_inputs, n_modes))
     for first in range(0, total, BLOCK):
         advance_histories(modes, excitation, first)
         if weights.size:
@@ -165,16 +165,16 @@ def sum_histories(modes, system, feed, excitation, history, weights, some_are_cl
             if some_are_close:
                 np.dot(weighted, f_lambda, product)
                 slopes[i] += product
-            own_lambda, own_damping = by_lambda[i], by_damping[i]
+            own_grad_lambda, own_grad_damping = grad_lambda[i], grad_damping[i]
             for b in range(BLOCK + 1):
                 for r in range(n_modes):
-                    own_lambda[r] += in_modes[b, r] * f_lambda[b, r]
-                    own_damping[r] += in_modes[b, r] * f_damping[b, r]
-    return outputs, slopes, by_lambda, by_damping
+                    own_grad_lambda[r] += in_modes[b, r] * f_lambda[b, r]
+                    own_grad_damping[r] += in_modes[b, r] * f_damping[b, r]
+    return outputs, slopes, grad_lambda, grad_damping
 
 
 @jit
-def reduce_sums(system, close, some_are_close, outputs, slopes, by_lambda):
+def reduce_sums(system, close, some_are_close, outputs, slopes, grad_lambda):
     """Derivatives of L by Phi' K Phi, Phi' M Phi (m, m), Phi' L (m, d) and S Phi (s, m), from the sums.
 
     With P = Phi' S' F and Q = (dL/d(Phi' L)) Gamma', where F = sum_i (S, f)_i Gamma_i, the pair r, s has the
@@ -190,7 +190,7 @@ def reduce_sums(system, close, some_are_close, outputs, slopes, by_lambda):
                 f_lambda[j, r] += participation[r, i] * slopes[i, j, r]
                 load[r, i] += system.shapes[j, r] * outputs[i, j, r]
     p, q = np.dot(system.shapes.T, f), np.dot(load, participation.T)
-    limits = np.dot(by_lambda.T, participation.T)
+    limits = np.dot(grad_lambda.T, participation.T)
     if some_are_close:
         limits += np.dot(system.shapes.T, f_lambda)
     else:
@@ -230,12 +230,12 @@ def modal_gradient(system, law, feed, excitation, quantity, history, weights):
     duration = history.shape[1] * excitation.stride * step
     close, some_are_close = close_modes(system.omega, law, duration)
     modes = new_histories(system, law, excitation, quantity)
-    outputs, slopes, by_lambda, by_damping = sum_histories(
+    outputs, slopes, grad_lambda, grad_damping = sum_histories(
         modes, system, feed, excitation, history, weights, some_are_close
     )
     damping = np.zeros(system.omega.size)
     for r in range(damping.size):
-        for i in range(by_damping.shape[0]):
-            damping[r] += step * system.participation[r, i] * by_damping[i, r]
-    stiffness, mass, load, shapes = reduce_sums(system, close, some_are_close, outputs, slopes, by_lambda)
+        for i in range(grad_damping.shape[0]):
+            damping[r] += step * system.participation[r, i] * grad_damping[i, r]
+    stiffness, mass, load, shapes = reduce_sums(system, close, some_are_close, outputs, slopes, grad_lambda)
     return ModalGradient(stiffness, mass, load, shapes, damping)

@@ -57,13 +57,13 @@ def weigh_history(response, observed, weights):
     """Overwrite a whole response (s, u) by the derivatives of L by it, see `weigh_misfit`."""
     n_sensors, total = response.shape
     for j in range(n_sensors):
-        by_square, by_increment = 2.0 * weights[j, 0] / total, 0.0
+        square_weight, increment_weight = 2.0 * weights[j, 0] / total, 0.0
         if weights.shape[1] == 4:
-            by_increment = 2.0 * weights[j, 1] / total
+            increment_weight = 2.0 * weights[j, 1] / total
         misfit, increment = observed[j, 0] - response[j, 0], 0.0
         for k in range(total):
             following = observed[j, k + 1] - response[j, k + 1] if k + 1 < total else misfit
-            response[j, k] = -by_square * misfit - by_increment * (increment - (following - misfit))
+            response[j, k] = -square_weight * misfit - increment_weight * (increment - (following - misfit))
             misfit, increment = following, following - misfit
         if weights.shape[1] == 4:
             response[j, 0] -= weights[j, 2]

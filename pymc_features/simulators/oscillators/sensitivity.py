@@ -49,16 +49,16 @@ def output_coefficients(quantity, s, d, step, slope, row):
     if quantity == RELATIVE_DISPLACEMENT:
         unit = step * step
         f[0] = unit
-        by_s, by_d = (0.0, 0.0, unit, 0.0), (0.0, 0.0, 0.0, unit)
+        f_s, f_d = (0.0, 0.0, unit, 0.0), (0.0, 0.0, 0.0, unit)
     elif quantity in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION):
         f[0], f[1], f[2] = -s, -d, -1.0
-        by_s, by_d = (-1.0, 0.0, -s, -d), (d, -1.0, s * d, d * d - s)
+        f_s, f_d = (-1.0, 0.0, -s, -d), (d, -1.0, s * d, d * d - s)
     else:
         f[1] = step
-        by_s, by_d = (0.0, 0.0, 0.0, step), (-step, 0.0, -s * step, -d * step)
+        f_s, f_d = (0.0, 0.0, 0.0, step), (-step, 0.0, -s * step, -d * step)
     for i in range(4):
-        row[i] = step * step * by_s[i] + step * slope * by_d[i]
-        row[4 + i] = by_d[i]
+        row[i] = step * step * f_s[i] + step * slope * f_d[i]
+        row[4 + i] = f_d[i]
 
 
 @jit
@@ -100,7 +100,7 @@ def load_four(array, row):
 
 
 @jit
-def advance_modes(coefficients, states, ground, stride, values, by_lambda, by_damping):
+def advance_modes(coefficients, states, ground, stride, values, f_lambda, f_damping):
     """Write `BLOCK` samples of every mode's output and derivatives, and carry the states on.
 
     Parameters
@@ -111,7 +111,7 @@ def advance_modes(coefficients, states, ground, stride, values, by_lambda, by_da
         q, q', z, z'; overwritten.
     ground : array (BLOCK stride + 1,)
         Excitation at the steps of the recursion.
-    values, by_lambda, by_damping : array ((BLOCK + 1) groups, LANES)
+    values, f_lambda, f_damping : array ((BLOCK + 1) groups, LANES)
         Written: f, df/dlambda in total, df/dd; row `(sample + 1) * groups + group`.
     """
     groups = states.shape[0] // 4
@@ -130,8 +130,8 @@ def advance_modes(coefficients, states, ground, stride, values, by_lambda, by_da
             row = (sample + 1) * groups + group
             first = sample * stride
             store(values, row, fq * q + fp * p + fa * splat(ground[first]))
-            store(by_lambda, row, lq * q + lp * p + ly * y + lz * z)
-            store(by_damping, row, dq * q + dp * p + dy * y + dz * z)
+            store(f_lambda, row, lq * q + lp * p + ly * y + lz * z)
+            store(f_damping, row, dq * q + dp * p + dy * y + dz * z)
             for step in range(first, first + stride):
                 a, b = splat(ground[step]), splat(ground[step + 1])
                 y, z = (
