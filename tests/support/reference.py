@@ -24,11 +24,12 @@ def first_order_hold(damping, stiffness, load, inputs, step, stride=1):
     system[..., n : 2 * n, 2 * n : 2 * n + d] = load
     system[..., 2 * n : 2 * n + d, 2 * n + d :] = np.eye(d) / step
     whole = expm(system * step)[..., : 2 * n, :]
-    driven = whole[..., 2 * n :] @ np.vstack([inputs[:, :-1], np.diff(inputs)])
-    states = np.zeros((*load.shape[:-2], 2 * n, inputs.shape[1]), system.dtype)
-    for k in range(inputs.shape[1] - 1):
-        states[..., k + 1] = (whole[..., : 2 * n] @ states[..., k, None])[..., 0] + driven[..., k]
-    x, v = states[..., :n, ::stride], states[..., n:, ::stride]
+    transition, driven = whole[..., : 2 * n], whole[..., 2 * n :]
+    driven = np.moveaxis(driven @ np.vstack([inputs[:, :-1], np.diff(inputs)]), -1, 0)
+    states = np.zeros((inputs.shape[1], *load.shape[:-2], 2 * n), system.dtype)
+    for k in range(len(states) - 1):
+        states[k + 1] = (transition @ states[k][..., None])[..., 0] + driven[k]
+    x, v = np.split(np.moveaxis(states[::stride], 0, -1), 2, axis=-2)
     return x, v, load @ inputs[:, ::stride] - stiffness @ x - damping @ v
 
 
