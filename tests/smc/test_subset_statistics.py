@@ -273,7 +273,7 @@ def test_cost_of_small_probabilities():
     with 80 degrees of freedom, no false alarm in 1e9).
     """
     runs = ball_runs(2)
-    n = len(runs[0].x)
+    n = len(runs[0].draws)
     assert max(r.simulations for r in runs) <= 6 * n
     assert min(len(np.unique(r.draws, axis=0)) for r in runs) >= 0.7 * n
     variance = radius(2, PROBABILITY[2]) ** 2 / 4
