@@ -263,15 +263,6 @@ def test_linear_limits(n, damping, quantity):
         assert ours.coords.equals(exact.coords)
 
 
-def test_initial_chain():
-    """Matrices and modes are those of the linear chain with the initial springs."""
-    linear = SpringMassChain(np.ones(3), np.linspace(400.0, 300.0, 3), RAYLEIGH)
-    for chain in (bouc_wen(), duffing()):
-        for ours, theirs in zip(chain.matrices(), linear.matrices(), strict=True):
-            np.testing.assert_array_equal(ours, theirs)
-        np.testing.assert_array_equal(chain.modes().mode_shapes, linear.modes().mode_shapes)
-
-
 # --------------------------------------------------------------------------- hysteresis
 
 
@@ -333,22 +324,6 @@ def test_springs_dissipate_and_stay_on_their_leash(sharpness, beta, gamma):
     assert (loss.sum(axis=1) > 0.1).all()
 
 
-def test_force_balance():
-    """The lowest spring and its dashpot carry the inertia of all masses: sum m a_abs."""
-    chain, record = bouc_wen(damping=RayleighDamping(0.0, 1e-3)), noise_record(9)
-    acceleration = simulate(chain, record).values
-    velocity = simulate(chain, record, quantity="relative_velocity").values
-    force = spring_forces(chain, record)["force"].values[0] + 1e-3 * 400.0 * velocity[0]
-    np.testing.assert_allclose(-acceleration.sum(axis=0), force, atol=1e-12 * np.abs(force).max())
-
-
-@pytest.mark.parametrize("chain", [bouc_wen(), duffing()], ids=str)
-def test_mirrored_excitation_mirrors_the_response(chain):
-    record = noise_record(10)
-    mirrored = simulate(chain, Record(-record.acceleration, record.dt))
-    np.testing.assert_array_equal(mirrored.values, -simulate(chain, record).values)
-
-
 # --------------------------------------------------------------------------- what users get
 
 
@@ -391,13 +366,6 @@ def test_parameters_may_be_variables():
     expected = bouc_wen(2, yield_displacement=[0.02, 0.01], sharpness=3.0).parameters()[-1]
     np.testing.assert_array_equal(table.eval({dy: 0.02, n: 3.0}), expected)
     assert duffing(2, cubic=pt.vector("c", shape=(2,))).is_symbolic
-
-
-def test_scaled_springs_keep_their_law():
-    scaled = bouc_wen(yield_displacement=[0.01, 0.02, 0.03]).scale_stiffness(0.5, [0])
-    assert isinstance(scaled, HystereticChain)
-    assert scaled.stiffness.tolist() == [200.0, 350.0, 300.0]
-    assert scaled.yield_displacement.tolist() == [0.01, 0.02, 0.03]
 
 
 # --------------------------------------------------------------------------- bad input

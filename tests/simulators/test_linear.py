@@ -5,7 +5,7 @@ import pytest
 from scipy import sparse
 from scipy.linalg import eigh
 
-from pymc_features import LinearStructure, Loading, ModalDamping, RayleighDamping, SpringMassChain, simulate
+from pymc_features import LinearStructure, Loading, ModalDamping, RayleighDamping, simulate
 from pymc_features.algebra.factorisation import count_below, eliminate
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear.state_space import StateMatrices, march_state, modal_equations
@@ -58,14 +58,6 @@ def test_chain_with_truncated_modes_and_output_steps(n_modes, factor):
             assert found.coords.equals(expected.coords) and found.attrs == expected.attrs
 
 
-def test_el_centro_on_ten_storeys(record):
-    chain = SpringMassChain(np.ones(10), 1800.0, RayleighDamping(0.2265, 6.7515e-4))
-    for linear in as_linear(chain):
-        for quantity in QUANTITIES:
-            expected = simulate(chain, record, quantity=quantity)
-            assert peak_error(simulate(linear, record, quantity=quantity), expected) < 1e-12
-
-
 @pytest.mark.parametrize("damping", ["rayleigh", "none", "over-critical", "mixed", "heavy rayleigh"])
 def test_modes_and_matrices_of_the_chain(damping):
     chain = random_chain(6, damping)
@@ -107,17 +99,6 @@ def test_coupled_damping_against_matrix_exponential(n, rank, damping, substeps, 
         assert peak_error(found, expected[quantity]) < 1e-9
 
 
-def test_gyroscopic_damping():
-    """A skew part couples without taking energy."""
-    mass, _, stiffness = random_structure(1, 2)
-    matrices = mass, np.array([[0.1, 4.0], [-4.0, 0.1]]), stiffness
-    record, ones = noise_record(150, seed=1), np.ones((2, 1))
-    expected = by_exponential(matrices, -mass @ ones, record.acceleration[None], record.dt, ones)
-    for quantity in QUANTITIES:
-        found = simulate(of_matrices(*matrices), record, quantity=quantity)
-        assert peak_error(found, expected[quantity]) < 1e-9
-
-
 def test_both_routes_meet_at_the_tolerance():
     """A coupling just above the tolerance takes the other route and changes nothing."""
     chain, record = random_chain(5, "rayleigh"), noise_record(150, seed=2)
@@ -151,43 +132,7 @@ def test_both_routes_on_the_same_modes(quantity):
         assert not np.any(other) if at_rest else peak_error(other, one) < 1e-9
 
 
-@pytest.mark.parametrize("n_modes", [1, 3, 6])
-def test_truncated_coupled_modes(n_modes):
-    """The kept modes are carried by their own block of phi' C phi; the ground's share is kept whole."""
-    mass, damping, stiffness = random_structure(3, 6)
-    record = noise_record(150, seed=3)
-    structure = LinearStructure(mass, stiffness=stiffness, damping=damping)
-    values, shapes = eigh(stiffness, mass)
-    kept = shapes[:, :n_modes]
-    reduced = np.eye(n_modes), kept.T @ damping @ kept, np.diag(values[:n_modes])
-    load = -kept.T @ mass @ np.ones((6, 1))
-    expected = by_exponential(reduced, load, record.acceleration[None], record.dt)
-    relative = kept @ expected["relative_acceleration"]
-    for quantity, history in {
-        "relative_displacement": kept @ expected["relative_displacement"],
-        "relative_acceleration": relative,
-        "absolute_acceleration": relative + record.acceleration,
-    }.items():
-        assert peak_error(simulate(structure, record, quantity=quantity, n_modes=n_modes), history) < 1e-9
-
-
 # --------------------------------------------------------------------------- special spectra
-
-
-def test_repeated_frequencies():
-    """A tower that is the same in both directions: each direction is a chain of its own."""
-    chain = SpringMassChain([2.0, 1.0, 1.0], [300.0, 200.0, 100.0], RayleighDamping(0.3, 2e-3))
-    mass, damping, stiffness = (np.kron(np.eye(2), a) for a in chain.matrices())
-    record = noise_record(150, seed=4)
-    direction = np.kron([1.0, 0.5], np.ones(3))
-    for drag in (damping, chain.damping):
-        tower = LinearStructure(mass, stiffness=stiffness, damping=drag, influence=direction)
-        omega = chain.modes().angular_frequencies
-        np.testing.assert_allclose(tower.modes().angular_frequencies, np.repeat(omega, 2), rtol=1e-12)
-        for quantity in QUANTITIES:
-            one = simulate(chain, record, quantity=quantity).values
-            found = simulate(tower, record, quantity=quantity)
-            assert peak_error(found, np.vstack([one, 0.5 * one])) < 1e-12
 
 
 def test_a_soft_mode_is_no_rigid_body():
@@ -269,21 +214,6 @@ def test_floating_chain_with_a_dashpot():
     raft = LinearStructure([2.0], stiffness=[[0.0]], damping=[[3.0]])
     found = simulate(raft, Loading(np.full(100, 6.0), 0.02, kind="force"), quantity="relative_velocity")
     assert peak_error(found[0], 2.0 * (1.0 - np.exp(-1.5 * found["time"]))) < 1e-12
-
-
-def test_modes_far_beyond_the_sampling_rate():
-    """A stiff link, omega h of 200, next to a soft spring, in coupled damping."""
-    stiffness = np.array([[1e8, -1e8], [-1e8, 1e8 + 100.0]])
-    damping = np.array([[3.0, 0.0], [0.0, 0.0]])
-    record, ones = noise_record(150, seed=6), np.ones((2, 1))
-    matrices = np.eye(2), damping, stiffness
-    expected = by_exponential(matrices, -ones, record.acceleration[None], record.dt, ones)
-    structure = of_matrices(*matrices)
-    assert is_coupled(structure.modal_damping())
-    assert (
-        peak_error(simulate(structure, record, quantity="relative_displacement"), expected[QUANTITIES[3]])
-        < 1e-8
-    )
 
 
 # --------------------------------------------------------------------------- sparse beside dense

@@ -18,10 +18,12 @@ from pymc_features import (
 from pymc_features.algebra import AffineMatrix, common_pattern, natural_modes
 from pymc_features.simulators import FAMILIES
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.linear import population
+from pymc_features.simulators.linear import gradient, population
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.complement import invert_outside
 from pymc_features.simulators.linear.dense import dense_modes
+from pymc_features.simulators.linear.oscillators import pull_back
+from pymc_features.simulators.linear.projection import to_parameters
 from pymc_features.simulators.linear.system import is_coupled, solve_system
 from support import kernels
 from support.kernels import (
@@ -37,7 +39,7 @@ from support.kernels import (
     linear_response_gradient,
     linear_response_tangent,
 )
-from support.reference import first_order_hold, interpolated
+from support.reference import first_order_hold, interpolated, misfit_statistics
 from support.structures import peak_error
 
 N_PARAMETERS, LINEAR = 3, FAMILIES["linear"]
@@ -250,7 +252,6 @@ CASES |= {
     "proportional matrix": (proportional_matrix(), 1e-10),
 }
 
-
 MISFIT_CASES = [
     "coupled, quantity 0",
     "coupled, quantity 3",
@@ -308,24 +309,9 @@ def test_misfits_are_those_of_the_response(name):
     case, _ = CASES[name]
     response = linear_response(*case.arguments)
     observed = np.random.default_rng(2).normal(size=response.shape)
-    misfit, total = observed - response, response.shape[1]
-    expected = np.stack(
-        [
-            (misfit**2).mean(axis=1),
-            (np.diff(misfit, axis=1) ** 2).sum(axis=1) / total,
-            misfit[:, 0],
-            misfit[:, -1],
-        ],
-        axis=1,
-    )
+    expected = misfit_statistics(observed - response)
     np.testing.assert_allclose(linear_misfit(*case.arguments, observed), expected, rtol=1e-11)
     np.testing.assert_allclose(linear_discrepancy(*case.arguments, observed), expected[:, 0], rtol=1e-12)
-
-
-def statistics(misfit):
-    """Mean square, mean squared increment over all samples, first and last of r (..., u); (..., 4)."""
-    increments = (np.diff(misfit) ** 2).sum(axis=-1) / misfit.shape[-1]
-    return np.stack([(misfit**2).mean(axis=-1), increments, misfit[..., 0], misfit[..., -1]], axis=-1)
 
 
 @pytest.mark.parametrize("name", MISFIT_CASES)
@@ -338,7 +324,7 @@ def test_gradient_of_the_misfit(name):
     weights = rng.uniform(1.0, 2.0, (expected.shape[0], 4))
     directions, derivatives = case.derivatives()
     # the statistics are quadratic in the response: central differences of any step have no error
-    up, down = (statistics(observed - expected - step * derivatives) for step in (0.01, -0.01))
+    up, down = (misfit_statistics(observed - expected - step * derivatives) for step in (0.01, -0.01))
     slopes = (up - down) / 0.02 * weights
     for columns in (4, 1):
         found = linear_misfit_gradient(*case.arguments, observed, weights[:, :columns])
@@ -418,37 +404,6 @@ def test_kernels_of_the_chain(n_modes, quantity):
     assert peak_error(moved, expected) < 1e-10
 
 
-@pytest.mark.parametrize(("n", "n_modes"), [(5, 5), (4, 3)])
-def test_population_of_chains(n, n_modes):
-    """As the population kernel of chains, NaN in the same rows, for more particles than there are lanes."""
-    rng = np.random.default_rng(4)
-    (own, chain_rest), (parameters, rest) = chain_arguments(n, np.asarray, np.full(n, 0.02))
-    mass, stiffness, rayleigh, ratios = own
-    population = stiffness * rng.uniform(0.5, 1.5, (19, n))
-    population[3, 1], population[7, 0], damping = np.nan, -5000.0, np.tile(rayleigh, (19, 1))
-    damping[11, 0] = -100.0
-    theta = np.hstack([population, np.tile(mass, (19, 1))])
-    response = kernels.chain_response(*own, *chain_rest, n_modes, 0)
-    observed = response + rng.normal(size=response.shape)
-    chain = mass[None], population, damping, ratios[None], *chain_rest, n_modes, 0, observed
-    linear = theta, damping, ratios[None], *rest, n_modes, 0, observed
-    for of_chain, of_linear in (
-        (kernels.population_discrepancy, linear_population_discrepancy),
-        (kernels.population_misfit, linear_population_misfit),
-    ):
-        expected, found = of_chain(*chain), of_linear(*linear)
-        assert np.isnan(found[[3, 7, 11]]).all() and np.isnan(found).any(axis=1).sum() in (3, 12)
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
-    weights = rng.uniform(size=(19, 2))
-    expected = kernels.population_gradient(*chain, weights)
-    found = linear_population_gradient(*linear, weights)
-    assert found[0].shape == theta.shape and found[2].shape == (1, n)
-    good = np.setdiff1d(np.arange(19), [3, 7, 11])
-    assert np.isnan(found[0][[3, 7, 11]]).all() and np.isnan(found[2]).all()
-    assert peak_error(found[0][good, :n], expected[1][good]) < 1e-10
-    assert peak_error(found[1][good], expected[2][good]) < 1e-10
-
-
 # --------------------------------------------------------------------------- populations
 
 
@@ -505,14 +460,7 @@ def test_dense_population_is_compiled(name, varied, monkeypatch):
     )
     theta[1], theta[LANES], theta[LANES + 2], rayleigh[LANES + 3, 0] = np.nan, -50.0, 1e308, -40.0
     observed = rng.normal(size=responses[0].shape) * np.abs(responses[0]).max()
-    misfits, total = observed - responses, observed.shape[1]
-    expected = np.stack(
-        [
-            *((misfits**2).mean(axis=2), (np.diff(misfits, axis=2) ** 2).sum(axis=2) / total),
-            *(misfits[:, :, 0], misfits[:, :, -1]),
-        ],
-        axis=2,
-    )
+    expected = misfit_statistics(observed - responses)
     rows = theta, rayleigh, case.ratios[None], *case.rest, observed
     found = linear_population_misfit(*rows)
     assert np.isnan(np.delete(found, good, axis=0)).all()
@@ -525,6 +473,62 @@ def test_dense_population_is_compiled(name, varied, monkeypatch):
     by_one = case.reference(np.concatenate([theta[0], rayleigh[1], case.ratios]))
     assert peak_error(shared[0], errors[0]) < 1e-13
     assert peak_error(shared[1], ((observed - by_one) ** 2).mean(axis=1)) < 1e-10
+
+
+DENSE_GRADIENTS = [
+    *(f"classical, quantity {q}" for q in range(4)),
+    *("classical, substeps", "classical, stride", "classical, two supports", "classical, rigid body"),
+    *("classical, repeated", "classical, constant mass", "classical, forces"),
+    *("classical, truncated", "ratios, truncated"),
+]
+
+
+@pytest.mark.parametrize("shared", ["nothing", "theta", "ratios and rayleigh"])
+@pytest.mark.parametrize("n_weights", [1, 4])
+@pytest.mark.parametrize("name", DENSE_GRADIENTS)
+def test_dense_gradients_are_compiled(name, n_weights, shared, monkeypatch):
+    """Those of the modes in Python, particle by particle; NaN in the bad rows, and in what is shared."""
+    case, _ = CASES[name]
+    assert not case.damping and not case.is_sparse
+    rng = np.random.default_rng(23)
+    observed = rng.normal(size=linear_response(*case.arguments).shape)
+    weights = rng.uniform(size=(7, observed.shape[0], n_weights))
+    counts = [1 if given in shared else 7 for given in ("theta", "rayleigh", "ratios")]
+    theta, rayleigh, ratios = (
+        np.tile(own, (count, 1)) * rng.uniform(0.8, 1.2, (count, 1))
+        for own, count in zip(case.parameters, counts, strict=True)
+    )
+
+    def loop():
+        sums = tuple(np.zeros(a.shape) for a in (theta, rayleigh, ratios))
+        for p in range(7):
+            own = [a[p % len(a)] for a in (theta, rayleigh, ratios)]
+            a = Arguments(*LINEAR.assemble((*own, *case.rest[:-1]), case.quantity))
+            system = solve_system(a, left_out=True)
+            if system is None:
+                found = [np.full(part.shape, np.nan) for part in own]
+            else:
+                found = to_parameters(a, system, pull_back(a, system, observed, weights[p]))
+            for total, part in zip(sums, found, strict=True):
+                total[p % len(total)] += part
+        return sums
+
+    for spoil in (False, True):
+        if spoil:
+            one = theta if len(theta) > 1 else rayleigh
+            one[[2, 4]] = [[np.nan], [-1e4]]
+        expected = loop()
+        with monkeypatch.context() as patch:
+            patch.setattr(gradient, "solve_system", None)
+            found = FAMILIES["linear"].kernels["population_gradient"](
+                *LINEAR.assemble((theta, rayleigh, ratios, *case.rest[:-1]), case.quantity), observed, weights
+            )
+        for got, exact in zip(found, expected, strict=True):
+            np.testing.assert_array_equal(np.isnan(got), np.isnan(exact))
+            good = ~np.isnan(exact)
+            scale = abs(exact[good]).max(initial=0.0)
+            np.testing.assert_allclose(got[good], exact[good], rtol=0, atol=1e-10 * scale)
+        assert np.isnan(found[0]).any() == np.isnan(found[1]).any() == spoil
 
 
 @pytest.mark.parametrize("full", [False, True])

@@ -26,37 +26,11 @@ from pymc_features.algebra import eigen, natural_modes
 from pymc_features.exceptions import SimulationWarning
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear.dense import dense_modes
-from pymc_features.simulators.linear.system import is_coupled
 from support.linear import UNDAMPED, affine, as_linear, noise, of_matrices, random_structure, spring_chain
 from support.refusals import refusals
 from support.structures import noise_record, peak_error, random_chain
 
 # --------------------------------------------------------------------------- loads and outputs
-
-
-@pytest.mark.parametrize("coupled", [False, True])
-def test_several_supports_against_lsim(coupled):
-    """Two supports moving apart; SciPy's first-order hold of the physical state space."""
-    mass, damping, stiffness = random_structure(9, 4)
-    damping = damping if coupled else 0.2 * mass + 1e-3 * stiffness
-    share = np.random.default_rng(9).uniform(0.0, 1.0, 4)
-    influence = np.column_stack([share, 1.0 - share])
-    loading = Loading(noise(9, (2, 300)), 0.02)
-    inverse = np.linalg.inv(mass)
-    zero, eye = np.zeros((4, 4)), np.eye(4)
-    system = np.block([[zero, eye], [-inverse @ stiffness, -inverse @ damping]])
-    entry = np.vstack([np.zeros((4, 2)), -influence])
-    below = np.hstack([-inverse @ stiffness, -inverse @ damping])
-    structure = LinearStructure(mass, stiffness=stiffness, damping=damping, influence=influence)
-    assert is_coupled(structure.modal_damping()) == coupled
-    for quantity, rows, through in (
-        ("absolute_acceleration", below, np.zeros((4, 2))),
-        ("relative_acceleration", below, -influence),
-        ("relative_displacement", np.hstack([eye, zero]), np.zeros((4, 2))),
-        ("relative_velocity", np.hstack([zero, eye]), np.zeros((4, 2))),
-    ):
-        _, expected, _ = lsim((system, entry, rows, through), loading.values.T, loading.time)
-        assert peak_error(simulate(structure, loading, quantity=quantity), expected.T) < 1e-9
 
 
 @pytest.mark.parametrize("coupled", [False, True])
@@ -110,15 +84,6 @@ def test_outputs_are_combinations(kind, n_modes):
             found = simulate(structure, record, outputs=kind(drifts[1:3]), **asked)
             assert peak_error(found, np.diff(history, axis=0)[:2]) < 1e-12
             assert found["sensor"].values.tolist() == [0, 1]
-
-
-def test_base_shear_is_an_output():
-    """The first spring's force equals the inertia of all masses above (no damping)."""
-    chain = SpringMassChain([1.0, 2.0, 3.0], [500.0, 400.0, 300.0], UNDAMPED)
-    record = noise_record(150, seed=13)
-    shear = simulate(chain, record, quantity="relative_displacement", outputs=[[500.0, 0.0, 0.0]])
-    inertia = simulate(as_linear(chain)[0], record, outputs=[[1.0, 2.0, 3.0]])
-    assert peak_error(-shear, inertia) < 1e-10
 
 
 # --------------------------------------------------------------------------- affine matrices
@@ -235,7 +200,6 @@ K2 = np.array([[2.0, -1.0], [-1.0, 2.0]])
 GOOD = {"mass": np.eye(2), "damping": UNDAMPED, "stiffness": K2}
 BOTH = pytest.mark.parametrize("kind", [np.asarray, sparse.csc_matrix], ids=["dense", "sparse"])
 
-
 REFUSED_MATRICES = {  # what is said: what is given
     "`mass` must be symmetric, got 0.5 in row 0, column 1 and 0 in row 1": {"mass": [[1.0, 0.5], [0.0, 1.0]]},
     "`mass` must be positive definite, got an indefinite matrix. Cond": {"mass": [[1.0, 2.0], [2.0, 1.0]]},
@@ -258,11 +222,6 @@ def test_refused_matrices(kind, changes, match):
     arguments = {name: a if a is UNDAMPED else kind(np.array(a)) for name, a in (GOOD | changes).items()}
     with pytest.raises(ValueError, match=match):
         LinearStructure(**arguments)
-
-
-def test_the_negative_eigenvalue_is_named():
-    with pytest.raises(ValueError, match=r"got omega\^2 = -1 \(rad/s\)\^2 as the lowest eigenvalue. Check"):
-        LinearStructure([1.0, 1.0], stiffness=[[1.0, -2.0], [-2.0, 1.0]], damping=UNDAMPED)
 
 
 def test_a_dashpot_or_a_shared_mass_is_a_connection():

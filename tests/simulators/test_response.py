@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import xarray as xr
 from scipy.linalg import expm
-from scipy.signal import lsim
 
 from pymc_features import ModalDamping, RayleighDamping, Record, SpringMassChain, paper, simulate
 from pymc_features.simulators import QUANTITIES, UNITS
@@ -166,18 +165,6 @@ def test_published_modal_peaks_of_a_frame(five_storeys):
             assert np.abs(history).max() == pytest.approx(expected, rel=5e-3, abs=rounding), (r, name)
 
 
-def test_equilibrium_of_a_frame(five_storeys):
-    """M a_abs + C v + K u = 0 at every floor; undamped, the base spring carries all inertia forces."""
-    _, chain, record = five_storeys
-    histories = (simulate(chain, record, quantity=q).values for q in QUANTITIES)
-    absolute, _, velocity, u = histories
-    matrix_m, matrix_c, matrix_k = chain.matrices()
-    assert_close_to_peak(matrix_m @ absolute, -(matrix_c @ velocity + matrix_k @ u), 1e-10)
-    free = SpringMassChain(chain.mass, chain.stiffness, ModalDamping(0.0))
-    inertia = chain.mass @ simulate(free, record).values
-    assert_close_to_peak(-inertia, free.stiffness * displacement(free, record)[0], 1e-10)
-
-
 # --------------------------------------------------------------------------- the whole state space
 
 
@@ -233,49 +220,6 @@ def test_sensor_subsets(sensors):
         assert_close_to_peak(some.values, everything.values[list(sensors)], 1e-13)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_against_scipy_lsim(seed):
-    """SciPy's own first-order hold, fed with matrices (A, B, C, D) as Eqs. (22)-(24) have them."""
-    chain, record = random_chain(seed), noise_record(150, seed=seed)
-    matrix_m, matrix_c, matrix_k = chain.matrices()
-    n = chain.n_dof
-    lower = -np.linalg.solve(matrix_m, np.hstack([matrix_k, matrix_c]))
-    system = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), lower])
-    inputs = np.append(np.zeros(n), -np.ones(n))[:, None]
-    _, output, _ = lsim((system, inputs, lower, np.zeros((n, 1))), record.acceleration, record.time)
-    assert_close_to_peak(simulate(chain, record).values, output.reshape(-1, n).T, 1e-10)
-
-
-@pytest.mark.parametrize("factor", [2, 5, 10])
-@pytest.mark.parametrize("quantity", QUANTITIES)
-def test_coarse_output_is_every_nth_of_the_fine(factor, quantity):
-    """Nothing is integrated: the step of the output does not change the values, to 1e-12."""
-    chain, record = random_chain(7), noise_record(201, seed=2)
-    own = simulate(chain, record, quantity=quantity).values
-    coarse = simulate(chain, record, quantity=quantity, dt=factor * record.dt).values
-    fine = simulate(chain, record, quantity=quantity, dt=record.dt / factor).values
-    assert_close_to_peak(coarse, own[:, ::factor], 1e-12)
-    assert_close_to_peak(own, fine[:, ::factor], 1e-12)
-
-
-def test_is_linear_in_the_record():
-    chain, one, two = random_chain(5), noise_record(150, seed=1), noise_record(150, seed=2)
-    both = Record(3.0 * one.acceleration - 0.5 * two.acceleration, one.dt)
-    for quantity in QUANTITIES:
-        parts = [simulate(chain, r, quantity=quantity).values for r in (one, two, both)]
-        assert_close_to_peak(parts[2], 3.0 * parts[0] - 0.5 * parts[1], 1e-12)
-
-
-def test_time_and_stiffness_scale_together():
-    """The same chain seen with a clock that runs ten times faster: exact similarity."""
-    record = noise_record(150, seed=4)
-    slow = SpringMassChain([1.0, 2.0], [50.0, 80.0], ModalDamping(0.05))
-    fast = SpringMassChain([1.0, 2.0], [5000.0, 8000.0], ModalDamping(0.05))
-    quick = Record(record.acceleration, record.dt / 10)
-    assert_close_to_peak(simulate(fast, quick).values, simulate(slow, record).values, 1e-12)
-    assert_close_to_peak(100 * displacement(fast, quick), displacement(slow, record), 1e-12)
-
-
 # --------------------------------------------------------------------------- one mass, closed forms
 
 
@@ -292,24 +236,6 @@ def test_step_response_of_an_oscillator(zeta):
         decay = (np.exp(-zeta * omega * t) * hyperbolic).real
     exact = -level / omega**2 * (1.0 - decay)
     assert_close_to_peak(displacement(oscillator(omega, zeta), record)[0], exact, 1e-12)
-
-
-def test_free_decay_of_an_oscillator():
-    """After a pulse the motion is the closed-form free vibration, period and decrement included."""
-    omega, zeta = 9.0, 0.03
-    record = Record(np.r_[0.0, 3.0, -1.0, np.zeros(300)], 0.02)
-    chain = oscillator(omega, zeta)
-    u = displacement(chain, record)[0][3:]
-    v = simulate(chain, record, quantity="relative_velocity").values[0][3:]
-    t = np.arange(u.size) * record.dt
-    damped = omega * np.sqrt(1 - zeta**2)
-    sine = (v[0] + zeta * omega * u[0]) / damped
-    exact = np.exp(-zeta * omega * t) * (u[0] * np.cos(damped * t) + sine * np.sin(damped * t))
-    assert_close_to_peak(u, exact, 1e-12)
-    late = simulate(chain, record).values[0][3:]
-    relative = simulate(chain, record, quantity="relative_acceleration").values[0][3:]
-    np.testing.assert_array_equal(late, relative)  # the ground is at rest
-    assert_close_to_peak(late, -(omega**2) * u - 2 * zeta * omega * v, 1e-12)
 
 
 def harmonic_error(dt, omega=8.0, zeta=0.05, drive=5.0):
@@ -514,16 +440,6 @@ def test_kernel_refuses_data_of_another_shape():
     for shape in ((2, 4), (1, 3), (3, 2)):
         with pytest.raises(ValueError, match="`observed` or the cotangent must have the shape"):
             chain_discrepancy(*kernel_arguments(), np.zeros(shape))
-
-
-@pytest.mark.parametrize("n_times", [2, 128, 300])
-def test_fused_discrepancy_is_the_mean_square_of_the_response(n_times):
-    rng = np.random.default_rng(n_times)
-    arguments = kernel_arguments(acceleration=rng.normal(size=n_times), n_modes=1)
-    history = chain_response(*arguments)
-    data = history + rng.normal(size=history.shape)
-    errors = chain_discrepancy(*arguments, data)
-    np.testing.assert_allclose(errors, np.mean((data - history) ** 2, axis=1), rtol=1e-12)
 
 
 # --------------------------------------------------------------------------- what users get

@@ -17,6 +17,7 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, n_outputs
 from pymc_features.simulators.oscillators.gradient import modal_gradient
 from pymc_features.simulators.oscillators.modal_system import DampingLaw
+from pymc_features.simulators.oscillators.outside import outside_span
 from pymc_features.simulators.oscillators.recursion import modal_damping
 from pymc_features.simulators.oscillators.tangent import ModalChange, march_change
 
@@ -27,21 +28,6 @@ def drifts_of(shapes):
     drifts = shapes.copy()
     drifts[1:] -= shapes[:-1]
     return drifts
-
-
-@jit
-def outside_span(omega, rows, n_modes, loads):
-    """(K - lambda_r M)^+ b_r for the kept modes (n, m), the inverse taken on the modes left out.
-
-    So the kept modes leave their span when K and M change: dphi_r = -(K - lambda_r M)^+ (dK - lambda_r dM)
-    phi_r. `omega` (n,) and `rows` (n, n) are all modes, `loads` b (n, m).
-    """
-    parts = np.dot(rows[n_modes:], loads)
-    for s in range(parts.shape[0]):
-        above = omega[n_modes + s]
-        for r in range(n_modes):
-            parts[s, r] /= (above - omega[r]) * (above + omega[r])
-    return np.dot(rows[n_modes:].T, parts)
 
 
 @jit

@@ -12,19 +12,52 @@ from pymc_features.simulators.oscillators.recursion import march_modes, statisti
 
 
 @jit
-def dense_system(parameters, theta, law, wanted, step):
-    """Modes of one structure, as the outputs have them.
+def solve_dense(parameters, own, step, n_modes, n_kept):
+    """Lowest modes of one structure, with the damping of those that are kept.
 
     Parameters
     ----------
     parameters : LinearParameters
         For the matrices, dense.
-    theta : array (p,)
-    law : tuple of arrays (2,), (k,)
-        rayleigh and ratios.
-    wanted : Outputs
+    own : tuple of arrays (p,), (2,), (k,)
+        theta, rayleigh and ratios.
     step : float
         Step of the recursion [s].
+    n_modes, n_kept : int
+
+    Returns
+    -------
+    valid : bool
+        False if there is no structure; the rest is undefined then.
+    omega, rows : array (n_modes,), (n_modes, n)
+        As `dense_modes` writes them.
+    damping : array (n_kept,)
+        D [1/s].
+    load : array (n, d)
+        M influence - forces.
+    """
+    n, (theta, rayleigh, ratios) = parameters.influence.shape[0], own
+    mass, stiffness = np.empty((n, n)), np.empty((n, n))
+    omega, damping, rows = np.empty(n_modes), np.empty(n_kept), np.zeros((n_modes, n))
+    valid = is_finite(theta) and is_finite(rayleigh) and is_finite(ratios)
+    if valid:
+        assemble_dense(parameters.mass, theta, mass)
+        assemble_dense(parameters.stiffness, theta, stiffness)
+        valid = dense_modes(mass, stiffness, omega, rows)
+    if valid:
+        valid = write_damping(omega[:n_kept], rayleigh, ratios, step, damping)
+    return valid, omega, rows, damping, np.dot(mass, parameters.influence) - parameters.forces
+
+
+@jit
+def dense_system(parameters, own, wanted, step):
+    """Modes of one structure, as the outputs have them.
+
+    Parameters
+    ----------
+    parameters, own, step
+        As of `solve_dense`.
+    wanted : Outputs
 
     Returns
     -------
@@ -34,23 +67,14 @@ def dense_system(parameters, theta, law, wanted, step):
     feed : array (s, d)
         Feed-through of the inputs.
     """
-    n, m = parameters.influence.shape[0], wanted.n_modes
-    influence, forces, (rayleigh, ratios) = parameters.influence, parameters.forces, law
-    mass, stiffness = np.empty((n, n)), np.empty((n, n))
-    omega, damping, rows = np.empty(m), np.empty(m), np.zeros((m, n))
-    valid = is_finite(theta) and is_finite(rayleigh) and is_finite(ratios)
-    if valid:
-        assemble_dense(parameters.mass, theta, mass)
-        assemble_dense(parameters.stiffness, theta, stiffness)
-        valid = dense_modes(mass, stiffness, omega, rows)
-    if valid:
-        valid = write_damping(omega, rayleigh, ratios, step, damping)
-    participation = np.dot(rows, np.dot(mass, influence) - forces)
-    system = ModalSystem(omega, damping, np.dot(wanted.sensors, rows.T), participation)
+    influence, forces, m = parameters.influence, parameters.forces, wanted.n_modes
+    valid, omega, rows, damping, load = solve_dense(parameters, own, step, m, m)
+    system = ModalSystem(omega, damping, np.dot(wanted.sensors, rows.T), np.dot(rows, load))
     support_motion = np.dot(wanted.sensors, influence)
     feed = np.empty(support_motion.shape)
     if valid:
-        write_feed(system, np.dot(rows, forces), support_motion, wanted.quantity, m == n, feed)
+        complete = m == influence.shape[0]
+        write_feed(system, np.dot(rows, forces), support_motion, wanted.quantity, complete, feed)
     return valid, system, feed
 
 
@@ -60,9 +84,11 @@ def march_structure(parameters, excitation, wanted, observed, history):
 
     NaN where the parameters describe no structure.
     """
-    law, sums = (parameters.rayleigh, parameters.ratios), np.zeros((4, wanted.sensors.shape[0]))
-    step = excitation.dt / excitation.substeps
-    valid, system, feed = dense_system(parameters, parameters.theta, law, wanted, step)
+    own, sums = (
+        (parameters.theta, parameters.rayleigh, parameters.ratios),
+        np.zeros((4, wanted.sensors.shape[0])),
+    )
+    valid, system, feed = dense_system(parameters, own, wanted, excitation.dt / excitation.substeps)
     if valid:
         march_modes(system, feed, excitation, wanted.quantity, observed, history, sums)
     else:
@@ -98,8 +124,8 @@ def march_dense(parameters, excitation, wanted, observed, increments):
     lanes, places = new_lanes(n_sensors, wanted.n_modes, excitation.stride), np.empty(LANES, dtype=np.int64)
     waiting = 0
     for p in range(count):
-        law = rayleigh[p % rayleigh.shape[0]], ratios[p % ratios.shape[0]]
-        valid, system, feed = dense_system(parameters, theta[p % theta.shape[0]], law, wanted, step)
+        own = theta[p % theta.shape[0]], rayleigh[p % rayleigh.shape[0]], ratios[p % ratios.shape[0]]
+        valid, system, feed = dense_system(parameters, own, wanted, step)
         if valid:
             put_system(lanes, waiting, system, feed[:, 0].copy(), excitation, wanted.quantity)
             places[waiting] = p

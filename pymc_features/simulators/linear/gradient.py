@@ -6,8 +6,10 @@ cost does not grow with the number of parameters but for one product with the st
 
 import numpy as np
 
+from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear import oscillators, state_adjoint
 from pymc_features.simulators.linear.arguments import Arguments, n_particles
+from pymc_features.simulators.linear.dense_gradient import add_gradient, add_population_gradient
 from pymc_features.simulators.linear.projection import to_parameters
 from pymc_features.simulators.linear.system import solve_system
 
@@ -47,10 +49,16 @@ def linear_population_gradient(parameters, excitation, wanted, observed, weights
     """Gradient of the weighted statistics of a population; data (s, u), weights c (p, s, 1) or (p, s, 4).
 
     theta, rayleigh and ratios have one more axis in front. Returns arrays of their shapes; what all particles
-    share, in one row, gets the sum.
+    share, in one row, gets the sum. Dense structures with classical damping stay in compiled code.
     """
     count = n_particles(parameters, weights)
     sums = tuple(np.zeros(array.shape) for array in parameters.random)
+    a, first = Arguments(parameters, excitation, wanted), parameters.one_of(0)
+    if first.is_dense and first.is_classical:
+        a._replace(parameters=first).check(observed, weights[0])
+        data = writable(observed), writable(weights)
+        add_population_gradient(parameters.for_kernel(), a.inputs, a.outputs, *data, sums)
+        return sums
     for p in range(count):
         own = linear_misfit_gradient(parameters.one_of(p), excitation, wanted, observed, weights[p])
         for total, part in zip(sums, own, strict=True):
@@ -60,8 +68,15 @@ def linear_population_gradient(parameters, excitation, wanted, observed, weights
 
 def gradient(a, history, weights):
     """Gradient of sum w y, w the `history`, or of the misfit's statistics with `weights` and the data."""
+    given = a.parameters
+    if given.is_dense and given.is_classical:
+        sums = tuple(np.zeros(array.shape) for array in given.random)
+        data = writable(history), oscillators.NO_WEIGHTS if weights is None else writable(weights)
+        kernel = given.for_kernel()
+        add_gradient(kernel, kernel.random, a.inputs, a.outputs, *data, sums)
+        return sums
     system = solve_system(a, left_out=True)
     if system is None:
-        return tuple(np.full(array.shape, np.nan) for array in a.parameters.random)
-    route = oscillators if a.parameters.is_classical else state_adjoint
+        return tuple(np.full(array.shape, np.nan) for array in given.random)
+    route = oscillators if given.is_classical else state_adjoint
     return to_parameters(a, system, route.pull_back(a, system, history, weights))
