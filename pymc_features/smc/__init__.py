@@ -1,13 +1,14 @@
 """Kernels for `pm.sample_smc`, and results that can be saved. Nothing here knows of structures."""
 
 from pymc_features.smc.density.evaluation import PopulationLogp, population_logp
-from pymc_features.smc.density.prior import prior_draws
+from pymc_features.smc.density.prior import prior_points
 from pymc_features.smc.kernels.base import PopulationKernel
 from pymc_features.smc.kernels.imh import PopulationIMH
 from pymc_features.smc.kernels.mh import PopulationMH
 from pymc_features.smc.kernels.persistent import PersistentSMC
 from pymc_features.smc.kernels.subset import SubsetSimulation
 from pymc_features.smc.kernels.tmcmc import TMCMC
+from pymc_features.smc.proposals.reference import Reference, find_reference
 from pymc_features.smc.results import savable
 from pymc_features.smc.sample import processors, sample_smc
 
@@ -22,10 +23,12 @@ __all__ = [
     "PopulationKernel",
     "PopulationLogp",
     "PopulationMH",
+    "Reference",
     "SubsetSimulation",
     "TMCMC",
+    "find_reference",
     "population_logp",
-    "prior_draws",
+    "prior_points",
     "processors",
     "sample_smc",
     "savable",

@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-PER_CHAIN = ("log_marginal_likelihood", "log_marginal_likelihood_se")
+PER_CHAIN = ("log_marginal_likelihood", "log_marginal_likelihood_se", "ess", "pareto_k")
 
 
 def savable(idata: xr.DataTree) -> xr.DataTree:
@@ -21,7 +21,7 @@ def savable(idata: xr.DataTree) -> xr.DataTree:
     -------
     DataTree
         The same groups; `sample_stats` has the dimensions (chain, stage), but for
-        `log_marginal_likelihood` and its standard error, which belong to the chain.
+        `log_marginal_likelihood`, its standard error, `ess` and `pareto_k`, which belong to the chain.
     """
     result = idata.copy()
     if "sample_stats" not in result.children:

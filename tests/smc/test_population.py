@@ -30,7 +30,7 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.smc import KERNELS, PopulationLogp
-from pymc_features.smc.density import evaluation
+from pymc_features.smc.density import rows
 from pymc_features.smc.density.evaluation import population_logp
 from support.graphs import REWRITTEN
 from support.sampling import SERIAL
@@ -322,8 +322,13 @@ class Moody(Op):
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # Numba's object mode, and Blockwise's
-@pytest.mark.parametrize("mode", ["FAST_COMPILE", "NUMBA"])
-@pytest.mark.parametrize("error", [np.linalg.LinAlgError, FloatingPointError, ZeroDivisionError])
+@pytest.mark.parametrize(
+    ("error", "mode"),
+    [
+        (np.linalg.LinAlgError, "NUMBA"),
+        *((e, "FAST_COMPILE") for e in (np.linalg.LinAlgError, FloatingPointError, ZeroDivisionError)),
+    ],
+)
 def test_numerical_errors_are_alone_and_failures(error, mode):
     """One bad particle among many costs that particle only."""
     with pm.Model() as model:
@@ -387,7 +392,7 @@ def test_splitting_changes_nothing(monkeypatch):
     model = structure()
     particles = prior_particles(model, n=50)
     whole = PopulationLogp(model, model.initial_point(), {})
-    monkeypatch.setattr(evaluation, "BATCH_BYTES", 8 * 3 * 7)
+    monkeypatch.setattr(rows, "BATCH_BYTES", 8 * 3 * 7)
     parts = PopulationLogp(model, model.initial_point(), {})
     assert 1 < parts.batch < 25 < 50 < whole.batch
     for a, b in zip(whole(particles), parts(particles), strict=True):

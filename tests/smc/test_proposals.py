@@ -1,88 +1,15 @@
-"""The pool of `PersistentSMC` and its proposal: weights, evidences, fits, and moves that keep a mixture."""
+"""Proposals: fits of Student-t mixtures, and moves that keep one."""
 
 import numpy as np
 import pytest
 from scipy import stats
 from scipy.special import logsumexp
 
-from pymc_features.smc.kernels import persistent
 from pymc_features.smc.proposals import proposal
-from pymc_features.smc.proposals.mixture import Pool, bennett, next_beta
 from pymc_features.smc.proposals.proposal import StudentMixture, StudentT, fit_mixture
 from support.sampling import mean_within_errors
 
 pytestmark = pytest.mark.usefixtures("fast_compile")
-
-
-def pool_of(rng, n=200, with_impossible=True):
-    """A pool of three temperatures with masses, and log evidences that are a first guess."""
-    x = rng.normal(size=(n, 2))
-    likelihood = -3.0 * ((x - 1.0) ** 2).sum(axis=1)
-    if with_impossible:
-        likelihood[::4] = -np.inf
-    pool = Pool(x, np.zeros(n), likelihood)
-    for beta, log_z in ((0.2, -1.0), (0.7, -2.5)):
-        pool.add_temperature(beta, log_z)
-        y = rng.normal(1.0, 0.5, size=(80, 2))
-        pool.add(
-            y, np.zeros(80), -3.0 * ((y - 1.0) ** 2).sum(axis=1), rng.random(80) + 0.3, 1.0, np.arange(80)
-        )
-        pool.counts[-1] += 60.0
-    return pool
-
-
-def brute_weights(pool, beta):
-    """The formula of the module, one point at a time."""
-    shares = np.array(pool.counts) / sum(pool.counts)
-    return [
-        np.exp(beta * lik)
-        / sum(s * np.exp(b * lik) / np.exp(z) for s, b, z in zip(shares, pool.betas, pool.log_z, strict=True))
-        for lik in pool.log_likelihood
-    ]
-
-
-def test_weights_and_evidence_are_the_formula():
-    pool = pool_of(np.random.default_rng(0))
-    assert len(pool.mass) == 150 + 160 and pool.counts == [200.0, 60.0, 60.0]
-    for beta in (0.0, 0.1, 0.7, 1.0):
-        weights = brute_weights(pool, beta)
-        np.testing.assert_allclose(np.exp(pool.log_weights(beta)), weights, rtol=1e-12)
-        log_z = pool.log_evidence(pool.log_weights(beta))
-        assert log_z == pytest.approx(np.log(np.dot(pool.mass, weights) / 320.0), rel=1e-12)
-
-
-def test_bennett_is_the_fixed_point():
-    """Against rounds of Z_s = Z(beta_s) until nothing changes, impossible points included as they are."""
-    pool = pool_of(np.random.default_rng(1))
-    likelihood = np.concatenate([pool.log_likelihood, np.full(50, -np.inf)])
-    mass = np.concatenate([pool.mass, np.ones(50)])
-    betas, counts, log_z = np.array(pool.betas), np.array(pool.counts), np.zeros(3)
-    energies = np.where(betas[:, None] > 0, np.multiply.outer(np.maximum(betas, 1e-30), likelihood), 0.0)
-    change = 1.0
-    while change > 1e-12:
-        mixture = logsumexp(energies - log_z[:, None], axis=0, b=counts[:, None])
-        new = logsumexp(energies - mixture, axis=1, b=mass)
-        change, log_z[1:] = np.abs(new - log_z)[1:].max(), new[1:]
-    found = bennett(betas, pool.log_z, counts, pool.log_likelihood, pool.mass)
-    np.testing.assert_allclose(found, log_z, atol=1e-7)
-    pool.solve()
-    np.testing.assert_allclose(pool.log_z, log_z, atol=1e-7)
-    assert np.abs(log_z - [0.0, -1.0, -2.5]).max() > 0.1, "the first guess was another"
-
-
-def test_next_beta_keeps_the_effective_number():
-    """At the temperature found, Kish's number is the target; of likelihoods of any scale."""
-    for scale in (1.0, 1e8, 1e-2):
-        rng = np.random.default_rng(2)
-        pool = Pool(rng.normal(size=(400, 1)), np.zeros(400), -scale * rng.exponential(size=400) ** 2 * 30)
-        beta = next_beta(pool, 0.0, 150.0)
-        weights = np.exp(beta * (pool.log_likelihood - pool.log_likelihood.max()))
-        kish = weights.sum() ** 2 / (weights**2).sum()
-        assert 0.0 < beta <= 1.0
-        assert kish == pytest.approx(150.0, rel=1e-2) if beta < 1.0 else kish >= 150.0
-    assert next_beta(pool, 0.0, 1.0) == 1.0
-    flat = Pool(np.zeros((10, 1)), np.zeros(10), np.where(np.arange(10) < 2, -7.0, -np.inf))
-    assert next_beta(flat, 0.0, 150.0) == 1.0
 
 
 def draws_from(mixture, n, rng):
@@ -197,11 +124,3 @@ def test_fit_of_few_points():
         ValueError, match="must differ in every parameter, got a variance of 0. Increase `draws`"
     ):
         fit(np.ones((10, 2)))
-
-
-def test_equal_draws_are_systematic():
-    """Each position as often as its weight says, up to one; in random order."""
-    weights = np.random.default_rng(0).dirichlet(np.ones(50))
-    chosen = persistent.equal_draws(weights, 1000, np.random.default_rng(1))
-    assert np.abs(np.bincount(chosen, minlength=50) - 1000 * weights).max() < 1.0
-    assert abs(stats.spearmanr(np.arange(1000), chosen).statistic) < 0.15

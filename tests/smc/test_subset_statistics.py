@@ -22,7 +22,6 @@ pytestmark = [pytest.mark.usefixtures("fast_compile"), pytest.mark.statistical]
 
 PROBABILITY = {1: 1e-3, 2: 2.6e-4, 5: 1e-4}
 
-
 N_RUNS = 40
 
 
@@ -74,9 +73,7 @@ class Noisy:
 
 PROBLEMS = (TwoModes(), Banana(), Noisy())
 
-
 problems = pytest.mark.parametrize("problem", PROBLEMS, ids=lambda p: type(p).__name__)
-
 
 N_CHAINS = 16
 

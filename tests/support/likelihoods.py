@@ -16,7 +16,6 @@ from support.graphs import PLAIN
 # the law of sqrt(e), of e / sigma^2 = chi-square (degrees), and the paper's log-density written out
 RMS_LAW = {TruncNormalFeature: stats.halfnorm, ExpFeature: stats.rayleigh}
 
-
 OTHER = {TruncNormalFeature: ExpFeature, ExpFeature: TruncNormalFeature}
 MORE = {CorrelatedNormal: {"correlation_time": 0.1, "dt": 0.04}}  # arguments besides mu and sigma
 EVERY = pytest.mark.parametrize("likelihood", LIKELIHOODS)

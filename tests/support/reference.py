@@ -38,3 +38,9 @@ def richardson(function, x, direction=1.0, h=4e-3):
     d = [(function(x + s * direction) - function(x - s * direction)) / (2 * s) for s in (h, h / 2, h / 4)]
     first, second = (4 * d[1] - d[0]) / 3, (4 * d[2] - d[1]) / 3
     return (16 * second - first) / 15
+
+
+def misfit_statistics(misfit):
+    """Mean square, mean squared increment over all samples, first and last of r (..., u); (..., 4)."""
+    increments = (np.diff(misfit) ** 2).sum(axis=-1) / misfit.shape[-1]
+    return np.stack([(misfit**2).mean(axis=-1), increments, misfit[..., 0], misfit[..., -1]], axis=-1)

@@ -75,3 +75,10 @@ def prior_draws(model, ignore_initial_values: bool) -> PriorDraws:
         )
         known = _OF_MODEL[model] = (key, PriorDraws(expression))
     return known[1]
+
+
+def prior_points(model, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Draws from the prior (n, d) on the sampled scale, in the order of the model's value variables."""
+    names = [model.rvs_to_values[rv].name for rv in model.free_RVs]
+    columns = dict(zip(names, prior_draws(model, True)(n, rng), strict=True))
+    return np.hstack([np.reshape(columns[v.name], (n, -1)) for v in model.value_vars])

@@ -71,8 +71,12 @@ class PopulationKernel(SMC_KERNEL):
     Notes
     -----
     `sample_stats` of each stage: `n_steps` Markov chain steps, `evaluations` of the likelihood (those of the
-    initial population count for the first stage), `failed` simulations among them, and `seconds`. Particles
-    whose log-density is not finite have probability zero, each on its own; nothing raises in between.
+    initial population count for the first stage), `gradients` (evaluations with a gradient, not counted among
+    the others), `failed` simulations of both kinds, and `seconds`. Particles whose log-density is not finite
+    have probability zero, each on its own; nothing raises in between.
+
+    A kernel that takes gradients calls `self.logp.compile_gradient()` when it is made: a model without one is
+    refused there, and no process of a chain compiles.
     """
 
     # PyMC starts every particle of a variable with an `initval` there, and those of discrete variables at
@@ -84,6 +88,7 @@ class PopulationKernel(SMC_KERNEL):
         **SMC_KERNEL.stats_dtypes_shapes,
         "n_steps": (int, []),
         "evaluations": (int, []),
+        "gradients": (int, []),
         "failed": (int, []),
         "seconds": (float, []),
     }
@@ -124,7 +129,7 @@ class PopulationKernel(SMC_KERNEL):
 
     def _reset_state(self):
         super()._reset_state()
-        self.n_steps = self.evaluations = self.failed = 0
+        self.n_steps = self.evaluations = self.gradients = self.failed = 0
         self.clock = time.perf_counter()
 
     def checked_stage_draws(self, stage_draws: int | None, share: float, least: int, default: int) -> int:
@@ -159,6 +164,25 @@ class PopulationKernel(SMC_KERNEL):
         self.evaluations += len(particles)
         self.failed += int(failed.sum())
         return prior, likelihood
+
+    def evaluate_gradient(self, particles: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Log prior and log-likelihood (p,), and the gradients of both (p, d), of particles (p, d).
+
+        Zero gradients where something is not finite. Counts gradients and failures.
+
+        Raises
+        ------
+        NotDifferentiableError
+            If the model has no gradient.
+        """
+        if self.journal is None:
+            results = self.logp.gradient(particles)
+        else:
+            results = self.journal.evaluate(self.logp.gradient, particles, n_gradients=2)
+        prior, likelihood, failed, *slopes = results
+        self.gradients += len(particles)
+        self.failed += int(failed.sum())
+        return prior, likelihood, *slopes
 
     def initial_particles(self, n: int) -> np.ndarray:
         """The given start, or `n` draws from the prior: (n, d)."""
@@ -222,10 +246,11 @@ class PopulationKernel(SMC_KERNEL):
             "beta": self.beta,
             "n_steps": self.n_steps,
             "evaluations": self.evaluations,
+            "gradients": self.gradients,
             "failed": self.failed,
             "seconds": now - self.clock,
         }
-        self.evaluations = self.failed = 0
+        self.evaluations = self.gradients = self.failed = 0
         self.clock = now
         return stats
 

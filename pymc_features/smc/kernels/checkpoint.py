@@ -26,7 +26,7 @@ from pymc_features.exceptions import CheckpointError
 
 MAGIC = b"pymc_features journal 1\n"
 HEAD = struct.Struct("<QQI")  # rows and columns of the particles, CRC-32 of what follows
-VALUES = 3  # log prior, log-likelihood, failed
+VALUES = 3  # log prior, log-likelihood, failed, each (p,); arrays (p, d) of gradients may follow
 ADVICE = "Choose another folder, or remove this one to begin anew."
 
 
@@ -65,17 +65,21 @@ class Journal:
             self.end = len(MAGIC)
         self.replays = True
 
-    def evaluate(self, function, particles: np.ndarray):
-        """(log prior, log-likelihood, failed) of particles (p, d): from the record, or computed and added."""
+    def evaluate(self, function, particles: np.ndarray, n_gradients: int = 0):
+        """Results of a function of particles (p, d): from the record, or computed and added.
+
+        They are log prior, log-likelihood and failed, each (p,), and behind them `n_gradients` arrays (p, d).
+        """
         if self.replays:
-            known = self.read(*particles.shape)
+            known = self.read(*particles.shape, n_gradients)
             if known is not None:
                 if not np.array_equal(known[0], particles, equal_nan=True):
                     raise CheckpointError(
                         f"`checkpoint` must be of this run, got other particles in {self.path}. It was "
                         f"written by another version of the software or another model. {ADVICE}"
                     )
-                return known[1], known[2], known[3].astype(bool)
+                _, prior, likelihood, failed, *gradients = known
+                return prior, likelihood, failed.astype(bool), *gradients
             self.replays = False
             self.file.truncate(self.end)
             self.file.seek(self.end)
@@ -83,13 +87,13 @@ class Journal:
         self.write(particles, results)
         return results
 
-    def read(self, rows, columns):
-        """Particles and values of the next record; None at the end."""
+    def read(self, rows, columns, n_gradients=0):
+        """Particles, values and gradients of the next record; None at the end."""
         head = self.file.read(HEAD.size)
         if len(head) < HEAD.size:
             return None
         n, d, check = HEAD.unpack(head)
-        size = 8 * n * (d + VALUES)
+        size = 8 * n * (d + VALUES + n_gradients * columns)
         if (n, d) != (rows, columns):
             # a damaged head must not make us read gigabytes
             raise CheckpointError(
@@ -103,7 +107,9 @@ class Journal:
             raise CheckpointError(f"`checkpoint` must be intact, got a wrong sum in {self.path}. {ADVICE}")
         self.end = self.file.tell()
         numbers = np.frombuffer(body, dtype=np.float64)
-        return numbers[: n * d].reshape(n, d), *(a.copy() for a in numbers[n * d :].reshape(VALUES, n))
+        particles, values, gradients = np.split(numbers, [n * d, n * (d + VALUES)])
+        gradients = gradients.reshape(n_gradients, n, d)
+        return particles.reshape(n, d), *(a.copy() for a in (*values.reshape(VALUES, n), *gradients))
 
     def write(self, particles, results):
         """Add a record; what is written outlives the process."""

@@ -1,53 +1,84 @@
-"""Persistent sampling: a kernel that throws no evaluation away."""
+"""Persistent sampling: chains from temperature to temperature, then independent draws."""
 
 import warnings
-from os import PathLike
+from typing import Unpack
 
 import numpy as np
 import pymc as pm
 from pymc.util import RandomState
 
-from pymc_features.smc.kernels.base import PopulationKernel
-from pymc_features.smc.proposals.mixture import GROUPS, Pool, equal_draws, next_beta
-from pymc_features.smc.proposals.moves import AdaptiveMoves
+from pymc_features.exceptions import SamplingWarning
+from pymc_features.keywords import check_keywords
+from pymc_features.smc.kernels.base import KernelOptions, PopulationKernel
+from pymc_features.smc.kernels.chains import Chains
+from pymc_features.smc.proposals.arms import FittedMoves
+from pymc_features.smc.proposals.fitted import fit_to
+from pymc_features.smc.proposals.mixture import equal_draws
+from pymc_features.smc.proposals.pool import GROUPS, LARGEST_K, Pool, next_beta
+from pymc_features.smc.proposals.reference import Reference
 
-LOCAL_INFLATION = 3.0  # local steps that count for one independent point, roughly
-MAX_STEPS = 500
-REFIT_AFTER = 2  # times the draws of a stage, in one that goes on
 MORE_PRIOR = 50  # the prior is drawn from at most this many times, in search of possible points
+KEPT_STEPS, LAST_STEPS = 8, 32  # of the chains of a stage, and of those of the last
+FEWEST_EFFECTIVE = (60, 8)  # points that a new temperature keeps at least: in all, and for each parameter
+LEAST_ACCEPTANCE, MAX_REPEATS = 0.01, 5  # chains that move less repeat their stage
+FIT_POINTS = 200  # of a fit, for each parameter
+FIRST_DRAWS = 200  # of the first fit of the last stage, for each parameter
+GOOD_FIT = 0.3  # effective share of its draws, of a fit that needs no other, and no chains
+WORTH_A_TRIAL = 0.2  # of the last fit, below which the next is not tried
+MAX_EVALUATIONS = 500  # of the last stage, for each draw
+FOR_TAILS = 5  # and of more fits where a few draws outweigh the rest
+FIRST_OF_REFERENCE = (400, 30)  # draws of the reference: at least, and for each parameter
+USABLE_REFERENCE, GOOD_REFERENCE = 0.05, 0.3  # effective share of its draws: to begin with; to suffice
+LONG_WAY = 25.0  # from prior to posterior, in nats, such that a reference that is only usable saves stages
+TOO_FEW = "PersistentSMC ended with draws worth {:.0f} of {}. Increase `stage_draws`, or narrow the priors."
+STATISTICS = "accept_rate", "hamiltonian_share", "steps_per_draw", "reference_efficiency", "ess", "pareto_k"
 
 
 class PersistentSMC(PopulationKernel):
-    """Sequential Monte Carlo in which every evaluation of every stage counts in the result.
+    """Sequential Monte Carlo that keeps what it has evaluated, and ends with independent draws.
 
-    All points ever evaluated, prior draws and rejected proposals included, stay in a pool that is
-    reweighted to each new temperature (persistent sampling, Karamanis & Seljak 2025; `mixture.py`). A stage
-    starts a few chains from points of the pool and keeps all their states (waste-free SMC, Dau & Chopin
-    2022). The last stage goes on until the pool is worth `draws` independent draws from the posterior; as
-    many equally weighted ones are returned.
+    Points of all stages stay in a pool that is reweighted to each new temperature (persistent sampling,
+    Karamanis & Seljak 2025; `mixture.py`). A stage fits a proposal to the weighted pool, a Student-t mixture
+    or one behind a map that unbends the posterior, and draws from it. If these draws are not effective
+    enough, chains start from points of the pool. Their states count once they have measurably forgotten where
+    they started, and then all of them do (waste-free SMC, Dau & Chopin 2022), with the number of steps that
+    make an independent one. At the end, fits to the pool are drawn from until the quantiles of each parameter
+    are worth `draws` independent draws; those of the last fit alone give the posterior and the evidence.
 
     Parameters
     ----------
     draws : int
-        Equally weighted draws to return, and the effective number of points to reach.
+        Equally weighted draws to return, and the independent draws to be worth.
+    reference : Reference, optional
+        First guess of the posterior, see `find_reference`: Gaussians and Student-t distributions at the
+        modes, mixed with the prior. If importance sampling from it is good, there is no path; if it is
+        usable and the prior far from the posterior, the path leads from there, and else from the prior.
+    gradients : bool
+        Whether chains may follow Hamiltonian trajectories where their other moves hardly get anywhere.
     stage_draws : int, optional
-        Evaluations of a stage: two fifths of `draws`, and not less than 50 for each parameter and 200 in all,
-        by default. The prior is evaluated at twice as many.
+        States of the chains that a stage keeps: two fifths of `draws`, and not less than 50 for each
+        parameter and 200 in all, by default. The prior is evaluated at twice as many.
     threshold : float
-        Effective number of points that a new temperature keeps, over `stage_draws`.
+        Effective number of points that a new temperature keeps, over those of the one before.
     start, model, random_seed, compile_kwargs, checkpoint
         As of `PopulationKernel`.
 
     Notes
     -----
-    Proposals come from a mixture of Student-t distributions fitted to the weighted pool: independent of the
-    present point where many are accepted, shortened towards it (t-preconditioned Crank-Nicolson) where few
-    are. A fifth of them are steps of differential evolution. A long stage fits the mixture again as it goes.
+    The chains move by independent draws from the proposal, by shorter moves that leave it invariant, and by
+    differential evolution, with and without the map; each kind as often as it pays in the run itself. So do
+    Hamiltonian trajectories; a gradient counts for eight values, a constant for the sake of reproducible
+    draws. Where no fit is good at the end, there is a warning; if chains followed trajectories, their points
+    make up the posterior as well, and the standard error of the evidence is then too small.
 
-    `sample_stats` has besides those of `PopulationKernel`: `accept_rate`, `scale` (1: independent proposals),
-    `effective` (points behind the stage's weights) and, at the end, `log_marginal_likelihood_se`: its
-    standard error, by a jackknife over chains. A constant added to the log-likelihood changes nothing but
-    the evidence. Cost and accuracy beside other samplers: benchmarks/.
+    `sample_stats` has besides those of `PopulationKernel`: `accept_rate`, `hamiltonian_share` (of the steps
+    that were trajectories), `steps_per_draw` (of the chains, for one independent draw), `effective`
+    (independent points behind the stage's weights), `reference_efficiency` (effective share of the
+    reference's draws; 0 without one) and, at the end, `log_marginal_likelihood_se` (standard error, by a
+    jackknife), `ess` (independent draws that the quantiles of the worst parameter are worth) and `pareto_k`
+    (of the final weights: above 0.7 they mislead). A constant added to the log-likelihood changes nothing but
+    the evidence. Cost and accuracy beside other samplers: benchmarks/. There is a `SamplingWarning` if the
+    last stage ends before its draws are worth `draws`.
 
     References
     ----------
@@ -58,150 +89,212 @@ class PersistentSMC(PopulationKernel):
     starts_from_prior = True
     stats_dtypes_shapes = {
         **PopulationKernel.stats_dtypes_shapes,
-        "accept_rate": (float, []),
-        "scale": (float, []),
-        "effective": (float, []),
-        "log_marginal_likelihood_se": (float, []),
+        **dict.fromkeys((*STATISTICS, "effective", "log_marginal_likelihood_se"), (float, [])),
     }
 
     def __init__(
         self,
         draws: int = 2000,
         *,
+        reference: Reference | None = None,
+        gradients: bool = False,
         stage_draws: int | None = None,
         threshold: float = 0.5,
-        start: dict | None = None,
         model: pm.Model | None = None,
         random_seed: RandomState = None,
-        compile_kwargs: dict | None = None,
-        checkpoint: str | PathLike | None = None,
+        **kwargs: Unpack[KernelOptions],
     ):
-        super().__init__(
-            draws,
-            threshold=threshold,
-            start=start,
-            model=model,
-            random_seed=random_seed,
-            compile_kwargs=compile_kwargs,
-            checkpoint=checkpoint,
-        )
+        check_keywords(kwargs, KernelOptions.__annotations__, "PersistentSMC")
+        super().__init__(draws, threshold=threshold, model=model, random_seed=random_seed, **kwargs)
+        self.gradients_allowed = bool(gradients)
+        if gradients:
+            self.logp.compile_gradient()
         stage_draws = self.checked_stage_draws(stage_draws, share=0.4, least=20, default=200)
         self.stage_draws = GROUPS * -(-stage_draws // GROUPS)
+        self.n_chains = GROUPS * max(2, self.stage_draws // (KEPT_STEPS * GROUPS))
+        self.given_reference = reference
 
     def _initialize_kernel(self):
-        """Evaluate draws from the prior until enough of them are possible."""
+        """Begin with draws from the reference, if there is a good one, or else from the prior."""
+        self.moves, self.reference = FittedMoves(), self.given_reference
+        self.accept_rate = self.steps_per_draw = self.standard_error = self.ess = self.pareto_k = np.nan
+        self.reference_efficiency, self.hamiltonian_share, self.fit_efficiency, self.repeats = (
+            0.0,
+            0.0,
+            1.0,
+            0,
+        )
+        if self.reference is not None and self.begin_with_reference():
+            return
+        self.reference = self.pool = None
         wanted = max(20, 4 * self.n_parameters)
-        self.moves, self.standard_error, self.pool = AdaptiveMoves(self.n_parameters), np.nan, None
         for _ in range(1 if self.start else MORE_PRIOR):
             particles = self.initial_particles(2 * self.stage_draws)
-            more = Pool(particles, *self.evaluate(particles))
+            weights = self.weigh(particles)
             if self.pool is None:
-                self.pool = more
+                self.pool = Pool(particles, *weights)
             else:
-                self.pool.add_prior(more)
-            if len(self.pool.mass) >= wanted:
+                self.pool.add_draws(particles, *weights)
+            if len(self.pool.visits) >= wanted:
                 break
-        if not len(self.pool.mass):
+        if not len(self.pool.visits):
             self.refuse_impossible_model()
 
+    def begin_with_reference(self) -> bool:
+        """Draw from the reference; return whether it is good, or usable and far from the prior."""
+        least, each = FIRST_OF_REFERENCE
+        particles = self.draw_reference(max(least, each * self.n_parameters))
+        prior, likelihood = self.evaluate(particles)
+        self.pool = pool = Pool(particles, *self.relative(particles, prior, likelihood))
+        self.reference_efficiency = pool.efficiency(0)
+        if self.reference_efficiency > GOOD_REFERENCE:
+            return True
+        if self.reference_efficiency < USABLE_REFERENCE or pool.pareto_k() > LARGEST_K:
+            return False
+        log_weights = pool.log_weights(1.0)
+        possible = prior + likelihood > -np.inf
+        information = pool.normalised(log_weights) @ likelihood[possible] - pool.log_evidence(log_weights)
+        return information > LONG_WAY
+
+    def draw_reference(self, n: int) -> np.ndarray:
+        """Independent draws (n, d) from the reference, or from the prior if there is none."""
+        of_prior = self.initial_particles
+        return of_prior(n) if self.reference is None else self.reference.draw(n, of_prior, self.rng)
+
+    def weigh(self, particles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Log reference, and log prior plus log-likelihood less that, each (p,)."""
+        return self.relative(particles, *self.evaluate(particles))
+
+    def relative(self, x: np.ndarray, prior: np.ndarray, likelihood: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The same of particles (p, d) that have been evaluated."""
+        if self.reference is None:
+            return prior, likelihood
+        log_reference = self.reference.log_density(x, prior)
+        return log_reference, prior + likelihood - log_reference
+
+    def slopes(self, particles: np.ndarray) -> tuple[np.ndarray, ...]:
+        """What `weigh` returns, and the gradients (p, d) of both."""
+        prior, likelihood, of_prior, of_likelihood = self.evaluate_gradient(particles)
+        if self.reference is None:
+            return prior, likelihood, of_prior, of_likelihood
+        log_reference = self.reference.log_density(particles, prior)
+        of_reference = self.reference.gradient(particles, prior, of_prior)
+        ratio = prior + likelihood - log_reference
+        return log_reference, ratio, of_reference, of_prior + of_likelihood - of_reference
+
     def update_beta_and_weights(self) -> None:
-        """Choose the next temperature and weigh the pool for it."""
+        """Choose the next temperature and weigh the pool for it; stay where the chains hardly moved."""
         self.iteration += 1
-        self.beta = next_beta(self.pool, self.beta, self.threshold * self.stage_draws)
-        log_weights = self.pool.log_weights(self.beta)
-        self.weights = self.pool.normalised(log_weights)
-        self.pool.add_temperature(self.beta, self.pool.log_evidence(log_weights))
+        pool = self.pool
+        if self.accept_rate < LEAST_ACCEPTANCE and self.repeats < MAX_REPEATS:
+            self.repeats += 1
+            self.weights = pool.normalised(pool.log_weights(self.beta))
+            return
+        self.repeats = 0
+        now = pool.effective(pool.log_weights(self.beta))
+        least, each = FEWEST_EFFECTIVE
+        target = max(self.threshold * min(now, 3.0 * self.n_chains), least, each * self.n_parameters)
+        self.beta = next_beta(pool, self.beta, target)
+        log_weights = pool.log_weights(self.beta)
+        self.weights = pool.normalised(log_weights)
+        pool.add_density(self.beta, pool.log_evidence(log_weights))
+        self.last_stage = len(pool.betas)
 
     def resample(self) -> None:
         """Choose the points at which the chains of the stage start."""
-        n_chains = GROUPS * max(1, self.stage_draws // (5 * GROUPS))
-        self.position = equal_draws(self.weights, n_chains, self.rng)
+        self.position = equal_draws(self.weights, self.n_chains, self.rng)
 
     def tune(self) -> None:
-        """Fit the proposal to the weighted pool."""
-        self.moves.fit(self.fitting_points(self.weights), self.rng)
+        """Fit the proposal to the weighted pool, if independent draws from the reference will not do."""
+        self.needs_fit = self.reference is None or self.reference_efficiency < GOOD_REFERENCE
+        if self.needs_fit:
+            self.moves.fit(self.fitting_points(), self.rng)
 
-    def fitting_points(self, weights: np.ndarray) -> np.ndarray:
+    def fitting_points(self) -> np.ndarray:
         """Equally weighted points of the pool (n, d) for a fit."""
-        return self.pool.particles[equal_draws(weights, 2 * self.stage_draws, self.rng)]
+        n = min(max(FIT_POINTS * self.n_parameters, 2 * self.stage_draws), len(self.weights))
+        return self.pool.particles[equal_draws(self.weights, n, self.rng)]
 
     def mutate(self) -> None:
-        """Advance all chains until the stage is done, keeping every state and every proposal."""
-        pool, position, moves = self.pool, self.position, self.moves
-        x, prior = pool.particles[position], pool.log_prior[position]
-        likelihood, density = pool.log_likelihood[position], moves.mixture.log_density(x)
-        group = np.arange(len(x))
-        acceptances, refit_every = [], REFIT_AFTER * -(-self.stage_draws // len(x))
-        while not self.stage_is_done(len(x)):
-            proposal, local = moves.propose(x, self.rng)
-            new_prior, new_likelihood = self.evaluate(proposal)
-            new_density = moves.mixture.log_density(proposal)
-            log_ratio = new_prior - prior + self.beta * (new_likelihood - likelihood)
-            log_ratio += np.where(local, 0.0, density - new_density)
-            probability = np.exp(np.minimum(log_ratio, 0.0))
-            possible = probability > 0
-            np.add.at(pool.mass, position, 1.0 - probability)  # chains may share a point
-            ahead = position.copy()
-            inflation = np.where(local, LOCAL_INFLATION, (1.0 + moves.kept) / (1.0 - moves.kept))
-            added = (proposal, new_prior, new_likelihood, probability, inflation, group)
-            ahead[possible] = pool.add(*(values[possible] for values in added))
-            pool.counts[-1] += len(x)
-            moved = self.rng.random(len(x)) < probability
-            x = np.where(moved[:, None], proposal, x)
-            prior, likelihood = np.where(moved, [new_prior, new_likelihood], [prior, likelihood])
-            density, position = np.where(moved, new_density, density), np.where(moved, ahead, position)
-            acceptances.append(probability.mean())
-            moves.learn(acceptances[-1])
-            if moves.n_steps % refit_every == 0:
-                # a long stage knows more and more of its target than it did at its beginning
-                weights = pool.normalised(pool.log_weights(self.beta))
-                moves.refit(self.fitting_points(weights), self.rng)
-                density = moves.mixture.log_density(x)
-        self.n_steps, self.accept_rate = moves.n_steps, float(np.mean(acceptances))
-        pool.solve()
+        """Advance chains of this temperature; at the end, draw from fits to all points."""
+        self.n_steps, self.steps_per_draw, self.hamiltonian_share = 1, 1.0, 0.0  # of independent draws
+        if self.needs_fit and not self.fit_is_good():
+            slopes = self.slopes if self.gradients_allowed else None
+            chains = Chains(self.pool, self.position, self.moves, self.beta, self.weigh, self.rng, slopes)
+            chains.forget()
+            for _ in range(KEPT_STEPS if self.beta < 1.0 else LAST_STEPS):
+                chains.step()
+            chains.measure()
+            self.pool.solve()
+            self.n_steps, self.steps_per_draw = chains.n_steps, chains.inflation
+            self.accept_rate = float(np.mean(chains.acceptances))
+            self.hamiltonian_share = chains.n_hamiltonian / chains.n_steps
         if self.beta == 1.0:
-            self.finish()
+            self.complete()
 
-    def stage_is_done(self, n_chains: int) -> bool:
-        """Whether the chains are long and mixed enough and, at the end, the pool is worth `draws`."""
-        if self.moves.n_steps * n_chains < self.stage_draws:
+    def fit_is_good(self) -> bool:
+        """Whether independent draws from the fit of a stage do instead of chains."""
+        if self.fit_efficiency < WORTH_A_TRIAL:
             return False
-        if self.moves.n_steps >= MAX_STEPS:
-            warnings.warn(
-                f"a stage of PersistentSMC ended after {MAX_STEPS} steps before it was worth its draws. "
-                "Increase `stage_draws`, or look for parameters that the data do not determine.",
-                stacklevel=2,
-            )
-            return True
-        if not self.moves.has_forgotten:
-            return False
-        if self.beta < 1.0:
-            return True
-        # to weigh the pool takes as long as a few steps: in a long stage, not after each
-        if self.moves.n_steps % max(1, self.moves.n_steps // 10):
-            return False
-        return self.pool.effective(self.pool.log_weights(1.0)) >= self.draws
+        self.pool.add_proposal(self.moves.proposal)
+        source = len(self.pool.betas) - 1
+        self.draw_more(self.stage_draws, source)
+        self.fit_efficiency = self.accept_rate = self.pool.efficiency(source, self.beta)
+        return self.fit_efficiency > GOOD_FIT
 
-    def finish(self) -> None:
-        """Draw equally weighted points from the pool; evidence and its standard error."""
-        pool = self.pool
-        self.log_marginal_likelihood = pool.log_z[-1]
-        self.standard_error = pool.standard_error()
-        self.weights = pool.normalised(pool.log_weights(1.0))
-        chosen = equal_draws(self.weights, self.draws, self.rng)
-        self.tempered_posterior = pool.particles[chosen]
-        self.prior_logp, self.likelihood_logp = pool.log_prior[chosen], pool.log_likelihood[chosen]
+    def complete(self) -> None:
+        """Draw from the reference, or from fits that follow each other, until that is worth `draws`.
+
+        Only the draws of the last fit count: those of others have shaped it, and would bias the evidence. It
+        is followed by another one while it is not good, and more is missing than all fits have drawn.
+        """
+        pool, used = self.pool, 0
+        source = self.last_stage if self.last_stage in pool.proposals else 0  # drawn from in place of chains
+        while True:
+            sample = pool.independent(max(source, self.last_stage))
+            worth = float(sample.effective_of_quantiles(sample.log_weights(1.0)).min())
+            missing = max(self.draws - worth, 0.0)
+            heavy = sample.pareto_k() > LARGEST_K and used < FOR_TAILS * self.draws
+            if not (missing or heavy) or used >= MAX_EVALUATIONS * self.draws:
+                break
+            n = 1.1 * missing * max(1.0, sample.counts.sum() / max(worth, 1.0))
+            least = max(used, FIRST_DRAWS * self.n_parameters, self.draws // 4)
+            if not missing or (n > least and pool.efficiency(source) < GOOD_FIT):
+                self.weights = pool.normalised(pool.log_weights(1.0))
+                pool.add_proposal(fit_to(self.fitting_points(), self.rng))
+                source, n = len(pool.betas) - 1, least
+            n = int(np.clip(n, 0.1 * self.draws, 2.0 * self.draws + used))
+            self.draw_more(n, source)
+            used += n
+        if worth < self.draws:
+            warnings.warn(TOO_FEW.format(worth, self.draws), SamplingWarning, stacklevel=2)
+            whole = float(pool.effective_of_quantiles(pool.log_weights(1.0)).min())
+            if self.hamiltonian_share > 0.0 and whole > worth:  # no fit is good, but chains got about
+                sample = pool
+        self.ess = worth
+        self.finish(sample)
+
+    def draw_more(self, n: int, source: int) -> None:
+        """Independent draws from the reference or prior, or from a fit."""
+        x = self.pool.proposals[source].draw(n, self.rng) if source else self.draw_reference(n)
+        self.pool.add_draws(x, *self.weigh(x), source)
+        self.pool.solve()
+
+    def finish(self, sample: Pool) -> None:
+        """Draw equally weighted points from the independent draws; evidence and its standard error."""
+        log_weights = sample.log_weights(1.0)
+        self.log_marginal_likelihood = sample.log_evidence(log_weights)
+        self.standard_error, self.pareto_k = sample.standard_error(), sample.pareto_k()
+        chosen = equal_draws(sample.normalised(log_weights), self.draws, self.rng)
+        self.tempered_posterior = sample.particles[chosen]
 
     def sample_stats(self) -> dict:
         """Statistics of the stage just finished."""
-        return {
-            **super().sample_stats(),
-            "accept_rate": self.accept_rate,
-            "scale": self.moves.scale,
-            "effective": self.pool.effective(self.pool.log_weights(self.beta)),
-            "log_marginal_likelihood_se": self.standard_error,
-        }
+        own = {name: getattr(self, name) for name in STATISTICS}
+        own["effective"] = self.pool.effective(self.pool.log_weights(self.beta))
+        return {**super().sample_stats(), **own, "log_marginal_likelihood_se": self.standard_error}
 
     def sample_settings(self) -> dict:
         """Settings, saved as attributes of `sample_stats`."""
-        return {"_n_draws": self.draws, "threshold": self.threshold, "stage_draws": self.stage_draws}
+        chosen = {"threshold": self.threshold, "stage_draws": self.stage_draws}
+        return chosen | {"_n_draws": self.draws, "gradients": int(self.gradients_allowed)}

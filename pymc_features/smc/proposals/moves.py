@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from pymc_features.smc.proposals.proposal import fit_mixture
+from pymc_features.smc.proposals.proposal import distinct, fit_mixture
 
-TARGET_ACCEPTANCE = 0.35
 # At a hard edge, or with a noisy simulator, short moves are hardly accepted more often than long ones: 0.35
 # made up to six times as many simulations, or was out of reach at any length
 TARGET_AT_AN_EDGE = 0.1
@@ -27,8 +26,6 @@ class AdaptiveMoves:
     ----------
     n_parameters : int
         Dimension of the points.
-    target : float
-        Acceptance below which moves are shortened.
 
     Attributes
     ----------
@@ -40,8 +37,7 @@ class AdaptiveMoves:
         Steps of the stage.
     """
 
-    def __init__(self, n_parameters: int, target: float = TARGET_ACCEPTANCE):
-        self.target = target
+    def __init__(self, n_parameters: int):
         rise = float(np.clip((n_parameters - 2) / 9.0, 0.0, 1.0))
         self.local_share = LOCAL_SHARES[0] + rise * (LOCAL_SHARES[1] - LOCAL_SHARES[0])
         self.forgotten = FORGOTTEN[0] * (FORGOTTEN[1] / FORGOTTEN[0]) ** rise
@@ -49,15 +45,9 @@ class AdaptiveMoves:
 
     def fit(self, points, rng: np.random.Generator):
         """Begin a stage: fit to equally weighted points (n, d) of its target."""
-        self.refit(points, rng)
-        self.memory, self.n_steps = 1.0, 0
-
-    def refit(self, points, rng: np.random.Generator):
-        """Fit the mixture to other points, in the course of a stage."""
-        distinct, first, counts = np.unique(points, axis=0, return_index=True, return_counts=True)
-        order = np.argsort(first)  # not sorted by value, lest the fit depend on it
-        self.mixture = fit_mixture(distinct[order], counts[order], rng)
+        self.mixture = fit_mixture(*distinct(points), rng)
         self.points = points
+        self.memory, self.n_steps = 1.0, 0
 
     @property
     def kept(self) -> float:
@@ -79,7 +69,7 @@ class AdaptiveMoves:
         self.n_steps += 1
         self.memory *= 1.0 - (1.0 - self.local_share) * acceptance * (1.0 - self.kept)
         gain = 1.0 / np.sqrt(1.0 + 0.1 * self.n_steps)
-        self.scale = float(np.clip(self.scale * np.exp(gain * (acceptance - self.target)), 1e-3, 1.0))
+        self.scale = float(np.clip(self.scale * np.exp(gain * (acceptance - TARGET_AT_AN_EDGE)), 1e-3, 1.0))
 
     @property
     def has_forgotten(self) -> bool:
@@ -95,7 +85,7 @@ class CrossedMoves:
     """
 
     def __init__(self, n_parameters: int):
-        self.halves = [AdaptiveMoves(n_parameters, TARGET_AT_AN_EDGE) for _ in range(2)]
+        self.halves = [AdaptiveMoves(n_parameters) for _ in range(2)]
 
     def fit(self, points, rng):
         """Begin a stage from equally weighted points (n, d)."""

@@ -40,6 +40,12 @@ class StudentT:
         constant -= np.log(np.diag(self.factor)).sum()
         return constant - 0.5 * (v + d) * np.log1p(self.squared_distance(x) / v)
 
+    def gradient(self, x) -> np.ndarray:
+        """Gradient of the log-density at points (n, d), shape (n, d)."""
+        scaled = (x - self.location) @ self.inverse_factor
+        shrunk = (self.degrees + x.shape[1]) / (self.degrees + (scaled**2).sum(axis=1))
+        return -shrunk[:, None] * (scaled @ self.inverse_factor.T)
+
     def move(self, x, scale: float, rng: np.random.Generator) -> np.ndarray:
         """Points (n, d) such that pairs (x, x') are exchangeable where x has this distribution.
 
@@ -59,10 +65,10 @@ class StudentT:
 
 
 @dataclass(frozen=True, eq=False)
-class StudentMixture:
-    """Components and their weights (k,)."""
+class Mixture:
+    """Densities that can be evaluated and moved in, and their weights (k,)."""
 
-    components: list[StudentT]
+    components: list
     weights: np.ndarray
 
     def terms(self, x) -> np.ndarray:
@@ -90,6 +96,35 @@ class StudentMixture:
             members = chosen == k
             proposal[members] = component.move(x[members], scale, rng)
         return proposal
+
+    @property
+    def location(self) -> np.ndarray:
+        """A point (d,) inside: that of the last component."""
+        return self.components[-1].location
+
+    def draw(self, n: int, rng: np.random.Generator) -> np.ndarray:
+        """Independent draws (n, d)."""
+        return self.move(np.repeat(self.location[None], n, axis=0), 1.0, rng)
+
+
+class StudentMixture(Mixture):
+    """A mixture of `StudentT` distributions."""
+
+    def gradient(self, x) -> np.ndarray:
+        """Gradient of the log-density at points (n, d), shape (n, d): the components', by their shares."""
+        terms = self.terms(x)
+        share = np.exp(terms - log_sum(terms))
+        return sum(s[:, None] * c.gradient(x) for s, c in zip(share, self.components, strict=True))
+
+
+def distinct(points):
+    """Distinct points of equally weighted ones (n, d), and how often each is there.
+
+    In the order of their coming, not sorted by value, lest a fit depend on it.
+    """
+    points, first, counts = np.unique(points, axis=0, return_index=True, return_counts=True)
+    order = np.argsort(first)
+    return points[order], counts[order]
 
 
 def fit_mixture(x, weights, rng: np.random.Generator) -> StudentMixture:

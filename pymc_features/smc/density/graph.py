@@ -1,0 +1,140 @@
+"""The graph of log prior and log-likelihood of a model: of one particle, and of a whole population."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytensor.tensor as pt
+from pymc.distributions.simulator import SimulatorRV
+from pymc.logprob.utils import local_check_parameter_to_ninf_switch, local_remove_check_parameter
+from pymc.pytensorf import join_nonshared_inputs
+from pymc.vartypes import discrete_types
+from pytensor.compile import optdb
+from pytensor.compile.sharedvalue import SharedVariable
+from pytensor.graph.basic import Constant, Variable
+from pytensor.graph.fg import FunctionGraph
+from pytensor.graph.replace import clone_replace, vectorize_graph
+from pytensor.graph.rewriting.basic import dfs_rewriter
+from pytensor.graph.rewriting.db import RewriteDatabaseQuery
+from pytensor.graph.traversal import ancestors, io_toposort
+from pytensor.tensor.type import TensorType
+
+from pymc_features.smc.density.nodes import core_op, why_not_batched
+
+
+class Outputs(NamedTuple):
+    """Outputs of a graph and the one tensor that they depend on, besides data.
+
+    Attributes
+    ----------
+    joined : Variable (d,) or (p, d)
+        The parameters of one particle, or of all.
+    outputs : list of Variable
+        Log prior, log-likelihood, and what else is asked for: scalars, or (p,).
+    """
+
+    joined: Variable
+    outputs: list
+
+
+class DensityGraph(NamedTuple):
+    """Log prior and log-likelihood of a model.
+
+    Attributes
+    ----------
+    one : Outputs
+        Of one particle (d,). Where simulators are inside, a third says whether one of them failed.
+    population : Outputs or None
+        The same of particles (p, d); None if a part of the model takes no batch.
+    why_not_batched : str
+        What part that is; empty if there is none.
+    discrete : tuple of str
+        Names of the discrete variables.
+    """
+
+    one: Outputs
+    population: Outputs | None
+    why_not_batched: str
+    discrete: tuple[str, ...]
+
+    @property
+    def counts_simulations(self) -> bool:
+        """Whether a third output says if a simulator failed."""
+        return len(self.one.outputs) > 2
+
+
+def density_graph(model, point, terms) -> DensityGraph:
+    """The graph of two scalar `terms` in the model's value variables; `point` has their shapes."""
+    one = joined_graph(model, point, terms)
+    discrete = tuple(v.name for v in model.value_vars if v.dtype in discrete_types)
+    if (reason := why_not_batched(one.outputs)) is not None:
+        return DensityGraph(one, None, reason, discrete)
+    particles = pt.matrix("particles", dtype=one.joined.dtype)
+    try:
+        outputs = vectorize_graph(one.outputs, {one.joined: particles})
+    except Exception as error:  # any Op of any library may refuse in its own way
+        return DensityGraph(one, None, f"a part of the model cannot be vectorised ({error})", discrete)
+    rows = particles.shape[0]
+    outputs = [out if out.ndim else pt.broadcast_to(out, (rows,)) for out in outputs]
+    return DensityGraph(one, Outputs(particles, outputs), "", discrete)
+
+
+def joined_graph(model, point, terms) -> Outputs:
+    """Log prior, log-likelihood and, if simulators are inside, whether one failed, of one vector.
+
+    Parameter checks become -inf here, before any vectorisation: afterwards one particle outside would take
+    all with it.
+    """
+    outputs = list(terms)
+    inputs = model.value_vars
+    if any(v.dtype in discrete_types for v in inputs):
+        rounded = {}
+        floats = []
+        for v in inputs:
+            if v.dtype in discrete_types:
+                float_v = pt.tensor(v.name, dtype="floatX", shape=v.type.shape)
+                rounded[v] = pt.round(float_v).astype(v.dtype)
+                v = float_v
+            floats.append(v)
+        outputs, inputs = clone_replace(outputs, rounded, rebuild_strict=False), floats
+    graph = FunctionGraph(outputs=outputs, clone=True, copy_inputs=False)
+    optdb.query(RewriteDatabaseQuery(include=["fuse_likelihood"])).rewrite(graph)
+    check = local_check_parameter_to_ninf_switch if model.check_bounds else local_remove_check_parameter
+    dfs_rewriter(check).rewrite(graph)
+    outputs = list(graph.outputs)
+    failures = [
+        pt.any(pt.isnan(out) | pt.isinf(out))
+        for node in {v.owner for v in ancestors(outputs) if v.owner is not None}
+        if getattr(core_op(node), "simulates", isinstance(node.op, SimulatorRV))
+        for out in node.outputs
+        if isinstance(out.type, TensorType)
+    ]
+    if failures:
+        failed = failures[0]
+        for more in failures[1:]:
+            failed = failed | more
+        outputs.append(failed)
+    outputs, vector = join_nonshared_inputs(point, outputs, inputs)
+    return Outputs(vector, outputs)
+
+
+def largest_result(graph: Outputs) -> int:
+    """Number of entries of the largest intermediate result that depends on the parameters."""
+    sources = [
+        v
+        for v in ancestors(graph.outputs)
+        if isinstance(v, Constant | SharedVariable) and isinstance(v.type, TensorType)
+    ]
+    unknown = 1  # stands for a length that is not known before the call: no longer than the longest data
+    for v in sources:
+        value = v.data if isinstance(v, Constant) else v.get_value(borrow=True)
+        unknown = max([unknown, *np.shape(value)])
+    depends = {graph.joined}
+    largest = 1
+    for node in io_toposort([graph.joined], graph.outputs):
+        if depends.isdisjoint(node.inputs):
+            continue
+        depends.update(node.outputs)
+        for v in node.outputs:
+            shape = getattr(v.type, "shape", ())
+            largest = max(largest, int(np.prod([unknown if n is None else n for n in shape], dtype=float)))
+    return largest

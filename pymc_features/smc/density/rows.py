@@ -1,0 +1,96 @@
+"""A compiled function of particles, called for as many at once as memory allows."""
+
+import warnings
+from contextlib import contextmanager
+
+import numpy as np
+from pymc.pytensorf import compile as compile_function
+from pytensor import shared as make_shared
+from pytensor.tensor.random.type import RandomGeneratorType
+
+from pymc_features.smc.density.graph import DensityGraph, largest_result
+from pymc_features.smc.density.nodes import simulator_functions
+
+BATCH_BYTES = 2**26  # of the largest intermediate result of one call; larger populations are split
+
+# what a model function may raise at bad parameters; the particle at fault is then found and set aside
+NUMERICAL_ERRORS = (ArithmeticError, np.linalg.LinAlgError)
+
+
+@contextmanager
+def quiet_about_python():
+    """Suppress the warning that a simulator function runs in Python: it always does."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Numba will use object mode", category=UserWarning)
+        yield
+
+
+class RowFunction:
+    """Outputs of a graph for particles (p, d).
+
+    Parameters
+    ----------
+    graph : DensityGraph
+    compile_kwargs : dict
+        For `pytensor.function`.
+    alive : int
+        How many results of the size of the largest are in memory at once; the batch is that much smaller.
+
+    Attributes
+    ----------
+    batched : bool
+        False if it is called for each particle by itself.
+    batch : int
+        Particles in one call, at most.
+    raised : str
+        What the model raised last; empty if nothing did.
+    """
+
+    def __init__(self, graph: DensityGraph, compile_kwargs: dict, alive: int = 1):
+        self.raised = ""
+        self.batched = graph.population is not None
+        self.batch = max(1, BATCH_BYTES // (8 * alive * largest_result(graph.one)))
+        self.errors = NUMERICAL_ERRORS if simulator_functions(graph.one.outputs) == [] else Exception
+        joined, outputs = graph.population if self.batched else graph.one
+        with quiet_about_python():
+            self.function = compile_function(
+                [joined], outputs, **{**compile_kwargs, "on_unused_input": "ignore"}
+            )
+        self.function.trust_input = True
+
+    def __call__(self, particles: np.ndarray) -> list[np.ndarray]:
+        """Outputs (p, ...); NaN for particles at which the model raises a numerical error."""
+        size = self.batch if self.batched else 1
+        parts = [self._evaluate(particles[i : i + size]) for i in range(0, len(particles), size)]
+        return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+    def _evaluate(self, particles):
+        try:
+            if self.batched:
+                return self.function(np.ascontiguousarray(particles))
+            return [np.asarray(out)[None] for out in self.function(particles[0])]
+        except self.errors as error:
+            n, d = particles.shape
+            if n == 1:
+                self.raised = f"{type(error).__name__}: {str(error).partition('\n')[0]}"
+                outputs = [out for out in self.function.maker.fgraph.outputs if hasattr(out, "ndim")]
+                return [np.full((1, d)[: out.ndim + (not self.batched)], np.nan) for out in outputs]
+            halves = self._evaluate(particles[: n // 2]), self._evaluate(particles[n // 2 :])
+            return [np.concatenate(pair) for pair in zip(*halves, strict=True)]
+
+    def with_rng(self, rng: np.random.Generator) -> "RowFunction":
+        """The same with random streams of its own; this one if there are no random draws in it."""
+        shared = [v for v in self.function.get_shared() if isinstance(v.type, RandomGeneratorType)]
+        if not shared:
+            return self
+        streams = rng.spawn(len(shared))
+        swap = {old: make_shared(new, borrow=True) for old, new in zip(shared, streams, strict=True)}
+        with quiet_about_python():
+            function = self.function.copy(swap=swap)
+        other = object.__new__(RowFunction)
+        other.__setstate__({**self.__dict__, "function": function})
+        return other
+
+    def __setstate__(self, state):
+        self.__dict__.update(state)
+        self.function.trust_input = True

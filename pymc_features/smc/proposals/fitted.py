@@ -1,0 +1,96 @@
+"""Proposals fitted to weighted points: a Student-t mixture, behind an unbending map where that is better."""
+
+from functools import partial
+
+import numpy as np
+
+from pymc_features.smc.proposals.proposal import Mixture, StudentMixture, StudentT, distinct, fit_mixture
+from pymc_features.smc.proposals.unbending import UnbendingMap
+
+HEAVIEST = 6.0  # degrees of freedom at most, so that a proposal's tails do not end before the target's
+WIDER = 1.1  # the part that is drawn from as a safeguard, over the fitted mixture
+SAFEGUARD = 0.2  # its share
+HELD_OUT = 0.25  # share of the points that decide between the two kinds
+SMALLEST = -300.0  # log-density that a held-out point has at least in that decision
+
+
+class Unbent:
+    """A Student-t mixture of the coordinates of an `UnbendingMap`.
+
+    Parameters
+    ----------
+    x, weights
+        As of `fit_mixture`.
+    rotated : bool
+        As of `UnbendingMap`.
+    """
+
+    def __init__(self, x, weights, rng, rotated=True):
+        self.map = UnbendingMap(x, weights, rotated)
+        self.mixture = fit_mixture(self.map.forward(x)[0], weights, rng)
+
+    def log_density(self, x):
+        """Log-density (n,) at points (n, d)."""
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            z, log_jacobian = self.map.forward(x)
+            density = self.mixture.log_density(z) + log_jacobian
+        return np.where(np.isfinite(density), density, -np.inf)
+
+    def move(self, x, scale: float, rng):
+        """As `Mixture.move`, in the unbent coordinates.
+
+        Points without a finite image stay; independent draws are infinite there, and hence impossible.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            moved = self.map.inverse(self.mixture.move(self.map.forward(x)[0], scale, rng))
+        stay = ~np.isfinite(moved).all(axis=1) & (scale < 1.0)
+        return np.where(stay[:, None], x, moved)
+
+
+class FittedProposal(Mixture):
+    """A `StudentMixture`, or one `Unbent`, first; and a safeguard, last."""
+
+    @property
+    def map(self) -> UnbendingMap | None:
+        """The unbending map, if one is used."""
+        return getattr(self.components[0], "map", None)
+
+
+def heavy_tailed(mixture: StudentMixture, wider: float = 1.0) -> StudentMixture:
+    """The same mixture, wider by a factor, with at most `HEAVIEST` degrees of freedom."""
+    components = [
+        StudentT(c.location, wider * c.factor, min(c.degrees, HEAVIEST)) for c in mixture.components
+    ]
+    return StudentMixture(components, mixture.weights)
+
+
+def fit_proposal(x, weights, rng: np.random.Generator) -> FittedProposal:
+    """Fit to distinct points (n, d) with weights (n,): how often each counts.
+
+    Of a plain mixture and two behind unbending maps, along the principal axes and along the parameters, that
+    with the highest density at points that it was not fitted to. A safeguard of the plain mixture, wider and
+    with heavy tails, has a fifth of the draws.
+    """
+    weights = np.asarray(weights, dtype=float)
+    order = rng.permutation(len(x))
+    n_held = int(HELD_OUT * len(x))
+    held, rest = order[:n_held], order[n_held:]
+
+    def score(kind):
+        try:
+            density = kind(x[rest], weights[rest], rng).log_density(x[held])
+        except (np.linalg.LinAlgError, ValueError):
+            return -np.inf
+        return weights[held] @ np.maximum(density, SMALLEST)
+
+    plain = fit_mixture(x, weights, rng)
+    best = max((fit_mixture, Unbent, partial(Unbent, rotated=False)), key=score)
+    first = plain if best is fit_mixture else best(x, weights, rng)
+    if first is not plain:
+        first.mixture = heavy_tailed(first.mixture)
+    return FittedProposal([first, heavy_tailed(plain, WIDER)], np.array([1.0 - SAFEGUARD, SAFEGUARD]))
+
+
+def fit_to(points, rng: np.random.Generator) -> FittedProposal:
+    """Fit to equally weighted points (n, d), which may hold the same one many times."""
+    return fit_proposal(*distinct(points), rng)

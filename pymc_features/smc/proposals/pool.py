@@ -1,0 +1,247 @@
+"""What a sampler has evaluated, from whichever density, weighed for any temperature; see `mixture.py`."""
+
+import numpy as np
+from scipy.optimize import brentq
+
+from pymc_features.smc.proposals.mixture import bennett, log_sum, newton_step, origins, pareto_shape
+
+SMALLEST_BETA = 1e-300
+QUANTILES = np.array([0.05, 0.5, 0.95])
+LARGEST_K = 0.7  # Pareto shape of weights that can be trusted
+GROUPS = 20  # of the jackknife; numbers of draws and chains are multiples of it, so that all are equal
+
+
+class Pool:
+    """Everything evaluated so far, and the densities that it was drawn from.
+
+    All densities are relative to one that is normalised, the reference: the prior, or a better guess of the
+    posterior. The tempered ones are reference^(1 - beta) posterior^beta; proposals with a known density may
+    have been drawn from as well, and count with that.
+
+    Attributes
+    ----------
+    particles : array (n, d)
+    log_reference, log_ratio, visits, inflation, group, source : array (n,)
+        Points with finite log-density. `log_ratio`: log prior plus log-likelihood less log reference, which
+        is the log-likelihood where the prior is the reference. `visits`: steps that count for the point.
+        `inflation`: how many of them count for one independent draw. `group`: points of one Markov chain
+        share it, modulo `GROUPS`. `source`: number of the density it comes from.
+    betas, log_z : list
+        Of each density; a beta of NaN stands for a proposal, whose log_z is zero.
+    impossible : list of array (GROUPS,)
+        Draws of each density at which the posterior is zero, by group.
+    """
+
+    def __init__(self, particles, log_reference, log_ratio):
+        self._size, self._columns = 0, [None] * 7
+        self.betas, self.log_z, self.impossible = [], [], []
+        self.proposals, self._over_reference = {}, {}
+        self.add_density(0.0, 0.0)
+        self.add_draws(particles, log_reference, log_ratio)
+
+    def add_density(self, beta: float, log_z: float) -> None:
+        """Begin a tempered density, with its log evidence as far as it is known."""
+        self.betas.append(beta)
+        self.log_z.append(log_z)
+        self.impossible.append(np.zeros(GROUPS))
+
+    def add_proposal(self, proposal) -> None:
+        """Begin a density that is known: something with a `log_density`."""
+        self.add_density(np.nan, 0.0)
+        source = len(self.betas) - 1
+        self.proposals[source] = proposal
+        self._over_reference[source] = proposal.log_density(self.particles) - self.log_reference
+
+    def add_draws(self, particles, log_reference, log_ratio, source=0) -> None:
+        """Take in independent draws of the density with number `source`."""
+        possible = log_reference + log_ratio > -np.inf
+        group = np.arange(len(particles)) % GROUPS
+        self.impossible[source] += np.bincount(group[~possible], minlength=GROUPS)
+        rows = (particles, log_reference, log_ratio, np.ones(len(particles)), group)
+        self.add(*(row[possible] for row in rows), source)
+
+    def add(self, particles, log_reference, log_ratio, visits, group, source) -> np.ndarray:
+        """Take in points of a density, `source` its number; return their positions."""
+        first, self._size = self._size, self._size + len(visits)
+        ones = np.ones(len(visits))
+        rows = (particles, log_reference, log_ratio, visits, ones, group, np.full(len(visits), source))
+        for i, row in enumerate(rows):
+            column = self._columns[i]
+            if column is None or len(column) < self._size:  # by half: additions cost no more than their sum
+                grown = np.empty((self._size + self._size // 2, *row.shape[1:]), dtype=row.dtype)
+                if column is not None:
+                    grown[:first] = column[:first]
+                self._columns[i] = column = grown
+            column[first : self._size] = row
+        for known, proposal in self.proposals.items():
+            more = proposal.log_density(particles) - log_reference
+            self._over_reference[known] = np.append(self._over_reference[known], more)
+        return np.arange(first, self._size)
+
+    particles, log_reference, log_ratio, visits, inflation, group, source = (
+        property(lambda self, i=i: self._columns[i][: self._size]) for i in range(7)
+    )
+
+    @property
+    def mass(self) -> np.ndarray:
+        """Independent draws that each point counts for (n,)."""
+        return self.visits / self.inflation
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Independent draws from each density (s,), impossible ones included."""
+        possible = np.bincount(self.source, self.mass, minlength=len(self.betas))
+        return possible + np.sum(self.impossible, axis=1)
+
+    def independent(self, since: int = 1) -> "Pool":
+        """The independent draws alone: of the reference, and of proposals from number `since` on.
+
+        Their evidence is known. Markov chains that have not been everywhere yet make the weights of points
+        where they should have been too small, and so do draws of proposals to which later ones are fitted.
+        """
+        known = np.isnan(self.betas) & (np.arange(len(self.betas)) >= since)
+        known[0] = True
+        part = object.__new__(Pool)
+        rows = known[self.source]
+        part._size, part._columns = int(rows.sum()), [column[: self._size][rows] for column in self._columns]
+        part._columns[6] = np.cumsum(known)[part._columns[6]] - 1
+        numbers = np.flatnonzero(known)
+        part.betas, part.log_z = [self.betas[s] for s in numbers], [0.0] * len(numbers)
+        part.impossible = [self.impossible[s] for s in numbers]
+        part.proposals = {new: self.proposals[s] for new, s in enumerate(numbers) if s in self.proposals}
+        part._over_reference = {
+            new: self._over_reference[s][rows] for new, s in enumerate(numbers) if s in self.proposals
+        }
+        return part
+
+    def efficiency(self, source: int, beta: float = 1.0) -> float:
+        """Effective share of the draws of a known density at a temperature, as if there were no others."""
+        rows = self.source == source
+        log_weights = (beta * self.log_ratio - self.term(source))[rows]
+        if not len(log_weights):
+            return 0.0
+        w = np.exp(log_weights - log_weights.max())
+        return float(w.sum() ** 2 / (w @ w) / (len(w) + self.impossible[source].sum()))
+
+    def term(self, source: int) -> np.ndarray:
+        """Log of a density over the reference, not normalised, at all points (n,)."""
+        known = source in self.proposals
+        return self._over_reference[source] if known else self.betas[source] * self.log_ratio
+
+    def terms(self) -> np.ndarray:
+        """That of each density (s, n)."""
+        return np.array([self.term(source) for source in range(len(self.betas))])
+
+    def log_mixture(self) -> np.ndarray:
+        """ln sum_s (n_s / n) p_s / Z_s over the reference, shape (n,)."""
+        counts = self.counts
+        used = counts > 0
+        offsets = np.log(counts[used] / counts.sum()) - np.array(self.log_z)[used]
+        return log_sum(self.terms()[used] + offsets[:, None])
+
+    def log_weights(self, beta: float, log_mixture=None) -> np.ndarray:
+        """ln w_i(beta), shape (n,)."""
+        return beta * self.log_ratio - (self.log_mixture() if log_mixture is None else log_mixture)
+
+    def largest(self, log_weights) -> float:
+        """The largest of log weights (n,), of points that count."""
+        return float(log_weights[self.visits > 0.0].max())
+
+    def normalised(self, log_weights) -> np.ndarray:
+        """Share of each point (n,) in a temperature: mass times weight."""
+        shares = self.mass * np.exp(log_weights - self.largest(log_weights))
+        return shares / shares.sum()
+
+    def log_evidence(self, log_weights) -> float:
+        """ln Z from the weights of a temperature."""
+        # not SciPy's logsumexp: where ArviZ is loaded and JAX installed, it imports JAX
+        top = self.largest(log_weights)
+        return float(top + np.log(self.mass @ np.exp(log_weights - top)) - np.log(self.counts.sum()))
+
+    def effective(self, log_weights) -> float:
+        """Effective number of independent points behind weights (Kish), serial correlation included."""
+        w, mass = np.exp(log_weights - self.largest(log_weights)), self.mass
+        return float((mass @ w) ** 2 / (mass * np.maximum(mass, 1.0) @ w**2))
+
+    def effective_of_quantiles(self, log_weights) -> np.ndarray:
+        """Effective number (d,) of points behind the 5, 50 and 95 % quantiles of each parameter."""
+        mass, w = self.mass, np.exp(log_weights - self.largest(log_weights))
+        total = mass @ w
+        shares, squares = mass * w / total, mass * np.maximum(mass, 1.0) * (w / total) ** 2
+        numbers = []
+        for column in self.particles.T:
+            order = np.argsort(column)
+            below = np.cumsum(shares[order])
+            ranks = np.searchsorted(below, QUANTILES)
+            spread = np.cumsum(squares[order])
+            upto = spread[ranks.clip(max=len(order) - 1)]
+            variances = (1.0 - QUANTILES) ** 2 * upto + QUANTILES**2 * (spread[-1] - upto)
+            numbers.append(1.0 / np.mean(variances / (QUANTILES * (1.0 - QUANTILES))))
+        return np.array(numbers)
+
+    def pareto_k(self) -> float:
+        """Shape of the largest weights of independent draws at a temperature of one; above 0.7 they mislead.
+
+        Vehtari, Simpson, Gelman, Yao & Gabry, Pareto smoothed importance sampling, JMLR 25 (2024).
+        """
+        log_weights = np.sort(self.log_weights(1.0)[self.mass > 0.0])
+        n_tail = int(min(0.2 * len(log_weights), 3.0 * np.sqrt(len(log_weights))))
+        if n_tail < 5:
+            return np.inf
+        tail = np.exp(log_weights[-n_tail:] - log_weights[-1])
+        return pareto_shape(tail - np.exp(log_weights[-n_tail - 1] - log_weights[-1]))
+
+    def solve(self):
+        """Make the evidences of all temperatures agree with each other."""
+        counts, betas, log_z = self.counts, np.array(self.betas), np.array(self.log_z)
+        used = np.flatnonzero(counts > 0)
+        free = betas[used] > 0  # of the reference and of proposals the evidence is known
+        log_z[used] = bennett(self.terms()[used], log_z[used], counts[used], self.mass, free)
+        self.log_z = list(log_z)
+
+    def standard_error(self) -> float:
+        """Standard error of ln Z at a temperature of one: jackknife over groups of whole Markov chains."""
+        counts, log_z, mass, terms = self.counts, np.array(self.log_z), self.mass, self.terms()
+        used = counts > 0
+        free = np.nan_to_num(np.array(self.betas)[used]) > 0
+        impossible = np.sum(self.impossible, axis=0)
+        p, log_total = origins(terms[used], log_z[used], counts[used])
+        values = []
+        for group in range(GROUPS):  # without a group, one step of Newton's method away
+            kept = self.group % GROUPS != group
+            removed = mass[~kept].sum() + impossible[group]
+            counts_kept = (1.0 - removed / counts.sum()) * counts[used]
+            step = newton_step(p[:, kept], mass[kept], counts_kept, free)
+            shift = step @ p[:, kept]  # first-order change of ln sum_s n_s p_s / Z_s
+            log_w = self.log_ratio[kept] - log_total[kept] - shift
+            top = log_w.max()
+            values.append(
+                top + np.log(mass[kept] @ np.exp(log_w - top)) - np.log(1.0 - removed / counts.sum())
+            )
+        return float(np.sqrt((GROUPS - 1) * np.var(values)))
+
+
+def next_beta(pool: Pool, beta: float, target: float) -> float:
+    """Largest temperature up to 1 whose weights keep the effective number `target`, found on a log scale.
+
+    Where even a vanishing increase leaves fewer, as with likelihoods that are zero over most of the prior,
+    nine tenths of what is left are kept; a likelihood that is constant where it is not zero leads to 1 at
+    once.
+    """
+    log_mixture = pool.log_mixture()
+
+    def effective(b):
+        return pool.effective(pool.log_weights(b, log_mixture))
+
+    target = min(target, 0.9 * effective(max(beta, SMALLEST_BETA)))
+    if effective(1.0) >= target:
+        return 1.0
+    spread = np.ptp(pool.log_ratio)
+    if spread == 0.0:
+        return 1.0
+    low = np.log(1e-3 / spread)  # increases smaller than this change no weight by more than 0.1 %
+    high = np.log1p(-beta) if beta > 0 else 0.0
+    if effective(beta + np.exp(low)) < target:
+        return beta + np.exp(low)
+    increase = brentq(lambda x: effective(beta + np.exp(x)) - target, low, high, xtol=1e-3)
+    return float(beta + np.exp(increase))

@@ -1,0 +1,187 @@
+"""A normalised first guess of a posterior: bell curves at its modes, and the prior."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features.smc.proposals.ascent import climb, curvature
+from pymc_features.smc.proposals.mixture import log_sum
+from pymc_features.smc.proposals.proposal import StudentMixture, StudentT
+
+WAVE, CANDIDATES = 8, 10  # climbs at a time, each from the best of so many draws from the prior
+CLIMBS_PER_MODE, MORE_CLIMBS, MOST_WAVES = 8, 1.5, 10  # for each mode found; if climbs are cheap, more
+WIDEST = 3.0  # prior standard deviations of a mode at most, along each principal axis
+NEGLIGIBLE = 12.0  # a mode is left out whose evidence is smaller by this, in logarithms
+SAME_MODE = 1.0  # squared distance, in standard deviations of a mode, within which another is the same
+PRIOR_SHARE = 0.05
+# widths (standard deviations), degrees of freedom and shares of what stands at each mode
+WIDTHS, DEGREES, SHARES = (1.05, 1.3, 2.0), (60.0, 8.0, 3.0), (0.7, 0.2, 0.1)
+
+
+class Mode(NamedTuple):
+    """A maximum of the posterior density, in prior standard deviations from the prior's mean.
+
+    Attributes
+    ----------
+    x : array (d,)
+    factor : array (d, d)
+        Lower Cholesky factor of the covariance of Laplace's approximation.
+    log_evidence : float
+        Of Laplace's approximation.
+    n_climbs : int
+        Climbs that ended here.
+    """
+
+    x: np.ndarray
+    factor: np.ndarray
+    log_evidence: float
+    n_climbs: int
+
+
+class Reference:
+    """Mixture of what stands at the modes, with a share of the prior lest a mode be lost.
+
+    Parameters
+    ----------
+    modes : list of Mode
+    centre, scale : array (d,)
+        Mean and standard deviation of the prior.
+
+    Notes
+    -----
+    Laplace's approximation with a little more width, mixed with Student-t distributions of the same shape and
+    more. The densities of all parts integrate to one, so that the evidence relative to the mixture is that of
+    the model.
+    """
+
+    def __init__(self, modes, centre, scale):
+        self.modes, self.centre, self.scale = modes, centre, scale
+        log_weights = np.array([mode.log_evidence for mode in modes])
+        weights = np.exp(log_weights - log_weights.max())
+        weights = 0.9 * weights / weights.sum() + 0.1 / len(modes)
+        components = [
+            StudentT(centre + scale * mode.x, width * scale[:, None] * mode.factor, degrees)
+            for mode in modes
+            for width, degrees in zip(WIDTHS, DEGREES, strict=True)
+        ]
+        self.mixture = StudentMixture(components, np.outer(weights, SHARES).ravel())
+
+    def log_density(self, x, log_prior) -> np.ndarray:
+        """Log-density (n,) at points (n, d) with these log prior densities."""
+        return log_sum(self.terms(x, log_prior))
+
+    def terms(self, x, log_prior) -> np.ndarray:
+        """Log of share times density of what stands at the modes, and of the prior (2, n)."""
+        of_modes = np.log1p(-PRIOR_SHARE) + self.mixture.log_density(x)
+        return np.array([of_modes, np.log(PRIOR_SHARE) + log_prior])
+
+    def gradient(self, x, log_prior, grad_prior) -> np.ndarray:
+        """Gradient of the log-density (n, d) at points (n, d) with this log prior (n,) and its gradient."""
+        terms = self.terms(x, log_prior)
+        of_modes, of_prior = np.exp(terms - log_sum(terms))[:, :, None]
+        return of_modes * self.mixture.gradient(x) + of_prior * grad_prior
+
+    def draw(self, n: int, draw_prior: Callable, rng: np.random.Generator) -> np.ndarray:
+        """Independent draws (n, d); `draw_prior` gives some of the prior for a number."""
+        n_prior = rng.binomial(n, PRIOR_SHARE)
+        x = self.mixture.draw(n - n_prior, rng)
+        x = np.concatenate([x, draw_prior(n_prior)]) if n_prior else x
+        return x[rng.permutation(n)]
+
+    @property
+    def peaks(self) -> np.ndarray:
+        """Modes (k, d) on the sampled scale."""
+        return np.array([self.centre + self.scale * mode.x for mode in self.modes])
+
+
+def find_reference(
+    evaluate: Callable, gradient: Callable, draw_prior: Callable, effort: int
+) -> Reference | None:
+    """Climb from draws of the prior to the modes of the posterior; None if there is no proper one.
+
+    Parameters
+    ----------
+    evaluate, gradient : callable
+        Log-posterior density (n,) at points (n, d), and that with its gradient (n, d).
+    draw_prior : callable
+        Draws (n, d) for a number n.
+    effort : int
+        Gradients to spend on the search for more modes than the first climbs find.
+    """
+    candidates = draw_prior(WAVE * CANDIDATES)
+    centre, scale = candidates.mean(axis=0), candidates.std(axis=0)
+    if not (np.isfinite(centre).all() and np.isfinite(scale).all() and (scale > 0).all()):
+        return None
+    spent = 0
+
+    def scaled(u):
+        nonlocal spent
+        spent += len(u)
+        value, slope = gradient(centre + scale * u)
+        return value, slope * scale
+
+    modes: list[Mode] = []
+    for wave in range(1, MOST_WAVES + 1):
+        values = evaluate(candidates).reshape(WAVE, CANDIDATES)
+        best = values.argmax(axis=1) + CANDIDATES * np.arange(WAVE)
+        starts = (candidates[best] - centre)[values.max(axis=1) > -np.inf] / scale
+        modes = with_ends(modes, scaled, *climb(scaled, starts, partial(are_known, modes)))
+        enough = len(modes) if spent > effort else MORE_CLIMBS * (len(modes) + 1)
+        if WAVE * wave >= CLIMBS_PER_MODE * enough:
+            break
+        candidates = draw_prior(WAVE * CANDIDATES)
+    top = max((mode.log_evidence for mode in modes), default=0.0)
+    modes = [mode for mode in modes if mode.log_evidence > top - NEGLIGIBLE]
+    return Reference(modes, centre, scale) if modes else None
+
+
+def are_known(modes: list[Mode], x) -> np.ndarray:
+    """Whether points (n, d) belong to a mode that has been found (n,)."""
+    return nearest(modes, x) >= 0
+
+
+def nearest(modes: list[Mode], x) -> np.ndarray:
+    """Number of the mode that each point (n, d) belongs to (n,); -1 where it is away from all."""
+    found = np.full(len(x), -1)
+    for i, mode in enumerate(modes):
+        distance = (np.linalg.solve(mode.factor, (x - mode.x).T) ** 2).sum(axis=0)
+        found[(found < 0) & (distance < SAME_MODE * x.shape[1])] = i
+    return found
+
+
+def with_ends(modes: list[Mode], density: Callable, x, values) -> list[Mode]:
+    """The modes known and those at the ends of more climbs (n, d), the highest end first."""
+    modes = list(modes)
+    top = max((mode.log_evidence for mode in modes), default=-np.inf)
+    for i in np.argsort(-values):
+        known = int(nearest(modes, x[i][None])[0])
+        if known >= 0:
+            modes[known] = modes[known]._replace(n_climbs=modes[known].n_climbs + 1)
+        elif values[i] > -np.inf and (mode := laplace_mode(density, x[i])) is not None:
+            if mode.log_evidence < top - NEGLIGIBLE:
+                break  # those below are further away still
+            modes.append(mode)
+            top = max(top, mode.log_evidence)
+    return modes
+
+
+def laplace_mode(density: Callable, x) -> Mode | None:
+    """Laplace's approximation at the end of a climb (d,), after a step of Newton's method.
+
+    No wider than `WIDEST` along any principal axis; None if it is not finite.
+    """
+    hessian = curvature(density, x)
+    if not np.isfinite(hessian).all():
+        return None
+    eigenvalues, vectors = np.linalg.eigh(hessian)
+    variances = 1.0 / np.maximum(eigenvalues, 1.0 / WIDEST**2)
+    factor = np.linalg.cholesky((vectors * variances) @ vectors.T)
+    before, slope = density(x[None])
+    step = factor @ (factor.T @ slope[0])
+    after, _ = density((x + step)[None])
+    better = after[0] >= before[0]
+    value = after[0] if better else before[0]
+    log_evidence = value + 0.5 * (len(x) * np.log(2.0 * np.pi) + np.log(variances).sum())
+    return Mode(x + step if better else x, factor, float(log_evidence), 1)

@@ -1,0 +1,191 @@
+"""An invertible map that makes a bent posterior nearly Gaussian, fitted in closed form.
+
+Three steps, each with an explicit inverse and Jacobian:
+
+1. every coordinate by itself, u = sinh(delta asinh((x - m) / s) - epsilon): skewness and tails (Jones &
+   Pewsey, Biometrika 96, 2009), matched to quantiles;
+2. whitening: the principal axes of u, the widest first;
+3. each axis t_k less a polynomial of the wider ones, over a scale that is log-linear in them,
+   z_k = [t_k - p_k(t_1 .. t_k-1)] exp(-s_k(t_1 .. t_k-1)): bananas, ridges and funnels.
+
+The last step is a triangular transport map (Marzouk, Moselhy, Parno & Spantini, 2016) with the least number
+of coefficients that follows those shapes; they come from weighted ridge regressions.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import norm
+
+CLIP = 4.0  # standard deviations beyond which polynomials stay as they are
+MAX_LOG_SCALE = 6.0
+SMALLEST_SQUARE = 1e-6  # beside the mean square, where a logarithm is taken
+TERMS_PER_POINT = 0.25  # a polynomial has at most this many coefficients for each effective point
+LEVELS = np.array([0.005, 0.02, 0.05, 0.15, 0.3, 0.5, 0.7, 0.85, 0.95, 0.98, 0.995])
+NORMAL_LEVELS = norm.ppf(LEVELS)
+
+
+class Margins(NamedTuple):
+    """Coefficients of step 1, each (d,)."""
+
+    delta: np.ndarray
+    epsilon: np.ndarray
+    location: np.ndarray
+    scale: np.ndarray
+
+    def forward(self, x):
+        """u (n, d), and ln |du/dx| (n,)."""
+        v = (x - self.location) / self.scale
+        a = self.delta * np.arcsinh(v) - self.epsilon
+        slopes = np.log(np.cosh(a)) + np.log(self.delta / self.scale) - 0.5 * np.log1p(v**2)
+        return np.sinh(a), slopes.sum(axis=1)
+
+    def inverse(self, u):
+        """x (n, d)."""
+        return self.location + self.scale * np.sinh((np.arcsinh(u) + self.epsilon) / self.delta)
+
+
+class Axis(NamedTuple):
+    """Coefficients of step 3 for one axis: polynomial (of a degree), log-linear scale, and its constant."""
+
+    degree: int
+    shift: np.ndarray
+    slope: np.ndarray
+    level: float
+
+    def parts(self, wider):
+        """p_k and s_k, each (n,), given the wider axes (n, k)."""
+        log_scale = np.clip(monomials(wider, 1) @ self.slope, -MAX_LOG_SCALE, MAX_LOG_SCALE)
+        return monomials(wider, self.degree) @ self.shift, self.level + log_scale
+
+
+class UnbendingMap:
+    """Map between points x (n, d) and coordinates z (n, d) that are about standard normal.
+
+    Parameters
+    ----------
+    x : array (n, d)
+        Distinct points.
+    weights : array (n,)
+        How often each counts; their sum is taken as the number of points that they are worth.
+    rotated : bool
+        Whether step 2 turns to the principal axes. Without, the parameters stay as they are, without step 1
+        as well, and those come first on which scale and place of others depend.
+    """
+
+    def __init__(self, x, weights, rotated=True):
+        n_points = weights.sum()
+        w = weights / n_points
+        self.margins = fit_margins(x, w, n_points) if rotated else no_change(x.shape[1])
+        u, _ = self.margins.forward(x)
+        self.mean = w @ u
+        centred = u - self.mean
+        scatter = (w[:, None] * centred).T @ centred
+        if rotated:
+            variances, vectors = np.linalg.eigh(scatter + 1e-10 * np.diag(np.diag(scatter)))
+            self.vectors, self.deviations = vectors[:, ::-1], np.sqrt(variances[::-1])
+        else:
+            order = np.argsort(-influence(centred / np.sqrt(np.diag(scatter)), w))
+            self.vectors, self.deviations = np.eye(len(order))[:, order], np.sqrt(np.diag(scatter))[order]
+        t = centred @ self.vectors / self.deviations
+        self.axes = [fit_axis(t[:, :k], t[:, k], w, n_points) for k in range(x.shape[1])]
+
+    def forward(self, x):
+        """z (n, d), and ln |dz/dx| (n,)."""
+        u, log_jacobian = self.margins.forward(x)
+        t = (u - self.mean) @ self.vectors / self.deviations
+        z = np.empty_like(t)
+        log_jacobian = log_jacobian - np.log(self.deviations).sum()
+        for k, axis in enumerate(self.axes):
+            shift, log_scale = axis.parts(t[:, :k])
+            z[:, k] = (t[:, k] - shift) * np.exp(-log_scale)
+            log_jacobian -= log_scale
+        return z, log_jacobian
+
+    def inverse(self, z):
+        """x (n, d); infinite where a point is too far out."""
+        t = np.empty_like(z)
+        for k, axis in enumerate(self.axes):
+            shift, log_scale = axis.parts(t[:, :k])
+            t[:, k] = z[:, k] * np.exp(log_scale) + shift
+        with np.errstate(over="ignore"):
+            return self.margins.inverse(self.mean + (t * self.deviations) @ self.vectors.T)
+
+
+def influence(t, w) -> np.ndarray:
+    """How much the squares of other coordinates (n, d) follow each one, and not the other way round (d,)."""
+    linear, square = t, np.log(t**2 + SMALLEST_SQUARE)
+    square = (square - w @ square) / np.sqrt(w @ (square - w @ square) ** 2)
+    bent = t**2 - 1.0
+    bent = bent / np.sqrt(w @ bent**2)
+    scale = (w[:, None] * linear).T @ square  # (i, j): the scale of j with the place of i
+    place = (w[:, None] * bent).T @ linear  # (i, j): the place of j with the square of i
+    strength = scale**2 + place**2
+    np.fill_diagonal(strength, 0.0)
+    return strength.sum(axis=1) - strength.sum(axis=0)
+
+
+def monomials(t, degree: int):
+    """1, t_i and, of degree 2, all products t_i t_j, of coordinates (n, k) within `CLIP`: (n, terms)."""
+    t = np.clip(t, -CLIP, CLIP)
+    columns = [np.ones((len(t), 1)), t]
+    if degree == 2:
+        i, j = np.triu_indices(t.shape[1])
+        columns.append(t[:, i] * t[:, j])
+    return np.hstack(columns)
+
+
+def fit_axis(wider, t, w, n_points) -> Axis:
+    """Regress one axis (n,) on the wider ones (n, k); weights w sum up to one."""
+    k = wider.shape[1]
+    degree = 2 if 1 + k + k * (k + 1) // 2 <= TERMS_PER_POINT * n_points else 1
+    terms = monomials(wider, degree)
+    shift = ridge(terms, t, w, 0.1 * terms.shape[1] / n_points + 1e-6)
+    rest = t - terms @ shift
+    linear = monomials(wider, 1)
+    size = np.log((rest / np.sqrt(w @ rest**2)) ** 2 + SMALLEST_SQUARE)
+    slope = ridge(linear, 0.5 * size, w, 0.5 * linear.shape[1] / n_points + 1e-3)
+    log_scale = np.clip(linear @ slope, -MAX_LOG_SCALE, MAX_LOG_SCALE)
+    level = 0.5 * np.log(w @ (rest * np.exp(-log_scale)) ** 2)
+    return Axis(degree, shift, slope, float(level))
+
+
+def ridge(terms, values, w, penalty):
+    """Weighted least squares with a penalty relative to each column's size."""
+    weighted = w[:, None] * terms
+    gram = weighted.T @ terms
+    sizes = np.sqrt(np.diag(gram)) + 1e-12
+    scaled = gram / np.multiply.outer(sizes, sizes) + penalty * np.eye(len(gram))
+    return np.linalg.solve(scaled, (values @ weighted) / sizes) / sizes
+
+
+def no_change(d: int) -> Margins:
+    """Margins that leave all coordinates as they are."""
+    return Margins(np.ones(d), np.zeros(d), np.zeros(d), np.ones(d))
+
+
+def fit_margins(x, w, n_points) -> Margins:
+    """Match quantiles of each coordinate to a normal one's, drawn towards no change where points are few."""
+    columns = [fit_margin(column, w, 30.0 / n_points) for column in x.T]
+    return Margins(*np.array(columns).T)
+
+
+def fit_margin(x, w, penalty):
+    """delta, epsilon, location and scale of one coordinate (n,)."""
+    order = np.argsort(x)
+    quantiles = np.interp(LEVELS, np.cumsum(w[order]) - 0.5 * w[order], x[order])
+    middle = quantiles[5]
+    spread = max((quantiles[7] - quantiles[3]) / (NORMAL_LEVELS[7] - NORMAL_LEVELS[3]), 1e-300)
+    wanted = 1.0 / np.sqrt(1.0 + NORMAL_LEVELS**2)  # the outermost quantiles are the least certain
+    scaled = (quantiles - middle) / spread
+
+    def misfit(p):
+        a = np.exp(p[0]) * np.arcsinh((scaled - p[2]) * np.exp(-p[3])) - p[1]
+        return np.concatenate(
+            [(np.sinh(np.clip(a, -8, 8)) - NORMAL_LEVELS) * wanted, np.sqrt(penalty) * p[:2]]
+        )
+
+    limits = np.array([1.2, 2.0, 2.0, 2.0])
+    p = least_squares(misfit, np.zeros(4), max_nfev=60, bounds=(-limits, limits)).x
+    return np.exp(p[0]), p[1], middle + spread * p[2], spread * np.exp(p[3])

@@ -1,0 +1,162 @@
+"""The pool of `PersistentSMC`: weights, evidences, and what they are worth."""
+
+import numpy as np
+import pytest
+from arviz_stats.base import array_stats
+from scipy import stats
+from scipy.special import logsumexp
+
+from pymc_features.smc.proposals.mixture import equal_draws, pareto_shape
+from pymc_features.smc.proposals.pool import QUANTILES, Pool, next_beta
+
+
+class Normal:
+    """A proposal: independent normal coordinates."""
+
+    def __init__(self, mean, sd):
+        self.mean, self.sd = mean, sd
+
+    def log_density(self, x):
+        return stats.norm(self.mean, self.sd).logpdf(x).sum(axis=1)
+
+
+def log_prior(x):
+    return stats.norm.logpdf(x).sum(axis=1)
+
+
+def log_likelihood(x):
+    return -3.0 * ((x - 1.0) ** 2).sum(axis=1)
+
+
+def pool_of(rng, n=200):
+    """The prior with impossible draws, two temperatures with masses of chains, and a proposal."""
+    x = rng.normal(size=(n, 2))
+    ratio = log_likelihood(x)
+    ratio[::4] = -np.inf
+    pool = Pool(x, log_prior(x), ratio)
+    for beta, log_z in ((0.2, -1.0), (0.7, -2.5)):
+        pool.add_density(beta, log_z)
+        y = rng.normal(1.0, 0.5, size=(80, 2))
+        first = len(pool.visits)
+        columns = (y, log_prior(y), log_likelihood(y), rng.random(80) + 0.3, np.arange(80))
+        pool.add(*columns, len(pool.betas) - 1)
+        pool.inflation[first:] = 2.5
+    pool.add_proposal(Normal(0.8, 0.6))
+    y = rng.normal(0.8, 0.6, size=(100, 2))
+    pool.add_draws(y, log_prior(y), np.where(y[:, 0] > 2.0, -np.inf, log_likelihood(y)), 3)
+    return pool
+
+
+def brute_force(pool):
+    """ln p_s over the reference (s, n), one point at a time."""
+    proposal = Normal(0.8, 0.6).log_density(pool.particles) - log_prior(pool.particles)
+    return np.array([proposal if np.isnan(b) else b * log_likelihood(pool.particles) for b in pool.betas])
+
+
+def test_weights_and_evidence_are_the_formula():
+    """Deterministic mixture of all densities, impossible draws counted, masses over the steps of a draw."""
+    pool = pool_of(np.random.default_rng(0))
+    masses = [pool.mass[pool.source == s].sum() for s in range(4)]
+    np.testing.assert_allclose(pool.mass, pool.visits / np.where(np.isin(pool.source, (1, 2)), 2.5, 1.0))
+    counts = [200.0, *masses[1:3], 100.0]
+    np.testing.assert_allclose(pool.counts, counts)
+    mixture = logsumexp(
+        brute_force(pool) - np.array(pool.log_z)[:, None], axis=0, b=np.array(counts)[:, None]
+    )
+    for beta in (0.0, 0.1, 0.7, 1.0):
+        weights = np.exp(beta * log_likelihood(pool.particles) - mixture) * sum(counts)
+        np.testing.assert_allclose(np.exp(pool.log_weights(beta)), weights, rtol=1e-10)
+        expected = np.log(np.dot(pool.mass, weights) / sum(counts))
+        assert pool.log_evidence(pool.log_weights(beta)) == pytest.approx(expected, rel=1e-10)
+
+
+def test_bennett_is_the_fixed_point():
+    """Against rounds of Z_s = Z(beta_s) for the tempered densities until nothing changes."""
+    pool = pool_of(np.random.default_rng(1))
+    terms, log_z = brute_force(pool), np.zeros(4)
+    change = 1.0
+    while change > 1e-12:
+        mixture = logsumexp(terms - log_z[:, None], axis=0, b=pool.counts[:, None])
+        new = logsumexp(terms - mixture, axis=1, b=pool.mass)
+        change, log_z[1:3] = np.abs(new - log_z)[1:3].max(), new[1:3]
+    before = np.array(pool.log_z)
+    pool.solve()
+    np.testing.assert_allclose(pool.log_z, log_z, atol=1e-7)
+    assert np.abs(log_z - before).max() > 0.1, "the first guess was another"
+
+
+def test_independent_draws_alone():
+    """The part of known densities: a mixture of two, with the impossible draws of both."""
+    pool = pool_of(np.random.default_rng(2))
+    part = pool.independent()
+    rows = np.isin(pool.source, (0, 3))
+    np.testing.assert_array_equal(part.particles, pool.particles[rows])
+    np.testing.assert_allclose(part.counts, [200.0, 100.0])
+    mixture = logsumexp(brute_force(pool)[[0, 3]][:, rows], axis=0, b=np.array([[200.0], [100.0]]) / 300.0)
+    np.testing.assert_allclose(part.log_weights(1.0), log_likelihood(part.particles) - mixture)
+
+
+def test_next_beta_keeps_the_effective_number():
+    """At the temperature found, Kish's number is the target; of likelihoods of any scale."""
+    for scale in (1.0, 1e8, 1e-2):
+        rng = np.random.default_rng(2)
+        pool = Pool(rng.normal(size=(400, 1)), np.zeros(400), -scale * rng.exponential(size=400) ** 2 * 30)
+        beta = next_beta(pool, 0.0, 150.0)
+        weights = np.exp(beta * (pool.log_ratio - pool.log_ratio.max()))
+        kish = weights.sum() ** 2 / (weights**2).sum()
+        assert 0.0 < beta <= 1.0
+        assert kish == pytest.approx(150.0, rel=1e-2) if beta < 1.0 else kish >= 150.0
+    assert next_beta(pool, 0.0, 1.0) == 1.0
+    flat = Pool(np.zeros((10, 1)), np.zeros(10), np.where(np.arange(10) < 2, -7.0, -np.inf))
+    assert next_beta(flat, 0.0, 150.0) == 1.0
+
+
+def importance_sample(rng, n=2000, width=2.0):
+    """Draws wider than a standard normal target, as a pool whose reference is the proposal."""
+    x = rng.normal(0.0, width, size=(n, 1))
+    reference = stats.norm(0.0, width).logpdf(x[:, 0])
+    return Pool(x, reference, stats.norm.logpdf(x[:, 0]) - reference)
+
+
+def test_what_quantiles_are_worth():
+    """Squared errors of weighted probabilities below the exact quantiles, over 300 pools, within 20 %.
+
+    The mean of squares of 900 correlated numbers: its standard error is about 6 %. A plain count of the draws
+    is wrong by more.
+    """
+    exact = stats.norm.ppf(QUANTILES)
+    errors, worth = [], []
+    for seed in range(300):
+        pool = importance_sample(np.random.default_rng(seed), width=4.0)
+        shares = pool.normalised(pool.log_weights(1.0))
+        errors.append([shares @ (pool.particles[:, 0] <= q) for q in exact] - QUANTILES)
+        worth.append(pool.effective_of_quantiles(pool.log_weights(1.0))[0])
+    measured = 1.0 / np.mean(np.mean(np.square(errors), axis=0) / (QUANTILES * (1.0 - QUANTILES)))
+    assert np.mean(worth) == pytest.approx(measured, rel=0.2)
+    assert measured < 0.8 * 2000
+
+
+def test_standard_error_of_the_evidence():
+    """Spread of 200 log evidences over the mean error reported, within 15 %: three standard errors."""
+    pools = [importance_sample(np.random.default_rng(seed)) for seed in range(200)]
+    spread = np.std([pool.log_evidence(pool.log_weights(1.0)) for pool in pools])
+    assert np.mean([pool.standard_error() for pool in pools]) == pytest.approx(spread, rel=0.15)
+
+
+@pytest.mark.parametrize("width", [2.0, 0.6])
+def test_pareto_shape_is_arvizs(width):
+    """Of weights that are fine, and of those of a proposal too narrow, whose variance is infinite."""
+    pool = importance_sample(np.random.default_rng(3), width=width)
+    log_weights = pool.log_weights(1.0)
+    _, expected = array_stats.psislw(-log_weights)
+    assert pool.pareto_k() == pytest.approx(float(expected), abs=0.05)
+    assert (pool.pareto_k() > 0.5) == (width < 1.0)
+    assert pareto_shape(np.zeros(50)) == 0.0, "equal weights"
+
+
+def test_equal_draws_are_systematic():
+    """Each position as often as its weight says, up to one; in random order."""
+    weights = np.random.default_rng(0).dirichlet(np.ones(50))
+    chosen = equal_draws(weights, 1000, np.random.default_rng(1))
+    assert np.abs(np.bincount(chosen, minlength=50) - 1000 * weights).max() < 1.0
+    assert abs(stats.spearmanr(np.arange(1000), chosen).statistic) < 0.15

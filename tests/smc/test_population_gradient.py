@@ -1,0 +1,570 @@
+"""Gradients of whole populations, against those of PyMC of one particle at a time."""
+
+import contextlib
+import multiprocessing
+import warnings
+import weakref
+
+import cloudpickle
+import numpy as np
+import pymc as pm
+import pytensor.tensor as pt
+import pytest
+from pymc.pytensorf import gradient
+from pytensor.graph.basic import Apply
+from pytensor.graph.op import Op
+from pytensor.graph.replace import _vectorize_node
+
+from pymc_features import (
+    CorrelatedNormal,
+    DiscrepancySimulator,
+    ExpFeature,
+    ExternalSimulator,
+    PopulationIMH,
+    TruncNormalFeature,
+    response,
+)
+from pymc_features.exceptions import CheckpointError, NotDifferentiableError, PopulationWarning
+from pymc_features.ops import PopulationGradient, StructuralResponse
+from pymc_features.smc import KERNELS, population_logp
+from pymc_features.smc.density import evaluation, rows
+from support import external_functions as functions
+from support.commands import run_python
+from support.families import CASES, measured
+from support.graphs import our_ops_of
+from support.reference import richardson
+
+pytestmark = pytest.mark.usefixtures("fast_compile")
+CLOSE = {"rtol": 1e-9, "atol": 1e-9}
+
+
+# --------------------------------------------------------------------------- models
+
+
+def eight_schools():
+    effect = np.array([28.0, 8.0, -3.0, 7.0, -1.0, 1.0, 18.0, 12.0])
+    error = np.array([15.0, 10.0, 16.0, 11.0, 9.0, 11.0, 10.0, 18.0])
+    with pm.Model() as model:
+        mu, tau = pm.Normal("mu", 0.0, 5.0), pm.HalfCauchy("tau", 5.0)
+        eta = pm.Normal("eta", shape=8)
+        pm.Normal("y", mu + tau * eta, error, observed=effect)
+    return model
+
+
+def potential():
+    with pm.Model() as model:
+        x = pm.Normal("x", shape=2)
+        pm.Potential("ring", -((pt.sum(x**2) - 2.0) ** 2))
+    return model
+
+
+def logistic_regression():
+    rng = np.random.default_rng(0)
+    table = rng.normal(size=(30, 3))
+    with pm.Model() as model:
+        slopes, level = pm.Normal("slopes", shape=3), pm.Normal("level")
+        odds = pm.Data("table", table) @ slopes + level
+        pm.Bernoulli("y", logit_p=odds, observed=rng.random(30) < 0.4)
+    return model
+
+
+def two_nodes():
+    with pm.Model() as model:
+        x, s = pm.Normal("x", shape=2), pm.HalfNormal("s")
+        pm.Normal("y", x[0], s, observed=[1.0, 0.3])
+        pm.Poisson("n", pt.exp(x).sum(), observed=3)
+    return model
+
+
+def transforms():
+    with pm.Model() as model:
+        a = pm.Uniform("a", -1.0, 2.0, shape=2)
+        b = pm.LogNormal("b")
+        c = pm.Dirichlet("c", np.ones(3))
+        pm.Normal("y", a[:, None] + c, b, observed=np.arange(6.0).reshape(2, 3) / 3)
+    return model
+
+
+def nothing_but_a_prior():
+    with pm.Model() as model:
+        pm.Gamma("x", 2.0, 1.0, shape=2)
+    return model
+
+
+ANY_MODEL = (eight_schools, potential, logistic_regression, two_nodes, transforms, nothing_but_a_prior)
+LIKELIHOODS = {
+    "TN": lambda mu, sigma, y: TruncNormalFeature("y", mu, sigma, observed=y),
+    "EXP": lambda mu, sigma, y: ExpFeature("y", mu, sigma, observed=y),
+    "normal": lambda mu, sigma, y: pm.Normal("y", mu, sigma, observed=y),
+    "correlated": lambda mu, sigma, y: CorrelatedNormal("y", mu, sigma, 0.2, 0.05, observed=y),
+    "soft ABC": lambda mu, sigma, y: DiscrepancySimulator(
+        "y", mu, epsilon=9.0, observed=y, kernel="gaussian"
+    ),
+    "of a changed response": lambda mu, sigma, y: pm.Normal("y", 1.1 * mu, sigma, observed=y),
+}
+
+
+def structural(name, likelihood="TN", prior=lambda: pm.LogNormal("x", 0.0, 0.1, shape=2)):
+    """Two factors of the stiffness and sigma unknown."""
+    build, record = CASES[name]
+    with pm.Model() as model:
+        mu = response(build(prior()), record)
+        LIKELIHOODS[likelihood](mu, pm.HalfNormal("sigma", 1.0), measured(name))
+    return model
+
+
+def evaluation_of(model, **settings):
+    return population_logp(model, model.initial_point(), settings)
+
+
+def prior_particles(model, n=12, spread=0.3):
+    """Draws from the prior, moved about (n, d)."""
+    particles = PopulationIMH(n, model=model, random_seed=0).initial_particles(n)
+    return particles + spread * np.random.default_rng(0).normal(size=particles.shape)
+
+
+def points_of(model, particles):
+    """The same particles as PyMC's points."""
+    shapes = {name: np.shape(value) for name, value in model.initial_point().items()}
+    ends = np.cumsum([int(np.prod(s)) for s in shapes.values()])[:-1]
+    return [
+        {n: part.reshape(s) for (n, s), part in zip(shapes.items(), np.split(row, ends), strict=True)}
+        for row in particles
+    ]
+
+
+def one_by_one(model, particles):
+    """Gradients of log prior and log-posterior (n, d): the latter is what `compile_dlogp` compiles."""
+    slopes = [gradient(model.varlogp, model.value_vars), model.dlogp()]
+    function = model.compile_fn(slopes, on_unused_input="ignore")
+    return np.array([function(p) for p in points_of(model, particles)]).swapaxes(0, 1)
+
+
+def compare(model, particles):
+    """The evaluation, whose values are those of a call and whose gradients those of PyMC."""
+    logp = evaluation_of(model)
+    prior, likelihood, failed, grad_prior, grad_likelihood = logp.gradient(particles)
+    for got, expected in zip((prior, likelihood, failed), logp(particles), strict=True):
+        np.testing.assert_allclose(got, expected, **CLOSE)
+    exact_prior, exact = one_by_one(model, particles)
+    scale = 1.0 + abs(exact).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(grad_prior / scale, exact_prior / scale, **CLOSE)
+    np.testing.assert_allclose((grad_prior + grad_likelihood) / scale, exact / scale, **CLOSE)
+    assert grad_prior.shape == particles.shape and abs(exact).max() > 0.1
+    return logp
+
+
+@pytest.mark.parametrize("build", ANY_MODEL)
+def test_any_model(build):
+    model = build()
+    logp = compare(model, prior_particles(model))
+    assert logp.slopes.batched and logp.why_no_gradient == ""
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_family_of_structures(name):
+    """In one call of an Op of the population, without a response."""
+    model = structural(name)
+    logp = compare(model, prior_particles(model, spread=0.05))
+    assert logp.slopes.batched
+    ops = our_ops_of(logp.slopes.function)
+    assert PopulationGradient in ops and StructuralResponse not in ops
+
+
+@pytest.mark.parametrize("likelihood", [name for name in LIKELIHOODS if name != "TN"])
+def test_every_likelihood(likelihood):
+    model = structural("chain", likelihood)
+    logp = compare(model, prior_particles(model, spread=0.05))
+    assert logp.slopes.batched
+    assert (StructuralResponse in our_ops_of(logp.slopes.function)) == (likelihood == "of a changed response")
+
+
+@pytest.mark.parametrize("build", [transforms, lambda: structural("chain")])
+def test_against_differences(build):
+    """Another route: differences of the values themselves."""
+    model = build()
+    logp = evaluation_of(model)
+    row = prior_particles(model, n=2, spread=0.05)[1]
+    *_, by_prior, by_likelihood = logp.gradient(row[None])
+    units = np.eye(len(row))
+    both = [richardson(lambda x: np.ravel(logp(x[None])[:2]), row, unit) for unit in units]
+    for slope, expected in zip((by_prior[0], by_likelihood[0]), np.transpose(both), strict=True):
+        np.testing.assert_allclose(slope, expected, rtol=0, atol=1e-6 * abs(expected).max())
+
+
+@pytest.mark.parametrize("likelihood", ["TN", "correlated", "of a changed response"])
+def test_machine_code(likelihood):
+    model = structural("chain", likelihood)
+    particles = prior_particles(model, spread=0.05)
+    expected = evaluation_of(model, mode="FAST_COMPILE").gradient(particles)
+    for got, exact in zip(evaluation_of(model, mode="NUMBA").gradient(particles), expected, strict=True):
+        np.testing.assert_allclose(got, exact, rtol=1e-9, atol=1e-9 * abs(exact).max())
+
+
+# --------------------------------------------------------------------------- particles that cannot be
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_is_no_structure_is_alone(name):
+    """Its density is -inf, its gradient zero, and those around it do not notice."""
+    model = structural(name, prior=lambda: pm.Normal("x", 1.0, 0.1, shape=2))
+    logp = evaluation_of(model)
+    particles = prior_particles(model, n=9, spread=0.02)
+    expected = [a.copy() for a in logp.gradient(particles)]
+    broken = particles.copy()
+    broken[[0, 4, 8], 0] = [-3.0, np.nan, -1.0]
+    prior, likelihood, failed, *slopes = logp.gradient(broken)
+    bad = np.isin(np.arange(9), [0, 4, 8])
+    np.testing.assert_array_equal(failed, bad)
+    assert (likelihood[bad] == -np.inf).all() and np.isfinite(prior[[0, 8]]).all() and prior[4] == -np.inf
+    for got, exact in zip((prior, likelihood, failed, *slopes), expected, strict=True):
+        np.testing.assert_allclose(got[~bad], exact[~bad], rtol=1e-10)
+    assert not any(slope[bad].any() for slope in slopes) and all(s[~bad].all() for s in slopes)
+
+
+def test_outside_the_support_is_alone():
+    with pm.Model() as model:
+        x = pm.Uniform("x", 0.0, 1.0, default_transform=None)
+        pm.Normal("y", x, pm.Normal("s"), observed=[0.1, 0.2])
+    particles = np.array([[0.5, 1.0], [2.0, 1.0], [0.3, -1.0], [0.2, 0.5]])
+    prior, likelihood, failed, *slopes = evaluation_of(model).gradient(particles)
+    np.testing.assert_array_equal(np.isfinite(prior + likelihood), [True, False, False, True])
+    np.testing.assert_array_equal(failed, [False, False, True, False])
+    assert not any(slope[1:3].any() for slope in slopes)
+    np.testing.assert_allclose(slopes[1][[0, 3], 0], [(0.3 - 1.0) / 1.0, (0.3 - 0.4) / 0.25])
+
+
+def test_a_slope_that_is_not_finite_is_zero():
+    """The values stand: sqrt(x) at zero is zero."""
+    with pm.Model() as model:
+        pm.Potential("root", pt.sqrt(pm.Normal("x")))
+    prior, likelihood, failed, *slopes = evaluation_of(model).gradient(np.array([[0.0], [-1.0], [4.0]]))
+    np.testing.assert_array_equal(likelihood, [0.0, -np.inf, 2.0])
+    np.testing.assert_array_equal(failed, [False, True, False])
+    np.testing.assert_allclose(np.array(slopes)[:, :, 0], [[0.0, 0.0, -4.0], [0.0, 0.0, 0.25]])
+
+
+class Cube(Op):
+    """x^3; raises a numerical error for negative x, in its slope for x above 9; may refuse batches."""
+
+    __props__ = ("takes_batches", "is_slope")
+    gufunc_signature = "()->()"
+
+    def __init__(self, takes_batches=True, is_slope=False):
+        self.takes_batches, self.is_slope = takes_batches, is_slope
+
+    def make_node(self, x):
+        return Apply(self, [pt.as_tensor_variable(x)], [pt.dscalar()])
+
+    def infer_shape(self, node, shapes):
+        return [()]
+
+    def perform(self, node, inputs, outputs):
+        x = float(inputs[0])
+        if x < 0 or (self.is_slope and x > 9):
+            raise np.linalg.LinAlgError("no solution")
+        outputs[0][0] = np.array(3 * x**2 if self.is_slope else x**3)
+
+    def pullback(self, inputs, outputs, cotangents):
+        return [cotangents[0] * Cube(self.takes_batches, is_slope=True)(*inputs)]
+
+
+@_vectorize_node.register(Cube)
+def _vectorize_cube(op, node, x):
+    if not op.takes_batches:
+        raise NotImplementedError("one at a time")
+    return _vectorize_node.dispatch(Op)(op, node, x)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # Numba's object mode, and Blockwise's
+@pytest.mark.parametrize("mode", ["FAST_COMPILE", "NUMBA"])
+@pytest.mark.parametrize("batched", [True, False])
+def test_numerical_errors_are_alone_and_failures(batched, mode):
+    """Also those of the gradient only; particle by particle where the model takes no batch."""
+    with pm.Model() as model:
+        pm.Potential("solver", -Cube(batched)(pm.Normal("x")))
+    with contextlib.nullcontext() if batched else pytest.warns(PopulationWarning, match="one at a time"):
+        logp = evaluation_of(model, mode=mode)
+    x = np.abs(np.random.default_rng(0).normal(size=(33, 1)))
+    x[[3, 17, 32]] = [[-1.0], [10.0], [-2.0]]
+    prior, likelihood, failed, grad_prior, grad_likelihood = logp.gradient(x)
+    bad = np.isin(np.arange(33), [3, 17, 32])
+    np.testing.assert_array_equal(failed, bad)
+    assert (likelihood[bad] == -np.inf).all() and not grad_prior[bad].any() and not grad_likelihood[bad].any()
+    np.testing.assert_allclose(likelihood[~bad], -(x[~bad, 0] ** 3), rtol=1e-12)
+    np.testing.assert_allclose(grad_likelihood[~bad], -3 * x[~bad] ** 2, rtol=1e-12)
+    np.testing.assert_allclose(grad_prior[~bad], -x[~bad], rtol=1e-12)
+    assert logp.slopes.batched == batched and logp.last_error == "LinAlgError: no solution"
+
+
+@pytest.mark.parametrize("build", [eight_schools, lambda: structural("chain", "of a changed response")])
+def test_splitting_changes_nothing(build, monkeypatch):
+    model = build()
+    particles = prior_particles(model, n=40)
+    whole = evaluation_of(model).gradient(particles)
+    logp = evaluation.PopulationLogp(model, model.initial_point(), {})
+    monkeypatch.setattr(rows, "BATCH_BYTES", 8 * 3 * 70 * 7)
+    for a, b in zip(whole, logp.gradient(particles), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12)
+    assert 1 <= logp.slopes.batch < 40 or build is eight_schools
+    monkeypatch.setattr(rows, "BATCH_BYTES", 8 * 70)
+    logp = evaluation.PopulationLogp(model, model.initial_point(), {})
+    logp.compile_gradient()
+    assert 3 * logp.slopes.batch <= max(logp.batch, 3), "the gradient keeps more in memory"
+
+
+# --------------------------------------------------------------------------- models without a gradient
+
+
+def discrete():
+    with pm.Model() as model:
+        pm.Normal("y", pm.Poisson("k", 3.0), 1.0, observed=2.0)
+    return model
+
+
+def stock_simulator():
+    with pm.Model() as model:
+        pm.Simulator("s", lambda rng, x, size: x, pm.Normal("x"), epsilon=1.0, observed=[1.0])
+    return model
+
+
+def threshold(noise=None, kernel="uniform"):
+    build, record = CASES["chain"]
+    with pm.Model() as model:
+        mu = response(build(pm.LogNormal("x", shape=2)), record)
+        data = measured("chain")
+        DiscrepancySimulator("y", mu, epsilon=1.0, observed=data, kernel=kernel, noise=noise)
+    return model
+
+
+def random_inside():
+    with pm.Model() as model:
+        pm.Potential("batch", pm.Normal("x") * pm.draw(pm.Normal.dist()) + pt.random.normal())
+    return model
+
+
+class Rough(Op):
+    """Identity without a gradient."""
+
+    __props__ = ()
+    gufunc_signature = "()->()"
+
+    def make_node(self, x):
+        return Apply(self, [pt.as_tensor_variable(x)], [pt.dscalar()])
+
+    def perform(self, node, inputs, outputs):
+        outputs[0][0] = inputs[0].copy()
+
+
+def foreign_op():
+    with pm.Model() as model:
+        pm.Potential("rough", Rough()(pm.Normal("x")))
+    return model
+
+
+WITHOUT = {
+    "k is discrete": discrete,
+    "the grad method for input .* of the Simulator_s_rv.* op is undefined": stock_simulator,
+    "the hard threshold of DiscrepancySimulator has no gradient": threshold,
+    "a simulator with noise has no gradient": lambda: threshold(noise=0.1, kernel="gaussian"),
+    "random numbers are drawn inside, anew in each call": random_inside,
+    "pullback not implemented for Rough": foreign_op,
+}
+
+
+@pytest.mark.parametrize("reason", WITHOUT)
+def test_models_without_a_gradient_say_why(reason):
+    """In one sentence; values are evaluated all the same."""
+    model = WITHOUT[reason]()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        logp = evaluation_of(model)
+    assert not logp.has_gradient and ". " not in logp.why_no_gradient
+    with pytest.raises(NotDifferentiableError, match=f"the model has no gradient: {reason}.*Use a kernel"):
+        logp.gradient(np.ones((3, 1)))
+    assert len(logp(prior_particles(model, n=3))[0]) == 3
+
+
+def test_external_programs():
+    """With the user's gradient particle by particle; without one there is none."""
+    with (
+        ExternalSimulator(functions.beam, functions.SHAPE, executor=1, progress=False) as rough,
+        ExternalSimulator(
+            functions.beam, functions.SHAPE, executor=1, progress=False, gradient=functions.beam_gradient
+        ) as smooth,
+    ):
+        models = []
+        for simulator in (rough, smooth):
+            with pm.Model() as model:
+                mu = simulator(pm.Uniform("k", 0.5, 1.5))
+                TruncNormalFeature("y", mu, pm.HalfNormal("s"), observed=functions.DATA)
+            models.append(model)
+        assert evaluation_of(models[0]).why_no_gradient == "an external simulator without `gradient` has none"
+        logp = compare(models[1], prior_particles(models[1], n=4))
+        assert logp.batched and not logp.slopes.batched
+
+
+# --------------------------------------------------------------------------- copies
+
+
+def never(*args, **kwargs):
+    raise AssertionError("compiled again")
+
+
+@pytest.mark.parametrize("compiled", [False, True], ids=["graph", "machine code"])
+@pytest.mark.parametrize("at_home", [True, False], ids=["same process", "another one"])
+def test_pickled_copies(compiled, at_home, monkeypatch):
+    model = structural("chain")
+    particles = prior_particles(model, spread=0.05)
+    logp = evaluation.PopulationLogp(model, model.initial_point(), {})
+    if compiled:
+        logp.compile_gradient()
+    sent = cloudpickle.dumps(logp)
+    expected = logp.gradient(particles)
+    if not at_home:  # as where nothing is alive
+        monkeypatch.setattr(evaluation, "_ALIVE", weakref.WeakValueDictionary())
+    copy = cloudpickle.loads(sent)
+    if compiled or at_home:
+        monkeypatch.setattr(rows, "compile_function", never)
+    assert (copy.slopes is logp.slopes) == at_home
+    for got, exact in zip(copy.gradient(particles), expected, strict=True):
+        np.testing.assert_allclose(got, exact, rtol=1e-12)
+
+
+def test_copies_share_what_one_of_them_compiles(monkeypatch):
+    """Chains one after the other in this process, each with a copy of the kernel."""
+    model = eight_schools()
+    logp = evaluation.PopulationLogp(model, model.initial_point(), {})
+    one, other = (cloudpickle.loads(cloudpickle.dumps(logp)) for _ in range(2))
+    one.compile_gradient()
+    monkeypatch.setattr(rows, "compile_function", never)
+    assert logp.with_rng(np.random.default_rng(1)) is logp
+    other.compile_gradient()
+    assert one.slopes is other.slopes is logp.slopes
+
+
+def gradient_in_child(sent, particles, queue):
+    """Put the gradients, or the error."""
+    rows.compile_function = never
+    try:
+        queue.put(cloudpickle.loads(sent).gradient(particles))
+    except BaseException as error:
+        queue.put(repr(error))
+
+
+@pytest.mark.processes
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork on this system")
+def test_a_forked_process_does_not_compile():
+    model = structural("chain")
+    logp = evaluation.PopulationLogp(model, model.initial_point(), {})
+    particles = prior_particles(model, spread=0.05)
+    fork, found = multiprocessing.get_context("fork"), []
+    sent = cloudpickle.dumps(logp)
+    for compiled in (False, True):
+        if compiled:
+            logp.compile_gradient()
+        queue = fork.SimpleQueue()
+        process = fork.Process(target=gradient_in_child, args=(sent, particles, queue))
+        process.start()
+        found.append(queue.get())
+        process.join()
+    assert "compiled again" in found[0], "the negative control"
+    for got, exact in zip(found[1], logp.gradient(particles), strict=True):
+        np.testing.assert_array_equal(got, exact)
+
+
+# --------------------------------------------------------------------------- kernels and journals
+
+
+def kernel_in(folder, model, seed=1, kind=PopulationIMH):
+    """A kernel about to begin a chain, with a journal."""
+    kernel = kind(8, model=model, random_seed=seed, checkpoint=folder)
+    kernel._reset_state()
+    kernel.set_rng(np.random.default_rng(seed))
+    return kernel
+
+
+@pytest.mark.parametrize("kind", KERNELS)
+def test_kernels_count_gradients(kind):
+    model = structural("chain", prior=lambda: pm.Normal("x", 1.0, 0.1, shape=2))
+    kernel = kind(8, model=model, random_seed=1)
+    particles = prior_particles(model, n=7, spread=0.02)
+    particles[2] = -1.0
+    results = kernel.evaluate_gradient(particles)
+    *_, failed, grad_prior, grad_likelihood = kernel.logp.gradient(particles)
+    np.testing.assert_array_equal(results[2:], [grad_prior, grad_likelihood])
+    np.testing.assert_allclose(results[:2], kernel.evaluate(particles), rtol=1e-12)
+    assert (kernel.gradients, kernel.evaluations, kernel.failed) == (7, 7, 2)
+
+
+@pytest.mark.parametrize("cut", [0, 5, 500])
+def test_journals_replay_gradients(tmp_path, monkeypatch, cut):
+    """Values and gradients in any order, bit for bit, nothing evaluated again but a record cut short."""
+    model = eight_schools()
+    particles = prior_particles(model, n=6)
+    kernel = kernel_in(tmp_path, model)
+    calls = [kernel.evaluate, kernel.evaluate_gradient, kernel.evaluate_gradient, kernel.evaluate]
+    expected = [call(particles + i) for i, call in enumerate(calls)]
+    kernel.journal.close()
+    [path] = tmp_path.glob("*.journal")
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) - cut])
+    again = kernel_in(tmp_path, model)
+    if cut == 0:
+        monkeypatch.setattr(evaluation.PopulationLogp, "__call__", never)
+        monkeypatch.setattr(evaluation.PopulationLogp, "gradient", never)
+    calls = [again.evaluate, again.evaluate_gradient, again.evaluate_gradient, again.evaluate]
+    for i, call in enumerate(calls):
+        for got, exact in zip(call(particles + i), expected[i], strict=True):
+            np.testing.assert_array_equal(got, exact)
+    assert (again.evaluations, again.gradients) == (12, 12)
+    again.journal.close()
+    assert path.read_bytes() == whole
+
+
+def test_values_are_no_gradients(tmp_path):
+    """A run that asks for the other of both is another run."""
+    model = eight_schools()
+    particles = prior_particles(model, n=6)
+    kernel = kernel_in(tmp_path, model)
+    kernel.evaluate_gradient(particles)
+    kernel.journal.close()
+    again = kernel_in(tmp_path, model)
+    with pytest.raises(CheckpointError, match="must be intact, got a wrong sum"):
+        again.evaluate(particles)
+    again.journal.close()
+
+
+# --------------------------------------------------------------------------- memory
+
+GROWTH = """
+    import numpy as np, pymc as pm
+    from pymc_features import CorrelatedNormal, paper, response, synthetic_earthquake
+    from pymc_features.smc import population_logp
+    from support.memory import growth
+
+    def evaluation(change):
+        with pm.Model() as model:
+            mu = change(response(paper.chain(pm.Normal("theta", 1.0)), record))
+            CorrelatedNormal("y", mu, 1.0, 0.1, record.dt, observed=change(data))
+        return population_logp(model, model.initial_point(), {"mode": "NUMBA"})
+
+    record = synthetic_earthquake(31.18, 0.002, random_seed=1)
+    data = np.random.default_rng(0).normal(size=(10, record.n_times))
+    particles = np.linspace(0.5, 1.5, 256)[:, None]
+    grown = []
+    for change, share in ((lambda mu: mu, 256), (lambda mu: mu[::-1], 16)):
+        logp = evaluation(change)
+        logp.gradient(particles[:2])
+        grown.append(growth(lambda: logp.gradient(particles[:share]))[0])
+    print(*(size / data.nbytes for size in grown))
+"""
+
+
+@pytest.mark.processes
+def test_no_memory_for_histories(tmp_path):
+    """256 particles of 10 x 15590: growth of the peak over the size of one response, and from responses."""
+    pytest.importorskip("resource")
+    fused, unfused = map(float, run_python(GROWTH, tmp_path).split())
+    assert fused < 1.0
+    assert unfused > 16.0, "the negative control"

@@ -1,0 +1,155 @@
+"""Climbs to the modes of a density, and the first guess of a posterior that stands there."""
+
+import numpy as np
+import pytest
+from scipy import optimize, stats
+
+from pymc_features.smc.proposals import reference
+from pymc_features.smc.proposals.ascent import climb, curvature
+from pymc_features.smc.proposals.mixture import log_sum
+from pymc_features.smc.proposals.reference import find_reference
+
+
+def never(x):
+    return np.zeros(len(x), dtype=bool)
+
+
+def rosenbrock(x):
+    """Minus the function, and its gradient, of points (n, d)."""
+    return -np.array([optimize.rosen(p) for p in x]), -np.array([optimize.rosen_der(p) for p in x])
+
+
+def test_climbs_end_at_the_maximum():
+    """From everywhere within a small gain of the top, though the valley is bent and narrow (SciPy's)."""
+    starts = np.random.default_rng(0).uniform(-2.0, 2.0, size=(20, 2))
+    x, value = climb(rosenbrock, starts, never)
+    assert (value > -0.5).all()
+    np.testing.assert_allclose(value, rosenbrock(x)[0])
+
+
+def test_climbs_do_not_depend_on_their_neighbours():
+    starts = np.random.default_rng(0).uniform(-2.0, 2.0, size=(5, 2))
+    together, _ = climb(rosenbrock, starts, never)
+    alone = [climb(rosenbrock, start[None], never)[0][0] for start in starts]
+    np.testing.assert_allclose(together, alone, rtol=1e-12)
+
+
+def test_climbs_stop_where_they_need_not_go_on():
+    counted = []
+
+    def density(x):
+        counted.append(len(x))
+        return -0.5 * (x**2).sum(axis=1), -x
+
+    climb(density, np.full((4, 3), 3.0), lambda x: np.ones(len(x), dtype=bool))
+    stopped = sum(counted)
+    counted.clear()
+    climb(density, np.full((4, 3), 3.0), never)
+    assert stopped == 8 < sum(counted)
+
+
+def test_an_impossible_start_stays():
+    def density(x):
+        return np.where(x[:, 0] < 1.0, -np.inf, -((x[:, 0] - 2.0) ** 2)), -2.0 * (x - 2.0)
+
+    x, value = climb(density, np.array([[0.5], [1.5]]), never)
+    assert x[0] == 0.5 and value[0] == -np.inf
+    assert x[1] == pytest.approx(2.0, abs=0.1)
+
+
+def test_curvature_is_the_hessian():
+    """Of scales six orders apart, to 1e-4 of each element's own."""
+    deviations = np.array([1e-3, 1.0, 0.05])
+    hessian = np.linalg.inv(np.diag(deviations) @ (np.eye(3) + 0.5) @ np.diag(deviations))
+
+    def density(x):
+        return -0.5 * np.einsum("ni,ij,nj->n", x, hessian, x) + x[:, 0] ** 4, -x @ hessian + [
+            4.0,
+            0.0,
+            0.0,
+        ] * x**3
+
+    found = curvature(density, np.zeros(3))
+    np.testing.assert_allclose(found, hessian, rtol=1e-4, atol=1e-4 * np.abs(hessian).max() * 1e-3)
+
+
+class Target:
+    """Two Gaussians of given weights under a wide normal prior, in d dimensions."""
+
+    def __init__(self, weights=(0.1, 0.9), d=3, sd=0.3):
+        self.weights, self.d, self.sd = np.log(weights), d, sd
+        self.centres = np.array([np.full(d, -2.0), np.full(d, 2.0)])
+        self.rng = np.random.default_rng(7)
+
+    def log_prior(self, x):
+        return stats.norm(0.0, 3.0).logpdf(x).sum(axis=1)
+
+    def value(self, x):
+        terms = [
+            w + stats.norm(c, self.sd).logpdf(x).sum(axis=1)
+            for w, c in zip(self.weights, self.centres, strict=True)
+        ]
+        return log_sum(np.array(terms))
+
+    def with_gradient(self, x):
+        terms = [
+            w + stats.norm(c, self.sd).logpdf(x).sum(axis=1)
+            for w, c in zip(self.weights, self.centres, strict=True)
+        ]
+        shares = np.exp(np.array(terms) - log_sum(np.array(terms)))
+        slopes = [s[:, None] * (c - x) / self.sd**2 for s, c in zip(shares, self.centres, strict=True)]
+        return log_sum(np.array(terms)), sum(slopes)
+
+    def draw_prior(self, n):
+        return 3.0 * self.rng.standard_normal((n, self.d))
+
+    def reference(self):
+        return find_reference(self.value, self.with_gradient, self.draw_prior, 1000)
+
+
+def test_both_modes_are_found_with_their_evidences():
+    """Of separate Gaussians Laplace's formula is exact: their weights, to 1 % of a logarithm."""
+    found = Target().reference()
+    modes = sorted(found.modes, key=lambda mode: mode.log_evidence)
+    assert len(modes) == 2
+    assert modes[1].log_evidence - modes[0].log_evidence == pytest.approx(np.log(9.0), abs=0.01)
+    np.testing.assert_allclose(np.sort(found.peaks[:, 0]), [-2.0, 2.0], atol=0.05)
+    assert sum(mode.n_climbs for mode in modes) >= 2 * reference.CLIMBS_PER_MODE
+
+
+def evidence_and_efficiency(found, target, n=20_000):
+    """Log evidence by importance sampling, its standard error, and the effective share of the draws."""
+    rng = np.random.default_rng(3)
+    x = found.draw(n, target.draw_prior, rng)
+    weights = np.exp(target.value(x) - found.log_density(x, target.log_prior(x)))
+    mean = weights.mean()
+    return np.log(mean), weights.std() / mean / np.sqrt(n), weights.sum() ** 2 / (weights**2).sum() / n
+
+
+def test_reference_is_normalised_and_close():
+    """The evidence, one, within four standard errors (6e-5); more than a third of the draws count."""
+    target = Target()
+    evidence, error, efficiency = evidence_and_efficiency(target.reference(), target)
+    assert abs(evidence) < 4.0 * error < 0.05
+    assert efficiency > 0.35
+
+
+def test_the_prior_has_its_share(monkeypatch):
+    """It draws from a mode that no climb has found; without it the evidence is wrong."""
+    target = Target(weights=(0.5, 0.5), d=1, sd=0.05)
+    found = target.reference()
+    one = reference.Reference(found.modes[:1], found.centre, found.scale)
+    evidence, error, _ = evidence_and_efficiency(one, target, 200_000)
+    assert abs(evidence) < 4.0 * error < 0.3
+    monkeypatch.setattr(reference, "PRIOR_SHARE", 1e-12)
+    evidence, _, _ = evidence_and_efficiency(one, target, 200_000)
+    assert evidence < -0.4
+
+
+def test_no_reference_without_a_finite_density():
+    def impossible(x):
+        return np.full(len(x), -np.inf)
+
+    target = Target()
+    found = find_reference(impossible, lambda x: (impossible(x), np.zeros_like(x)), target.draw_prior, 100)
+    assert found is None

@@ -1,0 +1,152 @@
+"""The map that unbends a posterior, and proposals behind it."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pymc_features.smc.proposals.fitted import FittedProposal, Unbent, fit_proposal, fit_to
+from pymc_features.smc.proposals.proposal import fit_mixture
+from pymc_features.smc.proposals.unbending import UnbendingMap
+
+
+def banana(rng, n=3000):
+    """a ~ N(1, 1), b = a^2 + noise."""
+    a = 1.0 + rng.standard_normal(n)
+    return np.column_stack([a, a**2 + 0.3 * rng.standard_normal(n)])
+
+
+def funnel(rng, n=3000):
+    """v ~ N(0, 1.5), and four coordinates with the standard deviation exp(v / 2)."""
+    v = 1.5 * rng.standard_normal(n)
+    return np.column_stack([v, *(np.exp(0.5 * v) * rng.standard_normal(n) for _ in range(4))])
+
+
+def skewed(rng, n=3000):
+    """A log-gamma variable beside a correlated normal one."""
+    x = np.log(rng.gamma(1.5, size=n))
+    return np.column_stack([x, 0.5 * x + rng.standard_normal(n)])
+
+
+SHAPES = {f.__name__: f for f in (banana, funnel, skewed)}
+shapes = pytest.mark.parametrize("shape", SHAPES)
+
+
+def fitted_map(shape, rotated, n=3000):
+    x = SHAPES[shape](np.random.default_rng(0), n)
+    return UnbendingMap(x, np.ones(n), rotated), x
+
+
+@pytest.mark.parametrize("rotated", [True, False])
+@shapes
+def test_inverse_and_jacobian(shape, rotated):
+    """There and back, and the determinant of the derivative by differences."""
+    mapping, x = fitted_map(shape, rotated)
+    x = x[:50]
+    z, log_jacobian = mapping.forward(x)
+    np.testing.assert_allclose(mapping.inverse(z), x, rtol=1e-8, atol=1e-8)
+    step = 1e-6
+    derivative = np.array(
+        [
+            (mapping.forward(x + step * e)[0] - mapping.forward(x - step * e)[0]) / (2.0 * step)
+            for e in np.eye(len(x.T))
+        ]
+    )
+    exact = np.linalg.slogdet(derivative.transpose(1, 2, 0))[1]
+    smooth = np.abs(log_jacobian - exact) < 1e-4
+    assert smooth.mean() > 0.9, "but for points at the edges of the clipped polynomials"
+
+
+@shapes
+def test_it_unbends(shape):
+    """The mapped coordinates of other draws are less dependent, by three measures on their ranks.
+
+    Correlations, and those of squares, are less than half of those of the plain coordinates.
+    """
+    mapping, _ = fitted_map(shape, rotated=shape == "banana")
+    fresh = SHAPES[shape](np.random.default_rng(1), 3000)
+    z, _ = mapping.forward(fresh)
+
+    def bent(y):
+        y = stats.rankdata(y, axis=0) / len(y) - 0.5
+        pairs = [(i, j) for i in range(y.shape[1]) for j in range(y.shape[1]) if i != j]
+        linear = max(abs(stats.pearsonr(y[:, i], y[:, j]).statistic) for i, j in pairs)
+        square = max(abs(stats.pearsonr(y[:, i] ** 2, y[:, j]).statistic) for i, j in pairs)
+        scale = max(abs(stats.pearsonr(np.abs(y[:, i]), np.abs(y[:, j])).statistic) for i, j in pairs)
+        return max(linear, square, scale)
+
+    assert bent(z) < 0.3
+    assert bent(z) < 0.5 * bent(fresh)
+
+
+@shapes
+def test_the_map_is_used_where_it_is_better(shape):
+    """Other draws have a higher density behind the map than without."""
+    x = SHAPES[shape](np.random.default_rng(0), 3000)
+    proposal = fit_proposal(x, np.ones(len(x)), np.random.default_rng(2))
+    assert proposal.map is not None
+    fresh = SHAPES[shape](np.random.default_rng(1), 3000)
+    plain = fit_mixture(x, np.ones(len(x)), np.random.default_rng(2))
+    assert proposal.components[0].log_density(fresh).mean() > plain.log_density(fresh).mean() - 0.02
+
+
+def test_a_gaussian_needs_no_map():
+    """The choice by held-out points may go either way where both are right, by a small difference."""
+    x = np.random.default_rng(0).standard_normal((2000, 3)) @ np.array(
+        [[1.0, 0.9, 0], [0, 0.4, 0], [0, 0, 2.0]]
+    )
+    proposal = fit_proposal(x, np.ones(len(x)), np.random.default_rng(2))
+    exact = stats.multivariate_normal(np.zeros(3), np.cov(x.T)).logpdf(x)
+    assert proposal.log_density(x).mean() > exact.mean() - 0.12
+
+
+@shapes
+def test_density_is_normalised(shape):
+    """The mean of q / p over draws of a wide p is one within four standard errors (6e-5), by a known p."""
+    x = SHAPES[shape](np.random.default_rng(0), 3000)
+    proposal = fit_to(x, np.random.default_rng(2))
+    wide = stats.multivariate_t(x.mean(axis=0), 4.0 * np.cov(x.T), df=2)
+    draws = wide.rvs(100_000, random_state=np.random.default_rng(3))
+    ratios = np.exp(proposal.log_density(draws) - wide.logpdf(draws))
+    assert abs(ratios.mean() - 1.0) < 4.0 * ratios.std() / np.sqrt(len(ratios))
+    assert ratios.std() / np.sqrt(len(ratios)) < 0.05
+
+
+def changes(proposal, scale, n=30_000):
+    """Whether ten moves change the distribution: Kolmogorov-Smirnov of each coordinate at 1e-3 / d."""
+    rng = np.random.default_rng(5)
+    x, fresh = proposal.draw(n, rng), proposal.draw(n, rng)
+    for _ in range(10):
+        x = proposal.move(x, scale, rng)
+    pairs = zip(x.T, fresh.T, strict=True)
+    return min(stats.ks_2samp(a, b).pvalue for a, b in pairs) < 1e-3 / x.shape[1]
+
+
+class Shifted(Unbent):
+    """Moves that come back from the map a little beside where they should."""
+
+    def move(self, x, scale, rng):
+        return super().move(x, scale, rng) + 0.05
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5, 0.2])
+def test_moves_leave_the_proposal_invariant(scale):
+    """A false alarm in 1000. The control is noticed where the next point depends on the last."""
+    x = banana(np.random.default_rng(0))
+    parts = [
+        Unbent(x, np.ones(len(x)), np.random.default_rng(2)),
+        fit_to(x, np.random.default_rng(3)).components[1],
+    ]
+    assert not changes(FittedProposal(parts, np.array([0.8, 0.2])), scale)
+    parts[0].__class__ = Shifted
+    if scale < 1.0:
+        assert changes(FittedProposal(parts, np.array([0.8, 0.2])), scale)
+
+
+def test_far_points_have_no_density_and_stay():
+    """What overflows on the way through the map is neither a number that misleads nor an error."""
+    x = funnel(np.random.default_rng(0))
+    unbent = Unbent(x, np.ones(len(x)), np.random.default_rng(2))
+    far = np.array([[1e300, 0.0, 0.0, 0.0, 0.0], [0.0, 1e300, -1e300, 0.0, 0.0]])
+    assert not (unbent.log_density(far) > -100.0).any()
+    moved = unbent.move(far, 0.2, np.random.default_rng(3))
+    assert np.isfinite(moved).all()
