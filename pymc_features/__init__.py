@@ -9,7 +9,7 @@ with the measured one by a feature likelihood, sample.
         sigma = pm.Uniform("sigma", 0.0, 2.0)
         acceleration = pmf.response(pmf.paper.chain(theta), record)
         pmf.TruncNormalFeature("y", mu=acceleration, sigma=sigma, observed=measured)
-        idata = pmf.sample_smc()
+        idata = pmf.sample()
 
 A feature likelihood is a probability model of the mean-square discrepancy of each sensor, not of each time
 sample: its uncertainty does not depend on the sampling rate.
@@ -19,7 +19,7 @@ from pymc_features import datasets, exceptions, plots, signals
 from pymc_features.distributions import CorrelatedNormal, ExpFeature, TruncNormalFeature, sigma_mpv
 from pymc_features.external import ExternalSimulator, ProgramSimulator, Surrogate
 from pymc_features.ground_motion import synthetic_earthquake
-from pymc_features.inference import fisher_information, laplace, sample_nuts, tolerance_sweep
+from pymc_features.inference import fisher_information, laplace, sample, sample_nuts, tolerance_sweep
 from pymc_features.io import read_channels, read_matrices, read_record
 from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
 from pymc_features.ops import mean_square_discrepancy, response
@@ -75,6 +75,7 @@ __all__ = [
     "read_matrices",
     "read_record",
     "response",
+    "sample",
     "sample_nuts",
     "sample_smc",
     "sampling_rate_study",

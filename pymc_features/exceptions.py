@@ -18,6 +18,7 @@ __all__ = [
     "NotDifferentiableError",
     "PopulationWarning",
     "PredictionWarning",
+    "SamplingWarning",
     "SimulationWarning",
     "StudyMismatchError",
     "SubsetSimulationWarning",
@@ -61,6 +62,10 @@ class NotDifferentiableError(RuntimeError):
 
 class PopulationWarning(UserWarning):
     """Particles are evaluated one by one."""
+
+
+class SamplingWarning(UserWarning):
+    """Draws or an evidence are not to be trusted as they are."""
 
 
 class SubsetSimulationWarning(UserWarning):

@@ -3,11 +3,13 @@
 from pymc_features.inference.fisher import fisher_information
 from pymc_features.inference.laplace import laplace
 from pymc_features.inference.nuts import sample_nuts
+from pymc_features.inference.sample import sample
 from pymc_features.inference.tolerance import tolerance_sweep
 
 __all__ = [
     "fisher_information",
     "laplace",
+    "sample",
     "sample_nuts",
     "tolerance_sweep",
 ]

@@ -10,26 +10,27 @@ from pymc.initial_point import make_initial_point_fn
 from pymc.util import RandomState
 
 from pymc_features.exceptions import LaplaceWarning
-from pymc_features.inference.parameters import Unconstrained, check_continuous, initial_values
-from pymc_features.inference.posterior_modes import Density, climb, distinct
-from pymc_features.smc import population_logp, prior_draws
+from pymc_features.inference.parameters import Unconstrained, check_continuous, entry_names, initial_values
+from pymc_features.inference.polish import distinct, gaussian_at
+from pymc_features.smc import find_reference, population_logp, prior_points
+from pymc_features.smc.proposals.ascent import climb
 
 LOW_EFFICIENCY = 0.2
+LARGE_ERROR = 0.2  # of a quantile, over the 5-95 % width
+QUANTILES = (0.05, 0.5, 0.95)
 
 
 def laplace(
     draws: int = 2000,
     *,
     model: pm.Model | None = None,
-    starts: int = 5,
-    n_prior: int = 500,
     start: dict | None = None,
     random_seed: RandomState = None,
     compile_kwargs: dict | None = None,
 ) -> xr.DataTree:
     """Gaussian approximation of the posterior at its modes, on the unconstrained scale, with the evidence.
 
-    The best of a number of prior draws are climbed from to the modes next to them; each mode x with
+    Climbs from the best of some prior draws find the modes, as those of `sample` do; each mode x with
     curvature H (minus the Hessian of the log-posterior) contributes p(x) (2 pi)^(d/2) det(H)^(-1/2) to the
     evidence and as much to the mixture of Gaussians that is drawn from (Beck & Katafygiotis, J. Eng. Mech.
     124, 1998).
@@ -37,14 +38,10 @@ def laplace(
     Parameters
     ----------
     draws : int
-        Draws from the approximation.
+        Draws from the approximation, and the gradients to spend on the search for more modes than the first
+        eight climbs find.
     model : pymc.Model, optional
         The model of the context by default.
-    starts : int
-        Climbs.
-    n_prior : int
-        Prior draws to choose the starts from: the best of half of them, of a quarter, and so on, so that the
-        first climbs look for the highest mode and the last for others.
     start : dict, optional
         A point to climb from instead, names to values of free parameters on their own scale.
     random_seed : int or Generator, optional
@@ -57,8 +54,10 @@ def laplace(
     DataTree
         `posterior`: draws (one chain). `sample_stats`: `log_marginal_likelihood` by Laplace's formula. By
         importance sampling of the true posterior with the same draws: `log_marginal_likelihood_is` with
-        standard error `log_marginal_likelihood_is_se`, and `efficiency`, the effective share of the draws:
-        near one if the posterior is near the approximation. `modes` (mode, or posterior_mode where the model
+        standard error `log_marginal_likelihood_is_se`; `efficiency`, the effective share of the draws: near
+        one if the posterior is near the approximation; and `largest_error`, by how much the 5, 50 and 95 %
+        quantiles of the parameters are off, over the 5-95 % width, at worst; the attribute `worst_parameter`
+        names which. `modes` (mode, or posterior_mode where the model
         has a dimension mode): parameters, `log_density`, `log_marginal_likelihood` and `weight`, the highest
         first.
 
@@ -66,11 +65,13 @@ def laplace(
     ------
     ValueError
         If the model has discrete parameters, or no climb ends at a maximum with positive curvature.
+    NotDifferentiableError
+        If a part of the model has no gradient.
 
     Warns
     -----
     LaplaceWarning
-        If the efficiency is below 0.2.
+        If the efficiency is below 0.2, or a quantile is off by more than 0.2 of the 5-95 % width.
 
     Examples
     --------
@@ -83,19 +84,21 @@ def laplace(
     """
     model = pm.modelcontext(model)
     check_continuous(model, "laplace()")
-    for name, value in (("draws", draws), ("starts", starts), ("n_prior", n_prior)):
-        if isinstance(value, bool) or int(value) != value or value < 1:
-            raise ValueError(f"`{name}` must be a positive integer, got {value}.")
+    if isinstance(draws, bool) or int(draws) != draws or draws < 1:
+        raise ValueError(f"`draws` must be a positive integer, got {draws}.")
     rng = np.random.default_rng(random_seed)
-    density, space = Density(model, compile_kwargs), Unconstrained(model)
+    space = Unconstrained(model)
     logp = population_logp(model, model.initial_point(), compile_kwargs or {})
-    points = starting_points(model, space, logp, rng, starts, n_prior, start)
-    found = distinct([mode for point in points if (mode := climb(density, point)) is not None])
+    logp.compile_gradient()
+    if start is None:
+        found = modes_from_prior(model, logp, int(draws), rng)
+    else:
+        found = modes_from(logp, starting_point(model, space, start))
     if not found:
         raise ValueError(
-            f"the posterior must have a maximum with positive curvature, found none from {len(points)} "
-            "starts. The data may not determine its parameters: see fisher_information(). Sample with "
-            "sample_smc()."
+            "the posterior must have a maximum with positive curvature, found none from "
+            f"{'the prior' if start is None else '`start`'}. The data may not determine its parameters: see "
+            "fisher_information(). Sample with sample()."
         )
     evidences = np.array(
         [value + 0.5 * len(x) * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(h)[1] for x, value, h in found]
@@ -105,21 +108,43 @@ def laplace(
     return tree(model, space, particles, found, evidences, prior + likelihood - log_density)
 
 
-def starting_points(model, space, logp, rng, starts, n, start):
-    """Points (d,) to climb from: the best of equal shares of `n` prior draws, or the one given."""
-    if start is not None:
-        overrides = initial_values(model, start)
-        return [space.join(make_initial_point_fn(model=model, overrides=overrides)(0))]
-    names = [model.rvs_to_values[rv].name for rv in model.free_RVs]
-    columns = dict(zip(names, prior_draws(model, True)(n, rng), strict=True))
-    particles = np.hstack([np.reshape(columns[v.name], (n, -1)) for v in model.value_vars])
-    prior, likelihood = logp(particles)[:2]
-    total = prior + likelihood
-    # shares that shrink by half: the first climbs start from the best of many, the last from about anywhere
-    ends = np.unique((n * (1.0 - 0.5 ** np.arange(1, starts + 1))).astype(int))
-    shares = np.split(np.arange(n), ends)
-    best = [share[total[share].argmax()] for share in shares[:starts] if len(share)]
-    return [particles[i] for i in best if np.isfinite(total[i])]
+def density_of(logp):
+    """The function of points (n, d) that gives the log-posterior density (n,) and its gradient (n, d)."""
+
+    def density(x):
+        prior, likelihood, _, *slopes = logp.gradient(x)
+        return prior + likelihood, slopes[0] + slopes[1]
+
+    return density
+
+
+def modes_from_prior(model, logp, effort, rng):
+    """Modes (x, value, curvature) that climbs from draws of the prior lead to, the highest first."""
+    density = density_of(logp)
+    reference = find_reference(
+        lambda x: np.sum(logp(x)[:2], axis=0),
+        density,
+        lambda n: prior_points(model, n, rng),
+        effort,
+    )
+    if reference is None:
+        return []
+    ends, scale = reference.peaks, reference.scale
+    return distinct([mode for x in ends if (mode := gaussian_at(density, x, scale)) is not None])
+
+
+def modes_from(logp, x):
+    """The mode (x, value, curvature) that a climb from a point (d,) leads to, if it is one, as a list."""
+    density = density_of(logp)
+    ends, _ = climb(density, x[None], lambda x: np.zeros(len(x), dtype=bool))
+    mode = gaussian_at(density, ends[0], np.ones(len(x)))
+    return [] if mode is None else [mode]
+
+
+def starting_point(model, space, start):
+    """The flat point (d,) of values of free parameters on their own scale."""
+    overrides = initial_values(model, start)
+    return space.join(make_initial_point_fn(model=model, overrides=overrides)(0))
 
 
 def draw_mixture(modes, evidences, n, rng):
@@ -150,10 +175,13 @@ def tree(model, space, particles, modes, evidences, log_ratios):
     ratios = np.exp(log_ratios - log_ratios.max())
     n = len(ratios)
     efficiency = float(ratios.sum() ** 2 / (ratios**2).sum() / n)
-    if efficiency < LOW_EFFICIENCY:
+    values = space.variables(particles)
+    worst, error = largest_error({rv.name: values[rv.name] for rv in model.free_RVs}, ratios)
+    if efficiency < LOW_EFFICIENCY or error > LARGE_ERROR:
         warnings.warn(
             f"Laplace's approximation is poor here: its draws are worth {100 * efficiency:.2g} % of as many "
-            "from the posterior. Sample with sample_smc().",
+            f"from the posterior, and a quantile of {worst} is off by {100 * error:.0f} % of the 5-95 % "
+            "width. Sample with sample().",
             LaplaceWarning,
             stacklevel=3,
         )
@@ -162,21 +190,35 @@ def tree(model, space, particles, modes, evidences, log_ratios):
         "log_marginal_likelihood_is": [log_ratios.max() + np.log(ratios.mean())],
         "log_marginal_likelihood_is_se": [ratios.std() / ratios.mean() / np.sqrt(n)],
         "efficiency": [efficiency],
+        "largest_error": [error],
     }
-    result = az.from_dict(
-        {"posterior": {k: v[None] for k, v in space.variables(particles).items()}}, coords=coords, dims=dims
+    result = az.from_dict({"posterior": {k: v[None] for k, v in values.items()}}, coords=coords, dims=dims)
+    result["sample_stats"] = xr.DataTree(
+        xr.Dataset({k: ("chain", np.array(v)) for k, v in stats.items()}, attrs={"worst_parameter": worst})
     )
-    result["sample_stats"] = xr.DataTree(xr.Dataset({k: ("chain", np.array(v)) for k, v in stats.items()}))
-    # a damping ratio for each mode of vibration may well have taken the name
-    over = "posterior_mode" if any("mode" in of_one for of_one in dims.values()) else "mode"
-    at_modes = {
-        name: ((over, *dims.get(name, [f"{name}_dim_{i}" for i in range(v.ndim - 1)])), v)
-        for name, v in space.variables([m[0] for m in modes]).items()
-    }
     summary = {
-        "log_density": (over, [m[1] for m in modes]),
-        "log_marginal_likelihood": (over, evidences),
-        "weight": (over, np.exp(evidences - np.logaddexp.reduce(evidences))),
+        "log_density": [m[1] for m in modes],
+        "log_marginal_likelihood": evidences,
+        "weight": np.exp(evidences - np.logaddexp.reduce(evidences)),
     }
-    result["modes"] = xr.DataTree(xr.Dataset({**at_modes, **summary}))
+    result["modes"] = xr.DataTree(space.modes(model, [m[0] for m in modes], **summary))
     return result
+
+
+def largest_error(values, ratios):
+    """Parameter whose quantiles change the most when its draws (n, ...) are weighed, and by how much.
+
+    In units of the weighted 5-95 % width.
+    """
+    worst, largest = "", 0.0
+    weights = ratios / ratios.sum()
+    for name, draws in values.items():
+        columns = draws.reshape(len(draws), -1).T
+        for entry, column in zip(entry_names(name, draws.shape[1:]), columns, strict=True):
+            exact = np.quantile(column, QUANTILES, weights=weights, method="inverted_cdf")
+            own = np.quantile(column, QUANTILES, method="inverted_cdf")
+            width = exact[-1] - exact[0]
+            error = np.abs(own - exact).max() / width if width > 0 else np.inf
+            if error > largest:
+                worst, largest = entry, float(error)
+    return worst, largest

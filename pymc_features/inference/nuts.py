@@ -1,4 +1,4 @@
-"""NUTS that starts from the particles of SMC, since time histories make for many modes."""
+"""NUTS that starts from draws of `sample`, since time histories make for many modes."""
 
 import inspect
 import warnings
@@ -6,20 +6,24 @@ from collections.abc import Sequence
 
 import numpy as np
 import pymc as pm
+import pytensor
+import pytensor.tensor as pt
 import xarray as xr
 from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
 
 from pymc_features.exceptions import ChainsDisagreeWarning
 from pymc_features.inference.parameters import check_continuous, to_unconstrained
+from pymc_features.inference.sample import sample
 from pymc_features.keywords import check_keywords
-from pymc_features.smc import processors, sample_smc
+from pymc_features.smc import processors
 
-NUTS_SAMPLERS = ("pymc", "numpyro", "blackjax")
+NUTS_SAMPLERS = ("pymc", "nutpie", "numpyro", "blackjax")
 # arguments of `pm.sample` that are not passed on: ours, or given by us
 OURS = {"draws", "tune", "chains", "model", "nuts_sampler", "random_seed", "kwargs"}
 OURS |= {"initvals", "compute_convergence_checks", "return_inferencedata"}
 OF_PYMC = [*(name for name in inspect.signature(pm.sample).parameters if name not in OURS), "target_accept"]
 AGREEMENT = 1.01  # largest R-hat of chains that agree
+N_PARTICLES = 500  # draws of `sample` to start from
 
 
 def sample_nuts(
@@ -28,16 +32,16 @@ def sample_nuts(
     tune: int = 1000,
     chains: int = 4,
     particles: xr.DataTree | None = None,
-    smc_settings: dict | None = None,
+    sample_settings: dict | None = None,
     model: pm.Model | None = None,
     nuts_sampler: str = "pymc",
     random_seed: int | Sequence[int] | None = None,
     **kwargs,
 ) -> xr.DataTree:
-    """`sample_smc` first, then NUTS started from its particles.
+    """`sample` first, then NUTS started from its draws.
 
     Posteriors of several stiffnesses have several modes: a chain that starts from the prior may end in a
-    wrong one and stay. SMC finds the modes and their weights; NUTS, started at one of its particles in each
+    wrong one and stay. `sample` finds the modes and their weights; NUTS, started at one of its draws in each
     chain and with their covariance as its first mass matrix, then explores what is around them.
 
     Parameters
@@ -45,23 +49,24 @@ def sample_nuts(
     draws, tune, chains : int
         As in `pm.sample`.
     particles : DataTree, optional
-        What `sample_smc` returned for the same model; sampled here by default.
-    smc_settings : dict, optional
-        Arguments of `sample_smc`, such as {"draws": 2000, "chains": 2}.
+        What `sample` or `sample_smc` returned for the same model; sampled here by default.
+    sample_settings : dict, optional
+        Arguments of `sample`, such as {"draws": 2000, "chains": 2}; 500 draws of one chain by default.
     model : pymc.Model, optional
         The model of the context by default.
-    nuts_sampler : {"pymc", "numpyro", "blackjax"}
+    nuts_sampler : {"pymc", "nutpie", "numpyro", "blackjax"}
         As in `pm.sample`; the first takes over the covariance of the particles, the others adapt their own.
+        With nutpie each chain draws its particle by its own seed, so that two may have the same.
     random_seed : int or sequence of int, optional
         For the same draws each time.
     **kwargs
-        Of `pm.sample`, such as `cores`, `target_accept` and `progressbar`, which holds for SMC as well.
+        Of `pm.sample`, such as `cores`, `target_accept` and `progressbar`, which holds for `sample` as well.
 
     Returns
     -------
     DataTree
-        As from `pm.sample`, and `particles`: the posterior of SMC. The attributes of `posterior` say whether
-        the chains agree: `max_r_hat`, and `chains_agree`, 1 if that is below 1.01.
+        As from `pm.sample`, and `particles`: the posterior that the chains started from. The attributes of
+        `posterior` say whether the chains agree: `max_r_hat`, and `chains_agree`, 1 if that is below 1.01.
 
     Raises
     ------
@@ -73,7 +78,7 @@ def sample_nuts(
     Warns
     -----
     ChainsDisagreeWarning
-        If an R-hat is above 1.01: the modes are then as SMC weighs them, not as the chains do.
+        If an R-hat is above 1.01: the modes are then as the particles weigh them, not as the chains do.
     """
     model = pm.modelcontext(model)
     check_continuous(model, "sample_nuts()")
@@ -84,12 +89,17 @@ def sample_nuts(
         )
     check_keywords(kwargs, OF_PYMC, "sample_nuts")
     model.dlogp()  # says at once if there is no gradient
-    smc_seed, pick_seed, nuts_seed = np.random.SeedSequence(random_seed).generate_state(3)
+    first_seed, pick_seed, nuts_seed = np.random.SeedSequence(random_seed).generate_state(3)
     if particles is None:
-        of_smc = {"random_seed": int(smc_seed), "progressbar": kwargs.get("progressbar", True)}
-        particles = sample_smc(model=model, **of_smc | (smc_settings or {}))
+        settings = {"draws": N_PARTICLES, "chains": 1, "random_seed": int(first_seed)}
+        settings |= {"progressbar": bool(kwargs.get("progressbar", True))}
+        particles = sample(model=model, **settings | (sample_settings or {}))
     posterior = checked_posterior(model, particles)
-    starts = pick(model, posterior, chains, np.random.default_rng(pick_seed))
+    if nuts_sampler == "nutpie":
+        starts = picked_by_seed(model, posterior)
+        kwargs["compile_kwargs"] = {"jitter_rvs": set()} | kwargs.get("compile_kwargs", {})
+    else:
+        starts = pick(model, posterior, chains, np.random.default_rng(pick_seed))
     if nuts_sampler == "pymc":
         kwargs.setdefault("cores", min(chains, processors()))
         target_accept = kwargs.pop("target_accept", 0.8)
@@ -116,12 +126,12 @@ def checked_posterior(model, particles):
         missing = [rv.name for rv in model.free_RVs if rv.name not in posterior]
     except (KeyError, AttributeError, TypeError):
         raise ValueError(
-            f"`particles` must be what sample_smc() returned, got {type(particles).__name__}."
+            f"`particles` must be what sample() returned, got {type(particles).__name__}."
         ) from None
     if missing:
         raise ValueError(
             f"`particles` must hold every free parameter of `model`, got none of {', '.join(missing)}. Pass "
-            "the result of sample_smc() for the same model."
+            "the result of sample() for the same model."
         )
     return posterior
 
@@ -134,6 +144,17 @@ def pick(model, posterior, chains, rng):
         {rv.name: posterior[rv.name].values[i // n_draws, i % n_draws] for rv in model.free_RVs}
         for i in chosen
     ]
+
+
+def picked_by_seed(model, posterior):
+    """Values of the free parameters at one particle, a random number that each chain draws anew.
+
+    nutpie takes one set of starting values for all chains, but evaluates it with a seed for each.
+    """
+    n = posterior.sizes["chain"] * posterior.sizes["draw"]
+    chosen = pt.random.integers(0, n, rng=pytensor.shared(np.random.default_rng(0)))
+    columns = {rv.name: posterior[rv.name].values for rv in model.free_RVs}
+    return {name: pt.constant(v.reshape(n, *v.shape[2:]))[chosen] for name, v in columns.items()}
 
 
 def nuts_step(model, posterior, target_accept):
@@ -162,8 +183,8 @@ def judge(idata, names):
         bad = ", ".join(f"{name} {r:.3f}" for name, r in r_hats.items() if not r <= AGREEMENT)
         warnings.warn(
             f"the chains of NUTS disagree (R-hat: {bad}). If the posterior has several modes, chains stay in "
-            "that where they start: use the draws of SMC, in the group `particles`. Otherwise increase "
-            "`tune` or `draws`.",
+            "that where they start: use the draws that they started from, in the group `particles`. "
+            "Otherwise increase `tune` or `draws`.",
             ChainsDisagreeWarning,
             stacklevel=3,
         )

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytensor.tensor as pt
+import xarray as xr
+from pymc.backends.arviz import coords_and_dims_for_inferencedata
 from pymc.initial_point import make_initial_point_expression
 from pymc.pytensorf import compile as compile_function
 from pymc.vartypes import discrete_types
@@ -74,8 +76,8 @@ class Unconstrained:
     """
 
     def __init__(self, model):
-        point = model.initial_point()
-        self.shapes = {v.name: np.shape(point[v.name]) for v in model.value_vars}
+        self.point = model.initial_point()
+        self.shapes = {v.name: np.shape(self.point[v.name]) for v in model.value_vars}
         wanted = [*model.free_RVs, *model.deterministics]
         self.names = [v.name for v in wanted]
         self.function = model.compile_fn(
@@ -99,3 +101,17 @@ class Unconstrained:
         """Free parameters on their own scale and deterministics, arrays (point, ...)."""
         columns = zip(*(self.function(self.split(x)) for x in points), strict=True)
         return {name: np.stack(column) for name, column in zip(self.names, columns, strict=True)}
+
+    def modes(self, model, points, **more) -> xr.Dataset:
+        """Those at modes of a posterior, and more that belongs to each, (mode, ...).
+
+        The dimension is posterior_mode where the model has one called mode, as a damping ratio for each mode
+        of vibration may well have.
+        """
+        _, dims = coords_and_dims_for_inferencedata(model)
+        over = "posterior_mode" if any("mode" in of_one for of_one in dims.values()) else "mode"
+        values = {
+            name: ((over, *dims.get(name, [f"{name}_dim_{i}" for i in range(v.ndim - 1)])), v)
+            for name, v in self.variables(points).items()
+        }
+        return xr.Dataset(values | {name: (over, np.asarray(v)) for name, v in more.items()})

@@ -1,0 +1,258 @@
+"""`sample`: one entry for posterior, evidence, and how far both can be trusted."""
+
+import os
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pymc as pm
+import xarray as xr
+from pymc.util import RandomState
+
+from pymc_features.exceptions import SamplingWarning
+from pymc_features.inference.beside import closeness, distance_to_modes, undetermined
+from pymc_features.inference.parameters import Unconstrained, entry_names, to_unconstrained
+from pymc_features.smc import (
+    PersistentSMC,
+    Reference,
+    find_reference,
+    population_logp,
+    prior_points,
+    processors,
+    sample_smc,
+)
+from pymc_features.smc.kernels.checkpoint import Journal, remembered
+from pymc_features.smc.proposals.pool import LARGEST_K
+
+AGREEMENT = 1.01  # largest R-hat of runs that agree
+# modes, and the share of climbs that each end alone, above which there are others that none has found
+FEW_MODES, MANY_SINGLE = 4, 0.3
+APART = 5.0  # standard errors between log evidences of runs that disagree
+N_POSTERIOR = 500  # draws of each chain that are compared with the prior and with the modes
+
+
+def sample(
+    draws: int = 1000,
+    *,
+    chains: int | None = None,
+    cores: int | None = None,
+    model: pm.Model | None = None,
+    random_seed: RandomState = None,
+    checkpoint: str | os.PathLike | None = None,
+    progressbar: bool = True,
+    compile_kwargs: dict | None = None,
+    **settings,
+) -> xr.DataTree:
+    """Posterior and evidence of any PyMC model with up to about a hundred parameters.
+
+    Where the model has gradients, climbs from draws of the prior find the modes; Gaussians and Student-t
+    distributions at these, with a share of the prior, are drawn from and weighed. If that is good enough, it
+    is the answer. Else sequential Monte Carlo leads from there, or from the prior, to the posterior; fits to
+    its points, behind a map that unbends the posterior, are drawn from at the end. See `PersistentSMC`.
+
+    Parameters
+    ----------
+    draws : int
+        Equally weighted draws of each chain, and the independent draws that the quantiles of its worst
+        parameter are worth.
+    chains : int, optional
+        Independent runs; as many as processors, and at least two, by default.
+    cores : int, optional
+        Runs at the same time; as many as there are processors by default.
+    model : pymc.Model, optional
+        The model of the context by default.
+    random_seed : int or sequence of int, optional
+        For the same draws each time.
+    checkpoint : path-like, optional
+        Folder that keeps every evaluation, by which a run that was killed goes on. See `sample_smc`.
+    progressbar : bool
+        Whether to show progress.
+    compile_kwargs : dict, optional
+        For `pytensor.function`.
+    **settings
+        Of `sample_smc` and `PersistentSMC`.
+
+    Returns
+    -------
+    DataTree
+        `posterior`; `modes` (mode, or posterior_mode where the model has a dimension mode), if climbs found
+        any: parameters, `log_evidence` of Laplace's approximation at each, `n_climbs` that ended there;
+        `sample_stats` as from `sample_smc`, with for each chain `log_marginal_likelihood` and its standard
+        error `log_marginal_likelihood_se`, `ess` (independent draws that the quantiles of the worst parameter
+        are worth) and `pareto_k`. Their attributes sum up: `max_r_hat`, `log_evidence` and `log_evidence_se`
+        of all chains together, `ess` of all, the largest `pareto_k`, `n_modes`, `single_climbs` (share of
+        the climbs that ended at a mode that no other found), `reference_efficiency` (effective share of the
+        first guess's draws: one if the posterior is a mixture of Gaussians),
+        `search_evaluations` and `search_gradients` (of the climbs), `no_gradient` (why there were none),
+        `laplace_error` (how far the 5, 50 and 95 % quantiles of Gaussians at the modes are from those of the
+        posterior, over its 5-95 % width, at worst, on the sampled scale; NaN without modes) and
+        `close_to_laplace` (that in words), `undetermined` (parameters, or combinations of them, that the data
+        leave where the prior put them), and `advice`, empty where nothing is wrong.
+
+    Warns
+    -----
+    SamplingWarning
+        What is wrong, and what to do.
+
+    Examples
+    --------
+    >>> with pm.Model():
+    ...     x = pm.Normal("x")
+    ...     y = pm.Normal("y", x, 1.0, observed=[1.0])
+    ...     idata = sample(500, cores=1, random_seed=1, progressbar=False)
+    >>> round(idata.sample_stats.attrs["log_evidence"], 1)
+    -1.5
+    """
+    model = pm.modelcontext(model)
+    if checkpoint is not None:
+        random_seed, chains = remembered(checkpoint, random_seed, chains, max(2, cores or processors()))
+    rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(1)[0])
+    space = Unconstrained(model)
+    logp = population_logp(model, space.point, compile_kwargs or {})
+    journal = None
+    if checkpoint is not None:
+        Path(checkpoint).mkdir(parents=True, exist_ok=True)
+        journal = Journal(Path(checkpoint) / "modes.record")
+    found = search(model, logp, draws, rng, journal)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "PersistentSMC ended", SamplingWarning)  # `advice` says it
+        idata = sample_smc(
+            draws,
+            PersistentSMC,
+            reference=found.reference,
+            chains=chains,
+            cores=cores,
+            model=model,
+            random_seed=random_seed,
+            checkpoint=checkpoint,
+            progressbar=progressbar,
+            compile_kwargs=compile_kwargs,
+            **{"compute_convergence_checks": False, "gradients": not found.no_gradient} | settings,
+        )
+    if found.reference is not None:
+        modes = found.reference.modes
+        summary = {"log_evidence": [m.log_evidence for m in modes], "n_climbs": [m.n_climbs for m in modes]}
+        idata["modes"] = xr.DataTree(space.modes(model, found.reference.peaks, **summary))
+    summary = found._asdict() | summarise(model, space, idata, found.reference)
+    del summary["reference"]
+    idata["sample_stats"].attrs |= summary
+    if summary["advice"]:
+        warnings.warn(summary["advice"], SamplingWarning, stacklevel=2)
+    return idata
+
+
+class Search(NamedTuple):
+    """What climbs from draws of the prior have found, and their cost; `no_gradient`: why there were none."""
+
+    reference: Reference | None
+    search_evaluations: int
+    search_gradients: int
+    no_gradient: str
+
+
+def search(model, logp, draws, rng, journal) -> Search:
+    """Find the modes, if the model has gradients; the journal remembers what was evaluated."""
+    if not logp.has_gradient:
+        return Search(None, 0, 0, logp.why_no_gradient)
+    logp.compile_gradient()
+    evaluations = gradients = 0
+    d = prior_points(model, 1, np.random.default_rng(0)).shape[1]
+
+    def posterior(x):
+        nonlocal evaluations
+        evaluations += len(x)
+        prior, likelihood, _ = journal.evaluate(logp, x) if journal else logp(x)
+        return prior + likelihood
+
+    def with_gradient(x):
+        nonlocal gradients
+        gradients += len(x)
+        parts = journal.evaluate(logp.gradient, x, 2) if journal else logp.gradient(x)
+        prior, likelihood, _, *slopes = parts
+        return prior + likelihood, np.reshape(slopes, (2, len(x), d)).sum(axis=0)
+
+    reference = find_reference(posterior, with_gradient, lambda n: prior_points(model, n, rng), draws // 2)
+    if journal:
+        journal.close()
+    return Search(reference, evaluations, gradients, "")
+
+
+def summarise(model, space, idata, reference) -> dict:
+    """Attributes of `sample_stats`, see `sample`."""
+    import arviz as az  # slow to import
+
+    stats = idata["sample_stats"].to_dataset()
+    names = [rv.name for rv in model.free_RVs]
+    r_hats = az.rhat(idata["posterior"].to_dataset()[names])
+    evidences, errors = (stats[f"log_marginal_likelihood{end}"].values for end in ("", "_se"))
+    weights = np.exp(evidences - evidences.max())
+    mean = weights.mean()
+    climbs = idata["modes"]["n_climbs"].values if "modes" in idata.children else np.zeros(0)
+    summary = {
+        "max_r_hat": float(max(r_hats[name].max() for name in names)),
+        "log_evidence": float(evidences.max() + np.log(mean)),
+        "log_evidence_se": float(np.sqrt(((weights * errors) ** 2).sum()) / len(weights) / mean),
+        "ess": float(stats["ess"].sum()),
+        "pareto_k": float(stats["pareto_k"].max()),
+        "n_modes": len(climbs),
+        "single_climbs": float(np.sum(climbs == 1) / max(1, np.sum(climbs))),
+        "reference_efficiency": float(stats["reference_efficiency"].min()),
+    }
+    coordinates = coordinate_names(model, space)
+    flat = compared_draws(model, idata["posterior"])
+    summary["undetermined"] = ", ".join([] if flat is None else undetermined(model, flat, coordinates))
+    worst, error = distance_to_modes(reference, flat)
+    summary["laplace_error"] = error
+    summary["close_to_laplace"] = (
+        "" if worst is None else closeness(coordinates[worst], error, summary["reference_efficiency"])
+    )
+    return summary | {"advice": advice(summary, evidences, errors, idata)}
+
+
+def advice(summary, evidences, errors, idata) -> str:
+    """One sentence on what is wrong and what to do; empty if nothing is."""
+    draws, n_chains = (idata["posterior"].sizes[dim] for dim in ("draw", "chain"))
+    apart = np.ptp(evidences) / np.sqrt(np.mean(errors**2) + 1e-12)
+    if summary["ess"] < 0.9 * draws * n_chains:
+        return (
+            f"the draws are worth {summary['ess']:.0f} of {draws * n_chains} independent ones: increase "
+            "`stage_draws`, or give narrower priors to what the data do not determine"
+            + (f" ({summary['undetermined']})." if summary["undetermined"] else ".")
+        )
+    if summary["max_r_hat"] > AGREEMENT + 3.0 / draws:
+        return (
+            f"independent runs disagree (R-hat {summary['max_r_hat']:.3f}): increase `draws` and "
+            "`stage_draws`, and compare the runs in a trace plot."
+        )
+    if summary["pareto_k"] > LARGEST_K:
+        return (
+            f"a few draws outweigh the rest (Pareto k {summary['pareto_k']:.2f}): the tails and the evidence "
+            "are less certain than their standard errors say. Increase `stage_draws`."
+        )
+    if summary["n_modes"] > FEW_MODES and summary["single_climbs"] > MANY_SINGLE:
+        return (
+            f"climbs found {summary['n_modes']} modes, {100 * summary['single_climbs']:.0f} % of them one "
+            "that no other found, so that there are more: reparametrise the model, or narrow its priors."
+        )
+    if apart > APART:
+        return (
+            f"log evidences of independent runs differ by {np.ptp(evidences):.2f}, more than their standard "
+            "errors explain: increase `stage_draws`."
+        )
+    return ""
+
+
+def compared_draws(model, posterior):
+    """Some draws (n, d) on the sampled scale; None if the model has discrete parameters."""
+    if any(not rv.dtype.startswith("float") for rv in model.free_RVs):
+        return None
+    every = max(1, posterior.sizes["draw"] // N_POSTERIOR)
+    flat = to_unconstrained(model, posterior.to_dataset().isel(draw=slice(None, None, every)))
+    return flat.reshape(-1, flat.shape[-1])
+
+
+def coordinate_names(model, space) -> list[str]:
+    """Names of the scalar parameters in the order of the sampled coordinates."""
+    shapes = {rv.name: space.shapes[model.rvs_to_values[rv].name] for rv in model.free_RVs}
+    return [name for rv, shape in shapes.items() for name in entry_names(rv, shape)]
