@@ -1,6 +1,7 @@
 """What the package costs and how good its posteriors are, beside what others offer, measured in one run.
 
-    python -m benchmarks [--only evaluation|gradients|posteriors|abc|scaling] [--quick]
+    python -m benchmarks [--only evaluation|gradients|posteriors|abc|scaling|structures] [--quick]
+    python -m benchmarks --only dimensions|targets [--quick] [--names NAME...]
 
 One thread everywhere: the limits below must be set before NumPy is imported for the first time.
 """

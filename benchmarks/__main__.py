@@ -10,10 +10,12 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 SECTIONS = ("evaluation", "gradients", "posteriors", "abc", "scaling", "structures")
+LONG = ("dimensions", "targets")  # hours: run only if asked for
+HELP = f"run one section; all but {' and '.join(LONG)} by default (15 minutes)"
 PACKAGES = (
     *("pymc-features", "pymc", "pytensor", "numba", "numpy", "scipy"),
     *("jax", "blackjax", "numpyro", "ultranest", "dynesty", "smcpy", "parallel-abus"),
-    *("pyabc", "sbi", "torch"),
+    *("pyabc", "sbi", "torch", "nutpie"),
 )
 
 
@@ -41,16 +43,19 @@ def confine():
 def main():
     """Run the sections asked for and print their tables."""
     parser = argparse.ArgumentParser("python -m benchmarks", description="Cost and accuracy, side by side.")
-    parser.add_argument("--only", choices=SECTIONS, help="run one section; all by default (15 minutes)")
+    parser.add_argument("--only", choices=SECTIONS + LONG, help=HELP)
     parser.add_argument("--quick", action="store_true", help="fewer rounds and seeds (three minutes)")
+    parser.add_argument("--names", nargs="+", metavar="NAME", help="problems of dimensions or targets")
     arguments = parser.parse_args()
+    if arguments.names and arguments.only not in LONG:
+        parser.error(f"--names needs --only {' or '.join(LONG)}")
     warnings.filterwarnings("ignore")
     confine()
     print(environment(), flush=True)
     start, cpu_start = time.perf_counter(), time.process_time()
-    for section in SECTIONS:
-        if arguments.only in (None, section):
-            import_module(f"benchmarks.{section}").run(arguments.quick)
+    for section in [arguments.only] if arguments.only else SECTIONS:
+        named = {"names": arguments.names} if arguments.names else {}
+        import_module(f"benchmarks.{section}").run(arguments.quick, **named)
     seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - cpu_start
     print(f"\n{seconds:.0f} s in all, {100.0 * cpu_seconds / seconds:.0f} % of them on the processor.")
     if cpu_seconds < 0.95 * seconds:

@@ -1,7 +1,8 @@
 """What an exact gradient costs: value and gradient together over the value alone.
 
 Through PyMC (log-posterior of TN, springs unknown), where a sampler uses it, and of the kernels themselves;
-beside central differences, which grow with the number of parameters, and JAX.
+beside central differences, which grow with the number of parameters, and JAX. Then of whole populations, for
+families of structures.
 """
 
 import numpy as np
@@ -11,10 +12,13 @@ import pymc_features as pmf
 from benchmarks.case import ALPHA, BETA, record_of_length
 from benchmarks.tables import significant, table
 from benchmarks.timing import best_of_rounds
+from pymc_features.smc import population_logp
 
 # number of unknown springs -> degrees of freedom; ten sensors each, and one for each storey of the largest
 SIZES = ((1, 10, 10), (10, 10, 10), (100, 100, 10), (100, 100, 100))
 SAMPLES = 1559
+PARTICLES = 200
+POPULATIONS = (("chain", 10), ("matrices", 10), ("Bouc-Wen", 10), ("chain", 40), ("matrices", 40))
 
 
 def problem(n_parameters, n_dof, n_sensors):
@@ -56,8 +60,61 @@ def calls(model):
     return found
 
 
+def structure(kind, n_dof, x):
+    """Unit masses on springs of 1800 N/m, those of the lower and of the upper half scaled by x (2,)."""
+    mass, damping, half = np.ones(n_dof), pmf.RayleighDamping(ALPHA, BETA), n_dof // 2
+    if kind == "matrices":
+        drifts = np.eye(n_dof) - np.eye(n_dof, k=-1)
+        terms = [1800.0 * d.T @ d for d in (drifts[:half], drifts[half:])]
+        nothing = np.zeros((n_dof, n_dof))
+        return pmf.AffineStructure(mass, stiffness=nothing, damping=damping, stiffness_terms=terms, theta=x)
+    make = {"chain": pmf.SpringMassChain, "Bouc-Wen": pmf.HystereticChain}[kind]
+    more = {} if kind == "chain" else {"yield_displacement": 0.05, "post_yield_ratio": 0.1}
+    return make(mass, x @ (1800.0 * np.repeat(np.eye(2), half, axis=1)), damping, **more)
+
+
+def population_calls(kind, n_dof):
+    """Values, and values and gradients, of all particles; the same of one after the other."""
+    record = record_of_length(SAMPLES)
+    sensors = np.linspace(0, n_dof - 1, 10).astype(int)
+    exact = pmf.simulate(structure(kind, n_dof, np.ones(2)), record, sensors=sensors).values
+    data = exact + 0.05 * exact.std() * np.random.default_rng(0).normal(size=exact.shape)
+    with pm.Model() as model:
+        x = pm.Lognormal("x", 0.0, 0.1, shape=2)
+        mu = pmf.response(structure(kind, n_dof, x), record, sensors=sensors)
+        pmf.TruncNormalFeature("y", mu, pm.HalfNormal("sigma", 1.0), observed=data)
+    logp = population_logp(model, model.initial_point(), {})
+    particles = np.random.default_rng(1).normal(0.0, 0.1, (PARTICLES, 3))
+    both = model.logp_dlogp_function(ravel_inputs=True)
+    both.set_extra_values({})
+    return {
+        "values": lambda: logp(particles),
+        "gradients": lambda: logp.gradient(particles),
+        "one by one": lambda: [both(row) for row in particles],
+    }
+
+
+def run_populations(quick):
+    """Print the table of populations."""
+    rows, chains = [], {}
+    for kind, n_dof in POPULATIONS[:2] if quick else POPULATIONS:
+        seconds = best_of_rounds(population_calls(kind, n_dof), rounds=1 if quick else 3)
+        us = {name: 1e6 * s / PARTICLES for name, s in seconds.items()}
+        if kind == "chain":
+            chains[n_dof] = us["gradients"]
+        relative = us["gradients"] / chains[n_dof]
+        ratios = (us["gradients"] / us["values"], us["one by one"] / us["gradients"], relative)
+        rows.append([f"{kind}, {n_dof} DOF", *map(significant, us.values()), *(f"{x:.2f}" for x in ratios)])
+    headers = [
+        *("structure, 10 sensors", "value: us", "with gradient: us", "one by one: us"),
+        *("gradient over value", "one by one over population", "over that of the chain"),
+    ]
+    print(f"\n## Gradients of a population: TN, {PARTICLES} particles, per particle, {SAMPLES} samples\n")
+    print(table(headers, rows), flush=True)
+
+
 def run(quick=False):
-    """Print the table."""
+    """Print the tables."""
     rows = []
     for size in SIZES[:2] if quick else SIZES:
         seconds = best_of_rounds(calls(problem(*size)), rounds=2 if quick else 7)
@@ -79,3 +136,4 @@ def run(quick=False):
     ]
     print(f"\n## Gradient of a log-posterior: TN, {SAMPLES} samples, springs and sigma unknown\n")
     print(table(headers, rows), flush=True)
+    run_populations(quick)

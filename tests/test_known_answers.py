@@ -1,0 +1,215 @@
+"""The answers that samplers are judged by, checked by routes that do not use their formulas."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pymc.model.transform.conditioning import remove_value_transforms
+from scipy import stats
+
+import pymc_features as pmf
+from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve, Exponents, exact_posterior
+from pymc_features.smc.density.evaluation import population_logp
+from pymc_features.smc.proposals.proposal import fit_mixture
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+try:
+    import benchmarks.known as known
+    from benchmarks.accuracy import accuracy
+    from benchmarks.known import structural
+    from benchmarks.known.exact import bridge, estimates
+    from benchmarks.known.saved import entries
+    from benchmarks.samplers import Run
+finally:
+    sys.path.pop(0)
+
+# name: to coordinates in which the target is not bent, back, and ln |dx / dy|
+STRAIGHT = {
+    "funnel": (
+        lambda x: np.column_stack([x[:, 0], x[:, 1:] * np.exp(-0.5 * x[:, :1])]),
+        lambda y: np.column_stack([y[:, 0], y[:, 1:] * np.exp(0.5 * y[:, :1])]),
+        lambda y: 0.5 * (y.shape[1] - 1) * y[:, 0],
+    ),
+    "banana": (
+        lambda x: np.hstack([first_half(x), second_half(x) - first_half(x) ** 2]),
+        lambda y: np.hstack([first_half(y), second_half(y) + first_half(y) ** 2]),
+        lambda y: np.zeros(len(y)),
+    ),
+    "ridge": (
+        lambda x: np.column_stack([np.log(x[:, 0]), x[:, 0] * x[:, 1]]),
+        lambda y: np.column_stack([np.exp(y[:, 0]), y[:, 1] * np.exp(-y[:, 0])]),
+        lambda y: np.zeros(len(y)),
+    ),
+}
+HALF_CAUCHY = stats.halfcauchy(scale=5.0)
+
+
+def of_tau(tau):
+    """Its normal score under the prior."""
+    return stats.norm.ppf(HALF_CAUCHY.cdf(tau))
+
+
+def to_tau(z):
+    """Back from there."""
+    return HALF_CAUCHY.ppf(stats.norm.cdf(z))
+
+
+def log_slope_of_tau(z):
+    """ln d tau / d z."""
+    return stats.norm.logpdf(z) - HALF_CAUCHY.logpdf(to_tau(z))
+
+
+STRAIGHT["schools"] = (
+    lambda x: np.column_stack([x[:, 0], of_tau(x[:, 1]), x[:, 2:]]),
+    lambda y: np.column_stack([y[:, 0], to_tau(y[:, 1]), y[:, 2:]]),
+    lambda y: log_slope_of_tau(y[:, 1]),
+)
+STRAIGHT["schools_centred"] = (
+    lambda x: np.column_stack([x[:, 0], of_tau(x[:, 1]), (x[:, 2:] - x[:, :1]) / x[:, 1:2]]),
+    lambda y: np.column_stack([y[:, 0], to_tau(y[:, 1]), y[:, :1] + y[:, 2:] * to_tau(y[:, 1:2])]),
+    lambda y: log_slope_of_tau(y[:, 1]) + 8.0 * np.log(to_tau(y[:, 1])),
+)
+SAME = (lambda x: x, lambda y: y, lambda y: np.zeros(len(y)))
+CLOSED = ["gaussian-10", "funnel-10", "banana-10", "modes_19-2", "modes_1234-10", "student-10", "corner-10"]
+CLOSED += ["ridge-2", "schools-10", "schools_centred-10"]
+POINTS = 20_000
+
+
+def first_half(x):
+    return x[:, : x.shape[1] // 2]
+
+
+def second_half(x):
+    return x[:, x.shape[1] // 2 :]
+
+
+def weighted_points(name, problem, rng):
+    """Independent points on the model's own scale, and their log weights."""
+    to_straight, back, log_slope = STRAIGHT.get(name.split("-")[0], SAME)
+    fitted = to_straight(problem.draws(3000, rng))
+    mixture = fit_mixture(fitted, np.ones(len(fitted)), rng)
+    y = mixture.move(np.zeros((POINTS, fitted.shape[1])), 1.0, rng)
+    model = remove_value_transforms(problem.model)  # which changes the order of its variables
+    x, names = back(y), [rv.name for rv in model.free_RVs]
+    columns = [
+        i for name in names for i, label in enumerate(problem.answer.labels) if label.split("[")[0] == name
+    ]
+    density = population_logp(model, model.initial_point(), {"mode": "FAST_COMPILE"})
+    log_prior, log_likelihood, _ = density(x[:, columns])
+    return x, log_prior + log_likelihood + log_slope(y) - mixture.log_density(y)
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_density_integrates_to_the_evidence(name):
+    """By importance sampling of the model itself; quantiles of the weighted points are the answer's, too."""
+    problem = known.problem(name)
+    x, log_weights = weighted_points(name, problem, np.random.default_rng(1))
+    weights = np.exp(log_weights - log_weights.max())
+    log_z = np.log(weights.mean()) + log_weights.max()
+    error = weights.std() / weights.mean() / np.sqrt(POINTS)
+    assert error < 0.03
+    assert abs(log_z - problem.answer.log_evidence) < 4.0 * error
+    found, errors = estimates.of_weighted(x, weights)
+    assert (np.abs(found - problem.answer.quantiles) < 5.0 * errors).all()
+    wrong = problem.answer.quantiles + 0.1 * problem.answer.width
+    assert not (np.abs(found - wrong) < 5.0 * errors).all()
+
+
+@pytest.mark.parametrize("name", [n for n in known.TARGET_NAMES if n not in ("gaussian-30", "logistic-10")])
+def test_exact_draws(name):
+    """Shares below the stated quantiles, 5 standard errors at most in all of them, and of the modes."""
+    problem = known.problem(name)
+    x = problem.draws(40_000, np.random.default_rng(2))
+    answer = problem.answer
+    assert answer.quantiles.shape == (3, len(answer.labels)) == (3, x.shape[1])
+    p = known.PROBABILITIES[:, None]
+    shares = np.array([(x <= row).mean(axis=0) for row in answer.quantiles])
+    assert (np.abs(shares - p) < 5.0 * np.sqrt(p * (1.0 - p) / len(x))).all()
+    if problem.modes is not None:
+        w = problem.modes.weights
+        assert (np.abs(problem.modes.found(x) - w) < 5.0 * np.sqrt(w * (1.0 - w) / len(x))).all()
+
+
+def test_accuracy_of_independent_draws():
+    """They are worth their number and have no bias; shifted ones are found out."""
+    problem, rng = known.problem("modes_37-10"), np.random.default_rng(3)
+    runs = [Run(problem.draws(500, rng), 1000.0, 100.0, rng.normal(-29.957, 0.1), 0.1) for _ in range(100)]
+    found = accuracy(runs, [2.0] + 99 * [1.0], problem, gradient_cost=5.0)
+    np.testing.assert_allclose(found.effective, 500.0, rtol=0.3)
+    assert found.cost == 1500.0 and found.seconds == 1.0
+    assert np.sqrt((found.error_in_se**2).mean()) < 2.0
+    np.testing.assert_allclose(found.evidence_se_ratio, 1.0, rtol=0.3)
+    np.testing.assert_allclose(found.mode_weights, [0.3, 0.7], atol=0.01)
+    shifted = [Run(run.draws + 0.1, 1000.0, 100.0) for run in runs]
+    worse = accuracy(shifted, [1.0] * 100, problem, gradient_cost=5.0)
+    assert worse.effective < 0.5 * found.effective and np.isnan(worse.evidence_bias)
+    assert np.sqrt((worse.error_in_se**2).mean()) > 5.0
+
+
+@pytest.mark.parametrize("like", ["NORM", "TN", "EXP"])
+def test_saved_answers_of_one_factor(like, total_discrepancy):
+    """Found by midpoints in the prior's probability; here by the package's own quadrature."""
+    sensors, samples = structural.measured(2).shape
+    exponents = {
+        "NORM": Exponents(sensors * samples, samples, -0.5 * sensors * samples * np.log(2.0 * np.pi)),
+        "TN": Exponents(sensors, 1.0, 0.5 * sensors * np.log(2.0 / np.pi)),
+        "EXP": Exponents(2.0 * sensors, 1.0, -sensors * np.log(2.0)),
+    }
+    exact = exact_posterior(total_discrepancy, exponents[like], (1e-9, 2.0))
+    answer = known.saved_answer(f"{like}-2-wide")
+    quantiles = [m.quantile(known.PROBABILITIES) for m in (exact.theta, exact.sigma)]
+    assert (np.abs(answer.quantiles - np.column_stack(quantiles)) < 1e-5 * answer.width).all()
+    np.testing.assert_allclose(answer.log_evidence, exact.log_evidence, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def total_discrepancy():
+    """S(theta) of the structure with one factor."""
+    measured, sensors = structural.measured(2), structural.sensors(2)
+    damping = pmf.RayleighDamping(alpha=structural.ALPHA, beta=structural.BETA)
+
+    def total(theta):
+        structure = structural.structure(2, np.array([theta]), damping)
+        response = pmf.simulate(structure, structural.record(), sensors=sensors).values
+        return ((measured - response) ** 2).mean(axis=1).sum()
+
+    return DiscrepancyCurve(total, (0.5, 1.5), measured.size, n_nodes=301)
+
+
+def test_saved_answers_are_whole():
+    """Of every structural posterior that was solved: quantiles in order, errors small, evidence finite."""
+    solved = entries()
+    assert {"TN-4-wide", "EXP-11-narrow", "logistic-10"} <= set(solved) <= set(known.NAMES)
+    for name in solved:
+        answer = known.saved_answer(name)
+        assert answer.quantiles.shape == answer.quantile_se.shape == (3, len(answer.labels))
+        assert (np.diff(answer.quantiles, axis=0) > 0).all()
+        assert (answer.quantile_se / answer.width).max() < 0.05, name
+        assert np.isfinite([answer.log_evidence, answer.log_evidence_se]).all()
+
+
+def test_bridge_between_gaussians():
+    """ln Z = 3 within its error from a proposal that is too narrow, for which weights alone are wrong."""
+    rng = np.random.default_rng(4)
+    proposal = stats.norm(0.3, 0.5)
+    draws, points = rng.standard_normal((64, 200)), proposal.rvs(10_000, random_state=rng)
+    of_draws, of_points = (3.0 + stats.norm.logpdf(x) - proposal.logpdf(x) for x in (draws, points))
+    log_z, error = bridge.log_evidence(of_draws, of_points, effective=draws.size)
+    assert error < 0.03 and abs(log_z - 3.0) < 4.0 * error
+    assert estimates.pareto_shape(of_points) > 0.5
+
+
+def test_chains_and_their_errors():
+    """Of autoregressive chains: quantiles within their errors, the effective number; stuck ones are seen."""
+    rng = np.random.default_rng(5)
+    x = np.empty((256, 400, 1))
+    x[:, 0] = rng.standard_normal((256, 1))
+    for i in range(1, 400):
+        x[:, i] = 0.8 * x[:, i - 1] + 0.6 * rng.standard_normal((256, 1))
+    found, errors, effective = estimates.of_chains(x)
+    assert (np.abs(found[:, 0] - stats.norm.ppf(known.PROBABILITIES)) < 4.0 * errors[:, 0]).all()
+    np.testing.assert_allclose(effective[1], 256 * 400 / 6.39, rtol=0.3)  # 1 + 2 sum 2 / pi asin(0.8^k)
+    assert estimates.r_hat(x) < 1.05 and estimates.memory(x) < 0.3
+    x[:100] += 3.0
+    assert estimates.r_hat(x) > 1.3 and estimates.memory(x) > 0.9
