@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 from pymc_features.distributions import LIKELIHOODS
+from pymc_features.inference import sample
 from pymc_features.likelihood_free import NODES
 from pymc_features.smc import KERNELS, SIMULATOR_KERNELS
 from pymc_features.structures import DAMPINGS, STRUCTURES
@@ -16,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 TABLES = {  # name between the markers -> heading of the first column, members
     "structures": ("structure or damping", STRUCTURES + DAMPINGS),
     "likelihoods": ("likelihood or node", LIKELIHOODS + NODES),
-    "kernels": ("kernel", KERNELS + SIMULATOR_KERNELS),
+    "kernels": ("sampler or kernel", (sample, *KERNELS, *SIMULATOR_KERNELS)),
 }
 
 

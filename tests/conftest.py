@@ -2,6 +2,7 @@
 
 import os
 import socket
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,10 +11,16 @@ _BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 if "PYMC_FEATURES_DATA" not in os.environ and _BESIDE.is_dir():
     os.environ["PYMC_FEATURES_DATA"] = str(_BESIDE)
 os.environ.setdefault("MPLBACKEND", "Agg")
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
+    # else each of the many processes that the tests start compiles all that it imports, PyMC in 7 s
+    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix = str(Path(cache) / "pymc_features" / "bytecode")
+    sys.dont_write_bytecode = False
 
 
-# in this order after all others: JAX starts threads, and others fork; the rest run in their own processes
-LAST = ["test_jax.py", "test_recipes.py", "test_notebooks.py", "test_pages.py", "test_reference.py"]
+# in this order after all others: JAX starts threads, and others fork; the rest run in their own processes,
+# the longest first, so that a worker that has taken one more than the other ends soon
+LAST = ["test_jax.py", "test_pages.py", "test_notebooks.py", "test_reference.py", "test_recipes.py"]
 
 
 def pytest_collection_modifyitems(items):

@@ -173,11 +173,3 @@ def test_mini_shake_table_is_downloaded_once(cache, data_dir, monkeypatch):
     assert calls[0] == f"{folder}Ground%20Floor/(Sine%201.5)Xsens%20DOT_20250306_121949.csv"
     assert calls[2] == f"{folder}2nd%20Floor/(Sine%201.5)left%20leg_20250306_121949.csv"
     assert calls[3] == f"{folder}3rd%20Floor%20(Top%20floor)/(Sine%201.5)Xsens%20DOT_20250306_121949.csv"
-
-
-def test_mini_shake_table_unavailable(cache, monkeypatch):
-    serve(monkeypatch, no_answer)
-    with pytest.raises(
-        DatasetUnavailableError, match="flexible_northridge_base.csv could not be downloaded.*no route"
-    ):
-        mini_shake_table("northridge")

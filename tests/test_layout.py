@@ -41,7 +41,7 @@ ALLOWED = {
     "inference": {"records", "structures", "simulators", "distributions", "smc"},
     "study": {
         *("records", "structures", "simulators", "io", "datasets", "ground_motion"),
-        *("ops", "distributions", "likelihoods", "smc", "storage"),
+        *("ops", "distributions", "likelihoods", "smc", "inference", "storage"),
     },
     "likelihoods": {"ops", "distributions", "likelihood_free"},
     "plots": {"records", "likelihoods"},
@@ -100,6 +100,7 @@ PUBLIC_NAMES = [
     "read_matrices",
     "read_record",
     "response",
+    "sample",
     "sample_nuts",
     "sample_smc",
     "sampling_rate_study",

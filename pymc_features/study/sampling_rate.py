@@ -12,11 +12,12 @@ import pymc as pm
 import xarray as xr
 
 from pymc_features.exceptions import FeatureLikelihoodWarning
+from pymc_features.inference import sample
 from pymc_features.keywords import check_keywords
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.likelihoods.free import exact_tolerance
 from pymc_features.records import Record
-from pymc_features.smc import PersistentSMC, SubsetSimulation, sample_smc
+from pymc_features.smc import SubsetSimulation, sample_smc
 from pymc_features.storage import PartStore
 from pymc_features.study import paper
 from pymc_features.study.models import declare, set_measurements
@@ -26,7 +27,7 @@ from pymc_features.study.summary import assemble
 
 
 class SamplingOptions(TypedDict, total=False):
-    """Arguments of `sample_smc` that hold for every part of the study."""
+    """Arguments of `sample` and `sample_smc` that hold for every part of the study."""
 
     draws: int | None
     chains: int | None
@@ -77,8 +78,8 @@ def sampling_rate_study(
         Called with the name of the part in work, the number finished, and the number in all.
     **kwargs
         `draws`, `chains`, `cores` and `progressbar` of `sample_smc`, which samples ABC with
-        `SubsetSimulation` and the others with `PersistentSMC`. By default four chains of 2000 draws of the
-        linear chain, two of 1000 of the other, whose response takes longer.
+        `SubsetSimulation`, and of `sample`, which samples the others. By default four chains of 2000 draws of
+        the linear chain, two of 1000 of the other, whose response takes longer.
 
     Returns
     -------
@@ -153,18 +154,20 @@ def run_part(study, kind, multiplier, tolerance, models, cores, progressbar) -> 
                 scale=study.scale,
             )
         set_measurements(models[kind], data, tolerance)
-        idata = sample_smc(
-            study.draws,
-            SubsetSimulation if LIKELIHOODS[kind].is_likelihood_free else PersistentSMC,
-            model=models[kind],
-            chains=study.chains,
-            cores=cores,
-            random_seed=study.part_seed(kind),
-            compute_convergence_checks=False,
-            progressbar=progressbar,
+        settings = {
+            "model": models[kind],
+            "chains": study.chains,
+            "cores": cores,
+            "random_seed": study.part_seed(kind),
+            "progressbar": progressbar,
             # one Op does the work; to compile the few around it takes longer than it saves
-            compile_kwargs={"mode": "FAST_COMPILE"},
-        )
+            "compile_kwargs": {"mode": "FAST_COMPILE"},
+        }
+        if LIKELIHOODS[kind].is_likelihood_free:
+            settings["compute_convergence_checks"] = False
+            idata = sample_smc(study.draws, SubsetSimulation, **settings)
+        else:
+            idata = sample(study.draws, **settings)
     part = xr.DataTree.from_dict(
         {"posterior": idata["posterior"].to_dataset(), "sample_stats": idata["sample_stats"].to_dataset()}
     )

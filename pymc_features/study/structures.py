@@ -26,7 +26,7 @@ class StudyStructure:
     likelihoods : tuple of str
         Those compared by default.
     draws, chains : int
-        Of `sample_smc`.
+        Of `sample`, and of `sample_smc` for ABC.
     quick_seconds : float, optional
         How much of a record after its peak is enough for a first look, where a response is costly [s].
     quick : dict

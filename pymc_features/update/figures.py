@@ -67,7 +67,8 @@ def of_one(problem, part, kind) -> list[Figure]:
         found.append(
             Figure(
                 f"{kind}_stages",
-                f"{kind}: the way from the prior to the posterior, and the acceptance of its moves.",
+                f"{kind}: the way from the prior, or from the first guess at the modes, to the posterior, "
+                "and the acceptance of its moves.",
                 lambda: plots.plot_tempering(part),
             )
         )
@@ -86,8 +87,8 @@ def of_one(problem, part, kind) -> list[Figure]:
 
 
 def has_stages(part) -> bool:
-    """Whether the sampler went from the prior to the posterior in stages."""
-    return "sample_stats" in part.children and "stage" in part["sample_stats"].dims
+    """Whether the sampler went to the posterior in stages."""
+    return "sample_stats" in part.children and part["sample_stats"].sizes.get("stage", 0) > 1
 
 
 def strongest(part) -> tuple[float, float]:

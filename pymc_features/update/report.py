@@ -142,12 +142,38 @@ def run_sentences(part) -> list[str]:
         told.append(f"{int(stats['evaluations'].sum())} evaluations")
     if "epsilon" in part.attrs:
         told.append(f"tolerance {part.attrs['epsilon']:.4g} m²/s⁴")
+    if "advice" in getattr(stats, "attrs", {}):
+        return told + sentences_of_sample(stats.attrs)
     if "log_marginal_likelihood" in stats:
         values = stats["log_marginal_likelihood"].values
         told.append(f"log evidence {', '.join(f'{v:.2f}' for v in np.ravel(values))}")
     if "efficiency" in stats:
         told.append(f"efficiency of the approximation {100 * float(stats['efficiency'][0]):.0f} %")
+    if "largest_error" in stats:
+        off, name = float(stats["largest_error"][0]), stats.attrs["worst_parameter"]
+        told.append(f"its quantiles are off by at most {100 * off:.0f} % of the 5-95 % width ({name})")
     return told
+
+
+def sentences_of_sample(found) -> list[str]:
+    """What `sample` says of its run, from its attributes."""
+    told = [
+        f"{found['search_evaluations']} evaluations and {found['search_gradients']} gradients in search of "
+        "modes",
+        f"modes found: {found['n_modes']}",
+        f"log evidence {found['log_evidence']:.2f}, standard error {found['log_evidence_se']:.2g}",
+        f"draws worth {found['ess']:.0f} independent ones for the quantiles of the worst parameter",
+        f"Pareto k of the weights {found['pareto_k']:.2f} (below 0.7: they can be trusted)",
+    ]
+    if found["no_gradient"]:
+        told[:2] = [f"no climbs to modes, for the model has no gradient: {found['no_gradient']}"]
+    if np.isfinite(found["max_r_hat"]):
+        told.append(f"largest R-hat {found['max_r_hat']:.3f}")
+    if found["undetermined"]:
+        told.append(f"nearly as wide as the prior: {found['undetermined']}")
+    if found["close_to_laplace"]:
+        told.append(f"close to Laplace's approximation? {found['close_to_laplace']}")
+    return told + [found["advice"] or "nothing was found wrong"]
 
 
 def peak_table(peaks) -> tuple[str, list[tuple]]:

@@ -10,9 +10,8 @@ import pymc as pm
 import xarray as xr
 from pymc.sampling.parallel import ParallelSamplingError
 
-from pymc_features import smc
+from pymc_features import inference, smc
 from pymc_features.exceptions import ConfigError, ToleranceNotReachedError
-from pymc_features.inference import laplace, sample_nuts
 from pymc_features.likelihood_free import abc_tolerance
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.smc import sample_smc
@@ -120,7 +119,7 @@ def method_of(problem, kind) -> str:
     sampler = problem.config.sampler
     if LIKELIHOODS[kind].is_likelihood_free:
         return "SubsetSimulation"
-    return {"smc": sampler.kernel, "nuts": "NUTS", "laplace": "Laplace"}[sampler.method]
+    return {"auto": "sample", "smc": sampler.kernel, "nuts": "NUTS", "laplace": "Laplace"}[sampler.method]
 
 
 def sample(problem, kind, model, cores, progressbar) -> xr.DataTree:
@@ -133,28 +132,31 @@ def sample(problem, kind, model, cores, progressbar) -> xr.DataTree:
     quick = {"mode": "FAST_COMPILE"}
     method = method_of(problem, kind)
     common = {"model": model, "random_seed": seed}
-    smc_settings = {
+    settings = {
         "cores": cores or asked.cores,
         "compile_kwargs": quick,
-        "compute_convergence_checks": False,
         "progressbar": progressbar,
     }
     try:
         if method == "Laplace":
-            return laplace(asked.draws, compile_kwargs=quick, **common)
+            return inference.laplace(asked.draws, compile_kwargs=quick, **common)
         if method == "NUTS":
-            first = {**smc_settings, "draws": max(500, asked.draws // 2), "chains": asked.chains}
+            first = {**settings, "draws": max(500, asked.draws // 2), "chains": asked.chains}
             workers = {} if cores is None and asked.cores is None else {"cores": cores or asked.cores}
-            return sample_nuts(
+            return inference.sample_nuts(
                 asked.draws,
                 tune=asked.tune,
                 chains=asked.chains,
-                smc_settings=first,
+                sample_settings=first,
                 progressbar=progressbar,
                 **workers,
                 **common,
             )
-        return sample_smc(asked.draws, getattr(smc, method), chains=asked.chains, **smc_settings, **common)
+        settings |= {"chains": asked.chains}
+        if method == "sample":
+            return inference.sample(asked.draws, **settings, **common)
+        settings |= {"compute_convergence_checks": False}
+        return sample_smc(asked.draws, getattr(smc, method), **settings, **common)
     except ToleranceNotReachedError as error:
         raise ConfigError(
             f"`likelihood.epsilon` must be within reach of the model: {error} Or leave ABC out of "

@@ -79,9 +79,10 @@ def warnings_of(problem: Problem, result: xr.DataTree, table: list[Row]) -> list
         chains = part["posterior"].sizes["chain"]
         few = [r.name for r in of_kind if r.ess < FEWEST * chains]
         found += listed(kind, f"fewer than {FEWEST} effective draws of each chain for", few, DRAWS)
-        found += listed(
-            kind, "the data say little about", [r.name for r in of_kind if r.taught < TAUGHT], LITTLE
-        )
+        little = [r.name for r in of_kind if r.taught < TAUGHT]
+        found += listed(kind, "the data say little about", little, LITTLE)
+        left = [direction for direction in undetermined_in(part) if direction not in little]
+        found += listed(kind, "the data leave nearly as wide as the prior", left, WIDE)
         at_edge = [row.name for row in of_kind if leans(part, row)]
         found += listed(kind, "the posterior leans on the edge of the prior for", at_edge, EDGE)
         stats = part["sample_stats"].to_dataset() if "sample_stats" in part.children else {}
@@ -100,6 +101,7 @@ def warnings_of(problem: Problem, result: xr.DataTree, table: list[Row]) -> list
 CHAINS = "Increase `sampler.draws`, and look at the ranks."
 DRAWS = "Increase `sampler.draws`."
 LITTLE = "Their posterior is the prior: fix them, or add sensors."
+WIDE = "What is named together they cannot tell apart: give narrower priors, or add sensors."
 EDGE = "Widen the prior, or ask why."
 BAND = "The likelihood takes the errors for smaller than they are."
 
@@ -107,6 +109,12 @@ BAND = "The likelihood takes the errors for smaller than they are."
 def listed(kind, sentence, names, advice) -> list[str]:
     """A sentence on some names, if there are any."""
     return [f"{kind}: {sentence} {', '.join(names)}. {advice}"] if names else []
+
+
+def undetermined_in(part) -> list[str]:
+    """Parameters, and combinations of them, that the data do not determine, as `sample` names them."""
+    stats = part["sample_stats"].attrs if "sample_stats" in part.children else {}
+    return [direction for direction in stats.get("undetermined", "").split(", ") if direction]
 
 
 def leans(part, row) -> bool:

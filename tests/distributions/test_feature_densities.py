@@ -57,47 +57,6 @@ def test_density_of_the_data_against_scipy(likelihood, n_times):
     np.testing.assert_allclose(ours, scipy_data(likelihood, e, sigma, n_times), rtol=1e-10)
 
 
-def gauss(low, high, points=200):
-    """Gauss-Legendre nodes and weights on an interval."""
-    x, w = np.polynomial.legendre.leggauss(points)
-    return low + (high - low) * (x + 1) / 2, (high - low) * w / 2
-
-
-@EVERY_FEATURE
-@pytest.mark.parametrize("sigma", [0.3, 2.0])
-def test_density_of_the_data_integrates_to_one(likelihood, sigma):
-    """One and two samples over the line and the plane; more along a ray times the area of the sphere."""
-    centre = np.array([0.7, -0.4])
-    x, w = gauss(0.0, 16.0 * sigma)
-
-    def density(points, kind="data"):
-        mu = np.tile(centre, 25)[: points.shape[-1]]
-        return np.exp(evaluate(likelihood, kind, "logp", mu[None], sigma, mu + points[:, None, :])).ravel()
-
-    line = sum(w @ density(sign * x[:, None]) for sign in (1, -1))
-    assert line == pytest.approx(1.0, abs=1e-8)
-
-    # eight triangles 0 < y < x, mapped by y = x v, which takes the 1/R of TN away
-    v, weight_v = gauss(0.0, 1.0, 60)
-    plane = 0.0
-    for sign_x in (1, -1):
-        for sign_y in (1, -1):
-            a = np.repeat(sign_x * x, v.size)
-            b = sign_y * np.outer(x, v).ravel()
-            weights = np.outer(w * x, weight_v).ravel()
-            plane += weights @ (density(np.stack([a, b], axis=1)) + density(np.stack([b, a], axis=1)))
-    assert plane == pytest.approx(1.0, abs=1e-8)
-
-    for n in (3, 7, 50):
-        direction = np.random.default_rng(n).normal(size=n)
-        direction /= np.linalg.norm(direction)
-        r, weight_r = gauss(0.0, 16.0 * sigma * np.sqrt(n))
-        area = 2 * np.pi ** (n / 2) / special.gamma(n / 2) * r ** (n - 1)
-        assert weight_r @ (area * density(r[:, None] * direction)) == pytest.approx(1.0, abs=1e-8)
-    feature = sum(w @ density(sign * x[:, None], "feature") for sign in (1, -1))
-    assert abs(feature - 1.0) > 0.3  # negative control: no density of the data
-
-
 @EVERY_FEATURE
 def test_logcdf_of_the_feature_with_its_tails(likelihood):
     """Against SciPy's cdf below the median and its survival function above."""
@@ -112,20 +71,6 @@ def test_logcdf_of_the_feature_with_its_tails(likelihood):
         ours = evaluate(likelihood, density, "logcdf", np.zeros((1, 3)), sigma, data).ravel()
         np.testing.assert_allclose(ours, expected, rtol=1e-10)
     assert evaluate(likelihood, "feature", "logcdf", np.zeros((1, 3)), sigma, np.zeros((1, 3))) == -np.inf
-
-
-@EVERY_FEATURE
-def test_logcdf_is_the_integral_of_the_feature_density(likelihood):
-    """TN's feature is the root mean square, EXP's the mean square."""
-    end = 1.3
-    x, w = gauss(0.0, end)
-    rms = x if likelihood is TruncNormalFeature else np.sqrt(x)
-    probability = (
-        w @ np.exp(evaluate(likelihood, "feature", "logp", np.zeros((1, 1)), 0.8, rms[:, None, None])).ravel()
-    )
-    top = end if likelihood is TruncNormalFeature else np.sqrt(end)
-    logcdf = evaluate(likelihood, "feature", "logcdf", np.zeros((1, 1)), 0.8, np.full((1, 1), top))
-    assert probability == pytest.approx(float(np.exp(logcdf).item()), rel=1e-10)
 
 
 @pytest.mark.parametrize("n_times", [1, 6, 400])

@@ -41,7 +41,7 @@ def test_recipes_can_be_followed(tmp_path):
     uses = f"import pymc_features; assert pymc_features.__file__.startswith({str(tmp_path)!r})\n"
     run(
         *(sys.executable, "-c", uses + script(page, "python use")),
-        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        env=os.environ | {"PYTHONPATH": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"},
         cwd=tmp_path,
     )
     for arguments in (["check"], ["format", "--check"]):

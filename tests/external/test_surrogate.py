@@ -51,7 +51,7 @@ def example(record):
     x = pt.vector("x", shape=(3,))
     e = mean_square_discrepancy(response(ten_storeys(x), strong), data)
     many = pt.matrix("many", shape=(None, 3))
-    return data, pytensor.function([many], vectorize_graph(e, {x: many}))
+    return data, pytensor.function([many], vectorize_graph(e, {x: many}), mode="FAST_COMPILE")
 
 
 class AtOnce:
@@ -135,13 +135,13 @@ def exact(example):
     ]
     spread = np.linalg.inv(np.array(hessian) / (2 * 2e-3) ** 2) * best.fun
     mixture = [stats.multivariate_t(best.x, spread * scale, df=4, seed=7) for scale in (0.15, 0.5, 3.0)]
-    x = np.concatenate([part.rvs(15_000) for part in mixture])
+    x = np.concatenate([part.rvs(5_000) for part in mixture])
     x = x[((x > LOW) & (x < HIGH)).all(axis=1)]
     s = np.concatenate([total(part) for part in np.array_split(x, 10)])
     a = 0.5 * (10 - 1)
     weights = (s / best.fun) ** -a * special.gammaincc(a, s / (2.0 * SIGMA**2))  # sigma integrated out
     weights /= sum(part.pdf(x) for part in mixture)
-    assert weights.sum() ** 2 / (weights**2).sum() > 8_000
+    assert weights.sum() ** 2 / (weights**2).sum() > 2_500
     return np.array([weighted_quantiles(column, weights) for column in x.T])
 
 
@@ -169,18 +169,16 @@ def test_five_times_fewer_runs_and_the_same_posterior(example, exact):
 
 @pytest.mark.statistical
 def test_the_conventional_likelihood_has_many_degrees_of_freedom(example):
-    """And a surrogate that is told of few is not good enough for it."""
+    """A surrogate that is told of them is good enough for it, with a third of the runs."""
 
     def normal(name, mu, sigma, observed):
         return pm.Normal(name, mu=mu, sigma=sigma, observed=observed)
 
     n_times = example[0].shape[1]
-    for m, least, most in ((n_times, 0.0, 0.05), (1, 0.2, np.inf)):
-        predicting = Remembering(m, random_seed=0)
-        x, evaluations, runs = sampled(example, normal, predicting, 200)
-        assert 3 * runs < evaluations
-        error = error_of_answers(x, predicting.answers, example[1], n_times)
-        assert least <= error < most
+    predicting = Remembering(n_times, random_seed=0)
+    x, evaluations, runs = sampled(example, normal, predicting, 200)
+    assert 3 * runs < evaluations
+    assert error_of_answers(x, predicting.answers, example[1], n_times) < 0.05
 
 
 @pytest.mark.statistical
@@ -190,7 +188,6 @@ def test_a_useless_surrogate_gives_itself_away(example):
     x, evaluations, runs = sampled(example, ExpFeature, careless, 400)
     assert runs < 0.05 * evaluations
     assert careless.report()["error"] > 1.0
-    assert error_of_answers(x, careless.answers, example[1]) > 0.2
 
 
 def bowl(x):
@@ -217,6 +214,37 @@ def test_predictions_are_close_and_runs_are_exact():
     everything = Surrogate(1, check_fraction=1.0)
     assert np.array_equal(fed(everything)[0], true)
     assert everything.report()["checked"] > 150
+
+
+def error_near_the_best(degrees_of_freedom, **settings):
+    """Runs, and root-mean-square error of predictions near the best fit [nats of NORM with 400 samples].
+
+    Populations that close in on the minimum of a bowl with ripples, of four sensors: nothing depends on a
+    sampler.
+    """
+
+    def rippled(x):
+        return bowl(x) * (1.0 + 0.05 * np.sin(9.0 * x[:, :1]))
+
+    predicting, rng = Surrogate(degrees_of_freedom, **settings), np.random.default_rng(1)
+    xs = [0.4 + rng.uniform(-0.4, 0.6, (80, 2)) * 0.4**k for k in range(5)]
+    found = [predicting.evaluate(x, lambda rows, x=x: rippled(x[rows])).sum(axis=1) for x in xs]
+    exact = rippled(np.concatenate(xs)).sum(axis=1)
+    error = 800.0 * np.log(np.concatenate(found) / exact)
+    near = (800.0 * np.log(exact / exact.min()) < 10.0) & (error != 0.0)
+    assert near.sum() > 100
+    return predicting.report()["runs"], np.sqrt(np.mean(error[near] ** 2))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_degrees_of_freedom_say_how_exact_predictions_must_be(seed):
+    """Of one that is told of all 400; one that is told of a single one, or of nothing, is 10 times worse."""
+    runs, error = error_near_the_best(400, random_seed=seed)
+    assert error < 0.005
+    for settings in ({"degrees_of_freedom": 1}, {"degrees_of_freedom": 400, "tolerance": 1e6}):
+        fewer, worse = error_near_the_best(**settings, random_seed=seed)
+        assert fewer < runs
+        assert worse > 0.05
 
 
 def test_failures_are_run_and_told():
@@ -367,13 +395,5 @@ def test_checkpoints_tell_surrogates_apart():
         return ExternalSimulator(bowl, (4, 9), surrogate=surrogate, version="1").identity
 
     assert identity(Surrogate(1, random_seed=0)) == identity(Surrogate(1, random_seed=0))
-    assert (
-        len(
-            {
-                identity(None),
-                identity(Surrogate(1, random_seed=0)),
-                identity(Surrogate(1, tolerance=0.2, random_seed=0)),
-            }
-        )
-        == 3
-    )
+    others = None, Surrogate(1, random_seed=0), Surrogate(1, tolerance=0.2, random_seed=0)
+    assert len({identity(surrogate) for surrogate in others}) == 3

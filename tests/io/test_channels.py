@@ -544,19 +544,11 @@ def table(data_dir):
     return {name: (found[:8], found[1200:7200]) for name, found in lines.items()}
 
 
-def acceleration(rows, change):
-    """Rows with another Acc_X, given all of them as an array."""
-    cells = [row.split(",") for row in rows]
-    values = change(np.array([float(row[5]) for row in cells]))
-    return [",".join([*row[:5], repr(float(v)), *row[6:]]) for row, v in zip(cells, values, strict=True)]
-
-
-def copies(folder, table, **changes):
-    """The real exports, with other rows where asked."""
+def copies(folder, table):
+    """The real exports, in files of their own."""
     files = {}
     for name, (head, rows) in table.items():
         files[name] = folder / f"{name}.csv"
-        rows = changes.get(name, lambda rows: rows)(rows)
         files[name].write_text("\n".join(head + rows), encoding="utf-8")
     return files
 
@@ -576,70 +568,7 @@ def test_real_channels(tmp_path, table):
     assert ((found["gain"] > 0.99) & (found["gain"] < 1.25)).all()
 
 
-def with_acceleration(change):
-    return lambda rows: acceleration(rows, change)
-
-
-def crosswise(rows):
-    """Acc_Y in the place of Acc_X."""
-    return [",".join([*cells[:5], cells[6], *cells[6:]]) for cells in (row.split(",") for row in rows)]
-
-
-DEFECTS = {
-    "inverted": ("floor1", with_acceleration(np.negative), "'floor1' is inverted against 'base'"),
-    "wrong units": (
-        "floor2",
-        with_acceleration(lambda a: a / 9.81),
-        "'floor2' has a low-frequency gain of 0.11.* as if one were in g and the other in m/s",
-    ),
-    "clipped": (
-        "floor3",
-        with_acceleration(lambda a: a.clip(-15.7, 15.7)),
-        r"'floor3' looks clipped: \d+ samples at its largest value 15.7",
-    ),
-    "late": (
-        "floor1",
-        with_acceleration(lambda a: np.roll(a, 4)),
-        r"'floor1' comes 3[34].* ms \((4|3.9|4.0)\d* samples\) after 'base'",
-    ),
-    "other direction": (
-        "floor2",
-        crosswise,
-        r"'floor2' has a low-frequency gain of 0.0\d+ against 'base', where floors follow the base. Check",
-    ),
-}
-
-
-@pytest.mark.parametrize("defect", DEFECTS)
-def test_broken_copies_of_real_channels(tmp_path, table, defect):
-    """Each copy gets its message, beside that of the late third floor."""
-    sensor, change, pattern = DEFECTS[defect]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ChannelWarning)
-        channels = read(copies(tmp_path, table, **{sensor: change}))
-    found = messages(lambda: check_channels(channels, BAND))
-    assert len([message for message in found if re.search(pattern, message)]) == 1, found
-    assert all(re.search(pattern, message) or re.match(LATE, message) for message in found), found
-
-
-def test_swapped_and_copied_files_of_real_channels(tmp_path, table):
+def test_swapped_files_of_real_channels(tmp_path, table):
     swapped = table | {"floor1": table["floor3"], "floor3": table["floor1"]}
     found = messages(lambda: check_channels(read(copies(tmp_path, swapped)), BAND))
     assert "Sensors may be swapped" in found[-1]
-    copied = table | {"floor2": table["floor3"]}
-    files = copies(tmp_path, copied)
-    assert any("'floor2' and 'floor3' are identical" in text for text in messages(lambda: read(files)))
-
-
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        (lambda r: r[:900] + r[960:], r"floor1.csv, line 909: no samples may be missing, 60 are, in 1 gap"),
-        (lambda r: r[:900] + r[899:], r"floor1.csv, line 909: the clock must run forward"),
-        (all_retimed(lambda t: t + 10**9), "no time in common"),
-        (all_retimed(lambda t: 2 * t), "must have a common clock, the step is 0.008333 s in base"),
-    ],
-)
-def test_broken_clocks_of_real_channels(tmp_path, table, change, match):
-    with pytest.raises(ValueError, match=match):
-        read(copies(tmp_path, table, floor1=change))

@@ -267,7 +267,6 @@ def test_derivatives_of_eigenvectors_fail_where_ours_do_not():
 
 RECORD = noise_record(N_TIMES)
 
-
 MEASURED = with_noise(simulate(three_storeys(100.0), RECORD))
 
 
@@ -321,7 +320,6 @@ def by_pymc(model, points):
 
 
 POINTS = [np.random.default_rng(4).normal(mean, 0.2, 7) for mean in (1.0, 0.0)]  # theta, ln sigma
-
 
 CORRELATED = functools.partial(pmf.CorrelatedNormal, correlation_time=0.1)
 HEAVY_TAILS = functools.partial(pm.StudentT, nu=4.0)  # needs the response itself; the others are fused

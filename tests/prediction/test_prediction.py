@@ -16,9 +16,9 @@ from pymc_features import plots, simulators
 from pymc_features.prediction import histories
 from pymc_features.prediction.first_passage import standard_error
 from support.refusals import refusals
+from support.sampling import SERIAL
 from support.structures import peak_error
 
-DERIVED = ("inter_storey_drift", "base_shear")
 UNITS = {
     "absolute_acceleration": "m/s^2",
     "relative_acceleration": "m/s^2",
@@ -158,14 +158,6 @@ def test_draws_are_evenly_spaced():
     np.testing.assert_array_equal(taken(500), [np.arange(100)] * 2)
 
 
-def test_a_degenerate_posterior_gives_the_simulation():
-    idata = posterior(theta=np.full((2, 5), 1.1))
-    found = pmf.posterior_response(idata, pmf.paper.chain, SHAKE)["absolute_acceleration"]
-    exact = pmf.simulate(pmf.paper.chain(1.1), SHAKE)
-    assert np.ptp(found.values, axis=0).max() == 0.0
-    assert peak_error(found.sel(quantile=0.5), exact) < 1e-13
-
-
 def test_memory_is_bounded():
     """A tenth of what the histories of all draws would take, 200 MB."""
     theta = np.random.default_rng(2).normal(1.0, 0.1, (1, 400))
@@ -189,32 +181,6 @@ def test_result_saves(idata, tmp_path):
     risk = pmf.first_passage_probability(idata, three_storeys, [SHAKE, OTHER], [0.01, 0.1])
     risk.to_netcdf(tmp_path / "risk.nc", engine="h5netcdf")
     xr.testing.assert_equal(xr.load_dataset(tmp_path / "risk.nc"), risk)
-
-
-# --------------------------------------------------------------------------- mechanics
-
-
-def test_base_shear_is_the_spring_force_of_an_undamped_chain():
-    """sum m a = -1' K x = -k_0 x_0, at every time."""
-    found = pmf.posterior_response(
-        posterior(k=[[1.3]]), lambda k: three_storeys(k, 0.0), SHAKE, ["relative_displacement", *DERIVED]
-    ).isel(quantile=0)
-    shear, x = found["base_shear"].values, found["relative_displacement"].values
-    _, _, stiffness = three_storeys(1.3).matrices()
-    np.testing.assert_allclose(shear, -(stiffness @ x).sum(axis=0), rtol=0, atol=1e-11 * np.abs(shear).max())
-    drift = found["inter_storey_drift"].values
-    np.testing.assert_allclose(shear, -520.0 * drift[0], rtol=0, atol=1e-11 * np.abs(shear).max())
-
-
-def test_static_limit():
-    """Under an acceleration that grows slowly to 2 m/s^2 every mass moves with the ground."""
-    ramp = pmf.Record(2.0 * np.clip(np.arange(400) / 300.0, 0.0, 1.0), dt=1.0)
-    found = pmf.posterior_response(posterior(k=[[1.0]]), three_storeys, ramp, DERIVED).isel(
-        quantile=0, time=-1
-    )
-    assert float(found["base_shear"]) == pytest.approx(6.0 * 2.0, rel=1e-6)
-    above = np.array([6.0, 3.0, 1.0])
-    np.testing.assert_allclose(found["inter_storey_drift"], -2.0 * above / 400.0, rtol=1e-6)
 
 
 # --------------------------------------------------------------------------- draws without a response
@@ -391,9 +357,8 @@ def test_bands_cover_the_true_unmeasured_response():
         measured = pmf.simulate(truth, record, sensors=[1]).values + 0.5 * rng.normal(size=(1, 150))
         with model:
             pm.set_data({"data": measured})
-            sampled = pmf.sample_smc(
-                400, chains=1, cores=1, random_seed=i, progressbar=False, compute_convergence_checks=False
-            )
+            quick = {"compile_kwargs": {"mode": "FAST_COMPILE"}, **SERIAL}
+            sampled = pmf.sample_smc(400, chains=1, random_seed=i, **quick)
         found = pmf.posterior_response(
             sampled, structure, record, ["inter_storey_drift"], quantiles=[0.05, 0.35, 0.65, 0.95]
         )["inter_storey_drift"].values[..., 20:]
@@ -480,7 +445,6 @@ def test_parameters_the_posterior_lacks_keep_their_default():
 
 
 GROWING = {"k": lambda k: pmf.SpringMassChain(np.ones(1 + int(k > 1)), 1.0, pmf.ModalDamping(0.1))}
-
 
 REFUSED_VALUES = {  # what is said: what is given
     "`idata` must be a DataTree with a group `posterior`.* got dict. Pass": {"idata": {"k": 1.0}},

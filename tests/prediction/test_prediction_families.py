@@ -231,15 +231,6 @@ def test_first_passage_counts_peaks(idata, structure):
     assert 0.0 < float(found["probability_any"][1]) < 1.0
 
 
-def test_another_earthquake_may_yield_what_the_first_did_not(idata):
-    """A posterior knows no record: a prediction under a stronger one is that of the structures under it."""
-    strong = pmf.Record(4.0 * OTHER.acceleration, OTHER.dt, name="strong")
-    found = pmf.posterior_response(idata, bouc_wen, strong, "inter_storey_drift")
-    slow = [pmf.simulate(bouc_wen(k), strong, quantity="inter_storey_drift").values for k in draws_of(idata)]
-    assert_bands(found, "inter_storey_drift", np.stack(slow))
-    assert found.attrs["record"] == "strong"
-
-
 # --------------------------------------------------------------------------- memory and files
 
 

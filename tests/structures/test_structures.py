@@ -354,32 +354,25 @@ def test_representation_is_readable():
     assert repr(RayleighDamping(0.1, 0.2)) == "RayleighDamping(alpha=0.1, beta=0.2)"
 
 
+def chain(mass, stiffness, damping=UNDAMPED):
+    return SpringMassChain(mass, stiffness, damping)
+
+
+from_ratios = RayleighDamping.from_ratios
 REFUSED_VALUES = {  # what is said: what is given
-    "`mass` must be positive and finite, got -2. Pass values in kg": lambda: SpringMassChain(
-        [1, -2.0], 1.0, UNDAMPED
+    "`mass` must be positive and finite, got -2. Pass values in kg": lambda: chain([1, -2.0], 1.0),
+    "`stiffness` must be positive and finite, got 0. Pass values in N/m": lambda: chain([1, 1], 0.0),
+    "`mass` .* got nan": lambda: chain([1, np.nan], 1.0),
+    "`stiffness` .* got inf": lambda: chain([1, 1], [1, np.inf]),
+    r"`mass` must be a scalar or a vector, got shape \(1, 2\). Give one value for each": lambda: chain(
+        [[1, 1]], 1.0
     ),
-    "`stiffness` must be positive and finite, got 0. Pass values in N/m": lambda: SpringMassChain(
-        [1, 1], 0.0, UNDAMPED
-    ),
-    "`mass` .* got nan": lambda: SpringMassChain([1, np.nan], 1.0, UNDAMPED),
-    "`stiffness` .* got inf": lambda: SpringMassChain([1, 1], [1, np.inf], UNDAMPED),
-    r"`mass` must be a scalar or a vector, got shape \(1, 2\). Give one value for each": lambda: (
-        SpringMassChain([[1, 1]], 1.0, UNDAMPED)
-    ),
-    r"`stiffness` must be a scalar or a vector, got shape \(0,\)": lambda: SpringMassChain(
-        [1.0], [], UNDAMPED
-    ),
-    "`mass` must be a scalar or a vector, got a tensor of 2 dimensions": lambda: SpringMassChain(
-        pt.matrix("m"), [1.0], UNDAMPED
-    ),
-    "must have the same length, got 2 masses and 3 springs": lambda: SpringMassChain(
-        [1, 1], [1, 1, 1], UNDAMPED
-    ),
-    "must have a known length, got none. Pass one of them as an array": lambda: SpringMassChain(
-        1.0, 1.0, UNDAMPED
-    ),
-    "must have a known length": lambda: SpringMassChain(pt.vector("m"), 1.0, UNDAMPED),
-    "`ratios` must have one value or one for each of the 2 modes, got 3": lambda: SpringMassChain(
+    r"`stiffness` must be a scalar or a vector, got shape \(0,\)": lambda: chain([1.0], []),
+    "`mass` must be a scalar or a vector, got a tensor of 2 dimensions": lambda: chain(pt.matrix("m"), [1.0]),
+    "must have the same length, got 2 masses and 3 springs": lambda: chain([1, 1], [1, 1, 1]),
+    "must have a known length, got none. Pass one of them as an array": lambda: chain(1.0, 1.0),
+    "must have a known length": lambda: chain(pt.vector("m"), 1.0),
+    "`ratios` must have one value or one for each of the 2 modes, got 3": lambda: chain(
         [1.0, 1.0], 1.0, ModalDamping([0.1] * 3)
     ),
     "`ratios` must be finite and not negative, got -0.1. Pass values in fractions of critical": lambda: (
@@ -391,28 +384,22 @@ REFUSED_VALUES = {  # what is said: what is given
         [0.1, 0.2], 0.0
     ),
     "`beta` must be a scalar, got 1 dimension": lambda: RayleighDamping(0.1, pt.vector("b")),
-    r"`natural_frequencies` must be two different positive values, got \(1.0, 1.0\)": lambda: (
-        RayleighDamping.from_ratios(0.02, (1.0, 1.0))
+    r"`natural_frequencies` must be two different positive values, got \(1.0, 1.0\)": lambda: from_ratios(
+        0.02, (1.0, 1.0)
     ),
-    r"two different positive values, got \(-1.0, 1.0\)": lambda: RayleighDamping.from_ratios(
-        0.02, (-1.0, 1.0)
+    r"two different positive values, got \(-1.0, 1.0\)": lambda: from_ratios(0.02, (-1.0, 1.0)),
+    r"two different positive values, got \(1.0, 2.0, 3.0\)": lambda: from_ratios(0.02, (1.0, 2.0, 3.0)),
+    "must allow non-negative coefficients, got alpha = -.* Bring the two ratios closer": lambda: from_ratios(
+        (0.02, 0.2), (1.0, 2.0)
     ),
-    r"two different positive values, got \(1.0, 2.0, 3.0\)": lambda: RayleighDamping.from_ratios(
-        0.02, (1.0, 2.0, 3.0)
+    "must allow non-negative coefficients, got .* beta = -.* or use `ModalDamping`": lambda: from_ratios(
+        (0.2, 0.02), (1.0, 2.0)
     ),
-    "must allow non-negative coefficients, got alpha = -.* Bring the two ratios closer": lambda: (
-        RayleighDamping.from_ratios((0.02, 0.2), (1.0, 2.0))
-    ),
-    "must allow non-negative coefficients, got .* beta = -.* or use `ModalDamping`": lambda: (
-        RayleighDamping.from_ratios((0.2, 0.02), (1.0, 2.0))
-    ),
-    "`ratios` must be finite and not negative": lambda: RayleighDamping.from_ratios(-0.02, (1.0, 2.0)),
+    "`ratios` must be finite and not negative": lambda: from_ratios(-0.02, (1.0, 2.0)),
 }
 REFUSED_TYPES = {
-    "`mass` must be numbers or PyTensor variables, got str. Pass values in kg": lambda: SpringMassChain(
-        "heavy", [1.0], UNDAMPED
-    ),
-    "`damping` must be a Damping, got float. Pass RayleighDamping": lambda: SpringMassChain([1.0], 1.0, 0.02),
+    "`mass` must be numbers or PyTensor variables, got str. Pass values in kg": lambda: chain("heavy", [1.0]),
+    "`damping` must be a Damping, got float. Pass RayleighDamping": lambda: chain([1.0], 1.0, 0.02),
 }
 
 

@@ -140,18 +140,17 @@ def test_norm_uncertainty_does(exact):
     assert (np.diff(width) > 0).all()
 
 
-# how much of the record is used [s]: at fine steps the rest only adds time to the test
-DURATION = {0.1: 3.0, 10.0: np.inf}
+DURATION = {0.1: 1.5, 10.0: 10.0}  # [s] used of the record: the rest only adds time to the test
 
 
 @pytest.mark.statistical
-@pytest.mark.parametrize("multiplier", [0.1, 10.0])
+@pytest.mark.parametrize("multiplier", DURATION)
 def test_sampled_quantiles_are_the_exact_ones(record, multiplier):
-    """5, 50 and 95 % of all parameters within 5 % of the exact 5-95 % width; all ABC draws in the exact set.
+    """5, 50 and 95 % of all parameters within 8 % of the exact 5-95 % width; all ABC draws in the exact set.
 
-    4 x 2000 draws are worth 6000 to 8000
-    independent ones; the standard error of the worst quantile, sigma's 95 % under TN, is then 1.4 to 1.6 %
-    of the width: with other seeds one step in 500 would fail by chance. The seeds are fixed.
+    2 x 2000 draws are worth 3000 to 4000 independent ones; the standard error of the worst quantile, sigma's
+    95 % under TN, is then 2.0 to 2.3 % of the width: with other seeds one step in 500 would fail by chance.
+    The seeds are fixed.
     """
     record = Record(record.acceleration[record.time <= DURATION[multiplier]], record.dt)
     result = sampling_rate_study(
@@ -159,7 +158,7 @@ def test_sampled_quantiles_are_the_exact_ones(record, multiplier):
         multipliers=[multiplier],
         likelihoods=ALL_KINDS,
         draws=2000,
-        chains=4,
+        chains=2,
         random_seed=0,
         progressbar=False,
     )
@@ -167,7 +166,7 @@ def test_sampled_quantiles_are_the_exact_ones(record, multiplier):
     quantiles = ["q05", "q50", "q95"]
     width = summary["exact"].sel(statistic="q95") - summary["exact"].sel(statistic="q05")
     error = (summary["sampled"] - summary["exact"]).sel(statistic=quantiles) / width
-    assert float(np.abs(error).max()) < 0.05, error.values.round(3)
+    assert float(np.abs(error).max()) < 0.08, error.values.round(3)
     assert float(summary["r_hat"].max()) < 1.01
     low, high = summary["epsilon_interval"].values
     theta = result[f"ABC/x{multiplier:g}/posterior/theta"].values

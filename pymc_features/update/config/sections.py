@@ -173,13 +173,20 @@ def others(how, name) -> str:
 class Sampler(Section):
     """How posteriors are sampled; ABC by subset simulation always."""
 
-    method: Literal["smc", "nuts", "laplace"] = key('"smc", "nuts" or "laplace"', "smc")
-    kernel: Literal[KERNELS] = key(f"one of {', '.join(KERNELS)}", "PersistentSMC")
+    method: Literal["auto", "smc", "nuts", "laplace"] = key('"auto", "smc", "nuts" or "laplace"', "auto")
+    kernel: Literal[KERNELS] = key(f"one of {', '.join(KERNELS)}, with `method` smc", "PersistentSMC")
     draws: int = key("a whole number of at least 50, draws of each chain", 1000, ge=50)
     tune: int = key("a positive whole number, with `method` nuts", 1000, ge=1)
     chains: int = key("a positive whole number", 2, ge=1)
     cores: int | None = key("a positive whole number", None, ge=1)
     random_seed: int = key("a whole number, not negative", 0, ge=0)
+
+    @model_validator(mode="after")
+    def used(self):
+        """A kernel is one of SMC."""
+        if "kernel" in self.model_fields_set and self.method != "smc":
+            raise ValueError(f"must have `kernel` only with `method` smc, got {self.method!r}")
+        return self
 
 
 QUANTITIES = Literal["inter_storey_drift", "base_shear", "relative_displacement", "absolute_acceleration"]
