@@ -16,7 +16,13 @@ sample: its uncertainty does not depend on the sampling rate.
 """
 
 from pymc_features import datasets, exceptions, plots, signals
-from pymc_features.distributions import CorrelatedNormal, ExpFeature, TruncNormalFeature, sigma_mpv
+from pymc_features.distributions import (
+    CorrelatedNormal,
+    ExpFeature,
+    GammaFeature,
+    TruncNormalFeature,
+    sigma_mpv,
+)
 from pymc_features.external import ExternalSimulator, ProgramSimulator, Surrogate
 from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.inference import fisher_information, laplace, sample, sample_nuts, tolerance_sweep
@@ -45,6 +51,7 @@ __all__ = [
     "DiscrepancySimulator",
     "DuffingChain",
     "ExpFeature",
+    "GammaFeature",
     "ExternalSimulator",
     "HystereticChain",
     "LinearStructure",

@@ -1,6 +1,7 @@
 """Checks and warnings of the likelihoods, made once where the model is declared."""
 
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pymc as pm
@@ -17,6 +18,7 @@ from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.ops import check_shape, mean_square_discrepancy, response_step
 
 LARGE_CONSTANT = 10**6  # bytes; beyond it Numba cannot keep a compiled graph on disk
+LIBRARIES = (str(Path(__file__).parents[1]), str(Path(pm.__file__).parent))  # not the user's lines
 NOISE_FREE = 1e-12  # misfit over mean square of the data
 
 
@@ -143,13 +145,21 @@ def _shape(variable):
     return variable.type.shape if values is None else values.shape
 
 
-def warn_about_the_posterior(rv_type, mu, sigma, observed):
+def check_degrees_of_freedom(m, mu):
+    """Return m as a tensor; refuse numbers that are not positive or do not fit the sensors."""
+    advice = "Pass how many independent observations a sensor's misfit is worth: 1 is TN, 2 is EXP."
+    return _check_sensors("m", _check_positive("m", m, advice), mu)
+
+
+def warn_about_the_posterior(likelihood, m, mu, sigma, observed):
     """Warn of posteriors without a finite variance and of data without noise.
 
     Parameters
     ----------
-    rv_type : type
-        Has `degrees_of_freedom` m for each sensor.
+    likelihood : str
+        Its name.
+    m : tensor_like () or (sensor,)
+        Degrees of freedom of each sensor; only numbers raise the question of the variance.
     mu, sigma, observed
         As passed by the user. A constant sigma raises no question.
     """
@@ -158,30 +168,31 @@ def warn_about_the_posterior(rv_type, mu, sigma, observed):
         return
     mu = pt.as_tensor_variable(mu)
     n_sensors = _shape(pt.as_tensor_variable(observed))[-2] if mu.ndim > 1 else 1
-    if n_sensors is not None:
-        _warn_about_variance(rv_type, n_sensors, sigma)
+    m = as_double(m)
+    if n_sensors is not None and isinstance(m, Constant):
+        _warn_about_variance(likelihood, np.broadcast_to(m.data, n_sensors), sigma)
     _warn_about_noise(mu, observed)
 
 
-def _warn_about_variance(rv_type, n_sensors, sigma):
+def _warn_about_variance(likelihood, m, sigma):
     """Each sigma integrates out to S^(-(m - 1)/2); the tail is normalisable in variance above 3."""
     alone = sigma.ndim > 0 and sigma.type.shape[-1] != 1
-    m = rv_type.degrees_of_freedom
-    tail = n_sensors * (m - 1) if alone else n_sensors * m - 1
+    n_sensors = len(m)
+    tail = (m - 1).sum() if alone else m.sum() - 1
     if tail > 3:
         return
     shared = "a sigma for each sensor" if alone else "one sigma"
     consequence = (
         "carry no information on the parameters once sigma is integrated out"
-        if tail == 0
+        if tail <= 0
         else "have a posterior without a finite variance but the prior's"
     )
     warnings.warn(
         f"{n_sensors} sensor{'s' if n_sensors > 1 else ''} with {shared} {consequence} under "
-        f"{rv_type.__name__.removesuffix('RV')}. Add sensors, share sigma among them, fix sigma, or "
+        f"{likelihood}. Add sensors, share sigma among them, fix sigma, or "
         "give it an informative prior.",
         FeatureLikelihoodWarning,
-        stacklevel=4,
+        skip_file_prefixes=LIBRARIES,
     )
 
 
@@ -210,5 +221,5 @@ def _warn_about_noise(mu, observed):
             "discrepancy can vanish, and the posterior of sigma then runs to zero and that of the "
             "parameters to a point. Add the measurement noise, or fix sigma.",
             FeatureLikelihoodWarning,
-            stacklevel=4,
+            skip_file_prefixes=LIBRARIES,
         )

@@ -41,13 +41,13 @@ def informative_feature(op, rv, shape):
     """1 / (N_D sigma^2) on the response and 2 m on ln sigma, for each sensor."""
     if op.density != "feature":
         raise ValueError(f"`model` must have likelihoods with density='feature', got 'data' ({rv.name}).")
-    _, _, mu, sigma = rv.owner.inputs
+    _, _, mu, sigma, *m = rv.owner.inputs
     mu = pt.broadcast_to(mu, shape)
     sigma = pt.broadcast_to(sigma, shape[:-1])
     weight = 1.0 / (shape[-1] * pt.sqr(sigma))
     return [
         (mu, pt.broadcast_to(weight[..., None], shape)),
-        (pt.log(sigma), pt.full_like(sigma, 2.0 * op.degrees_of_freedom)),
+        (pt.log(sigma), pt.broadcast_to(2.0 * op.degrees(*m), sigma.shape)),
     ]
 
 

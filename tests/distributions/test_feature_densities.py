@@ -8,16 +8,21 @@ import pytest
 from pymc.logprob.utils import ParameterValueError
 from scipy import special, stats
 
-from pymc_features import ExpFeature, TruncNormalFeature, mean_square_discrepancy
+from pymc_features import ExpFeature, GammaFeature, TruncNormalFeature, mean_square_discrepancy
 from pymc_features.distributions import FEATURE_LIKELIHOODS
 from support.graphs import LIGHT, PLAIN
 from support.likelihoods import EVERY, EVERY_FEATURE, OTHER, RMS_LAW, declare, equation, evaluate, random_data
 
-DEGREES = {TruncNormalFeature: 1, ExpFeature: 2}
+DEGREES = {TruncNormalFeature: 1, ExpFeature: 2, GammaFeature: 3}
 
 
 def scipy_feature(likelihood, e, sigma):
-    """The same by SciPy: half-normal in the root mean square, exponential in the mean square."""
+    """The same by SciPy: half-normal in the root mean square, exponential in the mean square.
+
+    With three degrees of freedom a Maxwell root mean square r, and v = r^3.
+    """
+    if likelihood is GammaFeature:
+        return stats.maxwell(scale=sigma).logpdf(np.sqrt(e)) - np.log(3.0 * e)
     if likelihood is TruncNormalFeature:
         return stats.halfnorm(scale=sigma).logpdf(np.sqrt(e))
     return stats.expon(scale=2 * np.square(sigma)).logpdf(e)
@@ -106,6 +111,8 @@ def test_failed_response_and_scale_give_minus_infinity(likelihood, density):
         (TruncNormalFeature, "data", 1),
         (ExpFeature, "data", 1),
         (ExpFeature, "data", 3),
+        (GammaFeature, "feature", 3),
+        (GammaFeature, "data", 3),
     ],
 )
 @pytest.mark.parametrize("far", [np.inf, 1e200])
@@ -122,6 +129,8 @@ def test_infinite_discrepancy_gives_minus_infinity(likelihood, density, n_times,
         (ExpFeature, 1, -np.inf),
         (ExpFeature, 2, -np.log(4 * np.pi)),
         (ExpFeature, 3, np.inf),
+        (GammaFeature, 3, -1.5 * np.log(6 * np.pi)),
+        (GammaFeature, 4, np.inf),
     ],
 )
 def test_density_of_the_data_at_no_discrepancy(likelihood, n_times, expected):
@@ -129,6 +138,68 @@ def test_density_of_the_data_at_no_discrepancy(likelihood, n_times, expected):
     zero = np.zeros((1, n_times))
     got = evaluate(likelihood, "data", "logp", zero, 1.0, zero).item()
     assert got == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_degrees_of_freedom_of_the_others(seed):
+    """m = 1 is TN, m = 2 is EXP, and m = N_D with sigma / sqrt(N_D) is `pm.Normal`; control: m = 1.01."""
+    mu, data, sigma = random_data(seed)
+
+    def logp(m, density, sigma=sigma):
+        return pm.logp(GammaFeature.dist(mu, sigma, m, density=density), data).eval(mode=PLAIN)
+
+    for m, other in ((1, TruncNormalFeature), (2, ExpFeature)):
+        for density in ("feature", "data"):
+            expected = evaluate(other, density, "logp", mu, sigma, data)
+            np.testing.assert_allclose(logp(m, density), expected, rtol=1e-12)
+            assert np.abs(logp(m + 0.01, density) / expected - 1).min() > 1e-9
+    n = data.shape[1]
+    normal = pm.logp(pm.Normal.dist(mu, sigma[:, None]), data).eval(mode=PLAIN).sum(axis=1)
+    np.testing.assert_allclose(logp(n, "data", sigma / np.sqrt(n)), normal, rtol=1e-12)
+    constant = 0.5 * n * np.log(np.pi / n) - special.gammaln(0.5 * n + 1)
+    np.testing.assert_allclose(
+        logp(n, "feature", sigma / np.sqrt(n)),
+        normal + n * np.log(n) / 2 + constant + 0.5 * n * np.log(n),
+        rtol=1e-12,
+    )
+
+
+def test_degrees_of_freedom_of_each_sensor():
+    mu, data, sigma = random_data(4)
+    m = np.array([0.5, 1.0, 2.0, 30.0])
+    together = pm.logp(GammaFeature.dist(mu, sigma, m), data).eval(mode=PLAIN)
+    alone = [
+        pm.logp(GammaFeature.dist(mu[[j]], sigma[j], m[j]), data[[j]]).eval(mode=PLAIN)[0] for j in range(4)
+    ]
+    np.testing.assert_allclose(together, alone, rtol=1e-12)
+    draws = draw(GammaFeature.dist(mu, sigma, m), draws=20_000)
+    e = mean_square_discrepancy(draws, np.broadcast_to(mu, draws.shape))
+    for j in range(4):
+        assert stats.kstest(e[:, j] / sigma[j] ** 2, stats.chi2(m[j]).cdf).pvalue > 1e-3
+        assert stats.kstest(e[:, j] / sigma[j] ** 2, stats.chi2(1.2 * m[j]).cdf).pvalue < 1e-6
+
+
+def test_degrees_of_freedom_with_a_prior():
+    """The density of the data is of the same quantity for every m: its posterior is that by SciPy's."""
+    mu, data, _ = random_data(5)
+    with pm.Model() as model:
+        m = pm.LogNormal("m")
+        GammaFeature("y", mu, 1.0, m, density="data", observed=data)
+    e = np.mean((data - mu) ** 2, axis=-1)
+    n = data.shape[1]
+    for x in (0.3, 4.0):
+        radius = stats.chi(x, scale=np.sqrt(n)).logpdf(np.sqrt(n * e))
+        area = np.log(2.0) + n / 2 * np.log(np.pi) - special.gammaln(n / 2) + (n - 1) / 2 * np.log(n * e)
+        got = model.compile_logp(model.observed_RVs, mode=LIGHT)({"m_log__": np.log(x)})
+        assert float(got) == pytest.approx((radius - area).sum(), rel=1e-10)
+    with pm.Model(), pytest.raises(ValueError, match=r"`m` must be numbers .*Pass density='data'"):
+        GammaFeature("y", mu, 1.0, pm.LogNormal("m"), observed=data)
+
+
+@pytest.mark.parametrize("m", [0.0, -1.0, np.nan, [1.0, 2.0]])
+def test_bad_degrees_of_freedom(m):
+    with pytest.raises(ValueError, match=r"`m` must be (positive|a scalar or have one value for each)"):
+        GammaFeature.dist(np.zeros((3, 5)), 1.0, m)
 
 
 # --------------------------------------------------------------------------- draws
@@ -143,7 +214,7 @@ def sample(request):
     """20000 draws of two sensors with five samples each: (likelihood, mu, sigma, draws)."""
     mu = np.array([[1.0, -2.0, 0.0, 3.0, 0.5], [0.0, 0.0, 5.0, -1.0, 2.0]])
     sigma = np.array([0.5, 3.0])
-    return request.param, mu, sigma, draw(request.param.dist(mu, sigma), draws=20_000)
+    return request.param, mu, sigma, draw(declare(request.param, mu, sigma), draws=20_000)
 
 
 def test_feature_of_draws_has_its_law(sample):
@@ -262,7 +333,7 @@ def test_calibration_of_sigma(likelihood):
     rng = np.random.default_rng(11)
     mu = rng.normal(size=(3, 6))
     truth = np.exp(rng.normal(size=REPLICATIONS))
-    data = draw(likelihood.dist(mu, truth[:, None]), seed=12)
+    data = draw(declare(likelihood, mu, truth[:, None]), seed=12)
     grid = np.exp(np.linspace(-6.0, 6.0, 400))
     prior = stats.lognorm(s=1.0).logpdf(grid)[:, None]
 
@@ -285,7 +356,7 @@ def test_calibration_of_a_response(likelihood):
     n, sigma = 4, 0.5
     truth = rng.normal(size=REPLICATIONS)
     mu = np.repeat(truth[:, None, None], n, axis=-1)
-    data = draw(likelihood.dist(mu, sigma), seed=22)
+    data = draw(declare(likelihood, mu, sigma), seed=22)
     offsets = np.sinh(np.linspace(-9.0, 9.0, 401)) / np.sinh(9.0) * 12.0  # dense at the mean of the data
     grid = offsets[:, None] + data.mean(axis=(1, 2))
 
@@ -363,4 +434,4 @@ def test_bad_parameters(likelihood, kwargs, match):
 @EVERY_FEATURE
 def test_unknown_density(likelihood):
     with pytest.raises(ValueError, match="`density` must be one of feature, data, got 'features'"):
-        likelihood.dist(np.zeros((3, 5)), 1.0, density="features")
+        declare(likelihood, np.zeros((3, 5)), 1.0, density="features")

@@ -1,5 +1,6 @@
 """Likelihoods of histories inside a model; their warnings; sigma and tolerance."""
 
+import functools
 import warnings
 
 import arviz as az
@@ -13,6 +14,7 @@ from scipy import optimize, special, stats
 from pymc_features import (
     CorrelatedNormal,
     ExpFeature,
+    GammaFeature,
     RayleighDamping,
     SpringMassChain,
     TruncNormalFeature,
@@ -172,7 +174,7 @@ def test_posterior_predictive_has_the_law_of_the_feature(likelihood, pulse):
 @EVERY_FEATURE
 def test_draws_by_numba(likelihood):
     """The default backend has the same law as Python (KS at 1e-3)."""
-    y = likelihood.dist(np.zeros((2, 5)), 1.0)
+    y = declare(likelihood, np.zeros((2, 5)), 1.0)
     values = pm.draw(y, draws=2000, random_seed=8)
     rms = np.sqrt(np.mean(values**2, axis=-1)).ravel()
     assert stats.kstest(rms, RMS_LAW[likelihood].cdf).pvalue > 1e-3
@@ -258,6 +260,13 @@ SILENT = None
         (ExpFeature, 3, False, SILENT),
         (ExpFeature, 3, True, "^3 sensors with a sigma for each sensor have a posterior without"),
         (ExpFeature, 4, True, SILENT),
+        (
+            functools.partial(GammaFeature, m=2.5),
+            1,
+            False,
+            f"^1 sensor with one sigma have a {WARNED} GammaF",
+        ),
+        (functools.partial(GammaFeature, m=5.0), 1, False, SILENT),
     ],
 )
 def test_warning_of_too_few_sensors(likelihood, n_sensors, per_sensor, match):
@@ -304,18 +313,18 @@ def test_noise_free_data_are_warned_of(likelihood, pulse):
     chain = SpringMassChain(np.ones(6), 100.0, RayleighDamping(0.1, 1e-3))
     exact = simulate(chain, pulse).values
 
-    def declare(data, sigma):
+    def declared(data, sigma):
         with pm.Model(), warnings.catch_warnings():
             warnings.simplefilter("error", FeatureLikelihoodWarning)
             theta = pm.Uniform("theta", 0.5, 1.5)
             mu = response(chain.scale_stiffness(theta, [0]), pulse)
-            likelihood("y", mu=mu, sigma=sigma or pm.HalfNormal("sigma"), observed=data)
+            declare(likelihood, "y", mu=mu, sigma=sigma or pm.HalfNormal("sigma"), observed=data)
 
     with pytest.raises(FeatureLikelihoodWarning, match="the data have no noise. The discrepancy can van"):
-        declare(exact, None)
-    declare(exact, 0.5)
+        declared(exact, None)
+    declared(exact, 0.5)
     noisy = exact + 0.01 * np.random.default_rng(0).normal(size=exact.shape)
-    declare(noisy, None)
+    declared(noisy, None)
 
 
 def test_declaring_a_usual_model_is_silent(pulse, measured):

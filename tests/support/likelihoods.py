@@ -8,16 +8,18 @@ import pytensor
 import pytensor.tensor as pt
 import pytest
 from scipy import stats
+from scipy.special import gammaln
 
-from pymc_features import CorrelatedNormal, ExpFeature, TruncNormalFeature
+from pymc_features import CorrelatedNormal, ExpFeature, GammaFeature, TruncNormalFeature
 from pymc_features.distributions import FEATURE_LIKELIHOODS, LIKELIHOODS
 from support.graphs import PLAIN
 
 # the law of sqrt(e), of e / sigma^2 = chi-square (degrees), and the paper's log-density written out
-RMS_LAW = {TruncNormalFeature: stats.halfnorm, ExpFeature: stats.rayleigh}
+RMS_LAW = {TruncNormalFeature: stats.halfnorm, ExpFeature: stats.rayleigh, GammaFeature: stats.maxwell}
 
-OTHER = {TruncNormalFeature: ExpFeature, ExpFeature: TruncNormalFeature}
-MORE = {CorrelatedNormal: {"correlation_time": 0.1, "dt": 0.04}}  # arguments besides mu and sigma
+OTHER = {TruncNormalFeature: ExpFeature, ExpFeature: TruncNormalFeature, GammaFeature: ExpFeature}
+# arguments besides mu and sigma
+MORE = {CorrelatedNormal: {"correlation_time": 0.1, "dt": 0.04}, GammaFeature: {"m": 3.0}}
 EVERY = pytest.mark.parametrize("likelihood", LIKELIHOODS)
 EVERY_FEATURE = pytest.mark.parametrize("likelihood", FEATURE_LIKELIHOODS)
 
@@ -29,7 +31,10 @@ def declare(likelihood, *args, **kwargs):
 
 
 def equation(likelihood, data, mu, sigma):
-    """Summands of Eqs. (7) and (9), sensor by sensor, in loops; correlated errors by their covariance."""
+    """Summands of Eqs. (7) and (9) and of three degrees of freedom, sensor by sensor, in loops.
+
+    Correlated errors by their covariance.
+    """
     sigma = np.broadcast_to(sigma, len(data))
     values = []
     if likelihood is CorrelatedNormal:
@@ -45,6 +50,8 @@ def equation(likelihood, data, mu, sigma):
         e = sum((a - b) ** 2 for a, b in zip(y, g, strict=True)) / len(y)
         if likelihood is TruncNormalFeature:
             values.append(0.5 * np.log(2 / np.pi) - np.log(s) - e / (2 * s**2))
+        elif likelihood is GammaFeature:
+            values.append(-1.5 * np.log(2.0) - gammaln(2.5) - 3 * np.log(s) - e / (2 * s**2))
         else:
             values.append(-np.log(2.0) - 2 * np.log(s) - e / (2 * s**2))
     return np.array(values)
@@ -54,7 +61,7 @@ def equation(likelihood, data, mu, sigma):
 def compiled(likelihood, density, method, *patterns):
     """Function (mu, sigma, value) -> log-density or log-cdf, for a pattern of lengths 1 and others."""
     mu, sigma, value = (pt.tensor(shape=pattern) for pattern in patterns)
-    output = getattr(pm, method)(likelihood.dist(mu, sigma, density=density), value)
+    output = getattr(pm, method)(declare(likelihood, mu, sigma, density=density), value)
     return pytensor.function([mu, sigma, value], output, mode=PLAIN)
 
 
