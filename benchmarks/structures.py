@@ -104,7 +104,7 @@ def run(quick=False):
     rounds = 2 if quick else 7
     seconds = {}
     for size in SIZES[: 3 if quick else None]:
-        case = build(record_of_length(1000), particles=16, n_dof=size, n_sensors=min(5, size))
+        case = build(record_of_length(1000), particles=128, n_dof=size, n_sensors=min(5, size))
         calls = {name: population(one, case) for name, one in structures(case).items()}
         calls["SciPy: eigh, lfilter"] = filters.prepare(case)
         for name, best in best_of_rounds(calls, rounds).items():

@@ -6,6 +6,7 @@ Arguments out of their range raise Python's own `ValueError` and `TypeError`; so
 """
 
 __all__ = [
+    "CalibrationWarning",
     "ChainsDisagreeWarning",
     "ChannelWarning",
     "CheckpointError",
@@ -62,6 +63,10 @@ class NotDifferentiableError(RuntimeError):
 
 class PopulationWarning(UserWarning):
     """Particles are evaluated one by one."""
+
+
+class CalibrationWarning(UserWarning):
+    """An interval that was calibrated by the residuals may still be wrong, and why."""
 
 
 class SamplingWarning(UserWarning):

@@ -115,3 +115,9 @@ class Unconstrained:
             for name, v in self.variables(points).items()
         }
         return xr.Dataset(values | {name: (over, np.asarray(v)) for name, v in more.items()})
+
+
+def coordinate_names(model, space) -> list[str]:
+    """Names of the scalar parameters in the order of the sampled coordinates."""
+    shapes = {rv.name: space.shapes[model.rvs_to_values[rv].name] for rv in model.free_RVs}
+    return [name for rv, shape in shapes.items() for name in entry_names(rv, shape)]

@@ -12,7 +12,7 @@ from pymc.util import RandomState
 
 from pymc_features.exceptions import SamplingWarning
 from pymc_features.inference.beside import closeness, distance_to_modes, undetermined
-from pymc_features.inference.parameters import Unconstrained, entry_names, to_unconstrained
+from pymc_features.inference.parameters import Unconstrained, coordinate_names, to_unconstrained
 from pymc_features.smc import (
     PersistentSMC,
     Reference,
@@ -250,9 +250,3 @@ def compared_draws(model, posterior):
     every = max(1, posterior.sizes["draw"] // N_POSTERIOR)
     flat = to_unconstrained(model, posterior.to_dataset().isel(draw=slice(None, None, every)))
     return flat.reshape(-1, flat.shape[-1])
-
-
-def coordinate_names(model, space) -> list[str]:
-    """Names of the scalar parameters in the order of the sampled coordinates."""
-    shapes = {rv.name: space.shapes[model.rvs_to_values[rv].name] for rv in model.free_RVs}
-    return [name for rv, shape in shapes.items() for name in entry_names(rv, shape)]

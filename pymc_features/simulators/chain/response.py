@@ -114,11 +114,13 @@ def chain_response(parameters, excitation, wanted):
     """
     check_sizes(parameters, wanted)
     total = n_outputs(excitation.acceleration.size, excitation.substeps, excitation.stride)
-    history = np.full((wanted.sensors.size, total), np.nan)
+    history = np.empty((wanted.sensors.size, total))
     valid, system, omega, _ = modes_of(parameters, excitation.dt / excitation.substeps, wanted)
     if valid:
         feed, motion = chain_feed(system, wanted, wanted.n_modes == omega.size), ground_motion(excitation)
         march_modes(system, feed, motion, wanted.quantity, history, history, np.empty((1, 0)))
+    else:
+        history[:] = np.nan
     return history
 
 

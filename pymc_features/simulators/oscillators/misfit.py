@@ -76,7 +76,8 @@ def copy_block(history, first, weighted):
     count = min(BLOCK, history.shape[1] - first)
     for j in range(history.shape[0]):
         weighted[j, 0], weighted[j, count + 1 :] = 0.0, 0.0
-        weighted[j, 1 : count + 1] = history[j, first : first + count]
+        for b in range(count):
+            weighted[j, b + 1] = history[j, first + b]
 
 
 @jit
@@ -97,7 +98,8 @@ def take_change(response, change, first, observed, history, sums):
     count = min(BLOCK, max(history.shape[1], observed.shape[1]) - first)
     for j in range(change.shape[0]):
         if history.size:
-            history[j, first : first + count] = change[j, :count]
+            for b in range(count):
+                history[j, first + b] = change[j, b]
             continue
         total = 0.0
         for b in range(count):

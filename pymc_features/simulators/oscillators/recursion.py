@@ -215,7 +215,8 @@ def take_block(block, first, count, observed, history, sums):
     """
     if history.size:
         for j in range(history.shape[0]):
-            history[j, first : first + count] = block[j, :count]
+            for b in range(count):
+                history[j, first + b] = block[j, b]
     else:
         compare_block(block, first, count, observed, sums)
 

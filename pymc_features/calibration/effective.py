@@ -1,0 +1,245 @@
+"""How many independent observations the residuals support, beside those that a likelihood claims."""
+
+import warnings
+
+import numpy as np
+import pymc as pm
+import xarray as xr
+
+from pymc_features.calibration.fit import Fit, Predictions, climb_likelihood
+from pymc_features.calibration.sandwich import Sandwich, sandwich
+from pymc_features.exceptions import CalibrationWarning
+from pymc_features.inference.parameters import Unconstrained, coordinate_names, to_unconstrained
+from pymc_features.inference.sample import search
+from pymc_features.smc import population_logp, prior_points
+
+STARTS = 20  # draws of which the most likely is climbed from
+SHORT = 5.0  # time constants of the errors that a record must be long
+FLAT = 1e-10  # of the largest eigenvalue: directions of a sensor that it cannot tell
+
+
+def effective_samples(
+    source: xr.DataTree | pm.Model, *, model: pm.Model | None = None, random_seed: int | None = None
+) -> xr.Dataset:
+    """Independent observations that the residuals of a fit support, and the covariance they imply.
+
+    At the maximum of the likelihood the score, the sum of sensitivities times residuals, would vary as much as
+    the likelihood claims (A) if the errors were what it takes them for. How much it does vary (B) is estimated
+    from the residuals, over time and across sensors, see `pymc_features.calibration.spectrum`. In a direction
+    v of the parameters the residuals support N = m v' A^-1 v / v' A^-1 B A^-1 v independent observations, where
+    the likelihood claims m: the number of samples under NORM, two for each sensor under EXP, one under TN.
+
+    Parameters
+    ----------
+    source : DataTree or pymc.Model
+        What `sample`, `sample_smc` or `pm.sample` returned, or a model, of which the most probable mode is
+        taken. Likelihoods of several records are taken to have independent errors.
+    model : pymc.Model, optional
+        Of a DataTree; the model of the context by default.
+    random_seed : int, optional
+        For the choice of points to climb from.
+
+    Returns
+    -------
+    Dataset
+        Over `sensor` (name of the likelihood and index): `n_eff`, observations that its residuals support;
+        `claimed`, those of the likelihood; `time_constant` [s] of the errors, the longest; `follows_response`,
+        whether they grow with the response. Over `parameter` (on the unconstrained scale that PyMC samples):
+        `n_eff_parameter`, `standard_deviation` by the residuals and `claimed_standard_deviation`, `point`.
+        Over `direction`, ascending: `n_eff_direction` and `direction_vector` (direction, parameter). The
+        matrices `information` A, `variability` B and `covariance` A^-1 B A^-1 (parameter, parameter_), NaN for
+        parameters that no likelihood knows of. Attributes: `n_eff` (geometric mean of the directions of the
+        response), `claimed` (of all sensors), `n_evaluations`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a likelihood is not known, or the residuals vanish.
+
+    Warns
+    -----
+    CalibrationWarning
+        If errors persist for more than a fifth of the record, which is then too short to tell how they vary.
+
+    Notes
+    -----
+    What is the same all along the record and in every event, a bias of the model, cannot be seen from residuals
+    of one event. See `event_check`.
+
+    References
+    ----------
+    Godambe, Ann. Math. Stat. 31, 1960; Ribatet, Cooley & Davison, Stat. Sin. 22, 2012; Andrews & Monahan,
+    Econometrica 60, 1992.
+    """
+    if isinstance(source, pm.Model):
+        model, posterior = source, None
+    else:
+        model, posterior = pm.modelcontext(model), posterior_of(source)
+    rng = np.random.default_rng(random_seed)
+    fit = best_fit(model, posterior, rng)
+    return described(model, fit, sandwich(fit.events, fit.information))
+
+
+def posterior_of(idata):
+    """The posterior group."""
+    if not hasattr(idata, "children") or "posterior" not in idata.children:
+        raise TypeError(
+            f"`idata` must be a DataTree with a posterior, got {type(idata).__name__}. Pass what `sample` returned."
+        )
+    return idata["posterior"].to_dataset()
+
+
+def best_fit(model, posterior, rng) -> Fit:
+    """The maximum of the likelihood near the most likely of some draws, or of a model's modes."""
+    predictions = Predictions(model)
+    if posterior is None:
+        logp = population_logp(model, predictions.space.point, {})
+        found = search(model, logp, 1000, rng, None)
+        starts = prior_points(model, 10 * STARTS, rng) if found.reference is None else found.reference.peaks
+        prior, likelihood, _ = logp(starts)
+        starts = starts[[np.argmax(prior + likelihood)]]
+    else:
+        n = posterior.sizes["chain"] * posterior.sizes["draw"]
+        every = {"sample": rng.choice(n, min(n, STARTS), replace=False)}
+        some = posterior.stack(sample=("chain", "draw"), create_index=False).isel(every)
+        some = some.expand_dims("chain").rename(sample="draw").transpose("chain", "draw", ...)
+        starts = to_unconstrained(model, some)[0]
+    fit = climb_likelihood(predictions, starts)
+    for event in fit.events:
+        if not (event.residuals**2).sum() > 0:
+            raise ValueError(
+                f"the residuals of {event.name} must not vanish: data without noise support no estimate of "
+                "their errors. Add the measurement noise."
+            )
+    return fit
+
+
+def known(matrix) -> np.ndarray:
+    """Parameters (d,) that a likelihood depends on."""
+    diagonal = np.diag(matrix)
+    return np.flatnonzero(diagonal > FLAT**2 * diagonal.max(initial=0.0))
+
+
+def of_sensor(event, j) -> float:
+    """Observations that the residuals of one sensor support."""
+    alone = event._replace(
+        residuals=event.residuals[[j]],
+        sensitivities=event.sensitivities[[j]],
+        of_scale=np.zeros_like(event.of_scale[[j]]),
+        response=event.response[[j]],
+        claimed=event.claimed[[j]],
+    )
+    information = np.einsum("stp,stq->pq", alone.sensitivities, alone.sensitivities)
+    squares = float((alone.residuals**2).sum())
+    if not information.any():
+        return np.nan
+    return squares / np.exp(np.mean(np.log(ratios(information, sandwich([alone], information).variability))))
+
+
+def ratios(information, variability) -> np.ndarray:
+    """Eigenvalues of B over A, ascending, in the directions that A tells."""
+    whiten = whitening(information)
+    return np.linalg.eigvalsh(whiten.T @ variability @ whiten).clip(min=np.finfo(float).tiny)
+
+
+def whitening(information) -> np.ndarray:
+    """W (d, k) with W' A W = 1, for the k directions that A tells."""
+    used = known(information)
+    scale = np.sqrt(np.diag(information)[used])
+    values, vectors = np.linalg.eigh(information[np.ix_(used, used)] / np.outer(scale, scale))
+    keep = values > FLAT * values.max()
+    result = np.zeros((len(information), keep.sum()))
+    result[used] = vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None]
+    return result
+
+
+def described(model, fit: Fit, result: Sandwich) -> xr.Dataset:
+    """The Dataset of `effective_samples`."""
+    names = coordinate_names(model, Unconstrained(model))
+    squares = sum(float((event.residuals**2).sum()) for event in fit.events)
+    claimed = sum(float(event.claimed.sum()) for event in fit.events)
+    of_response = sum(
+        np.einsum("stp,stq->pq", event.sensitivities, event.sensitivities, optimize=True)
+        for event in fit.events
+    )
+    if not known(of_response).size:
+        raise ValueError("`model` must have parameters that change the response, got none.")
+    whiten = whitening(of_response)
+    values, vectors = np.linalg.eigh(whiten.T @ sum(m.variability for m in result.models) @ whiten)
+    directions = (whiten @ vectors).T[::-1]
+    n_direction = squares / values[::-1].clip(min=np.finfo(float).tiny)
+    claims, covariance = covariances(result)
+    parameters = {
+        "n_eff_parameter": claimed * np.diag(claims) / np.diag(covariance),
+        "standard_deviation": np.sqrt(np.diag(covariance)),
+        "claimed_standard_deviation": np.sqrt(np.diag(claims)),
+        "point": fit.z,
+    }
+    matrices = {
+        "information": result.information,
+        "variability": result.variability,
+        "covariance": covariance,
+    }
+    persists(fit, result)
+    return xr.Dataset(
+        of_sensors(fit, result)
+        | {name: ("parameter", x) for name, x in parameters.items()}
+        | {name: (("parameter", "parameter_"), x) for name, x in matrices.items()}
+        | {
+            "n_eff_direction": ("direction", n_direction),
+            "direction_vector": (
+                ("direction", "parameter"),
+                directions / np.linalg.norm(directions, axis=1, keepdims=True),
+            ),
+        },
+        coords={
+            "parameter": names,
+            "parameter_": names,
+            "sensor": [f"{event.name}[{j}]" for event in fit.events for j in range(len(event.claimed))],
+        },
+        attrs={
+            "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
+            "claimed": claimed,
+            "n_evaluations": fit.n_evaluations,
+        },
+    )
+
+
+def covariances(result: Sandwich):
+    """A^-1 and A^-1 B A^-1 (d, d), NaN for parameters that no likelihood knows of."""
+    whiten = whitening(result.information)
+    claims = whiten @ whiten.T
+    covariance = claims @ result.variability @ claims
+    unknown = np.setdiff1d(np.arange(len(claims)), known(result.information))
+    for matrix in (claims, covariance):
+        matrix[unknown], matrix[:, unknown] = np.nan, np.nan
+    return claims, covariance
+
+
+def of_sensors(fit, result) -> dict:
+    """Variables over the sensors of all events."""
+    events, models = fit.events, result.models
+    n_eff = [of_sensor(event, j) for event in events for j in range(len(event.claimed))]
+    constants = [
+        np.full(len(event.claimed), m.memory * event.step) for event, m in zip(events, models, strict=True)
+    ]
+    return {
+        "n_eff": ("sensor", np.array(n_eff)),
+        "claimed": ("sensor", np.concatenate([event.claimed for event in events])),
+        "time_constant": ("sensor", np.concatenate(constants)),
+        "follows_response": ("sensor", np.concatenate([m.follows_response for m in models])),
+    }
+
+
+def persists(fit, result):
+    """Warn of records that are too short to tell how their errors vary."""
+    for event, model in zip(fit.events, result.models, strict=True):
+        n = event.residuals.shape[1]
+        if SHORT * model.memory > n:
+            warnings.warn(
+                f"the errors of {event.name} persist for {model.memory * event.step:.3g} s of a record of "
+                f"{n * event.step:.3g} s, too short to tell how they vary: intervals may be too narrow. Use a "
+                "longer record, or several events.",
+                CalibrationWarning,
+                stacklevel=4,
+            )

@@ -1,0 +1,216 @@
+"""The likelihood's maximum, and how the residuals depend on the parameters there."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytensor.tensor as pt
+from pymc.pytensorf import compile as compile_function
+
+from pymc_features.calibration.comparison import comparison, independent
+from pymc_features.inference.parameters import Unconstrained
+
+DIFFERENCE = 0.02  # standard errors that a likelihood's derivatives are taken over,
+WIDEST, NARROWEST = 1e-3, 1e-7  # but no more and no less than this, on the unconstrained scale
+STEPS = 50  # towards the maximum, at most
+CONVERGED = 1e-3  # of a standard error that the last step may be long
+NEARBY = 0.3  # standard errors within which derivatives are taken to be constant
+LONGEST = 1.0  # step, on the unconstrained scale
+SINGULAR = 1e-12  # of the largest relative eigenvalue: directions that change nothing
+
+
+class Event(NamedTuple):
+    """One likelihood at a point; derivatives are those by the unconstrained parameters.
+
+    Attributes
+    ----------
+    name : str
+    residuals : array (sensor, time)
+        r, in units of their scale.
+    sensitivities : array (sensor, time, parameter)
+        S = -dr / dz at constant scale.
+    of_scale : array (sensor, parameter)
+        d ln s / dz.
+    claimed : array (sensor,)
+        Independent observations m that the likelihood claims.
+    response : array (sensor, time)
+        Prediction, in the units of the data.
+    step : float
+        Sampling step [s].
+    """
+
+    name: str
+    residuals: np.ndarray
+    sensitivities: np.ndarray
+    of_scale: np.ndarray
+    claimed: np.ndarray
+    response: np.ndarray
+    step: float
+
+    @property
+    def score(self) -> np.ndarray:
+        """Gradient of the log-likelihood (parameter,)."""
+        excess = (self.residuals**2).sum(axis=1) - self.claimed
+        return np.einsum("stp,st->p", self.sensitivities, self.residuals) + excess @ self.of_scale
+
+    @property
+    def information(self) -> np.ndarray:
+        """Minus its Hessian (parameter, parameter), by Gauss and Newton."""
+        flat = self.sensitivities.reshape(-1, self.sensitivities.shape[-1])
+        squares = (self.residuals**2).sum(axis=1)
+        return flat.T @ flat + 2.0 * (self.of_scale.T * squares) @ self.of_scale
+
+
+class Fit(NamedTuple):
+    """The maximum of the likelihood.
+
+    Attributes
+    ----------
+    z : array (d,)
+        Unconstrained parameters, flat.
+    events : list of Event
+    n_evaluations : int
+        Predictions that it took.
+    """
+
+    z: np.ndarray
+    events: list[Event]
+    n_evaluations: int
+
+    @property
+    def information(self) -> np.ndarray:
+        """Of all events (d, d)."""
+        return sum(event.information for event in self.events)
+
+
+class Predictions:
+    """Compiled predictions of all likelihoods of a model.
+
+    Parameters
+    ----------
+    model : pymc.Model
+    """
+
+    def __init__(self, model):
+        if not model.observed_RVs:
+            raise ValueError("`model` must have observed variables, got none.")
+        self.space = Unconstrained(model)
+        self.names = [rv.name for rv in model.observed_RVs]
+        parts = [comparison(rv.owner.op, rv, model.rvs_to_values[rv]) for rv in model.observed_RVs]
+        self.steps = [part.step for part in parts]
+        tensors = [pt.as_tensor_variable(x) for part in parts for x in part.tensors]
+        self.function = compile_function(
+            list(model.value_vars), model.replace_rvs_by_values(tensors), on_unused_input="ignore"
+        )
+        self.count = 0
+
+    def __call__(self, z) -> list[list[np.ndarray]]:
+        """Values at a point (d,): mu, observed, scale, ln s, claimed, decay of each likelihood."""
+        self.count += 1
+        flat = self.function(*self.space.split(z).values())
+        return [by_sensor(*flat[i : i + 6]) for i in range(0, len(flat), 6)]
+
+
+def by_sensor(mu, observed, scale, log_scale, claimed, decay):
+    """The same with one axis of sensors."""
+    n_times = mu.shape[-1] if mu.ndim else 1
+    histories = [np.reshape(x, (-1, n_times)) for x in (mu, observed, scale)]
+    return histories + [np.reshape(x, -1).astype(np.float64) for x in (log_scale, claimed, decay)]
+
+
+def log_likelihood(values) -> float:
+    """Of all likelihoods, without constants."""
+    total = 0.0
+    for value in values:
+        total -= 0.5 * np.sum(residuals_of(value) ** 2) + value[4] @ value[3]
+    return total if np.isfinite(total) else -np.inf
+
+
+def residuals_of(value):
+    """Scaled residuals (sensor, time), independent under the likelihood."""
+    mu, observed, scale, _, _, decay = value
+    return independent((observed - mu) / scale, decay)
+
+
+def events_at(predictions, z, steps) -> list[Event]:
+    """Residuals and derivatives at a point (d,), by central differences of some steps (d,)."""
+    here = predictions(z)
+    moved = [
+        [predictions(z + sign * step * axis) for sign in (1.0, -1.0)]
+        for step, axis in zip(steps, np.eye(len(z)), strict=True)
+    ]
+    events = []
+    for i, (name, step) in enumerate(zip(predictions.names, predictions.steps, strict=True)):
+        scale, decay = here[i][2], here[i][5]
+        slopes = [
+            independent((up[i][0] - down[i][0]) / (2.0 * h * scale), decay)
+            for (up, down), h in zip(moved, steps, strict=True)
+        ]
+        of_scale = [(up[i][3] - down[i][3]) / (2.0 * h) for (up, down), h in zip(moved, steps, strict=True)]
+        events.append(
+            Event(
+                name,
+                residuals_of(here[i]),
+                np.stack(slopes, axis=-1),
+                np.stack(of_scale, axis=-1),
+                here[i][4],
+                here[i][0],
+                step,
+            )
+        )
+    return events
+
+
+def climb_likelihood(predictions, z) -> Fit:
+    """The maximum of the likelihood near a point (d,), by Levenberg's and Marquardt's method."""
+    start = predictions.count
+    steps = np.full(len(z), WIDEST)
+    value, events, damping = log_likelihood(predictions(z)), None, 1e-6
+    if value == -np.inf:
+        raise ValueError("the fit must start where the likelihood is finite. Pass another `idata`.")
+    for _ in range(STEPS):
+        if events is None:
+            events = events_at(predictions, z, steps)
+            information = sum(event.information for event in events)
+            steps = differences(information)
+            moved = 0.0
+        else:
+            events = with_residuals(events, predictions(z))
+        step = newton(information, sum(event.score for event in events), damping)
+        length = np.sqrt(max(0.0, step @ information @ step))
+        if length < CONVERGED:
+            break
+        new = log_likelihood(predictions(z + step))
+        if new > value:
+            z, value, damping = z + step, new, damping / 10.0
+            moved += length
+            events = None if moved > NEARBY else events
+        elif moved > 0.0:  # the derivatives have changed
+            events = None
+        else:
+            damping = max(damping, 1e-6) * 10.0
+    return Fit(z, events_at(predictions, z, steps), predictions.count - start)
+
+
+def with_residuals(events, values):
+    """The events with the residuals at another point, and the derivatives they had."""
+    return [
+        event._replace(residuals=residuals_of(value), claimed=value[4], response=value[0])
+        for event, value in zip(events, values, strict=True)
+    ]
+
+
+def differences(information):
+    """Steps (d,) of central differences, a part of the standard errors that the likelihood claims."""
+    scale = np.sqrt(np.diag(information)).clip(min=np.finfo(float).tiny)
+    return np.clip(DIFFERENCE / scale, NARROWEST, WIDEST)
+
+
+def newton(information, score, damping):
+    """A damped Newton step (d,), none along directions that change nothing."""
+    scale = np.sqrt(np.diag(information))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    known = values > SINGULAR * values.max(initial=0.0)
+    along = vectors.T @ (score / scale)
+    step = vectors @ np.where(known, along / np.where(known, values + damping, 1.0), 0.0) / scale
+    return step / max(1.0, np.abs(step).max() / LONGEST)

@@ -1,0 +1,198 @@
+"""Long-run covariance of a score: how much the sum of sensitivities times errors varies.
+
+For errors e (sensor, time) and sensitivities S (sensor, time, parameter) the score is u = sum S e, and
+
+    B = Cov(u) = sum_f S(f)^H Phi(f) S(f),
+
+with Phi the cross-spectral matrix of the errors, which the residuals estimate. Nothing in it depends on the
+sampling step: what lies above the band of the sensitivities is left out before anything is estimated. A smoothed
+periodogram alone blurs narrow peaks, so the residuals are taken to white noise first and the spectrum is
+coloured again afterwards (Andrews & Monahan, Econometrica 60, 1992): their amplitude may follow that of the
+response, sensors may share errors (principal components), and each component is an autoregressive process.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.fft import dct, idct
+from scipy.ndimage import uniform_filter1d
+from scipy.optimize import nnls
+from scipy.signal import fftconvolve, lfilter
+
+LOST = 1e-3  # share of the score's power above the band
+FEWEST = 2048  # samples that a longer record keeps,
+STATIC = 32  # all, if the score has hardly any frequency besides zero: fewer terms of its cosine series
+MARGIN = 1.25  # kept over needed frequencies
+LARGEST_ORDER = 40  # of the autoregressions, and at most a twentieth of the samples
+SMOOTHING = 12  # the spectrum of what is left is averaged over this part of the band to each side
+SURE = 3.0  # gain of log-likelihood that an amplitude that follows the response must bring
+QUIETEST = 1e-3  # least share of the mean variance
+
+
+class ErrorModel(NamedTuple):
+    """What the residuals say of the errors, in the band of the sensitivities.
+
+    Attributes
+    ----------
+    variability : array (parameter, parameter)
+        B.
+    n_samples : int
+        Samples that represent the band.
+    order : array of int (component,)
+        Of the autoregressions.
+    memory : float
+        Longest time constant of these, in samples of the record.
+    follows_response : array of bool (sensor,)
+        Whether the errors of a sensor grow with its response.
+    """
+
+    variability: np.ndarray
+    n_samples: int
+    order: np.ndarray
+    memory: float
+    follows_response: np.ndarray
+
+
+def error_model(residuals: np.ndarray, sensitivities: np.ndarray, response: np.ndarray | None) -> ErrorModel:
+    """Estimate B from residuals (sensor, time) and sensitivities (sensor, time, parameter).
+
+    `response` (sensor, time) is what the amplitude of the errors may follow; None if there is none.
+    """
+    n_all = residuals.shape[1]
+    n = samples_of_the_band(residuals, sensitivities)
+    r, s = resampled(residuals, n, 1), resampled(sensitivities, n, 1)
+    amplitude, follows = amplitudes(r, None if response is None else resampled(response, n, 1))
+    r, s = r / amplitude, s * amplitude[..., None]
+    rotation = np.linalg.eigh(r @ r.T)[1]
+    r, s = rotation.T @ r, np.einsum("st,snp->tnp", rotation, s)
+    filters = autoregressions(r, max(1, min(LARGEST_ORDER, n // 20)))
+    order = filters.shape[1] - 1 - np.argmax(filters[:, ::-1] != 0.0, axis=1)
+    longest = int(order.max())
+    filters = filters[:, : longest + 1]
+    white = np.stack([lfilter(a, [1.0], x) for a, x in zip(filters, r, strict=True)])[:, longest:]
+    spectrum = np.fft.rfft(s, 2 * n, axis=1) / np.fft.rfft(filters, 2 * n, axis=1).conj()[..., None]
+    variability = smoothed(white, spectrum, 2 * n) * (n_all / n) ** 2
+    return ErrorModel(variability, n, order, memory(filters) * n_all / n, follows)
+
+
+def samples_of_the_band(residuals, sensitivities):
+    """How many samples hold all but a thousandth of the score's power, and of the sensitivities'."""
+    n = residuals.shape[1]
+    if n <= FEWEST:
+        return n
+    power = dct(sensitivities, axis=1, norm="ortho") ** 2
+    power = (power / power.sum(axis=(0, 1), keepdims=True).clip(min=np.finfo(float).tiny)).sum(axis=2)
+    errors = uniform_filter1d(dct(residuals, axis=1, norm="ortho") ** 2, n // SMOOTHING, axis=1)
+    highest = 0
+    for share in (power.sum(axis=0), (power * errors).sum(axis=0)):
+        below = np.cumsum(share)
+        highest = max(highest, int(np.searchsorted(below, (1.0 - LOST) * below[-1])) + 1)
+    return n if highest < STATIC else min(n, max(FEWEST, int(np.ceil(MARGIN * highest))))
+
+
+def resampled(x, n, axis):
+    """Signals at n samples: their cosine series without the terms of higher frequency."""
+    if x.shape[axis] == n:
+        return x
+    series = np.take(dct(x, axis=axis, norm="ortho"), np.arange(n), axis=axis)
+    return idct(series, axis=axis, norm="ortho") * np.sqrt(n / x.shape[axis])
+
+
+def amplitudes(residuals, response):
+    """Standard deviation of the errors (sensor, time): level, or a + b times the response's local mean square.
+
+    The mean square is over a period of the response. b must raise the log-likelihood by `SURE`.
+    """
+    n = residuals.shape[1]
+    level = np.repeat(np.mean(residuals**2, axis=1, keepdims=True), n, axis=1)
+    follows = np.zeros(len(residuals), dtype=bool)
+    if response is not None:
+        power = dct(response, axis=1, norm="ortho") ** 2
+        cycles = 0.5 * (power @ np.arange(n)) / power.sum(axis=1).clip(min=np.finfo(float).tiny)
+        for j, (r, g) in enumerate(zip(residuals, response, strict=True)):
+            if cycles[j] > 0 and r.any():
+                local = uniform_filter1d(g**2, int(np.clip(n / cycles[j], 3, n)))
+                follows[j], level[j] = growing(r**2, local / local.mean())
+    return np.sqrt(level), follows
+
+
+def growing(square, local):
+    """Whether the variance a + b local explains squares better than their mean, and the better of the two."""
+    mean = square.mean()
+    variance = np.full(len(square), mean)
+    columns = np.stack([np.ones_like(local), local], axis=1)
+    for _ in range(4):
+        coefficients, _ = nnls(columns / variance[:, None], square / variance)
+        variance = np.maximum(columns @ coefficients, QUIETEST * mean)
+    gain = 0.5 * np.sum(np.log(mean / variance) - square / variance + square / mean)
+    return (True, variance) if gain > SURE else (False, mean)
+
+
+def autoregressions(x, largest):
+    """Filters (component, order + 1) that whiten signals (component, time), by Burg's method.
+
+    Orders by Akaike's criterion, corrected for short records; one filter for all, scaled, if that is better.
+    """
+    n, k = x.shape[1], np.arange(largest + 1)
+    alone, gain = burg(x[:, None], largest)
+    score = n * np.log(gain) + (2.0 * (k + 1) * n / (n - k - 2))
+    best = score.argmin(axis=1)
+    filters = alone[np.arange(len(x)), best]
+    scale = np.sqrt(np.mean(x**2, axis=1, keepdims=True)).clip(min=np.finfo(float).tiny)
+    shared, gain = burg((x / scale)[None], largest)
+    together = n * len(x) * np.log(gain[0]) + 2.0 * (k + len(x))
+    if together.min() < score.min(axis=1).sum():
+        filters = np.repeat(shared[:, together.argmin()], len(x), axis=0)
+    return filters
+
+
+def burg(groups, largest):
+    """Filters (group, order, order + 1) common to the signals of a group (group, signal, time).
+
+    With them the residual variance (group, order) over that of the signals.
+    """
+    forward, backward = groups.copy(), groups.copy()
+    a = np.zeros((len(groups), largest + 1))
+    a[:, 0] = 1.0
+    variance = np.ones(len(groups))
+    filters, variances = [a], [variance]
+    for k in range(1, largest + 1):
+        f, b = forward[..., k:], backward[..., k - 1 : -1]
+        power = np.sum(f**2 + b**2, axis=(1, 2))
+        reflection = -2.0 * np.sum(f * b, axis=(1, 2)) / np.where(power > 0, power, 1.0)
+        flipped = np.zeros_like(a)
+        flipped[:, 1 : k + 1] = a[:, :k][:, ::-1]
+        a = a + reflection[:, None] * flipped
+        by = reflection[:, None, None]
+        forward[..., k:], backward[..., k:] = f + by * b, b + by * f
+        variance = variance * (1.0 - reflection**2)
+        filters.append(a)
+        variances.append(variance)
+    return np.stack(filters, axis=1), np.stack(variances, axis=1)
+
+
+def memory(filters):
+    """Longest time constant of autoregressive filters (component, order + 1), in samples."""
+    radius = max((np.abs(np.roots(np.trim_zeros(a, "b"))).max(initial=0.0) for a in filters), default=0.0)
+    return np.inf if radius >= 1.0 else (-1.0 / np.log(radius) if radius > 0 else 0.0)
+
+
+def smoothed(white, spectrum, length):
+    """sum_f S(f)^H Phi(f) S(f), with Phi the smoothed cross-periodogram of white (component, time).
+
+    `spectrum` (component, frequency, parameter) is S, of `length` samples with the zeros behind.
+    """
+    n_frequencies = length // 2 + 1
+    half = max(1, min(n_frequencies - 2, n_frequencies // SMOOTHING))
+    kernel = np.hanning(2 * half + 3)[1:-1]
+    r = np.fft.rfft(white, length, axis=1)
+    r = np.concatenate([r[:, half:0:-1].conj(), r, r[:, -2 : -half - 2 : -1].conj()], axis=1)
+    twice = np.full(n_frequencies, 2.0)
+    twice[[0, -1]] = 1.0
+    total = 0.0
+    for i, (x, s) in enumerate(zip(r, spectrum, strict=True)):  # rows: no array (component, component, ...)
+        cross = fftconvolve(x * r[i:].conj(), kernel[None] / kernel.sum(), mode="valid", axes=1)
+        factor = np.where(np.arange(len(cross)) == 0, 1.0, 2.0)[:, None] * cross * twice
+        total = total + np.einsum("fp,kf,kfq->pq", s.conj(), factor, spectrum[i:], optimize=True).real
+    total = total / (white.shape[1] * length)
+    return 0.5 * (total + total.T)
