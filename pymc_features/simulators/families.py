@@ -108,17 +108,13 @@ class Family(NamedTuple):
         return count(self.sensors) == 2
 
     def inputs_of(self, structure, record, asked, rows) -> list:
-        """Inputs in the order of `inputs`, for a request, and rows as from `rows`."""
-        return [
-            *structure.parameters(),
-            *structure.constants(record),
-            structure.excitation(record),
-            record.dt,
-            asked.substeps,
-            asked.stride,
-            rows,
-            asked.n_modes,
-        ]
+        """Inputs in the order of `inputs`, for a request, and rows as from `rows`.
+
+        Arrays that may not be written are copied: Numba would compile the kernels for these once more.
+        """
+        arrays = *structure.parameters(), *structure.constants(record), structure.excitation(record)
+        arrays = [np.require(x, requirements="W") if isinstance(x, np.ndarray) else x for x in arrays]
+        return [*arrays, record.dt, asked.substeps, asked.stride, rows, asked.n_modes]
 
     def rows(self, picked: np.ndarray, n_dof: int):
         """Degrees of freedom (s,) as the kernels take them; sparse where that is a matrix (s, n)."""

@@ -12,7 +12,7 @@ from pymc_features.simulators.chain.population_modes import (
     take_modes,
 )
 from pymc_features.simulators.chain.response import check_history, check_sizes, write_feed, write_shapes
-from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.jit import inline, jit
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
 from pymc_features.simulators.oscillators.modal_system import ModalSystem
@@ -79,7 +79,7 @@ def solve_modes(modes, parameters, first, count):
     normalise_lanes(modes)
 
 
-@jit
+@inline
 def march_population(parameters, excitation, wanted, observed, increments):
     """Statistics of the misfit of all particles, a vector of them at a time.
 

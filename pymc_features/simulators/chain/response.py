@@ -3,7 +3,7 @@
 import numpy as np
 
 from pymc_features.simulators.chain.modes import chain_modes
-from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.jit import inline, jit
 from pymc_features.simulators.oscillators.arguments import Excitation, n_outputs
 from pymc_features.simulators.oscillators.modal_system import ModalSystem, feed_through
 from pymc_features.simulators.oscillators.recursion import march_modes, statistics, write_damping
@@ -124,7 +124,7 @@ def chain_response(parameters, excitation, wanted):
     return history
 
 
-@jit
+@inline
 def compare(parameters, excitation, wanted, observed, n_statistics):
     """Statistics (s, 1) or (s, 4) of the misfit, see `oscillators.misfit`; NaN where there is no structure.
 

@@ -58,3 +58,8 @@ def jit(function):
     Division by zero gives infinity or NaN, as in NumPy, never an exception in the middle of sampling.
     """
     return njit(function, fastmath=FASTMATH, error_model="numpy", cache=True)
+
+
+def inline(function):
+    """Put a kernel's code into those that call it: it is not compiled by itself, which takes as long again."""
+    return njit(function, fastmath=FASTMATH, error_model="numpy", inline="always")
