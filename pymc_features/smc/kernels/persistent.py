@@ -245,10 +245,11 @@ class PersistentSMC(PopulationKernel):
     def complete(self) -> None:
         """Draw from the reference, or from fits that follow each other, until that is worth `draws`.
 
-        Only the draws of the last fit count: those of others have shaped it, and would bias the evidence. It
-        is followed by another one while it is not good, and more is missing than all fits have drawn.
+        Only the draws of the last fit count: those of others have shaped it, and would bias the evidence. A
+        few show what it is worth. While it is not good, and more is missing than all have drawn, it is drawn
+        from as often as these, and is followed by another one.
         """
-        pool, used = self.pool, 0
+        pool, used, limit, drawn = self.pool, 0, 0, 0
         source = self.last_stage if self.last_stage in pool.proposals else 0  # drawn from in place of chains
         while True:
             sample = pool.independent(max(source, self.last_stage))
@@ -258,14 +259,16 @@ class PersistentSMC(PopulationKernel):
             if not (missing or heavy) or used >= MAX_EVALUATIONS * self.draws:
                 break
             n = 1.1 * missing * max(1.0, sample.counts.sum() / max(worth, 1.0))
-            least = max(used, FIRST_DRAWS * self.n_parameters, self.draws // 4)
-            if not missing or (n > least and pool.efficiency(source) < GOOD_FIT):
-                self.weights = pool.normalised(pool.log_weights(1.0))
-                pool.add_proposal(fit_to(self.fitting_points(), self.rng))
-                source, n = len(pool.betas) - 1, least
+            first = max(FIRST_DRAWS * self.n_parameters, self.draws // 4)
+            if not missing or (n > max(used, first) and pool.efficiency(source) < GOOD_FIT):
+                n = limit - drawn
+                if n <= 0:
+                    self.weights = pool.normalised(pool.log_weights(1.0))
+                    pool.add_proposal(fit_to(self.fitting_points(), self.rng))
+                    source, n, limit, drawn = len(pool.betas) - 1, first, max(used, first), 0
             n = int(np.clip(n, 0.1 * self.draws, 2.0 * self.draws + used))
             self.draw_more(n, source)
-            used += n
+            used, drawn = used + n, drawn + n
         if worth < self.draws:
             warnings.warn(TOO_FEW.format(worth, self.draws), SamplingWarning, stacklevel=2)
             whole = float(pool.effective_of_quantiles(pool.log_weights(1.0)).min())
