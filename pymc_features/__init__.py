@@ -16,6 +16,7 @@ sample: its uncertainty does not depend on the sampling rate.
 """
 
 from pymc_features import datasets, exceptions, plots, signals
+from pymc_features.calibration import calibrate, effective_samples
 from pymc_features.distributions import (
     CorrelatedNormal,
     ExpFeature,
@@ -69,7 +70,9 @@ __all__ = [
     "TMCMC",
     "TruncNormalFeature",
     "abc_tolerance",
+    "calibrate",
     "datasets",
+    "effective_samples",
     "exceptions",
     "first_passage_probability",
     "fisher_information",

@@ -1,5 +1,6 @@
 """Intervals whose width the residuals decide: neither the sampling rate nor the number of sensors does."""
 
+from pymc_features.calibration.calibrate import calibrate
 from pymc_features.calibration.effective import effective_samples
 
-__all__ = ["effective_samples"]
+__all__ = ["calibrate", "effective_samples"]

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytensor.tensor as pt
+from pytensor.graph.basic import Constant
 from pytensor.tensor.random.basic import NormalRV
 
 from pymc_features.distributions.correlated import CorrelatedNormalRV
@@ -36,7 +37,7 @@ class Comparison(NamedTuple):
     decay : TensorVariable (...,)
         Sampling step over correlation time; infinite for errors that are taken to be independent.
     step : float
-        Sampling step [s]; 1 if it is not known.
+        Sampling step [s]; NaN if it is not known.
     """
 
     mu: pt.TensorVariable
@@ -57,8 +58,8 @@ class Comparison(NamedTuple):
 def comparison(op, rv, observed) -> Comparison:
     """Describe a likelihood. Register a distribution's Op to make `effective_samples` know it."""
     raise TypeError(
-        "`model` must have Normal, CorrelatedNormal, TruncNormalFeature, ExpFeature or GammaFeature likelihoods, "
-        f"got {type(op).__name__} ({rv.name}). Register it with pymc_features.calibration.comparison.comparison."
+        "`model` must have Normal, CorrelatedNormal or feature likelihoods, got "
+        f"{type(op).__name__} ({rv.name}). Register it with pymc_features.calibration.comparison.comparison."
     )
 
 
@@ -68,7 +69,7 @@ def comparison_normal(op, rv, observed):
     mu, sigma = (pt.broadcast_to(x, observed.shape) for x in op.dist_params(rv.owner))
     log_scale = pt.log(sigma).mean(axis=-1)
     n = pt.cast(observed.shape[-1], "float64")
-    return described(mu, observed, sigma, log_scale, pt.full_like(log_scale, 1.0) * n, np.inf, rv)
+    return described(mu, observed, sigma, log_scale, pt.full_like(log_scale, 1.0) * n, np.inf)
 
 
 @comparison.register(FeatureRV)
@@ -80,7 +81,7 @@ def comparison_feature(op, rv, observed):
     root = pt.sqrt(pt.cast(observed.shape[-1], "float64"))
     scale = pt.broadcast_to((sigma * root)[..., None], observed.shape)
     claimed = pt.broadcast_to(pt.as_tensor_variable(op.degrees(*m)), sigma.shape).astype("float64")
-    return described(mu, observed, scale, pt.log(sigma), claimed, np.inf, rv)
+    return described(mu, observed, scale, pt.log(sigma), claimed, np.inf)
 
 
 @comparison.register(CorrelatedNormalRV)
@@ -92,17 +93,16 @@ def comparison_correlated(op, rv, observed):
     n = pt.cast(observed.shape[-1], "float64")
     scale = pt.broadcast_to(sigma[..., None], observed.shape)
     return described(
-        mu, observed, scale, pt.log(sigma), pt.full_like(sigma, 1.0) * n, dt / correlation_time, rv
+        mu, observed, scale, pt.log(sigma), pt.full_like(sigma, 1.0) * n, dt / correlation_time, dt
     )
 
 
-def described(mu, observed, scale, log_scale, claimed, decay, rv):
+def described(mu, observed, scale, log_scale, claimed, decay, dt=None):
     """The comparison with everything a tensor."""
-    decay = pt.broadcast_to(
-        pt.as_tensor_variable(np.float64(decay) if np.isscalar(decay) else decay), log_scale.shape
-    )
-    step = response_step(mu) or 1.0
-    return Comparison(mu, pt.as_tensor_variable(observed), scale, log_scale, claimed, decay, step)
+    decay = pt.as_tensor_variable(np.float64(decay) if np.isscalar(decay) else decay)
+    step = float(dt.data) if isinstance(dt, Constant) else response_step(mu) or np.nan
+    observed = pt.as_tensor_variable(observed)
+    return Comparison(mu, observed, scale, log_scale, claimed, pt.broadcast_to(decay, log_scale.shape), step)
 
 
 def independent(x, decay):

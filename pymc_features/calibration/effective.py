@@ -6,8 +6,8 @@ import numpy as np
 import pymc as pm
 import xarray as xr
 
-from pymc_features.calibration.fit import Fit, Predictions, climb_likelihood
-from pymc_features.calibration.sandwich import Sandwich, sandwich
+from pymc_features.calibration.fit import Fit, Predictions, climb_likelihood, log_likelihood
+from pymc_features.calibration.sandwich import Sandwich, known, sandwich, whitening
 from pymc_features.exceptions import CalibrationWarning
 from pymc_features.inference.parameters import Unconstrained, coordinate_names, to_unconstrained
 from pymc_features.inference.sample import search
@@ -15,7 +15,6 @@ from pymc_features.smc import population_logp, prior_points
 
 STARTS = 20  # draws of which the most likely is climbed from
 SHORT = 5.0  # time constants of the errors that a record must be long
-FLAT = 1e-10  # of the largest eigenvalue: directions of a sensor that it cannot tell
 
 
 def effective_samples(
@@ -23,11 +22,12 @@ def effective_samples(
 ) -> xr.Dataset:
     """Independent observations that the residuals of a fit support, and the covariance they imply.
 
-    At the maximum of the likelihood the score, the sum of sensitivities times residuals, would vary as much as
-    the likelihood claims (A) if the errors were what it takes them for. How much it does vary (B) is estimated
-    from the residuals, over time and across sensors, see `pymc_features.calibration.spectrum`. In a direction
-    v of the parameters the residuals support N = m v' A^-1 v / v' A^-1 B A^-1 v independent observations, where
-    the likelihood claims m: the number of samples under NORM, two for each sensor under EXP, one under TN.
+    At the maximum of the likelihood the score, the sum of sensitivities times residuals, would vary as much
+    as the likelihood claims (A) if the errors were what it takes them for. How much it does vary (B) is
+    estimated from the residuals, over time and across sensors (`pymc_features.calibration.spectrum`). In a
+    direction v of the parameters the residuals support m v' A^-1 v / v' A^-1 B A^-1 v independent
+    observations, where the likelihood claims m: all samples under NORM, two for each sensor under EXP, one
+    under TN.
 
     Parameters
     ----------
@@ -43,13 +43,14 @@ def effective_samples(
     -------
     Dataset
         Over `sensor` (name of the likelihood and index): `n_eff`, observations that its residuals support;
-        `claimed`, those of the likelihood; `time_constant` [s] of the errors, the longest; `follows_response`,
-        whether they grow with the response. Over `parameter` (on the unconstrained scale that PyMC samples):
-        `n_eff_parameter`, `standard_deviation` by the residuals and `claimed_standard_deviation`, `point`.
-        Over `direction`, ascending: `n_eff_direction` and `direction_vector` (direction, parameter). The
-        matrices `information` A, `variability` B and `covariance` A^-1 B A^-1 (parameter, parameter_), NaN for
-        parameters that no likelihood knows of. Attributes: `n_eff` (geometric mean of the directions of the
-        response), `claimed` (of all sensors), `n_evaluations`.
+        `claimed`, those of the likelihood; `time_constant` [s] of the errors, the longest;
+        `follows_response`, whether they grow with the response. Over `parameter` (on the unconstrained scale
+        that PyMC samples): `n_eff_parameter`, `standard_deviation` by the residuals,
+        `claimed_standard_deviation`, and `point`, the maximum. Over `direction`, ascending:
+        `n_eff_direction` and `direction_vector` (direction, parameter). The matrices `information` A,
+        `variability` B and `covariance` A^-1 B A^-1 (parameter, parameter_), NaN for parameters that no
+        likelihood knows of. Attributes: `n_eff` (geometric mean of the directions of the response),
+        `claimed` (of all sensors), `n_evaluations`.
 
     Raises
     ------
@@ -63,8 +64,8 @@ def effective_samples(
 
     Notes
     -----
-    What is the same all along the record and in every event, a bias of the model, cannot be seen from residuals
-    of one event. See `event_check`.
+    What is the same all along the record and in every event, a bias of the model, cannot be seen from
+    residuals.
 
     References
     ----------
@@ -76,7 +77,7 @@ def effective_samples(
     else:
         model, posterior = pm.modelcontext(model), posterior_of(source)
     rng = np.random.default_rng(random_seed)
-    fit = best_fit(model, posterior, rng)
+    fit = best_fit(Predictions(model), posterior, rng)
     return described(model, fit, sandwich(fit.events, fit.information))
 
 
@@ -84,14 +85,15 @@ def posterior_of(idata):
     """The posterior group."""
     if not hasattr(idata, "children") or "posterior" not in idata.children:
         raise TypeError(
-            f"`idata` must be a DataTree with a posterior, got {type(idata).__name__}. Pass what `sample` returned."
+            f"`idata` must be a DataTree with a posterior, got {type(idata).__name__}. Pass what `sample` "
+            "returned."
         )
     return idata["posterior"].to_dataset()
 
 
-def best_fit(model, posterior, rng) -> Fit:
+def best_fit(predictions, posterior, rng) -> Fit:
     """The maximum of the likelihood near the most likely of some draws, or of a model's modes."""
-    predictions = Predictions(model)
+    model = predictions.model
     if posterior is None:
         logp = population_logp(model, predictions.space.point, {})
         found = search(model, logp, 1000, rng, None)
@@ -99,12 +101,11 @@ def best_fit(model, posterior, rng) -> Fit:
         prior, likelihood, _ = logp(starts)
         starts = starts[[np.argmax(prior + likelihood)]]
     else:
-        n = posterior.sizes["chain"] * posterior.sizes["draw"]
-        every = {"sample": rng.choice(n, min(n, STARTS), replace=False)}
-        some = posterior.stack(sample=("chain", "draw"), create_index=False).isel(every)
-        some = some.expand_dims("chain").rename(sample="draw").transpose("chain", "draw", ...)
-        starts = to_unconstrained(model, some)[0]
-    fit = climb_likelihood(predictions, starts)
+        every = max(1, posterior.sizes["chain"] * posterior.sizes["draw"] // STARTS)
+        some = to_unconstrained(model, posterior.isel(draw=slice(None, None, every)))
+        starts = some.reshape(-1, some.shape[-1])
+        starts = starts[[np.argmax([log_likelihood(predictions(z)) for z in starts])]]
+    fit = climb_likelihood(predictions, starts[0])
     for event in fit.events:
         if not (event.residuals**2).sum() > 0:
             raise ValueError(
@@ -112,12 +113,6 @@ def best_fit(model, posterior, rng) -> Fit:
                 "their errors. Add the measurement noise."
             )
     return fit
-
-
-def known(matrix) -> np.ndarray:
-    """Parameters (d,) that a likelihood depends on."""
-    diagonal = np.diag(matrix)
-    return np.flatnonzero(diagonal > FLAT**2 * diagonal.max(initial=0.0))
 
 
 def of_sensor(event, j) -> float:
@@ -140,17 +135,6 @@ def ratios(information, variability) -> np.ndarray:
     """Eigenvalues of B over A, ascending, in the directions that A tells."""
     whiten = whitening(information)
     return np.linalg.eigvalsh(whiten.T @ variability @ whiten).clip(min=np.finfo(float).tiny)
-
-
-def whitening(information) -> np.ndarray:
-    """W (d, k) with W' A W = 1, for the k directions that A tells."""
-    used = known(information)
-    scale = np.sqrt(np.diag(information)[used])
-    values, vectors = np.linalg.eigh(information[np.ix_(used, used)] / np.outer(scale, scale))
-    keep = values > FLAT * values.max()
-    result = np.zeros((len(information), keep.sum()))
-    result[used] = vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None]
-    return result
 
 
 def described(model, fit: Fit, result: Sandwich) -> xr.Dataset:
@@ -207,9 +191,7 @@ def described(model, fit: Fit, result: Sandwich) -> xr.Dataset:
 
 def covariances(result: Sandwich):
     """A^-1 and A^-1 B A^-1 (d, d), NaN for parameters that no likelihood knows of."""
-    whiten = whitening(result.information)
-    claims = whiten @ whiten.T
-    covariance = claims @ result.variability @ claims
+    claims, covariance = result.claims, result.covariance
     unknown = np.setdiff1d(np.arange(len(claims)), known(result.information))
     for matrix in (claims, covariance):
         matrix[unknown], matrix[:, unknown] = np.nan, np.nan
@@ -236,10 +218,11 @@ def persists(fit, result):
     for event, model in zip(fit.events, result.models, strict=True):
         n = event.residuals.shape[1]
         if SHORT * model.memory > n:
+            step, unit = (1, "samples") if np.isnan(event.step) else (event.step, "s")
             warnings.warn(
-                f"the errors of {event.name} persist for {model.memory * event.step:.3g} s of a record of "
-                f"{n * event.step:.3g} s, too short to tell how they vary: intervals may be too narrow. Use a "
-                "longer record, or several events.",
+                f"the errors of {event.name} persist for {model.memory * step:.3g} {unit} of a record of "
+                f"{n * step:.3g} {unit}, too short to tell how they vary: intervals may be too narrow. Use "
+                "a longer record, or several events.",
                 CalibrationWarning,
                 stacklevel=4,
             )

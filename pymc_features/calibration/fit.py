@@ -93,7 +93,7 @@ class Predictions:
     def __init__(self, model):
         if not model.observed_RVs:
             raise ValueError("`model` must have observed variables, got none.")
-        self.space = Unconstrained(model)
+        self.model, self.space = model, Unconstrained(model)
         self.names = [rv.name for rv in model.observed_RVs]
         parts = [comparison(rv.owner.op, rv, model.rvs_to_values[rv]) for rv in model.observed_RVs]
         self.steps = [part.step for part in parts]
@@ -189,6 +189,26 @@ def climb_likelihood(predictions, z) -> Fit:
         else:
             damping = max(damping, 1e-6) * 10.0
     return Fit(z, events_at(predictions, z, steps), predictions.count - start)
+
+
+def hessian(predictions, z, steps, used) -> np.ndarray:
+    """Minus the Hessian of the log-likelihood at a point (d,) by some parameters (k,): an array (k, k).
+
+    By second differences of steps (d,).
+    """
+    axes = np.diag(steps)[used]
+
+    def value(x):
+        return log_likelihood(predictions(x))
+
+    here, k = value(z), len(used)
+    sides = np.array([[value(z + sign * axis) for sign in (1.0, -1.0)] for axis in axes])
+    result = np.diag(2.0 * here - sides.sum(axis=1))
+    for i in range(k):
+        for j in range(i):
+            both = value(z + axes[i] + axes[j]) + value(z - axes[i] - axes[j])
+            result[i, j] = result[j, i] = 0.5 * (sides[i].sum() + sides[j].sum() - both) - here
+    return result / np.outer(steps[used], steps[used])
 
 
 def with_residuals(events, values):

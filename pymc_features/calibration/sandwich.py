@@ -6,6 +6,8 @@ import numpy as np
 
 from pymc_features.calibration.spectrum import ErrorModel, error_model
 
+FLAT = 1e-10  # of the largest relative eigenvalue: directions that a likelihood cannot tell
+
 
 class Sandwich(NamedTuple):
     """How much the likelihood claims to know, and how much its score varies.
@@ -25,17 +27,23 @@ class Sandwich(NamedTuple):
     models: list[ErrorModel]
 
     @property
+    def claims(self) -> np.ndarray:
+        """A^-1 (d, d), the covariance that the likelihood claims; zero along what it cannot tell."""
+        whiten = whitening(self.information)
+        return whiten @ whiten.T
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """A^-1 B A^-1 (d, d), that of the likelihood's maximum."""
+        return self.claims @ self.variability @ self.claims
+
+    @property
     def precision(self) -> np.ndarray:
-        """A B^-1 A (d, d): the inverse covariance of the likelihood's maximum."""
-        half = np.linalg.solve(root(self.variability), self.information)
-        return half.T @ half
-
-
-def root(matrix) -> np.ndarray:
-    """Lower Cholesky factor of a covariance, a little rounder where it is singular to rounding."""
-    scale = np.sqrt(np.diag(matrix)).clip(min=np.finfo(float).tiny)
-    relative = matrix / np.outer(scale, scale)
-    return scale[:, None] * np.linalg.cholesky(relative + 1e-12 * np.eye(len(matrix)))
+        """A B^-1 A (d, d)."""
+        whiten = whitening(self.information)
+        varies = whiten.T @ self.variability @ whiten
+        tells = self.information @ whiten
+        return tells @ np.linalg.solve(varies, tells.T)
 
 
 def sandwich(events, information) -> Sandwich:
@@ -62,4 +70,21 @@ def of_scale(event) -> np.ndarray:
     series -= series.mean(axis=1, keepdims=True)
     constant = np.repeat(np.eye(used.size)[:, None], series.shape[1], axis=1)
     result[np.ix_(used, used)] = error_model(series, constant, None).variability
+    return result
+
+
+def known(matrix) -> np.ndarray:
+    """Parameters (d,) that a likelihood depends on."""
+    diagonal = np.diag(matrix)
+    return np.flatnonzero(diagonal > FLAT**2 * diagonal.max(initial=0.0))
+
+
+def whitening(information) -> np.ndarray:
+    """W (d, k) with W' A W = 1, for the k directions that A tells."""
+    used = known(information)
+    scale = np.sqrt(np.diag(information)[used])
+    values, vectors = np.linalg.eigh(information[np.ix_(used, used)] / np.outer(scale, scale))
+    keep = values > FLAT * values.max()
+    result = np.zeros((len(information), keep.sum()))
+    result[used] = vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None]
     return result

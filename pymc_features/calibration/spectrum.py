@@ -5,10 +5,11 @@ For errors e (sensor, time) and sensitivities S (sensor, time, parameter) the sc
     B = Cov(u) = sum_f S(f)^H Phi(f) S(f),
 
 with Phi the cross-spectral matrix of the errors, which the residuals estimate. Nothing in it depends on the
-sampling step: what lies above the band of the sensitivities is left out before anything is estimated. A smoothed
-periodogram alone blurs narrow peaks, so the residuals are taken to white noise first and the spectrum is
-coloured again afterwards (Andrews & Monahan, Econometrica 60, 1992): their amplitude may follow that of the
-response, sensors may share errors (principal components), and each component is an autoregressive process.
+sampling step: what lies above the band of the sensitivities is left out before anything is estimated. A
+smoothed periodogram alone blurs narrow peaks, so the residuals are taken to white noise first, and the
+spectrum is coloured again afterwards (Andrews & Monahan, Econometrica 60, 1992): their amplitude may follow
+that of the response, sensors may share errors (principal components), and each component is an
+autoregressive process.
 """
 
 from typing import NamedTuple
@@ -17,10 +18,9 @@ import numpy as np
 from scipy.fft import dct, idct
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import nnls
-from scipy.signal import fftconvolve, lfilter
 
 LOST = 1e-3  # share of the score's power above the band
-FEWEST = 2048  # samples that a longer record keeps,
+FEWEST = 256  # samples that a longer record keeps,
 STATIC = 32  # all, if the score has hardly any frequency besides zero: fewer terms of its cosine series
 MARGIN = 1.25  # kept over needed frequencies
 LARGEST_ORDER = 40  # of the autoregressions, and at most a twentieth of the samples
@@ -69,7 +69,7 @@ def error_model(residuals: np.ndarray, sensitivities: np.ndarray, response: np.n
     order = filters.shape[1] - 1 - np.argmax(filters[:, ::-1] != 0.0, axis=1)
     longest = int(order.max())
     filters = filters[:, : longest + 1]
-    white = np.stack([lfilter(a, [1.0], x) for a, x in zip(filters, r, strict=True)])[:, longest:]
+    white = np.stack([np.convolve(x, a, mode="valid") for a, x in zip(filters, r, strict=True)])
     spectrum = np.fft.rfft(s, 2 * n, axis=1) / np.fft.rfft(filters, 2 * n, axis=1).conj()[..., None]
     variability = smoothed(white, spectrum, 2 * n) * (n_all / n) ** 2
     return ErrorModel(variability, n, order, memory(filters) * n_all / n, follows)
@@ -99,9 +99,10 @@ def resampled(x, n, axis):
 
 
 def amplitudes(residuals, response):
-    """Standard deviation of the errors (sensor, time): level, or a + b times the response's local mean square.
+    """Standard deviation of the errors (sensor, time), and whose grow with the response (sensor,).
 
-    The mean square is over a period of the response. b must raise the log-likelihood by `SURE`.
+    Their variance is constant or a + b g^2 + c times the mean of g^2 over a period, with g the response, if
+    that raises the log-likelihood by `SURE`.
     """
     n = residuals.shape[1]
     level = np.repeat(np.mean(residuals**2, axis=1, keepdims=True), n, axis=1)
@@ -112,15 +113,15 @@ def amplitudes(residuals, response):
         for j, (r, g) in enumerate(zip(residuals, response, strict=True)):
             if cycles[j] > 0 and r.any():
                 local = uniform_filter1d(g**2, int(np.clip(n / cycles[j], 3, n)))
-                follows[j], level[j] = growing(r**2, local / local.mean())
+                columns = np.stack([np.full(n, np.mean(g**2)), g**2, local], axis=1)
+                follows[j], level[j] = growing(r**2, columns / np.mean(g**2))
     return np.sqrt(level), follows
 
 
-def growing(square, local):
-    """Whether the variance a + b local explains squares better than their mean, and the better of the two."""
+def growing(square, columns):
+    """Whether a variance of columns (time, k) explains squares better than their mean, and the better one."""
     mean = square.mean()
     variance = np.full(len(square), mean)
-    columns = np.stack([np.ones_like(local), local], axis=1)
     for _ in range(4):
         coefficients, _ = nnls(columns / variance[:, None], square / variance)
         variance = np.maximum(columns @ coefficients, QUIETEST * mean)
@@ -182,6 +183,8 @@ def smoothed(white, spectrum, length):
 
     `spectrum` (component, frequency, parameter) is S, of `length` samples with the zeros behind.
     """
+    from scipy.signal import fftconvolve  # slow to import
+
     n_frequencies = length // 2 + 1
     half = max(1, min(n_frequencies - 2, n_frequencies // SMOOTHING))
     kernel = np.hanning(2 * half + 3)[1:-1]

@@ -115,21 +115,30 @@ def sample(
         Path(checkpoint).mkdir(parents=True, exist_ok=True)
         journal = Journal(Path(checkpoint) / "modes.record")
     found = search(model, logp, draws, rng, journal)
+    idata = sample_from(
+        found,
+        model,
+        space,
+        draws=draws,
+        chains=chains,
+        cores=cores,
+        random_seed=random_seed,
+        checkpoint=checkpoint,
+        progressbar=progressbar,
+        compile_kwargs=compile_kwargs,
+        **settings,
+    )
+    if advice := idata["sample_stats"].attrs["advice"]:
+        warnings.warn(advice, SamplingWarning, stacklevel=2)
+    return idata
+
+
+def sample_from(found: "Search", model, space, **settings) -> xr.DataTree:
+    """Runs that begin with what climbs have found, and a summary of them; see `sample`."""
+    settings = {"compute_convergence_checks": False, "gradients": not found.no_gradient} | settings
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "PersistentSMC ended", SamplingWarning)  # `advice` says it
-        idata = sample_smc(
-            draws,
-            PersistentSMC,
-            reference=found.reference,
-            chains=chains,
-            cores=cores,
-            model=model,
-            random_seed=random_seed,
-            checkpoint=checkpoint,
-            progressbar=progressbar,
-            compile_kwargs=compile_kwargs,
-            **{"compute_convergence_checks": False, "gradients": not found.no_gradient} | settings,
-        )
+        idata = sample_smc(kernel=PersistentSMC, reference=found.reference, model=model, **settings)
     if found.reference is not None:
         modes = found.reference.modes
         summary = {"log_evidence": [m.log_evidence for m in modes], "n_climbs": [m.n_climbs for m in modes]}
@@ -137,8 +146,6 @@ def sample(
     summary = found._asdict() | summarise(model, space, idata, found.reference)
     del summary["reference"]
     idata["sample_stats"].attrs |= summary
-    if summary["advice"]:
-        warnings.warn(summary["advice"], SamplingWarning, stacklevel=2)
     return idata
 
 

@@ -61,5 +61,5 @@ def jit(function):
 
 
 def inline(function):
-    """Put a kernel's code into those that call it: it is not compiled by itself, which takes as long again."""
+    """Put a kernel's code into those that call it, and do not compile it by itself, which takes as long."""
     return njit(function, fastmath=FASTMATH, error_model="numpy", inline="always")

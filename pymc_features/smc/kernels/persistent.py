@@ -243,11 +243,10 @@ class PersistentSMC(PopulationKernel):
         return self.fit_efficiency > GOOD_FIT
 
     def complete(self) -> None:
-        """Draw from the reference, or from fits that follow each other, until that is worth `draws`.
+        """Draw from the reference, or fits that follow each other, until that is worth `draws`.
 
-        Only the draws of the last fit count: those of others have shaped it, and would bias the evidence. A
-        few show what it is worth. While it is not good, and more is missing than all have drawn, it is drawn
-        from as often as these, and is followed by another one.
+        Only draws of the last fit count, which no draws have shaped. If few show that more is missing than
+        were drawn in all, it draws as many, and another one follows.
         """
         pool, used, limit, drawn = self.pool, 0, 0, 0
         source = self.last_stage if self.last_stage in pool.proposals else 0  # drawn from in place of chains
@@ -260,20 +259,18 @@ class PersistentSMC(PopulationKernel):
                 break
             n = 1.1 * missing * max(1.0, sample.counts.sum() / max(worth, 1.0))
             first = max(FIRST_DRAWS * self.n_parameters, self.draws // 4)
-            if not missing or (n > max(used, first) and pool.efficiency(source) < GOOD_FIT):
-                n = limit - drawn
-                if n <= 0:
-                    self.weights = pool.normalised(pool.log_weights(1.0))
-                    pool.add_proposal(fit_to(self.fitting_points(), self.rng))
-                    source, n, limit, drawn = len(pool.betas) - 1, first, max(used, first), 0
+            another = not missing or (n > max(used, first) and pool.efficiency(source) < GOOD_FIT)
+            if another and (n := limit - drawn) <= 0:
+                self.weights = pool.normalised(pool.log_weights(1.0))
+                pool.add_proposal(fit_to(self.fitting_points(), self.rng))
+                source, n, limit, drawn = len(pool.betas) - 1, first, max(used, first), 0
             n = int(np.clip(n, 0.1 * self.draws, 2.0 * self.draws + used))
             self.draw_more(n, source)
             used, drawn = used + n, drawn + n
         if worth < self.draws:
             warnings.warn(TOO_FEW.format(worth, self.draws), SamplingWarning, stacklevel=2)
             whole = float(pool.effective_of_quantiles(pool.log_weights(1.0)).min())
-            if self.hamiltonian_share > 0.0 and whole > worth:  # no fit is good, but chains got about
-                sample = pool
+            sample = pool if self.hamiltonian_share > 0.0 and whole > worth else sample  # chains got about
         self.ess = worth
         self.finish(sample)
 
@@ -299,5 +296,5 @@ class PersistentSMC(PopulationKernel):
 
     def sample_settings(self) -> dict:
         """Settings, saved as attributes of `sample_stats`."""
-        chosen = {"threshold": self.threshold, "stage_draws": self.stage_draws}
-        return chosen | {"_n_draws": self.draws, "gradients": int(self.gradients_allowed)}
+        own = {"stage_draws": self.stage_draws, "_n_draws": self.draws}
+        return {"threshold": self.threshold, "gradients": int(self.gradients_allowed), **own}

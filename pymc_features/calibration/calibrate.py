@@ -1,0 +1,135 @@
+"""`calibrate`: a posterior as wide as the residuals support, in every direction."""
+
+import warnings
+
+import numpy as np
+import pymc as pm
+import xarray as xr
+from pymc.util import RandomState
+
+from pymc_features.calibration.adjusted import adjusted_model, stretching
+from pymc_features.calibration.effective import best_fit, described, posterior_of
+from pymc_features.calibration.fit import Predictions, hessian
+from pymc_features.calibration.sandwich import Sandwich, known, sandwich
+from pymc_features.exceptions import SamplingWarning
+from pymc_features.inference.parameters import Unconstrained
+from pymc_features.inference.sample import Search, sample_from
+from pymc_features.smc import Reference, prior_points
+from pymc_features.smc.proposals.reference import Mode
+
+CURVED = 0.2  # standard deviations over which curvature is measured
+PRIOR_DRAWS = 500
+NO_CLIMBS = "the maximum was known"
+
+
+def calibrate(
+    idata: xr.DataTree,
+    *,
+    model: pm.Model | None = None,
+    draws: int | None = None,
+    chains: int | None = None,
+    random_seed: RandomState = None,
+    progressbar: bool = True,
+    **settings,
+) -> xr.DataTree:
+    """Posterior whose width the residuals decide, not the sampling rate or the number of sensors.
+
+    The likelihood is raised to the power, and stretched around its maximum by the matrix, that give it the
+    curvature A B^-1 A, where B is the covariance of the score that the residuals support
+    (`effective_samples`). With the prior as it is, the posterior is sampled again. The maximum does not move,
+    the prior's bounds and information keep their meaning, and any likelihood of the response leads to nearly
+    the same interval.
+
+    Parameters
+    ----------
+    idata : DataTree
+        What `sample`, `sample_smc` or `pm.sample` returned for NORM, TN, EXP, `GammaFeature` or
+        `CorrelatedNormal`, of one or several records.
+    model : pymc.Model, optional
+        The model of the context by default.
+    draws, chains : int, optional
+        As in `idata` by default.
+    random_seed : int or sequence of int, optional
+        For the same draws each time.
+    progressbar : bool
+        Whether to show progress.
+    **settings
+        Of `sample`.
+
+    Returns
+    -------
+    DataTree
+        As from `sample`, of the calibrated posterior; `sample_stats` has the attribute `power`, and the group
+        `calibration` is what `effective_samples` returns. The evidence is that of the stretched likelihood,
+        and must not be compared with others.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a likelihood is not known, the residuals vanish, or the likelihood has no maximum near the draws.
+
+    Warns
+    -----
+    CalibrationWarning
+        If errors persist for more than a fifth of the record.
+    SamplingWarning
+        As from `sample`.
+
+    Notes
+    -----
+    One mode is calibrated, that of the most likely draws. What is the same in every record, a bias of the
+    model, is not seen in residuals.
+
+    References
+    ----------
+    Ribatet, Cooley & Davison, Stat. Sin. 22, 2012; Shaby, Bayesian Anal. 9, 2014.
+    """
+    model = pm.modelcontext(model)
+    posterior = posterior_of(idata)
+    rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(1)[0])
+    predictions = Predictions(model)
+    fit = best_fit(predictions, posterior, rng)
+    result = sandwich(fit.events, fit.information)
+    result = curved(predictions, fit, result)
+    power, matrix = stretching(result.information, result.precision)
+    adjusted = adjusted_model(model, fit.z, matrix, power)
+    reference = bell(adjusted, fit.z, result.precision, rng)
+    calibrated = sample_from(
+        Search(reference, 0, 0, NO_CLIMBS),
+        adjusted,
+        Unconstrained(adjusted),
+        draws=draws or posterior.sizes["draw"],
+        chains=chains or posterior.sizes["chain"],
+        random_seed=random_seed,
+        progressbar=progressbar,
+        **settings,
+    )
+    calibrated["calibration"] = xr.DataTree(described(model, fit, result))
+    calibrated["sample_stats"].attrs |= {"power": power}
+    for group in ("observed_data", "constant_data"):
+        if group in idata.children:
+            calibrated[group] = idata[group].copy()
+    if advice := calibrated["sample_stats"].attrs["advice"]:
+        warnings.warn(advice, SamplingWarning, stacklevel=2)
+    return calibrated
+
+
+def curved(predictions, fit, result: Sandwich) -> Sandwich:
+    """The sandwich with the likelihood's own curvature as A, where that is positive."""
+    used = known(result.information)
+    widths = np.sqrt(np.diag(result.covariance)[used])
+    steps = np.zeros(len(fit.z))
+    steps[used] = CURVED * np.minimum(widths, np.sqrt(np.diag(result.claims)[used]))
+    exact = result.information.copy()
+    exact[np.ix_(used, used)] = hessian(predictions, fit.z, steps, used)
+    values = np.linalg.eigvalsh(exact[np.ix_(used, used)])
+    return result._replace(information=exact) if values.min(initial=np.inf) > 0 else result
+
+
+def bell(model, point, precision, rng) -> Reference:
+    """What to draw from first: a bell of the likelihood's wanted width, no wider than the prior."""
+    prior = prior_points(model, PRIOR_DRAWS, rng)
+    centre, scale = prior.mean(axis=0), prior.std(axis=0)
+    covariance = np.linalg.inv(precision + np.diag(scale**-2.0))
+    factor = np.linalg.cholesky(covariance / np.outer(scale, scale))
+    return Reference([Mode((point - centre) / scale, factor, 0.0, 1)], centre, scale)

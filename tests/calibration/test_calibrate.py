@@ -1,0 +1,214 @@
+"""`effective_samples` and `calibrate` on models whose answers are known: linear in their parameters."""
+
+import warnings
+
+import numpy as np
+import pymc as pm
+import pytest
+import xarray as xr
+
+from calibration.test_spectrum import N_TIMES, errors_of, first_order, regression
+from pymc_features import (
+    CorrelatedNormal,
+    ExpFeature,
+    GammaFeature,
+    TruncNormalFeature,
+    calibrate,
+    effective_samples,
+)
+from pymc_features.calibration.adjusted import stretching
+from pymc_features.exceptions import CalibrationWarning
+
+DT, TAU = 0.02, 0.3
+SIGNALS = regression()
+LIKELIHOODS = {
+    "NORM": lambda mu, sigma, y: pm.Normal("y", mu, sigma, observed=y),
+    "TN": lambda mu, sigma, y: TruncNormalFeature("y", mu, sigma, observed=y),
+    "EXP": lambda mu, sigma, y: ExpFeature("y", mu, sigma, observed=y),
+    "m": lambda mu, sigma, y: GammaFeature("y", mu, sigma, 7.5, observed=y),
+    "CN": lambda mu, sigma, y: CorrelatedNormal("y", mu, sigma, correlation_time=TAU, dt=DT, observed=y),
+}
+
+
+def data(kind="persistent", seed=6):
+    return SIGNALS @ [1.0, 2.0] + 0.1 * errors_of(kind, np.random.default_rng(seed), SIGNALS)
+
+
+def declare(kind, y, prior=None):
+    """y = S theta + errors, with theta normal or as wanted."""
+    with pm.Model() as model:
+        theta = prior() if prior else pm.Normal("theta", 0.0, 10.0, shape=2)
+        sigma = pm.LogNormal("sigma", -2.0, 2.0)
+        LIKELIHOODS[kind](pm.math.dot(SIGNALS, theta), sigma, y)
+    return model
+
+
+def at(*theta, sigma=0.1):
+    """A posterior of a single draw."""
+    values = {"theta": (("chain", "draw", "i"), [[theta]]), "sigma": (("chain", "draw"), [[sigma]])}
+    return xr.DataTree.from_dict({"posterior": xr.Dataset(values)})
+
+
+@pytest.fixture(scope="module")
+def y():
+    return data()
+
+
+@pytest.fixture(scope="module")
+def least_squares(y):
+    """Estimate of theta, and the covariance that the true errors give it."""
+    flat = SIGNALS.reshape(-1, 2)
+    claims = np.linalg.inv(flat.T @ flat)
+    lag = np.arange(N_TIMES)
+    correlation = 0.01 * np.exp(-np.abs(lag - lag[:, None]) * DT / TAU)
+    score = sum(s.T @ correlation @ s for s in SIGNALS)
+    return claims @ flat.T @ y.ravel(), claims @ score @ claims, 0.01 * claims
+
+
+@pytest.mark.parametrize("kind", ["NORM", "TN", "EXP", "m"])
+def test_every_likelihood_supports_the_same(kind, y, least_squares):
+    """The estimate is that by least squares; the covariance that of the true errors, as 600 samples tell it.
+
+    Control: what independent errors of the same size would give is far too small.
+    """
+    estimate, truth, white = least_squares
+    found = effective_samples(at(0.9, 1.8), model=declare(kind, y))
+    np.testing.assert_allclose(found["point"][:2], estimate, atol=1e-3 * np.sqrt(truth.diagonal().min()))
+    widths = found["standard_deviation"].values[:2]
+    np.testing.assert_allclose(widths, np.sqrt(np.diag(truth)), rtol=0.25)
+    assert widths[0] > 2.0 * np.sqrt(white[0, 0])
+    reference = effective_samples(at(1.0, 2.0), model=declare("NORM", y))
+    np.testing.assert_allclose(found["covariance"][:2, :2], reference["covariance"][:2, :2], rtol=0.01)
+    np.testing.assert_allclose(found["n_eff"], reference["n_eff"], rtol=0.01)
+    assert found["n_eff_direction"][0] < 0.25 * 4 * N_TIMES
+    claimed = {"NORM": N_TIMES, "TN": 1, "EXP": 2, "m": 7.5}[kind]
+    np.testing.assert_allclose(found["claimed"], claimed)
+
+
+def test_a_right_likelihood_claims_what_it_knows(y):
+    """Errors whose correlation is known: all samples count; those of NORM do not."""
+    found = effective_samples(at(1.0, 2.0), model=declare("CN", y))
+    assert found.attrs["n_eff"] == pytest.approx(4 * N_TIMES, rel=0.3)
+
+
+def test_of_a_model_without_draws(y):
+    model = declare("NORM", y)
+    found, expected = effective_samples(model, random_seed=1), effective_samples(at(1.0, 2.0), model=model)
+    np.testing.assert_allclose(found["covariance"], expected["covariance"], rtol=1e-3)
+
+
+def test_records_in_one_model_add_up(y):
+    """Two records with independent errors: A and B are sums."""
+    other = data(seed=7)
+    with declare("NORM", y) as model:
+        pm.Normal("z", pm.math.dot(SIGNALS, model["theta"]), model["sigma"], observed=other)
+    both = effective_samples(at(1.0, 2.0), model=model)
+    assert both.sizes["sensor"] == 8
+    one = effective_samples(at(1.0, 2.0), model=declare("NORM", y))
+    ratio = one["standard_deviation"][:2] / both["standard_deviation"][:2]
+    np.testing.assert_allclose(ratio, np.sqrt(2.0), rtol=0.25)
+
+
+def test_stretching():
+    rng = np.random.default_rng(8)
+    information, precision = (x @ x.T for x in rng.normal(size=(2, 5, 5)))
+    power, matrix = stretching(information, precision)
+    np.testing.assert_allclose(power * matrix.T @ information @ matrix, precision, rtol=1e-9, atol=1e-9)
+    assert np.linalg.det(matrix) == pytest.approx(1.0)
+    information[4], information[:, 4] = 0.0, 0.0  # a parameter that the likelihood does not know
+    power, matrix = stretching(information, information / 3.0)
+    np.testing.assert_allclose(matrix, np.eye(5), atol=1e-9)
+    assert power == pytest.approx(1.0 / 3.0)
+
+
+@pytest.mark.parametrize("kind", ["NORM", "EXP"])
+def test_posterior_has_the_covariance_that_the_residuals_support(kind, y):
+    """In every direction, from likelihoods that claim 2400 and 8 observations."""
+    model = declare(kind, y)
+    found = calibrate(at(1.0, 2.0), model=model, draws=1000, chains=2, random_seed=1, progressbar=False)
+    expected = found["calibration"]["covariance"].values[:2, :2]
+    theta = found["posterior"]["theta"].values.reshape(-1, 2)
+    whiten = np.linalg.inv(np.linalg.cholesky(expected))
+    np.testing.assert_allclose(whiten @ np.cov(theta.T) @ whiten.T, np.eye(2), atol=0.15)
+    off = whiten @ (theta.mean(axis=0) - found["calibration"]["point"].values[:2])
+    np.testing.assert_allclose(off, 0.0, atol=0.15)
+    assert (found["sample_stats"].attrs["power"] > 1.0) == (kind == "EXP")
+
+
+def test_priors_keep_their_meaning(y, least_squares):
+    """A bound is not crossed; an informative prior multiplies the calibrated likelihood, in closed form."""
+    estimate, *_ = least_squares
+    free = calibrate(
+        at(1.0, 2.0), model=declare("NORM", y), draws=500, chains=2, random_seed=2, progressbar=False
+    )
+    covariance = free["calibration"]["covariance"].values[:2, :2]
+    width = np.sqrt(covariance[0, 0])
+    high = estimate[0] + 0.3 * width
+
+    def bounded():
+        return pm.Uniform("theta", [-5.0, -5.0], [high, 5.0])
+
+    found = calibrate(
+        at(estimate[0] - width, 2.0),
+        model=declare("NORM", y, bounded),
+        draws=500,
+        chains=2,
+        random_seed=3,
+        progressbar=False,
+    )
+    theta = found["posterior"]["theta"].values.reshape(-1, 2)
+    assert theta[:, 0].max() < high
+    assert theta[:, 0].max() > high - 0.2 * width
+
+    def informative():
+        return pm.Normal("theta", estimate + 2.0 * width, width)
+
+    found = calibrate(
+        at(1.0, 2.0),
+        model=declare("NORM", y, informative),
+        draws=1000,
+        chains=2,
+        random_seed=4,
+        progressbar=False,
+    )
+    precision = np.linalg.inv(covariance)
+    expected = np.linalg.inv(precision + np.eye(2) / width**2)
+    mean = expected @ (precision @ estimate + (estimate + 2.0 * width) / width**2)
+    theta = found["posterior"]["theta"].values.reshape(-1, 2)
+    np.testing.assert_allclose((theta.mean(axis=0) - mean) / width, 0.0, atol=0.15)
+    whiten = np.linalg.inv(np.linalg.cholesky(expected))
+    np.testing.assert_allclose(whiten @ np.cov(theta.T) @ whiten.T, np.eye(2), atol=0.2)
+
+
+# --------------------------------------------------------------------------- refusals
+
+
+def test_other_likelihoods_are_refused(y):
+    with pm.Model() as model:
+        pm.StudentT("y", 3.0, pm.Normal("theta"), observed=y)
+    with pytest.raises(TypeError, match="must have Normal, CorrelatedNormal or feature .* got StudentT"):
+        effective_samples(model)
+    with pm.Model() as model:
+        pm.Normal("theta")
+    with pytest.raises(ValueError, match="`model` must have observed variables, got none"):
+        effective_samples(model)
+
+
+def test_what_has_no_posterior_is_refused(y):
+    with pytest.raises(TypeError, match="`idata` must be a DataTree with a posterior, got Dataset"):
+        calibrate(xr.Dataset(), model=declare("NORM", y))
+
+
+def test_data_without_noise_are_refused():
+    with pytest.raises(ValueError, match="the residuals of y must not vanish"):
+        effective_samples(at(1.0, 2.0), model=declare("NORM", SIGNALS @ [1.0, 2.0]))
+
+
+def test_a_record_that_is_too_short_is_warned_of():
+    """Errors that persist for half of the record."""
+    drift = first_order(np.random.default_rng(9), (4, N_TIMES), np.exp(-DT / 6.0))
+    with pytest.warns(CalibrationWarning, match=r"the errors of y persist for .* s of a record of 12 s"):
+        effective_samples(at(1.0, 2.0), model=declare("CN", SIGNALS @ [1.0, 2.0] + drift))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", CalibrationWarning)
+        effective_samples(at(1.0, 2.0), model=declare("NORM", data("white")))
