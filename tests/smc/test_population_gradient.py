@@ -551,9 +551,9 @@ GROWTH = """
 
     record = synthetic_earthquake(31.18, 0.002, random_seed=1)
     data = np.random.default_rng(0).normal(size=(10, record.n_times))
-    particles = np.linspace(0.5, 1.5, 256)[:, None]
+    particles = np.linspace(0.5, 1.5, 64)[:, None]
     grown = []
-    for change, share in ((lambda mu: mu, 256), (lambda mu: mu[::-1], 16)):
+    for change, share in ((lambda mu: mu, 64), (lambda mu: mu[::-1], 16)):
         logp = evaluation(change)
         logp.gradient(particles[:2])
         grown.append(growth(lambda: logp.gradient(particles[:share]))[0])
@@ -563,7 +563,7 @@ GROWTH = """
 
 @pytest.mark.processes
 def test_no_memory_for_histories(tmp_path):
-    """256 particles of 10 x 15590: growth of the peak over the size of one response, and from responses."""
+    """64 particles of 10 x 15590: growth of the peak over the size of one response, and from responses."""
     pytest.importorskip("resource")
     fused, unfused = map(float, run_python(GROWTH, tmp_path).split())
     assert fused < 1.0
