@@ -24,7 +24,7 @@ def effective_samples(
 
     At the maximum of the likelihood the score, the sum of sensitivities times residuals, would vary as much
     as the likelihood claims (A) if the errors were what it takes them for. How much it does vary (B) is
-    estimated from the residuals, over time and across sensors (`pymc_features.calibration.spectrum`). In a
+    estimated from the residuals, over time and across sensors (``pymc_features.calibration.spectrum``). In a
     direction v of the parameters the residuals support m v' A^-1 v / v' A^-1 B A^-1 v independent
     observations, where the likelihood claims m: all samples under NORM, two for each sensor under EXP, one
     under TN.
@@ -48,7 +48,7 @@ def effective_samples(
         that PyMC samples): `n_eff_parameter`, `standard_deviation` by the residuals,
         `claimed_standard_deviation`, and `point`, the maximum. Over `direction`, ascending:
         `n_eff_direction` and `direction_vector` (direction, parameter). The matrices `information` A,
-        `variability` B and `covariance` A^-1 B A^-1 (parameter, parameter_), NaN for parameters that no
+        `variability` B and `covariance` A^-1 B A^-1 ``(parameter, parameter_)``, NaN for parameters that no
         likelihood knows of. Attributes: `n_eff` (geometric mean of the directions of the response),
         `claimed` (of all sensors), `n_evaluations`.
 
