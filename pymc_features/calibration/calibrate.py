@@ -84,8 +84,7 @@ def calibrate(
     ----------
     Ribatet, Cooley & Davison, Stat. Sin. 22, 2012; Shaby, Bayesian Anal. 9, 2014.
     """
-    model = pm.modelcontext(model)
-    posterior = posterior_of(idata)
+    posterior, model = posterior_of(idata), pm.modelcontext(model)
     rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(1)[0])
     predictions = Predictions(model)
     fit = best_fit(predictions, posterior, rng)

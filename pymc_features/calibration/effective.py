@@ -75,7 +75,7 @@ def effective_samples(
     if isinstance(source, pm.Model):
         model, posterior = source, None
     else:
-        model, posterior = pm.modelcontext(model), posterior_of(source)
+        posterior, model = posterior_of(source), pm.modelcontext(model)
     rng = np.random.default_rng(random_seed)
     fit = best_fit(Predictions(model), posterior, rng)
     return described(model, fit, sandwich(fit.events, fit.information))
