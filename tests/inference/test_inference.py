@@ -47,7 +47,7 @@ class Example:
         smc = {"draws": 500, "chains": 1, "cores": 1}
         with pytensor.config.change_flags(mode="Mode"):
             return {
-                kind: pmf.sample_nuts(1000, tune=500, model=model, sample_settings=smc, **QUIET)
+                kind: pmf.sample_nuts(700, tune=350, model=model, sample_settings=smc, **QUIET)
                 for kind, model in self.models.items()
             }
 
@@ -131,7 +131,7 @@ def ten_springs(record):
         pmf.ExpFeature("y", mu=pmf.response(chain, record), sigma=sigma, observed=measured)
     particles = pmf.sample_smc(2000, model=model, chains=4, **QUIET)
     with pytensor.config.change_flags(mode="Mode"):
-        return particles, pmf.sample_nuts(1000, tune=500, model=model, particles=particles, **QUIET)
+        return particles, pmf.sample_nuts(700, tune=350, model=model, particles=particles, **QUIET)
 
 
 def standard_errors(idata, kind):
