@@ -59,7 +59,7 @@ def adjusted_model(model: pm.Model, point: np.ndarray, matrix: np.ndarray, power
         C.
     power : float
     """
-    # shared, so that machine code serves all values
+    # shared variables: other values are no other code
     point, matrix, power = (pytensor.shared(np.asarray(x, dtype=np.float64)) for x in (point, matrix, power))
     stand_ins = {rv: rv.type(name=rv.name) for rv in model.free_RVs}
     terms = [pm.logp(rv, model.rvs_to_values[rv]).sum() for rv in model.observed_RVs]

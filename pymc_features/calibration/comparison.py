@@ -5,7 +5,7 @@ Every likelihood here is, up to a constant, a sum over its sensors of
     ln L_j = -1/2 sum_k r_jk^2 - m_j ln s_j,
 
 with residuals r scaled by s_j, and m_j the number of independent observations that it claims of a sensor: the
-number of samples under NORM, 1 under TN, 2 under EXP. Correlated errors are taken to independent ones first.
+number of samples under NORM, 1 under TN, 2 under EXP. Errors with a known correlation are whitened first.
 """
 
 from functools import singledispatch

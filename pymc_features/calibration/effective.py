@@ -65,7 +65,7 @@ def effective_samples(
     Notes
     -----
     What is the same all along the record and in every event, a bias of the model, cannot be seen from
-    residuals.
+    residuals. A correlation time that is inferred is left as its likelihood has it.
 
     References
     ----------
@@ -107,10 +107,12 @@ def best_fit(predictions, posterior, rng) -> Fit:
         starts = starts[[np.argmax([log_likelihood(predictions(z)) for z in starts])]]
     fit = climb_likelihood(predictions, starts[0])
     for event in fit.events:
-        if not (event.residuals**2).sum() > 0:
+        silent = np.flatnonzero(~((event.residuals**2).sum(axis=1) > 0))
+        if silent.size:
             raise ValueError(
-                f"the residuals of {event.name} must not vanish: data without noise support no estimate of "
-                "their errors. Add the measurement noise."
+                f"the residuals of {event.name} must not vanish, got none at sensor {silent[0]}: data "
+                "without noise support no estimate of their errors. Add the measurement noise, or leave out "
+                "the sensor."
             )
     return fit
 

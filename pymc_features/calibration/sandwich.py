@@ -57,9 +57,9 @@ def sandwich(events, information) -> Sandwich:
 
 
 def of_scale(event) -> np.ndarray:
-    """Covariance (d, d) of the score that belongs to the scales: sum (r^2 - m / N) d ln s / dz.
+    """Covariance (d, d) of what the scales add to the score, sum_jk (r_jk^2 - m_j / N) d ln s_j / dz.
 
-    The squares of the residuals are a series of which the sum is known; theirs is the covariance of that.
+    It is a sum over time, so that its covariance is that of N times the mean of a series.
     """
     used = np.flatnonzero(np.abs(event.of_scale).sum(axis=0))
     d = event.of_scale.shape[1]

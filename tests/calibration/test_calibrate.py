@@ -199,6 +199,16 @@ def test_what_has_no_posterior_is_refused(y):
         calibrate(xr.Dataset(), model=declare("NORM", y))
 
 
+def test_a_sensor_without_noise_is_refused(y):
+    """A dead channel: neither signal nor misfit."""
+    alive = np.array([[1.0], [0.0]])
+    with pm.Model() as model:
+        pm.Normal("y", pm.Normal("a") * SIGNALS[:2, :, 0] * alive, 1.0, observed=y[:2] * alive)
+    posterior = xr.Dataset({"a": (("chain", "draw"), [[1.0]])})
+    with pytest.raises(ValueError, match="the residuals of y must not vanish, got none at sensor 1"):
+        effective_samples(xr.DataTree.from_dict({"posterior": posterior}), model=model)
+
+
 def test_data_without_noise_are_refused():
     with pytest.raises(ValueError, match="the residuals of y must not vanish"):
         effective_samples(at(1.0, 2.0), model=declare("NORM", SIGNALS @ [1.0, 2.0]))
