@@ -55,10 +55,10 @@ def make_parser() -> argparse.ArgumentParser:
         "reproduce",
         help="run the sampling-rate study of the source, and write its figures and table",
         description="Ten-storey chain, linear or with springs that yield, one stiffness factor: NORM, TN, "
-        "EXP, ABC by subset simulation, and errors correlated in time, at several sampling steps of the same "
-        "data. Writes Figs. 1-4 of the source and two more, the loops of springs that yield, tables with "
-        "exact quantiles by quadrature beside the sampled ones and a sentence on each likelihood, and the "
-        "whole result as netCDF. A stopped run continues.",
+        "EXP, ABC by subset simulation, errors correlated in time, and CAL, whose width the residuals "
+        "decide, at several sampling steps of the same data. Writes Figs. 1-4 of the source and two more, "
+        "the loops of springs that yield, tables with exact quantiles by quadrature beside the sampled ones "
+        "and a sentence on each likelihood, and the whole result as netCDF. A stopped run continues.",
     )
     study.set_defaults(run=reproduce)
     add = study.add_argument
@@ -81,12 +81,18 @@ def make_parser() -> argparse.ArgumentParser:
         "after its peak (three minutes)",
     )
     add("--seed", type=int, default=0, help="of noise and samplers (default: 0)")
+    add(
+        "--noise-time",
+        type=float,
+        metavar="S",
+        help="correlation time of the noise [s] (default: 0, white)",
+    )
     add("--stiffness", type=float, metavar="N/m", help="nominal, initial spring stiffness (default: 1800)")
     add(
         "--likelihoods",
         nargs="+",
         metavar="NAME",
-        help="NORM, TN, EXP, ABC, CN, CN-SIGMA, CN-TAU (default: all; bouc-wen: the first four)",
+        help="NORM, TN, EXP, ABC, CN, CN-SIGMA, CN-TAU, CAL (default: all; bouc-wen: the first four)",
     )
     add("--draws", type=int, help="draws per chain (default: 2000, quick 250; bouc-wen: 1000)")
     add("--chains", type=int, help="chains (default: 4, quick 2; bouc-wen: 2)")
@@ -169,7 +175,7 @@ def reproduce(options, console):
         record = strong_part(record, described.quick_seconds)
         say(console, f"used: {record}")
     settings = dict(described.quick) if options.quick else {}
-    for name in ("draws", "chains", "cores", "likelihoods"):
+    for name in ("draws", "chains", "cores", "likelihoods", "noise_time"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
     with PartProgress(console, "study") as progress:

@@ -42,14 +42,15 @@ ALLOWED = {
     "calibration": {"ops", "distributions", "inference", "smc"},
     "study": {
         *("records", "structures", "simulators", "io", "datasets", "ground_motion"),
-        *("ops", "distributions", "likelihoods", "smc", "inference", "storage"),
+        *("ops", "distributions", "likelihoods", "smc", "inference", "calibration", "storage"),
     },
-    "likelihoods": {"ops", "distributions", "likelihood_free"},
+    "likelihoods": {"ops", "distributions", "likelihood_free", "calibration"},
     "plots": {"records", "likelihoods"},
     "progress": set(),
     "update": {
         *("records", "structures", "signals", "io", "datasets", "ground_motion", "simulators", "ops"),
-        *("likelihood_free", "likelihoods", "smc", "inference", "prediction", "storage", "plots"),
+        *("likelihood_free", "likelihoods", "smc", "inference", "calibration", "prediction"),
+        *("storage", "plots"),
     },
 }
 ANYTHING = {"__init__", "cli"}

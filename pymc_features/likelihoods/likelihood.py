@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytensor.tensor as pt
 
 from pymc_features.likelihoods.exact.quadrature import Exponents
@@ -23,6 +24,8 @@ class Comparison:
         Measurements [m/s^2].
     sigma, correlation_time : TensorVariable () or (sensor,)
         Scale [m/s^2] and correlation time [s] of the errors.
+    m : TensorVariable () or (sensor,)
+        Independent observations of each sensor [-].
     epsilon : float or TensorVariable
         Tolerance of ABC [m^2/s^4].
     dt : TensorVariable, optional
@@ -35,6 +38,7 @@ class Comparison:
     observed: object
     sigma: pt.TensorVariable | None = None
     correlation_time: pt.TensorVariable | None = None
+    m: pt.TensorVariable | None = None
     epsilon: object = None
     dt: pt.TensorVariable | None = None
     density: str = "feature"
@@ -61,12 +65,15 @@ class Likelihood:
         From a `Step` of the study to the exact posterior, of any other likelihood. One that has neither
         cannot be named in the study.
     takes : tuple of str
-        Which of sigma, correlation_time and epsilon it needs.
+        Which of sigma, correlation_time, m and epsilon it needs.
     known, inferred : tuple of str
         Those of them that must be numbers, and those that must have a prior; others may be either.
     reasons : dict
         Why the interval of a parameter "narrows" or "widens" with the sampling rate, where it does so on a
         record of some length.
+    calibrates : str
+        Name of the likelihood from whose posterior this one follows by `calibrate`; it declares the same
+        model. Empty for one that is sampled by itself.
     """
 
     name: str
@@ -79,6 +86,7 @@ class Likelihood:
     known: tuple[str, ...] = ()
     inferred: tuple[str, ...] = ()
     reasons: dict[str, str] = field(default_factory=dict)
+    calibrates: str = ""
 
     @property
     def is_likelihood_free(self) -> bool:
@@ -89,6 +97,15 @@ class Likelihood:
     def has_reference(self) -> bool:
         """Whether its exact posterior is known, so that the study can judge draws by it."""
         return self.exponents is not None or self.posterior is not None
+
+    def claimed(self, n_sensors: int, n_times: int, m=None) -> float | None:
+        """Independent observations that it counts; None if it counts none, or allows for their correlation.
+
+        `m`, one number or one for each sensor, of a likelihood that takes it.
+        """
+        if "m" in self.takes:
+            return float(np.sum(np.broadcast_to(m, n_sensors)))
+        return None if self.exponents is None else float(self.exponents(n_sensors, n_times).m)
 
     def reference(self, step: Step) -> Reference:
         """The exact posterior at one sampling step of the study."""

@@ -56,7 +56,7 @@ def declare(
         delta = None if tolerance is None else pm.Data("tolerance", tolerance)
         mu = response(structure(theta), record, dt=step)
         tau, sigma = correlation_time(likelihood), noise_scale(likelihood, scale)
-        likelihood.declare(Comparison(mu, measured, sigma, tau, delta, dt=step))
+        likelihood.declare(Comparison(mu, measured, sigma, tau, epsilon=delta, dt=step))
     return model
 
 

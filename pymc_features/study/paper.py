@@ -55,6 +55,7 @@ def measurements(
     theta: float = 1.0,
     stiffness: float = STIFFNESS,
     noise: float = NOISE,
+    noise_time: float = 0.0,
     random_seed: RandomSeed = None,
     multipliers: Sequence[float] = MULTIPLIERS,
     structure: Callable[..., Structure] = chain,
@@ -68,7 +69,10 @@ def measurements(
     theta, stiffness : float
         The true structure.
     noise : float
-        Standard deviation of the white Gaussian noise over the root mean square of each channel [-].
+        Standard deviation of the Gaussian noise over the root mean square of each channel [-].
+    noise_time : float
+        Time [s] after which the correlation of the noise has fallen to 1/e; 0 for the white noise of the
+        source.
     random_seed : int, optional
         Of the noise; for the same each time.
     multipliers : sequence of float
@@ -83,7 +87,28 @@ def measurements(
     """
     exact = simulate(structure(theta, stiffness=stiffness), record, dt=min(multipliers) * record.dt)
     scale = noise_scale(exact, noise)[:, None]
-    return exact + scale * np.random.default_rng(random_seed).standard_normal(exact.shape)
+    white = np.random.default_rng(random_seed).standard_normal(exact.shape)
+    return exact + scale * persistent(white, min(multipliers) * record.dt, noise_time)
+
+
+def persistent(white: np.ndarray, dt: float, time: float) -> np.ndarray:
+    """Noise of unit variance with the correlation exp(-lag / time), from white noise (sensor, time).
+
+    Parameters
+    ----------
+    white : array (sensor, time)
+        Independent standard normal samples.
+    dt : float
+        Their step [s].
+    time : float
+        Correlation time [s]; 0 leaves the noise white.
+    """
+    if check_positive(time, "noise_time", "Pass 0 for white noise.", allow_zero=True) == 0.0:
+        return white
+    from scipy.signal import lfilter  # slow to import
+
+    phi, rest = np.exp(-dt / time), np.sqrt(-np.expm1(-2.0 * dt / time))
+    return lfilter([rest], [1.0, -phi], white, axis=1, zi=white[:, :1] * (1.0 - rest))[0]
 
 
 def noise_scale(exact: xr.DataArray, noise: float = NOISE) -> np.ndarray:

@@ -11,6 +11,7 @@ from typing import TypedDict, Unpack
 import pymc as pm
 import xarray as xr
 
+from pymc_features.calibration import calibrate
 from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.inference import sample
 from pymc_features.keywords import check_keywords
@@ -25,6 +26,8 @@ from pymc_features.study.settings import Study
 from pymc_features.study.structures import DEFAULT, StudyStructure
 from pymc_features.study.summary import assemble
 
+GROUPS = ("posterior", "sample_stats", "calibration")
+
 
 class SamplingOptions(TypedDict, total=False):
     """Arguments of `sample` and `sample_smc` that hold for every part of the study."""
@@ -33,6 +36,12 @@ class SamplingOptions(TypedDict, total=False):
     chains: int | None
     cores: int | None
     progressbar: bool
+
+
+class StudyOptions(SamplingOptions, total=False):
+    """Those, and what the noise is."""
+
+    noise_time: float
 
 
 def sampling_rate_study(
@@ -45,14 +54,16 @@ def sampling_rate_study(
     random_seed: int | None = None,
     out: str | PathLike | None = None,
     progress: Callable[[str, int, int], None] | None = None,
-    **kwargs: Unpack[SamplingOptions],
+    **kwargs: Unpack[StudyOptions],
 ) -> xr.DataTree:
     """Posterior of theta and sigma at several sampling steps, sampled and exact.
 
     A ten-storey chain, that of the source or one that yields, is measured once, at the finest step and with
     noise; coarser data are every n-th sample of that history. NORM narrows with the sampling rate; TN, EXP
     and ABC do not. Errors correlated in time (CN) neither, as long as their time and scale are known and not
-    inferred from noise that is in truth white.
+    inferred from noise that is in truth white. CAL takes its width from the residuals: with the white noise
+    of the source, of which every further sample is new, it is nearly that of NORM; with noise that persists
+    for longer than a step (`noise_time`) it does not depend on the sampling rate.
 
     Parameters
     ----------
@@ -65,10 +76,11 @@ def sampling_rate_study(
         Standard deviation of the noise over the root mean square of each channel [-], positive.
     multipliers : sequence of float
         Sampling steps over the record's step; integers or their reciprocals.
-    likelihoods : sequence of {"NORM", "TN", "EXP", "ABC", "CN", "CN-SIGMA", "CN-TAU"}
+    likelihoods : sequence of {"NORM", "TN", "EXP", "ABC", "CN", "CN-SIGMA", "CN-TAU", "CAL"}
         The tolerance of ABC follows from the exact posterior of EXP, Eq. (16). CN is `CorrelatedNormal` with
-        correlation time and sigma known, CN-SIGMA with sigma inferred, CN-TAU with both inferred. By default
-        all seven of the linear chain, the first four of the other.
+        correlation time and sigma known, CN-SIGMA with sigma inferred, CN-TAU with both inferred. CAL is
+        `calibrate` of the posterior of NORM, which is sampled for it if it is not listed. By default all
+        eight of the linear chain, the first four of the other.
     random_seed : int, optional
         Of noise and samplers; by default another one each time, or that of the study in `out`.
     out : path, optional
@@ -79,7 +91,8 @@ def sampling_rate_study(
     **kwargs
         `draws`, `chains`, `cores` and `progressbar` of `sample_smc`, which samples ABC with
         `SubsetSimulation`, and of `sample`, which samples the others. By default four chains of 2000 draws of
-        the linear chain, two of 1000 of the other, whose response takes longer.
+        the linear chain, two of 1000 of the other, whose response takes longer. `noise_time`: correlation
+        time of the noise [s], 0 by default, white.
 
     Returns
     -------
@@ -87,7 +100,8 @@ def sampling_rate_study(
         `/summary`: maximum, 5, 50 and 95 % quantiles, `sampled` and `exact` by quadrature, both
         (likelihood, multiplier, parameter, statistic); `r_hat`, `ess_bulk`, `seconds`, `log_evidence`; the
         tolerance `epsilon` of ABC and the ends of the exact `epsilon_interval`.
-        `/<likelihood>/x<multiplier>`: posterior and sampler statistics. `/data`: record and finest
+        `/<likelihood>/x<multiplier>`: posterior and sampler statistics; of CAL what `effective_samples`
+        returns besides, in `calibration`. `/data`: record and finest
         measurements. `/loops`, of springs that can yield: their force and drift (spring, time) at the true
         theta, and where they yield. Saves with `to_netcdf`.
 
@@ -96,7 +110,7 @@ def sampling_rate_study(
     ValueError
         If a setting is out of range, or `out` holds another study.
     """
-    check_keywords(kwargs, SamplingOptions.__annotations__, "sampling_rate_study")
+    check_keywords(kwargs, StudyOptions.__annotations__, "sampling_rate_study")
     cores, progressbar = kwargs.pop("cores", None), kwargs.pop("progressbar", True)
     study = Study(
         record,
@@ -109,19 +123,24 @@ def sampling_rate_study(
     )
     store = PartStore(out, study.settings())
     names = [(kind, m) for m in study.multipliers for kind in study.likelihoods]
-    parts: dict[tuple[str, float], xr.DataTree] = {}
     models: dict[str, pm.Model] = {}
-    for done, (kind, multiplier) in enumerate(names):
+
+    def finished(kind, multiplier):
+        """A part that is kept, or is sampled now, after the one that it follows from."""
         label = part_name(kind, multiplier)
-        if progress is not None:
-            progress(label, done, len(names))
         part = store.load(label)
         if part is None:
-            is_abc = LIKELIHOODS[kind].is_likelihood_free
-            tolerance = exact_tolerance(study.misfit(multiplier)) if is_abc else None
-            part = run_part(study, kind, multiplier, tolerance, models, cores, progressbar)
+            base = LIKELIHOODS[kind].calibrates
+            base = finished(base, multiplier) if base else None
+            part = run_part(study, kind, multiplier, base, models, cores, progressbar)
             store.save(label, part)
-        parts[kind, multiplier] = part
+        return part
+
+    parts: dict[tuple[str, float], xr.DataTree] = {}
+    for done, (kind, multiplier) in enumerate(names):
+        if progress is not None:
+            progress(part_name(kind, multiplier), done, len(names))
+        parts[kind, multiplier] = finished(kind, multiplier)
     if progress is not None:
         progress("exact posteriors", len(names), len(names))
     return assemble(study, parts)
@@ -138,14 +157,19 @@ def part_name(kind: str, multiplier: float) -> str:
     return f"{kind}_x{multiplier:g}"
 
 
-def run_part(study, kind, multiplier, tolerance, models, cores, progressbar) -> xr.DataTree:
-    """Sample one posterior; `models` keeps the model of each likelihood, which is compiled once."""
-    data = study.data(multiplier)
+def run_part(study, kind, multiplier, base, models, cores, progressbar) -> xr.DataTree:
+    """Sample one posterior; `models` keeps the model of each likelihood, which is compiled once.
+
+    `base` is the part that is calibrated, if the likelihood is one that is made from another.
+    """
+    data, entry = study.data(multiplier), LIKELIHOODS[kind]
+    tolerance = exact_tolerance(study.misfit(multiplier)) if entry.is_likelihood_free else None
+    name = entry.calibrates or kind
     start = time.perf_counter()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", category=FeatureLikelihoodWarning)
-        if kind not in models:
-            models[kind] = declare(
+        if name not in models:
+            models[name] = declare(
                 kind,
                 study.record,
                 data,
@@ -153,9 +177,10 @@ def run_part(study, kind, multiplier, tolerance, models, cores, progressbar) -> 
                 tolerance=tolerance,
                 scale=study.scale,
             )
-        set_measurements(models[kind], data, tolerance)
+        set_measurements(models[name], data, tolerance)
         settings = {
-            "model": models[kind],
+            "model": models[name],
+            "draws": study.draws,
             "chains": study.chains,
             "cores": cores,
             "random_seed": study.part_seed(kind),
@@ -163,13 +188,14 @@ def run_part(study, kind, multiplier, tolerance, models, cores, progressbar) -> 
             # one Op does the work; to compile the few around it takes longer than it saves
             "compile_kwargs": {"mode": "FAST_COMPILE"},
         }
-        if LIKELIHOODS[kind].is_likelihood_free:
-            settings["compute_convergence_checks"] = False
-            idata = sample_smc(study.draws, SubsetSimulation, **settings)
+        if base is not None:
+            idata = calibrate(base, **settings)
+        elif entry.is_likelihood_free:
+            idata = sample_smc(kernel=SubsetSimulation, compute_convergence_checks=False, **settings)
         else:
-            idata = sample(study.draws, **settings)
+            idata = sample(**settings)
     part = xr.DataTree.from_dict(
-        {"posterior": idata["posterior"].to_dataset(), "sample_stats": idata["sample_stats"].to_dataset()}
+        {name: idata[name].to_dataset() for name in GROUPS if name in idata.children}
     )
     part.attrs = {"seconds": time.perf_counter() - start}
     if tolerance is not None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import xarray as xr
@@ -18,6 +18,7 @@ from pymc_features.study import paper
 from pymc_features.study.misfits import SharedResponses, computed_sums
 from pymc_features.study.structures import DEFAULT, StudyStructure, find_structure
 
+WHITE = "Pass 0 for white noise."
 WITHOUT_NOISE = "Without noise sigma runs to zero and no posterior exists; pass 0.05 for 5 %."
 
 
@@ -33,6 +34,7 @@ class Study:
     draws: int | None = None
     chains: int | None = None
     random_seed: int | None = None
+    noise_time: float = 0.0
     steps: dict[float, Step] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self):
@@ -52,6 +54,7 @@ class Study:
             )
         self._set("likelihoods", tuple(kind for kind in WITH_REFERENCE if kind in self.likelihoods))
         self._set("noise", check_positive(self.noise, "noise", WITHOUT_NOISE))
+        self._set("noise_time", check_positive(self.noise_time, "noise_time", WHITE, allow_zero=True))
         self._set("draws", check_integer(self.draws, "draws", least=50))
         self._set("chains", check_integer(self.chains, "chains"))
         self._set("random_seed", check_integer(self.random_seed, "random_seed", least=0))
@@ -70,6 +73,7 @@ class Study:
             self.record,
             stiffness=self.structure.stiffness,
             noise=self.noise,
+            noise_time=self.noise_time,
             random_seed=self.random_seed,
             multipliers=self.multipliers,
             structure=self.structure.chain,
@@ -89,9 +93,16 @@ class Study:
             "chains": self.chains,
             "random_seed": self.random_seed,
         }
-        # folders of the linear chain are older than the choice
-        name = self.structure.name
-        return settings if name == DEFAULT else {"structure": name} | settings
+        # folders of the linear chain with white noise are older than the choice
+        chosen = {"structure": self.structure.name, "noise_time": self.noise_time}
+        defaults = {"structure": DEFAULT, "noise_time": 0.0}
+        return {name: value for name, value in chosen.items() if value != defaults[name]} | settings
+
+    @property
+    def title(self) -> str:
+        """For figures: the structure, and the noise where it is not white."""
+        noise = f", noise correlated over {self.noise_time:g} s" if self.noise_time else ""
+        return f"{self.structure.title}{noise}"
 
     def at(self, theta=1.0) -> Structure:
         """The structure with this factor, by default the true one."""
@@ -121,15 +132,19 @@ class Study:
                 sums = self.shared.sums(multiplier)
             known = paper.CORRELATION_TIME, self.scale
             priors = Priors(paper.THETA_RANGE, paper.SIGMA_RANGE, paper.TAU_RANGE, *known)
-            self.steps[multiplier] = Step(sums, data, dt, priors)
+            self.steps[multiplier] = Step(sums, data, dt, priors, partial(self.response, dt=dt))
         return self.steps[multiplier]
+
+    def response(self, theta: float, dt: float) -> np.ndarray:
+        """Absolute accelerations at one sampling step [s], (sensor, time) [m/s^2]."""
+        return simulate(self.at(theta), self.record, dt=dt).values
 
     @cached_property
     def shared(self) -> SharedResponses:
         """Responses that serve all sampling steps, of a structure that must be integrated."""
         finest = self.multipliers[0]
         return SharedResponses(
-            lambda theta: simulate(self.at(theta), self.record, dt=self.step(finest)).values,
+            partial(self.response, dt=self.step(finest)),
             self.finest.values,
             {m: round(m / finest) for m in self.multipliers},
         )

@@ -56,7 +56,7 @@ def assemble(study, parts: dict) -> xr.DataTree:
     for path, part in nodes.items():
         tree[path] = part
     tree.attrs = {key: value for key, value in study.settings().items() if not isinstance(value, list)}
-    tree.attrs |= {"structure": study.structure.name, "title": study.structure.title}
+    tree.attrs |= {"structure": study.structure.name, "title": study.title}
     return tree
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.optimize import brentq, minimize_scalar
+from scipy.special import expit, logit
 
 N_THETA = 1201
 N_SIGMA = 601
@@ -104,6 +105,35 @@ class DiscrepancyCurve:
         return np.arcsinh((theta - self.minimiser) / self.scale)
 
 
+@dataclass(frozen=True)
+class Stretch:
+    """A likelihood of x in place of y, with logit(x) = logit(centre) + factor (logit(y) - logit(centre)).
+
+    logit is that of the place between the bounds, on which a uniform prior is sampled.
+    """
+
+    bounds: tuple[float, float]
+    centre: float
+    factor: float
+
+    def inside(self, y):
+        """x of y."""
+        return self._moved(y, self.factor)
+
+    def outside(self, x):
+        """y of x, and its slope."""
+        y = self._moved(x, 1.0 / self.factor)
+        low, high = self.bounds
+        with np.errstate(invalid="ignore"):
+            slope = (y - low) * (high - y) / ((x - low) * (high - x)) / self.factor
+        return y, np.nan_to_num(slope)  # at the bounds, where nothing is left of the likelihood
+
+    def _moved(self, x, factor):
+        low, high = self.bounds
+        at = logit((self.centre - low) / (high - low))
+        return low + (high - low) * expit(at + factor * (logit((x - low) / (high - low)) - at))
+
+
 @dataclass(frozen=True, eq=False)
 class ExactPosterior:
     """Posterior of theta and sigma: marginals, maximum, and log evidence."""
@@ -115,9 +145,15 @@ class ExactPosterior:
 
 
 def exact_posterior(
-    curve: DiscrepancyCurve, exponents: Exponents, sigma_bounds: tuple[float, float]
+    curve: DiscrepancyCurve,
+    exponents: Exponents,
+    sigma_bounds: tuple[float, float],
+    stretches: tuple[Stretch, Stretch] | None = None,
 ) -> ExactPosterior:
-    """Integrate the posterior under uniform priors of theta and sigma."""
+    """Integrate the posterior under uniform priors of theta and sigma.
+
+    `stretches` are those of the likelihood along theta and sigma, about its maximum.
+    """
     m, c = exponents.m, exponents.c
     low, high = sigma_bounds
     best_sigma = min(np.sqrt(c * curve.minimum / m), high)
@@ -131,11 +167,17 @@ def exact_posterior(
     log_likelihood = -m * np.log(sigma) - c * curve.values[:, None] / (2.0 * sigma**2)
     top = log_likelihood.max()
     mass = np.exp(log_likelihood - top) * curve.slope[:, None] * slope
+    theta = curve.theta
+    if stretches is not None:
+        (theta, of_theta), (sigma, of_sigma) = (
+            stretch.outside(x) for stretch, x in zip(stretches, (theta, sigma), strict=True)
+        )
+        mass *= of_theta[:, None] * of_sigma
     du, dt = curve.u[1] - curve.u[0], t[1] - t[0]
     volume = (curve.bounds[1] - curve.bounds[0]) * (high - low)
     evidence = np.trapezoid(np.trapezoid(mass, dx=dt, axis=1), dx=du) / volume
     return ExactPosterior(
-        Marginal.on_grid(curve.theta, np.trapezoid(mass, dx=dt, axis=1), curve.u),
+        Marginal.on_grid(theta, np.trapezoid(mass, dx=dt, axis=1), curve.u),
         Marginal.on_grid(sigma, np.trapezoid(mass, dx=du, axis=0), t),
         (curve.minimiser, float(best_sigma)),
         float(np.log(evidence) + top + exponents.constant),

@@ -49,10 +49,19 @@ class Step:
     dt : float
         Sampling step [s].
     priors : Priors
+    response : callable
+        theta -> array (sensor, time), the prediction of the measurements.
     """
 
-    def __init__(self, sums: Callable[[float], np.ndarray], data: xr.DataArray, dt: float, priors: Priors):
-        self.sums, self.data, self.dt, self.priors = sums, data, dt, priors
+    def __init__(
+        self,
+        sums: Callable[[float], np.ndarray],
+        data: xr.DataArray,
+        dt: float,
+        priors: Priors,
+        response: Callable[[float], np.ndarray],
+    ):
+        self.sums, self.data, self.dt, self.priors, self.response = sums, data, dt, priors, response
         self.shape = data.shape
         self._known: dict[float, np.ndarray] = {}
 
