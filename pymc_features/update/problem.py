@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features.exceptions import ConfigError
+from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.storage import fingerprint
 from pymc_features.update.channels import Measured, named_key, read_measured
 from pymc_features.update.config.document import Config, read_config
@@ -55,8 +56,16 @@ class Problem:
 
     @property
     def kinds(self) -> list[str]:
-        """Likelihoods in the order they are sampled: ABC may need EXP."""
-        return sorted(self.config.likelihood.kinds, key=lambda kind: kind == "ABC")
+        """Likelihoods in the order they are sampled: ABC may need EXP, and CAL what it calibrates."""
+        asked = self.config.likelihood.kinds
+        needed = [LIKELIHOODS[kind].calibrates for kind in asked]
+        kinds = dict.fromkeys([*asked, *filter(None, needed)])
+        return sorted(kinds, key=lambda kind: kind == "ABC" or bool(LIKELIHOODS[kind].calibrates))
+
+    @property
+    def reported(self) -> list[str]:
+        """Likelihoods of the report in their order: first those whose width the residuals decide."""
+        return sorted(self.config.likelihood.kinds, key=lambda kind: not LIKELIHOODS[kind].calibrates)
 
     def unit(self, name: str) -> str:
         """Unit of a prior, from where it is used."""
@@ -171,7 +180,8 @@ def check_errors(config) -> None:
             )
         for value in given if isinstance(given, list) else [given]:
             if isinstance(value, float) and value <= 0.0:
-                raise ConfigError(f"`likelihood.{name}` must be positive, got {value:g}. Pass it in {unit}.")
+                advice = f"Pass it in {unit}." if unit != "-" else "1 is that of TN, 2 that of EXP."
+                raise ConfigError(f"`likelihood.{name}` must be positive, got {value:g}. {advice}")
     if "ABC" in likelihood.kinds and likelihood.epsilon is None and isinstance(likelihood.sigma, list):
         raise ConfigError(
             "`likelihood.epsilon` must be given for ABC where each sensor has its own sigma, got none."

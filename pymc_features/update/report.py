@@ -8,7 +8,7 @@ import numpy as np
 
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.problem import Problem
-from pymc_features.update.summary import COLUMNS, kinds_of
+from pymc_features.update.summary import COLUMNS, kinds_of, supported
 from pymc_features.update.templates import TEMPLATES
 
 PACKAGES = ("pymc-features", "pymc", "pytensor", "numba", "numpy", "arviz")
@@ -38,6 +38,7 @@ def report(problem: Problem, result, table, doubts, drawn) -> str:
         structure=config.structure.type,
         n_sensors=len(problem.dofs),
         duration=measured.record.duration,
+        supported=supported(problem, result),
         doubts=doubts,
         priors=prior_rows(problem),
         likelihoods=[likelihood_row(kind, result[kind]) for kind in kinds_of(result)],
@@ -142,8 +143,10 @@ def run_sentences(part) -> list[str]:
         told.append(f"{int(stats['evaluations'].sum())} evaluations")
     if "epsilon" in part.attrs:
         told.append(f"tolerance {part.attrs['epsilon']:.4g} m²/s⁴")
+    if base := LIKELIHOODS[part.attrs["kind"]].calibrates:
+        told.append(f"of the likelihood of {base} to the power {stats.attrs['power']:.3g}, stretched")
     if "advice" in getattr(stats, "attrs", {}):
-        return told + sentences_of_sample(stats.attrs)
+        return told + sentences_of_sample(stats.attrs, is_calibrated=bool(base))
     if "log_marginal_likelihood" in stats:
         values = stats["log_marginal_likelihood"].values
         told.append(f"log evidence {', '.join(f'{v:.2f}' for v in np.ravel(values))}")
@@ -155,8 +158,8 @@ def run_sentences(part) -> list[str]:
     return told
 
 
-def sentences_of_sample(found) -> list[str]:
-    """What `sample` says of its run, from its attributes."""
+def sentences_of_sample(found, is_calibrated=False) -> list[str]:
+    """What `sample` says of its run, from its attributes; nothing of modes or evidence if calibrated."""
     told = [
         f"{found['search_evaluations']} evaluations and {found['search_gradients']} gradients in search of "
         "modes",
@@ -165,7 +168,9 @@ def sentences_of_sample(found) -> list[str]:
         f"draws worth {found['ess']:.0f} independent ones for the quantiles of the worst parameter",
         f"Pareto k of the weights {found['pareto_k']:.2f} (below 0.7: they can be trusted)",
     ]
-    if found["no_gradient"]:
+    if is_calibrated:
+        del told[:3]
+    elif found["no_gradient"]:
         told[:2] = [f"no climbs to modes, for the model has no gradient: {found['no_gradient']}"]
     if np.isfinite(found["max_r_hat"]):
         told.append(f"largest R-hat {found['max_r_hat']:.3f}")

@@ -11,6 +11,7 @@ import xarray as xr
 from pymc.sampling.parallel import ParallelSamplingError
 
 from pymc_features import inference, smc
+from pymc_features.calibration import calibrate
 from pymc_features.exceptions import ConfigError, ToleranceNotReachedError
 from pymc_features.likelihood_free import abc_tolerance
 from pymc_features.likelihoods import LIKELIHOODS
@@ -22,7 +23,9 @@ from pymc_features.update.predict import bands, frequencies, measured_gain
 from pymc_features.update.problem import Problem
 
 PRIOR_DRAWS = 4000
-GROUPS = ("posterior", "sample_stats", "particles", "modes")
+GROUPS = ("posterior", "sample_stats", "particles", "modes", "calibration")
+# one Op does the work: to compile the few around it takes longer than it saves
+QUICK = {"mode": "FAST_COMPILE"}
 
 
 def run_update(
@@ -52,8 +55,9 @@ def run_update(
     Returns
     -------
     DataTree
-        For each likelihood `/<kind>/`: posterior, prior, sample_stats, observed_data, bands, modal. And
-        `/data`: motion of the base, measured responses and their gain.
+        For each likelihood `/<kind>/`, CAL first: posterior, prior, sample_stats, observed_data, bands,
+        modal, and of CAL calibration, what `effective_samples` returns. And `/data`: motion of the base,
+        measured responses and their gain.
 
     Raises
     ------
@@ -67,21 +71,29 @@ def run_update(
         tell(kind, done, len(kinds))
         part, tolerance = store.load(kind), tolerance_of(problem, parts) if kind == "ABC" else None
         if part is None or part.attrs.get("epsilon") != tolerance:
-            part = run_part(problem, kind, tolerance, cores, progressbar)
+            base = parts.get(LIKELIHOODS[kind].calibrates)
+            part = run_part(problem, kind, tolerance, base, cores, progressbar)
             store.save(kind, part)
         parts[kind] = part
     tell("report", len(kinds), len(kinds))
-    return xr.DataTree.from_dict({**parts, "data": data_of(problem)}, name=problem.config.report.title)
+    shown = {kind: parts[kind] for kind in problem.reported}
+    return xr.DataTree.from_dict({**shown, "data": data_of(problem)}, name=problem.config.report.title)
 
 
-def run_part(problem, kind, tolerance, cores, progressbar) -> xr.DataTree:
-    """Sample one posterior and predict with it; warnings on the way are part of the result."""
+def run_part(problem, kind, tolerance, base, cores, progressbar) -> xr.DataTree:
+    """Sample one posterior and predict with it; warnings on the way are part of the result.
+
+    `base` is the part that is calibrated, if the likelihood is one that is made from another.
+    """
     start = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
         model = declare(problem, kind, tolerance)
-        idata = sample(problem, kind, model, cores, progressbar)
+        if base is None:
+            idata = sample(problem, kind, model, cores, progressbar)
+        else:
+            idata = calibrated(problem, kind, base, model, cores or problem.config.sampler.cores, progressbar)
         if is_cut_short(problem, kind, idata["posterior"].sizes):
             raise KeyboardInterrupt
         part = {name: idata[name].to_dataset() for name in GROUPS if name in idata.children}
@@ -117,29 +129,55 @@ def is_ours(category) -> bool:
 def method_of(problem, kind) -> str:
     """How a likelihood is sampled."""
     sampler = problem.config.sampler
+    if LIKELIHOODS[kind].calibrates:
+        return "calibrate"
     if LIKELIHOODS[kind].is_likelihood_free:
         return "SubsetSimulation"
     return {"auto": "sample", "smc": sampler.kernel, "nuts": "NUTS", "laplace": "Laplace"}[sampler.method]
 
 
+def seed_of(problem, kind) -> int:
+    """Seed of one likelihood."""
+    key = [problem.config.sampler.random_seed, list(LIKELIHOODS).index(kind)]
+    return int(np.random.SeedSequence(key).generate_state(1)[0])
+
+
+def calibrated(problem, kind, base, model, cores, progressbar) -> xr.DataTree:
+    """The posterior whose width the residuals decide, from the part of another likelihood."""
+    asked = problem.config.sampler
+    try:
+        idata = calibrate(
+            base,
+            model=model,
+            draws=asked.draws,
+            chains=asked.chains,
+            cores=cores,
+            random_seed=seed_of(problem, kind),
+            progressbar=progressbar,
+            compile_kwargs=QUICK,
+        )
+    except ValueError as error:
+        raise ConfigError(
+            f"`likelihood.kinds` must have {kind} only where residuals can tell a width: {error}"
+        ) from error
+    found = idata["calibration"].to_dataset()
+    idata["calibration"] = xr.DataTree(found.assign_coords(sensor=problem.measured.channels["sensor"].values))
+    return idata
+
+
 def sample(problem, kind, model, cores, progressbar) -> xr.DataTree:
     """The posterior by the sampler of the configuration."""
     asked = problem.config.sampler
-    seed = int(
-        np.random.SeedSequence([asked.random_seed, list(LIKELIHOODS).index(kind)]).generate_state(1)[0]
-    )
-    # one Op does the work: to compile the few around it takes longer than it saves
-    quick = {"mode": "FAST_COMPILE"}
     method = method_of(problem, kind)
-    common = {"model": model, "random_seed": seed}
+    common = {"model": model, "random_seed": seed_of(problem, kind)}
     settings = {
         "cores": cores or asked.cores,
-        "compile_kwargs": quick,
+        "compile_kwargs": QUICK,
         "progressbar": progressbar,
     }
     try:
         if method == "Laplace":
-            return inference.laplace(asked.draws, compile_kwargs=quick, **common)
+            return inference.laplace(asked.draws, compile_kwargs=QUICK, **common)
         if method == "NUTS":
             first = {**settings, "draws": max(500, asked.draws // 2), "chains": asked.chains}
             workers = {} if cores is None and asked.cores is None else {"cores": cores or asked.cores}

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.problem import Problem
 
 R_HAT = 1.05  # of chains of SMC that agree; they are few and short
@@ -65,6 +66,26 @@ def moments(draws) -> tuple[float, ...]:
     """Mean, standard deviation and quantiles."""
     values = draws.values[np.isfinite(draws.values)]
     return float(values.mean()), float(values.std()), *map(float, np.quantile(values, [0.05, 0.5, 0.95]))
+
+
+def supported(problem: Problem, result: xr.DataTree) -> str:
+    """How many observations the residuals support, beside what likelihoods claim; empty without CAL."""
+    for kind in kinds_of(result):
+        base = LIKELIHOODS[kind].calibrates
+        if not base:
+            continue
+        n_eff = float(result[f"{kind}/calibration"].attrs["n_eff"])
+        shape, m = problem.measured.channels.shape, problem.config.likelihood.m
+        claims = {
+            name: LIKELIHOODS[name].claimed(*shape, m) for name in dict.fromkeys([base, *kinds_of(result)])
+        }
+        claimed = [f"{name} {n:,.0f}" for name, n in claims.items() if n is not None]
+        claimed[0] = claimed[0].replace(" ", " claims ", 1)
+        return (
+            f"The residuals support {n_eff:,.0f} independent observations; {', '.join(claimed)}. "
+            f"{kind} comes first, for its intervals are as wide as the residuals support."
+        )
+    return ""
 
 
 def warnings_of(problem: Problem, result: xr.DataTree, table: list[Row]) -> list[str]:

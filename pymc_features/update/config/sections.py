@@ -11,7 +11,7 @@ from pymc_features._checks import is_number
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.config.entries import Vector, priors_in
 
-ERRORS = {"sigma": "m/s^2", "correlation_time": "s"}  # parameters of the errors, with their units
+ERRORS = {"sigma": "m/s^2", "correlation_time": "s", "m": "-"}  # parameters of the errors, with their units
 KERNELS = ("PersistentSMC", "PopulationIMH", "PopulationMH", "TMCMC")
 
 
@@ -122,6 +122,9 @@ class Likelihood(Section):
     correlation_time: Vector | None = key(
         "the name of a prior or a positive number in s, one or one for each sensor", None
     )
+    m: Vector | None = key(
+        "a positive number, the independent observations of a sensor, one or one for each", None
+    )
     density: Literal["feature", "data"] = key('"feature" or "data"', "feature")
     epsilon: float | None = key("the tolerance of ABC in m^2/s^4, positive", None, gt=0)
 
@@ -133,7 +136,7 @@ class Likelihood(Section):
         for kind in self.kinds:
             for name, value in self.parameters_of(kind):
                 self.check(LIKELIHOODS[kind], name, value)
-        for name in ("epsilon", "correlation_time"):
+        for name in ("epsilon", "correlation_time", "m"):
             users = [kind for kind, entry in LIKELIHOODS.items() if name in entry.takes]
             if getattr(self, name) is not None and not set(users) & set(self.kinds):
                 raise ValueError(f"must have `{name}` only with {', '.join(users)}, got kinds {self.kinds}")
@@ -167,6 +170,8 @@ class Likelihood(Section):
 def others(how, name) -> str:
     """Which likelihoods take a parameter of the errors for known, or infer it."""
     names = [kind for kind, entry in LIKELIHOODS.items() if name in getattr(entry, how)]
+    if not names:
+        return "Pass a number, or a list with one for each sensor"
     return f"{' and '.join(names)} {'infer it' if how == 'inferred' else 'take numbers'}"
 
 
