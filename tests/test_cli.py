@@ -48,9 +48,9 @@ def test_reproduce_writes_everything_and_continues(record_file, tmp_path, capsys
             assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     output = capsys.readouterr().err
     assert "record: Record('pulse', 160 samples, dt=0.02 s" in output
-    assert "[6/7] CN-TAU_x1" in output
+    assert "[7/8] CAL_x1" in output
     with xr.open_datatree(tmp_path / "study.nc", engine="h5netcdf") as tree:
-        assert tree["summary"]["sampled"].shape == (7, 1, 3, 4)
+        assert tree["summary"]["sampled"].shape == (8, 1, 3, 4)
     table = (tmp_path / "table.csv").read_text()
     with monkeypatch.context() as patch:
         patch.setattr(sampling_rate, "run_part", None)  # nothing is sampled again
@@ -66,6 +66,7 @@ def test_reproduce_writes_everything_and_continues(record_file, tmp_path, capsys
         (["--record", "missing.csv"], "`path` must be an existing file, got missing.csv"),
         (["--units", "furlong"], "`units` must be one of"),
         (["--stiffness", "-3"], "`stiffness` must be positive and finite, got -3"),
+        (["--noise-time", "-1"], "`noise_time` must be positive or zero, got -1"),
         (["--draws", "1"], "`draws` must be an integer of at least 50, got 1"),
         (["--structure", "steel"], "`structure` must be one of linear, bouc-wen, got 'steel'"),
         (["--likelihoods", "TN", "MAX"], "`likelihoods` must be among NORM, TN, EXP, ABC"),

@@ -21,7 +21,7 @@ from pymc_features.study.settings import Study
 from pymc_features.study.structures import find_structure
 
 KINDS = ("NORM", "TN", "EXP")
-ALL_KINDS = (*KINDS, "ABC", "CN", "CN-SIGMA", "CN-TAU")
+ALL_KINDS = (*KINDS, "ABC", "CN", "CN-SIGMA", "CN-TAU", "CAL")
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +203,7 @@ def small_result(short):
 def test_result_has_everything_and_saves(small_result, tmp_path):
     summary = small_result["summary"].to_dataset()
     assert dict(summary["sampled"].sizes) == {
-        "likelihood": 7,
+        "likelihood": 8,
         "multiplier": 2,
         "parameter": 3,
         "statistic": 4,
@@ -217,7 +217,7 @@ def test_result_has_everything_and_saves(small_result, tmp_path):
                 assert np.isfinite(cell).all() if parameter in inferred else np.isnan(cell).all()
     small_result.to_netcdf(tmp_path / "study.nc", engine="h5netcdf")
     with xr.open_datatree(tmp_path / "study.nc", engine="h5netcdf") as again:
-        for path in ("summary", "data", "TN/x1/posterior", "ABC/x2/posterior", "NORM/x2/sample_stats"):
+        for path in ("summary", "data", "TN/x1/posterior", "NORM/x2/sample_stats", "CAL/x2/calibration"):
             xr.testing.assert_equal(again[path].to_dataset(), small_result[path].to_dataset())
 
 
@@ -250,9 +250,9 @@ def test_summary_is_of_the_kept_draws(small_result):
 def test_table_holds_sampled_and_exact(small_result):
     posteriors, trends, agreement = as_markdown(small_result).split("\n## ")
     csv = as_csv(small_result).splitlines()
-    n_rows = 2 * (2 + 2 + 2 + 1 + 1 + 2 + 3)  # steps x parameters of the seven likelihoods
+    n_rows = 2 * (2 + 2 + 2 + 1 + 1 + 2 + 3 + 2)  # steps x parameters of the eight likelihoods
     assert len(csv) == 1 + n_rows
-    for table, rows in ((posteriors, n_rows), (trends, 7), (agreement, 2)):
+    for table, rows in ((posteriors, n_rows), (trends, 8), (agreement, 2)):
         lines = [line for line in table.splitlines() if line.startswith("|")]
         assert len(lines) == 2 + rows
         assert len({line.count("|") for line in lines}) == 1
@@ -322,6 +322,7 @@ def test_settings_of_the_linear_chain_are_those_of_older_folders(short):
     ("kwargs", "message"),
     [
         ({"noise": 0.0}, "`noise` must be positive, got 0.0. Without noise"),
+        ({"noise_time": -0.1}, "`noise_time` must be positive or zero, got -0.1. Pass 0 for white noise"),
         ({"draws": 10}, "`draws` must be an integer of at least 50, got 10"),
         ({"chains": 0}, "`chains` must be an integer of at least 1, got 0"),
         ({"random_seed": -1}, "`random_seed` must be an integer of at least 0, got -1"),
@@ -361,6 +362,20 @@ def test_measurements_have_the_stated_noise_once(short):
         paper.measurements(short, noise=-0.1)
 
 
+def test_noise_may_persist(short):
+    """Unit variance from the first sample on, and the correlation exp(-lag / time) at any step."""
+    white = np.random.default_rng(1).standard_normal((20000, 30))
+    noise = paper.persistent(white, 0.01, 0.05)
+    np.testing.assert_allclose(noise.std(axis=0), 1.0, rtol=0.03)
+    lags = np.mean(noise[:, :1] * noise, axis=0)
+    np.testing.assert_allclose(lags, np.exp(-0.01 * np.arange(30) / 0.05), atol=0.03)
+    assert paper.persistent(white, 0.01, 0.0) is white
+    study = Study(short, random_seed=4, noise_time=0.05)
+    assert study.title == "linear chain, noise correlated over 0.05 s"
+    assert study.settings()["noise_time"] == 0.05
+    assert not np.array_equal(study.finest, Study(short, random_seed=4).finest)
+
+
 def test_ragged_statistics_are_padded():
     ragged = np.empty(2, dtype=object)
     ragged[:] = [[0.1, 1.0], [0.1, 0.4, 1.0]]
@@ -375,7 +390,7 @@ def test_ragged_statistics_are_padded():
 
 def test_arguments_of_samplers_are_known_by_name(short):
     with pytest.raises(
-        TypeError, match=r"own or draws, chains, cores, progressbar, got 'chain'. Did you mean"
+        TypeError, match=r"own or draws, chains, cores, progressbar, noise_time, got 'chain'. Did you mean"
     ):
         small_study(short, chain=1)
 

@@ -192,7 +192,8 @@ def test_entries_of_the_catalogue(kind):
     assert entry.name == kind
     assert entry.meaning not in [other.meaning for other in others]
     assert entry.colour not in [other.colour for other in others]
-    assert set(entry.takes) <= {"sigma", "correlation_time", "epsilon"}
+    assert set(entry.takes) <= {"sigma", "correlation_time", "m", "epsilon"}
+    assert not entry.calibrates or LIKELIHOODS[entry.calibrates].takes == entry.takes
     assert set(entry.known) | set(entry.inferred) <= set(entry.takes)
     assert not set(entry.known) & set(entry.inferred)
     assert entry.exponents is None or entry.posterior is None

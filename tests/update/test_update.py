@@ -21,7 +21,7 @@ from pymc_features.update.config.document import read_config
 from pymc_features.update.structure import StructureOf
 
 SMALL = [
-    ('kinds = ["NORM", "TN", "EXP", "ABC"]', 'kinds = ["EXP", "ABC"]'),
+    ('kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]', 'kinds = ["EXP", "ABC"]'),
     ("draws = 1000", "draws = 100"),
     ("chains = 2", "chains = 1"),
     ("# trim = [0.0, 10.0]", "trim = [0.0, 6.0]"),
@@ -73,7 +73,7 @@ BROKEN = {  # what is said: what is changed, into what
         "draws = 100",
         'kernel = "TMCMC"\ndraws = 100',
     ),
-    "`likelihood.kinds` must be a list of NORM, TN, EXP, ABC, CN, CN-SIGMA, CN-TAU, each once, got ": (
+    "`likelihood.kinds` must be a list of NORM, TN, EXP, ABC, CN, CN-SIGMA, CN-TAU, GAMMA, CAL, each once": (
         '["EXP", "ABC"]',
         '["MAX"]',
     ),
@@ -142,6 +142,24 @@ BROKEN = {  # what is said: what is changed, into what
     "must have numbers as `sigma` for CN, which takes it for known, got the prior 'sigma'. CN-": (
         'kinds = ["EXP", "ABC"]',
         'kinds = ["CN"]\ncorrelation_time = 0.05 #',
+    ),
+    "`likelihood` must have the key `m` for GAMMA, got none.": ('["EXP", "ABC"]', '["EXP", "GAMMA"]'),
+    "`likelihood` must have `m` only with GAMMA, got kinds ['EXP', 'ABC'].": (SIGMA, f"{SIGMA}\nm = 3 #"),
+    "must have numbers as `m` for GAMMA, which takes it for known, got the prior 'zeta'. Pass a number, or": (
+        'kinds = ["EXP", "ABC"]',
+        'kinds = ["GAMMA"]\nm = "zeta" #',
+    ),
+    "`likelihood.m` must be positive, got -3. 1 is that of TN, 2 that of EXP.": (
+        'kinds = ["EXP", "ABC"]',
+        'kinds = ["GAMMA"]\nm = -3 #',
+    ),
+    "`likelihood.m` must be one value or one for each of the 3 sensors, got 2.": (
+        'kinds = ["EXP", "ABC"]',
+        'kinds = ["GAMMA"]\nm = [3.0, 4.0] #',
+    ),
+    "`likelihood.m` must be a number, the name of a prior": (
+        'kinds = ["EXP", "ABC"]',
+        'kinds = ["GAMMA"]\nm = [true] #',
     ),
     "`likelihood.correlation_time` must be positive, got -0.05. Pass it in s.": (
         'kinds = ["EXP", "ABC"]',
@@ -603,7 +621,7 @@ def test_init_says_which_data(tmp_path, monkeypatch, capsys):
     assert f"run: pymc-features update {path}" in told
     assert cli.main(["init", str(path)]) == 2
     assert f"`CONFIG` must be a new file, got {path}" in capsys.readouterr().err
-    assert read_problem(path).config.likelihood.kinds == ["NORM", "TN", "EXP", "ABC"]
+    assert read_problem(path).config.likelihood.kinds == ["CAL", "NORM", "TN", "EXP", "ABC"]
 
 
 def test_init_takes_the_shaking_table(tmp_path, data_dir):

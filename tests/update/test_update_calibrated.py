@@ -1,0 +1,146 @@
+"""CAL and GAMMA in an update: what is sampled for them, kept and reported."""
+
+import warnings
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from pymc_features import cli
+from pymc_features.exceptions import CalibrationWarning, ConfigError
+from pymc_features.update import read_problem, run, write_example
+from pymc_features.update.summary import supported
+from update.test_update import replaced, table_of, variant
+
+SMALL = [
+    ('kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]', 'kinds = ["GAMMA", "CAL"]'),
+    ("# m = 10.0 ", "m = [2.0, 3.0, 4.5] #"),
+    ("draws = 1000", "draws = 400"),
+    ("chains = 2", "chains = 1"),
+    ("# trim = [0.0, 10.0]", "trim = [0.0, 6.0]"),
+    (', "base_shear"', ""),
+]
+DOUBT = "the errors of y persist for 3 s of a record of 6 s"
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    path = tmp_path_factory.mktemp("calibrated") / "frame.toml"
+    write_example(path, synthetic=True)
+    path.write_text(replaced(path.read_text(), SMALL))
+    return path
+
+
+@pytest.fixture(scope="module")
+def finished(example):
+    """A run that is stopped before CAL and continued; its errors are said to persist."""
+    out, calibrate = example.with_name("out"), run.calibrate
+
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    def doubtful(*arguments, **settings):
+        warnings.warn(DOUBT, CalibrationWarning, stacklevel=2)
+        return calibrate(*arguments, **settings)
+
+    with pytest.MonkeyPatch.context() as patch:
+        command = ["update", str(example), "--out", str(out), "--cores", "1"]
+        patch.setattr(run, "calibrate", stopped)
+        assert cli.main(command) == 130
+        assert sorted(path.name for path in (out / "parts").iterdir()) == ["GAMMA.nc", "NORM.nc"]
+        patch.setattr(run, "calibrate", doubtful)
+        patch.setattr(run, "sample", None)  # nothing is sampled again
+        assert cli.main(command) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def result(finished):
+    with xr.open_datatree(finished / "update.nc", engine="h5netcdf") as tree:
+        return tree.load()
+
+
+def test_report_leads_with_it_and_says_why(finished, result):
+    html = (finished / "report.html").read_text()
+    n_eff = result["CAL/calibration"].attrs["n_eff"]
+    assert 100 < n_eff < 1803
+    sentence = (
+        f"The residuals support {n_eff:,.0f} independent observations; NORM claims 1,803, GAMMA 10. CAL comes"
+    )
+    assert html.count(sentence) == 1
+    assert html.index(sentence) < html.index("<h2>Warnings</h2>")
+    assert "under CAL, GAMMA. Accelerations" in html
+    _, body = table_of(html, "Posterior")
+    assert list(dict.fromkeys(row[0] for row in body)) == ["CAL", "GAMMA"]
+    assert "<h2>NORM</h2>" not in html
+    assert "of the likelihood of NORM to the power " in html
+    told = html[html.index("<h2>CAL</h2>") : html.index("<h2>GAMMA</h2>")]
+    assert "log evidence" not in told  # that of a stretched likelihood must not be compared
+
+
+def test_its_warnings_are_in_the_report(finished):
+    assert f"<li>CAL: {DOUBT}</li>" in (finished / "report.html").read_text()
+
+
+def test_everything_of_the_others_is_there(finished, result):
+    assert set(result.children) == {"CAL", "GAMMA", "data"}
+    assert set(result["GAMMA"].children) <= set(result["CAL"].children)
+    figures = {path.stem for path in (finished / "figures").iterdir()}
+    for name in ("prior_posterior", "response", "response_zoom"):
+        assert {f"CAL_{name}", f"GAMMA_{name}"} <= figures
+    assert result["CAL"].attrs["method"] == "calibrate"
+    assert result["CAL/calibration"]["sensor"].values.tolist() == ["floor1", "floor2", "floor3"]
+
+
+def test_draws_are_as_wide_as_the_residuals_support(finished, result):
+    """On the scale of the logarithms, which is sampled; NORM claims less, GAMMA knows of ten observations.
+
+    400 draws: the standard error of a standard deviation is 4 %.
+    """
+    found = result["CAL/calibration"].to_dataset()
+    with xr.open_datatree(finished / "parts" / "NORM.nc", engine="h5netcdf") as norm:
+        claimed = np.log(norm["posterior"]["k1"].values).std()
+    calibrated, wide = (np.log(result[f"{kind}/posterior"]["k1"].values).std() for kind in ("CAL", "GAMMA"))
+    expected = found["standard_deviation"].sel(parameter="k1")
+    assert calibrated == pytest.approx(float(expected), rel=0.16)
+    assert claimed < calibrated < 0.2 * wide
+
+
+def test_no_sentence_without_it(example, result):
+    assert supported(read_problem(example), result.drop_nodes("CAL")) == ""
+
+
+def test_it_needs_a_scale(example, tmp_path):
+    path = variant(example, tmp_path, ('"GAMMA", "CAL"', '"CAL"'), ('sigma = "sigma" ', "#"))
+    with pytest.raises(ConfigError, match="`likelihood` must have the key `sigma` for CAL, got none."):
+        read_problem(path)
+
+
+def test_data_that_tell_no_width_are_refused_by_the_key(example, monkeypatch):
+    def refused(*_, **__):
+        raise ValueError("the residuals of y must not vanish, got none at sensor 1.")
+
+    monkeypatch.setattr(run, "calibrate", refused)
+    wanted = "`likelihood.kinds` must have CAL only where residuals can tell a width: the residuals of y must"
+    with pytest.raises(ConfigError, match=wanted):
+        run.calibrated(read_problem(example), "CAL", None, None, 1, False)
+
+
+def test_gamma_takes_its_observations_as_they_are_given(example, tmp_path):
+    problem = read_problem(example)
+    model = run.declare(problem, "GAMMA")
+    *_, m = model["y"].owner.inputs
+    assert model["y"].owner.op.name == "GammaFeature"
+    assert m.eval().tolist() == [2.0, 3.0, 4.5]
+    assert {rv.name for rv in model.free_RVs} == {"k1", "k2", "k3", "zeta", "sigma"}
+    one = read_problem(variant(example, tmp_path, ("[2.0, 3.0, 4.5]", "7.5"), ('"GAMMA", "CAL"', '"GAMMA"')))
+    *_, m = run.declare(one, "GAMMA")["y"].owner.inputs
+    assert m.eval() == 7.5
+    assert one.kinds == ["GAMMA"]
+
+
+def test_order_of_sampling_and_of_the_report(example, tmp_path):
+    kinds = '["GAMMA", "ABC", "CAL", "EXP", "NORM"]'
+    problem = read_problem(variant(example, tmp_path, ('["GAMMA", "CAL"]', kinds)))
+    assert problem.kinds == ["GAMMA", "EXP", "NORM", "ABC", "CAL"]
+    assert problem.reported == ["CAL", "GAMMA", "ABC", "EXP", "NORM"]
