@@ -66,7 +66,8 @@ def comparison(op, rv, observed) -> Comparison:
 @comparison.register(NormalRV)
 def comparison_normal(op, rv, observed):
     """Every sample an independent observation."""
-    mu, sigma = (pt.broadcast_to(x, observed.shape) for x in op.dist_params(rv.owner))
+    mu, sigma = op.dist_params(rv.owner)
+    sigma = pt.broadcast_to(sigma, observed.shape)
     log_scale = pt.log(sigma).mean(axis=-1)
     n = pt.cast(observed.shape[-1], "float64")
     return described(mu, observed, sigma, log_scale, pt.full_like(log_scale, 1.0) * n, np.inf)
@@ -76,7 +77,6 @@ def comparison_normal(op, rv, observed):
 def comparison_feature(op, rv, observed):
     """As many observations as there are degrees of freedom, each sample a part of them."""
     _, _, mu, sigma, *m = rv.owner.inputs
-    mu = pt.broadcast_to(mu, observed.shape)
     sigma = pt.broadcast_to(sigma, observed.shape[:-1])
     root = pt.sqrt(pt.cast(observed.shape[-1], "float64"))
     scale = pt.broadcast_to((sigma * root)[..., None], observed.shape)
@@ -88,7 +88,6 @@ def comparison_feature(op, rv, observed):
 def comparison_correlated(op, rv, observed):
     """Every sample an observation, once the correlation that the likelihood assumes is taken away."""
     _, _, mu, sigma, correlation_time, dt = rv.owner.inputs
-    mu = pt.broadcast_to(mu, observed.shape)
     sigma = pt.broadcast_to(sigma, observed.shape[:-1])
     n = pt.cast(observed.shape[-1], "float64")
     scale = pt.broadcast_to(sigma[..., None], observed.shape)
@@ -101,7 +100,7 @@ def described(mu, observed, scale, log_scale, claimed, decay, dt=None):
     """The comparison with everything a tensor."""
     decay = pt.as_tensor_variable(np.float64(decay) if np.isscalar(decay) else decay)
     step = float(dt.data) if isinstance(dt, Constant) else response_step(mu) or np.nan
-    observed = pt.as_tensor_variable(observed)
+    mu, observed = pt.broadcast_to(mu, observed.shape), pt.as_tensor_variable(observed)
     return Comparison(mu, observed, scale, log_scale, claimed, pt.broadcast_to(decay, log_scale.shape), step)
 
 

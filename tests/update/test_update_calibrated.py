@@ -101,6 +101,7 @@ def test_draws_are_as_wide_as_the_residuals_support(finished, result):
     with xr.open_datatree(finished / "parts" / "NORM.nc", engine="h5netcdf") as norm:
         claimed = np.log(norm["posterior"]["k1"].values).std()
     calibrated, wide = (np.log(result[f"{kind}/posterior"]["k1"].values).std() for kind in ("CAL", "GAMMA"))
+    assert (found["time_constant"] < 0.2).all()  # s, of noise that is white before it is filtered
     expected = found["standard_deviation"].sel(parameter="k1")
     assert calibrated == pytest.approx(float(expected), rel=0.16)
     assert claimed < calibrated < 0.2 * wide
