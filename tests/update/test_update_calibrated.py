@@ -141,6 +141,7 @@ def test_gamma_takes_its_observations_as_they_are_given(example, tmp_path):
 
 
 def test_order_of_sampling_and_of_the_report(example, tmp_path):
+    assert read_problem(example).kinds == ["GAMMA", "NORM", "CAL"]
     kinds = '["GAMMA", "ABC", "CAL", "EXP", "NORM"]'
     problem = read_problem(variant(example, tmp_path, ('["GAMMA", "CAL"]', kinds)))
     assert problem.kinds == ["GAMMA", "EXP", "NORM", "ABC", "CAL"]
