@@ -16,7 +16,7 @@ sample: its uncertainty does not depend on the sampling rate.
 """
 
 from pymc_features import datasets, exceptions, plots, signals
-from pymc_features.calibration import calibrate, effective_samples
+from pymc_features.calibration import calibrate, effective_samples, event_check
 from pymc_features.distributions import (
     CorrelatedNormal,
     ExpFeature,
@@ -73,6 +73,7 @@ __all__ = [
     "calibrate",
     "datasets",
     "effective_samples",
+    "event_check",
     "exceptions",
     "first_passage_probability",
     "fisher_information",

@@ -82,6 +82,7 @@ PUBLIC_NAMES = [
     "calibrate",
     "datasets",
     "effective_samples",
+    "event_check",
     "exceptions",
     "first_passage_probability",
     "fisher_information",

@@ -2,5 +2,6 @@
 
 from pymc_features.calibration.calibrate import calibrate
 from pymc_features.calibration.effective import effective_samples
+from pymc_features.calibration.events import event_check
 
-__all__ = ["calibrate", "effective_samples"]
+__all__ = ["calibrate", "effective_samples", "event_check"]

@@ -46,10 +46,11 @@ def effective_samples(
         `claimed`, those of the likelihood; `time_constant` [s] of the errors, the longest;
         `follows_response`, whether they grow with the response. Over `parameter` (on the unconstrained scale
         that PyMC samples): `n_eff_parameter`, `standard_deviation` by the residuals,
-        `claimed_standard_deviation`, and `point`, the maximum. Over `direction`, ascending:
-        `n_eff_direction` and `direction_vector` (direction, parameter). The matrices `information` A,
-        `variability` B and `covariance` A^-1 B A^-1 ``(parameter, parameter_)``, NaN for parameters that no
-        likelihood knows of. Attributes: `n_eff` (geometric mean of the directions of the response),
+        `claimed_standard_deviation`, `point`, the maximum, and `changes_response`. Over `direction`,
+        ascending: `n_eff_direction` and `direction_vector` (direction, parameter). The matrices
+        `information` A, `variability` B and `covariance` A^-1 B A^-1 ``(parameter, parameter_)``, NaN for
+        parameters that no likelihood knows of. Attributes: `n_eff` (geometric mean of the directions of the
+        response),
         `claimed` (of all sensors), `n_evaluations`.
 
     Raises
@@ -160,6 +161,7 @@ def described(model, fit: Fit, result: Sandwich) -> xr.Dataset:
         "standard_deviation": np.sqrt(np.diag(covariance)),
         "claimed_standard_deviation": np.sqrt(np.diag(claims)),
         "point": fit.z,
+        "changes_response": np.isin(np.arange(len(fit.z)), known(of_response)),
     }
     matrices = {
         "information": result.information,

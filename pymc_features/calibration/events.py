@@ -1,0 +1,188 @@
+"""Whether the posteriors of several events can be of one structure, and how far they are apart."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+from scipy.optimize import brentq
+from scipy.stats import chi2, t
+
+IMPROBABLE = 0.05  # p-value below which events are said to disagree
+FEWEST_DRAWS = 20
+
+
+def event_check(
+    events: Sequence[xr.DataTree], *, var_names: Sequence[str] | None = None, probability: float = 0.9
+) -> xr.Dataset:
+    """Compare the posteriors that several events give of the same parameters.
+
+    Residuals do not show an error that is the same all along a record: a wrong model leads each event to
+    another value. With posterior means x_e and variances v_e of E events,
+
+        Q = sum_e (x_e - m)^2 / v_e,    m = sum_e (x_e / v_e) / sum_e (1 / v_e),
+
+    is chi-square with E - 1 degrees of freedom if the intervals are right. By `growth`, the square root of
+    Q / (E - 1) but not below one, all intervals must grow to explain the scatter (Birge's ratio). The
+    interval for the value common to all events weighs them by 1 / (v_e + tau^2), where tau^2 is their scatter
+    (Paule & Mandel), and takes its width from how far they are apart, with Student's t of E - 1 degrees of
+    freedom (Hartung & Knapp).
+
+    Parameters
+    ----------
+    events : sequence of DataTree
+        Posteriors of two or more independent events, best of `calibrate`.
+    var_names : sequence of str, optional
+        Variables to compare. By default those in all events; of posteriors of `calibrate` only those that
+        change the response, because noise may differ from event to event.
+    probability : float
+        Of the intervals.
+
+    Returns
+    -------
+    Dataset
+        Over `parameter` (variable and index): `mean` and `standard_deviation` ``(event, parameter)``, `q`,
+        `p_value`, `growth`, `scatter` tau, `centre`, `lower` and `upper`. Attributes: the joint `p_value` and
+        `growth` of all parameters with their correlations, `compatible` (p-value of at least 0.05) and
+        `message`, a sentence.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If there are fewer than two posteriors, they have no variable in common, or other shapes of it.
+
+    Notes
+    -----
+    Events that were measured on one occasion, or priors that decide a parameter in all of them, agree more
+    than independent ones: then `growth` is too low.
+
+    References
+    ----------
+    Birge, Phys. Rev. 40, 1932; Paule & Mandel, J. Res. NBS 87, 1982; Hartung & Knapp, Stat. Med. 20, 2001;
+    IntHout, Ioannidis & Borm, BMC Med. Res. Methodol. 14, 2014.
+    """
+    draws = common_draws(events, var_names)
+    if not 0 < probability < 1:
+        raise ValueError(f"`probability` must lie between 0 and 1, got {probability!r}. Use for example 0.9.")
+    names = list(draws[0])
+    columns = [np.stack([event[name] for name in names], axis=1) for event in draws]
+    means = np.stack([x.mean(axis=0) for x in columns])
+    covariances = np.stack([np.cov(x, rowvar=False).reshape(len(names), len(names)) for x in columns])
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    apart = [between(x, v, probability) for x, v in zip(means.T, variances.T, strict=True)]
+    result = xr.Dataset(
+        {
+            "mean": (("event", "parameter"), means),
+            "standard_deviation": (("event", "parameter"), variances**0.5),
+        }
+        | {name: ("parameter", np.array([one[name] for one in apart])) for name in apart[0]},
+        coords={"event": np.arange(len(events)), "parameter": names},
+    )
+    degrees = len(names) * (len(events) - 1)
+    q = joint_q(means, covariances)
+    p_value, growth = float(chi2.sf(q, degrees)), max(1.0, float(np.sqrt(q / degrees)))
+    return result.assign_attrs(
+        p_value=p_value,
+        growth=growth,
+        compatible=int(p_value >= IMPROBABLE),
+        message=sentence(result, p_value, growth),
+    )
+
+
+def between(x, v, probability) -> dict:
+    """Scatter of means x (event,) with variances v (event,), and the interval of what they have in common."""
+    n = len(x)
+
+    def spread(tau2):
+        w = 1.0 / (v + tau2)
+        return np.sum(w * (x - np.sum(w * x) / w.sum()) ** 2)
+
+    q, tau2 = spread(0.0), 0.0
+    if q > n - 1:
+        tau2 = brentq(lambda s: spread(s) - (n - 1), 0.0, n * np.ptp(x) ** 2)
+    w = 1.0 / (v + tau2)
+    centre = np.sum(w * x) / w.sum()
+    half = t.ppf(0.5 + 0.5 * probability, n - 1) * np.sqrt(spread(tau2) / ((n - 1) * w.sum()))
+    return {
+        "q": q,
+        "p_value": chi2.sf(q, n - 1),
+        "growth": max(1.0, np.sqrt(q / (n - 1))),
+        "scatter": np.sqrt(tau2),
+        "centre": centre,
+        "lower": centre - half,
+        "upper": centre + half,
+    }
+
+
+def joint_q(means, covariances) -> float:
+    """Q of all parameters (event, parameter), with their covariances (event, parameter, parameter)."""
+    precisions = np.linalg.pinv(covariances, hermitian=True)
+    centre = np.linalg.pinv(precisions.sum(axis=0), hermitian=True) @ np.einsum(
+        "epq,eq->p", precisions, means
+    )
+    return float(np.einsum("ep,epq,eq->", means - centre, precisions, means - centre))
+
+
+def sentence(result, p_value, growth) -> str:
+    """The answer in words."""
+    n = result.sizes["event"]
+    if p_value >= IMPROBABLE:
+        return f"The {n} events agree (p-value {p_value:.2g}): their intervals need not grow."
+    worst = result["growth"].idxmax().item()
+    return (
+        f"The {n} events do not agree (p-value {p_value:.1g}): their intervals must grow {growth:.3g} times, "
+        f"that of {worst} {float(result['growth'].max()):.3g} times, so that one structure explains all. "
+        "The model errs in the same way all along a record, or the structure changed: use the interval of "
+        "the events together (`lower`, `upper`), or give each event its own parameters."
+    )
+
+
+def common_draws(events, var_names) -> list[dict[str, np.ndarray]]:
+    """Draws of the same parameters, by name, of each event."""
+    if isinstance(events, xr.DataTree) or not isinstance(events, Sequence) or len(events) < 2:
+        raise TypeError(
+            "`events` must be a sequence of two or more posteriors, got "
+            f"{len(events) if isinstance(events, Sequence) else type(events).__name__}. Pass for example "
+            "[idata_1, idata_2]."
+        )
+    for i, event in enumerate(events):
+        if not hasattr(event, "children") or "posterior" not in event.children:
+            raise TypeError(
+                f"`events` must have posteriors, got none in event {i}. Pass what `sample` returned."
+            )
+    if var_names is None:
+        var_names = [name for name in events[0]["posterior"].data_vars if all(tells(e, name) for e in events)]
+    draws = [by_name(event["posterior"].to_dataset(), i, var_names) for i, event in enumerate(events)]
+    if not draws[0] or any(list(x) != list(draws[0]) for x in draws):
+        raise ValueError(
+            "`events` must have parameters in common, with one shape, got "
+            f"{' and '.join(str(list(x)) for x in draws)}. Name them with `var_names`."
+        )
+    return draws
+
+
+def tells(event, name) -> bool:
+    """Whether a posterior has a variable, and, as far as is known, its response depends on it."""
+    if name not in event["posterior"].data_vars:
+        return False
+    if "calibration" not in event.children:
+        return True
+    known = event["calibration"]["changes_response"]
+    mine = [str(x).split("[")[0] == name for x in known["parameter"].values]
+    return bool(known.values[mine].any()) if any(mine) else False
+
+
+def by_name(posterior, i, var_names) -> dict[str, np.ndarray]:
+    """Draws (draw,) of each scalar of some variables."""
+    result = {}
+    for name in var_names:
+        if name not in posterior.data_vars:
+            raise ValueError(f"`var_names` must be in every posterior, got no {name} in event {i}.")
+        x = posterior[name].transpose("chain", "draw", ...)
+        dims = x.dims[2:]
+        for index in np.ndindex(x.shape[2:]):
+            labels = [x[dim].values[k] if dim in x.coords else k for dim, k in zip(dims, index, strict=True)]
+            label = f"[{', '.join(map(str, labels))}]" if labels else ""
+            result[name + label] = x.values[(..., *index)].ravel()
+    if result and next(iter(result.values())).size < FEWEST_DRAWS:
+        raise ValueError(f"`events` must have at least {FEWEST_DRAWS} draws, got fewer in event {i}.")
+    return result
