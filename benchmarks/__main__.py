@@ -10,8 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 SECTIONS = ("evaluation", "gradients", "posteriors", "abc", "scaling", "structures")
-LONG = ("dimensions", "targets")  # hours: run only if asked for
-HELP = f"run one section; all but {' and '.join(LONG)} by default (15 minutes)"
+LONG = ("dimensions", "targets", "coverage")  # run only if asked for: up to hours
+HELP = f"run one section; all but {', '.join(LONG)} by default (15 minutes)"
 PACKAGES = (
     *("pymc-features", "pymc", "pytensor", "numba", "numpy", "scipy"),
     *("jax", "blackjax", "numpyro", "ultranest", "dynesty", "smcpy", "parallel-abus"),
@@ -45,7 +45,7 @@ def main():
     parser = argparse.ArgumentParser("python -m benchmarks", description="Cost and accuracy, side by side.")
     parser.add_argument("--only", choices=SECTIONS + LONG, help=HELP)
     parser.add_argument("--quick", action="store_true", help="fewer rounds and seeds (three minutes)")
-    parser.add_argument("--names", nargs="+", metavar="NAME", help="problems of dimensions or targets")
+    parser.add_argument("--names", nargs="+", metavar="NAME", help="problems of dimensions or targets, parts of coverage")
     arguments = parser.parse_args()
     if arguments.names and arguments.only not in LONG:
         parser.error(f"--names needs --only {' or '.join(LONG)}")

@@ -1,0 +1,62 @@
+"""Widths at the seven sampling steps of the study: data at the finest step, of which coarser ones take some."""
+
+import numpy as np
+
+import pymc_features as pmf
+from benchmarks.coverage.chain import N_FACTORS, record, structure
+from benchmarks.coverage.errors import LEVEL, first_order
+from benchmarks.coverage.simulated import Predictions, start_of
+from benchmarks.tables import table
+from pymc_features.calibration.calibrate import curved
+from pymc_features.calibration.fit import climb_likelihood
+from pymc_features.calibration.sandwich import sandwich
+from pymc_features.study.paper import MULTIPLIERS
+
+SETS, QUICK_SETS = 20, 3
+TIME_CONSTANT = 0.2  # s
+
+
+def smooth(rng, shape, dt):
+    """Errors of second order in time: the first-order process, averaged by the same filter once more."""
+    from scipy.signal import lfilter
+
+    phi = np.exp(-dt / TIME_CONSTANT)
+    long = first_order(rng, (shape[0], shape[1] + 2000), dt, TIME_CONSTANT)
+    signal = lfilter([1.0 - phi], [1.0, -phi], long, axis=1)[:, 2000:]
+    return signal / np.sqrt((1 - phi) ** 2 * (1 + phi**2) / (1 - phi**2) ** 2)
+
+
+KINDS = {
+    "coloured": smooth,
+    "white at the finest step": lambda rng, shape, dt: rng.standard_normal(shape),
+}
+
+
+def run_steps(quick=False):
+    """Print the standard deviations of a factor by NORM and CAL at each step, over those at the record's."""
+    finest = record().dt * min(MULTIPLIERS)
+    response = pmf.simulate(structure(np.ones(N_FACTORS)), record(), dt=finest).values
+    size = LEVEL * np.sqrt(np.mean(response**2))
+    print("\nStandard deviation over that of NORM at the record's step, mean of the factors and data sets.\n")
+    rows = []
+    for kind, errors in KINDS.items():
+        found = np.zeros((2, len(MULTIPLIERS)))
+        for seed in range(QUICK_SETS if quick else SETS):
+            data = response + size * errors(np.random.default_rng([3, seed]), response.shape, finest)
+            found += np.transpose([widths(data, finest, multiplier) for multiplier in MULTIPLIERS])
+        found /= found[0, list(MULTIPLIERS).index(1.0)]
+        for name, row in zip(("NORM", "CAL"), found, strict=True):
+            rows.append([f"{name}, {kind}", *(f"{x:.3f}" for x in row)])
+    steps = [f"{record().dt * m:g} s" for m in MULTIPLIERS]
+    print(table(["errors", *steps], rows), flush=True)
+
+
+def widths(data, finest, multiplier):
+    """Mean standard deviation of the factors by NORM and by CAL, from every n-th sample."""
+    stride = round(multiplier / min(MULTIPLIERS))
+    dt = finest * stride
+    some = np.ascontiguousarray(data[:, ::stride])
+    predictions = Predictions(record(), some, dt)
+    fit = climb_likelihood(predictions, start_of(record(), some, dt))
+    result = curved(predictions, fit, sandwich(fit.events, fit.information))
+    return [np.sqrt(np.diag(m)[:N_FACTORS]).mean() for m in (result.claims, result.covariance)]
