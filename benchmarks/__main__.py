@@ -45,7 +45,7 @@ def main():
     parser = argparse.ArgumentParser("python -m benchmarks", description="Cost and accuracy, side by side.")
     parser.add_argument("--only", choices=SECTIONS + LONG, help=HELP)
     parser.add_argument("--quick", action="store_true", help="fewer rounds and seeds (three minutes)")
-    parser.add_argument("--names", nargs="+", metavar="NAME", help="problems of dimensions or targets, parts of coverage")
+    parser.add_argument("--names", nargs="+", metavar="NAME", help="problems, or parts of coverage")
     arguments = parser.parse_args()
     if arguments.names and arguments.only not in LONG:
         parser.error(f"--names needs --only {' or '.join(LONG)}")

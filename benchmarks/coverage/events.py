@@ -58,7 +58,9 @@ TRUTHS = {"right model": right, "springs yield": yielding, "damping 1.5 times as
 def run_events(quick=False):
     """Print coverage of one event and of three together."""
     n = QUICK_EVENTS if quick else EVENTS
-    print(f"\n{n} simulated earthquakes, 90 % intervals: share that contain the best value, and their width.\n")
+    print(
+        f"\n{n} simulated earthquakes, 90 % intervals: share that contain the best value, and their width.\n"
+    )
     rows = []
     for name, truth in TRUTHS.items():
         started = time.perf_counter()

@@ -20,7 +20,7 @@ WIDER = 1.15  # than the bell of the curvature
 STEP = 0.3  # standard deviations of the differences
 NEWTON = 20  # steps to the maximum, at most
 LONGEST, CONVERGED = 3.0, 0.03  # standard deviations
-FLATTEST = 0.01  # least curvature over the square of a step
+FLATTEST = 0.1  # least curvature, over that expected
 ROUNDS, ENOUGH = 4, 0.3  # the proposal is fitted anew while it keeps a smaller share of its draws
 
 
@@ -49,23 +49,32 @@ def quantiles(x, weights, probabilities):
     return np.interp(probabilities, below, x[order])
 
 
-def bell(log_density, z, steps) -> StudentT:
-    """A Student distribution at the maximum near z (d,), by Newton's method with batched differences."""
+def bell(log_density, z, factor) -> StudentT:
+    """A Student distribution at the maximum near z (d,), by Newton's method with batched differences.
+
+    `factor` (d, d) takes standard variables to the scale of the density, roughly.
+    """
+    move = np.zeros(len(z))
     for _ in range(NEWTON):
-        gradient, hessian = differences(log_density, z, steps)
-        values, vectors = np.linalg.eigh(hessian * np.outer(steps, steps))
-        covariance = steps[:, None] * (vectors / np.maximum(values, FLATTEST)) @ vectors.T * steps
-        move, length = covariance @ gradient, np.sqrt(gradient @ covariance @ gradient)
-        z = z + move / max(1.0, length / LONGEST)
-        steps = STEP * np.sqrt(np.diag(covariance))
+        gradient, hessian = differences(log_density, z, STEP * factor)
+        gradient, hessian = gradient / STEP, hessian / STEP**2
+        if not np.isfinite(hessian).all():  # too far
+            z, move, factor = z - 0.5 * move, 0.5 * move, 0.5 * factor
+            continue
+        values, vectors = np.linalg.eigh(hessian)
+        whiten = vectors / np.sqrt(np.maximum(values, FLATTEST))
+        along = whiten.T @ gradient
+        length = np.linalg.norm(along)
+        move = factor @ whiten @ along / max(1.0, length / LONGEST)
+        z, factor = z + move, factor @ whiten
         if length < CONVERGED:
             break
-    return StudentT(z, WIDER * np.linalg.cholesky(covariance), DEGREES)
+    return StudentT(z, WIDER * np.linalg.cholesky(factor @ factor.T), DEGREES)
 
 
-def differences(f, z, steps):
-    """Gradient (d,) and minus the Hessian (d, d) of a function of points (n, d), in one call."""
-    d, axes = len(z), np.diag(steps)
+def differences(f, z, axes):
+    """Gradient (d,) and minus the Hessian (d, d) of a function of points (n, d) along axes, its columns."""
+    d, axes = len(z), axes.T
     pairs = [(i, j) for i in range(d) for j in range(i)]
     points = [z, *(z + axes), *(z - axes)]
     points += [z + s * (axes[i] + axes[j]) for i, j in pairs for s in (1.0, -1.0)]
@@ -74,12 +83,12 @@ def differences(f, z, steps):
     hessian = np.diag(2.0 * value[0] - up - down)
     for (i, j), two in zip(pairs, both, strict=True):
         hessian[i, j] = hessian[j, i] = 0.5 * (up[i] + down[i] + up[j] + down[j] - two) - value[0]
-    return (up - down) / (2.0 * steps), hessian / np.outer(steps, steps)
+    return 0.5 * (up - down), hessian
 
 
-def of_density(log_density, z, steps, n_parameters, rng) -> Intervals:
+def of_density(log_density, z, factor, n_parameters, rng) -> Intervals:
     """Intervals of the first parameters of a density of points (n, d), with its maximum near z."""
-    proposal = bell(log_density, z, steps)
+    proposal = bell(log_density, z, factor)
     for _ in range(ROUNDS):
         draws = student_draws(proposal, DRAWS, rng)
         log_weights = log_density(draws) - proposal.log_density(draws)
@@ -109,12 +118,17 @@ def fitted(draws, log_weights) -> StudentT:
 
 
 class Calibrated(NamedTuple):
-    """The likelihood that `calibrate` would sample: power, matrix (d, d), maximum (d,) and widths (d,)."""
+    """The likelihood that `calibrate` would sample.
+
+    Power, matrix (d, d), maximum (d,), and factors (d, d) of the covariances that the residuals support and
+    that the likelihood claims.
+    """
 
     power: float
     matrix: np.ndarray
     point: np.ndarray
-    widths: np.ndarray
+    factor: np.ndarray
+    claimed_factor: np.ndarray
     n_eff: float
 
     def density(self, log_prior, log_likelihood):
@@ -135,5 +149,5 @@ def calibrated(predictions, z, n_parameters) -> Calibrated:
     claims, covariance = (m[:n_parameters, :n_parameters] for m in (result.claims, result.covariance))
     ratio = np.linalg.slogdet(claims)[1] - np.linalg.slogdet(covariance)[1]
     claimed = sum(float(event.claimed.sum()) for event in fit.events)
-    widths = np.sqrt(np.diag(result.covariance))
-    return Calibrated(power, matrix, fit.z, widths, claimed * np.exp(ratio / n_parameters))
+    factors = (np.linalg.cholesky(m) for m in (result.covariance, result.claims))
+    return Calibrated(power, matrix, fit.z, *factors, claimed * np.exp(ratio / n_parameters))

@@ -65,8 +65,8 @@ def norm_and_cal(record, data, dt, start, rng):
     cal = calibrated(Predictions(record, data, dt), start, N_FACTORS)
     density = cal.density(target.log_prior, target.log_likelihood)
     found = {
-        "NORM": of_density(target, cal.point, 0.1 * cal.widths, N_FACTORS, rng),
-        "CAL": of_density(density, cal.point, 0.3 * cal.widths, N_FACTORS, rng),
+        "NORM": of_density(target, cal.point, cal.claimed_factor, N_FACTORS, rng),
+        "CAL": of_density(density, cal.point, cal.factor, N_FACTORS, rng),
     }
     found = {k: x._replace(ends=np.exp(x.ends), draws=np.exp(x.draws)) for k, x in found.items()}
     return found, np.exp(cal.point[:N_FACTORS])

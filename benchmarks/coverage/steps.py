@@ -1,4 +1,4 @@
-"""Widths at the seven sampling steps of the study: data at the finest step, of which coarser ones take some."""
+"""Widths at the seven sampling steps of the study: coarser data are every n-th sample of the finest."""
 
 import numpy as np
 

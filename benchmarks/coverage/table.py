@@ -28,9 +28,9 @@ def run_errors(quick=False, kinds=None):
     """Print how often the intervals contain the truth, and how wide they are."""
     n_sets = QUICK if quick else FULL
     print(
-        f"\n90 % intervals of {N_FACTORS} stiffness factors, {n_sets} data sets, errors of {LEVEL:.0%} of the "
-        "response. How many of 100 contain the truth (mean of the factors), and how wide they are, in % of "
-        "the factor.\n"
+        f"\n90 % intervals of {N_FACTORS} stiffness factors, {n_sets} data sets, errors of {LEVEL:.0%} of "
+        "the response. How many of 100 contain the truth (mean of the factors), and how wide they are, in % "
+        "of the factor.\n"
     )
     models = {kind: declare(kind) for kind in ("NORM", "CN")}
     predictions = Predictions(models["NORM"])
@@ -92,16 +92,17 @@ def narrow_intervals(data, models, predictions, rng):
     sigma = np.sqrt(np.mean(residual**2))
     correlation = np.mean(residual[:, 1:] * residual[:, :-1]) / sigma**2
     correlation = np.clip(correlation, 0.02, 0.99)
-    steps = np.full(N_FACTORS + 2, 1e-2)
-    steps[:N_FACTORS] = 1e-4
-    theta = np.ones(N_FACTORS)
+    start = unconstrained(np.ones(N_FACTORS), sigma)
+    cal = calibrated(predictions, start, N_FACTORS)
+    longer = np.append(cal.point, unconstrained((), sigma, correlation)[-1])
+    factor = np.eye(len(longer))
+    factor[:-1, :-1] = cal.claimed_factor
+    calibrated_density = cal.density(lambda z: logp["NORM"](z)[0], lambda z: logp["NORM"](z)[1])
     result = {
-        "NORM": of_density(posterior(logp["NORM"]), unconstrained(theta, sigma), steps[:-1], N_FACTORS, rng),
-        "CN": of_density(posterior(logp["CN"]), unconstrained(theta, sigma, correlation), steps, N_FACTORS, rng),
+        "NORM": of_density(posterior(logp["NORM"]), cal.point, cal.claimed_factor, N_FACTORS, rng),
+        "CN": of_density(posterior(logp["CN"]), longer, factor, N_FACTORS, rng),
+        "CAL": of_density(calibrated_density, cal.point, cal.factor, N_FACTORS, rng),
     }
-    cal = calibrated(predictions, unconstrained(theta, sigma), N_FACTORS)
-    density = cal.density(lambda z: logp["NORM"](z)[0], lambda z: logp["NORM"](z)[1])
-    result["CAL"] = of_density(density, cal.point, 0.3 * cal.widths, N_FACTORS, rng)
     return result, cal.n_eff
 
 

@@ -54,9 +54,7 @@ def log_marginal(s, power):
 
 def wide_intervals(draws, log_ratio, s, n_sensors, rng) -> dict[str, Intervals]:
     """Of TN, EXP and ABC, for one data set with sums S (draw,)."""
-    weights = {
-        kind: log_ratio + log_marginal(s, claimed * n_sensors) for kind, claimed in CLAIMS.items()
-    }
+    weights = {kind: log_ratio + log_marginal(s, claimed * n_sensors) for kind, claimed in CLAIMS.items()}
     result = {kind: intervals(draws, w) for kind, w in weights.items()}
     shape = 0.5 * (CLAIMS["EXP"] * n_sensors - 1)
     sigma = np.sqrt(0.5 * s / rng.gamma(shape, size=len(s)))

@@ -7,6 +7,7 @@ The prior is not touched: its bounds and its information keep their meaning.
 """
 
 import copy
+from typing import NamedTuple
 
 import numpy as np
 import pymc as pm
@@ -47,41 +48,80 @@ def stretching(information: np.ndarray, precision: np.ndarray) -> tuple[float, n
     return power, np.eye(len(information)) + whiten @ (along - np.eye(len(values))) @ unwhiten
 
 
-def adjusted_model(model: pm.Model, point: np.ndarray, matrix: np.ndarray, power: float) -> pm.Model:
-    """The model with the free parameters and priors of another, and its likelihood as a potential.
+class Adjusted(NamedTuple):
+    """A model with a stretched likelihood, and its shared variables: other values are no other code.
 
-    Parameters
+    Attributes
     ----------
     model : pymc.Model
-    point : array (d,)
-        z_hat, flat and unconstrained, in the order of the model's value variables.
-    matrix : array (d, d)
-        C.
-    power : float
+    power, point, matrix : SharedVariable
+        k, z_hat (d,) and C (d, d).
+    precision : SharedVariable (d, d)
+        Of the calibrated likelihood.
+    others, other_precisions : SharedVariable (mode, d), (mode, d, d)
+        Maxima that are calibrated by themselves. What is nearer to one of them has no likelihood here.
     """
-    # shared variables: other values are no other code
-    point, matrix, power = (pytensor.shared(np.asarray(x, dtype=np.float64)) for x in (point, matrix, power))
+
+    model: pm.Model
+    power: pytensor.compile.SharedVariable
+    point: pytensor.compile.SharedVariable
+    matrix: pytensor.compile.SharedVariable
+    precision: pytensor.compile.SharedVariable
+    others: pytensor.compile.SharedVariable
+    other_precisions: pytensor.compile.SharedVariable
+
+    def set(self, *values):
+        """Give all shared variables values, in their order."""
+        for shared, value in zip(self[1:], values, strict=True):
+            shared.set_value(np.asarray(value, dtype=np.float64))
+
+
+def adjusted_model(model: pm.Model, n_modes: int = 1) -> Adjusted:
+    """The model with the free parameters and priors of another, and its likelihood as a potential.
+
+    Points are flat and unconstrained, in the order of the model's value variables.
+    """
+    d = sum(np.size(value) for value in model.initial_point().values())
+    shapes = (), (d,), (d, d), (d, d), (n_modes - 1, d), (n_modes - 1, d, d)
+    shared = [pytensor.shared(np.zeros(shape)) for shape in shapes]
+    adjusted = Adjusted(model, *shared)
     stand_ins = {rv: rv.type(name=rv.name) for rv in model.free_RVs}
     terms = [pm.logp(rv, model.rvs_to_values[rv]).sum() for rv in model.observed_RVs]
     terms = graph_replace(terms, stand_ins, strict=False)
-    moved = dict(zip(stand_ins.values(), stretched(model, point, matrix), strict=True))
-    likelihood = power * pt.add(*graph_replace(terms, moved, strict=False), 0.0)
-    return with_potential(model, likelihood)
+    flat = flattened(model)
+    moved = adjusted.point + pt.dot(adjusted.matrix, flat - adjusted.point)
+    moved = dict(zip(stand_ins.values(), separated(model, moved), strict=True))
+    likelihood = adjusted.power * pt.add(*graph_replace(terms, moved, strict=False), 0.0)
+    if n_modes > 1:
+        likelihood = pt.switch(is_nearest(adjusted, flat), likelihood, -np.inf)
+    return adjusted._replace(model=with_potential(model, likelihood))
 
 
-def stretched(model, point, matrix) -> list:
-    """Free parameters at z_hat + C (z - z_hat), as functions of those of the model."""
+def is_nearest(adjusted, flat):
+    """Whether no other maximum is nearer to a point, in standard deviations."""
+    own, apart = flat - adjusted.point, flat - adjusted.others
+    distance = pt.dot(own, pt.dot(adjusted.precision, own))
+    others = (apart[:, None] * adjusted.other_precisions * apart[:, :, None]).sum(axis=(1, 2))
+    return pt.le(distance, others.min())
+
+
+def flattened(model):
+    """Free parameters, unconstrained and flat (d,), as a function of those of the model."""
     transforms = [(rv, model.rvs_to_transforms[rv]) for rv in model.free_RVs]
     values = [rv if t is None else t.forward(rv, *rv.owner.inputs) for rv, t in transforms]
-    flat = pt.concatenate([value.ravel() for value in values])
-    moved, result, first = point + pt.dot(matrix, flat - point), [], 0
-    for (rv, transform), value in zip(transforms, values, strict=True):
-        shape = model.rvs_to_values[rv].type.shape
-        size = int(np.prod(shape)) if None not in shape else value.size
-        own = moved[first : first + size].reshape(shape if None not in shape else value.shape)
-        first = first + size
+    return pt.concatenate([value.ravel() for value in values])
+
+
+def separated(model, flat) -> list:
+    """Free parameters on their own scale, of a flat and unconstrained point (d,)."""
+    result, first, point = [], 0, model.initial_point()
+    for rv in model.free_RVs:
+        shape, transform = np.shape(point[model.rvs_to_values[rv].name]), model.rvs_to_transforms[rv]
+        size = int(np.prod(shape))
+        own = flat[first : first + size].reshape(shape)
         own = own if transform is None else transform.backward(own, *rv.owner.inputs)
         result.append(pt.specify_shape(own, rv.type.shape))
+        first += size
     return result
 
 

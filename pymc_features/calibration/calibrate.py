@@ -8,13 +8,14 @@ import xarray as xr
 from pymc.util import RandomState
 
 from pymc_features.calibration.adjusted import adjusted_model, stretching
-from pymc_features.calibration.effective import best_fit, described, posterior_of
+from pymc_features.calibration.effective import described, posterior_of
 from pymc_features.calibration.fit import Predictions, hessian
+from pymc_features.calibration.modes import Part, distinct_fits, pooled
 from pymc_features.calibration.sandwich import Sandwich, known, sandwich
 from pymc_features.exceptions import SamplingWarning
 from pymc_features.inference.parameters import Unconstrained
 from pymc_features.inference.sample import Search, sample_from
-from pymc_features.smc import Reference, prior_points
+from pymc_features.smc import Reference, population_logp, prior_points
 from pymc_features.smc.proposals.reference import Mode
 
 CURVED = 0.2  # standard deviations over which curvature is measured
@@ -60,8 +61,10 @@ def calibrate(
     -------
     DataTree
         As from `sample`, of the calibrated posterior; `sample_stats` has the attribute `power`, and the group
-        `calibration` is what `effective_samples` returns. The evidence is that of the stretched likelihood,
-        and must not be compared with others.
+        `calibration` is what `effective_samples` returns. With several modes that group has them as a
+        dimension, with their `weight`, and `sample_stats` says of which `mode` a draw is; its other numbers
+        are those of the heaviest. The evidence is that of the stretched likelihood, and must not be compared
+        with others.
 
     Raises
     ------
@@ -77,8 +80,10 @@ def calibrate(
 
     Notes
     -----
-    One mode is calibrated, that of the most likely draws. What is the same in every record, a bias of the
-    model, is not seen in residuals.
+    Modes that lie more than some standard deviations apart are calibrated each by itself. Each has the
+    evidence of its stretched likelihood, but the ratio of the maxima is raised to the power of the highest,
+    which decides how much one mode is likelier than another. A bias of the model, the same in every record,
+    is not seen in residuals.
 
     References
     ----------
@@ -86,31 +91,43 @@ def calibrate(
     """
     posterior, model = posterior_of(idata), pm.modelcontext(model)
     rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(1)[0])
+    settings |= {
+        "draws": draws or posterior.sizes["draw"],
+        "chains": chains or posterior.sizes["chain"],
+        "random_seed": random_seed,
+        "progressbar": progressbar,
+    }
     predictions = Predictions(model)
-    fit = best_fit(predictions, posterior, rng)
-    result = sandwich(fit.events, fit.information)
-    result = curved(predictions, fit, result)
-    power, matrix = stretching(result.information, result.precision)
-    adjusted = adjusted_model(model, fit.z, matrix, power)
-    reference = bell(adjusted, fit.z, result.precision, rng)
-    calibrated = sample_from(
-        Search(reference, 0, 0, NO_CLIMBS),
-        adjusted,
-        Unconstrained(adjusted),
-        draws=draws or posterior.sizes["draw"],
-        chains=chains or posterior.sizes["chain"],
-        random_seed=random_seed,
-        progressbar=progressbar,
-        **settings,
-    )
-    calibrated["calibration"] = xr.DataTree(described(model, fit, result))
-    calibrated["sample_stats"].attrs |= {"power": power}
+    modes = [
+        (fit, curved(predictions, fit, sandwich(fit.events, fit.information)))
+        for fit in distinct_fits(predictions, posterior, rng)
+    ]
+    adjusted, parts = adjusted_model(model, len(modes)), []
+    for i, mode in enumerate(modes):
+        part = calibrated_mode(adjusted, mode, modes[:i] + modes[i + 1 :], settings, rng)
+        part.idata["calibration"] = xr.DataTree(described(model, *mode))
+        parts.append(part)
+    calibrated = pooled(parts, rng)
     for group in ("observed_data", "constant_data"):
         if group in idata.children:
             calibrated[group] = idata[group].copy()
     if advice := calibrated["sample_stats"].attrs["advice"]:
         warnings.warn(advice, SamplingWarning, stacklevel=2)
     return calibrated
+
+
+def calibrated_mode(adjusted, mode, others, settings, rng) -> Part:
+    """The posterior around a maximum; each is a fit and its sandwich."""
+    model, (fit, result), d = adjusted.model, mode, len(mode[0].z)
+    power, matrix = stretching(result.information, result.precision)
+    elsewhere = np.reshape([fit.z for fit, _ in others], (-1, d))
+    precisions = np.reshape([result.precision for _, result in others], (-1, d, d))
+    adjusted.set(power, fit.z, matrix, result.precision, elsewhere, precisions)
+    found = Search(bell(model, fit.z, result.precision, rng), 0, 0, NO_CLIMBS)
+    idata = sample_from(found, model, Unconstrained(model), **settings)
+    idata["sample_stats"].attrs |= {"power": power}
+    logp = population_logp(model, model.initial_point(), settings.get("compile_kwargs") or {})
+    return Part(idata, power, logp(fit.z[None])[1][0] / power)
 
 
 def curved(predictions, fit, result: Sandwich) -> Sandwich:

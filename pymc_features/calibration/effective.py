@@ -102,11 +102,20 @@ def best_fit(predictions, posterior, rng) -> Fit:
         prior, likelihood, _ = logp(starts)
         starts = starts[[np.argmax(prior + likelihood)]]
     else:
-        every = max(1, posterior.sizes["chain"] * posterior.sizes["draw"] // STARTS)
-        some = to_unconstrained(model, posterior.isel(draw=slice(None, None, every)))
-        starts = some.reshape(-1, some.shape[-1])
+        starts = some_draws(model, posterior)
         starts = starts[[np.argmax([log_likelihood(predictions(z)) for z in starts])]]
-    fit = climb_likelihood(predictions, starts[0])
+    return with_noise(climb_likelihood(predictions, starts[0]))
+
+
+def some_draws(model, posterior, number=STARTS) -> np.ndarray:
+    """Unconstrained draws (n, d) of all chains, evenly spaced."""
+    every = max(1, posterior.sizes["chain"] * posterior.sizes["draw"] // number)
+    some = to_unconstrained(model, posterior.isel(draw=slice(None, None, every)))
+    return some.reshape(-1, some.shape[-1])
+
+
+def with_noise(fit: Fit) -> Fit:
+    """The fit, if every sensor has residuals."""
     for event in fit.events:
         silent = np.flatnonzero(~((event.residuals**2).sum(axis=1) > 0))
         if silent.size:

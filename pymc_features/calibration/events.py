@@ -168,7 +168,7 @@ def tells(event, name) -> bool:
         return True
     known = event["calibration"]["changes_response"]
     mine = [str(x).split("[")[0] == name for x in known["parameter"].values]
-    return bool(known.values[mine].any()) if any(mine) else False
+    return bool(known.isel(parameter=mine).any())
 
 
 def by_name(posterior, i, var_names) -> dict[str, np.ndarray]:

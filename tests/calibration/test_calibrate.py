@@ -222,3 +222,23 @@ def test_a_record_that_is_too_short_is_warned_of():
     with warnings.catch_warnings():
         warnings.simplefilter("error", CalibrationWarning)
         effective_samples(at(1.0, 2.0), model=declare("NORM", data("white")))
+
+
+def test_every_mode_has_its_weight(y):
+    """theta^2 is what the data know, so that two modes differ by the prior alone: 0.646 to 0.354."""
+    with pm.Model() as model:
+        root = pm.Normal("theta", 0.3, 1.0)
+        pm.Normal("y", SIGNALS[..., 0] * root**2 + SIGNALS[..., 1] * 2.0, 0.1, observed=y)
+    draws = np.random.default_rng(1).choice([1.0, -1.0], p=[0.9, 0.1], size=(2, 200))
+    idata = xr.DataTree.from_dict({"posterior": xr.Dataset({"theta": (("chain", "draw"), draws)})})
+    found = calibrate(idata, model=model, draws=500, random_seed=5, progressbar=False)
+    theta, weight = found["posterior"]["theta"].values, found["calibration"]["weight"].values
+    right = 1.0 / (1.0 + np.exp(-0.6))
+    assert weight.max() == pytest.approx(right, abs=0.02)
+    assert np.mean(theta > 0) == pytest.approx(right, abs=0.02)
+    assert found["posterior"].sizes == {"chain": 2, "draw": 500}
+    expected = found["calibration"]["standard_deviation"].values[0, 0]
+    assert theta[theta > 0].std() == pytest.approx(expected, rel=0.15)
+    of_draw, highest = found["sample_stats"]["mode"].values, int(found["calibration"]["point"][0, 0] < 0)
+    assert np.all((theta > 0) == (of_draw == highest))
+    assert found["sample_stats"].attrs["n_modes"] == 2

@@ -1,0 +1,129 @@
+"""Several maxima of a likelihood: how they are found, and how their posteriors are put together."""
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from pymc_features.calibration.adjusted import stretching
+from pymc_features.calibration.effective import best_fit, some_draws, with_noise
+from pymc_features.calibration.fit import Fit, climb_likelihood, log_likelihood
+from pymc_features.calibration.sandwich import Sandwich, sandwich
+
+CLIMBS = 4  # from the draws that are farthest from what has been climbed from or to
+CANDIDATES = 100  # draws that these are chosen from
+DISTINCT = 3.0  # standard deviations, by the residuals, between maxima that are not one
+LIGHTEST = 1e-3  # weight of a mode that is left out
+
+
+class Part(NamedTuple):
+    """The posterior around one maximum, its power, and the log-likelihood there."""
+
+    idata: xr.DataTree
+    power: float
+    height: float
+
+
+class Peak(NamedTuple):
+    """A maximum of the likelihood, its height but for a constant, and its sandwich."""
+
+    fit: Fit
+    height: float
+    sandwich: Sandwich
+
+    def distance(self, z) -> float:
+        """Standard deviations between the maximum and a point (d,)."""
+        apart = z - self.fit.z
+        return float(np.sqrt(apart @ self.sandwich.precision @ apart))
+
+
+def distinct_fits(predictions, posterior, rng) -> list[Fit]:
+    """Maxima of the likelihood that draws of a posterior lead to and that may matter, the highest first."""
+    peaks = [peak_of(predictions, best_fit(predictions, posterior, rng))]
+    draws = some_draws(predictions.model, posterior, CANDIDATES)
+    scale = draws.std(axis=0)
+    scale[scale == 0.0] = 1.0
+    known = [peaks[0].fit.z]
+    for _ in range(min(CLIMBS, len(draws) - 1)):
+        distances = ((draws[:, None] - np.array(known)) / scale) ** 2
+        start = draws[distances.sum(axis=2).min(axis=1).argmax()]
+        fit = climb_likelihood(predictions, start)
+        known += [start, fit.z]
+        peak = peak_of(predictions, fit)
+        if all(min(other.distance(fit.z), peak.distance(other.fit.z)) > DISTINCT for other in peaks):
+            peaks.append(peak)
+    peaks.sort(key=lambda peak: -peak.height)
+    return [peak.fit for peak, weight in zip(peaks, rough_weights(peaks), strict=True) if weight > LIGHTEST]
+
+
+def peak_of(predictions, fit) -> Peak:
+    """A maximum with what its residuals say."""
+    fit = with_noise(fit)
+    return Peak(fit, log_likelihood(predictions(fit.z)), sandwich(fit.events, fit.information))
+
+
+def rough_weights(peaks):
+    """Relative weights of maxima, the highest first, by Laplace's approximation under a flat prior."""
+    if len(peaks) == 1:
+        return np.ones(1)
+    power, _ = stretching(peaks[0].sandwich.information, peaks[0].sandwich.precision)
+    volumes = [-0.5 * log_determinant(peak.sandwich.precision) for peak in peaks]
+    logs = [power * peak.height + volume for peak, volume in zip(peaks, volumes, strict=True)]
+    return np.exp(np.array(logs) - max(logs))
+
+
+def log_determinant(precision) -> float:
+    """Of the directions that are not flat."""
+    values = np.linalg.eigvalsh(precision)
+    return float(np.log(values[values > 1e-12 * values.max()]).sum())
+
+
+def pooled(parts: list[Part], rng) -> xr.DataTree:
+    """Draws of all modes by their weights; the other groups are those of the heaviest."""
+    if len(parts) == 1:
+        return parts[0].idata
+    weights = mode_weights(parts)
+    first = int(weights.argmax())
+    result = parts[first].idata
+    result["posterior"], mode = mixed([part.idata["posterior"].to_dataset() for part in parts], weights, rng)
+    result["sample_stats"]["mode"] = xr.DataArray(mode, dims=("chain", "draw"))
+    advice = [part.idata["sample_stats"].attrs["advice"] for part in parts]
+    result["sample_stats"].attrs |= {"n_modes": len(parts), "advice": next((x for x in advice if x), "")}
+    every = [part.idata["calibration"].to_dataset() for part in parts]
+    described = xr.concat(every, "mode", combine_attrs="override")
+    described["n_eff_mode"] = ("mode", [one.attrs["n_eff"] for one in every])
+    result["calibration"] = xr.DataTree(described.assign(weight=("mode", weights)))
+    return result
+
+
+def mixed(posteriors, weights, rng):
+    """Draws of posteriors by their weights, and which they are of (chain, draw)."""
+    n_chains, n_draws = (posteriors[0].sizes[dim] for dim in ("chain", "draw"))
+    mode = np.stack([shares(weights, n_draws, rng) for _ in range(n_chains)])
+    place = np.stack([rng.permutation(n_draws) for _ in range(n_chains)])
+    chain = np.repeat(np.arange(n_chains)[:, None], n_draws, axis=1)
+    at = {"_part": mode, "draw": place, "chain": chain}
+    at = {name: xr.DataArray(x, dims=("chain", "draw")) for name, x in at.items()}
+    chosen = xr.concat(posteriors, "_part", join="override").isel(at).transpose("chain", "draw", ...)
+    return xr.DataTree(chosen.assign_coords(posteriors[0].coords)), mode
+
+
+def mode_weights(parts) -> np.ndarray:
+    """Weights (mode,): volumes of the stretched likelihoods, heights by the power of the highest."""
+    highest = max(parts, key=lambda part: part.height)
+    logs = [
+        part.idata["sample_stats"].attrs["log_evidence"] + (highest.power - part.power) * part.height
+        for part in parts
+    ]
+    weights = np.exp(np.array(logs) - max(logs))
+    return weights / weights.sum()
+
+
+def shares(weights, n, rng):
+    """Modes (n,) as often as their weights say, in random order."""
+    counts = np.floor(weights * n).astype(int)
+    rest = weights * n - counts
+    missing = n - counts.sum()
+    if missing:
+        counts += np.bincount(rng.choice(len(weights), missing, p=rest / rest.sum()), minlength=len(weights))
+    return rng.permutation(np.repeat(np.arange(len(weights)), counts))
