@@ -8,6 +8,7 @@ from pymc.pytensorf import compile as compile_function
 from pytensor import shared as make_shared
 from pytensor.tensor.random.type import RandomGeneratorType
 
+from pymc_features.smc.density.compilation import with_mode
 from pymc_features.smc.density.graph import DensityGraph, largest_result
 from pymc_features.smc.density.nodes import simulator_functions
 
@@ -52,10 +53,9 @@ class RowFunction:
         self.batch = max(1, BATCH_BYTES // (8 * alive * largest_result(graph.one)))
         self.errors = NUMERICAL_ERRORS if simulator_functions(graph.one.outputs) == [] else Exception
         joined, outputs = graph.population if self.batched else graph.one
+        kwargs = with_mode(compile_kwargs, outputs) if self.batched else compile_kwargs
         with quiet_about_python():
-            self.function = compile_function(
-                [joined], outputs, **{**compile_kwargs, "on_unused_input": "ignore"}
-            )
+            self.function = compile_function([joined], outputs, **{**kwargs, "on_unused_input": "ignore"})
         self.function.trust_input = True
 
     def __call__(self, particles: np.ndarray) -> list[np.ndarray]:

@@ -1,0 +1,39 @@
+"""How functions of a population are compiled."""
+
+import pytensor
+from pytensor.compile.mode import Mode
+from pytensor.graph.traversal import ancestors
+from pytensor.scan.op import Scan
+from pytensor.tensor.blockwise import Blockwise
+from pytensor.tensor.random.op import RandomVariable
+
+# NumPy calls for everything around the kernels, which are machine code in any mode. Numba would compile the
+# whole graph: twenty to forty seconds for a new model, to save half a millisecond of a call.
+INTERPRETED = Mode(linker="py", optimizer="fast_run").excluding("fusion")
+
+
+def with_mode(compile_kwargs: dict, outputs) -> dict:
+    """Arguments of `pytensor.function` with a mode; that of the user or of PyTensor's flags comes first.
+
+    By default NumPy evaluates what is between the kernels, unless something there would be a loop in Python.
+    """
+    chosen = "mode" in compile_kwargs or (pytensor.config.mode, pytensor.config.linker) != ("Mode", "auto")
+    if chosen or has_python_loops(outputs):
+        return compile_kwargs
+    return compile_kwargs | {"mode": INTERPRETED}
+
+
+def has_python_loops(outputs) -> bool:
+    """Whether NumPy would be called once for each particle or step."""
+    owners = {v.owner for v in ancestors(outputs) if v.owner is not None}
+    return any(is_loop(node.op) for node in owners)
+
+
+def is_loop(op) -> bool:
+    """Whether an Op is a loop over particles or steps; kernels of ours take all particles at once."""
+    if isinstance(op, Scan):
+        return True
+    if not isinstance(op, Blockwise) or isinstance(op.core_op, RandomVariable):
+        return False
+    spec = op.gufunc_spec or getattr(op.core_op, "gufunc_spec", None)
+    return spec is None and not type(op.core_op).__module__.startswith("pymc_features.")
