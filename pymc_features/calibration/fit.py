@@ -7,13 +7,15 @@ import pytensor.tensor as pt
 from pymc.pytensorf import compile as compile_function
 
 from pymc_features.calibration.comparison import comparison, independent
+from pymc_features.calibration.sandwich import whitening
 from pymc_features.inference.parameters import Unconstrained
 
-DIFFERENCE = 0.02  # standard errors that a likelihood's derivatives are taken over,
+DIFFERENCE = 0.02  # standard errors of independent samples that derivatives are taken over,
 WIDEST, NARROWEST = 1e-3, 1e-7  # but no more and no less than this, on the unconstrained scale
-STEPS = 50  # towards the maximum, at most
-CONVERGED = 1e-3  # of a standard error that the last step may be long
-NEARBY = 0.3  # standard errors within which derivatives are taken to be constant
+NARROW = 1e-5  # before standard errors are known
+STEPS = 100  # towards the maximum, at most
+CONVERGED = 1e-3  # of a standard error of independent samples that the last step may be long
+LEAST = 0.1  # of the information that the curvature is taken to have where it is less, or negative
 LONGEST = 1.0  # step, on the unconstrained scale
 SINGULAR = 1e-12  # of the largest relative eigenvalue: directions that change nothing
 
@@ -161,34 +163,62 @@ def events_at(predictions, z, steps) -> list[Event]:
 
 
 def climb_likelihood(predictions, z) -> Fit:
-    """The maximum of the likelihood near a point (d,), by Levenberg's and Marquardt's method."""
+    """The maximum of the likelihood near a point (d,), by Levenberg's and Marquardt's method.
+
+    Where residuals are large their second derivatives count; these are learnt from one step to the next.
+    """
     start = predictions.count
-    steps = np.full(len(z), WIDEST)
-    value, events, damping = log_likelihood(predictions(z)), None, 1e-6
+    value, damping = log_likelihood(predictions(z)), 1e-6
     if value == -np.inf:
         raise ValueError("the fit must start where the likelihood is finite. Pass another `idata`.")
+    events = events_at(predictions, z, np.full(len(z), NARROW))
+    events = events_at(predictions, z, differences(events))
+    score, second = score_of(events), np.zeros((len(z), len(z)))
     for _ in range(STEPS):
-        if events is None:
-            events = events_at(predictions, z, steps)
-            information = sum(event.information for event in events)
-            steps = differences(information)
-            moved = 0.0
-        else:
-            events = with_residuals(events, predictions(z))
-        step = newton(information, sum(event.score for event in events), damping)
-        length = np.sqrt(max(0.0, step @ information @ step))
-        if length < CONVERGED:
+        information = sum(event.information for event in events)
+        step = newton(curvature(information, second), score, damping)
+        if np.sqrt(excess(events) * max(0.0, step @ information @ step)) < CONVERGED:
             break
-        new = log_likelihood(predictions(z + step))
-        if new > value:
-            z, value, damping = z + step, new, damping / 10.0
-            moved += length
-            events = None if moved > NEARBY else events
-        elif moved > 0.0:  # the derivatives have changed
-            events = None
-        else:
+        values = predictions(z + step)
+        new = log_likelihood(values)
+        if not new > value:
             damping = max(damping, 1e-6) * 10.0
-    return Fit(z, events_at(predictions, z, steps), predictions.count - start)
+            continue
+        z, value, damping = z + step, new, damping / 10.0
+        stale = score_of(with_residuals(events, values))
+        events, before = events_at(predictions, z, differences(events)), score
+        score = score_of(events)
+        second = learnt(second, step, stale - score, before - score)
+    return Fit(z, events, predictions.count - start)
+
+
+def score_of(events):
+    """Gradient of the log-likelihood (d,) of all events."""
+    return sum(event.score for event in events)
+
+
+def learnt(second, step, change, total):
+    """What second derivatives add to the information (d, d), after a step (d,) that it changed by `change`.
+
+    `total` is the change of the whole score (Dennis, Gay & Welsch, ACM Trans. Math. Softw. 7, 1981).
+    """
+    along, known = total @ step, step @ second @ step
+    if not along > 0:
+        return second
+    size = min(1.0, abs(step @ change / known)) if known else 1.0
+    off = change - size * (second @ step)
+    cross = np.outer(off, total) / along
+    return size * second + cross + cross.T - (off @ step) / along**2 * np.outer(total, total)
+
+
+def curvature(information, second):
+    """Their sum (d, d), but at least a part of the information in every direction."""
+    whiten = whitening(information)
+    unwhiten = whiten.T @ information
+    relative = whiten.T @ second @ whiten
+    values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
+    along = (vectors * np.maximum(values, LEAST - 1.0)) @ vectors.T
+    return information + unwhiten.T @ along @ unwhiten
 
 
 def hessian(predictions, z, steps, used) -> np.ndarray:
@@ -219,9 +249,15 @@ def with_residuals(events, values):
     ]
 
 
-def differences(information):
-    """Steps (d,) of central differences, a part of the standard errors that the likelihood claims."""
-    scale = np.sqrt(np.diag(information)).clip(min=np.finfo(float).tiny)
+def excess(events):
+    """Samples over the observations that the likelihood claims."""
+    return sum(event.residuals.size for event in events) / sum(event.claimed.sum() for event in events)
+
+
+def differences(events):
+    """Steps (d,) of central differences, a part of the standard errors of independent samples."""
+    information = sum(event.information for event in events)
+    scale = np.sqrt(excess(events) * np.diag(information)).clip(min=np.finfo(float).tiny)
     return np.clip(DIFFERENCE / scale, NARROWEST, WIDEST)
 
 
