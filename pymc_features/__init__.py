@@ -16,7 +16,7 @@ sample: its uncertainty does not depend on the sampling rate.
 """
 
 from pymc_features import datasets, exceptions, plots, signals
-from pymc_features.calibration import calibrate, effective_samples, event_check
+from pymc_features.calibration import calibrate, effective_samples, event_check, fill_degrees
 from pymc_features.distributions import (
     CorrelatedNormal,
     ExpFeature,
@@ -75,6 +75,7 @@ __all__ = [
     "effective_samples",
     "event_check",
     "exceptions",
+    "fill_degrees",
     "first_passage_probability",
     "fisher_information",
     "integration_error",

@@ -84,6 +84,7 @@ PUBLIC_NAMES = [
     "effective_samples",
     "event_check",
     "exceptions",
+    "fill_degrees",
     "first_passage_probability",
     "fisher_information",
     "integration_error",

@@ -100,7 +100,7 @@ def prepare_observed(mu, observed, name):
     mu = pt.as_tensor_variable(mu)
     if isinstance(observed, Variable):
         _check_values(_values(observed))
-        check_shape(mu.type.shape, _shape(observed))
+        check_shape(mu.type.shape, shape_of(observed))
         return observed
     if np.ma.isMaskedArray(observed) and np.ma.getmaskarray(observed).any():
         raise ValueError(
@@ -140,7 +140,8 @@ def _values(variable):
     return np.asarray(variable.data) if isinstance(variable, Constant) else None
 
 
-def _shape(variable):
+def shape_of(variable):
+    """Shape of a variable, as far as it is known; of data all of it."""
     values = _values(variable)
     return variable.type.shape if values is None else values.shape
 
@@ -148,6 +149,10 @@ def _shape(variable):
 def check_degrees_of_freedom(m, mu):
     """Return m as a tensor; refuse numbers that are not positive or do not fit the sensors."""
     advice = "Pass how many independent observations a sensor's misfit is worth: 1 is TN, 2 is EXP."
+    if isinstance(m, str):
+        if m == "residuals":
+            advice = "Only a likelihood of a model, GammaFeature(name, ...), can take them from residuals."
+        raise ValueError(f"`m` must be positive numbers or, in a model, 'residuals', got {m!r}. {advice}")
     return _check_sensors("m", _check_positive("m", m, advice), mu)
 
 
@@ -167,15 +172,18 @@ def warn_about_the_posterior(likelihood, m, mu, sigma, observed):
     if isinstance(sigma, Constant):
         return
     mu = pt.as_tensor_variable(mu)
-    n_sensors = _shape(pt.as_tensor_variable(observed))[-2] if mu.ndim > 1 else 1
+    n_sensors = shape_of(pt.as_tensor_variable(observed))[-2] if mu.ndim > 1 else 1
     m = as_double(m)
     if n_sensors is not None and isinstance(m, Constant):
-        _warn_about_variance(likelihood, np.broadcast_to(m.data, n_sensors), sigma)
+        warn_about_variance(likelihood, np.broadcast_to(m.data, n_sensors), sigma)
     _warn_about_noise(mu, observed)
 
 
-def _warn_about_variance(likelihood, m, sigma):
-    """Each sigma integrates out to S^(-(m - 1)/2); the tail is normalisable in variance above 3."""
+def warn_about_variance(likelihood, m, sigma):
+    """Warn if the degrees of freedom m (sensor,) of all leave no finite variance.
+
+    Each sigma integrates out to S^(-(m - 1)/2); the tail is normalisable in variance above 3.
+    """
     alone = sigma.ndim > 0 and sigma.type.shape[-1] != 1
     n_sensors = len(m)
     tail = (m - 1).sum() if alone else m.sum() - 1

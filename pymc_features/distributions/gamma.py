@@ -3,14 +3,48 @@
 from collections.abc import Sequence
 
 import numpy as np
+import pymc as pm
 import pytensor.tensor as pt
 from numpy.typing import ArrayLike
 from pymc.pytensorf import rvs_in_graph
 from pytensor.compile.sharedvalue import SharedVariable
+from pytensor.graph.basic import Variable
+from pytensor.raise_op import CheckAndRaise
 from pytensor.tensor import TensorLike, TensorVariable
 
-from pymc_features.distributions.checks import check_degrees_of_freedom
+from pymc_features.distributions.checks import check_degrees_of_freedom, shape_of
 from pymc_features.distributions.feature import FeatureLikelihood, FeatureRV
+
+RESIDUALS = "residuals"
+
+
+class Filled(CheckAndRaise):
+    """Degrees of freedom that are data of the model, once they are filled; an error before.
+
+    They are known before the first evaluation or never: no sampler can start and fail on its way.
+    """
+
+
+def unfilled_degrees(name, observed, dims) -> TensorVariable:
+    """The data `{name}_m` of the model, a value for each sensor, refused until they are filled."""
+    if observed is None:
+        raise ValueError(
+            "`observed` must be given with m='residuals', got None. Pass the measured response (sensor, "
+            "time)."
+        )
+    shape = shape_of(observed) if isinstance(observed, Variable) else np.shape(observed)
+    if None in shape[:-1]:
+        raise ValueError(
+            f"`observed` must have a known number of sensors with m='residuals', got shape {shape}. Pass an "
+            "array or pm.Data."
+        )
+    labels = None if dims is None or len(dims) != len(shape) else tuple(dims)[:-1]
+    data = pm.Data(f"{name}_m", np.zeros(shape[:-1]), dims=labels)
+    message = (
+        f"`m` of {name} must be taken from the residuals before anything else, got no values. Call "
+        "fill_degrees() in the model's context, and again when data have changed."
+    )
+    return Filled(ValueError, message)(data, pt.all(data > 0))
 
 
 class GammaFeatureRV(FeatureRV):
@@ -51,7 +85,8 @@ class GammaFeature(FeatureLikelihood):
     and mean m_j sigma^2. m = 1 is `TruncNormalFeature`, m = 2 is `ExpFeature`, and m = N_D is the
     conventional likelihood of N_D independent samples whose standard deviation is sigma sqrt(N_D). In
     between, m is the number of independent observations that the errors of a sensor are worth, which
-    `effective_samples` takes from the residuals of a fit, and which does not depend on the sampling rate.
+    `effective_samples` takes from the residuals of a fit, and which does not depend on the sampling rate;
+    with ``m="residuals"`` `fill_degrees` puts it in.
 
     Parameters
     ----------
@@ -60,9 +95,10 @@ class GammaFeature(FeatureLikelihood):
         storing the history.
     sigma : tensor_like () or (..., sensor)
         Scale: m sigma^2 is the expected mean-square discrepancy, in squared units of the data; positive.
-    m : tensor_like () or (sensor,)
+    m : tensor_like () or (sensor,), or "residuals"
         Degrees of freedom of each sensor: positive numbers, `pm.Data`, or with ``density="data"`` a random
-        variable.
+        variable. "residuals" registers the data `{name}_m`, one value for each sensor, which `fill_degrees`
+        takes from the residuals of a fit.
     density : {"feature", "data"}
         "feature" (default): the density of e_j^(m/2), as TN's is that of the root mean square and EXP's that
         of the mean square; a generalised (Gibbs) posterior. "data": a proper density of the data, consistent
@@ -72,13 +108,20 @@ class GammaFeature(FeatureLikelihood):
     ------
     ValueError, TypeError
         If shapes do not match, `observed` has NaN, a literal `sigma` or `m` is not positive, or m has a
-        prior and the density is that of the feature, which is another quantity for each m.
+        prior and the density is that of the feature, which is another quantity for each m. With
+        ``m="residuals"`` also at the first evaluation, whatever sampler asks for it, if `{name}_m` was not
+        filled.
 
     Warns
     -----
     FeatureLikelihoodWarning
         With four degrees of freedom or fewer under one unknown sigma the posterior has no finite variance;
         with noise-free data sigma runs to zero.
+
+    Notes
+    -----
+    Samplers do not fill m by themselves: a fit takes time, changes data of the model, and PyMC's own samplers
+    would not do it, so that one model had two posteriors. An unfilled m is an error with all of them.
 
     References
     ----------
@@ -100,12 +143,14 @@ class GammaFeature(FeatureLikelihood):
         name: str,
         mu: TensorLike,
         sigma: TensorLike,
-        m: TensorLike,
+        m: TensorLike | str,
         *,
         observed: ArrayLike | SharedVariable | None = None,
         dims: Sequence[str] | None = None,
         **kwargs,
     ) -> TensorVariable:
+        if isinstance(m, str) and m == RESIDUALS:
+            m = unfilled_degrees(name, observed, dims)
         return super().__new__(cls, name, mu, sigma, m=m, observed=observed, dims=dims, **kwargs)
 
     @classmethod
