@@ -11,7 +11,7 @@ from pymc_features.calibration.adjusted import adjusted_model, stretching
 from pymc_features.calibration.effective import described, posterior_of
 from pymc_features.calibration.fit import Predictions, hessian
 from pymc_features.calibration.modes import Part, distinct_fits, pooled
-from pymc_features.calibration.sandwich import Sandwich, known, sandwich
+from pymc_features.calibration.sandwich import Sandwich, sandwich, whitening
 from pymc_features.exceptions import SamplingWarning
 from pymc_features.inference.parameters import Unconstrained
 from pymc_features.inference.sample import Search, sample_from
@@ -131,15 +131,19 @@ def calibrated_mode(adjusted, mode, others, settings, rng) -> Part:
 
 
 def curved(predictions, fit, result: Sandwich) -> Sandwich:
-    """The sandwich with the likelihood's own curvature as A, where that is positive."""
-    used = known(result.information)
-    widths = np.sqrt(np.diag(result.covariance)[used])
-    steps = np.zeros(len(fit.z))
-    steps[used] = CURVED * np.minimum(widths, np.sqrt(np.diag(result.claims)[used]))
-    exact = result.information.copy()
-    exact[np.ix_(used, used)] = hessian(predictions, fit.z, steps, used)
-    values = np.linalg.eigvalsh(exact[np.ix_(used, used)])
-    return result._replace(information=exact) if values.min(initial=np.inf) > 0 else result
+    """The sandwich with the likelihood's own curvature as A, where that is positive.
+
+    It is measured along the axes of A: where parameters are correlated, a change of one of them alone by its
+    standard deviation leads far away.
+    """
+    whiten = whitening(result.information)
+    widths = np.sqrt(np.diag(whiten.T @ result.variability @ whiten))
+    steps = CURVED * np.minimum(widths, 1.0)
+    relative = hessian(predictions, fit.z, (whiten * steps).T) / np.outer(steps, steps)
+    if not np.linalg.eigvalsh(relative).min(initial=np.inf) > 0:
+        return result
+    unwhiten = whiten.T @ result.information
+    return result._replace(information=unwhiten.T @ relative @ unwhiten)
 
 
 def bell(model, point, precision, rng) -> Reference:

@@ -221,24 +221,23 @@ def curvature(information, second):
     return information + unwhiten.T @ along @ unwhiten
 
 
-def hessian(predictions, z, steps, used) -> np.ndarray:
-    """Minus the Hessian of the log-likelihood at a point (d,) by some parameters (k,): an array (k, k).
+def hessian(predictions, z, axes) -> np.ndarray:
+    """Minus the second derivatives (k, k) of the log-likelihood at a point (d,) along axes (k, d).
 
-    By second differences of steps (d,).
+    By differences over the length of the axes, and by this length.
     """
-    axes = np.diag(steps)[used]
 
     def value(x):
         return log_likelihood(predictions(x))
 
-    here, k = value(z), len(used)
+    here = value(z)
     sides = np.array([[value(z + sign * axis) for sign in (1.0, -1.0)] for axis in axes])
     result = np.diag(2.0 * here - sides.sum(axis=1))
-    for i in range(k):
+    for i in range(len(axes)):
         for j in range(i):
             both = value(z + axes[i] + axes[j]) + value(z - axes[i] - axes[j])
             result[i, j] = result[j, i] = 0.5 * (sides[i].sum() + sides[j].sum() - both) - here
-    return result / np.outer(steps[used], steps[used])
+    return result
 
 
 def with_residuals(events, values):

@@ -1,9 +1,14 @@
-"""The climb to the maximum of a likelihood."""
+"""The climb to the maximum of a likelihood, and what a likelihood is known to compare."""
 
 import numpy as np
+import pymc as pm
 import pytest
 
+from pymc_features import ExpFeature, ModalDamping, Record, SpringMassChain, response
+from pymc_features.calibration.calibrate import curved
+from pymc_features.calibration.comparison import comparison
 from pymc_features.calibration.fit import climb_likelihood, log_likelihood
+from pymc_features.calibration.sandwich import sandwich
 
 TIME = 0.02 * np.arange(500)
 
@@ -22,7 +27,8 @@ class Ringing:
 
     names, steps = ["y"], [0.02]
 
-    def __init__(self, seed, claimed):
+    def __init__(self, seed, claimed, mixing=None):
+        self.mixing = np.eye(3) if mixing is None else mixing
         rng = np.random.default_rng(seed)
         beside = np.sin(2.0 * np.pi * rng.uniform(2.9, 3.1) * TIME + rng.uniform(0.0, 6.0))
         self.observed = (ringing(3.0, 0.004) + rng.uniform(0.3, 1.2) * beside)[None]
@@ -30,7 +36,7 @@ class Ringing:
 
     def __call__(self, z):
         self.count += 1
-        frequency, ratio, sigma = np.exp(z)
+        frequency, ratio, sigma = np.exp(self.mixing @ z)
         scale = np.full(self.observed.shape, sigma * np.sqrt(TIME.size / self.claimed))
         mu = ringing(frequency, ratio)[None]
         return [[mu, self.observed, scale, np.log([sigma]), np.array([self.claimed]), np.array([np.inf])]]
@@ -53,3 +59,35 @@ def test_the_maximum_is_found_where_residuals_are_large(seed):
     best = log_likelihood(predictions(fit.z))
     steps = 0.1 * width * np.random.default_rng(0).standard_normal((50, 3))
     assert all(log_likelihood(predictions(fit.z + step)) < best for step in steps)
+
+
+@pytest.mark.parametrize("seed", [0, 6, 9, 12])
+def test_curvature_does_not_depend_on_how_parameters_are_mixed(seed):
+    """Correlated to 0.9999, they have the curvature of the uncorrelated ones.
+
+    Control: it is not that by Gauss and Newton.
+    """
+    mixing = np.array([[1.0, 10.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    curvatures, by_gauss = [], []
+    for matrix in (np.eye(3), mixing):
+        predictions = Ringing(seed, 2.0, matrix)
+        fit = climb_likelihood(predictions, np.linalg.solve(matrix, np.log((3.0, 0.005, 0.5))))
+        found = curved(predictions, fit, sandwich(fit.events, fit.information))
+        unmixed = np.linalg.inv(matrix)
+        curvatures.append(unmixed.T @ found.information @ unmixed)
+        by_gauss.append(unmixed.T @ fit.information @ unmixed)
+    scale = np.sqrt(np.outer(np.diag(by_gauss[0]), np.diag(by_gauss[0])))
+    np.testing.assert_allclose(curvatures[1] / scale, curvatures[0] / scale, atol=0.03)
+    assert np.abs((curvatures[0] - by_gauss[0]) / scale).max() > 0.1
+
+
+@pytest.mark.parametrize("likelihood", [pm.Normal, ExpFeature])
+def test_the_sampling_step_of_a_response_is_known(likelihood):
+    """Of data of any number of samples too, which hide the response behind a broadcast."""
+    record = Record(np.ones(50), 0.02)
+    with pm.Model() as model:
+        data = pm.Data("data", np.ones((3, 50)))
+        chain = SpringMassChain(np.ones(3), pm.LogNormal("k"), ModalDamping(0.02))
+        likelihood("y", mu=response(chain, record), sigma=pm.HalfNormal("sigma"), observed=data)
+    [rv] = model.observed_RVs
+    assert comparison(rv.owner.op, rv, model.rvs_to_values[rv]).step == 0.02
