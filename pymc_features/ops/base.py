@@ -31,6 +31,8 @@ class StructuralOp(Op):
         the parameters.
     takes_directions : bool
         Whether a direction of each parameter comes last.
+    batched : bool
+        Whether each parameter has a row for each particle.
     """
 
     __props__ = ("quantity", "family")
@@ -38,6 +40,7 @@ class StructuralOp(Op):
     more_signature = ""
     output_signature: str
     takes_directions = False
+    batched = False
 
     def __init__(self, quantity: str = "absolute_acceleration", family: str = "chain"):
         self.quantity = quantity
@@ -122,11 +125,18 @@ class StructuralOp(Op):
 
     def run(self, inputs) -> tuple[np.ndarray, ...]:
         """What the kernel makes of arrays."""
-        arrays = [np.ascontiguousarray(x) if np.ndim(x) else x.item() for x in inputs]
+        results = self.kernel(*self.arguments(inputs))
+        return results if isinstance(results, tuple) else (results,)
+
+    def arguments(self, inputs) -> tuple:
+        """Arguments of the kernel, from the arrays of a node.
+
+        Arrays that may not be written are copied: Numba would compile the kernel for these once more.
+        """
+        arrays = [np.require(x, requirements=["C", "W"]) if np.ndim(x) else x.item() for x in inputs]
         arguments = self.spec.assemble(arrays[: self.n_common], self.quantity_code)
         more, directions = self.split(arrays[self.n_common :])
-        results = self.kernel(*arguments, *more, *directions)
-        return results if isinstance(results, tuple) else (results,)
+        return *arguments, *more, *directions
 
     def split(self, more):
         """What follows the family's inputs, and a tuple with the tuple of directions if there are any."""

@@ -1,11 +1,18 @@
-"""How Numba-compiled graphs run the Ops: the kernels themselves, under keys that know their source."""
+"""How Numba-compiled graphs run the Ops: they call the kernels, under keys that know their source.
 
+A kernel is compiled once, for arrays in C order, whatever calls it. Numba would otherwise put a copy of its
+code into each function of a graph that calls it, directly or not, and optimise each copy anew.
+"""
+
+import functools
 import hashlib
 from pathlib import Path
 
+import llvmlite.binding as llvm
 import numpy as np
-from numba import objmode, types
-from numba.extending import overload
+from numba import objmode, typeof, types
+from numba.core import cgutils
+from numba.extending import intrinsic, overload
 from pytensor.link.numba.dispatch.basic import (
     default_hash_key_from_props,
     get_numba_type,
@@ -23,6 +30,7 @@ from pymc_features.ops.gradient import ResponseGradient, ResponseTangent
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradient, PopulationMisfit
 from pymc_features.ops.response import StructuralResponse
 from pymc_features.simulators.compiled.dependencies import source_hash
+from pymc_features.simulators.families import count
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs
 
 DISPATCH_HASH = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
@@ -58,11 +66,11 @@ def prepared(arrays):
 
 @overload(prepared)
 def _prepared(arrays):
-    if len(arrays) == 0:
-        return lambda arrays: ()
-    if arrays[0].ndim == 0:
-        return lambda arrays: (arrays[0].item(), *prepared(arrays[1:]))
-    return lambda arrays: (np.ascontiguousarray(arrays[0]), *prepared(arrays[1:]))
+    entries = (
+        f"arrays[{i}].item()" if a.ndim == 0 else f"np.ascontiguousarray(arrays[{i}])"
+        for i, a in enumerate(arrays)
+    )
+    return eval(f"lambda arrays: ({', '.join(entries)},)", {"np": np})  # one function, not one for each entry
 
 
 def funcify(op, node=None, **kwargs):
@@ -70,9 +78,58 @@ def funcify(op, node=None, **kwargs):
     return (compiled(op) if op.spec.compiled else in_python(op, node)), cache_key(op)
 
 
+@functools.cache
+def linked(kernel, argument_types) -> tuple[str, types.Type]:
+    """The name under which compiled code finds a kernel for arguments of these types, and what it returns.
+
+    The name is the same in all processes, for code that Numba has kept on disk calls it by this name.
+    """
+    kernel.compile(argument_types)
+    result = kernel.overloads[argument_types]
+    key = f"{source_hash(kernel.py_func.__module__)} {argument_types}"
+    name = f"{kernel.py_func.__module__}.{kernel.py_func.__name__}.{hashlib.sha256(key.encode()).hexdigest()}"
+    llvm.add_symbol(name, result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
+    return name, result.signature.return_type
+
+
+def caller(kernel, argument_types):
+    """A function for compiled code that calls a kernel with a tuple of its arguments.
+
+    Whether the arrays in it may be written makes no difference: the kernels write to none.
+    """
+    name, return_type = linked(kernel, argument_types)
+
+    @intrinsic
+    def call(typing_context, arguments):
+        def emit(context, builder, signature, values):
+            given = cgutils.unpack_tuple(builder, values[0])
+            conventions = context.call_conv
+            function_type = conventions.get_function_type(return_type, argument_types)
+            function = cgutils.get_or_insert_function(builder.module, function_type, name)
+            status, result = conventions.call_function(builder, function, return_type, argument_types, given)
+            with cgutils.if_unlikely(builder, status.is_error):
+                conventions.return_status_propagate(builder, status)
+            return result
+
+        return return_type(arguments), emit
+
+    return call
+
+
+def kernel_types(op) -> tuple[types.Type, ...]:
+    """Types of the kernel's arguments, which are also those of `StructuralOp.run`."""
+    ndims = [count(dims) for dims in op.spec.inputs.values()]
+    for i in range(op.n_parameters):
+        ndims[i] += op.batched
+    common = [np.ones((1,) * n, op.spec.dtype(name)) for n, name in zip(ndims, op.names, strict=True)]
+    more = [np.ones((1,) * n) for n in op.more_ndims]
+    return tuple(typeof(argument) for argument in op.arguments([*common, *more]))
+
+
 def compiled(op):
     """A call from compiled code to compiled code; Numba slices tuples between constants only."""
-    kernel, quantity, arguments = op.kernel, op.quantity_code, op.spec.arguments
+    kernel = caller(op.kernel, kernel_types(op))
+    quantity, arguments = op.quantity_code, op.spec.arguments
     settings = len(arguments._fields)
     outputs, more = settings + len(Excitation._fields), op.n_common
     directions = more + len(op.more_ndims) - op.n_parameters
@@ -85,12 +142,12 @@ def compiled(op):
     @numba_njit
     def structural_op(*inputs):
         given = prepared(inputs)
-        return kernel(*assembled(given), *given[more:])
+        return kernel((*assembled(given), *given[more:]))
 
     @numba_njit
     def along_directions(*inputs):
         given = prepared(inputs)
-        return kernel(*assembled(given), *given[more:directions], given[directions:])
+        return kernel((*assembled(given), *given[more:directions], given[directions:]))
 
     return along_directions if op.takes_directions else structural_op
 

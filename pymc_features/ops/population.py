@@ -24,6 +24,8 @@ class PopulationComparison(StructuralOp):
     """
 
     gufunc_signature = None
+    more_signature = "(s,u)"
+    batched = True
     values: tuple[int, ...] = ()
     simulates = True
 
@@ -75,6 +77,7 @@ class PopulationGradient(MisfitGradient):
 
     kernel_name = "population_gradient"
     gufunc_signature = None
+    batched = True
 
     @property
     def more_signature(self):
