@@ -14,6 +14,7 @@ from numba.core.caching import CacheImpl, _CacheLocator
 from numba.misc.appdirs import AppDirs
 
 from pymc_features.simulators.compiled.dependencies import source_hash
+from pymc_features.simulators.compiled.parts import Kernel
 
 # Everything but `nnan` and `ninf`: the kernels rely on NaN and infinity to reject bad parameters.
 FASTMATH = {"arcp", "contract", "afn", "reassoc", "nsz"}
@@ -57,7 +58,7 @@ def jit(function):
 
     Division by zero gives infinity or NaN, as in NumPy, never an exception in the middle of sampling.
     """
-    return njit(function, fastmath=FASTMATH, error_model="numpy", cache=True)
+    return Kernel(function, {"nopython": True, "fastmath": FASTMATH, "error_model": "numpy"})
 
 
 def inline(function):

@@ -25,8 +25,8 @@ from pymc_features.simulators.oscillators.misfit import weigh_history
 
 
 def numbers(array) -> np.ndarray:
-    """A copy as float64: one compiled kernel serves writable and read-only arrays."""
-    return np.array(array, dtype=np.float64)
+    """A copy as float64, in C order: one compiled kernel serves all arrays."""
+    return np.array(array, dtype=np.float64, order="C")
 
 
 def one_particle(parameters) -> NonlinearParameters:
