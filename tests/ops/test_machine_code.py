@@ -4,12 +4,16 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pytensor
+import pytensor.tensor as pt
 import pytest
+from numba import njit
 
 import pymc_features
-from pymc_features.ops import OPS, numba_dispatch
+from pymc_features.ops import OPS, StructuralDiscrepancy, numba_dispatch
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.compiled import dependencies
+from pymc_features.simulators.oscillators.arguments import n_outputs
 from support.commands import run_python
 
 
@@ -33,6 +37,33 @@ def test_dependencies_are_the_files_that_can_change_a_kernel():
     assert not any("linear/" in name or "nonlinear/" in name for name in chain)
     law = names("nonlinear.runge_kutta")  # which calls the laws by their type only
     assert {"simulators/nonlinear/bouc_wen.py", "simulators/nonlinear/duffing.py"} <= law
+
+
+def test_one_kernel_serves_python_and_graphs():
+    """And arrays that may not be written, and views."""
+    op, mass, springs = StructuralDiscrepancy(), np.ones(4), np.full(4, 50.0)
+    rest = np.zeros(2), np.full(4, 0.1), np.sin(np.arange(9.0)), *map(np.asarray, (0.02, 1, 1))
+    rest = *rest, np.arange(4), np.asarray(4), np.ones((4, 9))
+    [expected] = op.run([mass, springs, *rest])
+    compiled = set(op.kernel.overloads)
+    assert numba_dispatch.kernel_types(op) in compiled
+    locked = np.ones(4)
+    locked.flags.writeable = False
+    np.testing.assert_array_equal(op.run([locked, np.full(8, 50.0)[::2], *rest])[0], expected)
+    given = pt.vector()
+    graph = pytensor.function([given], op(given, pt.constant(springs), *rest), mode="NUMBA")
+    np.testing.assert_array_equal(graph(np.ones(8)[::2]), expected)
+    assert set(op.kernel.overloads) == compiled
+
+
+def test_kernels_are_parts_of_those_that_call_them():
+    """The same numbers from Python and from compiled code, where they have no machine code of their own."""
+    calling = njit(lambda n, substeps: n_outputs(n, substeps, 1))
+    assert calling(11, 2) == n_outputs(11, 2, 1) == 21
+    for part in n_outputs.part.overloads.values():
+        engine, name = part.codegen._engine, part.fndesc.llvm_func_name
+        assert any(function.name == name for function in part.library.get_defined_functions())
+        assert not engine.is_symbol_defined(name)
 
 
 class Copy:
@@ -104,7 +135,7 @@ def test_edits_compile_what_they_change_and_nothing_else(tmp_path):
     )
     copy.edit(
         "ops/numba_dispatch.py",
-        "return kernel(*assembled(given), *given[more:])",
-        "return 3.0 * kernel(*assembled(given), *given[more:])",
+        "return kernel((*assembled(given), *given[more:]))",
+        "return 3.0 * kernel((*assembled(given), *given[more:]))",
     )
     assert copy.run() == pytest.approx(values * [6.0, 15.0], rel=1e-14)

@@ -17,12 +17,16 @@ DAMPINGS = {  # alpha and beta, ratios of n modes
 
 
 def flat(family: str, name: str):
-    """A kernel that takes the family's inputs, the code of the quantity, and what follows, in their order."""
+    """A kernel that takes the family's inputs, the code of the quantity, and what follows, in their order.
+
+    Arrays are made such as the package passes, else the kernels would be compiled for others as well.
+    """
     spec = FAMILIES[family]
     n, of_discrepancy = len(spec.inputs), name in ("discrepancy_gradient", "population_gradient")
     run = spec.kernels["misfit_gradient" if name == "discrepancy_gradient" else name]
 
     def kernel(*given):
+        given = [np.require(x, requirements=["C", "W"]) if isinstance(x, np.ndarray) else x for x in given]
         more = given[n + 1 :]
         if of_discrepancy:  # weights (s,) or (p, s) of e_j alone
             more = (*more[:-1], np.asarray(more[-1])[..., None])
