@@ -58,7 +58,8 @@ def jit(function):
 
     Division by zero gives infinity or NaN, as in NumPy, never an exception in the middle of sampling.
     """
-    return Kernel(function, {"nopython": True, "fastmath": FASTMATH, "error_model": "numpy"})
+    options = {"nopython": True, "fastmath": FASTMATH, "error_model": "numpy"}
+    return Kernel(function, targetoptions=options)
 
 
 def inline(function):

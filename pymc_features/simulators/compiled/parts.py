@@ -64,8 +64,8 @@ class PartDispatcher(CPUDispatcher):
 class Kernel(CPUDispatcher):
     """A kernel as Python calls it: machine code of its own, kept on disk."""
 
-    def __init__(self, py_func, targetoptions):
-        super().__init__(py_func, targetoptions=targetoptions)
+    def __init__(self, py_func, locals=None, targetoptions=None):
+        super().__init__(py_func, locals, targetoptions)
         alone = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         self.part = PartDispatcher(py_func, targetoptions=targetoptions | alone, pipeline_class=PartCompiler)
         self.enable_caching()
