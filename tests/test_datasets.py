@@ -10,7 +10,7 @@ from pymc_features import Record, datasets
 from pymc_features.datasets import el_centro, mini_shake_table
 from pymc_features.exceptions import DatasetUnavailableError
 from pymc_features.io import read_record
-from pymc_features.io.units import G
+from pymc_features.io.reading.units import G
 
 FILE = "elcentro.dat"
 

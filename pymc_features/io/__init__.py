@@ -1,30 +1,18 @@
-"""Ground motions, one format, one file, one line in `READERS`; measured channels; matrices of structures."""
+"""Ground motions and measured channels of many formats; matrices of structures."""
 
 from os import PathLike
 from pathlib import Path
 
 from pymc_features._checks import check_step
-from pymc_features.io.at2 import read_at2
-from pymc_features.io.channels import CHANNEL_READERS, read_channels
-from pymc_features.io.lines import check_readable
-from pymc_features.io.mat import read_mat
+from pymc_features.io.channels import read_channels
+from pymc_features.io.formats import FORMATS, format_of
 from pymc_features.io.matrices import read_matrices
-from pymc_features.io.text import read_text
-from pymc_features.io.units import unit_factor
+from pymc_features.io.reading.clock import Request
+from pymc_features.io.reading.lines import check_readable
+from pymc_features.io.reading.units import unit_factor
 from pymc_features.records import Record
 
-__all__ = ["CHANNEL_READERS", "READERS", "read_channels", "read_matrices", "read_record"]
-
-#: Reader of every file suffix (lower case); any other suffix is read as text.
-READERS = {
-    ".at2": read_at2,
-    ".mat": read_mat,
-    ".txt": read_text,
-    ".csv": read_text,
-    ".dat": read_text,
-    ".tsv": read_text,
-    ".acc": read_text,
-}
+__all__ = ["FORMATS", "read_channels", "read_matrices", "read_record"]
 
 
 def read_record(
@@ -33,33 +21,40 @@ def read_record(
     units: str | float | None = None,
     dt: float | None = None,
     column: int | str | None = None,
+    wrapped: bool | None = None,
 ) -> Record:
     """Read a ground acceleration from a file and convert it to m/s^2.
 
-    What the file states about units and time step is used when the argument is None. Where both
-    speak and disagree, the argument wins and a warning says so; where both are silent, an error.
+    The format is recognised by the first lines. What the file states about units and time step is used when
+    the argument is None. Where both speak and disagree, the argument wins and a warning says so; where both
+    are silent, an error.
 
     Parameters
     ----------
     path : str or path-like
-        PEER AT2 (``.at2``), MATLAB (``.mat``, also v7.3), or text (any other suffix), columns of
-        numbers separated by comma, semicolon, tab or blanks. One column is the acceleration, two
-        are time [s] and acceleration.
+        PEER AT2, CSMIP V1 and V2, COSMOS V0 to V2, SMC, K-NET and KiK-net, GeoNet V1A and V2A, ESM, NSMN,
+        UNAM, with the extra `seismic` SAC, MiniSEED, GSE2, TSPAIR and SLIST, MATLAB (``.mat``, also v7.3), or
+        text, columns of numbers separated by comma, semicolon, tab or blanks. One column is the acceleration,
+        two are time [s] and acceleration.
     units : str or float, optional
-        Of the file: "g" (9.81 m/s^2), "m/s^2", "cm/s^2" or "gal", or m/s^2 per file unit, positive.
-        AT2 headers, text headers such as ``acc [g]`` and a MATLAB text variable ``units`` state it.
+        Of the file: "g" (9.81 m/s^2), "m/s^2", "cm/s^2" or "gal", or m/s^2 per file unit, positive. Formats
+        of strong motion, text headers such as ``acc [g]`` and a MATLAB text variable ``units`` state it.
     dt : float, optional
-        Sampling interval [s], positive. AT2 headers, an evenly increasing first text column and the
-        MATLAB variables ``dt``, ``fs`` [Hz], ``t`` or ``time`` state it.
+        Sampling interval [s], positive. Formats of strong motion, an evenly increasing first text column and
+        the MATLAB variables ``dt``, ``fs`` [Hz], ``t`` or ``time`` state it. Films digitised at uneven times
+        need it: their values are joined by straight lines.
     column : int or str, optional
-        Which column of a text file, by index from 0 or header name, or which MATLAB variable is the
-        acceleration. Needed only if there are several. An (N, 2) MATLAB matrix is time and
-        acceleration. Not for AT2.
+        Which channel of a recording or column of a text file, by index from 0 or name, or which MATLAB
+        variable is the acceleration. Needed only if there are several. An (N, 2) MATLAB matrix is time and
+        acceleration.
+    wrapped : bool, optional
+        Text only: True if one series runs along the lines, several values to each, or times and values in
+        turn; False if each column is a series. Needed where neither labels nor a clock tell.
 
     Returns
     -------
     Record
-        Acceleration (time,) [m/s^2], named after the event in the AT2 header, else after the file.
+        Acceleration (time,) [m/s^2], named after the event or station that the file names, else after it.
 
     Raises
     ------
@@ -67,12 +62,14 @@ def read_record(
         If there is no such file or it cannot be opened.
     ValueError, TypeError
         If an argument is not admissible or the file does not hold what its format asks for; the
-        message names the file, the line where there is one, and what to do.
+        message names the file, its format, the line where there is one, and what to do.
+    ImportError
+        If the file is a seismogram and ObsPy is not installed.
 
     Warns
     -----
     UserWarning
-        If `units` or `dt` contradicts the file.
+        If `units` or `dt` contradicts the file, or the peak of the values is not that of the header.
 
     Examples
     --------
@@ -88,5 +85,5 @@ def read_record(
     dt = None if dt is None else check_step(dt)
     if units is not None:
         unit_factor(units)
-    reader = READERS.get(path.suffix.lower(), read_text)
-    return reader(path, units=units, dt=dt, column=column)
+    request = Request(None if column is None else [column], units, dt, wrapped=wrapped)
+    return format_of(path, request).record(path, request)

@@ -8,23 +8,11 @@ import numpy as np
 import xarray as xr
 
 from pymc_features._checks import SAMPLING_INTERVAL, check_integer, check_step
-from pymc_features.io.at2 import read_at2
-from pymc_features.io.clock import Clock, MeasuredFile, Request, clock_seconds, common_window
-from pymc_features.io.lines import check_readable
-from pymc_features.io.mat_channels import read_mat_channels
-from pymc_features.io.text_channels import read_text_channels
-from pymc_features.io.units import unit_factor
+from pymc_features.io.formats import format_of
+from pymc_features.io.reading.clock import Request, clock_seconds, common_window
+from pymc_features.io.reading.lines import check_readable
+from pymc_features.io.reading.units import unit_factor
 from pymc_features.signals.single import check_each
-
-
-def _read_at2_channel(path: Path, request: Request) -> MeasuredFile:
-    record = read_at2(path, units=request.units, dt=request.dt, column=None)
-    values = record.acceleration[None, request.skip :]
-    return MeasuredFile([path.stem], values, Clock(path.name, values.shape[1], record.dt))
-
-
-#: Reader of channels by file suffix (lower case); any other suffix is read as text.
-CHANNEL_READERS = {".at2": _read_at2_channel, ".mat": read_mat_channels}
 
 
 def read_channels(
@@ -36,6 +24,7 @@ def read_channels(
     clock: int | str | bool | None = None,
     clock_units: str | float | None = None,
     skip: int = 0,
+    wrapped: bool | None = None,
 ) -> xr.DataArray:
     """Read measured accelerations of several sensors, aligned on their common clock, in m/s^2.
 
@@ -45,8 +34,8 @@ def read_channels(
     Parameters
     ----------
     files : path, sequence of paths or mapping of sensor name to path
-        Text (raw exports with any lines above the numbers, CSV), MATLAB (``.mat``) or PEER AT2 files. List
-        sensors from the base up.
+        Text (raw exports with any lines above the numbers, CSV), MATLAB (``.mat``) or any format that
+        `read_record` recognises. List sensors from the base up.
     columns : int, str, sequence of them, or mapping of sensor name to column, optional
         Which columns of every file are accelerations, by index from 0 or header name, or which MATLAB
         variables; a matrix there is several sensors. All but the clock by default.
@@ -63,6 +52,9 @@ def read_channels(
         without a statement seconds, of SampleTimeFine microseconds.
     skip : int
         Rows left out at the start of every file, such as an empty first packet.
+    wrapped : bool, optional
+        Text only: True if one series runs along the lines, False if each column is a series. Needed where
+        neither labels nor a clock tell.
 
     Returns
     -------
@@ -105,6 +97,7 @@ def read_channels(
         clock=clock,
         clock_units=None if clock_units is None else clock_seconds(clock_units),
         skip=check_integer(skip, "skip", least=0, advice="It counts rows at the start."),
+        wrapped=wrapped,
     )
     _check_clock(clock, dt)
     if units is not None:
@@ -112,7 +105,7 @@ def read_channels(
     found = []
     for path in paths:
         check_readable(path)
-        found.append(CHANNEL_READERS.get(path.suffix.lower(), read_text_channels)(path, request))
+        found.append(format_of(path, request).channels(path, request))
     window = common_window([file.clock for file in found])
     values = [file.values[:, k : k + window.n_times] for file, k in zip(found, window.first, strict=True)]
     channels = xr.DataArray(

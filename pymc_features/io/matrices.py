@@ -12,8 +12,8 @@ import numpy as np
 from scipy import sparse
 from scipy.io import loadmat, mmread
 
-from pymc_features.io.lines import check_readable
-from pymc_features.io.mat import _load_hdf5
+from pymc_features.io.reading.lines import check_readable
+from pymc_features.io.tables.mat import _load_hdf5
 
 
 def read_matrices(path: str | PathLike) -> dict:

@@ -111,7 +111,9 @@ def test_spellings_of_values(tmp_path, row, expected):
 
 def test_values_glued_without_a_sign_are_refused(tmp_path):
     path = write(tmp_path, [IN_G, "NPTS= 3, DT= .01", "0.1234E-02 0.1", "0.1234E-020.5678E-02"])
-    with pytest.raises(ValueError, match=r"motion.AT2, line 4: values must be finite numbers, got"):
+    with pytest.raises(
+        ValueError, match=r"motion.AT2 \(PEER AT2\), line 4: values must be finite numbers, got"
+    ):
         read_record(path)
 
 
@@ -169,7 +171,7 @@ def test_agreeing_arguments_do_not_warn(tmp_path):
         ([IN_G, *BODY], {}, "`dt` must be given, motion.AT2 does not state the time step"),
         ([IN_G, "NPTS= 3, DT= .000", *BODY], {}, "`dt` must be given"),
         ([IN_G, "NPTS= 3, DT= 20.", *BODY], {}, "states a time step of 20, too long for seconds"),
-        ([IN_G, "NPTS= 3, DT= .02", *BODY], {"column": 0}, "`column` must be None for an AT2"),
+        ([IN_G, "NPTS= 3, DT= .02", *BODY], {"column": 1}, "`column` must be one of the channels of motion"),
         ([IN_G, "NPTS= 3, DT= .02", ".1 x .2"], {}, "must hold values below its header"),
         ([IN_G, "NPTS= 3, DT= .02", ".1", "x .2"], {}, "line 4: values must be finite.*got 'x'"),
         ([IN_G, "NPTS= 3, DT= .02", ".1 NaN .2"], {}, "line 3: values must be finite.*got 'NaN'"),

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pymc_features.io import READERS, read_record
-from pymc_features.io.units import FACTORS, G, time_step, unit_factor
+from pymc_features.io import read_channels, read_record
+from pymc_features.io.reading.units import FACTORS, G, time_step, unit_factor
 from pymc_features.records import Record
 
 ACCELERATION = np.array([0.0, 0.1, -0.25, 0.05])
@@ -331,7 +331,7 @@ def test_name_that_occurs_twice(tmp_path):
         read_record(path, units="g", column="a")
 
 
-@pytest.mark.parametrize("suffix", sorted(READERS))
+@pytest.mark.parametrize("suffix", [".at2", ".mat", ".txt", ".csv", ".dat", ".tsv", ".acc"])
 def test_paths_that_cannot_be_read(tmp_path, monkeypatch, suffix):
     path = tmp_path / f"motion{suffix}"
     with pytest.raises(FileNotFoundError, match=r"`path` must be an existing file, got .*motion"):
@@ -354,3 +354,71 @@ def test_nothing_in_a_file_is_evaluated(tmp_path):
     with pytest.raises(ValueError, match="line 2: values must be finite numbers"):
         read_record(path, units="g")
     assert not bait.exists()
+
+
+# --- wrapped lines ------------------------------------------------------------------------------
+
+
+WRAPPED = np.round(np.random.default_rng(4).standard_normal(43).cumsum(), 3)
+
+
+def wrapped(per_line, values=WRAPPED, header=()):
+    rows = [values[k : k + per_line] for k in range(0, len(values), per_line)]
+    return [*header, *("".join(f"{x:10.3f}" for x in row) for row in rows)]
+
+
+@pytest.mark.parametrize("per_line", [5, 8])
+@pytest.mark.parametrize(
+    "header",
+    [[], ["Kobe 1995, recorded at Takatori"], ["one two three four five"], ["Eight words stand here " * 2]],
+)
+@pytest.mark.parametrize("n_values", [40, 43])
+def test_one_series_along_the_lines(tmp_path, per_line, header, n_values):
+    """Without a word of the caller it is refused; a column of it would be every fifth or eighth sample."""
+    path = write(tmp_path, wrapped(per_line, WRAPPED[:n_values], header), "kobe.acc")
+    for column in (None, 2):
+        with pytest.raises(ValueError, match="wrapped"):
+            read_record(path, units="gal", dt=0.01, column=column)
+    with pytest.raises(ValueError, match="wrapped"):
+        read_channels(path, units="gal", dt=0.01, clock=False)
+    record = read_record(path, units="gal", dt=0.01, wrapped=True)
+    np.testing.assert_allclose(record.acceleration, 0.01 * WRAPPED[:n_values], rtol=1e-12)
+    found = read_channels({"base": path}, units=1.0, dt=0.01, wrapped=True)
+    np.testing.assert_allclose(found.values, WRAPPED[None, :n_values], rtol=1e-12)
+
+
+def test_times_and_values_in_turn(tmp_path):
+    """Four pairs to a line; the first column runs evenly forward, with every fourth sample beside it."""
+    times = 0.02 * np.arange(40)
+    path = write(tmp_path, wrapped(8, np.column_stack([times, WRAPPED[:40]]).ravel()))
+    with pytest.raises(
+        ValueError, match="`wrapped` must be given, elcentro.csv has lines of 8 values without"
+    ):
+        read_record(path, units="gal", column=1)
+    record = read_record(path, units="gal", wrapped=True)
+    assert record.dt == 0.02
+    np.testing.assert_allclose(record.acceleration, 0.01 * WRAPPED[:40], rtol=1e-12)
+
+
+def test_columns_that_are_series(tmp_path):
+    """The caller says so, or labels or a clock do."""
+    table = WRAPPED[:40].reshape(-1, 4)
+    rows = [" ".join(f"{x:.3f}" for x in row) for row in table]
+    given = {"units": 1.0, "dt": 0.01}
+    cases = [
+        (rows, {"column": 2, "wrapped": False}),
+        (["a b c d", *rows], {"column": "c"}),
+        (["a [g] b [g] c [g] d [g]", *rows], {"column": 2}),
+        (["a,b,c,d", *(row.replace(" ", ",") for row in rows)], {"column": 2}),
+        ([f"{0.01 * k:.2f} {row}" for k, row in enumerate(rows)], {"column": 3}),
+    ]
+    for lines, arguments in cases:
+        record = read_record(write(tmp_path, lines), **given, **arguments)
+        np.testing.assert_array_equal(record.acceleration, table[:, 2])
+
+
+def test_a_short_line_among_wrapped_ones(tmp_path):
+    lines = wrapped(5)
+    lines[3] = lines[3][:30]
+    with pytest.raises(ValueError, match="line 5: only the last line of wrapped values may be shorter"):
+        read_record(write(tmp_path, lines), units="g", dt=0.01, wrapped=True)

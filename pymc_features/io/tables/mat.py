@@ -10,17 +10,19 @@ import h5py
 import numpy as np
 from scipy.io import loadmat
 
-from pymc_features.io.units import resolve_dt, resolve_units, time_step
+from pymc_features.io.reading.clock import Request
+from pymc_features.io.reading.units import resolve_dt, resolve_units, time_step
 from pymc_features.records import Record
 
 TIMES = ("t", "time")
 SCALARS = ("dt", "fs")
 
 
-def read_mat(path: Path, *, units=None, dt=None, column=None) -> Record:
+def read_mat(path: Path, request: Request) -> Record:
     """Read one acceleration series from the variables of a .mat file; see `read_record`."""
+    dt = request.dt
     variables = load_variables(path)
-    name = _pick(variables, column, path.name)
+    name = _pick(variables, None if request.columns is None else request.columns[0], path.name)
     values = variables[name].astype(np.float64).squeeze()
     stated = {}
     if values.ndim == 2:
@@ -29,7 +31,7 @@ def read_mat(path: Path, *, units=None, dt=None, column=None) -> Record:
         values = values[:, 1]
     stated |= _stated_steps(variables, values.size, path.name, dt)
     step = resolve_dt(dt, _agreed(stated, path.name, dt), path.name)
-    factor = resolve_units(units, stated_units(variables), path.name)
+    factor = resolve_units(request.units, stated_units(variables), path.name)
     if not np.isfinite(values).all():
         bad = int(np.argmin(np.isfinite(values)))
         raise ValueError(

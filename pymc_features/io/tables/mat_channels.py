@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.clock import Clock, MeasuredFile, Request, even_step
-from pymc_features.io.mat import SCALARS, TIMES, describe, load_variables, stated_units
-from pymc_features.io.units import resolve_dt, resolve_units
+from pymc_features.io.reading.clock import Clock, MeasuredFile, Request, even_step
+from pymc_features.io.reading.units import resolve_dt, resolve_units
+from pymc_features.io.tables.mat import SCALARS, TIMES, describe, load_variables, stated_units
 
 
 def read_mat_channels(path: Path, request: Request) -> MeasuredFile:

@@ -4,19 +4,23 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.table import Table, parse_table
-from pymc_features.io.units import resolve_dt, resolve_units, time_step, warn_user
+from pymc_features.io.reading.clock import Request
+from pymc_features.io.reading.units import resolve_dt, resolve_units, time_step, warn_user
+from pymc_features.io.tables.table import Table, check_not_wrapped, parse_table
 from pymc_features.records import Record
 
 _TIME_SCALES = {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6}
 
 
-def read_text(path: Path, *, units=None, dt=None, column=None) -> Record:
+def read_text(path: Path, request: Request) -> Record:
     """Read one acceleration series from columns of numbers; see `read_record`."""
-    table = parse_table(path)
+    column = None if request.columns is None else request.columns[0]
+    table = parse_table(path, wrapped=request.wrapped)
+    clock = bool((np.diff(table.values[:, 0]) > 0.0).all())
+    check_not_wrapped(table, request.wrapped, clock, isinstance(column, str))
     index = _pick(table, column)
-    step = _step(table, index, dt, column)
-    factor = resolve_units(units, table.stated_unit(index), table.file)
+    step = _step(table, index, request.dt, column)
+    factor = resolve_units(request.units, table.stated_unit(index), table.file)
     return Record(factor * table.values[:, index], step, name=path.stem)
 
 

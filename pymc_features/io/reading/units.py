@@ -63,7 +63,7 @@ def unit_factor(units) -> float:
 
 def warn_user(message: str) -> None:
     """Warn at the line that called into this folder from outside."""
-    warnings.warn(message, UserWarning, skip_file_prefixes=(os.path.dirname(__file__),))
+    warnings.warn(message, UserWarning, skip_file_prefixes=(os.path.dirname(os.path.dirname(__file__)),))
 
 
 def resolve_units(units, stated: str | None, source: str) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pymc_features._checks import is_number
-from pymc_features.io.units import time_step
+from pymc_features.io.reading.units import time_step
 from pymc_features.signals.channels import warn_channel
 
 #: Seconds per unit of a clock.
@@ -53,7 +53,7 @@ class MeasuredFile:
 
 @dataclass(frozen=True)
 class Request:
-    """What the caller of `read_channels` says about every file; None leaves it to the file."""
+    """What the caller says about every file; None leaves it to the file."""
 
     columns: list | None = None
     units: str | float | None = None
@@ -61,6 +61,7 @@ class Request:
     clock: str | int | bool | None = None  # False: no clock
     clock_units: float | None = None  # [s] per count
     skip: int = 0
+    wrapped: bool | None = None  # whether one series runs along the lines of a text file
 
 
 def clock_seconds(units) -> float:

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.clock import SECONDS, Clock, MeasuredFile, Request, even_step
-from pymc_features.io.table import Table, parse_table
-from pymc_features.io.units import resolve_dt, resolve_units
+from pymc_features.io.reading.clock import SECONDS, Clock, MeasuredFile, Request, even_step
+from pymc_features.io.reading.units import resolve_dt, resolve_units
+from pymc_features.io.tables.table import Table, check_not_wrapped, parse_table
 
 #: Seconds per count of columns that are clocks by their labels (lower case). "SampleTimeFine" is the
 #: microsecond counter in exports of Movella (Xsens) DOT sensors.
@@ -15,8 +15,10 @@ CLOCKS = {"t": 1.0, "time": 1.0, "timestamp": 1.0, "sampletimefine": 1e-6}
 
 def read_text_channels(path: Path, request: Request) -> MeasuredFile:
     """Read columns of a text file and its clock; see `read_channels`."""
-    table = parse_table(path, request.skip)
+    table = parse_table(path, request.skip, request.wrapped)
     timer = _clock_column(table, request.clock)
+    named = request.columns is not None and all(isinstance(column, str) for column in request.columns)
+    check_not_wrapped(table, request.wrapped, timer is not None, named)
     if request.columns is None:
         picked = [index for index in range(table.values.shape[1]) if index != timer]
     else:

@@ -1,0 +1,155 @@
+"""Seismological files that ObsPy reads: SAC, MiniSEED, GSE2 and the text formats TSPAIR and SLIST.
+
+ObsPy is asked for one format by name, never to find it out: its detection opens pickles. These files hold
+counts or numbers of any unit, so that `units` must be given.
+
+Krischer, L. et al. (2015), ObsPy: a bridge for seismology into the scientific Python ecosystem, Comput. Sci.
+Discov. 8, 014003.
+"""
+
+import struct
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from pymc_features.io.reading.format import Channel, Opening, RecordedFormat
+from pymc_features.io.reading.lines import to_count, to_number
+
+NAME = "seismogram"
+EXTRA = 'python -m pip install "pymc-features[seismic]"'
+VERSIONS = (6, 7)  # of the SAC header
+SAC_HEADER, SAC_VERSION, SAC_COUNT, SAC_FLOATS = 632, 304, 316, 70  # bytes, bytes, bytes, numbers
+
+
+def _is_sac(opening: Opening) -> bool:
+    """A header of 632 bytes, in either order, with its version, a step and the number of values."""
+    return opening.lines == [] and _sac_count(opening.head) is not None
+
+
+def _sac_count(head: bytes) -> int | None:
+    for order in "<>":
+        if len(head) >= SAC_HEADER:
+            (step,) = struct.unpack_from(f"{order}f", head, 0)
+            (version,) = struct.unpack_from(f"{order}i", head, SAC_VERSION)
+            (count,) = struct.unpack_from(f"{order}i", head, SAC_COUNT)
+            if version in VERSIONS and step > 0.0 and count > 0:
+                return count
+    return None
+
+
+def _is_sac_text(opening: Opening) -> bool:
+    """Five numbers in each of the first 22 lines, -12345 where one is not known."""
+    lines = [line.split() for line in opening.lines[:22]]
+    whole = len(lines) == 22 and all(len(words) == 5 for words in lines)
+    if not whole or any(to_number(word) is None for words in lines for word in words):
+        return False
+    return to_count(lines[15][1]) in VERSIONS and sum(w.startswith("-12345") for ws in lines for w in ws) > 9
+
+
+def _is_miniseed(opening: Opening) -> bool:
+    """Six digits, a letter for the quality and a blank, in front of every record."""
+    head = opening.head
+    return len(head) >= 48 and head[:6].isdigit() and head[6:7] in b"DRQM" and head[7:8] in b" \0"
+
+
+def _is_gse2(opening: Opening) -> bool:
+    return any(line.startswith("WID2 ") for line in opening.lines[:40])
+
+
+def _is_timeseries(opening: Opening, layout: str) -> bool:
+    words = opening.lines[0].split(",") if opening.lines else []
+    return bool(words) and words[0].startswith("TIMESERIES ") and layout in (word.strip() for word in words)
+
+
+#: Name of a format, as ObsPy calls it: whether a file begins like one.
+KINDS: dict[str, Callable[[Opening], bool]] = {
+    "SAC": _is_sac,
+    "SACXY": _is_sac_text,
+    "MSEED": _is_miniseed,
+    "GSE2": _is_gse2,
+    "TSPAIR": lambda opening: _is_timeseries(opening, "TSPAIR"),
+    "SLIST": lambda opening: _is_timeseries(opening, "SLIST"),
+}
+
+
+def kind_of(opening: Opening) -> str | None:
+    """Which of the formats a file is of."""
+    return next((kind for kind, begins in KINDS.items() if begins(opening)), None)
+
+
+def read(path: Path) -> tuple[list[Channel], None]:
+    """All channels of a file, which must have no gaps."""
+    opening, size = Opening.of(path), path.stat().st_size
+    kind = kind_of(opening)
+    _check_promise(path, kind, opening, size)
+    try:
+        import obspy
+    except ImportError as error:
+        raise ImportError(
+            f"ObsPy must be installed to read {path.name}, a {kind} file, got none. Install it with: {EXTRA}."
+        ) from error
+    options = {"checksize": True} if kind == "SAC" else {}
+    try:
+        with warnings.catch_warnings(), path.open("rb") as raw:
+            warnings.simplefilter("error")  # ObsPy warns of damaged records and goes on
+            warnings.simplefilter("ignore", DeprecationWarning)
+            stream = obspy.read(raw, format=kind, check_compression=False, **options)
+            stream.merge(method=-1)  # joins what follows without a gap
+    except Exception as error:  # each damaged file fails in its own way, inside the parsers
+        raise ValueError(
+            f"{path.name} must be a whole {kind} file, ObsPy cannot read it ({error}). Fetch the file again."
+        ) from error
+    return _channels(path, kind, stream), None
+
+
+def _check_promise(path: Path, kind: str, opening: Opening, size: int) -> None:
+    """Refuse a number of values that cannot be in the file, before memory is taken for them."""
+    counts = []
+    if kind == "SAC":
+        counts = [4 * (_sac_count(opening.head) or 0)]
+    elif kind == "GSE2":
+        with path.open("rb") as file:
+            headers = [line for line in file if line.startswith(b"WID2 ")]
+        counts = [to_count(line[48:56].decode("latin-1").strip()) for line in headers]
+    for count in counts:
+        if count is None or count > size:
+            raise ValueError(
+                f"{path.name} must be a whole {kind} file, it announces more values than its {size} bytes "
+                "can hold. Fetch the file again."
+            )
+
+
+def _channels(path: Path, kind: str, stream) -> list[Channel]:
+    ids = [trace.id for trace in stream]
+    if len(set(ids)) < len(ids):
+        twice = next(name for name in ids if ids.count(name) > 1)
+        ends = sorted((t.stats.starttime, t.stats.endtime) for t in stream if t.id == twice)
+        raise ValueError(
+            f"{path.name} ({kind}): no samples may be missing, {twice} has a gap after {ends[0][1]}. Cut the "
+            "file to one side, or fill the gap."
+        )
+    channels = []
+    for trace in stream:
+        sac = trace.stats.get("sac", {})
+        uneven = sac.get("leven", 1) != 1 or sac.get("iftype", 1) != 1
+        if uneven or trace.data.dtype.kind not in "iuf" or not trace.stats.delta > 0.0:
+            raise ValueError(
+                f"{path.name} ({kind}) must hold an even series of numbers, {trace.id} is none. Resample it."
+            )
+        codes = [t.stats.channel for t in stream]
+        name = trace.stats.channel if trace.stats.channel and len(set(codes)) == len(codes) else trace.id
+        start = float(trace.stats.starttime.timestamp)
+        values = trace.data.astype(np.float64)
+        channels.append(Channel(name, values, None, float(trace.stats.delta), start=start))
+    return channels
+
+
+WAVEFORMS = RecordedFormat(
+    "SAC, MiniSEED, GSE2, TSPAIR and SLIST, by ObsPy",
+    lambda opening: kind_of(opening) is not None,
+    ".sac, .mseed, .gse2, .txt",
+    "step, channels, start; pass `units`. Needs the extra `seismic`",
+    read,
+)

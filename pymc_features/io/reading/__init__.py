@@ -1,0 +1,1 @@
+"""What all readers share: lines and numbers, units and steps, clocks, and what a format is."""

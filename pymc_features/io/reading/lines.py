@@ -1,0 +1,185 @@
+"""Files that can be read; lines and numbers of any text file, in time and memory proportional to its size."""
+
+import codecs
+import re
+from array import array
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+_NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
+_NOT_FINITE = re.compile(r"[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
+
+LONGEST_NUMBER = 100  # characters
+LONGEST_LINE = 200_000  # characters
+
+
+def check_readable(path: Path) -> None:
+    """Refuse folders, missing files and files that cannot be opened."""
+    if path.is_dir():
+        raise IsADirectoryError(f"`path` must be a file, got the folder {path}. Name a file in it.")
+    if not path.exists():
+        raise FileNotFoundError(
+            f"`path` must be an existing file, got {path}. The current folder is {Path.cwd()}."
+        )
+    try:
+        path.open("rb").close()
+    except OSError as error:
+        raise type(error)(f"`path` must be readable, got {path}: {error.strerror}.") from error
+
+
+def decoded(raw: bytes) -> str:
+    """Text of a file in UTF-8, UTF-16 or Latin-1 with any line ends (LF, CR LF, CR CR LF, CR)."""
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        text = raw.decode("utf-16", errors="replace")
+    else:
+        try:
+            text = raw.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = raw.decode("latin-1")
+    if "\r" in text:
+        text = text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
+    return text
+
+
+class Lines:
+    """The lines of a text file, which need not fit into memory one by one.
+
+    Parameters
+    ----------
+    path : Path
+    format_name : str
+        What messages call the kind of file, if it is known.
+
+    Raises
+    ------
+    ValueError
+        If the file holds binary data.
+    """
+
+    def __init__(self, path: Path, format_name: str = ""):
+        raw = path.read_bytes()
+        if b"\0" in raw and not raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            raise ValueError(f"{path.name} must be a text file, it holds binary data. Export it as CSV.")
+        self.file = path.name
+        self.stem = path.stem
+        self.title = f"{path.name} ({format_name})" if format_name else path.name
+        self.number = 0  # of the line that was taken last
+        self.last = ""  # and what it says
+        self._text = decoded(raw)
+        self._next = 0  # position of the line after it
+
+    def __iter__(self) -> Iterator[tuple[int, str]]:
+        """Number, from 1, and text of every line that is not blank, without blanks around it."""
+        start, number = 0, 0
+        while start <= len(self._text):
+            number += 1
+            line, start = self._cut(start, number)
+            if line := line.strip():
+                yield number, line
+
+    def _cut(self, start: int, number: int) -> tuple[str, int]:
+        """The line that starts at a position, and the position of the next."""
+        end = self._text.find("\n", start)
+        end = len(self._text) if end < 0 else end
+        if end - start > LONGEST_LINE:
+            raise ValueError(
+                f"{self.file}, line {number}: lines must have at most {LONGEST_LINE} characters, got "
+                f"{end - start}. Break the lines of the file."
+            )
+        return self._text[start:end], end + 1
+
+    def peek(self) -> str | None:
+        """The next line that is not blank, None at the end of the file; it is not taken."""
+        start = self._next
+        while start < len(self._text):
+            line, start = self._cut(start, self.number + 1)
+            if line.strip():
+                return line
+        return None
+
+    def take(self, what: str) -> str:
+        """The next line, blank or not; `what` it should be, for the message at the end of the file."""
+        if self._next >= len(self._text):
+            raise ValueError(
+                f"{self.title} must hold {what}, it ends at line {self.number}. Fetch the file again."
+            )
+        self.number += 1
+        self.last, self._next = self._cut(self._next, self.number)
+        return self.last
+
+    def where(self) -> str:
+        """How a message calls the line that was taken last."""
+        return f"{self.title}, line {self.number}"
+
+    def error(self, condition: str, got, advice: str = "Fetch the file again.") -> ValueError:
+        """The error about the line that was taken last."""
+        return ValueError(f"{self.where()}: {condition}, got {got}. {advice}")
+
+    def fields(self, count: int, width: int, what: str) -> np.ndarray:
+        """Numbers (count,) at the right ends of columns of `width` characters, on as many lines as it takes.
+
+        Neighbours may touch, as Fortran writes them. Only the last line may be shorter than the first.
+        """
+        values, per_line = array("d"), 0
+        while len(values) < count:
+            if per_line and len(values) % per_line:
+                raise self.error(f"lines must hold {per_line} values", len(values) % per_line)
+            line = self.take(f"{count} {what}").rstrip()
+            if len(line) % width or not line:
+                raise self.error(f"values must fill columns of {width} characters", f"{len(line)} characters")
+            for start in range(0, len(line), width):
+                values.append(self.value(line[start : start + width].lstrip()))
+            per_line = per_line or len(values)
+        return self._announced(values, count, what)
+
+    def words(self, count: int, what: str) -> np.ndarray:
+        """Numbers (count,) with blanks between them, from as many lines as it takes."""
+        values = array("d")
+        while len(values) < count:
+            values.extend(self.value(token) for token in self.take(f"{count} {what}").split())
+        return self._announced(values, count, what)
+
+    def rows(self, count: int, n_columns: int, what: str) -> np.ndarray:
+        """Numbers (count, n_columns), one row in a line, with blanks between them."""
+        values = array("d")
+        while len(values) < count * n_columns:
+            tokens = self.take(f"{count} {what}").split()
+            if len(tokens) != n_columns:
+                raise self.error(f"lines must hold {n_columns} values", len(tokens))
+            values.extend(self.value(token) for token in tokens)
+        return self._announced(values, count * n_columns, what).reshape(count, n_columns)
+
+    def _announced(self, values: array, count: int, what: str) -> np.ndarray:
+        if len(values) != count:
+            raise self.error(f"the file must hold the {count} {what} that it announces", len(values))
+        return np.array(values)
+
+    def value(self, token: str) -> float:
+        """A finite number of the line that was taken last."""
+        number = to_number(token)
+        if number is None or not -np.inf < number < np.inf:
+            raise not_a_number(self.where(), token)
+        return number
+
+
+def to_number(token: str) -> float | None:
+    """Value of a decimal number (E or D exponent), NaN for nan and inf, None for anything else."""
+    if len(token) > LONGEST_NUMBER:
+        return None
+    if _NUMBER.fullmatch(token):
+        return float(token.replace("d", "e").replace("D", "e"))
+    return np.nan if _NOT_FINITE.fullmatch(token) else None
+
+
+def to_count(token: str) -> int | None:
+    """A whole number of at most twelve digits, None for anything else."""
+    return int(token) if token.isascii() and token.isdigit() and len(token) <= 12 else None
+
+
+def not_a_number(where: str, token: str) -> ValueError:
+    """The error for a token that is no finite number."""
+    shown = token if len(token) <= 60 else f"{token[:60]}..."
+    what = "an empty cell" if not token else repr(shown)
+    return ValueError(f"{where}: values must be finite numbers, got {what}. Correct or cut it first.")
