@@ -4,16 +4,18 @@ Only numbers are read, dense or sparse; no pickles, nothing in the file is execu
 """
 
 import warnings
+import zipfile
 from os import PathLike
 from pathlib import Path
 
 import h5py
 import numpy as np
 from scipy import sparse
-from scipy.io import loadmat, mmread
 
+from pymc_features.io.matrix_market import read_matrix_market
 from pymc_features.io.reading.lines import check_readable
-from pymc_features.io.tables.mat import _load_hdf5
+from pymc_features.io.reading.promise import check_promise
+from pymc_features.io.tables.mat import load_hdf5, load_mat
 
 
 def read_matrices(path: str | PathLike) -> dict:
@@ -71,13 +73,13 @@ def read_matrices(path: str | PathLike) -> dict:
 
 
 def _read_mtx(path):
-    return {path.stem: mmread(path)}
+    return {path.stem: read_matrix_market(path)}
 
 
 def _read_mat(path):
     if h5py.is_hdf5(path):
-        return _load_hdf5(path) | _load_hdf5_sparse(path)
-    return {name: value for name, value in loadmat(path).items() if not name.startswith("__")}
+        return load_hdf5(path) | _load_hdf5_sparse(path)
+    return {name: value for name, value in load_mat(path).items() if not name.startswith("__")}
 
 
 def _load_hdf5_sparse(path):
@@ -90,32 +92,63 @@ def _load_hdf5_sparse(path):
             item = file[name]
             if not isinstance(item, h5py.Group) or "MATLAB_sparse" not in item.attrs:
                 continue
-            starts = _column(item, "jc")
+            check_promise(path, [_column(item, part).nbytes for part in ("jc", "data", "ir") if part in item])
+            starts = _vector(item, "jc")
             shape = int(item.attrs["MATLAB_sparse"]), starts.size - 1
-            parts = (_column(item, "data"), _column(item, "ir"), starts) if "data" in item else None
+            parts = (_vector(item, "data"), _vector(item, "ir"), starts) if "data" in item else None
             matrices[name] = sparse.csc_array(shape if parts is None else parts, shape=shape)
             matrices[name].check_format()
     return matrices
 
 
 def _column(group, name):
-    """A vector of numbers stored in the file itself."""
+    """A data set of numbers stored in the file itself."""
     link = group.get(name, getlink=True)
     item = group[name] if isinstance(link, h5py.HardLink) else None
     if not isinstance(item, h5py.Dataset) or item.external or item.is_virtual or item.dtype.kind not in "iuf":
         raise ValueError(f"`{group.name}/{name}` is no vector of numbers")
-    values = item[()].ravel()
-    return values if name == "data" else values.astype(np.int64)
+    return item
+
+
+def _vector(group, name):
+    values = _column(group, name)[()].ravel()
+    if name == "data":
+        return values
+    if not ((values >= 0) & (values < 2**62) & (values == np.rint(values))).all():
+        raise ValueError(f"`{group.name}/{name}` must be places from 0 on")
+    return values.astype(np.int64)
 
 
 def _read_npz(path):
+    with zipfile.ZipFile(path) as file:
+        check_promise(path, [entry.file_size for entry in file.infolist()])
     with np.load(path, allow_pickle=False) as file:
         names = set(file.files)
-        if not {"format", "shape", "data"} <= names:
-            return {name: file[name] for name in file.files}
-    matrix = sparse.csc_array(sparse.load_npz(path))
+        arrays = {name: _member(path, file, name) for name in file.files}
+    if not {"format", "shape", "data"} <= names:
+        return arrays
+    check_promise(path, [8 * int(size) for size in np.ravel(arrays["shape"])])
+    matrix = sparse.load_npz(path)
+    if matrix.format == "bsr":
+        matrix.check_format(full_check=True)  # SciPy converts a damaged one to another matrix
+    matrix = sparse.csc_array(matrix)
     matrix.check_format()
     return {path.stem: matrix}
+
+
+def _member(path, file, name):
+    """An array of the archive, whose header may promise no more than the archive holds."""
+    member = f"{name}.npy" if f"{name}.npy" in file.zip.namelist() else name
+    with file.zip.open(member) as raw:
+        version = np.lib.format.read_magic(raw)
+        header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+        shape, _, dtype = header[version](raw)
+    n_bytes = dtype.itemsize
+    for size in shape:
+        n_bytes *= size
+    if n_bytes > file.zip.getinfo(member).file_size:
+        raise ValueError(f"`{name}` announces more entries than the archive holds")
+    return file[name]
 
 
 READERS = {".mtx": _read_mtx, ".mat": _read_mat, ".npz": _read_npz}

@@ -13,6 +13,7 @@ _NOT_FINITE = re.compile(r"[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
 
 LONGEST_NUMBER = 100  # characters
 LONGEST_LINE = 200_000  # characters
+CHUNK = 2**16  # characters; as many lines are cut at a time
 
 
 def check_readable(path: Path) -> None:
@@ -74,21 +75,28 @@ class Lines:
         """Number, from 1, and text of every line that is not blank, without blanks around it."""
         start, number = 0, 0
         while start <= len(self._text):
-            number += 1
-            line, start = self._cut(start, number)
-            if line := line.strip():
-                yield number, line
+            end = self._text.find("\n", min(start + CHUNK, len(self._text)))
+            end = len(self._text) if end < 0 else end
+            for line in self._text[start:end].split("\n"):
+                number += 1
+                self._check_length(len(line), number)
+                if line := line.strip():
+                    yield number, line
+            start = end + 1
 
     def _cut(self, start: int, number: int) -> tuple[str, int]:
         """The line that starts at a position, and the position of the next."""
         end = self._text.find("\n", start)
         end = len(self._text) if end < 0 else end
-        if end - start > LONGEST_LINE:
+        self._check_length(end - start, number)
+        return self._text[start:end], end + 1
+
+    def _check_length(self, length: int, number: int) -> None:
+        if length > LONGEST_LINE:
             raise ValueError(
                 f"{self.file}, line {number}: lines must have at most {LONGEST_LINE} characters, got "
-                f"{end - start}. Break the lines of the file."
+                f"{length}. Break the lines of the file."
             )
-        return self._text[start:end], end + 1
 
     def peek(self) -> str | None:
         """The next line that is not blank, None at the end of the file; it is not taken."""
@@ -141,14 +149,14 @@ class Lines:
             values.extend(self.value(token) for token in self.take(f"{count} {what}").split())
         return self._announced(values, count, what)
 
-    def rows(self, count: int, n_columns: int, what: str) -> np.ndarray:
-        """Numbers (count, n_columns), one row in a line, with blanks between them."""
+    def rows(self, count: int, n_columns: int, what: str, finite: bool = True) -> np.ndarray:
+        """Numbers (count, n_columns), one row in a line, with blanks between; NaN only if not `finite`."""
         values = array("d")
         while len(values) < count * n_columns:
             tokens = self.take(f"{count} {what}").split()
             if len(tokens) != n_columns:
                 raise self.error(f"lines must hold {n_columns} values", len(tokens))
-            values.extend(self.value(token) for token in tokens)
+            values.extend(self.value(token, finite) for token in tokens)
         return self._announced(values, count * n_columns, what).reshape(count, n_columns)
 
     def _announced(self, values: array, count: int, what: str) -> np.ndarray:
@@ -156,10 +164,10 @@ class Lines:
             raise self.error(f"the file must hold the {count} {what} that it announces", len(values))
         return np.array(values)
 
-    def value(self, token: str) -> float:
-        """A finite number of the line that was taken last."""
+    def value(self, token: str, finite: bool = True) -> float:
+        """A number of the line that was taken last."""
         number = to_number(token)
-        if number is None or not -np.inf < number < np.inf:
+        if number is None or (finite and not -np.inf < number < np.inf):
             raise not_a_number(self.where(), token)
         return number
 

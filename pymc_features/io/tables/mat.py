@@ -4,14 +4,17 @@ Only arrays of numbers and text are read. Structures, objects, cells and functio
 over, nothing in the file is executed, and an HDF5 file cannot send the reader to another file.
 """
 
+import math
 from pathlib import Path
 
 import h5py
 import numpy as np
-from scipy.io import loadmat
+from scipy.io import loadmat, whosmat
 
 from pymc_features.io.reading.clock import Request
+from pymc_features.io.reading.promise import check_promise
 from pymc_features.io.reading.units import resolve_dt, resolve_units, time_step
+from pymc_features.io.tables.compressed import decompressed_sizes
 from pymc_features.records import Record
 
 TIMES = ("t", "time")
@@ -44,7 +47,7 @@ def read_mat(path: Path, request: Request) -> Record:
 def load_variables(path: Path) -> dict[str, np.ndarray]:
     """Arrays of numbers and texts of a .mat file of any version, by name."""
     try:
-        return _load_hdf5(path) if h5py.is_hdf5(path) else _load_mat(path)
+        return load_hdf5(path) if h5py.is_hdf5(path) else _load_numbers(path)
     except Exception as error:  # each damaged file fails in its own way, inside the parsers
         raise ValueError(
             f"{path.name} must be a MATLAB .mat file, it cannot be read ({error}). Save it again."
@@ -66,20 +69,43 @@ def describe(variables: dict[str, np.ndarray], file: str) -> str:
     return f"{file} holds {found or 'no arrays of numbers'}."
 
 
-def _load_mat(path: Path) -> dict[str, np.ndarray]:
-    contents = loadmat(path)
+#: Bytes of an element, of the variables that are read from versions 4 to 7.
+CLASSES = {
+    **dict.fromkeys(("double", "int64", "uint64"), 8),
+    **dict.fromkeys(("single", "int32", "uint32", "char"), 4),
+    **dict.fromkeys(("int16", "uint16"), 2),
+    **dict.fromkeys(("int8", "uint8", "logical"), 1),
+    "sparse": 0,
+}
+
+
+def load_mat(path: Path) -> dict[str, np.ndarray]:
+    """Numbers, texts and sparse matrices of versions 4 to 7; other variables are not even opened."""
+    check_promise(path, decompressed_sizes(path))
+    found = [entry for entry in whosmat(path) if entry[2] in CLASSES]
+    check_promise(path, [CLASSES[kind] * _product(shape) for _, shape, kind in found])
+    check_promise(path, [8 * int(shape[-1]) for _, shape, kind in found if kind == "sparse"])
+    contents = loadmat(path, variable_names=[name for name, _, _ in found])
+    return {name: value for name, value in contents.items() if not name.startswith("__")}
+
+
+def _product(shape) -> int:
+    """Of Python's integers, which do not overflow."""
+    return math.prod(int(size) for size in shape)
+
+
+def _load_numbers(path: Path) -> dict[str, np.ndarray]:
     return {
         name: value
-        for name, value in contents.items()
+        for name, value in load_mat(path).items()
         if isinstance(value, np.ndarray)
-        and not name.startswith("__")
         and (value.dtype.kind in "iuf" or (value.dtype.kind == "U" and value.size == 1))
     }
 
 
-def _load_hdf5(path: Path) -> dict[str, np.ndarray]:
+def load_hdf5(path: Path) -> dict[str, np.ndarray]:
     """Numeric and text variables; MATLAB stores them transposed, and text as 16-bit codes."""
-    variables = {}
+    variables, promised = {}, 0
     with h5py.File(path, "r") as file:
         for name in file:
             if not isinstance(file.get(name, getlink=True), h5py.HardLink):
@@ -89,6 +115,8 @@ def _load_hdf5(path: Path) -> dict[str, np.ndarray]:
                 continue
             if item.external or item.is_virtual or "MATLAB_empty" in item.attrs:
                 continue
+            promised += item.dtype.itemsize * _product(item.shape)
+            check_promise(path, [promised])
             kind = item.attrs.get("MATLAB_class", b"double")
             kind = kind.decode() if isinstance(kind, bytes) else str(kind)
             if kind == "char":
