@@ -1,6 +1,7 @@
-"""The tables of the README, from the catalogues: `python docs/tables.py` writes them.
+"""The tables of the README and of channels.md, from the catalogues: `python docs/tables.py` writes them.
 
-A row is a member of a catalogue, its file, and the first sentence of its docstring.
+A row is a member of a catalogue, its file, and the first sentence of its docstring; or a format of files, how
+they are called, and what they state.
 """
 
 import inspect
@@ -9,6 +10,7 @@ from pathlib import Path
 
 from pymc_features.distributions import LIKELIHOODS
 from pymc_features.inference import sample
+from pymc_features.io import FORMATS
 from pymc_features.likelihood_free import NODES
 from pymc_features.smc import KERNELS, SIMULATOR_KERNELS
 from pymc_features.structures import DAMPINGS, STRUCTURES
@@ -37,16 +39,34 @@ def table(name: str) -> str:
     return "\n".join(rows) + "\n"
 
 
-def with_tables(text: str) -> str:
-    """The README with every table written anew between its markers."""
-    for name in TABLES:
-        pattern = rf"(<!-- table: {name} -->\n).*?(<!-- end of table -->)"
-        text, found = re.subn(pattern, lambda m, n=name: m[1] + table(n) + m[2], text, flags=re.DOTALL)
-        if found != 1:
-            raise ValueError(f"README.md must have one table `{name}` between its markers, got {found}.")
+def formats() -> str:
+    """The formats of record files in Markdown."""
+    rows = ["| format | files | what is read from the file |", "|---|---|---|"]
+    rows += [f"| {entry.name} | {entry.files} | {entry.states} |" for entry in FORMATS]
+    return "\n".join(rows) + "\n"
+
+
+def replaced(text: str, name: str, rows: str) -> str:
+    """The text with one table written anew between its markers."""
+    pattern = rf"(<!-- table: {name} -->\n).*?(<!-- end of table -->)"
+    text, found = re.subn(pattern, lambda m: m[1] + rows + m[2], text, flags=re.DOTALL)
+    if found != 1:
+        raise ValueError(f"The page must have one table `{name}` between its markers, got {found}.")
     return text
 
 
+def with_tables(text: str) -> str:
+    """The README with every table written anew."""
+    for name in TABLES:
+        text = replaced(text, name, table(name))
+    return text
+
+
+def with_formats(text: str) -> str:
+    """channels.md with its table written anew."""
+    return replaced(text, "formats", formats())
+
+
 if __name__ == "__main__":
-    readme = ROOT / "README.md"
-    readme.write_text(with_tables(readme.read_text()))
+    for page, write in ((ROOT / "README.md", with_tables), (ROOT / "docs" / "channels.md", with_formats)):
+        page.write_text(write(page.read_text()))

@@ -33,7 +33,7 @@ def read_record(
     ----------
     path : str or path-like
         PEER AT2, CSMIP V1 and V2, COSMOS V0 to V2, SMC, K-NET and KiK-net, GeoNet V1A and V2A, ESM, NSMN,
-        UNAM, with the extra `seismic` SAC, MiniSEED, GSE2, TSPAIR and SLIST, MATLAB (``.mat``, also v7.3), or
+        UNAM, with the extra `seismic` SAC, MiniSEED, TSPAIR and SLIST, MATLAB (``.mat``, also v7.3), or
         text, columns of numbers separated by comma, semicolon, tab or blanks. One column is the acceleration,
         two are time [s] and acceleration.
     units : str or float, optional

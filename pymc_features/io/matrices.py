@@ -13,9 +13,9 @@ import numpy as np
 from scipy import sparse
 
 from pymc_features.io.matrix_market import read_matrix_market
-from pymc_features.io.reading.lines import check_readable
+from pymc_features.io.reading.lines import check_readable, shortened
 from pymc_features.io.reading.promise import check_promise
-from pymc_features.io.tables.mat import load_hdf5, load_mat
+from pymc_features.io.tables.mat import load_hdf5, load_mat, stored_size
 
 
 def read_matrices(path: str | PathLike) -> dict:
@@ -61,7 +61,7 @@ def read_matrices(path: str | PathLike) -> dict:
             found = reader(path)
     except Exception as error:  # each damaged file fails in its own way, inside the parsers
         raise ValueError(
-            f"{path.name} must hold matrices, it cannot be read ({error}). Save it again."
+            f"{path.name} must hold matrices, it cannot be read ({shortened(error)}). Save it again."
         ) from error
     matrices = {name: value for name, value in found.items() if _is_matrix(value)}
     if not matrices:
@@ -92,7 +92,8 @@ def _load_hdf5_sparse(path):
             item = file[name]
             if not isinstance(item, h5py.Group) or "MATLAB_sparse" not in item.attrs:
                 continue
-            check_promise(path, [_column(item, part).nbytes for part in ("jc", "data", "ir") if part in item])
+            parts = [_column(item, part) for part in ("jc", "data", "ir") if part in item]
+            check_promise(path, [stored_size(part) for part in parts])
             starts = _vector(item, "jc")
             shape = int(item.attrs["MATLAB_sparse"]), starts.size - 1
             parts = (_vector(item, "data"), _vector(item, "ir"), starts) if "data" in item else None

@@ -104,7 +104,7 @@ def read_all(config, folder) -> tuple[xr.DataArray, str]:
         paths, names = [folder / file for file in files], files
     else:
         paths, names = folder / files, [files]
-    keys = ("columns", "units", "dt", "clock", "clock_units", "skip")
+    keys = ("columns", "units", "dt", "clock", "clock_units", "skip", "wrapped")
     channels = read_channels(paths, **{key: getattr(data, key) for key in keys})
     return channels, ", ".join(Path(name).name for name in names)
 
@@ -112,7 +112,8 @@ def read_all(config, folder) -> tuple[xr.DataArray, str]:
 def read_motion(config, folder, step) -> xr.DataArray:
     """The ground motion of a file as a channel beside the others."""
     section = config.record
-    record = read_record(folder / section.path, units=section.units, dt=section.dt, column=section.column)
+    keys = ("units", "dt", "column", "wrapped")
+    record = read_record(folder / section.path, **{key: getattr(section, key) for key in keys})
     if not np.isclose(record.dt, step, rtol=1e-4, atol=0.0):
         raise ConfigError(
             f"`record.dt` must be that of the channels, {step:g} s, got {record.dt:g} s. Resample one."

@@ -51,6 +51,8 @@ def test_files_that_the_readme_names_exist():
 def test_tables_of_the_readme_are_those_of_the_catalogues():
     text = README.read_text()
     assert text == from_docs("tables").with_tables(text), "run `python docs/tables.py`"
+    page = (ROOT / "docs" / "channels.md").read_text()
+    assert page == from_docs("tables").with_formats(page), "run `python docs/tables.py`"
 
 
 def test_the_figure_can_be_drawn_anew(tmp_path):

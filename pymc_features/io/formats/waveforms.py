@@ -1,7 +1,8 @@
-"""Seismological files that ObsPy reads: SAC, MiniSEED, GSE2 and the text formats TSPAIR and SLIST.
+"""Seismological files that ObsPy reads: SAC, MiniSEED and the text formats TSPAIR and SLIST.
 
-ObsPy is asked for one format by name, never to find it out: its detection opens pickles. These files hold
-counts or numbers of any unit, so that `units` must be given.
+ObsPy is asked for one format by name, never to find it out: its detection opens pickles. Its reader of GSE2
+is left out, since a damaged file ends the process. These files hold counts or numbers of any unit, so that
+`units` must be given.
 
 Krischer, L. et al. (2015), ObsPy: a bridge for seismology into the scientific Python ecosystem, Comput. Sci.
 Discov. 8, 014003.
@@ -15,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features.io.reading.format import Channel, Opening, RecordedFormat
-from pymc_features.io.reading.lines import to_count, to_number
+from pymc_features.io.reading.lines import shortened, to_count, to_number
 
 NAME = "seismogram"
 EXTRA = 'python -m pip install "pymc-features[seismic]"'
@@ -54,10 +55,6 @@ def _is_miniseed(opening: Opening) -> bool:
     return len(head) >= 48 and head[:6].isdigit() and head[6:7] in b"DRQM" and head[7:8] in b" \0"
 
 
-def _is_gse2(opening: Opening) -> bool:
-    return any(line.startswith("WID2 ") for line in opening.lines[:40])
-
-
 def _is_timeseries(opening: Opening, layout: str) -> bool:
     words = opening.lines[0].split(",") if opening.lines else []
     return bool(words) and words[0].startswith("TIMESERIES ") and layout in (word.strip() for word in words)
@@ -68,7 +65,6 @@ KINDS: dict[str, Callable[[Opening], bool]] = {
     "SAC": _is_sac,
     "SACXY": _is_sac_text,
     "MSEED": _is_miniseed,
-    "GSE2": _is_gse2,
     "TSPAIR": lambda opening: _is_timeseries(opening, "TSPAIR"),
     "SLIST": lambda opening: _is_timeseries(opening, "SLIST"),
 }
@@ -99,26 +95,35 @@ def read(path: Path) -> tuple[list[Channel], None]:
             stream.merge(method=-1)  # joins what follows without a gap
     except Exception as error:  # each damaged file fails in its own way, inside the parsers
         raise ValueError(
-            f"{path.name} must be a whole {kind} file, ObsPy cannot read it ({error}). Fetch the file again."
+            f"{path.name} must be a whole {kind} file, ObsPy cannot read it ({shortened(error)}). Fetch it "
+            "again."
         ) from error
+    _check_count(path, kind, stream)
     return _channels(path, kind, stream), None
+
+
+def _check_count(path: Path, kind: str, stream) -> None:
+    """Refuse text files with another number of values than their headers announce, which ObsPy reads."""
+    if kind not in ("TSPAIR", "SLIST"):
+        return
+    with path.open("rb") as file:
+        headers = [line.split(b",") for line in file if line.startswith(b"TIMESERIES ")]
+    announced = sum(int(words[1].split()[0]) for words in headers)
+    found = sum(trace.data.size for trace in stream)
+    if found != announced:
+        raise ValueError(
+            f"{path.name} ({kind}) must hold the {announced} samples of its headers, got {found}. "
+            "Fetch the file again."
+        )
 
 
 def _check_promise(path: Path, kind: str, opening: Opening, size: int) -> None:
     """Refuse a number of values that cannot be in the file, before memory is taken for them."""
-    counts = []
-    if kind == "SAC":
-        counts = [4 * (_sac_count(opening.head) or 0)]
-    elif kind == "GSE2":
-        with path.open("rb") as file:
-            headers = [line for line in file if line.startswith(b"WID2 ")]
-        counts = [to_count(line[48:56].decode("latin-1").strip()) for line in headers]
-    for count in counts:
-        if count is None or count > size:
-            raise ValueError(
-                f"{path.name} must be a whole {kind} file, it announces more values than its {size} bytes "
-                "can hold. Fetch the file again."
-            )
+    if kind == "SAC" and 4 * (_sac_count(opening.head) or 0) > size:
+        raise ValueError(
+            f"{path.name} must be a whole {kind} file, it announces more values than its {size} bytes "
+            "can hold. Fetch the file again."
+        )
 
 
 def _channels(path: Path, kind: str, stream) -> list[Channel]:
@@ -147,9 +152,9 @@ def _channels(path: Path, kind: str, stream) -> list[Channel]:
 
 
 WAVEFORMS = RecordedFormat(
-    "SAC, MiniSEED, GSE2, TSPAIR and SLIST, by ObsPy",
+    "SAC, MiniSEED, TSPAIR and SLIST, by ObsPy",
     lambda opening: kind_of(opening) is not None,
-    ".sac, .mseed, .gse2, .txt",
+    ".sac, .mseed, .txt",
     "step, channels, start; pass `units`. Needs the extra `seismic`",
     read,
 )

@@ -191,3 +191,10 @@ def not_a_number(where: str, token: str) -> ValueError:
     shown = token if len(token) <= 60 else f"{token[:60]}..."
     what = "an empty cell" if not token else repr(shown)
     return ValueError(f"{where}: values must be finite numbers, got {what}. Correct or cut it first.")
+
+
+def shortened(error: Exception) -> str:
+    """What another library says, in printable characters and not at length."""
+    text = " ".join(str(error).split())
+    text = "".join(character if character.isprintable() else "?" for character in text)
+    return text if len(text) <= 300 else f"{text[:300]}..."

@@ -7,8 +7,13 @@ TIMES = 20  # the size of the file
 ALWAYS = 64 * 2**20  # bytes; small files of much compressed or sparse arrays
 
 
-def check_promise(path: Path, n_bytes: Iterable[int]) -> None:
+def check_promise(path: Path, n_bytes: Iterable[int]) -> int:
     """Refuse a file whose arrays would take more than twenty times its size, and more than 64 MiB.
+
+    Returns
+    -------
+    int
+        What they take.
 
     Raises
     ------
@@ -20,6 +25,8 @@ def check_promise(path: Path, n_bytes: Iterable[int]) -> None:
         promised += count
         if promised > max(TIMES * size, ALWAYS):
             raise ValueError(
-                f"{path.name} must not hold arrays of more than {TIMES} times its size and {ALWAYS // 2**20} "
-                f"MiB, got {promised:.3g} bytes in a file of {size}. Is it damaged? If not, save it uncompressed."
+                f"{path.name} must not hold arrays of more than {TIMES} times its size and "
+                f"{ALWAYS // 2**20} MiB, got {promised:.3g} bytes in a file of {size}. Is it damaged? "
+                "If not, save it uncompressed."
             )
+    return promised

@@ -12,9 +12,10 @@ import numpy as np
 from scipy.io import loadmat, whosmat
 
 from pymc_features.io.reading.clock import Request
+from pymc_features.io.reading.lines import shortened
 from pymc_features.io.reading.promise import check_promise
 from pymc_features.io.reading.units import resolve_dt, resolve_units, time_step
-from pymc_features.io.tables.compressed import decompressed_sizes
+from pymc_features.io.tables.mat_layout import check_layout
 from pymc_features.records import Record
 
 TIMES = ("t", "time")
@@ -50,7 +51,7 @@ def load_variables(path: Path) -> dict[str, np.ndarray]:
         return load_hdf5(path) if h5py.is_hdf5(path) else _load_numbers(path)
     except Exception as error:  # each damaged file fails in its own way, inside the parsers
         raise ValueError(
-            f"{path.name} must be a MATLAB .mat file, it cannot be read ({error}). Save it again."
+            f"{path.name} must be a MATLAB .mat file, it cannot be read ({shortened(error)}). Save it again."
         ) from error
 
 
@@ -81,12 +82,31 @@ CLASSES = {
 
 def load_mat(path: Path) -> dict[str, np.ndarray]:
     """Numbers, texts and sparse matrices of versions 4 to 7; other variables are not even opened."""
-    check_promise(path, decompressed_sizes(path))
+    held = check_layout(path)
     found = [entry for entry in whosmat(path) if entry[2] in CLASSES]
-    check_promise(path, [CLASSES[kind] * _product(shape) for _, shape, kind in found])
+    if sum(CLASSES[kind] * _product(shape) for _, shape, kind in found) > 8 * held:  # a byte for a double
+        raise ValueError(f"its variables announce more than the {held} bytes that it holds")
     check_promise(path, [8 * int(shape[-1]) for _, shape, kind in found if kind == "sparse"])
     contents = loadmat(path, variable_names=[name for name, _, _ in found])
     return {name: value for name, value in contents.items() if not name.startswith("__")}
+
+
+def stored_size(item: h5py.Dataset) -> int:
+    """Bytes of a data set, all of which must be in the file.
+
+    Raises
+    ------
+    ValueError
+        If parts of it are only promised.
+    """
+    n_bytes = item.dtype.itemsize * _product(item.shape)
+    if item.chunks is None:
+        held = item.id.get_storage_size()
+    else:
+        held = item.id.get_num_chunks() * item.dtype.itemsize * _product(item.chunks)
+    if n_bytes > held:
+        raise ValueError(f"`{item.name}` announces {n_bytes:.3g} bytes, the file holds {held}")
+    return n_bytes
 
 
 def _product(shape) -> int:
@@ -115,8 +135,7 @@ def load_hdf5(path: Path) -> dict[str, np.ndarray]:
                 continue
             if item.external or item.is_virtual or "MATLAB_empty" in item.attrs:
                 continue
-            promised += item.dtype.itemsize * _product(item.shape)
-            check_promise(path, [promised])
+            promised = check_promise(path, [promised, stored_size(item)])
             kind = item.attrs.get("MATLAB_class", b"double")
             kind = kind.decode() if isinstance(kind, bytes) else str(kind)
             if kind == "char":

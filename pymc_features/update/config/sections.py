@@ -54,6 +54,7 @@ class Data(Section):
     clock: int | str | Literal[False] | None = key("the column with the times, or false", None)
     clock_units: str | float | None = key('"s", "ms", "us", "ns", or seconds per count', None)
     skip: int = key("the number of rows to leave out at the start, not negative", 0, ge=0)
+    wrapped: bool | None = key("true if one series runs along the lines of a text file, else false", None)
     base: str | None = key("the sensor that measured the motion of the base", None)
     sensors: Names = key("the names of the sensors on the structure, one or more")
     dofs: list[int] | None = key(
@@ -83,6 +84,7 @@ class RecordFile(Section):
     units: str | float | None = key('"g", "m/s^2", "cm/s^2", "gal", or m/s^2 per file unit', None)
     dt: float | None = key("the sampling interval in seconds, positive", None, gt=0)
     column: int | str | None = key("a column, by index from 0 or header name", None)
+    wrapped: bool | None = key("true if one series runs along the lines of a text file, else false", None)
 
 
 class Detrend(Section):
