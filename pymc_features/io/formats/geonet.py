@@ -14,11 +14,8 @@ from pymc_features.io.reading.header import check_peak, check_sections, number_a
 from pymc_features.io.reading.lines import Lines, to_number
 
 NAME = "GeoNet"
-POINTS, STEP_1, STEP_2 = (
-    33,
-    24,
-    25,
-)  # integer: accelerations, then velocities, displacements; reals: steps [s]
+POINTS = 33  # integers: of accelerations, then of velocities and displacements
+STEP_1, STEP_2 = 24, 25  # reals, of volumes 1 and 2 [s]
 
 
 def recognises(opening: Opening) -> bool:

@@ -25,24 +25,14 @@ LABELS = {  # of the lines that are used, in lower case without stops
     "scale factor": "scale",
     "max acc (gal)": "peak",
 }
-DIRECTIONS = {
-    "1": "NS1",
-    "2": "EW1",
-    "3": "UD1",
-    "4": "NS2",
-    "5": "EW2",
-    "6": "UD2",
-}  # 1 below, 2 at the surface
+DIRECTIONS = {"1": "NS1", "2": "EW1", "3": "UD1", "4": "NS2", "5": "EW2", "6": "UD2"}  # 2: at the surface
 DELAY = 15.0 + 9 * 3600.0  # [s], of the trigger, and of Japanese time on UTC
 
 
 def recognises(opening: Opening) -> bool:
     """The first line is the time of origin, the second the latitude."""
-    return (
-        opening.first.startswith("origin time")
-        and opening.lines[1:2] != []
-        and (opening.lines[1].startswith("Lat."))
-    )
+    second = opening.lines[1] if len(opening.lines) > 1 else ""
+    return opening.first.startswith("origin time") and second.startswith("Lat.")
 
 
 def read(path: Path) -> tuple[list[Channel], str]:
