@@ -6,6 +6,7 @@ import numpy as np
 import pymc as pm
 import pytest
 import xarray as xr
+from scipy.stats import beta, kstest
 
 from calibration.test_spectrum import N_TIMES, errors_of, first_order, regression
 from pymc_features import (
@@ -242,3 +243,14 @@ def test_every_mode_has_its_weight(y):
     of_draw, highest = found["sample_stats"]["mode"].values, int(found["calibration"]["point"][0, 0] < 0)
     assert np.all((theta > 0) == (of_draw == highest))
     assert found["sample_stats"].attrs["n_modes"] == 2
+
+
+def test_what_the_data_do_not_know_keeps_its_prior(y):
+    """A parameter that no likelihood has: its draws are those of the prior, at a false-alarm rate of 1e-3."""
+    with declare("EXP", y) as model:
+        pm.Beta("idle", 2.0, 5.0)
+    idata = at(1.0, 2.0)
+    idata["posterior"]["idle"] = xr.DataArray([[0.3]], dims=("chain", "draw"))
+    found = calibrate(idata, model=model, draws=500, chains=2, random_seed=7, progressbar=False)
+    assert kstest(found["posterior"]["idle"].values.ravel(), beta(2.0, 5.0).cdf).pvalue > 1e-3
+    assert np.isnan(found["calibration"]["standard_deviation"].values[-1])
