@@ -9,6 +9,7 @@ from pymc.pytensorf import compile as compile_function
 from pymc_features.calibration.comparison import comparison, independent
 from pymc_features.calibration.sandwich import whitening
 from pymc_features.inference.parameters import Unconstrained
+from pymc_features.smc.density.compilation import with_mode
 
 DIFFERENCE = 0.02  # standard errors of independent samples that derivatives are taken over,
 WIDEST, NARROWEST = 1e-3, 1e-7  # but no more and no less than this, on the unconstrained scale
@@ -100,8 +101,9 @@ class Predictions:
         parts = [comparison(rv.owner.op, rv, model.rvs_to_values[rv]) for rv in model.observed_RVs]
         self.steps = [part.step for part in parts]
         tensors = [pt.as_tensor_variable(x) for part in parts for x in part.tensors]
+        tensors = model.replace_rvs_by_values(tensors)
         self.function = compile_function(
-            list(model.value_vars), model.replace_rvs_by_values(tensors), on_unused_input="ignore"
+            list(model.value_vars), tensors, **with_mode({"on_unused_input": "ignore"}, tensors)
         )
         self.count = 0
 

@@ -14,6 +14,7 @@ from pytensor.tensor.random.basic import NormalRV
 from pymc_features.distributions.correlated import CorrelatedNormalRV
 from pymc_features.distributions.feature import FeatureRV
 from pymc_features.inference.parameters import check_continuous, entry_names, initial_values
+from pymc_features.smc.density.compilation import with_mode
 
 
 @singledispatch
@@ -157,8 +158,9 @@ def product_function(model):
         disconnected_inputs="ignore",
         return_disconnected="zero",
     )
+    product = pt.concatenate([g.ravel() for g in back])
     return compile_function(
-        [*inputs, direction], pt.concatenate([g.ravel() for g in back]), on_unused_input="ignore"
+        [*inputs, direction], product, **with_mode({"on_unused_input": "ignore"}, [product])
     )
 
 

@@ -1,4 +1,4 @@
-"""How functions of a population are compiled."""
+"""How functions that are called a few thousand times are compiled."""
 
 import pytensor
 from pytensor.compile.mode import Mode
