@@ -159,6 +159,26 @@ def test_promises_of_terabytes(tmp_path, name, write, match):
             read_channels(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("offset", "value", "message"),
+    [
+        (145, 0x08, "must have flags, dimensions, name and values"),  # complex, without an imaginary part
+        (152, 11, "must have flags, dimensions, name and values, got types .6, 11,"),
+        (180, 0xFF, "a part of an array announces 255 bytes, the array ends before"),
+        (132, 0xFF, "an element announces .* bytes, the file ends before"),
+    ],
+)
+def test_matlab_arrays_that_end_the_process(tmp_path, offset, value, message):
+    """SciPy reads beyond the end of such arrays."""
+    path = tmp_path / "m.mat"
+    savemat(path, {"ag": np.arange(5.0)})
+    raw = bytearray(path.read_bytes())
+    raw[offset] = value
+    path.write_bytes(raw)
+    with pytest.raises(ValueError, match=f"m.mat must be a MATLAB .mat file, it cannot be read .*{message}"):
+        read_record(path, units="g", dt=0.02)
+
+
 # --- matrices that were read as others ----------------------------------------------------------
 
 

@@ -107,8 +107,9 @@ def _check_count(path: Path, kind: str, stream) -> None:
     if kind not in ("TSPAIR", "SLIST"):
         return
     with path.open("rb") as file:
-        headers = [line.split(b",") for line in file if line.startswith(b"TIMESERIES ")]
-    announced = sum(int(words[1].split()[0]) for words in headers)
+        headers = [line.decode("latin-1") for line in file if line.startswith(b"TIMESERIES ")]
+    counts = [to_count("".join(line.split(",")[1:2]).strip().partition(" ")[0]) for line in headers]
+    announced = None if None in counts else sum(counts)
     found = sum(trace.data.size for trace in stream)
     if found != announced:
         raise ValueError(

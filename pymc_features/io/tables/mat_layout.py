@@ -15,8 +15,13 @@ import numpy as np
 from pymc_features.io.reading.promise import check_promise
 
 HEADER, TAG = 128, 8  # bytes
-COMPRESSED, ARRAY, SPARSE = 15, 14, 5  # types of elements; class of an array
-TYPES = {*range(1, 8), 9, *range(12, 19)}  # of the parts of an array; others end SciPy's process
+COMPRESSED, ARRAY = 15, 14  # types of elements
+TEXT, SPARSE, NUMBERS = 4, 5, range(6, 16)  # classes of arrays
+COMPLEX = 0x0800  # flag
+# types of the parts that every array has, flags, dimensions and name, and of those of numbers and of text;
+# SciPy takes any type as it is, and one in the wrong place ends the process
+FIRST_TYPES = ({6}, {5}, {1, 2, 16})
+NUMBER_TYPES, TEXT_TYPES = {*range(1, 8), 9, 12, 13}, {1, 2, 4, 16, 17, 18}
 CHUNK = 2**16  # bytes
 SIZES_4 = (8, 4, 4, 2, 2, 1)  # bytes of a number, by the tens of the type
 
@@ -65,21 +70,32 @@ def _inflated(path: Path, raw: bytes, held: int) -> bytes:
 
 def _check_parts(raw: bytes, order: str) -> None:
     """Elements of an array follow one another, from multiples of eight bytes, to its end."""
-    start, parts = 0, []
+    start, parts, types = 0, [], []
     while start + TAG <= len(raw):
         word = int.from_bytes(raw[start : start + 4], order)
         short = word >> 16  # bytes that stand in the tag
         n_bytes = 0 if short else int.from_bytes(raw[start + 4 : start + 8], order)
-        if word & 0xFFFF not in TYPES:
-            raise ValueError(f"a part of an array is of the type {word & 0xFFFF}, which there is not")
         if start + TAG + n_bytes > len(raw) or short > 4:
             raise ValueError(f"a part of an array announces {n_bytes or short} bytes, the array ends before")
         first = start + 4 if short else start + TAG
-        parts.append((first, short or n_bytes))
+        parts.append(raw[first : first + (short or n_bytes)])
+        types.append(word & 0xFFFF)
         start += TAG + 8 * math.ceil(n_bytes / 8)
-    flags = raw[parts[0][0] : parts[0][0] + 4] if parts else b""
-    if int.from_bytes(flags, order) & 0xFF == SPARSE:
-        _check_sparse([raw[first : first + n_bytes] for first, n_bytes in parts], order)
+    flags = int.from_bytes(parts[0][:4], order) if parts else 0
+    _check_types(flags, types)
+    if flags & 0xFF == SPARSE:
+        _check_sparse(parts, order)
+
+
+def _check_types(flags: int, types: list[int]) -> None:
+    """The parts of an array of numbers or text must all be there, and of the types that belong there."""
+    kind, is_complex = flags & 0xFF, bool(flags & COMPLEX)
+    others = TEXT_TYPES if kind == TEXT else NUMBER_TYPES
+    wanted = [*FIRST_TYPES, *[others] * (len(types) - 3)]
+    least = (6 if kind == SPARSE else 4) + is_complex
+    known = kind in (TEXT, SPARSE, *NUMBERS)
+    if known and (len(types) < least or any(t not in w for t, w in zip(types, wanted, strict=False))):
+        raise ValueError(f"an array must have flags, dimensions, name and values, got types {types[:9]}")
 
 
 def _check_sparse(parts: list[bytes], order: str) -> None:
