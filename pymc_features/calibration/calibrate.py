@@ -12,14 +12,16 @@ from pymc_features.calibration.effective import described, posterior_of
 from pymc_features.calibration.fit import Predictions, hessian
 from pymc_features.calibration.modes import Part, distinct_fits, pooled
 from pymc_features.calibration.sandwich import Sandwich, sandwich, whitening
-from pymc_features.exceptions import SamplingWarning
+from pymc_features.exceptions import CalibrationWarning, SamplingWarning
 from pymc_features.inference.parameters import Unconstrained
-from pymc_features.inference.sample import Search, sample_from
+from pymc_features.inference.sample import Search, compared_draws, sample_from
 from pymc_features.smc import Reference, population_logp, prior_points
 from pymc_features.smc.proposals.reference import Mode
 
 CURVED = 0.2  # standard deviations over which curvature is measured
 PRIOR_DRAWS = 500
+# mean square of standard deviations from the maximum that is far, and the share of draws that makes a warning
+FAR, MANY = 10.0, 0.25
 NO_CLIMBS = "the maximum was known"
 
 
@@ -74,7 +76,8 @@ def calibrate(
     Warns
     -----
     CalibrationWarning
-        If errors persist for more than a fifth of the record.
+        If errors persist for more than a fifth of the record, or a quarter of the draws are far from the
+        maximum.
     SamplingWarning
         As from `sample`.
 
@@ -106,6 +109,7 @@ def calibrate(
     for i, mode in enumerate(modes):
         part = calibrated_mode(adjusted, mode, modes[:i] + modes[i + 1 :], settings, rng)
         part.idata["calibration"] = xr.DataTree(described(model, *mode))
+        far_away(compared_draws(model, part.idata["posterior"]), *mode)
         parts.append(part)
     calibrated = pooled(parts, rng)
     for group in ("observed_data", "constant_data"):
@@ -114,6 +118,21 @@ def calibrate(
     if advice := calibrated["sample_stats"].attrs["advice"]:
         warnings.warn(advice, SamplingWarning, stacklevel=2)
     return calibrated
+
+
+def far_away(draws, fit, result: Sandwich):
+    """Warn if many draws (n, d) are far from the maximum at which the residuals have decided the width."""
+    off = (np.empty((0, len(fit.z))) if draws is None else draws) - fit.z
+    directions = np.linalg.matrix_rank(whitening(result.information))
+    away = np.einsum("ni,ij,nj->n", off, result.precision, off) > FAR * directions
+    if away.size and away.mean() > MANY:
+        warnings.warn(
+            f"{100 * away.mean():.0f} % of the calibrated draws are far from the likelihood's maximum: the "
+            "priors, or a maximum that no draw was near, outweigh it, and there the residuals have decided "
+            "no width. Use a longer record, several events in one model, or priors that agree with the data.",
+            CalibrationWarning,
+            stacklevel=3,
+        )
 
 
 def calibrated_mode(adjusted, mode, others, settings, rng) -> Part:

@@ -18,6 +18,9 @@ from pymc_features import (
     effective_samples,
 )
 from pymc_features.calibration.adjusted import stretching
+from pymc_features.calibration.calibrate import far_away
+from pymc_features.calibration.fit import Fit
+from pymc_features.calibration.sandwich import Sandwich
 from pymc_features.exceptions import CalibrationWarning
 
 DT, TAU = 0.02, 0.3
@@ -179,6 +182,21 @@ def test_priors_keep_their_meaning(y, least_squares):
     np.testing.assert_allclose((theta.mean(axis=0) - mean) / width, 0.0, atol=0.15)
     whiten = np.linalg.inv(np.linalg.cholesky(expected))
     np.testing.assert_allclose(whiten @ np.cov(theta.T) @ whiten.T, np.eye(2), atol=0.2)
+
+
+def test_draws_far_from_the_maximum_are_warned_of():
+    """A quarter of them, in units of correlated standard deviations; nearer ones are not."""
+    covariance = np.array([[1.0, 0.99], [0.99, 1.0]])
+    narrow = Sandwich(np.linalg.inv(covariance), np.linalg.inv(covariance), [])
+    fit = Fit(np.array([3.0, 4.0]), [], 0)
+    draws = np.random.default_rng(10).multivariate_normal(fit.z, covariance, size=400)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", CalibrationWarning)
+        far_away(draws, fit, narrow)
+        far_away(None, fit, narrow)
+    draws[:120, 0] += 1.0  # not far for one parameter alone
+    with pytest.warns(CalibrationWarning, match="(29|30) % of the calibrated draws are far from"):
+        far_away(draws, fit, narrow)
 
 
 # --------------------------------------------------------------------------- refusals
