@@ -8,7 +8,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from pymc_features.exceptions import DatasetUnavailableError
 from pymc_features.progress import PartProgress
 
 FIGURES = {  # those with all their likelihoods in the study are drawn
@@ -136,7 +135,7 @@ def say(console, sentence, style=None):
 
 def find_record(options):
     """Return the record to use, and a sentence that says which and why."""
-    from pymc_features import datasets, ground_motion, io
+    from pymc_features import datasets, io
 
     if options.record is not None:
         units, column = options.units, options.column
@@ -146,12 +145,8 @@ def find_record(options):
             column = int(column)
         record = io.read_record(options.record, units=units, dt=options.record_dt, column=column)
         return record, f"record: {record} from {options.record}"
-    try:
-        record = datasets.el_centro()
-        return record, f"record: {record}"
-    except DatasetUnavailableError:
-        record = ground_motion.synthetic_earthquake(31.16, 0.02, random_seed=1940, pga=3.13)
-        return record, f"record: {record}, since El Centro 1940 could not be had here"
+    record = datasets.el_centro()
+    return record, f"record: {record}"
 
 
 def _is_number(text):

@@ -1,4 +1,4 @@
-"""Real ground motions and measurements, downloaded once and checked, or taken from a local folder."""
+"""Real ground motions and measurements, some of which are downloaded once and checked."""
 
 import hashlib
 import os
@@ -20,6 +20,7 @@ DATA_VARIABLE = "PYMC_FEATURES_DATA"
 
 _TIMEOUT = 15.0  # [s]
 _GRAVITY = 9.81  # [m/s^2] per g, the value of the reference results
+_EL_CENTRO = Path(__file__).parent / "data" / "elcentro.dat"
 
 
 @dataclass(frozen=True)
@@ -29,16 +30,6 @@ class _Source:
     file: str
     url: str
     sha256: str
-
-
-_SOURCES = {
-    "el_centro": _Source(
-        file="elcentro.dat",
-        url="https://raw.githubusercontent.com/insane-group/interpretable-structural-dynamics/"
-        "a63b3e533484f791464aaa1f3354eaca8292c575/data/elcentro.dat",
-        sha256="9836d860a6943ae728bed3b52e6dbbf0d4f54fd123f52b54e5980fd6e6c9d0aa",
-    ),
-}
 
 
 _SHAKE_TABLE = (
@@ -79,21 +70,13 @@ _EVENTS = {
 def el_centro() -> Record:
     """North-south ground acceleration of El Centro, Imperial Valley earthquake, 18 May 1940.
 
-    Digitised by Peknold: 1559 samples, 0.02 s apart, peak 0.31882 g, with g = 9.81 m/s^2.
-    The file is looked for in the folder that the environment variable ``PYMC_FEATURES_DATA`` names,
-    then in the cache, then downloaded; its SHA-256 is checked in each case.
+    Digitised by Peknold: 1559 samples, 0.02 s apart, peak 0.31882 g, with g = 9.81 m/s^2. It comes with the
+    package.
 
     Returns
     -------
     Record
         Acceleration (1559,) [m/s^2], dt = 0.02 s.
-
-    Raises
-    ------
-    DatasetUnavailableError
-        If the file is not at hand and cannot be downloaded.
-    ValueError
-        If the local file is not the published one.
 
     Notes
     -----
@@ -101,9 +84,10 @@ def el_centro() -> Record:
 
     References
     ----------
-    Chopra, A. K., Dynamics of Structures, appendix 6: the same version, in print.
+    Chopra, A. K., Dynamics of Structures, appendix 6: the same version, in print. The file is that of
+    https://github.com/insane-group/interpretable-structural-dynamics (Apache-2.0), data/elcentro.dat.
     """
-    acceleration = np.loadtxt(_fetch(_SOURCES["el_centro"]), usecols=1, max_rows=1559)
+    acceleration = np.loadtxt(_EL_CENTRO, usecols=1, max_rows=1559)
     return Record(_GRAVITY * acceleration, dt=0.02, name="El Centro 1940 NS")
 
 
@@ -111,8 +95,8 @@ def mini_shake_table(event: str) -> xr.DataArray:
     """Accelerations of a three-storey model on a shaking table, as its sensors measured them.
 
     A flexible steel-wall model (University of California, Berkeley, 6 March 2025), one wireless sensor on the
-    table and on each floor. Looked for as `el_centro` is: ``PYMC_FEATURES_DATA/mini_shake_table``, cache,
-    network, with SHA-256.
+    table and on each floor. Looked for in ``PYMC_FEATURES_DATA/mini_shake_table``, the cache, and the
+    network, and checked by SHA-256.
 
     Parameters
     ----------
@@ -189,7 +173,6 @@ def _download(source: _Source) -> Path:
     except (OSError, ValueError) as error:  # no network, no cache folder, or other bytes
         raise DatasetUnavailableError(
             f"{source.file} could not be downloaded from {source.url} ({error}). Set "
-            f"{DATA_VARIABLE} to a folder that holds it, or pass a record file to `read_record`, or "
-            "measured channels to `read_channels`."
+            f"{DATA_VARIABLE} to a folder that holds it, or pass measured channels to `read_channels`."
         ) from error
     return Path(path)

@@ -69,13 +69,10 @@ def reference_dir(data_dir) -> Path:
 
 @pytest.fixture(scope="session")
 def record():
-    """El Centro where the data are at hand, else a synthetic record of the same length and step."""
-    from pymc_features import datasets, synthetic_earthquake
+    """El Centro."""
+    from pymc_features import datasets
 
-    folder = os.environ.get("PYMC_FEATURES_DATA", "")
-    if folder and (Path(folder) / "elcentro.dat").exists():
-        return datasets.el_centro()
-    return synthetic_earthquake(31.16, 0.02, random_seed=1940, pga=3.13)
+    return datasets.el_centro()
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pymc_features import cli, datasets
-from pymc_features.exceptions import DatasetUnavailableError
+from pymc_features import cli
 from pymc_features.study import STRUCTURES, sampling_rate
 
 
@@ -93,17 +92,7 @@ def test_unknown_option_is_exit_code_2(capsys):
     assert "--fast" in capsys.readouterr().err
 
 
-def test_record_falls_back_to_the_synthetic_one_and_says_so(monkeypatch):
-    def unavailable():
-        raise DatasetUnavailableError("no network")
-
-    monkeypatch.setattr(datasets, "el_centro", unavailable)
-    record, sentence = cli.find_record(cli.make_parser().parse_args(["reproduce"]))
-    assert record.n_times == 1559
-    assert "since El Centro 1940 could not be had here" in sentence
-
-
-def test_el_centro_is_the_default(data_dir):
+def test_el_centro_is_the_default():
     record, sentence = cli.find_record(cli.make_parser().parse_args(["reproduce"]))
     assert (record.name, record.n_times) == ("El Centro 1940 NS", 1559)
     assert "El Centro" in sentence

@@ -1,5 +1,6 @@
 """Real records: the local folder, the download and what can go wrong with either."""
 
+import hashlib
 import shutil
 
 import numpy as np
@@ -12,7 +13,8 @@ from pymc_features.exceptions import DatasetUnavailableError
 from pymc_features.io import read_record
 from pymc_features.io.reading.units import G
 
-FILE = "elcentro.dat"
+FOLDER = "mini_shake_table"
+FILE = f"{FOLDER}/flexible_sine1p5hz_base.csv"
 
 
 @pytest.fixture
@@ -28,15 +30,17 @@ def no_folder(monkeypatch):
     monkeypatch.delenv("PYMC_FEATURES_DATA", raising=False)
 
 
-def test_el_centro_from_the_folder(no_download, data_dir):
+def test_el_centro_comes_with_the_package(no_download, no_folder):
     record = el_centro()
     assert (record.n_times, record.dt, record.name) == (1559, 0.02, "El Centro 1940 NS")
     assert record.pga == pytest.approx(0.31882 * 9.81, rel=1e-14)
     assert record.duration == pytest.approx(31.16)
+    digest = hashlib.sha256(datasets._EL_CENTRO.read_bytes()).hexdigest()
+    assert digest == "9836d860a6943ae728bed3b52e6dbbf0d4f54fd123f52b54e5980fd6e6c9d0aa"  # as published
 
 
-def test_el_centro_equals_the_file_without_its_last_row(no_download, data_dir):
-    whole = read_record(data_dir / FILE, units="g")
+def test_el_centro_equals_the_file_without_its_last_row():
+    whole = read_record(datasets._EL_CENTRO, units="g")
     assert whole.n_times == 1560
     assert whole.acceleration[-1] == 0.0
     np.testing.assert_array_equal(el_centro().acceleration, whole.acceleration[:-1])
@@ -50,12 +54,12 @@ def test_el_centro_is_the_excitation_of_the_reference_results(no_download, refer
     np.testing.assert_allclose(el_centro().acceleration, reference, rtol=1e-14, atol=1e-14)
 
 
-def test_wrong_local_file(no_download, data_dir, tmp_path, monkeypatch):
-    content = (data_dir / FILE).read_bytes()
-    (tmp_path / FILE).write_bytes(content.replace(b"\r\n", b"\n"))
+def test_wrong_local_file(tmp_path, monkeypatch):
+    (tmp_path / FOLDER).mkdir()
+    (tmp_path / FILE).write_text("time,acceleration\n")
     monkeypatch.setenv("PYMC_FEATURES_DATA", str(tmp_path))
-    with pytest.raises(ValueError, match="elcentro.dat must have the SHA-256 9836d860.*Replace it by"):
-        el_centro()
+    with pytest.raises(ValueError, match="flexible_sine1p5hz_base.csv must have the SHA-256 ab0002.*Replace"):
+        mini_shake_table("sine1p5")
 
 
 @pytest.mark.parametrize("empty_folder", [True, False])
@@ -66,17 +70,13 @@ def test_download(no_folder, data_dir, tmp_path, monkeypatch, empty_folder):
 
     def retrieve(url, **options):
         calls.append((url, options))
-        return str(data_dir / FILE)
+        return str(data_dir / options["fname"])
 
     monkeypatch.setattr(pooch, "retrieve", retrieve)
-    assert el_centro().n_times == 1559
-    [(url, options)] = calls
-    assert url == (
-        "https://raw.githubusercontent.com/insane-group/interpretable-structural-dynamics/"
-        "a63b3e533484f791464aaa1f3354eaca8292c575/data/elcentro.dat"
-    )
+    assert mini_shake_table("sine1p5").sizes["sensor"] == len(calls) == 4
+    _, options = calls[0]
     assert options["known_hash"] == (
-        "sha256:9836d860a6943ae728bed3b52e6dbbf0d4f54fd123f52b54e5980fd6e6c9d0aa"
+        "sha256:ab0002eea09f13086d5024e0340771624a17cf9f3f7b7e21bfe38d59016ce165"
     )
     assert options["path"] == pooch.os_cache("pymc_features")
     assert options["downloader"].kwargs == {"timeout": 15.0}
@@ -100,14 +100,6 @@ def serve(monkeypatch, action):
     return calls
 
 
-def test_download_is_cached(cache, data_dir, monkeypatch):
-    calls = serve(monkeypatch, lambda target: shutil.copyfile(data_dir / FILE, target))
-    first, second = el_centro(), el_centro()
-    assert len(calls) == 1
-    assert (cache / FILE).is_file()
-    np.testing.assert_array_equal(first.acceleration, second.acceleration)
-
-
 def no_answer(target):
     raise ConnectionError("no route to host")
 
@@ -121,11 +113,11 @@ def other_bytes(target):
 def test_failed_download(cache, monkeypatch, action, reason):
     calls = serve(monkeypatch, action)
     message = (
-        f"elcentro.dat could not be downloaded.*{reason}.*Set PYMC_FEATURES_DATA to a folder that "
-        "holds it, or pass a record file to `read_record`"
+        f"flexible_sine1p5hz_base.csv could not be downloaded.*{reason}.*Set PYMC_FEATURES_DATA to a folder "
+        "that holds it, or pass measured channels to `read_channels`"
     )
     with pytest.raises(DatasetUnavailableError, match=f"(?s){message}") as caught:
-        el_centro()
+        mini_shake_table("sine1p5")
     assert isinstance(caught.value, OSError)
     assert len(calls) == 1  # no retries
     assert not (cache / FILE).exists()
