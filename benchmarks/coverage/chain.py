@@ -10,7 +10,7 @@ import pymc_features as pmf
 from pymc_features import datasets
 from pymc_features.study import paper
 
-N_FACTORS = 3
+N_FACTORS, N_STOREYS = 3, paper.N_STOREYS
 PRIOR_WIDTH = 0.25  # standard deviation of a factor
 LARGEST_SIGMA = 5.0  # m/s^2
 
@@ -22,8 +22,9 @@ def record():
 
 
 def structure(factors):
-    """The chain with factors (3,) of its lowest springs."""
-    return paper.chain().scale_stiffness(factors, springs=list(range(N_FACTORS)))
+    """The chain with factors of its lowest springs."""
+    n = factors.type.shape[0] if hasattr(factors, "type") else len(factors)
+    return paper.chain().scale_stiffness(factors, springs=list(range(n)))
 
 
 @cache
@@ -32,10 +33,10 @@ def true_response():
     return pmf.simulate(structure(np.ones(N_FACTORS)), record()).values
 
 
-def declare(kind):
+def declare(kind, n_factors=N_FACTORS):
     """NORM or CN with theta, sigma (and the correlation), and the data `measured`, which can be changed."""
     with pm.Model() as model:
-        theta = pm.Normal("theta", 1.0, PRIOR_WIDTH, shape=N_FACTORS)
+        theta = pm.Normal("theta", 1.0, PRIOR_WIDTH, shape=n_factors)
         sigma = pm.Uniform("sigma", 0.0, LARGEST_SIGMA)
         measured = pm.Data("measured", true_response())
         mu = pmf.response(structure(theta), record())

@@ -3,9 +3,11 @@
 import numpy as np
 from scipy.signal import lfilter
 
+from pymc_features.study.paper import persistent
+
 LEVEL = 0.05  # of the root mean square of the response
 BEFORE = 2000  # samples that a filter runs before the record
-BLUE_END = 0.1  # s, time constant of errors common to all sensors
+COMMON_TIME = 0.1  # s, time constant of errors common to all sensors
 DAMPING = 0.05  # of narrow-band errors
 
 
@@ -16,9 +18,7 @@ def white(rng, response, dt, frequency):
 
 def first_order(rng, shape, dt, time_constant):
     """Autoregressive of first order (sensor, time), unit variance."""
-    phi = np.exp(-dt / time_constant)
-    noise = rng.standard_normal((shape[0], shape[1] + BEFORE))
-    return np.sqrt(1.0 - phi**2) * lfilter([1.0], [1.0, -phi], noise, axis=1)[:, BEFORE:]
+    return persistent(rng.standard_normal(shape), dt, time_constant)
 
 
 def quick(rng, response, dt, frequency):
@@ -33,7 +33,7 @@ def slow(rng, response, dt, frequency):
 
 def common(rng, response, dt, frequency):
     """Half of the variance persistent and shared by all sensors, the rest independent."""
-    shared = first_order(rng, (1, response.shape[1]), dt, BLUE_END)
+    shared = first_order(rng, (1, response.shape[1]), dt, COMMON_TIME)
     return np.sqrt(0.5) * (shared + rng.standard_normal(response.shape))
 
 

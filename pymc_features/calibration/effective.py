@@ -49,9 +49,9 @@ def effective_samples(
         `claimed_standard_deviation`, `point`, the maximum, and `changes_response`. Over `direction`,
         ascending: `n_eff_direction` and `direction_vector` (direction, parameter). The matrices
         `information` A, `variability` B and `covariance` A^-1 B A^-1 ``(parameter, parameter_)``, NaN for
-        parameters that no likelihood knows of. Attributes: `n_eff` (geometric mean of the directions of the
-        response),
-        `claimed` (of all sensors), `n_evaluations`.
+        parameters that no likelihood knows of. Attributes: `n_eff` (geometric mean of the
+        directions of the response), `claimed` (of all sensors), `n_evaluations` (predictions of the fit: each
+        set of sensitivities to d parameters takes 2 d + 1).
 
     Raises
     ------

@@ -185,8 +185,6 @@ def run_part(study, kind, multiplier, base, models, cores, progressbar) -> xr.Da
             "cores": cores,
             "random_seed": study.part_seed(kind),
             "progressbar": progressbar,
-            # one Op does the work; to compile the few around it takes longer than it saves
-            "compile_kwargs": {"mode": "FAST_COMPILE"},
         }
         if base is not None:
             idata = calibrate(base, **settings)

@@ -24,8 +24,6 @@ from pymc_features.update.problem import Problem
 
 PRIOR_DRAWS = 4000
 GROUPS = ("posterior", "sample_stats", "particles", "modes", "calibration")
-# one Op does the work: to compile the few around it takes longer than it saves
-QUICK = {"mode": "FAST_COMPILE"}
 
 
 def run_update(
@@ -154,7 +152,6 @@ def calibrated(problem, kind, base, model, cores, progressbar) -> xr.DataTree:
             cores=cores,
             random_seed=seed_of(problem, kind),
             progressbar=progressbar,
-            compile_kwargs=QUICK,
         )
     except ValueError as error:
         raise ConfigError(
@@ -170,14 +167,10 @@ def sample(problem, kind, model, cores, progressbar) -> xr.DataTree:
     asked = problem.config.sampler
     method = method_of(problem, kind)
     common = {"model": model, "random_seed": seed_of(problem, kind)}
-    settings = {
-        "cores": cores or asked.cores,
-        "compile_kwargs": QUICK,
-        "progressbar": progressbar,
-    }
+    settings = {"cores": cores or asked.cores, "progressbar": progressbar}
     try:
         if method == "Laplace":
-            return inference.laplace(asked.draws, compile_kwargs=QUICK, **common)
+            return inference.laplace(asked.draws, **common)
         if method == "NUTS":
             first = {**settings, "draws": max(500, asked.draws // 2), "chains": asked.chains}
             workers = {} if cores is None and asked.cores is None else {"cores": cores or asked.cores}

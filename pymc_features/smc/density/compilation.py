@@ -8,7 +8,7 @@ from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.random.op import RandomVariable
 
 # NumPy calls for everything around the kernels, which are machine code in any mode. Numba would compile the
-# whole graph: twenty to forty seconds for a new model, to save half a millisecond of a call.
+# whole graph: twenty seconds for value and gradient of a new model, to save half a millisecond of a call.
 INTERPRETED = Mode(linker="py", optimizer="fast_run").excluding("fusion")
 
 
@@ -30,7 +30,7 @@ def has_python_loops(outputs) -> bool:
 
 
 def is_loop(op) -> bool:
-    """Whether an Op is a loop over particles or steps; kernels of ours take all particles at once."""
+    """Whether an Op is a loop over particles or steps that takes longer in Python than what it calls."""
     if isinstance(op, Scan):
         return True
     if not isinstance(op, Blockwise) or isinstance(op.core_op, RandomVariable):

@@ -1,0 +1,59 @@
+"""What is compiled around the kernels of a population, and what is not."""
+
+import numpy as np
+import pymc as pm
+import pytensor
+import pytensor.tensor as pt
+import pytest
+from pytensor.link.basic import PerformLinker
+from pytensor.link.numba.linker import NumbaLinker
+
+from pymc_features import ExpFeature, ModalDamping, SpringMassChain, response, synthetic_earthquake
+from pymc_features.smc import population_logp
+from pymc_features.smc.density.compilation import has_python_loops, with_mode
+
+RECORD = synthetic_earthquake(2.0, 0.02, random_seed=1)
+
+
+def declare():
+    with pm.Model() as model:
+        theta = pm.Uniform("theta", 0.5, 1.5)
+        chain = SpringMassChain([1.0, 1.0], 400.0 * theta, ModalDamping(0.02))
+        ExpFeature("y", response(chain, RECORD), pm.HalfNormal("sigma"), observed=np.ones((2, 101)))
+    return model
+
+
+def linker_of(compile_kwargs):
+    model = declare()
+    return population_logp(model, model.initial_point(), compile_kwargs).function.maker.linker
+
+
+def test_a_new_model_needs_no_compilation_of_its_graph():
+    assert isinstance(linker_of({}), PerformLinker)
+
+
+def test_what_the_user_asks_for_comes_first():
+    assert isinstance(linker_of({"mode": "NUMBA"}), NumbaLinker)
+    with pytensor.config.change_flags(mode="NUMBA"):
+        assert with_mode({}, []) == {}
+
+
+def test_both_give_the_same():
+    values = []
+    for kwargs in ({}, {"mode": "NUMBA"}):
+        model = declare()
+        logp = population_logp(model, model.initial_point(), kwargs)
+        values.append(logp(np.array([[-1.0, 0.2], [0.3, -1.0], [2.0, 0.0]]))[:2])
+    np.testing.assert_allclose(values[0], values[1], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("loops", "declared"),
+    [
+        (False, lambda x: pt.vectorize(lambda row: pt.dot(np.eye(3), row), signature="(a)->(b)")(x)),
+        (True, lambda x: pt.vectorize(lambda row: pt.linalg.expm(pt.diag(row)), signature="(a)->(b,b)")(x)),
+        (True, lambda x: pytensor.scan(lambda row, sum: sum + row, x, pt.zeros(3), return_updates=False)),
+    ],
+)
+def test_loops_in_python_are_seen(loops, declared):
+    assert has_python_loops([declared(pt.matrix("x"))]) == loops
