@@ -105,8 +105,9 @@ class Chain(Structure):
             )
         stiffness = spread(self.stiffness, self.n_dof)
         if isinstance(factor, Variable) or isinstance(stiffness, Variable):
-            stiffness = pt.as_tensor_variable(stiffness)
-            scaled = stiffness[springs].set(stiffness[springs] * factor)
+            chosen = (np.arange(self.n_dof)[:, None] == springs).astype(float)
+            # A sum, since setting entries would be a loop over the particles of a population.
+            scaled = stiffness * (1.0 - chosen.sum(axis=1) + pt.sum(chosen * factor, axis=-1))
         else:
             scaled = stiffness.copy()
             scaled[springs] *= factor
