@@ -32,6 +32,7 @@ def arguments(record_file, out, *more):
     ]
 
 
+@pytest.mark.slow
 def test_reproduce_writes_everything_and_continues(record_file, tmp_path, capsys, monkeypatch):
     """At one sampling step."""
     monkeypatch.setitem(STRUCTURES, "linear", replace(STRUCTURES["linear"], quick={"multipliers": (1.0,)}))

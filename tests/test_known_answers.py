@@ -100,6 +100,7 @@ def weighted_points(name, problem, rng):
     return x, log_prior + log_likelihood + log_slope(y) - mixture.log_density(y)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CLOSED)
 def test_density_integrates_to_the_evidence(name):
     """By importance sampling of the model itself; quantiles of the weighted points are the answer's, too."""

@@ -235,6 +235,7 @@ def test_exceptions_live_in_one_module():
         assert named == (set(pymc_features.exceptions.__all__) if path.name == "exceptions.py" else set())
 
 
+@pytest.mark.slow
 def test_slow_modules_are_not_imported_with_the_package():
     slow = ["jax", "matplotlib.pyplot", "scipy.signal", "arviz", "sklearn"]
     code = f"import sys, pymc_features; print([m for m in {slow} if m in sys.modules])"

@@ -139,6 +139,7 @@ def test_posterior_has_the_covariance_that_the_residuals_support(kind, y):
     assert (found["sample_stats"].attrs["power"] > 1.0) == (kind == "EXP")
 
 
+@pytest.mark.slow
 def test_priors_keep_their_meaning(y, least_squares):
     """A bound is not crossed; an informative prior multiplies the calibrated likelihood, in closed form."""
     estimate, *_ = least_squares

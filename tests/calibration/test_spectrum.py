@@ -75,6 +75,7 @@ def errors_of(kind, rng, sensitivities):
     return lfilter([1.0], [1.0, -2 * radius * np.cos(angle), radius**2], e, axis=1)[:, 2000:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "lowest", "conventional"),
     [

@@ -217,6 +217,7 @@ def sample(request):
     return request.param, mu, sigma, draw(declare(request.param, mu, sigma), draws=20_000)
 
 
+@pytest.mark.slow
 def test_feature_of_draws_has_its_law(sample):
     """Kolmogorov-Smirnov, a false alarm in 1000 seeds; the other law must be rejected."""
     likelihood, mu, sigma, draws = sample

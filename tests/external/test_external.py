@@ -69,6 +69,7 @@ def chain_case():
         yield internal, external, observed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("likelihood", LIKELIHOODS)
 def test_densities_are_those_of_the_response(likelihood, chain_case):
     internal, external, observed = chain_case
@@ -189,6 +190,7 @@ def test_gradient_by_numbers_and_arrays(simulator):
     assert "`gradient` must return arrays of the shapes" in wrong.failures[0].message
 
 
+@pytest.mark.slow
 def test_in_machine_code(simulator):
     """PyTensor's usual mode: no warnings, and errors come through."""
     point = {"theta_interval__": np.array(0.2), "sigma_interval__": np.array(0.4)}

@@ -203,6 +203,7 @@ def fed(predicting, function=bowl, n_batches=4, data="", batch=60):
     return np.concatenate([predicting.evaluate(x, lambda rows, x=x: function(x[rows]), data) for x in xs]), xs
 
 
+@pytest.mark.slow
 def test_predictions_are_close_and_runs_are_exact():
     predicting = Surrogate(1, tolerance=0.02, random_seed=0)
     e, xs = fed(predicting)

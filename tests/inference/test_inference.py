@@ -106,6 +106,7 @@ def test_map_is_the_exact_one(kind, example):
     assert found["sigma"] == pytest.approx(sigma, rel=0.02)
 
 
+@pytest.mark.slow
 def test_variational_inference_runs(example):
     with example.models["NORM"]:
         approximation = pm.fit(
@@ -178,6 +179,7 @@ def two_modes():
     return model
 
 
+@pytest.mark.slow
 def test_disagreeing_chains_are_said_and_the_particles_kept():
     with pytest.warns(
         pmf.exceptions.ChainsDisagreeWarning,
@@ -200,6 +202,7 @@ def test_disagreeing_chains_are_said_and_the_particles_kept():
     assert set(ends) == {-1.0, 1.0}, "each chain is in the mode of its particle"
 
 
+@pytest.mark.slow
 def test_chains_of_nutpie_start_from_particles():
     """A chain that starts from the prior's mean would end in the near mode: the far one is never found."""
     with pm.Model() as model:
@@ -326,6 +329,7 @@ def test_laplace_says_by_how_much_it_is_off():
     assert found.attrs["worst_parameter"] == "scale"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "formula"), [("NORM", 0.002), ("TN", 0.2), ("EXP", 0.1)])
 def test_laplace_evidence_against_quadrature(kind, formula, example):
     """The formula is asymptotic: right for NORM, near for the feature likelihoods, whose sigma has a tail.

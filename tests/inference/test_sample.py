@@ -179,6 +179,7 @@ def test_without_gradients_it_falls_back_and_says_why(make):
 # --------------------------------------------------------------------------- checkpoint
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_draws(tmp_path, monkeypatch):
     """Stopped among the climbs, and among the draws of the second chain; nothing known is evaluated again."""
     model, _ = two_modes()

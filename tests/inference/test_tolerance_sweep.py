@@ -80,6 +80,7 @@ def test_refusals(model, arguments, error, match):
         tolerance_sweep(**({"epsilon": [0.2], "model": model, "draws": 200} | QUIET | arguments))
 
 
+@pytest.mark.slow
 def test_sampling_does_not_import_jax():
     """ArviZ registers JAX as a lazy module; SciPy's logsumexp would wake it, seconds in every process."""
     code = (

@@ -64,6 +64,7 @@ def peak_memory(action):
         tracemalloc.stop()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", ["1", "12", "x", ""])
 @pytest.mark.parametrize("suffix", [".csv", ".at2"])
 def test_memory_of_many_short_lines(tmp_path, line, suffix):

@@ -118,6 +118,7 @@ def mutate(name, folder, count):
     return tally
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", READERS)
 def test_damaged_copies(tmp_path, name):
     tally = mutate(name, tmp_path, MUTATIONS)

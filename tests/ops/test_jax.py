@@ -25,6 +25,8 @@ from support.graphs import PLAIN
 from support.kernels import DAMPINGS
 from support.structures import noise_record, three_storeys, with_first_spring, with_noise
 
+pytestmark = pytest.mark.slow
+
 CHAIN = FAMILIES["chain"]
 LIMIT = 1e-10  # relative, for each block of each output
 N_TIMES = 60

@@ -234,6 +234,7 @@ def test_first_passage_counts_peaks(idata, structure):
 # --------------------------------------------------------------------------- memory and files
 
 
+@pytest.mark.slow
 def test_memory_is_bounded(monkeypatch):
     """Four tenths of what the histories take, 11 MB, with blocks of 1 MiB."""
     monkeypatch.setattr(histories, "MEMORY", 2**20)

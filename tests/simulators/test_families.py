@@ -103,6 +103,7 @@ def test_gradients_of_one_and_of_a_population(name):
     np.testing.assert_allclose(gradients(points), expected, rtol=0, atol=2e-6 * scale)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MAIN)
 def test_numba_runs_the_same_and_keeps_its_code(name):
     build, record = CASES[name]
@@ -127,6 +128,7 @@ def model_of(name, likelihood=TruncNormalFeature):
     return model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MAIN)
 def test_models_sample_and_count_what_is_no_structure(name):
     model = model_of(name)

@@ -207,6 +207,7 @@ def assert_right(arguments, limit, steps=None):
     assert max(found.values()) < limit, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 8, 13, 30])
 def test_structures_of_any_size(n):
     """1 to 30 masses, Rayleigh damping: measured 4e-12."""

@@ -133,6 +133,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_against_a_tight_ode_solution(case):
     """1e-6 of the peak, in every quantity; and the springs are far from linear."""

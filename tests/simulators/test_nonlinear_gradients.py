@@ -251,6 +251,7 @@ def test_tangents_at_the_bounds_of_a_law(case):
     np.testing.assert_array_equal(nothing, np.zeros((2, 60)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("family", "sharpness"), [("hysteretic", 1.0), ("hysteretic", 1.2), ("duffing", 2.0)]
 )
@@ -329,6 +330,7 @@ def gradient_errors(family, given, where, exact):
     return np.array(errors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", KERNELS)
 @pytest.mark.parametrize("modal", [False, True], ids=["rayleigh", "modal"])
 def test_against_differences_of_a_tight_ode_solution(family, modal):

@@ -56,6 +56,7 @@ def assert_close_to_peak(actual, expected, tolerance):
 # --------------------------------------------------------------------------- coefficients
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("zeta", [0.0, 1e-8, 0.02, 0.5, 1.0 - 1e-9, 1.0, 1.0 + 1e-9, 1.5, 5.0])
 def test_step_coefficients_against_matrix_exponential(zeta):
     """w in 0..30: 1e-12 of the largest entry, the accuracy of the exponential itself."""

@@ -132,6 +132,7 @@ def stages(idata):
 # --------------------------------------------------------------------------- the particles of PyMC
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ours", "pymcs"), [(PopulationIMH, IMH), (PopulationMH, MH)])
 @pytest.mark.parametrize("build", MODELS)
 def test_same_particles_as_pymc(build, ours, pymcs):

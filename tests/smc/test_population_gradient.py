@@ -192,6 +192,7 @@ def test_against_differences(build):
         np.testing.assert_allclose(slope, expected, rtol=0, atol=1e-6 * abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("likelihood", ["TN", "correlated", "of a changed response"])
 def test_machine_code(likelihood):
     model = structural("chain", likelihood)
@@ -297,6 +298,7 @@ def test_numerical_errors_are_alone_and_failures(batched, mode):
     assert logp.slopes.batched == batched and logp.last_error == "LinAlgError: no solution"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("build", [eight_schools, lambda: structural("chain", "of a changed response")])
 def test_splitting_changes_nothing(build, monkeypatch):
     model = build()
@@ -411,6 +413,7 @@ def never(*args, **kwargs):
     raise AssertionError("compiled again")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compiled", [False, True], ids=["graph", "machine code"])
 @pytest.mark.parametrize("at_home", [True, False], ids=["same process", "another one"])
 def test_pickled_copies(compiled, at_home, monkeypatch):

@@ -56,6 +56,7 @@ def saved(request, model):
     return kernel, sample_smc(60, kernel, model=model, chains=3, random_seed=UNEQUAL[kernel], **SERIAL)
 
 
+@pytest.mark.slow
 def test_unequal_stages_are_padded(saved):
     kernel, idata = saved
     found = idata.sample_stats

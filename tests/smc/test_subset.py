@@ -252,6 +252,7 @@ def test_ties_do_not_stall():
 # --------------------------------------------------------------------------- other parts of a model
 
 
+@pytest.mark.slow
 def test_potential_and_second_likelihood():
     """Importance weights of rejected prior draws: weighted moments, and the evidence of both together.
 

@@ -178,6 +178,7 @@ def test_tolerance_may_be_data():
         largest(model)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error:SubsetSimulation draws from rho")
 @pytest.mark.parametrize("kernel", ["exponential", "gaussian", "stock"])
 def test_soft_kernels_give_the_threshold_with_a_warning(kernel):

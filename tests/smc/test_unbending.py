@@ -128,6 +128,7 @@ class Shifted(Unbent):
         return super().move(x, scale, rng) + 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1.0, 0.5, 0.2])
 def test_moves_leave_the_proposal_invariant(scale):
     """A false alarm in 1000. The control is noticed where the next point depends on the last."""

@@ -18,6 +18,8 @@ from pymc_features.study import paper
 from pymc_features.study.findings import verdict
 from pymc_features.study.settings import Study
 
+pytestmark = pytest.mark.slow
+
 DT, N_TIMES, N_SENSORS = 0.02, 40, 3
 
 

@@ -262,6 +262,7 @@ def test_outputs(finished):
     assert figures == {"record", "frequencies", *(f"{k}_{name}" for k in ("EXP", "ABC") for name in of_each)}
 
 
+@pytest.mark.slow
 def test_other_settings_are_refused_other_reports_are_not(example, finished, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(run, "sample", None)  # nothing is sampled
     text, table = example.read_text(), (finished / "table.csv").read_text()
@@ -393,6 +394,7 @@ def test_thinned_draws_are_spread_over_the_chain():
     assert predict.thinned(posterior, 6)["x"].values.tolist() == [[0, 3, 6], [10, 13, 16]]
 
 
+@pytest.mark.slow
 def test_tolerance_out_of_reach_keeps_the_rest(example, tmp_path, capsys):
     path = variant(example, tmp_path, ("# epsilon = 5.0 ", "epsilon = 1e-9 "))
     assert cli.main(["update", str(path), "--cores", "1", "--out", str(tmp_path / "out")]) == 2
@@ -400,6 +402,7 @@ def test_tolerance_out_of_reach_keeps_the_rest(example, tmp_path, capsys):
     assert (tmp_path / "out" / "parts" / "EXP.nc").exists()
 
 
+@pytest.mark.slow
 def test_what_a_stopped_sampler_returns_is_not_kept(example, tmp_path, monkeypatch):
     problem, sample = read_problem(example), run.sample
     monkeypatch.setattr(run, "sample", lambda *all: sample(*all).isel(draw=slice(60)))
@@ -556,6 +559,7 @@ def path_of(folder, text):
     return path
 
 
+@pytest.mark.slow
 def test_laplace_and_a_sigma_for_each_sensor(example, tmp_path):
     path = variant(
         example,
@@ -581,6 +585,7 @@ CORRELATED = {  # names in the file to the lines that it needs, and the distribu
 TAU = 'tau = { distribution = "LogNormal", mu = -4.6, sigma = 0.5 }\n'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", CORRELATED)
 def test_errors_correlated_in_time(example, tmp_path, kind):
     """What is inferred, a posterior where the truth is; of the last the report, too, and a unit."""

@@ -12,6 +12,8 @@ from pymc_features.update import read_problem, run, write_example
 from pymc_features.update.summary import supported
 from update.test_update import replaced, table_of, variant
 
+pytestmark = pytest.mark.slow
+
 SMALL = [
     ('kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]', 'kinds = ["GAMMA", "CAL"]'),
     ("# m = 10.0 ", "m = [2.0, 3.0, 4.5] #"),

@@ -49,7 +49,7 @@ class PopulationLogp:
                 stacklevel=2,
             )
         self.values = RowFunction(self.graph, self.compile_kwargs)
-        self.slopes = self._why_no_gradient = None  # not known before they are asked for
+        self.slopes = self._why_no_gradient = self._with_slopes = None  # not known before they are asked for
         _ALIVE[self.token] = self
         start = np.concatenate([np.ravel(point[v.name]) for v in model.value_vars])[None]
         self.start = start.astype(self.graph.one.joined.dtype)
@@ -123,7 +123,9 @@ class PopulationLogp:
                     f"the model has no gradient: {owner.why_no_gradient}. Use a kernel that needs none."
                 )
             # a result, its cotangent and that of what it came from
-            owner.slopes = RowFunction(gradient_graph(owner.graph), owner.compile_kwargs, alive=3)
+            graph = owner._with_slopes or gradient_graph(owner.graph)
+            owner.slopes = RowFunction(graph, owner.compile_kwargs, alive=3)
+            owner._with_slopes = None
             if not owner.is_expensive:
                 owner.slopes(owner.start)
         self.slopes, self._why_no_gradient = owner.slopes, ""
@@ -134,7 +136,7 @@ class PopulationLogp:
         if self._why_no_gradient is None:
             self._why_no_gradient = ""
             try:
-                gradient_graph(self.graph)
+                self._with_slopes = gradient_graph(self.graph)
             except NotDifferentiableError as error:
                 self._why_no_gradient = str(error)
             if not self._why_no_gradient and self.draws_random_numbers:
@@ -192,7 +194,8 @@ class PopulationLogp:
         # together, that what they share is written once; the graph only where it may still be compiled
         graph = self.graph if self.slopes is None else None
         parts = cloudpickle.dumps((self.values, self.slopes, graph))
-        return {k: v for k, v in self.__dict__.items() if k not in PARTS} | {"parts": parts}
+        others = {k: v for k, v in self.__dict__.items() if k not in PARTS}
+        return others | {"_with_slopes": None, "parts": parts}
 
     def __setstate__(self, state):
         parts = state.pop("parts")
