@@ -9,7 +9,7 @@ import numpy as np
 
 from pymc_features.calibration.adjusted import stretching
 from pymc_features.calibration.calibrate import curved
-from pymc_features.calibration.fit import climb_likelihood
+from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.sandwich import sandwich
 from pymc_features.smc.proposals.proposal import StudentT
 

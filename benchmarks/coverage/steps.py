@@ -8,7 +8,7 @@ from benchmarks.coverage.errors import LEVEL, first_order
 from benchmarks.coverage.simulated import Predictions, start_of
 from benchmarks.tables import table
 from pymc_features.calibration.calibrate import curved
-from pymc_features.calibration.fit import climb_likelihood
+from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.sandwich import sandwich
 from pymc_features.study.paper import MULTIPLIERS
 

@@ -73,7 +73,7 @@ def covariance_of_tn(predictions):
     """Of the factors, under TN and errors of the level used, by the sensitivities at the truth."""
     size = LEVEL * np.sqrt(np.mean(true_response() ** 2))
     z = unconstrained(np.ones(N_FACTORS), size)
-    event = events_at(predictions, z, np.full(len(z), 1e-4))[0]
+    event = events_at(predictions, z, np.full(len(z), 1e-4), predictions(z))[0]
     information = event.information[:N_FACTORS, :N_FACTORS]
     return np.linalg.inv(information) * true_response().shape[1]
 

@@ -5,8 +5,9 @@ import pymc as pm
 import xarray as xr
 from pytensor.graph.basic import Constant
 
+from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.effective import best_fit, described, of_sensor
-from pymc_features.calibration.fit import Predictions, climb_likelihood
+from pymc_features.calibration.fit import Predictions
 from pymc_features.calibration.sandwich import sandwich
 from pymc_features.distributions.checks import warn_about_variance
 from pymc_features.distributions.gamma import Filled, GammaFeatureRV

@@ -6,7 +6,8 @@ import numpy as np
 import pymc as pm
 import xarray as xr
 
-from pymc_features.calibration.fit import Fit, Predictions, climb_likelihood, log_likelihood
+from pymc_features.calibration.climb import climb_likelihood
+from pymc_features.calibration.fit import Fit, Predictions, log_likelihood
 from pymc_features.calibration.sandwich import Sandwich, known, sandwich, whitening
 from pymc_features.exceptions import CalibrationWarning
 from pymc_features.inference.parameters import Unconstrained, coordinate_names, to_unconstrained
@@ -15,6 +16,7 @@ from pymc_features.smc import population_logp, prior_points
 
 STARTS = 20  # draws of which the most likely is climbed from
 SHORT = 5.0  # time constants of the errors that a record must be long
+ROUNDED = 1e-12  # of what a unit change of a parameter does to the response: rounding, no residuals
 
 
 def effective_samples(
@@ -117,7 +119,8 @@ def some_draws(model, posterior, number=STARTS) -> np.ndarray:
 def with_noise(fit: Fit) -> Fit:
     """The fit, if every sensor has residuals."""
     for event in fit.events:
-        silent = np.flatnonzero(~((event.residuals**2).sum(axis=1) > 0))
+        response = (event.sensitivities**2).sum(axis=1).max(axis=-1)
+        silent = np.flatnonzero(~((event.residuals**2).sum(axis=1) > ROUNDED**2 * response))
         if silent.size:
             raise ValueError(
                 f"the residuals of {event.name} must not vanish, got none at sensor {silent[0]}: data "

@@ -7,18 +7,8 @@ import pytensor.tensor as pt
 from pymc.pytensorf import compile as compile_function
 
 from pymc_features.calibration.comparison import comparison, independent
-from pymc_features.calibration.sandwich import whitening
 from pymc_features.inference.parameters import Unconstrained
 from pymc_features.smc.density.compilation import with_mode
-
-DIFFERENCE = 0.02  # standard errors of independent samples that derivatives are taken over,
-WIDEST, NARROWEST = 1e-3, 1e-7  # but no more and no less than this, on the unconstrained scale
-NARROW = 1e-5  # before standard errors are known
-STEPS = 100  # towards the maximum, at most
-CONVERGED = 1e-3  # of a standard error of independent samples that the last step may be long
-LEAST = 0.1  # of the information that the curvature is taken to have where it is less, or negative
-LONGEST = 1.0  # step, on the unconstrained scale
-SINGULAR = 1e-12  # of the largest relative eigenvalue: directions that change nothing
 
 
 class Event(NamedTuple):
@@ -82,7 +72,7 @@ class Fit(NamedTuple):
     @property
     def information(self) -> np.ndarray:
         """Of all events (d, d)."""
-        return sum(event.information for event in self.events)
+        return information_of(self.events)
 
 
 class Predictions:
@@ -135,21 +125,29 @@ def residuals_of(value):
     return independent((observed - mu) / scale, decay)
 
 
-def events_at(predictions, z, steps) -> list[Event]:
-    """Residuals and derivatives at a point (d,), by central differences of some steps (d,)."""
-    here = predictions(z)
-    moved = [
-        [predictions(z + sign * step * axis) for sign in (1.0, -1.0)]
+def events_at(predictions, z, steps, here, sides=(1.0, -1.0)) -> list[Event]:
+    """Residuals and derivatives at a point (d,), by differences over some steps (d,) to one side or both.
+
+    `here` are the predictions at the point.
+    """
+    ends = [
+        [predictions(z + side * step * axis) for side in sides]
         for step, axis in zip(steps, np.eye(len(z)), strict=True)
     ]
+    ends = [[*end, here][:2] for end in ends]
+    return from_differences(predictions, here, ends, len(sides) * steps)
+
+
+def from_differences(predictions, here, ends, widths) -> list[Event]:
+    """Events with derivatives from predictions at both ends of an interval for each parameter."""
     events = []
     for i, (name, step) in enumerate(zip(predictions.names, predictions.steps, strict=True)):
         scale, decay = here[i][2], here[i][5]
         slopes = [
-            independent((up[i][0] - down[i][0]) / (2.0 * h * scale), decay)
-            for (up, down), h in zip(moved, steps, strict=True)
+            independent((up[i][0] - down[i][0]) / (h * scale), decay)
+            for (up, down), h in zip(ends, widths, strict=True)
         ]
-        of_scale = [(up[i][3] - down[i][3]) / (2.0 * h) for (up, down), h in zip(moved, steps, strict=True)]
+        of_scale = [(up[i][3] - down[i][3]) / h for (up, down), h in zip(ends, widths, strict=True)]
         events.append(
             Event(
                 name,
@@ -164,63 +162,9 @@ def events_at(predictions, z, steps) -> list[Event]:
     return events
 
 
-def climb_likelihood(predictions, z) -> Fit:
-    """The maximum of the likelihood near a point (d,), by Levenberg's and Marquardt's method.
-
-    Where residuals are large their second derivatives count; these are learnt from one step to the next.
-    """
-    start = predictions.count
-    value, damping = log_likelihood(predictions(z)), 1e-6
-    if value == -np.inf:
-        raise ValueError("the fit must start where the likelihood is finite. Pass another `idata`.")
-    events = events_at(predictions, z, np.full(len(z), NARROW))
-    events = events_at(predictions, z, differences(events))
-    score, second = score_of(events), np.zeros((len(z), len(z)))
-    for _ in range(STEPS):
-        information = sum(event.information for event in events)
-        step = newton(curvature(information, second), score, damping)
-        if np.sqrt(excess(events) * max(0.0, step @ information @ step)) < CONVERGED:
-            break
-        values = predictions(z + step)
-        new = log_likelihood(values)
-        if not new > value:
-            damping = max(damping, 1e-6) * 10.0
-            continue
-        z, value, damping = z + step, new, damping / 10.0
-        stale = score_of(with_residuals(events, values))
-        events, before = events_at(predictions, z, differences(events)), score
-        score = score_of(events)
-        second = learnt(second, step, stale - score, before - score)
-    return Fit(z, events, predictions.count - start)
-
-
-def score_of(events):
-    """Gradient of the log-likelihood (d,) of all events."""
-    return sum(event.score for event in events)
-
-
-def learnt(second, step, change, total):
-    """What second derivatives add to the information (d, d), after a step (d,) that it changed by `change`.
-
-    `total` is the change of the whole score (Dennis, Gay & Welsch, ACM Trans. Math. Softw. 7, 1981).
-    """
-    along, known = total @ step, step @ second @ step
-    if not along > 0:
-        return second
-    size = min(1.0, abs(step @ change / known)) if known else 1.0
-    off = change - size * (second @ step)
-    cross = np.outer(off, total) / along
-    return size * second + cross + cross.T - (off @ step) / along**2 * np.outer(total, total)
-
-
-def curvature(information, second):
-    """Their sum (d, d), but at least a part of the information in every direction."""
-    whiten = whitening(information)
-    unwhiten = whiten.T @ information
-    relative = whiten.T @ second @ whiten
-    values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
-    along = (vectors * np.maximum(values, LEAST - 1.0)) @ vectors.T
-    return information + unwhiten.T @ along @ unwhiten
+def information_of(events):
+    """Minus the Hessian (d, d) of the log-likelihood of all events, by Gauss and Newton."""
+    return sum(event.information for event in events)
 
 
 def hessian(predictions, z, axes) -> np.ndarray:
@@ -240,34 +184,3 @@ def hessian(predictions, z, axes) -> np.ndarray:
             both = value(z + axes[i] + axes[j]) + value(z - axes[i] - axes[j])
             result[i, j] = result[j, i] = 0.5 * (sides[i].sum() + sides[j].sum() - both) - here
     return result
-
-
-def with_residuals(events, values):
-    """The events with the residuals at another point, and the derivatives they had."""
-    return [
-        event._replace(residuals=residuals_of(value), claimed=value[4], response=value[0])
-        for event, value in zip(events, values, strict=True)
-    ]
-
-
-def excess(events):
-    """Samples over the observations that the likelihood claims."""
-    return sum(event.residuals.size for event in events) / sum(event.claimed.sum() for event in events)
-
-
-def differences(events):
-    """Steps (d,) of central differences, a part of the standard errors of independent samples."""
-    information = sum(event.information for event in events)
-    scale = np.sqrt(excess(events) * np.diag(information)).clip(min=np.finfo(float).tiny)
-    return np.clip(DIFFERENCE / scale, NARROWEST, WIDEST)
-
-
-def newton(information, score, damping):
-    """A damped Newton step (d,), none along directions that change nothing."""
-    scale = np.sqrt(np.diag(information))
-    scale = np.where(scale > 0, scale, 1.0)
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    known = values > SINGULAR * values.max(initial=0.0)
-    along = vectors.T @ (score / scale)
-    step = vectors @ np.where(known, along / np.where(known, values + damping, 1.0), 0.0) / scale
-    return step / max(1.0, np.abs(step).max() / LONGEST)

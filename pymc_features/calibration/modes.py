@@ -6,8 +6,9 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.calibration.adjusted import stretching
+from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.effective import best_fit, some_draws, with_noise
-from pymc_features.calibration.fit import Fit, climb_likelihood, log_likelihood
+from pymc_features.calibration.fit import Fit, log_likelihood
 from pymc_features.calibration.sandwich import Sandwich, sandwich
 
 CLIMBS = 4  # from the draws that are farthest from what has been climbed from or to

@@ -6,8 +6,9 @@ import pytest
 
 from pymc_features import ExpFeature, ModalDamping, Record, SpringMassChain, response
 from pymc_features.calibration.calibrate import curved
+from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.comparison import comparison
-from pymc_features.calibration.fit import climb_likelihood, log_likelihood
+from pymc_features.calibration.fit import log_likelihood
 from pymc_features.calibration.sandwich import sandwich
 
 TIME = 0.02 * np.arange(500)
@@ -59,6 +60,22 @@ def test_the_maximum_is_found_where_residuals_are_large(seed):
     best = log_likelihood(predictions(fit.z))
     steps = 0.1 * width * np.random.default_rng(0).standard_normal((50, 3))
     assert all(log_likelihood(predictions(fit.z + step)) < best for step in steps)
+
+
+@pytest.mark.parametrize("claimed", [2.0, 500.0])
+def test_derivatives_are_taken_twice_near_the_maximum(claimed):
+    """Of white noise: a prediction for each of three parameters at the start, two near the maximum.
+
+    The maximum is that of a new climb from there, to a thousandth of a width of independent samples.
+    """
+    predictions = Ringing(0, claimed)
+    noise = 0.1 * np.random.default_rng(1).standard_normal((1, TIME.size))
+    predictions.observed = ringing(3.0, 0.004)[None] + noise
+    fit = climb_likelihood(predictions, np.log((3.0005, 0.0042, 0.11)))
+    assert fit.n_evaluations <= 1 + 3 + 6 + 8
+    width = np.sqrt(np.diag(np.linalg.inv(fit.information)) * claimed / TIME.size)
+    again = climb_likelihood(predictions, fit.z)
+    np.testing.assert_allclose(again.z / width, fit.z / width, atol=1e-3)
 
 
 @pytest.mark.parametrize("seed", [0, 6, 9, 12])
