@@ -194,6 +194,8 @@ def update(options, console):
     import warnings
 
     from pymc_features.update import read_problem, run_update, write_outputs
+    from pymc_features.update.terminal import summary
+    from pymc_features.update.verdict import foretold
 
     config = Path(options.config)
     options.out = Path(options.out or config.with_name(f"{config.stem}-output"))
@@ -205,6 +207,8 @@ def update(options, console):
     for sentence in told:
         say(console, f"warning: {sentence}", "yellow")
     say(console, f"data: {problem.measured.source}; base: {problem.measured.record}")
+    for sentence in foretold(problem):
+        say(console, f"note: {sentence}")
     with PartProgress(console, "update") as progress:
         result = run_update(
             problem,
@@ -213,6 +217,11 @@ def update(options, console):
             progress=progress,
             progressbar=console.is_terminal,
         )
+    for part, style in summary(problem, result):
+        if isinstance(part, str):
+            say(console, part, style)
+        else:
+            console.print(part)
     for path in write_outputs(problem, result, options.out, told):
         if path.parent == options.out:
             say(console, f"wrote {path}")

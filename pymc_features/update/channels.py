@@ -38,6 +38,14 @@ class Measured:
     source: str
     gains: xr.Dataset | None
 
+    @property
+    def base(self) -> np.ndarray:
+        """Motion of the base (time,) at the step of the channels [m/s^2]."""
+        from scipy import signal  # a second to import
+
+        stride = round(self.step / self.record.dt)
+        return signal.resample_poly(self.record.acceleration, 1, stride)[: self.channels.sizes["time"]]
+
 
 @contextmanager
 def named_key(key: str, **renamed: str):

@@ -9,6 +9,7 @@ from pymc_features.update.figures import figures
 from pymc_features.update.problem import Problem
 from pymc_features.update.report import report
 from pymc_features.update.summary import as_csv, rows, warnings_of
+from pymc_features.update.verdict import verdict
 
 DPI = 110
 
@@ -43,7 +44,7 @@ def write_outputs(problem: Problem, result, folder, channel_warnings=()) -> list
     }
     for figure, image in drawn:
         writers[f"figures/{figure.name}.png"] = lambda path, image=image: path.write_bytes(image)
-    html = report(problem, result, table, doubts, drawn)
+    html = report(problem, result, table, verdict(problem, result), doubts, drawn)
     writers["report.html"] = lambda path: path.write_text(html, encoding="utf-8")
     for name, write in writers.items():
         write_atomically(folder / name, write)

@@ -14,7 +14,7 @@ from pymc_features.update.templates import TEMPLATES
 PACKAGES = ("pymc-features", "pymc", "pytensor", "numba", "numpy", "arviz")
 
 
-def report(problem: Problem, result, table, doubts, drawn) -> str:
+def report(problem: Problem, result, table, judged, doubts, drawn) -> str:
     """The page.
 
     Parameters
@@ -23,6 +23,8 @@ def report(problem: Problem, result, table, doubts, drawn) -> str:
         As of `write_outputs`.
     table : list of Row
         The posterior.
+    judged : Verdict
+        On the fit.
     doubts : list of str
         Warnings.
     drawn : list of (Figure, bytes)
@@ -39,6 +41,7 @@ def report(problem: Problem, result, table, doubts, drawn) -> str:
         n_sensors=len(problem.dofs),
         duration=measured.record.duration,
         supported=supported(problem, result),
+        verdict=judged,
         doubts=doubts,
         priors=prior_rows(problem),
         likelihoods=[likelihood_row(kind, result[kind]) for kind in kinds_of(result)],

@@ -12,7 +12,9 @@ from pymc_features.update.problem import Problem
 R_HAT = 1.05  # of chains of SMC that agree; they are few and short
 R_HAT_NUTS = 1.01
 FEWEST = 100  # effective draws of each chain
-TAUGHT = 0.1  # share of the prior's variance that the data must take away to have said something
+TAUGHT = 0.1  # share of the prior's variance that the data must take away to have said something,
+MOVED = 0.8  # or the overlap with the prior that they must leave
+BINS = 20  # of equal prior probability, for the overlap
 ESTIMATED_CHAINS = 2  # R-hat compares chains
 
 
@@ -30,6 +32,7 @@ class Row(NamedTuple):
     taught: float
     r_hat: float
     ess: float
+    overlap: float
 
 
 COLUMNS = ("likelihood", "parameter", "unit", "mean", "sd", "5 %", "50 %", "95 %", "learned", "R-hat", "ESS")
@@ -52,14 +55,24 @@ def rows(problem: Problem, result: xr.DataTree) -> list[Row]:
         for name in prior.data_vars:
             draws = posterior[str(name)]
             taught = 1.0 - float(draws.var() / prior[name].var())
+            overlap = overlap_of(prior[name].values, draws.values)
             r_hat = float(az.rhat(draws)) if several else np.nan
             unit = problem.unit(str(name))
-            found.append(Row(kind, str(name), unit, *moments(draws), taught, r_hat, float(az.ess(draws))))
+            found.append(
+                Row(kind, str(name), unit, *moments(draws), taught, r_hat, float(az.ess(draws)), overlap)
+            )
         modal = part["modal"]["natural_frequency"]
         for mode in modal["mode"].values:
             one = modal.sel(mode=mode)
-            found.append(Row(kind, f"f{mode}", "Hz", *moments(one), np.nan, np.nan, np.nan))
+            found.append(Row(kind, f"f{mode}", "Hz", *moments(one), *[np.nan] * 4))
     return found
+
+
+def overlap_of(prior, posterior) -> float:
+    """Mass that two densities share [-], by a histogram with bins of equal prior probability."""
+    edges = np.quantile(prior, np.linspace(0.0, 1.0, BINS + 1)[1:-1])
+    shares = np.bincount(np.searchsorted(edges, np.ravel(posterior)), minlength=BINS) / np.size(posterior)
+    return float(np.minimum(shares, 1.0 / BINS).sum())
 
 
 def moments(draws) -> tuple[float, ...]:
@@ -100,9 +113,12 @@ def warnings_of(problem: Problem, result: xr.DataTree, table: list[Row]) -> list
         chains = part["posterior"].sizes["chain"]
         few = [r.name for r in of_kind if r.ess < FEWEST * chains]
         found += listed(kind, f"fewer than {FEWEST} effective draws of each chain for", few, DRAWS)
-        little = [r.name for r in of_kind if r.taught < TAUGHT]
+        wide = [r for r in of_kind if r.taught < TAUGHT]
+        little = [r.name for r in wide if r.overlap > MOVED]
         found += listed(kind, "the data say little about", little, LITTLE)
-        left = [direction for direction in undetermined_in(part) if direction not in little]
+        moved = [r.name for r in wide if r.overlap <= MOVED]
+        found += listed(kind, "the data move, but do not narrow", moved, MOVES)
+        left = [direction for direction in undetermined_in(part) if direction not in (*little, *moved)]
         found += listed(kind, "the data leave nearly as wide as the prior", left, WIDE)
         at_edge = [row.name for row in of_kind if leans(part, row)]
         found += listed(kind, "the posterior leans on the edge of the prior for", at_edge, EDGE)
@@ -122,6 +138,7 @@ def warnings_of(problem: Problem, result: xr.DataTree, table: list[Row]) -> list
 CHAINS = "Increase `sampler.draws`, and look at the ranks."
 DRAWS = "Increase `sampler.draws`."
 LITTLE = "Their posterior is the prior: fix them, or add sensors."
+MOVES = "The prior expects something else: ask which of the two is wrong."
 WIDE = "What is named together they cannot tell apart: give narrower priors, or add sensors."
 EDGE = "Widen the prior, or ask why."
 BAND = "The likelihood takes the errors for smaller than they are."
@@ -147,5 +164,6 @@ def leans(part, row) -> bool:
 def as_csv(table: list[Row]) -> str:
     """The table in full precision."""
     lines = [",".join(COLUMNS)]
-    lines += [",".join(v if isinstance(v, str) else f"{v:.10g}" for v in row) for row in table]
+    shown = [row[: len(COLUMNS)] for row in table]
+    lines += [",".join(v if isinstance(v, str) else f"{v:.10g}" for v in row) for row in shown]
     return "\n".join(lines) + "\n"

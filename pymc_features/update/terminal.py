@@ -1,0 +1,59 @@
+"""What the command line says of an update: the verdict, the posterior and the warnings of the report."""
+
+from rich import box
+from rich.table import Table
+
+from pymc_features.update.problem import Problem
+from pymc_features.update.report import posterior_row
+from pymc_features.update.summary import COLUMNS, kinds_of, rows, supported, warnings_of
+from pymc_features.update.verdict import verdict
+
+# as many as 80 characters hold
+SHOWN = (
+    "parameter",
+    "unit",
+    "5 %",
+    "50 %",
+    "95 %",
+    "sd",
+    "learned",
+    "R-hat",
+    "ESS",
+)
+
+
+def summary(problem: Problem, result):
+    """What to print, in order: sentences with their style, and a table.
+
+    Parameters
+    ----------
+    problem : Problem
+        What was updated.
+    result : DataTree
+        From `run_update`.
+
+    Yields
+    ------
+    str or rich.table.Table, str or None
+        A sentence or the posterior under the first likelihood, and a style.
+    """
+    judged, table = verdict(problem, result), rows(problem, result)
+    for sentence in judged.sentences:
+        yield sentence, "bold" if judged.explains else "bold red"
+    if sentence := supported(problem, result):
+        yield sentence, None
+    first = kinds_of(result)[0]
+    yield posterior_table([row for row in table if row.kind == first]), None
+    for sentence in warnings_of(problem, result, table):
+        yield f"warning: {sentence}", "yellow"
+
+
+def posterior_table(table) -> Table:
+    """The posterior under one likelihood."""
+    drawn = Table(title=f"Posterior under {table[0].kind}", title_justify="left", box=box.SIMPLE_HEAD)
+    for name in SHOWN:
+        drawn.add_column(name, justify="left" if name in ("parameter", "unit") else "right", no_wrap=True)
+    for row in table:
+        cells = dict(zip(COLUMNS, map(str, posterior_row(row)), strict=True))
+        drawn.add_row(*(cells[name] for name in SHOWN))
+    return drawn

@@ -1,0 +1,179 @@
+"""What is said of a fit: of right models nothing bad, of wrong ones what is wrong."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from pymc_features import (
+    HystereticChain,
+    ModalDamping,
+    Record,
+    SpringMassChain,
+    simulate,
+    synthetic_earthquake,
+)
+from pymc_features.update import read_problem, run_update, write_example
+from pymc_features.update.channels import Measured
+from pymc_features.update.predict import measured_gain
+from pymc_features.update.summary import overlap_of
+from pymc_features.update.verdict import foretold, verdict
+from update.test_update import replaced
+
+MASS, STIFFNESS = [0.1601, 0.1601, 0.1421], [385.0, 420.0, 600.0]
+BUILDING = SpringMassChain(MASS, STIFFNESS, ModalDamping(0.01))
+SHAKING = synthetic_earthquake(12.0, 0.01, random_seed=7, pga=3.0)
+TIMES = {"time": 0.01 * np.arange(SHAKING.n_times)}
+
+
+def judged(measured, response, structure, record=SHAKING, low=None, high=None):
+    """The verdict on a response, without a posterior behind it."""
+    sensors = [f"floor{i}" for i in range(1, len(measured) + 1)]
+    channels = xr.DataArray(measured, dims=("sensor", "time"), coords={"sensor": sensors} | TIMES)
+    kept = SimpleNamespace(low=low, high=high) if low or high else None
+    problem = SimpleNamespace(
+        measured=Measured(record, channels, 0.01, "simulated", None),
+        config=SimpleNamespace(processing=SimpleNamespace(band_pass=kept)),
+    )
+    modes = structure.modes()
+    dims = ("chain", "draw", "mode")
+    bands = xr.DataArray(response[None], dims=("quantile", "sensor", "time"), coords={"quantile": [0.5]})
+    columns = {"natural_frequency": modes.natural_frequencies, "damping_ratio": modes.damping_ratios}
+    part = {
+        "posterior": xr.Dataset(),
+        "observed_data": xr.Dataset({"y": channels}),
+        "bands": xr.Dataset({"response": bands.assign_coords(sensor=sensors)}),
+        "modal": xr.Dataset({name: (dims, values[None, None]) for name, values in columns.items()}),
+    }
+    data = xr.Dataset({"peak_frequency": ("peak", measured_gain(problem)[1])})
+    tree = {f"NORM/{name}": dataset for name, dataset in part.items()} | {"data": data}
+    return verdict(problem, xr.DataTree.from_dict(tree))
+
+
+@pytest.mark.parametrize("level", [0.02, 0.2, 1.0])
+def test_of_right_models_nothing_bad_is_said(level):
+    """White noise on 40 earthquakes: no word but the first sentence in 38 of them at least.
+
+    If one of 100 right models were accused, one run of 130 would fail.
+    """
+    alarms = 0
+    for seed in range(40):
+        record = synthetic_earthquake(12.0, 0.01, random_seed=seed, pga=3.0)
+        exact = simulate(BUILDING, record).values
+        scale = level * exact.std(axis=1, keepdims=True)
+        noise = scale * np.random.default_rng(seed).standard_normal(exact.shape)
+        found = judged(exact + noise, exact, BUILDING, record)
+        assert found.explains
+        assert found.sentences[0].startswith("The model explains the measurements")
+        alarms += len(found.sentences) > 1
+    assert alarms <= 2
+
+
+EXACT = simulate(BUILDING, SHAKING).values
+
+
+def test_inverted_base():
+    found = judged(-EXACT, EXACT, BUILDING)
+    assert not found.explains
+    assert "does not explain floor1, floor2, floor3" in found.sentences[0]
+    assert "base, or all sensors, may be inverted" in found.sentences[1]
+
+
+def test_one_floor_of_another_structure():
+    """Only the floor that is not explained is named."""
+    other = simulate(SpringMassChain(MASS, [300.0, 420.0, 600.0], ModalDamping(0.01)), SHAKING).values
+    measured = np.vstack([EXACT[0], other[1], EXACT[2]])
+    measured += 0.02 * np.random.default_rng(0).standard_normal(measured.shape)
+    found = judged(measured, EXACT, BUILDING)
+    assert found.sentences[0].startswith("This model does not explain floor2:")
+    assert "error at floor2 is no noise" in found.sentences[1]
+
+
+def test_frequencies_outside_the_band_and_odd_damping():
+    found = judged(EXACT, EXACT, BUILDING, low=5.0, high=12.0)
+    assert any(
+        "f1 (3.7 Hz), f3 (16.1 Hz) lie outside the band of the data, 5 to 12 Hz" in s for s in found.sentences
+    )
+    heavy = SpringMassChain(MASS, STIFFNESS, ModalDamping([0.3, 0.01, 0.01]))
+    found = judged(EXACT, EXACT, heavy)
+    assert any("beyond what structures have: 30 % at mode 1." in s for s in found.sentences)
+
+
+def fitted(folder, record, floors, *pairs):
+    """The verdict after Laplace's approximation, NORM, of a file with noise of 5 %."""
+    path = folder / "fit.toml"
+    write_example(path, synthetic=True)
+    scale = np.array([0.01, *(0.05 * floors.std(axis=1))])[:, None]
+    exact = np.vstack([record.acceleration, floors])
+    values = exact + scale * np.random.default_rng(7).standard_normal(exact.shape)
+    names = ["time [s]", "base [m/s^2]", *(f"floor{i} [m/s^2]" for i in range(1, len(floors) + 1))]
+    np.savetxt(
+        folder / "fit-measured.csv",
+        np.column_stack([record.time, values.T]),
+        delimiter=",",
+        header=",".join(names),
+        comments="",
+    )
+    common = [
+        ('kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]', 'kinds = ["NORM"]'),
+        ('method = "auto"', 'method = "laplace"'),
+        ('quantities = ["inter_storey_drift", "base_shear"]', "quantities = []"),
+    ]
+    path.write_text(replaced(path.read_text(), [*common, *pairs]))
+    problem = read_problem(path)
+    return verdict(problem, run_update(problem, progressbar=False))
+
+
+@pytest.mark.slow
+def test_fits_of_right_and_wrong_models(tmp_path):
+    """A yielding chain, an inverted base and a storey that the model lacks are named, a right one not."""
+
+    def told(name, record, floors, *pairs):
+        folder = tmp_path / name
+        folder.mkdir()
+        return fitted(folder, record, floors, *pairs)
+
+    assert len(told("right", SHAKING, EXACT).sentences) == 1
+    drift = np.abs(simulate(BUILDING, SHAKING, quantity="inter_storey_drift").values).max()
+    yielding = HystereticChain(
+        MASS, STIFFNESS, ModalDamping(0.01), yield_displacement=0.25 * drift, post_yield_ratio=0.1
+    )
+    found = told("yields", SHAKING, simulate(yielding, SHAKING).values)
+    assert not found.explains
+    assert any("springs yield" in sentence for sentence in found.sentences)
+    found = told("inverted", Record(-SHAKING.acceleration, SHAKING.dt), EXACT)
+    assert not found.explains
+    assert any("base, or all sensors, may be inverted" in sentence for sentence in found.sentences)
+    found = told(
+        "lacks",
+        SHAKING,
+        EXACT[[0, 2]],
+        ('sensors = ["floor1", "floor2", "floor3"]', 'sensors = ["floor1", "floor2"]'),
+        ("mass = [0.1601, 0.1601, 0.1421]", "mass = [0.1601, 0.1421]"),
+        ('stiffness = ["k1", "k2", "k3"]', 'stiffness = ["k1", "k2"]'),
+        ("k3 = {", "# k3 = {"),
+    )
+    assert found.sentences[0].startswith("This model does not explain floor1:")
+    assert any("a peak at 16.2 Hz" in sentence for sentence in found.sentences)
+
+
+def test_what_sensors_cannot_tell_is_said_before(tmp_path):
+    path = tmp_path / "few.toml"
+    write_example(path, synthetic=True)
+    told = foretold(read_problem(path))
+    assert [sentence.split(":")[0] for sentence in told] == [
+        "TN counts 3 observations for 4 unknown parameters of the structure",
+        "EXP counts 6 observations for 4 unknown parameters of the structure",
+    ]
+
+
+def test_overlap_against_the_closed_form():
+    """Of two Gaussians a distance of d apart: 2 Phi(-d / 2). Of equal ones: nearly one."""
+    from scipy import stats
+
+    rng = np.random.default_rng(0)
+    prior = rng.standard_normal(40_000)
+    for distance in (0.0, 0.5, 2.0):
+        found = overlap_of(prior, distance + rng.standard_normal(40_000))
+        assert found == pytest.approx(2.0 * stats.norm.cdf(-distance / 2.0), abs=0.02)
