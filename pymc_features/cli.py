@@ -10,12 +10,6 @@ from rich.console import Console
 
 from pymc_features.progress import PartProgress
 
-FIGURES = {  # those with all their likelihoods in the study are drawn
-    "fig2_norm.png": ["NORM"],
-    "fig3_tn.png": ["TN"],
-    "fig4_exp_abc.png": ["EXP", "ABC"],
-    "fig5_correlated.png": ["NORM", "CN", "CN-SIGMA", "CN-TAU"],
-}
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 
@@ -114,6 +108,15 @@ def add_update(commands):
     run.add_argument("config", metavar="CONFIG", help="configuration file, TOML")
     run.add_argument("--out", metavar="DIR", help="output folder (default: CONFIG-output beside CONFIG)")
     run.add_argument("--cores", type=int, help="processes (default: as CONFIG says, or all processors)")
+    look = commands.add_parser(
+        "check",
+        help="look at the data of a configuration without sampling",
+        description="Reads a configuration and its channels, checks them against each other, says which "
+        "lines of the file would correct what is wrong, and draws them.",
+    )
+    look.set_defaults(run=check)
+    look.add_argument("config", metavar="CONFIG", help="configuration file, TOML")
+    look.add_argument("--out", metavar="FILE", help="figure (default: CONFIG-check.png beside CONFIG)")
     example = commands.add_parser(
         "init",
         help="write a commented configuration that runs",
@@ -124,7 +127,7 @@ def add_update(commands):
     example.set_defaults(run=init)
     example.add_argument("config", metavar="CONFIG", nargs="?", default="update.toml")
     example.add_argument("--synthetic", action="store_true", help="simulated data in any case")
-    for command in (run, example):
+    for command in (run, look, example):
         command.add_argument("--traceback", action="store_true", help="on an error, show where it came from")
 
 
@@ -159,7 +162,7 @@ def _is_number(text):
 
 def reproduce(options, console):
     """Run the study and write figures, table and result."""
-    from pymc_features.study import find_structure, sampling_rate_study, yielding
+    from pymc_features.study import find_structure, sampling_rate_study, write_outputs, yielding
 
     of_springs = {} if options.stiffness is None else {"stiffness": options.stiffness}
     described = find_structure(options.structure, **of_springs)
@@ -191,22 +194,13 @@ def reproduce(options, console):
 
 def update(options, console):
     """Update a structure as a configuration says, and write the report."""
-    import warnings
-
-    from pymc_features.update import read_problem, run_update, write_outputs
+    from pymc_features.update import run_update, write_outputs
     from pymc_features.update.terminal import summary
     from pymc_features.update.verdict import foretold
 
     config = Path(options.config)
     options.out = Path(options.out or config.with_name(f"{config.stem}-output"))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("ignore")
-        warnings.simplefilter("always", UserWarning)
-        problem = read_problem(config)
-    told = list(dict.fromkeys(str(warning.message) for warning in caught))
-    for sentence in told:
-        say(console, f"warning: {sentence}", "yellow")
-    say(console, f"data: {problem.measured.source}; base: {problem.measured.record}")
+    problem, told = read_and_tell(config, console)
     for sentence in foretold(problem):
         say(console, f"note: {sentence}")
     with PartProgress(console, "update") as progress:
@@ -225,6 +219,45 @@ def update(options, console):
     for path in write_outputs(problem, result, options.out, told):
         if path.parent == options.out:
             say(console, f"wrote {path}")
+
+
+def read_and_tell(config, console):
+    """The problem of a configuration, and what was said about its channels."""
+    import warnings
+
+    from pymc_features.update import read_problem
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        problem = read_problem(config)
+    told = list(dict.fromkeys(str(warning.message) for warning in caught))
+    for sentence in told:
+        say(console, f"warning: {sentence}", "yellow")
+    measured = problem.measured
+    say(console, f"data: {measured.source}; base: {measured.record}")
+    say(console, f"channels: {measured.checked.sentence}")
+    return problem, told
+
+
+def check(options, console):
+    """Look at the data of a configuration."""
+    from pymc_features import plots
+    from pymc_features.storage import write_atomically
+    from pymc_features.update.channels import base_and_sensors
+    from pymc_features.update.terminal import gains_table
+
+    config = Path(options.config)
+    problem, told = read_and_tell(config, console)
+    if problem.measured.checked.gains is not None:
+        console.print(gains_table(problem.measured.checked.gains))
+    out = Path(options.out or config.with_name(f"{config.stem}-check.png"))
+    axes = plots.plot_channels(base_and_sensors(problem.measured))
+    write_atomically(out, lambda path: axes[0].figure.savefig(path, dpi=120, format="png"))
+    plots.close(axes[:1])
+    say(console, f"wrote {out}")
+    if not told:
+        say(console, "nothing was found wrong")
 
 
 def init(options, console):
@@ -253,33 +286,6 @@ def default_folder(options) -> str:
     if options.structure != "linear":
         parts.append(options.structure)
     return "-".join([*parts, "quick"] if options.quick else parts)
-
-
-def write_outputs(result, folder: Path) -> list[Path]:
-    """Write figures, tables and the result into `folder`; return their paths."""
-    from pymc_features import plots
-    from pymc_features.storage import write_atomically
-    from pymc_features.study import as_csv, as_markdown
-
-    def save(axes):
-        return lambda path: axes[0].figure.savefig(path, dpi=150, format="png")
-
-    figures = {"fig1_record.png": plots.plot_record(result)}
-    known = set(result["summary"]["likelihood"].values)
-    for name, likelihoods in FIGURES.items():
-        if known.issuperset(likelihoods):
-            figures[name] = plots.plot_sampling_rate(result, likelihoods)
-    figures["fig6_widths.png"] = plots.plot_widths(result)
-    if "loops" in result.children:
-        figures["fig7_loops.png"] = plots.plot_loops(result)
-    writers = {name: save(axes) for name, axes in figures.items()}
-    writers["table.md"] = lambda path: path.write_text(as_markdown(result))
-    writers["table.csv"] = lambda path: path.write_text(as_csv(result))
-    writers["study.nc"] = lambda path: result.to_netcdf(path, engine="h5netcdf")
-    for name, write in writers.items():
-        write_atomically(folder / name, write)
-    plots.close(axes[0] for axes in figures.values())
-    return [folder / name for name in writers]
 
 
 if __name__ == "__main__":

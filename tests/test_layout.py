@@ -43,6 +43,7 @@ ALLOWED = {
     "study": {
         *("records", "structures", "simulators", "io", "datasets", "ground_motion"),
         *("ops", "distributions", "likelihoods", "smc", "inference", "calibration", "storage"),
+        "plots",
     },
     "likelihoods": {"ops", "distributions", "likelihood_free", "calibration"},
     "plots": {"records", "likelihoods"},
@@ -92,6 +93,7 @@ PUBLIC_NAMES = [
     "mean_square_discrepancy",
     "paper",
     "plot_chains",
+    "plot_channels",
     "plot_loops",
     "plot_natural_frequencies",
     "plot_predictive",

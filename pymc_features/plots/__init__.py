@@ -5,6 +5,7 @@ A new one is one file and one line. matplotlib is imported when the first of the
 
 from pymc_features.plots.axes import close as close
 from pymc_features.plots.chains import plot_chains as plot_chains
+from pymc_features.plots.channels import plot_channels as plot_channels
 from pymc_features.plots.loops import plot_loops as plot_loops
 from pymc_features.plots.natural_frequencies import plot_natural_frequencies as plot_natural_frequencies
 from pymc_features.plots.predictive import plot_predictive as plot_predictive

@@ -11,6 +11,7 @@ their ratios stay what they were.
 
 from pymc_features.signals.channels import sampling_step
 from pymc_features.signals.check import check_channels
+from pymc_features.signals.correct import correct
 from pymc_features.signals.decimate import decimate
 from pymc_features.signals.detrend import detrend
 from pymc_features.signals.filter import band_pass
@@ -20,6 +21,7 @@ from pymc_features.signals.trim import trim
 __all__ = [
     "band_pass",
     "check_channels",
+    "correct",
     "decimate",
     "detrend",
     "low_frequency_gains",

@@ -45,8 +45,10 @@ def check_channels(
     Returns
     -------
     xarray.Dataset (sensor)
-        `gain`, `lag` [s], their standard errors and `coherence` as of `low_frequency_gains`, and `peak`
-        [m/s^2], the largest deviation from the median.
+        `gain`, `lag` [s], their standard errors and `coherence` as of `low_frequency_gains`; `peak` [m/s^2],
+        the largest deviation from the median; `scale` [-] and `delay` [s], what `correct` takes to put right
+        a channel that is inverted, in other units, or late: 1 and 0 where nothing is wrong. `attrs["order"]`:
+        the sensors by their gains, if these do not rise.
 
     Raises
     ------
@@ -79,16 +81,33 @@ def check_channels(
     index = base_index(channels, base)
     reference = repr(str(found["sensor"].values[index]))
     allowed = _LATE * sampling_step(channels), damping_ratio / (1.5 * np.pi * found.attrs["band"][1])
-    comparable = []
+    comparable, scale, delay = [], np.ones(found.sizes["sensor"]), np.zeros(found.sizes["sensor"])
     for i in range(found.sizes["sensor"]):
         row = {name: float(found[name][i]) for name in found.data_vars}
         messages = [] if i == index else _against_base(row, reference, allowed)
+        if i != index and row["coherence"] >= _COHERENT:
+            scale[i], delay[i] = _factor(row["gain"]), row["lag"] if _is_late(row, allowed) else 0.0
         for message in messages:
             warn_channel(f"Channel {str(found['sensor'].values[i])!r} {message}")
         if row["coherence"] >= _COHERENT and _GAINS[0] <= abs(row["gain"]) <= _GAINS[1]:
             comparable.append(i)
-    _check_order(found.isel(sensor=comparable))
-    return found
+    found.attrs["order"] = _check_order(found.isel(sensor=comparable))
+    return found.assign(scale=("sensor", scale), delay=("sensor", delay, {"units": "s"}))
+
+
+def _factor(gain: float) -> float:
+    """What puts a gain right: a sign, and units that are known to be mistaken for each other."""
+    sign, ratio = np.sign(gain), max(abs(gain), 1.0 / abs(gain))
+    if _GAINS[0] <= abs(gain) <= _GAINS[1]:
+        return float(sign)
+    known = next((known for known in _RATIOS if 0.75 < ratio / known < 1.5), 1.0)
+    return float(sign * (1.0 / known if abs(gain) > 1.0 else known))
+
+
+def _is_late(row: dict, allowed: tuple[float, float]) -> bool:
+    """Whether a lag is more than a part of a sample, damping and chance."""
+    explained = abs(1.0 - 1.0 / max(abs(row["gain"]), 1.0)) * allowed[1]
+    return abs(row["lag"]) > allowed[0] + explained + 3.0 * row["lag_error"]
 
 
 def _against_base(row: dict, base: str, allowed: tuple[float, float]) -> list[str]:
@@ -108,8 +127,7 @@ def _against_base(row: dict, base: str, allowed: tuple[float, float]) -> list[st
             f"has a low-frequency gain of {gain:.3g} against {base}, where floors follow the base"
             f"{', ' if reason else ''}{reason}. Check units and sensitivity."
         )
-    limit = allowed[0] + abs(1.0 - 1.0 / max(abs(gain), 1.0)) * allowed[1] + 3.0 * row["lag_error"]
-    if abs(lag) > limit:
+    if _is_late(row, allowed):
         messages.append(
             f"comes {1e3 * abs(lag):.3g} ms ({abs(lag) * _LATE / allowed[0]:.3g} samples) "
             f"{'after' if lag > 0.0 else 'before'} {base}, +- {1e3 * row['lag_error']:.2g} ms. "
@@ -118,13 +136,15 @@ def _against_base(row: dict, base: str, allowed: tuple[float, float]) -> list[st
     return messages
 
 
-def _check_order(found: xr.Dataset) -> None:
+def _check_order(found: xr.Dataset) -> list[str]:
+    """Names in the order of the gains, if that is not the one they are listed in."""
     gains, errors = np.abs(found["gain"].values), found["gain_error"].values
-    if (np.diff(gains) < -_DROP - 3.0 * np.hypot(errors[1:], errors[:-1])).any():
-        listed = ", ".join(
-            f"{name} {gain:.3f}" for name, gain in zip(found["sensor"].values, gains, strict=True)
-        )
-        warn_channel(
-            "Sensors may be swapped, or not listed from the base up: low-frequency gains must rise, "
-            f"got {listed}."
-        )
+    if not (np.diff(gains) < -_DROP - 3.0 * np.hypot(errors[1:], errors[:-1])).any():
+        return []
+    names = [str(name) for name in found["sensor"].values]
+    listed = ", ".join(f"{name} {gain:.3f}" for name, gain in zip(names, gains, strict=True))
+    warn_channel(
+        "Sensors may be swapped, or not listed from the base up: low-frequency gains must rise, "
+        f"got {listed}."
+    )
+    return [names[i] for i in np.argsort(gains, kind="stable")]

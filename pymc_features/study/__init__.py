@@ -2,6 +2,7 @@
 
 from pymc_features.study import paper
 from pymc_features.study.findings import yielding
+from pymc_features.study.outputs import write_outputs
 from pymc_features.study.sampling_rate import sampling_rate_study
 from pymc_features.study.structures import STRUCTURES, StudyStructure, find_structure
 from pymc_features.study.table import as_csv, as_markdown
@@ -14,5 +15,6 @@ __all__ = [
     "find_structure",
     "paper",
     "sampling_rate_study",
+    "write_outputs",
     "yielding",
 ]

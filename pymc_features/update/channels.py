@@ -11,6 +11,8 @@ from pymc_features import datasets, signals
 from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 from pymc_features.io import read_channels, read_record
 from pymc_features.records import Record
+from pymc_features.signals.channels import check_window
+from pymc_features.update.checks import Checked, check, warn_of_motion
 from pymc_features.update.config.document import Config
 
 
@@ -23,28 +25,44 @@ class Measured:
     record : Record
         Motion of the base.
     channels : DataArray (sensor, time)
-        Measured absolute accelerations [m/s^2], from time 0 of the record, at `step`.
+        Measured absolute accelerations [m/s^2] that are compared, at `step`; time 0 is that of the record.
     step : float
         Sampling interval of the channels [s], a multiple of the record's.
     source : str
         Where they come from.
-    gains : Dataset or None
-        What `check_channels` found.
+    checked : Checked
+        What is known of the channels against each other.
+    first : int
+        Sample of the response that the first of the channels is compared with.
     """
 
     record: Record
     channels: xr.DataArray
     step: float
     source: str
-    gains: xr.Dataset | None
+    checked: Checked
+    first: int = 0
+
+    @property
+    def compared(self) -> slice:
+        """Samples of the response, at `step`, that are compared."""
+        return slice(self.first, self.first + self.channels.sizes["time"])
 
     @property
     def base(self) -> np.ndarray:
-        """Motion of the base (time,) at the step of the channels [m/s^2]."""
+        """Motion of the base (time,) at the times of the channels [m/s^2]."""
         from scipy import signal  # a second to import
 
         stride = round(self.step / self.record.dt)
-        return signal.resample_poly(self.record.acceleration, 1, stride)[: self.channels.sizes["time"]]
+        return signal.resample_poly(self.record.acceleration, 1, stride)[self.compared]
+
+
+def base_and_sensors(measured: Measured) -> xr.DataArray:
+    """All channels (sensor, time) [m/s^2] after processing, the base first."""
+    values = np.vstack([measured.base, measured.channels.values])
+    names = ["base", *(str(name) for name in measured.channels["sensor"].values)]
+    coords = {"sensor": names, "time": measured.channels["time"].values}
+    return xr.DataArray(values, coords, ("sensor", "time"))
 
 
 @contextmanager
@@ -61,8 +79,10 @@ def named_key(key: str, **renamed: str):
         raise ConfigError(f"[{key}]: {text}") from error
 
 
-def read_measured(config: Config, folder: Path) -> Measured:
-    """Read, process and check the channels of a configuration; files are relative to `folder`.
+def read_measured(config: Config, folder: Path, first_frequency: float) -> Measured:
+    """Read, correct, check and process the channels of a configuration; files are relative to `folder`.
+
+    The check is made below the first natural frequency that is expected [Hz].
 
     Raises
     ------
@@ -78,6 +98,9 @@ def read_measured(config: Config, folder: Path) -> Measured:
         if name not in known:
             key = "base" if name == config.data.base else "sensors"
             raise ConfigError(f"`data.{key}` must be among the sensors {', '.join(known)}, got {name!r}.")
+    with named_key("data"):
+        channels = signals.correct(channels, scale=config.data.scale, delay=config.data.delay)
+        channels = some_rows(channels, config.data.rows)
     channels = channels.isel(sensor=[known.index(name) for name in wanted])
     if config.record is None:
         motion = None
@@ -90,14 +113,36 @@ def read_measured(config: Config, folder: Path) -> Measured:
                 dim="sensor",
                 join="override",
             ).assign_attrs(channels.attrs)
-    channels, gains = processed(channels, config)
+    channels, checked = processed(channels, config, first_frequency)
     base, floors = channels.isel(sensor=0), channels.isel(sensor=slice(1, None))
     name = source if config.record is None else Path(config.record.path).name
     record = Record.from_channel(base, name=f"{config.data.base or 'ground motion'}, {name}")
     factor = config.processing.decimate
     with named_key("processing.decimate"):
         floors = signals.decimate(floors, factor)
-    return Measured(record, floors, factor * record.dt, source, gains)
+    floors, first = window_of(floors, config.processing.compare)
+    return Measured(record, floors, factor * record.dt, source, checked, first)
+
+
+def window_of(floors, compare) -> tuple[xr.DataArray, int]:
+    """The part of the channels that is compared, with its times, and its first sample."""
+    if compare is None:
+        return floors, 0
+    with named_key("processing.compare"):
+        low, high = check_window(floors, compare, "compare")
+    return floors.isel(time=slice(low, high)), low
+
+
+def some_rows(channels, rows) -> xr.DataArray:
+    """Channels between two rows of their files, times from 0."""
+    if rows is None:
+        return channels
+    if rows[1] > channels.sizes["time"]:
+        raise ConfigError(
+            f"`data.rows` must lie within the {channels.sizes['time']} rows of the files, got {list(rows)}."
+        )
+    step = signals.sampling_step(channels)
+    return signals.trim(channels, *(float(channels["time"][0]) + step * np.array([rows[0], rows[1] - 1])))
 
 
 def read_all(config, folder) -> tuple[xr.DataArray, str]:
@@ -134,20 +179,20 @@ def read_motion(config, folder, step) -> xr.DataArray:
     )
 
 
-def processed(channels, config) -> tuple[xr.DataArray, xr.Dataset | None]:
+def processed(channels, config, first_frequency) -> tuple[xr.DataArray, Checked]:
     """Channels after every step of [processing] but the decimation, and what the check found before."""
-    asked, gains = config.processing, None
+    asked = config.processing
     if asked.detrend is not None:
         with named_key("processing.detrend"):
             channels = signals.detrend(channels, asked.detrend.kind, window=asked.detrend.window)
-    if asked.check_band is not None:
-        with named_key("processing.check_band"):
-            gains = signals.check_channels(channels, band=asked.check_band)
+    with named_key("processing.check_band"):
+        checked = check(channels, config, first_frequency)
     if asked.band_pass is not None:
         filter_ = asked.band_pass
         with named_key("processing.band_pass"):
             channels = signals.band_pass(channels, filter_.low, filter_.high, order=filter_.order)
     if asked.trim is not None:
         with named_key("processing.trim"):
+            warn_of_motion(channels, asked.trim[0], first_frequency)
             channels = signals.trim(channels, *asked.trim)
-    return channels, gains
+    return channels, checked

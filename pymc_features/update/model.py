@@ -51,6 +51,9 @@ def declare(problem: Problem, kind: str, tolerance: float | None = None) -> pm.M
         errors = {
             name: pt.as_tensor_variable(evaluated(value, values)) for name, value in asked.parameters_of(kind)
         }
+        if problem.config.processing.compare is not None:
+            mu = mu[:, measured.compared]
+            errors["dt"] = pt.constant(measured.step)  # which likelihoods no longer see
         given = Comparison(mu, observed.values, epsilon=tolerance, density=asked.density, **errors)
         LIKELIHOODS[kind].declare(given)
     return model

@@ -7,11 +7,11 @@ import xarray as xr
 from pymc_features.exceptions import ConfigError
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.prediction import posterior_response
+from pymc_features.update.structure import modes_of
 
 QUANTILES = (0.05, 0.5, 0.95)
 DRAWS = 200
 MODAL_DRAWS = 500
-MOST_MODES = 10
 PROMINENCE = 2.0  # of a peak of the gain over the valleys beside it, a factor
 
 
@@ -42,7 +42,8 @@ def bands(problem, kind, model, idata) -> xr.Dataset:
     observed = measured.channels
     coords = {"quantile": list(QUANTILES), "sensor": observed["sensor"], "time": observed["time"]}
     dims = ("quantile", "sensor", "time")
-    found = xr.Dataset({"response": (dims, at_sensors[names[0]].values)}, coords=coords)
+    compared = at_sensors[names[0]].values[..., measured.compared]
+    found = xr.Dataset({"response": (dims, compared)}, coords=coords)
     off = observed - found["response"].sel(quantile=0.5, drop=True)
     found["normalised_error"] = np.sqrt((off**2).mean("time") / (observed**2).mean("time"))
     if not LIKELIHOODS[kind].is_likelihood_free:
@@ -100,13 +101,6 @@ def frequencies(problem, idata) -> xr.Dataset:
     }
     coords = {"chain": posterior["chain"], "draw": posterior["draw"], "mode": 1 + np.arange(found.shape[-1])}
     return xr.Dataset(parts, coords=coords)
-
-
-def modes_of(structure, n_modes):
-    """The lowest modes of a structure."""
-    if structure.has_storeys:
-        return structure.modes()
-    return structure.modes(min(n_modes or MOST_MODES, structure.n_dof))
 
 
 def measured_gain(problem) -> tuple[xr.DataArray, np.ndarray]:

@@ -15,7 +15,7 @@ from pymc_features.update.config.document import Config, read_config
 from pymc_features.update.config.entries import Matrix
 from pymc_features.update.config.priors import Prior
 from pymc_features.update.config.sections import ERRORS
-from pymc_features.update.structure import StructureOf
+from pymc_features.update.structure import StructureOf, modes_of
 
 #: Keys that change no draw, or, as the tolerance, those of ABC alone.
 WITHOUT_EFFECT = ("report", "likelihood.kinds", "likelihood.epsilon", "sampler.cores")
@@ -128,10 +128,11 @@ def read_problem(path) -> Problem:
         for name, section in config.priors.items()
     }
     structure = StructureOf(config.structure, path.parent)
-    measured = read_measured(config, path.parent)
     with named_key("structure"):
-        size = structure(**{n: float(np.median(priors[n].draw(501, 1))) for n in structure.names}).n_dof
-    dofs = checked_dofs(config, size)
+        expected = structure(**{n: float(np.median(priors[n].draw(501, 1))) for n in structure.names})
+        first_frequency = float(modes_of(expected, 1).natural_frequencies[0])
+    measured = read_measured(config, path.parent, first_frequency)
+    dofs = checked_dofs(config, expected.n_dof)
     check_errors(config)
     frequencies = config.report.natural_frequencies
     if frequencies is not None and not (frequencies and np.all(np.diff([0.0, *frequencies]) > 0.0)):

@@ -49,8 +49,8 @@ def report(problem: Problem, result, table, judged, doubts, drawn) -> str:
         rate=f"{measured.channels.sizes['time']} samples at {measured.step:.6g} s; base at "
         f"{measured.record.dt:.6g} s",
         sensors=sensor_rows(problem),
-        gains=[] if measured.gains is None else gain_rows(measured.gains),
-        band=config.processing.check_band,
+        gains=[] if measured.checked.gains is None else gain_rows(measured.checked.gains),
+        checked=measured.checked.sentence,
         columns=COLUMNS,
         posterior=[posterior_row(row) for row in table],
         shared=[figure for figure in figures if "_" not in figure["name"]],

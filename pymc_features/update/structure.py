@@ -88,3 +88,13 @@ def built(value, values):
         damping = DAMPINGS[value.type]
         return damping(**{name: evaluated(getattr(value, name), values) for name in damping.inputs})
     return evaluated(value, values)
+
+
+MOST_MODES = 10
+
+
+def modes_of(structure, n_modes):
+    """The lowest modes of a structure."""
+    if structure.has_storeys:
+        return structure.modes()
+    return structure.modes(min(n_modes or MOST_MODES, structure.n_dof))

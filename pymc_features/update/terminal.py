@@ -1,10 +1,11 @@
 """What the command line says of an update: the verdict, the posterior and the warnings of the report."""
 
 from rich import box
+from rich.markup import escape
 from rich.table import Table
 
 from pymc_features.update.problem import Problem
-from pymc_features.update.report import posterior_row
+from pymc_features.update.report import gain_rows, posterior_row
 from pymc_features.update.summary import COLUMNS, kinds_of, rows, supported, warnings_of
 from pymc_features.update.verdict import verdict
 
@@ -56,4 +57,14 @@ def posterior_table(table) -> Table:
     for row in table:
         cells = dict(zip(COLUMNS, map(str, posterior_row(row)), strict=True))
         drawn.add_row(*(cells[name] for name in SHOWN))
+    return drawn
+
+
+def gains_table(gains) -> Table:
+    """Gain, lag and coherence of each sensor against the base."""
+    drawn = Table(title="Against the base", title_justify="left", box=box.SIMPLE_HEAD)
+    for name in ("sensor", "gain [-]", "lag [ms]", "coherence [-]"):
+        drawn.add_column(escape(name), justify="left" if name == "sensor" else "right", no_wrap=True)
+    for row in gain_rows(gains):
+        drawn.add_row(*map(str, row))
     return drawn

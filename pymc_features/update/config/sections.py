@@ -34,7 +34,18 @@ def window(value):
     return tuple(map(float, value))
 
 
+def rows(value):
+    """First row, and the one after the last."""
+    if not (isinstance(value, list) and len(value) == 2 and all(type(v) is int for v in value)):
+        raise ValueError(f"must be two whole numbers [from, to], got {value!r}")
+    if not 0 <= value[0] < value[1] - 1:
+        raise ValueError(f"must hold two rows or more from 0 on, got {value!r}")
+    return tuple(value)
+
+
+Rows = Annotated[Any, PlainValidator(rows)]
 Window = Annotated[Any, PlainValidator(window)]
+WindowOrFalse = Annotated[Any, PlainValidator(lambda value: value if value is False else window(value))]
 Names = Annotated[list[str], Field(min_length=1)]
 
 
@@ -55,10 +66,18 @@ class Data(Section):
     clock_units: str | float | None = key('"s", "ms", "us", "ns", or seconds per count', None)
     skip: int = key("the number of rows to leave out at the start, not negative", 0, ge=0)
     wrapped: bool | None = key("true if one series runs along the lines of a text file, else false", None)
+    rows: Rows | None = key("the first row and the one after the last, [from, to]", None)
     base: str | None = key("the sensor that measured the motion of the base", None)
     sensors: Names = key("the names of the sensors on the structure, one or more")
     dofs: list[int] | None = key(
         "the degrees of freedom of `data.sensors`, whole numbers, 0 next to the base", None
+    )
+
+    scale: float | dict[str, float] | None = key(
+        "a factor for all sensors, or a table of sensor names to factors, -1.0 for an inverted one", None
+    )
+    delay: dict[str, float] | None = key(
+        "a table of sensor names to the seconds by which they come late", None
     )
 
     @model_validator(mode="after")
@@ -69,7 +88,7 @@ class Data(Section):
         if self.dataset is None and "event" in self.model_fields_set:
             raise ValueError("must have `event` only with `dataset`, got it with `files`")
         if self.dataset is not None:
-            own = {"dataset", "event", "base", "sensors", "dofs"}
+            own = {"dataset", "event", "base", "sensors", "dofs", "rows", "scale", "delay"}
             if more := sorted(self.model_fields_set - own):
                 raise ValueError(f"must have `{more[0]}` only with `files`, got it with `dataset`")
         if len(set(self.sensors)) < len(self.sensors) or self.base in self.sensors:
@@ -108,8 +127,9 @@ class Processing(Section):
     detrend: Detrend | None = key("a table with `kind` and `window`", None)
     band_pass: BandPass | None = key("a table with `low`, `high` and `order`", None)
     trim: Window | None = key("two times [from, to] in seconds", None)
+    compare: Window | None = key("two times [from, to] in seconds after `trim`", None)
     decimate: int = key("a positive whole number", 1, ge=1)
-    check_band: Window | None = key("two frequencies [from, to] in Hz", None)
+    check_band: WindowOrFalse | None = key("two frequencies [from, to] in Hz, or false", None)
 
 
 class Likelihood(Section):

@@ -1,0 +1,40 @@
+"""Measured channels below each other."""
+
+import numpy as np
+import xarray as xr
+
+from pymc_features.plots.axes import AxesLike, checked_axes
+
+HEIGHT, TALLEST = 0.9, 30.0  # inches, of a channel and of all
+
+
+def plot_channels(channels: xr.DataArray, axes: AxesLike = None) -> np.ndarray:
+    """Every channel against time, with its largest value, all on one scale.
+
+    Parameters
+    ----------
+    channels : DataArray (sensor, time)
+        Measured channels [m/s^2].
+    axes : sequence of matplotlib Axes, optional
+        One for each sensor; a new figure by default.
+
+    Returns
+    -------
+    array of matplotlib Axes
+    """
+    if not isinstance(channels, xr.DataArray) or channels.dims != ("sensor", "time"):
+        raise TypeError(
+            f"`channels` must be a DataArray (sensor, time), got {type(channels).__name__}. Read files with "
+            "`read_channels`."
+        )
+    n = channels.sizes["sensor"]
+    figsize = (9.0, min(TALLEST, 0.8 + HEIGHT * n))
+    axes = checked_axes(axes, n, "sensors", figsize=figsize, sharex=True, sharey=True)
+    for ax, name, values in zip(axes, channels["sensor"].values, channels.values, strict=True):
+        peak = int(np.abs(values).argmax())
+        ax.plot(channels["time"], values, color="0.25", lw=0.6)
+        ax.plot(channels["time"][peak], values[peak], "o", color="C3", ms=4)
+        ax.set_title(f"{name}, peak {abs(values[peak]):.3g} m/s²", loc="left", fontsize="medium")
+    axes[-1].set(xlabel="time [s]", xlim=(float(channels["time"][0]), float(channels["time"][-1])))
+    axes[n // 2].set_ylabel("acceleration [m/s²]")
+    return axes
