@@ -14,6 +14,7 @@ from pymc_features.structures.damping import Damping
 from pymc_features.structures.inputs import MATRICES, vector
 from pymc_features.structures.linear import LinearStructure
 from pymc_features.structures.matrices import MatrixLike, as_matrix
+from pymc_features.structures.variables import holds_variables, unpacked, with_known_length
 
 
 class AffineStructure(LinearStructure):
@@ -91,13 +92,13 @@ class AffineStructure(LinearStructure):
         self._install(self._as_theta(np.zeros(self.n_parameters) if theta is None else theta))
 
     def _as_theta(self, theta):
-        p = self.n_parameters
+        p, theta = self.n_parameters, unpacked(theta)
         if isinstance(theta, Variable):
-            vector = pt.atleast_1d(pt.as_tensor_variable(theta)).astype("float64")
+            vector = with_known_length(pt.atleast_1d(pt.as_tensor_variable(theta)).astype("float64"))
             if vector.ndim == 1 and vector.type.shape[0] in (None, p):
                 return vector
             got = f"a tensor of shape {vector.type.shape}"
-        elif isinstance(theta, list | tuple) and any(isinstance(entry, Variable) for entry in theta):
+        elif holds_variables(theta):
             entries = [pt.as_tensor_variable(entry, dtype="float64") for entry in theta]
             if len(entries) == p and not any(entry.ndim for entry in entries):
                 return pt.stack(entries)

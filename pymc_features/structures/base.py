@@ -13,6 +13,7 @@ from scipy import sparse
 
 from pymc_features.records import DynamicLoad, Record
 from pymc_features.structures.inputs import Input
+from pymc_features.structures.variables import holds_variables, unpacked, with_known_length
 
 # numbers, what PyTensor computes, or a list of both
 type Values = ArrayLike | Variable | Sequence[float | Variable]
@@ -141,7 +142,7 @@ def as_vector(value, name: str, unit: str, *, allow_zero: bool = False):
     Parameters
     ----------
     value : number, array_like, TensorVariable or sequence of numbers and TensorVariables
-        Scalar or one-dimensional.
+        Scalar or one-dimensional. A variable with `dims` has the length of its coordinates.
     name, unit : str
         For messages.
     allow_zero : bool
@@ -151,9 +152,10 @@ def as_vector(value, name: str, unit: str, *, allow_zero: bool = False):
     -------
     array or TensorVariable, of 0 or 1 dimension.
     """
+    value = unpacked(value)
     if isinstance(value, Variable):
-        symbolic = pt.as_tensor_variable(value)
-    elif isinstance(value, Sequence) and any(isinstance(entry, Variable) for entry in value):
+        symbolic = with_known_length(pt.as_tensor_variable(value))
+    elif holds_variables(value):
         symbolic = pt.stack([pt.as_tensor_variable(entry, dtype="float64") for entry in value])
     else:
         return _as_numbers(value, name, unit, allow_zero)

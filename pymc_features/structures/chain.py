@@ -27,6 +27,7 @@ class SpringMassChain(Chain):
 
     Notes
     -----
+    A variable with the `dims` of a model has the length of their coordinates, here and in dampings.
     Numbers are checked here; variables cannot be. Where a draw makes a mass or a spring negative,
     the response is NaN and the likelihoods of this package are -inf.
 

@@ -42,7 +42,8 @@ class Chain(Structure):
         if not lengths:
             raise ValueError(
                 "`mass` or `stiffness` must have a known length, got none. "
-                "Pass one of them as an array of n values."
+                "Pass one of them as an array of n values, or declare it with shape=n, or with dims that the "
+                "model has coords for."
             )
         self._n_dof = lengths.pop()
         self.damping.coefficients(self._n_dof)
