@@ -11,6 +11,7 @@ from pymc_features.update.channels import named_key
 from pymc_features.update.config.document import parameters_of
 from pymc_features.update.config.entries import Matrix, evaluated, priors_in
 from pymc_features.update.config.sections import Section
+from pymc_features.update.storeys import spread_over_storeys
 
 CATALOGUE = {cls.__name__: cls for cls in structures.STRUCTURES}
 DAMPINGS = {cls.__name__: cls for cls in structures.DAMPINGS}
@@ -36,8 +37,10 @@ class StructureOf:
         kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
         self.__signature__ = inspect.Signature([inspect.Parameter(name, kind) for name in self.names])
         self.given = {}
+        storeys = spread_over_storeys(section, self.type.inputs) if self.type.has_storeys else {}
         for name in self.type.inputs:
-            self.given[name] = loaded(getattr(section, name), f"structure.{name}", Path(folder))
+            value = storeys.get(name, getattr(section, name))
+            self.given[name] = loaded(value, f"structure.{name}", Path(folder))
         self.damping_is_constant = not any(
             True for key, _, value in parameters_of("", section) if "damping" in key for _ in priors_in(value)
         )

@@ -7,7 +7,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pymc_features.exceptions import ConfigError
-from pymc_features.update.config.entries import priors_in
+from pymc_features.update.config.entries import units_in
 from pymc_features.update.config.messages import sentence
 from pymc_features.update.config.sections import (
     ERRORS,
@@ -50,15 +50,15 @@ class Config(Section):
 
     def uses(self) -> dict[str, list[tuple[str, str]]]:
         """Names of priors to (key, unit) of every place where they are used, in the order of use."""
-        found: dict[str, list[tuple[str, str]]] = {}
-        for key, unit, value in parameters_of("structure", self.structure):
-            for item in priors_in(value):
-                found.setdefault(item.prior, []).append((key, unit if item.times == 1.0 else "-"))
         taken = dict(pair for kind in self.likelihood.kinds for pair in self.likelihood.parameters_of(kind))
-        for name, value in taken.items():
-            for item in priors_in(value):
-                place = f"likelihood.{name}", ERRORS[name] if item.times == 1.0 else "-"
-                found.setdefault(item.prior, []).append(place)
+        places = list(parameters_of("structure", self.structure))
+        places += [(f"likelihood.{name}", ERRORS[name], value) for name, value in taken.items()]
+        found: dict[str, list[tuple[str, str]]] = {}
+        for key, of_key, value in places:
+            for name, unit in units_in(value, of_key):
+                listed = found.setdefault(name, [])
+                if (key, unit) not in listed:
+                    listed.append((key, unit))
         return found
 
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+import numpy as np
 import pytensor.tensor as pt
 from pydantic import PlainValidator
 from pytensor.graph.basic import Variable
@@ -16,6 +17,27 @@ class Parameter:
 
     prior: str
     times: float = 1.0
+
+
+@dataclass(frozen=True)
+class Taper:
+    """Values from the first storey to the last, base + (top - base) x^exponent, x = (i - 1) / (n - 1).
+
+    Attributes
+    ----------
+    base, top, exponent : float or Parameter
+        Values of storeys 1 and n, and how long it stays near the first: 1 is linear, 2 parabolic.
+    times : float or tuple of n floats
+        Known values to multiply.
+    n : int or None
+        Number of storeys, where it is known.
+    """
+
+    base: float | Parameter
+    top: float | Parameter
+    exponent: float | Parameter = 1.0
+    times: float | tuple[float, ...] = 1.0
+    n: int | None = None
 
 
 @dataclass(frozen=True)
@@ -82,9 +104,21 @@ def priors_in(value):
     """All random entries in a value of the file, lists looked through."""
     if isinstance(value, Parameter):
         yield value
+    elif isinstance(value, Taper):
+        yield from priors_in([value.base, value.top, value.exponent])
     elif isinstance(value, list | tuple):
         for item in value:
             yield from priors_in(item)
+
+
+def units_in(value, unit):
+    """Name and unit of every random entry of a value in `unit`: what is multiplied has none."""
+    if isinstance(value, Taper):
+        yield from units_in([value.base, value.top], unit if value.times == 1.0 else "-")
+        yield from units_in(value.exponent, "-")
+    else:
+        for item in priors_in(value):
+            yield item.prior, unit if item.times == 1.0 else "-"
 
 
 def evaluated(value, values):
@@ -92,9 +126,32 @@ def evaluated(value, values):
     if isinstance(value, Parameter):
         found = values[value.prior]
         return found if value.times == 1.0 else value.times * found
+    if isinstance(value, Taper):
+        return tapered(value, values)
     if not isinstance(value, list):
         return value
-    found = [evaluated(item, values) for item in value]
-    if any(isinstance(item, Variable) for item in found):
-        return pt.stack([pt.as_tensor_variable(item, dtype="float64") for item in found])
-    return found
+    if any(isinstance(values[item.prior], Variable) for item in priors_in(value)):
+        return combined(value, values)
+    return [evaluated(item, values) for item in value]
+
+
+def tapered(taper, values):
+    """The n values of a taper."""
+    base, top, exponent = (evaluated(v, values) for v in (taper.base, taper.top, taper.exponent))
+    x = np.arange(taper.n) / (taper.n - 1.0)
+    above = x > 0.0  # the slope of x^exponent by the exponent is x^exponent log(x)
+    share = above * np.where(above, x, 1.0) ** exponent
+    return np.asarray(taper.times) * (base * (1.0 - share) + top * share)
+
+
+def combined(entries, values):
+    """Entries as constants and shares of their variables: one product, however many share a variable."""
+    names = list(dict.fromkeys(item.prior for item in priors_in(entries)))
+    constant, shares = np.zeros(len(entries)), np.zeros((len(entries), len(names)))
+    for i, item in enumerate(entries):
+        if isinstance(item, Parameter):
+            shares[i, names.index(item.prior)] = item.times
+        else:
+            constant[i] = item
+    variables = pt.stack([pt.as_tensor_variable(values[name], dtype="float64") for name in names])
+    return constant + pt.sum(shares * variables, axis=-1)

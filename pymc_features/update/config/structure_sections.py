@@ -7,8 +7,9 @@ from pydantic import Discriminator, Field, PlainValidator, Tag, create_model
 
 from pymc_features import structures
 from pymc_features.structures import Input, Kind, Structure
-from pymc_features.update.config.entries import Entry, MatrixEntry, Terms, Vector, matrix
+from pymc_features.update.config.entries import Entry, MatrixEntry, Terms, matrix
 from pymc_features.update.config.sections import Section
+from pymc_features.update.config.storeys import GROUPS, TAPER, ByStorey, Grouped
 
 ONE = "a number, the name of a prior, or {prior = NAME, times = NUMBER}"
 A_MATRIX = "a file with matrices, {file = FILE, name = NAME}, or rows of numbers"
@@ -16,20 +17,27 @@ A_MATRIX = "a file with matrices, {file = FILE, name = NAME}, or rows of numbers
 #: Type and words of the keys of each kind; those of dampings follow below.
 TYPES: dict[Kind, tuple[Any, str]] = {
     Kind.SCALAR: (Entry, ONE),
-    Kind.VECTOR: (Vector, f"{ONE}, or a list of these"),
+    Kind.VECTOR: (Grouped, f"{ONE}, or a list of these, or {GROUPS}"),
     Kind.MATRIX: (MatrixEntry, A_MATRIX),
     Kind.MATRICES: (Terms, "a list of matrices, {} where a parameter does not act"),
 }
 
 
+BY_STOREY = ByStorey, f"{ONE}, or a list of these, {GROUPS} or {TAPER}"
+
+
 def section_of(cls) -> type[Section]:
     """The keys of a structure or damping: its type and its inputs, with the defaults of its signature."""
+    has_storeys = issubclass(cls, Structure) and cls.has_storeys
     signature = inspect.signature(cls).parameters
     fields: dict[str, Any] = {"type": (Literal[cls.__name__], ...)}
     for name, given in cls.inputs.items():
         default = signature[name].default
         must = given.required or default is inspect.Parameter.empty
-        fields[name] = key_of(given, ... if must else default)
+        words = BY_STOREY if has_storeys and given.kind is Kind.VECTOR else TYPES[given.kind]
+        fields[name] = key_of(words, given, ... if must else default)
+    if has_storeys:
+        fields["n"] = int | None, Field(None, description="the number of storeys, positive", ge=1)
     if issubclass(cls, Structure) and cls.is_linear:
         words = "the number of modes kept, positive"
         fields["n_modes"] = int | None, Field(None, description=words, ge=1)
@@ -37,9 +45,9 @@ def section_of(cls) -> type[Section]:
     return create_model(f"{cls.__name__}Section", __base__=Section, __doc__=summary, **fields)
 
 
-def key_of(given: Input, default) -> tuple:
+def key_of(type_and_words, given: Input, default) -> tuple:
     """Type and field of one key; what may be random has its unit."""
-    kind, words = TYPES[given.kind]
+    kind, words = type_and_words
     if given.kind in (Kind.SCALAR, Kind.VECTOR):
         unit = {"unit": given.unit}
         return kind, Field(default, description=f"{words}, in {given.unit}", json_schema_extra=unit)
