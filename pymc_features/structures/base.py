@@ -156,7 +156,13 @@ def as_vector(value, name: str, unit: str, *, allow_zero: bool = False):
     if isinstance(value, Variable):
         symbolic = with_known_length(pt.as_tensor_variable(value))
     elif holds_variables(value):
-        symbolic = pt.stack([pt.as_tensor_variable(entry, dtype="float64") for entry in value])
+        entries = [pt.as_tensor_variable(entry, dtype="float64") for entry in value]
+        if any(entry.ndim for entry in entries):
+            raise ValueError(
+                f"`{name}` must be a list of scalars, got a vector among them. "
+                "Pass a vector by itself, or join several by `pt.concatenate`."
+            )
+        symbolic = pt.stack(entries)
     else:
         return _as_numbers(value, name, unit, allow_zero)
     if symbolic.ndim > 1:

@@ -10,6 +10,7 @@ from pytensor.graph.basic import Variable
 
 from pymc_features.structures.base import Values, as_vector, spread, static_length
 from pymc_features.structures.inputs import Input, scalar, vector
+from pymc_features.structures.variables import holds_variables, unpacked
 
 
 class Damping(ABC):
@@ -66,10 +67,17 @@ class RayleighDamping(Damping):
 
         Raises
         ------
-        ValueError
+        ValueError, TypeError
             If the frequencies coincide, or a coefficient would be negative, which would feed energy
-            into modes outside the two.
+            into modes outside the two; if a ratio is random, for then this cannot be checked.
         """
+        given = unpacked(ratios), unpacked(natural_frequencies)
+        if holds_variables(given) or any(map(holds_variables, given)):
+            raise TypeError(
+                "`ratios` and `natural_frequencies` must be numbers, got PyTensor variables. For a random "
+                "ratio zeta pass RayleighDamping(zeta * unit.alpha, zeta * unit.beta), with "
+                "unit = RayleighDamping.from_ratios(1.0, natural_frequencies)."
+            )
         frequencies = np.asarray(natural_frequencies, dtype=np.float64)
         if frequencies.shape != (2,) or not (frequencies > 0).all() or np.ptp(frequencies) == 0:
             raise ValueError(

@@ -142,11 +142,25 @@ REFUSED = {  # what is said: what is built of a vector `k` of three storeys, and
             theta=k,
         )
     ),
+    "`mass` must be a list of scalars, got a vector among them. Pass a vector by itself": lambda k, u: (
+        SpringMassChain([k, 1.0], 100.0, LIGHTLY_DAMPED)
+    ),
     "must have a known length, got none. Pass one of them as an array of n values, or "
     "declare it with shape=n, or with dims that the model has coords for.": lambda k, u: SpringMassChain(
         1.0, u, LIGHTLY_DAMPED
     ),
 }
+
+
+@pytest.mark.parametrize("dims", [None, "storey"])
+def test_random_ratios_of_rayleigh_damping_are_refused_with_another_way(dims):
+    with pm.Model(coords={"storey": range(2)}):
+        zeta = pm.LogNormal("zeta", -4.0, 0.2, dims=dims)
+        with pytest.raises(TypeError, match=r"must be numbers, got PyTensor .* For a random ratio zeta pass"):
+            RayleighDamping.from_ratios(zeta, (1.0, 4.0))
+    unit = RayleighDamping.from_ratios(1.0, (1.0, 4.0))
+    expected = RayleighDamping.from_ratios(0.03, (1.0, 4.0))
+    np.testing.assert_allclose([0.03 * unit.alpha, 0.03 * unit.beta], [expected.alpha, expected.beta])
 
 
 @pytest.mark.parametrize("message", REFUSED)
