@@ -1,5 +1,6 @@
 """Text reader, and what all formats share: units, steps, paths."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -338,6 +339,10 @@ def test_paths_that_cannot_be_read(tmp_path, monkeypatch, suffix):
         read_record(path)
     with pytest.raises(IsADirectoryError, match="`path` must be a file, got the folder"):
         read_record(str(tmp_path))
+    os.mkfifo(path)  # which would be waited for
+    with pytest.raises(OSError, match="`path` must be a file, got the device or pipe .*motion"):
+        read_record(path)
+    path.unlink()
     path.touch()
 
     def refuse(*_):

@@ -24,6 +24,8 @@ def check_readable(path: Path) -> None:
         raise FileNotFoundError(
             f"`path` must be an existing file, got {path}. The current folder is {Path.cwd()}."
         )
+    if not path.is_file():  # devices have no end
+        raise OSError(f"`path` must be a file, got the device or pipe {path}. Copy its contents into a file.")
     try:
         path.open("rb").close()
     except OSError as error:
