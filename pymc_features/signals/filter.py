@@ -5,6 +5,10 @@ import xarray as xr
 from pymc_features._checks import check_integer
 from pymc_features.signals.channels import check_frequency, rebuilt, sampling_step
 
+HIGHEST = (
+    10  # order; beyond it rounding moves the gain by per cents where a corner is a thousandth of the rate
+)
+
 
 def band_pass(
     channels: xr.DataArray, low: float | None = None, high: float | None = None, *, order: int = 4
@@ -19,7 +23,7 @@ def band_pass(
         Corner frequencies [Hz], between 0 and half the sampling rate. Without `low` a low-pass, without
         `high` a high-pass.
     order : int
-        Of the Butterworth filter, positive. Both runs together have the gain 1 / (1 + (f / high)^(2 order))
+        Of the Butterworth filter, 1 to 10. Both runs together have the gain 1 / (1 + (f / high)^(2 order))
         of a low-pass, so 1/2 at the corner.
 
     Returns
@@ -51,7 +55,7 @@ def band_pass(
     ]
     if len(corners) == 2 and not corners[0] < corners[1]:
         raise ValueError(f"`low` must be below `high`, got {low:g} and {high:g} Hz.")
-    order = check_integer(order, "order")
+    order = check_integer(order, "order", most=HIGHEST)
     kind = "bandpass" if len(corners) == 2 else "lowpass" if low is None else "highpass"
     edges = corners if len(corners) == 2 else corners[0]
     sections = signal.butter(order, edges, kind, output="sos", fs=1.0 / step)
@@ -61,4 +65,12 @@ def band_pass(
             f"`channels` must have more than {shortest} samples for this filter, got "
             f"{channels.sizes['time']}. Lower `order`, or filter before trimming."
         )
-    return rebuilt(channels, signal.sosfiltfilt(sections, channels.values.astype(float)), step)
+    try:
+        filtered = signal.sosfiltfilt(sections, channels.values.astype(float))
+    except ValueError as error:  # a pole at 1, to rounding
+        named = "low" if high is None or len(corners) == 2 else "high"
+        raise ValueError(
+            f"`{named}` must not be so far below the sampling rate, {1.0 / step:g} Hz, got {corners[0]:g} "
+            "Hz: the filter cannot be computed. Subtract a line or an offset instead."
+        ) from error
+    return rebuilt(channels, filtered, step)

@@ -177,9 +177,15 @@ LINE = array(np.arange(30.0))
         (
             lambda: signals.band_pass(LINE, 1.0, order=0),
             ValueError,
-            "`order` must be an integer of at least 1, got 0",
+            "`order` must be an integer from 1 to 10, got 0",
         ),
         (lambda: signals.band_pass(LINE, 1.0, order=2.5), ValueError, "`order` must be an integer"),
+        (
+            lambda: signals.band_pass(LINE, 1.0, order=11),
+            ValueError,
+            "`order` must be an integer from 1 to 10",
+        ),
+        (lambda: signals.band_pass(LINE, 1e-9), ValueError, "`low` must not be so far below the sampling"),
         (
             lambda: signals.band_pass(LINE, 1.0, 5.0, order=8),
             ValueError,
