@@ -14,6 +14,9 @@ from pymc_features.records import Record
 from pymc_features.signals.channels import check_window
 from pymc_features.update.checks import Checked, check, warn_of_motion
 from pymc_features.update.config.document import Config
+from pymc_features.update.config.messages import shown
+
+LONGEST = 600  # characters of a message, which may quote the name of a file
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,7 @@ def named_key(key: str, **renamed: str):
         raise
     except (ValueError, TypeError, OSError) as error:
         text = str(error)
+        text = text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
         for argument, name in renamed.items():
             text = text.replace(f"`{argument}`", f"`{name}`")
         raise ConfigError(f"[{key}]: {text}") from error
@@ -97,7 +101,9 @@ def read_measured(config: Config, folder: Path, first_frequency: float) -> Measu
     for name in wanted:
         if name not in known:
             key = "base" if name == config.data.base else "sensors"
-            raise ConfigError(f"`data.{key}` must be among the sensors {', '.join(known)}, got {name!r}.")
+            raise ConfigError(
+                f"`data.{key}` must be among the sensors {', '.join(known)}, got {shown(name)}."
+            )
     with named_key("data"):
         channels = signals.correct(channels, scale=config.data.scale, delay=config.data.delay)
         channels = some_rows(channels, config.data.rows)

@@ -12,7 +12,8 @@ from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.storage import fingerprint
 from pymc_features.update.channels import Measured, named_key, read_measured
 from pymc_features.update.config.document import Config, read_config
-from pymc_features.update.config.entries import Matrix
+from pymc_features.update.config.entries import Matrix, Parameter
+from pymc_features.update.config.messages import shown
 from pymc_features.update.config.priors import Prior
 from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.structure import StructureOf, modes_of
@@ -129,15 +130,16 @@ def read_problem(path) -> Problem:
     }
     structure = StructureOf(config.structure, path.parent)
     with named_key("structure"):
-        expected = structure(**{n: float(np.median(priors[n].draw(501, 1))) for n in structure.names})
+        expected = structure(**{n: priors[n].median for n in structure.names})
         first_frequency = float(modes_of(expected, 1).natural_frequencies[0])
     measured = read_measured(config, path.parent, first_frequency)
     dofs = checked_dofs(config, expected.n_dof)
-    check_errors(config)
+    check_errors(config, priors)
     frequencies = config.report.natural_frequencies
     if frequencies is not None and not (frequencies and np.all(np.diff([0.0, *frequencies]) > 0.0)):
         raise ConfigError(
-            f"`report.natural_frequencies` must be positive and rise, got {frequencies}. Pass them in Hz."
+            f"`report.natural_frequencies` must be positive and rise, got {shown(frequencies)}. "
+            "Pass them in Hz."
         )
     if "inter_storey_drift" in config.report.quantities and not structure.type.has_storeys:
         raise ConfigError(
@@ -164,13 +166,14 @@ def checked_dofs(config, size) -> list[int]:
         )
     if len(set(dofs)) < len(dofs) or not all(0 <= dof < size for dof in dofs):
         raise ConfigError(
-            f"`data.dofs` must be different numbers from 0 to {size - 1}, got {dofs}. 0 is next to the base."
+            f"`data.dofs` must be different numbers from 0 to {size - 1}, got {shown(dofs)}. 0 is next "
+            "to the base."
         )
     return dofs
 
 
-def check_errors(config) -> None:
-    """One value, or one for each sensor; the sigma that ABC takes from EXP must be one."""
+def check_errors(config, priors) -> None:
+    """One positive value, or one for each sensor; the sigma that ABC takes from EXP must be one."""
     likelihood, n_sensors = config.likelihood, len(config.data.sensors)
     for name, unit in ERRORS.items():
         given = getattr(likelihood, name)
@@ -183,6 +186,11 @@ def check_errors(config) -> None:
             if isinstance(value, float) and value <= 0.0:
                 advice = f"Pass it in {unit}." if unit != "-" else "1 is that of TN, 2 that of EXP."
                 raise ConfigError(f"`likelihood.{name}` must be positive, got {value:g}. {advice}")
+            if isinstance(value, Parameter) and (middle := priors[value.prior].median) <= 0.0:
+                raise ConfigError(
+                    f"`likelihood.{name}` must be positive, got the prior `priors.{value.prior}` with the "
+                    f"median {middle:g}. Take a distribution of positive numbers."
+                )
     if "ABC" in likelihood.kinds and likelihood.epsilon is None and isinstance(likelihood.sigma, list):
         raise ConfigError(
             "`likelihood.epsilon` must be given for ABC where each sensor has its own sigma, got none."

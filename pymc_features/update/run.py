@@ -75,7 +75,8 @@ def run_update(
         parts[kind] = part
     tell("report", len(kinds), len(kinds))
     shown = {kind: parts[kind] for kind in problem.reported}
-    return xr.DataTree.from_dict({**shown, "data": data_of(problem)}, name=problem.config.report.title)
+    title = problem.config.report.title.replace("/", "-")  # which would be a path in the tree
+    return xr.DataTree.from_dict({**shown, "data": data_of(problem)}, name=title)
 
 
 def run_part(problem, kind, tolerance, base, cores, progressbar) -> xr.DataTree:

@@ -63,11 +63,11 @@ BROKEN = {  # what is said: what is changed, into what
         'ratios = "zeta"',
         'ratio = "zeta"',
     ),
-    "`sampler.draws` must be a whole number of at least 50, draws of each chain, got 'many'": (
+    "`sampler.draws` must be a whole number from 50 to 10000000, draws of each chain, got 'many'": (
         "draws = 100",
         'draws = "many"',
     ),
-    "`sampler.draws` must be a whole number of at least 50": ("draws = 100", "draws = 10"),
+    "`sampler.draws` must be a whole number from 50": ("draws = 100", "draws = 10"),
     '`sampler.method` must be "auto", "smc", "nuts" or "laplace", got \'gibbs\'.': ('"auto"', '"gibbs"'),
     "`sampler` must have `kernel` only with `method` smc, got 'auto'": (
         "draws = 100",
@@ -98,7 +98,7 @@ BROKEN = {  # what is said: what is changed, into what
         '["k1", "k2", "k3", 600.0]',
     ),
     "`structure.stiffness` must be a number, the name of a prior": ('["k1", "k2", "k3"]', "[true]"),
-    "`structure.stiffness` must name priors of the file, got 'k4'. Add [priors.k4]": (
+    "`structure.stiffness` must name priors of the file, got 'k4'. Add it to [priors]": (
         '["k1", "k2", "k3"]',
         '["k1", "k2", "k4"]',
     ),
@@ -171,6 +171,25 @@ BROKEN = {  # what is said: what is changed, into what
     "[processing.band_pass]: `high` must lie between 0 and 50 Hz": ("high = 25.0", "high = 80.0"),
     "`report.natural_frequencies` must": ("natural_frequencies = [", "natural_frequencies = [9, "),
     "must be a TOML file": ("[sampler]", "[sampler"),
+    "must be a TOML file: Exceeds the limit (4300 digits)": ("draws = 100", f"draws = {'9' * 5000}"),
+    "must be a TOML file: lists in it are nested too": ("draws = 100", f"draws = {'[' * 30000}{']' * 30000}"),
+    "`sampler.draws` must be a number of at most 64 bits, got one of 100.": ("= 100", f"= {2**99}"),
+    "must have at most 16 tables or lists within each other": ("= 100", f"= {'[' * 20}{']' * 20}"),
+    "`sampler` must have keys of at most 200 characters, got 201.": ("draws = 100", f"{'d' * 201} = 100"),
+    "`sampler.draws` must be a whole number from 50 to 10000000": ("= 100", "= 1000000000000"),
+    "[processing.band_pass]: `order` must be an integer from 1 to 10, got 1000000.": (
+        "high = 25.0 }",
+        "high = 25.0, order = 1000000 }",
+    ),
+    "[data]: [Errno 36] File name too long: '": ("frame-measured.csv", "x" * 5000),
+    "`priors.sigma.distribution` must be a continuous distribution of PyMC, got 'HalfNormalRV'": (
+        '"HalfNormal"',
+        '"HalfNormalRV"',
+    ),
+    "`likelihood.sigma` must be positive, got the prior `priors.sigma` with the median -2": (
+        '"HalfNormal", sigma = 0.5',
+        '"Uniform", lower = -3.0, upper = -2.0',
+    ),
 }
 
 
@@ -226,6 +245,11 @@ def test_priors_are_the_distributions_of_pymc():
         priors.Prior("priors.x", "Normal", {"mu": [0.0, 1.0], "sigma": 1.0})
     with pytest.raises(ConfigError, match="Either use alpha and beta"):
         priors.Prior("priors.x", "Gamma", {"alpha": 2.0})
+    for points in ([1, -1, 2], [0, -1, 0]):
+        with pytest.raises(ConfigError, match="`priors.x` must have a positive and finite density"):
+            priors.Prior("priors.x", "Interpolated", {"x_points": [0, 1, 2], "pdf_points": points})
+    with pytest.raises(ConfigError, match="`priors.x` must have admissible arguments of PolyaGamma"):
+        priors.Prior("priors.x", "PolyaGamma", {"h": -1.0, "z": 0.0})  # or polyagamma is not installed
     with pytest.raises(ConfigError, match="must spread over finite values"):
         priors.Prior("priors.x", "Uniform", {"lower": 2.0, "upper": 2.0})
 
@@ -272,9 +296,9 @@ def test_other_settings_are_refused_other_reports_are_not(example, finished, tmp
         error = capsys.readouterr().err
         assert "must be empty or hold the same update" in error
         assert "sampler.random_seed = 0 instead of 1" in error
-        example.write_text(replaced(text, [("Simulated, three storeys", "Another <title>")]))
+        example.write_text(replaced(text, [("Simulated, three storeys", "Another <title>, 1/2")]))
         assert cli.main(["update", str(example), "--out", str(finished)]) == 0
-        assert "<h1>Another &lt;title&gt;</h1>" in (finished / "report.html").read_text()
+        assert "<h1>Another &lt;title&gt;, 1/2</h1>" in (finished / "report.html").read_text()
         assert (finished / "table.csv").read_text() == table
     finally:
         example.write_text(text)

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.entries import units_in
-from pymc_features.update.config.messages import sentence
+from pymc_features.update.config.messages import sentence, shown
 from pymc_features.update.config.sections import (
     ERRORS,
     Data,
@@ -19,6 +19,7 @@ from pymc_features.update.config.sections import (
     Sampler,
     Section,
 )
+from pymc_features.update.config.sizes import check_sizes
 from pymc_features.update.config.structure_sections import StructureSection
 
 TAKEN = {"y", "chain", "draw", "sensor", "time", "sample", "mode"}
@@ -99,8 +100,14 @@ def read_config(path) -> tuple[Config, dict]:
         )
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path.name} must be a TOML file: {error}.") from error
+        check_sizes(raw)
+    except ConfigError as error:
+        raise ConfigError(f"{path.name}: {error}") from error
+    except RecursionError:
+        raise ConfigError(f"{path.name} must be a TOML file: lists in it are nested too deeply.") from None
+    except ValueError as error:  # of TOML, of its encoding, or of a number with thousands of digits
+        reason = str(error).partition(";")[0].rstrip(".")
+        raise ConfigError(f"{path.name} must be a TOML file: {reason}.") from error
     try:
         config = Config.model_validate(raw)
     except ValidationError as error:
@@ -124,8 +131,8 @@ def check_names(config: Config) -> None:
     for name, places in used.items():
         if name not in config.priors:
             raise ConfigError(
-                f"`{places[0][0]}` must name priors of the file, got {name!r}. Add [priors.{name}], or write "
-                "a number."
+                f"`{places[0][0]}` must name priors of the file, got {shown(name)}. Add it to [priors], or "
+                "write a number."
             )
     for name in config.priors:
         if name not in used:

@@ -9,6 +9,7 @@ from pydantic import PlainValidator
 from pytensor.graph.basic import Variable
 
 from pymc_features._checks import is_number
+from pymc_features.update.config.messages import shown
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def entry(value):
         prior, times = value["prior"], value["times"]
         if isinstance(prior, str) and is_number(times) and 0.0 < times < float("inf"):
             return Parameter(prior, float(times))
-    raise ValueError(f"{WANTED}, got {value!r}")
+    raise ValueError(f"{WANTED}, got {shown(value)}")
 
 
 def vector(value):
@@ -83,14 +84,14 @@ def matrix(value):
         if len({len(row) for row in rows}) == 1 and all(is_number(v) for row in rows for v in row):
             return value
     raise ValueError(
-        f"must be a file with matrices, {{file = FILE, name = NAME}}, or rows of numbers, got {value!r}"
+        f"must be a file with matrices, {{file = FILE, name = NAME}}, or rows of numbers, got {shown(value)}"
     )
 
 
 def terms(value):
     """One matrix for each parameter; an empty table where a parameter does not act."""
     if not isinstance(value, list):
-        raise ValueError(f"must be a list of matrices, got {value!r}")
+        raise ValueError(f"must be a list of matrices, got {shown(value)}")
     return [None if item == {} else matrix(item) for item in value]
 
 

@@ -49,7 +49,7 @@ def words(error, at: Place) -> str:
     if kind in TAGS:
         given = error["input"]
         type_ = given.get("type") if isinstance(given, dict) else given
-        got = "none" if type_ is None else repr(type_)
+        got = "none" if type_ is None else shown(type_)
         return f"`{at.path}.type` must be one of {', '.join(types_of(at))}, got {got}."
     if kind == "value_error":
         return f"`{at.path}` {error['ctx']['error']}."

@@ -2,6 +2,7 @@
 
 import difflib
 import inspect
+from functools import cached_property
 
 import numpy as np
 import pymc as pm
@@ -10,13 +11,17 @@ from pytensor.compile.mode import Mode
 
 from pymc_features._checks import is_number
 from pymc_features.exceptions import ConfigError
+from pymc_features.update.config.messages import shown
 
 #: Classes of `pymc.distributions.continuous` that stand for families of distributions.
 ABSTRACT = ("Continuous", "PositiveContinuous", "UnitContinuous", "CircularContinuous", "BoundedContinuous")
 DISTRIBUTIONS = {
     name: value
     for name, value in vars(continuous).items()
-    if isinstance(value, type) and issubclass(value, pm.Continuous) and name not in ABSTRACT
+    if isinstance(value, type)
+    and issubclass(value, pm.Continuous)
+    and hasattr(value, "dist")  # not the random variables behind them
+    and name not in ABSTRACT
 }
 _PLAIN = Mode(linker="py", optimizer=None)  # nothing to compile
 _ARGUMENTS = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
@@ -52,7 +57,7 @@ class Prior:
             close = difflib.get_close_matches(name, DISTRIBUTIONS, n=1)
             hint = f"Did you mean {close[0]}?" if close else f"There are {', '.join(DISTRIBUTIONS)}."
             raise ConfigError(
-                f"`{key}.distribution` must be a continuous distribution of PyMC, got {name!r}. {hint}"
+                f"`{key}.distribution` must be a continuous distribution of PyMC, got {shown(name)}. {hint}"
             )
         known = arguments_of(name)
         for argument, value in arguments.items():
@@ -63,7 +68,7 @@ class Prior:
                 )
             numbers = value if isinstance(value, list) and value else [value]
             if not all(is_number(v) and np.isfinite(v) for v in numbers):
-                raise ConfigError(f"`{key}.{argument}` must be a finite number, got {value!r}.")
+                raise ConfigError(f"`{key}.{argument}` must be a finite number, got {shown(value)}.")
         self._try()
 
     def __repr__(self):
@@ -86,6 +91,7 @@ class Prior:
                 raise ConfigError(f"`{self.key}` must be a scalar, {got}. Give each entry its own prior.")
             pm.logp(variable, 0.5).eval(mode=_PLAIN)
             draws = self.draw(8, 0)
+            self._check(draws, pm.logp(variable, draws).eval(mode=_PLAIN), got)
         except ConfigError:
             raise
         except NotImplementedError:
@@ -93,13 +99,26 @@ class Prior:
                 f"`{self.key}.distribution` must be one that can be drawn from, {got}. "
                 "An improper prior has no draws to start from."
             ) from None
-        except (ValueError, TypeError, AssertionError) as error:
-            reason = str(error).splitlines()[0].removeprefix("Domain error in arguments. ")
+        except Exception as error:  # each distribution has its own ways to refuse
+            reason = (str(error) or type(error).__name__).splitlines()[0]
+            reason = reason.removeprefix("Domain error in arguments. ").rstrip(".")
             raise ConfigError(
                 f"`{self.key}` must have admissible arguments of {self.name}, {got}: {reason}."
             ) from error
+
+    def _check(self, draws, densities, got):
+        """Refuse a constant, and what is no density."""
         if not np.isfinite(draws).all() or np.ptp(draws) == 0.0:
             raise ConfigError(f"`{self.key}` must spread over finite values, {got}. Fix it as a number.")
+        if not np.isfinite(densities).all() or np.min(self.arguments.get("pdf_points", 0.0)) < 0.0:
+            raise ConfigError(
+                f"`{self.key}` must have a positive and finite density, {got}. Change its arguments."
+            )
+
+    @cached_property
+    def median(self) -> float:
+        """A value in the middle, of draws."""
+        return float(np.median(self.draw(501, 1)))
 
     def declare(self, name: str):
         """Add the variable to the model of the context."""

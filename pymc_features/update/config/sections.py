@@ -10,9 +10,11 @@ from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validat
 from pymc_features._checks import is_number
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.config.entries import Vector, priors_in
+from pymc_features.update.config.messages import shown
 
 ERRORS = {"sigma": "m/s^2", "correlation_time": "s", "m": "-"}  # parameters of the errors, with their units
 KERNELS = ("PersistentSMC", "PopulationIMH", "PopulationMH", "TMCMC")
+DRAWS, CHAINS = 10_000_000, 1000  # at most: more would end without memory, after hours
 
 
 class Section(BaseModel):
@@ -30,7 +32,7 @@ def window(value):
     """Two rising times [s]."""
     numbers = isinstance(value, list) and all(map(is_number, value))
     if not (numbers and len(value) == 2 and value[0] < value[1]):
-        raise ValueError(f"must be two rising numbers [from, to] in seconds or Hz, got {value!r}")
+        raise ValueError(f"must be two rising numbers [from, to] in seconds or Hz, got {shown(value)}")
     return tuple(map(float, value))
 
 
@@ -92,7 +94,9 @@ class Data(Section):
             if more := sorted(self.model_fields_set - own):
                 raise ValueError(f"must have `{more[0]}` only with `files`, got it with `dataset`")
         if len(set(self.sensors)) < len(self.sensors) or self.base in self.sensors:
-            raise ValueError(f"must name each sensor once, got base {self.base!r} and {self.sensors}")
+            raise ValueError(
+                f"must name each sensor once, got base {shown(self.base)} and {shown(self.sensors)}"
+            )
         return self
 
 
@@ -118,7 +122,7 @@ class BandPass(Section):
 
     low: float | None = key("a frequency in Hz, positive", None, gt=0)
     high: float | None = key("a frequency in Hz, positive", None, gt=0)
-    order: int = key("a positive whole number", 4, ge=1)
+    order: int = key("a whole number from 1 to 10", 4, ge=1)
 
 
 class Processing(Section):
@@ -180,12 +184,12 @@ class Likelihood(Section):
         if name in entry.known and inferred:
             raise ValueError(
                 f"must have numbers as `{name}` for {entry.name}, which takes it for known, got the prior "
-                f"{inferred[0]!r}. {others('inferred', name)}"
+                f"{shown(inferred[0])}. {others('inferred', name)}"
             )
         if name in entry.inferred and not inferred:
             raise ValueError(
-                f"must have the name of a prior as `{name}` for {entry.name}, which infers it, got {value}. "
-                f"{others('known', name)}"
+                f"must have the name of a prior as `{name}` for {entry.name}, which infers it, got "
+                f"{shown(value)}. {others('known', name)}"
             )
 
 
@@ -202,9 +206,9 @@ class Sampler(Section):
 
     method: Literal["auto", "smc", "nuts", "laplace"] = key('"auto", "smc", "nuts" or "laplace"', "auto")
     kernel: Literal[KERNELS] = key(f"one of {', '.join(KERNELS)}, with `method` smc", "PersistentSMC")
-    draws: int = key("a whole number of at least 50, draws of each chain", 1000, ge=50)
-    tune: int = key("a positive whole number, with `method` nuts", 1000, ge=1)
-    chains: int = key("a positive whole number", 2, ge=1)
+    draws: int = key(f"a whole number from 50 to {DRAWS}, draws of each chain", 1000, ge=50, le=DRAWS)
+    tune: int = key(f"a whole number from 1 to {DRAWS}, with `method` nuts", 1000, ge=1, le=DRAWS)
+    chains: int = key(f"a whole number from 1 to {CHAINS}", 2, ge=1, le=CHAINS)
     cores: int | None = key("a positive whole number", None, ge=1)
     random_seed: int = key("a whole number, not negative", 0, ge=0)
 

@@ -1,0 +1,237 @@
+"""Damaged copies of a configuration file: its tables and values changed, or its bytes."""
+
+import copy
+import datetime
+
+from pymc_features.update.config import sections
+from pymc_features.update.config.document import Config
+from pymc_features.update.config.priors import DISTRIBUTIONS, arguments_of
+from pymc_features.update.config.structure_sections import DAMPINGS, STRUCTURES
+from support.mutations import mutated
+
+
+class Text(str):
+    """A value as it is written in the file, which needs not be TOML."""
+
+
+NUMBERS = [
+    *(0, 1, -1, 2, 3, 7, 1000, 10**6, 2**31, 2**63, 10**19, -(10**19), 10**400),
+    *(0.0, -0.0, 0.5, -0.5, 1e-3, 1e-320, 1e-30, 1e8, 1e30, 1e200, 1e308, -1e308),
+    *(float("nan"), float("inf"), -float("inf")),
+]
+NAMES = [
+    *("", " ", "k1", "k2", "zeta", "sigma", "base", "floor1", "y", "nothing", "größe", "a\0b", "x" * 5000),
+    *(".", "..", "/", "/dev/zero", "/dev/null", "measured.csv", "original.toml", "~", "*", "a/b"),
+    *("__class__", "{0.__class__}", "[red]", "%s", "\\", '"', "\n", "nan", "true", "1e3"),
+]
+OTHERS = [
+    *(True, False, [], {}, [[]], [{}], {"": 1}, [1, "k1", {}], datetime.date(2020, 1, 1)),
+    *(datetime.datetime(2020, 1, 1, tzinfo=datetime.UTC), datetime.time(7, 32)),
+    *({"prior": "k1", "times": 2.0}, {"prior": "k1", "times": 0}, {"prior": 1, "times": 1e308}),
+    *({"prior": "k1", "times": 10**400}, {"file": "measured.csv"}, {"file": "/dev/zero", "name": "K"}),
+    *({"type": "ModalDamping", "ratios": "zeta"}, {"type": []}, {"type": {}}, {"distribution": "Normal"}),
+    *([0.0] * 2000, ["k1"] * 100, list(range(50)), [[1.0] * 40] * 40, [[1.0, 2.0], [3.0]], [[[1.0]]]),
+    *(Text("9" * 5000), Text("-" + "9" * 4000), Text("[" * 30000 + "]" * 30000), Text("1_0"), Text("0x10")),
+    *(Text("[" * 60 + "]" * 60), Text("{a = " * 400 + "1" + "}" * 400), Text("1e999"), Text("'''")),
+    *(Text("a." * 2000 + "b = 1"), Text(""), Text("2020-13-45"), Text('"\\ud800"')),
+]
+KINDS = ("NORM", "TN", "EXP", "ABC", "CN", "CN-SIGMA", "CN-TAU", "GAMMA", "CAL")
+
+
+def known_keys() -> list[str]:
+    """All keys of the sections."""
+    parts = [Config, *STRUCTURES.values(), *DAMPINGS.values()]
+    parts += [value for value in vars(sections).values() if isinstance(value, type)]
+    return sorted({name for part in parts for name in getattr(part, "model_fields", {})})
+
+
+KEYS = known_keys()
+
+
+def mutated_config(table: dict, rng) -> bytes:
+    """A file with one or two changes of a configuration: in one of five of its bytes."""
+    if rng.random() < 0.2:
+        return mutated(as_toml(table).encode(), rng)[0]
+    table = copy.deepcopy(table)
+    for _ in range(int(rng.choice([1, 1, 1, 2]))):
+        pick(CHANGES, rng)(table, rng)
+    return as_toml(table).encode("utf-8", "surrogatepass")
+
+
+def pick(choices, rng):
+    """One of a sequence."""
+    return choices[int(rng.integers(len(choices)))]
+
+
+def places(node, above=None, at=None):
+    """Every (container, key) in nested tables and lists."""
+    if above is not None:
+        yield above, at
+    if isinstance(node, dict | list):
+        for key, value in list(node.items() if isinstance(node, dict) else enumerate(node)):
+            yield from places(value, node, key)
+
+
+def place(table, rng, kind=object):
+    """A random one of them that holds a value of this kind, None if there is none."""
+    found = [(above, at) for above, at in places(table) if isinstance(above[at], kind)]
+    return pick(found, rng) if found else None
+
+
+def strange(rng):
+    """A value of any kind."""
+    return copy.deepcopy(pick(pick([NUMBERS, NUMBERS, NAMES, OTHERS], rng), rng))
+
+
+def other_value(table, rng):
+    if found := place(table, rng):
+        above, at = found
+        above[at] = strange(rng)
+
+
+def other_number(table, rng):
+    if found := place(table, rng, int | float):
+        above, at = found
+        above[at] = pick(NUMBERS, rng)
+
+
+def other_name(table, rng):
+    if found := place(table, rng, str):
+        above, at = found
+        above[at] = pick(NAMES, rng)
+
+
+def near_number(table, rng):
+    """Of the same kind, some way off."""
+    if found := place(table, rng, int | float):
+        above, at = found
+        if isinstance(above[at], int):
+            above[at] += int(rng.choice([-1, 1, 2, 10, 1000]))
+        else:
+            above[at] *= float(rng.choice([-1.0, 0.0, 0.5, 2.0, 10.0, 1e3, 1e-3, 1e9, 1e-9, 1e150]))
+
+
+def known_name(table, rng):
+    """Another name that stands in the file."""
+    found, other = place(table, rng, str), place(table, rng, str)
+    if found and other:
+        found[0][found[1]] = other[0][other[1]]
+
+
+def shorter(table, rng):
+    if (found := place(table, rng, list)) and found[0][found[1]]:
+        found[0][found[1]].pop()
+
+
+def removed(table, rng):
+    if found := place(table, rng):
+        above, at = found
+        del above[at]
+
+
+def renamed(table, rng):
+    if (found := place(table, rng)) and isinstance(found[0], dict):
+        above, at = found
+        above[pick([*NAMES, *KEYS, at[:-1], at.upper()], rng)] = above.pop(at)
+
+
+def added(table, rng):
+    tables = [table, *(above[at] for above, at in places(table) if isinstance(above[at], dict))]
+    pick(tables, rng)[pick([*KEYS, *KEYS, *NAMES], rng)] = strange(rng)
+
+
+def moved(table, rng):
+    found, other = place(table, rng), place(table, rng)
+    if found and other:
+        found[0][found[1]] = copy.deepcopy(other[0][other[1]])
+
+
+def put_in_list(table, rng):
+    if found := place(table, rng):
+        above, at = found
+        above[at] = [above[at]] * int(rng.choice([1, 2, 3, 100]))
+
+
+def nested(table, rng):
+    if found := place(table, rng):
+        above, at = found
+        for _ in range(int(rng.choice([1, 5, 50, 150]))):
+            above[at] = {"a": above[at]} if rng.random() < 0.5 else [above[at]]
+
+
+def other_prior(table, rng):
+    priors = table.get("priors")
+    if not isinstance(priors, dict) or not priors:
+        return
+    name = pick(list(DISTRIBUTIONS), rng)
+    known, most = arguments_of(name), int(rng.integers(5))
+    arguments = {pick(known, rng): odd_number(rng) for _ in range(most) if known}
+    priors[pick(list(priors), rng)] = {"distribution": name, **arguments}
+
+
+def odd_number(rng):
+    """Most often an argument that a distribution may have."""
+    if rng.random() < 0.6:
+        return float(rng.choice([0.1, 0.5, 1.0, 2.0, 5.0, -1.0, 1e-9, 1e9]))
+    if rng.random() < 0.3:
+        return [float(v) for v in rng.normal(size=int(rng.integers(1, 4)))]
+    return strange(rng)
+
+
+def other_kinds(table, rng):
+    likelihood = table.get("likelihood")
+    if isinstance(likelihood, dict):
+        likelihood["kinds"] = [
+            str(kind) for kind in rng.choice(KINDS, int(rng.integers(1, 4)), replace=False)
+        ]
+        odd = ["sigma", 0.1, 3, [0.1, 0.1, 0.2], "data", "feature", strange(rng)]
+        for _ in range(int(rng.integers(3))):
+            likelihood[pick(["correlation_time", "m", "epsilon", "sigma", "density"], rng)] = pick(odd, rng)
+
+
+CHANGES = (
+    *(other_value, other_number, other_name, removed, renamed, added, moved, put_in_list, nested),
+    *(near_number, near_number, near_number, near_number, known_name, shorter, shorter, removed),
+    *(other_prior, other_prior, other_prior, other_prior, other_kinds, other_kinds),
+)
+
+
+def as_toml(table: dict) -> str:
+    """A parsed file as text again, each section in a line of its own."""
+    lines = []
+    for name, value in table.items():
+        if isinstance(value, dict) and value and not isinstance(value, Text):
+            lines += ["", f"[{key_text(name)}]", *(f"{key_text(k)} = {text_of(v)}" for k, v in value.items())]
+        else:
+            lines.insert(0, f"{key_text(name)} = {text_of(value)}")
+    return "\n".join(lines) + "\n"
+
+
+def text_of(value) -> str:
+    """A value in TOML."""
+    match value:
+        case Text():
+            return str(value)
+        case bool():
+            return str(value).lower()
+        case str():
+            return quoted(value)
+        case list():
+            return f"[{', '.join(map(text_of, value))}]"
+        case dict():
+            return f"{{{', '.join(f'{key_text(k)} = {text_of(v)}' for k, v in value.items())}}}"
+        case datetime.date() | datetime.time():
+            return value.isoformat()
+    return str(value) if isinstance(value, int) else repr(value)
+
+
+def key_text(name) -> str:
+    """A key, quoted where it must be."""
+    plain = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
+    return name if plain else quoted(name)
+
+
+def quoted(text) -> str:
+    """A string in TOML."""
+    escaped = (c if c.isprintable() and c not in '"\\' else f"\\u{ord(c):04x}" for c in text)
+    return f'"{"".join(escaped)}"'

@@ -1,0 +1,155 @@
+"""Damaged copies of configurations: each is refused in a sentence that says why, or its model stands.
+
+`MUTATIONS` copies by a fixed seed. A longer run, without pytest: `mutate(folder, seed, 5000)`.
+"""
+
+import copy
+import re
+import time
+import tomllib
+import warnings
+
+import numpy as np
+import pytest
+
+from pymc_features.exceptions import ConfigError
+from pymc_features.update import read_problem, run, write_example
+from support.config_mutations import as_toml, mutated_config, pick
+from support.memory import peak
+
+MUTATIONS = 200
+SECONDS = 2.0  # of the processor
+MEMORY = 300_000_000  # bytes, for all of them
+ROWS = 400  # of the measurements, 4 s
+
+RAYLEIGH = {"type": "RayleighDamping", "alpha": "zeta", "beta": 1e-4}
+MODAL = {"type": "ModalDamping", "ratios": ["zeta", 0.02, 0.01]}
+MATRIX = [[800.0, -400.0, 0.0], [-400.0, 800.0, -400.0], [0.0, -400.0, 400.0]]
+CHAIN = {"mass": 0.15, "stiffness": ["k1", "k2", "k3"], "damping": MODAL}
+TERMS = {"stiffness_terms": [MATRIX, {}], "theta": ["k1", {"prior": "k2", "times": 2.0}]}
+BOUC_WEN = {"yield_displacement": 0.01, "post_yield_ratio": 0.1}
+VARIANTS = [  # sections, and what is different there
+    {},
+    {"likelihood": {"kinds": ["TN"]}, "sampler": {"method": "smc", "kernel": "TMCMC", "cores": 2}},
+    {
+        "sampler": {"method": "nuts", "tune": 500},
+        "processing": {"band_pass": {"low": 0.5, "high": 25.0, "order": 4}},
+    },
+    {
+        "structure": {**CHAIN, "type": "SpringMassChain", "n_modes": 2},
+        "data": {"skip": 0, "clock": 0, "wrapped": False},
+    },
+    {"structure": {**CHAIN, **BOUC_WEN, "type": "HystereticChain"}},
+    {"structure": {**CHAIN, "type": "DuffingChain", "cubic": {"prior": "k1", "times": 100.0}}},
+    {"structure": {"type": "LinearStructure", "mass": [0.1] * 3, "stiffness": MATRIX, "damping": RAYLEIGH}},
+    {
+        "structure": {
+            "type": "AffineStructure",
+            "mass": [0.1] * 3,
+            "stiffness": MATRIX,
+            **TERMS,
+            "damping": RAYLEIGH,
+        }
+    },
+    {"likelihood": {"kinds": ["CN-SIGMA"], "sigma": "sigma", "correlation_time": [0.02, 0.02, 0.03]}},
+    {"likelihood": {"kinds": ["CN-TAU"], "sigma": ["sigma", 0.1, 0.3], "correlation_time": "sigma"}},
+    {"likelihood": {"kinds": ["GAMMA", "ABC"], "sigma": "sigma", "m": 3.0, "epsilon": 5.0}},
+    {
+        "data": {
+            "sensors": ["floor2"],
+            "dofs": [1],
+            "columns": {"base": 1, "floor2": 3},
+            "units": "g",
+            "dt": 0.01,
+        }
+    },
+    {"record": {"path": "motion.csv", "units": "g", "dt": 0.01, "column": 0}, "data": {"base": None}},
+    {
+        "processing": {
+            "trim": [0.0, 3.0],
+            "decimate": 2,
+            "check_band": [2.0, 9.0],
+            "detrend": {"window": [0.0, 0.5]},
+        }
+    },
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("mutated")
+
+
+def originals(folder):
+    """Configurations that are read, as tables."""
+    path, _ = write_example(folder / "original.toml", synthetic=True)[0]
+    lines = (folder / "original-measured.csv").read_text().splitlines()[: ROWS + 1]
+    (folder / "measured.csv").write_text("\n".join(lines) + "\n")
+    (folder / "motion.csv").write_text("\n".join(["acceleration", *["0.1", "-0.1"] * (ROWS // 2)]) + "\n")
+    example = tomllib.loads(path.read_text())
+    example["data"]["files"] = "measured.csv"
+    for changes in VARIANTS:
+        table = copy.deepcopy(example)
+        for name, section in changes.items():
+            kept = {} if name == "structure" else table.get(name, {})
+            merged = copy.deepcopy(kept | section)
+            table[name] = {key: value for key, value in merged.items() if value is not None}
+        if table["structure"].get("type") in ("LinearStructure", "AffineStructure"):
+            table["report"]["quantities"] = []
+        yield without_idle_priors(table)
+
+
+def without_idle_priors(table):
+    """Those that structure and likelihoods name."""
+    named = str(table["structure"]) + str(table["likelihood"])
+    table["priors"] = {name: prior for name, prior in table["priors"].items() if f"'{name}'" in named}
+    return table
+
+
+def stands(path):
+    """All that happens before something is sampled, and the data of the report."""
+    problem = read_problem(path)
+    problem.settings()
+    for kind in problem.kinds:
+        tolerance = problem.config.likelihood.epsilon or 1.0
+        model = run.declare(problem, kind, tolerance if kind == "ABC" else None)
+        assert model.free_RVs
+        run.method_of(problem, kind), run.seed_of(problem, kind)
+    run.data_of(problem)
+
+
+def outcome(path) -> str:
+    """What is said about a file, empty if nothing: never anything but a sentence on the file, and at once."""
+    start, said = time.process_time(), ""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            stands(path)
+        except ConfigError as error:
+            said = str(error)
+            assert re.search(r"`[^`]+`|\[[a-z_.]+\]|mutated.toml", said), f"what is wrong? {said}"
+            assert len(said) < 1500, said[:1500]
+    assert time.process_time() - start < SECONDS
+    return said
+
+
+def mutate(folder, seed, count):
+    """What is said about each of many damaged configurations."""
+    rng, tables = np.random.default_rng(seed), list(originals(folder))
+    path = folder / "mutated.toml"
+    for table in tables:
+        path.write_text(as_toml(table))
+        stands(path)
+    before, said = peak(), []
+    for _ in range(count):
+        path.write_bytes(mutated_config(pick(tables, rng), rng))
+        said.append(outcome(path))
+    assert peak() - before < MEMORY
+    return said
+
+
+@pytest.mark.slow
+def test_damaged_configurations(folder):
+    said = mutate(folder, 11, MUTATIONS)
+    refused = sum(map(bool, said))
+    assert MUTATIONS // 2 < refused < MUTATIONS
