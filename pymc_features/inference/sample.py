@@ -22,7 +22,7 @@ from pymc_features.smc import (
     processors,
     sample_smc,
 )
-from pymc_features.smc.kernels.checkpoint import Journal, remembered
+from pymc_features.smc.kernels.checkpoint import Journal, model_fingerprint, remembered
 from pymc_features.smc.proposals.pool import LARGEST_K
 
 AGREEMENT = 1.01  # largest R-hat of runs that agree
@@ -113,7 +113,7 @@ def sample(
     journal = None
     if checkpoint is not None:
         Path(checkpoint).mkdir(parents=True, exist_ok=True)
-        journal = Journal(Path(checkpoint) / "modes.record")
+        journal = Journal(Path(checkpoint) / "modes.record", model_fingerprint(model))
     found = search(model, logp, draws, rng, journal)
     idata = sample_from(
         found,

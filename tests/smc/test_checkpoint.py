@@ -24,7 +24,7 @@ from pymc_features import (
 )
 from pymc_features.exceptions import CheckpointError
 from pymc_features.smc import KERNELS
-from pymc_features.smc.kernels.checkpoint import MAGIC, Checkpoint, Journal
+from pymc_features.smc.kernels.checkpoint import MAGIC, Checkpoint, Journal, read_json
 from support.external_functions import DATA, SHAPE, Counted, beam, note
 from support.sampling import QUIET
 
@@ -435,7 +435,8 @@ def test_other_particles(copied):
     model, folder, journal, _ = copied
     [first, *_] = particles_in(folder)
     Path(journal).unlink()
-    other = Journal(journal)
+    run = read_json(folder / "run.json")
+    other = Journal(journal, json.dumps(run, sort_keys=True))
     values = np.zeros(len(first))
     other.write(np.array(first) + 1e-12, (values, values, values))
     other.close()

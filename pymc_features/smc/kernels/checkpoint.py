@@ -24,8 +24,8 @@ from pytensor.tensor.random.type import RandomGeneratorType
 
 from pymc_features.exceptions import CheckpointError
 
-MAGIC = b"pymc_features journal 1\n"
-HEAD = struct.Struct("<QQI")  # rows and columns of the particles, CRC-32 of what follows
+MAGIC = b"pymc_features journal 2\n"
+HEAD = struct.Struct("<QQI")  # rows and columns of the particles, CRC-32 of the run and what follows
 VALUES = 3  # log prior, log-likelihood, failed, each (p,); arrays (p, d) of gradients may follow
 ADVICE = "Choose another folder, or remove this one to begin anew."
 
@@ -37,6 +37,8 @@ class Journal:
     ----------
     path : Path
         The file; continued if it exists.
+    run : str
+        What the evaluations belong to; it is part of every sum.
 
     Raises
     ------
@@ -49,9 +51,14 @@ class Journal:
     numbers; nothing is pickled.
     """
 
-    def __init__(self, path: Path):
-        self.path = path
-        self.file = open(path, "a+b")  # noqa: SIM115  open as long as the chain runs
+    def __init__(self, path: Path, run: str = ""):
+        self.path, self.start = path, zlib.crc32(run.encode())
+        try:
+            self.file = open(path, "a+b")  # noqa: SIM115  open as long as the chain runs
+        except OSError as error:
+            raise CheckpointError(
+                f"`checkpoint` must hold files that can be written, got {path}: {error.strerror}. {ADVICE}"
+            ) from error
         lock(self.file, path)
         self.file.seek(0)
         start = self.file.read(len(MAGIC))
@@ -103,8 +110,11 @@ class Journal:
         body = self.file.read(size)
         if len(body) < size:
             return None
-        if zlib.crc32(body) != check:
-            raise CheckpointError(f"`checkpoint` must be intact, got a wrong sum in {self.path}. {ADVICE}")
+        if zlib.crc32(body, self.start) != check:
+            raise CheckpointError(
+                f"`checkpoint` must be intact, got a wrong sum in {self.path}: it is damaged, or of another "
+                f"run. {ADVICE}"
+            )
         self.end = self.file.tell()
         numbers = np.frombuffer(body, dtype=np.float64)
         particles, values, gradients = np.split(numbers, [n * d, n * (d + VALUES)])
@@ -117,7 +127,7 @@ class Journal:
         for array in (particles, *results):
             body.write(np.ascontiguousarray(array, dtype=np.float64).tobytes())
         body = body.getvalue()
-        self.file.write(HEAD.pack(*particles.shape, zlib.crc32(body)) + body)
+        self.file.write(HEAD.pack(*particles.shape, zlib.crc32(body, self.start)) + body)
         self.file.flush()
 
     def close(self):
@@ -156,12 +166,13 @@ class Checkpoint:
             If the folder belongs to another run.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
-        self.claim({"model": self.model, **settings})
+        run = self.claim({"model": self.model, **settings})
         state = json.dumps(rng.bit_generator.state, sort_keys=True, default=int)
-        return Journal(self.folder / f"{hashlib.sha256(state.encode()).hexdigest()[:16]}.journal")
+        name = hashlib.sha256(state.encode()).hexdigest()[:16]
+        return Journal(self.folder / f"{name}.journal", json.dumps(run, sort_keys=True))
 
-    def claim(self, run: dict):
-        """Write what run this is, or compare."""
+    def claim(self, run: dict) -> dict:
+        """Write what run this is, or compare; return it as it is written."""
         run = json.loads(json.dumps(run, default=float))
         path = self.folder / "run.json"
         known = read_json(path)
@@ -178,6 +189,7 @@ class Checkpoint:
                 f"`checkpoint` must be of this run, got {self.folder} of one with other: "
                 f"{', '.join(differing)}. {ADVICE}"
             )
+        return run
 
 
 def remembered(folder, random_seed, chains, default_chains):
@@ -246,17 +258,25 @@ def lock(file, path):
 
 
 def read_json(path):
-    """Contents of a JSON file, None if there is none."""
+    """Contents of a JSON file of `write_json`, None if there is none."""
     try:
-        return json.loads(path.read_text())
+        content = json.loads(path.read_text())
+        if not isinstance(content, dict) or content.pop("crc32", None) != checksum(content):
+            raise ValueError("a wrong sum")
+        return content
     except FileNotFoundError:
         return None
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, RecursionError) as error:
         raise CheckpointError(f"`checkpoint` must be intact, got {path}: {error}. {ADVICE}") from None
 
 
 def write_json(path, content):
-    """Write a JSON file that is there in whole or not at all."""
+    """Write a JSON file that is there in whole or not at all, with a sum of what it holds."""
     part = path.with_suffix(f".{os.getpid()}.part")
-    part.write_text(json.dumps(content, indent=1, sort_keys=True))
+    part.write_text(json.dumps(content | {"crc32": checksum(content)}, indent=1, sort_keys=True))
     os.replace(part, path)
+
+
+def checksum(content: dict) -> int:
+    """CRC-32 of what a JSON file holds."""
+    return zlib.crc32(json.dumps(content, sort_keys=True).encode())
