@@ -101,7 +101,7 @@ class CheckpointError(RuntimeError):
 
 
 class StudyMismatchError(ValueError):
-    """The output folder holds a study, or an update, with other settings."""
+    """The output folder holds a study, or an update, with other settings, or a damaged one."""
 
 
 class ConfigError(ValueError):

@@ -9,9 +9,14 @@ import xarray as xr
 
 from pymc_features.exceptions import StudyMismatchError
 
+SUM, SUMMED = ".sha256", "parts_have_sums"  # folders without this key are older, and so are their parts
+
 
 class PartStore:
     """Finished parts of a study, one netCDF file each, in `folder/parts`; in memory without a folder.
+
+    Beside each file is one with a sum of its bytes, its name and the settings: a part that was damaged, or
+    put there from elsewhere, is never taken for a result.
 
     Parameters
     ----------
@@ -27,20 +32,26 @@ class PartStore:
         self.what = what
         self._memory: dict[str, xr.DataTree] = {}
         self.folder = None if folder is None else Path(folder)
+        self.summed = True
+        self.settings = json.loads(json.dumps(settings))
         if self.folder is not None:
-            (self.folder / "parts").mkdir(parents=True, exist_ok=True)
-            self._check(settings)
+            try:
+                (self.folder / "parts").mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise OSError(
+                    f"`out` must be a folder that can be written, got {error.filename}: {error.strerror}. "
+                    "Choose another."
+                ) from error
+            self._check(self.settings)
 
-    def _check(self, settings):
-        path = self.folder / f"{self.what}.json"
-        wanted = json.loads(json.dumps(settings))
-        if not path.exists():
-            write_atomically(path, lambda p: p.write_text(json.dumps(wanted, indent=2) + "\n"))
+    def _check(self, wanted):
+        found = settings_in(self.folder, self.what)
+        if found is None:
+            path = self.folder / f"{self.what}.json"
+            text = json.dumps(wanted | {SUMMED: True}, indent=2)
+            write_atomically(path, lambda p: p.write_text(f"{text}\n"))
             return
-        try:
-            found = json.loads(path.read_text())
-        except json.JSONDecodeError:
-            found = {}
+        self.summed = found.pop(SUMMED, False) is True
         different = [
             f"{key} = {found.get(key)!r} instead of {wanted.get(key)!r}"
             for key in wanted | found
@@ -55,21 +66,66 @@ class PartStore:
     def _path(self, name):
         return self.folder / "parts" / f"{name}.nc"
 
+    def _sum(self, name, raw: bytes) -> str:
+        about = json.dumps([name, self.settings], sort_keys=True)
+        return hashlib.sha256(about.encode() + raw).hexdigest()
+
     def load(self, name: str) -> xr.DataTree | None:
         """Return a finished part, None if there is none."""
         if self.folder is None:
             return self._memory.get(name)
-        if not self._path(name).exists():
+        path = self._path(name)
+        beside = path.with_suffix(SUM)
+        if not path.exists() or (self.summed and not beside.exists()):
             return None
-        with xr.open_datatree(self._path(name), engine="h5netcdf") as tree:
-            return tree.load()
+        try:
+            if beside.exists() and beside.read_text().strip() != self._sum(name, path.read_bytes()):
+                raise ValueError("wrong sum")
+            with xr.open_datatree(path, engine="h5netcdf") as tree:
+                return tree.load()
+        except Exception as error:  # HDF5 fails in many ways
+            raise StudyMismatchError(
+                f"`out` must hold parts of this {self.what} as they were written, got {path}, which is "
+                f"damaged or from elsewhere ({str(error)[:100]}). Delete this file, and it is sampled again."
+            ) from error
 
     def save(self, name: str, part: xr.DataTree):
         """Keep a finished part; a file appears only when it is complete."""
         if self.folder is None:
             self._memory[name] = part
-        else:
-            write_atomically(self._path(name), lambda p: part.to_netcdf(p, engine="h5netcdf"))
+            return
+        path = self._path(name)
+        path.unlink(missing_ok=True)  # a sum and a part that do not belong together are never there
+
+        def write(temporary):
+            part.to_netcdf(temporary, engine="h5netcdf")
+            total = self._sum(name, temporary.read_bytes())
+            write_atomically(path.with_suffix(SUM), lambda p: p.write_text(f"{total}\n"))
+
+        write_atomically(path, write)
+
+
+def settings_in(folder: Path, what: str) -> dict | None:
+    """The settings that a folder holds, None if it holds none.
+
+    Raises
+    ------
+    StudyMismatchError
+        If the file with them is damaged.
+    """
+    path = folder / f"{what}.json"
+    try:
+        found = json.loads(path.read_text())
+        if not isinstance(found, dict):
+            raise ValueError(f"no table but a {type(found).__name__}")
+    except FileNotFoundError:
+        return None
+    except (ValueError, OSError, RecursionError) as error:
+        raise StudyMismatchError(
+            f"`out` must be empty or hold the same {what}, got {path}, which is damaged: {error}. Choose "
+            f"another folder, or delete {folder}."
+        ) from None
+    return found
 
 
 def write_atomically(path: Path, write):

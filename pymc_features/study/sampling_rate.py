@@ -1,6 +1,5 @@
 """The source's study: posteriors of the same data at seven sampling steps (Figs. 2-4)."""
 
-import json
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -19,7 +18,7 @@ from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.likelihoods.free import exact_tolerance
 from pymc_features.records import Record
 from pymc_features.smc import SubsetSimulation, sample_smc
-from pymc_features.storage import PartStore
+from pymc_features.storage import PartStore, settings_in
 from pymc_features.study import paper
 from pymc_features.study.models import declare, set_measurements
 from pymc_features.study.settings import Study
@@ -148,8 +147,9 @@ def sampling_rate_study(
 
 def seed_in(out) -> int | None:
     """The seed of the study that a folder holds, if it holds one."""
-    path = None if out is None else Path(out) / "study.json"
-    return json.loads(path.read_text()).get("random_seed") if path is not None and path.exists() else None
+    found = None if out is None else settings_in(Path(out), "study")
+    seed = (found or {}).get("random_seed")
+    return seed if isinstance(seed, int) and seed >= 0 else None
 
 
 def part_name(kind: str, multiplier: float) -> str:

@@ -277,7 +277,7 @@ def test_interrupted_study_continues_with_the_same_numbers(short, small_result, 
     monkeypatch.setattr(study_module, "run_part", stop_at_third)
     with pytest.raises(KeyboardInterrupt):
         small_study(short, out=tmp_path, likelihoods=kinds)
-    assert sorted(p.name for p in (tmp_path / "parts").iterdir()) == ["NORM_x1.nc", "TN_x1.nc"]
+    assert sorted(p.name for p in (tmp_path / "parts").glob("*.nc")) == ["NORM_x1.nc", "TN_x1.nc"]
 
     resumed = []
 

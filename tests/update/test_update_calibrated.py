@@ -49,7 +49,7 @@ def finished(example):
         command = ["update", str(example), "--out", str(out), "--cores", "1"]
         patch.setattr(run, "calibrate", stopped)
         assert cli.main(command) == 130
-        assert sorted(path.name for path in (out / "parts").iterdir()) == ["GAMMA.nc", "NORM.nc"]
+        assert sorted(path.name for path in (out / "parts").glob("*.nc")) == ["GAMMA.nc", "NORM.nc"]
         patch.setattr(run, "calibrate", doubtful)
         patch.setattr(run, "sample", None)  # nothing is sampled again
         assert cli.main(command) == 0
