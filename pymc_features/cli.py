@@ -195,8 +195,8 @@ def reproduce(options, console):
 def update(options, console):
     """Update a structure as a configuration says, and write the report."""
     from pymc_features.update import run_update, write_outputs
-    from pymc_features.update.terminal import summary
-    from pymc_features.update.verdict import foretold
+    from pymc_features.update.report.terminal import summary
+    from pymc_features.update.report.verdict import foretold
 
     config = Path(options.config)
     options.out = Path(options.out or config.with_name(f"{config.stem}-output"))
@@ -245,7 +245,7 @@ def check(options, console):
     from pymc_features import plots
     from pymc_features.storage import write_atomically
     from pymc_features.update.channels import base_and_sensors
-    from pymc_features.update.terminal import gains_table
+    from pymc_features.update.report.terminal import gains_table
 
     config = Path(options.config)
     problem, told = read_and_tell(config, console)

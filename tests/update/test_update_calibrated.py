@@ -9,7 +9,7 @@ import xarray as xr
 from pymc_features import cli
 from pymc_features.exceptions import CalibrationWarning, ConfigError
 from pymc_features.update import read_problem, run, write_example
-from pymc_features.update.summary import supported
+from pymc_features.update.report.summary import supported
 from update.test_update import replaced, table_of, variant
 
 pytestmark = pytest.mark.slow

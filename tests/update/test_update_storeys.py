@@ -251,7 +251,7 @@ REFUSED = {  # what is said: what is changed, into what
         TAPER,
         '{ groups = [["p", 4]], exponent = 1.0 }',
     ),
-    "`structure.stiffness` must name priors of the file, got 'k_roof'. Add [priors.k_roof]": (
+    "`structure.stiffness` must name priors of the file, got 'k_roof'. Add it to [priors]": (
         '"k_top", ',
         '"k_roof", ',
     ),

@@ -17,8 +17,8 @@ from pymc_features import (
 from pymc_features.update import read_problem, run_update, write_example
 from pymc_features.update.channels import Measured
 from pymc_features.update.predict import measured_gain
-from pymc_features.update.summary import overlap_of
-from pymc_features.update.verdict import foretold, verdict
+from pymc_features.update.report.summary import overlap_of
+from pymc_features.update.report.verdict import foretold, verdict
 from update.test_update import replaced
 
 MASS, STIFFNESS = [0.1601, 0.1601, 0.1421], [385.0, 420.0, 600.0]

@@ -5,9 +5,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from pymc_features.update.problem import Problem
-from pymc_features.update.report import gain_rows, posterior_row
-from pymc_features.update.summary import COLUMNS, kinds_of, rows, supported, warnings_of
-from pymc_features.update.verdict import verdict
+from pymc_features.update.report.page import gain_rows, posterior_row
+from pymc_features.update.report.summary import COLUMNS, kinds_of, rows, supported, warnings_of
+from pymc_features.update.report.verdict import verdict
 
 # as many as 80 characters hold
 SHOWN = (

@@ -6,7 +6,7 @@ import numpy as np
 
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.problem import Problem
-from pymc_features.update.summary import kinds_of
+from pymc_features.update.report.summary import kinds_of
 
 UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation, unless it is noise
 WORSE = 0.9  # the same, of a model with which nothing is gained

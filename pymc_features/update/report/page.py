@@ -8,7 +8,7 @@ import numpy as np
 
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.problem import Problem
-from pymc_features.update.summary import COLUMNS, kinds_of, supported
+from pymc_features.update.report.summary import COLUMNS, kinds_of, supported
 from pymc_features.update.templates import TEMPLATES
 
 PACKAGES = ("pymc-features", "pymc", "pytensor", "numba", "numpy", "arviz")

@@ -6,7 +6,7 @@ import numpy as np
 
 from pymc_features import plots
 from pymc_features.update.problem import Problem
-from pymc_features.update.summary import kinds_of
+from pymc_features.update.report.summary import kinds_of
 
 ZOOM = 4.0  # [s] around the strongest motion
 
