@@ -1,17 +1,27 @@
 """The command `pymc-features`."""
 
 import argparse
+import atexit
 import logging
 import os
+import signal
 import sys
 from pathlib import Path
 
 from rich.console import Console
 
-from pymc_features.progress import PartProgress
+from pymc_features.progress import EXIT_INTERRUPTED, CtrlC, PartProgress
 
 EXIT_BAD_INPUT = 2
-EXIT_INTERRUPTED = 130
+
+
+def command() -> int:
+    """Run the command in a process of its own, which a second Ctrl-C ends at once."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, CtrlC(ends_process=True))
+        # of those registered, the first runs last: then nothing is left that could take long
+        atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
+    return main()
 
 
 def main(arguments=None) -> int:
@@ -23,11 +33,9 @@ def main(arguments=None) -> int:
     try:
         options.run(options, console)
     except KeyboardInterrupt:
-        console.print(
-            f"interrupted: finished parts are kept in {options.out}; the same command continues.",
-            style="yellow",
-            soft_wrap=True,
-        )
+        out = getattr(options, "out", None)
+        kept = f": finished parts are kept in {out}; the same command continues" if out else ""
+        say(console, f"interrupted{kept}.", "yellow")
         return EXIT_INTERRUPTED
     except (ValueError, TypeError, OSError) as error:
         if options.traceback:
@@ -289,4 +297,4 @@ def default_folder(options) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(command())

@@ -1,9 +1,43 @@
 """Progress of work in parts, and Ctrl-C."""
 
+import multiprocessing
+import os
 import signal
 import sys
+from typing import NoReturn
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+EXIT_INTERRUPTED = 130
+SHOW_CURSOR = b"\x1b[?25h"  # which progress bars hide
+
+
+class CtrlC:
+    """A handler of SIGINT: the first Ctrl-C raises KeyboardInterrupt, and is remembered.
+
+    Parameters
+    ----------
+    ends_process : bool
+        Whether the second ends the process at once, wherever the first has brought it.
+    """
+
+    def __init__(self, *, ends_process: bool):
+        self.pressed, self.ends_process, self.process = False, ends_process, os.getpid()
+
+    def __call__(self, number, frame):
+        if self.pressed and self.ends_process:
+            self.end()
+        self.pressed = True
+        raise KeyboardInterrupt
+
+    def end(self) -> NoReturn:
+        """End the process and those that it started; of these, forked, each ends itself without a word."""
+        if os.getpid() == self.process:
+            for child in multiprocessing.active_children():
+                child.kill()
+            cursor = SHOW_CURSOR if os.isatty(2) else b""
+            os.write(2, cursor + b"interrupted again: ended at once; finished parts are kept.\n")
+        os._exit(EXIT_INTERRUPTED)
 
 
 class PartProgress:
@@ -26,12 +60,12 @@ class PartProgress:
         )
 
     def __enter__(self):
-        self.interrupted = False
         self.unraisable = sys.unraisablehook
         sys.unraisablehook = self._ignored
         self.handler = signal.getsignal(signal.SIGINT)
+        self.ctrl_c = self.handler if isinstance(self.handler, CtrlC) else CtrlC(ends_process=False)
         if self.handler is signal.default_int_handler:
-            signal.signal(signal.SIGINT, self._interrupt)
+            signal.signal(signal.SIGINT, self.ctrl_c)
         self.bar.start()
         self.task = self.bar.add_task("")
         return self.update
@@ -42,17 +76,13 @@ class PartProgress:
         if self.handler is signal.default_int_handler:
             signal.signal(signal.SIGINT, self.handler)
 
-    def _interrupt(self, number, frame):
-        self.interrupted = True
-        raise KeyboardInterrupt
-
     def _ignored(self, unraisable):
         if not issubclass(unraisable.exc_type, KeyboardInterrupt):
             self.unraisable(unraisable)
 
     def update(self, part, done, total):
         """Show that `part` is in work after `done` of `total`; stop if asked to."""
-        if self.interrupted:
+        if self.ctrl_c.pressed:
             raise KeyboardInterrupt
         self.bar.update(self.task, completed=done, total=total, description=part)
         if not self.console.is_terminal:

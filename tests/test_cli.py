@@ -13,6 +13,7 @@ import xarray as xr
 
 from pymc_features import cli
 from pymc_features.study import STRUCTURES, sampling_rate
+from support.commands import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -99,18 +100,23 @@ def test_el_centro_is_the_default():
     assert "El Centro" in sentence
 
 
+def started(command):
+    """A command in a process that Ctrl-C stops."""
+    return subprocess.Popen(
+        command,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)},
+        # a shell's background jobs ignore Ctrl-C, and hand that on
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+
+
 @pytest.mark.processes
 def test_interrupt_keeps_what_is_finished(record_file, tmp_path):
     """Ctrl-C after the first part: exit code 130, one line, no traceback, the part is there."""
     command = [sys.executable, "-m", "pymc_features.cli"]
-    process = subprocess.Popen(
-        [*command, *arguments(record_file, tmp_path, "--draws", "4000")],
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "MPLBACKEND": "Agg"},
-        # a shell's background jobs ignore Ctrl-C, and hand that on
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
+    process = started([*command, *arguments(record_file, tmp_path, "--draws", "4000")])
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and not list(tmp_path.glob("parts/NORM_x0.2.nc")):
         time.sleep(0.1)
@@ -120,3 +126,79 @@ def test_interrupt_keeps_what_is_finished(record_file, tmp_path):
     assert "Traceback" not in error
     assert "interrupted: finished parts are kept in" in error
     assert (tmp_path / "parts" / "NORM_x0.2.nc").exists()
+
+
+SLOW_TO_STOP = """
+import atexit, multiprocessing, sys, time
+from pymc_features import cli
+
+def wait(words):
+    print(words, file=sys.stderr, flush=True)
+    time.sleep(100)
+
+def slow(options, console):
+    options.out = "here"
+    multiprocessing.get_context("fork").Process(target=time.sleep, args=(100,), daemon=True).start()
+    with cli.PartProgress(console, "update"):
+        try:
+            wait("at work")
+        finally:
+            if options.config == "unwinding":
+                wait("stopping")
+            atexit.register(wait, "stopping")
+
+cli.update = slow
+sys.exit(cli.command())
+"""
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("where", ["unwinding", "at exit"])
+def test_a_second_interrupt_ends_what_is_slow_to_stop(where):
+    """In the middle of its stopping, or when all is said and Python ends."""
+    process = started([sys.executable, "-c", SLOW_TO_STOP, "update", where])
+    said = ""
+    for words in ("at work", "stopping"):
+        while words not in said:
+            line = process.stderr.readline()
+            assert line, said
+            said += line
+        process.send_signal(signal.SIGINT)
+    start = time.monotonic()
+    _, rest = process.communicate(timeout=60)  # the other end of the pipe is also the child's
+    assert time.monotonic() - start < 30.0
+    assert process.returncode == 130, said + rest
+    assert "Traceback" not in said + rest
+    assert rest == "interrupted again: ended at once; finished parts are kept.\n"
+    assert ("interrupted: finished parts are kept in here" in said) == (where == "at exit")
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("name", ["update", "reproduce"])
+def test_two_interrupts_while_sampling(name, record_file, tmp_path, capsys):
+    """One right after the other: the second comes while the program stops, or while Python ends."""
+    out = tmp_path / "out"
+    command = arguments(record_file, out, "--draws", "4000")
+    if name == "update":
+        assert cli.main(["init", str(tmp_path / "a.toml"), "--synthetic"]) == 0
+        command = ["update", str(tmp_path / "a.toml"), "--out", str(out), "--cores", "1"]
+    process = started([sys.executable, "-m", "pymc_features.cli", *command])
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and not list(out.glob("parts")):
+        time.sleep(0.02)
+    for _ in range(2):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.05)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 130, error
+    assert "Traceback" not in error
+    assert "interrupted: finished parts are kept in" in error or "interrupted again: ended at once" in error
+
+
+def test_interrupt_of_a_command_that_keeps_nothing(monkeypatch, capsys):
+    def interrupted(options, console):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "init", interrupted)
+    assert cli.main(["init", "some.toml"]) == 130
+    assert capsys.readouterr().err == "interrupted.\n"
