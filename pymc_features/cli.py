@@ -252,7 +252,7 @@ def check(options, console):
     """Look at the data of a configuration."""
     from pymc_features import plots
     from pymc_features.storage import write_atomically
-    from pymc_features.update.channels import base_and_sensors
+    from pymc_features.update.problem.channels import base_and_sensors
     from pymc_features.update.report.terminal import gains_table
 
     config = Path(options.config)

@@ -7,7 +7,7 @@ import xarray as xr
 from pymc_features.exceptions import ConfigError
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.prediction import posterior_response
-from pymc_features.update.structure import modes_of
+from pymc_features.update.problem.structure import modes_of
 
 QUANTILES = (0.05, 0.5, 0.95)
 DRAWS = 200

@@ -18,9 +18,9 @@ from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.smc import sample_smc
 from pymc_features.storage import PartStore
 from pymc_features.update.config.entries import Parameter
-from pymc_features.update.model import declare, names_for
 from pymc_features.update.predict import bands, frequencies, measured_gain
-from pymc_features.update.problem import Problem
+from pymc_features.update.problem.model import declare, names_for
+from pymc_features.update.problem.read import Problem
 
 PRIOR_DRAWS = 4000
 GROUPS = ("posterior", "sample_stats", "particles", "modes", "calibration")

@@ -18,7 +18,7 @@ INTERNAL = (  # modules that a library keeps for itself, though their names have
     *("pymc.sampling.parallel", "pymc.smc.kernels", "pymc.step_methods"),
 )
 INTERNAL_ATTRIBUTES = {"maker", "tag"}  # of compiled functions and of variables
-OF_NAMED_TUPLES = {"_asdict", "_fields", "_replace"}
+OF_PYTHON = {"_asdict", "_exit", "_fields", "_replace"}  # of named tuples and of `os`
 
 
 class Hook(NamedTuple):
@@ -72,7 +72,7 @@ def private_imports(tree: ast.AST) -> set[str]:
 
 def own_names(trees) -> set[str]:
     """Every name that the package defines or sets itself."""
-    names = set(OF_NAMED_TUPLES)
+    names = set(OF_PYTHON)
     for node in (node for tree in trees for node in ast.walk(tree)):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             names.add(node.name)

@@ -17,7 +17,7 @@ from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 from pymc_features.update import predict, read_problem, run, write_example
 from pymc_features.update.config import priors, structure_sections
 from pymc_features.update.config.document import read_config
-from pymc_features.update.structure import StructureOf
+from pymc_features.update.problem.structure import StructureOf
 
 SMALL = [
     ('kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]', 'kinds = ["EXP", "ABC"]'),

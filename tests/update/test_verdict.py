@@ -15,8 +15,8 @@ from pymc_features import (
     synthetic_earthquake,
 )
 from pymc_features.update import read_problem, run_update, write_example
-from pymc_features.update.channels import Measured
 from pymc_features.update.predict import measured_gain
+from pymc_features.update.problem.channels import Measured
 from pymc_features.update.report.summary import overlap_of
 from pymc_features.update.report.verdict import foretold, verdict
 from update.test_update import replaced

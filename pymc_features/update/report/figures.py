@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features import plots
-from pymc_features.update.problem import Problem
+from pymc_features.update.problem.read import Problem
 from pymc_features.update.report.summary import kinds_of
 
 ZOOM = 4.0  # [s] around the strongest motion

@@ -7,7 +7,7 @@ import importlib.metadata
 import numpy as np
 
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.update.problem import Problem
+from pymc_features.update.problem.read import Problem
 from pymc_features.update.report.summary import COLUMNS, kinds_of, supported
 from pymc_features.update.templates import TEMPLATES
 

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.update.problem import Problem
+from pymc_features.update.problem.read import Problem
 
 R_HAT = 1.05  # of chains of SMC that agree; they are few and short
 R_HAT_NUTS = 1.01

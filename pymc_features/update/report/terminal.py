@@ -4,7 +4,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from pymc_features.update.problem import Problem
+from pymc_features.update.problem.read import Problem
 from pymc_features.update.report.page import gain_rows, posterior_row
 from pymc_features.update.report.summary import COLUMNS, kinds_of, rows, supported, warnings_of
 from pymc_features.update.report.verdict import verdict

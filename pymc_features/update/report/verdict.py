@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.update.problem import Problem
+from pymc_features.update.problem.read import Problem
 from pymc_features.update.report.summary import kinds_of
 
 UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation, unless it is noise

@@ -10,13 +10,13 @@ import numpy as np
 from pymc_features.exceptions import ConfigError
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.storage import fingerprint
-from pymc_features.update.channels import Measured, named_key, read_measured
 from pymc_features.update.config.document import Config, read_config
 from pymc_features.update.config.entries import Matrix, Parameter
 from pymc_features.update.config.messages import shown
 from pymc_features.update.config.priors import Prior
 from pymc_features.update.config.sections import ERRORS
-from pymc_features.update.structure import StructureOf, modes_of
+from pymc_features.update.problem.channels import Measured, named_key, read_measured
+from pymc_features.update.problem.structure import StructureOf, modes_of
 
 #: Keys that change no draw, or, as the tolerance, those of ABC alone.
 WITHOUT_EFFECT = ("report", "likelihood.kinds", "likelihood.epsilon", "sampler.cores")

@@ -7,11 +7,11 @@ from pymc_features import structures
 from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_matrices
 from pymc_features.structures import AffineStructure
-from pymc_features.update.channels import named_key
 from pymc_features.update.config.document import parameters_of
 from pymc_features.update.config.entries import Matrix, evaluated, priors_in
 from pymc_features.update.config.sections import Section
-from pymc_features.update.storeys import spread_over_storeys
+from pymc_features.update.problem.channels import named_key
+from pymc_features.update.problem.storeys import spread_over_storeys
 
 CATALOGUE = {cls.__name__: cls for cls in structures.STRUCTURES}
 DAMPINGS = {cls.__name__: cls for cls in structures.DAMPINGS}

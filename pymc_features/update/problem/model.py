@@ -5,9 +5,9 @@ import pytensor.tensor as pt
 
 from pymc_features.likelihoods import DIMS, LIKELIHOODS, Comparison
 from pymc_features.ops import response
-from pymc_features.update.channels import named_key
 from pymc_features.update.config.entries import evaluated, priors_in
-from pymc_features.update.problem import Problem
+from pymc_features.update.problem.channels import named_key
+from pymc_features.update.problem.read import Problem
 
 
 def names_for(problem: Problem, kind: str) -> list[str]:

@@ -12,9 +12,9 @@ from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 from pymc_features.io import read_channels, read_record
 from pymc_features.records import Record
 from pymc_features.signals.channels import check_window
-from pymc_features.update.checks import Checked, check, warn_of_motion
 from pymc_features.update.config.document import Config
 from pymc_features.update.config.messages import shown
+from pymc_features.update.problem.checks import Checked, check, warn_of_motion
 
 LONGEST = 600  # characters of a message, which may quote the name of a file
 
