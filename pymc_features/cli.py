@@ -1,6 +1,5 @@
 """The command `pymc-features`."""
 
-import argparse
 import atexit
 import logging
 import os
@@ -10,6 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from pymc_features.arguments import make_parser
 from pymc_features.progress import EXIT_INTERRUPTED, CtrlC, PartProgress
 
 EXIT_BAD_INPUT = 2
@@ -31,7 +31,8 @@ def main(arguments=None) -> int:
     logging.getLogger("pymc").setLevel(logging.WARNING)
     os.environ.setdefault("MPLBACKEND", "Agg")
     try:
-        options.run(options, console)
+        run = {"reproduce": reproduce, "update": update, "check": check, "init": init}[options.command]
+        run(options, console)
     except KeyboardInterrupt:
         out = getattr(options, "out", None)
         kept = f": finished parts are kept in {out}; the same command continues" if out else ""
@@ -43,100 +44,6 @@ def main(arguments=None) -> int:
         console.print(f"pymc-features: error: {error}", markup=False, soft_wrap=True)
         return EXIT_BAD_INPUT
     return 0
-
-
-def make_parser() -> argparse.ArgumentParser:
-    """Return the parser of all commands."""
-    parser = argparse.ArgumentParser(
-        prog="pymc-features",
-        description="Bayesian updating of structural models from measured vibration.",
-    )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    study = commands.add_parser(
-        "reproduce",
-        help="run the sampling-rate study of the source, and write its figures and table",
-        description="Ten-storey chain, linear or with springs that yield, one stiffness factor: NORM, TN, "
-        "EXP, ABC by subset simulation, errors correlated in time, and CAL, whose width the residuals "
-        "decide, at several sampling steps of the same data. Writes Figs. 1-4 of the source and two more, "
-        "the loops of springs that yield, tables with exact quantiles by quadrature beside the sampled ones "
-        "and a sentence on each likelihood, and the whole result as netCDF. A stopped run continues.",
-    )
-    study.set_defaults(run=reproduce)
-    add = study.add_argument
-    add(
-        "--structure",
-        metavar="NAME",
-        default="linear",
-        help="linear: the source's (default; three minutes on two cores), or bouc-wen: the same with "
-        "hysteretic springs (most of an hour)",
-    )
-    add("--record", metavar="FILE", help="ground motion: PEER AT2, text/CSV or .mat")
-    add("--units", help="units of the record's file: g, m/s^2, cm/s^2, gal, or m/s^2 per unit")
-    add("--record-dt", type=float, metavar="S", help="step of the record [s], if the file is silent")
-    add("--column", help="column of the record's file, if it has several")
-    add("--out", metavar="DIR", help="output folder (default: reproduce-output[-STRUCTURE][-quick])")
-    add(
-        "--quick",
-        action="store_true",
-        help="three sampling steps and fewer draws, for a first look; bouc-wen: of the record until 8 s "
-        "after its peak (three minutes)",
-    )
-    add("--seed", type=int, default=0, help="of noise and samplers (default: 0)")
-    add(
-        "--noise-time",
-        type=float,
-        metavar="S",
-        help="correlation time of the noise [s] (default: 0, white)",
-    )
-    add("--stiffness", type=float, metavar="N/m", help="nominal, initial spring stiffness (default: 1800)")
-    add(
-        "--likelihoods",
-        nargs="+",
-        metavar="NAME",
-        help="NORM, TN, EXP, ABC, CN, CN-SIGMA, CN-TAU, CAL (default: all; bouc-wen: the first four)",
-    )
-    add("--draws", type=int, help="draws per chain (default: 2000, quick 250; bouc-wen: 1000)")
-    add("--chains", type=int, help="chains (default: 4, quick 2; bouc-wen: 2)")
-    add("--cores", type=int, help="processes (default: all processors)")
-    add("--traceback", action="store_true", help="on an error, show where it came from")
-    add_update(commands)
-    return parser
-
-
-def add_update(commands):
-    """The commands for measurements of one's own."""
-    run = commands.add_parser(
-        "update",
-        help="update a structure with measured channels, and write a report",
-        description="Reads a configuration (TOML; `pymc-features init` writes a commented one), samples the "
-        "posterior under each of its likelihoods, and writes update.nc, table.csv, figures and report.html, "
-        "one page that needs no other file. A stopped run continues: finished likelihoods are kept.",
-    )
-    run.set_defaults(run=update)
-    run.add_argument("config", metavar="CONFIG", help="configuration file, TOML")
-    run.add_argument("--out", metavar="DIR", help="output folder (default: CONFIG-output beside CONFIG)")
-    run.add_argument("--cores", type=int, help="processes (default: as CONFIG says, or all processors)")
-    look = commands.add_parser(
-        "check",
-        help="look at the data of a configuration without sampling",
-        description="Reads a configuration and its channels, checks them against each other, says which "
-        "lines of the file would correct what is wrong, and draws them.",
-    )
-    look.set_defaults(run=check)
-    look.add_argument("config", metavar="CONFIG", help="configuration file, TOML")
-    look.add_argument("--out", metavar="FILE", help="figure (default: CONFIG-check.png beside CONFIG)")
-    example = commands.add_parser(
-        "init",
-        help="write a commented configuration that runs",
-        description="Writes a configuration for the three-storey shaking-table model, with its measured data "
-        "if they are in PYMC_FEATURES_DATA, in the cache or can be downloaded, else with simulated data in a "
-        "file beside it.",
-    )
-    example.set_defaults(run=init)
-    example.add_argument("config", metavar="CONFIG", nargs="?", default="update.toml")
-    example.add_argument("--synthetic", action="store_true", help="simulated data in any case")
-    for command in (run, look, example):
-        command.add_argument("--traceback", action="store_true", help="on an error, show where it came from")
 
 
 def say(console, sentence, style=None):
@@ -184,6 +91,7 @@ def reproduce(options, console):
     for name in ("draws", "chains", "cores", "likelihoods", "noise_time"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
+    forget_parts(options, "study", console)
     with PartProgress(console, "study") as progress:
         result = sampling_rate_study(
             record,
@@ -211,6 +119,7 @@ def update(options, console):
     problem, told = read_and_tell(config, console)
     for sentence in foretold(problem):
         say(console, f"note: {sentence}")
+    forget_parts(options, "update", console)
     with PartProgress(console, "update") as progress:
         result = run_update(
             problem,
@@ -227,6 +136,14 @@ def update(options, console):
     for path in write_outputs(problem, result, options.out, told):
         if path.parent == options.out:
             say(console, f"wrote {path}")
+
+
+def forget_parts(options, what, console):
+    """With --force, delete the finished parts in the output folder."""
+    from pymc_features.storage import remove_parts
+
+    if options.force and (n := remove_parts(options.out, what)):
+        say(console, f"deleted {n} finished part{'s' if n > 1 else ''} in {options.out / 'parts'}")
 
 
 def read_and_tell(config, console):

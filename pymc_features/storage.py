@@ -60,7 +60,7 @@ class PartStore:
         if different:
             raise StudyMismatchError(
                 f"`out` must be empty or hold the same {self.what}, got {self.folder} with "
-                f"{', '.join(different)}. Choose another folder, or delete this one."
+                f"{', '.join(different)}. Choose another folder, or delete this one (--force on the command line)."
             )
 
     def _path(self, name):
@@ -103,6 +103,17 @@ class PartStore:
             write_atomically(path.with_suffix(SUM), lambda p: p.write_text(f"{total}\n"))
 
         write_atomically(path, write)
+
+
+def remove_parts(folder, what: str) -> int:
+    """Delete finished parts and the file with their settings, nothing else; return how many there were."""
+    folder = Path(folder)
+    parts = sorted((folder / "parts").glob("*.nc"))
+    for path in parts:
+        path.unlink()
+        path.with_suffix(SUM).unlink(missing_ok=True)
+    (folder / f"{what}.json").unlink(missing_ok=True)
+    return len(parts)
 
 
 def settings_in(folder: Path, what: str) -> dict | None:

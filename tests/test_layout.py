@@ -48,6 +48,7 @@ ALLOWED = {
     "likelihoods": {"ops", "distributions", "likelihood_free", "calibration"},
     "plots": {"records", "likelihoods"},
     "progress": set(),
+    "arguments": set(),
     "update": {
         *("records", "structures", "signals", "io", "datasets", "ground_motion", "simulators", "ops"),
         *("likelihood_free", "likelihoods", "smc", "inference", "calibration", "prediction"),

@@ -90,7 +90,7 @@ def test_metadata_of_the_wheel(wheel):
     assert metadata.requires_python == SpecifierSet(PROJECT["requires-python"])
     assert (metadata.license_expression, metadata.license_files) == ("Apache-2.0", ["LICENSE"])
     assert metadata.description == (ROOT / "README.md").read_text()
-    assert "pymc-features = pymc_features.cli:main" in scripts.splitlines()
+    assert "pymc-features = pymc_features.cli:command" in scripts.splitlines()
 
 
 def test_classifiers_name_the_versions_of_python_that_are_allowed():

@@ -303,6 +303,18 @@ def test_other_settings_are_refused_other_reports_are_not(example, finished, tmp
         example.write_text(text)
 
 
+def test_force_starts_anew(example, finished, tmp_path, capsys, monkeypatch):
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    folder = tmp_path / "copy"
+    shutil.copytree(finished, folder)
+    monkeypatch.setattr(run, "run_part", stopped)
+    assert cli.main(["update", str(example), "--out", str(folder), "--force"]) == 130
+    assert "deleted 2 finished parts" in capsys.readouterr().err
+    assert not list((folder / "parts").iterdir())
+
+
 def table_of(html, after):
     """Cells of the first table after a heading."""
     part = html[html.index(f"<h2>{after}</h2>") :]

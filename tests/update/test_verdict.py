@@ -17,6 +17,7 @@ from pymc_features import (
 from pymc_features.update import read_problem, run_update, write_example
 from pymc_features.update.predict import measured_gain
 from pymc_features.update.problem.channels import Measured
+from pymc_features.update.problem.read import Problem
 from pymc_features.update.report.summary import overlap_of
 from pymc_features.update.report.verdict import foretold, verdict
 from update.test_update import replaced
@@ -32,10 +33,9 @@ def judged(measured, response, structure, record=SHAKING, low=None, high=None):
     sensors = [f"floor{i}" for i in range(1, len(measured) + 1)]
     channels = xr.DataArray(measured, dims=("sensor", "time"), coords={"sensor": sensors} | TIMES)
     kept = SimpleNamespace(low=low, high=high) if low or high else None
-    problem = SimpleNamespace(
-        measured=Measured(record, channels, 0.01, "simulated", None),
-        config=SimpleNamespace(processing=SimpleNamespace(band_pass=kept)),
-    )
+    measurements = Measured(record, channels, 0.01, "simulated", None)
+    config = SimpleNamespace(processing=SimpleNamespace(band_pass=kept))
+    problem = Problem(None, "", config, {}, measurements, None, {}, [])
     modes = structure.modes()
     dims = ("chain", "draw", "mode")
     bands = xr.DataArray(response[None], dims=("quantile", "sensor", "time"), coords={"quantile": [0.5]})

@@ -68,6 +68,14 @@ class Problem:
         """Likelihoods of the report in their order: first those whose width the residuals decide."""
         return sorted(self.config.likelihood.kinds, key=lambda kind: not LIKELIHOODS[kind].calibrates)
 
+    @property
+    def band(self) -> tuple[float, float]:
+        """Frequencies [Hz] that the processing leaves."""
+        kept, nyquist = self.config.processing.band_pass, 0.5 / self.measured.step
+        if kept is None:
+            return 0.0, nyquist
+        return kept.low or 0.0, min(kept.high or nyquist, nyquist)
+
     def unit(self, name: str) -> str:
         """Unit of a prior, from where it is used."""
         return self.config.uses()[name][0][1]

@@ -44,7 +44,7 @@ def kinds_of(result) -> list[str]:
 
 
 def rows(problem: Problem, result: xr.DataTree) -> list[Row]:
-    """All parameters and natural frequencies under all likelihoods."""
+    """All parameters, and natural frequencies in the band of the data, under all likelihoods."""
     import arviz as az  # slow to import
 
     found = []
@@ -64,6 +64,8 @@ def rows(problem: Problem, result: xr.DataTree) -> list[Row]:
         modal = part["modal"]["natural_frequency"]
         for mode in modal["mode"].values:
             one = modal.sel(mode=mode)
+            if mode > 1 and not problem.band[0] <= float(one.median()) <= problem.band[1]:
+                continue  # the data say nothing about it
             found.append(Row(kind, f"f{mode}", "Hz", *moments(one), *[np.nan] * 4))
     return found
 

@@ -88,8 +88,8 @@ def verdict(problem: Problem, result) -> Verdict:
     else:
         peaks = result["data"]["peak_frequency"].values
         sentences += no_noise(sensors, found, structured & (found.relative > ROUGH), frequencies)
-        sentences += missing_modes(found, peaks, frequencies, filtered(problem))
-    sentences += extrapolated(frequencies, filtered(problem))
+        sentences += missing_modes(found, peaks, frequencies, problem.band)
+    sentences += extrapolated(frequencies, problem.band)
     sentences += odd_damping(ratios)
     return Verdict(sentences, not bad.any())
 
@@ -113,7 +113,7 @@ def residuals_of(problem, part, frequencies) -> Residuals:
     beside = np.abs(at - frequencies[:, None]) < close
     beside &= np.cumsum(beside, axis=0) == 1  # each frequency counts once
     spectrum = signal.welch(error, **rough)[1]
-    low, high = filtered(problem)
+    low, high = problem.band
     inside = np.sort(spectrum[:, (frequency >= low) & (frequency <= high)], axis=1)
     some = max(1, round(NARROW * inside.shape[1]))
     return Residuals(
@@ -181,14 +181,6 @@ def missing_modes(found, peaks, frequencies, band) -> list[str]:
         f"The measurements have a peak at {', '.join(alone)} Hz, where the model has no natural frequency: a "
         "storey, a direction or a support may be missing."
     ]
-
-
-def filtered(problem) -> tuple[float, float]:
-    """Frequencies [Hz] that the processing leaves."""
-    kept, nyquist = problem.config.processing.band_pass, 0.5 / problem.measured.step
-    if kept is None:
-        return 0.0, nyquist
-    return kept.low or 0.0, min(kept.high or nyquist, nyquist)
 
 
 def extrapolated(frequencies, band) -> list[str]:
