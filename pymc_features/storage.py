@@ -60,7 +60,8 @@ class PartStore:
         if different:
             raise StudyMismatchError(
                 f"`out` must be empty or hold the same {self.what}, got {self.folder} with "
-                f"{', '.join(different)}. Choose another folder, or delete this one (--force on the command line)."
+                f"{', '.join(different)}. Choose another folder, or delete this one (--force on the "
+                "command line)."
             )
 
     def _path(self, name):

@@ -57,6 +57,7 @@ def plot_prior_posterior(
         ):
             counts, edges = np.histogram(draws, bins)
             ax.stairs(counts / counts.max(), edges, fill=True, color=colour, alpha=0.6, label=label)
+        ax.axvline(np.median(after), ymax=0.95, color="C0", lw=1.0)  # a posterior thinner than a line is seen
         unit = (units or {}).get(name, "").replace("^2", "²")
         ax.set(xlabel=f"{name} [{unit}]" if unit else name, yticks=[], xlim=(low, high))
         ax.xaxis.get_major_locator().set_params(nbins=4)
