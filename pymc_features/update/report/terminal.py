@@ -51,7 +51,7 @@ def summary(problem: Problem, result):
 
 def posterior_table(table) -> Table:
     """The posterior under one likelihood."""
-    drawn = Table(title=f"Posterior under {table[0].kind}", title_justify="left", box=box.SIMPLE_HEAD)
+    drawn = plain_table(f"Posterior under {table[0].kind}")
     for name in SHOWN:
         drawn.add_column(name, justify="left" if name in ("parameter", "unit") else "right", no_wrap=True)
     for row in table:
@@ -62,9 +62,15 @@ def posterior_table(table) -> Table:
 
 def gains_table(gains) -> Table:
     """Gain, lag and coherence of each sensor against the base."""
-    drawn = Table(title="Against the base", title_justify="left", box=box.SIMPLE_HEAD)
+    drawn = plain_table("Against the base")
     for name in ("sensor", "gain [-]", "lag [ms]", "coherence [-]"):
         drawn.add_column(escape(name), justify="left" if name == "sensor" else "right", no_wrap=True)
     for row in gain_rows(gains):
         drawn.add_row(*map(str, row))
     return drawn
+
+
+def plain_table(title) -> Table:
+    """An empty table that fits into 80 characters."""
+    compact = {"collapse_padding": True, "pad_edge": False}
+    return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, **compact)
