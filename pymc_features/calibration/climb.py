@@ -48,6 +48,8 @@ def climb_likelihood(predictions, z) -> Fit:
             if moved == 0.0:
                 damping = max(damping, 1e-6) * 10.0
                 continue
+        if length < CONVERGED:  # with these derivatives, and perhaps only for its damping
+            damping = 1e-6
         central = length < NEAR
         sides = [1.0, -1.0] if central else [1.0]
         events, stale = events_at(predictions, z, differences(events), here, sides), score

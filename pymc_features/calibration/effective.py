@@ -53,7 +53,7 @@ def effective_samples(
         `information` A, `variability` B and `covariance` A^-1 B A^-1 ``(parameter, parameter_)``, NaN for
         parameters that no likelihood knows of. Attributes: `n_eff` (geometric mean of the
         directions of the response), `claimed` (of all sensors), `n_evaluations` (predictions of the fit: each
-        set of sensitivities to d parameters takes 2 d + 1).
+        set of sensitivities to d parameters takes d far from the maximum, and 2 d near it).
 
     Raises
     ------

@@ -63,6 +63,20 @@ VARIANTS = [  # sections, and what is different there
             "dt": 0.01,
         }
     },
+    {
+        "data": {"scale": {"base": 1.0, "floor2": -1.0}, "delay": {"floor1": 0.0125}, "rows": [10, 390]},
+        "processing": {"compare": [1.0, 3.0], "check_band": False},
+        "likelihood": {"kinds": ["CAL", "NORM", "EXP"]},
+    },
+    {
+        "structure": {
+            "type": "SpringMassChain",
+            "n": 3,
+            "mass": {"groups": [[0.16, 2], [0.14, 1]]},
+            "stiffness": {"base": "k1", "top": "k2", "exponent": 1.5, "times": [1.0, 1.1, 1.2]},
+            "damping": MODAL,
+        }
+    },
     {"record": {"path": "motion.csv", "units": "g", "dt": 0.01, "column": 0}, "data": {"base": None}},
     {
         "processing": {

@@ -39,9 +39,9 @@ def window(value):
 def rows(value):
     """First row, and the one after the last."""
     if not (isinstance(value, list) and len(value) == 2 and all(type(v) is int for v in value)):
-        raise ValueError(f"must be two whole numbers [from, to], got {value!r}")
+        raise ValueError(f"must be two whole numbers [from, to], got {shown(value)}")
     if not 0 <= value[0] < value[1] - 1:
-        raise ValueError(f"must hold two rows or more from 0 on, got {value!r}")
+        raise ValueError(f"must hold two rows or more from 0 on, got {shown(value)}")
     return tuple(value)
 
 

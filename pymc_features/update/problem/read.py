@@ -199,6 +199,11 @@ def check_errors(config, priors) -> None:
                     f"`likelihood.{name}` must be positive, got the prior `priors.{value.prior}` with the "
                     f"median {middle:g}. Take a distribution of positive numbers."
                 )
+    if "ABC" in likelihood.kinds and config.processing.compare is not None:
+        raise ConfigError(
+            "`likelihood.kinds` must not have ABC with `processing.compare`, for it compares whole "
+            "responses. Leave one of them out."
+        )
     if "ABC" in likelihood.kinds and likelihood.epsilon is None and isinstance(likelihood.sigma, list):
         raise ConfigError(
             "`likelihood.epsilon` must be given for ABC where each sensor has its own sigma, got none."

@@ -15,6 +15,7 @@ from pymc_features.update.problem.storeys import spread_over_storeys
 
 CATALOGUE = {cls.__name__: cls for cls in structures.STRUCTURES}
 DAMPINGS = {cls.__name__: cls for cls in structures.DAMPINGS}
+MOST_MODES = 10
 
 
 class StructureOf:
@@ -91,9 +92,6 @@ def built(value, values):
         damping = DAMPINGS[value.type]
         return damping(**{name: evaluated(getattr(value, name), values) for name in damping.inputs})
     return evaluated(value, values)
-
-
-MOST_MODES = 10
 
 
 def modes_of(structure, n_modes):
