@@ -103,7 +103,7 @@ def calibrate(
     predictions = Predictions(model)
     modes = [
         (fit, curved(predictions, fit, sandwich(fit.events, fit.information)))
-        for fit in distinct_fits(predictions, posterior, rng)
+        for fit in distinct_fits(predictions, idata, rng)
     ]
     adjusted, parts = adjusted_model(model, len(modes)), []
     for i, mode in enumerate(modes):

@@ -9,7 +9,8 @@ DIFFERENCE = 0.02  # standard errors of independent samples that derivatives are
 WIDEST, NARROWEST = 1e-3, 1e-7  # but no more and no less than this, on the unconstrained scale
 NARROW = 1e-5  # before standard errors are known
 STEPS = 100  # towards the maximum, at most
-CONVERGED = 1e-3  # of a standard error of independent samples that the last step may be long
+CONVERGED, FAILED = 1e-3, 3e-3  # standard errors of independent samples that the last step, and one that
+# leads no higher, may be long
 SHORTER = 0.3  # than the step before must one be that is taken with the derivatives of another point
 NEAR = 0.1  # of such a standard error: derivatives there are those at the maximum
 LEAST = 0.1  # of the information that the curvature is taken to have where it is less, or negative
@@ -45,6 +46,8 @@ def climb_likelihood(predictions, z) -> Fit:
                 events = with_residuals(events, here)
                 score = score_of(events)
                 continue
+            if length < FAILED and central and moved < NEAR:
+                break
             if moved == 0.0:
                 damping = max(damping, 1e-6) * 10.0
                 continue

@@ -35,7 +35,8 @@ def effective_samples(
     ----------
     source : DataTree or pymc.Model
         What `sample`, `sample_smc` or `pm.sample` returned, or a model, of which the most probable mode is
-        taken. Likelihoods of several records are taken to have independent errors.
+        taken. The fit starts from the modes that `sample` found, or otherwise from draws, which takes longer.
+        Likelihoods of several records are taken to have independent errors.
     model : pymc.Model, optional
         Of a DataTree; the model of the context by default.
     random_seed : int, optional
@@ -76,11 +77,11 @@ def effective_samples(
     Econometrica 60, 1992.
     """
     if isinstance(source, pm.Model):
-        model, posterior = source, None
+        model, starts = source, None
     else:
-        posterior, model = posterior_of(source), pm.modelcontext(model)
-    rng = np.random.default_rng(random_seed)
-    fit = best_fit(Predictions(model), posterior, rng)
+        model = pm.modelcontext(model)
+        starts = starting_points(model, source)
+    fit = best_fit(Predictions(model), starts, np.random.default_rng(random_seed))
     return described(model, fit, sandwich(fit.events, fit.information))
 
 
@@ -94,19 +95,26 @@ def posterior_of(idata):
     return idata["posterior"].to_dataset()
 
 
-def best_fit(predictions, posterior, rng) -> Fit:
-    """The maximum of the likelihood near the most likely of some draws, or of a model's modes."""
+def starting_points(model, idata) -> np.ndarray:
+    """Unconstrained points (n, d) that a posterior offers: its modes where they are known, or some draws."""
+    posterior = posterior_of(idata)
+    if "modes" in idata.children and {rv.name for rv in model.free_RVs} <= set(idata["modes"].data_vars):
+        modes = idata["modes"].to_dataset().expand_dims("chain")
+        return to_unconstrained(model, modes)[0]
+    return some_draws(model, posterior)
+
+
+def best_fit(predictions, starts, rng) -> Fit:
+    """The maximum of the likelihood near the most likely of some points (n, d), or of a model's modes."""
     model = predictions.model
-    if posterior is None:
+    if starts is None:
         logp = population_logp(model, predictions.space.point, {})
         found = search(model, logp, 1000, rng, None)
         starts = prior_points(model, 10 * STARTS, rng) if found.reference is None else found.reference.peaks
         prior, likelihood, _ = logp(starts)
-        starts = starts[[np.argmax(prior + likelihood)]]
-    else:
-        starts = some_draws(model, posterior)
-        starts = starts[[np.argmax([log_likelihood(predictions(z)) for z in starts])]]
-    return with_noise(climb_likelihood(predictions, starts[0]))
+        return with_noise(climb_likelihood(predictions, starts[np.argmax(prior + likelihood)]))
+    best = np.argmax([log_likelihood(predictions(z)) for z in starts]) if len(starts) > 1 else 0
+    return with_noise(climb_likelihood(predictions, starts[best]))
 
 
 def some_draws(model, posterior, number=STARTS) -> np.ndarray:

@@ -7,7 +7,13 @@ import xarray as xr
 
 from pymc_features.calibration.adjusted import stretching
 from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.effective import best_fit, some_draws, with_noise
+from pymc_features.calibration.effective import (
+    best_fit,
+    posterior_of,
+    some_draws,
+    starting_points,
+    with_noise,
+)
 from pymc_features.calibration.fit import Fit, log_likelihood
 from pymc_features.calibration.sandwich import Sandwich, sandwich
 
@@ -38,10 +44,11 @@ class Peak(NamedTuple):
         return float(np.sqrt(apart @ self.sandwich.precision @ apart))
 
 
-def distinct_fits(predictions, posterior, rng) -> list[Fit]:
+def distinct_fits(predictions, idata, rng) -> list[Fit]:
     """Maxima of the likelihood that draws of a posterior lead to and that may matter, the highest first."""
-    peaks = [peak_of(predictions, best_fit(predictions, posterior, rng))]
-    draws = some_draws(predictions.model, posterior, CANDIDATES)
+    model = predictions.model
+    peaks = [peak_of(predictions, best_fit(predictions, starting_points(model, idata), rng))]
+    draws = some_draws(model, posterior_of(idata), CANDIDATES)
     scale = draws.std(axis=0)
     scale[scale == 0.0] = 1.0
     known = [peaks[0].fit.z]

@@ -95,6 +95,28 @@ def test_a_right_likelihood_claims_what_it_knows(y):
     assert found.attrs["n_eff"] == pytest.approx(4 * N_TIMES, rel=0.3)
 
 
+def test_modes_that_sampling_found_are_climbed_from(y, least_squares):
+    """The climb from them is shorter than that from a draw, and leads to the same. Control: modes of another
+    model are not used.
+    """
+    estimate, truth, _ = least_squares
+    idata, model = at(0.9, 1.8), declare("EXP", y)
+    alone = effective_samples(idata, model=model)
+    idata["modes"] = xr.Dataset({"theta": (("mode", "i"), [[5.0, 5.0], estimate])})
+    assert effective_samples(idata, model=model).n_evaluations == alone.n_evaluations
+    idata["modes"] = xr.Dataset({**idata["modes"].data_vars, "sigma": ("mode", [0.1, sigma_at(alone)])})
+    found = effective_samples(idata, model=model)
+    assert found.n_evaluations < alone.n_evaluations
+    np.testing.assert_allclose(
+        found["point"][:2], alone["point"][:2], atol=1e-3 * np.sqrt(truth.diagonal().min())
+    )
+
+
+def sigma_at(found):
+    """Sigma at the maximum."""
+    return float(np.exp(found["point"][2]))
+
+
 def test_of_a_model_without_draws(y):
     model = declare("NORM", y)
     found, expected = effective_samples(model, random_seed=1), effective_samples(at(1.0, 2.0), model=model)
