@@ -31,6 +31,7 @@ def case(benchmarks, record):
     return build(Record(record.acceleration[:100], record.dt), particles=4, substeps=2)
 
 
+@pytest.mark.slow
 def test_routes_agree(benchmarks, case):
     """Every route that can run here gives e_j; a wrong one stops the run."""
     evaluation, _ = benchmarks
@@ -88,6 +89,7 @@ def tolerance_problem(benchmarks):
     return ToleranceProblem(200)
 
 
+@pytest.mark.slow
 def test_region_within_the_tolerance(tolerance_problem):
     """Draws in a box agree with the grid; both kernels give rho; the response has it too."""
     from benchmarks.abc_problem import ACCEPTANCE

@@ -286,6 +286,7 @@ def test_every_mode_has_its_weight(y):
     assert found["sample_stats"].attrs["n_modes"] == 2
 
 
+@pytest.mark.slow
 def test_what_the_data_do_not_know_keeps_its_prior(y):
     """A parameter that no likelihood has: its draws are those of the prior, at a false-alarm rate of 1e-3."""
     with declare("EXP", y) as model:

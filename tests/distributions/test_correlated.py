@@ -265,6 +265,7 @@ def test_fused_only_where_it_is_a_response(pulse, measured):
         misfit_statistics(mu, measured.T)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["NUMBA", "FAST_COMPILE"])
 def test_batches_become_populations(mode, pulse, measured):
     """As one by one, an invalid row alone; gradients, too: what all share gets the sum, data none."""

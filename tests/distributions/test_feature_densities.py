@@ -237,6 +237,7 @@ def sphere_pvalues(misfit):
     return [stats.kstest(direction[:, k] ** 2, law).pvalue for k in range(n)]
 
 
+@pytest.mark.slow
 def test_direction_of_draws_is_uniform_on_the_sphere(sample):
     """False-alarm rate 1e-3 for each coordinate; directions from a cube are the negative control."""
     _, mu, _, draws = sample
@@ -346,6 +347,7 @@ def test_calibration_of_sigma(likelihood):
     assert uniformity(ranks(OTHER[likelihood])) < 1e-6
 
 
+@pytest.mark.slow
 @EVERY_FEATURE
 def test_calibration_of_a_response(likelihood):
     """Unknown level of the response, known sigma: calibrated with density="data" only.

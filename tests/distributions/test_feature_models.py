@@ -171,6 +171,7 @@ def test_posterior_predictive_has_the_law_of_the_feature(likelihood, pulse):
     assert stats.kstest(rms.ravel(), RMS_LAW[OTHER[likelihood]].cdf).pvalue < 1e-9
 
 
+@pytest.mark.slow
 @EVERY_FEATURE
 def test_draws_by_numba(likelihood):
     """The default backend has the same law as Python (KS at 1e-3)."""

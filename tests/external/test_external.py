@@ -154,6 +154,7 @@ def test_predictive_draws(simulator):
     assert (mean_squares < 16.0).all() and mean_squares.std() > 0.1  # chi-square of one degree of freedom
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind, likelihood",
     [*(("response", name) for name in ("NORM", "TN", "ABC")), ("mean_square", "TN"), ("mean_square", "ABC")],

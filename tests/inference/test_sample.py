@@ -47,6 +47,7 @@ def of_two_modes():
     return quietly(1000, model=model, chains=2)
 
 
+@pytest.mark.slow
 def test_two_modes_have_their_weights_and_evidence():
     """Within 0.03 of 0.1, four standard errors of the draws, and within 4.5 of the exact evidence."""
     idata, (_, exact) = of_two_modes(), two_modes()
@@ -117,6 +118,7 @@ def test_a_direction_that_the_data_do_not_determine_is_named():
     assert found["undetermined"] == "x1 with x2"
 
 
+@pytest.mark.slow
 def test_more_modes_than_climbs_find_are_said():
     """Of 300 narrow peaks a few climbs find each another one."""
     places = np.random.default_rng(1).uniform(-50.0, 50.0, size=(300, 4))
@@ -161,6 +163,7 @@ def simulator():
     return model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [discrete, simulator])
 def test_without_gradients_it_falls_back_and_says_why(make):
     with warnings.catch_warnings():

@@ -117,6 +117,7 @@ def test_pickles_are_not_opened(tmp_path):
         read_record(path, units=1.0)
 
 
+@pytest.mark.slow
 def test_without_obspy_the_extra_is_named(tmp_path):
     path = save(tmp_path, "SAC", [one("SAC")])
     code = "import sys; sys.modules['obspy'] = None; from pymc_features.io import read_record"

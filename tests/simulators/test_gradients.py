@@ -250,6 +250,7 @@ CLOSE_PAIRS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping", ["none", "rayleigh", "heavy", "equal", "critical"])
 @pytest.mark.parametrize("case", CLOSE_PAIRS)
 def test_repeated_frequencies(case, damping):
@@ -476,6 +477,7 @@ def test_forward_mode(kind):
     assert_all_close(got[4:], [np.stack(x) for x in zip(*by_row, strict=True)], 1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["NUMBA", "FAST_COMPILE"])
 def test_gradients_of_batches(mode):
     """The gradient of a batch, and the batch of gradients; what all share gets the sum."""

@@ -155,6 +155,7 @@ def test_springs_that_do_not_move_yet():
     assert peak_error(ours, reference(structure, record)["relative_displacement"]) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [10, 33])
 def test_gradient_where_springs_do_not_move_yet(n):
     """Kinks of rounding errors have no derivative: central differences, one-sided ones for no damping."""

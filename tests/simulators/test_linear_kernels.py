@@ -433,6 +433,7 @@ def test_population_is_its_particles(name):
 # --------------------------------------------------------------------------- dense and compiled as a whole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "varied"),
     [
@@ -655,6 +656,7 @@ def test_sizes_that_disagree():
 # --------------------------------------------------------------------------- large and sparse
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coupled", [False, True])
 def test_twenty_modes_of_two_thousand(coupled):
     """Against a banded eigen-solver and a matrix exponential: response to 1e-8, tangent, transpose."""

@@ -118,6 +118,7 @@ def case(request):
 # --------------------------------------------------------------------------- sums
 
 
+@pytest.mark.slow
 def test_fused_sums(case):
     family, given, where = case
     response, observed = data(family, given, where)
@@ -135,6 +136,7 @@ def population_gradient(family, population, where, observed, weights):
     return FAMILIES[family].kernels["population_gradient"](*given, observed, weights)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", KERNELS)
 def test_population_is_a_loop(family):
     """Parameters with a row for each particle or one for all; one that is no chain does not affect others."""

@@ -174,6 +174,7 @@ def test_killed_with_an_external_simulator_and_a_cache(tmp_path):
     assert len(set(calls)) == idata.sample_stats["evaluations"].sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", [*KERNELS, SubsetSimulation], ids=lambda kernel: kernel.__name__)
 def test_every_kernel_goes_on(kernel, tmp_path):
     function = InProcess(tmp_path / "calls")

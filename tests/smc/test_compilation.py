@@ -47,6 +47,7 @@ def test_both_give_the_same():
     np.testing.assert_allclose(values[0], values[1], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_many_storeys_that_share_a_variable():
     """The slope by what 70 storeys share is a sum of 70, more than NumPy takes in one call."""
     with pm.Model() as model:

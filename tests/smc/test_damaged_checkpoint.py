@@ -132,6 +132,7 @@ def test_a_journal_of_another_model_is_refused(finished, tmp_path):
         particles(other, tmp_path / "other")
 
 
+@pytest.mark.slow
 def test_the_search_for_modes_of_another_model_is_refused(tmp_path):
     """Though nothing but that search was done."""
     particles(model_of(), tmp_path / "whole", sample)

@@ -154,6 +154,7 @@ def compare(model, particles):
     return logp
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("build", ANY_MODEL)
 def test_any_model(build):
     model = build()
@@ -161,6 +162,7 @@ def test_any_model(build):
     assert logp.slopes.batched and logp.why_no_gradient == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_every_family_of_structures(name):
     """In one call of an Op of the population, without a response."""
@@ -205,6 +207,7 @@ def test_machine_code(likelihood):
 # --------------------------------------------------------------------------- particles that cannot be
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_what_is_no_structure_is_alone(name):
     """Its density is -inf, its gradient zero, and those around it do not notice."""
@@ -277,6 +280,7 @@ def _vectorize_cube(op, node, x):
     return _vectorize_node.dispatch(Op)(op, node, x)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::UserWarning")  # Numba's object mode, and Blockwise's
 @pytest.mark.parametrize("mode", ["FAST_COMPILE", "NUMBA"])
 @pytest.mark.parametrize("batched", [True, False])
@@ -387,6 +391,7 @@ def test_models_without_a_gradient_say_why(reason):
     assert len(logp(prior_particles(model, n=3))[0]) == 3
 
 
+@pytest.mark.slow
 def test_external_programs():
     """With the user's gradient particle by particle; without one there is none."""
     with (
@@ -487,6 +492,7 @@ def kernel_in(folder, model, seed=1, kind=PopulationIMH):
     return kernel
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KERNELS)
 def test_kernels_count_gradients(kind):
     model = structural("chain", prior=lambda: pm.Normal("x", 1.0, 0.1, shape=2))
@@ -500,6 +506,7 @@ def test_kernels_count_gradients(kind):
     assert (kernel.gradients, kernel.evaluations, kernel.failed) == (7, 7, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [0, 5, 500])
 def test_journals_replay_gradients(tmp_path, monkeypatch, cut):
     """Values and gradients in any order, bit for bit, nothing evaluated again but a record cut short."""

@@ -129,6 +129,7 @@ def structure(epsilon=0.2, **settings):
     return model
 
 
+@pytest.mark.slow
 def test_structure_against_rejection():
     """A response node without a history: two-sample Kolmogorov-Smirnov at 1e-3 of every tenth draw.
 
@@ -289,6 +290,7 @@ def test_potentials_that_leave_no_room_are_refused():
         sample(model)
 
 
+@pytest.mark.slow
 def test_discrete_variables_beside_vectors():
     """Shares of k by their exact probabilities, means of chains at 4.5 errors."""
 

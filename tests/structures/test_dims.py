@@ -62,6 +62,7 @@ def declared(build, **given):
     return model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BUILDS)
 def test_dims_and_shape_are_the_same_model(name):
     """Log-probabilities and gradients, at a point that is not the initial one."""

@@ -87,6 +87,7 @@ def clean(tmp_path_factory, data_dir):
     return measured
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("planted", "line"),
     [
