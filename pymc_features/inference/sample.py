@@ -46,10 +46,12 @@ def sample(
 ) -> xr.DataTree:
     """Posterior and evidence of any PyMC model with up to about a hundred parameters.
 
-    Where the model has gradients, climbs from draws of the prior find the modes; Gaussians and Student-t
-    distributions at these, with a share of the prior, are drawn from and weighed. If that is good enough, it
-    is the answer. Else sequential Monte Carlo leads from there, or from the prior, to the posterior; fits to
-    its points, behind a map that unbends the posterior, are drawn from at the end. See `PersistentSMC`.
+    Where the model has gradients, climbs from draws of the prior find the modes, and maps fitted to gradients
+    follow the posterior's bends where Gaussians at the modes are poor. Gaussians and Student-t distributions
+    at the modes, behind these maps, with a share of the prior, are drawn from and weighed. If that is good
+    enough, it is the answer. Else sequential Monte Carlo leads from there, or from the prior, to the
+    posterior; fits to its points, behind a map that unbends the posterior, are drawn from at the end. See
+    `PersistentSMC`.
 
     Parameters
     ----------
@@ -84,7 +86,7 @@ def sample(
         of all chains together, `ess` of all, the largest `pareto_k`, `n_modes`, `single_climbs` (share of
         the climbs that ended at a mode that no other found), `reference_efficiency` (effective share of the
         first guess's draws: one if the posterior is a mixture of Gaussians),
-        `search_evaluations` and `search_gradients` (of the climbs), `no_gradient` (why there were none),
+        `search_evaluations` and `search_gradients` (of climbs and maps), `no_gradient` (why there were none),
         `laplace_error` (how far the 5, 50 and 95 % quantiles of Gaussians at the modes are from those of the
         posterior, over its 5-95 % width, at worst, on the sampled scale; NaN without modes) and
         `close_to_laplace` (that in words), `undetermined` (parameters, or combinations of them, that the data
@@ -159,7 +161,7 @@ class Search(NamedTuple):
 
 
 def search(model, logp, draws, rng, journal) -> Search:
-    """Find the modes, if the model has gradients; the journal remembers what was evaluated."""
+    """Find the modes and their bends, if there are gradients; the journal remembers what was evaluated."""
     if not logp.has_gradient:
         return Search(None, 0, 0, logp.why_no_gradient)
     logp.compile_gradient()
@@ -180,6 +182,8 @@ def search(model, logp, draws, rng, journal) -> Search:
         return prior + likelihood, np.reshape(slopes, (2, len(x), d)).sum(axis=0)
 
     reference = find_reference(posterior, with_gradient, lambda n: prior_points(model, n, rng), draws // 2)
+    if reference is not None:
+        reference = reference.bent(posterior, with_gradient, rng)
     if journal:
         journal.close()
     return Search(reference, evaluations, gradients, "")

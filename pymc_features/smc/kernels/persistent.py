@@ -28,7 +28,8 @@ WORTH_A_TRIAL = 0.2  # of the last fit, below which the next is not tried
 MAX_EVALUATIONS = 500  # of the last stage, for each draw
 FOR_TAILS = 5  # and of more fits where a few draws outweigh the rest
 FIRST_OF_REFERENCE = (400, 30)  # draws of the reference: at least, and for each parameter
-USABLE_REFERENCE, GOOD_REFERENCE = 0.05, 0.3  # effective share of its draws: to begin with; to suffice
+USABLE_REFERENCE = 0.05  # effective share of its draws, to begin with
+GOOD_SHARE, GOOD_LIMITS = 1.2, (0.08, 0.3)  # that suffices: over the number of parameters, within limits
 LONG_WAY = 25.0  # from prior to posterior, in nats, such that a reference that is only usable saves stages
 TOO_FEW = "PersistentSMC ended with draws worth {:.0f} of {}. Increase `stage_draws`, or narrow the priors."
 STATISTICS = "accept_rate", "hamiltonian_share", "steps_per_draw", "reference_efficiency", "ess", "pareto_k"
@@ -50,9 +51,8 @@ class PersistentSMC(PopulationKernel):
     draws : int
         Equally weighted draws to return, and the independent draws to be worth.
     reference : Reference, optional
-        First guess of the posterior, see `find_reference`: Gaussians and Student-t distributions at the
-        modes, mixed with the prior. If importance sampling from it is good, there is no path; if it is
-        usable and the prior far from the posterior, the path leads from there, and else from the prior.
+        First guess of the posterior, see `find_reference`. If importance sampling from it is good, there is
+        no path; if it is usable and the prior far away, the path leads from there, and else from the prior.
     gradients : bool
         Whether chains may follow Hamiltonian trajectories where their other moves hardly get anywhere.
     stage_draws : int, optional
@@ -69,7 +69,7 @@ class PersistentSMC(PopulationKernel):
     differential evolution, with and without the map; each kind as often as it pays in the run itself. So do
     Hamiltonian trajectories; a gradient counts for eight values, a constant for the sake of reproducible
     draws. Where no fit is good at the end, there is a warning; if chains followed trajectories, their points
-    make up the posterior as well, and the standard error of the evidence is then too small.
+    count as well, and the standard error of the evidence is then too small.
 
     `sample_stats` has besides those of `PopulationKernel`: `accept_rate`, `hamiltonian_share` (of the steps
     that were trajectories), `steps_per_draw` (of the chains, for one independent draw), `effective`
@@ -77,8 +77,7 @@ class PersistentSMC(PopulationKernel):
     reference's draws; 0 without one) and, at the end, `log_marginal_likelihood_se` (standard error, by a
     jackknife), `ess` (independent draws that the quantiles of the worst parameter are worth) and `pareto_k`
     (of the final weights: above 0.7 they mislead). A constant added to the log-likelihood changes nothing but
-    the evidence. Cost and accuracy beside other samplers: benchmarks/. There is a `SamplingWarning` if the
-    last stage ends before its draws are worth `draws`.
+    the evidence. There is a `SamplingWarning` if the last stage ends before its draws are worth `draws`.
 
     References
     ----------
@@ -118,12 +117,8 @@ class PersistentSMC(PopulationKernel):
         """Begin with draws from the reference, if there is a good one, or else from the prior."""
         self.moves, self.reference = FittedMoves(), self.given_reference
         self.accept_rate = self.steps_per_draw = self.standard_error = self.ess = self.pareto_k = np.nan
-        self.reference_efficiency, self.hamiltonian_share, self.fit_efficiency, self.repeats = (
-            0.0,
-            0.0,
-            1.0,
-            0,
-        )
+        self.reference_efficiency, self.hamiltonian_share = 0.0, 0.0
+        self.fit_efficiency, self.repeats = 1.0, 0
         if self.reference is not None and self.begin_with_reference():
             return
         self.reference = self.pool = None
@@ -147,7 +142,7 @@ class PersistentSMC(PopulationKernel):
         prior, likelihood = self.evaluate(particles)
         self.pool = pool = Pool(particles, *self.relative(particles, prior, likelihood))
         self.reference_efficiency = pool.efficiency(0)
-        if self.reference_efficiency > GOOD_REFERENCE:
+        if self.reference_efficiency > self.good_efficiency:
             return True
         if self.reference_efficiency < USABLE_REFERENCE or pool.pareto_k() > LARGEST_K:
             return False
@@ -155,6 +150,11 @@ class PersistentSMC(PopulationKernel):
         possible = prior + likelihood > -np.inf
         information = pool.normalised(log_weights) @ likelihood[possible] - pool.log_evidence(log_weights)
         return information > LONG_WAY
+
+    @property
+    def good_efficiency(self) -> float:
+        """Effective share of a reference's draws, or a fit's, above which the next fit does not pay."""
+        return float(np.clip(GOOD_SHARE / self.n_parameters, *GOOD_LIMITS))
 
     def draw_reference(self, n: int) -> np.ndarray:
         """Independent draws (n, d) from the reference, or from the prior if there is none."""
@@ -174,9 +174,9 @@ class PersistentSMC(PopulationKernel):
 
     def slopes(self, particles: np.ndarray) -> tuple[np.ndarray, ...]:
         """What `weigh` returns, and the gradients (p, d) of both."""
-        prior, likelihood, of_prior, of_likelihood = self.evaluate_gradient(particles)
+        parts = prior, likelihood, of_prior, of_likelihood = self.evaluate_gradient(particles)
         if self.reference is None:
-            return prior, likelihood, of_prior, of_likelihood
+            return parts
         log_reference = self.reference.log_density(particles, prior)
         of_reference = self.reference.gradient(particles, prior, of_prior)
         ratio = prior + likelihood - log_reference
@@ -206,7 +206,7 @@ class PersistentSMC(PopulationKernel):
 
     def tune(self) -> None:
         """Fit the proposal to the weighted pool, if independent draws from the reference will not do."""
-        self.needs_fit = self.reference is None or self.reference_efficiency < GOOD_REFERENCE
+        self.needs_fit = self.reference is None or self.reference_efficiency < self.good_efficiency
         if self.needs_fit:
             self.moves.fit(self.fitting_points(), self.rng)
 
@@ -259,12 +259,13 @@ class PersistentSMC(PopulationKernel):
                 break
             n = 1.1 * missing * max(1.0, sample.counts.sum() / max(worth, 1.0))
             first = max(FIRST_DRAWS * self.n_parameters, self.draws // 4)
-            another = not missing or (n > max(used, first) and pool.efficiency(source) < GOOD_FIT)
+            poor = pool.efficiency(source) < self.good_efficiency
+            another = poor and n > max(used, first) if missing else poor or first < FOR_TAILS * self.draws
             if another and (n := limit - drawn) <= 0:
                 self.weights = pool.normalised(pool.log_weights(1.0))
                 pool.add_proposal(fit_to(self.fitting_points(), self.rng))
                 source, n, limit, drawn = len(pool.betas) - 1, first, max(used, first), 0
-            n = int(np.clip(n, 0.1 * self.draws, 2.0 * self.draws + used))
+            n = int(np.clip(n, (0.1 if missing else 0.5) * self.draws, 2.0 * self.draws + used))
             self.draw_more(n, source)
             used, drawn = used + n, drawn + n
         if worth < self.draws:

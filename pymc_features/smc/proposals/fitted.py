@@ -1,10 +1,12 @@
 """Proposals fitted to weighted points: a Student-t mixture, behind an unbending map where that is better."""
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from pymc_features.smc.proposals.proposal import Mixture, StudentMixture, StudentT, distinct, fit_mixture
+from pymc_features.smc.proposals.transport import Transport
 from pymc_features.smc.proposals.unbending import UnbendingMap
 
 HEAVIEST = 6.0  # degrees of freedom at most, so that a proposal's tails do not end before the target's
@@ -14,20 +16,17 @@ HELD_OUT = 0.25  # share of the points that decide between the two kinds
 SMALLEST = -300.0  # log-density that a held-out point has at least in that decision
 
 
-class Unbent:
-    """A Student-t mixture of the coordinates of an `UnbendingMap`.
+class Unbent(NamedTuple):
+    """A Student-t distribution, or a mixture of them, of the coordinates of a map.
 
-    Parameters
+    Attributes
     ----------
-    x, weights
-        As of `fit_mixture`.
-    rotated : bool
-        As of `UnbendingMap`.
+    map : UnbendingMap or Transport
+    mixture : StudentT or StudentMixture
     """
 
-    def __init__(self, x, weights, rng, rotated=True):
-        self.map = UnbendingMap(x, weights, rotated)
-        self.mixture = fit_mixture(self.map.forward(x)[0], weights, rng)
+    map: UnbendingMap | Transport
+    mixture: StudentT | StudentMixture
 
     def log_density(self, x):
         """Log-density (n,) at points (n, d)."""
@@ -35,6 +34,11 @@ class Unbent:
             z, log_jacobian = self.map.forward(x)
             density = self.mixture.log_density(z) + log_jacobian
         return np.where(np.isfinite(density), density, -np.inf)
+
+    def gradient(self, x):
+        """Gradient of the log-density (n, d) at points (n, d), behind a `Transport`."""
+        z, _ = self.map.forward(x)
+        return self.map.push(self.mixture.gradient(z), z)
 
     def move(self, x, scale: float, rng):
         """As `Mixture.move`, in the unbent coordinates.
@@ -45,6 +49,12 @@ class Unbent:
             moved = self.map.inverse(self.mixture.move(self.map.forward(x)[0], scale, rng))
         stay = ~np.isfinite(moved).all(axis=1) & (scale < 1.0)
         return np.where(stay[:, None], x, moved)
+
+
+def fit_unbent(x, weights, rng, rotated=True) -> Unbent:
+    """Fit a map, and a mixture behind it, to points as of `fit_mixture`; `rotated` as of `UnbendingMap`."""
+    unbending = UnbendingMap(x, weights, rotated)
+    return Unbent(unbending, fit_mixture(unbending.forward(x)[0], weights, rng))
 
 
 class FittedProposal(Mixture):
@@ -84,10 +94,10 @@ def fit_proposal(x, weights, rng: np.random.Generator) -> FittedProposal:
         return weights[held] @ np.maximum(density, SMALLEST)
 
     plain = fit_mixture(x, weights, rng)
-    best = max((fit_mixture, Unbent, partial(Unbent, rotated=False)), key=score)
+    best = max((fit_mixture, fit_unbent, partial(fit_unbent, rotated=False)), key=score)
     first = plain if best is fit_mixture else best(x, weights, rng)
     if first is not plain:
-        first.mixture = heavy_tailed(first.mixture)
+        first = first._replace(mixture=heavy_tailed(first.mixture))
     return FittedProposal([first, heavy_tailed(plain, WIDER)], np.array([1.0 - SAFEGUARD, SAFEGUARD]))
 
 

@@ -79,6 +79,12 @@ class Mixture:
         """Log-density at points (n, d), shape (n,)."""
         return log_sum(self.terms(x))
 
+    def gradient(self, x) -> np.ndarray:
+        """Gradient of the log-density at points (n, d), shape (n, d): the components', by their shares."""
+        terms = self.terms(x)
+        share = np.exp(terms - log_sum(terms))
+        return sum(s[:, None] * c.gradient(x) for s, c in zip(share, self.components, strict=True))
+
     def move(self, x, scale: float, rng: np.random.Generator) -> np.ndarray:
         """Propose points whose acceptance needs this mixture's density at both ends only.
 
@@ -109,12 +115,6 @@ class Mixture:
 
 class StudentMixture(Mixture):
     """A mixture of `StudentT` distributions."""
-
-    def gradient(self, x) -> np.ndarray:
-        """Gradient of the log-density at points (n, d), shape (n, d): the components', by their shares."""
-        terms = self.terms(x)
-        share = np.exp(terms - log_sum(terms))
-        return sum(s[:, None] * c.gradient(x) for s, c in zip(share, self.components, strict=True))
 
 
 def distinct(points):

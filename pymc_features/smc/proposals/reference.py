@@ -1,4 +1,4 @@
-"""A normalised first guess of a posterior: bell curves at its modes, and the prior."""
+"""A normalised first guess of a posterior: bell curves at its modes, bent where that pays, and the prior."""
 
 from collections.abc import Callable
 from functools import partial
@@ -7,8 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.smc.proposals.ascent import climb, curvature
+from pymc_features.smc.proposals.fitted import Unbent
 from pymc_features.smc.proposals.mixture import log_sum
-from pymc_features.smc.proposals.proposal import StudentMixture, StudentT
+from pymc_features.smc.proposals.proposal import Mixture, StudentT
+from pymc_features.smc.proposals.transport import Stretch, Transport, fit_transport
 
 WAVE, CANDIDATES = 8, 10  # climbs at a time, each from the best of so many draws from the prior
 CLIMBS_PER_MODE, MORE_CLIMBS, MOST_WAVES = 8, 1.5, 10  # for each mode found; if climbs are cheap, more
@@ -18,6 +20,7 @@ SAME_MODE = 1.0  # squared distance, in standard deviations of a mode, within wh
 PRIOR_SHARE = 0.05
 # widths (standard deviations), degrees of freedom and shares of what stands at each mode
 WIDTHS, DEGREES, SHARES = (1.05, 1.3, 2.0), (60.0, 8.0, 3.0), (0.7, 0.2, 0.1)
+MINOR = 0.02  # share of the modes' evidence below which a mode is not bent
 
 
 class Mode(NamedTuple):
@@ -48,25 +51,55 @@ class Reference:
     modes : list of Mode
     centre, scale : array (d,)
         Mean and standard deviation of the prior.
+    maps : list of Transport or None, optional
+        For each mode a map to the points around it that follows the posterior's bends, or none.
 
     Notes
     -----
     Laplace's approximation with a little more width, mixed with Student-t distributions of the same shape and
-    more. The densities of all parts integrate to one, so that the evidence relative to the mixture is that of
-    the model.
+    more; all but the widest behind the map, if there is one. The densities of all parts integrate to one, so
+    that the evidence relative to the mixture is that of the model.
     """
 
-    def __init__(self, modes, centre, scale):
+    def __init__(self, modes, centre, scale, maps=None):
         self.modes, self.centre, self.scale = modes, centre, scale
-        log_weights = np.array([mode.log_evidence for mode in modes])
-        weights = np.exp(log_weights - log_weights.max())
-        weights = 0.9 * weights / weights.sum() + 0.1 / len(modes)
-        components = [
-            StudentT(centre + scale * mode.x, width * scale[:, None] * mode.factor, degrees)
-            for mode in modes
-            for width, degrees in zip(WIDTHS, DEGREES, strict=True)
+        self.maps = [None] * len(modes) if maps is None else maps
+        components = [part for pair in zip(modes, self.maps, strict=True) for part in self.parts_of(*pair)]
+        weights = 0.9 * self.mode_shares() + 0.1 / len(modes)
+        self.mixture = Mixture(components, np.outer(weights, SHARES).ravel())
+
+    def parts_of(self, mode, bent) -> list:
+        """What stands at a mode, in the order of `SHARES`."""
+        location, factor = self.centre + self.scale * mode.x, self.scale[:, None] * mode.factor
+        kinds = list(zip(WIDTHS, DEGREES, strict=True))
+        plain = [StudentT(location, width * factor, degrees) for width, degrees in kinds]
+        if bent is None:
+            return plain
+        d = len(location)
+        return [
+            *(Unbent(bent, StudentT(np.zeros(d), w * np.eye(d), degrees)) for w, degrees in kinds[:-1]),
+            plain[-1],
         ]
-        self.mixture = StudentMixture(components, np.outer(weights, SHARES).ravel())
+
+    def mode_shares(self) -> np.ndarray:
+        """Share (k,) of each mode in the evidence of all, by Laplace's approximation."""
+        log_weights = np.array([mode.log_evidence for mode in self.modes])
+        weights = np.exp(log_weights - log_weights.max())
+        return weights / weights.sum()
+
+    def bent(self, evaluate: Callable, gradient: Callable, rng: np.random.Generator) -> "Reference":
+        """The same with maps that follow the posterior's bends, where its modes are no Gaussians.
+
+        `evaluate` and `gradient` as of `find_reference`.
+        """
+        maps = []
+        for mode, share in zip(self.modes, self.mode_shares(), strict=True):
+            variances, vectors = np.linalg.eigh(mode.factor @ mode.factor.T)
+            axes = (vectors * np.sqrt(np.maximum(variances, 0.0)))[:, ::-1]
+            start = Transport((Stretch(self.centre + self.scale * mode.x, self.scale[:, None] * axes),))
+            end = fit_transport(evaluate, gradient, start, rng) if share > MINOR else start
+            maps.append(None if end is start else end)
+        return Reference(self.modes, self.centre, self.scale, maps)
 
     def log_density(self, x, log_prior) -> np.ndarray:
         """Log-density (n,) at points (n, d) with these log prior densities."""
