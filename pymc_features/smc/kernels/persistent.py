@@ -21,9 +21,8 @@ MORE_PRIOR = 50  # the prior is drawn from at most this many times, in search of
 KEPT_STEPS, LAST_STEPS = 8, 32  # of the chains of a stage, and of those of the last
 FEWEST_EFFECTIVE = (60, 8)  # points that a new temperature keeps at least: in all, and for each parameter
 LEAST_ACCEPTANCE, MAX_REPEATS = 0.01, 5  # chains that move less repeat their stage
-FIT_POINTS = 200  # of a fit, for each parameter
-FIRST_DRAWS = 200  # of the first fit of the last stage, for each parameter
-GOOD_FIT = 0.3  # effective share of its draws, of a fit that needs no other, and no chains
+FIT_POINTS = FIRST_DRAWS = 200  # of a fit, and from the first fit of the last stage, for each parameter
+GOOD_FIT = 0.3  # effective share of its draws, of a fit of a stage that needs no chains
 WORTH_A_TRIAL = 0.2  # of the last fit, below which the next is not tried
 MAX_EVALUATIONS = 500  # of the last stage, for each draw
 FOR_TAILS = 5  # and of more fits where a few draws outweigh the rest
@@ -56,8 +55,8 @@ class PersistentSMC(PopulationKernel):
     gradients : bool
         Whether chains may follow Hamiltonian trajectories where their other moves hardly get anywhere.
     stage_draws : int, optional
-        States of the chains that a stage keeps: two fifths of `draws`, and not less than 50 for each
-        parameter and 200 in all, by default. The prior is evaluated at twice as many.
+        States of the chains that a stage keeps: by default two fifths of `draws`, 50 for each parameter or
+        200, whatever is most. The prior is evaluated at twice as many.
     threshold : float
         Effective number of points that a new temperature keeps, over those of the one before.
     start, model, random_seed, compile_kwargs, checkpoint
@@ -117,8 +116,8 @@ class PersistentSMC(PopulationKernel):
         """Begin with draws from the reference, if there is a good one, or else from the prior."""
         self.moves, self.reference = FittedMoves(), self.given_reference
         self.accept_rate = self.steps_per_draw = self.standard_error = self.ess = self.pareto_k = np.nan
-        self.reference_efficiency, self.hamiltonian_share = 0.0, 0.0
-        self.fit_efficiency, self.repeats = 1.0, 0
+        self.reference_efficiency, self.hamiltonian_share, self.fit_efficiency = 0.0, 0.0, 1.0
+        self.repeats = 0
         if self.reference is not None and self.begin_with_reference():
             return
         self.reference = self.pool = None
