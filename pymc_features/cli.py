@@ -111,6 +111,7 @@ def reproduce(options, console):
 def update(options, console):
     """Update a structure as a configuration says, and write the report."""
     from pymc_features.update import run_update, write_outputs
+    from pymc_features.update.report.findings import findings
     from pymc_features.update.report.terminal import summary
     from pymc_features.update.report.verdict import foretold
 
@@ -128,12 +129,13 @@ def update(options, console):
             progress=progress,
             progressbar=console.is_terminal,
         )
-    for part, style in summary(problem, result):
+    found = findings(problem, result)
+    for part, style in summary(found):
         if isinstance(part, str):
             say(console, part, style)
         else:
             console.print(part)
-    for path in write_outputs(problem, result, options.out, told):
+    for path in write_outputs(problem, result, options.out, told, found):
         if path.parent == options.out:
             say(console, f"wrote {path}")
 
