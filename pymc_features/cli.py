@@ -191,7 +191,7 @@ def init(options, console):
     """Write an example of a configuration."""
     from pymc_features.update import write_example
 
-    paths, sentence = write_example(options.config, synthetic=options.synthetic)
+    paths, sentence = write_example(options.config, example=options.example, synthetic=options.synthetic)
     for line in (sentence, *(f"wrote {path}" for path in paths), f"run: pymc-features update {paths[0]}"):
         say(console, line)
 
