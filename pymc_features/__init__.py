@@ -15,87 +15,29 @@ A feature likelihood is a probability model of the mean-square discrepancy of ea
 sample: its uncertainty does not depend on the sampling rate.
 """
 
-from pymc_features import datasets, exceptions, plots, signals
-from pymc_features.calibration import calibrate, effective_samples, event_check, fill_degrees
-from pymc_features.distributions import (
-    CorrelatedNormal,
-    ExpFeature,
-    GammaFeature,
-    TruncNormalFeature,
-    sigma_mpv,
-)
-from pymc_features.external import ExternalSimulator, ProgramSimulator, Surrogate
-from pymc_features.ground_motion import synthetic_earthquake
-from pymc_features.inference import fisher_information, laplace, sample, sample_nuts, tolerance_sweep
-from pymc_features.io import read_channels, read_matrices, read_record
-from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
-from pymc_features.ops import mean_square_discrepancy, response
-from pymc_features.plots import *  # noqa: F403  plot_chains, plot_loops, ...
-from pymc_features.prediction import first_passage_probability, posterior_response
-from pymc_features.records import Loading, Record
-from pymc_features.simulators import integration_error, simulate, spring_forces
-from pymc_features.smc import TMCMC, PersistentSMC, PopulationIMH, PopulationMH, SubsetSimulation, sample_smc
-from pymc_features.structures import (
-    AffineStructure,
-    DuffingChain,
-    HystereticChain,
-    LinearStructure,
-    ModalDamping,
-    RayleighDamping,
-    SpringMassChain,
-)
-from pymc_features.study import paper, sampling_rate_study
+from importlib import import_module
+from importlib.util import find_spec
 
-__all__ = [
-    "AffineStructure",
-    "CorrelatedNormal",
-    "DiscrepancySimulator",
-    "DuffingChain",
-    "ExpFeature",
-    "GammaFeature",
-    "ExternalSimulator",
-    "HystereticChain",
-    "LinearStructure",
-    "Loading",
-    "ModalDamping",
-    "PersistentSMC",
-    "PopulationIMH",
-    "PopulationMH",
-    "ProgramSimulator",
-    "RayleighDamping",
-    "Record",
-    "SpringMassChain",
-    "SubsetSimulation",
-    "Surrogate",
-    "TMCMC",
-    "TruncNormalFeature",
-    "abc_tolerance",
-    "calibrate",
-    "datasets",
-    "effective_samples",
-    "event_check",
-    "exceptions",
-    "fill_degrees",
-    "first_passage_probability",
-    "fisher_information",
-    "integration_error",
-    "laplace",
-    "mean_square_discrepancy",
-    "paper",
-    "posterior_response",
-    "read_channels",
-    "read_matrices",
-    "read_record",
-    "response",
-    "sample",
-    "sample_nuts",
-    "sample_smc",
-    "sampling_rate_study",
-    "sigma_mpv",
-    "signals",
-    "simulate",
-    "spring_forces",
-    "synthetic_earthquake",
-    "tolerance_sweep",
-]
-__all__ += plots.__all__
+TYPE_CHECKING = False  # that of `typing` for type checkers, which takes longer to import than this file
+if TYPE_CHECKING:
+    from pymc_features.public import *  # noqa: F403
+
+
+def __getattr__(name: str):
+    """A module, or a public name, of which the first that is asked for imports all of them, and PyMC.
+
+    So the command can answer to Ctrl-C before seconds of imports begin.
+    """
+    if name != "__all__":
+        if name.startswith("__"):
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        if find_spec(f"{__name__}.{name}"):
+            return import_module(f"{__name__}.{name}")
+    public = import_module(f"{__name__}.public")
+    if name != "__all__" and name not in public.__all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return globals().setdefault(name, getattr(public, name))
+
+
+def __dir__():
+    return sorted({*globals(), *__getattr__("__all__")})

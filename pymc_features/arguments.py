@@ -97,9 +97,12 @@ def add_update(commands):
         help="write a commented configuration that runs",
         description="Writes a configuration for the three-storey shaking-table model, with its measured data "
         "if they are in PYMC_FEATURES_DATA, in the cache or can be downloaded, else with simulated data in a "
-        "file beside it.",
+        "file beside it. Or for a building of eight storeys with three sensors, simulated.",
     )
     example.add_argument("config", metavar="CONFIG", nargs="?", default="update.toml")
-    example.add_argument("--synthetic", action="store_true", help="simulated data in any case")
+    example.add_argument(
+        "--example", metavar="NAME", default="shaking-table", help="shaking-table (default) or building"
+    )
+    example.add_argument("--synthetic", action="store_true", help="shaking-table: simulated data in any case")
     for command in (run, look, example):
         command.add_argument("--traceback", action="store_true", help="on an error, show where it came from")

@@ -1,42 +1,57 @@
-"""The command `pymc-features`."""
+"""The command `pymc-features`.
+
+Most of it is imported when Ctrl-C is looked after, for that takes seconds.
+"""
 
 import atexit
-import logging
 import os
 import signal
 import sys
+from importlib import import_module
 from pathlib import Path
 
-from rich.console import Console
-
-from pymc_features.arguments import make_parser
-from pymc_features.progress import EXIT_INTERRUPTED, CtrlC, PartProgress
+from pymc_features.interrupt import EXIT_INTERRUPTED, CtrlC, started
 
 EXIT_BAD_INPUT = 2
+# what each command needs, with PyMC
+NEEDED = {name: "pymc_features.update" for name in ("update", "check", "init")}
+NEEDED["reproduce"] = "pymc_features.study"
 
 
 def command() -> int:
-    """Run the command in a process of its own, which a second Ctrl-C ends at once."""
+    """Run the command in a process of its own. Ctrl-C ends it while it starts, later a second one does."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, CtrlC(ends_process=True))
+        signal.signal(signal.SIGINT, CtrlC(ends_process=True, is_starting=True))
         # of those registered, the first runs last: then nothing is left that could take long
         atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
-    return main()
+    try:
+        return main()
+    except KeyboardInterrupt:  # while an error was being said
+        os.write(2, b"Interrupted.\n")
+        return EXIT_INTERRUPTED
 
 
 def main(arguments=None) -> int:
     """Run the command; return its exit code."""
+    import logging
+
+    from rich.console import Console
+
+    from pymc_features.arguments import make_parser
+
     options = make_parser().parse_args(arguments)
+    import_module(NEEDED[options.command])
     console = Console(stderr=True)
     logging.getLogger("pymc").setLevel(logging.WARNING)
     os.environ.setdefault("MPLBACKEND", "Agg")
     try:
+        started()
         run = {"reproduce": reproduce, "update": update, "check": check, "init": init}[options.command]
         run(options, console)
     except KeyboardInterrupt:
         out = getattr(options, "out", None)
         kept = f": finished parts are kept in {out}; the same command continues" if out else ""
-        say(console, f"interrupted{kept}.", "yellow")
+        say(console, f"Interrupted{kept}.", "yellow")
         return EXIT_INTERRUPTED
     except (ValueError, TypeError, OSError) as error:
         if options.traceback:
@@ -77,6 +92,7 @@ def _is_number(text):
 
 def reproduce(options, console):
     """Run the study and write figures, table and result."""
+    from pymc_features.progress import PartProgress
     from pymc_features.study import find_structure, sampling_rate_study, write_outputs, yielding
 
     of_springs = {} if options.stiffness is None else {"stiffness": options.stiffness}
@@ -110,7 +126,9 @@ def reproduce(options, console):
 
 def update(options, console):
     """Update a structure as a configuration says, and write the report."""
+    from pymc_features.progress import PartProgress
     from pymc_features.update import run_update, write_outputs
+    from pymc_features.update.report.findings import findings
     from pymc_features.update.report.terminal import summary
     from pymc_features.update.report.verdict import foretold
 
@@ -128,12 +146,13 @@ def update(options, console):
             progress=progress,
             progressbar=console.is_terminal,
         )
-    for part, style in summary(problem, result):
+    found = findings(problem, result)
+    for part, style in summary(found):
         if isinstance(part, str):
             say(console, part, style)
         else:
             console.print(part)
-    for path in write_outputs(problem, result, options.out, told):
+    for path in write_outputs(problem, result, options.out, told, found):
         if path.parent == options.out:
             say(console, f"wrote {path}")
 
@@ -189,7 +208,7 @@ def init(options, console):
     """Write an example of a configuration."""
     from pymc_features.update import write_example
 
-    paths, sentence = write_example(options.config, synthetic=options.synthetic)
+    paths, sentence = write_example(options.config, example=options.example, synthetic=options.synthetic)
     for line in (sentence, *(f"wrote {path}" for path in paths), f"run: pymc-features update {paths[0]}"):
         say(console, line)
 

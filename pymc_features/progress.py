@@ -1,43 +1,11 @@
-"""Progress of work in parts, and Ctrl-C."""
+"""Progress of work in parts, which Ctrl-C stops."""
 
-import multiprocessing
-import os
 import signal
 import sys
-from typing import NoReturn
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-EXIT_INTERRUPTED = 130
-SHOW_CURSOR = b"\x1b[?25h"  # which progress bars hide
-
-
-class CtrlC:
-    """A handler of SIGINT: the first Ctrl-C raises KeyboardInterrupt, and is remembered.
-
-    Parameters
-    ----------
-    ends_process : bool
-        Whether the second ends the process at once, wherever the first has brought it.
-    """
-
-    def __init__(self, *, ends_process: bool):
-        self.pressed, self.ends_process, self.process = False, ends_process, os.getpid()
-
-    def __call__(self, number, frame):
-        if self.pressed and self.ends_process:
-            self.end()
-        self.pressed = True
-        raise KeyboardInterrupt
-
-    def end(self) -> NoReturn:
-        """End the process and those that it started; of these, forked, each ends itself without a word."""
-        if os.getpid() == self.process:
-            for child in multiprocessing.active_children():
-                child.kill()
-            cursor = SHOW_CURSOR if os.isatty(2) else b""
-            os.write(2, cursor + b"interrupted again: ended at once; finished parts are kept.\n")
-        os._exit(EXIT_INTERRUPTED)
+from pymc_features.interrupt import CtrlC
 
 
 class PartProgress:

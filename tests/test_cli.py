@@ -12,6 +12,7 @@ import pytest
 import xarray as xr
 
 from pymc_features import cli
+from pymc_features.arguments import make_parser
 from pymc_features.study import STRUCTURES, sampling_rate
 from support.commands import ROOT
 
@@ -95,7 +96,7 @@ def test_unknown_option_is_exit_code_2(capsys):
 
 
 def test_el_centro_is_the_default():
-    record, sentence = cli.find_record(cli.make_parser().parse_args(["reproduce"]))
+    record, sentence = cli.find_record(make_parser().parse_args(["reproduce"]))
     assert (record.name, record.n_times) == ("El Centro 1940 NS", 1559)
     assert "El Centro" in sentence
 
@@ -113,6 +114,24 @@ def started(command):
 
 
 @pytest.mark.processes
+@pytest.mark.parametrize("module", ["argparse", "rich.console", "numpy", "numba", "pytensor", "pymc"])
+@pytest.mark.parametrize("presses", [1, 2])
+def test_interrupts_while_importing(module, presses):
+    """From what is imported first to PyMC, which takes seconds: one line, and a second press is too late."""
+    process = started([sys.executable, "-X", "importtime", "-m", "pymc_features.cli", "update", "no.toml"])
+    said = ""
+    while not said.rstrip().endswith(f" {module}"):
+        line = process.stderr.readline()
+        assert line, said
+        said = said + line if "import time:" not in line else line
+    for _ in range(presses):
+        process.send_signal(signal.SIGINT)
+    error = process.communicate(timeout=60)[1]
+    rest = [line for line in error.splitlines() if not line.startswith("import time:")]
+    assert (process.returncode, rest) == (130, ["Interrupted."])
+
+
+@pytest.mark.processes
 def test_interrupt_keeps_what_is_finished(record_file, tmp_path):
     """Ctrl-C after the first part: exit code 130, one line, no traceback, the part is there."""
     command = [sys.executable, "-m", "pymc_features.cli"]
@@ -124,13 +143,14 @@ def test_interrupt_keeps_what_is_finished(record_file, tmp_path):
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130, error
     assert "Traceback" not in error
-    assert "interrupted: finished parts are kept in" in error
+    assert "Interrupted: finished parts are kept in" in error
     assert (tmp_path / "parts" / "NORM_x0.2.nc").exists()
 
 
 SLOW_TO_STOP = """
 import atexit, multiprocessing, sys, time
 from pymc_features import cli
+from pymc_features.progress import PartProgress
 
 def wait(words):
     print(words, file=sys.stderr, flush=True)
@@ -139,7 +159,7 @@ def wait(words):
 def slow(options, console):
     options.out = "here"
     multiprocessing.get_context("fork").Process(target=time.sleep, args=(100,), daemon=True).start()
-    with cli.PartProgress(console, "update"):
+    with PartProgress(console, "update"):
         try:
             wait("at work")
         finally:
@@ -169,8 +189,8 @@ def test_a_second_interrupt_ends_what_is_slow_to_stop(where):
     assert time.monotonic() - start < 30.0
     assert process.returncode == 130, said + rest
     assert "Traceback" not in said + rest
-    assert rest == "interrupted again: ended at once; finished parts are kept.\n"
-    assert ("interrupted: finished parts are kept in here" in said) == (where == "at exit")
+    assert rest == "Interrupted again: ended at once; finished parts are kept.\n"
+    assert ("Interrupted: finished parts are kept in here" in said) == (where == "at exit")
 
 
 @pytest.mark.processes
@@ -192,7 +212,44 @@ def test_two_interrupts_while_sampling(name, record_file, tmp_path, capsys):
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130, error
     assert "Traceback" not in error
-    assert "interrupted: finished parts are kept in" in error or "interrupted again: ended at once" in error
+    assert "Interrupted: finished parts are kept in" in error or "Interrupted again: ended at once" in error
+
+
+@pytest.mark.processes
+def test_imports_cannot_swallow_an_interrupt(tmp_path):
+    """As extension modules of pandas make another error of it, and callbacks of weak references drop it."""
+    (tmp_path / "swallowing.py").write_text(
+        "import os, signal\n"
+        "try:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    sum(range(10_000))\n"
+        "except BaseException:\n"
+        "    raise SystemError('<class> returned a result with an exception set')\n"
+    )
+    code = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from pymc_features import cli\n"
+        "cli.NEEDED['init'] = 'swallowing'; sys.exit(cli.command())"
+    )
+    process = started([sys.executable, "-c", code, "init"])
+    assert process.communicate(timeout=60)[1] == "Interrupted.\n"
+    assert process.returncode == 130
+
+
+@pytest.mark.processes
+def test_interrupt_while_an_error_is_said():
+    code = """
+import sys
+from pymc_features import cli
+
+def interrupted():
+    raise KeyboardInterrupt
+
+cli.main = interrupted
+sys.exit(cli.command())
+"""
+    process = started([sys.executable, "-c", code])
+    assert process.communicate(timeout=60)[1] == "Interrupted.\n"
+    assert process.returncode == 130
 
 
 def test_interrupt_of_a_command_that_keeps_nothing(monkeypatch, capsys):
@@ -201,4 +258,4 @@ def test_interrupt_of_a_command_that_keeps_nothing(monkeypatch, capsys):
 
     monkeypatch.setattr(cli, "init", interrupted)
     assert cli.main(["init", "some.toml"]) == 130
-    assert capsys.readouterr().err == "interrupted.\n"
+    assert capsys.readouterr().err == "Interrupted.\n"

@@ -2,7 +2,6 @@
 
 import ast
 import inspect
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -47,7 +46,8 @@ ALLOWED = {
     },
     "likelihoods": {"ops", "distributions", "likelihood_free", "calibration"},
     "plots": {"records", "likelihoods"},
-    "progress": set(),
+    "interrupt": set(),
+    "progress": {"interrupt"},
     "arguments": set(),
     "update": {
         *("records", "structures", "signals", "io", "datasets", "ground_motion", "simulators", "ops"),
@@ -55,7 +55,7 @@ ALLOWED = {
         *("storage", "plots"),
     },
 }
-ANYTHING = {"__init__", "cli"}
+ANYTHING = {"__init__", "public", "cli"}
 
 PUBLIC_NAMES = [
     "AffineStructure",
@@ -210,7 +210,7 @@ def mutual_imports(files: dict[Path, set[str]]) -> set[frozenset[str]]:
 
 
 def test_no_two_rooms_import_each_other():
-    files = {path: imports_of(path) for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py"}
+    files = {path: imports_of(path) for path in ROOT.rglob("*.py") if path != ROOT / "public.py"}
     assert mutual_imports(files) == set()
     files[ROOT / "smc" / "kernels" / "imh.py"] = {"pymc_features.smc.sample"}
     assert mutual_imports(files) == {frozenset(("smc", "smc/kernels"))}  # as `sample` imports a kernel
@@ -241,9 +241,32 @@ def test_exceptions_live_in_one_module():
 @pytest.mark.slow
 def test_slow_modules_are_not_imported_with_the_package():
     slow = ["jax", "matplotlib.pyplot", "scipy.signal", "arviz", "sklearn"]
-    code = f"import sys, pymc_features; print([m for m in {slow} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    code = f"import sys, pymc_features.public; print([m for m in {slow} if m in sys.modules])"
+    assert run(sys.executable, "-c", code).strip() == "[]"
+
+
+def test_the_command_imports_little_before_it_answers_to_ctrl_c():
+    """And so does the package, before a name of it is asked for."""
+    slow = ["numpy", "rich", "argparse", "multiprocessing", "pymc_features.public", "pymc"]
+    code = f"import sys, pymc_features.cli as cli; print([m for m in {slow} if m in sys.modules])"
+    assert run(sys.executable, "-c", code).strip() == "[]"
+
+
+def test_names_are_imported_when_they_are_asked_for():
+    code = """if True:
+        import sys, pymc_features as pmf
+        assert "pymc" not in sys.modules
+        for name in ("__wrapped__", "__test__"):
+            assert not hasattr(pmf, name) and "pymc" not in sys.modules
+        from pymc_features import records
+        assert "pymc" not in sys.modules
+        assert pmf.Record is records.Record and "pymc" in sys.modules
+        assert pmf.io.__name__ == "pymc_features.io"
+        assert set(dir(pmf)) >= {*pmf.__all__, "records"}
+        from pymc_features import *
+        assert sample is pmf.inference.sample
+    """
+    run(sys.executable, "-c", code)
 
 
 def grouped_arguments(source: str) -> list[int]:

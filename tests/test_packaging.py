@@ -23,8 +23,9 @@ STEM = f"pymc_features-{PROJECT['version']}"
 DATA = {
     "pymc_features/py.typed",
     "pymc_features/data/elcentro.dat",
-    "pymc_features/update/templates/example.toml",
+    "pymc_features/update/templates/building.toml",
     "pymc_features/update/templates/report.html",
+    "pymc_features/update/templates/shaking_table.toml",
 }
 
 # keys of the Citation File Format 1.2.0, and which of them must be there
@@ -144,7 +145,7 @@ def test_installed_wheel_works(installed, tmp_path):
     place, record, templates = run(python, "-c", code, cwd=tmp_path, env=environment).splitlines()
     assert Path(place).is_relative_to(installed.parent)
     assert record.startswith("Record('El Centro 1940 NS', 1559 samples")
-    assert {"example.toml", "report.html"} <= set(ast.literal_eval(templates))
+    assert {"building.toml", "report.html", "shaking_table.toml"} <= set(ast.literal_eval(templates))
     assert "reproduce" in run(command, "--help", cwd=tmp_path, env=environment)
 
 

@@ -1,5 +1,6 @@
 """The axes that a figure is drawn on: those given, or those of a new figure."""
 
+import textwrap
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
@@ -40,6 +41,41 @@ def checked_axes(axes: AxesLike, count: int = 1, each: str = "", *, columns: int
         wanted = f"one for each of {count} {each}" if each else "one"
         raise ValueError(f"`axes` must be {wanted}, got {axes.size}.")
     return axes
+
+
+def set_title(ax: "Axes", text: str, **style) -> None:
+    """Put a text above an axis, in lines that are no wider than it, and as it is: a $ begins no formula."""
+    from matplotlib import rcParams
+
+    size = style.get("fontsize", rcParams["axes.titlesize"])
+    ax.set_title(broken(text, inches_of(ax), size), parse_math=False, **style)
+
+
+def set_figure_title(figure, text: str) -> None:
+    """Put a text above a figure, in lines that are no wider than it."""
+    from matplotlib import rcParams
+
+    lines = broken(text, 0.95 * figure.get_figwidth(), rcParams["figure.titlesize"])
+    figure.suptitle(lines, parse_math=False)
+
+
+def inches_of(ax: "Axes") -> float:
+    """Width of an axis before a layout has moved it."""
+    return ax.get_window_extent().width / ax.figure.dpi
+
+
+def broken(text: str, inches: float, size: str | float) -> str:
+    """A text in lines, each no wider than some inches in the font size; words that are wider are split."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    font = FontProperties(size=size)
+    for letters in range(len(text), 0, -1):
+        lines = textwrap.wrap(text, letters)
+        widths = [text_to_path.get_text_width_height_descent(line, font, False)[0] for line in lines]
+        if max(widths, default=0.0) <= 72.0 * inches:
+            return "\n".join(lines)
+    return text
 
 
 def close(axes: "Iterable[Axes]") -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from pymc_features.plots.axes import AxesLike, checked_axes
+from pymc_features.plots.axes import AxesLike, checked_axes, set_title
 
 HEIGHT, TALLEST = 0.9, 30.0  # inches, of a channel and of all
 
@@ -34,7 +34,7 @@ def plot_channels(channels: xr.DataArray, axes: AxesLike = None) -> np.ndarray:
         peak = int(np.abs(values).argmax())
         ax.plot(channels["time"], values, color="0.25", lw=0.6)
         ax.plot(channels["time"][peak], values[peak], "o", color="C3", ms=4)
-        ax.set_title(f"{name}, peak {abs(values[peak]):.3g} m/s²", loc="left", fontsize="medium")
+        set_title(ax, f"{name}, peak {abs(values[peak]):.3g} m/s²", loc="left", fontsize="medium")
     axes[-1].set(xlabel="time [s]", xlim=(float(channels["time"][0]), float(channels["time"][-1])))
     axes[n // 2].set_ylabel("acceleration [m/s²]")
     return axes

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from pymc_features.plots.axes import AxesLike, checked_axes
+from pymc_features.plots.axes import AxesLike, checked_axes, set_figure_title
 
 
 def plot_loops(
@@ -42,9 +42,8 @@ def plot_loops(
     is_new, size = axes is None, (1.2 + 2.9 * len(springs), 3.4)
     axes = checked_axes(axes, len(springs), "springs", columns=len(springs), figsize=size)
     if is_new:
-        axes[0].figure.suptitle(
-            ", ".join(filter(None, [result.attrs.get("title"), loops.attrs.get("record")]))
-        )
+        title = ", ".join(filter(None, [result.attrs.get("title"), loops.attrs.get("record")]))
+        set_figure_title(axes[0].figure, title)
     for ax, spring in zip(axes, springs, strict=True):
         cell = loops.sel(spring=spring)
         ax.plot(1e3 * cell["drift"], cell["force"], color="C0", lw=0.7)

@@ -5,7 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from pymc_features.plots.axes import AxesLike, checked_axes
+from pymc_features.plots.axes import AxesLike, checked_axes, set_title
+from pymc_features.plots.envelope import columns_of, draw_area, draw_band, draw_line, draw_measured
+
+WIDEST = 3.0  # height of an axis over that of response and measurement, where errors are large
 
 
 def plot_predictive(
@@ -46,12 +49,13 @@ def plot_predictive(
             raise ValueError(f"`window` must hold samples of the record, got {window} in seconds.")
     size = 9.0, 1.0 + 1.7 * len(chosen)
     axes = checked_axes(axes, len(chosen), "sensors", figsize=size, sharex=True)
+    median = bands["response"].sel(quantile=0.5, sensor=chosen).transpose("sensor", "time")
+    columns = columns_of(axes[0], bands["time"].values, median.values)
     for ax, sensor in zip(axes, chosen, strict=True):
-        _draw(ax, bands.sel(sensor=sensor), observed.sel(sensor=sensor))
+        _draw(ax, bands.sel(sensor=sensor), observed.sel(sensor=sensor), columns)
         error = 100.0 * float(bands["normalised_error"].sel(sensor=sensor))
-        ax.set_title(
-            f"{sensor}: rms error of the median {error:.0f} % of the measured rms", fontsize="medium"
-        )
+        title = f"{sensor}: rms error of the median {error:.0f} % of the measured rms"
+        set_title(ax, title, fontsize="medium")
         ax.set_ylabel("[m/s²]")
     axes[-1].set_xlabel("time [s]")
     handles, labels = axes[0].get_legend_handles_labels()
@@ -59,14 +63,32 @@ def plot_predictive(
     return axes
 
 
-def _draw(ax, bands, observed):
+def _draw(ax, bands, observed, columns):
     """Bands, median and measurement of one sensor."""
     time, probabilities = bands["time"].values, bands["quantile"].values
     share = f"{100.0 * (probabilities[-1] - probabilities[0]):g} %"
-    for name, alpha in (("predictive", 0.18), ("response", 0.4)):
-        if name in bands:
-            low, *_, high = bands[name].transpose("quantile", "time").values
-            ax.fill_between(time, low, high, color="C0", alpha=alpha, lw=0, label=f"{name}, {share}")
-    ax.plot(time, bands["response"].sel(quantile=0.5), color="C0", lw=0.9, label="median response")
-    ax.plot(time, observed, color="0.1", lw=0.7, ls="--", label="measured")
+    median = bands["response"].sel(quantile=0.5).values
+    edges = {
+        name: bands[name].transpose("quantile", "time").values[[0, -1]]
+        for name in ("predictive", "response")
+        if name in bands
+    }
+    if "predictive" in edges:
+        label = f"predictive, {share}"
+        draw_area(ax, time, *edges["predictive"], columns, color="C0", alpha=0.18, zorder=0.8, label=label)
+    draw_band(ax, time, *edges["response"], columns, color="C0", alpha=0.4, label=f"response, {share}")
+    draw_line(ax, time, median, columns, color="C0", lw=0.9, label="median response")
+    draw_measured(ax, time, observed.values, columns)
     ax.margins(x=0.0)
+    ax.set_ylim(*limits([observed.values, *edges["response"]], list(edges.get("predictive", []))))
+
+
+def limits(inside, around) -> tuple[float, float]:
+    """Of an axis that shows all of some histories, and of others around them what leaves these readable."""
+    low, high = min(map(np.nanmin, inside)), max(map(np.nanmax, inside))
+    room = 0.5 * (WIDEST - 1.0) * (high - low)
+    if around:
+        low = max(min(low, *map(np.nanmin, around)), low - room)
+        high = min(max(high, *map(np.nanmax, around)), high + room)
+    margin = 0.05 * (high - low) or 1.0
+    return low - margin, high + margin

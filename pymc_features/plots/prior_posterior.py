@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
-from pymc_features.plots.axes import AxesLike, checked_axes
+from pymc_features.plots.axes import AxesLike, broken, checked_axes, inches_of
 
 BINS = 40
 
@@ -59,7 +59,8 @@ def plot_prior_posterior(
             ax.stairs(counts / counts.max(), edges, fill=True, color=colour, alpha=0.6, label=label)
         ax.axvline(np.median(after), ymax=0.95, color="C0", lw=1.0)  # a posterior thinner than a line is seen
         unit = (units or {}).get(name, "").replace("^2", "²")
-        ax.set(xlabel=f"{name} [{unit}]" if unit else name, yticks=[], xlim=(low, high))
+        label = broken(f"{name} [{unit}]" if unit else name, inches_of(ax), "medium")
+        ax.set(xlabel=label, yticks=[], xlim=(low, high))
         ax.xaxis.get_major_locator().set_params(nbins=4)
     handles, labels = axes[0].get_legend_handles_labels()
     axes[0].figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=False)

@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from pymc_features.plots.axes import AxesLike, checked_axes
+from pymc_features.plots.axes import AxesLike, checked_axes, set_title
 from pymc_features.records import Loading, Record
 
 LABELS = {"support_acceleration": "support acceleration [m/s²]", "force": "force [N]"}
@@ -40,7 +40,8 @@ def plot_record(record: Record | Loading | xr.DataTree, axes: AxesLike = None) -
             ax.plot(record.time, values, lw=0.7, label=f"input {number}")
         label = LABELS[record.kind]
     ax.axhline(0.0, color="0.8", lw=0.6, zorder=0)
-    ax.set(xlabel="time [s]", ylabel=label, xlim=(0.0, record.duration), title=record.name)
+    ax.set(xlabel="time [s]", ylabel=label, xlim=(0.0, record.duration))
+    set_title(ax, record.name)
     ax.legend(frameon=False, loc="upper right")
     return axes
 

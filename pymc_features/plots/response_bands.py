@@ -6,7 +6,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from pymc_features.plots.axes import AxesLike, checked_axes
+from pymc_features.plots.axes import AxesLike, checked_axes, set_title
+from pymc_features.plots.envelope import columns_of, draw_band, draw_line, draw_measured
 
 
 def plot_response_bands(
@@ -46,11 +47,15 @@ def plot_response_bands(
     size = 8.0, 1.0 + 1.8 * len(chosen)
     axes = checked_axes(axes, len(chosen), "sensors", figsize=size, sharex=True)
     measured = labelled(measured, bands, dim)
+    middle = bands.isel(quantile=bands.sizes["quantile"] // 2).transpose(dim, "time")
+    columns = columns_of(axes[0], bands["time"].values, middle.values)
     for ax, label in zip(axes, chosen, strict=True):
-        draw_one(ax, bands.sel({dim: label}), measured, dim, label)
+        known = measured is not None and label in measured[dim].values
+        draw_one(ax, bands.sel({dim: label}), measured.sel({dim: label}) if known else None, columns)
         unit = bands.attrs.get("units", "").replace("^2", "²")
         place = f", {dim} {label}" if dim in result[quantity].dims else ""
-        ax.set(ylabel=f"[{unit}]", title=f"{quantity.replace('_', ' ')}{place}")
+        ax.set_ylabel(f"[{unit}]")
+        set_title(ax, f"{quantity.replace('_', ' ')}{place}")
     axes[-1].set_xlabel("time [s]")
     axes[0].legend(frameon=False, loc="upper right", ncols=3)
     return axes
@@ -91,16 +96,14 @@ def labelled(measured, bands, dim):
     return xr.DataArray(values, {dim: bands[dim].values, "time": bands["time"].values}, (dim, "time"))
 
 
-def draw_one(ax, bands, measured, dim, label):
+def draw_one(ax, bands, measured, columns):
     """Band, median and measurement of one sensor."""
     bands = bands.transpose("quantile", "time")
     time, probabilities = bands["time"].values, bands["quantile"].values
     share = 100.0 * (probabilities[-1] - probabilities[0])
-    ax.fill_between(
-        time, bands.values[0], bands.values[-1], color="C0", alpha=0.3, lw=0, label=f"{share:g} %"
-    )
+    draw_band(ax, time, *bands.values[[0, -1]], columns, color="C0", alpha=0.3, label=f"{share:g} %")
     if 0.5 in probabilities:
-        ax.plot(time, bands.sel(quantile=0.5), color="C0", lw=1.0, label="median")
-    if measured is not None and label in measured[dim].values:
-        ax.plot(measured["time"], measured.sel({dim: label}), color="0.2", lw=0.7, ls="--", label="measured")
+        draw_line(ax, time, bands.sel(quantile=0.5).values, columns, color="C0", lw=1.0, label="median")
+    if measured is not None:
+        draw_measured(ax, measured["time"].values, measured.values, columns)
     ax.margins(x=0.0)

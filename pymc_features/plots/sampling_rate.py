@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.plots.axes import AxesLike, checked_axes
+from pymc_features.plots.axes import AxesLike, checked_axes, set_figure_title
 
 LABELS = {
     "theta": "stiffness factor θ [-]",
@@ -59,7 +59,8 @@ def plot_sampling_rate(
         ax.ticklabel_format(axis="y", useOffset=False)
         ax.set(xlabel="sampling step / record step [-]", ylabel=LABELS[parameter])
     figure = axes[0].figure
-    figure.suptitle(", ".join(filter(None, [" and ".join(likelihoods), result.attrs.get("title")])))
+    title = ", ".join(filter(None, [" and ".join(likelihoods), result.attrs.get("title")]))
+    set_figure_title(figure, title)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     return axes
 

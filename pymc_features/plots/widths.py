@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.plots.axes import AxesLike, checked_axes
+from pymc_features.plots.axes import AxesLike, checked_axes, set_title
 
 
 def plot_widths(result: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
@@ -38,6 +38,6 @@ def plot_widths(result: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
     ax.set_xticks(steps, [f"{m:g}" for m in steps])
     ax.minorticks_off()
     ax.set(xlabel="sampling step / record step [-]", ylabel="5-95 % width of θ [-]")
-    ax.set_title(result.attrs.get("title", ""))
+    set_title(ax, result.attrs.get("title", ""))
     ax.legend(frameon=False, ncols=1, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return axes

@@ -17,6 +17,7 @@ from pymc_features.likelihood_free import abc_tolerance
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.smc import sample_smc
 from pymc_features.storage import PartStore
+from pymc_features.update.chains import without_lost_chains
 from pymc_features.update.config.entries import Parameter
 from pymc_features.update.predict import bands, frequencies, measured_gain
 from pymc_features.update.problem.model import declare, names_for
@@ -95,6 +96,8 @@ def run_part(problem, kind, tolerance, base, cores, progressbar) -> xr.DataTree:
             idata = calibrated(problem, kind, base, model, cores or problem.config.sampler.cores, progressbar)
         if is_cut_short(problem, kind, idata["posterior"].sizes):
             raise KeyboardInterrupt
+        if base is None and not LIKELIHOODS[kind].is_likelihood_free:
+            idata = without_lost_chains(idata, model)
         part = {name: idata[name].to_dataset() for name in GROUPS if name in idata.children}
         part["prior"] = prior_draws(problem, kind)
         part["observed_data"] = xr.Dataset({"y": problem.measured.channels.drop_attrs()})

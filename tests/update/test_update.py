@@ -1,6 +1,7 @@
 """Updating from a configuration file: messages, numbers of the report, continuation."""
 
 import base64
+import html as html_module
 import inspect
 import re
 import shutil
@@ -18,6 +19,7 @@ from pymc_features.update import predict, read_problem, run, write_example
 from pymc_features.update.config import priors, structure_sections
 from pymc_features.update.config.document import read_config
 from pymc_features.update.problem.structure import StructureOf
+from pymc_features.update.report import findings
 
 SMALL = [
     ('kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]', 'kinds = ["EXP", "ABC"]'),
@@ -301,6 +303,30 @@ def test_other_settings_are_refused_other_reports_are_not(example, finished, tmp
         assert (finished / "table.csv").read_text() == table
     finally:
         example.write_text(text)
+
+
+@pytest.mark.slow
+def test_verdict_and_rows_are_made_once(example, finished, capsys, monkeypatch):
+    """And the terminal says what the report says."""
+    calls = []
+
+    def counted(name):
+        function = getattr(findings, name)
+
+        def count(*arguments):
+            calls.append(name)
+            return function(*arguments)
+
+        return count
+
+    for name in ("rows", "verdict", "warnings_of", "supported"):
+        monkeypatch.setattr(findings, name, counted(name))
+    assert cli.main(["update", str(example), "--out", str(finished)]) == 0
+    assert sorted(calls) == ["rows", "supported", "verdict", "warnings_of"]
+    told, html = capsys.readouterr().err, html_module.unescape((finished / "report.html").read_text())
+    said = [line.removeprefix("warning: ") for line in told.splitlines() if line.startswith("warning: EXP")]
+    assert said
+    assert all(sentence in html for sentence in said)
 
 
 def test_force_starts_anew(example, finished, tmp_path, capsys, monkeypatch):

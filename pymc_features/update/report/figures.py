@@ -9,6 +9,10 @@ from pymc_features.update.problem.read import Problem
 from pymc_features.update.report.summary import kinds_of
 
 ZOOM = 4.0  # [s] around the strongest motion
+LONG = (
+    "A record of more samples than the figure has pixels is drawn by its smallest and largest values: as a "
+    "grey area what was measured, by two lines a response that oscillates too fast for one."
+)
 
 
 class Figure(NamedTuple):
@@ -54,7 +58,7 @@ def of_one(problem, part, kind) -> list[Figure]:
         ),
         Figure(
             f"{kind}_response",
-            f"{kind}: measured response and posterior predictive bands. {shades}",
+            f"{kind}: measured response and posterior predictive bands. {shades} {LONG}",
             lambda: plots.plot_predictive(part),
         ),
         Figure(

@@ -7,14 +7,16 @@ from pymc_features import plots
 from pymc_features.storage import write_atomically
 from pymc_features.update.problem.read import Problem
 from pymc_features.update.report.figures import figures
+from pymc_features.update.report.findings import Findings, findings
 from pymc_features.update.report.page import report
-from pymc_features.update.report.summary import as_csv, rows, warnings_of
-from pymc_features.update.report.verdict import verdict
+from pymc_features.update.report.summary import as_csv
 
 DPI = 110
 
 
-def write_outputs(problem: Problem, result, folder, channel_warnings=()) -> list[Path]:
+def write_outputs(
+    problem: Problem, result, folder, channel_warnings=(), found: Findings | None = None
+) -> list[Path]:
     """Write `update.nc`, `table.csv`, the figures and `report.html`; return their paths.
 
     Parameters
@@ -27,6 +29,8 @@ def write_outputs(problem: Problem, result, folder, channel_warnings=()) -> list
         Made if needed.
     channel_warnings : sequence of str
         What was said about the channels when they were read.
+    found : Findings, optional
+        From `findings`, if it is at hand; else it is made here.
 
     Returns
     -------
@@ -35,16 +39,16 @@ def write_outputs(problem: Problem, result, folder, channel_warnings=()) -> list
     """
     folder = Path(folder)
     (folder / "figures").mkdir(parents=True, exist_ok=True)
-    table = rows(problem, result)
-    doubts = [*(f"data: {text}" for text in channel_warnings), *warnings_of(problem, result, table)]
+    found = found or findings(problem, result)
+    doubts = [*(f"data: {text}" for text in channel_warnings), *found.doubts]
     drawn = [(figure, png(figure.draw())) for figure in figures(problem, result)]
     writers = {
         "update.nc": lambda path: result.to_netcdf(path, engine="h5netcdf"),
-        "table.csv": lambda path: path.write_text(as_csv(table), encoding="utf-8"),
+        "table.csv": lambda path: path.write_text(as_csv(found.table), encoding="utf-8"),
     }
     for figure, image in drawn:
         writers[f"figures/{figure.name}.png"] = lambda path, image=image: path.write_bytes(image)
-    html = report(problem, result, table, verdict(problem, result), doubts, drawn)
+    html = report(problem, result, found._replace(doubts=doubts), drawn)
     writers["report.html"] = lambda path: path.write_text(html, encoding="utf-8")
     for name, write in writers.items():
         write_atomically(folder / name, write)

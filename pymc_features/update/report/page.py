@@ -8,25 +8,22 @@ import numpy as np
 
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.problem.read import Problem
-from pymc_features.update.report.summary import COLUMNS, kinds_of, supported
+from pymc_features.update.report.findings import Findings
+from pymc_features.update.report.summary import COLUMNS, kinds_of
 from pymc_features.update.templates import TEMPLATES
 
 PACKAGES = ("pymc-features", "pymc", "pytensor", "numba", "numpy", "arviz")
 
 
-def report(problem: Problem, result, table, judged, doubts, drawn) -> str:
+def report(problem: Problem, result, found: Findings, drawn) -> str:
     """The page.
 
     Parameters
     ----------
     problem, result
         As of `write_outputs`.
-    table : list of Row
-        The posterior.
-    judged : Verdict
-        On the fit.
-    doubts : list of str
-        Warnings.
+    found : Findings
+        From `findings`, perhaps with more doubts.
     drawn : list of (Figure, bytes)
         Figures as PNG.
     """
@@ -40,9 +37,9 @@ def report(problem: Problem, result, table, judged, doubts, drawn) -> str:
         structure=config.structure.type,
         n_sensors=len(problem.dofs),
         duration=measured.record.duration,
-        supported=supported(problem, result),
-        verdict=judged,
-        doubts=doubts,
+        supported=found.supported,
+        verdict=found.verdict,
+        doubts=found.doubts,
         priors=prior_rows(problem),
         likelihoods=[likelihood_row(kind, result[kind]) for kind in kinds_of(result)],
         steps=processing_steps(problem),
@@ -52,7 +49,7 @@ def report(problem: Problem, result, table, judged, doubts, drawn) -> str:
         gains=[] if measured.checked.gains is None else gain_rows(measured.checked.gains),
         checked=measured.checked.sentence,
         columns=COLUMNS,
-        posterior=[posterior_row(row) for row in table],
+        posterior=[posterior_row(row) for row in found.table],
         shared=[figure for figure in figures if "_" not in figure["name"]],
         kinds=[kind_section(kind, result[kind], figures) for kind in kinds_of(result)],
         text=problem.text,

@@ -103,7 +103,7 @@ def supported(problem: Problem, result: xr.DataTree) -> str:
     return ""
 
 
-def warnings_of(problem: Problem, result: xr.DataTree, table: list[Row]) -> list[str]:
+def warnings_of(result: xr.DataTree, table: list[Row]) -> list[str]:
     """What to doubt, from the run and from its numbers, each with the likelihood in front."""
     found = []
     for kind in kinds_of(result):

@@ -4,10 +4,9 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from pymc_features.update.problem.read import Problem
+from pymc_features.update.report.findings import Findings
 from pymc_features.update.report.page import gain_rows, posterior_row
-from pymc_features.update.report.summary import COLUMNS, kinds_of, rows, supported, warnings_of
-from pymc_features.update.report.verdict import verdict
+from pymc_features.update.report.summary import COLUMNS
 
 # as many as 80 characters hold
 SHOWN = (
@@ -23,29 +22,26 @@ SHOWN = (
 )
 
 
-def summary(problem: Problem, result):
+def summary(found: Findings):
     """What to print, in order: sentences with their style, and a table.
 
     Parameters
     ----------
-    problem : Problem
-        What was updated.
-    result : DataTree
-        From `run_update`.
+    found : Findings
+        From `findings`.
 
     Yields
     ------
     str or rich.table.Table, str or None
         A sentence or the posterior under the first likelihood, and a style.
     """
-    judged, table = verdict(problem, result), rows(problem, result)
-    for sentence in judged.sentences:
-        yield sentence, "bold" if judged.explains else "bold red"
-    if sentence := supported(problem, result):
-        yield sentence, None
-    first = kinds_of(result)[0]
-    yield posterior_table([row for row in table if row.kind == first]), None
-    for sentence in warnings_of(problem, result, table):
+    for sentence in found.verdict.sentences:
+        yield sentence, "bold" if found.verdict.explains else "bold red"
+    if found.supported:
+        yield found.supported, None
+    first = found.table[0].kind
+    yield posterior_table([row for row in found.table if row.kind == first]), None
+    for sentence in found.doubts:
         yield f"warning: {sentence}", "yellow"
 
 

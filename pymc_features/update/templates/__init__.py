@@ -1,4 +1,4 @@
-"""Texts that `update` fills in: the page of the report, and the example of a configuration."""
+"""Texts that `update` fills in: the page of the report, and examples of a configuration."""
 
 import jinja2
 

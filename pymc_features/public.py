@@ -1,0 +1,86 @@
+"""Every public name: a new one is a line here."""
+
+from pymc_features import datasets, exceptions, plots, signals
+from pymc_features.calibration import calibrate, effective_samples, event_check, fill_degrees
+from pymc_features.distributions import (
+    CorrelatedNormal,
+    ExpFeature,
+    GammaFeature,
+    TruncNormalFeature,
+    sigma_mpv,
+)
+from pymc_features.external import ExternalSimulator, ProgramSimulator, Surrogate
+from pymc_features.ground_motion import synthetic_earthquake
+from pymc_features.inference import fisher_information, laplace, sample, sample_nuts, tolerance_sweep
+from pymc_features.io import read_channels, read_matrices, read_record
+from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
+from pymc_features.ops import mean_square_discrepancy, response
+from pymc_features.plots import *  # noqa: F403  plot_chains, plot_loops, ...
+from pymc_features.prediction import first_passage_probability, posterior_response
+from pymc_features.records import Loading, Record
+from pymc_features.simulators import integration_error, simulate, spring_forces
+from pymc_features.smc import TMCMC, PersistentSMC, PopulationIMH, PopulationMH, SubsetSimulation, sample_smc
+from pymc_features.structures import (
+    AffineStructure,
+    DuffingChain,
+    HystereticChain,
+    LinearStructure,
+    ModalDamping,
+    RayleighDamping,
+    SpringMassChain,
+)
+from pymc_features.study import paper, sampling_rate_study
+
+__all__ = [
+    "AffineStructure",
+    "CorrelatedNormal",
+    "DiscrepancySimulator",
+    "DuffingChain",
+    "ExpFeature",
+    "GammaFeature",
+    "ExternalSimulator",
+    "HystereticChain",
+    "LinearStructure",
+    "Loading",
+    "ModalDamping",
+    "PersistentSMC",
+    "PopulationIMH",
+    "PopulationMH",
+    "ProgramSimulator",
+    "RayleighDamping",
+    "Record",
+    "SpringMassChain",
+    "SubsetSimulation",
+    "Surrogate",
+    "TMCMC",
+    "TruncNormalFeature",
+    "abc_tolerance",
+    "calibrate",
+    "datasets",
+    "effective_samples",
+    "event_check",
+    "exceptions",
+    "fill_degrees",
+    "first_passage_probability",
+    "fisher_information",
+    "integration_error",
+    "laplace",
+    "mean_square_discrepancy",
+    "paper",
+    "posterior_response",
+    "read_channels",
+    "read_matrices",
+    "read_record",
+    "response",
+    "sample",
+    "sample_nuts",
+    "sample_smc",
+    "sampling_rate_study",
+    "sigma_mpv",
+    "signals",
+    "simulate",
+    "spring_forces",
+    "synthetic_earthquake",
+    "tolerance_sweep",
+]
+__all__ += plots.__all__
