@@ -15,7 +15,7 @@ from pymc_features.smc.proposals.arms import FittedMoves
 from pymc_features.smc.proposals.fitted import fit_to
 from pymc_features.smc.proposals.mixture import equal_draws
 from pymc_features.smc.proposals.pool import GROUPS, LARGEST_K, Pool, next_beta
-from pymc_features.smc.proposals.reference import Reference
+from pymc_features.smc.proposals.reference import MANY, Reference
 
 MORE_PRIOR = 50  # the prior is drawn from at most this many times, in search of possible points
 KEPT_STEPS, LAST_STEPS = 8, 32  # of the chains of a stage, and of those of the last
@@ -28,7 +28,7 @@ MAX_EVALUATIONS = 500  # of the last stage, for each draw
 FOR_TAILS = 5  # and of more fits where a few draws outweigh the rest
 FIRST_OF_REFERENCE = (400, 30)  # draws of the reference: at least, and for each parameter
 USABLE_REFERENCE = 0.05  # effective share of its draws, to begin with
-GOOD_SHARE, GOOD_LIMITS = 1.2, (0.08, 0.3)  # that suffices: over the number of parameters, within limits
+GOOD_FEW, GOOD_MANY = 0.3, 0.08  # that suffices, with fewer than `MANY` parameters and with more
 LONG_WAY = 25.0  # from prior to posterior, in nats, such that a reference that is only usable saves stages
 TOO_FEW = "PersistentSMC ended with draws worth {:.0f} of {}. Increase `stage_draws`, or narrow the priors."
 STATISTICS = "accept_rate", "hamiltonian_share", "steps_per_draw", "reference_efficiency", "ess", "pareto_k"
@@ -153,7 +153,7 @@ class PersistentSMC(PopulationKernel):
     @property
     def good_efficiency(self) -> float:
         """Effective share of a reference's draws, or a fit's, above which the next fit does not pay."""
-        return float(np.clip(GOOD_SHARE / self.n_parameters, *GOOD_LIMITS))
+        return GOOD_FEW if self.n_parameters < MANY else GOOD_MANY
 
     def draw_reference(self, n: int) -> np.ndarray:
         """Independent draws (n, d) from the reference, or from the prior if there is none."""

@@ -20,6 +20,8 @@ SAME_MODE = 1.0  # squared distance, in standard deviations of a mode, within wh
 PRIOR_SHARE = 0.05
 # widths (standard deviations), degrees of freedom and shares of what stands at each mode
 WIDTHS, DEGREES, SHARES = (1.05, 1.3, 2.0), (60.0, 8.0, 3.0), (0.7, 0.2, 0.1)
+# parameters from which modes are bent: with fewer, tempered points are cheap, and see what no mode shows
+MANY = 16
 MINOR = 0.02  # share of the modes' evidence below which a mode is not bent
 
 
@@ -90,8 +92,10 @@ class Reference:
     def bent(self, evaluate: Callable, gradient: Callable, rng: np.random.Generator) -> "Reference":
         """The same with maps that follow the posterior's bends, where its modes are no Gaussians.
 
-        `evaluate` and `gradient` as of `find_reference`.
+        With fewer than `MANY` parameters it stays as it is. `evaluate` and `gradient` as of `find_reference`.
         """
+        if len(self.centre) < MANY:
+            return self
         maps = []
         for mode, share in zip(self.modes, self.mode_shares(), strict=True):
             variances, vectors = np.linalg.eigh(mode.factor @ mode.factor.T)
