@@ -42,6 +42,12 @@ def total(idata, *names):
     return sum(sums) if sums else np.nan
 
 
+def of_search(idata):
+    """Values and gradients of the search for modes, before the runs, of `pmf.sample`."""
+    attributes = idata["sample_stats"].attrs if "sample_stats" in idata.children else {}
+    return np.array([attributes.get(f"search_{kind}", 0.0) for kind in ("evaluations", "gradients")])
+
+
 def evidence(idata):
     """Log evidence and its standard error: means of the chains'; the error falls with their number."""
     stats = idata["sample_stats"] if "sample_stats" in idata.children else {}
@@ -70,7 +76,7 @@ def of_idata(sample):
         if np.isnan(values) and np.isnan(gradients):
             gradients = total(idata, "n_steps")
         if np.isfinite(values) or np.isfinite(gradients):
-            values, gradients = np.nan_to_num([values, gradients])
+            values, gradients = np.nan_to_num([values, gradients]) + of_search(idata)
         return Run(flat_draws(problem.model, idata), values, gradients, *evidence(idata))
 
     return sampler
