@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 
 from pymc_features import Record, cli, sampling_rate_study, simulate
+from pymc_features.arguments import make_parser
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.study import STRUCTURES, as_markdown, bouc_wen, find_structure, paper, yielding
 from pymc_features.study.misfits import computed_sums
@@ -40,7 +41,7 @@ def test_structures_of_the_study(name, record):
     np.testing.assert_array_equal(softer.at(1.2).stiffness, changed.stiffness)
     assert Study(record, structure=softer, likelihoods=["TN"], multipliers=[10.0]).structure == softer
     assert entry.quick["draws"] < entry.draws
-    assert name in cli.make_parser()._subparsers._group_actions[0].choices["reproduce"].format_help()
+    assert name in make_parser()._subparsers._group_actions[0].choices["reproduce"].format_help()
 
 
 def test_names_of_structures():
@@ -233,7 +234,7 @@ def test_first_look_at_costly_structures_takes_the_strong_part_of_a_record():
 
 
 def test_default_folder_names_the_structure():
-    parse = cli.make_parser().parse_args
+    parse = make_parser().parse_args
     assert cli.default_folder(parse(["reproduce"])) == "reproduce-output"
     assert cli.default_folder(parse(["reproduce", "--quick"])) == "reproduce-output-quick"
     options = parse(["reproduce", "--structure", "bouc-wen", "--quick"])
