@@ -15,7 +15,7 @@ from pymc_features.smc.proposals.arms import FittedMoves
 from pymc_features.smc.proposals.fitted import fit_to
 from pymc_features.smc.proposals.mixture import equal_draws
 from pymc_features.smc.proposals.pool import GROUPS, LARGEST_K, Pool, next_beta
-from pymc_features.smc.proposals.reference import MANY, Reference
+from pymc_features.smc.proposals.reference import Reference, good_share
 
 MORE_PRIOR = 50  # the prior is drawn from at most this many times, in search of possible points
 KEPT_STEPS, LAST_STEPS = 8, 32  # of the chains of a stage, and of those of the last
@@ -28,7 +28,6 @@ MAX_EVALUATIONS = 500  # of the last stage, for each draw
 FOR_TAILS = 5  # and of more fits where a few draws outweigh the rest
 FIRST_OF_REFERENCE = (400, 30)  # draws of the reference: at least, and for each parameter
 USABLE_REFERENCE = 0.05  # effective share of its draws, to begin with
-GOOD_FEW, GOOD_MANY = 0.3, 0.08  # that suffices, with fewer than `MANY` parameters and with more
 LONG_WAY = 25.0  # from prior to posterior, in nats, such that a reference that is only usable saves stages
 TOO_FEW = "PersistentSMC ended with draws worth {:.0f} of {}. Increase `stage_draws`, or narrow the priors."
 STATISTICS = "accept_rate", "hamiltonian_share", "steps_per_draw", "reference_efficiency", "ess", "pareto_k"
@@ -141,7 +140,7 @@ class PersistentSMC(PopulationKernel):
         prior, likelihood = self.evaluate(particles)
         self.pool = pool = Pool(particles, *self.relative(particles, prior, likelihood))
         self.reference_efficiency = pool.efficiency(0)
-        if self.reference_efficiency > self.good_efficiency:
+        if self.reference_efficiency > good_share(self.n_parameters):
             return True
         if self.reference_efficiency < USABLE_REFERENCE or pool.pareto_k() > LARGEST_K:
             return False
@@ -149,11 +148,6 @@ class PersistentSMC(PopulationKernel):
         possible = prior + likelihood > -np.inf
         information = pool.normalised(log_weights) @ likelihood[possible] - pool.log_evidence(log_weights)
         return information > LONG_WAY
-
-    @property
-    def good_efficiency(self) -> float:
-        """Effective share of a reference's draws, or a fit's, above which the next fit does not pay."""
-        return GOOD_FEW if self.n_parameters < MANY else GOOD_MANY
 
     def draw_reference(self, n: int) -> np.ndarray:
         """Independent draws (n, d) from the reference, or from the prior if there is none."""
@@ -173,9 +167,9 @@ class PersistentSMC(PopulationKernel):
 
     def slopes(self, particles: np.ndarray) -> tuple[np.ndarray, ...]:
         """What `weigh` returns, and the gradients (p, d) of both."""
-        parts = prior, likelihood, of_prior, of_likelihood = self.evaluate_gradient(particles)
+        prior, likelihood, of_prior, of_likelihood = self.evaluate_gradient(particles)
         if self.reference is None:
-            return parts
+            return prior, likelihood, of_prior, of_likelihood
         log_reference = self.reference.log_density(particles, prior)
         of_reference = self.reference.gradient(particles, prior, of_prior)
         ratio = prior + likelihood - log_reference
@@ -205,7 +199,7 @@ class PersistentSMC(PopulationKernel):
 
     def tune(self) -> None:
         """Fit the proposal to the weighted pool, if independent draws from the reference will not do."""
-        self.needs_fit = self.reference is None or self.reference_efficiency < self.good_efficiency
+        self.needs_fit = self.reference is None or self.reference_efficiency < good_share(self.n_parameters)
         if self.needs_fit:
             self.moves.fit(self.fitting_points(), self.rng)
 
@@ -258,8 +252,9 @@ class PersistentSMC(PopulationKernel):
                 break
             n = 1.1 * missing * max(1.0, sample.counts.sum() / max(worth, 1.0))
             first = max(FIRST_DRAWS * self.n_parameters, self.draws // 4)
-            poor = pool.efficiency(source) < self.good_efficiency
-            another = poor and n > max(used, first) if missing else poor or first < FOR_TAILS * self.draws
+            poor = pool.efficiency(source) < good_share(self.n_parameters)
+            for_tails = not missing and (poor or first < FOR_TAILS * self.draws)
+            another = for_tails or (poor and n > max(used, first))
             if another and (n := limit - drawn) <= 0:
                 self.weights = pool.normalised(pool.log_weights(1.0))
                 pool.add_proposal(fit_to(self.fitting_points(), self.rng))

@@ -22,7 +22,13 @@ PRIOR_SHARE = 0.05
 WIDTHS, DEGREES, SHARES = (1.05, 1.3, 2.0), (60.0, 8.0, 3.0), (0.7, 0.2, 0.1)
 # parameters from which modes are bent: with fewer, tempered points are cheap, and see what no mode shows
 MANY = 16
+GOOD_FEW, GOOD_MANY = 0.3, 0.08  # see `good_share`
 MINOR = 0.02  # share of the modes' evidence below which a mode is not bent
+
+
+def good_share(n_parameters: int) -> float:
+    """Effective share of a reference's draws, or a fit's, above which another fit does not pay."""
+    return GOOD_FEW if n_parameters < MANY else GOOD_MANY
 
 
 class Mode(NamedTuple):

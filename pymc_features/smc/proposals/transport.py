@@ -7,8 +7,8 @@ s + z is regressed on a constant, z, and products of two axes. Constant and line
 natural gradients to the closest Gaussian (Stein's lemma; Lin, Khan & Schmidt, 2019); the quadratic ones bend
 each axis along the wider ones before it, which leaves volumes as they are. A step that does not bring the
 Kullback-Leibler divergence down is shortened. At the end the normal distribution is widened by the scatter
-of the residual that is left: a posterior that lies now on one side of the map and now on the other is wider
-than the map says.
+of the residual before the last step: a posterior that lies now on one side of the map and now on the other is
+wider than the map says.
 """
 
 from collections.abc import Callable
@@ -19,14 +19,8 @@ import numpy as np
 DRAWS_PER_PARAMETER, FEWEST_DRAWS = 10, 100  # of a step, with a gradient each
 MOST_STEPS = 10
 TRIALS = 50  # pairs of draws that compare lengths of a step
-LENGTHS = (
-    (1.0, 1.0),
-    (1.0, 0.0),
-    (0.5, 1.0),
-    (0.5, 0.5),
-    (0.0, 0.5),
-    (0.2, 0.2),
-)  # of the bend and of the rest
+LENGTHS_OF_BEND = 1.0, 1.0, 0.5, 0.5, 0.0, 0.2  # of a step, that are compared
+LENGTHS_OF_REST = 1.0, 0.0, 1.0, 0.5, 0.5, 0.2  # with these of its shift and stretch
 SMALL_GAIN = 0.03  # in the divergence, of a step that is the last
 GOOD_SPREAD = 0.7  # standard deviation of the log-density's ratio, below which nothing is left to do
 BENT_AXES = 50  # axes at most that others are bent along: the widest
@@ -199,7 +193,8 @@ def fit_transport(values: Callable, gradient: Callable, start: Transport, rng) -
         weights /= weights.sum()
         scatter = (weights[:, None] * residual).T @ residual
         bend, shift, precision = fit_residual(z, residual, weights)
-        candidates = [best] + [longer(best, bend, shift, precision, *length) for length in LENGTHS]
+        lengths = zip(LENGTHS_OF_BEND, LENGTHS_OF_REST, strict=True)
+        candidates = [best] + [longer(best, bend, shift, precision, *both) for both in lengths]
         gains = divergence_gains(values, candidates, paired(TRIALS, d, rng))
         chosen = int(np.argmax(gains))
         best = candidates[chosen]
