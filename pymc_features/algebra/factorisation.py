@@ -7,7 +7,7 @@ a pivot off the diagonal or below zero says that the matrix is not definite.
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import cholesky
+from scipy.linalg import cho_solve, cholesky
 from scipy.sparse.linalg import SuperLU, splu
 
 ZERO_STIFFNESS = 1e-8  # |omega^2| below this times trace(K) / trace(M) counts as rounding
@@ -32,15 +32,33 @@ def is_definite(matrix) -> bool:
     return definite_factor(matrix) is not None
 
 
-def definite_factor(matrix):
-    """The factor of a positive definite matrix (`SuperLU` if sparse); None if it is not definite."""
+def definite_factor(matrix, floor: float = 0.0):
+    """The factor of a positive definite matrix (`SuperLU` if sparse); None if it is not definite.
+
+    `floor` is the share of its diagonal entry that a pivot must exceed.
+    """
     if sparse.issparse(matrix):
         factor = eliminate(matrix)
-        return factor if factor is not None and (factor.U.diagonal() > 0.0).all() else None
-    try:
-        return cholesky(matrix, lower=True, check_finite=False)
-    except np.linalg.LinAlgError:
+    else:
+        try:
+            factor = cholesky(matrix, lower=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            factor = None
+    if factor is None or not (pivots(factor) > floor * matrix.diagonal()).all():
         return None
+    return factor
+
+
+def pivots(factor) -> np.ndarray:
+    """Pivots (n,) of a factor from `eliminate` or `cholesky`, by the rows of the matrix."""
+    if isinstance(factor, SuperLU):
+        return factor.U.diagonal()[factor.perm_c]
+    return factor.diagonal() ** 2
+
+
+def solve(factor, loads: np.ndarray) -> np.ndarray:
+    """A^-1 b by a factor of A from `definite_factor`."""
+    return factor.solve(loads) if isinstance(factor, SuperLU) else cho_solve((factor, True), loads)
 
 
 def count_below(mass, stiffness, eigenvalue: float) -> int | None:
@@ -50,8 +68,9 @@ def count_below(mass, stiffness, eigenvalue: float) -> int | None:
 
 
 def spectral_shift(mass, stiffness) -> float:
-    """How far below zero an omega^2 counts as rounding, [(rad/s)^2]."""
-    mean = abs(stiffness.diagonal().sum()) / mass.diagonal().sum()
+    """How far below zero an omega^2 counts as rounding, [(rad/s)^2]; of degrees of freedom with mass."""
+    masses = mass.diagonal()
+    mean = abs(stiffness.diagonal()[masses > 0.0].sum()) / masses.sum()
     return ZERO_STIFFNESS * (mean or 1.0)
 
 

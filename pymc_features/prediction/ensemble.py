@@ -46,7 +46,7 @@ def checked_responses(structure, records, names, settings) -> WantedResponses:
         request, outputs = [checked_request(structure, record, name, **settings) for name in names][0]
         requests.append(request)
         # two samples: whether the record fits the structure
-        simulate(structure, record.first(2), dt=settings["dt"], n_modes=settings["n_modes"])
+        simulate(structure, record.first(2), quantity=names[0], **settings)
     return WantedResponses(records, requests, names, outputs, settings)
 
 

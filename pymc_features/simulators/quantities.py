@@ -91,8 +91,18 @@ def checked_request(structure, record, quantity, *, dt=None, sensors=None, n_mod
             f"degrees of freedom are no storeys: pass {source!r} and outputs=S with one row for each drift, "
             "1 and -1 in the columns of its ends."
         )
-    asked = request(structure.n_dof, record.dt, dt=dt, sensors=sensors, quantity=source, n_modes=n_modes)
+    asked = request(
+        structure.n_dof,
+        record.dt,
+        dt=dt,
+        sensors=sensors,
+        quantity=source,
+        n_modes=n_modes,
+        most_modes=structure.n_modes,
+    )
     if outputs is None:
+        if structure.family == "linear" and dim != "support":
+            structure.check_sensors(record, asked.sensors)
         return asked, None
     if sensors is not None:
         raise ValueError("`sensors` must be left out with `outputs`, got both. Choose rows of `outputs`.")
@@ -101,7 +111,10 @@ def checked_request(structure, record, quantity, *, dt=None, sensors=None, n_mod
             f"`outputs` must be left out for {quantity!r}, got an array. It is itself a combination: combine "
             f"{source!r} instead."
         )
-    return asked, check_outputs(outputs, structure.n_dof)
+    outputs = check_outputs(outputs, structure.n_dof)
+    if structure.family == "linear":
+        structure.check_sensors(record, outputs)
+    return asked, outputs
 
 
 def force_share(structure, record, quantity: str) -> np.ndarray | None:

@@ -42,8 +42,9 @@ def request(
     sensors: Sequence[int] | None = None,
     quantity: str = "absolute_acceleration",
     n_modes: int | None = None,
+    most_modes: int | None = None,
 ) -> Request:
-    """Check what a user asks of a structure of `n_dof` degrees of freedom.
+    """Check what a user asks of a structure of `n_dof` degrees of freedom and as many modes, or `most_modes`.
 
     Raises
     ------
@@ -53,9 +54,9 @@ def request(
     substeps, stride = sampling_grid(record_dt, dt)
     if quantity not in QUANTITIES:
         raise ValueError(f"`quantity` must be one of {', '.join(QUANTITIES)}, got {quantity!r}.")
-    if n_modes is None:
-        n_modes = n_dof
-    n_modes = check_integer(n_modes, "n_modes", most=n_dof, advice="Leave it out for all modes.")
+    most_modes = n_dof if most_modes is None else most_modes
+    n_modes = most_modes if n_modes is None else n_modes
+    n_modes = check_integer(n_modes, "n_modes", most=most_modes, advice="Leave it out for all modes.")
     return Request(substeps, stride, check_sensors(sensors, n_dof), n_modes, quantity)
 
 

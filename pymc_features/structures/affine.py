@@ -123,8 +123,7 @@ class AffineStructure(LinearStructure):
         Parameters
         ----------
         theta : array_like (p,), TensorVariable (p,) or sequence of p numbers and TensorVariables
-            Parameters [-]. Numbers are checked: M(theta) must be positive definite, K(theta) without
-            negative eigenvalues.
+            Parameters [-]. Numbers are checked: M(theta) and K(theta) must have no negative eigenvalue.
         """
         changed = copy.copy(self)
         changed._install(self._as_theta(theta))

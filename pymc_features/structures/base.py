@@ -47,6 +47,11 @@ class Structure(ABC):
     def n_dof(self) -> int:
         """Number of degrees of freedom."""
 
+    @property
+    def n_modes(self) -> int:
+        """Number of modes: of degrees of freedom, less those that have no mass of their own."""
+        return self.n_dof
+
     @abstractmethod
     def parameters(self) -> tuple:
         """Return what the response kernels of its family take."""

@@ -4,18 +4,21 @@ import numpy as np
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
-from pymc_features._checks import check_finite, check_integer
-from pymc_features.algebra import AffineMatrix, common_pattern, natural_modes, to_dense
+from pymc_features._checks import check_integer
+from pymc_features.algebra import AffineMatrix, always_massless, common_pattern, natural_modes, to_dense
 from pymc_features.records import DynamicLoad
 from pymc_features.structures.base import Matrices, Modes, Structure, static_length
 from pymc_features.structures.damping import Damping
 from pymc_features.structures.inputs import DAMPING_OR_MATRIX, MATRIX
 from pymc_features.structures.matrices import (
     MatrixLike,
+    as_influence,
     as_matrix,
     check_connected,
     check_damping,
     check_mass,
+    check_static_damping,
+    check_static_forces,
     check_stiffness,
 )
 
@@ -26,15 +29,17 @@ class LinearStructure(Structure):
     Parameters
     ----------
     mass : array_like (n, n) or (n,), or sparse matrix
-        M [kg], symmetric and positive definite; a vector is a diagonal.
+        M [kg], symmetric and positive semi-definite; a vector is a diagonal. Degrees of freedom without mass
+        (rows of zeros, or masses at the ends of rigid arms) follow the others statically.
     stiffness : array_like (n, n) or (n,), or sparse matrix
         K [N/m], symmetric and positive semi-definite: structures that move as rigid bodies are allowed,
-        degrees of freedom that nothing touches are not. If it is sparse, so is everything. By name only, like
-        `damping`: the two matrices could be taken for each other.
+        degrees of freedom that nothing touches, or that have neither mass nor stiffness, are not. If it is
+        sparse, so is everything. By name only, like `damping`: the two could be taken for each other.
     damping : Damping, or array_like (n, n), or sparse matrix
         `RayleighDamping`, `ModalDamping` (one ratio, or one for each mode, of which there may be fewer
         than n if no more are kept), or C [N s/m], which need not be diagonalised by the modes. Its
-        symmetric part must be positive semi-definite; a skew part (gyroscopic forces) is allowed.
+        symmetric part must be positive semi-definite; a skew part (gyroscopic forces) is allowed. Where there
+        is no mass it is zero, or a multiple of K.
     influence : array_like (n,) or (n, supports), optional
         Displacement of each degree of freedom under a unit displacement of the base or of each support [-],
         ones by default. With several supports, influence = -inv(K) K_support, and "relative" quantities are
@@ -102,7 +107,7 @@ class LinearStructure(Structure):
             None if a is None else AffineMatrix(kind(a), added, pattern)
             for a, added in zip(constants, terms, strict=True)
         )
-        self.influence = _influence(influence, n)
+        self.influence = as_influence(influence, n)
         if isinstance(damping, Damping):
             self._coefficients()
 
@@ -111,13 +116,18 @@ class LinearStructure(Structure):
         self.theta = theta
         self._modes = {}
         if isinstance(theta, Variable):
+            masses, dampings, stiffnesses = (None if a is None else a.matrices() for a in self._terms)
+            self._massless = always_massless(masses)
+            if dampings is not None:
+                check_static_damping(dampings, stiffnesses, self._massless)
             return
         mass, damping, stiffness = (None if a is None else a.at(theta) for a in self._terms)
         check_connected(mass, damping, stiffness)
-        check_mass(mass)
-        self._factor = check_stiffness(mass, stiffness)
+        self._massless = check_mass(mass)
+        self._factor = check_stiffness(mass, stiffness, self._massless)
         if damping is not None:
-            check_damping(mass, damping)
+            check_static_damping([damping], [stiffness], self._massless)
+            check_damping(mass, damping, stiffness, self._massless)
         self._matrices = mass, damping, stiffness
 
     def __getstate__(self):
@@ -136,6 +146,10 @@ class LinearStructure(Structure):
     @property
     def n_dof(self) -> int:
         return self._terms[2].shape[0]
+
+    @property
+    def n_modes(self) -> int:
+        return self._massless.rank
 
     @property
     def n_supports(self) -> int:
@@ -180,6 +194,11 @@ class LinearStructure(Structure):
             )
         return record.inputs
 
+    def check_sensors(self, record: DynamicLoad, picked: np.ndarray) -> None:
+        """Refuse degrees of freedom (s,), or combinations (s, n) of all, that have no response to a load."""
+        if record.is_force and self.n_modes < self.n_dof:
+            check_static_forces(record.places(self.n_dof), picked, self._massless)
+
     def _coefficients(self, n_modes=None):
         """Rayleigh pair, and ratios of all modes they are given for, or of the lowest `n_modes`."""
         ratios = getattr(self.damping, "ratios", None)
@@ -218,10 +237,10 @@ class LinearStructure(Structure):
         """
         mass, damping, stiffness = self._numbers()
         if damping is None:
-            rayleigh, ratios = self._coefficients(self.n_dof)
+            rayleigh, ratios = self._coefficients(self.n_modes)
             damping = rayleigh[0] * mass + rayleigh[1] * stiffness
             if ratios.any():
-                omega, shapes = self._natural(self.n_dof)
+                omega, shapes = self._natural(self.n_modes)
                 moved = mass @ shapes
                 damping = to_dense(damping) + moved * (2.0 * ratios * omega) @ moved.T
         return Matrices(mass, damping, stiffness)
@@ -229,7 +248,7 @@ class LinearStructure(Structure):
     def _natural(self, n_modes):
         if n_modes not in self._modes:
             mass, _, stiffness = self._numbers()
-            self._modes[n_modes] = natural_modes(mass, stiffness, n_modes, self._factor)
+            self._modes[n_modes] = natural_modes(mass, stiffness, n_modes, self._factor, self._massless)
         return self._modes[n_modes]
 
     def modal_damping(self, n_modes: int | None = None) -> np.ndarray:
@@ -260,25 +279,5 @@ class LinearStructure(Structure):
     def _check_n_modes(self, n_modes):
         self._numbers()
         if n_modes is None:
-            return self.n_dof
-        return check_integer(n_modes, "n_modes", most=self.n_dof, advice="Leave it out for all modes.")
-
-
-def _influence(value, n):
-    if value is None:
-        value = np.ones(n)
-    try:
-        influence = np.array(value.toarray() if sparse.issparse(value) else value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(
-            f"`influence` must be an array of numbers, got {type(value).__name__}. "
-            "Pass displacement ratios [-]; they cannot be random."
-        ) from None
-    if influence.ndim not in (1, 2) or influence.shape[0] != n or influence.size == 0:
-        raise ValueError(
-            f"`influence` must have shape ({n},) or ({n}, supports), got {influence.shape}. "
-            "Give the displacement of every degree of freedom under a unit displacement of each support."
-        )
-    check_finite(influence, "influence", "Pass displacement ratios [-].")
-    influence.setflags(write=False)
-    return influence
+            return self.n_modes
+        return check_integer(n_modes, "n_modes", most=self.n_modes, advice="Leave it out for all modes.")

@@ -1,16 +1,29 @@
 """The constant matrices of a linear structure, dense or sparse, checked one by one and together."""
 
+from itertools import zip_longest
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.linalg import eigh
 
-from pymc_features._checks import message
-from pymc_features.algebra import is_definite, shifted_factor, spectral_shift
+from pymc_features._checks import check_finite, message
+from pymc_features.algebra import (
+    Massless,
+    condense,
+    is_definite,
+    massless_motions,
+    shifted_factor,
+    softest_motion,
+    spectral_shift,
+)
 
 type MatrixLike = ArrayLike | sparse.sparray | sparse.spmatrix
 
 SYMMETRY = 1e-10  # largest difference between A and A' over the largest entry that counts as rounding
+PROPORTIONAL = 1e-10  # the same, between damping and a multiple of the stiffness
+FEW = 6  # degrees of freedom that a message names
+TAKES_PART = 1e-6  # share of the largest displacement of a motion from which one is named
 
 
 def as_matrix(value, name: str, unit: str, *, n: int | None = None, symmetric: bool = True, thin=False):
@@ -79,24 +92,76 @@ def _symmetrised(matrix, name):
     return sparse.csc_array(half) if sparse.issparse(half) else half
 
 
-def check_mass(mass) -> None:
-    """Refuse a mass matrix that is not positive definite."""
-    if is_definite(mass):
-        return
+def as_influence(value, n: int) -> np.ndarray:
+    """Return displacements (n,) or (n, supports) under unit displacements of the supports, checked."""
+    if value is None:
+        value = np.ones(n)
+    try:
+        influence = np.array(value.toarray() if sparse.issparse(value) else value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"`influence` must be an array of numbers, got {type(value).__name__}. "
+            "Pass displacement ratios [-]; they cannot be random."
+        ) from None
+    if influence.ndim not in (1, 2) or influence.shape[0] != n or influence.size == 0:
+        raise ValueError(
+            f"`influence` must have shape ({n},) or ({n}, supports), got {influence.shape}. "
+            "Give the displacement of every degree of freedom under a unit displacement of each support."
+        )
+    check_finite(influence, "influence", "Pass displacement ratios [-].")
+    influence.setflags(write=False)
+    return influence
+
+
+def check_mass(mass) -> Massless:
+    """Refuse a mass matrix with a negative eigenvalue, or without any mass; return what it does not move."""
+    massless = massless_motions(mass)
+    if massless is not None and massless.rank:
+        return massless
     diagonal = mass.diagonal()
-    i = int(diagonal.argmin())
-    got = f"{diagonal[i]:g} kg at degree of freedom {i}" if diagonal[i] <= 0.0 else "an indefinite matrix"
+    i, got = int(diagonal.argmin()), "an indefinite matrix"
+    if diagonal[i] < 0.0:
+        got = f"{diagonal[i]:g} kg at degree of freedom {i}"
+    elif massless is not None:
+        got = "zeros"
     raise ValueError(
-        f"`mass` must be positive definite, got {got}. Condense degrees of freedom without mass."
+        f"`mass` must be positive semi-definite and not zero, got {got}. Check the signs; degrees of freedom "
+        "without mass have rows of zeros."
     )
 
 
-def check_stiffness(mass, stiffness):
+def check_static(stiffness, massless: Massless) -> None:
+    """Refuse motions with neither mass nor stiffness."""
+    if massless.are_held(stiffness):
+        return
+    energy, motion = softest_motion(stiffness, massless)
+    moved = np.flatnonzero(abs(motion) > TAKES_PART * abs(motion).max())
+    got = "negative" if energy < -SYMMETRY else "no"
+    raise ValueError(
+        f"`stiffness` must be positive definite where there is no mass, got {got} stiffness for a motion of "
+        f"{named(moved)}. Give it mass, attach an element, or remove it."
+    )
+
+
+def named(dofs) -> str:
+    """The first of some degrees of freedom, in words."""
+    first = [str(i) for i in dofs[:FEW]]
+    if len(dofs) > FEW:
+        return f"degrees of freedom {', '.join(first)} and {len(dofs) - FEW} others"
+    if len(first) == 1:
+        return f"degree of freedom {first[0]}"
+    return f"degrees of freedom {', '.join(first[:-1])} and {first[-1]}"
+
+
+def check_stiffness(mass, stiffness, massless: Massless):
     """Refuse K with a negative omega^2; return the factor of K + shift M, definite if K is admissible."""
+    check_static(stiffness, massless)
     factor = shifted_factor(mass, stiffness)
     if factor is None:
         got = "a negative pivot"
         if not sparse.issparse(stiffness):
+            if massless.dofs.size:
+                _, mass, stiffness = condense(mass, stiffness, massless)
             lowest = eigh(stiffness, mass, eigvals_only=True, subset_by_index=[0, 0])[0]
             got = f"omega^2 = {lowest:.4g} (rad/s)^2 as the lowest eigenvalue"
         raise ValueError(
@@ -106,13 +171,51 @@ def check_stiffness(mass, stiffness):
     return factor
 
 
-def check_damping(mass, damping) -> None:
+def check_damping(mass, damping, stiffness, massless: Massless) -> None:
     """Refuse a damping matrix that feeds energy into some motion, x' C x < 0."""
     symmetric = 0.5 * (damping + damping.T)
-    if not is_definite(symmetric + spectral_shift(mass, symmetric) * mass):
+    raised = symmetric + spectral_shift(mass, symmetric) * mass
+    if massless.dofs.size:  # where nothing but the stiffness need be there
+        raised = raised + spectral_shift(stiffness, symmetric) * stiffness
+    if not is_definite(raised):
         raise ValueError(
             "`damping` must not feed energy into any motion, got a matrix whose symmetric part has a "
             "negative eigenvalue. Check the signs of the dashpots."
+        )
+
+
+def check_static_damping(dampings, stiffnesses, massless: Massless) -> None:
+    """Refuse dashpots on what has no mass, unless C_i is the same multiple of K_i there for all i.
+
+    Then N' C phi = beta N' K phi = 0 of all modes, and what has no mass follows as statically as without C.
+    """
+    if not massless.dofs.size:
+        return
+    pairs = [
+        (massless.motions.T @ damping, massless.motions.T @ stiffness)
+        for damping, stiffness in zip_longest(dampings, stiffnesses, fillvalue=0.0 * stiffnesses[0])
+    ]
+    square = sum((stiffness * stiffness).sum() for _, stiffness in pairs)
+    beta = sum((damping * stiffness).sum() for damping, stiffness in pairs) / (square or 1.0)
+    given = sum(abs(damping).sum(axis=1) for damping, _ in pairs)
+    wrong = sum(abs(damping - beta * stiffness).sum(axis=1) for damping, stiffness in pairs)
+    wrong = np.flatnonzero(wrong > PROPORTIONAL * given.max())
+    if wrong.size:
+        raise ValueError(
+            "`damping` must be zero where there is no mass, or a multiple of `stiffness`, got dashpots at "
+            f"{named(np.sort(massless.dofs[wrong]))}. Add mass, or pass RayleighDamping or ModalDamping."
+        )
+
+
+def check_static_forces(forces, picked, massless: Massless) -> None:
+    """Refuse forces (n, d) on what has no mass if it is asked for: degrees of freedom (s,) or rows (s, n)."""
+    seen = massless.motions[picked] if picked.ndim == 1 else picked @ massless.motions
+    loaded = np.flatnonzero(abs(massless.motions.T @ forces).sum(axis=1))
+    if loaded.size and abs(seen).sum():
+        raise ValueError(
+            "`sensors` must lie on mass if a force acts where there is none, got forces at "
+            f"{named(np.sort(massless.dofs[loaded]))}. Ask for other sensors, or add mass: what has none "
+            "follows the force at once, with velocities as rough as its rate."
         )
 
 

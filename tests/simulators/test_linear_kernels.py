@@ -554,7 +554,10 @@ def test_compiled_modes(full, free, n_modes):
     [
         (np.full((2, 2), np.nan), np.eye(2)),
         (np.eye(2), np.array([[1.0, np.inf], [np.inf, 1.0]])),
-        (np.diag([1.0, 0.0]), np.eye(2)),
+        (np.diag([1.0, -1.0]), np.eye(2)),
+        (np.diag([1.0, 0.0]), np.diag([1.0, 0.0])),  # neither mass nor stiffness
+        (np.diag([0.0, 0.0]), np.eye(2)),
+        (np.array([[1.0, 1.0], [1.0, 0.0]]), 100.0 * np.eye(2)),
         (np.array([[1.0, 2.0], [2.0, 1.0]]), 100.0 * np.eye(2)),  # an eigenvalue of -1
         (np.eye(2), np.array([[1.0, 1.1], [1.1, 1.0]])),
         (1e-200 * np.eye(2), 1e200 * np.eye(2)),  # omega^2 overflows

@@ -202,8 +202,9 @@ BOTH = pytest.mark.parametrize("kind", [np.asarray, sparse.csc_matrix], ids=["de
 
 REFUSED_MATRICES = {  # what is said: what is given
     "`mass` must be symmetric, got 0.5 in row 0, column 1 and 0 in row 1": {"mass": [[1.0, 0.5], [0.0, 1.0]]},
-    "`mass` must be positive definite, got an indefinite matrix. Cond": {"mass": [[1.0, 2.0], [2.0, 1.0]]},
-    "`mass` must be positive definite, got 0 kg at degree of freedom 1": {"mass": [[1.0, 0.0], [0.0, 0.0]]},
+    "`mass` must be positive semi-definite .* got an indefinite matr": {"mass": [[1.0, 2.0], [2.0, 1.0]]},
+    "got -1 kg at degree of freedom 1. Check the signs": {"mass": [[1.0, 0.0], [0.0, -1.0]]},
+    "`mass` must be positive semi-definite and not zero, got zeros": {"mass": np.zeros((2, 2))},
     r"`mass` must have shape \(2, 2\) to match `stiffness`, got \(3, 3\). Give one row": {"mass": np.eye(3)},
     "`stiffness` must be symmetric, got -1 in row 0, column 1": {"stiffness": [[2.0, -1.0], [1.0, 2.0]]},
     "`stiffness` must have no negative eigenvalue, got .* signs": {"stiffness": [[1.0, -2.0], [-2.0, 1.0]]},

@@ -38,6 +38,12 @@ def affine(x, damping=RAYLEIGH, kind=np.asarray, influence=None):
     )
 
 
+def with_massless(x):
+    """The same masses; degree of freedom 1 has none and lies between 0 and 2."""
+    mass, rest = np.diag([1.0, 0.0, 1.5]), K - LOWER - UPPER
+    return AffineStructure(mass, stiffness=rest, damping=RAYLEIGH, stiffness_terms=[LOWER, UPPER], theta=x)
+
+
 def pulse(n=70, d=None):
     values = np.sin(0.35 * np.arange(n) ** 1.3) * np.exp(-0.03 * np.arange(n))
     if d is None:
@@ -51,6 +57,7 @@ CASES = {  # x -> structure, what shakes it
     "affine": (affine, pulse()),
     "coupled damping": (functools.partial(affine, damping=C), pulse()),
     "sparse": (functools.partial(affine, kind=sparse.csc_array), pulse()),
+    "massless": (with_massless, pulse()),
     "modal damping": (functools.partial(affine, damping=ModalDamping(0.05)), pulse()),
     "two supports": (functools.partial(affine, influence=SUPPORTS), Loading(pulse(d=2), dt=0.05)),
     "forces": (affine, Loading(pulse(d=1), 0.05, kind="force", matrix=[[0.0], [1.0], [2.0]])),

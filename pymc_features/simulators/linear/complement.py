@@ -5,7 +5,8 @@ For a change of K and M, mode r changes outside the span of the kept modes by
     dphi_r = -(K - lambda_r M)^+ (dK - lambda_r dM) phi_r,
 
 where ^+ is the inverse on the M-orthogonal complement of the kept modes: there K - lambda_r M is positive
-definite, for the modes left out are higher. Changes within that span are treated in `close_modes`.
+definite, for the modes left out are higher, and what has no mass is part of it. Changes within that span are
+treated in `close_modes`.
 """
 
 import numpy as np
@@ -34,6 +35,7 @@ def invert_outside(system, loads):
     if system.others is not None:
         omega, shapes = system.others
         gaps = (omega[:, None] - system.omega) * (omega[:, None] + system.omega)
+        gaps[np.isinf(omega)] = 1.0  # without mass, and normalised by K
         return shapes @ (shapes.T @ loads / gaps)
     inertia = system.mass @ system.shapes
     residual = loads - inertia @ (system.shapes.T @ loads)

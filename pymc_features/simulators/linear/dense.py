@@ -1,15 +1,18 @@
 """Modes of dense structures inside compiled code, as `algebra.natural_modes`, and a test that they exist.
 
 K phi = omega^2 M phi becomes the standard problem of F^-1 K F^-T, F F' = M, for LAPACK; where M is diagonal F
-is its root and costs nothing. The eigenvalues are then replaced by the Rayleigh quotients of their vectors.
+is its root and costs nothing. What has no mass is condensed first. The eigenvalues are then replaced by the
+Rayleigh quotients of their vectors.
 """
 
 import numpy as np
 
 from pymc_features.algebra.eigen import NEGATIVE, ROUNDING
 from pymc_features.algebra.factorisation import ZERO_STIFFNESS
+from pymc_features.algebra.massless import MASSLESS
 from pymc_features.simulators.compiled.arrays import ascending
 from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.symmetric import condense, factorise, is_diagonal
 
 
 @jit
@@ -33,40 +36,13 @@ def is_finite(array):
 
 
 @jit
-def is_diagonal(matrix):
-    """Whether all entries off the diagonal are zero."""
-    for i in range(matrix.shape[0]):
-        for j in range(i):
-            if matrix[i, j] != 0.0 or matrix[j, i] != 0.0:
-                return False
-    return True
-
-
-@jit
-def factorise(matrix, factor):
-    """Write the Cholesky factor of a matrix into the lower half of another; False if it is not definite."""
-    for i in range(matrix.shape[0]):
-        row = factor[i]
-        for j in range(i + 1):
-            other, total = factor[j], matrix[i, j]
-            for k in range(j):
-                total -= row[k] * other[k]
-            if j < i:
-                row[j] = total / other[j]
-            elif 0.0 < total < np.inf:
-                row[i] = np.sqrt(total)
-            else:
-                return False
-    return True
-
-
-@jit
 def spectral_shift(mass, stiffness):
     """`algebra.spectral_shift`."""
     inertia, spring = 0.0, 0.0
     for i in range(mass.shape[0]):
-        inertia += mass[i, i]
-        spring += stiffness[i, i]
+        if mass[i, i] > 0.0:
+            inertia += mass[i, i]
+            spring += stiffness[i, i]
     return ZERO_STIFFNESS * (abs(spring) / inertia if spring != 0.0 else 1.0)
 
 
@@ -89,7 +65,7 @@ def reduce_diagonal(mass, stiffness, reduced):
 def reduce_full(mass, stiffness, factor, reduced):
     """Write F, and F^-1 K F^-T; False if M is not positive definite."""
     n = mass.shape[0]
-    if not factorise(mass, factor):
+    if not factorise(mass, factor, MASSLESS):
         return False
     half = np.empty((n, n))  # F^-1 K
     for i in range(n):
@@ -185,38 +161,11 @@ def normalise(mass, stiffness, diagonal, omega, shapes):
 
 
 @jit
-def dense_modes(mass, stiffness, omega, shapes):
-    """Lowest modes of a structure, if it is admissible.
+def lowest_shapes(mass, stiffness, diagonal, factor, reduced, shapes):
+    """Write the lowest modes, unscaled, into the rows (m, n); False if M is not positive definite.
 
-    Parameters
-    ----------
-    mass, stiffness : array (n, n)
-        [kg] and [N/m], symmetric; only read.
-    omega, shapes : array (m,), (m, n)
-        Written: [rad/s], ascending, exactly zero for rigid-body modes; **rows** are mass-normalised, the
-        largest entry of each positive.
-
-    Returns
-    -------
-    bool
-        False, the arrays then undefined, where M is not positive definite or some omega^2 is negative.
-
-    Notes
-    -----
-    O(n^3), for n = 100 spent in LAPACK's syevd. Agrees with `algebra.natural_modes` to rounding
-    (tests/simulators/test_linear_kernels.py).
+    `diagonal` says whether M is, `factor` and `reduced` (n, n) are overwritten.
     """
-    n = mass.shape[0]
-    if not (is_finite(mass) and is_finite(stiffness)):
-        return False
-    factor, reduced = np.empty((n, n)), np.empty((n, n))
-    shift = spectral_shift(mass, stiffness)
-    for i in range(n):
-        for j in range(i + 1):
-            reduced[i, j] = stiffness[i, j] + shift * mass[i, j]
-    if not factorise(reduced, factor):
-        return False
-    diagonal = is_diagonal(mass)
     if diagonal:
         possible = reduce_diagonal(mass, stiffness, reduced)
     else:
@@ -228,4 +177,68 @@ def dense_modes(mass, stiffness, omega, shapes):
     except Exception:  # noqa: BLE001  the iteration did not converge; compiled code knows no other class
         return False
     physical_shapes(mass, factor, diagonal, vectors, shapes)
-    return normalise(mass, stiffness, diagonal, omega, shapes)
+    return True
+
+
+@jit
+def condensed_shapes(mass, stiffness, shapes):
+    """As `lowest_shapes`, of an M that is singular; number of modes found, or 0.
+
+    The rows behind them are motions without mass, phi' K phi = 1.
+    """
+    possible, others, static, motions = condense(mass, stiffness)
+    rank, count = others.size, min(others.size, shapes.shape[0])
+    if not possible or rank in (0, mass.shape[0]):
+        return 0
+    own_mass, own_shapes = np.empty((rank, rank)), np.empty((count, rank))
+    for i in range(rank):
+        for j in range(rank):
+            own_mass[i, j] = mass[others[i], others[j]]
+    own_stiffness = np.dot(np.dot(static, stiffness), static.T)
+    factor, reduced = np.empty((rank, rank)), np.empty((rank, rank))
+    if not lowest_shapes(own_mass, own_stiffness, is_diagonal(own_mass), factor, reduced, own_shapes):
+        return 0
+    shapes[:count] = np.dot(own_shapes, static)
+    shapes[count:] = motions[: len(shapes) - count]
+    return count
+
+
+@jit
+def dense_modes(mass, stiffness, omega, shapes):
+    """Lowest modes of a structure, if it is admissible.
+
+    Parameters
+    ----------
+    mass, stiffness : array (n, n)
+        [kg] and [N/m], symmetric; only read.
+    omega, shapes : array (m,), (m, n)
+        Written: [rad/s], ascending, exactly zero for rigid-body modes; **rows** are mass-normalised, the
+        largest entry of each positive. Beyond the rank of M omega is infinite and the rows are motions
+        without mass, orthogonal and normalised by K.
+
+    Returns
+    -------
+    bool
+        False, the arrays then undefined, where M or some omega^2 is negative, or K not positive definite on
+        what has no mass.
+
+    Notes
+    -----
+    O(n^3), for n = 100 spent in LAPACK's syevd. Agrees with `algebra.natural_modes` to rounding
+    (tests/simulators/test_linear_kernels.py).
+    """
+    n, count = mass.shape[0], omega.size
+    if not (is_finite(mass) and is_finite(stiffness)):
+        return False
+    factor, reduced = np.empty((n, n)), np.empty((n, n))
+    shift = spectral_shift(mass, stiffness)
+    for i in range(n):
+        for j in range(i + 1):
+            reduced[i, j] = stiffness[i, j] + shift * mass[i, j]
+    if not factorise(reduced, factor, 0.0):
+        return False
+    diagonal = is_diagonal(mass)
+    if not lowest_shapes(mass, stiffness, diagonal, factor, reduced, shapes):
+        count = condensed_shapes(mass, stiffness, shapes)
+        omega[count:] = np.inf
+    return count > 0 and normalise(mass, stiffness, diagonal, omega[:count], shapes[:count])

@@ -1,8 +1,8 @@
 """Response and misfits of linear structures: any M, C and K, several supports or forces.
 
 All functions take a `LinearParameters`, an `Excitation` and the `Outputs` wanted, see `arguments`. Where the
-parameters describe no structure the result is NaN: M(theta) is not positive definite, K(theta) has a negative
-eigenvalue, or the damping is negative.
+parameters describe no structure the result is NaN: M(theta) or K(theta) has a negative eigenvalue, they are
+singular on the same motion, M(theta) has fewer modes than are kept, or the damping is negative.
 """
 
 import numpy as np

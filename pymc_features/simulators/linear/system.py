@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from pymc_features.algebra import is_definite, natural_modes, shifted_factor, spectral_shift
+from pymc_features.algebra import massless_motions, natural_modes, shifted_factor, spectral_shift
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.dense import dense_modes
@@ -29,7 +29,8 @@ class System(NamedTuple):
     shapes : array (n, m)
         Phi, mass-normalised columns.
     others : tuple of arrays or None
-        omega and shapes of the modes left out, where they are at hand.
+        omega and shapes of the modes left out, where they are at hand; omega is infinite, and phi' K phi = 1,
+        of motions without mass.
     modal_damping : array (m,) or (m, m)
         D [1/s], its diagonal 2 zeta omega if the damping is classical.
     load : array (n, d)
@@ -83,7 +84,7 @@ def solve_system(a: Arguments, *, left_out=False, known=None) -> System | None:
 
 
 def admissible_modes(mass, stiffness, n_modes):
-    """(factor, omega, shapes); None alone where M is not positive definite or some omega^2 is negative.
+    """(factor, omega, shapes); None alone where M or an omega^2 is negative, or K fails where no mass is.
 
     The factor, of K + shift M, is None of dense matrices.
     """
@@ -91,13 +92,16 @@ def admissible_modes(mass, stiffness, n_modes):
         omega, rows = np.empty(n_modes), np.empty((n_modes, mass.shape[0]))
         found = dense_modes(writable(mass), writable(stiffness), omega, rows)
         return (None, omega, rows.T) if found else (None,)
-    if not (np.isfinite(mass.data).all() and np.isfinite(stiffness.data).all() and is_definite(mass)):
+    if not (np.isfinite(mass.data).all() and np.isfinite(stiffness.data).all()):
+        return (None,)
+    massless = massless_motions(mass)
+    if massless is None or not massless.rank or not massless.are_held(stiffness):
         return (None,)
     factor = shifted_factor(mass, stiffness)
     if factor is None:
         return (None,)
     try:
-        return factor, *natural_modes(mass, stiffness, n_modes, factor)
+        return factor, *natural_modes(mass, stiffness, n_modes, factor, massless)
     except (np.linalg.LinAlgError, RuntimeError):  # modes that cannot be found
         return (None,)
 

@@ -98,4 +98,4 @@ def modes_of(structure, n_modes):
     """The lowest modes of a structure."""
     if structure.has_storeys:
         return structure.modes()
-    return structure.modes(min(n_modes or MOST_MODES, structure.n_dof))
+    return structure.modes(min(n_modes or MOST_MODES, structure.n_modes))
