@@ -64,56 +64,72 @@ def factorise_semidefinite(matrix, factor, independent):
 
 @jit
 def null_space(factor, independent, motions):
-    """Write the null space, rows (k, n), of a matrix from its `factorise_semidefinite`.
+    """Write the null space, rows (k, n) of zeros before, of a matrix from its `factorise_semidefinite`.
 
     Each is one in its own dependent row, zero in the others.
     """
-    dependent = np.flatnonzero(~independent)
-    for r in range(dependent.size):
-        motion, i = motions[r], dependent[r]
-        motion[:i] = -factor[i, :i]
-        motion[i:] = 0.0
+    r = 0
+    for i in range(independent.size):
+        if independent[i]:
+            continue
+        motion = motions[r]
+        for j in range(i):
+            motion[j] = -factor[i, j]
         for k in range(i - 1, -1, -1):
             if independent[k]:
-                multipliers = factor[k]
-                motion[k] /= multipliers[k]
+                motion[k] /= factor[k, k]
                 for j in range(k):
-                    motion[j] -= motion[k] * multipliers[j]
+                    motion[j] -= motion[k] * factor[k, j]
         motion[i] = 1.0
+        r += 1
 
 
 @jit
-def condense(mass, stiffness):
+def condense(mass, stiffness, independent):
     """Static condensation of motions without mass.
+
+    Parameters
+    ----------
+    mass, stiffness : array (n, n)
+    independent : bool (n,)
+        Written: degrees of freedom with mass, as many as M has ranks.
 
     Returns
     -------
     possible : bool
         False, the rest then undefined, where M is not positive semi-definite or K not definite on its null
         space.
-    others : integer array (r,)
-        Degrees of freedom with mass, r the rank of M.
     shapes : array (r, n)
-        Rows: unit displacements of `others`, what has no mass following.
+        Rows: unit displacements of the degrees of freedom with mass, what has none following.
     motions : array (n - r, n)
         Rows: the null space of M, x' K y of any two 1 or 0.
     """
     n = mass.shape[0]
-    factor, independent = np.zeros((n, n)), np.zeros(n, dtype=np.bool_)
+    factor, rank = np.empty((n, n)), 0
     possible = factorise_semidefinite(mass, factor, independent)
-    others = np.flatnonzero(independent)
-    motions, shapes = np.empty((n - others.size, n)), np.zeros((others.size, n))
-    if not possible:
-        return False, others, shapes, motions
-    null_space(factor, independent, motions)
-    held, root = np.dot(np.dot(motions, stiffness), motions.T), np.zeros((len(motions), len(motions)))
-    if not factorise(held, root, UNHELD):
-        return False, others, shapes, motions
-    for i in range(root.shape[0]):
-        for j in range(i):
-            motions[i] -= root[i, j] * motions[j]
-        motions[i] /= root[i, i]
-    shapes -= np.dot(np.dot(stiffness[others], motions.T), motions)
-    for r in range(others.size):
-        shapes[r, others[r]] += 1.0
-    return True, others, shapes, motions
+    for i in range(n):
+        rank += independent[i]
+    motions, shapes = np.zeros((n - rank, n)), np.zeros((rank, n))
+    if possible:
+        null_space(factor, independent, motions)
+        loads = np.dot(motions, stiffness)
+        held, root = np.dot(loads, motions.T), np.empty((n - rank, n - rank))
+        possible = factorise(held, root, UNHELD)
+    if possible:
+        for i in range(n - rank):
+            for j in range(i + 1):
+                share = root[i, j]
+                for k in range(n):
+                    if j < i:
+                        motions[i, k] -= share * motions[j, k]
+                        loads[i, k] -= share * loads[j, k]
+                    else:
+                        motions[i, k] /= share
+                        loads[i, k] /= share
+        static, r = np.dot(loads.T, motions), 0
+        for i in range(n):
+            if independent[i]:
+                for k in range(n):
+                    shapes[r, k] = (1.0 if k == i else 0.0) - static[i, k]
+                r += 1
+    return possible, shapes, motions

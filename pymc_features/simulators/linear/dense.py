@@ -186,20 +186,29 @@ def condensed_shapes(mass, stiffness, shapes):
 
     The rows behind them are motions without mass, phi' K phi = 1.
     """
-    possible, others, static, motions = condense(mass, stiffness)
-    rank, count = others.size, min(others.size, shapes.shape[0])
-    if not possible or rank in (0, mass.shape[0]):
+    n, independent = mass.shape[0], np.empty(mass.shape[0], dtype=np.bool_)
+    possible, static, motions = condense(mass, stiffness, independent)
+    rank = static.shape[0]
+    count = min(rank, shapes.shape[0])
+    if not possible or rank == 0 or rank == n:
         return 0
-    own_mass, own_shapes = np.empty((rank, rank)), np.empty((count, rank))
-    for i in range(rank):
-        for j in range(rank):
-            own_mass[i, j] = mass[others[i], others[j]]
+    own_mass, r = np.empty((rank, rank)), 0
+    for i in range(n):
+        if independent[i]:
+            s = 0
+            for j in range(n):
+                if independent[j]:
+                    own_mass[r, s] = mass[i, j]
+                    s += 1
+            r += 1
     own_stiffness = np.dot(np.dot(static, stiffness), static.T)
-    factor, reduced = np.empty((rank, rank)), np.empty((rank, rank))
+    factor, reduced, own_shapes = np.empty((rank, rank)), np.empty((rank, rank)), np.empty((count, rank))
     if not lowest_shapes(own_mass, own_stiffness, is_diagonal(own_mass), factor, reduced, own_shapes):
         return 0
-    shapes[:count] = np.dot(own_shapes, static)
-    shapes[count:] = motions[: len(shapes) - count]
+    np.dot(own_shapes, static, shapes[:count])
+    for r in range(count, shapes.shape[0]):
+        for k in range(n):
+            shapes[r, k] = motions[r - count, k]
     return count
 
 
