@@ -43,10 +43,10 @@ def natural_modes(mass, stiffness, n_modes: int, factor=None, massless: Massless
     -----
     Dense: LAPACK, O(n^3), after static condensation of what has no mass. Sparse: implicitly restarted Lanczos
     on (K + shift M)^-1 M (ARPACK), whose shift lies below all eigenvalues, so that rigid-body modes do no
-    harm. Lanczos may miss a copy of a repeated frequency; the inertia of K - omega^2 M says how many there
-    are, and the search is widened until all are found. The eigenvalues are replaced by the Rayleigh quotients
-    of the vectors, whose error is the square of theirs: twenty frequencies of 2000 are right to 1e-11
-    (tests/simulators/test_linear.py).
+    harm, and in whose range are no motions without mass. Lanczos may miss a copy of a repeated frequency; the
+    inertia of K - omega^2 M says how many there are, and the search is widened until all are found. The
+    eigenvalues are replaced by the Rayleigh quotients of the vectors, whose error is the square of theirs:
+    twenty frequencies of 2000 are right to 1e-11 (tests/simulators/test_linear.py).
     """
     massless = massless or massless_motions(mass)
     if massless is None or n_modes > massless.rank:
@@ -104,8 +104,7 @@ def _lanczos(mass, stiffness, n_modes, factor, massless):
         bound = values[-1] - 1e-6 * (abs(values[-1]) + shift)
         below = count_below(mass, stiffness, bound)
         if below is None or below <= np.sum(values < bound):
-            # a step of inverse iteration takes out what has no mass
-            return factor.solve(mass @ shapes) if massless.dofs.size else shapes
+            return shapes
     if rank > MAX_DENSE:
         raise RuntimeError(
             f"{below} modes lie below the {n_modes} found by Lanczos iteration, which misses some. "

@@ -15,7 +15,7 @@ from pymc_features.prediction.history_file import HistoryFile
 from pymc_features.prediction.marched import Chains, Oscillators
 from pymc_features.prediction.simulated import Simulated
 from pymc_features.simulators.linear.system import is_coupled
-from pymc_features.simulators.quantities import Rows, checked_request, rows_of
+from pymc_features.simulators.quantities import HISTORIES, Rows, checked_request, rows_of
 from pymc_features.simulators.request import Request
 from pymc_features.simulators.simulate import check_arguments, simulate
 
@@ -45,8 +45,9 @@ def checked_responses(structure, records, names, settings) -> WantedResponses:
         check_arguments(structure, record)
         request, outputs = [checked_request(structure, record, name, **settings) for name in names][0]
         requests.append(request)
-        # two samples: whether the record fits the structure
-        simulate(structure, record.first(2), quantity=names[0], **settings)
+        # two samples: whether the record fits the structure; a base shear has no sensors
+        without = {"sensors": None} if HISTORIES[names[0]].dim == "support" else {}
+        simulate(structure, record.first(2), quantity=names[0], **(settings | without))
     return WantedResponses(records, requests, names, outputs, settings)
 
 

@@ -44,6 +44,13 @@ def two_supports(k):
     return pmf.LinearStructure(mass, stiffness=stiffness, damping=damping, influence=SHARE)
 
 
+def without_top_mass(k):
+    """The top has no mass and follows the floor below."""
+    mass, _, stiffness = chain(k).matrices()
+    mass[2, 2] = 0.0
+    return pmf.LinearStructure(mass, stiffness=stiffness, damping=RAYLEIGH)
+
+
 def bouc_wen(k):
     return pmf.HystereticChain(MASS, 400.0 * k, RAYLEIGH, yield_displacement=0.01, post_yield_ratio=0.1)
 
@@ -135,6 +142,19 @@ def test_several_supports_and_forces(idata, load, dt, n_modes):
     axes = pmf.plot_response_bands(found, "base_shear")
     assert axes[1].get_title() == "base shear, support 1"
     plots.close(axes)
+
+
+def test_what_has_no_mass(idata):
+    """Bands under the base's motion; under a force where no mass is, of the others and of the base shear."""
+    found = pmf.posterior_response(idata, without_top_mass, SHAKE, LINEAR)
+    for name in LINEAR:
+        slow = [pmf.simulate(without_top_mass(k), SHAKE, quantity=name).values for k in draws_of(idata)]
+        assert_bands(found, name, np.stack(slow))
+    push = pmf.Loading(SHAKE.acceleration, SHAKE.dt, kind="force", matrix=[[0.0], [0.0], [1.0]])
+    pmf.posterior_response(idata, without_top_mass, push, "base_shear")
+    pmf.posterior_response(idata, without_top_mass, push, sensors=[0, 1])
+    with pytest.raises(ValueError, match="`sensors` must lie on mass"):
+        pmf.posterior_response(idata, without_top_mass, push)
 
 
 def test_first_passage_under_several_loads(idata):
