@@ -194,7 +194,13 @@ def footbridge(data_dir):
     return mass, parts, found["measDOFs"].ravel().astype(int) - 1
 
 
-@kinds
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(np.asarray, id="dense", marks=pytest.mark.slow),
+        pytest.param(sparse.csc_array, id="sparse"),
+    ],
+)
 def test_frequencies_of_a_footbridge(kind, footbridge, published):
     """The published ones of the nominal model, to 1e-6, by structures and by the compiled kernel."""
     mass, parts, _ = footbridge
@@ -212,6 +218,7 @@ def test_frequencies_of_a_footbridge(kind, footbridge, published):
         np.testing.assert_allclose(omega, modes.angular_frequencies, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_derivative_of_a_footbridge(footbridge):
     """Tangent and gradient of five modes of the sparse model beside differences of the condensed one."""
     mass, parts, measured = footbridge
