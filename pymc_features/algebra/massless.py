@@ -112,7 +112,7 @@ def always_massless(masses) -> Massless:
     Rows of zeros, and all others where each matrix is semi-definite.
     """
     signed = (mass if mass.diagonal().sum() >= 0.0 else -mass for mass in masses)
-    found = massless_motions(sum(signed, start=0.0 * masses[0]))
+    found = massless_motions(sum(signed))
     if found is not None and all(is_rest(mass, found.motions) for mass in masses):
         return found
     empty, own = rows_of_zeros(masses)

@@ -117,6 +117,7 @@ class LinearStructure(Structure):
         self._modes = {}
         if isinstance(theta, Variable):
             masses, dampings, stiffnesses = (None if a is None else a.matrices() for a in self._terms)
+            check_connected(*(a and sum(map(abs, a)) for a in (masses, dampings, stiffnesses)))
             self._massless = always_massless(masses)
             if dampings is not None:
                 check_static_damping(dampings, stiffnesses, self._massless)

@@ -232,6 +232,20 @@ def test_damping_where_there_is_no_mass(kind):
     AffineStructure(mass, **softer, damping_terms=[0.0015 * stiffness]).with_parameters(theta)
 
 
+@kinds
+def test_a_model_with_a_node_that_nothing_holds(kind):
+    """Refused when it is built, whatever its parameters are; a term may hold what the constant does not."""
+    mass, stiffness, theta = (
+        kind(np.diag([1.0, 0.0])),
+        kind(np.diag([3.0, 0.0])),
+        pt.vector("theta", shape=(1,)),
+    )
+    given = dict(stiffness=stiffness, damping=UNDAMPED, theta=theta)
+    with pytest.raises(ValueError, match="`stiffness` must hold every .*, got a row of zeros for 1. Remove"):
+        AffineStructure(mass, stiffness_terms=[stiffness], **given)
+    AffineStructure(mass, stiffness_terms=[kind(np.eye(2))], **given)
+
+
 def test_refused_numbers_of_modes():
     structure = Cantilever().structure(THETA)
     for ask in (structure.modes, lambda n_modes: simulate(structure, noise_record(20), n_modes=n_modes)):
