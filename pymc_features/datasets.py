@@ -10,9 +10,10 @@ from urllib.parse import quote
 import numpy as np
 import xarray as xr
 from scipy import sparse
+from scipy.io import loadmat
 
 from pymc_features.exceptions import DatasetUnavailableError
-from pymc_features.io import read_channels, read_matrices, read_modal
+from pymc_features.io import read_channels, read_modal
 from pymc_features.modal import ModalData
 from pymc_features.records import Record
 
@@ -195,8 +196,8 @@ def footbridge() -> Footbridge:
     Returns
     -------
     Footbridge
-        Modes between 4.06 and 11.50 Hz, as means of 7 to 16 identifications each; matrices in the units of
-        the authors, inches and kips, in which frequencies are in Hz as well.
+        Modes between 4.06 and 11.50 Hz, as means of 7 to 16 identifications each. The matrices are not in SI
+        units, but in kips and inches by their size; angular frequencies are in rad/s.
 
     Raises
     ------
@@ -207,7 +208,7 @@ def footbridge() -> Footbridge:
 
     Notes
     -----
-    A mode shape is 1 at its largest entry, whose standard deviation is 0. The first two nominal modes are
+    Each mode shape is 1 at one channel, where its standard deviation is 0. The first two nominal modes are
     swapped against the measured ones: the lowest measured mode is the second of the model.
 
     References
@@ -219,8 +220,8 @@ def footbridge() -> Footbridge:
         _fetch(_Source(f"modal/footbridge/{file}", _BRIDGE + file, digest))
         for file, digest in _BRIDGE_FILES.items()
     )
-    found = read_matrices(matrices)
-    measured = np.asarray(found["measDOFs"], dtype=np.int64) - 1
+    found = loadmat(matrices)  # not by `read_matrices`: dense zeros, a hundred times the size of the file
+    measured = found["measDOFs"].astype(np.int64).ravel() - 1
     modal = read_modal(
         modes,
         names={
@@ -231,7 +232,7 @@ def footbridge() -> Footbridge:
         },
         channels=[f"dof {k}" for k in measured],
     )
-    parts = {name: sparse.csc_array(found[name]) for name in _BRIDGE_PARTS}
+    parts = {name: sparse.csc_array(found[name].astype(np.float64)) for name in _BRIDGE_PARTS}
     return Footbridge(modal, sparse.csc_array(found["M0"]), parts, measured)
 
 

@@ -203,9 +203,7 @@ def _nothing_in_common(modes, setups, parts, number, limits) -> ValueError:
     advice = "Raise `frequency_tolerance`, or leave this set-up out."
     if pairs[likely] and likely in RADIANS:
         whose = f"set-up {number}" if likely > 1.0 else "the others"
-        advice = (
-            f'They differ by 2 pi: are those of {whose} in rad/s? Read them with names={{"omega": ...}}.'
-        )
+        advice = f'They differ by 2 pi: are those of {whose} in rad/s? Read them with names={{"omega": ...}}.'
     elif pairs[likely]:
         best = max(mac(_reference(parts, m), part) for m in modes for part in parts[number])
         advice = (
