@@ -70,11 +70,7 @@ _EVENTS = {
     ),
 }
 
-_BRIDGE = (
-    "https://raw.githubusercontent.com/ywang-structures/Structural-Model-Updating/"
-    "79ee420aa5c51b6ab0ca77ba5abbb35a4ea772c4/Examples/SteelPedestrianBridge/Experiment/"
-    "Experiment_Model_Updating/"
-)
+_BRIDGE = "https://raw.githubusercontent.com/ywang-structures/Structural-Model-Updating/79ee420aa5c51b6ab0ca77ba5abbb35a4ea772c4/Examples/SteelPedestrianBridge/Experiment/Experiment_Model_Updating/"
 _BRIDGE_FILES = {
     "ExpModeInfo_FEM.mat": "c185a0ff1473d8ccf1dd93062df9e469df328de4c4832ecb8061cc4f2f21be82",
     "SteelPedestrianBridgeExp.mat": "eed1274c9fd2b89ba5f9da7c67548e4a48e25321288880aa7951de2c95be84af",
@@ -249,8 +245,8 @@ def _checked(path: Path, source: _Source) -> Path:
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     if digest != source.sha256:
         raise ValueError(
-            f"{path} must have the SHA-256 {source.sha256}, got {digest}. "
-            f"Replace it by the file from {source.url}."
+            f"{path} must have the SHA-256 {source.sha256}, got {digest}. Replace it by the file from "
+            f"{source.url}."
         )
     return path
 
@@ -268,7 +264,7 @@ def _download(source: _Source) -> Path:
         )
     except (OSError, ValueError) as error:  # no network, no cache folder, or other bytes
         raise DatasetUnavailableError(
-            f"{source.file} could not be downloaded from {source.url} ({error}). Set "
-            f"{DATA_VARIABLE} to a folder that holds it, or pass measured channels to `read_channels`."
+            f"{source.file} could not be downloaded from {source.url} ({error}). Set {DATA_VARIABLE} to a "
+            "folder that holds it, or pass measured channels to `read_channels`."
         ) from error
     return Path(path)

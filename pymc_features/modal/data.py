@@ -1,5 +1,6 @@
 """The modes that an identification found."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 
@@ -96,7 +97,7 @@ class ModalData:
         names = tuple(str(name).strip() for name in self.channels)
         if "" in names:
             raise ValueError(f"`channels` must have a name each, got none at index {names.index('')}.")
-        twice = sorted({name for name in names if names.count(name) > 1})
+        twice = [name for name, count in Counter(names).items() if count > 1]
         if twice:
             raise ValueError(
                 f"`channels` must have different names, got {', '.join(twice[:5])} more than once. Rename or "

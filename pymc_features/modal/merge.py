@@ -82,8 +82,8 @@ def merge_setups(
     least = check_number(least_mac, "least_mac")
     if not 0.0 < tolerance < 1.0:
         raise ValueError(
-            f"`frequency_tolerance` must be a fraction from 0 to 1, got {tolerance}. Divide a percentage "
-            "by 100."
+            f"`frequency_tolerance` must be a fraction from 0 to 1, got {tolerance}. Divide a percentage by "
+            "100."
         )
     if not 0.0 <= least <= 1.0:
         raise ValueError(f"`least_mac` must be from 0 to 1, got {least}.")
@@ -130,9 +130,8 @@ def _checked_references(setups, references) -> list[str]:
         holders = [number for number, setup in enumerate(setups) if name in setup.channels]
         if len(holders) > 1 and name not in references:
             raise ValueError(
-                f"`references` must name all channels that set-ups share, {name!r} is in set-ups "
-                f"{holders}. Add "
-                "it, or rename it in one of them if these are two channels."
+                f"`references` must name all channels that set-ups share, {name!r} is in set-ups {holders}. "
+                "Add it, or rename it in one of them if these are two channels."
             )
     return [str(name) for name in references]
 
@@ -207,7 +206,7 @@ def _nothing_in_common(modes, setups, parts, number, limits) -> ValueError:
     elif pairs[likely]:
         best = max(mac(_reference(parts, m), part) for m in modes for part in parts[number])
         advice = (
-            f"Frequencies agree, shapes do not: the best modal assurance criterion at the references is "
+            "Frequencies agree, shapes do not: the best modal assurance criterion at the references is "
             f"{best:.2f}. Check the names and senses of the reference channels, or lower `least_mac`."
         )
     return ValueError(
@@ -236,8 +235,6 @@ def _check_found(setups, modes, parts) -> None:
             if moving < STILL:
                 warn_modes(
                     f"The references hardly move in the mode at {setups[number].frequencies[k]:.4g} Hz of "
-                    "set-up "
-                    f"{number}, {moving:.2g} of its largest entry: its scale is uncertain. Leave the mode "
-                    "out by "
-                    "`select`, or name better `references`."
+                    f"set-up {number}, {moving:.2g} of its largest entry: its scale is uncertain. Leave the "
+                    "mode out by `select`, or name better `references`."
                 )

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import time
 import warnings
 from dataclasses import dataclass
 
@@ -182,7 +183,7 @@ TABLES = {
     ),
     "modes.csv must hold modes, there is none below its header": ("frequency,roof\n", {}),
     "modes.csv must hold modes, it is empty": ("\n\n", {}),
-    "`channels` must be among its columns .roof., got 'attic'": (
+    "`channels` must be among those of modes.csv .roof., got 'attic'": (
         "frequency,roof\n1,2\n",
         {"channels": ["attic"]},
     ),
@@ -196,7 +197,7 @@ TABLES = {
     ),
     "`channels` must be left out, got some for frequencies without shapes": (
         "frequency,damping\n1,0.1\n",
-        {"channels": []},
+        {"channels": {"roof": 0}},
     ),
 }
 TYPES = {
@@ -333,7 +334,7 @@ WRONG = {
     "frequency must have one number for each mode, got shape .3, 3.": (lists(frequency=SHAPES.tolist()), {}),
     "all must have one number for each mode, got frequency 3, damping 2": (lists(damping=[0.1, 0.1]), {}),
     "channels must be texts, got list": (lists(channels=[1, 2, 3]), {}),
-    "`shapes` must have shape .mode, channel. = .3, 2., got .3, 3.": (lists(channels=["a", "b"]), {}),
+    "channels must name the 3 rows of shapes, got 2 names. Correct": (lists(channels=["a", "b"]), {}),
     "`channels` must have different names, got a more than once": (lists(channels=["a", "b", "a"]), {}),
     "must hold named arrays, got objects inside: one, two. Pass one of these, read by yourself": (
         {"one": lists(), "two": lists()},
@@ -356,6 +357,16 @@ def test_variables_that_are_refused(tmp_path, variables, options, match):
         read_modal(path, **options)
     with pytest.raises(ValueError, match=f"`source`.*{match}"):
         read_modal(variables, **options)
+
+
+def test_many_columns(tmp_path):
+    """In time proportional to them, as long as a line may be."""
+    names = [f"n{k}" for k in range(25_000)]
+    text = "frequency," + ",".join(names) + "\n1.0," + ",".join(["1"] * len(names)) + "\n"
+    start = time.perf_counter()
+    modal = read_modal(save(tmp_path, text), channels=names[::-1])
+    assert modal.channels == tuple(names[::-1])
+    assert time.perf_counter() - start < 2.0
 
 
 JSON = {

@@ -244,6 +244,13 @@ def test_refusals(tmp_path, text, match):
         read_modal(path)
 
 
+def test_shapes_much_larger_than_the_file(tmp_path):
+    """Thousands of modes, each at a node of its own, are refused before memory is taken for them."""
+    text = "".join(files.normal_55(0, nodes=(k,), values=np.ones((1, 6))) for k in range(1, 2501))
+    with pytest.raises(ValueError, match="modes.uff must not hold arrays of more than 20 times its size"):
+        read_modal(save(tmp_path, text))
+
+
 def test_names_are_those_of_the_file(tmp_path):
     path = save(tmp_path, files.UNIVERSAL)
     modal = read_modal(path, channels={"roof": "12Z", "first": "1Z"})

@@ -46,15 +46,14 @@ def read(path: Path) -> tuple[list[Channel], None]:
             sets = [file.read_sets(k) for k, kind in enumerate(kinds) if str(kind) == FUNCTIONS]
     except Exception as error:  # each damaged file fails in its own way, inside the parser
         raise ValueError(
-            f"{path.name} must be a whole {NAME}, pyuff cannot read it ({shortened(error)}). Fetch the "
-            "file again."
+            f"{path.name} must be a whole {NAME}, pyuff cannot read it ({shortened(error)}). Fetch the file "
+            "again."
         ) from error
     if not sets:
         held = ", ".join(dict.fromkeys(str(kind) for kind in kinds)) or "none"
         raise ValueError(
-            f"{path.name} ({NAME}) must hold time histories in data sets 58, got the data sets "
-            f"{held[:200]}. Read "
-            "identified modes by `read_modal`."
+            f"{path.name} ({NAME}) must hold time histories in data sets 58, got the data sets {held[:200]}. "
+            "Read identified modes by `read_modal`."
         )
     channels = [_channel(path.name, found) for found in sets]
     begins = {float(found["x"][0]) for found in sets}
@@ -74,8 +73,7 @@ def _channel(file: str, found: dict) -> Channel:
     if found["func_type"] != TIME_RESPONSE or np.iscomplexobj(found["data"]):
         raise ValueError(
             f"{file} ({NAME}), {name}: functions must be time histories, type 1, got type "
-            f"{found['func_type']}. Identify "
-            "the modes from frequency response functions first."
+            f"{found['func_type']}. Identify the modes from frequency response functions first."
         )
     if found["ordinate_spec_data_type"] not in ACCELERATION:
         raise ValueError(
@@ -85,9 +83,8 @@ def _channel(file: str, found: dict) -> Channel:
     values, times = np.asarray(found["data"], dtype=np.float64), np.asarray(found["x"], dtype=np.float64)
     if values.size != found["num_pts"] or times.size != values.size or values.size < 2:
         raise ValueError(
-            f"{file} ({NAME}), {name}: the {found['num_pts']} samples of the header must be there, at "
-            "least 2, got "
-            f"{values.size}. Fetch the file again."
+            f"{file} ({NAME}), {name}: the {found['num_pts']} samples of the header must be there, at least "
+            f"2, got {values.size}. Fetch the file again."
         )
     if not np.isfinite(times).all():
         raise ValueError(

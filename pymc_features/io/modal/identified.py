@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.modal import ModalData
-from pymc_features.modal.data import listed
+from pymc_features.modal.data import find_channels, listed
 from pymc_features.modal.shapes import COLLINEAR, warn_modes
 
 DAMPED = 0.3  # a damping ratio above it is more likely a percentage
@@ -73,14 +73,19 @@ def _named(found: Identified, channels) -> tuple[list[str], list[int]]:
     if found.shapes is None:
         if channels is not None:
             raise ValueError(
-                "`channels` must be left out, got some for frequencies without shapes. Pass `names` with the "
-                "shapes."
+                "`channels` must be left out, got some for frequencies without shapes. Pass `names` with "
+                "the shapes."
             )
         return [], []
     count = found.shapes.shape[1]
-    own = found.channels
+    own = None if found.channels is None else [name.strip() for name in found.channels]
+    if own is not None and len(own) != count:
+        raise ValueError(
+            f"channels must name the {count} rows of shapes, got {len(own)} names. Correct one of them."
+        )
     if isinstance(channels, Mapping):
-        return [str(name) for name in channels], [_column(key, own, count) for key in channels.values()]
+        places = {} if own is None else {name: index for index, name in enumerate(own)}
+        return [str(name) for name in channels], [_column(key, places, count) for key in channels.values()]
     if channels is None:
         return (own if own is not None else [f"channel {k}" for k in range(count)]), list(range(count))
     if isinstance(channels, str) or not isinstance(channels, Sequence | np.ndarray):
@@ -88,41 +93,36 @@ def _named(found: Identified, channels) -> tuple[list[str], list[int]]:
             "`channels` must be a sequence of names, or a mapping of names to those in the source, got "
             f"{channels!r}."
         )
+    names = [str(name).strip() for name in channels]
     if own is not None:
-        return [str(name) for name in channels], [_column(key, own, count) for key in channels]
-    if len(channels) != count:
+        return names, find_channels(names, own, "the source")
+    if len(names) != count:
         raise ValueError(
-            f"`channels` must name all {count} channels of shapes without names, got {len(channels)}. Pass a "
+            f"`channels` must name all {count} channels of shapes without names, got {len(names)}. Pass a "
             "mapping of names to their numbers (from 0) to take some."
         )
-    return [str(name) for name in channels], list(range(count))
+    return names, list(range(count))
 
 
-def _column(key, own: list[str] | None, count: int) -> int:
+def _column(key, places: dict[str, int], count: int) -> int:
     """The place of a channel, by its name or number in the source."""
-    if isinstance(key, str) and own is not None:
-        places = [index for index, name in enumerate(own) if name.strip() == key.strip()]
-    elif isinstance(key, int | np.integer) and not isinstance(key, bool):
-        places = [int(key)] if 0 <= key < count else []
-    else:
-        places = []
-    if len(places) != 1:
-        what = listed(own) if own is not None else f"0 to {count - 1}, without names"
-        raise ValueError(
-            f"`channels` must be among those of the source ({what}), got {key!r}. Pass the name or the "
-            "number "
-            "(from 0) of one."
-        )
-    return places[0]
+    if isinstance(key, str) and key.strip() in places:
+        return places[key.strip()]
+    if isinstance(key, int | np.integer) and not isinstance(key, bool) and 0 <= key < count:
+        return int(key)
+    what = listed(list(places)) if places else f"0 to {count - 1}, without names"
+    raise ValueError(
+        f"`channels` must be among those of the source ({what}), got {key!r}. Pass the name or the number "
+        "(from 0) of one."
+    )
 
 
 def _check_plausible(modal: ModalData, source: str) -> None:
     """Warn of numbers in what is probably another unit."""
     if modal.damping_ratios is not None and (modal.damping_ratios > DAMPED).any():
         warn_modes(
-            f"{source}: a damping ratio of {np.nanmax(modal.damping_ratios):.3g} of critical is "
-            "implausible. Name "
-            "it `damping_percent` if that is a percentage."
+            f"{source}: a damping ratio of {np.nanmax(modal.damping_ratios):.3g} of critical is implausible. "
+            "Name it `damping_percent` if that is a percentage."
         )
     if modal.frequency_sd is not None and (modal.frequency_sd > SPREAD * modal.frequencies).any():
         mode = int(np.argmax(modal.frequency_sd / modal.frequencies))
@@ -141,7 +141,6 @@ def _check_phases(modal: ModalData, source: str) -> None:
         modes = ", ".join(f"{modal.frequencies[k]:.4g} Hz: {collinearity[k]:.2f}" for k in low[:8])
         warn_modes(
             f"{source}: the phases of some shapes differ (modal phase collinearity of 1 is in phase; "
-            f"{modes}), and "
-            "their imaginary parts are left out. Leave out modes that are noise, or keep complex shapes by "
-            "real=False."
+            f"{modes}), and their imaginary parts are left out. Leave out modes that are noise, or keep "
+            "complex shapes by real=False."
         )

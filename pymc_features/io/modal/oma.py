@@ -1,7 +1,7 @@
 """Results of pyOMA2, by the attributes that its documentation states; the library itself is not imported.
 
 `Fn` (m,) [Hz], `Phi` (s, m), and where the algorithm gives them `Xi` (m,), `Fn_std`, `Xi_std` (m,) and
-`Phi_std` (s, m).
+`Phi_std` (s, m). Those of merged set-ups are how much the set-ups scatter.
 
 Pasca, D. P. and Margoni, D. F. (2024), pyOMA2, https://github.com/dagghe/pyOMA2.
 """
@@ -42,9 +42,8 @@ def read_oma(source) -> Identified:
     if isinstance(result, Mapping):
         if len(result) != 1:
             raise ValueError(
-                f"`source` must be one result, got {name} with {listed([repr(key) for key in result])}. "
-                "Pass one, such as "
-                "source.result[...]."
+                f"`source` must be one result, got {name} with {listed([repr(key) for key in result])}. Pass "
+                "one, such as source.result[...]."
             )
         result = next(iter(result.values()))
     if getattr(result, "Fn", None) is None or getattr(result, "Phi", None) is None:
@@ -75,7 +74,6 @@ def _matrix(values, attribute: str, count: int, name: str) -> np.ndarray | None:
     if array.ndim != 2 or array.shape[1] != count:
         raise ValueError(
             f"`source` must have {attribute} of shape (channel, mode) for {count} modes, got {array.shape} "
-            f"of {name}. "
-            "Pick the modes again."
+            f"of {name}. Pick the modes again."
         )
     return array.T

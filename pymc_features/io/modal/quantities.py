@@ -73,8 +73,7 @@ def quantity_of(label: str, source: str) -> str | None:
         if base is None and brackets:
             raise ValueError(
                 f"{source}: units must be {', '.join(u for u in UNITS[WORDS[start]] if u)}, got {label!r}. "
-                "Convert "
-                "the numbers first."
+                "Convert the numbers first."
             )
     elif rest:
         return None
@@ -92,9 +91,8 @@ def check_names(names) -> dict[str, str]:
     for key in names:
         if key not in NAMES:
             raise ValueError(
-                f"`names` must have keys among {', '.join(NAMES)}, got {key!r}. Its values are what the "
-                "file calls "
-                "them."
+                f"`names` must have keys among {', '.join(NAMES)}, got {key!r}. Its values are what the file "
+                "calls them."
             )
     return {key: str(value) for key, value in names.items()}
 
@@ -114,9 +112,8 @@ def labelled_quantities(labels: list[str], names: dict[str, str], source: str) -
         ]
         if len(places) != 1:
             raise ValueError(
-                f"`names` must give names of {source} ({listed(labels)}), got {name!r} for {quantity}, "
-                "which is there "
-                f"{len(places)} times. Pass one of these."
+                f"`names` must give names of {source} ({listed(labels)}), got {name!r} for {quantity}, which "
+                f"is there {len(places)} times. Pass one of these."
             )
         found[quantity] = places[0]
     for index, label in enumerate(labels):
@@ -128,8 +125,7 @@ def labelled_quantities(labels: list[str], names: dict[str, str], source: str) -
         if quantity in found:
             raise ValueError(
                 f"{source}: {quantity} must be there once, got {labels[found[quantity]]!r} and {label!r}. "
-                "Leave out "
-                "one of them."
+                "Leave out one of them."
             )
         found[quantity] = index
     if not {"frequency", "omega", "eigenvalue"} & found.keys():
@@ -179,9 +175,8 @@ def mode_values(found: dict[str, np.ndarray], source: str) -> ModeValues:
             same = np.allclose(2.0 * np.pi * again, frequencies, rtol=0.01, atol=0.0)
             advice = f"Is {first} in rad/s? Name it omega." if same else "Leave out the wrong one."
             raise ValueError(
-                f"{source}: {first} and {name} must agree, got {frequencies[0]:.4g} and {again[0]:.4g} Hz "
-                "of the first "
-                f"mode. {advice}"
+                f"{source}: {first} and {name} must agree, got {frequencies[0]:.4g} and {again[0]:.4g} Hz of "
+                f"the first mode. {advice}"
             )
         frequency_sd = spread if frequency_sd is None else frequency_sd
     for factor, name in ((1.0, "damping"), (0.01, "damping_percent")):
@@ -199,8 +194,7 @@ def _check_beside(values, source: str) -> None:
         if name.removesuffix("_sd") not in values:
             raise ValueError(
                 f"{source}: {name} must stand beside {name.removesuffix('_sd')}, got {', '.join(values)}. "
-                "Name both "
-                "in one unit."
+                "Name both in one unit."
             )
     if {"damping", "damping_percent"} <= values.keys():
         raise ValueError(

@@ -10,6 +10,7 @@ An empty cell, or nan, is an entry that was not measured. Complex entries are wr
 
 import csv
 import re
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from pymc_features.io.modal.identified import Identified
 from pymc_features.io.modal.quantities import SPREADS, labelled_quantities, mode_values, quantity_of
 from pymc_features.io.reading.lines import LONGEST_NUMBER, Lines, to_number
 from pymc_features.io.tables.brackets import without_brackets
-from pymc_features.modal.data import listed
+from pymc_features.modal.data import find_channels, listed
 
 SEPARATORS = ("\t", ";", ",")
 COMMENTS = ("#", "%", "//")
@@ -65,17 +66,17 @@ def read_table(path: Path, names: dict[str, str], wanted: list | None) -> Identi
         *spreads.values(),
     ]
     columns = {place: [] for place in used}
+    entries = set(channels.values())
     for number, line in rows:
         where = f"{path.name}, line {number}"
         cells = _cells(line, separator, where)
         if len(cells) != len(header):
             raise ValueError(
-                f"{where}: rows must have {len(header)} cells like the header, got {len(cells)}. Complete "
-                "or cut the "
-                "row; a decimal comma must be a point."
+                f"{where}: rows must have {len(header)} cells like the header, got {len(cells)}. Complete or "
+                "cut the row; a decimal comma must be a point."
             )
         for place in columns:
-            columns[place].append(_number(cells[place], header[place], where, place in channels.values()))
+            columns[place].append(_number(cells[place], header[place], where, place in entries))
     if not columns[used[0]]:
         raise ValueError(
             f"{path.name} must hold modes, there is none below its header. Add a row for each mode."
@@ -106,8 +107,7 @@ def _check_header(file: str, header: list[str], rows, separator: str) -> None:
     if to_number(header[0]) is not None:
         raise ValueError(
             f"{file} must have the names of its columns in the first line, got the number {header[0]!r}. "
-            "Write them "
-            "above the numbers, frequency among them."
+            "Write them above the numbers, frequency among them."
         )
     labels = [label for label in header[1:] if to_number(label) is None]
     if len(header) > 1 and not labels and quantity_of(header[0], file) is not None:
@@ -121,26 +121,20 @@ def _channels(file: str, header, places, wanted) -> tuple[dict[str, int], dict[s
     """Columns of the channels, and of the standard deviations of their entries, by name of the channel."""
     rest = [(index, label) for index, label in enumerate(header) if index not in places.values()]
     if wanted is not None:
-        names = [without_brackets(label) or label for _, label in rest]
-        unknown = [name for name in wanted if name not in names]
-        if unknown:
-            raise ValueError(
-                f"{file}: `channels` must be among its columns ({listed(names)}), got {unknown[0]!r}. Pass "
-                "one of these."
-            )
-        rest = [(index, label) for index, label in rest if _is_wanted(label, wanted)]
+        find_channels(wanted, [without_brackets(label) or label for _, label in rest], file)
+        names = set(wanted)
+        rest = [(index, label) for index, label in rest if _is_wanted(label, names)]
     bare = [without_brackets(label) or label for _, label in rest]
     if "" in bare:
         index = rest[bare.index("")][0]
         raise ValueError(
             f"{file}: columns must have names, number {index + 1} of the header has none. Add one."
         )
-    twice = sorted({name for name in bare if bare.count(name) > 1})
+    twice = [name for name, count in Counter(bare).items() if count > 1]
     if twice:
         raise ValueError(
             f"{file}: channels must have different names, got {listed(twice)} more than once. Rename or "
-            "leave out one "
-            "of each."
+            "leave out one of each."
         )
     named = dict(zip(bare, (index for index, _ in rest), strict=True))
     spreads = {}
@@ -148,11 +142,12 @@ def _channels(file: str, header, places, wanted) -> tuple[dict[str, int], dict[s
         base, _, end = name.rpartition("_")
         if end.lower() in SPREADS and base in named:
             spreads[base] = named[name]
-    channels = {name: index for name, index in named.items() if index not in spreads.values()}
+    taken = set(spreads.values())
+    channels = {name: index for name, index in named.items() if index not in taken}
     return channels, spreads
 
 
-def _is_wanted(label: str, wanted: list) -> bool:
+def _is_wanted(label: str, wanted: set[str]) -> bool:
     name = without_brackets(label) or label
     base, _, end = name.rpartition("_")
     return name in wanted or (end.lower() in SPREADS and base in wanted)
@@ -179,7 +174,6 @@ def _number(cell: str, label: str, where: str, may_be_complex: bool):
         shown = cell if len(cell) <= 60 else f"{cell[:60]}..."
         raise ValueError(
             f"{where}: the column {label!r} must hold numbers, got {shown!r}. Correct it, or leave the "
-            "column out by "
-            "`channels`."
+            "column out by `channels`."
         )
     return number

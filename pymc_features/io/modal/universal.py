@@ -94,9 +94,8 @@ def _no_modes(path: Path, others: list[str]) -> ValueError:
             "`read_channels`."
         )
     return ValueError(
-        f"{path.name} ({NAME}) must hold modes, in data sets 55 or 2414 of normal or complex modes, got "
-        "the data "
-        f"sets {held[:200]}. {advice}"
+        f"{path.name} ({NAME}) must hold modes, in data sets 55 or 2414 of normal or complex modes, got the "
+        f"data sets {held[:200]}. {advice}"
     )
 
 

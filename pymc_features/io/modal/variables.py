@@ -58,8 +58,7 @@ def read_json_modes(path: Path, names: dict[str, str]) -> Identified:
     if size > MOST_JSON:
         raise ValueError(
             f"{path.name} must have at most {MOST_JSON // 2**20} MiB, got {size} bytes. Save the modes "
-            "alone, or as "
-            ".mat."
+            "alone, or as .mat."
         )
     try:
         found = json.loads(decoded(path.read_bytes()), object_pairs_hook=_once)
@@ -69,9 +68,8 @@ def read_json_modes(path: Path, names: dict[str, str]) -> Identified:
         ) from None
     if not isinstance(found, dict):
         raise ValueError(
-            f"{path.name} must hold one JSON object of named arrays, got a {type(found).__name__}. Give "
-            "them names, "
-            "frequency among them."
+            f"{path.name} must hold one JSON object of named arrays, got a {type(found).__name__}. Give them "
+            "names, frequency among them."
         )
     return from_variables(found, path.name, names)
 
@@ -97,9 +95,8 @@ def from_variables(variables: Mapping, source: str, names: dict[str, str]) -> Id
     inside = [label for label, value in zip(labels, contents, strict=True) if isinstance(value, Mapping)]
     if inside and len(inside) == len(labels):
         raise ValueError(
-            f"{source} must hold named arrays, got objects inside: {listed(inside)}. Pass one of these, "
-            "read by "
-            "yourself, instead of the file."
+            f"{source} must hold named arrays, got objects inside: {listed(inside)}. Pass one of these, read "
+            "by yourself, instead of the file."
         )
     places = labelled_quantities(labels, names, source)
     found = {name: contents[place] for name, place in places.items() if name != "mode"}
@@ -110,8 +107,8 @@ def from_variables(variables: Mapping, source: str, names: dict[str, str]) -> Id
         imaginary = _matrix(found, "shapes_imaginary", count, source)
         if shapes is None or shapes.shape != imaginary.shape or shapes.dtype.kind == "c":
             raise ValueError(
-                f"{source}: shapes_imaginary must stand beside real shapes of its size, got other ones. "
-                "Save both parts."
+                f"{source}: shapes_imaginary must stand beside real shapes of its size, got other ones. Save "
+                "both parts."
             )
         shapes = shapes + 1j * imaginary
     return Identified(
@@ -135,9 +132,8 @@ def _matrix(found, name: str, n_modes: int, source: str) -> np.ndarray | None:
             raise TypeError
     except (TypeError, ValueError, OverflowError):
         raise ValueError(
-            f"{source}: {name} must be a matrix of numbers with a row for each channel and a column for "
-            "each mode, got "
-            "something else."
+            f"{source}: {name} must be a matrix of numbers with a row for each channel and a column for each "
+            "mode, got something else."
         ) from None
     if array.ndim == 1 and n_modes == 1:
         array = array[:, None]
@@ -145,8 +141,7 @@ def _matrix(found, name: str, n_modes: int, source: str) -> np.ndarray | None:
         turned = array.ndim == 2 and array.shape[0] == n_modes
         raise ValueError(
             f"{source}: {name} must have a row for each channel and a column for each of the {n_modes} "
-            "modes, got "
-            f"shape {array.shape}. "
+            f"modes, got shape {array.shape}. "
             f"{'Transpose it.' if turned else 'Pass `names` if another variable holds them.'}"
         )
     return array.T
