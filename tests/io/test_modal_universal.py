@@ -362,6 +362,31 @@ def test_files_that_are_cut(tmp_path):
         read_channels(path)
 
 
+def test_binary_numbers_that_are_shifted(tmp_path):
+    """A byte too many, of which pyuff makes other numbers of the same count."""
+    path = write_58(tmp_path, history(0, binary=1))
+    raw = path.read_bytes()
+    place = raw.index(HISTORIES[0, 100].tobytes())
+    path.write_bytes(raw[:place] + b"\x41" + raw[place:])
+    with pytest.raises(ValueError, match="10Z: binary numbers must reach to the end of their data set"):
+        read_record(path)
+
+
+def test_byte_orders(tmp_path):
+    path = write_58(tmp_path, history(0, binary=1))
+    raw = path.read_bytes()
+    start = raw.index(b"58b")
+    path.write_bytes(raw[: start + 3] + b"     3" + raw[start + 9 :])
+    with pytest.raises(
+        ValueError, match="10Z: binary numbers must be IEEE, 2, of byte order 1 or 2, got 2 and 3"
+    ):
+        read_record(path)
+    place = raw.index(HISTORIES[0].tobytes())
+    big = HISTORIES[0].astype(">f8").tobytes()
+    path.write_bytes(raw[: start + 3] + b"     2" + raw[start + 9 : place] + big + raw[place + len(big) :])
+    np.testing.assert_array_equal(read_record(path).acceleration, HISTORIES[0])
+
+
 def test_modes_are_no_histories(tmp_path):
     with pytest.raises(
         ValueError, match="must hold time histories in data sets 58, got the data sets 15, 55"

@@ -119,8 +119,8 @@ READERS = {  # name: suffix, how the file is made, how it is read
         lambda p: savemat(p, modal_files.COMPLEX_VARIABLES, do_compression=True),
         lambda p: read_modal(p, real=False),
     ),
-    "histories, 58": (".uff", lambda p: save_histories(p, binary=0), channels(units=1.0)),
-    "histories, 58b": (".uff", lambda p: save_histories(p, binary=1), channels(units=1.0)),
+    "histories, 58": (".uff", lambda p: save_histories(p, binary=0), channels(units=1.0, columns="7X")),
+    "histories, 58b": (".uff", lambda p: save_histories(p, binary=1), channels(units=1.0, columns="7X")),
     "matrices of mat 7.3": (".mat", lambda p: save_hdf5(p, K=STIFFNESS, M=np.ones((1, 6))), read_matrices),
 }
 #: Nothing in these files says how many values there are, or where each byte belongs.

@@ -18,6 +18,8 @@ from pymc_features.io.reading.universal import AXES, FUNCTIONS, NAME, is_univers
 
 EXTRA = 'python -m pip install "pymc-features[modal]"'
 TIME_RESPONSE = 1  # type of function
+BYTE_ORDERS, IEEE = (1, 2), 2  # the least byte first, or last
+SINGLE = (2, 5)  # types of numbers in four bytes
 ACCELERATION = (0, 1, 12)  # types of data: unknown, general, acceleration
 
 
@@ -34,7 +36,8 @@ def read(path: Path) -> tuple[list[Channel], None]:
         raise ImportError(
             f"pyuff must be installed to read {path.name}, a {NAME}, got none. Install it with: {EXTRA}."
         ) from error
-    if not path.read_bytes().rstrip().endswith(b"    -1"):
+    raw = path.read_bytes()
+    if not raw.rstrip().endswith(b"    -1"):
         raise ValueError(
             f"{path.name} ({NAME}) must end with a line of -1, it does not. Fetch the file again."
         )
@@ -56,6 +59,8 @@ def read(path: Path) -> tuple[list[Channel], None]:
             "Read identified modes by `read_modal`."
         )
     channels = [_channel(path.name, found) for found in sets]
+    for channel, found in zip(channels, sets, strict=True):
+        _check_end(path.name, channel, found, raw)
     begins = {float(found["x"][0]) for found in sets}
     if len(begins) > 1:
         raise ValueError(
@@ -99,6 +104,26 @@ def _channel(file: str, found: dict) -> Channel:
         None if unit.lower() in ("", "none") else unit,
         **even_or_times(times, quantum, lambda row: f"{where}, sample {row}"),
     )
+
+
+def _check_end(file: str, channel: Channel, found: dict, raw: bytes) -> None:
+    """Refuse binary numbers that do not reach to the end of their data set: a byte was lost or added."""
+    if not found["binary"]:
+        return
+    if found["byte_ordering"] not in BYTE_ORDERS or found["fp_format"] != IEEE:
+        raise ValueError(
+            f"{file} ({NAME}), {channel.name}: binary numbers must be IEEE, 2, of byte order 1 or 2, got "
+            f"{found['fp_format']} and {found['byte_ordering']}. Export them so, or as text."
+        )
+    kind = ("<" if found["byte_ordering"] == 1 else ">") + (
+        "f4" if found["ord_data_type"] in SINGLE else "f8"
+    )
+    last = channel.values[-1:].astype(kind).tobytes()
+    if not any(last + end + b"    -1" in raw for end in (b"", b"\n", b"\r\n")):
+        raise ValueError(
+            f"{file} ({NAME}), {channel.name}: binary numbers must reach to the end of their data set, they "
+            "do not. Fetch the file again."
+        )
 
 
 UNIVERSAL = RecordedFormat(
