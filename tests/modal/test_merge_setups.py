@@ -68,6 +68,15 @@ def test_order_of_modes_does_not_matter():
     np.testing.assert_allclose(up_to_scale(found.shapes, SHAPES[:, :5]), SHAPES[:, :5], atol=1e-12)
 
 
+def test_one_reference_leaves_it_to_the_frequencies():
+    """Where every pair is allowed, those with the least differences in total."""
+    first = ModalData([1.0, 1.02], [[1.0, 0.1], [1.0, 0.2]], ["a", "b"])
+    second = ModalData([1.021, 0.999], [[1.0, 0.4], [1.0, 0.3]], ["a", "c"])
+    merged = merge_setups([first, second])
+    np.testing.assert_allclose(merged.frequencies, [0.9995, 1.0205])
+    np.testing.assert_allclose(merged.shapes, [[1.0, 0.1, 0.3], [1.0, 0.2, 0.4]])
+
+
 def two(x, y, sds=(None, None), **more):
     channels = ["a", "b"]
     return [
