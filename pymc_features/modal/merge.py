@@ -9,7 +9,8 @@ operational modal analysis, Proc. IMAC XXVII; Au, S.-K. (2011), Assembling mode 
 Syst. Signal Process. 25, 163-179.
 """
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -30,7 +31,7 @@ def merge_setups(
     frequency_tolerance: float = 0.05,
     least_mac: float = 0.8,
 ) -> ModalData:
-    """Merge the modes of several set-ups by the channels that all of them have in common.
+    """Merge the modes of several set-ups by the channels that they have in common.
 
     Modes of two set-ups are the same if their frequencies differ by at most `frequency_tolerance` and their
     shapes agree at the references; of several such pairs, those with the least differences in total. Shapes
@@ -42,7 +43,8 @@ def merge_setups(
     setups : sequence of ModalData
         At least two, with shapes, and the same names for the same channels.
     references : sequence of str, optional
-        Names of the reference channels, in every set-up; by default all that every set-up has.
+        Names of the reference channels, each in at least two set-ups, which connect all of them; by default
+        every channel that is in several.
     frequency_tolerance : float
         Largest relative difference of the frequencies of one mode, positive and less than 1.
     least_mac : float
@@ -60,8 +62,8 @@ def merge_setups(
     Raises
     ------
     ValueError, TypeError
-        If set-ups have no shapes, no common channels, or no common modes, or other channels than references
-        in common.
+        If set-ups have no shapes, are not connected by references, have no common modes, or other channels
+        than references in common.
 
     Warns
     -----
@@ -87,9 +89,9 @@ def merge_setups(
         )
     if not 0.0 <= least <= 1.0:
         raise ValueError(f"`least_mac` must be from 0 to 1, got {least}.")
-    parts = [_at(setup, references) for setup in setups]
+    parts = [_at(setup, references, number) for number, setup in enumerate(setups)]
     modes = [[(0, k, 1.0)] for k in range(len(setups[0]))]
-    for number in range(1, len(setups)):
+    for number in _order(parts):
         _join(modes, setups, parts, number, (tolerance, least))
     modes.sort(key=lambda members: _frequency(setups, members))
     _check_found(setups, modes, parts)
@@ -114,39 +116,58 @@ def _checked_setups(setups) -> list[ModalData]:
 
 
 def _checked_references(setups, references) -> list[str]:
-    """Names of the references, which every set-up measured in every mode."""
-    common = [name for name in setups[0].channels if all(name in setup.channels for setup in setups)]
+    """Names of the references: all channels that several set-ups have."""
+    holders = Counter(name for setup in setups for name in setup.channels)
+    shared = [name for name, count in holders.items() if count > 1]
+    if not shared:
+        raise ValueError(
+            "`setups` must have channels in common, got none: "
+            + "; ".join(f"set-up {k}: {listed(s.channels, 8)}" for k, s in enumerate(setups))
+            + ". Give the same sensor the same name in all set-ups."
+        )
     if references is None:
-        if not common:
+        return shared
+    find_channels(references, shared, "several set-ups")
+    for name in shared:
+        if name not in references:
+            where = [number for number, setup in enumerate(setups) if name in setup.channels]
             raise ValueError(
-                "`setups` must have channels in common, got none: "
-                + "; ".join(f"set-up {k}: {listed(s.channels, 8)}" for k, s in enumerate(setups))
-                + ". Give the same sensor the same name in all set-ups."
-            )
-        references = common
-    for number, setup in enumerate(setups):
-        find_channels(references, setup.channels, f"set-up {number}")
-    for name in dict.fromkeys(name for setup in setups for name in setup.channels):
-        holders = [number for number, setup in enumerate(setups) if name in setup.channels]
-        if len(holders) > 1 and name not in references:
-            raise ValueError(
-                f"`references` must name all channels that set-ups share, {name!r} is in set-ups {holders}. "
+                f"`references` must name all channels that set-ups share, {name!r} is in set-ups {where}. "
                 "Add it, or rename it in one of them if these are two channels."
             )
     return [str(name) for name in references]
 
 
-def _at(setup: ModalData, references: list[str]) -> np.ndarray:
-    """Entries (mode, reference), some of which must be there in each mode."""
-    part = setup.shapes[:, find_channels(references, setup.channels, "the set-up")]
+def _at(setup: ModalData, references: list[str], number: int) -> np.ndarray:
+    """Entries (mode, reference), NaN at those of other set-ups; one at least must move in each mode."""
+    places = [index for index, name in enumerate(references) if name in setup.channels]
+    own = find_channels([references[index] for index in places], setup.channels, "it") if places else []
+    part = np.full((len(setup), len(references)), np.nan, dtype=setup.shapes.dtype)
+    part[:, places] = setup.shapes[:, own]
     for mode, entries in enumerate(part):
-        if not (np.abs(entries) > 0.0).any():
+        if places and not (np.abs(entries) > 0.0).any():
             raise ValueError(
                 f"`references` must move in every mode, the mode at {setup.frequencies[mode]:.4g} Hz of "
-                f"{setup.name or 'a set-up'} has no entry there but zeros and NaN. Name others, or leave out "
-                "this mode by `select`."
+                f"set-up {number} has no entry there but zeros and NaN. Name others, or leave out this mode "
+                "by `select`."
             )
     return part
+
+
+def _order(parts) -> Iterator[int]:
+    """Set-ups but the first, each after one that it has a reference in common with."""
+    measured = [~np.isnan(part).all(axis=0) for part in parts]
+    joined, remaining = measured[0], list(range(1, len(parts)))
+    while remaining:
+        number = next((k for k in remaining if (joined & measured[k]).any()), None)
+        if number is None:
+            raise ValueError(
+                f"`setups` must be connected by references, set-ups {remaining} share none with the others. "
+                "Give the same sensor the same name in all set-ups, or merge the parts by themselves."
+            )
+        yield number
+        joined = joined | measured[number]
+        remaining.remove(number)
 
 
 def _frequency(setups, members) -> float:

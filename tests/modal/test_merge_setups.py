@@ -44,6 +44,17 @@ def test_merged_shapes_are_those_they_came_from(is_complex):
     np.testing.assert_allclose(merge_setups(setups).select(channels=NAMES).shapes, found)
 
 
+def test_set_ups_that_overlap_one_after_the_other():
+    """No channel is in all of them, and the last two are given in the wrong order."""
+    chain = [[0, 1, 2], [8, 7, 6, 5], [2, 3, 4, 5]]
+    merged = merge_setups([setup(part, seed) for seed, part in enumerate(chain)], least_mac=0.99)
+    np.testing.assert_allclose(up_to_scale(merged.select(channels=NAMES).shapes, SHAPES), SHAPES, atol=1e-12)
+    with pytest.raises(
+        ValueError, match="must be connected by references, set-ups .2, 3. share none with the others"
+    ):
+        merge_setups([setup(part) for part in ([0, 1], [1, 2], [5, 6], [6, 7])])
+
+
 def test_the_factor_is_that_of_least_squares():
     """With noise: the second set-up by numpy's lstsq at the references, references averaged."""
     first, second = setup(PARTS[0], 5, 0.05), setup(PARTS[1], 6, 0.05)
@@ -158,7 +169,7 @@ VALUES = {
         [GOOD, HERTZ],
         {"references": ["floor 1"]},
     ),
-    "`channels` must be among those of set-up 1 .*, got 'floor 2'": (
+    "`channels` must be among those of several set-ups .floor 1, floor 9., got 'floor 2'": (
         [GOOD, HERTZ],
         {"references": ["floor 2"]},
     ),
