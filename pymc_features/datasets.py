@@ -4,16 +4,20 @@ import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from urllib.parse import quote
 
 import numpy as np
 import xarray as xr
+from scipy import sparse
+from scipy.io import loadmat
 
 from pymc_features.exceptions import DatasetUnavailableError
-from pymc_features.io import read_channels
+from pymc_features.io import read_channels, read_modal
+from pymc_features.modal import ModalData
 from pymc_features.records import Record
 
-__all__ = ["el_centro", "mini_shake_table"]
+__all__ = ["Footbridge", "el_centro", "footbridge", "mini_shake_table"]
 
 #: Name of the environment variable with the folder that is searched before the network.
 DATA_VARIABLE = "PYMC_FEATURES_DATA"
@@ -65,6 +69,21 @@ _EVENTS = {
         ),
     ),
 }
+
+_BRIDGE = "https://raw.githubusercontent.com/ywang-structures/Structural-Model-Updating/79ee420aa5c51b6ab0ca77ba5abbb35a4ea772c4/Examples/SteelPedestrianBridge/Experiment/Experiment_Model_Updating/"
+_BRIDGE_FILES = {
+    "ExpModeInfo_FEM.mat": "c185a0ff1473d8ccf1dd93062df9e469df328de4c4832ecb8061cc4f2f21be82",
+    "SteelPedestrianBridgeExp.mat": "eed1274c9fd2b89ba5f9da7c67548e4a48e25321288880aa7951de2c95be84af",
+}
+_BRIDGE_PARTS = (
+    "K_Frame",
+    "K_Truss",
+    *(f"K_Conc{k}" for k in range(1, 12)),
+    "K_y1",
+    "K_z1",
+    "K_y2",
+    "K_z2",
+)
 
 
 def el_centro() -> Record:
@@ -140,6 +159,79 @@ def mini_shake_table(event: str) -> xr.DataArray:
     return channels.assign_attrs(event=event)
 
 
+class Footbridge(NamedTuple):
+    """A measured bridge and its finite elements.
+
+    Attributes
+    ----------
+    modal : ModalData
+        Five modes at 58 channels, with standard deviations; a channel is called after its degree of freedom,
+        ``dof 12`` for example.
+    mass : csc_array (946, 946)
+        Diagonal; zero for 474 degrees of freedom.
+    stiffness_parts : dict of str to csc_array (946, 946)
+        Steel frame and truss, eleven segments of the deck, and springs at the supports: the stiffness is
+        sum_i (1 + alpha_i) K_i, nominally with alpha = 0.
+    measured : ndarray (58,)
+        Degree of freedom of each channel, from 0.
+    """
+
+    modal: ModalData
+    mass: sparse.csc_array
+    stiffness_parts: dict[str, sparse.csc_array]
+    measured: np.ndarray
+
+
+def footbridge() -> Footbridge:
+    """Measured modes and finite elements of a steel pedestrian bridge with a concrete deck.
+
+    On the campus of the Georgia Institute of Technology. Looked for in
+    ``PYMC_FEATURES_DATA/modal/footbridge``, the cache, and the network, and checked by SHA-256. The files are
+    under the GPL-3 of their authors and do not come with the package.
+
+    Returns
+    -------
+    Footbridge
+        Modes between 4.06 and 11.50 Hz, as means of 7 to 16 identifications each. The matrices are not in SI
+        units, but in kips and inches by their size; angular frequencies are in rad/s.
+
+    Raises
+    ------
+    DatasetUnavailableError
+        If a file is not at hand and cannot be downloaded.
+    ValueError
+        If a local file is not the published one.
+
+    Notes
+    -----
+    Each mode shape is 1 at one channel, where its standard deviation is 0. The first two nominal modes are
+    swapped against the measured ones: the lowest measured mode is the second of the model.
+
+    References
+    ----------
+    Dong, X. and Wang, Y., Formulation and optimization algorithm comparison for the FE model updating of
+    large-scale models, and https://github.com/ywang-structures/Structural-Model-Updating (GPL-3).
+    """
+    modes, matrices = (
+        _fetch(_Source(f"modal/footbridge/{file}", _BRIDGE + file, digest))
+        for file, digest in _BRIDGE_FILES.items()
+    )
+    found = loadmat(matrices)  # not by `read_matrices`: dense zeros, a hundred times the size of the file
+    measured = found["measDOFs"].astype(np.int64).ravel() - 1
+    modal = read_modal(
+        modes,
+        names={
+            "eigenvalue": "lambdaExp",
+            "eigenvalue_sd": "std_lambdaExp",
+            "shapes": "psiExp_m",
+            "shape_sd": "std_psiExp",
+        },
+        channels=[f"dof {k}" for k in measured],
+    )
+    parts = {name: sparse.csc_array(found[name].astype(np.float64)) for name in _BRIDGE_PARTS}
+    return Footbridge(modal, sparse.csc_array(found["M0"]), parts, measured)
+
+
 def _fetch(source: _Source) -> Path:
     """Path of the checked file: the local folder first, then the cache, then the network."""
     if folder := os.environ.get(DATA_VARIABLE):
@@ -153,8 +245,8 @@ def _checked(path: Path, source: _Source) -> Path:
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     if digest != source.sha256:
         raise ValueError(
-            f"{path} must have the SHA-256 {source.sha256}, got {digest}. "
-            f"Replace it by the file from {source.url}."
+            f"{path} must have the SHA-256 {source.sha256}, got {digest}. Replace it by the file from "
+            f"{source.url}."
         )
     return path
 
@@ -172,7 +264,7 @@ def _download(source: _Source) -> Path:
         )
     except (OSError, ValueError) as error:  # no network, no cache folder, or other bytes
         raise DatasetUnavailableError(
-            f"{source.file} could not be downloaded from {source.url} ({error}). Set "
-            f"{DATA_VARIABLE} to a folder that holds it, or pass measured channels to `read_channels`."
+            f"{source.file} could not be downloaded from {source.url} ({error}). Set {DATA_VARIABLE} to a "
+            "folder that holds it, or pass measured channels to `read_channels`."
         ) from error
     return Path(path)

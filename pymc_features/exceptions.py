@@ -15,6 +15,7 @@ __all__ = [
     "DiedAtStartError",
     "FeatureLikelihoodWarning",
     "LaplaceWarning",
+    "ModalDataWarning",
     "NoWorkersError",
     "NotDifferentiableError",
     "PopulationWarning",
@@ -34,6 +35,10 @@ __all__ = [
 
 class ChannelWarning(UserWarning):
     """Measured channels can be used, but something about them is suspicious."""
+
+
+class ModalDataWarning(UserWarning):
+    """Identified modes can be used, but something about them is suspicious."""
 
 
 class DatasetUnavailableError(OSError):

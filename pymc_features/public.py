@@ -12,8 +12,9 @@ from pymc_features.distributions import (
 from pymc_features.external import ExternalSimulator, ProgramSimulator, Surrogate
 from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.inference import fisher_information, laplace, sample, sample_nuts, tolerance_sweep
-from pymc_features.io import read_channels, read_matrices, read_record
+from pymc_features.io import read_channels, read_matrices, read_modal, read_record
 from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
+from pymc_features.modal import ModalData, merge_setups
 from pymc_features.ops import mean_square_discrepancy, response
 from pymc_features.plots import *  # noqa: F403  plot_chains, plot_loops, ...
 from pymc_features.prediction import first_passage_probability, posterior_response
@@ -43,6 +44,7 @@ __all__ = [
     "LinearStructure",
     "Loading",
     "ModalDamping",
+    "ModalData",
     "PersistentSMC",
     "PopulationIMH",
     "PopulationMH",
@@ -66,10 +68,12 @@ __all__ = [
     "integration_error",
     "laplace",
     "mean_square_discrepancy",
+    "merge_setups",
     "paper",
     "posterior_response",
     "read_channels",
     "read_matrices",
+    "read_modal",
     "read_record",
     "response",
     "sample",

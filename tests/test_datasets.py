@@ -1,14 +1,17 @@
 """Real records: the local folder, the download and what can go wrong with either."""
 
 import hashlib
+import json
 import shutil
 
 import numpy as np
 import pooch
 import pytest
+from scipy.io import loadmat
+from scipy.linalg import eigh
 
 from pymc_features import Record, datasets
-from pymc_features.datasets import el_centro, mini_shake_table
+from pymc_features.datasets import el_centro, footbridge, mini_shake_table
 from pymc_features.exceptions import DatasetUnavailableError
 from pymc_features.io import read_record
 from pymc_features.io.reading.units import G
@@ -165,3 +168,83 @@ def test_mini_shake_table_is_downloaded_once(cache, data_dir, monkeypatch):
     assert calls[0] == f"{folder}Ground%20Floor/(Sine%201.5)Xsens%20DOT_20250306_121949.csv"
     assert calls[2] == f"{folder}2nd%20Floor/(Sine%201.5)left%20leg_20250306_121949.csv"
     assert calls[3] == f"{folder}3rd%20Floor%20(Top%20floor)/(Sine%201.5)Xsens%20DOT_20250306_121949.csv"
+
+
+# --- footbridge ---------------------------------------------------------------------------------
+
+BRIDGE = "modal/footbridge"
+
+
+@pytest.fixture(scope="module")
+def published(reference_dir):
+    return json.loads((reference_dir / "modal_published.json").read_text())["footbridge"]
+
+
+def test_footbridge(no_download, data_dir, recwarn, published):
+    """Modes beside SciPy's reader, and beside what was published of them."""
+    bridge = footbridge()
+    assert not recwarn.list
+    theirs = loadmat(data_dir / BRIDGE / "ExpModeInfo_FEM.mat")
+    np.testing.assert_array_equal(bridge.modal.shapes, theirs["psiExp_m"].T)
+    np.testing.assert_array_equal(bridge.modal.shape_sd, theirs["std_psiExp"].T)
+    np.testing.assert_allclose(bridge.modal.frequencies, np.sqrt(theirs["lambdaExp"].ravel()) / (2.0 * np.pi))
+    np.testing.assert_allclose(bridge.modal.frequencies, published["frequencies_hz"], rtol=1e-12)
+    np.testing.assert_allclose(bridge.modal.frequency_sd, published["sd_hz"], rtol=1e-12)
+    np.testing.assert_array_equal((bridge.modal.shapes == 1.0).sum(axis=1), 1)
+    assert (bridge.modal.shape_sd[bridge.modal.shapes == 1.0] < 1e-15).all()
+    matrices = loadmat(data_dir / BRIDGE / "SteelPedestrianBridgeExp.mat")
+    np.testing.assert_array_equal(bridge.measured, matrices["measDOFs"].ravel() - 1)
+    assert bridge.modal.channels == tuple(f"dof {k}" for k in bridge.measured)
+    assert list(bridge.stiffness_parts) == published["parameters"]
+    assert bridge.mass.shape == (946, 946)
+    assert (bridge.mass.diagonal() == 0.0).sum() == 474
+
+
+def nominal_modes(bridge, alpha):
+    """Frequencies [Hz] and shapes (dof, mode) of the finite elements, those without mass condensed."""
+    stiffness = sum((1.0 + a) * part for a, part in zip(alpha, bridge.stiffness_parts.values(), strict=True))
+    stiffness, mass = stiffness.toarray(), bridge.mass.diagonal()
+    kept, without = np.flatnonzero(mass > 0.0), np.flatnonzero(mass == 0.0)
+    recovery = -np.linalg.solve(stiffness[np.ix_(without, without)], stiffness[np.ix_(without, kept)])
+    condensed = stiffness[np.ix_(kept, kept)] + stiffness[np.ix_(kept, without)] @ recovery
+    squares, shapes = eigh(0.5 * (condensed + condensed.T), np.diag(mass[kept]), subset_by_index=[0, 7])
+    whole = np.empty((mass.size, squares.size))
+    whole[kept], whole[without] = shapes, recovery @ shapes
+    return np.sqrt(squares) / (2.0 * np.pi), whole
+
+
+def test_finite_elements_of_the_footbridge(no_download, published):
+    """Their frequencies and modal assurance criteria are the published ones, nominal and updated."""
+    bridge = footbridge()
+    for alpha, expected, order in (
+        (np.zeros(17), published["nominal"], published["nominal"]["best_match"]),
+        (published["published_optimum_mac"]["alpha"], published["published_optimum_mac"], range(5)),
+    ):
+        frequencies, shapes = nominal_modes(bridge, alpha)
+        n = len(expected["frequencies_hz"])
+        np.testing.assert_allclose(frequencies[:n], expected["frequencies_hz"], rtol=1e-8)
+        a, b = bridge.modal.shapes, shapes[bridge.measured].T[list(order)]
+        mac = (a * b).sum(axis=1) ** 2 / (a**2).sum(axis=1) / (b**2).sum(axis=1)
+        np.testing.assert_allclose(mac, expected["mac"], rtol=1e-7)
+
+
+def test_footbridge_is_downloaded(cache, data_dir, monkeypatch):
+    """Both files once, from a fixed commit."""
+    names = ["ExpModeInfo_FEM.mat", "SteelPedestrianBridgeExp.mat"]
+    calls = serve(
+        monkeypatch, lambda target: shutil.copyfile(data_dir / BRIDGE / names[len(calls) - 1], target)
+    )
+    assert len(footbridge().modal) == len(footbridge().modal) == 5
+    assert [call.rpartition("/")[2] for call in calls] == names
+    folder = "https://raw.githubusercontent.com/ywang-structures/Structural-Model-Updating/"
+    assert all(call.startswith(folder + "79ee420aa5c51b6ab0ca77ba5abbb35a4ea772c4/") for call in calls)
+
+
+def test_a_footbridge_of_other_bytes(tmp_path, monkeypatch):
+    (tmp_path / BRIDGE).mkdir(parents=True)
+    (tmp_path / BRIDGE / "ExpModeInfo_FEM.mat").write_bytes(b"MATLAB 5.0 MAT-file")
+    monkeypatch.setenv("PYMC_FEATURES_DATA", str(tmp_path))
+    with pytest.raises(
+        ValueError, match="ExpModeInfo_FEM.mat must have the SHA-256 c185a0ff.*Replace it by the file"
+    ):
+        footbridge()

@@ -1,4 +1,4 @@
-"""Ground motions and measured channels of many formats; matrices of structures."""
+"""Ground motions and measured channels of many formats; identified modes; matrices of structures."""
 
 from os import PathLike
 from pathlib import Path
@@ -7,12 +7,13 @@ from pymc_features._checks import check_step
 from pymc_features.io.channels import read_channels
 from pymc_features.io.formats import FORMATS, format_of
 from pymc_features.io.matrices import read_matrices
+from pymc_features.io.modal import read_modal
 from pymc_features.io.reading.clock import Request
 from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.units import unit_factor
 from pymc_features.records import Record
 
-__all__ = ["FORMATS", "read_channels", "read_matrices", "read_record"]
+__all__ = ["FORMATS", "read_channels", "read_matrices", "read_modal", "read_record"]
 
 
 def read_record(
@@ -33,9 +34,9 @@ def read_record(
     ----------
     path : str or path-like
         PEER AT2, CSMIP V1 and V2, COSMOS V0 to V2, SMC, K-NET and KiK-net, GeoNet V1A and V2A, ESM, NSMN,
-        UNAM, with the extra `seismic` SAC, MiniSEED, TSPAIR and SLIST, MATLAB (``.mat``, also v7.3), or
-        text, columns of numbers separated by comma, semicolon, tab or blanks. One column is the acceleration,
-        two are time [s] and acceleration.
+        UNAM, with the extra `seismic` SAC, MiniSEED, TSPAIR and SLIST, with the extra `modal` Universal Files
+        (data sets 58), MATLAB (``.mat``, also v7.3), or text, columns of numbers separated by comma,
+        semicolon, tab or blanks. One column is the acceleration, two are time [s] and acceleration.
     units : str or float, optional
         Of the file: "g" (9.81 m/s^2), "m/s^2", "cm/s^2" or "gal", or m/s^2 per file unit, positive. Formats
         of strong motion, text headers such as ``acc [g]`` and a MATLAB text variable ``units`` state it.
@@ -64,7 +65,7 @@ def read_record(
         If an argument is not admissible or the file does not hold what its format asks for; the
         message names the file, its format, the line where there is one, and what to do.
     ImportError
-        If the file is a seismogram and ObsPy is not installed.
+        If the file is a seismogram and ObsPy is not installed, or a Universal File and pyuff is not.
 
     Warns
     -----

@@ -10,11 +10,13 @@ import h5py
 import numpy as np
 import obspy
 import pytest
+import pyuff
 from scipy import sparse
 from scipy.io import mmwrite, savemat
 
-from pymc_features import read_channels, read_matrices, read_record
+from pymc_features import read_channels, read_matrices, read_modal, read_record
 from pymc_features.io.formats.waveforms import KINDS
+from support import modal_files
 from support import record_files as files
 from support.mutations import is_what_it_says, mutated, outcome
 from support.record_examples import EXAMPLES, FILM, MOTION
@@ -37,6 +39,19 @@ def save_wave(path, kind):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         obspy.Stream([obspy.Trace(values, header)]).write(str(path), format=kind)
+
+
+def save_histories(path, binary):
+    path.unlink(missing_ok=True)
+    sets = [
+        {
+            **{"type": 58, "binary": binary, "func_type": 1, "rsp_node": 7, "rsp_dir": k + 1, "ref_node": 1},
+            **{"ref_dir": 1, "data": MOTION[k], "x": STEP * np.arange(A.size), "abscissa_spacing": 1},
+            **{"ordinate_spec_data_type": 12, "abscissa_spec_data_type": 17, "orddenom_spec_data_type": 0},
+        }
+        for k in range(2)
+    ]
+    pyuff.UFF(str(path)).write_sets(sets, "add")
 
 
 def record(**arguments):
@@ -93,6 +108,19 @@ READERS = {  # name: suffix, how the file is made, how it is read
         lambda p: savemat(p, {"K": STIFFNESS, "C": sparse.csc_matrix(STIFFNESS)}),
         read_matrices,
     ),
+    "modes, 55": (".uff", lambda p: p.write_text(modal_files.UNIVERSAL), read_modal),
+    "complex modes, 55": (".uff", lambda p: p.write_text(modal_files.UNIVERSAL_COMPLEX), read_modal),
+    "modes, 2414": (".unv", lambda p: p.write_text(modal_files.analysis_2414(0)), read_modal),
+    "modes, csv": (".csv", lambda p: p.write_text(modal_files.TABLE), read_modal),
+    "modes, json": (".json", lambda p: p.write_text(modal_files.JSON), read_modal),
+    "modes, mat": (".mat", lambda p: savemat(p, modal_files.VARIABLES), read_modal),
+    "complex modes, mat": (
+        ".mat",
+        lambda p: savemat(p, modal_files.COMPLEX_VARIABLES, do_compression=True),
+        lambda p: read_modal(p, real=False),
+    ),
+    "histories, 58": (".uff", lambda p: save_histories(p, binary=0), channels(units=1.0, columns="7X")),
+    "histories, 58b": (".uff", lambda p: save_histories(p, binary=1), channels(units=1.0, columns="7X")),
     "matrices of mat 7.3": (".mat", lambda p: save_hdf5(p, K=STIFFNESS, M=np.ones((1, 6))), read_matrices),
 }
 #: Nothing in these files says how many values there are, or where each byte belongs.

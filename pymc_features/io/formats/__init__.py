@@ -12,12 +12,13 @@ from pymc_features.io.formats.nsmn import NSMN
 from pymc_features.io.formats.smc import SMC
 from pymc_features.io.formats.tables import MATLAB, TEXT
 from pymc_features.io.formats.unam import UNAM
+from pymc_features.io.formats.universal import UNIVERSAL
 from pymc_features.io.formats.waveforms import WAVEFORMS
 from pymc_features.io.reading.clock import Request
 from pymc_features.io.reading.format import Format, Opening
 
 #: A file is read by the first entry that recognises its first lines; the last takes every file.
-FORMATS = (MATLAB, AT2, COSMOS, CSMIP, SMC, KNET, GEONET, ESM, NSMN, UNAM, WAVEFORMS, TEXT)
+FORMATS = (MATLAB, AT2, COSMOS, CSMIP, SMC, KNET, GEONET, ESM, NSMN, UNAM, UNIVERSAL, WAVEFORMS, TEXT)
 
 
 def format_of(path: Path, request: Request) -> Format:

@@ -1,0 +1,179 @@
+"""Modes in a text table: a row for each mode, and columns with names above them.
+
+    frequency [Hz],frequency_sd,damping,floor 1,floor 2,roof
+    1.21,0.01,0.012,0.33,0.71,1.0
+    3.47,0.02,0.010,0.88,0.41,-0.9
+
+Columns that are no quantity are channels; `roof_sd` beside `roof` is the standard deviation of its entries.
+An empty cell, or nan, is an entry that was not measured. Complex entries are written as 0.3-0.1j.
+"""
+
+import csv
+import re
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from pymc_features.io.modal.identified import Identified
+from pymc_features.io.modal.quantities import SPREADS, labelled_quantities, mode_values, quantity_of
+from pymc_features.io.reading.lines import LONGEST_NUMBER, Lines, to_number
+from pymc_features.io.tables.brackets import without_brackets
+from pymc_features.modal.data import find_channels, listed
+
+SEPARATORS = ("\t", ";", ",")
+COMMENTS = ("#", "%", "//")
+_COMPLEX = re.compile(r"([-+]?[^-+ij]+(?:[eE][-+]?\d+)?)([-+][^-+ij]+(?:[eE][-+]?\d+)?)[ij]", re.ASCII)
+
+
+def read_table(path: Path, names: dict[str, str], wanted: list | None) -> Identified:
+    """Read the modes of a table.
+
+    Parameters
+    ----------
+    path : Path
+    names : dict
+        Quantity -> what the table calls it.
+    wanted : list or None
+        Names of the columns that are channels; all others by default.
+
+    Raises
+    ------
+    ValueError
+        With the line.
+    """
+    lines = Lines(path)
+    rows = ((number, line) for number, line in lines if not line.startswith(COMMENTS))
+    first = next(rows, None)
+    if first is None:
+        raise ValueError(
+            f"{path.name} must hold modes, it is empty. Save a row for each mode, below a header."
+        )
+    separator = next((mark for mark in SEPARATORS if mark in first[1]), ",")
+    header = _cells(first[1], separator, f"{path.name}, line {first[0]}")
+    _check_header(path.name, header, rows, separator)
+    places = labelled_quantities(header, names, path.name)
+    whole = sorted({"shapes", "shape_sd", "shapes_imaginary", "channels"} & places.keys())
+    if whole:
+        raise ValueError(
+            f"{path.name}: each channel must have a column of its own, got {header[places[whole[0]]]!r} for "
+            f"{whole[0]}. Rename it after its channel."
+        )
+    channels, spreads = _channels(path.name, header, places, wanted)
+    used = [
+        *(place for name, place in places.items() if name != "mode"),
+        *channels.values(),
+        *spreads.values(),
+    ]
+    columns = {place: [] for place in used}
+    entries = set(channels.values())
+    for number, line in rows:
+        where = f"{path.name}, line {number}"
+        cells = _cells(line, separator, where)
+        if len(cells) != len(header):
+            raise ValueError(
+                f"{where}: rows must have {len(header)} cells like the header, got {len(cells)}. Complete or "
+                "cut the row; a decimal comma must be a point."
+            )
+        for place in columns:
+            columns[place].append(_number(cells[place], header[place], where, place in entries))
+    if not columns[used[0]]:
+        raise ValueError(
+            f"{path.name} must hold modes, there is none below its header. Add a row for each mode."
+        )
+    values = mode_values(
+        {name: np.array(columns[place]) for name, place in places.items() if name != "mode"}, path.name
+    )
+    return Identified(
+        path.name,
+        *values,
+        shapes=_matrix(columns, channels),
+        shape_sd=_matrix(columns, {name: spreads.get(name) for name in channels}) if spreads else None,
+        channels=list(channels) or None,
+    )
+
+
+def _cells(line: str, separator: str, where: str) -> list[str]:
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+    except csv.Error as error:
+        raise ValueError(
+            f"{where}: cells must be separated by {separator!r}, got {error}. Correct the line."
+        ) from None
+
+
+def _check_header(file: str, header: list[str], rows, separator: str) -> None:
+    """Refuse a table without names, and one with a column for each mode."""
+    if to_number(header[0]) is not None:
+        raise ValueError(
+            f"{file} must have the names of its columns in the first line, got the number {header[0]!r}. "
+            "Write them above the numbers, frequency among them."
+        )
+    labels = [label for label in header[1:] if to_number(label) is None]
+    if len(header) > 1 and not labels and quantity_of(header[0], file) is not None:
+        raise ValueError(
+            f"{file} must have a row for each mode and a column for each channel, its first line begins with "
+            f"{header[0]!r} and goes on with numbers. Transpose the table."
+        )
+
+
+def _channels(file: str, header, places, wanted) -> tuple[dict[str, int], dict[str, int]]:
+    """Columns of the channels, and of the standard deviations of their entries, by name of the channel."""
+    rest = [(index, label) for index, label in enumerate(header) if index not in places.values()]
+    if wanted is not None:
+        find_channels(wanted, [without_brackets(label) or label for _, label in rest], file)
+        names = set(wanted)
+        rest = [(index, label) for index, label in rest if _is_wanted(label, names)]
+    bare = [without_brackets(label) or label for _, label in rest]
+    if "" in bare:
+        index = rest[bare.index("")][0]
+        raise ValueError(
+            f"{file}: columns must have names, number {index + 1} of the header has none. Add one."
+        )
+    twice = [name for name, count in Counter(bare).items() if count > 1]
+    if twice:
+        raise ValueError(
+            f"{file}: channels must have different names, got {listed(twice)} more than once. Rename or "
+            "leave out one of each."
+        )
+    named = dict(zip(bare, (index for index, _ in rest), strict=True))
+    spreads = {}
+    for name in bare:
+        base, _, end = name.rpartition("_")
+        if end.lower() in SPREADS and base in named:
+            spreads[base] = named[name]
+    taken = set(spreads.values())
+    channels = {name: index for name, index in named.items() if index not in taken}
+    return channels, spreads
+
+
+def _is_wanted(label: str, wanted: set[str]) -> bool:
+    name = without_brackets(label) or label
+    base, _, end = name.rpartition("_")
+    return name in wanted or (end.lower() in SPREADS and base in wanted)
+
+
+def _matrix(columns, places: dict) -> np.ndarray | None:
+    """Entries (mode, channel); NaN in the columns that are not there."""
+    if not places:
+        return None
+    length = len(next(iter(columns.values())))
+    return np.array(
+        [columns[place] if place is not None else [np.nan] * length for place in places.values()]
+    ).T
+
+
+def _number(cell: str, label: str, where: str, may_be_complex: bool):
+    """The number in a cell, NaN in an empty one."""
+    number = np.nan if not cell else to_number(cell)
+    if number is None and may_be_complex and len(cell) <= LONGEST_NUMBER:
+        parts = _COMPLEX.fullmatch(cell.replace(" ", ""))
+        numbers = [to_number(part) for part in parts.groups()] if parts else [None]
+        number = None if None in numbers else complex(*numbers)
+    if number is None:
+        shown = cell if len(cell) <= 60 else f"{cell[:60]}..."
+        raise ValueError(
+            f"{where}: the column {label!r} must hold numbers, got {shown!r}. Correct it, or leave the "
+            "column out by `channels`."
+        )
+    return number

@@ -1,0 +1,159 @@
+"""Modes in named variables: MATLAB files, JSON, and mappings of arrays.
+
+    {"frequency": [1.21, 3.47], "damping": [0.012, 0.010], "channels": ["floor 1", "roof"],
+     "shapes": [[0.45, 1.0], [1.0, -0.4]]}
+
+Shapes have a row for each channel and a column for each mode, as mode shapes have in print and in MATLAB.
+JSON has no complex numbers: their imaginary parts are `shapes_imaginary`. Entries that were not measured are
+null or NaN.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from pymc_features.io.modal.identified import Identified
+from pymc_features.io.modal.quantities import labelled_quantities, mode_values
+from pymc_features.io.reading.lines import decoded, shortened
+from pymc_features.io.reading.promise import check_promise
+from pymc_features.io.tables.mat import load_hdf5, load_mat, stored_size
+from pymc_features.modal.data import listed
+
+MOST_JSON = 64 * 2**20  # bytes
+
+
+def read_mat_modes(path: Path, names: dict[str, str]) -> Identified:
+    """Modes in the variables of a .mat file of any version."""
+    try:
+        variables = _load_hdf5_all(path) if h5py.is_hdf5(path) else load_mat(path)
+    except Exception as error:  # each damaged file fails in its own way, inside the parsers
+        raise ValueError(
+            f"{path.name} must be a MATLAB .mat file, it cannot be read ({shortened(error)}). Save it again."
+        ) from error
+    arrays = {name: value for name, value in variables.items() if isinstance(value, np.ndarray)}
+    return from_variables(arrays, path.name, names)
+
+
+def _load_hdf5_all(path: Path) -> dict[str, np.ndarray]:
+    """Variables of MATLAB 7.3, complex ones too, which are pairs of real and imag there."""
+    variables, promised = load_hdf5(path), 0
+    with h5py.File(path, "r") as file:
+        for name in file:
+            item = file[name] if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
+            if not isinstance(item, h5py.Dataset) or item.external or item.is_virtual:
+                continue
+            if item.dtype.names == ("real", "imag") and "MATLAB_empty" not in item.attrs:
+                promised = check_promise(path, [promised, stored_size(item)])
+                pairs = item[()].T
+                variables[name] = pairs["real"] + 1j * pairs["imag"]
+    return variables
+
+
+def read_json_modes(path: Path, names: dict[str, str]) -> Identified:
+    """Modes in the object of a JSON file."""
+    size = path.stat().st_size
+    if size > MOST_JSON:
+        raise ValueError(
+            f"{path.name} must have at most {MOST_JSON // 2**20} MiB, got {size} bytes. Save the modes "
+            "alone, or as .mat."
+        )
+    try:
+        found = json.loads(decoded(path.read_bytes()), object_pairs_hook=_once)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(
+            f"{path.name} must be a JSON file, it cannot be read ({shortened(error)}). Correct it."
+        ) from None
+    if not isinstance(found, dict):
+        raise ValueError(
+            f"{path.name} must hold one JSON object of named arrays, got a {type(found).__name__}. Give them "
+            "names, frequency among them."
+        )
+    return from_variables(found, path.name, names)
+
+
+def _once(pairs: list) -> dict:
+    """An object whose keys are there once each."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a name is there twice")
+    return found
+
+
+def from_variables(variables: Mapping, source: str, names: dict[str, str]) -> Identified:
+    """Modes in a mapping of names to arrays.
+
+    Raises
+    ------
+    ValueError
+        If there are no frequencies, or their shapes do not fit.
+    """
+    labels = [str(label) for label in variables]
+    contents = list(variables.values())
+    inside = [label for label, value in zip(labels, contents, strict=True) if isinstance(value, Mapping)]
+    if inside and len(inside) == len(labels):
+        raise ValueError(
+            f"{source} must hold named arrays, got objects inside: {listed(inside)}. Pass one of these, read "
+            "by yourself, instead of the file."
+        )
+    places = labelled_quantities(labels, names, source)
+    found = {name: contents[place] for name, place in places.items() if name != "mode"}
+    values = mode_values(found, source)
+    count = values.frequencies.size
+    shapes = _matrix(found, "shapes", count, source)
+    if "shapes_imaginary" in found:
+        imaginary = _matrix(found, "shapes_imaginary", count, source)
+        if shapes is None or shapes.shape != imaginary.shape or shapes.dtype.kind == "c":
+            raise ValueError(
+                f"{source}: shapes_imaginary must stand beside real shapes of its size, got other ones. Save "
+                "both parts."
+            )
+        shapes = shapes + 1j * imaginary
+    return Identified(
+        source,
+        *values,
+        shapes=shapes,
+        shape_sd=_matrix(found, "shape_sd", count, source),
+        channels=_names(found.get("channels"), source),
+    )
+
+
+def _matrix(found, name: str, n_modes: int, source: str) -> np.ndarray | None:
+    """Entries (mode, channel) of a matrix (channel, mode), or of one vector for one mode."""
+    if name not in found:
+        return None
+    try:
+        array = np.asarray(found[name])
+        if array.dtype == object:  # null
+            array = array.astype(np.float64)
+        if array.dtype.kind not in "iufc":
+            raise TypeError
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(
+            f"{source}: {name} must be a matrix of numbers with a row for each channel and a column for each "
+            "mode, got something else."
+        ) from None
+    if array.ndim == 1 and n_modes == 1:
+        array = array[:, None]
+    if array.ndim != 2 or array.shape[1] != n_modes:
+        turned = array.ndim == 2 and array.shape[0] == n_modes
+        raise ValueError(
+            f"{source}: {name} must have a row for each channel and a column for each of the {n_modes} "
+            f"modes, got shape {array.shape}. "
+            f"{'Transpose it.' if turned else 'Pass `names` if another variable holds them.'}"
+        )
+    return array.T
+
+
+def _names(value, source: str) -> list[str] | None:
+    """Names of the channels, of a list or of the rows of a text."""
+    if value is None:
+        return None
+    names = np.ravel(np.asarray(value, dtype=object)).tolist()
+    if not all(isinstance(name, str) for name in names):
+        raise ValueError(
+            f"{source}: channels must be texts, got {type(value).__name__}. Pass `channels` instead."
+        )
+    return [name.strip() for name in names]

@@ -1,0 +1,299 @@
+"""The modes that an identification found."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from pymc_features._checks import as_numbers, check_finite
+from pymc_features.modal.shapes import phase_collinearity, real_shape
+
+_PER_MODE = ("frequency_sd", "damping_ratios", "damping_sd")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ModalData:
+    """Modes of a structure as an identification found them, immutable.
+
+    Parameters
+    ----------
+    frequencies : array_like (m,)
+        Natural frequencies [Hz], positive, in any order.
+    shapes : array_like (m, s), optional
+        Entry of each mode at each channel, real or complex, of any scale; NaN where it was not measured.
+    channels : sequence of str (s,)
+        Names of the channels, all different; needed with `shapes`.
+    frequency_sd : array_like (m,), optional
+        Standard deviations of the frequencies [Hz], positive.
+    damping_ratios : array_like (m,), optional
+        Fractions of critical damping, 0 <= zeta < 1; NaN where it is not known.
+    damping_sd : array_like (m,), optional
+        Standard deviations of the damping ratios, at least 0; NaN where it is not known.
+    shape_sd : array_like (m, s), optional
+        Standard deviations of the entries, in the scale of `shapes`, at least 0; NaN where it is not known.
+    name : str
+        What messages call the modes.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If shapes do not fit each other, names are missing or twice there, or numbers are out of range.
+
+    Examples
+    --------
+    >>> shapes = [[0.6, 1.0], [1.0, -0.5]]
+    >>> modal = ModalData([1.2, 3.5], shapes, ["floor 1", "roof"], frequency_sd=[0.01, 0.03])
+    >>> modal
+    ModalData(2 modes from 1.2 to 3.5 Hz, 2 channels)
+    >>> modal.select(channels=["roof"]).shapes
+    array([[ 1. ],
+           [-0.5]])
+    """
+
+    frequencies: np.ndarray = field()
+    shapes: np.ndarray | None = None
+    channels: tuple[str, ...] = ()
+    frequency_sd: np.ndarray | None = None
+    damping_ratios: np.ndarray | None = None
+    damping_sd: np.ndarray | None = None
+    shape_sd: np.ndarray | None = None
+    name: str = ""
+
+    def __post_init__(self):
+        self._set("frequencies", self._checked_frequencies())
+        self._set("channels", self._checked_channels())
+        self._set("name", str(self.name))
+        if self.shapes is not None:
+            self._set("shapes", self._checked_shapes())
+        for name in _PER_MODE:
+            if getattr(self, name) is not None:
+                self._set(name, self._checked_per_mode(name))
+        if self.shape_sd is not None:
+            self._set("shape_sd", self._checked_shape_sd())
+
+    def _set(self, name, value):
+        object.__setattr__(self, name, value)
+
+    def _checked_frequencies(self):
+        values = as_numbers(self.frequencies, "frequencies", "Pass Hz, or read files with `read_modal`.")
+        if values.ndim != 1 or values.size == 0:
+            raise ValueError(
+                f"`frequencies` must have shape (m,) with at least one mode, got {values.shape}. Pass one "
+                "frequency [Hz] for each mode."
+            )
+        check_finite(values, "frequencies", "Leave the mode out.")
+        if not (values > 0.0).all():
+            mode = int(np.argmin(values > 0.0))
+            raise ValueError(
+                f"`frequencies` must be positive, got {values[mode]} Hz of mode {mode}. Leave out modes of a "
+                "rigid body."
+            )
+        return values
+
+    def _checked_channels(self):
+        if isinstance(self.channels, str) or not isinstance(self.channels, Sequence | np.ndarray):
+            raise TypeError(f"`channels` must be a sequence of names, got {self.channels!r}.")
+        names = tuple(str(name).strip() for name in self.channels)
+        if "" in names:
+            raise ValueError(f"`channels` must have a name each, got none at index {names.index('')}.")
+        twice = [name for name, count in Counter(names).items() if count > 1]
+        if twice:
+            raise ValueError(
+                f"`channels` must have different names, got {', '.join(twice[:5])} more than once. Rename or "
+                "leave out one of each."
+            )
+        if self.shapes is None and names:
+            raise ValueError(
+                f"`channels` must be left out without `shapes`, got {len(names)} names. Pass the shapes too."
+            )
+        return names
+
+    def _checked_shapes(self):
+        values = _entries(self.shapes, "shapes")
+        shape = self.frequencies.size, len(self.channels)
+        if values.shape != shape or 0 in shape:
+            turned = values.shape == shape[::-1]
+            advice = (
+                "Transpose it: the first axis is the mode."
+                if turned
+                else "Pass a name for each channel and a frequency for each mode."
+            )
+            raise ValueError(
+                f"`shapes` must have shape (mode, channel) = {shape}, got {values.shape}. {advice}"
+            )
+        if np.isinf(values).any():
+            raise ValueError(
+                "`shapes` must be finite, or NaN where nothing was measured, got infinity. Correct it first."
+            )
+        moving = ((values != 0.0) & ~np.isnan(values)).any(axis=1)
+        if not moving.all():
+            mode = int(np.argmin(moving))
+            raise ValueError(
+                f"`shapes` must have an entry that is not zero in each mode, got none in mode {mode} "
+                f"({self.frequencies[mode]:.4g} Hz). Leave the mode out."
+            )
+        return values
+
+    def _checked_per_mode(self, name):
+        values = as_numbers(getattr(self, name), name)
+        if values.shape != self.frequencies.shape:
+            raise ValueError(
+                f"`{name}` must have shape (mode,) = {self.frequencies.shape}, got {values.shape}. Pass one "
+                "for each mode."
+            )
+        if name == "frequency_sd":
+            check_finite(values, name, "Leave it out if some are not known.")
+            if not (values > 0.0).all():
+                raise ValueError(
+                    f"`frequency_sd` must be positive, got {values.min()} Hz. Leave it out if it is not "
+                    "known."
+                )
+        elif name == "damping_ratios":
+            good = (values >= 0.0) & (values < 1.0) | np.isnan(values)
+            if not good.all():
+                raise ValueError(
+                    f"`damping_ratios` must be fractions from 0 to 1, got {values[~good][0]}. Divide a "
+                    "percentage by 100, and leave out modes of negative damping."
+                )
+        else:
+            _check_sd(values, name)
+        return values
+
+    def _checked_shape_sd(self):
+        values = as_numbers(self.shape_sd, "shape_sd")
+        wanted = None if self.shapes is None else self.shapes.shape
+        if values.shape != wanted:
+            raise ValueError(f"`shape_sd` must have the shape of `shapes`, {wanted}, got {values.shape}.")
+        _check_sd(values, "shape_sd")
+        return values
+
+    def __repr__(self):
+        f = self.frequencies
+        modes = "1 mode of" if f.size == 1 else f"{f.size} modes from {f.min():.4g} to"
+        label = f"{self.name!r}, " if self.name else ""
+        count = len(self.channels)
+        kind = "" if self.shapes is None else f", {count} channel{'s' if count > 1 else ''}"
+        return f"ModalData({label}{modes} {f.max():.4g} Hz{kind}{', complex' if self.is_complex else ''})"
+
+    def __len__(self):
+        return self.frequencies.size
+
+    def __reduce__(self):
+        # made anew, so that the arrays of a deep or pickled copy are read-only as well
+        return type(self), tuple(getattr(self, entry.name) for entry in fields(self))
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether the shapes are complex."""
+        return self.shapes is not None and self.shapes.dtype.kind == "c"
+
+    @property
+    def phase_collinearity(self) -> np.ndarray:
+        """Modal phase collinearity (m,) of the shapes: 1 if all entries move in phase or against it.
+
+        ((S_xx - S_yy)^2 + 4 S_xy^2) / (S_xx + S_yy)^2, with the products S of real and imaginary parts.
+        """
+        self._demand_shapes()
+        return np.array([phase_collinearity(shape) for shape in self.shapes])
+
+    def real(self) -> "ModalData":
+        """The same with real shapes, each turned by the phase that leaves the least imaginary part.
+
+        Of the two senses it has the one with the largest entry positive. Real shapes stay as they are.
+        """
+        if not self.is_complex:
+            return self
+        return self._with(shapes=np.array([real_shape(shape) for shape in self.shapes]))
+
+    def select(
+        self, modes: Sequence[int] | None = None, channels: Sequence[str] | None = None
+    ) -> "ModalData":
+        """Some of the modes, and some of the channels.
+
+        Parameters
+        ----------
+        modes : sequence of int, optional
+            By index from 0, in the order they shall have; all by default.
+        channels : sequence of str, optional
+            By name, in the order they shall have; all by default.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If there is no such mode or channel.
+        """
+        rows = range(len(self)) if modes is None else [_index(mode, len(self)) for mode in modes]
+        columns = slice(None)
+        if channels is not None:
+            self._demand_shapes()
+            columns = find_channels(channels, self.channels, "these modes")
+        chosen = {}
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if isinstance(value, np.ndarray):
+                value = value[list(rows)]
+                chosen[entry.name] = value[:, columns] if value.ndim == 2 else value
+        names = self.channels if channels is None else [self.channels[index] for index in columns]
+        return self._with(channels=names, **chosen)
+
+    def _with(self, **changed):
+        return type(self)(**({entry.name: getattr(self, entry.name) for entry in fields(self)} | changed))
+
+    def _demand_shapes(self):
+        if self.shapes is None:
+            raise ValueError("`shapes` must be there for this, got frequencies alone. Read them as well.")
+
+
+def find_channels(wanted: Sequence[str], names: Sequence[str], where: str) -> list[int]:
+    """Places of channels by their names.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a channel is not there; the message lists those that are.
+    """
+    if isinstance(wanted, str) or not isinstance(wanted, Sequence | np.ndarray) or len(wanted) == 0:
+        raise TypeError(f"`channels` must be a sequence of at least one name, got {wanted!r}.")
+    places = {name: index for index, name in enumerate(names)}
+    unknown = [name for name in wanted if name not in places]
+    if unknown:
+        raise ValueError(
+            f"`channels` must be among those of {where} ({listed(names)}), got {unknown[0]!r}. Pass one of "
+            "these names."
+        )
+    return [places[name] for name in wanted]
+
+
+def listed(names: Sequence[str], most: int = 20) -> str:
+    """Names as a message lists them."""
+    more = f", ... {len(names)} in all" if len(names) > most else ""
+    return ", ".join(str(name)[:40] for name in names[:most]) + more or "none"
+
+
+def _index(mode, n_modes: int) -> int:
+    if not isinstance(mode, int | np.integer) or isinstance(mode, bool) or not 0 <= mode < n_modes:
+        raise ValueError(f"`modes` must be indices from 0 to {n_modes - 1}, got {mode!r}.")
+    return int(mode)
+
+
+def _entries(values, name: str) -> np.ndarray:
+    """A read-only array of numbers, complex if one of them is."""
+    try:
+        numbers = np.array(values)
+        if numbers.dtype.kind not in "biufc":
+            numbers = numbers.astype(np.float64)
+        numbers = numbers.astype(np.complex128 if numbers.dtype.kind == "c" else np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"`{name}` must be an array of numbers, got {type(values).__name__}.") from None
+    numbers.setflags(write=False)
+    return numbers
+
+
+def _check_sd(values: np.ndarray, name: str) -> None:
+    good = (values >= 0.0) & (values < np.inf) | np.isnan(values)
+    if not good.all():
+        raise ValueError(
+            f"`{name}` must be at least 0, or NaN where it is not known, got {values[~good][0]}. Correct it "
+            "first."
+        )
