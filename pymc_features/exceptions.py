@@ -15,6 +15,7 @@ __all__ = [
     "DiedAtStartError",
     "FeatureLikelihoodWarning",
     "LaplaceWarning",
+    "ModalMatchWarning",
     "NoWorkersError",
     "NotDifferentiableError",
     "PopulationWarning",
@@ -45,6 +46,10 @@ class DatasetUnavailableError(OSError):
 
 class FeatureLikelihoodWarning(UserWarning):
     """The posterior of a feature likelihood will not mean what the user expects."""
+
+
+class ModalMatchWarning(UserWarning):
+    """An identified mode is like no mode of the model."""
 
 
 class SimulationWarning(UserWarning):

@@ -14,6 +14,7 @@ from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.inference import fisher_information, laplace, sample, sample_nuts, tolerance_sweep
 from pymc_features.io import read_channels, read_matrices, read_record
 from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
+from pymc_features.modal import ModalFeature, mac, match_modes, modes
 from pymc_features.ops import mean_square_discrepancy, response
 from pymc_features.plots import *  # noqa: F403  plot_chains, plot_loops, ...
 from pymc_features.prediction import first_passage_probability, posterior_response
@@ -43,6 +44,7 @@ __all__ = [
     "LinearStructure",
     "Loading",
     "ModalDamping",
+    "ModalFeature",
     "PersistentSMC",
     "PopulationIMH",
     "PopulationMH",
@@ -65,7 +67,10 @@ __all__ = [
     "fisher_information",
     "integration_error",
     "laplace",
+    "mac",
+    "match_modes",
     "mean_square_discrepancy",
+    "modes",
     "paper",
     "posterior_response",
     "read_channels",

@@ -35,6 +35,7 @@ ALLOWED = {
     "prediction": {"records", "structures", "simulators"},
     "ops": {"algebra", "records", "structures", "simulators"},
     "distributions": {"ops"},
+    "modal": {"records", "structures", "simulators", "ops", "distributions"},
     "likelihood_free": {"ops", "simulators", "fingerprint"},
     "smc": set(),
     "inference": {"records", "structures", "simulators", "distributions", "smc"},
@@ -69,6 +70,7 @@ PUBLIC_NAMES = [
     "LinearStructure",
     "Loading",
     "ModalDamping",
+    "ModalFeature",
     "PersistentSMC",
     "PopulationIMH",
     "PopulationMH",
@@ -91,7 +93,10 @@ PUBLIC_NAMES = [
     "fisher_information",
     "integration_error",
     "laplace",
+    "mac",
+    "match_modes",
     "mean_square_discrepancy",
+    "modes",
     "paper",
     "plot_chains",
     "plot_channels",
@@ -182,6 +187,7 @@ SIMULATOR_ROOMS = {
     "chain": {"compiled", "oscillators"},
     "linear": {"compiled", "oscillators"},
     "nonlinear": {"compiled", "oscillators", "chain"},
+    "modal": {"compiled", "oscillators", "chain", "linear"},
 }
 
 
