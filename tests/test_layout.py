@@ -36,7 +36,7 @@ ALLOWED = {
     "ops": {"algebra", "records", "structures", "simulators"},
     "distributions": {"ops"},
     "modal": {"records", "structures", "simulators", "ops", "distributions"},
-    "likelihood_free": {"ops", "simulators", "fingerprint"},
+    "likelihood_free": {"ops", "modal", "simulators", "fingerprint"},
     "smc": set(),
     "inference": {"records", "structures", "simulators", "distributions", "smc"},
     "calibration": {"ops", "distributions", "inference", "smc"},
