@@ -12,7 +12,7 @@ from pymc_features.distributions import LIKELIHOODS
 from pymc_features.inference import sample
 from pymc_features.io import FORMATS
 from pymc_features.likelihood_free import NODES
-from pymc_features.modal import ModalFeature
+from pymc_features.modal_features import ModalFeature
 from pymc_features.smc import KERNELS, SIMULATOR_KERNELS
 from pymc_features.structures import DAMPINGS, STRUCTURES
 

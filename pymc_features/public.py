@@ -14,7 +14,7 @@ from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.inference import fisher_information, laplace, sample, sample_nuts, tolerance_sweep
 from pymc_features.io import read_channels, read_matrices, read_record
 from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
-from pymc_features.modal import ModalFeature, mac, match_modes, modes
+from pymc_features.modal_features import ModalFeature, mac, match_modes, modes
 from pymc_features.ops import mean_square_discrepancy, response
 from pymc_features.plots import *  # noqa: F403  plot_chains, plot_loops, ...
 from pymc_features.prediction import first_passage_probability, posterior_response

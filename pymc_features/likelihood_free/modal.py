@@ -5,11 +5,11 @@ import pytensor.tensor as pt
 from scipy.optimize import linear_sum_assignment
 
 from pymc_features.likelihood_free.functions import number, simulate_batch, spread_batch
-from pymc_features.modal import SymbolicModes, mac
-from pymc_features.modal.assignment import Assignment
-from pymc_features.modal.identified import Identified
-from pymc_features.modal.mac import one_minus_mac
-from pymc_features.modal.quantities import StructuralModes
+from pymc_features.modal_features import SymbolicModes, mac
+from pymc_features.modal_features.assignment import Assignment
+from pymc_features.modal_features.identified import Identified
+from pymc_features.modal_features.mac import one_minus_mac
+from pymc_features.modal_features.quantities import StructuralModes
 
 FAR = 1e30  # stands for an infinite distance in sums of which the smallest is wanted
 

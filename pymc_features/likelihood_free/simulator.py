@@ -23,9 +23,9 @@ from pymc_features.likelihood_free.functions import (
 )
 from pymc_features.likelihood_free.kernels import KERNELS, Distance
 from pymc_features.likelihood_free.modal import ModesSimulator, node_of
-from pymc_features.modal import SymbolicModes
-from pymc_features.modal.feature import add_coordinates
-from pymc_features.modal.identified import identified
+from pymc_features.modal_features import SymbolicModes
+from pymc_features.modal_features.feature import add_coordinates
+from pymc_features.modal_features.identified import identified
 from pymc_features.ops import check_shape, name_the_time_axis, response_node
 
 ADVICE_ON_EPSILON = (

@@ -12,8 +12,8 @@ from pytensor.tensor import TensorVariable
 from pytensor.tensor.random.utils import normalize_size_param
 
 from pymc_features.distributions.gamma import GammaFeatureRV
-from pymc_features.modal.assignment import Assignment
-from pymc_features.modal.mac import one_minus_mac
+from pymc_features.modal_features.assignment import Assignment
+from pymc_features.modal_features.mac import one_minus_mac
 
 UNMATCHED = -1e30  # stands for a log-density of -inf in sums of which the largest is wanted
 

@@ -12,10 +12,10 @@ from pytensor.tensor import TensorLike, TensorVariable
 
 from pymc_features._checks import message
 from pymc_features.distributions.checks import as_double
-from pymc_features.modal.density import ModalFeatureRV, log_densities, matched
-from pymc_features.modal.identified import Identified, identified
-from pymc_features.modal.match import warn_at_start
-from pymc_features.modal.quantities import SymbolicModes
+from pymc_features.modal_features.density import ModalFeatureRV, log_densities, matched
+from pymc_features.modal_features.identified import Identified, identified
+from pymc_features.modal_features.match import warn_at_start
+from pymc_features.modal_features.quantities import SymbolicModes
 
 DENSITIES = {"TN": 1.0, "EXP": 2.0}  # degrees of freedom
 
@@ -71,10 +71,10 @@ class ModalFeature(Continuous):
     Notes
     -----
     The log-likelihood is the largest over all assignments. It is continuous wherever frequencies and shapes
-    are, as a set: where modes cross, the terms only change their order (tests/modal/test_feature.py). Its
-    slope jumps where the best assignment changes. It is no sum over assignments: where modes are closer than
-    the data can tell apart, it counts the better of two explanations, not the mean of both. A poor match is a
-    match: ask `match_modes`.
+    are, as a set: where modes cross, the terms only change their order
+    (tests/modal_features/test_feature.py). Its slope jumps where the best assignment changes. It is no sum
+    over assignments: where modes are closer than the data can tell apart, it counts the better of two
+    explanations, not the mean of both. A poor match is a match: ask `match_modes`.
 
     One log-likelihood value for each identification. A draw has a frequency and a shape of length one for
     each of them, of the mode that the data are matched with; missing entries are zero.

@@ -15,8 +15,8 @@ from scipy import optimize, stats
 
 from pymc_features import AffineStructure, ModalDamping, ModalFeature, SpringMassChain, mac, modes, sample
 from pymc_features.exceptions import ModalMatchWarning
-from pymc_features.modal.assignment import Assignment
-from pymc_features.modal.identified import identified
+from pymc_features.modal_features.assignment import Assignment
+from pymc_features.modal_features.identified import identified
 from support.graphs import LIGHT, PLAIN, REWRITTEN
 
 UNDAMPED = ModalDamping(0.0)

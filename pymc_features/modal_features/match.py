@@ -16,8 +16,8 @@ from pytensor.tensor import TensorVariable
 
 from pymc_features.distributions.checks import LIBRARIES
 from pymc_features.exceptions import ModalMatchWarning
-from pymc_features.modal.density import ModalFeatureRV, log_densities, mask_of, matched, n_parts
-from pymc_features.modal.mac import one_minus_mac
+from pymc_features.modal_features.density import ModalFeatureRV, log_densities, mask_of, matched, n_parts
+from pymc_features.modal_features.mac import one_minus_mac
 
 ONCE = Mode(linker="py", optimizer=None)
 OFTEN = Mode(linker="py", optimizer="fast_run")
