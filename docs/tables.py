@@ -12,13 +12,14 @@ from pymc_features.distributions import LIKELIHOODS
 from pymc_features.inference import sample
 from pymc_features.io import FORMATS
 from pymc_features.likelihood_free import NODES
+from pymc_features.modal_features import ModalFeature
 from pymc_features.smc import KERNELS, SIMULATOR_KERNELS
 from pymc_features.structures import DAMPINGS, STRUCTURES
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = {  # name between the markers -> heading of the first column, members
     "structures": ("structure or damping", STRUCTURES + DAMPINGS),
-    "likelihoods": ("likelihood or node", LIKELIHOODS + NODES),
+    "likelihoods": ("likelihood or node", (*LIKELIHOODS, ModalFeature, *NODES)),
     "kernels": ("sampler or kernel", (sample, *KERNELS, *SIMULATOR_KERNELS)),
 }
 

@@ -16,6 +16,7 @@ __all__ = [
     "FeatureLikelihoodWarning",
     "LaplaceWarning",
     "ModalDataWarning",
+    "ModalMatchWarning",
     "NoWorkersError",
     "NotDifferentiableError",
     "PopulationWarning",
@@ -50,6 +51,10 @@ class DatasetUnavailableError(OSError):
 
 class FeatureLikelihoodWarning(UserWarning):
     """The posterior of a feature likelihood will not mean what the user expects."""
+
+
+class ModalMatchWarning(UserWarning):
+    """An identified mode is like no mode of the model."""
 
 
 class SimulationWarning(UserWarning):

@@ -15,6 +15,7 @@ from pymc_features.inference import fisher_information, laplace, sample, sample_
 from pymc_features.io import read_channels, read_matrices, read_modal, read_record
 from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
 from pymc_features.modal import ModalData, merge_setups
+from pymc_features.modal_features import ModalFeature, mac, match_modes, modes
 from pymc_features.ops import mean_square_discrepancy, response
 from pymc_features.plots import *  # noqa: F403  plot_chains, plot_loops, ...
 from pymc_features.prediction import first_passage_probability, posterior_response
@@ -45,6 +46,7 @@ __all__ = [
     "Loading",
     "ModalDamping",
     "ModalData",
+    "ModalFeature",
     "PersistentSMC",
     "PopulationIMH",
     "PopulationMH",
@@ -67,8 +69,11 @@ __all__ = [
     "fisher_information",
     "integration_error",
     "laplace",
+    "mac",
+    "match_modes",
     "mean_square_discrepancy",
     "merge_setups",
+    "modes",
     "paper",
     "posterior_response",
     "read_channels",

@@ -36,7 +36,8 @@ ALLOWED = {
     "prediction": {"records", "structures", "simulators"},
     "ops": {"algebra", "records", "structures", "simulators"},
     "distributions": {"ops"},
-    "likelihood_free": {"ops", "simulators", "fingerprint"},
+    "modal_features": {"records", "structures", "simulators", "ops", "distributions"},
+    "likelihood_free": {"ops", "modal_features", "simulators", "fingerprint"},
     "smc": set(),
     "inference": {"records", "structures", "simulators", "distributions", "smc"},
     "calibration": {"ops", "distributions", "inference", "smc"},
@@ -71,6 +72,7 @@ PUBLIC_NAMES = [
     "Loading",
     "ModalDamping",
     "ModalData",
+    "ModalFeature",
     "PersistentSMC",
     "PopulationIMH",
     "PopulationMH",
@@ -93,8 +95,11 @@ PUBLIC_NAMES = [
     "fisher_information",
     "integration_error",
     "laplace",
+    "mac",
+    "match_modes",
     "mean_square_discrepancy",
     "merge_setups",
+    "modes",
     "paper",
     "plot_chains",
     "plot_channels",
@@ -186,6 +191,7 @@ SIMULATOR_ROOMS = {
     "chain": {"compiled", "oscillators"},
     "linear": {"compiled", "oscillators"},
     "nonlinear": {"compiled", "oscillators", "chain"},
+    "modal": {"compiled", "oscillators", "chain", "linear"},
 }
 
 

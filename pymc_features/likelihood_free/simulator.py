@@ -1,6 +1,6 @@
 """Likelihood-free updating: a `pm.Simulator` node with the distance of Eq. (15)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pymc as pm
@@ -22,6 +22,10 @@ from pymc_features.likelihood_free.functions import (
     number,
 )
 from pymc_features.likelihood_free.kernels import KERNELS, Distance
+from pymc_features.likelihood_free.modal import ModesSimulator, node_of
+from pymc_features.modal_features import SymbolicModes
+from pymc_features.modal_features.feature import add_coordinates
+from pymc_features.modal_features.identified import identified
 from pymc_features.ops import check_shape, name_the_time_axis, response_node
 
 ADVICE_ON_EPSILON = (
@@ -54,10 +58,10 @@ def response_node_logp(op, values, rng, size, *parameters, **kwargs):
 
 def DiscrepancySimulator(
     name: str,
-    mu: TensorVariable | Callable[..., ArrayLike],
+    mu: TensorVariable | SymbolicModes | Callable[..., ArrayLike],
     *params: TensorLike,
     epsilon: TensorLike,
-    observed: ArrayLike | SharedVariable,
+    observed: ArrayLike | Mapping | SharedVariable,
     kernel: str = "uniform",
     noise: TensorLike | None = None,
     dims: Sequence[str] | None = None,
@@ -68,8 +72,8 @@ def DiscrepancySimulator(
     ----------
     name : str
         Name of the node in the current model.
-    mu : TensorVariable (sensor, time) or callable
-        What `response` returned: its parameters become the node's. Or a function of the values of
+    mu : TensorVariable (sensor, time), SymbolicModes or callable
+        What `response` or `modes` returned: its parameters become the node's. Or a function of the values of
         `params` that returns an array of the shape of `observed`.
     *params : TensorVariable
         Parameters of the function; none if `mu` is a response. A function marked by `function.batched = True`
@@ -77,10 +81,11 @@ def DiscrepancySimulator(
         (particle, ...) out.
     epsilon : float, array_like (sensor,) or pm.Data
         Tolerance on rho, in squared units of the data, positive; see `abc_tolerance`. With one for each
-        sensor rho / epsilon becomes sum_j e_j / epsilon_j.
-    observed : array_like (sensor, time) or (entry,)
-        Measured response, or a summary of it (natural frequencies, say), finite. Of a summary
-        e_j = (y_j - g_j)^2.
+        sensor, or entry, rho / epsilon becomes sum_j e_j / epsilon_j.
+    observed : array_like (sensor, time) or (entry,), or identified modes
+        Measured response, or a summary of it, finite. Of a summary e_j = (y_j - g_j)^2. Beside `modes` what
+        `ModalFeature` takes: e_j are (ln f^ - ln f)^2 of all identifications, then 1 - MAC of those with a
+        shape, each matched with a mode of its own such that rho is smallest.
     kernel : {"uniform", "exponential", "gaussian"}
         "uniform" accepts where rho <= epsilon; "exponential" is the EXP likelihood at
         sigma^2 = epsilon / 2, constants included: exp(-rho / epsilon) / epsilon^N_0; "gaussian" is
@@ -117,6 +122,13 @@ def DiscrepancySimulator(
     """
     if not isinstance(kernel, str) or kernel not in KERNELS:
         raise ValueError(f"`kernel` must be one of {', '.join(KERNELS)}, got {kernel!r}.")
+    if isinstance(mu, SymbolicModes):
+        if params or noise is not None:
+            raise ValueError(
+                "`params` and `noise` must be left out when `mu` are modes, got one of them. Modes have "
+                "parameters of their own, and identified ones no noise of samples."
+            )
+        return modes_node(name, mu, identified(observed), epsilon, Distance(kernel), dims)
     data = _checked_data(observed)
     name_the_time_axis(dims, mu if isinstance(mu, Variable) else data, data)
     shape = data.shape if isinstance(data, np.ndarray) else data.get_value(borrow=True).shape
@@ -126,9 +138,6 @@ def DiscrepancySimulator(
         fn = NoisySimulator(fn)
         scale = _per_sensor("noise", noise, shape[0], ADVICE_ON_NOISE, zero=True)
         parameters = [*parameters, pt.broadcast_to(scale, (shape[0],))]
-    core_inputs = ",".join(
-        "(" + ",".join(f"p{i}{axis}" for axis in range(ndim)) + ")" for i, ndim in enumerate(fn.ndims_params)
-    )
     return node(
         name,
         fn,
@@ -136,10 +145,35 @@ def DiscrepancySimulator(
         distance=Distance(kernel),
         sum_stat="identity",
         epsilon=_tolerance(epsilon, shape[0]),
-        signature=f"{core_inputs}->({','.join(map(str, shape))})",
+        signature=_signature(fn, shape),
         observed=data,
         dims=dims,
     )
+
+
+def modes_node(name, mu, data, epsilon, distance, dims) -> TensorVariable:
+    """The node of modes that are matched with identified ones."""
+    fn = ModesSimulator(node_of(mu, data), data)
+    fn.epsilon = _tolerance(epsilon, fn.n_entries, "squared errors")
+    return ResponseSimulatorNode(
+        name,
+        fn,
+        *fn.parameters,
+        distance=distance,
+        sum_stat="identity",
+        epsilon=fn.epsilon,
+        signature=_signature(fn, data.values.shape),
+        observed=data.values,
+        dims=add_coordinates(name, data) if dims is None else dims,
+    )
+
+
+def _signature(fn, shape) -> str:
+    """Shapes of a simulator's parameters and of what it returns, as of a gufunc."""
+    inputs = ",".join(
+        "(" + ",".join(f"p{i}{axis}" for axis in range(ndim)) + ")" for i, ndim in enumerate(fn.ndims_params)
+    )
+    return f"{inputs}->({','.join(map(str, shape))})"
 
 
 def _simulator_of(mu, params, shape):
@@ -169,9 +203,9 @@ def _simulator_of(mu, params, shape):
     return ResponseSimulator(node.op, node.inputs[n:]), node.inputs[:n]
 
 
-def _tolerance(epsilon, n_sensors):
+def _tolerance(epsilon, n_sensors, kind="sensors"):
     """Epsilon as a tensor; a random variable is no tolerance."""
-    tensor = _per_sensor("epsilon", epsilon, n_sensors, ADVICE_ON_EPSILON)
+    tensor = _per_sensor("epsilon", epsilon, n_sensors, ADVICE_ON_EPSILON, kind=kind)
     owners = (v.owner for v in ancestors([tensor]) if v.owner is not None)
     if any(isinstance(node.op, RandomVariable | SymbolicRandomVariable) for node in owners):
         raise TypeError(
@@ -181,7 +215,7 @@ def _tolerance(epsilon, n_sensors):
     return tensor
 
 
-def _per_sensor(name, value, n_sensors, advice, *, zero=False):
+def _per_sensor(name, value, n_sensors, advice, *, zero=False, kind="sensors"):
     """A tensor () or (sensor,) whose numbers, where they are known, are positive; or zero, if allowed."""
     try:
         value = value if isinstance(value, Variable) else np.asarray(value, np.float64)
@@ -193,7 +227,7 @@ def _per_sensor(name, value, n_sensors, advice, *, zero=False):
     shape = values.shape if known else tensor.type.shape
     if len(shape) > 1 or (len(shape) == 1 and shape[0] not in (None, n_sensors)):
         raise ValueError(
-            f"`{name}` must be one number or one for each of the {n_sensors} sensors, got shape {shape}."
+            f"`{name}` must be one number or one for each of the {n_sensors} {kind}, got shape {shape}."
         )
     if known and not (np.isfinite(values) & ((values > 0) | (zero & (values == 0)))).all():
         wanted = "not negative" if zero else "positive"

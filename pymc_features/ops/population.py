@@ -119,22 +119,29 @@ def fused_comparison(op, inputs):
     inputs = [without_unit_batch(x, ndim) for x, ndim in zip(inputs, expected, strict=True)]
     if any(x.type.ndim != ndim for x, ndim in zip(inputs[n:], expected[n:], strict=True)):
         return Blockwise(op)(*inputs)
-    depths = [x.type.ndim - ndim for x, ndim in zip(inputs[:n], expected[:n], strict=True)]
-    depth = max(depths)
-    if depth == 0:
+    if all(x.type.ndim == ndim for x, ndim in zip(inputs, expected, strict=True)):
         return op(*inputs)
-    parameters, batch = inputs[:n], ()
-    if depth > 1:
+    rows, batch = as_rows(inputs[:n], expected[:n])
+    result = op.like(POPULATIONS[type(op)])(*rows, *inputs[n:])
+    if batch is None:
+        return result
+    return result.reshape((*batch, *tuple(result.shape)[1:]), ndim=len(batch) + result.ndim - 1)
+
+
+def as_rows(parameters, ndims):
+    """Parameters with any leading batch dimensions as rows of a population, one row for what has none.
+
+    Returns also the shape of the batch, None if it has one dimension: the rows are its entries then.
+    """
+    depths = [x.type.ndim - ndim for x, ndim in zip(parameters, ndims, strict=True)]
+    batch = None
+    if max(depths) > 1:
         leading = [tuple(x.shape)[:own] for x, own in zip(parameters, depths, strict=True) if own]
-        batch = pt.broadcast_shape(*leading, arrays_are_shapes=True)
+        batch = tuple(pt.broadcast_shape(*leading, arrays_are_shapes=True))
         parameters = [
             flat_batch(x, batch, own) if own else x for x, own in zip(parameters, depths, strict=True)
         ]
-    rows = [x if own else x[None] for x, own in zip(parameters, depths, strict=True)]
-    result = op.like(POPULATIONS[type(op)])(*rows, *inputs[n:])
-    if depth == 1:
-        return result
-    return result.reshape((*batch, *tuple(result.shape)[1:]), ndim=depth + result.ndim - 1)
+    return [x if own else x[None] for x, own in zip(parameters, depths, strict=True)], batch
 
 
 def flat_batch(x, batch, depth):

@@ -1,8 +1,8 @@
 """Arrays in, arrays out: response, misfit and their derivatives, as compiled kernels.
 
 Rooms: `compiled` (machine code), `oscillators` (uncoupled modes through time), `chain`, `linear` and
-`nonlinear` (from the parameters of a family to its modes or states), and above them `families`, the table of
-all kernels. Nothing here knows of PyMC or PyTensor.
+`nonlinear` (from the parameters of a family to its modes or states), `modal` (modes for their own sake), and
+above them `families`, the table of all kernels. Nothing here knows of PyMC or PyTensor.
 
 Symbols, as in the equations of the documentation:
 

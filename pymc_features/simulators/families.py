@@ -42,6 +42,13 @@ from pymc_features.simulators.linear.gradient import (
 from pymc_features.simulators.linear.population import linear_population_discrepancy, linear_population_misfit
 from pymc_features.simulators.linear.response import linear_discrepancy, linear_misfit, linear_response
 from pymc_features.simulators.linear.tangent import linear_discrepancy_tangent, linear_response_tangent
+from pymc_features.simulators.modal.chain import (
+    chain_modes_gradient,
+    chain_population_modes,
+    small_motion_gradient,
+    small_motion_modes,
+)
+from pymc_features.simulators.modal.linear import linear_modes_gradient, linear_population_modes
 from pymc_features.simulators.nonlinear.bouc_wen import BoucWen
 from pymc_features.simulators.nonlinear.duffing import Cubic
 from pymc_features.simulators.nonlinear.kernels import nonlinear_kernels
@@ -66,6 +73,9 @@ class Family(NamedTuple):
         Shapes: one ground acceleration or several inputs; degrees of freedom, or a matrix S of outputs.
     compiled : bool
         Whether the kernels can be called from compiled code.
+    modal : dict
+        The functions of `modal`, of a population: parameters and `Outputs` in, and a `Cotangent` for the
+        gradient.
     """
 
     arguments: type
@@ -76,6 +86,7 @@ class Family(NamedTuple):
     excitation: str = "t"
     sensors: str = "s"
     compiled: bool = False
+    modal: dict[str, Callable] = {}  # noqa: RUF012
 
     @property
     def inputs(self) -> dict[str, str]:
@@ -149,6 +160,7 @@ FAMILIES = {
             "population_gradient": population_gradient,
         },
         compiled=True,
+        modal={"modes": chain_population_modes, "modes_gradient": chain_modes_gradient},
     ),
     "linear": Family(
         LinearParameters,
@@ -177,9 +189,11 @@ FAMILIES = {
         integers=("rows", "starts"),
         excitation="d,t",
         sensors="s,n",
+        modal={"modes": linear_population_modes, "modes_gradient": linear_modes_gradient},
     ),
 }
+SMALL_MOTIONS = {"modes": small_motion_modes, "modes_gradient": small_motion_gradient}
 FAMILIES |= {
-    name: Family(NonlinearParameters, SPRINGS | {"law": "l,n"}, nonlinear_kernels(law))
+    name: Family(NonlinearParameters, SPRINGS | {"law": "l,n"}, nonlinear_kernels(law), modal=SMALL_MOTIONS)
     for name, law in NONLINEAR.items()
 }

@@ -1,0 +1,179 @@
+"""Identified modes as the likelihood takes them: checked, in one array without missing values."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features._checks import message
+
+FIELDS = ("frequencies", "shapes", "frequency_sd")
+
+
+class Identified(NamedTuple):
+    """Identifications of modes, i of them at s channels, of g different modes.
+
+    Attributes
+    ----------
+    frequencies : array (i,)
+        f^ [Hz].
+    sd : array (i,)
+        Standard deviation of ln f^ [-], zero where none was identified.
+    shapes : array (i, s)
+        phi^, real or complex, of any scale and sign; zero where an entry is missing. s = 0 without shapes.
+    known : array (i, s)
+        1 where an entry is known, 0 where it is missing, and throughout a shape that says nothing.
+    labels : array (g,)
+        What each mode is called.
+    groups : array (g, i)
+        1 where an identification is of a mode.
+    """
+
+    frequencies: np.ndarray
+    sd: np.ndarray
+    shapes: np.ndarray
+    known: np.ndarray
+    labels: np.ndarray
+    groups: np.ndarray
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether shapes are complex."""
+        return np.iscomplexobj(self.shapes)
+
+    @property
+    def values(self) -> np.ndarray:
+        """The data in one array (i, 1 + s), or (i, 1 + 2 s) of complex shapes: f^, Re phi^, Im phi^."""
+        parts = [self.shapes.real, self.shapes.imag] if self.is_complex else [self.shapes]
+        return np.hstack([self.frequencies[:, None], *parts])
+
+    @property
+    def entries(self) -> list[str]:
+        """What the columns of `values` are."""
+        s = self.shapes.shape[1]
+        names = [f"shape {j}" for j in range(s)]
+        if self.is_complex:
+            names = [f"{part} {name}" for part in ("real", "imaginary") for name in names]
+        return ["frequency", *names]
+
+    @property
+    def of(self) -> list[str]:
+        """What each identification is called: its mode's label, with a number where there are several."""
+        owner, names = self.groups.argmax(axis=0), []
+        for i, g in enumerate(owner):
+            earlier = int((owner[:i] == g).sum())
+            alone = (owner == g).sum() == 1
+            names.append(f"{self.labels[g]}" if alone else f"{self.labels[g]}.{earlier}")
+        return names
+
+
+def identified(observed, labels=None) -> Identified:
+    """Check identified modes.
+
+    Parameters
+    ----------
+    observed : object or mapping with `frequencies`, `shapes` and `frequency_sd`, or array_like (i,)
+        Frequencies [Hz] (i,), shapes (i, s) or None, standard deviations (i,) [Hz] or None; an array is
+        frequencies alone.
+    labels : sequence (i,), optional
+        Which mode each identification is of; by default each is of a mode of its own.
+    """
+    if isinstance(observed, Mapping):
+        unknown = sorted(set(observed) - set(FIELDS))
+        if unknown or "frequencies" not in observed:
+            raise ValueError(message("observed", f"a mapping of {', '.join(FIELDS)}", ", ".join(observed)))
+        frequencies, shapes, sd = (observed.get(name) for name in FIELDS)
+    elif hasattr(observed, "frequencies"):
+        frequencies, shapes, sd = (getattr(observed, name, None) for name in FIELDS)
+    else:
+        frequencies, shapes, sd = observed, None, None
+    frequencies = _real(frequencies, "frequencies")
+    if (
+        frequencies.ndim != 1
+        or not frequencies.size
+        or not ((frequencies > 0) & (frequencies < np.inf)).all()
+    ):
+        raise ValueError(
+            message("frequencies", "a list of positive numbers", np.array2string(frequencies), "Pass Hz.")
+        )
+    shapes, known = _shapes(shapes, frequencies.size)
+    owner, names = _labels(labels, frequencies.size)
+    groups = (owner == np.arange(len(names))[:, None]).astype(np.float64)
+    return Identified(frequencies, _sd(sd, frequencies) / frequencies, shapes, known, names, groups)
+
+
+def _real(value, name):
+    try:
+        array = np.array(value)
+        if array.dtype.kind not in "biuf":
+            raise TypeError
+    except (TypeError, ValueError):
+        raise TypeError(message(name, "an array of real numbers", type(value).__name__)) from None
+    return array.astype(np.float64)
+
+
+def _sd(sd, frequencies):
+    """Standard deviations [Hz]; a missing one is zero, as one that was not identified."""
+    if sd is None:
+        return np.zeros(frequencies.size)
+    sd = _real(sd, "frequency_sd")
+    sd = np.where(np.isnan(sd), 0.0, sd)
+    if sd.shape != frequencies.shape or not ((sd >= 0) & (sd < np.inf)).all():
+        raise ValueError(
+            message(
+                "frequency_sd",
+                f"{frequencies.size} numbers that are not negative",
+                np.array2string(sd),
+                "Pass Hz, NaN where there is none.",
+            )
+        )
+    return sd
+
+
+def _shapes(shapes, n):
+    """Shapes without NaN, and where they are known; a shape of one entry says nothing."""
+    if shapes is None:
+        return np.zeros((n, 0)), np.zeros((n, 0))
+    try:
+        shapes = np.array(shapes)
+        if shapes.dtype.kind not in "biufc":
+            raise TypeError
+    except (TypeError, ValueError):
+        raise TypeError(message("shapes", "an array of numbers", type(shapes).__name__)) from None
+    if shapes.ndim != 2 or shapes.shape[0] != n:
+        raise ValueError(
+            message(
+                "shapes",
+                f"({n}, channels) to match `frequencies`",
+                shapes.shape,
+                "Give one row for each mode, NaN where a channel is missing; transpose modes in columns.",
+            )
+        )
+    if np.isinf(shapes).any():
+        raise ValueError(message("shapes", "finite", "infinity", "Pass NaN where a channel is missing."))
+    known = ~np.isnan(shapes)
+    known &= known.sum(axis=1, keepdims=True) > 1
+    shapes = np.where(known, shapes, 0.0)
+    zero = known.any(axis=1) & ~shapes.any(axis=1)
+    if zero.any():
+        raise ValueError(
+            message(
+                "shapes", "not zero", f"zeros in row {zero.argmax()}", "Pass NaN where a shape is missing."
+            )
+        )
+    kind = np.complex128 if np.iscomplexobj(shapes) else np.float64
+    return shapes.astype(kind), known.astype(np.float64)
+
+
+def _labels(labels, n):
+    """The mode of each identification, and what the modes are called, in the order of their first."""
+    if labels is None:
+        return np.arange(n), np.arange(n)
+    labels = np.array(labels)
+    if labels.shape != (n,):
+        raise ValueError(
+            message("labels", f"{n} labels, one for each identification", f"shape {labels.shape}")
+        )
+    names, first, owner = np.unique(labels, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    return np.argsort(order)[owner], names[order]

@@ -1,0 +1,113 @@
+"""Modes of spring-mass chains, and of nonlinear chains in small motions, with their gradients."""
+
+import numpy as np
+
+from pymc_features.simulators.chain.gradient import drifts_of, zeros_like
+from pymc_features.simulators.chain.modes import chain_modes
+from pymc_features.simulators.chain.parameters import ChainParameters, own_rows
+from pymc_features.simulators.chain.response import check_sizes
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.modal.perturbation import (
+    Cotangent,
+    by_eigenvalues,
+    damping_ratio,
+    reduced_cotangents,
+)
+from pymc_features.simulators.oscillators.outside import outside_span
+from pymc_features.simulators.oscillators.recursion import write_damping
+
+
+@jit
+def solve_chain(own, n_modes):
+    """All modes of a chain, with the damping of those that are kept.
+
+    Returns
+    -------
+    valid : bool
+        False if the parameters describe no structure; the rest is undefined then.
+    omega, rows : array (n,), (n, n)
+        As `chain_modes` writes them.
+    damping : array (m,)
+        D [1/s].
+    """
+    n = own.mass.size
+    omega, participation, rows, damping = np.empty(n), np.empty(n), np.zeros((n, n)), np.empty(n_modes)
+    valid = chain_modes(own.mass, own.stiffness, omega, rows, participation)
+    if valid:
+        valid = write_damping(omega[:n_modes], own.rayleigh, own.ratios, 0.0, damping)
+    return valid, omega, rows, damping
+
+
+@jit
+def chain_population_modes(parameters, wanted):
+    """Frequencies (p, m), shapes (p, m, s) and damping ratios (p, m) of a population of `ChainParameters`."""
+    check_sizes(own_rows(parameters, 0), wanted)
+    count, m = 1, wanted.n_modes
+    for array in parameters:
+        count = max(count, array.shape[0])
+    frequencies, ratios = np.full((count, m), np.nan), np.full((count, m), np.nan)
+    shapes = np.full((count, m, wanted.sensors.size), np.nan)
+    for p in range(count):
+        valid, omega, rows, damping = solve_chain(own_rows(parameters, p), m)
+        if not valid:
+            continue
+        for r in range(m):
+            frequencies[p, r] = omega[r] / (2.0 * np.pi)
+            ratios[p, r] = damping_ratio(omega[r], damping[r])
+            for j in range(wanted.sensors.size):
+                shapes[p, r, j] = rows[r, wanted.sensors[j]]
+    return frequencies, shapes, ratios
+
+
+@jit
+def add_modes_gradient(own, wanted, cotangent, gradients):
+    """Add the gradient of one chain to `gradients`; NaN where its parameters describe none."""
+    m = wanted.n_modes
+    valid, omega, rows, damping = solve_chain(own, m)
+    if not valid:
+        for gradient in gradients:
+            gradient[:] = np.nan
+        return
+    kept, slopes, by_shapes = omega[:m].copy(), np.empty(m), np.zeros((omega.size, m))
+    for r in range(m):
+        slopes[r] = 0.5 * (own.rayleigh[1] - own.rayleigh[0] / kept[r] ** 2)
+        gradients.rayleigh[0] += cotangent.ratios[r] / (2.0 * kept[r])
+        gradients.rayleigh[1] += cotangent.ratios[r] * 0.5 * kept[r]
+        gradients.ratios[r] += cotangent.ratios[r]
+        for j in range(wanted.sensors.size):
+            by_shapes[wanted.sensors[j], r] += cotangent.shapes[r, j]
+    by_eigenvalue = by_eigenvalues(kept, slopes, cotangent)
+    by_stiffness, by_mass = reduced_cotangents(kept, by_eigenvalue, np.dot(rows[:m], by_shapes))
+    shapes = np.ascontiguousarray(rows[:m].T)
+    left_stiffness, left_mass = np.dot(shapes, by_stiffness), np.dot(shapes, by_mass)
+    if m < omega.size:
+        outside = outside_span(omega, rows, m, by_shapes)
+        left_stiffness -= outside
+        left_mass += outside * kept**2
+    drifts, turned = drifts_of(shapes), drifts_of(left_stiffness)
+    for i in range(omega.size):
+        for r in range(m):
+            gradients.stiffness[i] += turned[i, r] * drifts[i, r]
+            gradients.mass[i] += left_mass[i, r] * shapes[i, r]
+
+
+@jit
+def chain_modes_gradient(parameters, wanted, cotangent):
+    """Gradients in the shapes of the parameters; what all particles share, in one row, gets the sum."""
+    check_sizes(own_rows(parameters, 0), wanted)
+    gradients = zeros_like(parameters)
+    for p in range(cotangent.frequencies.shape[0]):
+        own = Cotangent(cotangent.frequencies[p], cotangent.shapes[p], cotangent.ratios[p])
+        add_modes_gradient(own_rows(parameters, p), wanted, own, own_rows(gradients, p))
+    return gradients
+
+
+def small_motion_modes(parameters, wanted) -> tuple:
+    """Modes of nonlinear chains about rest: those of the initial stiffness."""
+    return chain_population_modes(ChainParameters(*parameters[:4]), wanted)
+
+
+def small_motion_gradient(parameters, wanted, cotangent) -> tuple:
+    """Gradients by all parameters of nonlinear chains; those of the law have no part in small motions."""
+    linear = ChainParameters(*parameters[:4])
+    return *chain_modes_gradient(linear, wanted, cotangent), *(np.zeros(x.shape) for x in parameters[4:])

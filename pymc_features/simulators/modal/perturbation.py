@@ -1,0 +1,90 @@
+"""Derivatives of single modes: frequencies, shapes and damping ratios by the reduced matrices.
+
+For K phi_r = lambda_r M phi_r, phi_r' M phi_r = 1, changes dK and dM make
+
+    dlambda_r = phi_r' (dK - lambda_r dM) phi_r,
+    dphi_r = sum_s phi_s phi_s' (dK - lambda_r dM) phi_r / (lambda_r - lambda_s) - phi_r phi_r' dM phi_r / 2
+
+(Fox & Kapoor, AIAA J. 6, 2426-2429, 1968), and what leaves the span of the modes kept. With b_r, the
+derivative of a number L by phi_r, and B = Phi' [b_1 ...], a pair of modes adds to dL
+
+    phi_s' dK phi_r (B_sr - B_rs) / (lambda_r - lambda_s)
+    - phi_s' dM phi_r [(lambda_r + lambda_s) / 2 (B_sr - B_rs) / (lambda_r - lambda_s) + (B_sr + B_rs) / 2].
+
+Written so, the gap divides what turns the two shapes in their plane, and nothing else. What depends on the
+plane alone has B_sr = B_rs. Where two frequencies are equal, no other derivative exists, and the quotient
+counts as zero.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features.simulators.compiled.jit import jit
+
+
+class Cotangent(NamedTuple):
+    """Derivatives of a number L by modes; of a population with one more axis in front.
+
+    Attributes
+    ----------
+    frequencies : array (m,)
+        [1/Hz].
+    shapes : array (m, s)
+    ratios : array (m,)
+    """
+
+    frequencies: np.ndarray
+    shapes: np.ndarray
+    ratios: np.ndarray
+
+
+@jit
+def damping_ratio(omega, damping):
+    """D / (2 omega); of a rigid body zero, or infinite if it is damped."""
+    if omega == 0.0 and damping == 0.0:
+        return 0.0
+    return damping / (2.0 * omega)
+
+
+@jit
+def by_eigenvalues(omega, ratio_slopes, cotangent):
+    """Derivatives (m,) of L by lambda, at fixed shapes.
+
+    `ratio_slopes` (m,) are the derivatives of the damping ratios by omega. A rigid body, whose frequency has
+    none by lambda, gets one only where L asks for it.
+    """
+    result = np.zeros(omega.size)
+    for r in range(omega.size):
+        by_omega = cotangent.frequencies[r] / (2.0 * np.pi)
+        if cotangent.ratios[r] != 0.0:
+            by_omega += cotangent.ratios[r] * ratio_slopes[r]
+        if by_omega != 0.0:
+            result[r] = by_omega / (2.0 * omega[r])
+    return result
+
+
+@jit
+def reduced_cotangents(omega, by_eigenvalue, turned):
+    """Derivatives (m, m) of L by Phi' K Phi and Phi' M Phi.
+
+    Parameters
+    ----------
+    omega, by_eigenvalue : array (m,)
+    turned : array (m, m)
+        B_sr = phi_s' b_r.
+    """
+    m = omega.size
+    stiffness, mass = np.zeros((m, m)), np.zeros((m, m))
+    for r in range(m):
+        for s in range(m):
+            gap = (omega[r] - omega[s]) * (omega[r] + omega[s])
+            turn = 0.0
+            if r == s:
+                turn = by_eigenvalue[r]
+            elif gap != 0.0:
+                turn = 0.5 * (turned[s, r] - turned[r, s]) / gap
+            stiffness[s, r] = turn
+            mean = 0.5 * (omega[r] * omega[r] + omega[s] * omega[s])
+            mass[s, r] = -mean * turn - 0.25 * (turned[s, r] + turned[r, s])
+    return stiffness, mass
