@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import check_group
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.plots.axes import AxesLike, checked_axes
 
@@ -24,6 +25,7 @@ def plot_natural_frequencies(result: xr.DataTree, axes: AxesLike = None) -> np.n
     -------
     array of two matplotlib Axes
     """
+    check_group(result, "result", "data", "Pass what `run_update` returned.")
     kinds = [name for name, part in result.children.items() if "modal" in part.children]
     if not kinds:
         raise ValueError("`result` must have a likelihood with natural frequencies, got none.")

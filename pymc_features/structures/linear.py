@@ -4,7 +4,7 @@ import numpy as np
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
-from pymc_features._checks import check_finite, check_integer
+from pymc_features._checks import as_numbers, check_finite, check_integer
 from pymc_features.algebra import AffineMatrix, common_pattern, natural_modes, to_dense
 from pymc_features.records import DynamicLoad
 from pymc_features.structures.base import Matrices, Modes, Structure, static_length
@@ -267,18 +267,12 @@ class LinearStructure(Structure):
 def _influence(value, n):
     if value is None:
         value = np.ones(n)
-    try:
-        influence = np.array(value.toarray() if sparse.issparse(value) else value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(
-            f"`influence` must be an array of numbers, got {type(value).__name__}. "
-            "Pass displacement ratios [-]; they cannot be random."
-        ) from None
+    value = value.toarray() if sparse.issparse(value) else value
+    influence = as_numbers(value, "influence", "Pass displacement ratios [-]; they cannot be random.")
     if influence.ndim not in (1, 2) or influence.shape[0] != n or influence.size == 0:
         raise ValueError(
             f"`influence` must have shape ({n},) or ({n}, supports), got {influence.shape}. "
             "Give the displacement of every degree of freedom under a unit displacement of each support."
         )
     check_finite(influence, "influence", "Pass displacement ratios [-].")
-    influence.setflags(write=False)
     return influence

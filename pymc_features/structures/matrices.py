@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.linalg import eigh
 
-from pymc_features._checks import message
+from pymc_features._checks import as_array, message
 from pymc_features.algebra import is_definite, shifted_factor, spectral_shift
 
 type MatrixLike = ArrayLike | sparse.sparray | sparse.spmatrix
@@ -53,8 +53,8 @@ def _numbers(value, name, unit):
             if np.issubdtype(value.dtype, np.complexfloating):
                 raise TypeError
             return sparse.csc_array(value, dtype=np.float64, copy=True)
-        matrix = np.array(value)
-        if matrix.dtype.kind not in "biuf":
+        matrix = as_array(value)
+        if matrix.dtype.kind not in "iuf":
             raise TypeError
     except (TypeError, ValueError):
         raise TypeError(
