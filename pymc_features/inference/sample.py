@@ -10,7 +10,7 @@ import pymc as pm
 import xarray as xr
 from pymc.util import RandomState
 
-from pymc_features._checks import check_mapping, check_model, check_path
+from pymc_features._checks import check_mapping, check_model, check_path, check_seed
 from pymc_features.exceptions import SamplingWarning
 from pymc_features.inference.beside import closeness, distance_to_modes, undetermined
 from pymc_features.inference.parameters import Unconstrained, coordinate_names, to_unconstrained
@@ -108,7 +108,7 @@ def sample(
     >>> round(idata.sample_stats.attrs["log_evidence"], 1)
     -1.5
     """
-    check_run(draws, chains, cores, random_seed, progressbar)
+    check_run(draws, chains, cores, check_seed(random_seed), progressbar)
     model = check_model(model)
     compile_kwargs = check_mapping(compile_kwargs, "compile_kwargs", "a dict for `pytensor.function`")
     if checkpoint is not None:

@@ -130,7 +130,7 @@ def check_run(draws, chains, cores, random_seed, progressbar) -> None:
         if value is not None:
             check_integer(value, name, most=MOST_RUNS)
     n = max(2, cores or processors()) if chains is None else chains
-    if np.ndim(check_seed(random_seed)) and len(random_seed) != n:
+    if np.ndim(check_seed(random_seed, states=True)) and len(random_seed) != n:
         wanted = f"one integer, or one for each of the {n} chains"
         raise ValueError(message("random_seed", wanted, f"{len(random_seed)} integers"))
     check_flag(progressbar, "progressbar")
