@@ -42,7 +42,10 @@ TREE = xr.DataTree.from_dict(
         "observed_data": OBSERVED,
         "loops": LOOPS,
         "summary": SUMMARY,
-        "data": xr.Dataset({"ground_acceleration": ("record_time", [0.0, 1.0])}, {"record_time": [0.0, 0.1]}),
+        "data": xr.Dataset(
+            {"gain": (("sensor", "frequency"), np.ones((1, 2)))},
+            {"sensor": ["roof"], "frequency": [1.0, 2.0]},
+        ),
         "sample_stats": xr.Dataset(
             {
                 "beta": (("chain", "stage"), np.ones((1, 2))),
