@@ -12,6 +12,7 @@ import xarray as xr
 from scipy import sparse
 from scipy.io import loadmat
 
+from pymc_features._checks import check_choice
 from pymc_features.exceptions import DatasetUnavailableError
 from pymc_features.io import read_channels, read_modal
 from pymc_features.modal import ModalData
@@ -148,9 +149,7 @@ def mini_shake_table(event: str) -> xr.DataArray:
     ----------
     STAIRlab, mdof, https://github.com/STAIRlab/mdof, BSD-2-Clause.
     """
-    if event not in _EVENTS:
-        raise ValueError(f"`event` must be one of {', '.join(_EVENTS)}, got {event!r}.")
-    local, names, digests = _EVENTS[event]
+    local, names, digests = _EVENTS[check_choice(event, "event", _EVENTS)]
     paths = {}
     for (level, there), digest in zip(_LEVELS.items(), digests, strict=True):
         file = f"mini_shake_table/flexible_{local}_{level}.csv"

@@ -11,10 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pymc_features._checks import check_integer, check_positive
+from pymc_features._checks import LARGEST_COUNT, check_positive, check_seed, shown
 from pymc_features.records import Record
 
 __all__ = ["AminAng", "CloughPenzien", "synthetic_earthquake"]
+
+MOST_SAMPLES = 10**8
 
 
 @dataclass(frozen=True)
@@ -41,11 +43,18 @@ class CloughPenzien:
     zeta_f: float = 0.6
 
     def __post_init__(self):
-        for name in ("omega_g", "zeta_g", "zeta_f"):
-            check_positive(getattr(self, name), name)
         if self.omega_f is None:
-            object.__setattr__(self, "omega_f", 0.1 * self.omega_g)
-        check_positive(self.omega_f, "omega_f")
+            object.__setattr__(self, "omega_f", 0.1 * check_positive(self.omega_g, "omega_g"))
+        for name in ("omega_g", "zeta_g", "omega_f", "zeta_f"):
+            object.__setattr__(self, name, check_positive(getattr(self, name), name))
+
+    @property
+    def slowest_decay(self) -> float:
+        """Decay rate of the slowest pole [1/s]."""
+        return min(
+            omega * (zeta - math.sqrt(max(zeta**2 - 1.0, 0.0)))
+            for omega, zeta in ((self.omega_g, self.zeta_g), (self.omega_f, self.zeta_f))
+        )
 
 
 @dataclass(frozen=True)
@@ -66,9 +75,9 @@ class AminAng:
 
     def __post_init__(self):
         for name in ("rise_time", "strong_time"):
-            if getattr(self, name) is not None:
-                check_positive(getattr(self, name), name, allow_zero=True)
-        check_positive(self.end_level, "end_level")
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, check_positive(value, name, allow_zero=True))
+        object.__setattr__(self, "end_level", check_positive(self.end_level, "end_level"))
         if self.end_level > 1.0:
             raise ValueError(f"`end_level` must be at most 1, the plateau, got {self.end_level}.")
 
@@ -146,9 +155,10 @@ def synthetic_earthquake(
     >>> record
     Record('synthetic 7', 2001 samples, dt=0.01 s, duration=20 s, pga=2.5 m/s^2)
     """
-    seed = None if random_seed is None else check_integer(random_seed, "random_seed", least=0)
-    for name, value in dict(duration=duration, dt=dt, pga=pga).items():
-        check_positive(value, name)
+    seed = check_seed(random_seed, several=False)
+    duration, dt, pga = (
+        check_positive(value, name) for name, value in dict(duration=duration, dt=dt, pga=pga).items()
+    )
     spectrum = CloughPenzien() if spectrum is None else _of_type("spectrum", spectrum, CloughPenzien)
     envelope = AminAng() if envelope is None else _of_type("envelope", envelope, AminAng)
     for name, omega in dict(omega_g=spectrum.omega_g, omega_f=spectrum.omega_f).items():
@@ -157,13 +167,19 @@ def synthetic_earthquake(
                 f"`{name}` must be below the Nyquist frequency {math.pi / dt:.4g} rad/s, got "
                 f"{omega:.4g} rad/s. Take a smaller `dt`."
             )
-    n_times = round(duration / dt) + 1
+    n_times = round(min(duration / dt, LARGEST_COUNT)) + 1
     if n_times < 2:
         raise ValueError(f"`duration` must be at least one step of {dt} s, got {duration} s.")
-    stationary = _stationary(n_times, dt, spectrum, np.random.default_rng(seed))
+    memory = math.ceil(min(10.0 / (spectrum.slowest_decay * dt), LARGEST_COUNT))
+    if n_times + memory > MOST_SAMPLES:
+        raise ValueError(
+            f"`dt` must leave at most {MOST_SAMPLES} samples of the duration and the memory of the filters, "
+            f"got {dt:g} s. Take a larger `dt`, or a shorter `duration`."
+        )
+    stationary = _stationary(n_times, dt, spectrum, np.random.default_rng(seed), memory)
     acceleration = envelope.at(np.arange(n_times) * dt) * stationary
     acceleration = acceleration / np.abs(acceleration).max() * pga
-    return Record(acceleration, dt, name="synthetic" if seed is None else f"synthetic {seed}")
+    return Record(acceleration, dt, name="synthetic" if seed is None else f"synthetic {shown(seed)}")
 
 
 def _of_type(name: str, value, kind: type):
@@ -172,15 +188,10 @@ def _of_type(name: str, value, kind: type):
     return value
 
 
-def _stationary(n_times: int, dt: float, spectrum: CloughPenzien, rng: np.random.Generator) -> np.ndarray:
+def _stationary(n_times, dt, spectrum: CloughPenzien, rng: np.random.Generator, memory: int) -> np.ndarray:
     """White noise (time,) through both filters, exact below the Nyquist frequency."""
     omega_g, zeta_g = spectrum.omega_g, spectrum.zeta_g
     omega_f, zeta_f = spectrum.omega_f, spectrum.zeta_f
-    slowest = min(  # decay rate [1/s] of the slowest pole
-        omega * (zeta - math.sqrt(max(zeta**2 - 1.0, 0.0)))
-        for omega, zeta in ((omega_g, zeta_g), (omega_f, zeta_f))
-    )
-    memory = math.ceil(10.0 / (slowest * dt))
     noise = np.fft.rfft(rng.standard_normal(n_times + memory))
     s = 2j * math.pi * np.fft.rfftfreq(n_times + memory, dt)  # the Laplace variable, i omega
     ground = ([2.0 * zeta_g * omega_g, omega_g**2], [1.0, 2.0 * zeta_g * omega_g, omega_g**2])

@@ -6,7 +6,17 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 import xarray as xr
 
-from pymc_features._checks import as_numbers, check_finite, check_step
+from pymc_features._checks import (
+    as_numbers,
+    check_choice,
+    check_finite,
+    check_integer,
+    check_step,
+    check_title,
+    is_among,
+    shown,
+    single,
+)
 from pymc_features.signals import sampling_step
 
 FILL = "Fill or cut the gap first."
@@ -107,7 +117,7 @@ class Record(DynamicLoad):
         check_finite(acceleration, "acceleration", FILL)
         object.__setattr__(self, "acceleration", acceleration)
         object.__setattr__(self, "dt", check_step(self.dt))
-        object.__setattr__(self, "name", str(self.name))
+        object.__setattr__(self, "name", check_title(self.name))
 
     @classmethod
     def from_channel(
@@ -160,7 +170,7 @@ class Record(DynamicLoad):
 
     def first(self, n_times: int) -> "Record":
         """The same, cut to its first samples."""
-        return replace(self, acceleration=self.acceleration[:n_times])
+        return replace(self, acceleration=self.acceleration[: check_integer(n_times, "n_times", least=2)])
 
     @property
     def pga(self) -> float:
@@ -210,8 +220,7 @@ class Loading(DynamicLoad):
     name: str = ""
 
     def __post_init__(self):
-        if self.kind not in KINDS:
-            raise ValueError(f"`kind` must be one of {', '.join(KINDS)}, got {self.kind!r}.")
+        check_choice(self.kind, "kind", KINDS)
         values = np.atleast_2d(as_numbers(self.values, "values"))
         if values.ndim != 2 or values.shape[1] < 2 or values.shape[0] == 0:
             raise ValueError(
@@ -221,7 +230,7 @@ class Loading(DynamicLoad):
         check_finite(values, "values", FILL)
         object.__setattr__(self, "values", values)
         object.__setattr__(self, "dt", check_step(self.dt))
-        object.__setattr__(self, "name", str(self.name))
+        object.__setattr__(self, "name", check_title(self.name))
         if self.matrix is not None:
             object.__setattr__(self, "matrix", self._checked_matrix())
 
@@ -256,7 +265,7 @@ class Loading(DynamicLoad):
 
     def first(self, n_times: int) -> "Loading":
         """The same, cut to its first samples."""
-        return replace(self, values=self.values[:, :n_times])
+        return replace(self, values=self.values[:, : check_integer(n_times, "n_times", least=2)])
 
     def applied(self, shapes: np.ndarray) -> np.ndarray:
         """Work of unit forces in shapes (m, n), shapes times `matrix`, (m, input)."""
@@ -278,9 +287,9 @@ def _picked(channels, sensor):
     """One channel (time,) of an array (sensor, time) or (time,)."""
     if sensor is not None:
         labels = channels.coords["sensor"].values.tolist() if "sensor" in channels.coords else []
-        if "sensor" not in channels.dims or sensor not in labels:
-            raise ValueError(f"`sensor` must be one of the channels {labels}, got {sensor!r}.")
-        channels = channels.isel(sensor=labels.index(sensor))
+        if "sensor" not in channels.dims or not is_among(sensor, labels):
+            raise ValueError(f"`sensor` must be one of the channels {labels}, got {shown(sensor)}.")
+        channels = channels.isel(sensor=labels.index(single(sensor)))
     elif "sensor" in channels.dims and channels.sizes["sensor"] == 1:
         channels = channels.isel(sensor=0)
     if channels.dims != ("time",):

@@ -79,7 +79,7 @@ def test_records_are_hashable_by_identity(pulse):
 @pytest.mark.parametrize(
     ("acceleration", "error", "match"),
     [
-        (["a", "b"], TypeError, "`acceleration` must be an array of numbers, got list. Pass m/s.2, or read"),
+        (["a", "b"], TypeError, "`acceleration` must be an array of numbers, got list of texts. Pass m/s.2"),
         ([[1.0], [1.0, 2.0]], TypeError, "got list. Pass m/s.2, or read files with `read_record`"),
         ("elcentro.dat", TypeError, "got str. Pass m/s.2, or read files with `read_record`"),
         ([[0.0, 1.0]], ValueError, r"one-dimensional with at least 2 samples, got shape \(1, 2\)"),

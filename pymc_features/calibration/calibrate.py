@@ -7,13 +7,14 @@ import pymc as pm
 import xarray as xr
 from pymc.util import RandomState
 
+from pymc_features._checks import check_flag, check_integer, check_model, check_seed
 from pymc_features.calibration.adjusted import adjusted_model, stretching
-from pymc_features.calibration.effective import described, posterior_of
+from pymc_features.calibration.effective import described
 from pymc_features.calibration.fit import Predictions, hessian
 from pymc_features.calibration.modes import Part, distinct_fits, pooled
 from pymc_features.calibration.sandwich import Sandwich, sandwich, whitening
 from pymc_features.exceptions import CalibrationWarning, SamplingWarning
-from pymc_features.inference.parameters import Unconstrained
+from pymc_features.inference.parameters import Unconstrained, posterior_for
 from pymc_features.inference.sample import Search, compared_draws, sample_from
 from pymc_features.smc import Reference, population_logp, prior_points
 from pymc_features.smc.proposals.reference import Mode
@@ -92,7 +93,13 @@ def calibrate(
     ----------
     Ribatet, Cooley & Davison, Stat. Sin. 22, 2012; Shaby, Bayesian Anal. 9, 2014.
     """
-    posterior, model = posterior_of(idata), pm.modelcontext(model)
+    for name, value, least in (("draws", draws, 2), ("chains", chains, 1)):
+        if value is not None:
+            check_integer(value, name, least=least)
+    check_seed(random_seed)
+    check_flag(progressbar, "progressbar")
+    model = check_model(model)
+    posterior = posterior_for(model, idata, "idata")
     rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(1)[0])
     settings |= {
         "draws": draws or posterior.sizes["draw"],

@@ -5,6 +5,7 @@ import pymc as pm
 import xarray as xr
 from pytensor.graph.basic import Constant
 
+from pymc_features._checks import check_model, check_seed
 from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.effective import best_fit, described, of_sensor
 from pymc_features.calibration.fit import Predictions
@@ -58,7 +59,8 @@ def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = Non
     >>> bool((model["y_m"].get_value() > 300).all())  # white noise: about all samples
     True
     """
-    model = pm.modelcontext(model)
+    check_seed(random_seed)
+    model = check_model(model)
     waiting = degrees_of(model)
     before = {rv.name: data.get_value() for rv, data in waiting.items()}
     for data in waiting.values():

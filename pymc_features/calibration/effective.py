@@ -6,11 +6,17 @@ import numpy as np
 import pymc as pm
 import xarray as xr
 
+from pymc_features._checks import check_group, check_model, check_seed
 from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.fit import Fit, Predictions, log_likelihood
 from pymc_features.calibration.sandwich import Sandwich, known, sandwich, whitening
 from pymc_features.exceptions import CalibrationWarning
-from pymc_features.inference.parameters import Unconstrained, coordinate_names, to_unconstrained
+from pymc_features.inference.parameters import (
+    Unconstrained,
+    coordinate_names,
+    posterior_for,
+    to_unconstrained,
+)
 from pymc_features.inference.sample import search
 from pymc_features.smc import population_logp, prior_points
 
@@ -76,28 +82,20 @@ def effective_samples(
     Godambe, Ann. Math. Stat. 31, 1960; Ribatet, Cooley & Davison, Stat. Sin. 22, 2012; Andrews & Monahan,
     Econometrica 60, 1992.
     """
+    check_seed(random_seed)
     if isinstance(source, pm.Model):
-        model, starts = source, None
+        model, starts = check_model(source), None
     else:
-        model = pm.modelcontext(model)
-        starts = starting_points(model, source)
+        check_group(source, "source", "posterior", "Or pass a model, for a fit without draws.")
+        model = check_model(model)
+        starts = starting_points(model, source, "source")
     fit = best_fit(Predictions(model), starts, np.random.default_rng(random_seed))
     return described(model, fit, sandwich(fit.events, fit.information))
 
 
-def posterior_of(idata):
-    """The posterior group."""
-    if not hasattr(idata, "children") or "posterior" not in idata.children:
-        raise TypeError(
-            f"`idata` must be a DataTree with a posterior, got {type(idata).__name__}. Pass what `sample` "
-            "returned."
-        )
-    return idata["posterior"].to_dataset()
-
-
-def starting_points(model, idata) -> np.ndarray:
+def starting_points(model, idata, name: str) -> np.ndarray:
     """Unconstrained points (n, d) that a posterior offers: its modes where they are known, or some draws."""
-    posterior = posterior_of(idata)
+    posterior = posterior_for(model, idata, name)
     if "modes" in idata.children and {rv.name for rv in model.free_RVs} <= set(idata["modes"].data_vars):
         modes = idata["modes"].to_dataset().expand_dims("chain")
         return to_unconstrained(model, modes)[0]

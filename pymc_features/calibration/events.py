@@ -7,6 +7,8 @@ import xarray as xr
 from scipy.optimize import brentq
 from scipy.stats import chi2, t
 
+from pymc_features._checks import check_finite, check_group, check_share, check_texts
+
 IMPROBABLE = 0.05  # p-value below which events are said to disagree
 FEWEST_DRAWS = 20
 
@@ -60,9 +62,8 @@ def event_check(
     Birge, Phys. Rev. 40, 1932; Paule & Mandel, J. Res. NBS 87, 1982; Hartung & Knapp, Stat. Med. 20, 2001;
     IntHout, Ioannidis & Borm, BMC Med. Res. Methodol. 14, 2014.
     """
+    probability = check_share(probability, "probability", "Use for example 0.9.")
     draws = common_draws(events, var_names)
-    if not 0 < probability < 1:
-        raise ValueError(f"`probability` must lie between 0 and 1, got {probability!r}. Use for example 0.9.")
     names = list(draws[0])
     columns = [np.stack([event[name] for name in names], axis=1) for event in draws]
     means = np.stack([x.mean(axis=0) for x in columns])
@@ -145,10 +146,13 @@ def common_draws(events, var_names) -> list[dict[str, np.ndarray]]:
             "[idata_1, idata_2]."
         )
     for i, event in enumerate(events):
-        if not hasattr(event, "children") or "posterior" not in event.children:
+        if not isinstance(event, xr.DataTree) or "posterior" not in event.children:
             raise TypeError(
                 f"`events` must have posteriors, got none in event {i}. Pass what `sample` returned."
             )
+        check_group(event, "events", "posterior", "Pass what `sample` returned.", "chain", "draw")
+    if var_names is not None:
+        var_names = check_texts(var_names, "var_names", "names of variables")
     if var_names is None:
         var_names = [name for name in events[0]["posterior"].data_vars if all(tells(e, name) for e in events)]
     draws = [by_name(event["posterior"].to_dataset(), i, var_names) for i, event in enumerate(events)]
@@ -177,6 +181,12 @@ def by_name(posterior, i, var_names) -> dict[str, np.ndarray]:
     for name in var_names:
         if name not in posterior.data_vars:
             raise ValueError(f"`var_names` must be in every posterior, got no {name} in event {i}.")
+        if posterior[name].dtype.kind not in "iuf" or not {"chain", "draw"} <= set(posterior[name].dims):
+            raise ValueError(
+                f"`var_names` must be numbers along chain and draw, got {name} of type "
+                f"{posterior[name].dtype} along {', '.join(map(str, posterior[name].dims))} in event {i}."
+            )
+        check_finite(posterior[name].values, "var_names", f"Those are draws of {name} in event {i}.")
         x = posterior[name].transpose("chain", "draw", ...)
         dims = x.dims[2:]
         for index in np.ndindex(x.shape[2:]):

@@ -9,7 +9,6 @@ from pymc_features.calibration.adjusted import stretching
 from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.effective import (
     best_fit,
-    posterior_of,
     some_draws,
     starting_points,
     with_noise,
@@ -47,8 +46,8 @@ class Peak(NamedTuple):
 def distinct_fits(predictions, idata, rng) -> list[Fit]:
     """Maxima of the likelihood that draws of a posterior lead to and that may matter, the highest first."""
     model = predictions.model
-    peaks = [peak_of(predictions, best_fit(predictions, starting_points(model, idata), rng))]
-    draws = some_draws(model, posterior_of(idata), CANDIDATES)
+    peaks = [peak_of(predictions, best_fit(predictions, starting_points(model, idata, "idata"), rng))]
+    draws = some_draws(model, idata["posterior"].to_dataset(), CANDIDATES)
     scale = draws.std(axis=0)
     scale[scale == 0.0] = 1.0
     known = [peaks[0].fit.z]

@@ -7,35 +7,31 @@ import numpy as np
 import pymc as pm
 import pytensor
 import pytensor.tensor as pt
+from pymc.distributions.distribution import SymbolicRandomVariable
 from pymc.initial_point import make_initial_point_expression
 from pytensor.compile.mode import Mode
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant, Variable
 from pytensor.graph.replace import graph_replace
 from pytensor.graph.traversal import ancestors
+from pytensor.tensor.random.op import RandomVariable
 
+from pymc_features._checks import as_numbers, message
 from pymc_features.exceptions import FeatureLikelihoodWarning
-from pymc_features.ops import check_shape, mean_square_discrepancy, response_step
+from pymc_features.ops import as_tensor, check_shape, mean_square_discrepancy, response_step
 
 LARGE_CONSTANT = 10**6  # bytes; beyond it Numba cannot keep a compiled graph on disk
 LIBRARIES = (str(Path(__file__).parents[1]), str(Path(pm.__file__).parent))  # not the user's lines
 NOISE_FREE = 1e-12  # misfit over mean square of the data
 
 
-def as_double(value):
-    """Return a tensor of at least double precision: PyTensor holds a literal 2.0 in single."""
-    symbolic = isinstance(value, Variable) or (
-        isinstance(value, list | tuple) and any(isinstance(entry, Variable) for entry in value)
-    )
-    tensor = pt.as_tensor_variable(value if symbolic else np.asarray(value, dtype=np.float64))
-    return tensor if tensor.dtype == "float64" else tensor.astype("float64")
-
-
 def as_response(mu):
     """Return mu as a tensor; refuse scalars."""
-    mu = as_double(mu)
+    mu = as_tensor(mu, "mu", "Pass what `response` returned.")
     if mu.ndim < 1:
         raise ValueError("`mu` must be (..., sensor, time), got a scalar. Pass what `response` returned.")
+    if 0 in mu.type.shape:
+        raise ValueError(f"`mu` must be (..., sensor, time), got shape {mu.type.shape}, without samples.")
     return mu
 
 
@@ -53,7 +49,7 @@ def check_correlation_time(correlation_time, mu):
 
 def check_dt(dt, mu):
     """Return the sampling step [s] as a tensor, that of the response unless it is given."""
-    step = response_step(pt.as_tensor_variable(mu))
+    step = response_step(as_response(mu))
     if dt is None and step is None:
         raise ValueError(
             "`dt` must be given where `mu` is not a response of fixed output step, got None. Pass the "
@@ -74,7 +70,9 @@ def check_dt(dt, mu):
 
 def _check_positive(name, value, advice):
     """Return a tensor; refuse numbers that are not positive and finite."""
-    tensor = as_double(value)
+    tensor = as_tensor(value, name, advice)
+    if 0 in tensor.type.shape:
+        raise ValueError(message(name, "one number or several", "none", advice))
     if isinstance(tensor, Constant):
         values = np.atleast_1d(tensor.data)
         if not (np.isfinite(values) & (values > 0)).all():
@@ -89,16 +87,18 @@ def _check_sensors(name, tensor, mu):
     sensors = mu.type.shape[-2] if mu.ndim > 1 else None
     given = tensor.type.shape[-1] if tensor.ndim else None
     if None not in (sensors, given) and given not in (1, sensors):
-        raise ValueError(
-            f"`{name}` must be a scalar or have one value for each of the {sensors} sensors, got {given}."
-        )
+        wanted = f"a scalar or have one value for each of the {sensors} sensors"
+        raise ValueError(message(name, wanted, given))
     return tensor
 
 
 def prepare_observed(mu, observed, name):
     """Return the data, checked against `mu`; NaN is refused, since PyMC would impute it silently."""
-    mu = pt.as_tensor_variable(mu)
+    mu = as_response(mu)
     if isinstance(observed, Variable):
+        as_tensor(observed, "observed")
+        _check_dimensions(mu, shape_of(observed))
+        _check_is_data(observed)
         _check_values(_values(observed))
         check_shape(mu.type.shape, shape_of(observed))
         return observed
@@ -107,20 +107,39 @@ def prepare_observed(mu, observed, name):
             "`observed` must have no missing values, got a masked array. Cut the record to its "
             "complete part, or leave out the sensor."
         )
-    try:
-        values = np.ascontiguousarray(observed, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(f"`observed` must be an array of numbers, got {type(observed).__name__}.") from None
+    values = np.array(as_numbers(observed, "observed"))
+    _check_dimensions(mu, values.shape)
     _check_values(values)
-    if values.ndim != max(mu.ndim, 1):
-        raise ValueError(
-            f"`observed` must have {mu.ndim} dimensions (..., sensor, time) to match `mu`, "
-            f"got shape {values.shape}."
-        )
     check_shape(mu.type.shape, values.shape)
     if values.nbytes > LARGE_CONSTANT:
         return pytensor.shared(values, name=f"{name}_data", shape=values.shape)
     return values
+
+
+def check_one_set(mu, **parameters):
+    """Refuse parameters with more dimensions than the sensors of the data: those are several likelihoods."""
+    mu = as_response(mu)
+    for name, value in parameters.items():
+        ndim = as_tensor(value, name).ndim
+        if ndim > mu.ndim - 1:
+            wanted = "a scalar or have one value for each sensor of `observed`"
+            raise ValueError(message(name, wanted, f"{ndim} dimensions"))
+
+
+def _check_dimensions(mu, shape):
+    if len(shape) != mu.ndim:
+        wanted = f"have {mu.ndim} dimensions (..., sensor, time) to match `mu`"
+        raise ValueError(f"`observed` must {wanted}, got shape {shape}.")
+
+
+def _check_is_data(variable):
+    """Refuse what has no value, or another at each draw."""
+    for v in ancestors([variable]):
+        known = isinstance(v, Constant | SharedVariable)
+        random = v.owner is not None and isinstance(v.owner.op, RandomVariable | SymbolicRandomVariable)
+        if random or (v.owner is None and not known):
+            got = f"{'the random variable' if random else 'the input'} {v}"
+            raise TypeError(message("observed", "an array or pm.Data", got))
 
 
 def _check_values(values):
@@ -168,12 +187,12 @@ def warn_about_the_posterior(likelihood, m, mu, sigma, observed):
     mu, sigma, observed
         As passed by the user. A constant sigma raises no question.
     """
-    sigma = as_double(sigma)
+    sigma = as_tensor(sigma, "sigma")
     if isinstance(sigma, Constant):
         return
-    mu = pt.as_tensor_variable(mu)
+    mu = as_response(mu)
     n_sensors = shape_of(pt.as_tensor_variable(observed))[-2] if mu.ndim > 1 else 1
-    m = as_double(m)
+    m = as_tensor(m, "m")
     if n_sensors is not None and isinstance(m, Constant):
         warn_about_variance(likelihood, np.broadcast_to(m.data, n_sensors), sigma)
     _warn_about_noise(mu, observed)

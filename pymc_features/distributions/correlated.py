@@ -29,15 +29,17 @@ from pytensor.graph.basic import Variable
 from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.random.utils import normalize_size_param
 
+from pymc_features._checks import check_name
 from pymc_features.distributions.checks import (
     as_response,
     check_correlation_time,
     check_dt,
+    check_one_set,
     check_sigma,
     prepare_observed,
 )
 from pymc_features.distributions.feature import feature_support_point
-from pymc_features.ops import misfit_statistics, name_the_time_axis
+from pymc_features.ops import check_dims, misfit_statistics, name_the_time_axis
 
 
 class CorrelatedNormalRV(SymbolicRandomVariable):
@@ -207,8 +209,11 @@ class CorrelatedNormal(Continuous):
         dims: Sequence[str] | None = None,
         **kwargs,
     ) -> TensorVariable:
+        check_name(name)
         if observed is not None:
             observed = prepare_observed(mu, observed, name)
+            dims = check_dims(dims, observed.ndim)
+            check_one_set(mu, sigma=sigma, correlation_time=correlation_time)
         dt = check_dt(dt, mu)
         name_the_time_axis(dims, mu, observed, dt)
         return super().__new__(

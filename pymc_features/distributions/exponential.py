@@ -5,6 +5,7 @@ import pytensor.tensor as pt
 from numpy.typing import ArrayLike
 from pymc.math import log1mexp
 
+from pymc_features._checks import as_numbers, shown
 from pymc_features.distributions.feature import FeatureLikelihood, FeatureRV
 
 
@@ -103,10 +104,10 @@ def sigma_mpv(e: ArrayLike) -> float | np.ndarray:
     >>> sigma_mpv([2.0, 6.0])
     1.4142135623730951
     """
-    e = np.asarray(e, dtype=np.float64)
+    given, e = e, as_numbers(e, "e", "Pass what `mean_square_discrepancy` returned.")
     if e.ndim == 0 or e.size == 0 or not (np.isfinite(e) & (e >= 0)).all():
         raise ValueError(
-            f"`e` must be mean squares, finite and not negative, one for each sensor, got {e.tolist()}. "
+            f"`e` must be mean squares, finite and not negative, one for each sensor, got {shown(given)}. "
             "Pass what `mean_square_discrepancy` returned."
         )
     result = np.sqrt(0.5 * np.mean(e, axis=-1))

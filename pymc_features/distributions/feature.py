@@ -31,13 +31,15 @@ from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.random.utils import normalize_size_param
 from scipy.special import gammaln
 
+from pymc_features._checks import check_choice, check_name
 from pymc_features.distributions.checks import (
     as_response,
+    check_one_set,
     check_sigma,
     prepare_observed,
     warn_about_the_posterior,
 )
-from pymc_features.ops import mean_square_discrepancy, name_the_time_axis
+from pymc_features.ops import check_dims, mean_square_discrepancy, name_the_time_axis
 
 DENSITIES = ("feature", "data")
 
@@ -168,9 +170,12 @@ class FeatureLikelihood(Continuous):
         dims: Sequence[str] | None = None,
         **kwargs,
     ) -> TensorVariable:
+        check_name(name)
         if observed is not None:
             observed = prepare_observed(mu, observed, name)
+            dims = check_dims(dims, observed.ndim)
             m = kwargs.get("m", cls.rv_types["feature"].degrees_of_freedom)
+            check_one_set(mu, sigma=sigma, m=m)
             warn_about_the_posterior(cls.__name__, m, mu, sigma, observed)
         name_the_time_axis(dims, mu, observed)
         return super().__new__(cls, name, mu, sigma, observed=observed, dims=dims, **kwargs)
@@ -179,8 +184,7 @@ class FeatureLikelihood(Continuous):
     def dist(
         cls, mu: TensorLike, sigma: TensorLike, *m: TensorLike, density: str = "feature", **kwargs
     ) -> TensorVariable:
-        if density not in DENSITIES:
-            raise ValueError(f"`density` must be one of {', '.join(DENSITIES)}, got {density!r}.")
+        check_choice(density, "density", DENSITIES)
         mu = as_response(mu)
         return super().dist([mu, check_sigma(sigma, mu), *m], density=density, **kwargs)
 

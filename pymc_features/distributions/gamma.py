@@ -12,8 +12,10 @@ from pytensor.graph.basic import Variable
 from pytensor.raise_op import CheckAndRaise
 from pytensor.tensor import TensorLike, TensorVariable
 
-from pymc_features.distributions.checks import check_degrees_of_freedom, shape_of
-from pymc_features.distributions.feature import FeatureLikelihood, FeatureRV
+from pymc_features._checks import as_numbers, check_choice, check_name
+from pymc_features.distributions.checks import as_response, check_degrees_of_freedom, shape_of
+from pymc_features.distributions.feature import DENSITIES, FeatureLikelihood, FeatureRV
+from pymc_features.ops import check_dims
 
 RESIDUALS = "residuals"
 
@@ -32,7 +34,9 @@ def unfilled_degrees(name, observed, dims) -> TensorVariable:
             "`observed` must be given with m='residuals', got None. Pass the measured response (sensor, "
             "time)."
         )
-    shape = shape_of(observed) if isinstance(observed, Variable) else np.shape(observed)
+    shape = shape_of(observed) if isinstance(observed, Variable) else as_numbers(observed, "observed").shape
+    if not shape:
+        raise ValueError("`observed` must have shape (..., sensor, time), got a scalar.")
     if None in shape[:-1]:
         raise ValueError(
             f"`observed` must have a known number of sensors with m='residuals', got shape {shape}. Pass an "
@@ -149,15 +153,19 @@ class GammaFeature(FeatureLikelihood):
         dims: Sequence[str] | None = None,
         **kwargs,
     ) -> TensorVariable:
+        check_name(name)
         if isinstance(m, str) and m == RESIDUALS:
-            m = unfilled_degrees(name, observed, dims)
+            m = unfilled_degrees(name, observed, check_dims(dims))
+        else:
+            m = check_degrees_of_freedom(m, as_response(mu))
         return super().__new__(cls, name, mu, sigma, m=m, observed=observed, dims=dims, **kwargs)
 
     @classmethod
     def dist(
         cls, mu: TensorLike, sigma: TensorLike, m: TensorLike, *, density: str = "feature", **kwargs
     ) -> TensorVariable:
-        m = check_degrees_of_freedom(m, pt.as_tensor_variable(mu))
+        check_choice(density, "density", DENSITIES)
+        m = check_degrees_of_freedom(m, as_response(mu))
         if density == "feature" and rvs_in_graph(m):
             raise ValueError(
                 "`m` must be numbers under the density of the feature, got a random variable. Pass "

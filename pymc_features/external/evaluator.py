@@ -7,12 +7,12 @@ from collections import deque
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 from typing import TypedDict
 
 import cloudpickle
 import numpy as np
 
+from pymc_features._checks import check_path
 from pymc_features.external import gradient, program
 from pymc_features.external.cache import EvaluationCache
 from pymc_features.external.checks import check_evaluation
@@ -125,11 +125,17 @@ class Evaluator:
         cache: str | PathLike | None = None,
         progress: bool = True,
     ):
-        check_evaluation(timeout, retries, executor)
+        check_evaluation(timeout, retries, executor, progress)
         self.timeout, self.retries, self.executor = timeout, int(retries), executor
         # "" stands for the system's folder of temporary files
-        self.scratch = None if scratch is False else "" if scratch is True else str(Path(scratch).resolve())
-        self.cache = None if cache is None else EvaluationCache(cache)
+        self.scratch = (
+            None
+            if scratch is False
+            else ""
+            if scratch is True
+            else str(check_path(scratch, "scratch").resolve())
+        )
+        self.cache = None if cache is None else EvaluationCache(check_path(cache, "cache"))
         self.counts = dict.fromkeys(STATES, 0)
         self.failures: deque[Failure] = deque(maxlen=FAILURES_KEPT)
         self.lines = Lines(progress)

@@ -1,7 +1,6 @@
 """A program outside Python as a simulator function."""
 
 import re
-import shlex
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
@@ -71,22 +70,16 @@ class ProgramSimulator:
         transpose: bool = True,
         files: Sequence[str | PathLike] = (),
     ):
-        self.command = shlex.split(command) if isinstance(command, str) else [str(part) for part in command]
-        if not self.command:
-            raise ValueError("`command` must name a program, got nothing. Give it as a list of words.")
-        if isinstance(parameters, str) or not all(
-            isinstance(p, str) and p.isidentifier() for p in parameters
-        ):
-            raise ValueError(f"`parameters` must be a list of names, got {parameters!r}.")
-        self.parameters = tuple(parameters)
-        self.inputs = {str(name): template_text(name, text) for name, text in dict(inputs).items()}
+        # here, because this class is sent to processes that are to import nothing of the package
+        from pymc_features.external.checks import checked_program
+
+        given = checked_program(command, parameters, inputs, result, columns, transpose, files)
+        self.command, self.parameters, self.columns, self.transpose = given[:4]
+        self.inputs = {str(name): template_text(name, text) for name, text in given.inputs.items()}
         for where, text in [*self.inputs.items(), *(("command", word) for word in self.command)]:
             self.check_places(where, text)
-        if not (isinstance(result, str) or callable(result)):
-            raise TypeError(f"`result` must be the name of a file or a function, got {result!r}.")
-        self.result, self.transpose = result, bool(transpose)
-        self.columns = None if columns is None else tuple(int(c) for c in columns)
-        self.files = {Path(f).name: (read_bytes(f), Path(f).stat().st_mode) for f in files}
+        self.result = result
+        self.files = {path.name: (read_bytes(path, "files"), path.stat().st_mode) for path in given.files}
 
     def check_places(self, where: str, text: str) -> None:
         """Refuse a template that asks for what is not there."""
@@ -138,18 +131,18 @@ class ProgramSimulator:
 def template_text(name, template) -> str:
     """The text of a template, or of the file it is in."""
     if isinstance(template, Path):
-        return read_bytes(template).decode()
+        return read_bytes(template, "inputs").decode()
     if not isinstance(template, str):
         raise TypeError(f"`inputs` must give a text or a Path for {name}, got {type(template).__name__}.")
     return template
 
 
-def read_bytes(path) -> bytes:
+def read_bytes(path, name: str) -> bytes:
     """Contents of a file that must be there."""
     try:
         return Path(path).read_bytes()
     except OSError as error:
-        raise ValueError(f"a file of the program must exist, got {path} ({error.strerror}).") from None
+        raise ValueError(f"`{name}` must be an existing file, got {path} ({error.strerror}).") from None
 
 
 def filled(text: str, values: dict) -> str:

@@ -4,11 +4,11 @@ from collections.abc import Callable
 from typing import Self, Unpack
 
 import numpy as np
-import pytensor.tensor as pt
 from numpy.typing import ArrayLike
 from pytensor.graph.basic import Variable
 from pytensor.tensor.variable import TensorVariable
 
+from pymc_features._checks import as_numbers, message
 from pymc_features.exceptions import UnknownIdentityError
 from pymc_features.external.checks import check_simulator
 from pymc_features.external.evaluator import EvaluationOptions, Evaluator, Failure, Task
@@ -16,7 +16,7 @@ from pymc_features.external.gradient import FlatGradient
 from pymc_features.external.surrogate.surrogate import Surrogate
 from pymc_features.fingerprint import fingerprint
 from pymc_features.keywords import check_keywords
-from pymc_features.ops import ExternalResponse
+from pymc_features.ops import ExternalResponse, as_tensor
 
 
 class ExternalSimulator:
@@ -114,7 +114,7 @@ class ExternalSimulator:
         """The response (sensor, time) inside a model, at tensors or numbers."""
         if not parameters:
             raise ValueError("the simulator must be called with parameters, got none. Pass random variables.")
-        tensors = [pt.as_tensor_variable(p) for p in parameters]
+        tensors = [as_tensor(p, "parameters", "Pass random variables or numbers.") for p in parameters]
         return ExternalResponse(self, tuple(t.ndim for t in tensors))(*tensors)
 
     @property
@@ -148,7 +148,7 @@ class ExternalSimulator:
         if self.returns == "mean_square":
             task = Task(self.function, self.shape[:1], None, self.function_identity)
         else:
-            observed = np.ascontiguousarray(observed, dtype=np.float64)
+            observed = as_numbers(observed, "observed", "Pass the data.")
             if observed.shape != self.shape:
                 raise ValueError(
                     f"`observed` must have shape (sensor, time) = {self.shape}, got {observed.shape}. Give "
@@ -167,6 +167,7 @@ class ExternalSimulator:
         """Gradients of sum(cotangent * result), each with a row for every row of the parameters."""
         rows = spread(parameters)
         sizes = [int(np.prod(r.shape[1:])) for r in rows]
+        cotangent = as_numbers(cotangent, "cotangent", "Pass an array of the shape of the result.")
         more = np.broadcast_to(cotangent, (len(rows[0]), *np.shape(cotangent)))
         task = Task(self._flat_gradient, (sum(sizes),), None, self._gradient_identity)
         flat = self.evaluator.run(task, [*rows, more])
@@ -193,10 +194,11 @@ class ExternalSimulator:
 
 def spread(parameters) -> list[np.ndarray]:
     """Parameters (particle, ...) with equally many rows, from some that have one for all."""
-    rows = [np.asarray(p, dtype=np.float64) for p in parameters]
+    rows = [as_numbers(p, "parameters", "Pass a row for each particle.") for p in parameters]
     if not rows or min(r.ndim for r in rows) == 0:
-        raise ValueError(
-            "the simulator's parameters must have a row for each particle, got a number. Pass arrays."
-        )
+        raise ValueError("`parameters` must have a row for each particle, got a number. Pass arrays.")
     n = max(len(r) for r in rows)
+    if any(len(r) not in (1, n) for r in rows):
+        got = ", ".join(str(len(r)) for r in rows)
+        raise ValueError(message("parameters", "arrays with one row or as many as the others", f"{got} rows"))
     return [np.broadcast_to(r, (n, *r.shape[1:])) for r in rows]

@@ -11,6 +11,7 @@ from pytensor.gradient import disconnected_grad, pullback, pushforward
 from pytensor.graph.replace import graph_replace
 from pytensor.tensor.random.basic import NormalRV
 
+from pymc_features._checks import check_model
 from pymc_features.distributions.correlated import CorrelatedNormalRV
 from pymc_features.distributions.feature import FeatureRV
 from pymc_features.inference.parameters import check_continuous, entry_names, initial_values
@@ -115,7 +116,7 @@ def fisher_information(model: pm.Model | None = None, point: dict | None = None)
     >>> information["information"].values.round(6)
     array([[72.]])
     """
-    model = pm.modelcontext(model)
+    model = check_model(model)
     check_continuous(model, "fisher_information()")
     values = initial_values(model, point)
     function = product_function(model)

@@ -9,6 +9,7 @@ from pymc.backends.arviz import coords_and_dims_for_inferencedata
 from pymc.initial_point import make_initial_point_fn
 from pymc.util import RandomState
 
+from pymc_features._checks import check_integer, check_mapping, check_model, check_seed
 from pymc_features.exceptions import LaplaceWarning
 from pymc_features.inference.parameters import Unconstrained, check_continuous, entry_names, initial_values
 from pymc_features.inference.polish import distinct, gaussian_at
@@ -82,16 +83,18 @@ def laplace(
     >>> float(idata["sample_stats"]["log_marginal_likelihood"][0].round(6))
     -1.515512
     """
-    model = pm.modelcontext(model)
+    draws = check_integer(draws, "draws")
+    rng = np.random.default_rng(check_seed(random_seed, states=True))
+    compile_kwargs = check_mapping(compile_kwargs, "compile_kwargs", "a dict for `pytensor.function`")
+    model = check_model(model)
     check_continuous(model, "laplace()")
-    if isinstance(draws, bool) or int(draws) != draws or draws < 1:
-        raise ValueError(f"`draws` must be a positive integer, got {draws}.")
-    rng = np.random.default_rng(random_seed)
+    if start is not None:
+        start = initial_values(model, start, "start")
     space = Unconstrained(model)
-    logp = population_logp(model, model.initial_point(), compile_kwargs or {})
+    logp = population_logp(model, model.initial_point(), compile_kwargs)
     logp.compile_gradient()
     if start is None:
-        found = modes_from_prior(model, logp, int(draws), rng)
+        found = modes_from_prior(model, logp, draws, rng)
     else:
         found = modes_from(logp, starting_point(model, space, start))
     if not found:
@@ -103,7 +106,7 @@ def laplace(
     evidences = np.array(
         [value + 0.5 * len(x) * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(h)[1] for x, value, h in found]
     )
-    particles, log_density = draw_mixture(found, evidences, int(draws), rng)
+    particles, log_density = draw_mixture(found, evidences, draws, rng)
     prior, likelihood = logp(particles)[:2]
     return tree(model, space, particles, found, evidences, prior + likelihood - log_density)
 
@@ -142,9 +145,8 @@ def modes_from(logp, x):
 
 
 def starting_point(model, space, start):
-    """The flat point (d,) of values of free parameters on their own scale."""
-    overrides = initial_values(model, start)
-    return space.join(make_initial_point_fn(model=model, overrides=overrides)(0))
+    """The flat point (d,) of values of all free parameters on their own scale."""
+    return space.join(make_initial_point_fn(model=model, overrides=start)(0))
 
 
 def draw_mixture(modes, evidences, n, rng):

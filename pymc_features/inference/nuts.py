@@ -11,8 +11,9 @@ import pytensor.tensor as pt
 import xarray as xr
 from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
 
+from pymc_features._checks import check_integer, check_mapping, check_model, check_seed, shown
 from pymc_features.exceptions import ChainsDisagreeWarning
-from pymc_features.inference.parameters import check_continuous, to_unconstrained
+from pymc_features.inference.parameters import check_continuous, posterior_for, to_unconstrained
 from pymc_features.inference.sample import sample
 from pymc_features.keywords import check_keywords
 from pymc_features.smc import processors
@@ -80,21 +81,27 @@ def sample_nuts(
     ChainsDisagreeWarning
         If an R-hat is above 1.01: the modes are then as the particles weigh them, not as the chains do.
     """
-    model = pm.modelcontext(model)
+    for name, value, least in (("draws", draws, 1), ("tune", tune, 0), ("chains", chains, 1)):
+        check_integer(value, name, least=least)
+    check_seed(random_seed)
+    sample_settings = check_mapping(sample_settings, "sample_settings", "a dict of arguments of `sample`")
+    model = check_model(model)
     check_continuous(model, "sample_nuts()")
-    if nuts_sampler not in NUTS_SAMPLERS:
+    if not isinstance(nuts_sampler, str) or nuts_sampler not in NUTS_SAMPLERS:
         raise ValueError(
             f"`nuts_sampler` must start each chain at its own particle, as {', '.join(NUTS_SAMPLERS)} do, "
-            f"got {nuts_sampler!r}. Call pm.sample() for others."
+            f"got {shown(nuts_sampler)}. Call pm.sample() for others."
         )
     check_keywords(kwargs, OF_PYMC, "sample_nuts")
+    if particles is not None:
+        posterior_for(model, particles, "particles")
     model.dlogp()  # says at once if there is no gradient
     first_seed, pick_seed, nuts_seed = np.random.SeedSequence(random_seed).generate_state(3)
     if particles is None:
         settings = {"draws": N_PARTICLES, "chains": 1, "random_seed": int(first_seed)}
         settings |= {"progressbar": bool(kwargs.get("progressbar", True))}
-        particles = sample(model=model, **settings | (sample_settings or {}))
-    posterior = checked_posterior(model, particles)
+        particles = sample(model=model, **settings | sample_settings)
+    posterior = posterior_for(model, particles, "particles")
     if nuts_sampler == "nutpie":
         starts = picked_by_seed(model, posterior)
         kwargs["compile_kwargs"] = {"jitter_rvs": set()} | kwargs.get("compile_kwargs", {})
@@ -117,23 +124,6 @@ def sample_nuts(
     )
     idata["particles"] = particles["posterior"].copy()
     return judge(idata, [rv.name for rv in model.free_RVs])
-
-
-def checked_posterior(model, particles):
-    """The posterior group, if it is one of this model."""
-    try:
-        posterior = particles["posterior"].to_dataset()
-        missing = [rv.name for rv in model.free_RVs if rv.name not in posterior]
-    except (KeyError, AttributeError, TypeError):
-        raise ValueError(
-            f"`particles` must be what sample() returned, got {type(particles).__name__}."
-        ) from None
-    if missing:
-        raise ValueError(
-            f"`particles` must hold every free parameter of `model`, got none of {', '.join(missing)}. Pass "
-            "the result of sample() for the same model."
-        )
-    return posterior
 
 
 def pick(model, posterior, chains, rng):

@@ -9,6 +9,8 @@ from pymc.pytensorf import compile as compile_function
 from pymc.vartypes import discrete_types
 from pytensor.graph.replace import graph_replace
 
+from pymc_features._checks import as_numbers, check_finite, check_group, check_mapping, message
+
 
 def check_continuous(model, purpose: str):
     """Refuse models without free parameters, or with discrete ones."""
@@ -27,12 +29,15 @@ def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
     return [f"{name}[{', '.join(map(str, index))}]" for index in np.ndindex(*shape)]
 
 
-def initial_values(model, point: dict | None = None) -> dict[str, np.ndarray]:
+def initial_values(model, point: dict | None = None, argument: str = "point") -> dict[str, np.ndarray]:
     """Values of the free parameters at the model's initial point, unless `point` has others."""
-    point = dict(point or {})
     names = [rv.name for rv in model.free_RVs]
+    point = check_mapping(point, argument, "a dict of free parameters to their values")
     if unknown := sorted(set(point) - set(names)):
-        raise ValueError(f"`point` must have free parameters only ({', '.join(names)}), got {unknown}.")
+        raise ValueError(f"`{argument}` must have free parameters only ({', '.join(names)}), got {unknown}.")
+    for rv in model.free_RVs:
+        if rv.name in point:
+            point[rv.name] = value_of(rv, point[rv.name], argument)
     expressions = make_initial_point_expression(
         free_rvs=model.free_RVs,
         rvs_to_transforms={},
@@ -42,6 +47,38 @@ def initial_values(model, point: dict | None = None) -> dict[str, np.ndarray]:
     )
     values = compile_function([], expressions, mode="FAST_COMPILE")()
     return {name: np.asarray(v, dtype=np.float64) for name, v in zip(names, values, strict=True)}
+
+
+def posterior_for(model, idata, name: str) -> xr.Dataset:
+    """The posterior group of a DataTree, with finite draws (chain, draw, ...) of every free parameter."""
+    advice = "Pass what `sample` returned for the same model."
+    posterior = check_group(idata, name, "posterior", advice, "chain", "draw")
+    missing = [rv.name for rv in model.free_RVs if rv.name not in posterior]
+    if missing:
+        raise ValueError(
+            f"`{name}` must hold every free parameter of `model`, got none of {', '.join(missing)}. {advice}"
+        )
+    for rv in model.free_RVs:
+        draws = posterior[rv.name]
+        if draws.dims[:2] != ("chain", "draw") or draws.dtype.kind not in "biuf":
+            got = f"{rv.name} of type {draws.dtype} along {', '.join(map(str, draws.dims))}"
+            raise ValueError(message(name, "draws (chain, draw, ...) of numbers", got, advice))
+        check_finite(draws.values, name, f"Those are draws of {rv.name}. {advice}")
+    return posterior
+
+
+def value_of(rv, value, argument: str) -> np.ndarray:
+    """A value of a free parameter, of its shape."""
+    advice, shape = f"It is the value of {rv.name}.", rv.type.shape
+    value = as_numbers(value, argument, advice)
+    check_finite(value, argument, advice)
+    if value.ndim == 0 and None not in shape:
+        value = np.broadcast_to(value, shape)
+    if value.ndim != len(shape) or any(
+        n not in (None, size) for n, size in zip(shape, value.shape, strict=True)
+    ):
+        raise ValueError(message(argument, f"of shape {shape}", value.shape, advice))
+    return np.array(value)
 
 
 def to_unconstrained(model, posterior) -> np.ndarray:

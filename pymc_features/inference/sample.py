@@ -10,12 +10,14 @@ import pymc as pm
 import xarray as xr
 from pymc.util import RandomState
 
+from pymc_features._checks import check_mapping, check_model, check_path, check_seed
 from pymc_features.exceptions import SamplingWarning
 from pymc_features.inference.beside import closeness, distance_to_modes, undetermined
 from pymc_features.inference.parameters import Unconstrained, coordinate_names, to_unconstrained
 from pymc_features.smc import (
     PersistentSMC,
     Reference,
+    check_run,
     find_reference,
     population_logp,
     prior_points,
@@ -106,12 +108,15 @@ def sample(
     >>> round(idata.sample_stats.attrs["log_evidence"], 1)
     -1.5
     """
-    model = pm.modelcontext(model)
+    check_run(draws, chains, cores, check_seed(random_seed), progressbar)
+    model = check_model(model)
+    compile_kwargs = check_mapping(compile_kwargs, "compile_kwargs", "a dict for `pytensor.function`")
     if checkpoint is not None:
+        check_path(checkpoint, "checkpoint")
         random_seed, chains = remembered(checkpoint, random_seed, chains, max(2, cores or processors()))
     rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(1)[0])
     space = Unconstrained(model)
-    logp = population_logp(model, space.point, compile_kwargs or {})
+    logp = population_logp(model, space.point, compile_kwargs)
     journal = None
     if checkpoint is not None:
         Path(checkpoint).mkdir(parents=True, exist_ok=True)

@@ -7,6 +7,15 @@ import pymc as pm
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from pymc_features._checks import (
+    as_numbers,
+    check_integer,
+    check_model,
+    check_seed,
+    check_share,
+    message,
+    shown,
+)
 from pymc_features.exceptions import ToleranceNotReachedError
 from pymc_features.smc import SubsetSimulation, sample_smc
 
@@ -53,15 +62,13 @@ def tolerance_sweep(
     point: the tolerance *is* the statement on the uncertainty. That of `abc_tolerance` gives an interval
     about twice as wide as EXP's in the ten-storey example (notebooks/3_tolerance.ipynb).
     """
-    try:
-        epsilon = np.sort(np.atleast_1d(np.asarray(epsilon, dtype=np.float64)))[::-1]
-    except (TypeError, ValueError):
-        raise TypeError(f"`epsilon` must be numbers, got {epsilon!r}.") from None
+    epsilon = np.sort(np.atleast_1d(as_numbers(epsilon, "epsilon", what="numbers")))[::-1]
     if epsilon.ndim != 1 or not (epsilon.size and (np.isfinite(epsilon) & (epsilon > 0)).all()):
-        raise ValueError(f"`epsilon` must be positive and finite, got {epsilon.tolist()}.")
-    if not 0.0 < probability < 1.0:
-        raise ValueError(f"`probability` must lie between 0 and 1, got {probability}. Pass 0.9 for 5-95 %.")
-    model = pm.modelcontext(model)
+        raise ValueError(message("epsilon", "positive and finite", shown(epsilon.tolist())))
+    probability = check_share(probability, "probability", "Pass 0.9 for 5-95 %.")
+    check_integer(draws, "draws", least=2)
+    check_seed(random_seed)
+    model = check_model(model)
     names = [rv.name for rv in model.free_RVs]
     if taken := {"epsilon", "quantile", *OF_THE_SAMPLER} & set(names):
         raise ValueError(f"`model` must not have parameters named {', '.join(sorted(taken))}. Rename them.")

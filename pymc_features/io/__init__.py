@@ -1,10 +1,9 @@
 """Ground motions and measured channels of many formats; identified modes; matrices of structures."""
 
 from os import PathLike
-from pathlib import Path
 
-from pymc_features._checks import check_step
-from pymc_features.io.channels import read_channels
+from pymc_features._checks import check_path, check_step
+from pymc_features.io.channels import check_column, check_wrapped, read_channels
 from pymc_features.io.formats import FORMATS, format_of
 from pymc_features.io.matrices import read_matrices
 from pymc_features.io.modal import read_modal
@@ -81,8 +80,10 @@ def read_record(
     ...     read_record(path)
     Record('pulse', 3 samples, dt=0.02 s, duration=0.04 s, pga=1.962 m/s^2)
     """
-    path = Path(path)
+    path = check_path(path)
     check_readable(path)
+    check_wrapped(wrapped)
+    column = None if column is None else check_column(column, "column")
     dt = None if dt is None else check_step(dt)
     if units is not None:
         unit_factor(units)

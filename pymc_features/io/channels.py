@@ -1,13 +1,25 @@
 """Measured channels of several sensors, from one file or a group of files, on their common clock."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from numbers import Integral
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
-from pymc_features._checks import SAMPLING_INTERVAL, check_integer, check_step
+from pymc_features._checks import (
+    SAMPLING_INTERVAL,
+    as_list,
+    check_flag,
+    check_integer,
+    check_path,
+    check_step,
+    is_number,
+    message,
+    shown,
+    single,
+)
 from pymc_features.io.formats import format_of
 from pymc_features.io.reading.clock import Request, clock_seconds, common_window
 from pymc_features.io.reading.lines import check_readable
@@ -94,17 +106,17 @@ def read_channels(
         columns=picked,
         units=units,
         dt=None if dt is None else check_step(dt),
-        clock=clock,
+        clock=_checked_clock(clock, dt),
         clock_units=None if clock_units is None else clock_seconds(clock_units),
         skip=check_integer(skip, "skip", least=0, advice="It counts rows at the start."),
         wrapped=wrapped,
     )
-    _check_clock(clock, dt)
+    check_wrapped(wrapped)
     if units is not None:
         unit_factor(units)
     found = []
     for path in paths:
-        check_readable(path)
+        check_readable(path, "files")
         found.append(format_of(path, request).channels(path, request))
     window = common_window([file.clock for file in found])
     values = [file.values[:, k : k + window.n_times] for file, k in zip(found, window.first, strict=True)]
@@ -127,14 +139,13 @@ def _named_paths(files) -> tuple[list[Path], list[str]]:
     if isinstance(files, str | PathLike):
         files = [files]
     if isinstance(files, Mapping):
-        paths, labels = [Path(path) for path in files.values()], [str(name) for name in files]
-    elif isinstance(files, Iterable):
-        paths = [Path(path) for path in files]
+        paths, labels = [check_path(path, "files") for path in files.values()], [str(name) for name in files]
+    elif (listed := as_list(files)) is not None:
+        paths = [check_path(path, "files") for path in listed]
         labels = [path.stem for path in paths]
     else:
-        raise TypeError(
-            f"`files` must be a path, several, or a mapping of sensor names to paths, got {files!r}."
-        )
+        what = "a path, several, or a mapping of sensor names to paths"
+        raise TypeError(message("files", what, shown(files)))
     if not paths:
         raise ValueError("`files` must name at least one file, got none.")
     return paths, labels
@@ -147,18 +158,33 @@ def _named_columns(columns) -> tuple[list[str] | None, list | None]:
     if isinstance(columns, Mapping):
         names, picked = [str(name) for name in columns], list(columns.values())
     else:
-        single = isinstance(columns, str) or not isinstance(columns, Iterable)
-        names, picked = None, [columns] if single else list(columns)
+        listed = as_list(columns)
+        names, picked = None, [columns] if listed is None else listed
     if not picked:
         raise ValueError("`columns` must name at least one column, got none.")
-    return names, picked
+    return names, [check_column(column, "columns") for column in picked]
 
 
-def _check_clock(clock, dt) -> None:
+def check_column(column, name: str) -> int | str:
+    """The index or the name of a column."""
+    value = single(column)
+    if not (isinstance(value, str) or (is_number(value) and isinstance(value, Integral))):
+        raise TypeError(message(name, "an index or a name", shown(column)))
+    return value if isinstance(value, str) else int(value)
+
+
+def check_wrapped(wrapped) -> None:
+    """Refuse what is not True, False or None."""
+    if wrapped is not None:
+        check_flag(wrapped, "wrapped", "Leave it out for what the file shows.")
+
+
+def _checked_clock(clock, dt) -> int | str | bool | None:
     if clock is True:
         raise TypeError("`clock` must be a column, False or None, got True.")
     if clock is False and dt is None:
         raise ValueError(f"`dt` must be given with clock=False. {SAMPLING_INTERVAL}")
+    return clock if clock is None or clock is False else check_column(clock, "clock")
 
 
 def _sensor_names(found, labels, keys, named: bool) -> list[str]:

@@ -6,12 +6,12 @@ Only numbers are read, dense or sparse; no pickles, nothing in the file is execu
 import warnings
 import zipfile
 from os import PathLike
-from pathlib import Path
 
 import h5py
 import numpy as np
 from scipy import sparse
 
+from pymc_features._checks import check_path
 from pymc_features.io.matrix_market import read_matrix_market
 from pymc_features.io.reading.lines import check_readable, shortened
 from pymc_features.io.reading.promise import check_promise
@@ -50,7 +50,7 @@ def read_matrices(path: str | PathLike) -> dict:
     ...     sorted(read_matrices(path))
     ['K', 'M']
     """
-    path = Path(path)
+    path = check_path(path)
     check_readable(path)
     reader = READERS.get(path.suffix.lower())
     if reader is None:

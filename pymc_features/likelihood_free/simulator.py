@@ -15,6 +15,7 @@ from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.random.op import RandomVariable
 
+from pymc_features._checks import as_numbers, check_choice, check_name, shown
 from pymc_features.likelihood_free.functions import (
     FunctionSimulator,
     NoisySimulator,
@@ -26,7 +27,7 @@ from pymc_features.likelihood_free.modal import ModesSimulator, node_of
 from pymc_features.modal_features import SymbolicModes
 from pymc_features.modal_features.feature import add_coordinates
 from pymc_features.modal_features.identified import identified
-from pymc_features.ops import check_shape, name_the_time_axis, response_node
+from pymc_features.ops import as_tensor, check_dims, check_shape, name_the_time_axis, response_node
 
 ADVICE_ON_EPSILON = (
     "Pass a tolerance on the sum of mean squares, for example `abc_tolerance(sigma, n_sensors)`."
@@ -120,8 +121,8 @@ def DiscrepancySimulator(
     from the prior in one stage; `SubsetSimulation` lowers it in many. With noise rho is a larger number, at
     the truth about twice what it is without.
     """
-    if not isinstance(kernel, str) or kernel not in KERNELS:
-        raise ValueError(f"`kernel` must be one of {', '.join(KERNELS)}, got {kernel!r}.")
+    check_name(name)
+    check_choice(kernel, "kernel", KERNELS)
     if isinstance(mu, SymbolicModes):
         if params or noise is not None:
             raise ValueError(
@@ -130,6 +131,7 @@ def DiscrepancySimulator(
             )
         return modes_node(name, mu, identified(observed), epsilon, Distance(kernel), dims)
     data = _checked_data(observed)
+    dims = check_dims(dims, data.ndim)
     name_the_time_axis(dims, mu if isinstance(mu, Variable) else data, data)
     shape = data.shape if isinstance(data, np.ndarray) else data.get_value(borrow=True).shape
     fn, parameters = _simulator_of(mu, params, shape)
@@ -183,7 +185,7 @@ def _simulator_of(mu, params, shape):
             raise TypeError(f"`mu` must be what `response` returned or a function, got {type(mu).__name__}.")
         if not params:
             raise ValueError("`params` must be given with a function, got none. Pass its parameters.")
-        parameters = [pt.as_tensor_variable(p) for p in params]
+        parameters = [as_tensor(p, "params", "Pass random variables or numbers.") for p in params]
         return FunctionSimulator(mu, tuple(p.ndim for p in parameters), shape), parameters
     node = response_node(mu)
     if node is None or isinstance(node.op, Blockwise):
@@ -217,11 +219,7 @@ def _tolerance(epsilon, n_sensors, kind="sensors"):
 
 def _per_sensor(name, value, n_sensors, advice, *, zero=False, kind="sensors"):
     """A tensor () or (sensor,) whose numbers, where they are known, are positive; or zero, if allowed."""
-    try:
-        value = value if isinstance(value, Variable) else np.asarray(value, np.float64)
-        tensor = pt.as_tensor_variable(value)
-    except (TypeError, ValueError):
-        raise TypeError(f"`{name}` must be a number or an array, got {value!r}. {advice}") from None
+    tensor = as_tensor(value, name, advice)
     known = isinstance(tensor, Constant | SharedVariable)
     values = np.asarray(number(tensor)) if known else None
     shape = values.shape if known else tensor.type.shape
@@ -231,7 +229,7 @@ def _per_sensor(name, value, n_sensors, advice, *, zero=False, kind="sensors"):
         )
     if known and not (np.isfinite(values) & ((values > 0) | (zero & (values == 0)))).all():
         wanted = "not negative" if zero else "positive"
-        raise ValueError(f"`{name}` must be {wanted} and finite, got {values.tolist()}. {advice}")
+        raise ValueError(f"`{name}` must be {wanted} and finite, got {shown(values.tolist())}. {advice}")
     return tensor
 
 
@@ -242,13 +240,10 @@ def _checked_data(observed):
             "part, or leave out the sensor."
         )
     values = observed.get_value(borrow=True) if isinstance(observed, SharedVariable) else observed
-    try:
-        values = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(f"`observed` must be an array of numbers, got {type(observed).__name__}.") from None
+    values = as_numbers(values, "observed")
     if values.ndim not in (1, 2) or values.size == 0 or not np.isfinite(values).all():
         raise ValueError(
             "`observed` must be finite numbers of shape (sensor, time), or (entry,) for a summary, got shape "
             f"{values.shape}."
         )
-    return observed if isinstance(observed, SharedVariable) else np.ascontiguousarray(values)
+    return observed if isinstance(observed, SharedVariable) else np.array(values)

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from pymc_features._checks import check_integer
+from pymc_features._checks import as_numbers, check_integer, shown
 
 QUANTILE = 0.9
 
@@ -40,12 +40,7 @@ def abc_tolerance(
     n_sensors = check_integer(n_sensors, "n_sensors")
     if isinstance(sigma, xr.DataTree | xr.Dataset | xr.DataArray):
         sigma = posterior_quantile(sigma)
-    try:
-        values = np.asarray(sigma, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(
-            f"`sigma` must be one number, got {type(sigma).__name__}. Pass a quantile of its posterior."
-        ) from None
+    values = as_numbers(sigma, "sigma", "Pass a quantile of its posterior.", what="one number")
     if values.shape not in ((), (n_sensors,)):
         raise ValueError(
             f"`sigma` must be one number or one for each of the {n_sensors} sensors, got shape "
@@ -53,8 +48,8 @@ def abc_tolerance(
         )
     if not (np.isfinite(values) & (values > 0)).all():
         raise ValueError(
-            f"`sigma` must be positive and finite, got {values.tolist()}. Pass the 90 % quantile of the EXP "
-            "posterior, in the units of the data."
+            f"`sigma` must be positive and finite, got {shown(values.tolist())}. Pass the 90 % quantile of "
+            "the EXP posterior, in the units of the data."
         )
     delta = 2.0 * n_sensors * values**2
     return delta if delta.ndim else float(delta)
@@ -79,4 +74,6 @@ def posterior_quantile(posterior):
     over = [dim for dim in ("chain", "draw", "sample") if dim in posterior.dims]
     if not over:
         raise ValueError(f"`sigma` must have the dimensions chain and draw, got {posterior.dims}.")
+    if posterior.dtype.kind not in "iuf" or not posterior.size:
+        raise TypeError(f"`sigma` must hold draws, got {posterior.size} values of type {posterior.dtype}.")
     return posterior.quantile(QUANTILE, dim=over).values

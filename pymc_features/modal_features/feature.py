@@ -11,11 +11,11 @@ from pytensor.graph.basic import Constant
 from pytensor.tensor import TensorLike, TensorVariable
 
 from pymc_features._checks import message
-from pymc_features.distributions.checks import as_double
 from pymc_features.modal_features.density import ModalFeatureRV, log_densities, matched
 from pymc_features.modal_features.identified import Identified, identified
 from pymc_features.modal_features.match import warn_at_start
 from pymc_features.modal_features.quantities import SymbolicModes
+from pymc_features.ops import as_tensor
 
 DENSITIES = {"TN": 1.0, "EXP": 2.0}  # degrees of freedom
 
@@ -123,7 +123,8 @@ def add_coordinates(name, data: Identified) -> tuple[str, str]:
 
 def checked_parameters(modes, data: Identified, sigma_f, sigma_phi, density) -> list[TensorVariable]:
     """What the random variable takes, in its order."""
-    frequencies, shapes = (as_double(x) for x in (tuple(modes) + (np.zeros((0, 0)),))[:2])
+    pair = (tuple(modes) + (np.zeros((0, 0)),))[:2]
+    frequencies, shapes = (as_tensor(x, "modes", "Pass what `modes` returned.") for x in pair)
     if frequencies.ndim != 1 or shapes.ndim != 2:
         raise ValueError(
             "`modes` must be frequencies (m,) and shapes (m, s), got "
@@ -167,7 +168,7 @@ def checked_parameters(modes, data: Identified, sigma_f, sigma_phi, density) -> 
 
 def scale(name, value, n, *, allow_zero=False):
     """A tensor (n,); numbers are refused where they are not positive."""
-    tensor = as_double(value)
+    tensor = as_tensor(value, name)
     if tensor.ndim > 1 or (tensor.ndim == 1 and tensor.type.shape[0] not in (None, 1, n)):
         raise ValueError(
             message(name, f"one value or one for each of the {n} identifications", tensor.type.shape)

@@ -13,10 +13,14 @@ from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.blockwise import Blockwise
 
+from pymc_features._checks import as_numbers
 from pymc_features.ops.base import StructuralOp, check_shape
 from pymc_features.ops.external import ExternalResponse
 from pymc_features.ops.gradient import Gradient, ResponseTangent, Tangent
 from pymc_features.ops.response import StructuralResponse, response_node
+from pymc_features.structures.variables import as_tensor
+
+HISTORY = "Pass a history (..., sensor, time)."
 
 
 class StructuralComparison(StructuralOp):
@@ -182,12 +186,20 @@ def mean_square_discrepancy(mu: TensorLike, observed: TensorLike) -> np.ndarray 
     array([2., 9.])
     """
     if not isinstance(mu, Variable) and not isinstance(observed, Variable):
-        mu, observed = np.asarray(mu, dtype=np.float64), np.asarray(observed, dtype=np.float64)
+        mu, observed = as_numbers(mu, "mu", HISTORY), as_numbers(observed, "observed", HISTORY)
+        check_histories(mu, observed)
         check_shape(mu.shape, observed.shape)
         return np.mean((observed - mu) ** 2, axis=-1)
     return fused_or_plain(
         StructuralDiscrepancy, lambda misfit: pt.mean(pt.sqr(misfit), axis=-1), mu, observed
     )
+
+
+def check_histories(mu, observed) -> None:
+    """Refuse what has no samples: numbers, and empty arrays."""
+    for name, shape in (("mu", mu.shape), ("observed", observed.shape)):
+        if not shape or 0 in shape:
+            raise ValueError(f"`{name}` must be a history (..., sensor, time), got shape {shape}. {HISTORY}")
 
 
 def misfit_statistics(mu, observed):
@@ -223,7 +235,8 @@ def misfit_statistics(mu, observed):
 
 def fused_or_plain(op_type, plain, mu, observed):
     """The Op where `mu` comes from `response`, else `plain(observed - mu)`."""
-    mu, observed = pt.as_tensor_variable(mu), pt.as_tensor_variable(observed)
+    mu, observed = as_tensor(mu, "mu", HISTORY), as_tensor(observed, "observed", HISTORY)
+    check_histories(mu.type, observed.type)
     check_shape(mu.type.shape, observed.type.shape)
     node = response_node(mu)
     if node is None or observed.ndim < 2:

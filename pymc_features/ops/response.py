@@ -16,6 +16,7 @@ from pytensor.tensor.shape import SpecifyShape
 from pytensor.tensor.variable import TensorVariable
 from scipy import sparse
 
+from pymc_features._checks import shown
 from pymc_features.algebra import to_dense
 from pymc_features.ops.base import StructuralOp
 from pymc_features.ops.external import ExternalResponse
@@ -118,7 +119,7 @@ def response(
     if HISTORIES[quantity].dim == "support":
         if sensors is not None:
             raise ValueError(
-                f"`sensors` must be left out for the base shear, got {sensors!r}. It sums all masses."
+                f"`sensors` must be left out for the base shear, got {shown(sensors)}. It sums all masses."
             )
         return base_shear(structure, record, dt, asked)
     return respond(structure, record, dt, asked, rows_of(structure, quantity, asked.sensors, outputs).picked)

@@ -6,7 +6,26 @@ import pytensor.tensor as pt
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant
 
+from pymc_features._checks import message, shown
 from pymc_features.ops.response import response_step
+from pymc_features.structures.variables import as_tensor
+
+
+def check_dims(dims, ndim: int | None = None) -> tuple | None:
+    """Names of axes as a tuple, or None; as many as the data have axes, where that is known."""
+    listed = (dims,) if isinstance(dims, str) else dims
+    if listed is None:
+        return None
+    if not isinstance(listed, list | tuple) or not all(
+        name is None or name is ... or isinstance(name, str) for name in listed
+    ):
+        raise TypeError(
+            f"`dims` must be the names of the axes of the data, got {shown(dims)}. Pass for example "
+            '("sensor", "time").'
+        )
+    if ndim is not None and ... not in listed and len(listed) != ndim:
+        raise ValueError(f"`dims` must name the {ndim} axes of the data, got {shown(dims)}.")
+    return tuple(listed)
 
 
 def name_the_time_axis(dims, mu, observed, dt=None):
@@ -14,11 +33,14 @@ def name_the_time_axis(dims, mu, observed, dt=None):
 
     `dt` [s] counts where it is a constant; else the output step of a response, if that is known.
     """
-    dims = (dims,) if isinstance(dims, str) else tuple(dims or ())
-    model = pm.modelcontext(None)
-    if not dims or dims[-1] is None or dims[-1] in model.dim_lengths:
+    dims, model = check_dims(dims) or (), pm.modelcontext(None)
+    unknown = [name for name in dims[:-1] if isinstance(name, str) and name not in model.dim_lengths]
+    if unknown:
+        advice = f'Declare it, as in pm.Model(coords={{"{unknown[0]}": range(n)}}).'
+        raise ValueError(message("dims", "dimensions of the model", repr(unknown[0]), advice))
+    if not dims or dims[-1] in (None, ...) or dims[-1] in model.dim_lengths:
         return
-    mu = pt.as_tensor_variable(mu)
+    mu = as_tensor(mu, "mu")
     n_times = mu.type.shape[-1] if mu.ndim else None
     if n_times is None and observed is not None:
         observed = pt.as_tensor_variable(observed)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pymc_features._checks import as_array, is_among, message, shown
+
 if TYPE_CHECKING:  # matplotlib takes a second to import
     from matplotlib.axes import Axes
 
@@ -36,11 +38,29 @@ def checked_axes(axes: AxesLike, count: int = 1, each: str = "", *, columns: int
         for spare in grid.ravel()[count:]:
             spare.remove()
         return grid.ravel()[:count]
-    axes = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
+    from matplotlib.axes import Axes
+
+    given, axes = axes, np.atleast_1d(as_array(axes)).ravel()
     if axes.size != count:
         wanted = f"one for each of {count} {each}" if each else "one"
         raise ValueError(f"`axes` must be {wanted}, got {axes.size}.")
+    if not all(isinstance(ax, Axes) for ax in axes):
+        raise TypeError(
+            message("axes", "axes of matplotlib", shown(given), "Leave them out for a new figure.")
+        )
     return axes
+
+
+def chosen_among(chosen, name: str, known: list, advice: str = "") -> list:
+    """Some labels of what there is, as a list; all of them for None."""
+    if chosen is None:
+        return list(known)
+    array = as_array(chosen)
+    labels = np.atleast_1d(array).tolist() if array.ndim < 2 else []
+    if not labels or not all(is_among(label, known) for label in labels):
+        advice = f" {advice}" if advice else ""
+        raise ValueError(f"`{name}` must be among {known}, got {shown(labels or chosen)}.{advice}")
+    return labels
 
 
 def set_title(ax: "Axes", text: str, **style) -> None:

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import xarray as xr
 
-from pymc_features.plots.axes import AxesLike, checked_axes
+from pymc_features._checks import check_choice, check_finite, check_group
+from pymc_features.plots.axes import AxesLike, checked_axes, chosen_among
 
 KINDS = ("rank", "trace")
 
@@ -37,11 +38,15 @@ def plot_chains(
     """
     import arviz as az  # slow to import
 
-    if kind not in KINDS:
-        raise ValueError(f"`kind` must be one of {', '.join(KINDS)}, got {kind!r}.")
+    check_choice(kind, "kind", KINDS)
     draw = az.plot_rank_dist if kind == "rank" else az.plot_trace_dist
-    posterior = idata["posterior"].to_dataset()
-    names = list(posterior.data_vars) if var_names is None else list(var_names)
+    posterior = check_group(idata, "idata", "posterior", "Pass what `sample` returned.", "chain", "draw")
+    numbers = [name for name, values in posterior.data_vars.items() if values.dtype.kind in "iuf"]
+    names = chosen_among(var_names, "var_names", numbers)
+    if not names:
+        raise ValueError("`idata` must have a posterior of numbers, got none.")
+    for name in names:
+        check_finite(posterior[name].values, "idata", f"Those are draws of {name}.")
     labels = list(axis_labels(posterior, names, kind))
     size = 9.0, 0.4 + 0.8 * len(labels)
     axes = checked_axes(

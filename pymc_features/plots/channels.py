@@ -27,6 +27,11 @@ def plot_channels(channels: xr.DataArray, axes: AxesLike = None) -> np.ndarray:
             f"`channels` must be a DataArray (sensor, time), got {type(channels).__name__}. Read files with "
             "`read_channels`."
         )
+    if not channels.size or channels.dtype.kind not in "iuf" or channels["time"].dtype.kind not in "iuf":
+        raise ValueError(
+            f"`channels` must hold numbers at times in seconds, got {channels.size} values of type "
+            f"{channels.dtype} at times of type {channels['time'].dtype}."
+        )
     n = channels.sizes["sensor"]
     figsize = (9.0, min(TALLEST, 0.8 + HEIGHT * n))
     axes = checked_axes(axes, n, "sensors", figsize=figsize, sharex=True, sharey=True)

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from pymc_features.plots.axes import AxesLike, checked_axes, set_figure_title
+from pymc_features._checks import message, shown
+from pymc_features.plots.axes import AxesLike, checked_axes, chosen_among, set_figure_title
 
 
 def plot_loops(
@@ -27,6 +28,10 @@ def plot_loops(
     -------
     array of matplotlib Axes
     """
+    if not isinstance(result, xr.DataTree):
+        raise TypeError(
+            message("result", "a DataTree", shown(result), "Pass what sampling_rate_study() returned.")
+        )
     if "loops" not in result.children:
         raise ValueError(
             "`result` must be of a structure whose springs can yield, got one without loops. "
@@ -36,9 +41,7 @@ def plot_loops(
     known, ductility = loops["spring"].values.tolist(), loops["ductility"]
     if springs is None:
         springs = loops["spring"].values[np.argsort(-ductility.values, kind="stable")[:3]]
-    springs = np.atleast_1d(springs).tolist()
-    if not springs or not set(springs) <= set(known):
-        raise ValueError(f"`springs` must be among {known}, got {springs}.")
+    springs = chosen_among(springs, "springs", known)
     is_new, size = axes is None, (1.2 + 2.9 * len(springs), 3.4)
     axes = checked_axes(axes, len(springs), "springs", columns=len(springs), figsize=size)
     if is_new:

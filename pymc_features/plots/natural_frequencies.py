@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import check_group, message, shown
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.plots.axes import AxesLike, checked_axes
 
@@ -24,10 +25,13 @@ def plot_natural_frequencies(result: xr.DataTree, axes: AxesLike = None) -> np.n
     -------
     array of two matplotlib Axes
     """
+    advice = "Pass what `run_update` returned."
+    if not isinstance(result, xr.DataTree):
+        raise TypeError(message("result", "a DataTree", shown(result), advice))
     kinds = [name for name, part in result.children.items() if "modal" in part.children]
     if not kinds:
         raise ValueError("`result` must have a likelihood with natural frequencies, got none.")
-    data = result["data"].to_dataset()
+    data = check_group(result, "result", "data", advice, "sensor", "frequency")
     axes = checked_axes(
         axes,
         2,

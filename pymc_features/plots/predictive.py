@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from pymc_features.plots.axes import AxesLike, checked_axes, set_title
+from pymc_features._checks import as_numbers, check_group, message, shown
+from pymc_features.plots.axes import AxesLike, checked_axes, chosen_among, set_title
 from pymc_features.plots.envelope import columns_of, draw_area, draw_band, draw_line, draw_measured
 
 WIDEST = 3.0  # height of an axis over that of response and measurement, where errors are large
@@ -38,12 +39,12 @@ def plot_predictive(
     -------
     array of matplotlib Axes
     """
-    bands, observed = idata["bands"].to_dataset(), idata["observed_data"]["y"]
-    known = bands["sensor"].values.tolist()
-    chosen = known if sensors is None else np.atleast_1d(sensors).tolist()
-    if not chosen or not set(chosen) <= set(known):
-        raise ValueError(f"`sensors` must be among {known}, got {chosen}.")
+    advice = "Pass one likelihood of what `run_update` returned."
+    bands = check_group(idata, "idata", "bands", advice, "quantile", "sensor", "time")
+    observed = check_group(idata, "idata", "observed_data", advice, "sensor", "time")["y"]
+    chosen = chosen_among(sensors, "sensors", bands["sensor"].values.tolist())
     if window is not None:
+        window = checked_window(window)
         bands, observed = (x.sel(time=slice(*window)) for x in (bands, observed))
         if not bands.sizes["time"]:
             raise ValueError(f"`window` must hold samples of the record, got {window} in seconds.")
@@ -61,6 +62,14 @@ def plot_predictive(
     handles, labels = axes[0].get_legend_handles_labels()
     axes[0].figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
     return axes
+
+
+def checked_window(window) -> tuple[float, float]:
+    """Two times [s]."""
+    edges = as_numbers(window, "window", "Pass two times (from, to) in seconds.")
+    if edges.shape != (2,) or not np.isfinite(edges).all():
+        raise ValueError(message("window", "two times (from, to) in seconds", shown(window)))
+    return float(edges[0]), float(edges[1])
 
 
 def _draw(ax, bands, observed, columns):

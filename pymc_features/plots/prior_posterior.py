@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
-from pymc_features.plots.axes import AxesLike, broken, checked_axes, inches_of
+from pymc_features._checks import check_group, check_mapping, message, shown
+from pymc_features.plots.axes import AxesLike, broken, checked_axes, chosen_among, inches_of
 
 BINS = 40
 
@@ -33,13 +34,19 @@ def plot_prior_posterior(
     -------
     array of matplotlib Axes
     """
-    posterior, prior = idata["posterior"].to_dataset(), idata["prior"].to_dataset()
+    advice = "Pass draws of both, such as one likelihood of what `run_update` returned."
+    posterior, prior = (
+        check_group(idata, "idata", group, advice, "chain", "draw") for group in ("posterior", "prior")
+    )
+    units = check_mapping(units, "units", "a dict of parameters to their units")
+    if not all(isinstance(unit, str) for unit in units.values()):
+        raise TypeError(message("units", "a dict of parameters to their units", shown(units)))
     known = [
         str(n) for n, v in posterior.data_vars.items() if n in prior and set(v.dims) == {"chain", "draw"}
     ]
-    names = known if var_names is None else list(var_names)
-    if not names or not set(names) <= set(known):
-        raise ValueError(f"`var_names` must be among {known}, got {names}.")
+    names = chosen_among(var_names, "var_names", known)
+    if not names:
+        raise ValueError("`idata` must have scalar parameters in both groups, got none.")
     is_new, columns = axes is None, min(4, len(names))
     size = 2.6 * columns, 0.5 + 2.2 * -(-len(names) // columns)
     axes = checked_axes(axes, len(names), "parameters", columns=columns, figsize=size)
@@ -58,7 +65,7 @@ def plot_prior_posterior(
             counts, edges = np.histogram(draws, bins)
             ax.stairs(counts / counts.max(), edges, fill=True, color=colour, alpha=0.6, label=label)
         ax.axvline(np.median(after), ymax=0.95, color="C0", lw=1.0)  # a posterior thinner than a line is seen
-        unit = (units or {}).get(name, "").replace("^2", "²")
+        unit = units.get(name, "").replace("^2", "²")
         label = broken(f"{name} [{unit}]" if unit else name, inches_of(ax), "medium")
         ax.set(xlabel=label, yticks=[], xlim=(low, high))
         ax.xaxis.get_major_locator().set_params(nbins=4)

@@ -6,7 +6,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from pymc_features.plots.axes import AxesLike, checked_axes, set_title
+from pymc_features._checks import as_numbers, check_choice, message, shown
+from pymc_features.plots.axes import AxesLike, checked_axes, chosen_among, set_title
 from pymc_features.plots.envelope import columns_of, draw_band, draw_line, draw_measured
 
 
@@ -40,13 +41,16 @@ def plot_response_bands(
     -------
     array of matplotlib Axes
     """
+    if not isinstance(result, xr.Dataset):
+        raise TypeError(
+            message("result", "a Dataset", shown(result), "Pass what posterior_response() returned.")
+        )
     known = [str(name) for name, v in result.data_vars.items() if "quantile" in v.dims]
-    if quantity not in known:
-        raise ValueError(f"`quantity` must be one of {', '.join(known)}, got {quantity!r}.")
+    check_choice(quantity, "quantity", known)
     bands, dim, chosen = rows(result[quantity], sensors)
+    measured = labelled(measured, bands, dim)
     size = 8.0, 1.0 + 1.8 * len(chosen)
     axes = checked_axes(axes, len(chosen), "sensors", figsize=size, sharex=True)
-    measured = labelled(measured, bands, dim)
     middle = bands.isel(quantile=bands.sizes["quantile"] // 2).transpose(dim, "time")
     columns = columns_of(axes[0], bands["time"].values, middle.values)
     for ax, label in zip(axes, chosen, strict=True):
@@ -66,12 +70,9 @@ def rows(bands, sensors):
     dim = next((d for d in ("sensor", "storey", "support") if d in bands.dims), None)
     if dim is None:
         if sensors is not None:
-            raise ValueError(f"`sensors` must be left out for a {bands.name}, got {sensors}.")
+            raise ValueError(f"`sensors` must be left out for a {bands.name}, got {shown(sensors)}.")
         return bands.expand_dims("row").assign_coords(row=[0]), "row", [0]
-    known = bands[dim].values.tolist()
-    chosen = known if sensors is None else np.atleast_1d(sensors).tolist()
-    if not chosen or not set(chosen) <= set(known):
-        raise ValueError(f"`sensors` must be among {known}, got {chosen}. Predict the others first.")
+    chosen = chosen_among(sensors, "sensors", bands[dim].values.tolist(), "Predict the others first.")
     return bands.sel({dim: chosen}), dim, chosen
 
 
@@ -85,7 +86,7 @@ def labelled(measured, bands, dim):
         if measured.ndim == 1 and bands.sizes[dim] == 1:
             return measured.expand_dims({dim: bands[dim].values})
         raise ValueError(f"`measured` must have dimensions ({dim}, time), got {measured.dims}. Rename them.")
-    values, shape = np.asarray(measured, dtype=np.float64), (bands.sizes[dim], bands.sizes["time"])
+    values, shape = as_numbers(measured, "measured"), (bands.sizes[dim], bands.sizes["time"])
     if dim == "row":
         values = np.atleast_2d(values)
     if values.shape != shape:

@@ -5,9 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import check_group
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.plots.axes import AxesLike, checked_axes, set_figure_title
+from pymc_features.plots.axes import AxesLike, checked_axes, chosen_among, set_figure_title
 
+STUDY = "Pass what sampling_rate_study() returned."
 LABELS = {
     "theta": "stiffness factor θ [-]",
     "sigma": "scale σ [m/s²]",
@@ -36,13 +38,9 @@ def plot_sampling_rate(
     -------
     array of two matplotlib Axes
     """
-    likelihoods = [likelihoods] if isinstance(likelihoods, str) else list(likelihoods)
-    summary = result["summary"].to_dataset()
-    missing = [kind for kind in likelihoods if kind not in summary["likelihood"].values]
-    if missing:
-        raise ValueError(
-            f"`likelihoods` must be among {summary['likelihood'].values.tolist()}, got {missing}."
-        )
+    summary = check_group(result, "result", "summary", STUDY, "likelihood", "multiplier")
+    likelihoods = [] if likelihoods is None else likelihoods
+    likelihoods = chosen_among(likelihoods, "likelihoods", summary["likelihood"].values.tolist())
     axes = checked_axes(axes, 2, "parameters (theta, sigma)", columns=2, figsize=(9.0, 3.6))
     for ax, parameter in zip(axes, LABELS, strict=True):
         known = summary["exact"].sel(parameter=parameter, statistic="q05").notnull().all("multiplier")

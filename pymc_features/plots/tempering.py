@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import message, shown
 from pymc_features.plots.axes import AxesLike, checked_axes
 
 
@@ -20,6 +21,8 @@ def plot_tempering(idata: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
     -------
     array of two matplotlib Axes
     """
+    if not isinstance(idata, xr.DataTree):
+        raise TypeError(message("idata", "a DataTree", shown(idata), "Pass what sample_smc() returned."))
     stats = idata["sample_stats"].to_dataset() if "sample_stats" in idata.children else {}
     name = next((n for n in ("epsilon", "beta") if n in stats and "stage" in stats[n].dims), None)
     if name is None:

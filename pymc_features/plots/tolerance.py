@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import message, shown
 from pymc_features.plots.axes import AxesLike, checked_axes
 
 STATISTICS = ("log_probability", "log_probability_se", "simulations")
@@ -22,6 +23,10 @@ def plot_tolerance(result: xr.Dataset, axes: AxesLike = None) -> np.ndarray:
     -------
     array of matplotlib Axes
     """
+    if not isinstance(result, xr.Dataset):
+        raise TypeError(
+            message("result", "a Dataset", shown(result), "Pass what tolerance_sweep() returned.")
+        )
     names = [
         name
         for name, values in result.data_vars.items()

@@ -3,8 +3,11 @@
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import check_group
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.plots.axes import AxesLike, checked_axes, set_title
+
+STUDY = "Pass what sampling_rate_study() returned."
 
 
 def plot_widths(result: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
@@ -23,9 +26,10 @@ def plot_widths(result: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
     -------
     array of one matplotlib Axes
     """
+    summary = check_group(result, "result", "summary", STUDY, "likelihood", "multiplier", "parameter")
+    summary = summary.sel(parameter="theta")
     axes = checked_axes(axes, figsize=(7.5, 4.2))
     ax = axes[0]
-    summary = result["summary"].to_dataset().sel(parameter="theta")
     width = summary.sel(statistic="q95") - summary.sel(statistic="q05")
     steps = summary["multiplier"].values
     for kind in summary["likelihood"].values:

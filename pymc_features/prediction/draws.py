@@ -11,9 +11,11 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from scipy import sparse
 
+from pymc_features._checks import check_integer, check_seed, message
 from pymc_features.exceptions import PredictionWarning
 from pymc_features.keywords import check_keywords
 from pymc_features.prediction.ensemble import Ensemble
+from pymc_features.records import DynamicLoad
 
 
 class ResponseOptions(TypedDict, total=False):
@@ -29,6 +31,14 @@ def response_options(given: dict, function: str) -> dict:
     """All of these arguments, None where not given; refuse others."""
     check_keywords(given, ResponseOptions.__annotations__, function)
     return dict.fromkeys(ResponseOptions.__annotations__) | given
+
+
+def check_records(records) -> None:
+    """Refuse what is no record, before any structure is made."""
+    for record in records:
+        if not isinstance(record, DynamicLoad):
+            advice = "Use read_record(path) or Record(acceleration, dt)."
+            raise TypeError(message("record", "a Record", type(record).__name__, advice))
 
 
 class StructureDraws(NamedTuple):
@@ -86,7 +96,8 @@ def posterior_of(idata) -> xr.Dataset:
     found = idata
     if isinstance(idata, xr.DataTree):
         found = (idata["posterior"] if "posterior" in idata.children else idata).to_dataset()
-    if not isinstance(found, xr.Dataset) or not {"chain", "draw"} <= set(found.dims):
+    known = isinstance(found, xr.Dataset) and all(found.sizes.get(dim) for dim in ("chain", "draw"))
+    if not known:
         raise ValueError(
             "`idata` must be a DataTree with a group `posterior`, or a Dataset (chain, draw, ...), got "
             f"{type(idata).__name__}. Pass what pm.sample() or sample_smc() returned."
@@ -96,7 +107,7 @@ def posterior_of(idata) -> xr.Dataset:
 
 def matched(structure, posterior) -> list[str]:
     """Variables of the posterior that `structure` takes, by the names of its parameters."""
-    if not callable(structure):
+    if not callable(structure) or not has_signature(structure):
         raise TypeError(
             f"`structure` must be a function of posterior variables, got {type(structure).__name__}. "
             "Pass for example lambda theta: paper.chain(theta)."
@@ -119,12 +130,20 @@ def matched(structure, posterior) -> list[str]:
     return names
 
 
+def has_signature(function) -> bool:
+    """Whether the names of its parameters are known; those of some built-in functions are not."""
+    try:
+        return bool(inspect.signature(function))
+    except (TypeError, ValueError):
+        return False
+
+
 def thin(posterior, draws, random_seed) -> xr.Dataset:
     """Equally many draws of each chain, evenly spaced from a random start: closest to independent."""
-    if isinstance(draws, bool) or int(draws) != draws or draws < 1:
-        raise ValueError(f"`draws` must be a positive integer, got {draws}.")
+    draws = check_integer(draws, "draws")
+    check_seed(random_seed, states=True)
     n_chains, n = posterior.sizes["chain"], posterior.sizes["draw"]
-    wanted = min(n, max(1, int(draws) // n_chains))
+    wanted = min(n, max(1, draws // n_chains))
     start = np.random.default_rng(random_seed).random() if wanted < n else 0.0
     return posterior.isel(draw=((np.arange(wanted) + start) * n / wanted).astype(int))
 

@@ -8,7 +8,8 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from pymc.util import RandomGenerator
 
-from pymc_features.prediction.draws import ResponseOptions, response_options, structure_draws
+from pymc_features._checks import as_numbers, check_choice, shown
+from pymc_features.prediction.draws import ResponseOptions, check_records, response_options, structure_draws
 from pymc_features.prediction.posterior_response import row_coords
 from pymc_features.records import Loading, Record
 from pymc_features.simulators import HISTORIES
@@ -90,8 +91,7 @@ def first_passage_probability(
     >>> float(found["probability"])
     0.5
     """
-    if not isinstance(quantity, str) or quantity not in HISTORIES:
-        raise ValueError(f"`quantity` must be one of {', '.join(HISTORIES)}, got {quantity!r}.")
+    check_choice(quantity, "quantity", HISTORIES)
     limits = checked_limits(limit)
     records = checked_records(record)
     options = response_options(kwargs, "first_passage_probability")
@@ -167,18 +167,21 @@ def dataset(name, cells, limits, peak, records, chosen) -> xr.Dataset:
 
 def checked_records(record) -> list:
     """One record or several, as a list."""
-    records = list(record) if isinstance(record, Sequence) else [record]
+    records = (
+        list(record) if isinstance(record, Sequence) and not isinstance(record, str | bytes) else [record]
+    )
     if not records:
         raise ValueError("`record` must be one Record or several, got none.")
+    check_records(records)
     return records
 
 
 def checked_limits(limit) -> np.ndarray:
     """A positive number, or a vector of them."""
-    limits = np.asarray(limit, dtype=np.float64)
+    limits = as_numbers(limit, "limit", "Pass it in the unit of the quantity.")
     if limits.ndim > 1 or not limits.size or not (np.isfinite(limits) & (limits > 0.0)).all():
         raise ValueError(
-            f"`limit` must be a positive number or a vector of them, got {limit}. Pass it in the unit of the "
-            "quantity, such as 0.01 m of drift."
+            f"`limit` must be a positive number or a vector of them, got {shown(limit)}. Pass it in the unit "
+            "of the quantity, such as 0.01 m of drift."
         )
     return limits

@@ -8,7 +8,8 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from pymc.util import RandomGenerator
 
-from pymc_features.prediction.draws import ResponseOptions, response_options, structure_draws
+from pymc_features._checks import as_numbers, check_texts, message, shown
+from pymc_features.prediction.draws import ResponseOptions, check_records, response_options, structure_draws
 from pymc_features.prediction.simulated import largest
 from pymc_features.records import Loading, Record
 from pymc_features.simulators import HISTORIES
@@ -100,6 +101,7 @@ def posterior_response(
     """
     names, quantiles = checked_names(quantities), checked_quantiles(quantiles)
     options = response_options(kwargs, "posterior_response")
+    check_records([record])
     drawn = structure_draws(
         idata, structure, [record], names, draws, random_seed, keep_histories=True, **options
     )
@@ -144,15 +146,17 @@ def row_coords(rows) -> dict:
 
 def checked_names(quantities) -> list[str]:
     """Names of responses, each once."""
-    names = [quantities] if isinstance(quantities, str) else list(dict.fromkeys(quantities))
+    what = f"of {', '.join(HISTORIES)}"
+    names = list(dict.fromkeys(check_texts(quantities, "quantities", what)))
     if not names or any(name not in HISTORIES for name in names):
-        raise ValueError(f"`quantities` must be of {', '.join(HISTORIES)}, got {quantities!r}.")
+        raise ValueError(message("quantities", what, shown(quantities)))
     return names
 
 
 def checked_quantiles(quantiles) -> np.ndarray:
     """Probabilities, ascending."""
-    sorted_ = np.unique(np.asarray(quantiles, dtype=np.float64))
-    if not sorted_.size or not ((sorted_ >= 0.0) & (sorted_ <= 1.0)).all():
-        raise ValueError(f"`quantiles` must lie between 0 and 1, got {quantiles}. Pass 0.05 for 5 %.")
+    given = as_numbers(quantiles, "quantiles", "Pass 0.05 for 5 %.")
+    sorted_ = np.unique(given)
+    if given.ndim > 1 or not sorted_.size or not ((sorted_ >= 0.0) & (sorted_ <= 1.0)).all():
+        raise ValueError(f"`quantiles` must lie between 0 and 1, got {shown(quantiles)}. Pass 0.05 for 5 %.")
     return sorted_

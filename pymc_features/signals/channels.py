@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import xarray as xr
 
-from pymc_features._checks import check_finite, is_number
+from pymc_features._checks import check_finite, check_number, is_number, message, shown, single
 from pymc_features.exceptions import ChannelWarning
 
 _PACKAGE = os.path.dirname(os.path.dirname(__file__))
@@ -35,7 +35,12 @@ def check_array(channels, sensors: bool = False) -> xr.DataArray:
         )
     if channels.dtype.kind not in "iuf":
         raise TypeError(f"`channels` must hold numbers, got {channels.dtype}.")
+    if not channels.size:
+        raise ValueError(f"`channels` must hold samples, got shape {channels.shape}.")
     check_finite(channels.values, "channels", "Fill or cut the gap first.")
+    names = [str(name) for name in channels["sensor"].values] if sensors else []
+    if len(set(names)) < len(names):
+        raise ValueError(f"`channels` must have a name of its own for each sensor, got {', '.join(names)}.")
     return channels
 
 
@@ -53,6 +58,11 @@ def sampling_step(channels: xr.DataArray) -> float:
         raise ValueError(
             "`channels` must have a time coordinate [s] of at least 2 samples, got "
             f"{channels.sizes['time']} samples and coordinates {list(channels.coords)}."
+        )
+    if channels["time"].dtype.kind not in "iuf":
+        raise TypeError(
+            f"`channels` must have times in seconds, got a time coordinate of type {channels['time'].dtype}. "
+            "Pass seconds from the first sample."
         )
     time = np.asarray(channels["time"].values, dtype=np.float64)
     step = (time[-1] - time[0]) / (time.size - 1)
@@ -79,10 +89,7 @@ def rebuilt(channels: xr.DataArray, values: np.ndarray, step: float, start: floa
 def check_window(channels: xr.DataArray, window, name: str = "window") -> tuple[int, int]:
     """First and one past the last sample of a window (from, to) [s], both ends included."""
     step = sampling_step(channels)
-    try:
-        first, last = (float(edge) for edge in window)
-    except (TypeError, ValueError):
-        raise TypeError(f"`{name}` must be two times (from, to) in seconds, got {window!r}.") from None
+    first, last = check_pair(window, name, "two times (from, to) in seconds")
     begin, end = float(channels["time"][0]), float(channels["time"][-1])
     slack = 1e-6 * step
     if not begin - slack <= first < last <= end + slack:
@@ -101,10 +108,22 @@ def check_window(channels: xr.DataArray, window, name: str = "window") -> tuple[
 
 def check_frequency(value, name: str, nyquist: float) -> float:
     """A frequency [Hz] between 0 and half the sampling rate."""
-    if not is_number(value):
-        raise TypeError(f"`{name}` must be a frequency in Hz, got {value!r}.")
-    if not 0.0 < value < nyquist:
+    if not is_number(single(value)):
+        raise TypeError(f"`{name}` must be a frequency in Hz, got {shown(value)}.")
+    frequency = check_number(value, name)
+    if not 0.0 < frequency < nyquist:
         raise ValueError(
-            f"`{name}` must lie between 0 and {nyquist:g} Hz, half the sampling rate, got {value:g}."
+            f"`{name}` must lie between 0 and {nyquist:g} Hz, half the sampling rate, got {frequency:g}."
         )
-    return float(value)
+    return frequency
+
+
+def check_pair(pair, name: str, what: str) -> tuple[float, float]:
+    """Two numbers."""
+    try:
+        first, last = pair
+    except Exception:  # anything may fail to be two, in its own way
+        first = last = None
+    if not (is_number(single(first)) and is_number(single(last))):
+        raise TypeError(message(name, what, shown(pair)))
+    return check_number(first, name), check_number(last, name)

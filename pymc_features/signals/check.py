@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import check_share
 from pymc_features.signals.channels import check_array, sampling_step, warn_channel
 from pymc_features.signals.quasi_static import base_index, low_frequency_gains
 from pymc_features.signals.single import GRAVITY, check_each
@@ -72,8 +73,7 @@ def check_channels(
     (a part of them in tests/signals/test_signals.py).
     """
     check_array(channels, sensors=True)
-    if not 0.0 < damping_ratio < 1.0:
-        raise ValueError(f"`damping_ratio` must lie between 0 and 1, got {damping_ratio}. 0.02 is 2 %.")
+    damping_ratio = check_share(damping_ratio, "damping_ratio", "0.02 is 2 %.")
     found = low_frequency_gains(channels, band, base=base)
     check_each(channels)
     still = np.median(channels.values, axis=1, keepdims=True)

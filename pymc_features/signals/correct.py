@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 import xarray as xr
 
-from pymc_features._checks import is_number
+from pymc_features._checks import is_number, shown, single, to_float
 from pymc_features.signals.channels import check_array, rebuilt, sampling_step
 from pymc_features.signals.quasi_static import sensor_names
 
@@ -56,7 +56,7 @@ def correct(
     """
     check_array(channels, sensors=True)
     names, step = [str(name) for name in sensor_names(channels)], sampling_step(channels)
-    factors = checked(dict.fromkeys(names, scale) if is_number(scale) else scale, "scale", names)
+    factors = checked(dict.fromkeys(names, scale) if is_number(single(scale)) else scale, "scale", names)
     delays = checked(delay, "delay", names)
     values = channels.values.astype(np.float64)
     for name, factor in factors.items():
@@ -78,12 +78,18 @@ def checked(given, name, sensors) -> dict[str, float]:
     """Numbers by sensor."""
     if given is None:
         return {}
-    if not isinstance(given, Mapping) or not all(is_number(v) and np.isfinite(v) for v in given.values()):
-        raise TypeError(f"`{name}` must be a mapping of sensors to finite numbers, got {given!r}.")
+    values = {sensor: single(value) for sensor, value in given.items()} if isinstance(given, Mapping) else {}
+    numbers = {sensor: to_float(value) for sensor, value in values.items() if is_number(value)}
+    if (
+        not isinstance(given, Mapping)
+        or len(numbers) < len(given)
+        or not np.isfinite([*numbers.values()]).all()
+    ):
+        raise TypeError(f"`{name}` must be a mapping of sensors to finite numbers, got {shown(given)}.")
     unknown = [sensor for sensor in given if sensor not in sensors]
     if unknown:
         raise ValueError(f"`{name}` must name sensors among {', '.join(sensors)}, got {unknown[0]!r}.")
-    return {sensor: float(value) for sensor, value in given.items()}
+    return numbers
 
 
 def earlier(series, samples: float) -> np.ndarray:

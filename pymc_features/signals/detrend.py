@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import check_choice
 from pymc_features.signals.channels import check_window, rebuilt, sampling_step
 
 _DEGREES = {"constant": 0, "linear": 1}
@@ -39,8 +40,7 @@ def detrend(
     >>> detrend(ramp, window=(0.0, 0.1)).values
     array([-0.5,  0.5,  2.5])
     """
-    if kind not in _DEGREES:
-        raise ValueError(f"`kind` must be one of {', '.join(_DEGREES)}, got {kind!r}.")
+    check_choice(kind, "kind", _DEGREES)
     step = sampling_step(channels)
     low, high = (0, channels.sizes["time"]) if window is None else check_window(channels, window)
     # about the middle of the window, in units of its half: offset and slope are then orthogonal

@@ -54,7 +54,7 @@ def band_pass(
         if corner is not None
     ]
     if len(corners) == 2 and not corners[0] < corners[1]:
-        raise ValueError(f"`low` must be below `high`, got {low:g} and {high:g} Hz.")
+        raise ValueError(f"`low` must be below `high`, got {corners[0]:g} and {corners[1]:g} Hz.")
     order = check_integer(order, "order", most=HIGHEST)
     kind = "bandpass" if len(corners) == 2 else "lowpass" if low is None else "highpass"
     edges = corners if len(corners) == 2 else corners[0]

@@ -3,7 +3,8 @@
 import numpy as np
 import xarray as xr
 
-from pymc_features.signals.channels import check_array, check_frequency, sampling_step
+from pymc_features._checks import is_among, shown, single
+from pymc_features.signals.channels import check_array, check_frequency, check_pair, sampling_step
 
 _SEGMENTS = 8  # at least, without overlap, so that a coherence means something
 _BINS = 6  # frequencies of a spectrum inside the band, at least
@@ -80,19 +81,16 @@ def base_index(channels: xr.DataArray, base) -> int:
     names = sensor_names(channels)
     if base is None:
         return 0
-    if base not in names:
+    if not is_among(base, names):
         listed = ", ".join(map(repr, map(str, names)))
-        raise ValueError(f"`base` must be one of the sensors {listed}, got {base!r}.")
-    return names.index(base)
+        raise ValueError(f"`base` must be one of the sensors {listed}, got {shown(base)}.")
+    return names.index(single(base))
 
 
 def check_band(band, step: float) -> tuple[float, float]:
     """Two rising frequencies [Hz] below half the sampling rate."""
-    try:
-        low, high = band
-    except (TypeError, ValueError):
-        raise TypeError(f"`band` must be two frequencies (from, to) in Hz, got {band!r}.") from None
-    low, high = (check_frequency(edge, "band", 0.5 / step) for edge in (low, high))
+    edges = check_pair(band, "band", "two frequencies (from, to) in Hz")
+    low, high = (check_frequency(edge, "band", 0.5 / step) for edge in edges)
     if not low < high:
         raise ValueError(f"`band` must rise, got ({low:g}, {high:g}) Hz.")
     return low, high

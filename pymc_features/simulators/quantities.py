@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features._checks import check_choice, shown
 from pymc_features.simulators.oscillators.arguments import QUANTITIES
 from pymc_features.simulators.request import UNITS, Request, check_outputs, request
 
@@ -76,11 +77,10 @@ def checked_request(structure, record, quantity, *, dt=None, sensors=None, n_mod
     ValueError
         If an argument is out of range or has no meaning for the structure or the quantity.
     """
-    if not isinstance(quantity, str) or quantity not in HISTORIES:
-        raise ValueError(f"`quantity` must be one of {', '.join(HISTORIES)}, got {quantity!r}.")
+    check_choice(quantity, "quantity", HISTORIES)
     if n_modes is not None and not structure.is_linear:
         raise ValueError(
-            f"`n_modes` must be left out for a nonlinear structure, got {n_modes}. "
+            f"`n_modes` must be left out for a nonlinear structure, got {shown(n_modes)}. "
             f"{type(structure).__name__} has no superposition of modes."
         )
     source, dim, _ = HISTORIES[quantity]

@@ -4,9 +4,23 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
 
-from pymc_features._checks import check_finite, check_integer, check_positive
+from pymc_features._checks import (
+    as_array,
+    as_numbers,
+    check_choice,
+    check_finite,
+    check_integer,
+    check_positive,
+    is_number,
+    message,
+    shown,
+    single,
+)
 from pymc_features.simulators.oscillators.arguments import QUANTITIES
+
+FINEST = 1e-6  # output step over the record's
 
 UNITS = dict(zip(QUANTITIES, ("m/s^2", "m/s^2", "m/s", "m"), strict=True))
 
@@ -52,8 +66,7 @@ def request(
         With a message that names the argument, what it was and what to pass.
     """
     substeps, stride = sampling_grid(record_dt, dt)
-    if quantity not in QUANTITIES:
-        raise ValueError(f"`quantity` must be one of {', '.join(QUANTITIES)}, got {quantity!r}.")
+    check_choice(quantity, "quantity", QUANTITIES)
     most_modes = n_dof if most_modes is None else most_modes
     n_modes = most_modes if n_modes is None else n_modes
     n_modes = check_integer(n_modes, "n_modes", most=most_modes, advice="Leave it out for all modes.")
@@ -64,9 +77,9 @@ def check_sensors(sensors, n_dof: int) -> np.ndarray:
     """Return the sensors as an integer array; None stands for all degrees of freedom."""
     if sensors is None:
         return np.arange(n_dof)
-    indices = np.atleast_1d(np.asarray(sensors))
-    if indices.ndim != 1 or indices.size == 0 or not np.issubdtype(indices.dtype, np.integer):
-        raise ValueError(f"`sensors` must be a list of degrees of freedom (integers), got {sensors!r}.")
+    indices = np.atleast_1d(as_array(sensors))
+    if indices.ndim != 1 or indices.size == 0 or indices.dtype.kind not in "iu":
+        raise ValueError(message("sensors", "a list of degrees of freedom (integers)", shown(sensors)))
     if not ((indices >= 0) & (indices < n_dof)).all():
         raise ValueError(
             f"`sensors` must lie between 0 and {n_dof - 1}, got {indices.tolist()}. "
@@ -77,13 +90,9 @@ def check_sensors(sensors, n_dof: int) -> np.ndarray:
 
 def check_outputs(outputs, n_dof: int) -> np.ndarray:
     """Return the matrix S (s, n) of wanted combinations S x as an array of its own."""
-    try:
-        matrix = np.array(outputs.toarray() if hasattr(outputs, "toarray") else outputs, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(
-            f"`outputs` must be a matrix of numbers, got {type(outputs).__name__}. Combine a response by "
-            "variables with `pt.dot`."
-        ) from None
+    outputs = outputs.toarray() if sparse.issparse(outputs) else outputs
+    advice = "Combine a response by variables with `pt.dot`."
+    matrix = as_numbers(outputs, "outputs", advice, what="a matrix of numbers").copy()
     if matrix.ndim != 2 or matrix.shape[1] != n_dof or matrix.shape[0] == 0:
         raise ValueError(
             f"`outputs` must have shape (s, {n_dof}), got {matrix.shape}. "
@@ -104,12 +113,18 @@ def sampling_grid(record_dt: float, dt: float | None) -> tuple[int, int]:
     """
     if dt is None:
         return 1, 1
-    if np.ndim(dt) or not isinstance(dt, float | int | np.number | np.ndarray):
+    if not is_number(single(dt)):
         raise TypeError(
             f"`dt` must be a number, got {type(dt).__name__}. Pass the output step in seconds; in a model it "
             "may be pm.Data."
         )
-    ratio = check_positive(dt, "dt", "Pass the output step in seconds.") / record_dt
+    dt = check_positive(dt, "dt", "Pass the output step in seconds.")
+    ratio = dt / record_dt
+    if not FINEST < ratio < 1.0 / FINEST:
+        raise ValueError(
+            f"`dt` must be within a factor of {1.0 / FINEST:g} of the record's step {record_dt:g} s, got "
+            f"{dt:g} s. Resample the record first."
+        )
     factor = round(max(ratio, 1.0 / ratio))
     if abs(max(ratio, 1.0 / ratio) / factor - 1.0) > 1e-6:
         raise ValueError(

@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from scipy import sparse
 
+from pymc_features._checks import shown
 from pymc_features.records import DynamicLoad
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.linear.response import response_in_modes
@@ -91,7 +92,7 @@ def simulate(
     )
     if sensors is not None and HISTORIES[quantity].dim == "support":
         raise ValueError(
-            f"`sensors` must be left out for the base shear, got {sensors!r}. It is a sum over all masses."
+            f"`sensors` must be left out for the base shear, got {shown(sensors)}. It sums all masses."
         )
     rows = rows_of(structure, quantity, asked.sensors, outputs)
     values = respond(structure, record, asked, rows.picked)
@@ -126,7 +127,7 @@ def respond(structure, record, asked, rows) -> np.ndarray:
 
 def check_arguments(structure, record):
     """Refuse what is no structure of numbers, or no record."""
-    if not hasattr(structure, "parameters"):
+    if not hasattr(structure, "parameters") or isinstance(structure, type):
         raise TypeError(f"`structure` must be a structure, got {type(structure).__name__}.")
     if not isinstance(record, DynamicLoad):
         raise TypeError(

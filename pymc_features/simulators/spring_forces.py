@@ -75,6 +75,7 @@ def integration_error(
     -----
     The error of the response itself is 32/31 of it for a fifth-order method. Costs three responses.
     """
+    check_arguments(structure, record)
     codes = [request(1, record.dt, quantity=quantity).quantity_code]
     (coarse, _), (fine, _) = (_histories(structure, record, codes, refine=r) for r in (1, 2))
     return float(abs(coarse - fine).max() / abs(fine).max())

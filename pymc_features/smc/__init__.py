@@ -10,7 +10,7 @@ from pymc_features.smc.kernels.subset import SubsetSimulation
 from pymc_features.smc.kernels.tmcmc import TMCMC
 from pymc_features.smc.proposals.reference import Reference, find_reference
 from pymc_features.smc.results import savable
-from pymc_features.smc.sample import processors, sample_smc
+from pymc_features.smc.sample import check_run, processors, sample_smc
 
 KERNELS = (PopulationIMH, PopulationMH, PersistentSMC, TMCMC)  # for any model
 SIMULATOR_KERNELS = (SubsetSimulation,)  # for models with one pm.Simulator node
@@ -26,6 +26,7 @@ __all__ = [
     "Reference",
     "SubsetSimulation",
     "TMCMC",
+    "check_run",
     "find_reference",
     "population_logp",
     "prior_points",

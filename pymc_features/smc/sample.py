@@ -2,19 +2,30 @@
 
 import os
 
+import numpy as np
 import pymc as pm
 import xarray as xr
-from pymc.model import modelcontext
 from pymc.sampling.parallel import ParallelSamplingError
 from pymc.smc.kernels import SMC_KERNEL
 from pymc.util import RandomState
 from pytensor.graph.traversal import ancestors
 
+from pymc_features._checks import (
+    check_flag,
+    check_integer,
+    check_model,
+    check_path,
+    check_seed,
+    message,
+    shown,
+)
 from pymc_features.exceptions import CheckpointError, ToleranceNotReachedError
 from pymc_features.smc.kernels.base import PopulationKernel
 from pymc_features.smc.kernels.checkpoint import remembered
 from pymc_features.smc.kernels.persistent import PersistentSMC
 from pymc_features.smc.results import savable
+
+MOST_RUNS = 10_000  # chains, or processes
 
 
 def sample_smc(
@@ -75,15 +86,19 @@ def sample_smc(
     >>> idata.sample_stats["log_marginal_likelihood"].dims
     ('chain',)
     """
+    check_run(draws, chains, cores, random_seed, settings.get("progressbar", True))
+    check_kernel(kernel)
+    model = check_model(settings.get("model"))
     if settings.pop("return_inferencedata", True) is not True:
         raise ValueError(
             "`return_inferencedata` must be True, got False. Use pm.sample_smc() for a MultiTrace."
         )
     default_chains = max(2, cores or processors())
     if checkpoint is not None:
-        if not (isinstance(kernel, type) and issubclass(kernel, PopulationKernel)):
+        check_path(checkpoint, "checkpoint")
+        if not issubclass(kernel, PopulationKernel):
             raise TypeError(
-                f"`checkpoint` must be left out for {getattr(kernel, '__name__', kernel)}, which keeps none. "
+                f"`checkpoint` must be left out for {kernel.__name__}, which keeps none. "
                 "Use a kernel of pymc_features."
             )
         random_seed, chains = remembered(checkpoint, random_seed, chains, default_chains)
@@ -91,7 +106,7 @@ def sample_smc(
     if chains is None:
         chains = default_chains
     if cores is None:
-        cores = 1 if is_parallel_by_itself(modelcontext(settings.get("model"))) else processors()
+        cores = 1 if is_parallel_by_itself(model) else processors()
     try:
         return savable(
             pm.sample_smc(draws, kernel, chains=chains, cores=cores, random_seed=random_seed, **settings)
@@ -106,6 +121,26 @@ def sample_smc(
             "a process that sampled a chain died: killed, or out of memory. Sample with fewer `cores` or "
             "`draws`; with `checkpoint` the next run goes on from there."
         ) from error
+
+
+def check_run(draws, chains, cores, random_seed, progressbar) -> None:
+    """Refuse sizes of a run that are no sizes."""
+    check_integer(draws, "draws", least=2)
+    for name, value in (("chains", chains), ("cores", cores)):
+        if value is not None:
+            check_integer(value, name, most=MOST_RUNS)
+    n = max(2, cores or processors()) if chains is None else chains
+    if np.ndim(check_seed(random_seed, states=True)) and len(random_seed) != n:
+        wanted = f"one integer, or one for each of the {n} chains"
+        raise ValueError(message("random_seed", wanted, f"{len(random_seed)} integers"))
+    check_flag(progressbar, "progressbar")
+
+
+def check_kernel(kernel) -> None:
+    """Refuse what is no class of kernels."""
+    if not (isinstance(kernel, type) and issubclass(kernel, SMC_KERNEL)):
+        advice = "Pass the class, for example PersistentSMC."
+        raise TypeError(message("kernel", "a kernel of `pm.sample_smc`", shown(kernel), advice))
 
 
 def is_parallel_by_itself(model) -> bool:

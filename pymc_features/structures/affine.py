@@ -9,12 +9,20 @@ import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
+from pymc_features._checks import as_list, as_numbers
 from pymc_features.structures.base import Values
 from pymc_features.structures.damping import Damping
 from pymc_features.structures.inputs import MATRICES, vector
 from pymc_features.structures.linear import LinearStructure
 from pymc_features.structures.matrices import MatrixLike, as_matrix
-from pymc_features.structures.variables import holds_variables, unpacked, with_known_length
+from pymc_features.structures.variables import (
+    NUMBERS,
+    as_float_tensor,
+    holds_variables,
+    stacked,
+    unpacked,
+    with_known_length,
+)
 
 
 class AffineStructure(LinearStructure):
@@ -92,27 +100,20 @@ class AffineStructure(LinearStructure):
         self._install(self._as_theta(np.zeros(self.n_parameters) if theta is None else theta))
 
     def _as_theta(self, theta):
-        p, theta = self.n_parameters, unpacked(theta)
+        p, theta, advice = self.n_parameters, unpacked(theta), "Pass one for each parameter."
         if isinstance(theta, Variable):
-            vector = with_known_length(pt.atleast_1d(pt.as_tensor_variable(theta)).astype("float64"))
+            vector = with_known_length(pt.atleast_1d(as_float_tensor(theta, "theta", advice)))
             if vector.ndim == 1 and vector.type.shape[0] in (None, p):
                 return vector
             got = f"a tensor of shape {vector.type.shape}"
         elif holds_variables(theta):
-            entries = [pt.as_tensor_variable(entry, dtype="float64") for entry in theta]
-            if len(entries) == p and not any(entry.ndim for entry in entries):
-                return pt.stack(entries)
-            got = f"{len(entries)} values" if len(entries) != p else "entries that are no scalars"
+            vector = stacked(theta, "theta", advice)
+            if len(theta) == p and vector.ndim == 1:
+                return vector
+            got = f"{len(theta)} values" if vector.ndim == 1 else "entries that are no scalars"
         else:
-            try:
-                vector = np.atleast_1d(np.array(theta, dtype=np.float64))
-            except (TypeError, ValueError):
-                raise TypeError(
-                    f"`theta` must be numbers or PyTensor variables, got {type(theta).__name__}. "
-                    "Pass one for each parameter."
-                ) from None
+            vector = np.atleast_1d(as_numbers(theta, "theta", advice, what=NUMBERS))
             if vector.shape == (p,) and np.isfinite(vector).all():
-                vector.setflags(write=False)
                 return vector
             got = f"shape {vector.shape}" if vector.shape != (p,) else "NaN or infinity"
         raise ValueError(f"`theta` must be {p} finite values, one for each parameter, got {got}.")
@@ -132,12 +133,13 @@ class AffineStructure(LinearStructure):
 
 def _listed(terms, name):
     """A tuple of matrices; a single matrix would pass for its rows, each of them a diagonal."""
-    if sparse.issparse(terms) or not np.iterable(terms) or getattr(terms, "ndim", 3) != 3:
+    listed = None if sparse.issparse(terms) or getattr(terms, "ndim", 3) != 3 else as_list(terms)
+    if listed is None:
         raise TypeError(
             f"`{name}` must be a sequence of matrices, got {type(terms).__name__}. "
             "Pass a list, with None where a parameter does not act."
         )
-    return tuple(terms)
+    return tuple(listed)
 
 
 def _checked(matrix, label, unit, stiffness, name):

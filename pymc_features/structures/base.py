@@ -11,9 +11,17 @@ from numpy.typing import ArrayLike
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
+from pymc_features._checks import as_numbers
 from pymc_features.records import DynamicLoad, Record
 from pymc_features.structures.inputs import Input
-from pymc_features.structures.variables import holds_variables, unpacked, with_known_length
+from pymc_features.structures.variables import (
+    NUMBERS,
+    as_float_tensor,
+    holds_variables,
+    stacked,
+    unpacked,
+    with_known_length,
+)
 
 # numbers, what PyTensor computes, or a list of both
 type Values = ArrayLike | Variable | Sequence[float | Variable]
@@ -157,17 +165,12 @@ def as_vector(value, name: str, unit: str, *, allow_zero: bool = False):
     -------
     array or TensorVariable, of 0 or 1 dimension.
     """
-    value = unpacked(value)
+    value, advice = unpacked(value), f"Pass values in {unit}."
     if isinstance(value, Variable):
-        symbolic = with_known_length(pt.as_tensor_variable(value))
+        symbolic = with_known_length(as_float_tensor(value, name, advice))
     elif holds_variables(value):
-        entries = [pt.as_tensor_variable(entry, dtype="float64") for entry in value]
-        if any(entry.ndim for entry in entries):
-            raise ValueError(
-                f"`{name}` must be a list of scalars, got a vector among them. "
-                "Pass a vector by itself, or join several by `pt.concatenate`."
-            )
-        symbolic = pt.stack(entries)
+        symbolic = stacked(value, name, advice)
+        _as_numbers([1.0, *(x for x in value if not isinstance(x, Variable))], name, unit, allow_zero)
     else:
         return _as_numbers(value, name, unit, allow_zero)
     if symbolic.ndim > 1:
@@ -175,17 +178,11 @@ def as_vector(value, name: str, unit: str, *, allow_zero: bool = False):
             f"`{name}` must be a scalar or a vector, got a tensor of {symbolic.ndim} dimensions. "
             "Give one value for each degree of freedom."
         )
-    return symbolic.astype("float64")
+    return symbolic
 
 
 def _as_numbers(value, name, unit, allow_zero):
-    try:
-        numbers = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(
-            f"`{name}` must be numbers or PyTensor variables, got {type(value).__name__}. "
-            f"Pass values in {unit}."
-        ) from None
+    numbers = as_numbers(value, name, f"Pass values in {unit}.", what=NUMBERS)
     if numbers.ndim > 1 or numbers.size == 0:
         raise ValueError(
             f"`{name}` must be a scalar or a vector, got shape {numbers.shape}. "
@@ -196,7 +193,6 @@ def _as_numbers(value, name, unit, allow_zero):
         wrong = np.atleast_1d(numbers)[np.flatnonzero(~np.atleast_1d(legal))[0]]
         condition = "finite and not negative" if allow_zero else "positive and finite"
         raise ValueError(f"`{name}` must be {condition}, got {wrong:g}. Pass values in {unit}.")
-    numbers.setflags(write=False)
     return numbers
 
 

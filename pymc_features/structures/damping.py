@@ -8,6 +8,7 @@ import pytensor.tensor as pt
 from numpy.typing import ArrayLike
 from pytensor.graph.basic import Variable
 
+from pymc_features._checks import as_numbers, shown
 from pymc_features.structures.base import Values, as_vector, spread, static_length
 from pymc_features.structures.inputs import Input, scalar, vector
 from pymc_features.structures.variables import holds_variables, unpacked
@@ -78,13 +79,16 @@ class RayleighDamping(Damping):
                 "ratio zeta pass RayleighDamping(zeta * unit.alpha, zeta * unit.beta), with "
                 "unit = RayleighDamping.from_ratios(1.0, natural_frequencies)."
             )
-        frequencies = np.asarray(natural_frequencies, dtype=np.float64)
-        if frequencies.shape != (2,) or not (frequencies > 0).all() or np.ptp(frequencies) == 0:
+        frequencies = as_numbers(natural_frequencies, "natural_frequencies", "Pass two frequencies in Hz.")
+        legal = frequencies.shape == (2,) and np.isfinite(frequencies).all() and (frequencies > 0).all()
+        if not legal or np.ptp(frequencies) == 0:
             raise ValueError(
                 f"`natural_frequencies` must be two different positive values, got "
-                f"{natural_frequencies}. Pass the two frequencies in Hz."
+                f"{shown(natural_frequencies)}. Pass the two frequencies in Hz."
             )
         zeta = as_vector(ratios, "ratios", "fractions of critical damping", allow_zero=True)
+        if zeta.shape not in ((), (1,), (2,)):
+            raise ValueError(f"`ratios` must be one value or one for each frequency, got {zeta.size}.")
         zeta = np.broadcast_to(zeta, 2)
         omega = 2.0 * np.pi * frequencies
         alpha, beta = np.linalg.solve(0.5 * np.stack([1.0 / omega, omega], axis=1), zeta)

@@ -9,6 +9,7 @@ import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 from scipy.linalg import eigh_tridiagonal
 
+from pymc_features._checks import as_array, shown
 from pymc_features.structures.base import Matrices, Modes, Structure, Values, as_vector, spread, static_length
 from pymc_features.structures.damping import Damping
 from pymc_features.structures.inputs import DAMPING, vector
@@ -90,9 +91,9 @@ class Chain(Structure):
         springs : sequence of int
             Springs counted from the base, 0 first, each once.
         """
-        springs = np.atleast_1d(np.asarray(springs))
-        if springs.ndim != 1 or not np.issubdtype(springs.dtype, np.integer):
-            raise TypeError(f"`springs` must be integers, got {springs.tolist()}.")
+        asked, springs = springs, np.atleast_1d(as_array(springs))
+        if springs.ndim != 1 or springs.dtype.kind not in "iu":
+            raise TypeError(f"`springs` must be integers, got {shown(asked)}.")
         if len(set(springs.tolist())) < springs.size or not ((springs >= 0) & (springs < self.n_dof)).all():
             raise ValueError(
                 f"`springs` must be different numbers from 0 to {self.n_dof - 1}, "

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.linalg import eigh
 
-from pymc_features._checks import check_finite, message
+from pymc_features._checks import as_array, as_numbers, check_finite, message
 from pymc_features.algebra import (
     Massless,
     condense,
@@ -66,8 +66,8 @@ def _numbers(value, name, unit):
             if np.issubdtype(value.dtype, np.complexfloating):
                 raise TypeError
             return sparse.csc_array(value, dtype=np.float64, copy=True)
-        matrix = np.array(value)
-        if matrix.dtype.kind not in "biuf":
+        matrix = as_array(value)
+        if matrix.dtype.kind not in "iuf":
             raise TypeError
     except (TypeError, ValueError):
         raise TypeError(
@@ -96,20 +96,14 @@ def as_influence(value, n: int) -> np.ndarray:
     """Return displacements (n,) or (n, supports) under unit displacements of the supports, checked."""
     if value is None:
         value = np.ones(n)
-    try:
-        influence = np.array(value.toarray() if sparse.issparse(value) else value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(
-            f"`influence` must be an array of numbers, got {type(value).__name__}. "
-            "Pass displacement ratios [-]; they cannot be random."
-        ) from None
+    value = value.toarray() if sparse.issparse(value) else value
+    influence = as_numbers(value, "influence", "Pass displacement ratios [-]; they cannot be random.")
     if influence.ndim not in (1, 2) or influence.shape[0] != n or influence.size == 0:
         raise ValueError(
             f"`influence` must have shape ({n},) or ({n}, supports), got {influence.shape}. "
             "Give the displacement of every degree of freedom under a unit displacement of each support."
         )
     check_finite(influence, "influence", "Pass displacement ratios [-].")
-    influence.setflags(write=False)
     return influence
 
 

@@ -5,13 +5,17 @@ from collections.abc import Sequence
 import numpy as np
 import pytensor.tensor as pt
 from pytensor.compile.mode import Mode
-from pytensor.graph.basic import Variable
+from pytensor.graph.basic import Constant, Variable
 from pytensor.graph.fg import FunctionGraph
 from pytensor.graph.traversal import ancestors
+from pytensor.tensor import TensorType
 from pytensor.tensor.random.op import RandomVariable
 from pytensor.tensor.rewriting.shape import ShapeFeature
 from pytensor.xtensor.type import XTensorVariable
 
+from pymc_features._checks import as_numbers, message
+
+NUMBERS = "numbers or PyTensor variables"
 PLAIN = Mode(linker="py", optimizer=None)  # nothing to compile
 
 
@@ -25,6 +29,38 @@ def unpacked(value):
 def holds_variables(value) -> bool:
     """Whether a value is a sequence, and an entry of it is a variable."""
     return isinstance(value, Sequence) and any(isinstance(entry, Variable) for entry in value)
+
+
+def as_tensor(value, name: str, advice: str = ""):
+    """A float64 tensor from a variable, from numbers or from a list of both; refuse what holds no numbers."""
+    value = unpacked(value)
+    if isinstance(value, Variable):
+        return as_float_tensor(value, name, advice)
+    if holds_variables(value):
+        return stacked(value, name, advice)
+    return pt.as_tensor_variable(as_numbers(value, name, advice, what=NUMBERS))
+
+
+def as_float_tensor(variable, name: str, advice: str = ""):
+    """A variable as a float64 tensor; refuse what has no real numbers."""
+    kind = variable.type
+    if not isinstance(kind, TensorType) or kind.dtype.startswith(("complex", "bool")):
+        got = f"a PyTensor variable of type {kind}"
+        raise TypeError(message(name, "real numbers", got, advice))
+    if isinstance(variable, Constant):  # a cast of it would be none
+        return pt.as_tensor_variable(np.asarray(variable.data, dtype=np.float64))
+    return variable.astype("float64")
+
+
+def stacked(entries, name: str, advice: str = ""):
+    """Numbers and variables of one number of dimensions as a float64 tensor; its first axis counts them."""
+    tensors = [as_tensor(entry, name, advice) for entry in entries]
+    if len({tensor.ndim for tensor in tensors}) > 1:
+        raise ValueError(
+            f"`{name}` must be a list of scalars, got a vector among them. "
+            "Pass a vector by itself, or join several by `pt.concatenate`."
+        )
+    return pt.stack(tensors)
 
 
 def with_known_length(tensor):

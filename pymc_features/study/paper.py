@@ -11,10 +11,20 @@ import xarray as xr
 from pymc.util import RandomSeed
 from pytensor.graph.basic import Variable
 
-from pymc_features._checks import check_positive
+from pymc_features._checks import (
+    LARGEST_COUNT,
+    SAMPLING_INTERVAL,
+    as_numbers,
+    check_callable,
+    check_positive,
+    check_seed,
+    message,
+    shown,
+)
 from pymc_features.records import Record
 from pymc_features.simulators import simulate
 from pymc_features.structures import RayleighDamping, SpringMassChain, Structure
+from pymc_features.structures.base import as_vector
 
 N_STOREYS = 10
 MASS = 1.0  # kg
@@ -46,6 +56,7 @@ def chain(theta: float | Variable = 1.0, *, stiffness: float = STIFFNESS) -> Spr
     array([1.01, 3.01, 4.93])
     """
     nominal = SpringMassChain(np.full(N_STOREYS, MASS), stiffness, DAMPING)
+    theta = as_vector(theta, "theta", "multiples of the nominal stiffness")
     return nominal.scale_stiffness(theta, springs=UNCERTAIN_SPRINGS)
 
 
@@ -85,10 +96,25 @@ def measurements(
     xarray.DataArray (sensor, time)
         Absolute acceleration [m/s^2] at every floor. `decimate` takes coarser data from it.
     """
-    exact = simulate(structure(theta, stiffness=stiffness), record, dt=min(multipliers) * record.dt)
+    if not isinstance(record, Record):
+        raise TypeError(message("record", "a Record", shown(record), "Use read_record(path)."))
+    check_callable(structure, "structure", "Pass for example paper.chain.")
+    rng = np.random.default_rng(check_seed(random_seed, states=True))
+    dt = min(checked_multipliers(multipliers)) * record.dt
+    exact = simulate(structure(theta, stiffness=stiffness), record, dt=dt)
     scale = noise_scale(exact, noise)[:, None]
-    white = np.random.default_rng(random_seed).standard_normal(exact.shape)
-    return exact + scale * persistent(white, min(multipliers) * record.dt, noise_time)
+    return exact + scale * persistent(rng.standard_normal(exact.shape), dt, noise_time)
+
+
+def checked_multipliers(multipliers: Sequence[float]) -> np.ndarray:
+    """Sampling steps over the record's step, ascending, each once."""
+    advice = "Pass sampling steps over the record's."
+    steps = np.unique(as_numbers(multipliers, "multipliers", advice, what="a list of numbers"))
+    if np.ndim(multipliers) != 1 or not steps.size or not (np.isfinite(steps) & (steps > 0.0)).all():
+        raise ValueError(
+            message("multipliers", "one or several positive numbers", shown(multipliers), advice)
+        )
+    return steps
 
 
 def persistent(white: np.ndarray, dt: float, time: float) -> np.ndarray:
@@ -103,7 +129,8 @@ def persistent(white: np.ndarray, dt: float, time: float) -> np.ndarray:
     time : float
         Correlation time [s]; 0 leaves the noise white.
     """
-    if check_positive(time, "noise_time", "Pass 0 for white noise.", allow_zero=True) == 0.0:
+    time = check_positive(time, "noise_time", "Pass 0 for white noise.", allow_zero=True)
+    if time == 0.0:
         return white
     from scipy.signal import lfilter  # slow to import
 
@@ -142,8 +169,10 @@ def decimate(finest: xr.DataArray, step: float) -> xr.DataArray:
     >>> history.sizes["time"], decimate(history, 0.1).sizes["time"]
     (21, 3)
     """
-    times = finest["time"].values
-    ratio = step / (times[1] - times[0])
+    if not isinstance(finest, xr.DataArray) or finest.dims != ("sensor", "time") or finest.sizes["time"] < 2:
+        raise TypeError(message("finest", "a DataArray (sensor, time)", shown(finest), "Use `measurements`."))
+    step, times = check_positive(step, "step", SAMPLING_INTERVAL), finest["time"].values
+    ratio = min(step / (times[1] - times[0]), LARGEST_COUNT)
     if round(ratio) < 1 or abs(ratio / round(ratio) - 1.0) > 1e-6:
         raise ValueError(
             f"`step` must be an integer multiple of the finest step {times[1] - times[0]:g} s, "

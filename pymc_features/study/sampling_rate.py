@@ -10,6 +10,7 @@ from typing import TypedDict, Unpack
 import pymc as pm
 import xarray as xr
 
+from pymc_features._checks import check_callable, check_flag, check_integer, check_path
 from pymc_features.calibration import calibrate
 from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.inference import sample
@@ -111,6 +112,13 @@ def sampling_rate_study(
     """
     check_keywords(kwargs, StudyOptions.__annotations__, "sampling_rate_study")
     cores, progressbar = kwargs.pop("cores", None), kwargs.pop("progressbar", True)
+    if cores is not None:
+        check_integer(cores, "cores")
+    check_flag(progressbar, "progressbar")
+    if out is not None:
+        out = check_path(out, "out")
+    if progress is not None:
+        check_callable(progress, "progress")
     study = Study(
         record,
         structure=structure,

@@ -7,7 +7,7 @@ from functools import cached_property, partial
 import numpy as np
 import xarray as xr
 
-from pymc_features._checks import check_integer, check_positive
+from pymc_features._checks import check_integer, check_positive, check_seed, check_texts, message, shown
 from pymc_features.likelihoods import LIKELIHOODS, WITH_REFERENCE
 from pymc_features.likelihoods.exact.step import Priors, Step
 from pymc_features.records import Record
@@ -47,20 +47,17 @@ class Study:
                 self._set(name, getattr(self.structure, name))
         if self.random_seed is None:
             self._set("random_seed", int(np.random.SeedSequence().generate_state(1)[0]))
-        unknown = [kind for kind in self.likelihoods if kind not in WITH_REFERENCE]
-        if unknown or not self.likelihoods:
-            raise ValueError(
-                f"`likelihoods` must be among {', '.join(WITH_REFERENCE)}, got {self.likelihoods}."
-            )
-        self._set("likelihoods", tuple(kind for kind in WITH_REFERENCE if kind in self.likelihoods))
+        what = f"among {', '.join(WITH_REFERENCE)}"
+        named = check_texts(self.likelihoods, "likelihoods", what)
+        if not named or not set(named) <= set(WITH_REFERENCE):
+            raise ValueError(message("likelihoods", what, shown(self.likelihoods)))
+        self._set("likelihoods", tuple(kind for kind in WITH_REFERENCE if kind in named))
         self._set("noise", check_positive(self.noise, "noise", WITHOUT_NOISE))
         self._set("noise_time", check_positive(self.noise_time, "noise_time", WHITE, allow_zero=True))
         self._set("draws", check_integer(self.draws, "draws", least=50))
         self._set("chains", check_integer(self.chains, "chains"))
-        self._set("random_seed", check_integer(self.random_seed, "random_seed", least=0))
-        self._set("multipliers", tuple(sorted({float(m) for m in self.multipliers})))
-        if not self.multipliers:
-            raise ValueError("`multipliers` must name at least one sampling step, got none.")
+        self._set("random_seed", check_seed(self.random_seed, several=False))
+        self._set("multipliers", tuple(paper.checked_multipliers(self.multipliers).tolist()))
         check_measurements(self)
 
     def _set(self, name, value):

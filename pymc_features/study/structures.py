@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from pymc_features._checks import check_choice, check_number
 from pymc_features.likelihoods import WITH_REFERENCE
 from pymc_features.structures import Structure
 from pymc_features.study import bouc_wen, paper
@@ -74,6 +75,5 @@ STRUCTURES = {
 
 def find_structure(name: str, *, stiffness: float = paper.STIFFNESS) -> StudyStructure:
     """Return the structure of this name, with a nominal stiffness [N/m] of its springs."""
-    if name not in STRUCTURES:
-        raise ValueError(f"`structure` must be one of {', '.join(STRUCTURES)}, got {name!r}.")
-    return replace(STRUCTURES[name], stiffness=float(stiffness))
+    entry = STRUCTURES[check_choice(name, "structure", STRUCTURES)]
+    return replace(entry, stiffness=check_number(stiffness, "stiffness", "Pass N/m."))

@@ -237,7 +237,7 @@ def test_other_likelihoods_are_refused(y):
 
 
 def test_what_has_no_posterior_is_refused(y):
-    with pytest.raises(TypeError, match="`idata` must be a DataTree with a posterior, got Dataset"):
+    with pytest.raises(TypeError, match="`idata` must be a DataTree with a group `posterior`, got"):
         calibrate(xr.Dataset(), model=declare("NORM", y))
 
 

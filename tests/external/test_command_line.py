@@ -134,8 +134,8 @@ BAD_LINES = {
     "`inputs` must name parameters \\(k\\), got 'm' in command": {"command": "run {{m[1]}}"},
     "`inputs` must have formats of numbers, such as .3e, got 'd'": {"inputs": {"in.txt": "{{k:d}}"}},
     "`inputs` must give a text or a Path for in.txt, got int": {"inputs": {"in.txt": 1}},
-    "a file of the program must exist, got nowhere.txt": {"inputs": {"in.txt": Path("nowhere.txt")}},
-    "a file of the program must exist, got nowhere.dat": {"files": ["nowhere.dat"]},
+    "`inputs` must be an existing file, got nowhere.txt": {"inputs": {"in.txt": Path("nowhere.txt")}},
+    "`files` must be an existing file, got nowhere.dat": {"files": ["nowhere.dat"]},
     "`result` must be the name of a file or a function, got 3": {"result": 3},
 }
 
@@ -166,6 +166,7 @@ BAD_SETTINGS = {
     "`executor` must be something that runs simulations, got 0": {"executor": 0},
     "`executor` must be something that runs simulations, got True": {"executor": True},
     "`executor` must be something that runs simulations, got \\[\\]": {"executor": []},
+    "`progress` must be True or False, got 'no'": {"progress": "no"},
 }
 
 

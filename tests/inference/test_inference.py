@@ -229,7 +229,7 @@ def test_result_saves(tmp_path, example):
 
 def test_wrong_particles_are_refused(example):
     model = example.models["TN"]
-    with pytest.raises(ValueError, match=r"must be what sample\(\) returned, got dict"):
+    with pytest.raises(TypeError, match=r"`particles` must be a DataTree .*, got \{'theta': 1.0\}"):
         pmf.sample_nuts(model=model, particles={"theta": 1.0})
     other = xr.DataTree.from_dict({"posterior": xr.Dataset({"theta": (("chain", "draw"), [[1.0]])})})
     with pytest.raises(ValueError, match="every free parameter of `model`, got none of sigma"):
@@ -414,7 +414,7 @@ def test_laplace_says_where_it_fails():
         match=r"are worth .* % of as many from the posterior, and a quantile of [ab] is off by .* % of the",
     ):
         pmf.laplace(500, model=banana, random_seed=1)
-    with pytest.raises(ValueError, match="`draws` must be a positive integer, got 0"):
+    with pytest.raises(ValueError, match="`draws` must be an integer of at least 1, got 0"):
         pmf.laplace(0, model=banana)
 
 

@@ -66,7 +66,7 @@ def test_sweep_saves(sweep, tmp_path):
         ({"epsilon": [0.0, 1.0]}, ValueError, r"`epsilon` must be positive and finite, got \[1.0, 0"),
         ({"epsilon": [np.inf]}, ValueError, "`epsilon` must be positive and finite"),
         ({"epsilon": []}, ValueError, r"`epsilon` must be positive and finite, got \[\]"),
-        ({"epsilon": ["a"]}, TypeError, r"`epsilon` must be numbers, got \['a'\]"),
+        ({"epsilon": ["a"]}, TypeError, "`epsilon` must be numbers, got list of texts"),
         ({"probability": 1.0}, ValueError, "`probability` must lie between 0 and 1, got 1.0. Pass 0.9"),
         (
             {"epsilon": [0.05]},

@@ -389,9 +389,9 @@ def test_arguments_are_refused(tmp_path, settings, error, match):
 
 
 def test_files_that_are_refused(tmp_path):
-    with pytest.raises(FileNotFoundError, match="`path` must be an existing file"):
+    with pytest.raises(FileNotFoundError, match="`files` must be an existing file"):
         read({"base": tmp_path / "nothing.csv"})
-    with pytest.raises(IsADirectoryError, match="`path` must be a file, got the folder"):
+    with pytest.raises(IsADirectoryError, match="`files` must be a file, got the folder"):
         read([tmp_path])
     with pytest.raises(ValueError, match="`files` must name at least one file"):
         read([])

@@ -553,7 +553,11 @@ def test_a_function_that_always_fails_is_named_in_the_default_mode():
             "`observed` must have no missing values, got a masked array. Cut the record",
         ),
         ({"observed": "data"}, TypeError, "`observed` must be an array of numbers, got str"),
-        ({"epsilon": "small"}, TypeError, "`epsilon` must be a number or an array, got 'small'. Pass a tol"),
+        (
+            {"epsilon": "small"},
+            TypeError,
+            "`epsilon` must be numbers or PyTensor variables, got str. Pass",
+        ),
         ({"kernel": ["uniform"]}, ValueError, r"`kernel` must be one of uniform, .* got \['uniform'\]"),
     ],
 )

@@ -268,7 +268,7 @@ REFUSED_AFFINE_ARGUMENTS_VALUES = {  # what is said: what is given
     "`stiffness` must have no negative eigenvalue": {"stiffness_terms": [K2], "theta": [-2.0]},
     "`theta` must be 1 finite .* got a tensor": {"stiffness_terms": [K2], "theta": pt.matrix()},
     "`theta` must be 1 .* got 2 values": {"stiffness_terms": [K2], "theta": [pt.scalar()] * 2},
-    "`theta` must be 2 .* got entries that are no scalars": {
+    "`theta` must be a list of scalars, got a vector among them": {
         "stiffness_terms": [K2] * 2,
         "theta": [pt.vector(), 1.0],
     },

@@ -344,8 +344,8 @@ def of_each():
 
 
 REFUSED = {  # what is said: what is given
-    "the model must have one pm.Simulator node, got none. Declare one with Disc": (without_simulator, {}),
-    "the model must have one pm.Simulator node, got y, z. Declare": (with_two, {}),
+    "`model` must have one pm.Simulator node, got none. Declare one with Disc": (without_simulator, {}),
+    "`model` must have one pm.Simulator node, got y, z. Declare": (with_two, {}),
     "`p0` must lie between 0 and 1, got 0.0. The default is 0.2": (None, {"p0": 0.0}),
     "`p0` must lie between 0 and 1, got 1.0": (None, {"p0": 1.0}),
     "`p0` must lie between 0 and 1, got nan": (None, {"p0": np.nan}),

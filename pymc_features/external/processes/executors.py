@@ -4,8 +4,10 @@ import os
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 
+from pymc_features._checks import shown
 from pymc_features.external.processes.calls import end_processes
 
+MOST_PROCESSES = 10_000
 ADVICE = (
     "Give a number of local processes, the address of a Dask scheduler, or an object with submit() like "
     "those of concurrent.futures."
@@ -14,11 +16,13 @@ ADVICE = (
 
 def check_executor(executor):
     """Refuse what cannot run simulations."""
-    whole = isinstance(executor, int) and not isinstance(executor, bool) and executor >= 1
-    if not (executor is None or whole or isinstance(executor, str | Executor)) and not callable(
-        getattr(executor, "submit", None)
-    ):
-        raise TypeError(f"`executor` must be something that runs simulations, got {executor!r}. {ADVICE}")
+    whole = isinstance(executor, int) and not isinstance(executor, bool) and 1 <= executor <= MOST_PROCESSES
+    address = isinstance(executor, str) and executor
+    runs = isinstance(executor, Executor) or callable(getattr(executor, "submit", None))
+    if not (executor is None or whole or address or runs) or isinstance(executor, type):
+        raise TypeError(
+            f"`executor` must be something that runs simulations, got {shown(executor)}. {ADVICE}"
+        )
 
 
 def open_executor(executor):

@@ -5,6 +5,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
+from pymc_features._checks import check_integer, check_seed, is_number, shown, single, to_float
 from pymc_features.external.surrogate.learner import Learner
 
 
@@ -94,14 +95,16 @@ class Surrogate:
         advice = "0.1 changes quantiles by a percent or so of the interval."
         self.tolerance = _positive("tolerance", tolerance, advice)
         self.degrees_of_freedom = _positive("degrees_of_freedom", degrees_of_freedom, "TN has 1, EXP 2.")
-        if not (isinstance(check_fraction, int | float) and 0.0 <= check_fraction <= 1.0):
+        fraction = single(check_fraction)
+        if not (is_number(fraction) and 0.0 <= fraction <= 1.0):
             raise ValueError(
-                f"`check_fraction` must lie between 0 and 1, got {check_fraction!r}. The default is 0.02."
+                f"`check_fraction` must lie between 0 and 1, got {shown(check_fraction)}. The default is "
+                "0.02."
             )
-        self.n_initial = None if n_initial is None else _count("n_initial", n_initial, 5)
-        self.max_points = _count("max_points", max_points, 20)
-        self.check_fraction = float(check_fraction)
-        self.random_seed = None if random_seed is None else _count("random_seed", random_seed, 0)
+        self.n_initial = None if n_initial is None else check_integer(n_initial, "n_initial", least=5)
+        self.max_points = check_integer(max_points, "max_points", least=20)
+        self.check_fraction = float(fraction)
+        self.random_seed = check_seed(random_seed)
         self.learners: dict = {}
 
     def __repr__(self):
@@ -182,12 +185,7 @@ def root_mean_square(values) -> float:
 
 
 def _positive(name, value, advice):
-    if isinstance(value, int | float | np.number) and 0.0 < value < np.inf:
-        return float(value)
-    raise ValueError(f"`{name}` must be positive and finite, got {value!r}. {advice}")
-
-
-def _count(name, value, least):
-    if isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least:
-        return int(value)
-    raise ValueError(f"`{name}` must be an integer of at least {least}, got {value!r}.")
+    number = single(value)
+    if is_number(number) and 0.0 < to_float(number) < np.inf:
+        return to_float(number)
+    raise ValueError(f"`{name}` must be positive and finite, got {shown(value)}. {advice}")

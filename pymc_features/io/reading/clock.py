@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pymc_features._checks import is_number
+from pymc_features._checks import is_number, shown, single, to_float
 from pymc_features.io.reading.units import time_step
 from pymc_features.signals.channels import warn_channel
 
@@ -68,11 +68,11 @@ def clock_seconds(units) -> float:
     """Seconds per unit of a clock: "s", "ms", "us", "ns" or a positive number."""
     if isinstance(units, str) and units.lower() in SECONDS:
         return SECONDS[units.lower()]
-    if is_number(units) and 0.0 < units < np.inf:
-        return float(units)
+    if is_number(single(units)) and 0.0 < to_float(single(units)) < np.inf:
+        return to_float(single(units))
     raise ValueError(
         '`clock_units` must be "s", "ms", "us", "ns" or a positive number of seconds per count, got '
-        f"{units!r}."
+        f"{shown(units)}."
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features._checks import SAMPLING_INTERVAL
+from pymc_features._checks import SAMPLING_INTERVAL, shown
 from pymc_features.io.reading.clock import Clock, MeasuredFile, Request
 from pymc_features.io.reading.lines import decoded
 from pymc_features.io.reading.units import resolve_dt, resolve_units, time_step, warn_user
@@ -164,13 +164,11 @@ def _find(channels: Sequence[Channel], column, argument: str, file: str) -> Chan
     """A channel by its name or index."""
     if isinstance(column, str):
         matches = [channel for channel in channels if channel.name.lower() == column.strip().lower()]
-    elif isinstance(column, int | np.integer) and not isinstance(column, bool):
-        matches = list(channels[column : column + 1]) if column >= 0 else []
     else:
-        raise TypeError(f"`{argument}` must be an index or a name, got {column!r}.")
+        matches = list(channels[column : column + 1]) if column >= 0 else []
     if len(matches) != 1:
         raise ValueError(
-            f"`{argument}` must be one of the channels of {file} ({_listed(channels)}), got {column!r}. "
+            f"`{argument}` must be one of the channels of {file} ({_listed(channels)}), got {shown(column)}. "
             "Pass the index (from 0) or the name of one."
         )
     return matches[0]

@@ -2,11 +2,14 @@
 
 import codecs
 import re
+import stat
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+
+from pymc_features._checks import message, shown
 
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
 _NOT_FINITE = re.compile(r"[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
@@ -16,20 +19,23 @@ LONGEST_LINE = 200_000  # characters
 CHUNK = 2**16  # characters; as many lines are cut at a time
 
 
-def check_readable(path: Path) -> None:
+def check_readable(path: Path, name: str = "path") -> None:
     """Refuse folders, missing files and files that cannot be opened."""
-    if path.is_dir():
-        raise IsADirectoryError(f"`path` must be a file, got the folder {path}. Name a file in it.")
-    if not path.exists():
-        raise FileNotFoundError(
-            f"`path` must be an existing file, got {path}. The current folder is {Path.cwd()}."
-        )
-    if not path.is_file():  # devices have no end
-        raise OSError(f"`path` must be a file, got the device or pipe {path}. Copy its contents into a file.")
     try:
-        path.open("rb").close()
-    except OSError as error:
-        raise type(error)(f"`path` must be readable, got {path}: {error.strerror}.") from error
+        mode = path.stat().st_mode
+        if stat.S_ISREG(mode):
+            path.open("rb").close()
+    except (FileNotFoundError, NotADirectoryError):
+        raise FileNotFoundError(
+            f"`{name}` must be an existing file, got {path}. The current folder is {Path.cwd()}."
+        ) from None
+    except OSError as error:  # no permission, a name that is too long
+        raise type(error)(f"`{name}` must be readable, got {shown(str(path))}: {error.strerror}.") from error
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(f"`{name}` must be a file, got the folder {path}. Name a file in it.")
+    if not stat.S_ISREG(mode):  # devices have no end
+        got = f"the device or pipe {path}"
+        raise OSError(message(name, "a file", got, "Copy its contents into a file."))
 
 
 def decoded(raw: bytes) -> str:

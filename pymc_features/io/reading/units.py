@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pymc_features._checks import SAMPLING_INTERVAL, check_positive, is_number
+from pymc_features._checks import SAMPLING_INTERVAL, check_positive, is_number, shown, single
 
 #: Acceleration of gravity [m/s^2] behind the unit "g". The reference results that records of this
 #: field are compared with use 9.81; who wants 9.80665 passes that number as `units`.
@@ -56,8 +56,8 @@ def unit_factor(units) -> float:
         if factor is None:
             raise ValueError(f"`units` must be one of {CHOICES}, got {units!r}.")
         return factor
-    if not is_number(units):
-        raise TypeError(f"`units` must be one of {CHOICES}, got {units!r}.")
+    if not is_number(single(units)):
+        raise TypeError(f"`units` must be one of {CHOICES}, got {shown(units)}.")
     return check_positive(units, "units", "Pass the m/s^2 per file unit.")
 
 

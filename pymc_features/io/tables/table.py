@@ -1,6 +1,5 @@
 """Text files as tables: columns of numbers below an optional header."""
 
-import operator
 import re
 from array import array
 from collections.abc import Iterator
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pymc_features._checks import shown
 from pymc_features.io.reading.lines import Lines, not_a_number, to_number
 from pymc_features.io.reading.units import known_factor
 from pymc_features.io.tables.brackets import labels_with_brackets, texts_in_brackets, without_brackets
@@ -74,7 +74,7 @@ class Table:
 
         Raises
         ------
-        ValueError, TypeError
+        ValueError
             If there is no such column, or several; the message names `argument` and says `what` it asks for.
         """
         n_columns = self.values.shape[1]
@@ -86,14 +86,11 @@ class Table:
                 if column.strip() in (label, without_brackets(label))
             }
         else:
-            try:
-                matches = {operator.index(column)} & set(range(n_columns))
-            except TypeError:
-                raise TypeError(f"`{argument}` must be an index or a name, got {column!r}.") from None
+            matches = {column} & set(range(n_columns))
         if len(matches) != 1:
             raise ValueError(
-                f"`{argument}` must be one of the columns of {self.file} ({self.names()}), got {column!r}. "
-                f"Pass the index (from 0) or the header name of the {what}."
+                f"`{argument}` must be one of the columns of {self.file} ({self.names()}), got "
+                f"{shown(column)}. Pass the index (from 0) or the header name of the {what}."
             )
         return matches.pop()
 

@@ -7,6 +7,8 @@ from pymc.logprob.abstract import _logprob
 from pytensor.compile.mode import Mode
 from pytensor.graph.traversal import ancestors
 
+from pymc_features._checks import as_numbers, message, shown
+
 
 class SimulatorNode:
     """The one `pm.Simulator` node of a model, as a discrepancy rho and a tolerance on it.
@@ -34,7 +36,7 @@ class SimulatorNode:
         if len(found) != 1:
             names = ", ".join(rv.name for rv in found) or "none"
             raise ValueError(
-                f"the model must have one pm.Simulator node, got {names}. Declare one with "
+                f"`model` must have one pm.Simulator node, got {names}. Declare one with "
                 "DiscrepancySimulator, or sample with pmf.sample_smc(), which takes any model."
             )
         self.model = model
@@ -56,18 +58,14 @@ class SimulatorNode:
     def tolerance(self, asked=None) -> float:
         """The tolerance asked for, or else the node's, from its data as they are now."""
         if asked is not None and not self.has_one_tolerance:
-            raise ValueError(
-                f"`epsilon` must be left out where {self.rv.name} has one for each sensor, got {asked}."
-            )
+            wanted = f"left out where {self.rv.name} has one for each sensor"
+            raise ValueError(message("epsilon", wanted, shown(asked)))
         epsilon = self.op.epsilon.eval(mode=Mode(linker="py", optimizer=None)) if asked is None else asked
-        try:
-            values = np.asarray(epsilon, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise TypeError(f"`epsilon` must be a number, got {epsilon!r}.") from None
+        values = as_numbers(epsilon, "epsilon", what="a number")
         if asked is not None and values.ndim > 0:
-            raise ValueError(f"`epsilon` must be one number, got {values.tolist()}.")
+            raise ValueError(message("epsilon", "one number", shown(values.tolist())))
         if not (np.isfinite(values) & (values > 0)).all():
-            raise ValueError(f"`epsilon` must be positive and finite, got {values.tolist()}.")
+            raise ValueError(message("epsilon", "positive and finite", shown(values.tolist())))
         return float(values) if self.has_one_tolerance else 1.0
 
     def base_terms(self) -> tuple:

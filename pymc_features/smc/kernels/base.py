@@ -6,30 +6,40 @@ from typing import NoReturn, TypedDict
 
 import numpy as np
 import pymc as pm
-from pymc.model import modelcontext
 from pymc.smc.kernels import SMC_KERNEL, Pearson
 from pymc.util import RandomState
 from pymc.vartypes import discrete_types
 
+from pymc_features._checks import (
+    as_numbers,
+    check_finite,
+    check_integer,
+    check_mapping,
+    check_model,
+    check_path,
+    check_seed,
+    check_share,
+)
 from pymc_features.smc.density.evaluation import population_logp
 from pymc_features.smc.density.prior import prior_draws
 from pymc_features.smc.kernels.checkpoint import Checkpoint, model_fingerprint
 
 
-def whole_number(name, value, least: int) -> int:
-    """An integer argument, checked."""
-    try:
-        if not isinstance(value, bool) and int(value) == value and value >= least:
-            return int(value)
-    except (TypeError, ValueError, OverflowError):
-        pass
-    raise ValueError(f"`{name}` must be an integer of at least {least}, got {value!r}.")
-
-
-def check_share(name, value, default: float):
-    """Refuse what does not lie between 0 and 1."""
-    if not (isinstance(value, int | float | np.number) and 0.0 < value < 1.0):
-        raise ValueError(f"`{name}` must lie between 0 and 1, got {value!r}. The default is {default}.")
+def checked_start(start, variables) -> dict[str, np.ndarray]:
+    """First particles by variable (particle, ...), all as many."""
+    names = [v.name for v in variables]
+    advice = f"Pass arrays (particle, ...) of {', '.join(names)}, on the scale they are sampled on."
+    start = check_mapping(start, "start", "a dict of variables to their particles", advice)
+    if missing := [name for name in names if name not in start]:
+        raise ValueError(f"`start` must have all variables, got none of {', '.join(missing)}. {advice}")
+    values = {name: as_numbers(start[name], "start", advice) for name in names}
+    for array in values.values():
+        check_finite(array, "start", advice)
+    fits = all(values[v.name].ndim == v.ndim + 1 for v in variables)
+    if not fits or 0 in (lengths := {len(x) for x in values.values()}) or len(lengths) > 1:
+        got = ", ".join(f"{name} {array.shape}" for name, array in values.items())
+        raise ValueError(f"`start` must have equally many particles of all variables, got {got}. {advice}")
+    return values
 
 
 class KernelOptions(TypedDict, total=False):
@@ -105,13 +115,15 @@ class PopulationKernel(SMC_KERNEL):
         checkpoint: str | PathLike | None = None,
     ):
         # not SMC_KERNEL's own: it would compile two functions for single particles
-        self.draws = whole_number("draws", draws, 2)
-        check_share("threshold", threshold, 0.5)
-        self.start = start
-        self.threshold = threshold
-        self.rng = np.random.default_rng(seed=random_seed)
-        model = modelcontext(model)
+        self.draws = check_integer(draws, "draws", least=2)
+        self.threshold = check_share(threshold, "threshold", "The default is 0.5.")
+        self.rng = np.random.default_rng(seed=check_seed(random_seed, states=True))
+        compile_kwargs = check_mapping(compile_kwargs, "compile_kwargs", "a dict for `pytensor.function`")
+        if checkpoint is not None:
+            check_path(checkpoint, "checkpoint")
+        model = check_model(model)
         self.variables = model.value_vars
+        self.start = None if start is None else checked_start(start, self.variables)
         self.prior = prior_draws(model, self.starts_from_prior)
         self.prior_names = [model.rvs_to_values[rv].name for rv in model.free_RVs]
         # in place of PyMC's initial point, which is compiled anew each time
@@ -120,7 +132,7 @@ class PopulationKernel(SMC_KERNEL):
         point = {v.name: point[v.name] for v in self.variables}
         self.var_info = {name: (value.shape, value.size) for name, value in point.items()}
         self.n_parameters = sum(size for _, size in self.var_info.values())
-        self.compile_evaluation(model, point, compile_kwargs or {})
+        self.compile_evaluation(model, point, compile_kwargs)
         self.checkpoint = self.journal = None
         if checkpoint is not None:
             self.checkpoint = Checkpoint(checkpoint, model_fingerprint(model))
@@ -136,7 +148,7 @@ class PopulationKernel(SMC_KERNEL):
         """Size of a stage: as asked for, or a share of the draws that suffices for the parameters."""
         if stage_draws is None:
             return max(int(share * self.draws), 50 * self.n_parameters, default)
-        return whole_number("stage_draws", stage_draws, least)
+        return check_integer(stage_draws, "stage_draws", least=least)
 
     def compile_evaluation(self, model: pm.Model, point: dict, compile_kwargs: dict) -> None:
         """Compile what `evaluate` calls."""
@@ -186,7 +198,10 @@ class PopulationKernel(SMC_KERNEL):
 
     def initial_particles(self, n: int) -> np.ndarray:
         """The given start, or `n` draws from the prior: (n, d)."""
-        initial = self.start or dict(zip(self.prior_names, self.prior(n, self.rng), strict=True))
+        if self.start:  # PyMC sets it once more, unchecked
+            initial = checked_start(self.start, self.variables)
+        else:
+            initial = dict(zip(self.prior_names, self.prior(n, self.rng), strict=True))
         columns = []
         for v in self.variables:
             values = np.array(initial[v.name], dtype=np.float64)

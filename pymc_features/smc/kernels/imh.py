@@ -8,6 +8,7 @@ from pymc.pytensorf import floatX
 from pymc.smc.kernels import IMH
 from pymc.util import RandomState
 
+from pymc_features._checks import check_positive
 from pymc_features.smc.kernels.base import PopulationKernel
 
 
@@ -42,6 +43,9 @@ class PopulationIMH(PopulationKernel, IMH):
         compile_kwargs: dict | None = None,
         checkpoint: str | PathLike | None = None,
     ):
+        correlation_threshold = check_positive(
+            correlation_threshold, "correlation_threshold", "0.01 is usual."
+        )
         PopulationKernel.__init__(
             self,
             draws,

@@ -8,6 +8,7 @@ from pymc.pytensorf import floatX
 from pymc.smc.kernels import MH
 from pymc.util import RandomState
 
+from pymc_features._checks import check_positive
 from pymc_features.smc.kernels.base import PopulationKernel
 
 
@@ -44,6 +45,9 @@ class PopulationMH(PopulationKernel, MH):
         compile_kwargs: dict | None = None,
         checkpoint: str | PathLike | None = None,
     ):
+        correlation_threshold = check_positive(
+            correlation_threshold, "correlation_threshold", "0.01 is usual."
+        )
         PopulationKernel.__init__(
             self,
             draws,

@@ -7,6 +7,7 @@ import numpy as np
 import pymc as pm
 from pymc.util import RandomState
 
+from pymc_features._checks import check_flag, message, shown
 from pymc_features.exceptions import SamplingWarning
 from pymc_features.keywords import check_keywords
 from pymc_features.smc.kernels.base import KernelOptions, PopulationKernel
@@ -102,8 +103,10 @@ class PersistentSMC(PopulationKernel):
         **kwargs: Unpack[KernelOptions],
     ):
         check_keywords(kwargs, KernelOptions.__annotations__, "PersistentSMC")
+        self.gradients_allowed = check_flag(gradients, "gradients")
+        if not (reference is None or isinstance(reference, Reference)):
+            raise TypeError(message("reference", "what `find_reference` returned", shown(reference)))
         super().__init__(draws, threshold=threshold, model=model, random_seed=random_seed, **kwargs)
-        self.gradients_allowed = bool(gradients)
         if gradients:
             self.logp.compile_gradient()
         stage_draws = self.checked_stage_draws(stage_draws, share=0.4, least=20, default=200)

@@ -7,11 +7,12 @@ import numpy as np
 import pymc as pm
 from pymc.util import RandomState
 
+from pymc_features._checks import check_share, is_number, shown, single
 from pymc_features.exceptions import SubsetSimulationWarning, ToleranceNotReachedError
 from pymc_features.keywords import check_keywords
 from pymc_features.smc.density.discrepancy import SimulatorNode
 from pymc_features.smc.density.evaluation import population_logp
-from pymc_features.smc.kernels.base import KernelOptions, PopulationKernel, check_share
+from pymc_features.smc.kernels.base import KernelOptions, PopulationKernel
 from pymc_features.smc.kernels.levels import Levels
 from pymc_features.smc.proposals.moves import CrossedMoves
 
@@ -109,20 +110,19 @@ class SubsetSimulation(PopulationKernel):
         **kwargs: Unpack[KernelOptions],
     ):
         check_keywords(kwargs, KernelOptions.__annotations__, "SubsetSimulation")
+        self.p0 = check_share(p0, "p0", "The default is 0.2.")
         super().__init__(draws, model=model, random_seed=random_seed, **kwargs)
-        check_share("p0", p0, 0.2)
-        self.p0 = float(p0)
         # each half of the particles that a level keeps must show a shape
         self.least = int(np.ceil(4 / self.p0))
         self.stage_draws = self.checked_stage_draws(stage_draws, share=0.5, least=self.least, default=400)
         if max_simulations is None:
             max_simulations = 100 * max(self.draws, self.stage_draws)
-        if not (isinstance(max_simulations, int | float | np.number) and max_simulations >= self.stage_draws):
+        self.max_simulations = single(max_simulations)
+        if not (is_number(self.max_simulations) and self.max_simulations >= self.stage_draws):
             raise ValueError(
                 f"`max_simulations` must allow for {self.stage_draws} draws from the prior, got "
-                f"{max_simulations!r}."
+                f"{shown(max_simulations)}."
             )
-        self.max_simulations = max_simulations
         self.epsilon = self.node.tolerance(epsilon)
         if not self.node.hard:
             warnings.warn(

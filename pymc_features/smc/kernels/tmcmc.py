@@ -7,6 +7,7 @@ import pymc as pm
 from pymc.util import RandomState
 from scipy.optimize import brentq
 
+from pymc_features._checks import check_positive
 from pymc_features.smc.kernels.base import PopulationKernel
 
 
@@ -56,6 +57,11 @@ class TMCMC(PopulationKernel):
         compile_kwargs: dict | None = None,
         checkpoint: str | PathLike | None = None,
     ):
+        advice = "Leave it out for the source's."
+        self.scale = check_positive(scale, "scale", advice)
+        self.coefficient_of_variation = check_positive(
+            coefficient_of_variation, "coefficient_of_variation", advice
+        )
         super().__init__(
             draws,
             start=start,
@@ -64,11 +70,6 @@ class TMCMC(PopulationKernel):
             compile_kwargs=compile_kwargs,
             checkpoint=checkpoint,
         )
-        for name, value in (("scale", scale), ("coefficient_of_variation", coefficient_of_variation)):
-            if not 0.0 < value < np.inf:
-                raise ValueError(f"`{name}` must be positive, got {value}. Leave it out for the source's.")
-        self.scale = scale
-        self.coefficient_of_variation = coefficient_of_variation
 
     def update_beta_and_weights(self) -> None:
         """Next temperature, weights, and the factor S_j of the evidence."""

@@ -22,6 +22,7 @@ CLIP = 4.0  # standard deviations beyond which polynomials stay as they are
 MAX_LOG_SCALE = 6.0
 SMALLEST_SQUARE = 1e-6  # beside the mean square, where a logarithm is taken
 TERMS_PER_POINT = 0.25  # a polynomial has at most this many coefficients for each effective point
+CHANCE = 5.0  # nats times points that a fit gains by chance
 LEVELS = np.array([0.005, 0.02, 0.05, 0.15, 0.3, 0.5, 0.7, 0.85, 0.95, 0.98, 0.995])
 NORMAL_LEVELS = norm.ppf(LEVELS)
 
@@ -86,7 +87,7 @@ class UnbendingMap:
             variances, vectors = np.linalg.eigh(scatter + 1e-10 * np.diag(np.diag(scatter)))
             self.vectors, self.deviations = vectors[:, ::-1], np.sqrt(variances[::-1])
         else:
-            order = np.argsort(-influence(centred / np.sqrt(np.diag(scatter)), w))
+            order = np.argsort(-influence(centred / np.sqrt(np.diag(scatter)), w, n_points))
             self.vectors, self.deviations = np.eye(len(order))[:, order], np.sqrt(np.diag(scatter))[order]
         t = centred @ self.vectors / self.deviations
         self.axes = [fit_axis(t[:, :k], t[:, k], w, n_points) for k in range(x.shape[1])]
@@ -113,17 +114,21 @@ class UnbendingMap:
             return self.margins.inverse(self.mean + (t * self.deviations) @ self.vectors.T)
 
 
-def influence(t, w) -> np.ndarray:
-    """How much the squares of other coordinates (n, d) follow each one, and not the other way round (d,)."""
-    linear, square = t, np.log(t**2 + SMALLEST_SQUARE)
-    square = (square - w @ square) / np.sqrt(w @ (square - w @ square) ** 2)
-    bent = t**2 - 1.0
-    bent = bent / np.sqrt(w @ bent**2)
-    scale = (w[:, None] * linear).T @ square  # (i, j): the scale of j with the place of i
-    place = (w[:, None] * bent).T @ linear  # (i, j): the place of j with the square of i
-    strength = scale**2 + place**2
-    np.fill_diagonal(strength, 0.0)
-    return strength.sum(axis=1) - strength.sum(axis=0)
+def influence(t, w, n_points) -> np.ndarray:
+    """How much better others are known with each coordinate (n, d) than it is with them, in nats (d,).
+
+    Fewer nats than chance gives do not count.
+    """
+    known = np.array([entropies(t[:, [i]], t, w, n_points) for i in range(t.shape[1])])
+    gain = np.maximum(-known - CHANCE / n_points, 0.0)  # (i, j): of j, with i
+    np.fill_diagonal(gain, 0.0)
+    return gain.sum(axis=1) - gain.sum(axis=0)
+
+
+def entropies(wider, t, w, n_points) -> np.ndarray:
+    """Entropy of each coordinate (n, k) given the wider ones, less that of a standard normal one (k,)."""
+    rest, log_scale = conditional(wider, t, w, n_points, 2)[2:]
+    return 0.5 * np.log(w @ (rest * np.exp(-log_scale)) ** 2) + w @ log_scale
 
 
 def monomials(t, degree: int):
@@ -140,15 +145,25 @@ def fit_axis(wider, t, w, n_points) -> Axis:
     """Regress one axis (n,) on the wider ones (n, k); weights w sum up to one."""
     k = wider.shape[1]
     degree = 2 if 1 + k + k * (k + 1) // 2 <= TERMS_PER_POINT * n_points else 1
-    terms = monomials(wider, degree)
-    shift = ridge(terms, t, w, 0.1 * terms.shape[1] / n_points + 1e-6)
+    shift, slope, rest, log_scale = conditional(wider, t[:, None], w, n_points, degree)
+    level = 0.5 * np.log(w @ (rest * np.exp(-log_scale)) ** 2)
+    return Axis(degree, shift[:, 0], slope[:, 0], float(level[0]))
+
+
+def conditional(wider, t, w, n_points, degree) -> tuple[np.ndarray, ...]:
+    """Coefficients of place and log scale of axes (n, m) given wider ones; what is left, and log scales."""
+    terms, linear = monomials(wider, degree), monomials(wider, 1)
+    penalty = 0.1 * terms.shape[1] / n_points
+    shift = ridge(terms, t, w, penalty + 1e-6)
+    # what is hardly scattered around a bend is known well: it is fitted again with a penalty for that scatter
+    left = np.minimum(w @ (t - terms @ shift) ** 2, 1.0)
+    shift = np.column_stack(
+        [ridge(terms, c, w, penalty * share + 1e-6) for c, share in zip(t.T, left, strict=True)]
+    )
     rest = t - terms @ shift
-    linear = monomials(wider, 1)
     size = np.log((rest / np.sqrt(w @ rest**2)) ** 2 + SMALLEST_SQUARE)
     slope = ridge(linear, 0.5 * size, w, 0.5 * linear.shape[1] / n_points + 1e-3)
-    log_scale = np.clip(linear @ slope, -MAX_LOG_SCALE, MAX_LOG_SCALE)
-    level = 0.5 * np.log(w @ (rest * np.exp(-log_scale)) ** 2)
-    return Axis(degree, shift, slope, float(level))
+    return shift, slope, rest, np.clip(linear @ slope, -MAX_LOG_SCALE, MAX_LOG_SCALE)
 
 
 def ridge(terms, values, w, penalty):
@@ -157,7 +172,7 @@ def ridge(terms, values, w, penalty):
     gram = weighted.T @ terms
     sizes = np.sqrt(np.diag(gram)) + 1e-12
     scaled = gram / np.multiply.outer(sizes, sizes) + penalty * np.eye(len(gram))
-    return np.linalg.solve(scaled, (values @ weighted) / sizes) / sizes
+    return (np.linalg.solve(scaled, ((weighted.T @ values).T / sizes).T).T / sizes).T
 
 
 def no_change(d: int) -> Margins:

@@ -1,0 +1,71 @@
+"""Checks of arguments, with one message for all: "`name` must be ..., got .... What to do."."""
+
+from pymc_features._checks.messages import (
+    message,
+    shown,
+)
+from pymc_features._checks.numeric import (
+    LARGEST_COUNT,
+    SAMPLING_INTERVAL,
+    as_array,
+    as_numbers,
+    check_finite,
+    check_integer,
+    check_number,
+    check_positive,
+    check_seed,
+    check_share,
+    check_step,
+    is_number,
+    single,
+    to_float,
+)
+from pymc_features._checks.objects import (
+    check_callable,
+    check_flag,
+    check_group,
+    check_mapping,
+    check_model,
+)
+from pymc_features._checks.texts import (
+    as_list,
+    check_choice,
+    check_name,
+    check_path,
+    check_text,
+    check_texts,
+    check_title,
+    is_among,
+)
+
+__all__ = [
+    "LARGEST_COUNT",
+    "SAMPLING_INTERVAL",
+    "as_array",
+    "as_list",
+    "as_numbers",
+    "check_callable",
+    "check_choice",
+    "check_finite",
+    "check_flag",
+    "check_group",
+    "check_integer",
+    "check_mapping",
+    "check_model",
+    "check_name",
+    "check_number",
+    "check_path",
+    "check_positive",
+    "check_seed",
+    "check_share",
+    "check_step",
+    "check_text",
+    "check_texts",
+    "check_title",
+    "is_among",
+    "is_number",
+    "message",
+    "shown",
+    "single",
+    "to_float",
+]

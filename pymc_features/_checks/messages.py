@@ -1,0 +1,20 @@
+"""The sentence that refuses an argument: "`name` must be ..., got .... What to do."."""
+
+from reprlib import Repr
+
+LONGEST = 80  # characters of a value in a message
+_SHORT = Repr(maxlist=12, maxtuple=12, maxdict=6, maxlong=40, maxstring=LONGEST, maxother=LONGEST)
+
+
+def message(name: str, condition: str, got, advice: str = "") -> str:
+    """The sentence about an argument, and advice if there is any."""
+    return f"`{name}` must be {condition}, got {got}.{' ' if advice else ''}{advice}"
+
+
+def shown(value) -> str:
+    """A value as a message has it: on one short line, whatever it is."""
+    try:
+        text = " ".join(_SHORT.repr(value).split())
+    except Exception:  # integers of thousands of digits, and classes whose text fails
+        return type(value).__name__
+    return text if len(text) <= 2 * LONGEST else type(value).__name__

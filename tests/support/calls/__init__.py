@@ -1,0 +1,1 @@
+"""Calls of everything public, with what each argument takes."""

@@ -1,0 +1,208 @@
+"""Files, channels and synthetic earthquakes."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import xarray as xr
+
+import pymc_features as pmf
+from pymc_features.ground_motion import AminAng, CloughPenzien
+from support.border import Call, work
+from support.odd_values import NOT_NEGATIVE, ONE, PAIR, POSITIVE
+
+FOLDER = TemporaryDirectory()
+TEXT = Path(FOLDER.name) / "shaken.csv"
+TEXT.write_text("time,base,roof\n" + "".join(f"{0.1 * i:.1f},{i % 3},{i % 4}\n" for i in range(9)))
+MATRICES = Path(FOLDER.name) / "frame.npz"
+np.savez(MATRICES, M=np.eye(2))
+
+
+def channels(**changes):
+    """A noisy sine at two sensors, or something odd like it."""
+    time = 0.02 * np.arange(800)
+    noise = np.random.default_rng(1).standard_normal((2, 800))
+    values = np.sin(3.0 * time) * np.exp(-0.1 * time) * [[1.0], [1.1]] + 0.1 * noise
+    given = {
+        "data": values,
+        "dims": ("sensor", "time"),
+        "coords": {"sensor": ["base", "roof"], "time": time},
+        "attrs": {"units": "m/s^2"},
+    }
+    return xr.DataArray(**given | changes)
+
+
+MEASURED = channels()
+NANS = np.where(np.arange(800) == 3, np.nan, 1.0) * MEASURED.values
+DATES = {"time": np.datetime64("2020-01-01", "ns") + np.arange(800)}
+ODD_CHANNELS = {
+    "channels with time first": MEASURED.transpose(),
+    "channels without times": MEASURED.drop_vars("time"),
+    "channels at dates": MEASURED.assign_coords(DATES),
+    "channels at texts": MEASURED.assign_coords(time=MEASURED.time.astype(str)),
+    "channels at uneven times": MEASURED.assign_coords(time=MEASURED.time**2),
+    "channels that run backward": MEASURED[:, ::-1],
+    "complex channels": MEASURED.astype(complex),
+    "channels of booleans": MEASURED > 0.0,
+    "channels of texts": MEASURED.astype(str),
+    "channels of objects": MEASURED.astype(object),
+    "channels with NaN": channels(data=NANS),
+    "channels with infinity": channels(data=NANS * np.inf),
+    "channels of one sample": MEASURED[:, :1],
+    "channels of no sample": MEASURED[:, :0],
+    "no channels": MEASURED[:0],
+    "channels of 16 bits": MEASURED.astype(np.float16),
+    "channels of integers": (100.0 * MEASURED).astype(int),
+    "channels that are read-only": channels(),
+    "channels in Fortran's order": channels(data=np.asfortranarray(MEASURED.values)),
+    "channels without names": MEASURED.drop_vars("sensor"),
+    "channels of one name": MEASURED.assign_coords(sensor=["roof", "roof"]),
+    "one channel": MEASURED[0],
+    "channels as a Dataset": MEASURED.to_dataset(name="a"),
+}
+ODD_CHANNELS["channels that are read-only"].values.setflags(write=False)
+WELL = {
+    "channels of 16 bits",
+    "channels of integers",
+    "channels that are read-only",
+    "channels in Fortran's order",
+    "channels without names",
+    "channels of one name",
+    "one channel",
+}
+SEVERAL = WELL - {"channels of one name", "one channel"}
+MORE = {"channels": ODD_CHANNELS}
+TEXTS = {"text", "number as text", "empty text"}
+EARTHQUAKE = {
+    "duration": 1.0,
+    "dt": 0.1,
+    "random_seed": 1,
+    "pga": 3.0,
+    "spectrum": None,
+    "envelope": None,
+}
+
+CALLS = {
+    "read_record": Call(
+        pmf.read_record,
+        {"path": TEXT, "units": "g", "dt": None, "column": "roof", "wrapped": None},
+        {
+            "units": POSITIVE,
+            "dt": {"None", *POSITIVE},
+            "column": {"NumPy's 2"},
+            "wrapped": {"None"},
+        },
+        {"column": ["dt"], "wrapped": ["column"]},
+    ),
+    "read_channels": Call(
+        pmf.read_channels,
+        {
+            "files": TEXT,
+            "columns": None,
+            "units": "g",
+            "dt": None,
+            "clock": None,
+            "clock_units": None,
+            "skip": 0,
+            "wrapped": None,
+        },
+        {
+            "columns": {"None", "NumPy's 2"},
+            "units": POSITIVE,
+            "dt": {"None", *POSITIVE},
+            "clock": {"None", "0"},
+            "clock_units": {"None", *POSITIVE} - {"1e300"},
+            "skip": {"0", *ONE},
+            "wrapped": {"None"},
+        },
+        {"clock_units": ["dt"], "wrapped": ["dt"]},
+    ),
+    "read_matrices": Call(pmf.read_matrices, {"path": MATRICES}),
+    "datasets.mini_shake_table": Call(
+        pmf.datasets.mini_shake_table,
+        {"event": "northridge"},
+        instead={"pymc_features.datasets._fetch": work},
+    ),
+    "synthetic_earthquake": Call(
+        pmf.synthetic_earthquake,
+        EARTHQUAKE,
+        {
+            "duration": ONE | {"1.5", "Fraction"},
+            "random_seed": {"None", "0", "NumPy's 2", "10**400", "10**5000"},
+            "pga": POSITIVE,
+            "spectrum": {"None"},
+            "envelope": {"None"},
+        },
+    ),
+    "CloughPenzien": Call(
+        CloughPenzien,
+        {"omega_g": 15.0, "zeta_g": 0.6, "omega_f": 1.5, "zeta_f": 0.6},
+        {"omega_g": POSITIVE, "zeta_g": POSITIVE, "omega_f": POSITIVE | {"None"}, "zeta_f": POSITIVE},
+    ),
+    "AminAng": Call(
+        AminAng,
+        {"rise_time": 1.0, "strong_time": 1.0, "end_level": 0.05},
+        {
+            "rise_time": NOT_NEGATIVE | {"None"},
+            "strong_time": NOT_NEGATIVE | {"None"},
+            "end_level": {"1.0 of 16 bits", "array without dimensions", "1e-300", "Fraction"},
+        },
+    ),
+    "signals.band_pass": Call(
+        pmf.signals.band_pass,
+        {"channels": MEASURED, "low": 0.5, "high": 5.0, "order": 2},
+        {
+            "channels": WELL,
+            "low": {"None", *ONE, "1.5", "Fraction"},
+            "high": {"None", *ONE, "1.5"},
+            "order": ONE,
+        },
+        more=MORE,
+    ),
+    "signals.check_channels": Call(
+        pmf.signals.check_channels,
+        {"channels": MEASURED, "band": (0.5, 2.0), "base": None, "damping_ratio": 0.02},
+        {
+            "channels": SEVERAL,
+            "band": PAIR - {"range"},
+            "base": {"None"},
+            "damping_ratio": {"Fraction", "1e-300"},
+        },
+        more=MORE,
+    ),
+    "signals.correct": Call(
+        pmf.signals.correct,
+        {"channels": MEASURED, "scale": None, "delay": None},
+        {"channels": SEVERAL, "scale": {"None", "-1.0", "{}", *POSITIVE}, "delay": {"None", "{}"}},
+        more=MORE,
+    ),
+    "signals.decimate": Call(
+        pmf.signals.decimate,
+        {"channels": MEASURED, "factor": 2},
+        {"channels": WELL, "factor": ONE},
+        more=MORE,
+    ),
+    "signals.detrend": Call(
+        pmf.signals.detrend,
+        {"channels": MEASURED, "kind": "linear", "window": None},
+        {"channels": WELL, "window": {"None", *PAIR}},
+        more=MORE,
+    ),
+    "signals.low_frequency_gains": Call(
+        pmf.signals.low_frequency_gains,
+        {"channels": MEASURED, "band": (0.5, 2.0), "base": "base"},
+        {"channels": SEVERAL - {"channels without names"}, "band": PAIR - {"range"}, "base": {"None"}},
+        {"channels": ["base"]},
+        more=MORE,
+    ),
+    "signals.sampling_step": Call(
+        pmf.signals.sampling_step, {"channels": MEASURED}, {"channels": WELL}, more=MORE
+    ),
+    "signals.trim": Call(
+        pmf.signals.trim,
+        {"channels": MEASURED, "start": 0.5, "stop": 9.0},
+        {"channels": WELL, "start": ONE | {"0", "1.5", "1e-300", "Fraction"}, "stop": ONE | {"1.5"}},
+        called={"start": ("start, stop",), "stop": ("start, stop",)},
+        more=MORE,
+    ),
+}

@@ -1,0 +1,201 @@
+"""Samplers, their kernels, and what stands on them: as far as the arguments are checked."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pymc as pm
+import xarray as xr
+
+import pymc_features as pmf
+from support.border import Call, work
+from support.odd_values import ONE, PAIR, PATHS, POSITIVE
+
+with pm.Model() as MODEL:
+    X = pm.Normal("x")
+    pm.Normal("y", X, 1.0, observed=[1.0])
+with pm.Model() as SIMULATED:
+    THETA = pm.Normal("x")
+    pmf.DiscrepancySimulator("y", lambda x: x * np.ones((1, 3)), THETA, epsilon=1.0, observed=np.ones((1, 3)))
+
+DRAWS = np.random.default_rng(1).standard_normal((2, 50))
+POSTERIOR = xr.Dataset({"x": (("chain", "draw"), DRAWS)}, {"chain": [0, 1], "draw": np.arange(50)})
+IDATA = xr.DataTree.from_dict({"posterior": POSTERIOR})
+ODD_TREES = {
+    "posterior without draws": xr.DataTree.from_dict({"posterior": POSTERIOR.isel(draw=slice(0))}),
+    "posterior without chains": xr.DataTree.from_dict({"posterior": POSTERIOR.isel(chain=0, drop=True)}),
+    "posterior of texts": xr.DataTree.from_dict({"posterior": POSTERIOR.astype(str)}),
+    "posterior of complex": xr.DataTree.from_dict({"posterior": POSTERIOR.astype(complex)}),
+    "posterior of NaN": xr.DataTree.from_dict({"posterior": POSTERIOR * np.nan}),
+    "posterior of others": xr.DataTree.from_dict({"posterior": POSTERIOR.rename(x="z")}),
+    "empty posterior": xr.DataTree.from_dict({"posterior": xr.Dataset()}),
+    "dict of a posterior": {"posterior": POSTERIOR},
+}
+WHOLE = {"NumPy's 2"}
+SEEDS = {
+    "None",
+    "0",
+    "NumPy's 2",
+    "range",
+    "10**400",
+    "10**5000",
+    "list of huge integers",
+}
+SHARES = {"Fraction", "1e-300"}
+
+
+def no_prior(model, from_prior):
+    """In place of the function that draws from the prior."""
+    return lambda n, rng: [np.zeros((n, *np.shape(rv.type.shape))) for rv in model.free_RVs]
+
+
+def no_density(*args):
+    """In place of compiled log-probabilities."""
+    return SimpleNamespace(compile_gradient=lambda: None)
+
+
+KERNEL = {
+    "draws": 100,
+    "threshold": 0.5,
+    "start": None,
+    "model": MODEL,
+    "random_seed": 1,
+    "compile_kwargs": None,
+    "checkpoint": None,
+}
+INSTEAD = {
+    "pymc_features.smc.kernels.base.Checkpoint": work,
+    "pymc_features.smc.kernels.base.prior_draws": no_prior,
+    "pymc_features.smc.kernels.base.population_logp": no_density,
+    "pymc_features.smc.kernels.subset.population_logp": no_density,
+}
+DICTS = {"None", "{}"}
+TAKEN = {
+    "draws": WHOLE,
+    "threshold": SHARES,
+    "start": {"None"},
+    "random_seed": SEEDS,
+    "compile_kwargs": DICTS | {"dict"},
+    "correlation_threshold": POSITIVE,
+    "scale": POSITIVE,
+    "coefficient_of_variation": POSITIVE,
+    "stage_draws": {"None"},
+    "gradients": {"True", "NumPy's True"},
+    "reference": {"None"},
+    "p0": SHARES,
+    "epsilon": {"None", *POSITIVE},
+    "max_simulations": {"None", "inf", "1e300", "10**400", "10**5000"},
+    "chains": {"None", *ONE},
+    "cores": {"None", *ONE},
+    "tune": {"0", *ONE},
+    "progressbar": {"True", "NumPy's True"},
+    "point": DICTS,
+    "sample_settings": DICTS | {"dict"},
+    "particles": {"None"},
+    "probability": SHARES,
+    "checkpoint": {"None", *PATHS},
+    "var_names": {"None"},
+}
+
+
+def kernel(of, **more):
+    """A call of a kernel's class."""
+    model = {"model": SIMULATED} if of is pmf.SubsetSimulation else {}
+    given = {name: value for name, value in {**KERNEL, **model, **more}.items() if value is not Ellipsis}
+    return Call(of, given, TAKEN, instead=INSTEAD)
+
+
+RUN = {"draws": 100, "chains": 2, "cores": 1, "random_seed": 1, "checkpoint": None, "progressbar": False}
+
+CALLS = {
+    "PopulationIMH": kernel(pmf.PopulationIMH, correlation_threshold=0.01),
+    "PopulationMH": kernel(pmf.PopulationMH, correlation_threshold=0.01),
+    "TMCMC": kernel(pmf.TMCMC, threshold=..., scale=0.2, coefficient_of_variation=1.0),
+    "PersistentSMC": kernel(pmf.PersistentSMC, reference=None, gradients=False, stage_draws=None),
+    "SubsetSimulation": kernel(
+        pmf.SubsetSimulation, threshold=..., p0=0.2, stage_draws=None, epsilon=None, max_simulations=None
+    ),
+    "sample_smc": Call(
+        pmf.sample_smc,
+        {**RUN, "kernel": pmf.PersistentSMC, "model": MODEL},
+        TAKEN,
+        instead={"pymc.sample_smc": work, "pymc_features.smc.sample.remembered": work},
+    ),
+    "sample": Call(
+        pmf.sample,
+        {**RUN, "model": MODEL, "compile_kwargs": None},
+        TAKEN,
+        instead={
+            "pymc_features.inference.sample.Unconstrained": work,
+            "pymc_features.inference.sample.remembered": work,
+        },
+    ),
+    "sample_nuts": Call(
+        pmf.sample_nuts,
+        {
+            "draws": 100,
+            "tune": 100,
+            "chains": 2,
+            "particles": IDATA,
+            "sample_settings": None,
+            "model": MODEL,
+            "nuts_sampler": "pymc",
+            "random_seed": 1,
+        },
+        TAKEN | {"draws": ONE, "chains": ONE},
+        instead={"pymc_features.inference.nuts.pick": work, "pymc_features.inference.nuts.sample": work},
+        more={"particles": ODD_TREES},
+    ),
+    "laplace": Call(
+        pmf.laplace,
+        {"draws": 100, "model": MODEL, "start": {"x": 1.0}, "random_seed": 1, "compile_kwargs": None},
+        TAKEN | {"draws": ONE, "start": DICTS},
+        instead={"pymc_features.inference.laplace.Unconstrained": work},
+    ),
+    "fisher_information": Call(
+        pmf.fisher_information,
+        {"model": MODEL, "point": {"x": 1.0}},
+        TAKEN,
+        instead={"pymc_features.inference.fisher.product_function": work},
+    ),
+    "tolerance_sweep": Call(
+        pmf.tolerance_sweep,
+        {"epsilon": [1.0, 2.0], "model": SIMULATED, "draws": 100, "probability": 0.9, "random_seed": 1},
+        TAKEN | {"epsilon": POSITIVE | PAIR - {"range"}},
+        instead={"pymc_features.inference.tolerance.sample_smc": work},
+    ),
+    "calibrate": Call(
+        pmf.calibrate,
+        {
+            "idata": IDATA,
+            "model": MODEL,
+            "draws": 100,
+            "chains": 2,
+            "random_seed": 1,
+            "progressbar": False,
+        },
+        TAKEN | {"draws": {"None", "NumPy's 2"}},
+        instead={"pymc_features.calibration.calibrate.Predictions": work},
+        more={"idata": ODD_TREES},
+    ),
+    "effective_samples": Call(
+        pmf.effective_samples,
+        {"source": IDATA, "model": MODEL, "random_seed": 1},
+        TAKEN,
+        {"source": ["model"]},
+        instead={"pymc_features.calibration.effective.Predictions": work},
+        more={"source": ODD_TREES},
+    ),
+    "fill_degrees": Call(
+        pmf.fill_degrees,
+        {"model": MODEL, "random_seed": 1},
+        TAKEN,
+        instead={"pymc_features.calibration.degrees.degrees_of": work},
+    ),
+    "event_check": Call(
+        pmf.event_check,
+        {"events": [IDATA, IDATA], "var_names": ["x"], "probability": 0.9},
+        TAKEN,
+        {"events": ["var_names"]},
+        more={"events": {name: [IDATA, tree] for name, tree in ODD_TREES.items()}},
+    ),
+}

@@ -1,0 +1,186 @@
+"""Records, structures and their responses."""
+
+import numpy as np
+import xarray as xr
+
+import pymc_features as pmf
+from support.border import Call
+from support.odd_values import NOT_NEGATIVE, NUMBERS, ONE, PAIR, POSITIVE, TEXTS
+
+RECORD = pmf.Record([0.0, 1.0, 0.5], 0.1)
+DAMPING = pmf.ModalDamping(0.02)
+CHAIN = pmf.SpringMassChain([1.0, 1.0], 100.0, DAMPING)
+YIELDING = pmf.DuffingChain([1.0, 1.0], 100.0, DAMPING, 5.0)
+FRAME = pmf.LinearStructure([1.0, 1.0], stiffness=[3.0, 3.0], damping=DAMPING)
+AFFINE = {
+    "mass": [1.0, 1.0],
+    "stiffness": [3.0, 3.0],
+    "damping": DAMPING,
+    "stiffness_terms": [[1.0, 1.0], None],
+    "mass_terms": (),
+    "damping_terms": (),
+    "influence": None,
+    "theta": [0.5, 0.5],
+}
+CHANNELS = xr.DataArray(
+    np.arange(10.0).reshape(2, 5) ** 2,
+    dims=("sensor", "time"),
+    coords={"sensor": ["base", "roof"], "time": 0.1 * np.arange(5)},
+    attrs={"units": "m/s^2"},
+)
+HISTORY = {
+    *PAIR,
+    "negative array",
+    "array with nan",
+    "array with inf",
+    "list of huge integers",
+    "vector variable",
+    "matrix variable",
+    "shared variable",
+}
+SCALARS = {"scalar variable", "integer variable", "constant variable", "random variable"}
+VECTORS = {"vector variable", "shared variable", "list of variables"}
+OF_TWO = PAIR - {"range"} | VECTORS  # positive
+CHAIN_OF_TWO = {"mass": [1.0, 1.0], "stiffness": [100.0, 90.0], "damping": DAMPING}
+SPRINGS = {
+    "mass": POSITIVE | SCALARS | OF_TWO,
+    "stiffness": POSITIVE | SCALARS | OF_TWO,
+    "damping": {"damping"},
+}
+RATIO = POSITIVE | SCALARS | OF_TWO
+UNIT = {"array without dimensions", *SCALARS, *VECTORS}
+YIELD = {"yield_displacement": 0.1, "post_yield_ratio": 0.1, "sharpness": 2.0, "beta": 0.5, "gamma": 0.5}
+MATRICES = {"matrix in Fortran's order", "sparse matrix"}
+DIAGONALS = PAIR - {"range"} | MATRICES
+INFLUENCE = PAIR | MATRICES | {"None", "negative array", "DataFrame"}
+RESPONSE = {
+    "structure": CHAIN,
+    "record": RECORD,
+    "dt": None,
+    "sensors": None,
+    "quantity": "relative_velocity",
+    "n_modes": None,
+    "outputs": None,
+}
+WHOLE = {"NumPy's 2", "0"}
+TAKEN = {
+    "structure": {"structure"},
+    "record": {"Record"},
+    "dt": {"None", *ONE, "1.5", "Fraction"},
+    "sensors": {"None", "0", "range"},
+    "n_modes": {"None", *ONE},
+    "outputs": {"None", *MATRICES},
+}
+
+CALLS = {
+    "Record": Call(
+        pmf.Record,
+        {"acceleration": [0.0, 1.0], "dt": 0.1, "name": ""},
+        {
+            "acceleration": PAIR | {"negative array"},
+            "dt": POSITIVE,
+            "name": TEXTS | NUMBERS,
+        },
+    ),
+    "Record.first": Call(RECORD.first, {"n_times": 2}, {"n_times": {"NumPy's 2"}}),
+    "Record.from_channel": Call(
+        pmf.Record.from_channel,
+        {"channels": CHANNELS, "sensor": "base", "name": None},
+        {"name": {"None", *TEXTS, *NUMBERS}},
+        {"channels": ["sensor"]},
+    ),
+    "Loading": Call(
+        pmf.Loading,
+        {"values": [0.0, 1.0], "dt": 0.1, "kind": "force", "matrix": None, "name": ""},
+        {
+            "values": PAIR | {"negative array", "matrix in Fortran's order"},
+            "dt": POSITIVE,
+            "matrix": {"None", "DataFrame"},
+            "name": TEXTS | NUMBERS,
+        },
+    ),
+    "Loading.first": Call(
+        pmf.Loading([0.0, 1.0, 2.0], 0.1).first, {"n_times": 2}, {"n_times": {"NumPy's 2"}}
+    ),
+    "RayleighDamping": Call(
+        pmf.RayleighDamping,
+        {"alpha": 0.1, "beta": 0.1},
+        {"alpha": NOT_NEGATIVE | SCALARS, "beta": NOT_NEGATIVE | SCALARS},
+    ),
+    "RayleighDamping.from_ratios": Call(
+        pmf.RayleighDamping.from_ratios,
+        {"ratios": [0.02, 0.02], "natural_frequencies": [1.0, 2.0]},
+        {"ratios": NOT_NEGATIVE | PAIR - {"range"}, "natural_frequencies": PAIR - {"range"}},
+    ),
+    "ModalDamping": Call(
+        pmf.ModalDamping, {"ratios": 0.02}, {"ratios": NOT_NEGATIVE | SCALARS | OF_TWO | {"range"}}
+    ),
+    "SpringMassChain": Call(pmf.SpringMassChain, CHAIN_OF_TWO, SPRINGS),
+    "SpringMassChain.scale_stiffness": Call(
+        CHAIN.scale_stiffness,
+        {"factor": [0.5, 0.5], "springs": [0, 1]},
+        {"factor": RATIO, "springs": {"range"}},
+        {"springs": ["factor"]},
+    ),
+    "HystereticChain": Call(
+        pmf.HystereticChain,
+        CHAIN_OF_TWO | YIELD,
+        SPRINGS
+        | {
+            "yield_displacement": RATIO,
+            "post_yield_ratio": {"0", "1e-300", "1.0 of 16 bits", "Fraction", "range", *UNIT},
+            "sharpness": RATIO - {"1e-300", "Fraction"},
+            "beta": RATIO - {"1e-300"},
+            "gamma": {"0", "1e-300", "Fraction", *SCALARS, *VECTORS},
+        },
+    ),
+    "DuffingChain": Call(
+        pmf.DuffingChain, CHAIN_OF_TWO | {"cubic": 5.0}, SPRINGS | {"cubic": RATIO | {"0", "range"}}
+    ),
+    "LinearStructure": Call(
+        pmf.LinearStructure,
+        {"mass": [1.0, 1.0], "stiffness": [3.0, 3.0], "damping": DAMPING, "influence": None},
+        {
+            "mass": DIAGONALS,
+            "stiffness": DIAGONALS,
+            "damping": DIAGONALS | {"damping", "range"},
+            "influence": INFLUENCE,
+        },
+    ),
+    "LinearStructure.modes": Call(FRAME.modes, {"n_modes": 1}, {"n_modes": {"None", *ONE}}),
+    "AffineStructure": Call(
+        pmf.AffineStructure,
+        AFFINE,
+        {
+            "mass": DIAGONALS,
+            "stiffness": DIAGONALS | {"range"},
+            "damping": DIAGONALS | {"damping", "range"},
+            "stiffness_terms": {"three dimensions"},
+            "mass_terms": {"[]", "()", "three dimensions"},
+            "damping_terms": {"[]", "()"},
+            "influence": INFLUENCE,
+            "theta": {"None", "negative array"} | PAIR | VECTORS,
+        },
+        {"stiffness_terms": ["theta"]},
+    ),
+    "AffineStructure.with_parameters": Call(
+        pmf.AffineStructure(**AFFINE).with_parameters,
+        {"theta": [0.5, 0.5]},
+        {"theta": {"negative array"} | PAIR | VECTORS},
+    ),
+    "simulate": Call(pmf.simulate, RESPONSE, TAKEN),
+    "response": Call(pmf.response, RESPONSE, TAKEN),
+    "spring_forces": Call(
+        pmf.spring_forces, {"structure": YIELDING, "record": RECORD, "dt": None}, TAKEN | {"structure": set()}
+    ),
+    "integration_error": Call(
+        pmf.integration_error,
+        {"structure": YIELDING, "record": RECORD, "quantity": "relative_velocity"},
+        TAKEN | {"structure": set()},
+    ),
+    "mean_square_discrepancy": Call(
+        pmf.mean_square_discrepancy,
+        {"mu": [[0.0, 1.0]], "observed": [[1.0, 1.0]]},
+        {"mu": HISTORY, "observed": HISTORY},
+    ),
+}
