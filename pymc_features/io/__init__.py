@@ -74,6 +74,7 @@ def read_record(
     Examples
     --------
     >>> import tempfile
+    >>> from pathlib import Path
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "pulse.csv"
     ...     _ = path.write_text("time [s],acc [g]\\n0.00,0.0\\n0.02,0.1\\n0.04,-0.2\\n")

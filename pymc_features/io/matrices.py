@@ -44,6 +44,7 @@ def read_matrices(path: str | PathLike) -> dict:
     Examples
     --------
     >>> import tempfile
+    >>> from pathlib import Path
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "frame.npz"
     ...     np.savez(path, M=np.eye(2), K=[[2.0, -1.0], [-1.0, 1.0]])

@@ -92,7 +92,8 @@ def simulate(
     )
     if sensors is not None and HISTORIES[quantity].dim == "support":
         raise ValueError(
-            f"`sensors` must be left out for the base shear, got {shown(sensors)}. It sums all masses."
+            f"`sensors` must be left out for the base shear, got {shown(sensors)}. It is a sum over all "
+            "masses."
         )
     rows = rows_of(structure, quantity, asked.sensors, outputs)
     values = respond(structure, record, asked, rows.picked)

@@ -182,7 +182,7 @@ BROKEN = {  # what is said: what is changed, into what
         "high = 25.0 }",
         "high = 25.0, order = 1000000 }",
     ),
-    "[data]: [Errno 36] File name too long: '": ("frame-measured.csv", "x" * 5000),
+    "[data]: `files` must be readable, got '/": ("frame-measured.csv", "x" * 5000),
     "`priors.sigma.distribution` must be a continuous distribution of PyMC, got 'HalfNormalRV'": (
         '"HalfNormal"',
         '"HalfNormalRV"',
