@@ -22,13 +22,17 @@ def test_notebooks_are_numbered_and_ask_a_question():
         assert "assert" in [cell.source for cell in cells if cell.cell_type == "code"][-1]
 
 
-def skip_without_measurements():
-    """Skip where the shaking table's data are not at hand."""
-    for event in ("northridge", "sine1p5"):
-        try:
-            pymc_features.datasets.mini_shake_table(event)
-        except pymc_features.exceptions.DatasetUnavailableError as error:
-            pytest.skip(str(error))
+MEASUREMENTS = [("mini_shake_table", "northridge"), ("mini_shake_table", "sine1p5"), ("footbridge",)]
+
+
+def skip_without_measurements(source):
+    """Skip where data that some code loads are not at hand."""
+    for name, *arguments in MEASUREMENTS:
+        if f"datasets.{name}" in source:
+            try:
+                getattr(pymc_features.datasets, name)(*arguments)
+            except pymc_features.exceptions.DatasetUnavailableError as error:
+                pytest.skip(str(error))
 
 
 @pytest.mark.notebook
@@ -40,8 +44,7 @@ def test_notebook_runs(path, tmp_path):
     """
     notebook = nbformat.read(path, as_version=4)
     assert all(not cell.get("outputs") for cell in notebook.cells), "commit notebooks without outputs"
-    if any("mini_shake_table" in cell.source for cell in notebook.cells):
-        skip_without_measurements()
+    skip_without_measurements("".join(cell.source for cell in notebook.cells))
     [cell] = [cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", [])]
     [draws] = re.findall(r"^draws = (\d+)", cell.source, flags=re.MULTILINE)
     fewer = int(draws) // (2 if int(draws) < 1000 else 8)
