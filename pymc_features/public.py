@@ -12,7 +12,7 @@ from pymc_features.distributions import (
 from pymc_features.external import ExternalSimulator, ProgramSimulator, Surrogate
 from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.inference import fisher_information, laplace, sample, sample_nuts, tolerance_sweep
-from pymc_features.io import read_channels, read_matrices, read_record
+from pymc_features.io import read_channels, read_channels_with_gaps, read_matrices, read_record
 from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
 from pymc_features.ops import mean_square_discrepancy, response
 from pymc_features.plots import *  # noqa: F403  plot_chains, plot_loops, ...
@@ -69,6 +69,7 @@ __all__ = [
     "paper",
     "posterior_response",
     "read_channels",
+    "read_channels_with_gaps",
     "read_matrices",
     "read_record",
     "response",

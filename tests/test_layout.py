@@ -37,7 +37,7 @@ ALLOWED = {
     "distributions": {"ops"},
     "likelihood_free": {"ops", "simulators", "fingerprint"},
     "smc": set(),
-    "inference": {"records", "structures", "simulators", "distributions", "smc"},
+    "inference": {"records", "structures", "simulators", "ops", "distributions", "smc"},
     "calibration": {"ops", "distributions", "inference", "smc"},
     "study": {
         *("records", "structures", "simulators", "io", "datasets", "ground_motion"),
@@ -107,6 +107,7 @@ PUBLIC_NAMES = [
     "plot_widths",
     "posterior_response",
     "read_channels",
+    "read_channels_with_gaps",
     "read_matrices",
     "read_record",
     "response",

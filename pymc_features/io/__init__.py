@@ -4,7 +4,7 @@ from os import PathLike
 from pathlib import Path
 
 from pymc_features._checks import check_step
-from pymc_features.io.channels import read_channels
+from pymc_features.io.channels import read_channels, read_channels_with_gaps
 from pymc_features.io.formats import FORMATS, format_of
 from pymc_features.io.matrices import read_matrices
 from pymc_features.io.reading.clock import Request
@@ -12,7 +12,7 @@ from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.units import unit_factor
 from pymc_features.records import Record
 
-__all__ = ["FORMATS", "read_channels", "read_matrices", "read_record"]
+__all__ = ["FORMATS", "read_channels", "read_channels_with_gaps", "read_matrices", "read_record"]
 
 
 def read_record(
