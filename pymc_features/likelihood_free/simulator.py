@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pymc as pm
+import pytensor
 import pytensor.tensor as pt
 from numpy.typing import ArrayLike
 from pymc.distributions.distribution import SymbolicRandomVariable
@@ -79,7 +80,8 @@ def DiscrepancySimulator(
         Tolerance on rho, in squared units of the data, positive; see `abc_tolerance`. With one for each
         sensor rho / epsilon becomes sum_j e_j / epsilon_j.
     observed : array_like (sensor, time) or (entry,)
-        Measured response, or a summary of it (natural frequencies, say), finite. Of a summary
+        Measured response, or a summary of it (natural frequencies, say), finite. NaN, or what a masked array
+        hides, is a gap of a response: e_j is the mean over the other samples. Of a summary
         e_j = (y_j - g_j)^2.
     kernel : {"uniform", "exponential", "gaussian"}
         "uniform" accepts where rho <= epsilon; "exponential" is the EXP likelihood at
@@ -202,19 +204,27 @@ def _per_sensor(name, value, n_sensors, advice, *, zero=False):
 
 
 def _checked_data(observed):
-    if np.ma.isMaskedArray(observed) and np.ma.getmaskarray(observed).any():
-        raise ValueError(
-            "`observed` must have no missing values, got a masked array. Cut the record to its complete "
-            "part, or leave out the sensor."
-        )
+    """The data as an array or, if they have gaps, as a shared variable: PyMC would impute NaN in an array."""
     values = observed.get_value(borrow=True) if isinstance(observed, SharedVariable) else observed
     try:
+        if np.ma.isMaskedArray(values):
+            values = np.ma.filled(values.astype(np.float64), np.nan)
         values = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         raise TypeError(f"`observed` must be an array of numbers, got {type(observed).__name__}.") from None
-    if values.ndim not in (1, 2) or values.size == 0 or not np.isfinite(values).all():
+    gaps = np.isnan(values)
+    if values.ndim not in (1, 2) or values.size == 0 or np.isinf(values).any():
         raise ValueError(
             "`observed` must be finite numbers of shape (sensor, time), or (entry,) for a summary, got shape "
             f"{values.shape}."
         )
-    return observed if isinstance(observed, SharedVariable) else np.ascontiguousarray(values)
+    silent = np.flatnonzero(gaps.all(axis=-1) if values.ndim == 2 else gaps)
+    if silent.size:
+        raise ValueError(
+            "`observed` must have data of every sensor, or every entry of a summary, got NaN alone at index "
+            f"{silent[0]}. Leave it out."
+        )
+    if isinstance(observed, SharedVariable):
+        return observed
+    values = np.ascontiguousarray(values)
+    return pytensor.shared(values, shape=values.shape) if gaps.any() else values
