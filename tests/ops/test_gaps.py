@@ -11,6 +11,7 @@ import pytest
 from pytensor.gradient import pushforward
 from pytensor.graph.replace import vectorize_graph
 from pytensor.graph.traversal import ancestors
+from scipy import stats
 
 import pymc_features as pmf
 from pymc_features import (
@@ -29,6 +30,7 @@ from pymc_features import (
 )
 from pymc_features.distributions import FEATURE_LIKELIHOODS
 from pymc_features.likelihood_free.functions import NoisySimulator
+from pymc_features.likelihoods import LIKELIHOODS, Comparison
 from pymc_features.smc import population_logp
 from support.external_functions import DATA, SHAPE, beam, beam_gradient, beam_squares
 from support.families import CASES, measured
@@ -260,6 +262,23 @@ def test_data_that_are_set_later():
         e = means(exact, values)
         np.testing.assert_allclose(found, np.sum(0.5 * np.log(2 / np.pi) - np.log(0.5) - e / 0.5), rtol=1e-9)
     assert not np.isclose(logp({}), whole)
+
+
+@pytest.mark.parametrize("sigma", [0.7, np.array([0.3, 0.7, 1.4])])
+def test_conventional_likelihood_of_the_catalogue(sigma):
+    """Independent Gaussian samples, of those measured."""
+    data, (build, record) = with_gaps(measured("chain")), CASES["chain"]
+    with pm.Model(coords={"sensor": range(3)}) as model:
+        given = Comparison(response(build(X[0]), record), data, pt.as_tensor_variable(sigma))
+        LIKELIHOODS["NORM"].declare(given)
+    exact = simulate(build(X[0]), record).values
+    expected = np.nansum(stats.norm(exact, np.broadcast_to(sigma, 3)[:, None]).logpdf(data))
+    np.testing.assert_allclose(model.compile_logp(mode=LIGHT)({}), expected, rtol=1e-9)
+    drawn = pm.draw(model["y"], 2000, random_seed=1, mode=LIGHT) - exact
+    # relative error of a variance of 140,000 draws: 0.004; the limit is five times that
+    np.testing.assert_allclose(drawn.var(axis=(0, 2)), np.broadcast_to(sigma, 3) ** 2, rtol=0.02)
+    n = (~np.isnan(data)).sum(axis=1)
+    assert LIKELIHOODS["NORM"].claimed(n) == n.sum()
 
 
 def test_a_normal_with_nan_in_shared_data_stays_impossible():
