@@ -72,7 +72,8 @@ def calibrate(
     Raises
     ------
     TypeError, ValueError
-        If a likelihood is not known, the residuals vanish, or the likelihood has no maximum near the draws.
+        If a likelihood is not known, the data have gaps, the residuals vanish, or the likelihood has no
+        maximum near the draws.
 
     Warns
     -----

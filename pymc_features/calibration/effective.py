@@ -65,7 +65,7 @@ def effective_samples(
     Raises
     ------
     TypeError, ValueError
-        If a likelihood is not known, or the residuals vanish.
+        If a likelihood is not known, the data have gaps, or the residuals vanish.
 
     Warns
     -----

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pytensor.tensor as pt
 from pymc.pytensorf import compile as compile_function
+from pytensor.compile.mode import Mode
 
 from pymc_features.calibration.comparison import comparison, independent
 from pymc_features.inference.parameters import Unconstrained
@@ -86,6 +87,7 @@ class Predictions:
     def __init__(self, model):
         if not model.observed_RVs:
             raise ValueError("`model` must have observed variables, got none.")
+        check_complete(model)
         self.model, self.space = model, Unconstrained(model)
         self.names = [rv.name for rv in model.observed_RVs]
         parts = [comparison(rv.owner.op, rv, model.rvs_to_values[rv]) for rv in model.observed_RVs]
@@ -102,6 +104,18 @@ class Predictions:
         self.count += 1
         flat = self.function(*self.space.split(z).values())
         return [by_sensor(*flat[i : i + 6]) for i in range(0, len(flat), 6)]
+
+
+def check_complete(model):
+    """Refuse data with gaps: how errors persist is estimated from neighbouring residuals."""
+    for rv in model.observed_RVs:
+        data = model.rvs_to_values[rv].eval(mode=Mode(linker="py", optimizer=None))
+        if np.isnan(data).any():
+            raise ValueError(
+                f"`model` must have data without gaps, got NaN in {rv.name}: how errors persist is told from "
+                "neighbouring residuals. Compare a part of the record without gaps, or report the posterior "
+                "of TruncNormalFeature, ExpFeature or GammaFeature, which leave gaps out."
+            )
 
 
 def by_sensor(mu, observed, scale, log_scale, claimed, decay):

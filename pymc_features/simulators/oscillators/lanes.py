@@ -24,6 +24,10 @@ class Lanes(NamedTuple):
         Output of each mode at the sensors, and feed-through.
     outputs, ground, data : array (m SAMPLES, LANES), (SAMPLES stride,), (sensors, SAMPLES)
         One block: modal outputs, excitation, data.
+    measured : array (sensors, SAMPLES)
+        One block: 1 where there are data, 0 where not.
+    has_gap : bool array (blocks,)
+        Blocks in which data are missing.
     squares : array (s, LANES)
         Sums of squared misfits.
     """
@@ -35,6 +39,8 @@ class Lanes(NamedTuple):
     outputs: np.ndarray
     ground: np.ndarray
     data: np.ndarray
+    measured: np.ndarray
+    has_gap: np.ndarray
     squares: np.ndarray
 
 
@@ -56,8 +62,21 @@ class Increments(NamedTuple):
 
 
 @jit
-def new_lanes(n_sensors, n_modes, stride):
-    """Lanes without structures."""
+def blocks_with_gaps(observed):
+    """Which blocks of `SAMPLES` samples of data (sensors, time) have NaN in them."""
+    n_times = observed.shape[1]
+    found = np.zeros((n_times + SAMPLES - 1) // SAMPLES, dtype=np.bool_)
+    for j in range(observed.shape[0]):
+        for k in range(n_times):
+            if observed[j, k] != observed[j, k]:
+                found[k // SAMPLES] = True
+    return found
+
+
+@jit
+def new_lanes(observed, n_modes, stride):
+    """Lanes without structures, for data (sensors, time)."""
+    n_sensors = observed.shape[0]
     s, m = n_sensors + n_sensors % 2, n_modes + n_modes % 2
     return Lanes(
         coefficients=np.zeros((N_COEFFICIENTS * m, LANES)),
@@ -67,6 +86,8 @@ def new_lanes(n_sensors, n_modes, stride):
         outputs=np.empty((SAMPLES * m, LANES)),
         ground=np.empty(SAMPLES * stride),
         data=np.empty((n_sensors, SAMPLES)),
+        measured=np.empty((n_sensors, SAMPLES)),
+        has_gap=blocks_with_gaps(observed),
         squares=np.empty((s, LANES)),
     )
 
