@@ -102,10 +102,10 @@ def modes(
             f"`structure` must be a Structure, got {type(structure).__name__}. "
             "Pass for example a SpringMassChain."
         )
-    n = structure.n_dof
-    n_modes = (
-        n if n_modes is None else check_integer(n_modes, "n_modes", most=n, advice="Leave it out for all.")
-    )
+    n, most = structure.n_dof, structure.n_modes
+    if n_modes is None:
+        n_modes = most
+    n_modes = check_integer(n_modes, "n_modes", most=most, advice="Leave it out for all.")
     op = StructuralModes(structure.family)
     parameters = dict(zip(op.spec.parameters, structure.parameters(), strict=True))
     given = static_length(parameters["ratios"])
