@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 import pytensor.tensor as pt
 from pymc.pytensorf import compile as compile_function
-from pytensor.compile.mode import Mode
 
 from pymc_features.calibration.comparison import comparison, independent
+from pymc_features.calibration.gaps import check_gaps, mirrored, without_gaps
 from pymc_features.inference.parameters import Unconstrained
 from pymc_features.smc.density.compilation import with_mode
 
@@ -19,9 +19,9 @@ class Event(NamedTuple):
     ----------
     name : str
     residuals : array (sensor, time)
-        r, in units of their scale.
+        r, in units of their scale; zero in gaps.
     sensitivities : array (sensor, time, parameter)
-        S = -dr / dz at constant scale.
+        S = -dr / dz at constant scale; zero in gaps.
     of_scale : array (sensor, parameter)
         d ln s / dz.
     claimed : array (sensor,)
@@ -30,6 +30,8 @@ class Event(NamedTuple):
         Prediction, in the units of the data.
     step : float
         Sampling step [s].
+    measured : bool array (sensor, time), optional
+        Which samples were; None if all.
     """
 
     name: str
@@ -39,6 +41,16 @@ class Event(NamedTuple):
     claimed: np.ndarray
     response: np.ndarray
     step: float
+    measured: np.ndarray | None = None
+
+    @property
+    def n_samples(self) -> int:
+        """Samples that were measured."""
+        return self.residuals.size if self.measured is None else int(self.measured.sum())
+
+    def whole(self, series):
+        """Series (sensor, time, ...) with what stands in for them in gaps."""
+        return series if self.measured is None else series[:, mirrored(~self.measured.all(axis=0))]
 
     @property
     def score(self) -> np.ndarray:
@@ -87,7 +99,7 @@ class Predictions:
     def __init__(self, model):
         if not model.observed_RVs:
             raise ValueError("`model` must have observed variables, got none.")
-        check_complete(model)
+        check_gaps(model)
         self.model, self.space = model, Unconstrained(model)
         self.names = [rv.name for rv in model.observed_RVs]
         parts = [comparison(rv.owner.op, rv, model.rvs_to_values[rv]) for rv in model.observed_RVs]
@@ -104,18 +116,6 @@ class Predictions:
         self.count += 1
         flat = self.function(*self.space.split(z).values())
         return [by_sensor(*flat[i : i + 6]) for i in range(0, len(flat), 6)]
-
-
-def check_complete(model):
-    """Refuse data with gaps: how errors persist is estimated from neighbouring residuals."""
-    for rv in model.observed_RVs:
-        data = model.rvs_to_values[rv].eval(mode=Mode(linker="py", optimizer=None))
-        if np.isnan(data).any():
-            raise ValueError(
-                f"`model` must have data without gaps, got NaN in {rv.name}: how errors persist is told from "
-                "neighbouring residuals. Compare a part of the record without gaps, or report the posterior "
-                "of TruncNormalFeature, ExpFeature or GammaFeature, which leave gaps out."
-            )
 
 
 def by_sensor(mu, observed, scale, log_scale, claimed, decay):
@@ -136,7 +136,7 @@ def log_likelihood(values) -> float:
 def residuals_of(value):
     """Scaled residuals (sensor, time), independent under the likelihood."""
     mu, observed, scale, _, _, decay = value
-    return independent((observed - mu) / scale, decay)
+    return independent(without_gaps((observed - mu) / scale, observed), decay)
 
 
 def events_at(predictions, z, steps, here, sides=(1.0, -1.0)) -> list[Event]:
@@ -156,9 +156,10 @@ def from_differences(predictions, here, ends, widths) -> list[Event]:
     """Events with derivatives from predictions at both ends of an interval for each parameter."""
     events = []
     for i, (name, step) in enumerate(zip(predictions.names, predictions.steps, strict=True)):
-        scale, decay = here[i][2], here[i][5]
+        observed, scale, decay = here[i][1], here[i][2], here[i][5]
+        measured = ~np.isnan(observed)
         slopes = [
-            independent((up[i][0] - down[i][0]) / (h * scale), decay)
+            independent(without_gaps((up[i][0] - down[i][0]) / (h * scale), observed), decay)
             for (up, down), h in zip(ends, widths, strict=True)
         ]
         of_scale = [(up[i][3] - down[i][3]) / h for (up, down), h in zip(ends, widths, strict=True)]
@@ -171,6 +172,7 @@ def from_differences(predictions, here, ends, widths) -> list[Event]:
                 here[i][4],
                 here[i][0],
                 step,
+                None if measured.all() else measured,
             )
         )
     return events

@@ -125,9 +125,9 @@ class GammaFeature(FeatureLikelihood):
 
     Notes
     -----
-    `observed` may have gaps, see `TruncNormalFeature`; not with ``m="residuals"``. Independent Gaussian
-    errors of standard deviation s, as of `pm.Normal`, are those with ``density="data"``, m the number N_j of
-    samples of a sensor that were measured, and sigma = s / sqrt(N_j).
+    `observed` may have gaps, see `TruncNormalFeature`. Independent Gaussian errors of standard deviation s,
+    as of `pm.Normal`, are those with ``density="data"``, m the number N_j of samples of a sensor that were
+    measured, and sigma = s / sqrt(N_j).
 
     Samplers do not fill m by themselves: a fit takes time, changes data of the model, and PyMC's own samplers
     would not do it, so that one model had two posteriors. An unfilled m is an error with all of them.

@@ -73,6 +73,5 @@ CAL = Likelihood(
     NORM.declare,
     posterior=exact,
     reasons={"narrows": "residuals that are white at every step do tell more where there are more of them"},
-    takes_gaps=False,
     calibrates="NORM",
 )

@@ -28,7 +28,6 @@ from pymc_features import (
     response,
     simulate,
 )
-from pymc_features.distributions import FEATURE_LIKELIHOODS
 from pymc_features.likelihood_free.functions import NoisySimulator
 from pymc_features.likelihoods import LIKELIHOODS, Comparison
 from pymc_features.smc import population_logp
@@ -436,10 +435,3 @@ def test_refusals_of_simulators():
     ):
         with pm.Model(), pytest.raises(ValueError, match=match):
             DiscrepancySimulator("y", lambda v: v, x, epsilon=1.0, observed=data)
-
-
-@pytest.mark.parametrize("likelihood", FEATURE_LIKELIHOODS)
-def test_calibration_refuses_gaps(likelihood):
-    model = model_of(likelihood, "chain", with_gaps(measured("chain")))
-    with pytest.raises(ValueError, match="data without gaps, got NaN in y: how errors persist .* Compare a"):
-        pmf.effective_samples(model)

@@ -182,12 +182,12 @@ def checked_dofs(config, size) -> list[int]:
 
 
 def check_gaps(config, measured) -> None:
-    """Likelihoods that look at neighbouring errors take no gaps."""
+    """Likelihoods that compare neighbouring samples take no gaps."""
     whole = [kind for kind in config.likelihood.kinds if not LIKELIHOODS[kind].takes_gaps]
     if whole and measured.left_out:
         raise ConfigError(
             f"`likelihood.kinds` must not have {whole[0]} where samples are missing, got gaps of "
-            f"{measured.left_out}: how errors persist is told from neighbouring samples. Compare a part "
+            f"{measured.left_out}: it compares neighbouring samples. Compare a part "
             "without gaps by `processing.compare`, leave out the sensor, or take "
             f"{', '.join(kind for kind, entry in LIKELIHOODS.items() if entry.takes_gaps)}."
         )

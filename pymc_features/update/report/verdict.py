@@ -220,7 +220,7 @@ def foretold(problem: Problem) -> list[str]:
         if claimed is not None and claimed < 2 * n_unknown:
             found.append(
                 f"{kind} counts {claimed:.0f} observations for {n_unknown} unknown parameters of the "
-                "structure: expect a posterior that is not much narrower than the prior."
-                + ("" if problem.measured.left_out else " CAL counts what the residuals support.")
+                "structure: expect a posterior that is not much narrower than the prior. CAL counts what the "
+                "residuals support."
             )
     return found
