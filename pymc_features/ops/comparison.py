@@ -206,7 +206,7 @@ def mean_square_discrepancy(mu: TensorLike, observed: TensorLike) -> np.ndarray 
         check_histories(mu, observed)
         check_shape(mu.shape, observed.shape)
         return mean_of_measured(mu, observed)
-    observed = pt.as_tensor_variable(observed)
+    mu, observed = as_tensor(mu, "mu", HISTORY), as_tensor(observed, "observed", HISTORY)
     n_measured = measured_samples(observed)
 
     def plain(misfit):

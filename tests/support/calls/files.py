@@ -68,6 +68,7 @@ WELL = {
     "channels in Fortran's order",
     "channels without names",
     "channels of one name",
+    "channels with NaN",
     "one channel",
 }
 SEVERAL = WELL - {"channels of one name", "one channel"}
