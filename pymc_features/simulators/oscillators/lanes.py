@@ -24,10 +24,8 @@ class Lanes(NamedTuple):
         Output of each mode at the sensors, and feed-through.
     outputs, ground, data : array (m SAMPLES, LANES), (SAMPLES stride,), (sensors, SAMPLES)
         One block: modal outputs, excitation, data.
-    measured : array (sensors, SAMPLES)
-        One block: 1 where there are data, 0 where not.
-    has_gap : bool array (blocks,)
-        Blocks in which data are missing.
+    has_gaps : bool
+        Whether data are missing.
     squares : array (s, LANES)
         Sums of squared misfits.
     """
@@ -39,8 +37,7 @@ class Lanes(NamedTuple):
     outputs: np.ndarray
     ground: np.ndarray
     data: np.ndarray
-    measured: np.ndarray
-    has_gap: np.ndarray
+    has_gaps: bool
     squares: np.ndarray
 
 
@@ -62,15 +59,13 @@ class Increments(NamedTuple):
 
 
 @jit
-def blocks_with_gaps(observed):
-    """Which blocks of `SAMPLES` samples of data (sensors, time) have NaN in them."""
-    n_times = observed.shape[1]
-    found = np.zeros((n_times + SAMPLES - 1) // SAMPLES, dtype=np.bool_)
+def has_gaps(observed):
+    """Whether there are NaN in data (sensors, time)."""
     for j in range(observed.shape[0]):
-        for k in range(n_times):
+        for k in range(observed.shape[1]):
             if observed[j, k] != observed[j, k]:
-                found[k // SAMPLES] = True
-    return found
+                return True
+    return False
 
 
 @jit
@@ -86,8 +81,7 @@ def new_lanes(observed, n_modes, stride):
         outputs=np.empty((SAMPLES * m, LANES)),
         ground=np.empty(SAMPLES * stride),
         data=np.empty((n_sensors, SAMPLES)),
-        measured=np.empty((n_sensors, SAMPLES)),
-        has_gap=blocks_with_gaps(observed),
+        has_gaps=has_gaps(observed),
         squares=np.empty((s, LANES)),
     )
 

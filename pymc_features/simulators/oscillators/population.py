@@ -10,8 +10,8 @@ and with y2 scaled so that the coefficient by which it enters y1 is one, five pr
 instead of ten; what stands before a[k] in the output goes into the feed-through of the sensors. A block of
 16 outputs of all modes stays in the first-level cache, where it is combined with the mode shapes and
 compared with the data, two sensors and four samples at a time. Where the increments of the misfit are asked
-for, the misfits of the block go through a buffer in that cache; where not, Numba leaves that code out. Blocks
-with gaps in the data are compared by code of their own, for the others are to lose no time by them.
+for, the misfits of the block go through a buffer in that cache; where not, Numba leaves that code out, and
+so with gaps in the data, that others lose no time by them.
 """
 
 import numpy as np
@@ -190,28 +190,30 @@ def add_increments(increments, count, is_first):
 
 
 @jit
-def copy_data(lanes, observed, first, count, has_gap):
+def copy_data(lanes, observed, first, count, measured):
     """Write a block of data, from sample `first` on, into `lanes.data`; zeros behind `count` samples.
 
-    If it has gaps zeros there, too, and into `lanes.measured` where they are.
+    Unless `measured` is None zeros in gaps, too, and into `measured` where they are.
     """
+    own_data = lanes.data
     for j in range(observed.shape[0]):
         for b in range(SAMPLES):
-            lanes.data[j, b] = observed[j, first + b] if b < count else 0.0
-            if has_gap:
-                is_there = lanes.data[j, b] == lanes.data[j, b]
-                lanes.measured[j, b] = 1.0 if is_there else 0.0
-                lanes.data[j, b] = lanes.data[j, b] if is_there else 0.0
+            own_data[j, b] = observed[j, first + b] if b < count else 0.0
+            if measured is not None:
+                is_there = own_data[j, b] == own_data[j, b]
+                measured[j, b] = 1.0 if is_there else 0.0
+                own_data[j, b] = own_data[j, b] if is_there else 0.0
 
 
 @jit
-def march(lanes, excitation, observed, increments):
+def march(lanes, excitation, observed, increments, measured):
     """Sums of squares of all sensors for the structures in the lanes, into `lanes.squares`.
 
-    `increments` is None if they are not asked for; with them, all sums of data with gaps are NaN.
+    `increments` is None if they are not asked for; with them, all sums of data with gaps are NaN. `measured`
+    (sensors, SAMPLES) is overwritten; None if the data have no gaps, and Numba leaves that code out.
     """
     acceleration, _, substeps, stride = excitation
-    own_ground, own_data, outputs = lanes.ground, lanes.data, lanes.outputs
+    own_ground, outputs = lanes.ground, lanes.outputs
     n_times = observed.shape[1]
     lanes.squares.fill(0.0)
     if increments is not None:
@@ -223,24 +225,21 @@ def march(lanes, excitation, observed, increments):
             interpolate(acceleration, substeps, step, own_ground)
             ground, step = own_ground, 0
         count = n_times - first
-        has_gap = lanes.has_gap[first // SAMPLES] and increments is None
         if count < SAMPLES:  # the end of the data: what lies behind it must come out as zero
             for k in range(count * stride, own_ground.size):
                 own_ground[k] = 0.0
-        if count < SAMPLES or has_gap:
-            copy_data(lanes, observed, first, count, has_gap)
-            data, sample = own_data, 0
+        if count < SAMPLES or measured is not None:
+            copy_data(lanes, observed, first, count, measured)
+            data, sample = lanes.data, 0
         advance_lanes(lanes.coefficients, lanes.states, ground, step, stride, outputs)
         for r in range(outputs.shape[0] // SAMPLES):
             for b in range(count, SAMPLES):
                 store(outputs, SAMPLES * r + b, splat(0.0))
-        if increments is not None:
+        if increments is None:
+            add_squares(lanes, data, sample, ground, step, stride, measured, None)
+        else:
             add_squares(lanes, data, sample, ground, step, stride, None, increments.misfits)
             add_increments(increments, min(count, SAMPLES), first == 0)
-        elif has_gap:
-            add_squares(lanes, data, sample, ground, step, stride, lanes.measured, None)
-        else:
-            add_squares(lanes, data, sample, ground, step, stride, None, None)
 
 
 @jit
@@ -256,7 +255,10 @@ def lane_statistics(lanes, excitation, observed, increments):
     increments : Increments or None
         None if only e_j is asked for.
     """
-    march(lanes, single_input(excitation), observed, increments)
+    if increments is None and lanes.has_gaps:
+        march(lanes, single_input(excitation), observed, increments, np.empty((observed.shape[0], SAMPLES)))
+    else:
+        march(lanes, single_input(excitation), observed, increments, None)
     n_sensors, n_times = observed.shape
     result = np.empty((LANES, n_sensors, 1 if increments is None else 4))
     for lane in range(LANES):
