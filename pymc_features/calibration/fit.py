@@ -99,10 +99,10 @@ class Predictions:
     def __init__(self, model):
         if not model.observed_RVs:
             raise ValueError("`model` must have observed variables, got none.")
-        check_gaps(model)
         self.model, self.space = model, Unconstrained(model)
         self.names = [rv.name for rv in model.observed_RVs]
         parts = [comparison(rv.owner.op, rv, model.rvs_to_values[rv]) for rv in model.observed_RVs]
+        check_gaps(model)
         self.steps = [part.step for part in parts]
         tensors = [pt.as_tensor_variable(x) for part in parts for x in part.tensors]
         tensors = model.replace_rvs_by_values(tensors)

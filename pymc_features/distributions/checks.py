@@ -16,7 +16,7 @@ from pytensor.graph.replace import graph_replace
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor.random.op import RandomVariable
 
-from pymc_features._checks import as_numbers, message
+from pymc_features._checks import as_numbers, masked_as_nan, message
 from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.ops import as_tensor, check_shape, mean_square_discrepancy, response_step
 
@@ -110,11 +110,11 @@ def prepare_observed(mu, observed, name, *, gaps=False):
         _check_values(_values(observed), gaps)
         check_shape(mu.type.shape, shape_of(observed))
         return observed
-    masked = np.ma.isMaskedArray(observed) and np.ma.getmaskarray(observed).any()
-    if masked and not gaps:
-        raise ValueError(f"`observed` must have no missing values, got a masked array. {COMPLETE}")
-    values = np.ma.filled(observed.astype(np.float64), np.nan) if masked else observed
-    values = np.array(as_numbers(values, "observed"))
+    if np.ma.isMaskedArray(observed) and np.ma.getmaskarray(observed).any():
+        if not gaps:
+            raise ValueError(f"`observed` must have no missing values, got a masked array. {COMPLETE}")
+        observed = masked_as_nan(observed)
+    values = np.array(as_numbers(observed, "observed"))
     _check_dimensions(mu, values.shape)
     _check_values(values, gaps)
     check_shape(mu.type.shape, values.shape)

@@ -109,7 +109,12 @@ def read_channels_with_gaps(
     files: str | PathLike | Sequence[str | PathLike] | Mapping[str, str | PathLike],
     *,
     columns: int | str | Sequence[int | str] | Mapping[str, int | str] | None = None,
-    **settings,
+    units: str | float | None = None,
+    dt: float | None = None,
+    clock: int | str | bool | None = None,
+    clock_units: str | float | None = None,
+    skip: int = 0,
+    wrapped: bool | None = None,
 ) -> xr.DataArray:
     """Read measured accelerations of several sensors of which samples are missing: NaN.
 
@@ -118,10 +123,8 @@ def read_channels_with_gaps(
 
     Parameters
     ----------
-    files, columns
+    files, columns, units, dt, clock, clock_units, skip, wrapped
         As of `read_channels`.
-    **settings
-        All others of `read_channels`.
 
     Returns
     -------
@@ -151,10 +154,11 @@ def read_channels_with_gaps(
     array([[ 0.1,  0. , -0.2,  nan,  0.1],
            [ 0. ,  nan,  0.1,  nan,  0.2]])
     """
-    return _read(files, columns, replace(_request(**settings), gaps=True))
+    request = _request(units, dt, clock, clock_units, skip, wrapped)
+    return _read(files, columns, replace(request, gaps=True))
 
 
-def _request(units=None, dt=None, clock=None, clock_units=None, skip=0, wrapped=None) -> Request:
+def _request(units, dt, clock, clock_units, skip, wrapped) -> Request:
     """The settings of the caller, checked."""
     request = Request(
         units=units,

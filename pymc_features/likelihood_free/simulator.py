@@ -16,7 +16,7 @@ from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.random.op import RandomVariable
 
-from pymc_features._checks import as_numbers, check_choice, check_name, shown
+from pymc_features._checks import as_numbers, check_choice, check_name, masked_as_nan, shown
 from pymc_features.likelihood_free.functions import (
     FunctionSimulator,
     NoisySimulator,
@@ -238,9 +238,7 @@ def _per_sensor(name, value, n_sensors, advice, *, zero=False, kind="sensors"):
 def _checked_data(observed):
     """The data as an array or, if they have gaps, as a shared variable: PyMC would impute NaN in an array."""
     values = observed.get_value(borrow=True) if isinstance(observed, SharedVariable) else observed
-    if np.ma.isMaskedArray(values):
-        values = np.ma.filled(values.astype(np.float64), np.nan)
-    values = as_numbers(values, "observed")
+    values = as_numbers(masked_as_nan(values), "observed")
     gaps = np.isnan(values)
     if values.ndim not in (1, 2) or values.size == 0 or np.isinf(values).any():
         raise ValueError(

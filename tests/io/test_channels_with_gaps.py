@@ -120,8 +120,6 @@ def test_a_sensor_without_any_sample(tmp_path):
         read_channels_with_gaps(path)
 
 
-def test_unknown_settings(tmp_path):
-    with pytest.raises(TypeError, match="unexpected keyword argument 'unit'"):
-        read_channels_with_gaps(table(tmp_path), unit="g")
+def test_arguments_are_those_of_read_channels(tmp_path):
     with pytest.raises(ValueError, match="`dt` must be given with clock=False"):
         read_channels_with_gaps(table(tmp_path), clock=False)
