@@ -1,5 +1,6 @@
 """Measured channels of several sensors, from one file or a group of files, on their common clock."""
 
+import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Integral
@@ -25,6 +26,7 @@ from pymc_features.io.formats import format_of
 from pymc_features.io.reading.clock import Request, clock_seconds, common_window
 from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.units import unit_factor
+from pymc_features.keywords import check_keywords
 from pymc_features.signals.single import check_each
 
 
@@ -151,6 +153,8 @@ def read_channels_with_gaps(
     array([[ 0.1,  0. , -0.2,  nan,  0.1],
            [ 0. ,  nan,  0.1,  nan,  0.2]])
     """
+    known = [name for name in inspect.signature(read_channels).parameters if name not in ("files", "columns")]
+    check_keywords(settings, known, "read_channels_with_gaps")
     return _read(files, columns, replace(_request(**settings), gaps=True))
 
 

@@ -121,7 +121,7 @@ def test_a_sensor_without_any_sample(tmp_path):
 
 
 def test_unknown_settings(tmp_path):
-    with pytest.raises(TypeError, match="unexpected keyword argument 'unit'"):
+    with pytest.raises(TypeError, match="got 'unit'. Did you mean 'units'"):
         read_channels_with_gaps(table(tmp_path), unit="g")
     with pytest.raises(ValueError, match="`dt` must be given with clock=False"):
         read_channels_with_gaps(table(tmp_path), clock=False)
