@@ -129,6 +129,13 @@ def as_numbers(value, name: str, advice: str = "", *, what: str = "an array of n
     return numbers
 
 
+def masked_as_nan(value):
+    """A masked array of numbers with NaN for what it hides; anything else as it is."""
+    if np.ma.isMaskedArray(value) and value.dtype.kind in "iuf":
+        return np.ma.filled(value.astype(np.float64), np.nan)
+    return value
+
+
 def check_finite(array: np.ndarray, name: str, advice: str = "") -> None:
     """Refuse NaN and infinity, with the place of the first."""
     wrong = np.argwhere(~np.isfinite(array))

@@ -8,6 +8,7 @@ from pymc_features.ops.comparison import (
     StructuralDiscrepancy,
     StructuralMisfit,
     mean_square_discrepancy,
+    measured_samples,
     misfit_statistics,
 )
 from pymc_features.ops.external import ExternalDiscrepancy, ExternalGradient, ExternalResponse
@@ -41,6 +42,7 @@ __all__ = [
     "check_shape",
     "jax_loader",
     "mean_square_discrepancy",
+    "measured_samples",
     "misfit_statistics",
     "name_the_time_axis",
     "external_dispatch",

@@ -62,6 +62,7 @@ ODD_CHANNELS = {
 }
 ODD_CHANNELS["channels that are read-only"].values.setflags(write=False)
 WELL = {
+    "channels with NaN",
     "channels of 16 bits",
     "channels of integers",
     "channels that are read-only",
@@ -94,29 +95,32 @@ CALLS = {
         },
         {"column": ["dt"], "wrapped": ["column"]},
     ),
-    "read_channels": Call(
-        pmf.read_channels,
-        {
-            "files": TEXT,
-            "columns": None,
-            "units": "g",
-            "dt": None,
-            "clock": None,
-            "clock_units": None,
-            "skip": 0,
-            "wrapped": None,
-        },
-        {
-            "columns": {"None", "NumPy's 2"},
-            "units": POSITIVE,
-            "dt": {"None", *POSITIVE},
-            "clock": {"None", "0"},
-            "clock_units": {"None", *POSITIVE} - {"1e300"},
-            "skip": {"0", *ONE},
-            "wrapped": {"None"},
-        },
-        {"clock_units": ["dt"], "wrapped": ["dt"]},
-    ),
+    **{
+        function.__name__: Call(
+            function,
+            {
+                "files": TEXT,
+                "columns": None,
+                "units": "g",
+                "dt": None,
+                "clock": None,
+                "clock_units": None,
+                "skip": 0,
+                "wrapped": None,
+            },
+            {
+                "columns": {"None", "NumPy's 2"},
+                "units": POSITIVE,
+                "dt": {"None", *POSITIVE},
+                "clock": {"None", "0"},
+                "clock_units": {"None", *POSITIVE} - {"1e300"},
+                "skip": {"0", *ONE},
+                "wrapped": {"None"},
+            },
+            {"clock_units": ["dt"], "wrapped": ["dt"]},
+        )
+        for function in (pmf.read_channels, pmf.read_channels_with_gaps)
+    },
     "read_matrices": Call(pmf.read_matrices, {"path": MATRICES}),
     "datasets.mini_shake_table": Call(
         pmf.datasets.mini_shake_table,
