@@ -14,7 +14,9 @@ from scipy import sparse
 import pymc_features as pmf
 from pymc_features import AffineStructure, ModalDamping, RayleighDamping, simulate
 from support import opensees
+from support.commands import ROOT
 from support.opensees import ALPHA, BETA, CHANGED, NOMINAL, building, shaking, tied_frame
+from support.pages import blocks
 from support.structures import peak_error
 
 DAMPED = partial(building, damped=True)
@@ -62,6 +64,16 @@ def test_absolute_acceleration_of_what_follows():
     np.testing.assert_allclose(absolute[1:], relative[1:], atol=1e-12)
     along = simulate(frame(direction="y"), record, sensors="31:y").values
     assert peak_error(along, absolute[:1]) > 0.1
+
+
+def test_example_of_the_page():
+    """Whose beam does not stretch: both corners move alike."""
+    (code,) = (b for b in blocks(ROOT / "docs" / "structures.md", "python no-run") if "from_opensees" in b)
+    names = {"pmf": pmf, "pm": pm, "np": np, "record": shaking()}
+    exec(code, names)
+    left, right, up = names["acceleration"].eval({names["columns"]: 30e9})
+    np.testing.assert_allclose(left, right, rtol=1e-12, atol=1e-12)
+    assert 0.0 < abs(up).max() < 0.1 * abs(left).max()
 
 
 def test_corners_follow_their_master():
