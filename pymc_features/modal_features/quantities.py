@@ -13,7 +13,7 @@ from pymc_features._checks import check_integer
 from pymc_features.modal_features.operations import StructuralModes
 from pymc_features.ops.response import as_data
 from pymc_features.records import Record
-from pymc_features.simulators.request import check_outputs, check_sensors
+from pymc_features.simulators.request import check_outputs, check_sensors, picked_by_name
 from pymc_features.structures import Structure
 from pymc_features.structures.base import static_length
 
@@ -42,7 +42,7 @@ def modes(
     structure: Structure,
     n_modes: int | None = None,
     *,
-    sensors: Sequence[int] | None = None,
+    sensors: Sequence[int] | Sequence[str] | None = None,
     outputs: ArrayLike | sparse.sparray | None = None,
 ) -> SymbolicModes:
     """Natural frequencies, mode shapes and modal damping of a structure inside a PyMC model.
@@ -53,8 +53,8 @@ def modes(
         Its parameters may be random variables. Of a nonlinear chain the modes are those of small motions.
     n_modes : int, optional
         Number of modes, lowest first. All by default.
-    sensors : sequence of int, optional
-        Degrees of freedom at which the shapes are wanted, 0 next to the base. All by default.
+    sensors : sequence of int or str, optional
+        Degrees of freedom at which the shapes are wanted, 0 next to the base, or their names. All by default.
     outputs : array_like or sparse matrix (s, n), optional
         S, for shapes S phi of combinations of degrees of freedom instead of `sensors`: sensors between nodes,
         in oblique directions, strains.
@@ -119,9 +119,9 @@ def modes(
         if sensors is not None:
             raise ValueError("`sensors` must be left out with `outputs`, got both. Choose rows of `outputs`.")
         combined = check_outputs(outputs, n)
-        picked = np.flatnonzero(combined.any(axis=0))
     else:
-        picked = check_sensors(sensors, n)
+        sensors, combined, _ = picked_by_name(structure, sensors)
+    picked = check_sensors(sensors, n) if combined is None else np.flatnonzero(combined.any(axis=0))
     constants = zip(op.spec.constants, structure.constants(AT_REST), strict=True)
     shared = [as_data(array, name) for name, array in constants]
     found = SymbolicModes(*op(*parameters.values(), *shared, picked, n_modes))
