@@ -181,6 +181,8 @@ def read_and_tell(config, console):
     measured = problem.measured
     say(console, f"data: {measured.source}; base: {measured.record}")
     say(console, f"channels: {measured.checked.sentence}")
+    if measured.left_out:
+        say(console, f"left out as gaps: {measured.left_out}")
     return problem, told
 
 

@@ -12,7 +12,13 @@ from pymc_features.distributions import (
 from pymc_features.external import ExternalSimulator, ProgramSimulator, Surrogate
 from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.inference import fisher_information, laplace, sample, sample_nuts, tolerance_sweep
-from pymc_features.io import read_channels, read_matrices, read_modal, read_record
+from pymc_features.io import (
+    read_channels,
+    read_channels_with_gaps,
+    read_matrices,
+    read_modal,
+    read_record,
+)
 from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
 from pymc_features.modal import ModalData, merge_setups
 from pymc_features.modal_features import ModalFeature, mac, match_modes, modes
@@ -77,6 +83,7 @@ __all__ = [
     "paper",
     "posterior_response",
     "read_channels",
+    "read_channels_with_gaps",
     "read_matrices",
     "read_modal",
     "read_record",

@@ -39,7 +39,7 @@ ALLOWED = {
     "modal_features": {"records", "structures", "simulators", "ops", "distributions"},
     "likelihood_free": {"ops", "modal_features", "simulators", "fingerprint"},
     "smc": set(),
-    "inference": {"records", "structures", "simulators", "distributions", "smc"},
+    "inference": {"records", "structures", "simulators", "ops", "distributions", "smc"},
     "calibration": {"ops", "distributions", "inference", "smc"},
     "study": {
         *("records", "structures", "simulators", "io", "datasets", "ground_motion"),
@@ -115,6 +115,7 @@ PUBLIC_NAMES = [
     "plot_widths",
     "posterior_response",
     "read_channels",
+    "read_channels_with_gaps",
     "read_matrices",
     "read_modal",
     "read_record",

@@ -17,6 +17,7 @@ from pymc_features._checks.numeric import (
     check_share,
     check_step,
     is_number,
+    masked_as_nan,
     single,
     to_float,
 )
@@ -64,6 +65,7 @@ __all__ = [
     "check_title",
     "is_among",
     "is_number",
+    "masked_as_nan",
     "message",
     "shown",
     "single",

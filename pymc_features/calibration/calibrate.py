@@ -72,7 +72,7 @@ def calibrate(
     Raises
     ------
     TypeError, ValueError
-        If a likelihood is not known, the residuals vanish, or the likelihood has no maximum near the draws.
+        As of `effective_samples`, or if the likelihood has no maximum near the draws.
 
     Warns
     -----

@@ -107,7 +107,7 @@ def with_residuals(events, values):
 
 def excess(events):
     """Samples over the observations that the likelihood claims."""
-    return sum(event.residuals.size for event in events) / sum(event.claimed.sum() for event in events)
+    return sum(event.n_samples for event in events) / sum(event.claimed.sum() for event in events)
 
 
 def differences(events):

@@ -18,7 +18,7 @@ from pytensor.tensor.random.basic import NormalRV
 
 from pymc_features.distributions.correlated import CorrelatedNormalRV
 from pymc_features.distributions.feature import FeatureRV
-from pymc_features.ops import response_step
+from pymc_features.ops import measured_samples, response_step
 
 
 class Comparison(NamedTuple):
@@ -78,7 +78,8 @@ def comparison_feature(op, rv, observed):
     """As many observations as there are degrees of freedom, each sample a part of them."""
     _, _, mu, sigma, *m = rv.owner.inputs
     sigma = pt.broadcast_to(sigma, observed.shape[:-1])
-    root = pt.sqrt(pt.cast(observed.shape[-1], "float64"))
+    n_measured = measured_samples(observed)
+    root = pt.sqrt(pt.cast(observed.shape[-1], "float64") if n_measured is None else n_measured)
     scale = pt.broadcast_to((sigma * root)[..., None], observed.shape)
     claimed = pt.broadcast_to(pt.as_tensor_variable(op.degrees(*m)), sigma.shape).astype("float64")
     return described(mu, observed, scale, pt.log(sigma), claimed, np.inf)

@@ -39,7 +39,7 @@ def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = Non
     Raises
     ------
     TypeError, ValueError
-        If no likelihood waits for m, another one is not known, or the residuals vanish.
+        If no likelihood waits for m, or as of `effective_samples`.
 
     Warns
     -----

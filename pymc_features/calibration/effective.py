@@ -65,7 +65,8 @@ def effective_samples(
     Raises
     ------
     TypeError, ValueError
-        If a likelihood is not known, or the residuals vanish.
+        If a likelihood is not known, the residuals vanish, or data have gaps under another likelihood than
+        one of a feature, or for more than 40 % of the record.
 
     Warns
     -----
@@ -76,6 +77,9 @@ def effective_samples(
     -----
     What is the same all along the record and in every event, a bias of the model, cannot be seen from
     residuals. A correlation time that is inferred is left as its likelihood has it.
+
+    Samples in gaps of the data add nothing to the score. Where it is estimated how errors vary, residuals
+    beside a gap stand in for those in it; intervals cover as often as without gaps.
 
     References
     ----------
@@ -144,6 +148,7 @@ def of_sensor(event, j) -> float:
         of_scale=np.zeros_like(event.of_scale[[j]]),
         response=event.response[[j]],
         claimed=event.claimed[[j]],
+        measured=None if event.measured is None else event.measured[[j]],
     )
     information = np.einsum("stp,stq->pq", alone.sensitivities, alone.sensitivities)
     squares = float((alone.residuals**2).sum())

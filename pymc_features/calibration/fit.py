@@ -7,6 +7,7 @@ import pytensor.tensor as pt
 from pymc.pytensorf import compile as compile_function
 
 from pymc_features.calibration.comparison import comparison, independent
+from pymc_features.calibration.gaps import check_gaps, mirrored, without_gaps
 from pymc_features.inference.parameters import Unconstrained
 from pymc_features.smc.density.compilation import with_mode
 
@@ -18,9 +19,9 @@ class Event(NamedTuple):
     ----------
     name : str
     residuals : array (sensor, time)
-        r, in units of their scale.
+        r, in units of their scale; zero in gaps.
     sensitivities : array (sensor, time, parameter)
-        S = -dr / dz at constant scale.
+        S = -dr / dz at constant scale; zero in gaps.
     of_scale : array (sensor, parameter)
         d ln s / dz.
     claimed : array (sensor,)
@@ -29,6 +30,8 @@ class Event(NamedTuple):
         Prediction, in the units of the data.
     step : float
         Sampling step [s].
+    measured : bool array (sensor, time), optional
+        Which samples were; None if all.
     """
 
     name: str
@@ -38,6 +41,16 @@ class Event(NamedTuple):
     claimed: np.ndarray
     response: np.ndarray
     step: float
+    measured: np.ndarray | None = None
+
+    @property
+    def n_samples(self) -> int:
+        """Samples that were measured."""
+        return self.residuals.size if self.measured is None else int(self.measured.sum())
+
+    def whole(self, series):
+        """Series (sensor, time, ...) with what stands in for them in gaps."""
+        return series if self.measured is None else series[:, mirrored(~self.measured.all(axis=0))]
 
     @property
     def score(self) -> np.ndarray:
@@ -89,6 +102,7 @@ class Predictions:
         self.model, self.space = model, Unconstrained(model)
         self.names = [rv.name for rv in model.observed_RVs]
         parts = [comparison(rv.owner.op, rv, model.rvs_to_values[rv]) for rv in model.observed_RVs]
+        check_gaps(model)
         self.steps = [part.step for part in parts]
         tensors = [pt.as_tensor_variable(x) for part in parts for x in part.tensors]
         tensors = model.replace_rvs_by_values(tensors)
@@ -122,7 +136,7 @@ def log_likelihood(values) -> float:
 def residuals_of(value):
     """Scaled residuals (sensor, time), independent under the likelihood."""
     mu, observed, scale, _, _, decay = value
-    return independent((observed - mu) / scale, decay)
+    return independent(without_gaps((observed - mu) / scale, observed), decay)
 
 
 def events_at(predictions, z, steps, here, sides=(1.0, -1.0)) -> list[Event]:
@@ -142,9 +156,10 @@ def from_differences(predictions, here, ends, widths) -> list[Event]:
     """Events with derivatives from predictions at both ends of an interval for each parameter."""
     events = []
     for i, (name, step) in enumerate(zip(predictions.names, predictions.steps, strict=True)):
-        scale, decay = here[i][2], here[i][5]
+        observed, scale, decay = here[i][1], here[i][2], here[i][5]
+        measured = ~np.isnan(observed)
         slopes = [
-            independent((up[i][0] - down[i][0]) / (h * scale), decay)
+            independent(without_gaps((up[i][0] - down[i][0]) / (h * scale), observed), decay)
             for (up, down), h in zip(ends, widths, strict=True)
         ]
         of_scale = [(up[i][3] - down[i][3]) / h for (up, down), h in zip(ends, widths, strict=True)]
@@ -157,6 +172,7 @@ def from_differences(predictions, here, ends, widths) -> list[Event]:
                 here[i][4],
                 here[i][0],
                 step,
+                None if measured.all() else measured,
             )
         )
     return events

@@ -50,7 +50,12 @@ def sandwich(events, information) -> Sandwich:
     """A and B of independent events; `information` (d, d) is A."""
     models, variability = [], 0.0
     for event in events:
-        model = error_model(event.residuals, event.sensitivities, event.response)
+        model = error_model(
+            event.whole(event.residuals),
+            event.sensitivities,
+            event.whole(event.response),
+            None if event.measured is None else event.whole(event.sensitivities),
+        )
         models.append(model)
         variability = variability + model.variability + of_scale(event)
     return Sandwich(information, variability, models)
@@ -65,6 +70,13 @@ def of_scale(event) -> np.ndarray:
     d = event.of_scale.shape[1]
     result = np.zeros((d, d))
     if not used.size:
+        return result
+    if event.measured is not None:
+        kept, square = event.measured, event.residuals**2
+        series = event.whole(square) - (square.sum(axis=1) / kept.sum(axis=1))[:, None]
+        whole = np.repeat(event.of_scale[:, None, used], kept.shape[1], axis=1)
+        parts = error_model(series, kept[..., None] * whole, None, whole)
+        result[np.ix_(used, used)] = parts.variability
         return result
     series = np.einsum("st,sp->pt", event.residuals**2, event.of_scale[:, used])
     series -= series.mean(axis=1, keepdims=True)

@@ -53,13 +53,20 @@ class ErrorModel(NamedTuple):
     follows_response: np.ndarray
 
 
-def error_model(residuals: np.ndarray, sensitivities: np.ndarray, response: np.ndarray | None) -> ErrorModel:
+def error_model(
+    residuals: np.ndarray,
+    sensitivities: np.ndarray,
+    response: np.ndarray | None,
+    whole: np.ndarray | None = None,
+) -> ErrorModel:
     """Estimate B from residuals (sensor, time) and sensitivities (sensor, time, parameter).
 
-    `response` (sensor, time) is what the amplitude of the errors may follow; None if there is none.
+    `response` (sensor, time) is what the amplitude of the errors may follow; None if there is none. Where the
+    sensitivities are zero in gaps, `whole` is what they are without: gaps must not hide that a score is
+    static.
     """
     n_all = residuals.shape[1]
-    n = samples_of_the_band(residuals, sensitivities)
+    n = max(samples_of_the_band(residuals, s) for s in (sensitivities, whole) if s is not None)
     r, s = resampled(residuals, n, 1), resampled(sensitivities, n, 1)
     amplitude, follows = amplitudes(r, None if response is None else resampled(response, n, 1))
     r, s = r / amplitude, s * amplitude[..., None]

@@ -16,13 +16,17 @@ from pytensor.graph.replace import graph_replace
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor.random.op import RandomVariable
 
-from pymc_features._checks import as_numbers, message
+from pymc_features._checks import as_numbers, masked_as_nan, message
 from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.ops import as_tensor, check_shape, mean_square_discrepancy, response_step
 
 LARGE_CONSTANT = 10**6  # bytes; beyond it Numba cannot keep a compiled graph on disk
 LIBRARIES = (str(Path(__file__).parents[1]), str(Path(pm.__file__).parent))  # not the user's lines
 NOISE_FREE = 1e-12  # misfit over mean square of the data
+COMPLETE = (
+    "Cut the record to its complete part, or leave out the sensor; gaps are left out by TruncNormalFeature, "
+    "ExpFeature and GammaFeature."
+)
 
 
 def as_response(mu):
@@ -92,26 +96,29 @@ def _check_sensors(name, tensor, mu):
     return tensor
 
 
-def prepare_observed(mu, observed, name):
-    """Return the data, checked against `mu`; NaN is refused, since PyMC would impute it silently."""
+def prepare_observed(mu, observed, name, *, gaps=False):
+    """Return the data, checked against `mu`.
+
+    With `gaps` they may have NaN, or be masked. As a shared variable they reach the density as they are: NaN
+    in an array PyMC would impute silently, as free variables.
+    """
     mu = as_response(mu)
     if isinstance(observed, Variable):
         as_tensor(observed, "observed")
         _check_dimensions(mu, shape_of(observed))
         _check_is_data(observed)
-        _check_values(_values(observed))
+        _check_values(_values(observed), gaps)
         check_shape(mu.type.shape, shape_of(observed))
         return observed
     if np.ma.isMaskedArray(observed) and np.ma.getmaskarray(observed).any():
-        raise ValueError(
-            "`observed` must have no missing values, got a masked array. Cut the record to its "
-            "complete part, or leave out the sensor."
-        )
+        if not gaps:
+            raise ValueError(f"`observed` must have no missing values, got a masked array. {COMPLETE}")
+        observed = masked_as_nan(observed)
     values = np.array(as_numbers(observed, "observed"))
     _check_dimensions(mu, values.shape)
-    _check_values(values)
+    _check_values(values, gaps)
     check_shape(mu.type.shape, values.shape)
-    if values.nbytes > LARGE_CONSTANT:
+    if values.nbytes > LARGE_CONSTANT or np.isnan(values).any():
         return pytensor.shared(values, name=f"{name}_data", shape=values.shape)
     return values
 
@@ -142,14 +149,23 @@ def _check_is_data(variable):
             raise TypeError(message("observed", "an array or pm.Data", got))
 
 
-def _check_values(values):
-    if values is None or np.isfinite(values).all():
+def _check_values(values, gaps):
+    if values is None:
         return
-    position = tuple(int(i[0]) for i in np.nonzero(~np.isfinite(values)))
-    raise ValueError(
-        f"`observed` must be finite, got {values[position]} at index {position} of (sensor, time). "
-        "Cut the record to its complete part, or leave out the sensor."
-    )
+    wrong = np.isinf(values) if gaps else ~np.isfinite(values)
+    if wrong.any():
+        position = tuple(int(i[0]) for i in np.nonzero(wrong))
+        advice = "Pass NaN where nothing was measured." if gaps else COMPLETE
+        raise ValueError(
+            f"`observed` must be finite, got {values[position]} at index {position} of (sensor, time). "
+            f"{advice}"
+        )
+    silent = np.argwhere(np.isnan(values).all(axis=-1)) if values.ndim else []
+    if len(silent):
+        raise ValueError(
+            f"`observed` must have data of every sensor, got NaN alone at sensor {silent[0].tolist()}. Leave "
+            "it out."
+        )
 
 
 def _values(variable):
@@ -239,7 +255,7 @@ def _warn_about_noise(mu, observed):
         )
         e = graph_replace(e, dict(zip(free, points, strict=True)), strict=False)
         misfit = e.eval(mode=Mode(linker="py", optimizer=None))
-        power = np.mean(np.square(_values(pt.as_tensor_variable(observed))), axis=-1)
+        power = np.nanmean(np.square(_values(pt.as_tensor_variable(observed))), axis=-1)
     except Exception:  # a courtesy: whatever cannot be evaluated here is no error of the user's
         return
     if (power > 0).any() and (misfit[power > 0] <= NOISE_FREE * power[power > 0]).all():

@@ -56,7 +56,8 @@ class ExpFeature(FeatureLikelihood):
     Raises
     ------
     ValueError, TypeError
-        If shapes do not match, `observed` has NaN, or a literal `sigma` is not positive.
+        If shapes do not match, `observed` has infinities or no data of a sensor, or a literal `sigma` is not
+        positive.
 
     Warns
     -----
@@ -66,7 +67,7 @@ class ExpFeature(FeatureLikelihood):
 
     Notes
     -----
-    The root of e_j is Rayleigh. See `TruncNormalFeature` for dimensions, evidence and LOO.
+    The root of e_j is Rayleigh. See `TruncNormalFeature` for dimensions, evidence, LOO and gaps in the data.
 
     References
     ----------

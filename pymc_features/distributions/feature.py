@@ -9,6 +9,9 @@ feature and no preferred direction is y = mu + R u, with R = sqrt(N_D e) and u u
 N_D dimensions; its density is that of the radius over the area of its sphere,
 
     p(y) = p_R(R) Gamma(N_D / 2) / (2 pi^(N_D / 2) R^(N_D - 1)).
+
+Data may have gaps, NaN: e_j is the mean over the samples of a sensor that were measured, whose number takes
+the place of N_D in the density of the data. Draws have no gaps.
 """
 
 from collections.abc import Sequence
@@ -39,7 +42,7 @@ from pymc_features.distributions.checks import (
     prepare_observed,
     warn_about_the_posterior,
 )
-from pymc_features.ops import check_dims, mean_square_discrepancy, name_the_time_axis
+from pymc_features.ops import check_dims, mean_square_discrepancy, measured_samples, name_the_time_axis
 
 DENSITIES = ("feature", "data")
 
@@ -107,7 +110,8 @@ def feature_logprob(op, values, *inputs, **kwargs):
     if op.density == "feature":
         logp = op.feature_logp(e, sigma, *m)
     else:
-        logp = data_logp(e, sigma, op.degrees(*m), value.shape[-1])
+        n_measured = measured_samples(value)
+        logp = data_logp(e, sigma, op.degrees(*m), value.shape[-1] if n_measured is None else n_measured)
     logp = pt.switch(pt.isnan(e) | pt.isinf(e), -np.inf, logp)
     return maybe_resize(_checked(logp, sigma, m), size)
 
@@ -172,7 +176,7 @@ class FeatureLikelihood(Continuous):
     ) -> TensorVariable:
         check_name(name)
         if observed is not None:
-            observed = prepare_observed(mu, observed, name)
+            observed = prepare_observed(mu, observed, name, gaps=True)
             dims = check_dims(dims, observed.ndim)
             m = kwargs.get("m", cls.rv_types["feature"].degrees_of_freedom)
             check_one_set(mu, sigma=sigma, m=m)

@@ -111,8 +111,9 @@ class GammaFeature(FeatureLikelihood):
     Raises
     ------
     ValueError, TypeError
-        If shapes do not match, `observed` has NaN, a literal `sigma` or `m` is not positive, or m has a
-        prior and the density is that of the feature, which is another quantity for each m. With
+        If shapes do not match, `observed` has infinities or no data of a sensor, a literal `sigma` or `m` is
+        not positive, or m has a prior and the density is that of the feature, which is another quantity for
+        each m. With
         ``m="residuals"`` also at the first evaluation, whatever sampler asks for it, if `{name}_m` was not
         filled.
 
@@ -124,6 +125,10 @@ class GammaFeature(FeatureLikelihood):
 
     Notes
     -----
+    `observed` may have gaps, see `TruncNormalFeature`. Independent Gaussian errors of standard deviation s,
+    as of `pm.Normal`, are those with ``density="data"``, m the number N_j of samples of a sensor that were
+    measured, and sigma = s / sqrt(N_j).
+
     Samplers do not fill m by themselves: a fit takes time, changes data of the model, and PyMC's own samplers
     would not do it, so that one model had two posteriors. An unfilled m is an error with all of them.
 

@@ -20,7 +20,7 @@ from pytensor.graph.rewriting.basic import dfs_rewriter, node_rewriter
 from pytensor.tensor.basic import Alloc
 from pytensor.tensor.math import Sum
 
-from pymc_features.ops import mean_square_discrepancy, response_node
+from pymc_features.ops import mean_square_discrepancy, measured_samples, response_node
 
 
 @node_rewriter([Sum])
@@ -39,7 +39,10 @@ def fuse_gaussian_likelihood(fgraph, node):
     scale = sigma[:, 0]
     n_times = pt.cast(value.shape[1], "float64")
     each = -0.5 * e / pt.sqr(scale) - pt.log(scale) - 0.5 * np.log(2.0 * np.pi)
-    each = pt.switch(pt.isnan(e) | pt.isinf(e), -np.inf, n_times * each)
+    failed, n_measured = pt.isnan(e) | pt.isinf(e), measured_samples(value)
+    if n_measured is not None:  # here no sample is left out: NaN is no datum
+        failed = failed | pt.lt(n_measured, n_times)
+    each = pt.switch(failed, -np.inf, n_times * each)
     _, *conditions = x.owner.inputs
     return [x.owner.op(pt.sum(each), *conditions)]
 

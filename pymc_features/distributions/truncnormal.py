@@ -55,7 +55,8 @@ class TruncNormalFeature(FeatureLikelihood):
     Raises
     ------
     ValueError, TypeError
-        If shapes do not match, `observed` has NaN, or a literal `sigma` is not positive.
+        If shapes do not match, `observed` has infinities or no data of a sensor, or a literal `sigma` is not
+        positive.
 
     Warns
     -----
@@ -68,6 +69,9 @@ class TruncNormalFeature(FeatureLikelihood):
     One log-likelihood value for each sensor; the support dimension is time, the last. `pm.logcdf` is the
     probability of a smaller root mean square. Evidence and LOO of a feature likelihood must not be
     compared with those of a pointwise Gaussian: they are densities of different things.
+
+    `observed` may have gaps, NaN or masked, each sensor its own: e_j is the mean over the samples measured,
+    whose number takes the place of N_D in the density of the data. Draws have no gaps.
 
     References
     ----------

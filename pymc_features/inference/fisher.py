@@ -15,12 +15,15 @@ from pymc_features._checks import check_model
 from pymc_features.distributions.correlated import CorrelatedNormalRV
 from pymc_features.distributions.feature import FeatureRV
 from pymc_features.inference.parameters import check_continuous, entry_names, initial_values
+from pymc_features.ops import measured_samples
 from pymc_features.smc.density.compilation import with_mode
 
 
 @singledispatch
-def informative(op, rv, shape):
-    """Return pairs (quantity, information on each entry of it), both tensors, for data of a shape.
+def informative(op, rv, observed):
+    """Return pairs (quantity, information on each entry of it), both tensors.
+
+    `observed` (tensor) are the data, of which the shape counts, and where they have gaps.
 
     Register a distribution's Op to make `fisher_information` know it.
     """
@@ -32,31 +35,34 @@ def informative(op, rv, shape):
 
 
 @informative.register(NormalRV)
-def informative_normal(op, rv, shape):
+def informative_normal(op, rv, observed):
     """1 / sigma^2 on the mean and 2 on ln sigma, for each observation."""
-    mu, sigma = (pt.broadcast_to(x, shape) for x in op.dist_params(rv.owner))
+    mu, sigma = (pt.broadcast_to(x, tuple(observed.shape)) for x in op.dist_params(rv.owner))
     return [(mu, 1.0 / pt.sqr(sigma)), (pt.log(sigma), pt.full_like(sigma, 2.0))]
 
 
 @informative.register(FeatureRV)
-def informative_feature(op, rv, shape):
-    """1 / (N_D sigma^2) on the response and 2 m on ln sigma, for each sensor."""
+def informative_feature(op, rv, observed):
+    """1 / (N_D sigma^2) on the response and 2 m on ln sigma, for each sensor; N_D are those measured."""
     if op.density != "feature":
         raise ValueError(f"`model` must have likelihoods with density='feature', got 'data' ({rv.name}).")
     _, _, mu, sigma, *m = rv.owner.inputs
+    shape, n_measured = tuple(observed.shape), measured_samples(observed)
     mu = pt.broadcast_to(mu, shape)
     sigma = pt.broadcast_to(sigma, shape[:-1])
-    weight = 1.0 / (shape[-1] * pt.sqr(sigma))
+    weight = 1.0 / ((shape[-1] if n_measured is None else n_measured) * pt.sqr(sigma))
+    weight = pt.broadcast_to(weight[..., None], shape)
     return [
-        (mu, pt.broadcast_to(weight[..., None], shape)),
+        (mu, weight if n_measured is None else pt.switch(pt.isnan(observed), 0.0, weight)),
         (pt.log(sigma), pt.broadcast_to(2.0 * op.degrees(*m), sigma.shape)),
     ]
 
 
 @informative.register(CorrelatedNormalRV)
-def informative_correlated(op, rv, shape):
+def informative_correlated(op, rv, observed):
     """1 on each entry of the whitened response; on the scales and on phi, what each new sample adds."""
     _, _, mu, sigma, correlation_time, dt = rv.owner.inputs
+    shape = tuple(observed.shape)
     mu = pt.broadcast_to(mu, shape)
     sigma, decay = (pt.broadcast_to(x, shape[:-1]) for x in (sigma, dt / correlation_time))
     phi, share = pt.exp(-decay), -pt.expm1(-2.0 * decay)  # share of the variance that is new in each sample
@@ -79,7 +85,8 @@ def fisher_information(model: pm.Model | None = None, point: dict | None = None)
     I = sum J' W J, with J the derivatives of response and ln sigma and W what the likelihood tells of these:
     under TN and EXP 1 / (N_D sigma^2) on each sample of the response, so that the information does not grow
     with the sampling rate; under a Normal 1 / sigma^2; under a CorrelatedNormal the inverse covariance, whose
-    information settles as the rate grows. Priors are left out. No data are used but their shape.
+    information settles as the rate grows. Priors are left out. No data are used but their shape and their
+    gaps, NaN, about which TN, EXP and GammaFeature tell nothing.
 
     Parameters
     ----------
@@ -134,9 +141,7 @@ def product_function(model):
     """Compile (values of the free parameters, direction) -> I direction, flat."""
     rvs = model.free_RVs
     pairs = [
-        pair
-        for rv in model.observed_RVs
-        for pair in informative(rv.owner.op, rv, tuple(model.rvs_to_values[rv].shape))
+        pair for rv in model.observed_RVs for pair in informative(rv.owner.op, rv, model.rvs_to_values[rv])
     ]
     inputs = [rv.type(name=rv.name) for rv in rvs]
     flat = graph_replace(

@@ -3,7 +3,7 @@
 from os import PathLike
 
 from pymc_features._checks import check_path, check_step
-from pymc_features.io.channels import check_column, check_wrapped, read_channels
+from pymc_features.io.channels import check_column, check_wrapped, read_channels, read_channels_with_gaps
 from pymc_features.io.formats import FORMATS, format_of
 from pymc_features.io.matrices import read_matrices
 from pymc_features.io.modal import read_modal
@@ -12,7 +12,14 @@ from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.units import unit_factor
 from pymc_features.records import Record
 
-__all__ = ["FORMATS", "read_channels", "read_matrices", "read_modal", "read_record"]
+__all__ = [
+    "FORMATS",
+    "read_channels",
+    "read_channels_with_gaps",
+    "read_matrices",
+    "read_modal",
+    "read_record",
+]
 
 
 def read_record(

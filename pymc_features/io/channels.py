@@ -1,6 +1,7 @@
 """Measured channels of several sensors, from one file or a group of files, on their common clock."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from numbers import Integral
 from os import PathLike
 from pathlib import Path
@@ -79,8 +80,9 @@ def read_channels(
     FileNotFoundError, IsADirectoryError, OSError
         If there is no such file or it cannot be opened.
     ValueError, TypeError
-        If an argument is not admissible, a file is broken, its clock has gaps or uneven steps, the sensors
-        have no common clock, or a channel is constant; the message names file and line.
+        If an argument is not admissible, a file is broken, its clock has gaps or uneven steps (see
+        `read_channels_with_gaps`), the sensors have no common clock, or a channel is constant; the message
+        names file and line.
 
     Warns
     -----
@@ -100,10 +102,65 @@ def read_channels(
     ...     read_channels(path).sel(sensor="roof").values
     array([0.   , 2.943, 0.981])
     """
-    paths, labels = _named_paths(files)
-    keys, picked = _named_columns(columns)
+    return _read(files, columns, _request(units, dt, clock, clock_units, skip, wrapped))
+
+
+def read_channels_with_gaps(
+    files: str | PathLike | Sequence[str | PathLike] | Mapping[str, str | PathLike],
+    *,
+    columns: int | str | Sequence[int | str] | Mapping[str, int | str] | None = None,
+    units: str | float | None = None,
+    dt: float | None = None,
+    clock: int | str | bool | None = None,
+    clock_units: str | float | None = None,
+    skip: int = 0,
+    wrapped: bool | None = None,
+) -> xr.DataArray:
+    """Read measured accelerations of several sensors of which samples are missing: NaN.
+
+    Missing are cells of a text file that are empty or "nan", NaN in a MATLAB file, and rows that a clock
+    passes over, all channels of that file at once.
+
+    Parameters
+    ----------
+    files, columns, units, dt, clock, clock_units, skip, wrapped
+        As of `read_channels`.
+
+    Returns
+    -------
+    xarray.DataArray (sensor, time)
+        As from `read_channels`, NaN in the gaps. Functions of `signals` and the feature likelihoods take it,
+        a motion of the base must be without gaps.
+
+    Raises
+    ------
+    FileNotFoundError, IsADirectoryError, OSError, ValueError, TypeError
+        As from `read_channels`; also if more samples are missing than there are, if the first row of numbers
+        of a text file is not whole, or a row has no time.
+
+    Warns
+    -----
+    ChannelWarning, UserWarning
+        As `read_channels`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "frame.csv"
+    ...     rows = "0.00,0.1,0.0\\n0.02,0.0,\\n0.04,-0.2,0.1\\n0.08,0.1,0.2\\n"
+    ...     _ = path.write_text("time [s],base [m/s^2],roof [m/s^2]\\n" + rows)
+    ...     read_channels_with_gaps(path).values
+    array([[ 0.1,  0. , -0.2,  nan,  0.1],
+           [ 0. ,  nan,  0.1,  nan,  0.2]])
+    """
+    request = _request(units, dt, clock, clock_units, skip, wrapped)
+    return _read(files, columns, replace(request, gaps=True))
+
+
+def _request(units, dt, clock, clock_units, skip, wrapped) -> Request:
+    """The settings of the caller, checked."""
     request = Request(
-        columns=picked,
         units=units,
         dt=None if dt is None else check_step(dt),
         clock=_checked_clock(clock, dt),
@@ -114,7 +171,14 @@ def read_channels(
     check_wrapped(wrapped)
     if units is not None:
         unit_factor(units)
-    found = []
+    return request
+
+
+def _read(files, columns, request) -> xr.DataArray:
+    """The channels of all files on their common clock."""
+    paths, labels = _named_paths(files)
+    keys, picked = _named_columns(columns)
+    request, found = replace(request, columns=picked), []
     for path in paths:
         check_readable(path, "files")
         found.append(format_of(path, request).channels(path, request))

@@ -12,7 +12,12 @@ from pytensor.graph.basic import Constant
 
 from pymc_features.exceptions import SimulationWarning, UnknownIdentityError
 from pymc_features.fingerprint import fingerprint
-from pymc_features.ops import NoGradient, StructuralResponse, mean_square_discrepancy
+from pymc_features.ops import (
+    NoGradient,
+    StructuralResponse,
+    mean_square_discrepancy,
+    measured_samples,
+)
 
 ADVICE = (
     "Sample with pmf.sample_smc(), or choose a gradient-free method yourself: "
@@ -164,8 +169,10 @@ class NoisySimulator:
         *parameters, noise = parameters
         exact = self.simulator.discrepancy(parameters, value)
         stream = pytensor.shared(np.random.default_rng(), name="noise")
+        n_measured = measured_samples(value)
+        n_times = value.shape[-1] if n_measured is None else n_measured
         return NO_GRADIENT_OF_NOISE(
-            NoisyMeanSquare().make_node(stream, None, exact, noise, value.shape[-1]).outputs[1]
+            NoisyMeanSquare().make_node(stream, None, exact, noise, n_times).outputs[1]
         )
 
 

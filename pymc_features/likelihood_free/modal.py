@@ -9,7 +9,7 @@ from pymc_features.modal_features import SymbolicModes, mac
 from pymc_features.modal_features.assignment import Assignment
 from pymc_features.modal_features.identified import Identified
 from pymc_features.modal_features.mac import one_minus_mac
-from pymc_features.modal_features.quantities import StructuralModes
+from pymc_features.modal_features.operations import StructuralModes
 
 FAR = 1e30  # stands for an infinite distance in sums of which the smallest is wanted
 

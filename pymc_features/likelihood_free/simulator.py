@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pymc as pm
+import pytensor
 import pytensor.tensor as pt
 from numpy.typing import ArrayLike
 from pymc.distributions.distribution import SymbolicRandomVariable
@@ -15,7 +16,7 @@ from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.random.op import RandomVariable
 
-from pymc_features._checks import as_numbers, check_choice, check_name, shown
+from pymc_features._checks import as_numbers, check_choice, check_name, masked_as_nan, shown
 from pymc_features.likelihood_free.functions import (
     FunctionSimulator,
     NoisySimulator,
@@ -84,9 +85,10 @@ def DiscrepancySimulator(
         Tolerance on rho, in squared units of the data, positive; see `abc_tolerance`. With one for each
         sensor, or entry, rho / epsilon becomes sum_j e_j / epsilon_j.
     observed : array_like (sensor, time) or (entry,), or identified modes
-        Measured response, or a summary of it, finite. Of a summary e_j = (y_j - g_j)^2. Beside `modes` what
-        `ModalFeature` takes: e_j are (ln f^ - ln f)^2 of all identifications, then 1 - MAC of those with a
-        shape, each matched with a mode of its own such that rho is smallest.
+        Measured response, or a summary of it, finite. NaN, or what a masked array hides, is a gap of a
+        response: e_j is the mean over the other samples. Of a summary e_j = (y_j - g_j)^2. Beside `modes`
+        what `ModalFeature` takes: e_j are (ln f^ - ln f)^2 of all identifications, then 1 - MAC of those with
+        a shape, each matched with a mode of its own such that rho is smallest.
     kernel : {"uniform", "exponential", "gaussian"}
         "uniform" accepts where rho <= epsilon; "exponential" is the EXP likelihood at
         sigma^2 = epsilon / 2, constants included: exp(-rho / epsilon) / epsilon^N_0; "gaussian" is
@@ -234,16 +236,22 @@ def _per_sensor(name, value, n_sensors, advice, *, zero=False, kind="sensors"):
 
 
 def _checked_data(observed):
-    if np.ma.isMaskedArray(observed) and np.ma.getmaskarray(observed).any():
-        raise ValueError(
-            "`observed` must have no missing values, got a masked array. Cut the record to its complete "
-            "part, or leave out the sensor."
-        )
+    """The data as an array or, if they have gaps, as a shared variable: PyMC would impute NaN in an array."""
     values = observed.get_value(borrow=True) if isinstance(observed, SharedVariable) else observed
-    values = as_numbers(values, "observed")
-    if values.ndim not in (1, 2) or values.size == 0 or not np.isfinite(values).all():
+    values = as_numbers(masked_as_nan(values), "observed")
+    gaps = np.isnan(values)
+    if values.ndim not in (1, 2) or values.size == 0 or np.isinf(values).any():
         raise ValueError(
             "`observed` must be finite numbers of shape (sensor, time), or (entry,) for a summary, got shape "
             f"{values.shape}."
         )
-    return observed if isinstance(observed, SharedVariable) else np.array(values)
+    silent = np.flatnonzero(gaps.all(axis=-1) if values.ndim == 2 else gaps)
+    if silent.size:
+        raise ValueError(
+            "`observed` must have data of every sensor, or every entry of a summary, got NaN alone at index "
+            f"{silent[0]}. Leave it out."
+        )
+    if isinstance(observed, SharedVariable):
+        return observed
+    values = np.array(values)
+    return pytensor.shared(values, shape=values.shape) if gaps.any() else values

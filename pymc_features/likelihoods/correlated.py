@@ -64,6 +64,7 @@ CN = Likelihood(
     posterior=all_known,
     takes=TAKES,
     known=TAKES,
+    takes_gaps=False,
 )
 CN_SIGMA = Likelihood(
     "CN-SIGMA",
@@ -74,6 +75,7 @@ CN_SIGMA = Likelihood(
     takes=TAKES,
     known=("correlation_time",),
     inferred=("sigma",),
+    takes_gaps=False,
     reasons={"widens": "the errors do not have the correlation assumed, and sigma grows for it"},
 )
 CN_TAU = Likelihood(
@@ -84,5 +86,6 @@ CN_TAU = Likelihood(
     posterior=unknown_time,
     takes=TAKES,
     inferred=TAKES,
+    takes_gaps=False,
     reasons={"narrows": "white noise is found, and sampling it faster is taken for new information"},
 )

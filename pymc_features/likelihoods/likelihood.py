@@ -21,7 +21,7 @@ class Comparison:
     mu : TensorVariable (sensor, time)
         Response [m/s^2].
     observed : array or TensorVariable (sensor, time)
-        Measurements [m/s^2].
+        Measurements [m/s^2]; NaN in an array are gaps, for a likelihood that takes them.
     sigma, correlation_time : TensorVariable () or (sensor,)
         Scale [m/s^2] and correlation time [s] of the errors.
     m : TensorVariable () or (sensor,)
@@ -71,6 +71,8 @@ class Likelihood:
     reasons : dict
         Why the interval of a parameter "narrows" or "widens" with the sampling rate, where it does so on a
         record of some length.
+    takes_gaps : bool
+        Whether data may have gaps, whose samples are left out.
     calibrates : str
         Name of the likelihood from whose posterior this one follows by `calibrate`; it declares the same
         model. Empty for one that is sampled by itself.
@@ -86,6 +88,7 @@ class Likelihood:
     known: tuple[str, ...] = ()
     inferred: tuple[str, ...] = ()
     reasons: dict[str, str] = field(default_factory=dict)
+    takes_gaps: bool = True
     calibrates: str = ""
 
     @property
@@ -98,14 +101,15 @@ class Likelihood:
         """Whether its exact posterior is known, so that the study can judge draws by it."""
         return self.exponents is not None or self.posterior is not None
 
-    def claimed(self, n_sensors: int, n_times: int, m=None) -> float | None:
+    def claimed(self, samples, m=None) -> float | None:
         """Independent observations that it counts; None if it counts none, or allows for their correlation.
 
-        `m`, one number or one for each sensor, of a likelihood that takes it.
+        `samples` (sensor,) are the numbers of those measured; `m`, one number or one for each sensor, is that
+        of a likelihood that takes it.
         """
         if "m" in self.takes:
-            return float(np.sum(np.broadcast_to(m, n_sensors)))
-        return None if self.exponents is None else float(self.exponents(n_sensors, n_times).m)
+            return float(np.sum(np.broadcast_to(m, len(samples))))
+        return None if self.exponents is None else float(self.exponents(len(samples), np.mean(samples)).m)
 
     def reference(self, step: Step) -> Reference:
         """The exact posterior at one sampling step of the study."""

@@ -3,7 +3,7 @@
 from pytensor.link.numba.dispatch.basic import default_hash_key_from_props, register_funcify_and_cache_key
 
 from pymc_features.modal_features.assignment import Assignment
-from pymc_features.modal_features.quantities import ModesGradient, StructuralModes
+from pymc_features.modal_features.operations import ModesGradient, StructuralModes
 from pymc_features.ops.numba_dispatch import DISPATCH_HASH, in_python
 
 OPS = (StructuralModes, ModesGradient, Assignment)

@@ -3,12 +3,15 @@
 The misfit is r = y - g. Its statistics are the mean of r(k)^2, which is e_j of Eq. (3), the sum of the
 squared increments [r(k) - r(k - 1)]^2 over the number of samples, the first r and the last: the last three
 are what errors correlated in time need besides.
+
+NaN in the data is a gap. The Ops add up the squares of the other samples and divide by the number of all; the
+graph multiplies by the number of all over that of the samples measured, which is the data's alone.
 """
 
 import numpy as np
 import pytensor.tensor as pt
 from pytensor.gradient import disconnected_type
-from pytensor.graph.basic import Apply, Variable
+from pytensor.graph.basic import Apply, Constant, Variable
 from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.blockwise import Blockwise
@@ -58,6 +61,8 @@ class StructuralComparison(StructuralOp):
             weights = weights[:, None]
         gradient = self.like(MisfitGradient, n_statistics=4 if self.values else 1)
         misfit = observed - self.like(StructuralResponse)(*common)
+        if not self.values:
+            misfit = pt.switch(pt.isnan(observed), 0.0, misfit)
         return [
             *gradient(*inputs, weights, return_list=True),
             *(disconnected_type() for _ in common[self.n_parameters :]),
@@ -66,7 +71,7 @@ class StructuralComparison(StructuralOp):
 
 
 class StructuralDiscrepancy(StructuralComparison):
-    """e_j of Eq. (3) (sensor,)."""
+    """e_j of Eq. (3) (sensor,), of data without gaps; with them the sum has fewer terms."""
 
     kernel_name = "discrepancy"
     output_signature = "(s)"
@@ -155,20 +160,29 @@ def misfit_change(misfit, change):
     return pt.stack([*squares, change[..., 0], change[..., -1]], axis=-1)
 
 
+def measured_samples(observed):
+    """Numbers (..., sensor) of samples that are no gaps, float64; None of data known to have no gaps."""
+    if isinstance(observed, Constant) and not np.isnan(observed.data).any():
+        return None
+    return pt.sum(pt.invert(pt.isnan(observed)), axis=-1).astype("float64")
+
+
 def mean_square_discrepancy(mu: TensorLike, observed: TensorLike) -> np.ndarray | TensorVariable:
     """Mean-square discrepancy of each sensor, e_j = mean_k [y_j(k) - g_j(k)]^2, Eq. (3).
+
+    The mean is over the samples that were measured: NaN in the data is a gap.
 
     Parameters
     ----------
     mu : array_like or TensorVariable (..., sensor, time)
         Model response, in the units of the data.
     observed : array_like or TensorVariable (..., sensor, time)
-        Measured response.
+        Measured response, NaN where there is none.
 
     Returns
     -------
     array or TensorVariable (..., sensor)
-        e_j in the square of those units. NumPy in, NumPy out.
+        e_j in the square of those units; NaN of a sensor without any data. NumPy in, NumPy out.
 
     Raises
     ------
@@ -184,15 +198,42 @@ def mean_square_discrepancy(mu: TensorLike, observed: TensorLike) -> np.ndarray 
     --------
     >>> mean_square_discrepancy([[1.0, 2.0], [0.0, 0.0]], [[1.0, 4.0], [3.0, 3.0]])
     array([2., 9.])
+    >>> mean_square_discrepancy([[1.0, 2.0]], [[np.nan, 4.0]])
+    array([4.])
     """
     if not isinstance(mu, Variable) and not isinstance(observed, Variable):
         mu, observed = as_numbers(mu, "mu", HISTORY), as_numbers(observed, "observed", HISTORY)
         check_histories(mu, observed)
         check_shape(mu.shape, observed.shape)
+        return mean_of_measured(mu, observed)
+    mu, observed = as_tensor(mu, "mu", HISTORY), as_tensor(observed, "observed", HISTORY)
+    n_measured = measured_samples(observed)
+
+    def plain(misfit):
+        misfit = misfit if n_measured is None else pt.switch(pt.isnan(observed), 0.0, misfit)
+        return pt.mean(pt.sqr(misfit), axis=-1)
+
+    e = fused_or_plain(StructuralDiscrepancy, plain, mu, observed)
+    if n_measured is None or comes_as_mean_square(mu):
+        return e
+    return e * (pt.cast(observed.shape[-1], "float64") / n_measured)
+
+
+def mean_of_measured(mu, observed):
+    """Mean squares of observed - mu over the samples that are no gaps, of arrays."""
+    gaps = np.isnan(observed)
+    if not gaps.any():
         return np.mean((observed - mu) ** 2, axis=-1)
-    return fused_or_plain(
-        StructuralDiscrepancy, lambda misfit: pt.mean(pt.sqr(misfit), axis=-1), mu, observed
-    )
+    squares = np.where(gaps, 0.0, observed - mu) ** 2
+    with np.errstate(invalid="ignore"):
+        return np.sum(squares, axis=-1) / np.sum(~gaps, axis=-1)
+
+
+def comes_as_mean_square(mu) -> bool:
+    """Whether a simulator outside computes e_j itself, and with it knows of the gaps."""
+    node = response_node(mu)
+    core = getattr(node.op, "core_op", node.op) if node is not None else None
+    return isinstance(core, ExternalResponse) and core.simulator.returns == "mean_square"
 
 
 def check_histories(mu, observed) -> None:

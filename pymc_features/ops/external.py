@@ -145,6 +145,7 @@ class ExternalDiscrepancy(ExternalOp):
         if self.simulator.returns == "mean_square":
             return [*gradient.of(parameters, weights), by_data]
         misfit = ExternalResponse(self.simulator, self.ndims)(*parameters) - observed
+        misfit = pt.switch(pt.isnan(observed), 0.0, misfit)
         return [
             *gradient.of(parameters, weights[:, None] * (2.0 / observed.shape[1]) * misfit),
             -weights[:, None] * (2.0 / observed.shape[1]) * misfit,

@@ -51,7 +51,7 @@ def response(
     record: Record | Loading,
     *,
     dt: float | TensorVariable | None = None,
-    sensors: Sequence[int] | None = None,
+    sensors: Sequence[int] | Sequence[str] | None = None,
     quantity: str = "absolute_acceleration",
     n_modes: int | None = None,
     outputs: ArrayLike | sparse.sparray | None = None,
@@ -68,8 +68,9 @@ def response(
     dt : float or pm.Data, optional
         Output step [s], an integer multiple or divisor of the record's step, which is the default. As
         data it can be changed together with the measurements, without compiling the model anew.
-    sensors : sequence of int, optional
-        Degrees of freedom, or storeys of a drift, 0 next to the base. All by default.
+    sensors : sequence of int or str, optional
+        Degrees of freedom, or storeys of a drift, 0 next to the base; or their names, where the structure has
+        any (`LinearStructure.with_names`). All by default.
     quantity : str
         As of `simulate`: "absolute_acceleration" (default), "relative_acceleration" [m/s^2],
         "relative_velocity" [m/s], "relative_displacement" [m], "inter_storey_drift" [m] or "base_shear" [N].
@@ -122,7 +123,7 @@ def response(
                 f"`sensors` must be left out for the base shear, got {shown(sensors)}. It sums all masses."
             )
         return base_shear(structure, record, dt, asked)
-    return respond(structure, record, dt, asked, rows_of(structure, quantity, asked.sensors, outputs).picked)
+    return respond(structure, record, dt, asked, rows_of(structure, quantity, asked, outputs).picked)
 
 
 def base_shear(structure, record, dt, asked) -> TensorVariable:

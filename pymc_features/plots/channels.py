@@ -14,7 +14,7 @@ def plot_channels(channels: xr.DataArray, axes: AxesLike = None) -> np.ndarray:
     Parameters
     ----------
     channels : DataArray (sensor, time)
-        Measured channels [m/s^2].
+        Measured channels [m/s^2], with NaN in gaps.
     axes : sequence of matplotlib Axes, optional
         One for each sensor; a new figure by default.
 
@@ -36,7 +36,7 @@ def plot_channels(channels: xr.DataArray, axes: AxesLike = None) -> np.ndarray:
     figsize = (9.0, min(TALLEST, 0.8 + HEIGHT * n))
     axes = checked_axes(axes, n, "sensors", figsize=figsize, sharex=True, sharey=True)
     for ax, name, values in zip(axes, channels["sensor"].values, channels.values, strict=True):
-        peak = int(np.abs(values).argmax())
+        peak = int(np.nanargmax(np.abs(values)))
         ax.plot(channels["time"], values, color="0.25", lw=0.6)
         ax.plot(channels["time"][peak], values[peak], "o", color="C3", ms=4)
         set_title(ax, f"{name}, peak {abs(values[peak]):.3g} m/s²", loc="left", fontsize="medium")

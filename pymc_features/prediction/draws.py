@@ -22,7 +22,7 @@ class ResponseOptions(TypedDict, total=False):
     """Arguments of `response` and `simulate` that hold for every draw."""
 
     dt: float | None
-    sensors: Sequence[int] | None
+    sensors: Sequence[int] | Sequence[str] | None
     n_modes: int | None
     outputs: ArrayLike | sparse.sparray | None
 

@@ -35,7 +35,7 @@ class WantedResponses:
 
     def rows(self, structure, name: str) -> Rows:
         """Rows of a quantity."""
-        return rows_of(structure, name, self.requests[0].sensors, self.outputs)
+        return rows_of(structure, name, self.requests[0], self.outputs)
 
 
 def checked_responses(structure, records, names, settings) -> WantedResponses:

@@ -1,4 +1,4 @@
-"""What an array of channels is: sensors on one even clock."""
+"""What an array of channels is: sensors on one even clock, NaN where a sensor has a gap."""
 
 import os
 import warnings
@@ -20,7 +20,8 @@ def warn_channel(message: str) -> None:
 def check_array(channels, sensors: bool = False) -> xr.DataArray:
     """Return channels as they came; refuse what is no array (sensor, time) or (time,) of finite numbers.
 
-    With `sensors`, a single channel without the dimension sensor is refused too.
+    NaN is a gap, but not all of a channel. With `sensors`, a single channel without the dimension sensor is
+    refused too.
     """
     if not isinstance(channels, xr.DataArray):
         raise TypeError(
@@ -37,7 +38,15 @@ def check_array(channels, sensors: bool = False) -> xr.DataArray:
         raise TypeError(f"`channels` must hold numbers, got {channels.dtype}.")
     if not channels.size:
         raise ValueError(f"`channels` must hold samples, got shape {channels.shape}.")
-    check_finite(channels.values, "channels", "Fill or cut the gap first.")
+    gaps = np.isnan(channels.values)
+    check_finite(np.where(gaps, 0.0, channels.values), "channels", "NaN is a gap.")
+    silent = np.flatnonzero(gaps.all(axis=-1))
+    if len(silent):
+        known = "sensor" in channels.coords
+        name = str(np.ravel(channels.coords["sensor"])[silent[0]] if known else silent[0])
+        raise ValueError(
+            f"`channels` must have samples of every sensor, got NaN alone in {name!r}. Leave it out."
+        )
     names = [str(name) for name in channels["sensor"].values] if sensors else []
     if len(set(names)) < len(names):
         raise ValueError(f"`channels` must have a name of its own for each sensor, got {', '.join(names)}.")

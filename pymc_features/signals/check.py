@@ -76,8 +76,8 @@ def check_channels(
     damping_ratio = check_share(damping_ratio, "damping_ratio", "0.02 is 2 %.")
     found = low_frequency_gains(channels, band, base=base)
     check_each(channels)
-    still = np.median(channels.values, axis=1, keepdims=True)
-    found["peak"] = ("sensor", np.abs(channels.values - still).max(axis=1), {"units": "m/s^2"})
+    still = np.nanmedian(channels.values, axis=1, keepdims=True)
+    found["peak"] = ("sensor", np.nanmax(np.abs(channels.values - still), axis=1), {"units": "m/s^2"})
     index = base_index(channels, base)
     reference = repr(str(found["sensor"].values[index]))
     allowed = _LATE * sampling_step(channels), damping_ratio / (1.5 * np.pi * found.attrs["band"][1])
@@ -112,6 +112,8 @@ def _is_late(row: dict, allowed: tuple[float, float]) -> bool:
 
 def _against_base(row: dict, base: str, allowed: tuple[float, float]) -> list[str]:
     gain, lag = row["gain"], row["lag"]
+    if np.isnan(gain):
+        return []
     if row["coherence"] < _COHERENT:
         return [
             f"is unrelated to {base}: coherence {row['coherence']:.2g}. Another direction or event, no "

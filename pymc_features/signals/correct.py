@@ -7,7 +7,10 @@ import xarray as xr
 
 from pymc_features._checks import is_number, shown, single, to_float
 from pymc_features.signals.channels import check_array, rebuilt, sampling_step
+from pymc_features.signals.gaps import filled, widened, without
 from pymc_features.signals.quasi_static import sensor_names
+
+_REACH = 10  # samples of a shift by a part of one
 
 
 def correct(
@@ -41,7 +44,8 @@ def correct(
     Notes
     -----
     Shifts are exact for signals below half the sampling rate (a factor exp(i omega delay) of the Fourier
-    transform). What a shift would take from beyond an end of the record has the value of that end.
+    transform). What a shift would take from beyond an end of the record has the value of that end. Gaps, NaN,
+    are shifted too; where the shift is no number of whole samples they are wider by ten samples on each side.
 
     Examples
     --------
@@ -70,7 +74,7 @@ def correct(
                 f"`delay` must be at most a quarter of the record, {most:.4g} s, got {late:g} s for "
                 f"{name!r}. Cut the files to the same time instead."
             )
-        values[names.index(name)] = earlier(values[names.index(name)], late / step)
+        values[names.index(name)] = with_gaps_earlier(values[names.index(name)], late / step)
     return rebuilt(channels, values, step, 0.0).assign_coords(time=channels["time"])
 
 
@@ -90,6 +94,17 @@ def checked(given, name, sensors) -> dict[str, float]:
     if unknown:
         raise ValueError(f"`{name}` must name sensors among {', '.join(sensors)}, got {unknown[0]!r}.")
     return numbers
+
+
+def with_gaps_earlier(series, samples: float) -> np.ndarray:
+    """A series (time,) shifted forward by a number of samples, gaps included."""
+    whole, gaps = filled(series)
+    moved = earlier(whole, samples)
+    if not gaps.any():
+        return moved
+    nearest = round(samples)
+    gaps = earlier(gaps.astype(np.float64), nearest) > 0.0
+    return without(moved, gaps if nearest == samples else widened(gaps, _REACH))
 
 
 def earlier(series, samples: float) -> np.ndarray:

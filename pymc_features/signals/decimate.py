@@ -5,6 +5,7 @@ import xarray as xr
 
 from pymc_features._checks import check_integer
 from pymc_features.signals.channels import check_array, rebuilt, sampling_step
+from pymc_features.signals.gaps import filled, widened, without
 
 _HALF_LENGTH = 20  # of the filter, in samples of the result
 _KAISER = 7.86  # 80 dB in the stop band, over a transition of a quarter of half the new rate
@@ -24,7 +25,8 @@ def decimate(channels: xr.DataArray, factor: int) -> xr.DataArray:
     Returns
     -------
     xarray.DataArray
-        Samples 0, factor, 2 factor, ... in time.
+        Samples 0, factor, 2 factor, ... in time. Gaps, NaN, are wider by 20 new samples on each side, as far
+        as the filter reaches.
 
     Raises
     ------
@@ -46,7 +48,7 @@ def decimate(channels: xr.DataArray, factor: int) -> xr.DataArray:
 
     factor = check_integer(factor, "factor", advice="2 halves the sampling rate.")
     step = sampling_step(check_array(channels))
-    values = channels.values.astype(np.float64)
+    values, gaps = filled(channels.values.astype(np.float64))
     if factor > 1:
         length = 2 * _HALF_LENGTH * factor + 1
         if values.shape[-1] < length:
@@ -56,4 +58,5 @@ def decimate(channels: xr.DataArray, factor: int) -> xr.DataArray:
             )
         window = signal.firwin(length, _CORNER / factor, window=("kaiser", _KAISER))
         values = signal.resample_poly(values, 1, factor, axis=-1, window=window, padtype="line")
-    return rebuilt(channels, values, factor * step)
+        gaps = widened(gaps, _HALF_LENGTH * factor)[..., ::factor]
+    return rebuilt(channels, without(values, gaps), factor * step)

@@ -5,6 +5,7 @@ import xarray as xr
 
 from pymc_features._checks import check_choice
 from pymc_features.signals.channels import check_window, rebuilt, sampling_step
+from pymc_features.signals.gaps import filled
 
 _DEGREES = {"constant": 0, "linear": 1}
 
@@ -27,12 +28,13 @@ def detrend(
     Returns
     -------
     xarray.DataArray
-        Of the same shape.
+        Of the same shape. Of a channel with gaps, NaN, the samples that were measured count.
 
     Raises
     ------
     ValueError, TypeError
-        If `kind` is unknown or the window does not lie within the record.
+        If `kind` is unknown, the window does not lie within the record, or has fewer than two samples of a
+        channel.
 
     Examples
     --------
@@ -47,5 +49,14 @@ def detrend(
     place = (np.arange(channels.sizes["time"]) - (low + high - 1) / 2.0) / max((high - low) / 2.0, 1.0)
     powers = place ** np.arange(_DEGREES[kind] + 1)[:, None]  # (power, time)
     values = channels.values.astype(np.float64)
-    fit = np.linalg.lstsq(powers[:, low:high].T, np.atleast_2d(values)[:, low:high].T)[0]
+    whole, gaps = (np.atleast_2d(x) for x in filled(values))
+    fit = np.linalg.lstsq(powers[:, low:high].T, whole[:, low:high].T)[0]
+    for i in np.flatnonzero(gaps.any(axis=1)):
+        known = low + np.flatnonzero(~gaps[i, low:high])
+        if known.size < 2:
+            raise ValueError(
+                f"`window` must hold at least 2 samples of every channel, got {known.size} of channel {i}, "
+                "which has a gap there. Choose another."
+            )
+        fit[:, i] = np.linalg.lstsq(powers[:, known].T, whole[i, known])[0]
     return rebuilt(channels, values - (fit.T @ powers).reshape(values.shape), step)

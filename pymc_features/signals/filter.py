@@ -1,9 +1,11 @@
 """Band-pass without phase."""
 
+import numpy as np
 import xarray as xr
 
 from pymc_features._checks import check_integer
 from pymc_features.signals.channels import check_frequency, rebuilt, sampling_step
+from pymc_features.signals.gaps import filled, widened, without
 
 HIGHEST = (
     10  # order; beyond it rounding moves the gain by per cents where a corner is a thousandth of the rate
@@ -29,7 +31,8 @@ def band_pass(
     Returns
     -------
     xarray.DataArray
-        Of the same shape; nothing is shifted in time.
+        Of the same shape; nothing is shifted in time. Gaps, NaN, are wider by one period of the lowest corner
+        on each side, where the filter remembers the straight line that it found in their place.
 
     Raises
     ------
@@ -66,11 +69,13 @@ def band_pass(
             f"{channels.sizes['time']}. Lower `order`, or filter before trimming."
         )
     try:
-        filtered = signal.sosfiltfilt(sections, channels.values.astype(float))
+        values, gaps = filled(channels.values.astype(float))
+        filtered = signal.sosfiltfilt(sections, values)
     except ValueError as error:  # a pole at 1, to rounding
         named = "low" if high is None or len(corners) == 2 else "high"
         raise ValueError(
             f"`{named}` must not be so far below the sampling rate, {1.0 / step:g} Hz, got {corners[0]:g} "
             "Hz: the filter cannot be computed. Subtract a line or an offset instead."
         ) from error
-    return rebuilt(channels, filtered, step)
+    gaps = widened(gaps, int(np.ceil(1.0 / (corners[0] * step))))
+    return rebuilt(channels, without(filtered, gaps), step)

@@ -8,6 +8,9 @@ from pymc_features.signals.channels import check_array, check_frequency, check_p
 
 _SEGMENTS = 8  # at least, without overlap, so that a coherence means something
 _BINS = 6  # frequencies of a spectrum inside the band, at least
+_ENOUGH = 0.2  # of the energy of the base, in a part without gaps
+_FEW = 0.05  # share of samples in gaps
+UNKNOWN = (np.nan,) * 5  # gain, lag, their errors and coherence
 
 
 def low_frequency_gains(
@@ -44,6 +47,10 @@ def low_frequency_gains(
     Damping delays the floors too, by (1 - 1/gain) zeta / (pi f_1) well below f_1. A lag in a motion of a
     single frequency is ambiguous by its period: what tells are the start and the end of the motion.
 
+    Of a channel with gaps, NaN, the part between two of them counts in which the base moves most; all of it,
+    at rest in the gaps, where such parts are short and less than 5 % is missing. Otherwise all numbers are
+    NaN.
+
     References
     ----------
     Bendat and Piersol, Random Data, 4th ed., sections 5.2 (delays) and 9.2 (errors of gain and phase).
@@ -52,7 +59,8 @@ def low_frequency_gains(
     step = sampling_step(channels)
     low, high = check_band(band, step)
     names = [str(name) for name in sensor_names(channels)]
-    x = channels.values[base_index(channels, base)].astype(np.float64)
+    values = channels.values.astype(np.float64)
+    x = values[base_index(channels, base)]
     shortest = max(_BINS / (high - low), 2.0 / low) / step
     size = max(x.size // _SEGMENTS, int(np.ceil(shortest)))
     if x.size < 2 * size:
@@ -60,7 +68,8 @@ def low_frequency_gains(
             f"`channels` must last at least {2 * size * step:.3g} s for the band {low:g} to {high:g} Hz, got "
             f"{x.size * step:.3g} s. Widen the band or take a longer window."
         )
-    rows = [_compare(x, y.astype(np.float64), step, (low, high), size) for y in channels.values]
+    parts = [where_both(x, y, 2 * size) for y in values]
+    rows = [UNKNOWN if part is None else _compare(*part, step, (low, high), size) for part in parts]
     columns = ("gain", "gain_error", "lag", "lag_error", "coherence")
     seconds = {"units": "s"}
     found = {
@@ -68,6 +77,26 @@ def low_frequency_gains(
         for name, values in zip(columns, np.transpose(rows), strict=True)
     }
     return xr.Dataset(found, coords={"sensor": names}, attrs={"band": [low, high]})
+
+
+def where_both(x, y, shortest: int):
+    """What two series (time,) say without the gaps of either; None where that is too little.
+
+    It is the part between two gaps, not shorter than some samples, in which x moves most. Where that is
+    little, and the gaps are few, both are zero about their means in the gaps: where y = gain x it stays so.
+    """
+    gaps = np.isnan(x) | np.isnan(y)
+    if not gaps.any():
+        return x, y
+    about = np.nan_to_num(x - np.nanmean(x)) ** 2
+    edges = np.flatnonzero(np.diff(np.r_[True, gaps, True].astype(np.int8)))
+    long = [(a, b) for a, b in edges.reshape(-1, 2) if b - a >= shortest]
+    first, last = max(long, key=lambda part: about[slice(*part)].sum(), default=(0, 0))
+    if about[first:last].sum() > _ENOUGH * about.sum():
+        return x[first:last], y[first:last]
+    if gaps.mean() > _FEW:
+        return None
+    return tuple(np.where(gaps, 0.0, z - z[~gaps].mean()) for z in (x, y))
 
 
 def sensor_names(channels: xr.DataArray) -> list:

@@ -4,6 +4,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.signals.channels import warn_channel
+from pymc_features.signals.gaps import filled
 from pymc_features.signals.quasi_static import sensor_names
 
 GRAVITY = 9.81  # [m/s^2]
@@ -14,12 +15,12 @@ _HELD = 5  # samples in a row of one value amid a motion
 
 
 def check_each(channels: xr.DataArray) -> None:
-    """Warn of suspicious channels (sensor, time) in m/s^2; refuse constant ones.
+    """Warn of suspicious channels (sensor, time) in m/s^2, gaps left out; refuse constant ones.
 
     Raises
     ------
     ValueError
-        If a channel is constant.
+        If a channel is constant, or a gap from end to end.
 
     Warns
     -----
@@ -29,17 +30,19 @@ def check_each(channels: xr.DataArray) -> None:
     """
     names = [repr(str(name)) for name in sensor_names(channels)]
     values = np.asarray(channels.values, dtype=np.float64)
-    for name, history in zip(names, values, strict=True):
-        if (history == history[0]).all():
+    measured = [history[~np.isnan(history)] for history in values]
+    for name, history in zip(names, measured, strict=True):
+        if (history == history[:1]).all():
             raise ValueError(
-                f"Channel {name} must move, all its {history.size} samples are {history[0]:g}. Leave it out."
+                f"Channel {name} must move, all its {history.size} samples are {history[:1].sum():g}. Leave "
+                "it out."
             )
-    for name, history in zip(names, values, strict=True):
+    for name, history in zip(names, measured, strict=True):
         for message in (_units(history), _clipped(history), _held(history)):
             if message:
                 warn_channel(f"Channel {name} {message}")
     _copies(names, values)
-    _empty_start(names, values)
+    _empty_start(names, filled(values)[0])
 
 
 def _units(history) -> str | None:
@@ -105,7 +108,7 @@ def _held(history) -> str | None:
 def _copies(names, values) -> None:
     for i in range(len(names)):
         for j in range(i):
-            if np.array_equal(values[i], values[j]):
+            if np.array_equal(values[i], values[j], equal_nan=True):
                 warn_channel(
                     f"Channels {names[j]} and {names[i]} are identical to the last bit: one sensor read "
                     "twice. Leave one out."

@@ -14,7 +14,9 @@ population_discrepancy  data                                (p, s), with paramet
 population_misfit       data                                (p, s, 4)
 population_gradient     data, weights (p, s, 1) or (.., 4)  gradients in the shapes of the parameters
 
-What describes no structure gives NaN, in its own rows. A new family is one entry here.
+What describes no structure gives NaN, in its own rows. NaN in the data is a gap: the first statistic, and
+what follows from it, is of the other samples, over the number of all; the others are NaN then. A new family
+is one entry here.
 """
 
 from collections.abc import Callable

@@ -6,7 +6,7 @@ import numpy as np
 
 from pymc_features._checks import check_choice, shown
 from pymc_features.simulators.oscillators.arguments import QUANTITIES
-from pymc_features.simulators.request import UNITS, Request, check_outputs, request
+from pymc_features.simulators.request import UNITS, Picked, Request, check_outputs, picked_by_name, request
 
 
 class Response(NamedTuple):
@@ -55,8 +55,9 @@ class Rows(NamedTuple):
         return self.picked @ values if self.picked.ndim == 2 else values[self.picked]
 
 
-def rows_of(structure, quantity: str, sensors, outputs=None) -> Rows:
-    """Rows of a quantity; `sensors` (checked) stand for storeys in a drift, and for nothing in a shear."""
+def rows_of(structure, quantity: str, asked: Request, outputs=None) -> Rows:
+    """Rows of a quantity; sensors stand for storeys in a drift, and for nothing in a shear."""
+    sensors, labels = asked.sensors, asked.labels
     dim = HISTORIES[quantity].dim
     if dim == "support":
         inertia = structure.inertia()
@@ -64,9 +65,10 @@ def rows_of(structure, quantity: str, sensors, outputs=None) -> Rows:
     if dim == "storey":  # x_i - x_{i-1}, the first against the base
         drifts = np.eye(structure.n_dof) - np.eye(structure.n_dof, k=-1)
         return Rows(drifts[sensors], dim, sensors, "storey, 0 against the base")
-    if outputs is not None:
+    if outputs is not None and labels is None:
         return Rows(outputs, dim, np.arange(len(outputs)), "row of outputs")
-    return Rows(sensors, dim, sensors, "degree of freedom")
+    picked = sensors if outputs is None else outputs
+    return Rows(picked, dim, sensors if labels is None else labels, "degree of freedom")
 
 
 def checked_request(structure, record, quantity, *, dt=None, sensors=None, n_modes=None, outputs=None):
@@ -91,15 +93,20 @@ def checked_request(structure, record, quantity, *, dt=None, sensors=None, n_mod
             f"degrees of freedom are no storeys: pass {source!r} and outputs=S with one row for each drift, "
             "1 and -1 in the columns of its ends."
         )
+    picked = picked_by_name(structure, sensors) if outputs is None else Picked(sensors, None, None)
     asked = request(
         structure.n_dof,
         record.dt,
         dt=dt,
-        sensors=sensors,
+        sensors=picked.sensors,
         quantity=source,
         n_modes=n_modes,
         most_modes=structure.n_modes,
     )
+    asked = asked._replace(labels=picked.names)
+    if picked.outputs is not None:
+        structure.check_sensors(record, picked.outputs)
+        return asked, picked.outputs
     if outputs is None:
         if structure.family == "linear" and dim != "support":
             structure.check_sensors(record, asked.sensors)

@@ -8,6 +8,7 @@ from scipy import sparse
 
 from pymc_features._checks import (
     as_array,
+    as_list,
     as_numbers,
     check_choice,
     check_finite,
@@ -26,13 +27,17 @@ UNITS = dict(zip(QUANTITIES, ("m/s^2", "m/s^2", "m/s", "m"), strict=True))
 
 
 class Request(NamedTuple):
-    """A checked request: the response of `sensors` at every `stride`-th of `substeps` per step."""
+    """A checked request: the response of `sensors` at every `stride`-th of `substeps` per step.
+
+    `labels` are the names by which rows were asked for, None if by numbers.
+    """
 
     substeps: int
     stride: int
     sensors: np.ndarray
     n_modes: int
     quantity: str
+    labels: np.ndarray | None = None
 
     @property
     def quantity_code(self) -> int:
@@ -71,6 +76,30 @@ def request(
     n_modes = most_modes if n_modes is None else n_modes
     n_modes = check_integer(n_modes, "n_modes", most=most_modes, advice="Leave it out for all modes.")
     return Request(substeps, stride, check_sensors(sensors, n_dof), n_modes, quantity)
+
+
+class Picked(NamedTuple):
+    """Sensors as numbers, or as combinations S x where a name stands for one; and their names, if given."""
+
+    sensors: np.ndarray | None
+    outputs: np.ndarray | None
+    names: np.ndarray | None
+
+
+def picked_by_name(structure, sensors) -> Picked:
+    """Translate names of degrees of freedom; numbers stay as they are, and None where there are no names."""
+    names = structure.dof_names if sensors is None else sensors
+    listed = [names] if isinstance(names, str) else as_list(names)
+    if not listed or not any(isinstance(name, str) for name in listed):
+        return Picked(sensors, None, None)
+    if not all(isinstance(name, str) for name in listed):
+        raise TypeError(message("sensors", "all names or all numbers", shown(sensors)))
+    if structure.dof_names is None:
+        what = f"a list of degrees of freedom (integers) of a {type(structure).__name__} without names"
+        advice = "Name those of a LinearStructure by `with_names`."
+        raise ValueError(message("sensors", what, shown(sensors), advice))
+    rows, names = structure.rows_named(listed), np.array(listed)
+    return Picked(None, rows, names) if rows.ndim == 2 else Picked(rows, None, names)
 
 
 def check_sensors(sensors, n_dof: int) -> np.ndarray:

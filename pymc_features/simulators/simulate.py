@@ -25,7 +25,7 @@ def simulate(
     record: "Record | Loading",
     *,
     dt: float | None = None,
-    sensors: Sequence[int] | None = None,
+    sensors: Sequence[int] | Sequence[str] | None = None,
     quantity: str = "absolute_acceleration",
     n_modes: int | None = None,
     outputs: ArrayLike | sparse.sparray | None = None,
@@ -45,8 +45,9 @@ def simulate(
         structure is at rest at the first sample.
     dt : float, optional
         Output step [s], an integer multiple or divisor of the record's step, which is the default.
-    sensors : sequence of int, optional
-        Degrees of freedom, or storeys of a drift, 0 next to the base. All by default.
+    sensors : sequence of int or str, optional
+        Degrees of freedom, or storeys of a drift, 0 next to the base; or their names, where the structure has
+        any (`LinearStructure.with_names`). All by default.
     quantity : str
         "absolute_acceleration" [m/s^2] (default), "relative_acceleration" [m/s^2],
         "relative_velocity" [m/s] or "relative_displacement" [m]; relative to the base,
@@ -63,9 +64,9 @@ def simulate(
     Returns
     -------
     xarray.DataArray (sensor, time)
-        With coordinates `sensor` (degree of freedom, or row of `outputs`) and `time` [s], and the units
-        in `attrs`, without those of `outputs`. Drifts have the dimension storey instead of sensor, the base
-        shear has neither, or support where there are several.
+        With coordinates `sensor` (degree of freedom, its name, or row of `outputs`) and `time` [s], and the
+        units in `attrs`, without those of `outputs`. Drifts have the dimension storey instead of sensor, the
+        base shear has neither, or support where there are several.
 
     Raises
     ------
@@ -95,7 +96,7 @@ def simulate(
             f"`sensors` must be left out for the base shear, got {shown(sensors)}. It is a sum over all "
             "masses."
         )
-    rows = rows_of(structure, quantity, asked.sensors, outputs)
+    rows = rows_of(structure, quantity, asked, outputs)
     values = respond(structure, record, asked, rows.picked)
     share = force_share(structure, record, quantity)
     if share is not None:

@@ -1,7 +1,7 @@
 """Linear structures whose matrices are affine in the parameters."""
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Self
 
 import numpy as np
@@ -9,12 +9,14 @@ import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
-from pymc_features._checks import as_list, as_numbers
+from pymc_features._checks import as_list, as_numbers, check_callable, check_texts
+from pymc_features.structures.affine_terms import affine_terms
 from pymc_features.structures.base import Values
 from pymc_features.structures.damping import Damping
 from pymc_features.structures.inputs import MATRICES, vector
 from pymc_features.structures.linear import LinearStructure
 from pymc_features.structures.matrices import MatrixLike, as_matrix
+from pymc_features.structures.opensees import OpenSeesModel
 from pymc_features.structures.variables import (
     NUMBERS,
     as_float_tensor,
@@ -53,6 +55,7 @@ class AffineStructure(LinearStructure):
            [-50.,  50.]])
     """
 
+    parameter_names: tuple[str, ...] | None = None
     inputs = LinearStructure.inputs | {
         "theta": vector("-", required=True),
         "stiffness_terms": MATRICES,
@@ -99,7 +102,126 @@ class AffineStructure(LinearStructure):
             )
         self._install(self._as_theta(np.zeros(self.n_parameters) if theta is None else theta))
 
+    @classmethod
+    def from_matrices(
+        cls,
+        build: Callable[..., tuple],
+        parameters: Mapping[str, float],
+        *,
+        damping: Damping | MatrixLike | None = None,
+        influence: MatrixLike | None = None,
+    ) -> Self:
+        """The structure of a function that assembles (M, C, K), or (M, K), from parameters.
+
+        Parameters
+        ----------
+        build : callable
+            Called with the parameters by name; returns matrices in kg, N s/m and N/m, arrays or sparse.
+        parameters : mapping of str to float
+            Names and nominal values, in the order of theta.
+        damping, influence
+            As of `LinearStructure`. Without `damping` C is that of `build`.
+
+        Returns
+        -------
+        AffineStructure
+            With theta at the nominal values. `with_parameters` takes them in this order, or by name.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the matrices are not affine in the parameters, which is named; if one changes nothing.
+
+        Notes
+        -----
+        A_i = (A(theta + theta_i e_i) - A(theta)) / theta_i: each parameter is doubled once. The sum is
+        compared with `build` at a point where all of them differ by up to 50 %, to 1e-9 of each entry.
+
+        Examples
+        --------
+        >>> def column(EI, mass):  # of 2 m, a mass on its top
+        ...     return [[mass]], [[3.0 * EI / 2.0**3]]
+        >>> from pymc_features import ModalDamping
+        >>> cantilever = AffineStructure.from_matrices(
+        ...     column, {"EI": 1e6, "mass": 500.0}, damping=ModalDamping(0.02))
+        >>> cantilever.with_parameters({"mass": 1000.0, "EI": 2e6}).stiffness
+        array([[750000.]])
+        """
+        found = affine_terms(build, parameters, with_damping=damping is None)
+        if damping is None and "damping" not in found.constants:
+            raise ValueError(
+                "`damping` must be given if `build` returns (M, K), got None. Pass ModalDamping(ratios), "
+                "RayleighDamping(alpha, beta) or C in N s/m."
+            )
+        own = damping is None
+        structure = cls(
+            found.constants["mass"],
+            stiffness=found.constants["stiffness"],
+            damping=found.constants["damping"] if own else damping,
+            stiffness_terms=found.terms["stiffness"],
+            mass_terms=found.terms["mass"],
+            damping_terms=found.terms["damping"] if own else (),
+            influence=influence,
+            theta=list(found.nominal.values()),
+        )
+        structure.parameter_names = tuple(found.nominal)
+        return structure
+
+    @classmethod
+    def from_opensees(
+        cls,
+        build: Callable[..., object],
+        parameters: Mapping[str, float],
+        *,
+        direction: str | Sequence[str] = "x",
+        damping: Damping | MatrixLike | None = None,
+    ) -> Self:
+        """The structure of a model in OpenSees, read once for each parameter; OpenSees is not run again.
+
+        Parameters
+        ----------
+        build : callable
+            Called with the parameters by name; makes the model by commands of `openseespy.opensees`: nodes,
+            masses, elements, constraints, if wanted `rayleigh` with constant coefficients. M, C and the
+            tangent stiffness are taken as it leaves them. Models are wiped before and after.
+        parameters : mapping of str to float
+            Names and nominal values, in the order of theta.
+        direction : "x", "y" or "z", or a sequence of them
+            Of the ground motion. Several are several supports: pass a `Loading` with a row for each.
+        damping : Damping or array_like (n, n), optional
+            In place of the C of the model, which lacks what `modalDamping` adds.
+
+        Returns
+        -------
+        AffineStructure
+            Its degrees of freedom have names "node:direction", with x, y, z, rx, ry and rz. Those of nodes
+            that follow others rigidly (`rigidDiaphragm`, `equalDOF`, `rigidLink`) can be sensors, too.
+
+        Raises
+        ------
+        ImportError, ValueError, TypeError
+            Without OpenSeesPy; as of `from_matrices`; if the model has no damping and none is given.
+
+        Notes
+        -----
+        OpenSees gives full matrices: for up to some thousand degrees of freedom. Frequencies are those of
+        `eigen` to 1e-6, histories those of its integration to 0.1 % (tests/structures/test_opensees.py).
+        """
+        model = OpenSeesModel(check_callable(build, "build", "Pass a function of the parameters."))
+        found = cls.from_matrices(model, parameters, damping=damping)
+        if damping is None and not model.is_damped:
+            raise ValueError(
+                "`damping` must be given if the model has none, got None. Pass ModalDamping(ratios) or "
+                "RayleighDamping(alpha, beta), or call `rayleigh` in `build`."
+            )
+        directions = check_texts(direction, "direction", "x, y, z or several of them")
+        columns = [model.layout.influence(one) for one in directions]
+        found.influence = columns[0] if isinstance(direction, str) else np.stack(columns, axis=1)
+        return found.with_dof_names(model.layout.names())
+
     def _as_theta(self, theta):
+        if isinstance(theta, Mapping):
+            theta = self._in_order(theta)
         p, theta, advice = self.n_parameters, unpacked(theta), "Pass one for each parameter."
         if isinstance(theta, Variable):
             vector = with_known_length(pt.atleast_1d(as_float_tensor(theta, "theta", advice)))
@@ -118,13 +240,22 @@ class AffineStructure(LinearStructure):
             got = f"shape {vector.shape}" if vector.shape != (p,) else "NaN or infinity"
         raise ValueError(f"`theta` must be {p} finite values, one for each parameter, got {got}.")
 
-    def with_parameters(self, theta: Values) -> Self:
+    def _in_order(self, theta):
+        """Parameters that were given by name."""
+        if self.parameter_names is None or set(theta) != set(self.parameter_names):
+            names = ", ".join(self.parameter_names or ()) or "no names: pass a vector"
+            got = ", ".join(map(str, theta)) or "none"
+            raise ValueError(f"`theta` must have the parameters {names}, got {got}.")
+        return [theta[name] for name in self.parameter_names]
+
+    def with_parameters(self, theta: Values | Mapping[str, float | Variable]) -> Self:
         """Return the structure with other parameters; the constant matrices are shared.
 
         Parameters
         ----------
-        theta : array_like (p,), TensorVariable (p,) or sequence of p numbers and TensorVariables
-            Parameters [-]. Numbers are checked: M(theta) and K(theta) must have no negative eigenvalue.
+        theta : array_like (p,), TensorVariable (p,), sequence or mapping of p numbers and TensorVariables
+            Parameters [-]; a mapping has them by name, after `from_matrices` or `from_opensees`. Numbers are
+            checked: M(theta) and K(theta) must have no negative eigenvalue.
         """
         changed = copy.copy(self)
         changed._install(self._as_theta(theta))

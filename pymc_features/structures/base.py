@@ -41,6 +41,8 @@ class Structure(ABC):
         Whether its response is a sum of modes.
     has_storeys : bool
         Whether degree of freedom i moves against i - 1, so that there are inter-storey drifts.
+    dof_names : tuple of str or None
+        Names of its degrees of freedom, where they have any.
     inputs : dict
         Names of its arguments to what they may be in a file, `Input`.
     """
@@ -48,6 +50,7 @@ class Structure(ABC):
     family: str
     is_linear: bool = True
     has_storeys: bool = False
+    dof_names: tuple[str, ...] | None = None
     inputs: dict[str, Input]
 
     @property

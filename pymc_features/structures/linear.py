@@ -21,9 +21,10 @@ from pymc_features.structures.matrices import (
     check_static_forces,
     check_stiffness,
 )
+from pymc_features.structures.names import Named
 
 
-class LinearStructure(Structure):
+class LinearStructure(Named, Structure):
     """A structure given by its matrices, M x" + C x' + K x = -M influence a_g(t), or forces on the right.
 
     Parameters

@@ -31,7 +31,8 @@ def bands(problem, kind, model, idata) -> xr.Dataset:
         `response` (quantile, sensor, time), of the parameters' uncertainty alone; `predictive`, the same
         of draws of the likelihood, errors included (ABC has none); `normalised_error` (sensor), rms of
         measured less median response over rms measured; `coverage` (sensor), share of the samples in the
-        predictive band. Peaks of other responses (`<quantity>_peak`) if the report asks for them.
+        predictive band, both without the gaps in what was measured. Peaks of other responses
+        (`<quantity>_peak`) if the report asks for them.
     """
     measured, names = problem.measured, ["absolute_acceleration", *problem.config.report.quantities]
     settings = {"draws": DRAWS, "quantiles": QUANTILES, "random_seed": 0}
@@ -49,7 +50,8 @@ def bands(problem, kind, model, idata) -> xr.Dataset:
     if not LIKELIHOODS[kind].is_likelihood_free:
         found["predictive"] = dims, predictive(model, idata)
         low, high = found["predictive"].isel(quantile=0), found["predictive"].isel(quantile=-1)
-        found["coverage"] = ((observed >= low) & (observed <= high)).mean("time")
+        inside = ((observed >= low) & (observed <= high)).where(observed.notnull())
+        found["coverage"] = inside.mean("time")
     if problem.config.report.quantities:
         rest = posterior_response(
             idata, problem.structure, measured.record, problem.config.report.quantities, **settings
@@ -117,7 +119,8 @@ def measured_gain(problem) -> tuple[xr.DataArray, np.ndarray]:
     size = max(min(64, base.size), base.size // 3)
     settings = {"fs": 1.0 / step, "nperseg": size, "nfft": 4 * size}
     frequency, power = signal.welch(base, **settings)
-    answer = signal.welch(channels.values, **settings)[1]
+    answer = signal.welch(np.nan_to_num(channels.values), **settings)[1]
+    answer *= channels.sizes["time"] / problem.measured.samples[:, None]  # gaps have no power
     gain = np.sqrt(answer / np.maximum(power, 1e-6 * power.max()))
     total = np.log(np.maximum(np.sqrt((gain**2).mean(axis=0)), 1e-12))
     peaks, _ = signal.find_peaks(total, prominence=np.log(PROMINENCE))

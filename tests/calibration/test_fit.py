@@ -2,9 +2,19 @@
 
 import numpy as np
 import pymc as pm
+import pytensor
 import pytest
+from scipy.signal import lfilter
 
-from pymc_features import ExpFeature, ModalDamping, Record, SpringMassChain, response
+from pymc_features import (
+    ExpFeature,
+    GammaFeature,
+    ModalDamping,
+    Record,
+    SpringMassChain,
+    effective_samples,
+    response,
+)
 from pymc_features.calibration.calibrate import curved
 from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.comparison import comparison
@@ -108,3 +118,47 @@ def test_the_sampling_step_of_a_response_is_known(likelihood):
         likelihood("y", mu=response(chain, record), sigma=pm.HalfNormal("sigma"), observed=data)
     [rv] = model.observed_RVs
     assert comparison(rv.owner.op, rv, model.rvs_to_values[rv]).step == 0.02
+
+
+# --------------------------------------------------------------------------- data with gaps
+
+
+def mean_model(data, kind=GammaFeature):
+    """A constant in white noise, or what is taken for it."""
+    n = (~np.isnan(data)).sum(axis=1).astype(float)
+    with pm.Model() as model:
+        mu, sigma = pm.Normal("mu", 0.0, 10.0) * np.ones(data.shape), pm.HalfNormal("sigma", 3.0)
+        if kind is GammaFeature:
+            GammaFeature("y", mu, sigma / np.sqrt(n), m=n, density="data", observed=data)
+        else:
+            ExpFeature("y", mu, sigma, observed=data)
+    return model
+
+
+@pytest.mark.parametrize("kind", [GammaFeature, ExpFeature])
+@pytest.mark.parametrize("phi", [0.0, 0.8])
+def test_observations_of_data_with_gaps(phi, kind):
+    """N_j (1 - phi) / (1 + phi) of a process of first order, to 15 % with 7,000 samples; the mean exactly."""
+    rng = np.random.default_rng(1)
+    data = 3.0 + lfilter([1.0], [1.0, -phi], rng.normal(size=(2, 10_000)), axis=1)
+    data[0, 2000:5000], data[1, 4000:6000] = np.nan, np.nan
+    n = (~np.isnan(data)).sum(axis=1)
+    found = effective_samples(mean_model(data, kind), random_seed=1)
+    np.testing.assert_allclose(found["n_eff"], n * (1.0 - phi) / (1.0 + phi), rtol=0.15)
+    assert found.attrs["claimed"] == (n.sum() if kind is GammaFeature else 4)
+    weights = 1.0 if kind is GammaFeature else 1.0 / n  # EXP weighs the sensors alike
+    mean = np.sum(weights * np.nansum(data, axis=1)) / np.sum(weights * n)
+    assert float(found["point"].sel(parameter="mu")) == pytest.approx(mean, abs=1e-4)
+
+
+def test_gaps_that_leave_too_little():
+    data = np.random.default_rng(1).normal(size=(2, 400))
+    data[0, 100:200], data[1, 250:320] = np.nan, np.nan
+    with pytest.raises(
+        ValueError, match="all sensors for 60 % of the record or more, .* got 57 % in y. Compare"
+    ):
+        effective_samples(mean_model(data))
+    with pm.Model() as model:
+        pm.Normal("y", pm.Normal("mu"), 1.0, observed=pytensor.shared(data))
+    with pytest.raises(ValueError, match="data without gaps, got NaN in y. Leave them out by a feature"):
+        effective_samples(model)

@@ -5,6 +5,9 @@ import pytest
 from scipy.fft import dct, idct
 from scipy.signal import lfilter
 
+from pymc_features.calibration.fit import Event
+from pymc_features.calibration.gaps import mirrored
+from pymc_features.calibration.sandwich import sandwich
 from pymc_features.calibration.spectrum import burg, error_model, memory, resampled
 
 N_SENSORS, N_TIMES = 4, 600
@@ -73,6 +76,48 @@ def errors_of(kind, rng, sensitivities):
     radius, angle = np.exp(-0.05 * 2 * np.pi * 0.02), 2 * np.pi * 0.02  # narrow-band at 1 Hz
     e = rng.standard_normal((N_SENSORS, N_TIMES + 2000))
     return lfilter([1.0], [1.0, -2 * radius * np.cos(angle), radius**2], e, axis=1)[:, 2000:]
+
+
+def gaps_of(kind):
+    """Samples (sensor, time) that were measured: blocks of a few periods, or single ones, are missing."""
+    measured = np.ones((N_SENSORS, N_TIMES), dtype=bool)
+    if kind == "blocks":
+        measured[0, 150:300], measured[2, 80:140] = False, False
+    else:
+        measured[1, ::7], measured[3, 3::11] = False, False
+    return measured
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("missing", ["blocks", "single"])
+@pytest.mark.parametrize(
+    ("kind", "lowest"),
+    [("white", 0.86), ("persistent", 0.84), ("common", 0.84), ("growing", 0.84), ("narrow", 0.80)],
+)
+def test_coverage_with_gaps(kind, lowest, missing):
+    """As below, of what was measured; up to a third of the record is missing in one sensor or another."""
+    measured = gaps_of(missing)
+    whole = regression()
+    s = whole * measured[..., None]
+    flat = s.reshape(-1, 2)
+    claims, response = np.linalg.inv(flat.T @ flat), whole.sum(axis=-1)
+    rng, hits = np.random.default_rng(4), []
+    for _ in range(200):
+        e = errors_of(kind, rng, whole) * measured
+        off = claims @ flat.T @ e.ravel()
+        settings = np.zeros((N_SENSORS, 2)), np.full(N_SENSORS, 1.0), response, 0.02, measured
+        event = Event("y", (e - s @ off) * measured, s, *settings)
+        covariance = sandwich([event], flat.T @ flat).covariance
+        hits.append(np.abs(off) < 1.645 * np.sqrt(np.diag(covariance)))
+    assert lowest < np.mean(hits) < 0.96
+
+
+def test_what_stands_in_for_gaps():
+    gaps = np.zeros(14, dtype=bool)
+    gaps[[0, 1, 5, 6, 7, 11, 13]] = True
+    expected = [3, 2, 2, 3, 4, 4, 9, 8, 8, 9, 10, 12, 12, 12]
+    np.testing.assert_array_equal(mirrored(gaps), expected)
+    np.testing.assert_array_equal(mirrored(np.zeros(5, dtype=bool)), np.arange(5))
 
 
 @pytest.mark.slow

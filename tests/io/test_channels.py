@@ -12,7 +12,7 @@ from scipy.io import savemat
 
 from pymc_features import read_channels
 from pymc_features.exceptions import ChannelWarning
-from pymc_features.io.reading.clock import Clock, common_window, even_step
+from pymc_features.io.reading.clock import Clock, common_window, even_clock
 from pymc_features.signals import check_channels
 from support.refusals import refusals
 from support.warned import messages
@@ -516,11 +516,28 @@ def test_copies(tmp_path):
 
 
 def test_even_step_of_printed_times():
-    assert even_step(np.round(np.arange(50) / 12.0, 2), str, 0.01) == pytest.approx(1 / 12.0, rel=1e-2)
+    step, numbers = even_clock(np.round(np.arange(50) / 12.0, 2), str, 0.01, gaps=False)
+    assert step == pytest.approx(1 / 12.0, rel=1e-2)
+    np.testing.assert_array_equal(numbers, np.arange(50))
     with pytest.raises(ValueError, match="^5: no samples may be missing, 1 are"):
-        even_step(np.delete(0.1 * np.arange(9), 5), str, 0.0)
-    with pytest.raises(ValueError, match="time steps must be even"):
-        even_step(np.array([0.0, 0.1, 0.2, 0.35, 0.4]), str, 0.0)
+        even_clock(np.delete(0.1 * np.arange(9), 5), str, 0.0, gaps=False)
+    for gaps in (False, True):
+        with pytest.raises(ValueError, match="time steps must be even"):
+            even_clock(np.array([0.0, 0.1, 0.2, 0.35, 0.4]), str, 0.0, gaps)
+
+
+def test_numbers_of_the_samples_that_are_there():
+    """Of printed times, too, where no step is exactly even; more than half must be there."""
+    for there in (np.delete(np.arange(60), [7, 8, 9, 30]), np.r_[0:20, 45:60]):
+        for decimals in (2, 12):
+            times = np.round(3.0 + there / 12.0, decimals)
+            step, numbers = even_clock(times, str, 10.0**-decimals, gaps=True)
+            assert step == pytest.approx(1 / 12.0, rel=1e-3)
+            np.testing.assert_array_equal(numbers, there)
+    with pytest.raises(ValueError, match="^20: no samples may be missing, 25 are"):
+        even_clock(np.r_[0:20, 45:46] / 12.0, str, 0.0, gaps=True)
+    with pytest.raises(ValueError, match="time steps must be even"):  # a clock that slips by 0.4 of a step
+        even_clock(np.r_[0:20, 30.4:60] / 12.0, str, 0.0, gaps=True)
 
 
 def test_slow_drift_of_clocks():

@@ -14,7 +14,13 @@ import pyuff
 from scipy import sparse
 from scipy.io import mmwrite, savemat
 
-from pymc_features import read_channels, read_matrices, read_modal, read_record
+from pymc_features import (
+    read_channels,
+    read_channels_with_gaps,
+    read_matrices,
+    read_modal,
+    read_record,
+)
 from pymc_features.io.formats.waveforms import KINDS
 from support import modal_files
 from support import record_files as files
@@ -62,7 +68,12 @@ def channels(**arguments):
     return lambda path: read_channels(path, **arguments).values[0]
 
 
+def with_gaps(**arguments):
+    return lambda path: read_channels_with_gaps(path, **arguments).values[0]
+
+
 CLOCK = "time [s],acc [g],b [g]\n" + "".join(f"{STEP * k:.3f},{x:.3f},{-x:.3f}\n" for k, x in enumerate(A))
+GAPS = "".join(line for k, line in enumerate(CLOCK.splitlines(keepends=True)) if not 20 <= k < 25)
 ROWS = "".join("".join(f"{x:10.3f}" for x in A[k : k + 8]) + "\n" for k in range(0, A.size, 8))
 PAIRS = np.column_stack([FILM, np.round(np.sin(FILM), 3)])
 
@@ -81,6 +92,7 @@ READERS = {  # name: suffix, how the file is made, how it is read
     "film, csmip": (".raw", lambda p: p.write_text(files.csmip_film(*PAIRS.T)), record(dt=0.004)),
     "csv": (".csv", lambda p: p.write_text(CLOCK), record(column=1)),
     "channels of csv": (".csv", lambda p: p.write_text(CLOCK), channels(columns="acc")),
+    "csv with gaps": (".csv", lambda p: p.write_text(GAPS), with_gaps(columns="acc")),
     "wrapped text": (".acc", lambda p: p.write_text(ROWS), record(units="g", dt=STEP, wrapped=True)),
     "mat": (".mat", lambda p: savemat(p, {"ag": A, "dt": STEP, "units": "g"}), record()),
     "compressed mat": (
@@ -124,7 +136,7 @@ READERS = {  # name: suffix, how the file is made, how it is read
     "matrices of mat 7.3": (".mat", lambda p: save_hdf5(p, K=STIFFNESS, M=np.ones((1, 6))), read_matrices),
 }
 #: Nothing in these files says how many values there are, or where each byte belongs.
-COUNTLESS = {"csv", "channels of csv", "wrapped text", "mat", "mat 7.3", "SAC"}
+COUNTLESS = {"csv", "channels of csv", "csv with gaps", "wrapped text", "mat", "mat 7.3", "SAC"}
 
 
 def mutate(name, folder, count):

@@ -296,7 +296,8 @@ REFUSALS_VALUES = {  # what is said: what is given
     "`params` must be given with a function, got none. Pass its parameters": {"mu": shelf},
     "`params` must be left out when `mu` is a response: it has its own": {"params": (1.0,)},
     r"must be \(sensor, time\) to match a response, got shape": {"observed": np.zeros(60)},
-    "`observed` must be finite numbers of shape": {"observed": np.full((3, 60), np.nan)},
+    "`observed` must be finite numbers of shape": {"observed": np.full((3, 60), np.inf)},
+    "`observed` must have data of every sensor, .* at index 0": {"observed": np.full((3, 60), np.nan)},
     r"\(3, 60\) to match `mu`, got \(60, 3\). Transpose it": {"observed": np.zeros((60, 3))},
     r"\(3, 60\) to match `mu`, got \(3, 59\). Give one row": {"observed": np.zeros((3, 59))},
 }
@@ -550,7 +551,7 @@ def test_a_function_that_always_fails_is_named_in_the_default_mode():
         (
             {"observed": np.ma.masked_greater(np.ones((3, 60)), 0.5)},
             ValueError,
-            "`observed` must have no missing values, got a masked array. Cut the record",
+            "`observed` must have data of every sensor, .* got NaN alone at index 0. Leave it out",
         ),
         ({"observed": "data"}, TypeError, "`observed` must be an array of numbers, got str"),
         (

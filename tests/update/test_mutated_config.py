@@ -79,6 +79,11 @@ VARIANTS = [  # sections, and what is different there
     },
     {"record": {"path": "motion.csv", "units": "g", "dt": 0.01, "column": 0}, "data": {"base": None}},
     {
+        "data": {"files": "gaps.csv", "gaps": "leave_out", "delay": {"floor3": 0.0025}},
+        "processing": {"band_pass": {"low": 2.0}},
+        "likelihood": {"kinds": ["NORM", "EXP", "ABC"], "epsilon": 5.0},
+    },
+    {
         "processing": {
             "trim": [0.0, 3.0],
             "decimate": 2,
@@ -99,6 +104,9 @@ def originals(folder):
     path, _ = write_example(folder / "original.toml", synthetic=True)[0]
     lines = (folder / "original-measured.csv").read_text().splitlines()[: ROWS + 1]
     (folder / "measured.csv").write_text("\n".join(lines) + "\n")
+    (folder / "gaps.csv").write_text(
+        "\n".join([*lines[:90], *map(without_last, lines[90:110]), *lines[110:]])
+    )
     (folder / "motion.csv").write_text("\n".join(["acceleration", *["0.1", "-0.1"] * (ROWS // 2)]) + "\n")
     example = tomllib.loads(path.read_text())
     example["data"]["files"] = "measured.csv"
@@ -111,6 +119,11 @@ def originals(folder):
         if table["structure"].get("type") in ("LinearStructure", "AffineStructure"):
             table["report"]["quantities"] = []
         yield without_idle_priors(table)
+
+
+def without_last(line):
+    """A row whose last sensor is missing."""
+    return line.rpartition(",")[0] + ","
 
 
 def without_idle_priors(table):

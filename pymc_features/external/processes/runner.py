@@ -33,7 +33,8 @@ def one_call(work, arguments):
             "last axis."
         )
     if work["observed"] is not None:
-        result = np.mean((work["observed"] - result) ** 2, axis=-1)
+        misfit = np.where(np.isnan(work["observed"]), 0.0, work["observed"] - result)  # NaN is a gap
+        result = np.mean(misfit**2, axis=-1)
     return result
 
 

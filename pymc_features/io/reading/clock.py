@@ -47,7 +47,7 @@ class MeasuredFile:
     """Channels of one file, all sampled at the same times."""
 
     names: list[str]
-    values: np.ndarray  # (channel, time) [m/s^2]
+    values: np.ndarray  # (channel, time) [m/s^2], NaN where there are gaps
     clock: Clock
 
 
@@ -62,6 +62,7 @@ class Request:
     clock_units: float | None = None  # [s] per count
     skip: int = 0
     wrapped: bool | None = None  # whether one series runs along the lines of a text file
+    gaps: bool = False  # whether samples may be missing: NaN, empty cells, rows that a clock passes over
 
 
 def clock_seconds(units) -> float:
@@ -76,8 +77,19 @@ def clock_seconds(units) -> float:
     )
 
 
-def even_step(times: np.ndarray, where: Callable[[int], str], quantum: float) -> float:
-    """Sampling interval [s] of a clock (time,) without gaps; `quantum` is its resolution [s].
+def even_clock(times: np.ndarray, where: Callable[[int], str], quantum: float, gaps: bool):
+    """Sampling interval [s] of a clock (time,), and the number of each of its samples, from 0 (time,).
+
+    Parameters
+    ----------
+    times : ndarray (time,)
+        Readings [s].
+    where : callable
+        How a message calls the place of a row.
+    quantum : float
+        Resolution of the readings [s].
+    gaps : bool
+        Whether samples may be missing; then half of them, at most.
 
     Raises
     ------
@@ -91,18 +103,31 @@ def even_step(times: np.ndarray, where: Callable[[int], str], quantum: float) ->
             f"{where(row)}: the clock must run forward, it goes from {times[row - 1]:.10g} s to "
             f"{times[row]:.10g} s. Cut the file there, or pass `clock`, the column with the times."
         )
-    usual = float(np.median(steps))
+    usual = float(steps[steps < 1.5 * np.median(steps)].mean())  # of printed times no step is exact
     missing = np.rint(steps / usual)
-    slack = 0.1 * usual + 2.0 * quantum
-    whole = np.abs(steps - missing * usual) <= slack * missing
-    if (missing > 1.0).any() and whole.all() and slack < 0.4 * usual:
+    off, slack = np.abs(steps - missing * usual), 0.1 * usual + 2.0 * quantum
+    whole = (off <= 0.1 * usual).all() or (slack < 0.4 * usual and (off <= slack * missing).all())
+    numbers = np.arange(times.size)
+    if (missing > 1.0).any() and whole:
         row = int(np.argmax(missing > 1.0)) + 1
+        if gaps and missing.sum() < 2.0 * times.size:
+            numbers = np.append(0, np.cumsum(missing.astype(np.int64)))
+            return time_step(times, where, quantum, numbers), numbers
         raise ValueError(
             f"{where(row)}: no samples may be missing, {int((missing - 1.0).sum())} are, in "
             f"{int((missing > 1.0).sum())} gap(s), the first from {times[row - 1]:.10g} s to "
             f"{times[row]:.10g} s at a step of {usual:.4g} s. Cut the file to one side, or fill the gap."
         )
-    return time_step(times, where, quantum)
+    return time_step(times, where, quantum), numbers
+
+
+def at_samples(values: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Values (channel, row) at the numbers of their samples (row,), NaN where there is none."""
+    if values.shape[1] == numbers[-1] + 1:
+        return values
+    whole = np.full((values.shape[0], numbers[-1] + 1), np.nan)
+    whole[:, numbers] = values
+    return whole
 
 
 def common_window(clocks: list[Clock]) -> Window:

@@ -107,7 +107,12 @@ def resolve_dt(dt: float | None, stated: float | None, source: str) -> float:
     return dt
 
 
-def time_step(times: np.ndarray, where: Callable[[int], str], quantum: float = 0.0) -> float:
+def time_step(
+    times: np.ndarray,
+    where: Callable[[int], str],
+    quantum: float = 0.0,
+    numbers: np.ndarray | None = None,
+) -> float:
     """Step of evenly increasing times, or an error that names the first place to look at.
 
     Parameters
@@ -120,6 +125,8 @@ def time_step(times: np.ndarray, where: Callable[[int], str], quantum: float = 0
         Resolution of the printed times [s]. Up to a quarter of the step it is tolerated as
         rounding, unless the step is a multiple of it: then rounding cannot make steps uneven.
         A thousandth of the step is tolerated anyway.
+    numbers : ndarray (time,), optional
+        Of the samples, from 0, where some are missing between the times.
 
     Returns
     -------
@@ -143,12 +150,13 @@ def time_step(times: np.ndarray, where: Callable[[int], str], quantum: float = 0
             f"{where(row)}: time must increase, it goes from {times[row - 1]:g} s to "
             f"{times[row]:g} s. Name the acceleration by `column` and pass `dt` if this is no time."
         )
-    mean = (times[-1] - times[0]) / steps.size
+    numbers = np.arange(times.size) if numbers is None else numbers
+    mean = (times[-1] - times[0]) / numbers[-1]
     tolerance = 1e-3 * mean + 4.0 * np.spacing(np.abs(times).max())
     multiple = quantum > 0.0 and abs(mean / quantum - round(mean / quantum)) < 1e-6
     if quantum <= mean / 4.0 and not multiple:
         tolerance += quantum
-    if np.abs(times - times[0] - mean * np.arange(times.size)).max() > tolerance:
+    if np.abs(times - times[0] - mean * numbers).max() > tolerance:
         row = int(np.argmax(np.abs(steps - np.median(steps)))) + 1
         raise ValueError(
             f"{where(row)}: time steps must be even, they vary from {steps.min():.4g} s to "

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.reading.clock import Clock, MeasuredFile, Request, even_step
+from pymc_features.io.reading.clock import Clock, MeasuredFile, Request, at_samples, even_clock
 from pymc_features.io.reading.units import resolve_dt, resolve_units
 from pymc_features.io.tables.mat import SCALARS, TIMES, describe, load_variables, stated_units
 
@@ -47,15 +47,16 @@ def read_mat_channels(path: Path, request: Request) -> MeasuredFile:
     values = values[:, request.skip :]
     if values.shape[1] < 2:
         raise ValueError(f"{path.name} must hold at least 2 samples, got {values.shape[1]}.")
-    if not np.isfinite(values).all():
-        channel, sample = np.argwhere(~np.isfinite(values))[0]
+    wrong = np.isinf(values) if request.gaps else ~np.isfinite(values)
+    if wrong.any():
+        channel, sample = np.argwhere(wrong)[0]
         raise ValueError(
             f"{path.name}, `{names[channel]}`, sample {sample + request.skip}: values must be finite "
             f"numbers, got {values[channel, sample]}. Correct or cut it first."
         )
     factor = resolve_units(request.units, stated_units(variables), path.name)
-    clock = _clock(path.name, values.shape[1], times, timer, variables, request)
-    return MeasuredFile(names, factor * values, clock)
+    clock, numbers = _clock(path.name, values.shape[1], times, timer, variables, request)
+    return MeasuredFile(names, at_samples(factor * values, numbers), clock)
 
 
 def _clock_variable(arrays, clock, found: str) -> str | None:
@@ -80,7 +81,8 @@ def _by_time(array: np.ndarray, name: str, file: str) -> np.ndarray:
     return array.T if array.shape[0] > array.shape[1] else array
 
 
-def _clock(file, n_times, times, timer, variables, request) -> Clock:
+def _clock(file, n_times, times, timer, variables, request) -> tuple[Clock, np.ndarray]:
+    """The clock, and the numbers of the samples (row,)."""
     stated = {}
     for name in variables:
         if name.lower() in SCALARS and variables[name].size == 1 and float(variables[name].item()) > 0.0:
@@ -88,17 +90,20 @@ def _clock(file, n_times, times, timer, variables, request) -> Clock:
             stated[name] = number if name.lower() == "dt" else 1.0 / number
     step = next(iter(stated.values()), None)
     if times is None:
-        return Clock(file, n_times, resolve_dt(request.dt, step, file))
+        return Clock(file, n_times, resolve_dt(request.dt, step, file)), np.arange(n_times)
     scale = request.clock_units or 1.0
     readings = scale * times[request.skip :]
     quantum = 4.0 * np.spacing(np.abs(readings).max()) + _quantum(variables.get(timer), readings)
-    even = even_step(readings, lambda row: f"{file}, `{timer}`, sample {row + request.skip}", quantum)
+    even, numbers = even_clock(
+        readings, lambda row: f"{file}, `{timer}`, sample {row + request.skip}", quantum, request.gaps
+    )
     if step is not None and not np.isclose(step, even, rtol=1e-3, atol=0.0):
         raise ValueError(
             f"{file} contradicts itself, {next(iter(stated))} says a step of {step:g} s and {timer} {even:g} "
             "s. Pass `clock_units`, or clock=False and `dt`."
         )
-    return Clock(file, n_times, resolve_dt(request.dt, even, file), float(readings[0]), quantum)
+    dt = resolve_dt(request.dt, even, file)
+    return Clock(file, int(numbers[-1]) + 1, dt, float(readings[0]), quantum), numbers
 
 
 def _quantum(variable, readings) -> float:

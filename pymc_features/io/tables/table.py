@@ -16,6 +16,7 @@ from pymc_features.io.tables.brackets import labels_with_brackets, texts_in_brac
 _SEPARATORS = (r"\t", ";", ",", r"\s+")
 _COMMENTS = ("#", "%", "//")
 MOST_HEADER_LINES = 10_000
+MISSING = ("", "nan", "+nan", "-nan")  # cells of a gap, in lower case
 
 
 @dataclass(frozen=True)
@@ -112,8 +113,10 @@ class Body:
                 skipped += 1
 
 
-def parse_table(path: Path, skip: int = 0, wrapped: bool | None = None) -> Table:
+def parse_table(path: Path, skip: int = 0, wrapped: bool | None = None, gaps: bool = False) -> Table:
     """Read a text file into a table, without its first `skip` rows of numbers.
+
+    With `gaps` cells below the first row may be "nan" or empty: NaN.
 
     With `wrapped` its values are one series that runs along the lines, and the table has one column, or, if
     they are times and values in turn, two.
@@ -138,7 +141,7 @@ def parse_table(path: Path, skip: int = 0, wrapped: bool | None = None) -> Table
         if len(cells) == n_columns > 1 and to_number(cells[0]) is not None:
             bad = next(cell for cell in cells if to_number(cell) is None)
             raise not_a_number(f"{path.name}, line {number}", bad)
-    values = _numbers(path.name, Body(lines, first), separator, n_columns)[skip:]
+    values = _numbers(path.name, Body(lines, first), separator, n_columns, gaps)[skip:]
     labels = [found for line in header if (found := _labels(line, n_columns))]
     return Table(path.name, header, labels, _at_least_two(path.name, values), body, separator)
 
@@ -185,25 +188,34 @@ def _separator(line: str) -> str | None:
     return None
 
 
-def _numbers(file: str, body: Body, separator: str, n_columns: int) -> np.ndarray:
+def _numbers(file: str, body: Body, separator: str, n_columns: int, gaps: bool) -> np.ndarray:
     """The rows as an array; the fast parser where it takes them, else cell by cell, to name a spoilt one."""
     delimiter = {r"\t": "\t", r"\s+": None}.get(separator, separator)
     try:
         values = np.loadtxt((line for _, line in body), delimiter=delimiter, comments=None, ndmin=2)
     except ValueError:
         values = None
-    if values is not None and values.shape[1] == n_columns and np.isfinite(values).all():
-        return values
+    if values is not None and values.shape[1] == n_columns:
+        wrong = np.isinf(values) if gaps else ~np.isfinite(values)
+        if not wrong.any():
+            return values
     cells = array("d")
     for number, line in body:
-        cells.extend(_row(file, number, line, separator, n_columns))
+        cells.extend(_row(file, number, line, separator, n_columns, gaps))
     return np.array(cells).reshape(-1, n_columns)
 
 
-def _row(file: str, number: int, line: str, separator: str, n_columns: int | None) -> list[float]:
-    where = f"{file}, line {number}"
-    row = []
-    for cell in _split(line, separator):
+def _row(
+    file: str, number: int, line: str, separator: str, n_columns: int | None, gaps: bool = False
+) -> list[float]:
+    where, row = f"{file}, line {number}", []
+    cells = _split(line, separator)
+    if gaps and len(cells) + 1 == n_columns and line.rstrip().endswith(separator):
+        cells.append("")  # the last cell is empty
+    for cell in cells:
+        if gaps and cell.lower() in MISSING:
+            row.append(np.nan)
+            continue
         value = to_number(cell)
         if value is None or not -np.inf < value < np.inf:
             raise not_a_number(where, cell)

@@ -4,7 +4,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.reading.clock import SECONDS, Clock, MeasuredFile, Request, even_step
+from pymc_features.io.reading.clock import (
+    SECONDS,
+    Clock,
+    MeasuredFile,
+    Request,
+    at_samples,
+    even_clock,
+)
 from pymc_features.io.reading.units import resolve_dt, resolve_units
 from pymc_features.io.tables.table import Table, check_not_wrapped, parse_table
 
@@ -15,7 +22,7 @@ CLOCKS = {"t": 1.0, "time": 1.0, "timestamp": 1.0, "sampletimefine": 1e-6}
 
 def read_text_channels(path: Path, request: Request) -> MeasuredFile:
     """Read columns of a text file and its clock; see `read_channels`."""
-    table = parse_table(path, request.skip, request.wrapped)
+    table = parse_table(path, request.skip, request.wrapped, request.gaps)
     timer = _clock_column(table, request.clock)
     named = request.columns is not None and all(isinstance(column, str) for column in request.columns)
     check_not_wrapped(table, request.wrapped, timer is not None, named)
@@ -31,7 +38,8 @@ def read_text_channels(path: Path, request: Request) -> MeasuredFile:
     factors = [resolve_units(request.units, table.stated_unit(index), table.file) for index in picked]
     values = np.array(factors)[:, None] * table.values[:, picked].T
     names = [table.name(index) or f"column {index}" for index in picked]
-    return MeasuredFile(names, values, _clock(table, timer, request))
+    clock, numbers = _clock(table, timer, request)
+    return MeasuredFile(names, at_samples(values, numbers), clock)
 
 
 def _clock_column(table: Table, clock) -> int | None:
@@ -48,16 +56,22 @@ def _clock_column(table: Table, clock) -> int | None:
     return 0 if forward else None
 
 
-def _clock(table: Table, timer: int | None, request: Request) -> Clock:
+def _clock(table: Table, timer: int | None, request: Request) -> tuple[Clock, np.ndarray]:
+    """The clock, and the numbers of the samples (row,)."""
     n_times = table.values.shape[0]
     if timer is None:
-        return Clock(table.file, n_times, resolve_dt(request.dt, None, table.file))
+        return Clock(table.file, n_times, resolve_dt(request.dt, None, table.file)), np.arange(n_times)
+    without = np.flatnonzero(np.isnan(table.values[:, timer]))
+    if without.size:
+        raise ValueError(
+            f"{table.where(int(without[0]))}: the clock must have a time in every row, got none. Cut the row."
+        )
     stated = [SECONDS[unit.lower()] for unit in table.brackets(timer) if unit.lower() in SECONDS]
     known = CLOCKS.get((table.name(timer) or "").lower(), 1.0)
     scale = request.clock_units or next(iter(stated), known)
     quantum = table.quantum(timer)
     times = scale * table.values[:, timer]
-    step = even_step(times, table.where, scale * quantum)
+    step, numbers = even_clock(times, table.where, scale * quantum, request.gaps)
     if (
         step >= 1.0 and request.clock_units is None and not stated and known == 1.0
     ):  # a counter, or other units
@@ -69,6 +83,5 @@ def _clock(table: Table, timer: int | None, request: Request) -> Clock:
             )
         scale = request.dt / step
         times, step = scale * table.values[:, timer], request.dt
-    return Clock(
-        table.file, n_times, resolve_dt(request.dt, step, table.file), float(times[0]), scale * quantum
-    )
+    dt = resolve_dt(request.dt, step, table.file)
+    return Clock(table.file, int(numbers[-1]) + 1, dt, float(times[0]), scale * quantum), numbers

@@ -27,7 +27,8 @@ def gradient(op, static, parameters, acceleration, dt, sensors, history, weights
         products, slopes, grad_damping = sums
         weighted = data
         if weights is not None:
-            weighted = 2.0 / sampling.total * weights * there * (output(states, at) - data)
+            off = jnp.where(jnp.isnan(data), 0.0, output(states, at) - data)
+            weighted = 2.0 / sampling.total * weights * there * off
         modal = weighted @ shapes
         f_lambda, f_damping = modes.slopes(*states)
         return (
@@ -143,7 +144,7 @@ def response_backward(op, static, inputs, cotangent):
 
 def discrepancy_backward(op, static, inputs, weights):
     *common, observed = inputs
-    misfit = observed - response(op, static, *common)
+    misfit = jnp.where(jnp.isnan(observed), 0.0, observed - response(op, static, *common))
     grad_data = weights[:, None] * (2.0 / observed.shape[1]) * misfit
     return (gradient(op, static, *inputs, weights), *without_gradient(*common[1:]), grad_data)
 

@@ -105,8 +105,7 @@ def march_misfit(inputs, begin, add):
     """Sum over the misfit; returns the sums, how many samples they are of, and if there is a structure.
 
     `inputs` are those of `discrepancy`; `begin(first)` makes the sums of none from the first misfit (s,), and
-    `add(sums, misfit, there)` adds a
-    block (BLOCK, s), `there` (BLOCK, 1) being 0 behind the end.
+    `add(sums, misfit, there, data)` adds a block (BLOCK, s), `there` (BLOCK, 1) being 0 behind the end.
     """
     op, (substeps, stride, n_modes), parameters, acceleration, dt, sensors, observed = inputs
     modes = Modes(op, parameters, dt / substeps, n_modes)
@@ -116,7 +115,7 @@ def march_misfit(inputs, begin, add):
         raise ValueError("`observed` must have the shape (sensor, time) of the response")
 
     def visit(sums, states, at, there, data):
-        return add(sums, data - output(states, at), there), None
+        return add(sums, data - output(states, at), there, data), None
 
     rest = jnp.zeros((1, n_modes))
     first = observed[:, 0] - output((rest, rest), sampling.at[0, :1, None])[0]
@@ -125,17 +124,19 @@ def march_misfit(inputs, begin, add):
 
 
 def discrepancy(*inputs):
-    """e (s,), Eq. (3)."""
-    errors, total, valid = march_misfit(
-        inputs, jnp.zeros_like, lambda errors, misfit, there: errors + (there * misfit**2).sum(axis=0)
-    )
+    """e (s,), Eq. (3); the sum over the samples that were measured, NaN in the data being gaps."""
+
+    def add(errors, misfit, there, data):
+        return errors + (there * jnp.where(jnp.isnan(data), 0.0, misfit) ** 2).sum(axis=0)
+
+    errors, total, valid = march_misfit(inputs, jnp.zeros_like, add)
     return jnp.where(valid, errors / total, jnp.nan)
 
 
 def misfit_statistics(*inputs):
     """Statistics (s, 4) of the misfit; see `ops.comparison`."""
 
-    def add(sums, misfit, there):
+    def add(sums, misfit, there, data):
         squares, increments, first, last = sums
         steps = jnp.diff(misfit, axis=0, prepend=last[None])
         last = misfit[there.sum().astype(int) - 1]

@@ -100,7 +100,7 @@ def march_population(parameters, excitation, wanted, observed, increments):
     sensors, m, quantity = wanted
     n, step = parameters.mass.shape[1], excitation.dt / excitation.substeps
     result = np.empty((n_particles, sensors.size, 1 if increments is None else 4))
-    lanes, modes = new_lanes(sensors.size, m, excitation.stride), new_modes(n)
+    lanes, modes = new_lanes(observed, m, excitation.stride), new_modes(n)
     omega, damping, table = np.empty(n), np.empty(m), np.empty((N_ROWS, m))
     participation, rows = np.empty(n), np.empty((n, n))
     shapes, feed = np.empty((sensors.size, m)), np.empty(sensors.size)

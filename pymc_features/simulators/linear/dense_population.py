@@ -121,7 +121,7 @@ def march_dense(parameters, excitation, wanted, observed, increments):
     n_sensors, step = wanted.sensors.shape[0], excitation.dt / excitation.substeps
     count = max(theta.shape[0], rayleigh.shape[0], ratios.shape[0])
     result = np.full((count, n_sensors, 1 if increments is None else 4), np.nan)
-    lanes, places = new_lanes(n_sensors, wanted.n_modes, excitation.stride), np.empty(LANES, dtype=np.int64)
+    lanes, places = new_lanes(observed, wanted.n_modes, excitation.stride), np.empty(LANES, dtype=np.int64)
     waiting = 0
     for p in range(count):
         own = theta[p % theta.shape[0]], rayleigh[p % rayleigh.shape[0]], ratios[p % ratios.shape[0]]

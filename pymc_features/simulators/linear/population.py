@@ -39,7 +39,7 @@ def march_population(a: Arguments, observed, with_increments):
     if given.is_dense and given.is_classical and one_input:
         return march_dense(a.parameters.for_kernel(), a.inputs, a.outputs, observed, increments)
     result = np.full((count, a.shape[0], 4 if with_increments else 1), np.nan)
-    lanes, places = new_lanes(a.shape[0], a.wanted.n_modes, a.excitation.stride), []
+    lanes, places = new_lanes(observed, a.wanted.n_modes, a.excitation.stride), []
     for p in range(count):
         own = a._replace(parameters=a.parameters.one_of(p))
         system = solve_system(own)

@@ -27,7 +27,7 @@ from pymc_features.simulators.linear.state_space import (
     state_matrices,
 )
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
-from pymc_features.simulators.oscillators.misfit import weigh_history
+from pymc_features.simulators.oscillators.misfit import measured_difference, weigh_history
 
 NO_SUMS = np.empty((1, 0))  # of a comparison with data, where there is none
 
@@ -166,4 +166,4 @@ def push_forward(a, system, change, directions, observed, history):
     if history.size:
         history[:] = d_response
         return np.zeros(n_sensors)
-    return 2.0 * ((response - observed) * d_response).sum(axis=1)
+    return 2.0 * (measured_difference(response, observed) * d_response).sum(axis=1)

@@ -6,12 +6,14 @@ those without damping and the ratios phi' C phi / (2 omega), as of `LinearStruct
 
 import numpy as np
 
+from pymc_features.algebra import shifted_factor
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear.arguments import Arguments, n_particles
 from pymc_features.simulators.linear.projection import Cotangent as Reduced
 from pymc_features.simulators.linear.projection import to_parameters
-from pymc_features.simulators.linear.system import solve_system, uncoupled
+from pymc_features.simulators.linear.system import System, solve_system, uncoupled
 from pymc_features.simulators.modal.dense import add_dense_gradients, dense_population_modes
+from pymc_features.simulators.modal.neighbours import Neighbours
 from pymc_features.simulators.modal.perturbation import (
     Cotangent,
     by_eigenvalues,
@@ -29,8 +31,9 @@ def linear_population_modes(parameters, wanted) -> tuple:
     count, m = n_particles(parameters), wanted.n_modes
     frequencies, ratios = np.full((count, m), np.nan), np.full((count, m), np.nan)
     shapes = np.full((count, m, wanted.sensors.size), np.nan)
+    near = neighbours(parameters, wanted, count)
     for p in range(count):
-        system = solve_system(arguments(parameters.one_of(p), wanted))
+        system = solve(parameters.one_of(p), wanted, near)
         if system is not None:
             damping = uncoupled(system.modal_damping)
             frequencies[p] = system.omega / (2.0 * np.pi)
@@ -46,9 +49,10 @@ def linear_modes_gradient(parameters, wanted, cotangent) -> tuple:
     if parameters.is_dense and parameters.is_classical:
         add_dense_gradients(parameters.for_kernel(), wanted, cotangent, sums)
         return sums
+    near = neighbours(parameters, wanted, len(cotangent.frequencies))
     for p in range(len(cotangent.frequencies)):
         a = arguments(parameters.one_of(p), wanted)
-        system = solve_system(a, left_out=True)
+        system = solve(a.parameters, wanted, near, for_gradient=True)
         if system is None:
             own = (np.nan,) * len(sums)
         else:
@@ -56,6 +60,26 @@ def linear_modes_gradient(parameters, wanted, cotangent) -> tuple:
         for total, part in zip(sums, own, strict=True):
             total[p % total.shape[0]] += part
     return sums
+
+
+def neighbours(parameters, wanted, count) -> Neighbours | None:
+    """What makes use of the structures before, of several large sparse ones."""
+    if count == 1 or parameters.is_dense or parameters.one_of(0).has_constant_modes:
+        return None
+    near = Neighbours(parameters.one_of(0), wanted.n_modes)
+    return near if near.is_worthwhile else None
+
+
+def solve(parameters, wanted, near, *, for_gradient=False) -> System | None:
+    """The system of one structure; None where there is none."""
+    a = arguments(parameters, wanted)
+    if near is None:
+        return solve_system(a, left_out=for_gradient)
+    known = near.modes(parameters, checked=not for_gradient)
+    system = None if known is None else solve_system(a, known=known)
+    if system is not None and for_gradient:
+        return system._replace(factor=shifted_factor(system.mass, system.stiffness))
+    return system
 
 
 def check(parameters, wanted):

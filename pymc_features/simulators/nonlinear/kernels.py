@@ -21,7 +21,7 @@ from pymc_features.simulators.nonlinear.parameters import (
 from pymc_features.simulators.nonlinear.response import history_kernel, misfit_kernel
 from pymc_features.simulators.nonlinear.tape import Tape, record_size, tape_memory
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs, n_outputs
-from pymc_features.simulators.oscillators.misfit import weigh_history
+from pymc_features.simulators.oscillators.misfit import measured_difference, weigh_history
 
 
 def numbers(array) -> np.ndarray:
@@ -183,7 +183,7 @@ def nonlinear_kernels(law) -> dict:
 
     def discrepancy_tangent(parameters, excitation, wanted, observed, directions):
         history = response(parameters, excitation, wanted)
-        difference = history - check_history(numbers(observed), history.shape)
+        difference = measured_difference(history, check_history(numbers(observed), history.shape))
         tangent = response_tangent(parameters, excitation, wanted, directions)
         return (2.0 * difference * tangent).mean(axis=1)
 

@@ -143,7 +143,8 @@ def march_misfit(law, parameters, excitation, wanted, observed, result):
         write_outputs(law, ground, wanted.quantity, sensors, outputs)
         for j in range(sensors.size):
             misfit = observed[j, sample] - outputs[j]
-            result[j, 0] += misfit * misfit / total
+            if observed[j, sample] == observed[j, sample]:  # NaN is a gap
+                result[j, 0] += misfit * misfit / total
             if sample == 0:
                 result[j, 2] = misfit
             else:

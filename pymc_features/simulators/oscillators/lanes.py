@@ -24,6 +24,8 @@ class Lanes(NamedTuple):
         Output of each mode at the sensors, and feed-through.
     outputs, ground, data : array (m SAMPLES, LANES), (SAMPLES stride,), (sensors, SAMPLES)
         One block: modal outputs, excitation, data.
+    has_gaps : bool
+        Whether data are missing.
     squares : array (s, LANES)
         Sums of squared misfits.
     """
@@ -35,6 +37,7 @@ class Lanes(NamedTuple):
     outputs: np.ndarray
     ground: np.ndarray
     data: np.ndarray
+    has_gaps: bool
     squares: np.ndarray
 
 
@@ -56,8 +59,19 @@ class Increments(NamedTuple):
 
 
 @jit
-def new_lanes(n_sensors, n_modes, stride):
-    """Lanes without structures."""
+def has_gaps(observed):
+    """Whether there are NaN in data (sensors, time)."""
+    for j in range(observed.shape[0]):
+        for k in range(observed.shape[1]):
+            if observed[j, k] != observed[j, k]:
+                return True
+    return False
+
+
+@jit
+def new_lanes(observed, n_modes, stride):
+    """Lanes without structures, for data (sensors, time)."""
+    n_sensors = observed.shape[0]
     s, m = n_sensors + n_sensors % 2, n_modes + n_modes % 2
     return Lanes(
         coefficients=np.zeros((N_COEFFICIENTS * m, LANES)),
@@ -67,6 +81,7 @@ def new_lanes(n_sensors, n_modes, stride):
         outputs=np.empty((SAMPLES * m, LANES)),
         ground=np.empty(SAMPLES * stride),
         data=np.empty((n_sensors, SAMPLES)),
+        has_gaps=has_gaps(observed),
         squares=np.empty((s, LANES)),
     )
 

@@ -4,8 +4,12 @@ The statistics of each sensor are
 
     e = (1/N) sum_k r_k^2  (Eq. 3),   c = (1/N) sum_k (r_k - r_{k-1})^2,   r_0,   r_{N-1},
 
-of which all likelihoods but those of errors correlated in time need the first only.
+of which all likelihoods but those of errors correlated in time need the first only. Where the data are NaN
+there is a gap, whose samples add nothing to e; N stays the number of all samples. The other statistics are
+NaN then.
 """
+
+import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.recursion import BLOCK
@@ -36,7 +40,7 @@ def weigh_misfit(response, data, first, weights, misfits, weighted):
         factor = 2.0 * weights[j, 0] / total
         w[0], w[count + 1 :] = 0.0, 0.0
         for b in range(count):
-            w[b + 1] = factor * (g[b] - y[b])
+            w[b + 1] = factor * (g[b] - y[b]) if y[b] == y[b] else 0.0
         if weights.shape[1] == 4:
             for b in range(count):
                 r[b + 1] = y[b] - g[b]
@@ -57,17 +61,20 @@ def weigh_history(response, observed, weights):
     """Overwrite a whole response (s, u) by the derivatives of L by it, see `weigh_misfit`."""
     n_sensors, total = response.shape
     for j in range(n_sensors):
-        square_weight, increment_weight = 2.0 * weights[j, 0] / total, 0.0
-        if weights.shape[1] == 4:
-            increment_weight = 2.0 * weights[j, 1] / total
+        square_weight = 2.0 * weights[j, 0] / total
+        if weights.shape[1] == 1:
+            for k in range(total):
+                misfit = observed[j, k] - response[j, k]
+                response[j, k] = -square_weight * misfit if observed[j, k] == observed[j, k] else 0.0
+            continue
+        increment_weight = 2.0 * weights[j, 1] / total
         misfit, increment = observed[j, 0] - response[j, 0], 0.0
         for k in range(total):
             following = observed[j, k + 1] - response[j, k + 1] if k + 1 < total else misfit
             response[j, k] = -square_weight * misfit - increment_weight * (increment - (following - misfit))
             misfit, increment = following, following - misfit
-        if weights.shape[1] == 4:
-            response[j, 0] -= weights[j, 2]
-            response[j, total - 1] -= weights[j, 3]
+        response[j, 0] -= weights[j, 2]
+        response[j, total - 1] -= weights[j, 3]
 
 
 @jit
@@ -104,4 +111,21 @@ def take_change(response, change, first, observed, history, sums):
         total = 0.0
         for b in range(count):
             total += (response[j, b] - observed[j, first + b]) * change[j, b]
+        if total != total:
+            total = measured_product(response[j], observed[j, first : first + count], change[j])
         sums[j] += 2.0 * total
+
+
+@jit
+def measured_product(response, data, change):
+    """Sum of (response - data) change over the samples that were measured."""
+    total = 0.0
+    for b in range(data.size):
+        if data[b] == data[b]:
+            total += (response[b] - data[b]) * change[b]
+    return total
+
+
+def measured_difference(response, observed) -> np.ndarray:
+    """Response less data, of any shape; zero where nothing was measured."""
+    return np.where(np.isnan(observed), 0.0, response - observed)

@@ -10,7 +10,8 @@ and with y2 scaled so that the coefficient by which it enters y1 is one, five pr
 instead of ten; what stands before a[k] in the output goes into the feed-through of the sensors. A block of
 16 outputs of all modes stays in the first-level cache, where it is combined with the mode shapes and
 compared with the data, two sensors and four samples at a time. Where the increments of the misfit are asked
-for, the misfits of the block go through a buffer in that cache; where not, Numba leaves that code out.
+for, the misfits of the block go through a buffer in that cache; where not, Numba leaves that code out, and
+so with gaps in the data, that others lose no time by them.
 """
 
 import numpy as np
@@ -118,11 +119,12 @@ def advance_lanes(coefficients, states, ground, first, stride, outputs):
 
 
 @jit
-def add_squares(lanes, data, sample, ground, step, stride, misfits):
+def add_squares(lanes, data, sample, ground, step, stride, measured, misfits):
     """Add the squared misfits of `SAMPLES` samples to `lanes.squares`.
 
     `data` (sensors, time) from column `sample` on and `ground` from entry `step` on are common to all lanes.
-    The misfits are written into `misfits` (s SAMPLES, LANES), unless it is None.
+    Each misfit is multiplied by its entry in `measured` (sensors, SAMPLES), unless that is None. The misfits
+    are written into `misfits` (s SAMPLES, LANES), unless it is None.
     """
     shapes, feed, outputs, squares = lanes.shapes, lanes.feed, lanes.outputs, lanes.squares
     n_modes = outputs.shape[0] // SAMPLES
@@ -147,6 +149,11 @@ def add_squares(lanes, data, sample, ground, step, stride, misfits):
                 a1, b1 = a1 - shape_a * z1, b1 - shape_b * z1
                 a2, b2 = a2 - shape_a * z2, b2 - shape_b * z2
                 a3, b3 = a3 - shape_a * z3, b3 - shape_b * z3
+            if measured is not None:
+                a0, a1 = splat(measured[j, t]) * a0, splat(measured[j, t + 1]) * a1
+                a2, a3 = splat(measured[j, t + 2]) * a2, splat(measured[j, t + 3]) * a3
+                b0, b1 = splat(measured[k, t]) * b0, splat(measured[k, t + 1]) * b1
+                b2, b3 = splat(measured[k, t + 2]) * b2, splat(measured[k, t + 3]) * b3
             sum_a = sum_a + ((a0 * a0 + a1 * a1) + (a2 * a2 + a3 * a3))
             sum_b = sum_b + ((b0 * b0 + b1 * b1) + (b2 * b2 + b3 * b3))
             if misfits is not None:
@@ -183,13 +190,30 @@ def add_increments(increments, count, is_first):
 
 
 @jit
-def march(lanes, excitation, observed, increments):
+def copy_data(lanes, observed, first, count, measured):
+    """Write a block of data, from sample `first` on, into `lanes.data`; zeros behind `count` samples.
+
+    Unless `measured` is None zeros in gaps, too, and into `measured` where they are.
+    """
+    own_data = lanes.data
+    for j in range(observed.shape[0]):
+        for b in range(SAMPLES):
+            own_data[j, b] = observed[j, first + b] if b < count else 0.0
+            if measured is not None:
+                is_there = own_data[j, b] == own_data[j, b]
+                measured[j, b] = 1.0 if is_there else 0.0
+                own_data[j, b] = own_data[j, b] if is_there else 0.0
+
+
+@jit
+def march(lanes, excitation, observed, increments, measured):
     """Sums of squares of all sensors for the structures in the lanes, into `lanes.squares`.
 
-    `increments` is None if they are not asked for.
+    `increments` is None if they are not asked for; with them, all sums of data with gaps are NaN. `measured`
+    (sensors, SAMPLES) is overwritten; None if the data have no gaps, and Numba leaves that code out.
     """
     acceleration, _, substeps, stride = excitation
-    own_ground, own_data, outputs = lanes.ground, lanes.data, lanes.outputs
+    own_ground, outputs = lanes.ground, lanes.outputs
     n_times = observed.shape[1]
     lanes.squares.fill(0.0)
     if increments is not None:
@@ -204,18 +228,17 @@ def march(lanes, excitation, observed, increments):
         if count < SAMPLES:  # the end of the data: what lies behind it must come out as zero
             for k in range(count * stride, own_ground.size):
                 own_ground[k] = 0.0
-            for j in range(observed.shape[0]):
-                for b in range(SAMPLES):
-                    own_data[j, b] = observed[j, first + b] if b < count else 0.0
-            data, sample = own_data, 0
+        if count < SAMPLES or measured is not None:
+            copy_data(lanes, observed, first, count, measured)
+            data, sample = lanes.data, 0
         advance_lanes(lanes.coefficients, lanes.states, ground, step, stride, outputs)
         for r in range(outputs.shape[0] // SAMPLES):
             for b in range(count, SAMPLES):
                 store(outputs, SAMPLES * r + b, splat(0.0))
         if increments is None:
-            add_squares(lanes, data, sample, ground, step, stride, None)
+            add_squares(lanes, data, sample, ground, step, stride, measured, None)
         else:
-            add_squares(lanes, data, sample, ground, step, stride, increments.misfits)
+            add_squares(lanes, data, sample, ground, step, stride, None, increments.misfits)
             add_increments(increments, min(count, SAMPLES), first == 0)
 
 
@@ -232,7 +255,10 @@ def lane_statistics(lanes, excitation, observed, increments):
     increments : Increments or None
         None if only e_j is asked for.
     """
-    march(lanes, single_input(excitation), observed, increments)
+    if increments is None and lanes.has_gaps:
+        march(lanes, single_input(excitation), observed, increments, np.empty((observed.shape[0], SAMPLES)))
+    else:
+        march(lanes, single_input(excitation), observed, increments, None)
     n_sensors, n_times = observed.shape
     result = np.empty((LANES, n_sensors, 1 if increments is None else 4))
     for lane in range(LANES):

@@ -225,11 +225,15 @@ def take_block(block, first, count, observed, history, sums):
 def compare_block(block, first, count, observed, sums):
     """Add `count` samples, from sample `first` on, to the sums of squares.
 
+    Where the data are NaN there is a gap: its samples add nothing to the first sum, and the sum of increments
+    is NaN.
+
     Parameters
     ----------
     block : array (s, >= count)
         Response; overwritten by the misfit if the increments are asked for.
     observed : array (s, u)
+        Data; NaN where there are none.
     sums : array (1, s) or (4, s)
         Sums of squares of the misfit and, in four rows, of its increments, first and last misfit; updated.
     """
@@ -239,11 +243,23 @@ def compare_block(block, first, count, observed, sums):
         for b in range(count):
             r = data[b] - block[j, b]
             squares += r * r
+        if squares != squares:
+            squares = measured_squares(data, block[j])
         sums[0, j] += squares
         if sums.shape[0] == 4:
             for b in range(count):
                 block[j, b] = data[b] - block[j, b]
             add_increments(block[j], count, first == 0, sums[1:], j)
+
+
+@jit
+def measured_squares(data, response):
+    """Sum of the squared misfits of the samples that were measured; NaN where their response is."""
+    squares = 0.0
+    for b in range(data.size):
+        if data[b] == data[b]:
+            squares += (data[b] - response[b]) ** 2
+    return squares
 
 
 @jit

@@ -69,6 +69,7 @@ class Data(Section):
     skip: int = key("the number of rows to leave out at the start, not negative", 0, ge=0)
     wrapped: bool | None = key("true if one series runs along the lines of a text file, else false", None)
     rows: Rows | None = key("the first row and the one after the last, [from, to]", None)
+    gaps: Literal["refuse", "leave_out"] = key('"refuse" or "leave_out"', "refuse")
     base: str | None = key("the sensor that measured the motion of the base", None)
     sensors: Names = key("the names of the sensors on the structure, one or more")
     dofs: list[int] | None = key(

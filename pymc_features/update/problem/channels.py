@@ -1,5 +1,6 @@
 """From files to the motion of the base and the measured responses, processed alike."""
 
+import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ import xarray as xr
 
 from pymc_features import datasets, signals
 from pymc_features.exceptions import ConfigError, DatasetUnavailableError
-from pymc_features.io import read_channels, read_record
+from pymc_features.io import read_channels, read_channels_with_gaps, read_record
 from pymc_features.records import Record
 from pymc_features.signals.channels import check_window
 from pymc_features.update.config.document import Config
@@ -28,7 +29,8 @@ class Measured:
     record : Record
         Motion of the base.
     channels : DataArray (sensor, time)
-        Measured absolute accelerations [m/s^2] that are compared, at `step`; time 0 is that of the record.
+        Measured absolute accelerations [m/s^2] that are compared, at `step`, NaN in gaps; time 0 is that of
+        the record.
     step : float
         Sampling interval of the channels [s], a multiple of the record's.
     source : str
@@ -50,6 +52,18 @@ class Measured:
     def compared(self) -> slice:
         """Samples of the response, at `step`, that are compared."""
         return slice(self.first, self.first + self.channels.sizes["time"])
+
+    @property
+    def samples(self) -> np.ndarray:
+        """Numbers (sensor,) of the samples that are compared."""
+        return self.channels.notnull().sum("time").values
+
+    @property
+    def left_out(self) -> str:
+        """Which part of each sensor is left out as a gap; empty without gaps."""
+        shares = 100.0 * (1.0 - self.samples / self.channels.sizes["time"])
+        named = zip(self.channels["sensor"].values, shares, strict=True)
+        return ", ".join(f"{share:.2g} % of {name}" for name, share in named if share > 0.0)
 
     @property
     def base(self) -> np.ndarray:
@@ -119,6 +133,7 @@ def read_measured(config: Config, folder: Path, first_frequency: float) -> Measu
                 dim="sensor",
                 join="override",
             ).assign_attrs(channels.attrs)
+    refuse_gaps_of_the_base(channels.isel(sensor=0), config.data.base)
     channels, checked = processed(channels, config, first_frequency)
     base, floors = channels.isel(sensor=0), channels.isel(sensor=slice(1, None))
     name = source if config.record is None else Path(config.record.path).name
@@ -127,7 +142,25 @@ def read_measured(config: Config, folder: Path, first_frequency: float) -> Measu
     with named_key("processing.decimate"):
         floors = signals.decimate(floors, factor)
     floors, first = window_of(floors, config.processing.compare)
+    silent = np.flatnonzero(floors.isnull().all("time").values)
+    if silent.size:
+        raise ConfigError(
+            f"`data.sensors` must have samples to compare, got a gap from end to end of "
+            f"{floors['sensor'].values[silent[0]]} (filters and decimation widen gaps). Leave it out."
+        )
     return Measured(record, floors, factor * record.dt, source, checked, first)
+
+
+def refuse_gaps_of_the_base(base, name) -> None:
+    """The motion that shakes the model must be whole."""
+    gaps = base.isnull().values
+    if gaps.any():
+        start = float(base["time"][int(gaps.argmax())])
+        raise ConfigError(
+            f"`data.base` must have no gaps, for it shakes the model, got {gaps.sum()} samples missing in "
+            f"{name}, the first at {start:g} s. Cut the files to one side by `data.rows`, or give the motion "
+            "in [record]."
+        )
 
 
 def window_of(floors, compare) -> tuple[xr.DataArray, int]:
@@ -164,8 +197,26 @@ def read_all(config, folder) -> tuple[xr.DataArray, str]:
     else:
         paths, names = folder / files, [files]
     keys = ("columns", "units", "dt", "clock", "clock_units", "skip", "wrapped")
-    channels = read_channels(paths, **{key: getattr(data, key) for key in keys})
-    return channels, ", ".join(Path(name).name for name in names)
+    settings = {key: getattr(data, key) for key in keys}
+    source = ", ".join(Path(name).name for name in names)
+    if data.gaps == "leave_out":
+        return read_channels_with_gaps(paths, **settings), source
+    try:
+        return read_channels(paths, **settings), source
+    except ValueError as error:
+        if not has_gaps_alone(paths, settings):
+            raise
+        raise ValueError(f'{error} Or leave out what is missing by gaps = "leave_out".') from error
+
+
+def has_gaps_alone(paths, settings) -> bool:
+    """Whether files can be read if samples may be missing."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return bool(read_channels_with_gaps(paths, **settings).isnull().any())
+    except (ValueError, TypeError, OSError):
+        return False
 
 
 def read_motion(config, folder, step) -> xr.DataArray:

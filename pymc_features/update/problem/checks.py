@@ -126,7 +126,8 @@ def warn_of_motion(channels, start, first_frequency) -> None:
     first = round((start - float(channels["time"][0])) / step)
     if first <= 0 or channels.sizes["time"] < 4 * period:
         return
-    floors = channels.values[1:] - channels.values[1:].mean(axis=1, keepdims=True)
+    floors = channels.values[1:] - np.nanmean(channels.values[1:], axis=1, keepdims=True)
+    floors = np.nan_to_num(floors)  # in gaps nothing is seen to move
     power = np.cumsum(np.pad(floors**2, ((0, 0), (1, 0))), axis=1)
     moving = np.sqrt((power[:, period:] - power[:, :-period]).clip(min=0.0) / period)  # from each sample on
     before = moving[:, max(0, first - period)]

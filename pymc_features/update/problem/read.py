@@ -143,6 +143,7 @@ def read_problem(path) -> Problem:
     measured = read_measured(config, path.parent, first_frequency)
     dofs = checked_dofs(config, expected.n_dof)
     check_errors(config, priors)
+    check_gaps(config, measured)
     frequencies = config.report.natural_frequencies
     if frequencies is not None and not (frequencies and np.all(np.diff([0.0, *frequencies]) > 0.0)):
         raise ConfigError(
@@ -178,6 +179,18 @@ def checked_dofs(config, size) -> list[int]:
             "to the base."
         )
     return dofs
+
+
+def check_gaps(config, measured) -> None:
+    """Likelihoods that compare neighbouring samples take no gaps."""
+    whole = [kind for kind in config.likelihood.kinds if not LIKELIHOODS[kind].takes_gaps]
+    if whole and measured.left_out:
+        raise ConfigError(
+            f"`likelihood.kinds` must not have {whole[0]} where samples are missing, got gaps of "
+            f"{measured.left_out}: it compares neighbouring samples. Compare a part "
+            "without gaps by `processing.compare`, leave out the sensor, or take "
+            f"{', '.join(kind for kind, entry in LIKELIHOODS.items() if entry.takes_gaps)}."
+        )
 
 
 def check_errors(config, priors) -> None:

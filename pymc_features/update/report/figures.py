@@ -98,7 +98,7 @@ def has_stages(part) -> bool:
 def strongest(part) -> tuple[float, float]:
     """A window [s] around the largest measured acceleration."""
     observed = part["observed_data"]["y"]
-    peak = float(observed["time"][int(np.abs(observed.values).max(axis=0).argmax())])
+    peak = float(observed["time"][int(np.abs(np.nan_to_num(observed.values)).max(axis=0).argmax())])
     last = float(observed["time"][-1])
     first = max(0.0, min(peak - 0.4 * ZOOM, last - ZOOM))
     return first, min(last, first + ZOOM)

@@ -14,6 +14,8 @@ class Findings(NamedTuple):
     ----------
     verdict : Verdict
         On the fit of the first likelihood.
+    left_out : str
+        Which part of each sensor is left out as a gap; empty without gaps.
     supported : str
         How many observations the residuals support; empty without CAL.
     table : list of Row
@@ -23,6 +25,7 @@ class Findings(NamedTuple):
     """
 
     verdict: Verdict
+    left_out: str
     supported: str
     table: list[Row]
     doubts: list[str]
@@ -39,4 +42,16 @@ def findings(problem: Problem, result) -> Findings:
         From `run_update`.
     """
     table = rows(problem, result)
-    return Findings(verdict(problem, result), supported(problem, result), table, warnings_of(result, table))
+    return Findings(
+        verdict(problem, result),
+        gaps_of(problem),
+        supported(problem, result),
+        table,
+        warnings_of(result, table),
+    )
+
+
+def gaps_of(problem: Problem) -> str:
+    """A sentence on what was not compared; empty without gaps."""
+    left_out = problem.measured.left_out
+    return f"Left out as gaps: {left_out}." if left_out else ""

@@ -48,6 +48,7 @@ def report(problem: Problem, result, found: Findings, drawn) -> str:
         sensors=sensor_rows(problem),
         gains=[] if measured.checked.gains is None else gain_rows(measured.checked.gains),
         checked=measured.checked.sentence,
+        left_out=found.left_out,
         columns=COLUMNS,
         posterior=[posterior_row(row) for row in found.table],
         shared=[figure for figure in figures if "_" not in figure["name"]],
@@ -94,16 +95,19 @@ def sensor_rows(problem) -> list[tuple]:
     names = ["base", *channels["sensor"].values]
     histories = [measured.record.acceleration, *channels.values]
     return [
-        (name, dof, f"{np.abs(values).max():.4g}", f"{np.sqrt(np.mean(values**2)):.4g}")
+        (name, dof, f"{np.nanmax(np.abs(values)):.4g}", f"{np.sqrt(np.nanmean(values**2)):.4g}")
         for name, dof, values in zip(names, ["", *problem.dofs], histories, strict=True)
     ]
 
 
 def gain_rows(gains) -> list[tuple]:
-    """Name, gain, lag [ms] and coherence of each sensor against the base."""
+    """Name, gain, lag [ms] and coherence of each sensor against the base; dashes where it is unknown."""
     columns = gains["sensor"], gains["gain"], 1e3 * gains["lag"], gains["coherence"]
     cells = zip(*(column.values for column in columns), strict=True)
-    return [(name, f"{gain:.3f}", f"{lag:.2f}", f"{coherence:.3f}") for name, gain, lag, coherence in cells]
+    return [
+        (name, "-", "-", "-") if np.isnan(gain) else (name, f"{gain:.3f}", f"{lag:.2f}", f"{coherence:.3f}")
+        for name, gain, lag, coherence in cells
+    ]
 
 
 def posterior_row(row) -> tuple:

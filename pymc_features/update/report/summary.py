@@ -90,9 +90,9 @@ def supported(problem: Problem, result: xr.DataTree) -> str:
         if not base:
             continue
         n_eff = float(result[f"{kind}/calibration"].attrs["n_eff"])
-        shape, m = problem.measured.channels.shape, problem.config.likelihood.m
+        samples, m = problem.measured.samples, problem.config.likelihood.m
         claims = {
-            name: LIKELIHOODS[name].claimed(*shape, m) for name in dict.fromkeys([base, *kinds_of(result)])
+            name: LIKELIHOODS[name].claimed(samples, m) for name in dict.fromkeys([base, *kinds_of(result)])
         }
         claimed = [f"{name} {n:,.0f}" for name, n in claims.items() if n is not None]
         claimed[0] = claimed[0].replace(" ", " claims ", 1)

@@ -37,6 +37,8 @@ def summary(found: Findings):
     """
     for sentence in found.verdict.sentences:
         yield sentence, "bold" if found.verdict.explains else "bold red"
+    if found.left_out:
+        yield found.left_out, None
     if found.supported:
         yield found.supported, None
     first = found.table[0].kind

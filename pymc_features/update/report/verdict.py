@@ -99,7 +99,9 @@ def residuals_of(problem, part, frequencies) -> Residuals:
     from scipy import signal  # a second to import
 
     measured = part["observed_data"]["y"].values
-    response = part["bands"]["response"].sel(quantile=0.5).values
+    gaps = np.isnan(measured)  # zero in both: nothing is left over there
+    measured = np.where(gaps, 0.0, measured)
+    response = np.where(gaps, 0.0, part["bands"]["response"].sel(quantile=0.5).values)
     left, size = np.sqrt((measured**2).sum(axis=1)), measured.shape[1]
     error = measured - response
     if not error.any():  # a response without any error has no spectrum of it
@@ -211,10 +213,10 @@ def odd_damping(ratios) -> list[str]:
 def foretold(problem: Problem) -> list[str]:
     """What likelihoods that count sensors cannot tell, before anything is sampled."""
     n_unknown = len(problem.structure.names)
-    shape, m = problem.measured.channels.shape, problem.config.likelihood.m
+    samples, m = problem.measured.samples, problem.config.likelihood.m
     found = []
     for kind in problem.config.likelihood.kinds:
-        claimed = LIKELIHOODS[kind].claimed(*shape, m)
+        claimed = LIKELIHOODS[kind].claimed(samples, m)
         if claimed is not None and claimed < 2 * n_unknown:
             found.append(
                 f"{kind} counts {claimed:.0f} observations for {n_unknown} unknown parameters of the "

@@ -62,6 +62,7 @@ ODD_CHANNELS = {
 }
 ODD_CHANNELS["channels that are read-only"].values.setflags(write=False)
 WELL = {
+    "channels with NaN",
     "channels of 16 bits",
     "channels of integers",
     "channels that are read-only",
@@ -82,20 +83,11 @@ EARTHQUAKE = {
     "envelope": None,
 }
 
-CALLS = {
-    "read_record": Call(
-        pmf.read_record,
-        {"path": TEXT, "units": "g", "dt": None, "column": "roof", "wrapped": None},
-        {
-            "units": POSITIVE,
-            "dt": {"None", *POSITIVE},
-            "column": {"NumPy's 2"},
-            "wrapped": {"None"},
-        },
-        {"column": ["dt"], "wrapped": ["column"]},
-    ),
-    "read_channels": Call(
-        pmf.read_channels,
+
+def reader(function):
+    """A call of a function that reads channels."""
+    return Call(
+        function,
         {
             "files": TEXT,
             "columns": None,
@@ -116,7 +108,23 @@ CALLS = {
             "wrapped": {"None"},
         },
         {"clock_units": ["dt"], "wrapped": ["dt"]},
+    )
+
+
+CALLS = {
+    "read_record": Call(
+        pmf.read_record,
+        {"path": TEXT, "units": "g", "dt": None, "column": "roof", "wrapped": None},
+        {
+            "units": POSITIVE,
+            "dt": {"None", *POSITIVE},
+            "column": {"NumPy's 2"},
+            "wrapped": {"None"},
+        },
+        {"column": ["dt"], "wrapped": ["column"]},
     ),
+    "read_channels": reader(pmf.read_channels),
+    "read_channels_with_gaps": reader(pmf.read_channels_with_gaps),
     "read_matrices": Call(pmf.read_matrices, {"path": MATRICES}),
     "datasets.mini_shake_table": Call(
         pmf.datasets.mini_shake_table,

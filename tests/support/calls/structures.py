@@ -22,6 +22,13 @@ AFFINE = {
     "influence": None,
     "theta": [0.5, 0.5],
 }
+
+
+def springs_in_a_row(k):
+    """M and K."""
+    return np.eye(2), k * np.array([[2.0, -1.0], [-1.0, 1.0]])
+
+
 CHANNELS = xr.DataArray(
     np.arange(10.0).reshape(2, 5) ** 2,
     dims=("sensor", "time"),
@@ -141,7 +148,7 @@ CALLS = {
         pmf.LinearStructure,
         {"mass": [1.0, 1.0], "stiffness": [3.0, 3.0], "damping": DAMPING, "influence": None},
         {
-            "mass": DIAGONALS,
+            "mass": DIAGONALS | {"range"},
             "stiffness": DIAGONALS,
             "damping": DIAGONALS | {"damping", "range"},
             "influence": INFLUENCE,
@@ -152,7 +159,7 @@ CALLS = {
         pmf.AffineStructure,
         AFFINE,
         {
-            "mass": DIAGONALS,
+            "mass": DIAGONALS | {"range"},
             "stiffness": DIAGONALS | {"range"},
             "damping": DIAGONALS | {"damping", "range"},
             "stiffness_terms": {"three dimensions"},
@@ -167,6 +174,15 @@ CALLS = {
         pmf.AffineStructure(**AFFINE).with_parameters,
         {"theta": [0.5, 0.5]},
         {"theta": {"negative array"} | PAIR | VECTORS},
+    ),
+    "AffineStructure.from_matrices": Call(
+        pmf.AffineStructure.from_matrices,
+        {"build": springs_in_a_row, "parameters": {"k": 2.0}, "damping": DAMPING, "influence": None},
+        {"damping": DIAGONALS | {"damping", "range"}, "influence": INFLUENCE},
+        {"parameters": ["build"]},
+    ),
+    "LinearStructure.with_names": Call(
+        FRAME.with_names, {"names": ["a", "b"]}, {"names": {"list of texts", "array of texts"}}
     ),
     "simulate": Call(pmf.simulate, RESPONSE, TAKEN),
     "response": Call(pmf.response, RESPONSE, TAKEN),

@@ -1,0 +1,223 @@
+"""`data.gaps`: what is left out or refused, what the report says; a gap planted in the shaking table."""
+
+import re
+
+import numpy as np
+import pytest
+
+from pymc_features import cli, datasets, signals
+from pymc_features.exceptions import ConfigError
+from pymc_features.update import read_problem, run, run_update, write_example, write_outputs
+from pymc_features.update.report import terminal
+from pymc_features.update.report.findings import findings
+from update.test_update import replaced
+
+KINDS = 'kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]'
+QUICK = [
+    (KINDS, 'kinds = ["CAL", "NORM", "EXP"]'),
+    ('method = "auto"', 'method = "laplace"'),
+    ("chains = 2", "chains = 1"),
+]
+LEAVE_OUT = 'gaps = "leave_out"'
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    """The example with simulated data, its lines of numbers, and the header above."""
+    path = tmp_path_factory.mktemp("gaps") / "frame.toml"
+    write_example(path, synthetic=True)
+    header, *rows = path.with_name("frame-measured.csv").read_text().splitlines()
+    return path.read_text(), header, rows
+
+
+def problem_file(folder, example, rows, lines=(), changes=QUICK, data="frame-measured.csv"):
+    """The example with other rows and further lines of [data]."""
+    text, header, _ = example
+    (folder / data).write_text("\n".join([header, *rows]) + "\n")
+    path = folder / "frame.toml"
+    path.write_text(replaced(text, [*changes, ("\nbase = ", "\n" + "\n".join([*lines, "base = "]))]))
+    return path
+
+
+def without(rows, column, span):
+    """Rows with empty cells."""
+    result = list(rows)
+    for k in span:
+        cells = result[k].split(",")
+        cells[column] = ""
+        result[k] = ",".join(cells)
+    return result
+
+
+def test_the_default_refuses_and_proposes(example, tmp_path):
+    rows = without(example[2], 2, range(300, 340))
+    with pytest.raises(ConfigError, match=r'\[data\]: frame-measured.csv, line .* by gaps = "leave_out"'):
+        read_problem(problem_file(tmp_path, example, rows))
+    problem = read_problem(problem_file(tmp_path, example, rows, [LEAVE_OUT]))
+    assert problem.measured.left_out.endswith("% of floor1")
+    assert problem.settings()["data.gaps"] == "leave_out"
+    # where leaving out is of no use nothing is proposed
+    rows[400] = "what,is,this,line,for"
+    with pytest.raises(ConfigError) as error:
+        read_problem(problem_file(tmp_path, example, rows))
+    assert "leave_out" not in str(error.value)
+
+
+def test_the_base_must_be_whole(example, tmp_path):
+    rows = [row for k, row in enumerate(example[2]) if not 300 <= k < 310]
+    with pytest.raises(ConfigError, match="no samples may be missing, 10 are.* leave out what is missing"):
+        read_problem(problem_file(tmp_path, example, rows))
+    match = "`data.base` must have no gaps, .* got 10 samples missing in base, the first at 3 s. Cut"
+    with pytest.raises(ConfigError, match=match):
+        read_problem(problem_file(tmp_path, example, rows, [LEAVE_OUT]))
+    path = problem_file(tmp_path, example, rows, [LEAVE_OUT, "rows = [310, 1000]"])
+    assert read_problem(path).measured.left_out == ""
+
+
+def test_errors_correlated_in_time_take_no_gaps(example, tmp_path):
+    rows = without(example[2], 2, range(300, 340))
+    changes = [
+        (KINDS, 'kinds = ["NORM", "CN-TAU"]'),
+        ('sigma = "sigma" ', 'correlation_time = "sigma"\nsigma = "sigma" '),
+    ]
+    match = "`likelihood.kinds` must not have CN-TAU where samples are missing, got gaps of .*% of floor1: it"
+    with pytest.raises(ConfigError, match=match):
+        read_problem(problem_file(tmp_path, example, rows, [LEAVE_OUT], changes))
+    changes.append(("# trim = [0.0, 10.0]", "compare = [4.0, 9.0]  #"))
+    assert read_problem(problem_file(tmp_path, example, rows, [LEAVE_OUT], changes)).measured.left_out == ""
+
+
+def test_a_sensor_without_samples_in_the_window(example, tmp_path):
+    rows = without(example[2], 2, range(300, 700))
+    changes = [*QUICK, ("# trim = [0.0, 10.0]", "compare = [4.0, 6.0]  #")]
+    with pytest.raises(ConfigError, match="got a gap from end to end of floor1 .* Leave it out"):
+        read_problem(problem_file(tmp_path, example, rows, [LEAVE_OUT], changes))
+
+
+def test_files_of_their_own(example, tmp_path):
+    """Rows missing in the file of one sensor are gaps of that sensor alone."""
+    text, header, rows = example
+    names = [name.split(" [")[0].strip() for name in header.split(",")]
+    for j, name in enumerate(names[1:], start=1):
+        kept = [row for k, row in enumerate(rows) if name != "floor2" or not 300 <= k < 340]
+        lines = [",".join([header.split(",")[0], header.split(",")[j]])]
+        lines += [",".join([row.split(",")[0], row.split(",")[j]]) for row in kept]
+        (tmp_path / f"{name}.csv").write_text("\n".join(lines) + "\n")
+    files = ", ".join(f'{name} = "{name}.csv"' for name in names[1:])
+    path = tmp_path / "frame.toml"
+    path.write_text(
+        re.sub(
+            r'files = "frame-measured.csv".*', f"files = {{ {files} }}\n{LEAVE_OUT}", replaced(text, QUICK)
+        )
+    )
+    missing = np.isnan(read_problem(path).measured.channels.values)
+    assert missing[1, 296:344].all() and missing.sum() == 48  # wider by a period of the filter, 4 samples
+
+
+@pytest.fixture(scope="module")
+def updated(example, tmp_path_factory):
+    """Problem, result and outputs of data with a gap."""
+    folder = tmp_path_factory.mktemp("updated")
+    rows = without(example[2], 3, range(300, 500))
+    problem = read_problem(problem_file(folder, example, rows, [LEAVE_OUT]))
+    result = run_update(problem, progressbar=False)
+    paths = write_outputs(problem, result, folder / "out")
+    return problem, result, paths
+
+
+@pytest.mark.slow
+def test_numbers_of_the_report_are_those_of_what_was_measured(updated):
+    problem, result, _ = updated
+    data = problem.measured.channels.values
+    kept = ~np.isnan(data)
+    assert 0 < (~kept[1]).sum() < kept.shape[1] and kept[[0, 2]].all()
+    for kind in ("NORM", "EXP"):
+        bands = result[kind]["bands"].to_dataset()
+        median = bands["response"].sel(quantile=0.5).values
+        low, high = bands["predictive"].isel(quantile=[0, -1]).values
+        for j, k in enumerate(kept):
+            error = np.sqrt(np.mean((data[j, k] - median[j, k]) ** 2) / np.mean(data[j, k] ** 2))
+            assert float(bands["normalised_error"][j]) == pytest.approx(error, rel=1e-9)
+            inside = np.mean((data[j, k] >= low[j, k]) & (data[j, k] <= high[j, k]))
+            assert float(bands["coverage"][j]) == pytest.approx(inside, rel=1e-9)
+    assert float(result["NORM"]["bands"]["coverage"][1]) > 0.8
+    np.testing.assert_array_equal(np.isnan(result["EXP"]["observed_data"]["y"].values), ~kept)
+
+
+@pytest.mark.slow
+def test_the_report_says_what_was_left_out(updated):
+    problem, result, paths = updated
+    share = 100.0 * np.isnan(problem.measured.channels.values[1]).mean()
+    sentence = f"Left out as gaps: {share:.2g} % of floor2."
+    found = findings(problem, result)
+    assert sentence in [part for part, _ in terminal.summary(found) if isinstance(part, str)]
+    html = paths[-1].read_text()
+    assert sentence in html
+    assert "nan" not in re.sub(r'src="[^"]*"', "", html).lower().replace("resonan", "")
+    assert found.verdict.explains
+
+
+@pytest.mark.slow
+def test_the_truth_is_found(updated):
+    """k = 385, 420, 600 N/m within four standard deviations: EXP's are wide, NORM's and CAL's are not.
+
+    Below its filter's corner the noise is white: the residuals support about half as many observations as
+    NORM claims, all samples that were measured, for the corner is at half of the frequencies.
+    """
+    problem, result, _ = updated
+    n = problem.measured.samples.sum()
+    assert 0.3 * n < result["CAL"]["calibration"].attrs["n_eff"] < 0.8 * n
+    for kind in ("CAL", "NORM", "EXP"):
+        posterior = result[kind]["posterior"]
+        for name, truth in (("k1", 385.0), ("k2", 420.0), ("k3", 600.0)):
+            assert abs(float(posterior[name].mean()) - truth) < 4.0 * float(posterior[name].std())
+
+
+def test_check_says_and_draws(example, tmp_path, capsys):
+    path = problem_file(tmp_path, example, without(example[2], 2, range(300, 340)), [LEAVE_OUT])
+    assert cli.main(["check", str(path)]) == 0
+    assert "left out as gaps" in capsys.readouterr().err
+    assert (tmp_path / "frame-check.png").exists()
+
+
+# --------------------------------------------------------------------------- the shaking table
+
+
+def table(folder, span, value):
+    """The shaking table's configuration, its data in a file with another value in a part of floor2."""
+    names = ("base", "floor1", "floor2", "floor3")
+    channels = datasets.mini_shake_table("northridge").sel(sensor=list(names))
+    first, last = (round(time / signals.sampling_step(channels)) for time in span)
+    values = channels.values.copy()
+    values[2, first:last] = values[2, first:last] if value is None else value
+    header = ",".join(["time [s]", *(f"{name} [m/s^2]" for name in names)])
+    rows = np.column_stack([channels["time"].values, *values])
+    np.savetxt(folder / "table.csv", rows, delimiter=",", header=header, comments="", fmt="%.9g")
+    path = folder / "table.toml"
+    path.unlink(missing_ok=True)
+    write_example(path)
+    source = f'files = "table.csv"\n{LEAVE_OUT}\n#'
+    changes = [('dataset = "mini_shake_table"', "#"), ('event = "northridge"', source), *QUICK]
+    path.write_text(replaced(path.read_text(), changes))
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::pymc_features.exceptions.ChannelWarning")
+@pytest.mark.filterwarnings("ignore::pymc_features.exceptions.LaplaceWarning")
+def test_a_gap_in_the_shaking_table(data_dir, tmp_path):
+    """The second with a third of the energy of a sensor: medians within a fifth of EXP's standard deviation.
+
+    Not so if a logger writes zeros there, and they are taken for measurements.
+    """
+    found = {}
+    for name, value in (("clean", None), ("gap", np.nan), ("zeros", 0.0)):
+        problem = read_problem(table(tmp_path, (21.0, 22.0), value))
+        assert bool(problem.measured.left_out) == (name == "gap")
+        model = run.declare(problem, "EXP")
+        found[name] = run.sample(problem, "EXP", model, 1, False)["posterior"].to_dataset()
+    scale = found["clean"].std()
+    off = {name: abs(found[name].median() - found["clean"].median()) / scale for name in ("gap", "zeros")}
+    names = ["k1", "k2", "k3", "zeta", "sigma"]
+    assert all(float(off["gap"][name]) < 0.2 for name in names)
+    assert max(float(off["zeros"][name]) for name in names) > 0.4, off["zeros"]
