@@ -153,13 +153,7 @@ def fit_axis(wider, t, w, n_points) -> Axis:
 def conditional(wider, t, w, n_points, degree) -> tuple[np.ndarray, ...]:
     """Coefficients of place and log scale of axes (n, m) given wider ones; what is left, and log scales."""
     terms, linear = monomials(wider, degree), monomials(wider, 1)
-    penalty = 0.1 * terms.shape[1] / n_points
-    shift = ridge(terms, t, w, penalty + 1e-6)
-    # what is hardly scattered around a bend is known well: it is fitted again with a penalty for that scatter
-    left = np.minimum(w @ (t - terms @ shift) ** 2, 1.0)
-    shift = np.column_stack(
-        [ridge(terms, c, w, penalty * share + 1e-6) for c, share in zip(t.T, left, strict=True)]
-    )
+    shift = ridge(terms, t, w, 0.1 * terms.shape[1] / n_points + 1e-6)
     rest = t - terms @ shift
     size = np.log((rest / np.sqrt(w @ rest**2)) ** 2 + SMALLEST_SQUARE)
     slope = ridge(linear, 0.5 * size, w, 0.5 * linear.shape[1] / n_points + 1e-3)
