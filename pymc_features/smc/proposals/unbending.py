@@ -164,9 +164,9 @@ def ridge(terms, values, w, penalty):
     """Weighted least squares with a penalty relative to each column's size."""
     weighted = w[:, None] * terms
     gram = weighted.T @ terms
-    sizes = np.sqrt(np.diag(gram)) + 1e-12
-    scaled = gram / np.multiply.outer(sizes, sizes) + penalty * np.eye(len(gram))
-    return (np.linalg.solve(scaled, ((weighted.T @ values).T / sizes).T).T / sizes).T
+    sizes = np.sqrt(np.diag(gram))[:, None] + 1e-12
+    scaled = gram / (sizes * sizes.T) + penalty * np.eye(len(gram))
+    return np.linalg.solve(scaled, weighted.T @ values / sizes) / sizes
 
 
 def no_change(d: int) -> Margins:
