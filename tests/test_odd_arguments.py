@@ -12,9 +12,9 @@ import pytest
 
 import pymc_features as pmf
 from support.border import Call, fate, wrong
-from support.calls import files, likelihoods, results, samplers, structures
+from support.calls import files, likelihoods, modal, results, samplers, structures
 
-CALLS = structures.CALLS | likelihoods.CALLS | files.CALLS | samplers.CALLS | results.CALLS
+CALLS = structures.CALLS | likelihoods.CALLS | files.CALLS | modal.CALLS | samplers.CALLS | results.CALLS
 CASES = [(name, argument) for name, call in CALLS.items() for argument in call.arguments]
 
 

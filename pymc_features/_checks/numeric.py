@@ -108,8 +108,10 @@ def as_array(value) -> np.ndarray:
     return array
 
 
-def as_numbers(value, name: str, advice: str = "", *, what: str = "an array of numbers") -> np.ndarray:
-    """A read-only float64 array of its own.
+def as_numbers(
+    value, name: str, advice: str = "", *, what: str = "an array of numbers", allow_complex: bool = False
+) -> np.ndarray:
+    """A read-only float64 array of its own; of complex numbers, where they are allowed, a complex128 one.
 
     Integers and numbers of any precision are taken; texts, dates, booleans, complex numbers and masked
     values, which NumPy would turn into numbers, are not.
@@ -117,14 +119,15 @@ def as_numbers(value, name: str, advice: str = "", *, what: str = "an array of n
     array = as_array(value)
     if array.dtype == object and array.size and all(map(is_number, array.flat)):
         array = np.reshape([to_float(number) for number in array.flat], array.shape)
-    if array.dtype.kind not in "iuf":
+    is_complex = allow_complex and array.dtype.kind == "c"
+    if array.dtype.kind not in "iuf" and not is_complex:
         kind = type(value).__name__
         if np.ma.isMaskedArray(value):
             kind = "a masked array"
         elif array.ndim and not isinstance(value, str):
             kind = f"{kind} of {CONTENTS.get(array.dtype.kind, array.dtype)}"
         raise TypeError(message(name, what, kind, advice))
-    numbers = np.array(array, dtype=np.float64)
+    numbers = np.array(array, dtype=np.complex128 if is_complex else np.float64)
     numbers.setflags(write=False)
     return numbers
 

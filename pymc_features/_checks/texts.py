@@ -4,6 +4,8 @@ import os
 from collections.abc import Iterable, Mapping, Set
 from pathlib import Path
 
+import numpy as np
+
 from pymc_features._checks.messages import message, shown
 from pymc_features._checks.numeric import is_number, single
 
@@ -11,7 +13,7 @@ from pymc_features._checks.numeric import is_number, single
 def check_title(value) -> str:
     """What figures and messages call something: a text, or a number such as that of a station."""
     if is_number(value):
-        return shown(value)
+        return shown(value.item() if isinstance(value, np.generic) else value)
     return check_text(value, "name", "Figures and messages show it.")
 
 

@@ -6,7 +6,15 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from pymc_features._checks import as_numbers, check_finite
+from pymc_features._checks import (
+    as_list,
+    as_numbers,
+    check_finite,
+    check_title,
+    is_number,
+    message,
+    shown,
+)
 from pymc_features.modal.shapes import phase_collinearity, real_shape
 
 _PER_MODE = ("frequency_sd", "damping_ratios", "damping_sd")
@@ -63,7 +71,7 @@ class ModalData:
     def __post_init__(self):
         self._set("frequencies", self._checked_frequencies())
         self._set("channels", self._checked_channels())
-        self._set("name", str(self.name))
+        self._set("name", check_title(self.name))
         if self.shapes is not None:
             self._set("shapes", self._checked_shapes())
         for name in _PER_MODE:
@@ -92,9 +100,10 @@ class ModalData:
         return values
 
     def _checked_channels(self):
-        if isinstance(self.channels, str) or not isinstance(self.channels, Sequence | np.ndarray):
-            raise TypeError(f"`channels` must be a sequence of names, got {self.channels!r}.")
-        names = tuple(str(name).strip() for name in self.channels)
+        listed = as_list(self.channels)
+        if listed is None or not all(isinstance(name, str) or is_number(name) for name in listed):
+            raise TypeError(message("channels", "a sequence of names", shown(self.channels)))
+        names = tuple((name if isinstance(name, str) else check_title(name)).strip() for name in listed)
         if "" in names:
             raise ValueError(f"`channels` must have a name each, got none at index {names.index('')}.")
         twice = [name for name, count in Counter(names).items() if count > 1]
@@ -279,15 +288,7 @@ def _index(mode, n_modes: int) -> int:
 
 def _entries(values, name: str) -> np.ndarray:
     """A read-only array of numbers, complex if one of them is."""
-    try:
-        numbers = np.array(values)
-        if numbers.dtype.kind not in "biufc":
-            numbers = numbers.astype(np.float64)
-        numbers = numbers.astype(np.complex128 if numbers.dtype.kind == "c" else np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(f"`{name}` must be an array of numbers, got {type(values).__name__}.") from None
-    numbers.setflags(write=False)
-    return numbers
+    return as_numbers(values, name, allow_complex=True)
 
 
 def _check_sd(values: np.ndarray, name: str) -> None:

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from pymc_features._checks import check_number
+from pymc_features._checks import check_number, check_texts, shown
 from pymc_features.modal.averages import mean_entries, merged
 from pymc_features.modal.data import ModalData, find_channels, listed
 from pymc_features.modal.shapes import mac, warn_modes
@@ -100,7 +100,7 @@ def merge_setups(
 
 def _checked_setups(setups) -> list[ModalData]:
     if isinstance(setups, ModalData) or not isinstance(setups, Sequence) or len(setups) < 2:
-        raise TypeError(f"`setups` must be a sequence of at least two ModalData, got {setups!r}.")
+        raise TypeError(f"`setups` must be a sequence of at least two ModalData, got {shown(setups)}.")
     for number, setup in enumerate(setups):
         if not isinstance(setup, ModalData):
             raise TypeError(
@@ -127,6 +127,7 @@ def _checked_references(setups, references) -> list[str]:
         )
     if references is None:
         return shared
+    references = check_texts(references, "references", "a sequence of names")
     find_channels(references, shared, "several set-ups")
     for name in shared:
         if name not in references:

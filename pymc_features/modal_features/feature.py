@@ -10,12 +10,12 @@ from pymc.distributions.distribution import Continuous
 from pytensor.graph.basic import Constant
 from pytensor.tensor import TensorLike, TensorVariable
 
-from pymc_features._checks import message
+from pymc_features._checks import as_list, check_name, message, shown
 from pymc_features.modal_features.density import ModalFeatureRV, log_densities, matched
 from pymc_features.modal_features.identified import Identified, identified
 from pymc_features.modal_features.match import warn_at_start
 from pymc_features.modal_features.quantities import SymbolicModes
-from pymc_features.ops import as_tensor
+from pymc_features.ops import as_tensor, known_dims
 
 DENSITIES = {"TN": 1.0, "EXP": 2.0}  # degrees of freedom
 
@@ -100,7 +100,8 @@ class ModalFeature(Continuous):
         labels: Sequence | None = None,
         dims: Sequence[str] | None = None,
     ) -> TensorVariable:
-        data = identified(observed, labels)
+        check_name(name)
+        data, dims = identified(observed, labels), known_dims(dims, 2)
         if dims is None:
             dims = add_coordinates(name, data)
         parameters = checked_parameters(modes, data, sigma_f, sigma_phi, density)
@@ -123,7 +124,10 @@ def add_coordinates(name, data: Identified) -> tuple[str, str]:
 
 def checked_parameters(modes, data: Identified, sigma_f, sigma_phi, density) -> list[TensorVariable]:
     """What the random variable takes, in its order."""
-    pair = (tuple(modes) + (np.zeros((0, 0)),))[:2]
+    listed = as_list(modes)
+    if not listed:
+        raise TypeError(message("modes", "frequencies (m,) and shapes (m, s)", shown(modes)))
+    pair = (*listed, np.zeros((0, 0)))[:2]
     frequencies, shapes = (as_tensor(x, "modes", "Pass what `modes` returned.") for x in pair)
     if frequencies.ndim != 1 or shapes.ndim != 2:
         raise ValueError(
@@ -149,7 +153,7 @@ def checked_parameters(modes, data: Identified, sigma_f, sigma_phi, density) -> 
         )
     if isinstance(density, str) and density not in DENSITIES:
         raise ValueError(
-            message("density", f"one of {', '.join(DENSITIES)} or degrees of freedom", repr(density))
+            message("density", f"one of {', '.join(DENSITIES)} or degrees of freedom", shown(density))
         )
     degrees = DENSITIES[density] if isinstance(density, str) else density
     sigma_f = scale("sigma_f", sigma_f, i, allow_zero=bool((data.sd > 0).all()))

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features._checks import message
+from pymc_features._checks import as_array, as_list, as_numbers, is_number, message, shown
 
 FIELDS = ("frequencies", "shapes", "frequency_sd")
 
@@ -103,13 +103,7 @@ def identified(observed, labels=None) -> Identified:
 
 
 def _real(value, name):
-    try:
-        array = np.array(value)
-        if array.dtype.kind not in "biuf":
-            raise TypeError
-    except (TypeError, ValueError):
-        raise TypeError(message(name, "an array of real numbers", type(value).__name__)) from None
-    return array.astype(np.float64)
+    return as_numbers(value, name, what="an array of real numbers")
 
 
 def _sd(sd, frequencies):
@@ -134,12 +128,7 @@ def _shapes(shapes, n):
     """Shapes without NaN, and where they are known; a shape of one entry says nothing."""
     if shapes is None:
         return np.zeros((n, 0)), np.zeros((n, 0))
-    try:
-        shapes = np.array(shapes)
-        if shapes.dtype.kind not in "biufc":
-            raise TypeError
-    except (TypeError, ValueError):
-        raise TypeError(message("shapes", "an array of numbers", type(shapes).__name__)) from None
+    shapes = as_numbers(shapes, "shapes", allow_complex=True)
     if shapes.ndim != 2 or shapes.shape[0] != n:
         raise ValueError(
             message(
@@ -169,11 +158,12 @@ def _labels(labels, n):
     """The mode of each identification, and what the modes are called, in the order of their first."""
     if labels is None:
         return np.arange(n), np.arange(n)
-    labels = np.array(labels)
-    if labels.shape != (n,):
-        raise ValueError(
-            message("labels", f"{n} labels, one for each identification", f"shape {labels.shape}")
-        )
+    given, labels = as_list(labels), as_array(labels)
+    if given is None or labels.shape != (n,):
+        what = f"{n} labels, one for each identification"
+        raise ValueError(message("labels", what, f"shape {labels.shape}"))
+    if not all(isinstance(label, str) or is_number(label) for label in given):
+        raise TypeError(message("labels", "texts or numbers", shown(given)))
     names, first, owner = np.unique(labels, return_index=True, return_inverse=True)
     order = np.argsort(first)
     return np.argsort(order)[owner], names[order]

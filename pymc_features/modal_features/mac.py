@@ -4,6 +4,8 @@ import numpy as np
 import pytensor.tensor as pt
 from numpy.typing import ArrayLike
 
+from pymc_features._checks import as_numbers
+
 
 def mac(shapes: ArrayLike, others: ArrayLike) -> np.ndarray:
     r"""Modal assurance criterion of each pair of shapes.
@@ -33,7 +35,8 @@ def mac(shapes: ArrayLike, others: ArrayLike) -> np.ndarray:
     array([[1.],
            [0.]])
     """
-    shapes, others = np.asarray(shapes), np.asarray(others)
+    shapes = as_numbers(shapes, "shapes", "Give one shape in each row.", allow_complex=True)
+    others = as_numbers(others, "others", "Give one shape in each row.", allow_complex=True)
     if shapes.ndim != 2 or others.ndim != 2 or shapes.shape[1] != others.shape[1]:
         raise ValueError(
             f"`shapes` and `others` must have rows of equal length, got shapes {shapes.shape} and "

@@ -14,6 +14,7 @@ from pytensor.graph.replace import graph_replace, vectorize_graph
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor import TensorVariable
 
+from pymc_features._checks import check_group, check_model, check_number, check_text, message, shown
 from pymc_features.distributions.checks import LIBRARIES
 from pymc_features.exceptions import ModalMatchWarning
 from pymc_features.modal_features.density import ModalFeatureRV, log_densities, mask_of, matched, n_parts
@@ -97,7 +98,15 @@ def match_modes(
     ModalMatchWarning
         Of identified modes without a partner, in more than half of the draws.
     """
-    model = pm.modelcontext(model)
+    deviations, least_mac = check_number(deviations, "deviations"), check_number(least_mac, "least_mac")
+    if not (deviations > 0.0 and 0.0 <= least_mac <= 1.0):
+        given = f"{deviations} and {least_mac}"
+        raise ValueError(f"`deviations` must be positive and `least_mac` from 0 to 1, got {given}.")
+    if name is not None:
+        check_text(name, "name")
+    if not (posterior is None or isinstance(posterior, xr.DataTree | xr.Dataset)):
+        raise TypeError(message("posterior", "a DataTree or a Dataset of draws", shown(posterior)))
+    model = check_model(model)
     found = [rv for rv in model.observed_RVs if isinstance(rv.owner.op, ModalFeatureRV)]
     found = [rv for rv in found if name in (None, rv.name)]
     if len(found) != 1:
@@ -111,10 +120,15 @@ def match_modes(
     if posterior is None:
         values, dims, coords = evaluate(model, match, initial_values(model)), (), {}
     else:
-        draws = posterior["posterior"].to_dataset() if isinstance(posterior, xr.DataTree) else posterior
+        draws = posterior
+        if isinstance(posterior, xr.DataTree):
+            draws = check_group(posterior, "posterior", "posterior", "Pass what `sample` returned.")
         missing = [v.name for v in model.free_RVs if v.name not in draws]
         if missing:
             raise ValueError(f"`posterior` must have all free variables of the model, got none of {missing}.")
+        if not all(draws.sizes.get(dim) for dim in ("chain", "draw")):
+            got = ", ".join(map(str, draws.dims)) or "no dimensions"
+            raise ValueError(message("posterior", "draws along chain and draw", got))
         dims = ("chain", "draw")
         coords = {dim: draws[dim].values for dim in dims}
         values = evaluate_draws(model, match, draws)

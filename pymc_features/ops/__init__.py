@@ -16,7 +16,7 @@ from pymc_features.ops.gradient import ResponseGradient, ResponseTangent
 from pymc_features.ops.no_gradient import NoGradient
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradient, PopulationMisfit
 from pymc_features.ops.response import StructuralResponse, response, response_node, response_step
-from pymc_features.ops.time_axis import check_dims, name_the_time_axis
+from pymc_features.ops.time_axis import check_dims, known_dims, name_the_time_axis
 from pymc_features.structures.variables import as_tensor
 
 OPS = numba_dispatch.OPS
@@ -41,6 +41,7 @@ __all__ = [
     "check_dims",
     "check_shape",
     "jax_loader",
+    "known_dims",
     "mean_square_discrepancy",
     "measured_samples",
     "misfit_statistics",

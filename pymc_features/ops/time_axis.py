@@ -28,16 +28,23 @@ def check_dims(dims, ndim: int | None = None) -> tuple | None:
     return tuple(listed)
 
 
+def known_dims(dims, ndim: int | None = None) -> tuple | None:
+    """The same; refuse what the model of the context does not know."""
+    dims, lengths = check_dims(dims, ndim), pm.modelcontext(None).dim_lengths
+    unknown = [name for name in dims or () if isinstance(name, str) and name not in lengths]
+    if unknown:
+        advice = f'Declare it, as in pm.Model(coords={{"{unknown[0]}": range(n)}}).'
+        raise ValueError(message("dims", "dimensions of the model", shown(unknown[0]), advice))
+    return dims
+
+
 def name_the_time_axis(dims, mu, observed, dt=None):
     """Give the model the times [s] of the last dimension, where `dims` names one it does not know.
 
     `dt` [s] counts where it is a constant; else the output step of a response, if that is known.
     """
     dims, model = check_dims(dims) or (), pm.modelcontext(None)
-    unknown = [name for name in dims[:-1] if isinstance(name, str) and name not in model.dim_lengths]
-    if unknown:
-        advice = f'Declare it, as in pm.Model(coords={{"{unknown[0]}": range(n)}}).'
-        raise ValueError(message("dims", "dimensions of the model", repr(unknown[0]), advice))
+    known_dims(dims[:-1])
     if not dims or dims[-1] in (None, ...) or dims[-1] in model.dim_lengths:
         return
     mu = as_tensor(mu, "mu")

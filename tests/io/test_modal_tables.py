@@ -390,7 +390,7 @@ def test_other_objects(tmp_path):
         TypeError, match="`source` must be a path, a mapping of arrays or a result of pyOMA2, got int"
     ):
         read_modal(3)
-    with pytest.raises(FileNotFoundError, match="`path` must be an existing file"):
+    with pytest.raises(FileNotFoundError, match="`source` must be an existing file"):
         read_modal(tmp_path / "none.csv")
     with pytest.raises(ValueError, match="modes.mat must be a MATLAB .mat file, it cannot be read"):
         read_modal(save(tmp_path, "frequency,roof\n1,2\n", "modes.mat"))

@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from pymc_features._checks import check_flag, check_path, check_texts
 from pymc_features.io.modal.identified import modal_data
 from pymc_features.io.modal.oma import is_oma, read_oma
 from pymc_features.io.modal.quantities import check_names
@@ -81,10 +82,12 @@ def read_modal(
     (ModalData(2 modes from 1 to 3 Hz, 1 channel), array([1., 3.]), array([0.012, 0.009]))
     """
     asked = check_names(names)
-    if not isinstance(real, bool | np.bool_):
-        raise TypeError(f"`real` must be True or False, got {real!r}.")
+    real = check_flag(real, "real")
+    if channels is not None and not isinstance(channels, str | Mapping):
+        channels = check_texts(channels, "channels", "a sequence of names, or a mapping of names to channels")
     if isinstance(source, str | PathLike):
-        return modal_data(_read_file(Path(source), asked, channels), channels, real)
+        path = check_path(source, "source")
+        return modal_data(_read_file(path, asked, channels), channels, real)
     if is_oma(source):
         _refuse_names(asked, "a result of pyOMA2")
         return modal_data(read_oma(source), channels, real)
@@ -98,7 +101,7 @@ def read_modal(
 
 def _read_file(path: Path, names: dict[str, str], channels):
     """The modes in a file, whose kind is known by its first bytes."""
-    check_readable(path)
+    check_readable(path, "source")
     opening = Opening.of(path)
     if opening.suffix == ".mat" or opening.head.startswith(b"MATLAB ") or h5py.is_hdf5(path):
         return read_mat_modes(path, names)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features._checks import message, shown
 from pymc_features.io.tables.brackets import texts_in_brackets, without_brackets
 from pymc_features.modal.data import listed
 
@@ -87,12 +88,12 @@ def check_names(names) -> dict[str, str]:
     if names is None:
         return {}
     if not isinstance(names, Mapping):
-        raise TypeError(f"`names` must be a mapping of quantities to names in the file, got {names!r}.")
+        raise TypeError(message("names", "a mapping of quantities to names in the file", shown(names)))
     for key in names:
         if key not in NAMES:
             raise ValueError(
-                f"`names` must have keys among {', '.join(NAMES)}, got {key!r}. Its values are what the file "
-                "calls them."
+                f"`names` must have keys among {', '.join(NAMES)}, got {shown(key)}. Its values are what the "
+                "file calls them."
             )
     return {key: str(value) for key, value in names.items()}
 

@@ -83,6 +83,34 @@ EARTHQUAKE = {
     "envelope": None,
 }
 
+
+def reader(function):
+    """A call of a function that reads channels."""
+    return Call(
+        function,
+        {
+            "files": TEXT,
+            "columns": None,
+            "units": "g",
+            "dt": None,
+            "clock": None,
+            "clock_units": None,
+            "skip": 0,
+            "wrapped": None,
+        },
+        {
+            "columns": {"None", "NumPy's 2"},
+            "units": POSITIVE,
+            "dt": {"None", *POSITIVE},
+            "clock": {"None", "0"},
+            "clock_units": {"None", *POSITIVE} - {"1e300"},
+            "skip": {"0", *ONE},
+            "wrapped": {"None"},
+        },
+        {"clock_units": ["dt"], "wrapped": ["dt"]},
+    )
+
+
 CALLS = {
     "read_record": Call(
         pmf.read_record,
@@ -95,32 +123,8 @@ CALLS = {
         },
         {"column": ["dt"], "wrapped": ["column"]},
     ),
-    **{
-        function.__name__: Call(
-            function,
-            {
-                "files": TEXT,
-                "columns": None,
-                "units": "g",
-                "dt": None,
-                "clock": None,
-                "clock_units": None,
-                "skip": 0,
-                "wrapped": None,
-            },
-            {
-                "columns": {"None", "NumPy's 2"},
-                "units": POSITIVE,
-                "dt": {"None", *POSITIVE},
-                "clock": {"None", "0"},
-                "clock_units": {"None", *POSITIVE} - {"1e300"},
-                "skip": {"0", *ONE},
-                "wrapped": {"None"},
-            },
-            {"clock_units": ["dt"], "wrapped": ["dt"]},
-        )
-        for function in (pmf.read_channels, pmf.read_channels_with_gaps)
-    },
+    "read_channels": reader(pmf.read_channels),
+    "read_channels_with_gaps": reader(pmf.read_channels_with_gaps),
     "read_matrices": Call(pmf.read_matrices, {"path": MATRICES}),
     "datasets.mini_shake_table": Call(
         pmf.datasets.mini_shake_table,

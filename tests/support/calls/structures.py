@@ -148,7 +148,7 @@ CALLS = {
         pmf.LinearStructure,
         {"mass": [1.0, 1.0], "stiffness": [3.0, 3.0], "damping": DAMPING, "influence": None},
         {
-            "mass": DIAGONALS,
+            "mass": DIAGONALS | {"range"},
             "stiffness": DIAGONALS,
             "damping": DIAGONALS | {"damping", "range"},
             "influence": INFLUENCE,
@@ -159,7 +159,7 @@ CALLS = {
         pmf.AffineStructure,
         AFFINE,
         {
-            "mass": DIAGONALS,
+            "mass": DIAGONALS | {"range"},
             "stiffness": DIAGONALS | {"range"},
             "damping": DIAGONALS | {"damping", "range"},
             "stiffness_terms": {"three dimensions"},

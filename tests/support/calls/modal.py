@@ -1,0 +1,126 @@
+"""Identified modes: their files, their likelihood, and modes inside a model."""
+
+from pathlib import Path
+
+import numpy as np
+import pymc as pm
+
+import pymc_features as pmf
+from support.border import Call, work
+from support.calls.files import FOLDER
+from support.calls.structures import CHAIN, SCALARS, TAKEN, VECTORS
+from support.odd_values import NUMBERS, PAIR, POSITIVE, TEXTS
+
+TABLE = Path(FOLDER.name) / "modes.csv"
+TABLE.write_text("omega [rad/s],damping [%],roof\n6.2832,1.2,1.0\n18.85,0.9,-0.5\n")
+SHAPES = [[0.6, 1.0], [1.0, -0.5]]
+MODAL = pmf.ModalData([1.2, 3.5], SHAPES, ["floor", "roof"])
+MODES = (np.array([1.2, 3.5, 5.0]), np.array([*SHAPES, [1.0, 1.0]]))
+with pm.Model() as MODEL:
+    pmf.ModalFeature("y", (pm.LogNormal("f", shape=3), MODES[1]), observed=MODAL, sigma_f=0.1, sigma_phi=0.1)
+MATRICES = {"matrix in Fortran's order"}
+FRACTIONS = {"0", "1e-300", "1.0 of 16 bits", "Fraction", "array without dimensions"}
+LABELS = PAIR - {"DataArray"} | {
+    "list of huge integers",
+    "array with nan",
+    "array with inf",
+    "negative array",
+}
+SCALE = POSITIVE | SCALARS | VECTORS | PAIR - {"range"}
+
+CALLS = {
+    "ModalData": Call(
+        pmf.ModalData,
+        {
+            "frequencies": [1.2, 3.5],
+            "shapes": SHAPES,
+            "channels": ["floor", "roof"],
+            "frequency_sd": None,
+            "damping_ratios": None,
+            "damping_sd": None,
+            "shape_sd": None,
+            "name": "",
+        },
+        {
+            "frequencies": PAIR - {"range"},
+            "shapes": MATRICES,
+            "channels": {"list of texts", "array of texts"} | LABELS,
+            "frequency_sd": {"None", *PAIR} - {"range"},
+            "damping_ratios": {"None"},
+            "damping_sd": {"None", "array with nan", *PAIR},
+            "shape_sd": {"None"},
+            "name": TEXTS | NUMBERS,
+        },
+        {"shapes": ["channels"], "channels": ["shapes"]},
+    ),
+    "merge_setups": Call(
+        pmf.merge_setups,
+        {
+            "setups": [MODAL, MODAL],
+            "references": ["floor", "roof"],
+            "frequency_tolerance": 0.05,
+            "least_mac": 0.8,
+        },
+        {
+            "references": {"None"},
+            "frequency_tolerance": {"1e-300", "Fraction"},
+            "least_mac": FRACTIONS,
+        },
+        {"references": ["channels"]},
+    ),
+    "mac": Call(
+        pmf.mac,
+        {"shapes": SHAPES, "others": SHAPES},
+        {name: MATRICES | {"empty matrix"} for name in ("shapes", "others")},
+    ),
+    "match_modes": Call(
+        pmf.match_modes,
+        {"posterior": None, "name": None, "model": MODEL, "deviations": 3.0, "least_mac": 0.5},
+        {
+            "posterior": {"None"},
+            "name": {"None"},
+            "deviations": POSITIVE | {"inf", "10**400", "10**5000"},
+            "least_mac": FRACTIONS,
+        },
+        instead={
+            "pymc_features.modal_features.match.evaluate": work,
+            "pymc_features.modal_features.match.evaluate_draws": work,
+            "pymc_features.modal_features.match.match_of": str,
+        },
+    ),
+    "ModalFeature": Call(
+        pmf.ModalFeature,
+        {
+            "name": "y",
+            "modes": MODES,
+            "observed": MODAL,
+            "sigma_f": 0.1,
+            "sigma_phi": 0.1,
+            "density": "EXP",
+            "labels": None,
+            "dims": None,
+        },
+        {
+            "name": TEXTS - {"empty text", "text with a null"},
+            "observed": PAIR - {"range"},
+            "sigma_f": SCALE,
+            "sigma_phi": SCALE,
+            "density": SCALE,
+            "labels": {"None", "list of texts", "array of texts"} | LABELS,
+            "dims": {"None"},
+        },
+        {"observed": ["frequencies"]},
+        coords={},
+        instead={"pymc_features.modal_features.feature.warn_at_start": str},
+    ),
+    "modes": Call(
+        pmf.modes,
+        {"structure": CHAIN, "n_modes": None, "sensors": None, "outputs": None},
+        TAKEN,
+    ),
+    "read_modal": Call(
+        pmf.read_modal,
+        {"source": TABLE, "names": None, "channels": None, "real": True},
+        {"names": {"None", "{}"}, "channels": {"None"}, "real": {"True", "NumPy's True"}},
+    ),
+}
