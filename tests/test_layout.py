@@ -54,7 +54,7 @@ ALLOWED = {
     "update": {
         *("records", "structures", "signals", "io", "datasets", "ground_motion", "simulators", "ops"),
         *("likelihood_free", "likelihoods", "smc", "inference", "calibration", "prediction"),
-        *("storage", "plots"),
+        *("storage", "plots", "modal", "modal_features"),
     },
 }
 ANYTHING = {"__init__", "public", "cli"}

@@ -75,7 +75,7 @@ def plot_mac(
         for row, column in enumerate(given.partners):
             ax.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, ec="C1", lw=2.2, zorder=3))
     ax.set_xticks(range(m), of_model(given))
-    ax.set_yticks(range(i), [f"{k + 1}: {f:.4g}" for k, f in enumerate(given.identified)])
+    ax.set_yticks(range(i), [f"{f:.4g}" for f in given.identified])
     hertz = "" if given.frequencies is None else " [Hz]"
     ax.set(xlabel=f"mode of the model{hertz}", ylabel="identified mode [Hz]")
     ax.tick_params(length=0)
@@ -97,5 +97,5 @@ def of_model(given: Compared) -> list[str]:
     """Number and median frequency of each mode of the model."""
     numbers = range(1, 1 + given.shapes.shape[1])
     if given.frequencies is None:
-        return [str(k) for k in numbers]
-    return [f"{k}: {f:.4g}" for k, f in zip(numbers, quantiles(given.frequencies)[1], strict=True)]
+        return [f"f{k}" for k in numbers]
+    return [f"f{k}: {f:.4g}" for k, f in zip(numbers, quantiles(given.frequencies)[1], strict=True)]

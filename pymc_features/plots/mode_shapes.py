@@ -116,14 +116,14 @@ def scaled(draws: np.ndarray, own: np.ndarray, places: np.ndarray) -> np.ndarray
 
 
 def title_of(given: Compared, agreement: np.ndarray, k: int) -> list[str]:
-    """Number and frequency of an identified mode, its partner, and their MAC."""
+    """Frequencies of an identified mode and of its partner, f1 the lowest, and their MAC."""
     r = given.partners[k]
-    words = f"mode {r + 1} of the model"
+    words = f"model f{r + 1}"
     if given.frequencies is not None:
-        words = f"model {quantiles(given.frequencies[:, r])[1]:.4g} Hz, its mode {r + 1}"
+        words += f": {quantiles(given.frequencies[:, r])[1]:.4g} Hz"
     middle = quantiles(agreement[:, k, r])[1]
     of_shape = "no shape" if np.isnan(middle) else f"MAC {middle:.3f}"
-    return [f"{k + 1}: {given.identified[k]:.4g} Hz", words, of_shape]
+    return [f"measured {given.identified[k]:.4g} Hz", words, of_shape]
 
 
 def draw_storeys(ax, draws, own, places):

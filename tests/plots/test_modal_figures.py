@@ -48,8 +48,8 @@ def test_mac_matrix(measured, draws):
     assert cells[1] == f"{middle[0, 1]:.2f}\n{low[0, 1]:.2f}-{high[0, 1]:.2f}"
     assert [patch.get_xy() for patch in ax.patches] == [(-0.5, -0.5), (0.5, 0.5)]
     medians = np.median(frequencies, axis=(0, 1))
-    assert [t.get_text() for t in ax.get_xticklabels()] == [f"{k + 1}: {medians[k]:.4g}" for k in range(3)]
-    assert ax.get_yticklabels()[1].get_text() == f"2: {measured.frequencies[1]:.4g}"
+    assert [t.get_text() for t in ax.get_xticklabels()] == [f"f{k + 1}: {medians[k]:.4g}" for k in range(3)]
+    assert ax.get_yticklabels()[1].get_text() == f"{measured.frequencies[1]:.4g}"
 
 
 def test_mac_matrix_of_one_structure_and_of_missing_entries(measured):
@@ -79,7 +79,7 @@ def test_shapes_along_the_storeys(measured, draws):
         np.testing.assert_allclose(lines["model, median"], np.c_[[0.0, *expected[1]], range(4)], atol=1e-12)
         corners = {tuple(np.round(v, 9)) for v in ax.collections[0].get_paths()[0].vertices}
         assert {(round(expected[0, 1], 9), 2.0), (round(expected[2, 1], 9), 2.0)} <= corners
-    assert axes[1].get_title().startswith(f"2: {measured.frequencies[1]:.4g} Hz\nmodel ")
+    assert axes[1].get_title().startswith(f"measured {measured.frequencies[1]:.4g} Hz\nmodel f2: ")
     assert axes[1].get_ylim()[0] == 0.0
 
 
@@ -87,9 +87,9 @@ def test_partners_are_those_of_the_largest_mac(measured, draws):
     _, shapes = draws
     reversed_modes = shapes[..., ::-1, :]
     axes = plots.plot_mode_shapes(measured, reversed_modes, sensors=CHANNELS)
-    assert [ax.get_title().split("\n")[1] for ax in axes] == [f"mode {k} of the model" for k in (3, 2)]
+    assert [ax.get_title().split("\n")[1] for ax in axes] == [f"model f{k}" for k in (3, 2)]
     axes = plots.plot_mode_shapes(measured, shapes, sensors=CHANNELS, partners=[2, 2], axes=axes)
-    assert [ax.get_title().split("\n")[1] for ax in axes] == ["mode 3 of the model"] * 2
+    assert [ax.get_title().split("\n")[1] for ax in axes] == ["model f3"] * 2
 
 
 def nodes_of_a_mast():
