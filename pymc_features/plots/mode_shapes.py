@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from pymc_features._checks import message
 from pymc_features.modal import ModalData
 from pymc_features.modal.shapes import real_shape
-from pymc_features.plots.drawing.axes import AxesLike, checked_axes, set_title
+from pymc_features.plots.drawing.axes import AxesLike, checked_axes
 from pymc_features.plots.drawing.modal import Compared, best_partners, compared, indices, macs, quantiles
 from pymc_features.plots.drawing.nodes import Nodes, checked_nodes
 
@@ -80,10 +80,8 @@ def plot_mode_shapes(
         else:
             draw_nodes(ax, plane, draws, own, places)
         words = title_of(given, agreement, k)
-        if plane is None:
-            ax.set_title("\n".join(words), fontsize="medium")
-        else:
-            set_title(ax, ", ".join(words), fontsize="medium")
+        lines = words if plane is None else [", ".join(words[:2]), words[2]]
+        ax.set_title("\n".join(lines), fontsize="medium")
     if is_new:
         handles, labels = axes[0].get_legend_handles_labels()
         axes[0].figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)

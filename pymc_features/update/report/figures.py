@@ -28,9 +28,11 @@ def figures(problem: Problem, result, modes) -> list[Figure]:
     """Every figure of the report; nothing is drawn yet. `modes` are the rows of each likelihood."""
     found = of_data(result) if problem.measured is not None else []
     for kind in kinds_of(result):
-        found += of_one(problem, result[kind], kind)
+        first, *rest = of_one(problem, result[kind], kind)
+        found.append(first)
         if kind in modes:
             found += of_modes(problem, result[f"{kind}/shapes"].to_dataset(), modes[kind], kind)
+        found += rest
     return found
 
 
