@@ -99,7 +99,7 @@ def read_modes(section, folder: Path, structure) -> MeasuredModes:
 def read_files(section, folder) -> tuple[ModalData, str]:
     """The modes of the file, or of all set-ups together, and what they are called."""
     files = [section.file] if section.files is None else section.files
-    with named_key("modal", path="file"):
+    with named_key("modal", source="file"):
         setups = [read_modal(folder / file, names=section.names) for file in files]
     with named_key("modal", setups="files", channels="references"):
         data = setups[0] if section.files is None else merge_setups(setups, section.references)

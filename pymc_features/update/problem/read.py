@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features.exceptions import ConfigError
+from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.storage import fingerprint
 from pymc_features.update.config.document import Config, read_config
 from pymc_features.update.config.entries import Matrix, Parameter
