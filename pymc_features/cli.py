@@ -178,30 +178,35 @@ def read_and_tell(config, console):
     told = list(dict.fromkeys(str(warning.message) for warning in caught))
     for sentence in told:
         say(console, f"warning: {sentence}", "yellow")
-    measured = problem.measured
-    say(console, f"data: {measured.source}; base: {measured.record}")
-    say(console, f"channels: {measured.checked.sentence}")
-    if measured.left_out:
-        say(console, f"left out as gaps: {measured.left_out}")
+    if (measured := problem.measured) is not None:
+        say(console, f"data: {measured.source}; base: {measured.record}")
+        say(console, f"channels: {measured.checked.sentence}")
+        if measured.left_out:
+            say(console, f"left out as gaps: {measured.left_out}")
+    if problem.modal is not None:
+        say(console, f"modes: {problem.modal.sentence}")
     return problem, told
 
 
 def check(options, console):
     """Look at the data of a configuration."""
-    from pymc_features import plots
-    from pymc_features.storage import write_atomically
-    from pymc_features.update.problem.channels import base_and_sensors
-    from pymc_features.update.report.terminal import gains_table
+    from pymc_features.update.expected import check_data, check_modes
 
     config = Path(options.config)
     problem, told = read_and_tell(config, console)
-    if problem.measured.checked.gains is not None:
-        console.print(gains_table(problem.measured.checked.gains))
     out = Path(options.out or config.with_name(f"{config.stem}-check.png"))
-    axes = plots.plot_channels(base_and_sensors(problem.measured))
-    write_atomically(out, lambda path: axes[0].figure.savefig(path, dpi=120, format="png"))
-    plots.close(axes[:1])
-    say(console, f"wrote {out}")
+    if problem.measured is not None:
+        for shown in check_data(problem, out):
+            console.print(shown)
+        say(console, f"wrote {out}")
+    if problem.modal is not None:
+        path = out if problem.measured is None else out.with_name(f"{out.stem}-modes{out.suffix}")
+        shown, sentences, is_drawn = check_modes(problem, path)
+        console.print(shown)
+        for sentence in sentences:
+            say(console, sentence)
+        if is_drawn:
+            say(console, f"wrote {path}")
     if not told:
         say(console, "nothing was found wrong")
 

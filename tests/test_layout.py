@@ -47,14 +47,14 @@ ALLOWED = {
         "plots",
     },
     "likelihoods": {"ops", "distributions", "likelihood_free", "calibration"},
-    "plots": {"records", "likelihoods"},
+    "plots": {"records", "likelihoods", "modal", "modal_features"},
     "interrupt": set(),
     "progress": {"interrupt"},
     "arguments": set(),
     "update": {
         *("records", "structures", "signals", "io", "datasets", "ground_motion", "simulators", "ops"),
         *("likelihood_free", "likelihoods", "smc", "inference", "calibration", "prediction"),
-        *("storage", "plots"),
+        *("storage", "plots", "modal", "modal_features"),
     },
 }
 ANYTHING = {"__init__", "public", "cli"}
@@ -104,6 +104,8 @@ PUBLIC_NAMES = [
     "plot_chains",
     "plot_channels",
     "plot_loops",
+    "plot_mac",
+    "plot_mode_shapes",
     "plot_natural_frequencies",
     "plot_predictive",
     "plot_prior_posterior",

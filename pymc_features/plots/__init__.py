@@ -3,10 +3,12 @@
 A new one is one file and one line. matplotlib is imported when the first of them is drawn.
 """
 
-from pymc_features.plots.axes import close as close
 from pymc_features.plots.chains import plot_chains as plot_chains
 from pymc_features.plots.channels import plot_channels as plot_channels
+from pymc_features.plots.drawing.axes import close as close
 from pymc_features.plots.loops import plot_loops as plot_loops
+from pymc_features.plots.mac import plot_mac as plot_mac
+from pymc_features.plots.mode_shapes import plot_mode_shapes as plot_mode_shapes
 from pymc_features.plots.natural_frequencies import plot_natural_frequencies as plot_natural_frequencies
 from pymc_features.plots.predictive import plot_predictive as plot_predictive
 from pymc_features.plots.prior_posterior import plot_prior_posterior as plot_prior_posterior

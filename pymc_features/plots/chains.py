@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features._checks import check_choice, check_finite, check_group
-from pymc_features.plots.axes import AxesLike, checked_axes, chosen_among
+from pymc_features.plots.drawing.axes import AxesLike, checked_axes, chosen_among
 
 KINDS = ("rank", "trace")
 

@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from pymc_features.plots.axes import AxesLike, checked_axes, set_title
+from pymc_features.plots.drawing.axes import AxesLike, checked_axes, set_title
 
 HEIGHT, TALLEST = 0.9, 30.0  # inches, of a channel and of all
 

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features._checks import message, shown
-from pymc_features.plots.axes import AxesLike, checked_axes, chosen_among, set_figure_title
+from pymc_features.plots.drawing.axes import AxesLike, checked_axes, chosen_among, set_figure_title
 
 
 def plot_loops(

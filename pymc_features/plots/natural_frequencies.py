@@ -5,7 +5,7 @@ import xarray as xr
 
 from pymc_features._checks import check_group, message, shown
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.plots.axes import AxesLike, checked_axes
+from pymc_features.plots.drawing.axes import AxesLike, checked_axes
 
 
 def plot_natural_frequencies(result: xr.DataTree, axes: AxesLike = None) -> np.ndarray:

@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 
 from pymc_features._checks import as_numbers, check_group, message, shown
-from pymc_features.plots.axes import AxesLike, checked_axes, chosen_among, set_title
-from pymc_features.plots.envelope import columns_of, draw_area, draw_band, draw_line, draw_measured
+from pymc_features.plots.drawing.axes import AxesLike, checked_axes, chosen_among, set_title
+from pymc_features.plots.drawing.envelope import columns_of, draw_area, draw_band, draw_line, draw_measured
 
 WIDEST = 3.0  # height of an axis over that of response and measurement, where errors are large
 

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features._checks import check_group, check_mapping, message, shown
-from pymc_features.plots.axes import AxesLike, broken, checked_axes, chosen_among, inches_of
+from pymc_features.plots.drawing.axes import AxesLike, broken, checked_axes, chosen_among, inches_of
 
 BINS = 40
 

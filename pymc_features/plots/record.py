@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from pymc_features.plots.axes import AxesLike, checked_axes, set_title
+from pymc_features.plots.drawing.axes import AxesLike, checked_axes, set_title
 from pymc_features.records import Loading, Record
 
 LABELS = {"support_acceleration": "support acceleration [m/s²]", "force": "force [N]"}

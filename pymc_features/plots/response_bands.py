@@ -7,8 +7,8 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from pymc_features._checks import as_numbers, check_choice, message, shown
-from pymc_features.plots.axes import AxesLike, checked_axes, chosen_among, set_title
-from pymc_features.plots.envelope import columns_of, draw_band, draw_line, draw_measured
+from pymc_features.plots.drawing.axes import AxesLike, checked_axes, chosen_among, set_title
+from pymc_features.plots.drawing.envelope import columns_of, draw_band, draw_line, draw_measured
 
 
 def plot_response_bands(

@@ -7,7 +7,7 @@ import xarray as xr
 
 from pymc_features._checks import check_group
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.plots.axes import AxesLike, checked_axes, chosen_among, set_figure_title
+from pymc_features.plots.drawing.axes import AxesLike, checked_axes, chosen_among, set_figure_title
 
 STUDY = "Pass what sampling_rate_study() returned."
 LABELS = {

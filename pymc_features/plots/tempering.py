@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features._checks import message, shown
-from pymc_features.plots.axes import AxesLike, checked_axes
+from pymc_features.plots.drawing.axes import AxesLike, checked_axes
 
 
 def plot_tempering(idata: xr.DataTree, axes: AxesLike = None) -> np.ndarray:

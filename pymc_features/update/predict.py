@@ -5,8 +5,8 @@ import pymc as pm
 import xarray as xr
 
 from pymc_features.exceptions import ConfigError
-from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.prediction import posterior_response
+from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.structure import modes_of
 
 QUANTILES = (0.05, 0.5, 0.95)
@@ -47,7 +47,7 @@ def bands(problem, kind, model, idata) -> xr.Dataset:
     found = xr.Dataset({"response": (dims, compared)}, coords=coords)
     off = observed - found["response"].sel(quantile=0.5, drop=True)
     found["normalised_error"] = np.sqrt((off**2).mean("time") / (observed**2).mean("time"))
-    if not LIKELIHOODS[kind].is_likelihood_free:
+    if not KINDS[kind].is_likelihood_free:
         found["predictive"] = dims, predictive(model, idata)
         low, high = found["predictive"].isel(quantile=0), found["predictive"].isel(quantile=-1)
         inside = ((observed >= low) & (observed <= high)).where(observed.notnull())

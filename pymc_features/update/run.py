@@ -14,12 +14,13 @@ from pymc_features import inference, smc
 from pymc_features.calibration import calibrate
 from pymc_features.exceptions import ConfigError, ToleranceNotReachedError
 from pymc_features.likelihood_free import abc_tolerance
-from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.smc import sample_smc
 from pymc_features.storage import PartStore
 from pymc_features.update.chains import without_lost_chains
 from pymc_features.update.config.entries import Parameter
 from pymc_features.update.predict import bands, frequencies, measured_gain
+from pymc_features.update.predict_modes import identified_modes, matched, shapes
+from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.model import declare, names_for
 from pymc_features.update.problem.read import Problem
 
@@ -56,7 +57,9 @@ def run_update(
     DataTree
         For each likelihood `/<kind>/`, CAL first: posterior, prior, sample_stats, observed_data, bands,
         modal, and of CAL calibration, what `effective_samples` returns. And `/data`: motion of the base,
-        measured responses and their gain.
+        measured responses and their gain. Of identified modes `/identified`, and in each likelihood
+        `matched`, which mode each is matched with, and `shapes` of draws; without responses the only
+        likelihood is MODAL, and there are neither data nor bands.
 
     Raises
     ------
@@ -70,14 +73,20 @@ def run_update(
         tell(kind, done, len(kinds))
         part, tolerance = store.load(kind), tolerance_of(problem, parts) if kind == "ABC" else None
         if part is None or part.attrs.get("epsilon") != tolerance:
-            base = parts.get(LIKELIHOODS[kind].calibrates)
+            base = parts.get(KINDS[kind].calibrates)
             part = run_part(problem, kind, tolerance, base, cores, progressbar)
             store.save(kind, part)
         parts[kind] = part
     tell("report", len(kinds), len(kinds))
-    shown = {kind: parts[kind] for kind in problem.reported}
+    shown = {kind: parts[kind].copy() for kind in problem.reported}
     title = problem.config.report.title.replace("/", "-")  # which would be a path in the tree
-    return xr.DataTree.from_dict({**shown, "data": data_of(problem)}, name=title)
+    if problem.measured is not None:
+        shown["data"] = data_of(problem)
+    if problem.modal is not None:
+        for kind in problem.reported:  # not kept: other nodes are no other draws
+            shown[kind]["shapes"] = xr.DataTree(shapes(problem, shown[kind]["posterior"].to_dataset()))
+        shown["identified"] = identified_modes(problem)
+    return xr.DataTree.from_dict(shown, name=title)
 
 
 def run_part(problem, kind, tolerance, base, cores, progressbar) -> xr.DataTree:
@@ -96,13 +105,16 @@ def run_part(problem, kind, tolerance, base, cores, progressbar) -> xr.DataTree:
             idata = calibrated(problem, kind, base, model, cores or problem.config.sampler.cores, progressbar)
         if is_cut_short(problem, kind, idata["posterior"].sizes):
             raise KeyboardInterrupt
-        if base is None and not LIKELIHOODS[kind].is_likelihood_free:
+        if base is None and not KINDS[kind].is_likelihood_free:
             idata = without_lost_chains(idata, model)
         part = {name: idata[name].to_dataset() for name in GROUPS if name in idata.children}
         part["prior"] = prior_draws(problem, kind)
-        part["observed_data"] = xr.Dataset({"y": problem.measured.channels.drop_attrs()})
-        part["bands"] = bands(problem, kind, model, idata)
+        if problem.measured is not None:
+            part["observed_data"] = xr.Dataset({"y": problem.measured.channels.drop_attrs()})
+            part["bands"] = bands(problem, kind, model, idata)
         part["modal"] = frequencies(problem, idata)
+        if problem.modal is not None:
+            part["matched"] = matched(problem, idata["posterior"].to_dataset())
     tree = xr.DataTree.from_dict(part)
     messages = list(dict.fromkeys(str(w.message) for w in caught if is_ours(w.category)))
     tree.attrs = {
@@ -131,16 +143,16 @@ def is_ours(category) -> bool:
 def method_of(problem, kind) -> str:
     """How a likelihood is sampled."""
     sampler = problem.config.sampler
-    if LIKELIHOODS[kind].calibrates:
+    if KINDS[kind].calibrates:
         return "calibrate"
-    if LIKELIHOODS[kind].is_likelihood_free:
+    if KINDS[kind].is_likelihood_free:
         return "SubsetSimulation"
     return {"auto": "sample", "smc": sampler.kernel, "nuts": "NUTS", "laplace": "Laplace"}[sampler.method]
 
 
 def seed_of(problem, kind) -> int:
     """Seed of one likelihood."""
-    key = [problem.config.sampler.random_seed, list(LIKELIHOODS).index(kind)]
+    key = [problem.config.sampler.random_seed, list(KINDS).index(kind)]
     return int(np.random.SeedSequence(key).generate_state(1)[0])
 
 
@@ -228,6 +240,8 @@ def data_of(problem) -> xr.Dataset:
     measured = problem.measured
     gain, peaks = measured_gain(problem)
     given = problem.config.report.natural_frequencies
+    if given is None and problem.modal is not None:
+        given = problem.modal.data.frequencies
     data = xr.Dataset(
         {
             "ground_acceleration": ("record_time", measured.record.acceleration, {"units": "m/s^2"}),

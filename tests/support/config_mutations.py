@@ -3,7 +3,7 @@
 import copy
 import datetime
 
-from pymc_features.update.config import sections
+from pymc_features.update.config import modal_section, sections
 from pymc_features.update.config.document import Config
 from pymc_features.update.config.priors import DISTRIBUTIONS, arguments_of
 from pymc_features.update.config.structure_sections import DAMPINGS, STRUCTURES
@@ -22,7 +22,23 @@ NUMBERS = [
 NAMES = [
     *("", " ", "k1", "k2", "zeta", "sigma", "base", "floor1", "y", "nothing", "größe", "a\0b", "x" * 5000),
     *(".", "..", "/", "/dev/zero", "/dev/null", "measured.csv", "original.toml", "~", "*", "a/b"),
-    *("__class__", "{0.__class__}", "[red]", "%s", "\\", '"', "\n", "nan", "true", "1e3"),
+    *(
+        "modes.csv",
+        "setup.csv",
+        "nodes.csv",
+        "roof",
+        "EXP",
+        "__class__",
+        "{0.__class__}",
+        "[red]",
+        "%s",
+        "\\",
+        '"',
+        "\n",
+        "nan",
+        "true",
+        "1e3",
+    ),
 ]
 OTHERS = [
     *(True, False, [], {}, [[]], [{}], {"": 1}, [1, "k1", {}], datetime.date(2020, 1, 1)),
@@ -41,7 +57,7 @@ KINDS = ("NORM", "TN", "EXP", "ABC", "CN", "CN-SIGMA", "CN-TAU", "GAMMA", "CAL")
 def known_keys() -> list[str]:
     """All keys of the sections."""
     parts = [Config, *STRUCTURES.values(), *DAMPINGS.values()]
-    parts += [value for value in vars(sections).values() if isinstance(value, type)]
+    parts += [value for module in (sections, modal_section) for value in vars(module).values()]
     return sorted({name for part in parts for name in getattr(part, "model_fields", {})})
 
 

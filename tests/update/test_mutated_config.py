@@ -28,6 +28,22 @@ MATRIX = [[800.0, -400.0, 0.0], [-400.0, 800.0, -400.0], [0.0, -400.0, 400.0]]
 CHAIN = {"mass": 0.15, "stiffness": ["k1", "k2", "k3"], "damping": MODAL}
 TERMS = {"stiffness_terms": [MATRIX, {}], "theta": ["k1", {"prior": "k2", "times": 2.0}]}
 BOUC_WEN = {"yield_displacement": 0.01, "post_yield_ratio": 0.1}
+OF_MODES = {
+    "file": "modes.csv",
+    "channels": {"floor1": 0, "roof": 2},
+    "modes": [1, 2],
+    "sigma_f": "sigma",
+    "sigma_phi": 0.05,
+    "density": "TN",
+    "nodes": "nodes.csv",
+}
+# what identified modes alone do without
+ALONE = {
+    "data": None,
+    "likelihood": None,
+    "processing": None,
+    "report": {"quantities": None, "natural_frequencies": None},
+}
 VARIANTS = [  # sections, and what is different there
     {},
     {"likelihood": {"kinds": ["TN"]}, "sampler": {"method": "smc", "kernel": "TMCMC", "cores": 2}},
@@ -91,7 +107,28 @@ VARIANTS = [  # sections, and what is different there
             "detrend": {"window": [0.0, 0.5]},
         }
     },
+    {
+        "likelihood": {"kinds": ["CAL", "EXP"]},
+        "modal": {**OF_MODES, "scale": {"roof": -1.0}, "labels": ["first", "second"]},
+    },
+    {**ALONE, "modal": {**OF_MODES, "n_modes": 3, "density": 3.0, "sigma_phi": ["sigma", 0.1]}},
+    {
+        **ALONE,
+        "structure": {"type": "SpringMassChain", "mass": 0.15, "stiffness": ["k1", "k2", 500.0]},
+        "modal": {
+            "files": ["modes.csv", "setup.csv"],
+            "references": ["roof"],
+            "channels": {"floor1": 0, "floor2": 1, "roof": 2},
+            "names": {"frequency": "frequency"},
+            "sigma_f": 0.01,
+            "sigma_phi": 0.1,
+        },
+    },
+    {**ALONE, "modal": {"file": "modes.csv", "shapes": False, "sigma_f": ["sigma", 0.01]}},
 ]
+MODES = "frequency,floor1,roof\n3.7,0.5,1.0\n10.4,-1.0,0.6\n"
+SETUP = "frequency,floor2,roof\n3.71,0.8,1.0\n10.5,-0.6,0.6\n"
+NODES = "dof,z,line\n,0,1\n0,1,1\n1,2,1\n2,3,1\n"
 
 
 @pytest.fixture(scope="module")
@@ -108,11 +145,16 @@ def originals(folder):
         "\n".join([*lines[:90], *map(without_last, lines[90:110]), *lines[110:]])
     )
     (folder / "motion.csv").write_text("\n".join(["acceleration", *["0.1", "-0.1"] * (ROWS // 2)]) + "\n")
+    for name, text in (("modes", MODES), ("setup", SETUP), ("nodes", NODES)):
+        (folder / f"{name}.csv").write_text(text)
     example = tomllib.loads(path.read_text())
     example["data"]["files"] = "measured.csv"
     for changes in VARIANTS:
         table = copy.deepcopy(example)
         for name, section in changes.items():
+            if section is None:
+                del table[name]
+                continue
             kept = {} if name == "structure" else table.get(name, {})
             merged = copy.deepcopy(kept | section)
             table[name] = {key: value for key, value in merged.items() if value is not None}
@@ -128,7 +170,7 @@ def without_last(line):
 
 def without_idle_priors(table):
     """Those that structure and likelihoods name."""
-    named = str(table["structure"]) + str(table["likelihood"])
+    named = str([table.get(name) for name in ("structure", "likelihood", "modal")])
     table["priors"] = {name: prior for name, prior in table["priors"].items() if f"'{name}'" in named}
     return table
 
@@ -138,11 +180,14 @@ def stands(path):
     problem = read_problem(path)
     problem.settings()
     for kind in problem.kinds:
-        tolerance = problem.config.likelihood.epsilon or 1.0
-        model = run.declare(problem, kind, tolerance if kind == "ABC" else None)
+        tolerance = (problem.config.likelihood.epsilon or 1.0) if kind == "ABC" else None
+        model = run.declare(problem, kind, tolerance)
         assert model.free_RVs
         run.method_of(problem, kind), run.seed_of(problem, kind)
-    run.data_of(problem)
+    if problem.measured is not None:
+        run.data_of(problem)
+    if problem.modal is not None:
+        run.identified_modes(problem)
 
 
 def outcome(path) -> str:

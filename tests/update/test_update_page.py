@@ -46,6 +46,19 @@ def test_structures_of_the_page_can_be_updated(tmp_path, monkeypatch, number):
     assert {rv.name for rv in model.free_RVs} == set(problem.priors)
 
 
+def test_modes_of_the_page_can_be_updated(tmp_path):
+    [text] = [text for text in blocks(PAGE, "toml") if text.startswith("[modal]")]
+    (tmp_path / "modes.csv").write_text("frequency,roof,floor 1,floor 2\n2.6,1,0.3,0.6\n7.1,-0.7,0.7,0.9\n")
+    path = tmp_path / "page.toml"
+    path.write_text(text)
+    problem = read_problem(path)
+    model = declare(problem, "MODAL")
+    assert {rv.name for rv in model.free_RVs} == set(problem.priors) == {"lower", "upper", "sigma_phi"}
+    assert [rv.name for rv in model.observed_RVs] == ["modal"]
+    assert problem.modal.data.channels == ("floor 2", "roof")
+    assert (problem.modal.dofs, problem.modal.n_modes) == ([1, 3], 4)
+
+
 def example(word):
     """The one with a word in it."""
     [found] = [text for text in EXAMPLES if word in text]

@@ -4,11 +4,12 @@ import keyword
 import tomllib
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.entries import units_in
 from pymc_features.update.config.messages import sentence, shown
+from pymc_features.update.config.modal_section import Modal, with_damping
 from pymc_features.update.config.sections import (
     ERRORS,
     Data,
@@ -22,7 +23,9 @@ from pymc_features.update.config.sections import (
 from pymc_features.update.config.sizes import check_sizes
 from pymc_features.update.config.structure_sections import StructureSection
 
-TAKEN = {"y", "chain", "draw", "sensor", "time", "sample", "mode"}
+OF_MODES = {"modal", "modal_mode", "modal_entry"}
+TAKEN = {"y", "chain", "draw", "sensor", "time", "sample", "mode", *OF_MODES}
+OF_RESPONSES = ("record", "processing", "likelihood")  # sections that mean nothing without [data]
 
 
 class PriorSection(BaseModel):
@@ -40,20 +43,31 @@ class PriorSection(BaseModel):
 class Config(Section):
     """The whole file."""
 
-    data: Data = Field(description="a table")
+    data: Data | None = Field(None, description="a table")
+    modal: Modal | None = Field(None, description="a table")
     record: RecordFile | None = Field(None, description="a table")
     processing: Processing = Field(Processing(), description="a table")
     structure: StructureSection = Field(description="a table with `type`, the name of a structure")
     priors: dict[str, PriorSection] = Field(description="a table of priors, one or more", min_length=1)
-    likelihood: Likelihood = Field(description="a table")
+    likelihood: Likelihood | None = Field(None, description="a table")
     sampler: Sampler = Field(Sampler(), description="a table")
     report: Report = Field(Report(), description="a table")
 
+    @model_validator(mode="before")
+    @classmethod
+    def complete(cls, raw):
+        """What a file may leave out, and the others imply."""
+        return with_damping(raw)
+
     def uses(self) -> dict[str, list[tuple[str, str]]]:
         """Names of priors to (key, unit) of every place where they are used, in the order of use."""
-        taken = dict(pair for kind in self.likelihood.kinds for pair in self.likelihood.parameters_of(kind))
         places = list(parameters_of("structure", self.structure))
-        places += [(f"likelihood.{name}", ERRORS[name], value) for name, value in taken.items()]
+        if self.likelihood is not None:
+            asked = self.likelihood
+            taken = dict(pair for kind in asked.kinds for pair in asked.parameters_of(kind))
+            places += [(f"likelihood.{name}", ERRORS[name], value) for name, value in taken.items()]
+        if self.modal is not None:
+            places += parameters_of("modal", self.modal)
         found: dict[str, list[tuple[str, str]]] = {}
         for key, of_key, value in places:
             for name, unit in units_in(value, of_key):
@@ -113,10 +127,46 @@ def read_config(path) -> tuple[Config, dict]:
     except ValidationError as error:
         raise ConfigError(f"{path.name}: {sentence(error, raw, Config)}") from error
     try:
+        check_sources(config)
         check_names(config)
     except ConfigError as error:
         raise ConfigError(f"{path.name}: {error}") from error
     return config, raw
+
+
+def check_sources(config: Config) -> None:
+    """There is something to compare with, and no section that it does not need."""
+    if config.data is None and config.modal is None:
+        raise ConfigError(
+            "`data` must be given: a table with the files of measured responses. Or give identified modes in "
+            "[modal]."
+        )
+    if config.data is None:
+        for name in OF_RESPONSES:
+            if name in config.model_fields_set:
+                raise ConfigError(
+                    f"`{name}` must be left out without [data], got it. Identified modes need none."
+                )
+        for name in ("natural_frequencies", "quantities"):
+            if name in config.report.model_fields_set:
+                raise ConfigError(
+                    f"`report.{name}` must be left out without [data], got it. The report "
+                    "has the frequencies of [modal], and no responses."
+                )
+        return
+    if config.likelihood is None:
+        raise ConfigError("`likelihood` must be given with [data]: a table.")
+    if config.modal is not None and "ABC" in config.likelihood.kinds:
+        raise ConfigError(
+            "`likelihood.kinds` must not have ABC with [modal], for a tolerance on responses says nothing of "
+            "modes. Leave one of them out."
+        )
+    if config.data.base is None and config.record is None:
+        raise ConfigError(
+            "`data.base` must name the sensor on the base, got none. Or give the ground motion in [record]."
+        )
+    if config.data.base is not None and config.record is not None:
+        raise ConfigError("`record` must be left out with `data.base`, got both. One motion of the base.")
 
 
 def check_names(config: Config) -> None:
@@ -146,9 +196,3 @@ def check_names(config: Config) -> None:
             "`structure` must have a parameter that is the name of a prior, got numbers only. There is "
             "nothing to update."
         )
-    if config.data.base is None and config.record is None:
-        raise ConfigError(
-            "`data.base` must name the sensor on the base, got none. Or give the ground motion in [record]."
-        )
-    if config.data.base is not None and config.record is not None:
-        raise ConfigError("`record` must be left out with `data.base`, got both. One motion of the base.")

@@ -23,11 +23,14 @@ class Place:
         Of the last key.
     sections : list of type
         Those that may own the last key.
+    entry : str
+        Which entry of a table of plain values, whose names the user chose.
     """
 
     path: str
     field: FieldInfo | None
     sections: list[type[BaseModel]]
+    entry: str = ""
 
 
 def sentence(error: ValidationError, raw: dict, model: type[BaseModel]) -> str:
@@ -56,7 +59,8 @@ def words(error, at: Place) -> str:
     if kind in ("model_type", "model_attributes_type", "dict_type"):
         return f"`{at.path}` must be a table, got {shown(error['input'])}."
     whole = re.sub(r"\[\d+\]$", "", at.path)  # the words are those of the list
-    return f"`{whole}` must be {meaning(at)}, got {shown(error['input'])}."
+    where = f" for {at.entry}" if at.entry else ""
+    return f"`{whole}` must be {meaning(at)}, got {shown(error['input'])}{where}."
 
 
 def meaning(at: Place) -> str:
@@ -103,6 +107,9 @@ def place(error, raw: dict, model: type[BaseModel]) -> Place:
             at, is_table = Place(path, None, sections), False
             continue
         owners = sections
+        if not owners:  # a name that the user chose, in a table of plain values
+            at = Place(at.path, at.field, at.sections, str(part)[:80])
+            continue
         field = next((s.model_fields[part] for s in owners if part in s.model_fields), None)
         at = Place(path, field, owners)
         sections = [] if field is None else sections_in(field.annotation)

@@ -16,10 +16,15 @@ from pymc_features.update.config.messages import shown
 from pymc_features.update.config.priors import Prior
 from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.problem.channels import Measured, named_key, read_measured
+from pymc_features.update.problem.kinds import KINDS, MODAL
+from pymc_features.update.problem.modes import MeasuredModes, check_priors, read_modes
 from pymc_features.update.problem.structure import StructureOf, modes_of
 
 #: Keys that change no draw, or, as the tolerance, those of ABC alone.
-WITHOUT_EFFECT = ("report", "likelihood.kinds", "likelihood.epsilon", "sampler.cores")
+WITHOUT_EFFECT = ("report", "modal.nodes", "likelihood.kinds", "likelihood.epsilon", "sampler.cores")
+
+
+BEYOND = 1.2  # of the highest identified frequency: modes above it are not in tables
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,7 @@ class Problem:
         The same, validated.
     raw : dict
         The same, as it was parsed.
-    measured : Measured
+    measured : Measured or None
         Motion of the base, and measured responses.
     structure : StructureOf
         Values of the priors to a structure.
@@ -44,33 +49,42 @@ class Problem:
         Names to `Prior`, in the order of the file.
     dofs : list of int
         Degree of freedom of each sensor.
+    modal : MeasuredModes or None
+        Identified modes.
     """
 
     path: Path
     text: str
     config: Config
     raw: dict
-    measured: Measured
+    measured: Measured | None
     structure: StructureOf
     priors: dict[str, Prior]
     dofs: list[int]
+    modal: MeasuredModes | None = None
+
+    @property
+    def asked(self) -> list[str]:
+        """Likelihoods of the file: that of modes alone where it has no responses."""
+        return [MODAL.name] if self.measured is None else self.config.likelihood.kinds
 
     @property
     def kinds(self) -> list[str]:
         """Likelihoods in the order they are sampled: ABC may need EXP, and CAL what it calibrates."""
-        asked = self.config.likelihood.kinds
-        needed = [LIKELIHOODS[kind].calibrates for kind in asked]
-        kinds = dict.fromkeys([*asked, *filter(None, needed)])
-        return sorted(kinds, key=lambda kind: kind == "ABC" or bool(LIKELIHOODS[kind].calibrates))
+        needed = [KINDS[kind].calibrates for kind in self.asked]
+        kinds = dict.fromkeys([*self.asked, *filter(None, needed)])
+        return sorted(kinds, key=lambda kind: kind == "ABC" or bool(KINDS[kind].calibrates))
 
     @property
     def reported(self) -> list[str]:
         """Likelihoods of the report in their order: first those whose width the residuals decide."""
-        return sorted(self.config.likelihood.kinds, key=lambda kind: not LIKELIHOODS[kind].calibrates)
+        return sorted(self.asked, key=lambda kind: not KINDS[kind].calibrates)
 
     @property
     def band(self) -> tuple[float, float]:
-        """Frequencies [Hz] that the processing leaves."""
+        """Frequencies [Hz] that the processing leaves; without responses those up to the highest mode."""
+        if self.measured is None:
+            return 0.0, BEYOND * self.modal.data.frequencies.max()
         kept, nyquist = self.config.processing.band_pass, 0.5 / self.measured.step
         if kept is None:
             return 0.0, nyquist
@@ -84,8 +98,15 @@ class Problem:
         """All that determines the draws, flat, for the folder they are kept in."""
         flat = dict(flattened(self.raw))
         kept = {k: v for k, v in flat.items() if not k.startswith(WITHOUT_EFFECT)}
-        kept["base_sha256"] = fingerprint(self.measured.record.acceleration)
-        kept["channels_sha256"] = fingerprint(np.ascontiguousarray(self.measured.channels.values))
+        if self.measured is not None:
+            kept["base_sha256"] = fingerprint(self.measured.record.acceleration)
+            kept["channels_sha256"] = fingerprint(np.ascontiguousarray(self.measured.channels.values))
+        if self.modal is not None:
+            data = self.modal.data
+            arrays = {"frequencies": data.frequencies, "sd": data.frequency_sd, "shapes": data.shapes}
+            for name, values in arrays.items():
+                if values is not None:
+                    kept[f"modal_{name}_sha256"] = fingerprint(np.ascontiguousarray(values))
         for file in sorted(files_of(self.config.structure)):
             digest = hashlib.sha256((self.path.parent / file).read_bytes())
             kept[f"{file}_sha256"] = digest.hexdigest()
@@ -140,10 +161,15 @@ def read_problem(path) -> Problem:
     with named_key("structure"):
         expected = structure(**{n: priors[n].median for n in structure.names})
         first_frequency = float(modes_of(expected, 1).natural_frequencies[0])
-    measured = read_measured(config, path.parent, first_frequency)
-    dofs = checked_dofs(config, expected.n_dof)
-    check_errors(config, priors)
-    check_gaps(config, measured)
+    measured, dofs, modal = None, [], None
+    if config.data is not None:
+        measured = read_measured(config, path.parent, first_frequency)
+        dofs = checked_dofs(config, expected.n_dof)
+        check_errors(config, priors)
+        check_gaps(config, measured)
+    if config.modal is not None:
+        check_priors(config.modal, priors)
+        modal = read_modes(config.modal, path.parent, expected)
     frequencies = config.report.natural_frequencies
     if frequencies is not None and not (frequencies and np.all(np.diff([0.0, *frequencies]) > 0.0)):
         raise ConfigError(
@@ -156,7 +182,7 @@ def read_problem(path) -> Problem:
             f"{config.structure.type}. Use relative_displacement."
         )
     text = path.read_text(encoding="utf-8")
-    return Problem(path, text, config, raw, measured, structure, priors, dofs)
+    return Problem(path, text, config, raw, measured, structure, priors, dofs, modal)
 
 
 def checked_dofs(config, size) -> list[int]:

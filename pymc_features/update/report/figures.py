@@ -6,6 +6,7 @@ import numpy as np
 
 from pymc_features import plots
 from pymc_features.update.problem.read import Problem
+from pymc_features.update.report.modes import draw_mac, draw_shapes
 from pymc_features.update.report.summary import kinds_of
 
 ZOOM = 4.0  # [s] around the strongest motion
@@ -23,9 +24,21 @@ class Figure(NamedTuple):
     draw: object
 
 
-def figures(problem: Problem, result) -> list[Figure]:
-    """Every figure of the report; nothing is drawn yet."""
-    found = [
+def figures(problem: Problem, result, modes) -> list[Figure]:
+    """Every figure of the report; nothing is drawn yet. `modes` are the rows of each likelihood."""
+    found = of_data(result) if problem.measured is not None else []
+    for kind in kinds_of(result):
+        first, *rest = of_one(problem, result[kind], kind)
+        found.append(first)
+        if kind in modes:
+            found += of_modes(problem, result[f"{kind}/shapes"].to_dataset(), modes[kind], kind)
+        found += rest
+    return found
+
+
+def of_data(result) -> list[Figure]:
+    """Figures of responses that all likelihoods share."""
+    return [
         Figure(
             "record",
             "Motion of the base that the model is shaken with, after processing.",
@@ -35,38 +48,48 @@ def figures(problem: Problem, result) -> list[Figure]:
             "frequencies",
             "Gain of the sensors against the base (root of the ratio of power spectra), and below it the "
             "5-95 % intervals of the natural frequencies with their medians under each likelihood. Dotted: "
-            "peaks of the gain; dashed: frequencies given in the configuration.",
+            "peaks of the gain; dashed: frequencies given in the configuration, or identified.",
             lambda: plots.plot_natural_frequencies(result),
         ),
     ]
-    for kind in kinds_of(result):
-        found += of_one(problem, result[kind], kind)
+
+
+def of_modes(problem, shapes, rows, kind) -> list[Figure]:
+    """Figures of identified modes under one likelihood."""
+    found = []
+    if "at_channels" in shapes:
+        found.append(
+            Figure(
+                f"{kind}_mac",
+                f"{kind}: modal assurance criterion of the identified shapes and those of the model, median "
+                "and 5-95 % interval of the draws. Framed: the modes that are matched.",
+                lambda: draw_mac(problem, shapes, rows),
+            )
+        )
+    if "at_points" in shapes:
+        found.append(
+            Figure(
+                f"{kind}_shapes",
+                f"{kind}: identified shapes (dots) on those of the model they are matched with, each draw "
+                "scaled by the factor that brings it closest.",
+                lambda: draw_shapes(problem, shapes, rows),
+            )
+        )
     return found
 
 
 def of_one(problem, part, kind) -> list[Figure]:
     """Figures of one likelihood."""
     units = {name: problem.unit(name) for name in problem.priors}
-    shades = "Dark: 5-95 % of the response, from the uncertainty of the parameters. "
-    if "predictive" in part["bands"]:
-        shades += "Light: 5-95 % of data drawn from the likelihood, where measured samples should lie."
     found = [
         Figure(
             f"{kind}_prior_posterior",
             f"{kind}: prior (grey) against posterior, each to its own height.",
             lambda: plots.plot_prior_posterior(part, units=units),
         ),
-        Figure(
-            f"{kind}_response",
-            f"{kind}: measured response and posterior predictive bands. {shades} {LONG}",
-            lambda: plots.plot_predictive(part),
-        ),
-        Figure(
-            f"{kind}_response_zoom",
-            f"{kind}: the same, {ZOOM:g} s around the strongest motion.",
-            lambda: plots.plot_predictive(part, window=strongest(part)),
-        ),
     ]
+    if "bands" in part.children:
+        found += of_responses(part, kind)
     if has_stages(part):
         found.append(
             Figure(
@@ -88,6 +111,25 @@ def of_one(problem, part, kind) -> list[Figure]:
     if part.attrs["method"] == "NUTS":
         found.append(Figure(f"{kind}_traces", f"{kind}: traces.", lambda: plots.plot_chains(part, "trace")))
     return found
+
+
+def of_responses(part, kind) -> list[Figure]:
+    """Figures of responses under one likelihood."""
+    shades = "Dark: 5-95 % of the response, from the uncertainty of the parameters. "
+    if "predictive" in part["bands"]:
+        shades += "Light: 5-95 % of data drawn from the likelihood, where measured samples should lie."
+    return [
+        Figure(
+            f"{kind}_response",
+            f"{kind}: measured response and posterior predictive bands. {shades} {LONG}",
+            lambda: plots.plot_predictive(part),
+        ),
+        Figure(
+            f"{kind}_response_zoom",
+            f"{kind}: the same, {ZOOM:g} s around the strongest motion.",
+            lambda: plots.plot_predictive(part, window=strongest(part)),
+        ),
+    ]
 
 
 def has_stages(part) -> bool:

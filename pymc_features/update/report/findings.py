@@ -3,7 +3,8 @@
 from typing import NamedTuple
 
 from pymc_features.update.problem.read import Problem
-from pymc_features.update.report.summary import Row, rows, supported, warnings_of
+from pymc_features.update.report.modes import ModeRow, mode_rows
+from pymc_features.update.report.summary import Row, changed, kinds_of, rows, supported, warnings_of
 from pymc_features.update.report.verdict import Verdict, verdict
 
 
@@ -22,6 +23,10 @@ class Findings(NamedTuple):
         The posterior under all likelihoods.
     doubts : list of str
         Warnings, each with its likelihood in front.
+    changed : str
+        Which parameters the data changed, under the first likelihood.
+    modes : dict
+        Likelihoods to their rows of identified modes; empty without any.
     """
 
     verdict: Verdict
@@ -29,6 +34,8 @@ class Findings(NamedTuple):
     supported: str
     table: list[Row]
     doubts: list[str]
+    changed: str
+    modes: dict[str, list[ModeRow]]
 
 
 def findings(problem: Problem, result) -> Findings:
@@ -42,16 +49,21 @@ def findings(problem: Problem, result) -> Findings:
         From `run_update`.
     """
     table = rows(problem, result)
+    modes = {}
+    if problem.modal is not None:
+        modes = {kind: mode_rows(problem, result[f"{kind}/matched"]) for kind in kinds_of(result)}
     return Findings(
-        verdict(problem, result),
+        verdict(problem, result, next(iter(modes.values()), [])),
         gaps_of(problem),
         supported(problem, result),
         table,
         warnings_of(result, table),
+        changed(table),
+        modes,
     )
 
 
 def gaps_of(problem: Problem) -> str:
     """A sentence on what was not compared; empty without gaps."""
-    left_out = problem.measured.left_out
+    left_out = "" if problem.measured is None else problem.measured.left_out
     return f"Left out as gaps: {left_out}." if left_out else ""

@@ -28,7 +28,7 @@ def write_outputs(
     folder : path
         Made if needed.
     channel_warnings : sequence of str
-        What was said about the channels when they were read.
+        What was said about the channels, and identified modes, when they were read.
     found : Findings, optional
         From `findings`, if it is at hand; else it is made here.
 
@@ -41,7 +41,7 @@ def write_outputs(
     (folder / "figures").mkdir(parents=True, exist_ok=True)
     found = found or findings(problem, result)
     doubts = [*(f"data: {text}" for text in channel_warnings), *found.doubts]
-    drawn = [(figure, png(figure.draw())) for figure in figures(problem, result)]
+    drawn = [(figure, png(figure.draw())) for figure in figures(problem, result, found.modes)]
     writers = {
         "update.nc": lambda path: result.to_netcdf(path, engine="h5netcdf"),
         "table.csv": lambda path: path.write_text(as_csv(found.table), encoding="utf-8"),

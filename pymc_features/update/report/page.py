@@ -6,9 +6,11 @@ import importlib.metadata
 
 import numpy as np
 
-from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.read import Problem
 from pymc_features.update.report.findings import Findings
+from pymc_features.update.report.modes import COLUMNS as MODE_COLUMNS
+from pymc_features.update.report.modes import MEANING
 from pymc_features.update.report.summary import COLUMNS, kinds_of
 from pymc_features.update.templates import TEMPLATES
 
@@ -27,7 +29,7 @@ def report(problem: Problem, result, found: Findings, drawn) -> str:
     drawn : list of (Figure, bytes)
         Figures as PNG.
     """
-    measured, config = problem.measured, problem.config
+    config = problem.config
     figures = [
         {"name": figure.name, "caption": figure.caption, "data": base64.b64encode(image).decode("ascii")}
         for figure, image in drawn
@@ -35,27 +37,70 @@ def report(problem: Problem, result, found: Findings, drawn) -> str:
     return TEMPLATES.get_template("report.html").render(
         title=config.report.title,
         structure=config.structure.type,
-        n_sensors=len(problem.dofs),
-        duration=measured.record.duration,
+        used=used_sentence(problem),
         supported=found.supported,
         verdict=found.verdict,
         doubts=found.doubts,
         priors=prior_rows(problem),
         likelihoods=[likelihood_row(kind, result[kind]) for kind in kinds_of(result)],
-        steps=processing_steps(problem),
-        rate=f"{measured.channels.sizes['time']} samples at {measured.step:.6g} s; base at "
-        f"{measured.record.dt:.6g} s",
-        sensors=sensor_rows(problem),
-        gains=[] if measured.checked.gains is None else gain_rows(measured.checked.gains),
-        checked=measured.checked.sentence,
+        data=None if problem.measured is None else data_section(problem),
+        modal=None if problem.modal is None else modal_section(problem),
+        mode_columns=MODE_COLUMNS,
+        mode_meaning=MEANING,
+        changed=found.changed,
         left_out=found.left_out,
         columns=COLUMNS,
         posterior=[posterior_row(row) for row in found.table],
         shared=[figure for figure in figures if "_" not in figure["name"]],
-        kinds=[kind_section(kind, result[kind], figures) for kind in kinds_of(result)],
+        kinds=[
+            kind_section(kind, result[kind], figures, found.modes.get(kind, [])) for kind in kinds_of(result)
+        ],
         text=problem.text,
         versions=versions(),
     )
+
+
+def used_sentence(problem) -> str:
+    """What the structure was updated with."""
+    parts = []
+    if problem.measured is not None:
+        duration = problem.measured.record.duration
+        parts.append(f"{len(problem.dofs)} measured accelerations over {duration:.4g} s")
+    if problem.modal is not None:
+        n = len(problem.modal.data)
+        parts.append(f"{n} identified mode{'s' if n > 1 else ''}")
+    return " and ".join(parts)
+
+
+def data_section(problem) -> dict:
+    """The channels, and what was done to them."""
+    measured = problem.measured
+    return {
+        "steps": processing_steps(problem),
+        "rate": f"{measured.channels.sizes['time']} samples at {measured.step:.6g} s; base at "
+        f"{measured.record.dt:.6g} s",
+        "sensors": sensor_rows(problem),
+        "gains": [] if measured.checked.gains is None else gain_rows(measured.checked.gains),
+        "checked": measured.checked.sentence,
+    }
+
+
+def modal_section(problem) -> dict:
+    """The identified modes: frequencies with standard deviations, damping, and the places of channels."""
+    modal = problem.modal
+    data, n = modal.data, len(modal.data)
+    columns = [modal.names, [f"{f:.4g}" for f in data.frequencies]]
+    for values, factor in ((data.frequency_sd, 1.0), (data.damping_ratios, 100.0)):
+        numbers = np.full(n, np.nan) if values is None else factor * values
+        columns.append(["" if np.isnan(value) else f"{value:.2g}" for value in numbers])
+    at = ", ".join(f"{name} ({dof})" for name, dof in zip(data.channels, modal.dofs, strict=True))
+    undrawn = modal.dofs and modal.points is None
+    return {
+        "sentence": modal.sentence + (f": {at} (degree of freedom)" if at else ""),
+        "rows": list(zip(*columns, strict=True)),
+        "choice": f"Each is matched with one of the {modal.n_modes} lowest modes of the structure",
+        "undrawn": "Name a file with its nodes as `modal.nodes` to see the shapes drawn." if undrawn else "",
+    }
 
 
 def prior_rows(problem) -> list[tuple]:
@@ -69,7 +114,7 @@ def prior_rows(problem) -> list[tuple]:
 
 def likelihood_row(kind, part) -> tuple:
     """Name, meaning, sampler and time of a likelihood."""
-    return kind, LIKELIHOODS[kind].meaning, part.attrs["method"], f"{part.attrs['seconds']:.0f}"
+    return kind, KINDS[kind].meaning, part.attrs["method"], f"{part.attrs['seconds']:.0f}"
 
 
 def processing_steps(problem) -> list[str]:
@@ -120,21 +165,28 @@ def posterior_row(row) -> tuple:
     return row.kind, row.name, pretty(row.unit), *numbers, *told
 
 
-def kind_section(kind, part, figures) -> dict:
+def kind_section(kind, part, figures, modes) -> dict:
     """How one likelihood was sampled, how it fits the data, and its figures."""
-    bands = part["bands"].to_dataset()
+    section = {
+        "name": kind,
+        "run": run_sentences(part),
+        "modes": [row.cells for row in modes],
+        "figures": [figure for figure in figures if figure["name"].startswith(f"{kind}_")],
+    }
+    return section | (fit_of(part["bands"].to_dataset()) if "bands" in part.children else {})
+
+
+def fit_of(bands) -> dict:
+    """How one likelihood fits the responses."""
     columns = {"sensor": bands["sensor"].values}
     columns["rms error / measured rms"] = [f"{value:.2f}" for value in bands["normalised_error"].values]
     if "coverage" in bands:
         shares = 100 * bands["coverage"].values
         columns["samples in the 90 % band"] = [f"{share:.0f} %" for share in shares]
     return {
-        "name": kind,
-        "run": run_sentences(part),
         "fit_columns": list(columns),
         "fit": list(zip(*columns.values(), strict=True)),
         "peaks": [peak_table(bands[name]) for name in bands.data_vars if str(name).endswith("_peak")],
-        "figures": [figure for figure in figures if figure["name"].startswith(f"{kind}_")],
     }
 
 
@@ -147,7 +199,7 @@ def run_sentences(part) -> list[str]:
         told.append(f"{int(stats['evaluations'].sum())} evaluations")
     if "epsilon" in part.attrs:
         told.append(f"tolerance {part.attrs['epsilon']:.4g} m²/s⁴")
-    if base := LIKELIHOODS[part.attrs["kind"]].calibrates:
+    if base := KINDS[part.attrs["kind"]].calibrates:
         told.append(f"of the likelihood of {base} to the power {stats.attrs['power']:.3g}, stretched")
     if "advice" in getattr(stats, "attrs", {}):
         return told + sentences_of_sample(stats.attrs, is_calibrated=bool(base))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.read import Problem
 
 R_HAT = 1.05  # of chains of SMC that agree; they are few and short
@@ -86,14 +86,12 @@ def moments(draws) -> tuple[float, ...]:
 def supported(problem: Problem, result: xr.DataTree) -> str:
     """How many observations the residuals support, beside what likelihoods claim; empty without CAL."""
     for kind in kinds_of(result):
-        base = LIKELIHOODS[kind].calibrates
+        base = KINDS[kind].calibrates
         if not base:
             continue
         n_eff = float(result[f"{kind}/calibration"].attrs["n_eff"])
         samples, m = problem.measured.samples, problem.config.likelihood.m
-        claims = {
-            name: LIKELIHOODS[name].claimed(samples, m) for name in dict.fromkeys([base, *kinds_of(result)])
-        }
+        claims = {name: KINDS[name].claimed(samples, m) for name in dict.fromkeys([base, *kinds_of(result)])}
         claimed = [f"{name} {n:,.0f}" for name, n in claims.items() if n is not None]
         claimed[0] = claimed[0].replace(" ", " claims ", 1)
         return (
@@ -128,7 +126,7 @@ def warnings_of(result: xr.DataTree, table: list[Row]) -> list[str]:
         if "failed" in stats and (failed := int(stats["failed"].sum())):
             total = int(stats["evaluations"].sum())
             found.append(f"{kind}: {failed} of {total} evaluations gave no response and count as impossible.")
-        if "coverage" in part["bands"]:
+        if "bands" in part.children and "coverage" in part["bands"]:
             low = part["bands"]["coverage"]
             bad = [str(s) for s in low["sensor"].values if float(low.sel(sensor=s)) < 0.8]
             found += listed(
@@ -155,6 +153,17 @@ def undetermined_in(part) -> list[str]:
     """Parameters, and combinations of them, that the data do not determine, as `sample` names them."""
     stats = part["sample_stats"].attrs if "sample_stats" in part.children else {}
     return [direction for direction in stats.get("undetermined", "").split(", ") if direction]
+
+
+def changed(table: list[Row]) -> str:
+    """Which parameters the data changed, under the first likelihood, by how much of the prior is left."""
+    of_first = [row for row in table if row.kind == table[0].kind and np.isfinite(row.overlap)]
+    ordered = sorted(of_first, key=lambda row: row.overlap)
+    moved = [f"{r.name} ({r.overlap:.2f})" for r in ordered if r.overlap <= MOVED or r.taught >= TAUGHT]
+    same = [f"{r.name} ({r.overlap:.2f})" for r in ordered if r.overlap > MOVED and r.taught < TAUGHT]
+    parts = [f"The data changed {', '.join(moved)}" if moved else "The data changed no parameter"]
+    parts += [f"they left as they were {', '.join(same)}"] if same else []
+    return f"{'; '.join(parts)}. In brackets the overlap of prior and posterior: 1 if they are the same."
 
 
 def leans(part, row) -> bool:

@@ -5,6 +5,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pymc_features.update.report.findings import Findings
+from pymc_features.update.report.modes import COLUMNS as MODE_COLUMNS
 from pymc_features.update.report.page import gain_rows, posterior_row
 from pymc_features.update.report.summary import COLUMNS
 
@@ -43,6 +44,9 @@ def summary(found: Findings):
         yield found.supported, None
     first = found.table[0].kind
     yield posterior_table([row for row in found.table if row.kind == first]), None
+    if found.modes:
+        yield modes_table(found.modes[first], f"Identified modes [Hz] under {first}"), None
+        yield found.changed, None
     for sentence in found.doubts:
         yield f"warning: {sentence}", "yellow"
 
@@ -55,6 +59,16 @@ def posterior_table(table) -> Table:
     for row in table:
         cells = dict(zip(COLUMNS, map(str, posterior_row(row)), strict=True))
         drawn.add_row(*(cells[name] for name in SHOWN))
+    return drawn
+
+
+def modes_table(rows, title) -> Table:
+    """Identified modes beside those of the model."""
+    drawn = plain_table(title)
+    for name in MODE_COLUMNS:
+        drawn.add_column(name, justify="left" if name == "mode" else "right", no_wrap=True)
+    for row in rows:
+        drawn.add_row(*map(escape, row.cells))
     return drawn
 
 

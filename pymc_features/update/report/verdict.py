@@ -4,8 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.read import Problem
+from pymc_features.update.report.modes import ModeRow, modes_verdict
 from pymc_features.update.report.summary import kinds_of
 
 UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation, unless it is noise
@@ -64,7 +65,7 @@ class Residuals(NamedTuple):
     near: np.ndarray
 
 
-def verdict(problem: Problem, result) -> Verdict:
+def verdict(problem: Problem, result, modes: list[ModeRow] = ()) -> Verdict:
     """Judge the fit of the first likelihood of a result.
 
     Parameters
@@ -73,7 +74,19 @@ def verdict(problem: Problem, result) -> Verdict:
         What was updated.
     result : DataTree
         From `run_update`.
+    modes : list of ModeRow
+        Identified modes under this likelihood.
     """
+    sentences, explains = modes_verdict(modes) if modes else ([], True)
+    if problem.measured is not None:
+        of_responses = verdict_of_responses(problem, result)
+        sentences = [*of_responses.sentences, *sentences]
+        explains &= of_responses.explains
+    return Verdict(sentences, explains)
+
+
+def verdict_of_responses(problem: Problem, result) -> Verdict:
+    """Judge how the first likelihood of a result meets measured responses."""
     kind = kinds_of(result)[0]
     part = result[kind]
     modes = part["modal"].to_dataset().median(["chain", "draw"])
@@ -212,11 +225,13 @@ def odd_damping(ratios) -> list[str]:
 
 def foretold(problem: Problem) -> list[str]:
     """What likelihoods that count sensors cannot tell, before anything is sampled."""
+    if problem.modal is not None:
+        return []  # modes are observations besides
     n_unknown = len(problem.structure.names)
     samples, m = problem.measured.samples, problem.config.likelihood.m
     found = []
     for kind in problem.config.likelihood.kinds:
-        claimed = LIKELIHOODS[kind].claimed(samples, m)
+        claimed = KINDS[kind].claimed(samples, m)
         if claimed is not None and claimed < 2 * n_unknown:
             found.append(
                 f"{kind} counts {claimed:.0f} observations for {n_unknown} unknown parameters of the "

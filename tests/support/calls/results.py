@@ -12,6 +12,7 @@ from support.calls.structures import RECORD, SCALARS, VECTORS
 from support.calls.structures import TAKEN as OF_RESPONSE
 from support.odd_values import NOT_NEGATIVE, NUMBERS, ONE, PAIR, PATHS, POSITIVE, TEXTS
 
+MODES = pmf.ModalData([1.0, 2.0], np.eye(2), ["a", "b"])
 TIME = 0.1 * np.arange(3)
 BANDS = xr.Dataset(
     {
@@ -78,6 +79,20 @@ def figure(name, **arguments):
         instead={f"pymc_features.plots.{name}.checked_axes": work},
         more={"idata": ODD_TREES},
     )
+
+
+def of_shapes(name, **more):
+    """A call of a figure of mode shapes, two at two channels."""
+    call = figure(name, measured=MODES, shapes=np.eye(2), frequencies=[1.0, 2.0], partners=[0, 1], **more)
+    call.takes = {
+        "shapes": {"matrix in Fortran's order"},
+        "frequencies": PAIR - {"range"} | {"None", "array with nan"},
+        "partners": {"None", "range"},
+        "sensors": {"None", "range"},
+        "nodes": {"None"},
+    }
+    call.called = {"shapes": ["frequencies"]}
+    return call
 
 
 AXES = {
@@ -324,6 +339,8 @@ CALLS = {
     "plot_tempering": figure("tempering", idata=TREE),
     "plot_tolerance": figure("tolerance", result=SWEEP),
     "plot_widths": figure("widths", result=TREE),
+    "plot_mac": of_shapes("mac"),
+    "plot_mode_shapes": of_shapes("mode_shapes", sensors=[0, 1], nodes=None),
     "axes of a figure": Call(
         pmf.plot_record, {"record": RECORD, "axes": None}, {"axes": {"None"}, "record": {"Record"}}
     ),

@@ -1,0 +1,1 @@
+"""What figures have in common: their axes, long histories, and structures in space."""

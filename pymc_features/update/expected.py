@@ -1,0 +1,56 @@
+"""What can be seen of the data before anything is sampled."""
+
+import warnings
+
+import numpy as np
+
+from pymc_features import plots
+from pymc_features.exceptions import ModalMatchWarning
+from pymc_features.storage import write_atomically
+from pymc_features.update.predict_modes import expected, matched, shapes
+from pymc_features.update.problem.channels import base_and_sensors
+from pymc_features.update.report.modes import draw_mac, draw_shapes, mode_rows, modes_verdict
+from pymc_features.update.report.terminal import gains_table, modes_table
+
+DPI = 120
+
+
+def check_data(problem, path) -> list:
+    """Draw the channels into a file; return the tables to print."""
+    write_figure(plots.plot_channels(base_and_sensors(problem.measured)), path)
+    gains = problem.measured.checked.gains
+    return [] if gains is None else [gains_table(gains)]
+
+
+def check_modes(problem, path) -> tuple:
+    """Compare identified modes with those that the priors expect, and draw them into a file.
+
+    Partners are judged by their shapes: frequencies are what is to be updated.
+
+    Returns
+    -------
+    Table, list of str, bool
+        The table, what to think of it, and whether there was anything to draw.
+    """
+    draws = expected(problem)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ModalMatchWarning)  # the sentences say it
+        rows = mode_rows(problem, matched(problem, draws, deviations=np.inf))
+    found = shapes(problem, draws)
+    is_drawn = "at_channels" in found
+    if is_drawn:
+        draw = draw_shapes if "at_points" in found else draw_mac
+        write_figure(draw(problem, found, rows), path)
+    sentences, _ = modes_verdict(rows)
+    outside = [row for row in rows if not row.low <= row.measured <= row.high]
+    if outside:
+        named = ", ".join(f"{row.name} ({row.measured:.4g} Hz)" for row in outside)
+        sentences.append(f"Outside of what the priors expect (5 to 95 %): {named}.")
+    table = modes_table(rows, "Identified modes [Hz], and the model under the priors")
+    return table, sentences, is_drawn
+
+
+def write_figure(axes, path) -> None:
+    """A figure as a PNG file; it is released."""
+    write_atomically(path, lambda to: axes[0].figure.savefig(to, dpi=DPI, format="png"))
+    plots.close(axes[:1])
