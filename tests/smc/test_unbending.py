@@ -156,7 +156,7 @@ def test_far_points_have_no_density_and_stay():
 def test_thin_bends_in_ten_dimensions():
     """Five pairs b = a^2 + 0.1 noise: the map along the parameters finds which of them others follow.
 
-    Behind it half and 95 % of fresh draws lie where those of a normal distribution do, up to ten standard errors
+    Behind it half and 95 % of fresh draws lie where those of a normal distribution do, to ten standard errors
     of fits to 2500 points. With the axes in another order they do not.
     """
     rng = np.random.default_rng(0)

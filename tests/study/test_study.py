@@ -331,7 +331,7 @@ def test_settings_of_the_linear_chain_are_those_of_older_folders(short):
         ({"structure": "steel"}, "`structure` must be one of linear, bouc-wen, got 'steel'"),
         ({"likelihoods": ["LAPLACE"]}, "`likelihoods` must be among NORM, TN, EXP, ABC"),
         ({"likelihoods": []}, "`likelihoods` must be among NORM, TN, EXP, ABC"),
-        ({"multipliers": []}, "`multipliers` must be one or several positive numbers, got \[\]"),
+        ({"multipliers": []}, r"`multipliers` must be one or several positive numbers, got \[\]"),
         ({"multipliers": [1.0, 50.0]}, "`multipliers` must leave at least 10 samples, got 50"),
         ({"multipliers": [1.0, 1.5]}, "`step` must be an integer multiple of the finest step"),
         ({"multipliers": [0.3]}, "`dt` must be an integer multiple or divisor"),
