@@ -16,9 +16,7 @@ from pymc_features.algebra.affine import to_dense
 from pymc_features.algebra.factorisation import definite_factor, pivots, solve
 
 MASSLESS = 1e-11  # a pivot of M below this share of its diagonal entry is rounding
-INDEFINITE = (
-    1e-10  # what is left of M behind such pivots is rounding up to here, on the scale of its diagonal
-)
+INDEFINITE = 1e-10  # what such pivots leave of M, on the scale of its diagonal, is rounding up to here
 UNHELD = 1e-13  # a pivot of K on N below this share of its diagonal entry is rounding
 MAX_DENSE = 3000  # larger sparse matrices are never made dense
 

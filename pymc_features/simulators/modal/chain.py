@@ -10,8 +10,8 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.modal.perturbation import (
     Cotangent,
     by_eigenvalues,
-    damping_ratio,
     reduced_cotangents,
+    write_modes,
 )
 from pymc_features.simulators.oscillators.outside import outside_span
 from pymc_features.simulators.oscillators.recursion import write_damping
@@ -49,13 +49,8 @@ def chain_population_modes(parameters, wanted):
     shapes = np.full((count, m, wanted.sensors.size), np.nan)
     for p in range(count):
         valid, omega, rows, damping = solve_chain(own_rows(parameters, p), m)
-        if not valid:
-            continue
-        for r in range(m):
-            frequencies[p, r] = omega[r] / (2.0 * np.pi)
-            ratios[p, r] = damping_ratio(omega[r], damping[r])
-            for j in range(wanted.sensors.size):
-                shapes[p, r, j] = rows[r, wanted.sensors[j]]
+        if valid:
+            write_modes((omega, rows, damping), wanted.sensors, frequencies[p], shapes[p], ratios[p])
     return frequencies, shapes, ratios
 
 

@@ -7,8 +7,8 @@ from pymc_features.simulators.linear.dense_population import solve_dense
 from pymc_features.simulators.modal.perturbation import (
     Cotangent,
     by_eigenvalues,
-    damping_ratio,
     reduced_cotangents,
+    write_modes,
 )
 from pymc_features.simulators.oscillators.outside import outside_span
 
@@ -23,13 +23,8 @@ def dense_population_modes(parameters, wanted):
     for p in range(count):
         own = theta[p % theta.shape[0]], rayleigh[p % rayleigh.shape[0]], ratios[p % ratios.shape[0]]
         valid, omega, rows, damping, _ = solve_dense(parameters, own, 0.0, m, m)
-        if not valid:
-            continue
-        for r in range(m):
-            frequencies[p, r] = omega[r] / (2.0 * np.pi)
-            damping_ratios[p, r] = damping_ratio(omega[r], damping[r])
-            for j in range(wanted.sensors.size):
-                shapes[p, r, j] = rows[r, wanted.sensors[j]]
+        if valid:
+            write_modes((omega, rows, damping), wanted.sensors, frequencies[p], shapes[p], damping_ratios[p])
     return frequencies, shapes, damping_ratios
 
 

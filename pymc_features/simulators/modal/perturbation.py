@@ -48,6 +48,20 @@ def damping_ratio(omega, damping):
 
 
 @jit
+def write_modes(solved, sensors, frequencies, shapes, ratios):
+    """Write frequencies (m,) [Hz], shapes (m, s) and damping ratios (m,) of one structure at its sensors.
+
+    `solved` are omega (>= m,) [rad/s], shapes in rows (>= m, n) and damping 2 zeta omega (m,) [1/s].
+    """
+    omega, rows, damping = solved
+    for r in range(frequencies.size):
+        frequencies[r] = omega[r] / (2.0 * np.pi)
+        ratios[r] = damping_ratio(omega[r], damping[r])
+        for j in range(sensors.size):
+            shapes[r, j] = rows[r, sensors[j]]
+
+
+@jit
 def by_eigenvalues(omega, ratio_slopes, cotangent):
     """Derivatives (m,) of L by lambda, at fixed shapes.
 
