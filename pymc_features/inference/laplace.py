@@ -13,7 +13,7 @@ from pymc_features._checks import check_integer, check_mapping, check_model, che
 from pymc_features.exceptions import LaplaceWarning
 from pymc_features.inference.parameters import Unconstrained, check_continuous, entry_names, initial_values
 from pymc_features.inference.polish import distinct, gaussian_at
-from pymc_features.smc import find_reference, population_logp, prior_points
+from pymc_features.smc import find_reference, likelihood_kinds, population_logp, prior_points
 from pymc_features.smc.proposals.ascent import climb
 
 LOW_EFFICIENCY = 0.2
@@ -196,7 +196,10 @@ def tree(model, space, particles, modes, evidences, log_ratios):
     }
     result = az.from_dict({"posterior": {k: v[None] for k, v in values.items()}}, coords=coords, dims=dims)
     result["sample_stats"] = xr.DataTree(
-        xr.Dataset({k: ("chain", np.array(v)) for k, v in stats.items()}, attrs={"worst_parameter": worst})
+        xr.Dataset(
+            {k: ("chain", np.array(v)) for k, v in stats.items()},
+            attrs={"worst_parameter": worst, "likelihoods": likelihood_kinds(model)},
+        )
     )
     summary = {
         "log_density": [m[1] for m in modes],

@@ -25,7 +25,7 @@ from pymc_features.smc import (
     sample_smc,
 )
 from pymc_features.smc.kernels.checkpoint import Journal, model_fingerprint, remembered
-from pymc_features.smc.proposals.pool import LARGEST_K
+from pymc_features.smc.proposals.pool import LARGEST_K, LARGEST_SHARE
 
 AGREEMENT = 1.01  # largest R-hat of runs that agree
 # modes, and the share of climbs that each end alone, above which there are others that none has found
@@ -84,10 +84,12 @@ def sample(
         any: parameters, `log_evidence` of Laplace's approximation at each, `n_climbs` that ended there;
         `sample_stats` as from `sample_smc`, with for each chain `log_marginal_likelihood` and its standard
         error `log_marginal_likelihood_se`, `ess` (independent draws that the quantiles of the worst parameter
-        are worth) and `pareto_k`. Their attributes sum up: `max_r_hat`, `log_evidence` and `log_evidence_se`
-        of all chains together, `ess` of all, the largest `pareto_k`, `n_modes`, `single_climbs` (share of
-        the climbs that ended at a mode that no other found), `reference_efficiency` (effective share of the
-        first guess's draws: one if the posterior is a mixture of Gaussians),
+        are worth), `pareto_k`, and `largest_share` (of the posterior, that one weighted draw stands for).
+        Their attributes sum up: `max_r_hat`, `log_evidence` and `log_evidence_se` of all chains together,
+        `ess` of all, the largest `pareto_k`, `heavy_share` (the largest share of one draw in chains whose
+        `pareto_k` is above 0.7; 0 without such a chain), `n_modes`, `single_climbs` (share of the climbs that
+        ended at a mode that no other found), `reference_efficiency` (effective share of the first guess's
+        draws: one if the posterior is a mixture of Gaussians),
         `search_evaluations` and `search_gradients` (of climbs and maps), `no_gradient` (why there were none),
         `laplace_error` (how far the 5, 50 and 95 % quantiles of Gaussians at the modes are from those of the
         posterior, over its 5-95 % width, at worst, on the sampled scale; NaN without modes) and
@@ -211,6 +213,7 @@ def summarise(model, space, idata, reference) -> dict:
         "log_evidence_se": float(np.sqrt(((weights * errors) ** 2).sum()) / len(weights) / mean),
         "ess": float(stats["ess"].sum()),
         "pareto_k": float(stats["pareto_k"].max()),
+        "heavy_share": float(stats["largest_share"].where(stats["pareto_k"] > LARGEST_K, 0.0).max()),
         "n_modes": len(climbs),
         "single_climbs": float(np.sum(climbs == 1) / max(1, np.sum(climbs))),
         "reference_efficiency": float(stats["reference_efficiency"].min()),
@@ -241,7 +244,7 @@ def advice(summary, evidences, errors, idata) -> str:
             f"independent runs disagree (R-hat {summary['max_r_hat']:.3f}): increase `draws` and "
             "`stage_draws`, and compare the runs in a trace plot."
         )
-    if summary["pareto_k"] > LARGEST_K:
+    if summary["heavy_share"] > LARGEST_SHARE:
         return (
             f"a few draws outweigh the rest (Pareto k {summary['pareto_k']:.2f}): the tails and the evidence "
             "are less certain than their standard errors say. Increase `stage_draws`."

@@ -16,7 +16,8 @@ from pymc_features.smc.density.evaluation import PopulationLogp
 
 QUIET = {"progressbar": False, "random_seed": 1, "cores": 1}
 ATTRIBUTES = {
-    *("max_r_hat", "log_evidence", "log_evidence_se", "ess", "pareto_k", "n_modes", "reference_efficiency"),
+    *("max_r_hat", "log_evidence", "log_evidence_se", "ess", "pareto_k", "heavy_share", "n_modes"),
+    "reference_efficiency",
     *("search_evaluations", "search_gradients", "no_gradient", "undetermined", "laplace_error"),
     *("close_to_laplace", "advice"),
 }
@@ -143,7 +144,9 @@ def test_runs_that_disagree_and_heavy_weights_are_said():
     assert "independent runs disagree (R-hat 1.200)" in advice(
         fine | {"max_r_hat": 1.2}, np.zeros(2), errors, idata
     )
-    assert "outweigh the rest (Pareto k 0.90)" in advice(fine | {"pareto_k": 0.9}, np.zeros(2), errors, idata)
+    heavy = fine | {"pareto_k": 0.9, "heavy_share": 0.006}
+    assert "outweigh the rest (Pareto k 0.90)" in advice(heavy, np.zeros(2), errors, idata)
+    assert advice(heavy | {"heavy_share": 0.004}, np.zeros(2), errors, idata) == ""
     assert "differ by 1.00, more than" in advice(fine, np.array([0.0, 1.0]), errors, idata)
     few = advice(fine | {"ess": 20.0, "undetermined": "a with b"}, np.zeros(2), errors, idata)
     assert few.endswith("narrower priors to what the data do not determine (a with b).")
