@@ -1,0 +1,275 @@
+"""`continue_with`: one more event, with the posterior of those before as its prior."""
+
+import warnings
+from collections.abc import Mapping
+
+import numpy as np
+import pymc as pm
+import pytensor.tensor as pt
+import xarray as xr
+
+from pymc_features._checks import (
+    check_finite,
+    check_group,
+    check_integer,
+    check_mapping,
+    check_model,
+    check_positive,
+    check_seed,
+    check_share,
+    is_number,
+    message,
+    single,
+)
+from pymc_features.events.evidence import evidence_of
+from pymc_features.events.sequence.density import FittedDensity
+from pymc_features.events.sequence.kernel import ContinuedSMC
+from pymc_features.events.weights import normalised
+from pymc_features.exceptions import SamplingWarning
+from pymc_features.inference.parameters import (
+    Unconstrained,
+    check_continuous,
+    posterior_for,
+    to_unconstrained,
+)
+from pymc_features.inference.sample import summarise
+from pymc_features.keywords import check_keywords
+from pymc_features.smc import population_logp, sample_smc
+from pymc_features.smc.proposals.mixture import equal_draws
+
+OWN_SHARE = 0.2  # of the model's own prior among the draws; it does not change the posterior
+FOR_ERROR = 200  # draws whose likelihood is asked for again
+ALARM = 0.5  # probability of a change from which there is an alarm
+OF_SAMPLE_SMC = ("cores", "progressbar", "compile_kwargs", "stage_draws", "threshold", "checkpoint")
+
+
+def continue_with(
+    idata: xr.DataTree,
+    *,
+    model: pm.Model | None = None,
+    drift: Mapping[str, float] | None = None,
+    forgetting: float = 1.0,
+    change: float = 0.005,
+    draws: int | None = None,
+    random_seed: int | None = None,
+    **settings,
+) -> xr.DataTree:
+    """Posterior after one more event: that of the events before is the prior, with correlations and modes.
+
+    A density q_e is fitted to the stored draws, and sequential Monte Carlo leads from there to the
+    posterior with the new data d_e. What these were expected to be is the predictive score of the event,
+
+        ln p(d_e | d_1 .. d_e-1) = ln integral p(d_e | theta) q_e(theta) dtheta;
+
+    the scores of all events add up to the log evidence of all data together. Beside it stands the score under
+    the model's own prior, as of a structure that nothing is known about. If the structure changes between two
+    events with probability c, it has changed with the odds
+
+        c / (1 - c) p(d_e) / p(d_e | d_1 .. d_e-1),
+
+    and by these the draws are of the one posterior or the other: after a change the events before are
+    forgotten.
+
+    Parameters
+    ----------
+    idata : DataTree
+        What `sample` returned for the first event, or this function for the event before.
+    model : pymc.Model, optional
+        Of the new event alone, with the parameters of `idata` and the prior that the first event had; the
+        model of the context by default.
+    drift : dict of str to float, optional
+        Standard deviation by which a parameter may have moved since the event before, in its unit: a random
+        walk.
+    forgetting : float
+        What of the precision of the events before is kept, 0 to 1: their covariance is divided by it.
+    change : float
+        c, the probability that the structure has changed since the event before, between 0 and 1. An event
+        of a structure that has not raises an alarm with a probability of at most c / (1 - c).
+    draws : int, optional
+        Of each chain; as in `idata` by default.
+    random_seed : int, optional
+        For the same draws each time.
+    **settings
+        Of `sample_smc`.
+
+    Returns
+    -------
+    DataTree
+        As from `sample`. `sequence` (event), one entry longer than that of `idata`: `log_score`,
+        `log_score_se`, `log_score_fresh` (under the model's own prior), `probability_changed`, `alarm`
+        (whether that is above one half), and of each parameter `mean` and `standard_deviation` (event,
+        parameter). The attribute `log_evidence` of `sample_stats` is that of this event, `log_score`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `idata` is of other parameters, or a parameter is discrete.
+
+    Warns
+    -----
+    SamplingWarning
+        As `sample` does.
+
+    Notes
+    -----
+    The cost of an event does not grow with the number of those before, whose data are not asked for again.
+    Each fit adds an error of about one over the root of the number of draws, in standard deviations; the
+    standard errors of the scores allow for it, and are to be added up, for one event's error is passed on to
+    the next. Potentials of a model count once for each event.
+
+    The bound on false alarms is Markov's inequality on p(d_e) / p(d_e | d_1 .. d_e-1), whose mean is one
+    where the likelihood is right. Errors that persist make NORM claim too much, and then agreement is
+    improbable; `drift`, or a likelihood that claims less, allows for it.
+
+    References
+    ----------
+    Chopin, Biometrika 89, 539-551 (2002). West & Harrison, Bayesian Forecasting and Dynamic Models, 1997,
+    Secs. 6.3 and 11.4, for forgetting by discount factors and the monitoring of forecasts.
+    """
+    model = check_model(model)
+    check_continuous(model, "continue_with()")
+    posterior = posterior_for(model, idata, "idata")
+    drift = check_drift(drift, model)
+    forgetting, change = check_forgetting(forgetting), check_share(change, "change", "Use for example 0.005.")
+    draws = posterior.sizes["draw"] if draws is None else check_integer(draws, "draws", least=100)
+    check_seed(random_seed, several=False)
+    check_keywords(settings, OF_SAMPLE_SMC, "continue_with")
+    rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(3)[2])
+    points = moved(model, posterior, drift, rng)
+    before = FittedDensity(points, rng, forgetting)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "PersistentSMC ended", SamplingWarning)  # `advice` says it
+        result = sample_smc(
+            draws,
+            ContinuedSMC,
+            chains=posterior.sizes["chain"],
+            model=model,
+            random_seed=random_seed,
+            before=before,
+            share=OWN_SHARE,
+            compute_convergence_checks=False,
+            **settings,
+        )
+    summary = summarise(model, Unconstrained(model), result, None)
+    result["sample_stats"].attrs |= summary
+    record = sequence_of(idata, model)
+    scores = judged(model, result, before, len(points) / record.sizes["event"], change, rng)
+    result["sequence"] = xr.DataTree(with_event(record, result, scores, model))
+    if summary["advice"]:
+        warnings.warn(summary["advice"], SamplingWarning, stacklevel=2)
+    return result
+
+
+def check_drift(drift, model) -> dict[str, float]:
+    """Standard deviations by name of a free parameter."""
+    drift = check_mapping(drift, "drift", "a dict of parameters to standard deviations")
+    names = [rv.name for rv in model.free_RVs]
+    if unknown := sorted(set(drift) - set(names)):
+        raise ValueError(message("drift", f"of the parameters {', '.join(names)}", ", ".join(unknown)))
+    return {name: check_positive(value, "drift", f"That is of {name}.") for name, value in drift.items()}
+
+
+def check_forgetting(value) -> float:
+    """A share of the precision, one included."""
+    number = single(value)
+    if is_number(number) and number == 1:
+        return 1.0
+    return check_share(number, "forgetting", "1 forgets nothing.")
+
+
+def moved(model, posterior: xr.Dataset, drift: dict[str, float], rng) -> np.ndarray:
+    """Draws (n, d) on the sampled scale after a step of a random walk, but for those outside of the prior."""
+    steps = {name: value * rng.standard_normal(posterior[name].shape) for name, value in drift.items()}
+    walked = posterior.assign({name: posterior[name] + step for name, step in steps.items()})
+    with np.errstate(invalid="ignore", divide="ignore"):
+        flat = to_unconstrained(model, walked)
+    flat = flat.reshape(-1, flat.shape[-1])
+    return flat[np.isfinite(flat).all(axis=1)]
+
+
+def judged(model, result, before: FittedDensity, n_before: float, change: float, rng) -> dict[str, float]:
+    """Scores of the event; draws of `result` are exchanged for those of the posterior with this `change`."""
+    flat = to_unconstrained(model, result["posterior"].to_dataset())
+    chains, draws, d = flat.shape
+    x = flat.reshape(-1, d)
+    prior = population_logp(
+        model, model.initial_point(), {}, name="prior", terms=lambda: (model.varlogp, pt.zeros(()))
+    )
+    own = np.log(OWN_SHARE) + prior(x)[0]
+    known = np.log1p(-OWN_SHARE) + before.log_density(x)
+    log_own = own - np.logaddexp(own, known)  # share of the model's own prior in each draw
+    log_known = known - np.logaddexp(own, known)
+    mixed = evidence_of(result)
+    fresh = mixed.value + log_mean(log_own) - np.log(OWN_SHARE)
+    score = mixed.value + log_mean(log_known) - np.log1p(-OWN_SHARE)
+    error = float(np.hypot(mixed.error, error_of_fit(model, x, score, n_before, rng)))
+    changed = 1.0 / (1.0 + np.exp(np.clip(score - fresh, -700, 700)) * (1.0 - change) / change)
+    log_weights = np.logaddexp(
+        np.log(change / OWN_SHARE) + log_own, np.log((1.0 - change) / (1.0 - OWN_SHARE)) + log_known
+    ).reshape(chains, draws)
+    chosen = np.stack([equal_draws(normalised(row), draws, rng) for row in log_weights])
+    posterior = result["posterior"].to_dataset()
+    across = {"chain": xr.DataArray(np.arange(chains), dims="chain")}
+    picked = posterior.isel(across | {"draw": xr.DataArray(chosen, dims=("chain", "draw"))})
+    result["posterior"] = xr.DataTree(picked.assign_coords(draw=posterior["draw"], chain=posterior["chain"]))
+    result["sample_stats"].attrs |= {"log_evidence": score, "log_evidence_se": error}
+    return {
+        "log_score": score,
+        "log_score_se": error,
+        "log_score_fresh": fresh,
+        "probability_changed": float(changed),
+        "alarm": int(changed > ALARM),
+    }
+
+
+def error_of_fit(model, x, score: float, n_before: float, rng) -> float:
+    """Standard error of the score from the number of draws that stand for the events before.
+
+    That of ln of the mean of L over n draws, the square root of (E[L^2] / E[L]^2 - 1) / n; E[L^2] over E[L]
+    is the mean of L over the posterior (n, d) of which some are evaluated once more.
+    """
+    logp = population_logp(model, model.initial_point(), {})
+    likelihood = logp(x[rng.choice(len(x), min(FOR_ERROR, len(x)), replace=False)])[1]
+    ratio = np.exp(min(log_mean(likelihood) - score, 700.0))
+    return float(np.sqrt(max(ratio - 1.0, 0.0) / n_before))
+
+
+def log_mean(x) -> float:
+    """ln of the mean of exp x."""
+    return float(np.logaddexp.reduce(x) - np.log(len(x)))
+
+
+def sequence_of(idata, model) -> xr.Dataset:
+    """What is on record of the events before; of the first one its evidence."""
+    if "sequence" in idata.children:
+        return check_group(idata, "idata", "sequence", "Pass what continue_with() returned.", "event")
+    evidence = evidence_of(idata)
+    scores = {
+        "log_score": evidence.value,
+        "log_score_se": evidence.error,
+        "log_score_fresh": evidence.value,
+        "probability_changed": 0.0,
+        "alarm": 0,
+    }
+    return entry(idata, scores, model, 0)
+
+
+def with_event(sequence: xr.Dataset, result, scores: dict, model) -> xr.Dataset:
+    """The record with one more entry."""
+    number = int(sequence["event"].values[-1]) + 1
+    return xr.concat([sequence, entry(result, scores, model, number)], "event", join="override")
+
+
+def entry(idata, scores: dict, model, number: int) -> xr.Dataset:
+    """One event of the record."""
+    import arviz as az  # slow to import
+
+    names = [rv.name for rv in model.free_RVs]
+    posterior = idata["posterior"].to_dataset()[names]
+    for name in names:
+        check_finite(posterior[name].values, "idata", f"Those are draws of {name}.")
+    table = az.summary(posterior, kind="stats", round_to="none")
+    columns = {"mean": table["mean"], "standard_deviation": table["sd"]}
+    values = {name: ("event", [value]) for name, value in scores.items()}
+    values |= {name: (("event", "parameter"), [np.asarray(x, dtype=float)]) for name, x in columns.items()}
+    return xr.Dataset(values, {"event": [number], "parameter": list(table.index)})

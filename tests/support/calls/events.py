@@ -1,0 +1,118 @@
+"""Several events: as far as the arguments are checked."""
+
+import pymc as pm
+import xarray as xr
+
+import pymc_features as pmf
+from support.border import Call, work
+from support.calls.samplers import IDATA, MODEL, ODD_TREES, POSTERIOR, SHARES
+from support.odd_values import ONE, PAIR, PATHS, POSITIVE
+
+ONE_SEED = {"None", "0", "NumPy's 2", "10**400", "10**5000"}
+
+with pm.Model() as POPULATION:
+    pm.Normal("x", pm.Normal("mean"), 1.0)
+
+with pm.Model() as PLACES:
+    pm.Normal("y", pm.Normal("x"), 1.0, observed=[[1.0], [2.0]])
+STATS = {"log_evidence": -1.0, "log_evidence_se": 0.01, "likelihoods": '{"y": "data"}'}
+SAMPLED = xr.DataTree.from_dict(
+    {
+        "posterior": POSTERIOR,
+        "sample_stats": xr.Dataset(attrs=STATS),
+        "observed_data": xr.Dataset({"y": ("time", [1.0, 2.0])}),
+    }
+)
+
+CALLS = {
+    "compare": Call(
+        pmf.compare,
+        {
+            "models": {"a": SAMPLED, "b": SAMPLED},
+            "prior": {"a": 1.0, "b": 2.0},
+            "checks": None,
+            "held_out": {"a": [1.0], "b": [2.0]},
+            "predictions": {"a": POSTERIOR, "b": POSTERIOR},
+            "random_seed": 1,
+        },
+        {name: {"None", "{}"} for name in ("prior", "checks", "held_out", "predictions")}
+        | {"random_seed": ONE_SEED},
+        more={"models": {name: {"a": SAMPLED, "b": tree} for name, tree in ODD_TREES.items()}},
+    ),
+    "continue_with": Call(
+        pmf.continue_with,
+        {
+            "idata": IDATA,
+            "model": MODEL,
+            "drift": None,
+            "forgetting": 0.9,
+            "change": 0.01,
+            "draws": 100,
+            "random_seed": 1,
+        },
+        {
+            "drift": {"None", "{}"},
+            "forgetting": SHARES | ONE - {"NumPy's 2"},
+            "change": SHARES,
+            "draws": {"None"},
+            "random_seed": ONE_SEED,
+        },
+        instead={"pymc_features.events.sequence.continuing.FittedDensity": work},
+        more={"idata": ODD_TREES},
+    ),
+    "sample_in_sequence": Call(
+        pmf.sample_in_sequence,
+        {
+            "events": [MODEL, MODEL],
+            "model": None,
+            "out": None,
+            "draws": 100,
+            "chains": 2,
+            "random_seed": 1,
+        },
+        {
+            "model": {"None"},
+            "out": {"None", *PATHS},
+            "chains": ONE,
+            "random_seed": ONE_SEED,
+        },
+        {"model": ["events"]},
+        instead={"pymc_features.events.sequence.run.PartStore": work},
+    ),
+    "sensor_placement": Call(
+        pmf.sensor_placement,
+        {
+            "model": PLACES,
+            "candidates": [0, 1],
+            "n": 1,
+            "criterion": "D",
+            "positions": [0.0, 1.0],
+            "correlation_length": 1.0,
+            "idata": None,
+        },
+        {
+            "candidates": {"None", "range"},
+            "n": {"NumPy's 2", *ONE},
+            "positions": {"None", *PAIR, "negative array", "matrix in Fortran's order", "DataFrame"},
+            "correlation_length": POSITIVE,
+            "idata": {"None"},
+        },
+        {"candidates": ["positions", "n"]},
+        instead={"pymc_features.placement.sensors.gram_matrices": work},
+        more={"idata": ODD_TREES},
+    ),
+    "hierarchical": Call(
+        pmf.hierarchical,
+        {
+            "events": [IDATA, IDATA],
+            "hyper": POPULATION,
+            "models": [MODEL, MODEL],
+            "event_draws": 100,
+            "random_seed": 1,
+        },
+        {"random_seed": ONE_SEED},
+        {"models": ["events"], "events": ["hyper"]},
+        instead={"pymc_features.events.hierarchical.Marginal": work},
+        more={"events": {name: [IDATA, tree] for name, tree in ODD_TREES.items()}},
+    ),
+}
