@@ -1,0 +1,5 @@
+"""Where to put sensors, before there are any data."""
+
+from pymc_features.placement.sensors import sensor_placement
+
+__all__ = ["sensor_placement"]
