@@ -1,8 +1,10 @@
 """Arrays in, arrays out: response, misfit and their derivatives, as compiled kernels.
 
-Rooms: `compiled` (machine code), `oscillators` (uncoupled modes through time), `chain`, `linear` and
-`nonlinear` (from the parameters of a family to its modes or states), `modal` (modes for their own sake), and
-above them `families`, the table of all kernels. Nothing here knows of PyMC or PyTensor.
+Rooms: `compiled` (machine code), `oscillators` (uncoupled modes through time), `derivatives` (gradients of
+many structures together), `eigen` (modes of many structures together), `mean_squares` (without going through
+time), `taylor` (populations of nonlinear chains through time), `chain`, `linear` and `nonlinear` (from the
+parameters of a family to its modes or states), `modal` (modes for their own sake), and above them `families`,
+the table of all kernels. Nothing here knows of PyMC or PyTensor.
 
 Symbols, as in the equations of the documentation:
 
@@ -31,12 +33,12 @@ response, p particles or parameters. The derivative of L by x is `grad_x`, a dir
 from pymc_features.simulators.chain.gradient import (
     discrepancy_tangent,
     misfit_gradient,
-    population_gradient,
     response_gradient,
     response_tangent,
 )
 from pymc_features.simulators.chain.parameters import ChainParameters
 from pymc_features.simulators.chain.population import population_discrepancy, population_misfit
+from pymc_features.simulators.chain.population_gradient import population_gradient
 from pymc_features.simulators.chain.response import chain_discrepancy, chain_misfit, chain_response
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation, Outputs, n_outputs

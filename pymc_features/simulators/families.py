@@ -12,6 +12,7 @@ response_tangent        tuple of a direction of each         derivative (s, u) a
 discrepancy_tangent     data, tuple of directions           derivative (s,) along it
 population_discrepancy  data                                (p, s), with parameters (p, ...) or (1, ...)
 population_misfit       data                                (p, s, 4)
+population_systems      data                                modes, see `mean_squares`, or None; may lack
 population_gradient     data, weights (p, s, 1) or (.., 4)  gradients in the shapes of the parameters
 
 What describes no structure gives NaN, in its own rows. NaN in the data is a gap: the first statistic, and
@@ -28,12 +29,13 @@ from scipy import sparse
 from pymc_features.simulators.chain.gradient import (
     discrepancy_tangent,
     misfit_gradient,
-    population_gradient,
     response_gradient,
     response_tangent,
 )
 from pymc_features.simulators.chain.parameters import ChainParameters
 from pymc_features.simulators.chain.population import population_discrepancy, population_misfit
+from pymc_features.simulators.chain.population_gradient import population_gradient
+from pymc_features.simulators.chain.population_systems import chain_systems
 from pymc_features.simulators.chain.response import chain_discrepancy, chain_misfit, chain_response
 from pymc_features.simulators.linear.arguments import LinearParameters
 from pymc_features.simulators.linear.gradient import (
@@ -41,7 +43,11 @@ from pymc_features.simulators.linear.gradient import (
     linear_population_gradient,
     linear_response_gradient,
 )
-from pymc_features.simulators.linear.population import linear_population_discrepancy, linear_population_misfit
+from pymc_features.simulators.linear.population import (
+    linear_population_discrepancy,
+    linear_population_misfit,
+    linear_systems,
+)
 from pymc_features.simulators.linear.response import linear_discrepancy, linear_misfit, linear_response
 from pymc_features.simulators.linear.tangent import linear_discrepancy_tangent, linear_response_tangent
 from pymc_features.simulators.modal.chain import (
@@ -159,6 +165,7 @@ FAMILIES = {
             "discrepancy_tangent": discrepancy_tangent,
             "population_discrepancy": population_discrepancy,
             "population_misfit": population_misfit,
+            "population_systems": chain_systems,
             "population_gradient": population_gradient,
         },
         compiled=True,
@@ -177,6 +184,7 @@ FAMILIES = {
             "discrepancy_tangent": linear_discrepancy_tangent,
             "population_discrepancy": linear_population_discrepancy,
             "population_misfit": linear_population_misfit,
+            "population_systems": linear_systems,
             "population_gradient": linear_population_gradient,
         },
         constants={

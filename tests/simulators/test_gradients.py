@@ -193,12 +193,16 @@ def errors(arguments, steps, by_modes=False):
     backward = steps @ np.concatenate(response_gradient(*arguments, weights))
     e_forward = np.array([discrepancy_tangent(*arguments, observed, *split(d)) for d in steps])
     e_backward = steps @ np.concatenate(discrepancy_gradient(*arguments, observed, c))
+    rows = [np.tile(x, (3, 1)) for x in arguments[:4]]  # three go together in a vector
+    together = population_gradient(*rows, *arguments[4:], observed, np.tile(c, (3, 1)))
+    e_together = steps @ np.concatenate([x[1] for x in together])
     return {
         "response": np.abs(chain_response(*arguments) - y).max() / np.abs(y).max(),
         "response_tangent": block_error(forward, slopes, n),
         "response_gradient": block_error(backward, np.tensordot(slopes, weights, 2), n),
         "discrepancy_tangent": block_error(e_forward, e_slopes, n),
         "discrepancy_gradient": block_error(e_backward, e_slopes @ c, n, np.abs(e_slopes) @ np.abs(c)),
+        "population_gradient": block_error(e_together, e_slopes @ c, n, np.abs(e_slopes) @ np.abs(c)),
     }
 
 
@@ -343,6 +347,54 @@ def test_gradient_of_a_population(shared):
             expected[i][rows[i]] += g
     for a, b in zip(population_gradient(*arguments, observed, c), expected, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-14 * np.abs(b).max())
+
+
+def each_alone(arguments, observed, c):
+    """Gradients of the particles of a population, one after the other, in the shapes of the parameters."""
+    rows = [
+        discrepancy_gradient(*own, *arguments[4:], observed, c[p])
+        for p, own in enumerate(particles(arguments))
+    ]
+    return [np.stack(x) for x in zip(*rows, strict=True)]
+
+
+def particles(arguments):
+    """The parameters of each particle of a population."""
+    return zip(*arguments[:4], strict=True)
+
+
+@pytest.mark.parametrize("dt", [0.5, 0.02, 1e-5])
+@pytest.mark.parametrize("damping", ["none", "rayleigh"])
+def test_modes_beside_multiples_of_half_the_sampling_rate(damping, dt):
+    """Of one storey, omega dt = 0, pi, 2 pi and 3 pi to 1e-3 ... 1e-9, and slow modes: measured 1e-11."""
+    away = np.array([0.3, 1e-3, -1e-3, 1e-6, 1e-9])
+    phases = np.concatenate([np.pi * k + (away if k else np.abs(away)) for k in range(4)])
+    arguments = random_chain(1, damping)
+    for i in range(4):
+        arguments[i] = np.tile(arguments[i], (phases.size, 1))
+    arguments[0], arguments[1], arguments[5] = arguments[0] ** 0, (phases[:, None] / dt) ** 2, dt
+    arguments[2] *= [1.0, dt]
+    observed, c = np.random.default_rng(11).normal(size=(1, 150)), np.ones((phases.size, 1))
+    found = population_gradient(*arguments, observed, c)
+    for a, b in zip(found, each_alone(arguments, observed, c), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-10)
+
+
+def test_gaps_and_close_modes_within_a_vector():
+    """A chain with close modes goes by itself; its neighbours, and samples that are missing, stay right."""
+    rng = np.random.default_rng(12)
+    arguments = random_chain(3, quantity=1, sensors=np.array([2, 0, 1]))
+    for i in range(4):
+        arguments[i] = arguments[i] * rng.uniform(0.8, 1.2, (11, arguments[i].size))
+    for p, softness in ((1, 1e-8), (9, 1e-10)):
+        close = soft_middle(softness)
+        arguments[0][p], arguments[1][p] = close["mass"], close["stiffness"]
+    observed, c = rng.normal(size=(3, 150)), rng.normal(size=(11, 3))
+    observed[0, 10:30], observed[2, 140:] = np.nan, np.nan
+    for a, b in zip(
+        population_gradient(*arguments, observed, c), each_alone(arguments, observed, c), strict=True
+    ):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12 * np.abs(b).max())
 
 
 INVALID = {

@@ -163,3 +163,15 @@ def test_wrong_dimensions_are_refused():
     rows = [x[None] for x in inputs[:4]]
     with pytest.raises(ValueError, match=r"`observed` must be \(sensor, time\), got 1 dimensions"):
         PopulationDiscrepancy()(*rows, *inputs[4:], np.zeros(2))
+
+
+def test_frequencies_far_below_the_highest_keep_their_digits(ground):
+    """Long chains, soft springs, light masses: their quotients belong to the eigenvalues they replace."""
+    rng = np.random.default_rng(11)
+    n = 40
+    mass, stiffness, rayleigh, ratios = population(rng, LANES + 2, n)
+    stiffness[::2, :3] *= 1e-3
+    mass[1::3, 30:] *= 1e-4
+    common = (ground, DT, 1, 1, np.array([0, 20, 39]), n, 3)
+    data = np.zeros((3, ground.size))
+    np.testing.assert_allclose(*both(mass, stiffness, rayleigh, ratios, *common, data), rtol=1e-9)

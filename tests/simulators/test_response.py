@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from pymc_features import ModalDamping, RayleighDamping, Record, SpringMassChain, paper, simulate
 from pymc_features.simulators import QUANTITIES, UNITS
-from pymc_features.simulators.oscillators.recursion import first_order_hold as step_coefficients
+from pymc_features.simulators.oscillators.hold import first_order_hold as step_coefficients
 from support.kernels import chain_discrepancy, chain_response
 from support.newmark import newmark
 from support.reference import first_order_hold, interpolated

@@ -6,7 +6,7 @@ spring i, M = diag(m), load M 1. What the modes do over time is the matter of `o
 
 import numpy as np
 
-from pymc_features.simulators.chain.parameters import ChainParameters, own_rows
+from pymc_features.simulators.chain.parameters import ChainParameters
 from pymc_features.simulators.chain.response import (
     check_history,
     check_sizes,
@@ -55,9 +55,16 @@ def add_gradient(parameters, excitation, wanted, history, weights, gradients):
         for gradient in gradients:
             gradient[:] = np.nan
         return
-    law, m = DampingLaw(parameters.rayleigh, parameters.ratios), wanted.n_modes
+    law = DampingLaw(parameters.rayleigh, parameters.ratios)
     feed, motion = relative_feed(wanted), ground_motion(excitation)
     found = modal_gradient(system, law, feed, motion, wanted.quantity, history, weights)
+    spread_gradient(parameters, wanted, omega, rows, found, gradients)
+
+
+@jit
+def spread_gradient(parameters, wanted, omega, rows, found, gradients):
+    """Add a `ModalGradient`, carried on to the parameters, to `gradients`; the modes as from `modes_of`."""
+    m = wanted.n_modes
     shapes, load = np.ascontiguousarray(rows[:m].T), np.dot(rows[:m].T, found.load)
     left_stiffness, left_mass = np.dot(shapes, found.stiffness), np.dot(shapes, found.mass)
     if m < omega.size:
@@ -66,7 +73,7 @@ def add_gradient(parameters, excitation, wanted, history, weights, gradients):
             outside[wanted.sensors[j]] += found.shapes[j]
         outside = outside_span(omega, rows, m, outside)
         left_stiffness -= outside
-        left_mass += outside * system.omega**2
+        left_mass += outside * omega[:m] ** 2
     drifts, turned = drifts_of(shapes), drifts_of(left_stiffness)
     for i in range(omega.size):
         gradients.mass[i] += load[i, 0]
@@ -104,20 +111,6 @@ def misfit_gradient(parameters, excitation, wanted, observed, weights):
     """
     gradients = zeros_like(parameters)
     add_gradient(parameters, excitation, wanted, observed, weights, gradients)
-    return gradients
-
-
-@jit
-def population_gradient(parameters, excitation, wanted, observed, weights):
-    """Gradient of sum_pjq weights_pjq statistics_pjq of a population; what all particles share gets the sum.
-
-    Parameters as in `population.population_misfit`, and `weights` (p, s, 1) or (p, s, 4). Returns arrays of
-    the shapes of the parameters.
-    """
-    gradients = zeros_like(parameters)
-    for p in range(weights.shape[0]):
-        own, own_gradients = own_rows(parameters, p), own_rows(gradients, p)
-        add_gradient(own, excitation, wanted, observed, weights[p], own_gradients)
     return gradients
 
 

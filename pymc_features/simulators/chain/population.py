@@ -5,19 +5,16 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.chain.parameters import own_rows
-from pymc_features.simulators.chain.population_modes import (
-    diagonalise_lanes,
-    fill_matrix,
-    normalise_lanes,
-    take_modes,
-)
-from pymc_features.simulators.chain.response import check_history, check_sizes, write_feed, write_shapes
+from pymc_features.simulators.chain.population_modes import fill_matrix, normalise_lanes
+from pymc_features.simulators.chain.response import check_history, check_sizes
+from pymc_features.simulators.chain.sensor_modes import new_sensor_modes, solve_at_sensors
 from pymc_features.simulators.compiled.jit import inline, jit
 from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.eigen.filling import empty_modes, fill_lanes, take_lane
+from pymc_features.simulators.eigen.tridiagonal import diagonalise_lanes
 from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
-from pymc_features.simulators.oscillators.modal_system import ModalSystem
-from pymc_features.simulators.oscillators.population import fill_lane, lane_statistics
-from pymc_features.simulators.oscillators.recursion import N_ROWS, write_damping, write_table
+from pymc_features.simulators.oscillators.modal_system import DampingLaw, feed_through
+from pymc_features.simulators.oscillators.population import lane_statistics
 
 
 class ModeLanes(NamedTuple):
@@ -79,6 +76,24 @@ def solve_modes(modes, parameters, first, count):
     normalise_lanes(modes)
 
 
+@jit
+def write_outputs(lanes, lane, vectors, order, n_modes, quantity):
+    """Write what the modes of one chain, in their order, do at the sensors, and the feed-through.
+
+    `vectors` are those of `SensorModes`.
+    """
+    n, even_modes = order.size, lanes.states.shape[0] // 2
+    width = vectors.shape[0] // n
+    for j in range(width - 1):
+        by_modes = 0.0
+        for r in range(n_modes):
+            row = order[r] * width
+            share = vectors[row + j, lane] * vectors[row + width - 1, lane]
+            lanes.shapes[j * even_modes + r, lane] = share
+            by_modes += share
+        lanes.feed[j, lane] = feed_through(1.0, 0.0, by_modes, quantity, n_modes == n)
+
+
 @inline
 def march_population(parameters, excitation, wanted, observed, increments):
     """Statistics of the misfit of all particles, a vector of them at a time.
@@ -97,33 +112,29 @@ def march_population(parameters, excitation, wanted, observed, increments):
         NaN in the rows whose parameters describe no structure.
     """
     n_particles = check_population(parameters, excitation, wanted, observed)
-    sensors, m, quantity = wanted
-    n, step = parameters.mass.shape[1], excitation.dt / excitation.substeps
+    n, sensors, quantity = parameters.mass.shape[1], wanted.sensors, wanted.quantity
+    step, m = excitation.dt / excitation.substeps, wanted.n_modes
     result = np.empty((n_particles, sensors.size, 1 if increments is None else 4))
-    lanes, modes = new_lanes(observed, m, excitation.stride), new_modes(n)
-    omega, damping, table = np.empty(n), np.empty(m), np.empty((N_ROWS, m))
-    participation, rows = np.empty(n), np.empty((n, n))
-    shapes, feed = np.empty((sensors.size, m)), np.empty(sensors.size)
-    system = ModalSystem(omega[:m], damping, shapes, participation[:m].reshape(m, 1))
+    lanes, modes = new_lanes(observed, m, excitation.stride), new_sensor_modes(n, sensors.size)
+    kept, order = (np.zeros((m, LANES)), np.zeros((m, LANES))), np.empty(n, dtype=np.int64)
     for first in range(0, n_particles, LANES):
         count = min(LANES, n_particles - first)
-        solve_modes(modes, parameters, first, count)
-        for lane in range(count):
-            if not modes.valid[lane]:
-                continue
-            own = own_rows(parameters, first + lane)
-            take_modes(modes, lane, omega, participation, rows)
-            modes.valid[lane] = write_damping(system.omega, own.rayleigh, own.ratios, step, damping)
+        solve_at_sensors(modes, parameters, sensors, first, count)
+        for lane in range(LANES):
             if modes.valid[lane]:
-                write_shapes(rows, sensors, shapes)
-                write_table(system.omega, damping, step, quantity, table)
-                write_feed(system, quantity, m == n, feed)
-                fill_lane(lanes, lane, table, system, feed, excitation.acceleration[0])
+                own = own_rows(parameters, first + lane)
+                law = DampingLaw(own.rayleigh, own.ratios)
+                modes.valid[lane] = take_lane(kept, lane, modes.values, law, step, order)
+            if modes.valid[lane]:
+                write_outputs(lanes, lane, modes.vectors, order, m, quantity)
+            else:
+                empty_modes(kept, lane)
+        fill_lanes(lanes, kept, step, quantity, excitation.acceleration[0])
         found = lane_statistics(lanes, excitation, observed, increments)
-        for lane in range(count):
-            result[first + lane] = found[lane]
-            if not modes.valid[lane]:
-                result[first + lane] = np.nan
+        for lane in range(count):  # Numba takes three seconds to compile a copy of a slice
+            for j in range(sensors.size):
+                for i in range(result.shape[2]):
+                    result[first + lane, j, i] = found[lane, j, i] if modes.valid[lane] else np.nan
     return result
 
 

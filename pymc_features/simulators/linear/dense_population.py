@@ -4,9 +4,18 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.eigen.filling import empty_modes, fill_lanes, take_lane
+from pymc_features.simulators.eigen.matrices import all_diagonal
+from pymc_features.simulators.eigen.structures import new_structures, solve_structures
 from pymc_features.simulators.linear.dense import assemble_dense, dense_modes, is_finite
+from pymc_features.simulators.mean_squares.systems import new_systems, put_modes
 from pymc_features.simulators.oscillators.lanes import new_lanes
-from pymc_features.simulators.oscillators.modal_system import ModalSystem, write_feed
+from pymc_features.simulators.oscillators.modal_system import (
+    DampingLaw,
+    ModalSystem,
+    feed_through,
+    write_feed,
+)
 from pymc_features.simulators.oscillators.population import lane_statistics, put_system
 from pymc_features.simulators.oscillators.recursion import march_modes, statistics, write_damping
 
@@ -97,8 +106,50 @@ def march_structure(parameters, excitation, wanted, observed, history):
 
 
 @jit
+def wanted_columns(parameters, wanted):
+    """Vectors whose products with the mode shapes the outputs need: S', forces if there are any, -forces.
+
+    Columns (n, s + 1) or (n, s + 2) and the influence (n,), as `solve_structures` takes them.
+    """
+    sensors, forces = wanted.sensors, parameters.forces[:, 0]
+    forced, (n_sensors, n) = np.any(forces != 0.0), sensors.shape
+    columns = np.empty((n, n_sensors + (2 if forced else 1)))
+    for i in range(n):
+        for j in range(n_sensors):
+            columns[i, j] = sensors[j, i]
+        columns[i, n_sensors] = forces[i]
+        columns[i, columns.shape[1] - 1] = -forces[i]
+    return columns, parameters.influence[:, 0].copy()
+
+
+@jit
+def write_outputs(lanes, lane, vectors, order, wanted, support_motion):
+    """Write what the modes of one structure, in their order, do at the sensors, and the feed-through."""
+    n, n_sensors, even_modes = order.size, support_motion.size, lanes.states.shape[0] // 2
+    width, m = vectors.shape[0] // n, wanted.n_modes
+    for j in range(n_sensors):
+        by_modes, by_forces = 0.0, 0.0
+        for r in range(m):
+            row = order[r] * width
+            share = vectors[row + j, lane] * vectors[row + width - 1, lane]
+            lanes.shapes[j * even_modes + r, lane] = share
+            by_modes += share
+            if width > n_sensors + 1:
+                by_forces += vectors[row + j, lane] * vectors[row + n_sensors, lane]
+        motion = support_motion[j]
+        lanes.feed[j, lane] = feed_through(motion, by_forces, by_modes, wanted.quantity, m == n)
+
+
+@jit
+def own_values(parameters, p):
+    """theta, rayleigh and ratios of particle p."""
+    theta, rayleigh, ratios = parameters.theta, parameters.rayleigh, parameters.ratios
+    return theta[p % theta.shape[0]], rayleigh[p % rayleigh.shape[0]], ratios[p % ratios.shape[0]]
+
+
+@jit
 def march_dense(parameters, excitation, wanted, observed, increments):
-    """Misfits of all particles, the modes found one by one and the recursion run for `LANES` at once.
+    """Misfits of all particles, `LANES` at a time; those that have no place in a lane are solved alone.
 
     Parameters
     ----------
@@ -118,21 +169,85 @@ def march_dense(parameters, excitation, wanted, observed, increments):
         NaN in the rows whose parameters describe no structure.
     """
     theta, rayleigh, ratios = parameters.theta, parameters.rayleigh, parameters.ratios
-    n_sensors, step = wanted.sensors.shape[0], excitation.dt / excitation.substeps
+    (n_sensors, n), step, m = wanted.sensors.shape, excitation.dt / excitation.substeps, wanted.n_modes
     count = max(theta.shape[0], rayleigh.shape[0], ratios.shape[0])
     result = np.full((count, n_sensors, 1 if increments is None else 4), np.nan)
-    lanes, places = new_lanes(observed, wanted.n_modes, excitation.stride), np.empty(LANES, dtype=np.int64)
-    waiting = 0
-    for p in range(count):
-        own = theta[p % theta.shape[0]], rayleigh[p % rayleigh.shape[0]], ratios[p % ratios.shape[0]]
-        valid, system, feed = dense_system(parameters, own, wanted, step)
+    columns, stacks = wanted_columns(parameters, wanted), (parameters.mass, parameters.stiffness)
+    lanes, modes = (
+        new_lanes(observed, m, excitation.stride),
+        new_structures(n, theta.shape[1], columns[0].shape[1]),
+    )
+    kept, order = (np.zeros((m, LANES)), np.zeros((m, LANES))), np.empty(n, dtype=np.int64)
+    is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
+    is_there, alone = np.empty(LANES, dtype=np.bool_), np.empty(count, dtype=np.int64)
+    n_alone, start = 0, excitation.acceleration[0, 0]
+    for first in range(0, count, LANES):
+        for lane in range(LANES):
+            own = own_values(parameters, min(first + lane, count - 1))
+            is_there[lane] = (
+                first + lane < count and is_finite(own[0]) and is_finite(own[1]) and is_finite(own[2])
+            )
+            modes.theta[:, lane] = own[0]
+        solve_structures(modes, stacks, is_diagonal, columns)
+        for lane in range(LANES):
+            if is_there[lane] and not modes.is_good[lane]:
+                alone[n_alone] = first + lane
+                n_alone += 1
+            is_there[lane] &= modes.is_good[lane]
+            if is_there[lane]:
+                _, pair, own_ratios = own_values(parameters, first + lane)
+                law = DampingLaw(pair, own_ratios)
+                is_there[lane] = take_lane(kept, lane, modes.values, law, step, order)
+            if is_there[lane]:
+                write_outputs(lanes, lane, modes.vectors, order, wanted, support_motion)
+            else:
+                empty_modes(kept, lane)
+        fill_lanes(lanes, kept, step, wanted.quantity, start)
+        found = lane_statistics(lanes, excitation, observed, increments)
+        for lane in range(LANES):
+            if is_there[lane]:
+                result[first + lane] = found[lane]
+    march_alone(parameters, excitation, wanted, lanes, alone[:n_alone], (observed, increments, result))
+    return result
+
+
+@jit
+def march_alone(parameters, excitation, wanted, lanes, places, data):
+    """Write the misfits of some particles, whose modes are found one by one.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        Empty.
+    places : integer array
+        Which particles.
+    data : tuple
+        Data (s, u), `Increments` or None, and the array that is written.
+    """
+    (observed, increments, result), waiting = data, 0
+    at = np.empty(LANES, dtype=np.int64)
+    for i in range(places.size):
+        own = own_values(parameters, places[i])
+        valid, system, feed = dense_system(parameters, own, wanted, excitation.dt / excitation.substeps)
         if valid:
             put_system(lanes, waiting, system, feed[:, 0].copy(), excitation, wanted.quantity)
-            places[waiting] = p
+            at[waiting] = places[i]
             waiting += 1
-        if waiting == LANES or (waiting > 0 and p == count - 1):
+        if waiting == LANES or (waiting > 0 and i == places.size - 1):
             found = lane_statistics(lanes, excitation, observed, increments)
             for lane in range(waiting):
-                result[places[lane]] = found[lane]
+                result[at[lane]] = found[lane]
             waiting = 0
-    return result
+
+
+@jit
+def dense_systems(parameters, excitation, wanted, count):
+    """`Systems` of dense structures with classical damping, as `march_dense` has them."""
+    n_sensors, n_inputs = wanted.sensors.shape[0], parameters.influence.shape[1]
+    systems = new_systems(count, n_sensors, wanted.n_modes, n_inputs)
+    for p in range(count):
+        own = own_values(parameters, p)
+        valid, system, feed = dense_system(parameters, own, wanted, excitation.dt / excitation.substeps)
+        if valid:
+            put_modes(systems, p, system, feed)
+    return systems

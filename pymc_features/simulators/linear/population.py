@@ -9,12 +9,16 @@ import numpy as np
 
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.eigen.coupled import march_coupled
 from pymc_features.simulators.linear.arguments import Arguments, n_particles
-from pymc_features.simulators.linear.dense_population import march_dense
+from pymc_features.simulators.linear.dense_population import dense_systems, march_dense
 from pymc_features.simulators.linear.response import evaluate
 from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
+from pymc_features.simulators.mean_squares.systems import Systems, new_systems, put_modes
 from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
 from pymc_features.simulators.oscillators.population import lane_statistics, put_system
+
+SYMMETRY = 1e-14  # differences from the transposed matrix below this times its largest entry are rounding
 
 
 def linear_population_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:
@@ -38,9 +42,13 @@ def march_population(a: Arguments, observed, with_increments):
     given, one_input = shared.parameters, a.excitation.acceleration.shape[0] == 1
     if given.is_dense and given.is_classical and one_input:
         return march_dense(a.parameters.for_kernel(), a.inputs, a.outputs, observed, increments)
-    result = np.full((count, a.shape[0], 4 if with_increments else 1), np.nan)
+    result, is_written = np.full((count, a.shape[0], 4 if with_increments else 1), np.nan), np.zeros(count)
+    if given.is_dense and one_input and is_symmetric(given.damping, given.n_dof):
+        kernel = a.parameters.for_kernel()
+        result, is_written = march_coupled(kernel, a.inputs, a.outputs, observed, increments)
+        result, is_written = np.resize(result, (count, *result.shape[1:])), np.resize(is_written, count)
     lanes, places = new_lanes(observed, a.wanted.n_modes, a.excitation.stride), []
-    for p in range(count):
+    for p in np.flatnonzero(~is_written.astype(bool)):
         own = a._replace(parameters=a.parameters.one_of(p))
         system = solve_system(own)
         if system is None:
@@ -57,3 +65,28 @@ def march_population(a: Arguments, observed, with_increments):
     if places:
         result[places] = lane_statistics(lanes, a.inputs, observed, increments)[: len(places)]
     return result
+
+
+def is_symmetric(stack, n) -> bool:
+    """Whether all matrices of a stack (terms, n n) are symmetric to rounding, as those of dashpots are."""
+    matrices = stack.reshape(-1, n, n)
+    skew = abs(matrices - matrices.transpose(0, 2, 1))
+    return bool(skew.max() <= SYMMETRY * abs(matrices).max())
+
+
+def linear_systems(parameters, excitation, wanted, observed) -> Systems | None:
+    """`Systems` of all particles; None of structures with a damping matrix, which may couple their modes."""
+    a = Arguments(parameters, excitation, wanted)
+    count, shared = n_particles(parameters), a._replace(parameters=parameters.one_of(0))
+    shared.check(observed)
+    if not parameters.is_classical:
+        return None
+    if parameters.is_dense:
+        return dense_systems(parameters.for_kernel(), a.inputs, a.outputs, count)
+    systems = new_systems(count, a.shape[0], wanted.n_modes, excitation.acceleration.shape[0])
+    for p in range(count):
+        own = a._replace(parameters=parameters.one_of(p))
+        system = solve_system(own)
+        if system is not None:
+            put_modes(systems, p, *observe(own, system))
+    return systems

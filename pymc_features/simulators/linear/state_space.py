@@ -31,6 +31,8 @@ from pymc_features.simulators.oscillators.arguments import (
 )
 from pymc_features.simulators.oscillators.recursion import BLOCK, take_block
 
+BY_LOOPS = 40  # states up to which the loops of a product take less time than a call of BLAS
+
 
 class StateMatrices(NamedTuple):
     """Recursion of the state and its outputs, or derivatives of a number by these matrices.
@@ -139,14 +141,22 @@ def advance_state(matrices, excitation, first, count, states, ground):
     states, ground : array (> count, 2m), (d, > count)
         States and inputs at the steps; all but `states[0]` are written.
     """
-    now, after = matrices.now.T.copy(), matrices.after.T.copy()
+    now, after, size = matrices.now.T.copy(), matrices.after.T.copy(), matrices.now.shape[0]
+    columns = matrices.transition.T.copy()
     for i in range(ground.shape[0]):
         interpolate(excitation.acceleration[i], excitation.substeps, first, ground[i])
     for k in range(count):
-        state = states[k + 1]
-        np.dot(matrices.transition, states[k], state)
+        state, before = states[k + 1], states[k]
+        if size > BY_LOOPS:
+            np.dot(matrices.transition, before, state)
+        else:
+            for r in range(size):
+                state[r] = 0.0
+            for c in range(size):
+                for r in range(size):
+                    state[r] += columns[c, r] * before[c]
         for i in range(ground.shape[0]):
-            for r in range(state.size):
+            for r in range(size):
                 state[r] += now[i, r] * ground[i, k] + after[i, r] * ground[i, k + 1]
 
 

@@ -13,9 +13,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import magnitude, splat, square_root, where_less
 from pymc_features.simulators.compiled.vector_math import logarithm, power
 from pymc_features.simulators.nonlinear.law import Functions, parameter, register, single
+from pymc_features.simulators.taylor.series import (
+    RATE,
+    Group,
+    Series,
+    Z,
+    coefficient,
+    constant_of,
+    product,
+    square,
+    write_coefficient,
+    write_constant,
+)
 
 YIELD_DISPLACEMENT, RATIO, SHARPNESS, BETA, GAMMA = range(5)
 
@@ -90,4 +103,83 @@ def has_kinks(law):
     return True
 
 
-register(BoucWen, Functions(5, spring, partials, step_rate, is_admissible, has_kinks))
+# Taylor series, for n = 1 and 2: z' = d' (1 - w) / d_y with w = loss |z|^n = a z + b z^2
+LOSSES = 2  # series of w
+ELASTIC, HYSTERETIC, PER_YIELD, LOADING, UNLOADING, POWER, BY_Z, BY_SQUARE = range(8)
+
+
+def constants(stiffness, values):
+    """a k, (1 - a) k d_y, 1 / d_y, the losses of both branches, and n."""
+    reach, ratio, sharpness, beta, gamma = values
+    elastic, hysteretic = ratio * stiffness, (1.0 - ratio) * stiffness * reach
+    return [elastic, hysteretic, 1.0 / reach, gamma + beta, gamma - beta, sharpness]
+
+
+def loss_of(spring, loading):
+    """gamma + b beta of the branch."""
+    losses = constant_of(spring, LOADING), constant_of(spring, UNLOADING)
+    return where_less(splat(0.0), loading, losses[0], losses[1])
+
+
+def advance(spring, k, drift, rate, losses):
+    """z_k+1 = (d'_k - (d' w)_k) / (k + 1) / d_y; return the force."""
+    write_coefficient(spring, RATE, k, rate)
+    write_coefficient(spring, LOSSES, k, losses)
+    change = constant_of(spring, PER_YIELD) * (rate - product(spring, RATE, LOSSES, k))
+    write_coefficient(spring, Z, k + 1, change * splat(1.0 / (k + 1)))
+    return constant_of(spring, ELASTIC) * drift + constant_of(spring, HYSTERETIC) * coefficient(spring, Z, k)
+
+
+def tangents(spring, losses):
+    """By drift, with z following; z by drift; and by z."""
+    by_drift, by_z = constant_of(spring, PER_YIELD) * (1.0 - losses), constant_of(spring, HYSTERETIC)
+    return constant_of(spring, ELASTIC) + by_z * by_drift, by_drift, by_z
+
+
+loss_of, advance, tangents = jit(loss_of), jit(advance), jit(tangents)
+
+
+def branch(spring, loading, sign):
+    """a and b of a branch."""
+    loss, is_linear = loss_of(spring, loading), 2.0 - constant_of(spring, POWER)
+    write_constant(spring, BY_Z, is_linear * loss * sign)
+    write_constant(spring, BY_SQUARE, (1.0 - is_linear) * loss)
+
+
+def expand(spring, k, drift, rate):
+    """w_k = a z_k + b (z^2)_k."""
+    z = coefficient(spring, Z, k)
+    losses = constant_of(spring, BY_Z) * z + constant_of(spring, BY_SQUARE) * square(spring, Z, k)
+    return advance(spring, k, drift, rate, losses)
+
+
+def tangent(spring, z):
+    """With w = a z + b z^2."""
+    return tangents(spring, z * (constant_of(spring, BY_Z) + constant_of(spring, BY_SQUARE) * z))
+
+
+def serves(values):
+    """Whether n is 1 or 2, and the other parameters lie in their ranges."""
+    reach, ratio, sharpness, beta, gamma = values
+    springs = (reach > 0.0) & (reach < np.inf) & (ratio >= 0.0) & (ratio <= 1.0)
+    loops = (beta > 0.0) & (beta < np.inf) & (gamma >= 0.0) & (gamma <= beta)
+    return springs & loops & np.isin(sharpness, (1.0, 2.0))
+
+
+class OneOrTwo(Group):
+    """Chains in lanes whose springs have n = 1 or 2."""
+
+
+SQUARES = Series(
+    order=6,
+    tolerance=4e-7,
+    n_series=3,
+    n_constants=8,
+    serves=serves,
+    constants=constants,
+    expand=expand,
+    branch=branch,
+    tangent=tangent,
+)
+SERIES = {OneOrTwo: SQUARES}
+register(BoucWen, Functions(5, spring, partials, step_rate, is_admissible, has_kinks, SERIES))

@@ -6,6 +6,14 @@ import numpy as np
 
 from pymc_features.simulators.compiled.vector import magnitude, splat, square_root
 from pymc_features.simulators.nonlinear.law import Functions, parameter, register, single
+from pymc_features.simulators.taylor.series import (
+    Group,
+    Series,
+    constant_of,
+    product,
+    square,
+    write_coefficient,
+)
 
 
 class Cubic(NamedTuple):
@@ -45,4 +53,29 @@ def has_kinks(law):
     return False
 
 
-register(Cubic, Functions(1, spring, partials, step_rate, is_admissible, has_kinks))
+STIFFNESS, COEFFICIENT = range(2)  # constants
+DRIFTS, SQUARES = range(2)  # series
+
+
+def expand(spring, k, drift, rate):
+    """f_k = k d_k + c (d d^2)_k."""
+    write_coefficient(spring, DRIFTS, k, drift)
+    write_coefficient(spring, SQUARES, k, square(spring, DRIFTS, k))
+    cube = product(spring, DRIFTS, SQUARES, k)
+    return constant_of(spring, STIFFNESS) * drift + constant_of(spring, COEFFICIENT) * cube
+
+
+class CubicGroup(Group):
+    """Chains in lanes, of this law."""
+
+
+SERIES = Series(
+    order=10,
+    tolerance=2.5e-7,
+    n_series=2,
+    n_constants=2,
+    serves=lambda values: (values[0] >= 0.0) & (values[0] < np.inf),
+    constants=lambda stiffness, values: [stiffness, values[0]],
+    expand=expand,
+)
+register(Cubic, Functions(1, spring, partials, step_rate, is_admissible, has_kinks, {CubicGroup: SERIES}))

@@ -10,7 +10,9 @@ on the state, through the time of the kink; their derivatives are included (`kin
 
 Against a tight solution the derivatives are right to 1e-8 ... 1e-7 of their peak (tests), for Bouc-Wen
 springs with n = 1 to 1e-6 and with n = 1.2 to 4e-5: |z|^n is no smoother than that where z passes zero. One
-gradient costs about six responses, whatever the number of parameters.
+gradient costs about six responses, whatever the number of parameters; with damping by modal ratios more, for
+the gradient by the n x n damping matrix. Without it, where all ratios have the least value that they can
+have, zero, the gradient by them is not computed: it is NaN.
 """
 
 import numpy as np
@@ -24,6 +26,7 @@ from pymc_features.simulators.nonlinear.layout import (
     DASHPOT,
     INVERSE_MASS,
     LAST,
+    MASS_DAMPING,
     MODAL_DAMPING,
     STIFFNESS,
     restore_state,
@@ -32,7 +35,7 @@ from pymc_features.simulators.nonlinear.layout import (
 )
 from pymc_features.simulators.nonlinear.parameters import NonlinearParameters
 from pymc_features.simulators.nonlinear.response import begin, next_sample, output_block
-from pymc_features.simulators.nonlinear.state import prepare, write_slope
+from pymc_features.simulators.nonlinear.state import has_modal_damping, prepare, write_slope
 from pymc_features.simulators.nonlinear.step_adjoint import reverse_step, slope_adjoint
 from pymc_features.simulators.nonlinear.tape import CAPACITY, read_tape, recorded, rewind
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION
@@ -88,33 +91,42 @@ def reverse_sample(law, grad, tape, excitation, kept, sample):
 
 
 @jit
+def collect_modal_damping(law, grad, parameters, gradients):
+    """Add what the gradient by M^-1 C of modal ratios gives those by mass, stiffness and ratios."""
+    mass, stiffness, _, ratios, _ = parameters
+    n, p = law.n, law.rows * LANES
+    omega, participation, shapes = np.empty(n), np.empty(n), np.empty((n, n))
+    chain_modes(mass, stiffness, omega, shapes, participation)
+    grad_damping = np.empty((n, n))  # by M^-1 C
+    matrix = damping_coefficients(mass, omega, shapes, ratios)
+    for i in range(n):
+        for j in range(n):
+            grad_damping[i, j] = read_number(grad, (MODAL_DAMPING + j) * p + i)
+            # the springs' part of the acceleration is that without modal damping
+            gradients[0][i] += matrix[i, j] * grad_damping[i, j] / mass[i]
+    add_damping_gradient(mass, omega, shapes, ratios, grad_damping, gradients)
+
+
+@jit
 def collect(law, grad, parameters):
     """Gradients by the parameters, from what the sweep has summed up."""
     mass, stiffness, rayleigh, ratios, values = parameters
     n, p = law.n, law.rows * LANES
     grad_mass, grad_stiffness, grad_rayleigh = np.empty(n), np.empty(n), np.zeros(2)
     grad_ratios, grad_values = np.zeros(n), np.empty(values.shape)
-    omega, participation, shapes = np.empty(n), np.empty(n), np.empty((n, n))
-    chain_modes(mass, stiffness, omega, shapes, participation)
-    grad_damping = np.empty((n, n))  # by M^-1 C
     for i in range(n):
-        for j in range(n):
-            grad_damping[i, j] = read_number(grad, (MODAL_DAMPING + j) * p + i)
-    matrix = damping_coefficients(mass, omega, shapes, ratios)
-    for i in range(n):
-        # d(1/m) / (1/m) = -dm / m; the springs' part of the acceleration is that without modal damping
-        grad_log_mass = -read_number(grad, INVERSE_MASS * p + i)
-        for j in range(n):
-            grad_log_mass += matrix[i, j] * grad_damping[i, j]
-        grad_mass[i] = grad_log_mass / mass[i]
-        # the dashpot of a spring is beta k, and alpha damps as the diagonal of M^-1 C does
+        # d(1/m) / (1/m) = -dm / m; the dashpot of a spring is beta k
+        grad_mass[i] = -read_number(grad, INVERSE_MASS * p + i) / mass[i]
         grad_dashpot = read_number(grad, DASHPOT * p + i)
         grad_stiffness[i] = read_number(grad, STIFFNESS * p + i) + rayleigh[1] * grad_dashpot
-        grad_rayleigh[0] += grad_damping[i, i]
+        grad_rayleigh[0] += read_number(grad, MASS_DAMPING * p + i)
         grad_rayleigh[1] += stiffness[i] * grad_dashpot
         for k in range(values.shape[0]):
             grad_values[k, i] = read_number(grad, k * p + i)
-    add_damping_gradient(mass, omega, shapes, ratios, grad_damping, (grad_mass, grad_stiffness, grad_ratios))
+    if has_modal_damping(law):
+        collect_modal_damping(law, grad, parameters, (grad_mass, grad_stiffness, grad_ratios))
+    else:
+        grad_ratios[:] = np.nan
     return NonlinearParameters(grad_mass, grad_stiffness, grad_rayleigh, grad_ratios, grad_values)
 
 
@@ -126,7 +138,8 @@ def gradient_kernel(law, grad, tape, parameters, excitation, wanted, states, cot
     and `cotangent` W (s, u).
     """
     prepare(law, parameters, 1.0)
-    for row in range((MODAL_DAMPING + law.n) * law.rows):
+    columns = law.n if has_modal_damping(law) else 0
+    for row in range((MODAL_DAMPING + columns) * law.rows):
         write_lanes(grad, row, splat(0.0))
     for sample in range(states.shape[0] - 1, -1, -1):
         restore_state(law, states[sample])

@@ -3,6 +3,7 @@
 `n_modes` is the number of degrees of freedom. What surrounds a kernel takes some 20 microseconds.
 """
 
+from collections import Counter
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.nonlinear.differences import directional_derivative
 from pymc_features.simulators.nonlinear.gradient import gradient_kernel
+from pymc_features.simulators.nonlinear.law import LAWS
 from pymc_features.simulators.nonlinear.layout import chain_memory, padded
 from pymc_features.simulators.nonlinear.parameters import (
     NonlinearParameters,
@@ -18,10 +20,13 @@ from pymc_features.simulators.nonlinear.parameters import (
     n_particles,
     particle,
 )
-from pymc_features.simulators.nonlinear.response import history_kernel, misfit_kernel
+from pymc_features.simulators.nonlinear.response import history_kernel, march_kernel, misfit_kernel
 from pymc_features.simulators.nonlinear.tape import Tape, record_size, tape_memory
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs, n_outputs
 from pymc_features.simulators.oscillators.misfit import measured_difference, weigh_history
+from pymc_features.simulators.taylor.population import Lanes, is_linear_chain, march_population, rows_of
+
+PARTICLES = Counter()  # evaluated in populations by Taylor steps, by Runge-Kutta steps, and by both
 
 
 def numbers(array) -> np.ndarray:
@@ -113,6 +118,45 @@ def nonlinear_histories(law, parameters, excitation, sensors, quantities, refine
     return problem.response(problem.parameters, quantities, refine)[0]
 
 
+# Laws whose populations take Taylor steps: none, until a particle that is lost leaves its neighbours alone
+BY_TAYLOR: set[str] = set()
+
+
+def one_by_one(problem, parameters, observed) -> np.ndarray:
+    """Statistics (p, s, 4) of particles by Runge-Kutta steps, vectors of springs."""
+    result = np.empty((n_particles(parameters), problem.wanted.sensors.size, 4))
+    misfit_kernel(problem.chain, parameters, problem.excitation, problem.wanted, observed, result)
+    return result
+
+
+def population_statistics(law, problem, observed) -> np.ndarray:
+    """Statistics (p, s, 4) of particles by Taylor steps, vectors of particles, and of the others one by one.
+
+    The others are those that no recurrence of the law serves, that are no structure, and that were lost.
+    """
+    parameters, count = problem.parameters, n_particles(problem.parameters)
+    result = np.empty((count, problem.wanted.sensors.size, 4))
+    left = np.ones(count, dtype=bool)
+    usual = is_linear_chain(parameters) & left
+    for group, series in LAWS[law].series.items() if law in BY_TAYLOR else ():
+        serves = series.serves(parameters.law.swapaxes(0, 1)).all(axis=-1)
+        members = np.flatnonzero(left & usual & serves)
+        if members.size:
+            lanes = Lanes(group, series, problem.n, len(observed), bool(parameters.ratios.any()))
+            given = problem.excitation, problem.wanted, observed
+            lost = march_population(march_kernel, lanes, parameters, members, given, result)
+            left[members] = False
+            left[lost] = True
+            PARTICLES["taylor"] += members.size
+            PARTICLES["lost"] += lost.size
+    others = np.flatnonzero(left)
+    if others.size:
+        rows = NonlinearParameters(*rows_of(parameters, others))
+        result[others] = one_by_one(problem, rows, observed)
+        PARTICLES["runge_kutta"] += others.size
+    return result
+
+
 def nonlinear_kernels(law) -> dict:
     """Return the functions of a law of `law.LAWS` by name, as `families` describes them.
 
@@ -125,19 +169,11 @@ def nonlinear_kernels(law) -> dict:
 
     def population_misfit(parameters, excitation, wanted, observed):
         problem = Problem(law, parameters, excitation, wanted)
-        result = np.empty((n_particles(problem.parameters), problem.wanted.sensors.size, 4))
-        misfit_kernel(
-            problem.chain,
-            problem.parameters,
-            problem.excitation,
-            problem.wanted,
-            problem.history(observed),
-            result,
-        )
-        return result
+        return population_statistics(law, problem, problem.history(observed))
 
     def misfit(parameters, excitation, wanted, observed):
-        return population_misfit(one_particle(parameters), excitation, wanted, observed)[0]
+        problem = Problem(law, one_particle(parameters), excitation, wanted)
+        return one_by_one(problem, problem.parameters, problem.history(observed))[0]
 
     def response_gradient(parameters, excitation, wanted, cotangent):
         problem = Problem(law, parameters, excitation, wanted)

@@ -28,6 +28,7 @@ from numba.extending import overload
 from pymc_features.simulators.compiled.jit import FASTMATH, jit
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number
+from pymc_features.simulators.taylor.series import Series
 
 MAX_PARAMETERS = 8  # of a law; they lie at the beginning of the memory
 
@@ -35,7 +36,7 @@ OPTIONS = {"fastmath": FASTMATH, "error_model": "numpy"}
 
 
 class Functions(NamedTuple):
-    """What makes a law: the number of its parameters, and the functions below."""
+    """What makes a law: the number of its parameters, the functions below, and its Taylor recurrences."""
 
     n_parameters: int
     spring: Callable
@@ -43,14 +44,17 @@ class Functions(NamedTuple):
     step_rate: Callable
     is_admissible: Callable
     has_kinks: Callable
+    series: dict[type, Series] = {}  # noqa: RUF012
 
 
 LAWS: dict[type, Functions] = {}
+SERIES: dict[type, Series] = {}  # by the types of the groups that they march
 
 
 def register(law: type, functions: Functions):
     """Make a law known to the kernels."""
     LAWS[law] = functions
+    SERIES.update(functions.series)
 
 
 @jit

@@ -13,7 +13,7 @@ Block               Memory of the chain                      Unit        Memory 
 `INVERSE_MASS`      1/m_i                                    1/kg        dL/d ln(1/m_i), see `collect`
 `STIFFNESS`         k_i                                      N/m         dL/dk_i at constant beta k_i
 `DASHPOT`           beta k_i, stiffness-proportional         N s/m       dL/d(beta k_i)
-`MASS_DAMPING`      alpha, mass-proportional                 1/s         unused
+`MASS_DAMPING`      alpha, mass-proportional                 1/s         dL/dalpha, a part of each mass
 `SCALARS`           three numbers, named below               -           unused
 `CROSSINGS` (2)     how often each of 2n kinks was passed    -           unused
 `BRANCH`            1 where springs are loaded, -1 where     -           unused

@@ -1,11 +1,12 @@
 """Response of a chain with nonlinear springs to an excitation linear between its samples, and its misfit."""
 
 import numpy as np
+from numba.extending import overload
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes
-from pymc_features.simulators.nonlinear.law import spring
+from pymc_features.simulators.nonlinear.law import SERIES, spring
 from pymc_features.simulators.nonlinear.layout import (
     BRANCH,
     STIFFNESS,
@@ -25,6 +26,7 @@ from pymc_features.simulators.oscillators.arguments import (
     ground_at,
     n_outputs,
 )
+from pymc_features.simulators.taylor.march import march_of
 
 # What else can be asked of a spring, after the codes of `QUANTITIES`
 SPRING_FORCE, DRIFT, INTERNAL_VARIABLE = range(len(QUANTITIES), len(QUANTITIES) + 3)
@@ -154,10 +156,26 @@ def march_misfit(law, parameters, excitation, wanted, observed, result):
 
 @jit
 def misfit_kernel(law, parameters, excitation, wanted, observed, result):
-    """Write the statistics (p, s, 4) of particles, one after the other in the same memory.
-
-    Vectors hold springs, not particles: each particle has steps of its own, which follow its state and end at
-    its kinks, and in lockstep all would take the steps of the most demanding one and stop at every kink.
-    """
+    """Write the statistics (p, s, 4) of particles, one after the other in the same memory."""
     for k in range(result.shape[0]):
         march_misfit(law, particle(parameters, k), excitation, wanted, observed, result[k])
+
+
+def march(group, batch, sums, start, excitation, wanted, observed):
+    """March a group by the recurrence of its type; see `taylor.march`."""
+
+
+@overload(march, inline="always")
+def _march(group, batch, sums, start, excitation, wanted, observed):
+    own = march_of(SERIES[group.instance_class])
+
+    def of_type(group, batch, sums, start, excitation, wanted, observed):
+        return own(group, batch, sums, start, excitation, wanted, observed)
+
+    return of_type
+
+
+@jit
+def march_kernel(group, batch, sums, start, excitation, wanted, observed):
+    """`march` as Python calls it: Taylor steps of a chain in each lane."""
+    return march(group, batch, sums, start, excitation, wanted, observed)

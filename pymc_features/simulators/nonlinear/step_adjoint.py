@@ -95,9 +95,11 @@ def slope_adjoint(law, grad, s, ground):
         by_springs = read_lanes(law.address, rates + rows + row) + alpha * v
         by_springs = by_springs + ground * constant(law, ACTIVE, row)
         add(law, grad, INVERSE_MASS, row, acceleration_bar * by_springs)
-        for j in range(law.n):  # v_i' contains - (M^-1 C)_ij v_j
-            v_j = read_number(law.address, (here + rows) * LANES + j)
-            add(law, grad, MODAL_DAMPING + j, row, (0.0 - v_j) * acceleration_bar)
+        add(law, grad, MASS_DAMPING, row, (0.0 - v) * acceleration_bar)
+        if has_modal_damping(law):
+            for j in range(law.n):  # v_i' contains - (M^-1 C)_ij v_j
+                v_j = read_number(law.address, (here + rows) * LANES + j)
+                add(law, grad, MODAL_DAMPING + j, row, (0.0 - v_j) * acceleration_bar)
         # u' = v, v' = ... - alpha v - M^-1 C v, and v_i takes part in the drift rates d_i' and d_{i+1}'
         grad_v = read_lanes(grad, rates + row) - alpha * acceleration_bar
         grad_v = grad_v + grad_rate - above(grad_rate, upper_rate)

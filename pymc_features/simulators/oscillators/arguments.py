@@ -81,10 +81,9 @@ def ground_at(acceleration, fine, substeps):
 @jit
 def interpolate(acceleration, substeps, first, ground):
     """Write the excitation at the recursion's steps from `first` on; zero behind the record."""
-    if substeps == 1:
-        count = max(min(ground.size, acceleration.size - first), 0)
-        ground[:count] = acceleration[first : first + count]
-        ground[count:] = 0.0
+    if substeps > 1:
+        for k in range(ground.size):
+            ground[k] = ground_at(acceleration, first + k, substeps)
         return
-    for k in range(ground.size):
-        ground[k] = ground_at(acceleration, first + k, substeps)
+    for k in range(ground.size):  # Numba takes three seconds to compile a copy of a slice
+        ground[k] = acceleration[first + k] if first + k < acceleration.size else 0.0

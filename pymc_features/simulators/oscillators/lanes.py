@@ -9,12 +9,14 @@ from pymc_features.simulators.compiled.vector import LANES
 
 SAMPLES = 16  # outputs handled at a time; a multiple of four
 N_COEFFICIENTS = 5  # of a mode
+N_OF_PAIR = 6  # of a mode of which displacement and velocity are seen
 
 
 class Lanes(NamedTuple):
     """Structures, one in each lane, with what they need on their way through a record.
 
-    Sensors and modes are filled up to even numbers.
+    Sensors and modes are filled up to even numbers. Modes of which displacement and velocity are seen,
+    `eigen.pairs`, have six coefficients and two outputs, each with its shapes.
 
     Attributes
     ----------
@@ -101,3 +103,19 @@ def clear(lanes):
     lanes.states.fill(0.0)
     lanes.shapes.fill(0.0)
     lanes.feed.fill(0.0)
+
+
+@jit
+def copy_data(lanes, observed, first, count, measured):
+    """Write a block of data, from sample `first` on, into `lanes.data`; zeros behind `count` samples.
+
+    Unless `measured` is None zeros in gaps, too, and into `measured` where they are.
+    """
+    own_data = lanes.data
+    for j in range(observed.shape[0]):
+        for b in range(SAMPLES):
+            own_data[j, b] = observed[j, first + b] if b < count else 0.0
+            if measured is not None:
+                is_there = own_data[j, b] == own_data[j, b]
+                measured[j, b] = 1.0 if is_there else 0.0
+                own_data[j, b] = own_data[j, b] if is_there else 0.0

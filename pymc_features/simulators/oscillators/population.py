@@ -19,7 +19,7 @@ import numpy as np
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, splat, store
 from pymc_features.simulators.oscillators.arguments import interpolate, single_input
-from pymc_features.simulators.oscillators.lanes import N_COEFFICIENTS, SAMPLES, clear
+from pymc_features.simulators.oscillators.lanes import N_COEFFICIENTS, N_OF_PAIR, SAMPLES, clear, copy_data
 from pymc_features.simulators.oscillators.recursion import (
     N_ROWS,
     OUT_P,
@@ -65,12 +65,23 @@ def fill_lane(lanes, lane, table, system, feed, start):
 @jit
 def turn_to_output(table, r, start, coefficients, states, lane):
     """Write coefficients and initial state of one mode; return what stands before a[k] in its output."""
-    w = table[W, r]
-    out, cross = table[OUT_Q, r] / w, table[OUT_P, r]  # output of the state (w q, p)
+    transition = table[Q_Q, r], table[Q_P, r], table[P_Q, r], table[P_P, r]
+    hold = *transition, table[Q_NOW, r], table[P_NOW, r], table[Q_NEXT, r], table[P_NEXT, r]
+    step, after, after_2 = turned(hold, table[W, r], table[OUT_Q, r], table[OUT_P, r])
+    for i in range(N_COEFFICIENTS):
+        coefficients[N_COEFFICIENTS * r + i, lane] = step[i]
+    states[2 * r, lane] = 0.0 - after * start
+    states[2 * r + 1, lane] = 0.0 - after_2 * start
+    return after
+
+
+@jit
+def turned(hold, w, output_q, output_p):
+    """The recursion of y, of one mode or one in each lane: its five coefficients, b1_1 and scaled b1_2."""
+    qq, qp, pq, pp, now_q, now_p, next_q, next_p = hold
+    out, cross = output_q / w, output_p  # output of the state (w q, p)
     norm = out * out + cross * cross
-    qq, qp, pq, pp = table[Q_Q, r], table[Q_P, r] * w, table[P_Q, r] / w, table[P_P, r]
-    now_q, now_p = table[Q_NOW, r] * w, table[P_NOW, r]
-    next_q, next_p = table[Q_NEXT, r] * w, table[P_NEXT, r]
+    qp, pq, now_q, next_q = qp * w, pq / w, now_q * w, next_q * w
     # rows of the turned transition T E, then times T' / norm, with T = [[out, cross], [-cross, out]]
     top_q, top_p = out * qq + cross * pq, out * qp + cross * pp
     low_q, low_p = out * pq - cross * qq, out * pp - cross * qp
@@ -79,15 +90,7 @@ def turn_to_output(table, r, start, coefficients, states, lane):
     after_1, after_2 = out * next_q + cross * next_p, out * next_p - cross * next_q
     input_1 = a11 * after_1 + a12 * after_2 + out * now_q + cross * now_p
     input_2 = a21 * after_1 + a22 * after_2 + out * now_p - cross * now_q
-    row = N_COEFFICIENTS * r
-    coefficients[row, lane] = a11
-    coefficients[row + 1, lane] = input_1
-    coefficients[row + 2, lane] = a12 * a21
-    coefficients[row + 3, lane] = a22
-    coefficients[row + 4, lane] = a12 * input_2
-    states[2 * r, lane] = -after_1 * start
-    states[2 * r + 1, lane] = -a12 * after_2 * start
-    return after_1
+    return (a11, input_1, a12 * a21, a22, a12 * input_2), after_1, a12 * after_2
 
 
 @jit
@@ -112,6 +115,33 @@ def advance_lanes(coefficients, states, ground, first, stride, outputs):
                 a = splat(ground[step])
                 y1, y2 = a11 * y1 + (y2 + b1 * a), a21 * y1 + (a22 * y2 + b2 * a)
                 z1, z2 = c11 * z1 + (z2 + d1 * a), c21 * z1 + (c22 * z2 + d2 * a)
+        store(states, 2 * r, y1)
+        store(states, 2 * r + 1, y2)
+        store(states, 2 * r + 2, z1)
+        store(states, 2 * r + 3, z2)
+
+
+@jit
+def advance_pairs(coefficients, states, ground, first, stride, outputs):
+    """As `advance_lanes`, of modes of which both states are outputs (2 m SAMPLES, LANES)."""
+    for r in range(0, states.shape[0] // 2, 2):
+        row = N_OF_PAIR * r
+        a11, a12, b1 = load(coefficients, row), load(coefficients, row + 1), load(coefficients, row + 2)
+        a21, a22, b2 = load(coefficients, row + 3), load(coefficients, row + 4), load(coefficients, row + 5)
+        c11, c12, d1 = load(coefficients, row + 6), load(coefficients, row + 7), load(coefficients, row + 8)
+        c21, c22, d2 = load(coefficients, row + 9), load(coefficients, row + 10), load(coefficients, row + 11)
+        y1, y2 = load(states, 2 * r), load(states, 2 * r + 1)
+        z1, z2 = load(states, 2 * r + 2), load(states, 2 * r + 3)
+        for sample in range(SAMPLES):
+            place = 2 * SAMPLES * r + sample
+            store(outputs, place, y1)
+            store(outputs, place + SAMPLES, y2)
+            store(outputs, place + 2 * SAMPLES, z1)
+            store(outputs, place + 3 * SAMPLES, z2)
+            for step in range(first + sample * stride, first + (sample + 1) * stride):
+                a = splat(ground[step])
+                y1, y2 = a11 * y1 + (a12 * y2 + b1 * a), a21 * y1 + (a22 * y2 + b2 * a)
+                z1, z2 = c11 * z1 + (c12 * z2 + d1 * a), c21 * z1 + (c22 * z2 + d2 * a)
         store(states, 2 * r, y1)
         store(states, 2 * r + 1, y2)
         store(states, 2 * r + 2, z1)
@@ -190,22 +220,6 @@ def add_increments(increments, count, is_first):
 
 
 @jit
-def copy_data(lanes, observed, first, count, measured):
-    """Write a block of data, from sample `first` on, into `lanes.data`; zeros behind `count` samples.
-
-    Unless `measured` is None zeros in gaps, too, and into `measured` where they are.
-    """
-    own_data = lanes.data
-    for j in range(observed.shape[0]):
-        for b in range(SAMPLES):
-            own_data[j, b] = observed[j, first + b] if b < count else 0.0
-            if measured is not None:
-                is_there = own_data[j, b] == own_data[j, b]
-                measured[j, b] = 1.0 if is_there else 0.0
-                own_data[j, b] = own_data[j, b] if is_there else 0.0
-
-
-@jit
 def march(lanes, excitation, observed, increments, measured):
     """Sums of squares of all sensors for the structures in the lanes, into `lanes.squares`.
 
@@ -231,7 +245,10 @@ def march(lanes, excitation, observed, increments, measured):
         if count < SAMPLES or measured is not None:
             copy_data(lanes, observed, first, count, measured)
             data, sample = lanes.data, 0
-        advance_lanes(lanes.coefficients, lanes.states, ground, step, stride, outputs)
+        if outputs.shape[0] == SAMPLES * lanes.states.shape[0]:
+            advance_pairs(lanes.coefficients, lanes.states, ground, step, stride, outputs)
+        else:
+            advance_lanes(lanes.coefficients, lanes.states, ground, step, stride, outputs)
         for r in range(outputs.shape[0] // SAMPLES):
             for b in range(count, SAMPLES):
                 store(outputs, SAMPLES * r + b, splat(0.0))

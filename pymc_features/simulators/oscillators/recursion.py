@@ -7,14 +7,7 @@ solution (first-order hold) is
     x[k+1] = phi0(F) x[k] - (phi1(F) - phi2(F)) e2 a[k] - phi2(F) e2 a[k+1],
     F = [[0, 1], [-s, -d]],   s = (omega h)^2,   d = D h,   e2 = (0, 1),
 
-with phi0 = exp, phi1(z) = (e^z - 1)/z, phi2(z) = (e^z - 1 - z)/z^2. The closed forms of these
-coefficients lose digits for small s and change at critical damping. Here F is halved until the
-Taylor series converges fast, then the functions are doubled back by identities without cancellation,
-
-    phi0(2z) = phi0(z)^2,  2 phi1(2z) = (1 + phi0(z)) phi1(z),  4 phi2(2z) = (1 + phi0(z)) phi2(z) + phi1(z),
-
-good for every frequency and damping, rigid-body and overdamped modes included. A function of F is
-held as a pair (a, b) standing for a I + b F, since F^2 = -s I - d F.
+with phi0 = exp, phi1(z) = (e^z - 1)/z, phi2(z) = (e^z - 1 - z)/z^2, from `hold`.
 """
 
 import numpy as np
@@ -25,9 +18,9 @@ from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_VELOCITY,
     interpolate,
 )
+from pymc_features.simulators.oscillators.hold import first_order_hold
 
 BLOCK = 128  # output samples handled at a time: the working set stays in the first-level cache
-TAYLOR_TERMS = 13  # with |F| <= 1/4 the first dropped term is below 1e-19
 STIFFEST = 1e6  # omega h and D h of a mode that can be stepped
 
 SMALLEST = 1e-100  # replaces omega h = 0: its square is lost beside anything else
@@ -51,38 +44,6 @@ def write_damping(omega, rayleigh, ratios, step, damping):
         if not (damping[r] >= 0.0 and max(omega[r], damping[r]) * step < STIFFEST):  # NaN too
             return False
     return True
-
-
-@jit
-def first_order_hold(s, d):
-    """Coefficients of one step, in the order of the first eight rows of the table.
-
-    Parameters
-    ----------
-    s, d : float
-        (omega h)^2 and D h [-]. With a complex s the imaginary parts are derivatives, see `sensitivity`.
-    """
-    halvings = 0
-    while max(s.real, d * d) > 0.0625:
-        s *= 0.25
-        d *= 0.5
-        halvings += 1
-    a2, b2 = 1.0 + 0.0 * s, 0.0 * s
-    for k in range(TAYLOR_TERMS, 2, -1):  # Horner: 2 phi2 = 1 + F/3 (1 + F/4 (1 + ...))
-        a2, b2 = 1.0 - s * b2 * (1.0 / k), (a2 - d * b2) * (1.0 / k)
-    a2, b2 = 0.5 * a2, 0.5 * b2
-    a1, b1 = 1.0 - s * b2, a2 - d * b2  # phi1 = 1 + F phi2
-    a0, b0 = 1.0 - s * b1, a1 - d * b1  # phi0 = 1 + F phi1
-    for _ in range(halvings):
-        grown = 1.0 + a0
-        mixed = grown - d * b0
-        a2, b2 = 0.25 * (grown * a2 - s * b0 * b2 + a1), 0.125 * (mixed * b2 + b0 * a2 + b1)
-        a1, b1 = 0.5 * (grown * a1 - s * b0 * b1), 0.25 * (mixed * b1 + b0 * a1)
-        a0, b0 = a0 * a0 - s * b0 * b0, 0.5 * b0 * (2.0 * a0 - d * b0)
-        s *= 4.0
-        d *= 2.0
-    now, after = (b2 - b1, a2 - a1 - d * (b2 - b1)), (-b2, d * b2 - a2)
-    return a0, b0, -s * b0, a0 - d * b0, now[0], now[1], after[0], after[1]
 
 
 @jit

@@ -21,7 +21,8 @@ from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_ACCELERATION,
     RELATIVE_DISPLACEMENT,
 )
-from pymc_features.simulators.oscillators.recursion import BLOCK, SMALLEST, first_order_hold
+from pymc_features.simulators.oscillators.hold import first_order_hold
+from pymc_features.simulators.oscillators.recursion import BLOCK, SMALLEST
 
 # Coefficients of a mode: eight of the step, their derivatives with respect to s, and outputs
 N_STEP = 8

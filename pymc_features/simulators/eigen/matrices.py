@@ -1,0 +1,136 @@
+"""Mass and stiffness matrices, one structure in each vector lane, and the standard problem made of them.
+
+K phi = omega^2 M phi becomes the standard problem of A = F^-1 K F^-T, F F' = M; where M is diagonal F is its
+root. Matrices (n n, LANES) have their entries in C order, of which the lower half counts.
+"""
+
+from pymc_features.algebra.massless import MASSLESS
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import load, splat, square_root, store, where_less
+
+
+@jit
+def all_diagonal(stack, n):
+    """Whether all matrices of a stack (terms, n n) are diagonal."""
+    for term in range(stack.shape[0]):
+        for i in range(n):
+            for j in range(n):
+                if i != j and stack[term, i * n + j] != 0.0:
+                    return False
+    return True
+
+
+@jit
+def assemble_lanes(stack, theta, n, whole, matrix):
+    """Write A_0 + sum_i theta_i A_i into a matrix of all lanes.
+
+    Parameters
+    ----------
+    stack : array (1 + p, n n) or (1, n n)
+    theta : array (p, LANES)
+    n : int
+    whole : bool
+        Whether the upper half is written too.
+    matrix : array (n n, LANES)
+    """
+    for i in range(n):
+        for j in range(n if whole else i + 1):
+            e = i * n + j
+            total = splat(stack[0, e])
+            for term in range(1, stack.shape[0]):
+                share = stack[term, e]
+                if share != 0.0:
+                    total = total + load(theta, term - 1) * share
+            store(matrix, e, total)
+
+
+@jit
+def root(pivot, whole):
+    """Square root of a pivot; NaN where it is no longer positive beside its diagonal entry."""
+    return where_less(whole * MASSLESS, pivot, square_root(pivot), splat(0.0) * square_root(splat(-1.0)))
+
+
+@jit
+def factorise_lanes(matrix, n, is_diagonal):
+    """Overwrite matrices by their Cholesky factors; NaN in the lanes where one is not positive definite."""
+    for i in range(n):
+        for j in range(0 if not is_diagonal else i, i + 1):
+            total = load(matrix, i * n + j)
+            whole = total
+            if not is_diagonal:
+                for k in range(j):
+                    total = total - load(matrix, i * n + k) * load(matrix, j * n + k)
+            if j < i:
+                store(matrix, i * n + j, total / load(matrix, j * n + j))
+            else:
+                store(matrix, i * n + i, root(total, whole))
+
+
+@jit
+def standard_lanes(stiffness, factor, n, is_diagonal, reduced):
+    """Write A = F^-1 K F^-T, the lower half (what stands above it is overwritten)."""
+    for i in range(n):
+        inverse = splat(1.0) / load(factor, i * n + i)
+        if is_diagonal:
+            for j in range(i + 1):
+                store(reduced, i * n + j, load(stiffness, i * n + j) * inverse / load(factor, j * n + j))
+            continue
+        for j in range(n):  # a row of F^-1 K
+            entry = load(stiffness, i * n + j) if j <= i else load(stiffness, j * n + i)
+            for k in range(i):
+                entry = entry - load(factor, i * n + k) * load(reduced, k * n + j)
+            store(reduced, i * n + j, entry * inverse)
+    if not is_diagonal:
+        for i in range(n):
+            for j in range(i + 1):
+                entry = load(reduced, i * n + j)
+                for k in range(j):
+                    entry = entry - load(reduced, i * n + k) * load(factor, j * n + k)
+                store(reduced, i * n + j, entry / load(factor, j * n + j))
+
+
+@jit
+def divide_columns(factor, n, is_diagonal, vectors):
+    """Overwrite vectors (n w, LANES), entry i of column c in row i w + c, by F^-1 times them."""
+    width = vectors.shape[0] // n
+    for i in range(n):
+        inverse = splat(1.0) / load(factor, i * n + i)
+        for c in range(width):
+            entry = load(vectors, i * width + c)
+            for k in range(i if not is_diagonal else 0):
+                entry = entry - load(factor, i * n + k) * load(vectors, k * width + c)
+            store(vectors, i * width + c, entry * inverse)
+
+
+@jit
+def divide_transposed(factor, n, is_diagonal, vectors):
+    """As `divide_columns`, by F^-T."""
+    width = vectors.shape[0] // n
+    for i in range(n - 1, -1, -1):
+        inverse = splat(1.0) / load(factor, i * n + i)
+        for c in range(width):
+            entry = load(vectors, i * width + c)
+            for k in range(i + 1, n if not is_diagonal else i + 1):
+                entry = entry - load(factor, k * n + i) * load(vectors, k * width + c)
+            store(vectors, i * width + c, entry * inverse)
+
+
+@jit
+def energy_lanes(stiffness, shape):
+    """x' K x of vectors (n, LANES), and the sum of its absolute terms."""
+    n = shape.shape[0]
+    energy = terms = splat(0.0)
+    for i in range(n):
+        along = splat(0.0)
+        size = splat(0.0)
+        x = load(shape, i)
+        for j in range(i):
+            product = load(stiffness, i * n + j) * load(shape, j)
+            along = along + product
+            size = size + where_less(product, splat(0.0), 0.0 - product, product)
+        twice = x * along * 2.0
+        own = x * x * load(stiffness, i * n + i)
+        energy = energy + twice + own
+        x = where_less(x, splat(0.0), 0.0 - x, x)
+        terms = terms + 2.0 * x * size + where_less(own, splat(0.0), 0.0 - own, own)
+    return energy, terms

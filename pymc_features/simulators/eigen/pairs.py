@@ -1,0 +1,123 @@
+"""Pairs of complex modes, one structure in each vector lane, put into `Lanes` for their march.
+
+A pair is an oscillator q" + D q' + w^2 q = -a with w^2 = lambda_1 lambda_2 and D = -(lambda_1 + lambda_2), of
+which the sensors see a displacement c_q q + c_v q', a velocity, or an acceleration, each a combination of q
+and q' again and of the input. The recursion is that of `recursion`, with y = x - b1 a as in `population`:
+six products for a pair and step, and two columns for each sensor.
+"""
+
+import numpy as np
+
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import LANES, load, magnitude, splat, store, where_less
+from pymc_features.simulators.eigen.complex_modes import (
+    PANEL,
+    at_sensor,
+    check_sums,
+    input_factor,
+    settle_panel,
+    start_panel,
+    times,
+)
+from pymc_features.simulators.eigen.filling import hold_lanes
+from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
+from pymc_features.simulators.oscillators.lanes import N_OF_PAIR, SAMPLES, Lanes, has_gaps
+
+
+@jit
+def new_pair_lanes(observed, n_pairs, stride):
+    """Lanes for oscillators of which displacement and velocity are seen, for data (sensors, time)."""
+    n_sensors = observed.shape[0]
+    s, m = n_sensors + n_sensors % 2, n_pairs + n_pairs % 2
+    return Lanes(
+        coefficients=np.zeros((N_OF_PAIR * m, LANES)),
+        states=np.zeros((2 * m, LANES)),
+        shapes=np.zeros((2 * s * m, LANES)),
+        feed=np.zeros((s, LANES)),
+        outputs=np.empty((2 * SAMPLES * m, LANES)),
+        ground=np.empty(SAMPLES * stride),
+        data=np.empty((n_sensors, SAMPLES)),
+        has_gaps=has_gaps(observed),
+        squares=np.empty((s, LANES)),
+    )
+
+
+@jit
+def fill_pairs(lanes, modes, n_sensors, step, quantity, start):
+    """Find the complex modes of all lanes, and write their coefficients, shapes and initial states.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        From `new_pair_lanes`, with the feed-through, to which is added what stands before a[k] in the states.
+    modes : ComplexLanes
+        Whose `is_good` tells, afterwards, which lanes came out right.
+    n_sensors : int
+    step, quantity, start
+        As in `filling.fill_lanes`.
+    """
+    m = modes.omega.shape[0]
+    for i in range(3 * n_sensors):
+        store(modes.sums, i, splat(0.0))
+    for first in range(0, m, PANEL):
+        start_panel(modes, first)
+        settle_panel(modes, first)
+        for p in range(min(PANEL, m - first)):
+            after = write_recursion(lanes, modes, first + p, p, step, start)
+            factor = input_factor(modes, p)
+            for j in range(n_sensors):
+                write_share(lanes, modes, (first + p, p, j), (factor, after), step, quantity)
+    check_sums(modes, n_sensors)
+
+
+@jit
+def write_recursion(lanes, modes, r, p, step, start):
+    """Write coefficients and initial state of pair r, mode p of the panel; returns b1."""
+    a, b, square = load(modes.poles, 3 * p), load(modes.poles, 3 * p + 1), load(modes.poles, 3 * p + 2)
+    stiffness, drag, is_good = a * a - square * (b * b), 0.0 - 2.0 * a, load(modes.is_good, 0)
+    stiffness = where_less(splat(0.0), is_good, stiffness, splat(0.0))  # halving would not end at infinity
+    drag = where_less(splat(0.0), is_good, drag, splat(0.0))
+    qq, qp, pq, pp, now_q, now_p, next_q, next_p = hold_lanes(stiffness * (step * step), drag * step)
+    row = N_OF_PAIR * r
+    store(lanes.coefficients, row, qq)
+    store(lanes.coefficients, row + 1, qp)
+    store(lanes.coefficients, row + 2, qq * next_q + qp * next_p + now_q)
+    store(lanes.coefficients, row + 3, pq)
+    store(lanes.coefficients, row + 4, pp)
+    store(lanes.coefficients, row + 5, pq * next_q + pp * next_p + now_p)
+    store(lanes.states, 2 * r, 0.0 - next_q * start)
+    store(lanes.states, 2 * r + 1, 0.0 - next_p * start)
+    return next_q, next_p
+
+
+@jit
+def write_share(lanes, modes, place, found, step, quantity):
+    """Write what sensor j sees of a pair, and add it to the sums that are checked.
+
+    Parameters
+    ----------
+    place : tuple of int
+        Number of the pair, its place in the panel, j.
+    found : tuple
+        From `input_factor` and `write_recursion`.
+    """
+    (r, p, j), (factor, after) = place, found
+    a, b, square = load(modes.poles, 3 * p), load(modes.poles, 3 * p + 1), load(modes.poles, 3 * p + 2)
+    stiffness, drag = a * a - square * (b * b), 0.0 - 2.0 * a
+    residue = times(at_sensor(modes, j, p), factor, square)
+    speed, size = 2.0 * residue[0], 2.0 * (a * residue[0] - square * (b * residue[1]))
+    by_q, by_v = 0.0 - size, speed
+    rate = by_q - drag * by_v  # of q' in the velocity, and of the input in the acceleration
+    whole = magnitude(a * residue[0]) + magnitude(b * residue[1]) + magnitude(a * residue[1])
+    store(modes.sums, 3 * j, load(modes.sums, 3 * j) + speed)
+    store(modes.sums, 3 * j + 1, load(modes.sums, 3 * j + 1) + rate)
+    store(modes.sums, 3 * j + 2, load(modes.sums, 3 * j + 2) + whole + magnitude(b * residue[0]))
+    if quantity != RELATIVE_DISPLACEMENT:
+        by_q, by_v = 0.0 - stiffness * by_v, rate
+        if quantity != RELATIVE_VELOCITY:
+            by_q, by_v = 0.0 - stiffness * by_v, by_q - drag * by_v
+    by_q, by_v = by_q * (step * step), by_v * step
+    row = 2 * (j * (lanes.states.shape[0] // 2) + r)
+    store(lanes.shapes, row, by_q)
+    store(lanes.shapes, row + 1, by_v)
+    store(lanes.feed, j, load(lanes.feed, j) + by_q * after[0] + by_v * after[1])

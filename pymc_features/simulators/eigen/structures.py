@@ -1,0 +1,169 @@
+"""Modes of many dense structures, one in each vector lane: frequencies, and the shapes times vectors.
+
+Householder's reflections and QL turn only the vectors that are asked for: rows of the sensors, the load, the
+forces. Frequencies far below the largest get their digits back from Rayleigh quotients. What lanes cannot do,
+masses that are zero and frequencies that may be imaginary, is left to whoever solves one structure at a time.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features.algebra.eigen import ROUNDING
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import LANES, highest, load, magnitude, splat, store, where_less
+from pymc_features.simulators.eigen.matrices import (
+    assemble_lanes,
+    divide_columns,
+    divide_transposed,
+    energy_lanes,
+    factorise_lanes,
+    standard_lanes,
+)
+from pymc_features.simulators.eigen.reflections import reflect_back, tridiagonalise
+from pymc_features.simulators.eigen.tridiagonal import (
+    REACH,
+    ROUNDS,
+    SETTLED,
+    diagonalise_lanes,
+    has_lost,
+    largest_values,
+    twisted_vector,
+)
+
+
+class StructureLanes(NamedTuple):
+    """Eigenproblems of dense structures, one in each lane.
+
+    Attributes
+    ----------
+    is_good : bool array (LANES,)
+        Lanes that came out right; the others must be solved alone.
+    theta : array (p, LANES)
+    stiffness, factor, reduced : array (n n, LANES)
+        K, the Cholesky factor of M, and A.
+    diagonal, off_diagonal, values, work : array (n, LANES)
+        Of the tridiagonal matrix, omega^2, and what QL overwrites.
+    vectors : array (n w, LANES)
+        Products of mode i with w vectors, in rows i w ...
+    pivots, shape : array (2 n, LANES), (n, LANES)
+    room : tuple of arrays
+        See `reflections.tridiagonalise`.
+    """
+
+    is_good: np.ndarray
+    theta: np.ndarray
+    stiffness: np.ndarray
+    factor: np.ndarray
+    reduced: np.ndarray
+    diagonal: np.ndarray
+    off_diagonal: np.ndarray
+    values: np.ndarray
+    work: np.ndarray
+    vectors: np.ndarray
+    pivots: np.ndarray
+    shape: np.ndarray
+    room: tuple
+
+
+@jit
+def new_structures(n, n_theta, width):
+    """Room for structures of n degrees of freedom and products with `width` vectors."""
+    room = (
+        np.zeros((n, LANES)),
+        np.zeros((n, LANES)),
+        np.zeros((n, LANES)),
+        np.zeros((n, LANES)),
+        np.zeros((n, LANES)),
+        np.zeros((width, LANES)),
+    )
+    return StructureLanes(
+        is_good=np.zeros(LANES, dtype=np.bool_),
+        theta=np.zeros((n_theta, LANES)),
+        stiffness=np.zeros((n * n, LANES)),
+        factor=np.zeros((n * n, LANES)),
+        reduced=np.zeros((n * n, LANES)),
+        diagonal=np.zeros((n, LANES)),
+        off_diagonal=np.zeros((n, LANES)),
+        values=np.zeros((n, LANES)),
+        work=np.zeros((n, LANES)),
+        vectors=np.zeros((n * width, LANES)),
+        pivots=np.zeros((2 * n, LANES)),
+        shape=np.zeros((n, LANES)),
+        room=room,
+    )
+
+
+@jit
+def solve_structures(lanes, stacks, is_diagonal, columns):
+    """Write omega^2 and the products of the mode shapes with vectors, and which lanes are good.
+
+    Parameters
+    ----------
+    lanes : StructureLanes
+        With theta.
+    stacks : tuple of arrays (1 + p, n n) or (1, n n)
+        Of M and K.
+    is_diagonal : bool
+        Whether M is diagonal.
+    columns : tuple of arrays (n, w), (n,)
+        The vectors, and influences; column w - 1 takes M influence besides.
+    """
+    n = lanes.diagonal.shape[0]
+    (fixed, influence), (mass, stiffness) = columns, stacks
+    width = fixed.shape[1]
+    assemble_lanes(mass, lanes.theta, n, False, lanes.factor)
+    assemble_lanes(stiffness, lanes.theta, n, False, lanes.stiffness)
+    factorise_lanes(lanes.factor, n, is_diagonal)
+    for i in range(n):
+        for c in range(width):
+            store(lanes.vectors, i * width + c, splat(fixed[i, c]))
+    divide_columns(lanes.factor, n, is_diagonal, lanes.vectors)
+    for i in range(n):  # F^-1 M influence = F' influence
+        total = load(lanes.vectors, i * width + width - 1)
+        for k in range(i, i + 1 if is_diagonal else n):
+            total = total + load(lanes.factor, k * n + i) * influence[k]
+        store(lanes.vectors, i * width + width - 1, total)
+    standard_lanes(lanes.stiffness, lanes.factor, n, is_diagonal, lanes.reduced)
+    tridiagonalise(lanes.reduced, lanes.diagonal, lanes.off_diagonal, lanes.vectors, lanes.room)
+    for i in range(n):
+        store(lanes.values, i, load(lanes.diagonal, i))
+        store(lanes.work, i, load(lanes.off_diagonal, i))
+    converged = diagonalise_lanes(lanes.values, lanes.work, lanes.vectors)
+    largest = largest_values(lanes.values)
+    for r in range(n):
+        if highest(has_lost(load(lanes.values, r), largest)) > 0.0:
+            improve_value(lanes, r, largest, is_diagonal)
+    for lane in range(LANES):
+        lanes.is_good[lane] = converged
+        for r in range(n):  # NaN and infinity too
+            lanes.is_good[lane] &= 0.0 <= lanes.values[r, lane] < np.inf
+
+
+@jit
+def improve_value(lanes, r, largest, is_diagonal):
+    """Replace omega_r^2 in the lanes where it lost digits by the Rayleigh quotient of its shape.
+
+    Zero where only rounding is left of it, -1 where the quotient is no better.
+    """
+    n, found = lanes.diagonal.shape[0], load(lanes.values, r)
+    value, lost = found, has_lost(found, largest)
+    for _ in range(ROUNDS):
+        twisted_vector(lanes.diagonal, lanes.off_diagonal, value, lanes.pivots, lanes.shape)
+        inertia = splat(0.0)
+        for i in range(n):
+            entry = load(lanes.shape, i)
+            inertia = inertia + entry * entry
+        reflect_back(lanes.reduced, lanes.room[0], lanes.shape)
+        divide_transposed(lanes.factor, n, is_diagonal, lanes.shape)
+        energy, terms = energy_lanes(lanes.stiffness, lanes.shape)
+        energy = where_less(magnitude(energy), ROUNDING * terms, splat(0.0), energy)
+        quotient = energy / inertia
+        change = magnitude(quotient - value) - SETTLED * magnitude(quotient)
+        is_zero = where_less(splat(0.0), magnitude(quotient), splat(0.0), splat(1.0))
+        change = where_less(splat(0.0), is_zero, splat(-1.0), change)
+        value = quotient
+        if not highest(where_less(splat(0.0), lost, change, splat(-1.0))) > 0.0:
+            break
+    near = where_less(magnitude(value - found), REACH * largest, value, splat(-1.0))
+    store(lanes.values, r, where_less(splat(0.0), lost, near, found))

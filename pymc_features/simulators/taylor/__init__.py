@@ -1,0 +1,1 @@
+"""Chains with nonlinear springs by Taylor steps, one chain in each lane of a vector register."""

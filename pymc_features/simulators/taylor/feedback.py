@@ -1,0 +1,91 @@
+"""What the kinks of a step change in the chain: the masses they push, and the springs beside them."""
+
+from functools import cache
+
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes
+from pymc_features.simulators.taylor.layout import (
+    CHANGE,
+    DASHPOT,
+    DRAG,
+    HAS_KINK,
+    MOBILITY,
+    RATE_SIGN,
+    V_END,
+    Z_END,
+    Z_SIGN,
+    U,
+    add_lanes,
+    layout_of,
+)
+from pymc_features.simulators.taylor.series import Spring, Z
+
+
+@cache
+def feedback_of(series):
+    """Return the functions that apply the changes, begin the next step, and choose its branches."""
+    length, record, entries, constants = layout_of(series)
+    branch, tangent = jit(series.branch), jit(series.tangent)
+
+    @jit
+    def push(address, at, force_1, force_2):
+        """Change velocity and displacement of the masses at a spring's ends, and let its force follow."""
+        up, down = read_lanes(address, at + MOBILITY), read_lanes(address, at + MOBILITY - record)
+        add_lanes(address, at + V_END, (0.0 - up) * force_1)
+        add_lanes(address, at + U, (0.0 - up) * force_2)
+        add_lanes(address, at + V_END - record, down * force_1)
+        add_lanes(address, at + U - record, down * force_2)
+
+    @jit
+    def respond(address, here, share, kink):
+        """Let a spring follow a drift that is `share` times the force of a kink, integrated twice."""
+        at = here + entries
+        j2 = read_lanes(address, kink + CHANGE + 2)
+        j3, j4 = read_lanes(address, kink + CHANGE + 3), read_lanes(address, kink + CHANGE + 4)
+        spring = Spring(address, here + length, length, here + constants)
+        z = read_lanes(address, at + Z_END)
+        rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
+        branch(spring, rate_sign * z_sign, z_sign)
+        stiffness, z_by_drift, _ = tangent(spring, z)
+        dashpot = read_lanes(address, at + DASHPOT)
+        push(address, at, share * (stiffness * j3 + dashpot * j2), share * (stiffness * j4 + dashpot * j3))
+        write_lanes(address, at + Z_END, z + z_by_drift * share * j2)
+
+    @jit
+    def apply(address, n):
+        """Add the changes of all kinks of the step."""
+        drag = read_lanes(address, (n + 1) * record + DRAG)
+        for i in range(1, n + 1):
+            here = i * record
+            at = here + entries
+            if read_number(address, (at + HAS_KINK) * LANES) > 0.0:
+                up, down = read_lanes(address, at + MOBILITY), read_lanes(address, at + MOBILITY - record)
+                j1, j2 = read_lanes(address, at + CHANGE + 1), read_lanes(address, at + CHANGE + 2)
+                add_lanes(address, at + Z_END, read_lanes(address, at + CHANGE))
+                push(address, at, j1 - drag * j2, j2)
+                if i > 1:
+                    respond(address, here - record, down, at)
+                respond(address, here, 0.0 - (up + down), at)
+                if i < n:
+                    respond(address, here + record, up, at)
+
+    @jit
+    def choose_branches(address, n):
+        """Write the constants of the branches that the springs have."""
+        for i in range(1, n + 1):
+            here = i * record
+            at = here + entries
+            rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
+            branch(Spring(address, here + length, length, here + constants), rate_sign * z_sign, z_sign)
+
+    @jit
+    def restart(address, n):
+        """Begin a step where the last one has ended."""
+        for i in range(1, n + 1):
+            here = i * record
+            write_lanes(address, here, read_lanes(address, here + entries + V_END))
+            write_lanes(address, here + (1 + Z) * length, read_lanes(address, here + entries + Z_END))
+        choose_branches(address, n)
+
+    return apply, restart, choose_branches

@@ -1,0 +1,236 @@
+"""Kinks within a step: found on the polynomials of a spring, corrected for it and its neighbours.
+
+All springs take a step on the branch that they have. Where drift rate or z of a spring has not the sign of
+the branch at the end, or the drift rate dips through zero in between, the pair of spring and chain goes into
+a batch of `LANES` such pairs, a record of its own. There the kink is found by Newton's method, both series
+are shifted to it, z is expanded anew on the other branch with the drift rate as it was, and that once more if
+another kink follows.
+
+The change dz of z begins quadratically at the kink. With f = df/dz dz and its repeated integrals to the end,
+J1 ... J4, the masses i and i - 1 have the changes of velocity and displacement
+
+    dV_i = -H^2/m_i J1,    dU_i = -H^2/m_i J2,    dV_i-1 = H^2/m_i-1 J1,    dU_i-1 = H^2/m_i-1 J2,
+
+and these change the forces of springs i - 1, i and i + 1 through their tangents, which gives J3 and J4. What
+is left is of the order of the sixth power of the step, as is the error of the series.
+"""
+
+from functools import cache
+
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import LANES, splat, where_less
+from pymc_features.simulators.compiled.vector_memory import (
+    any_less,
+    read_lanes,
+    read_number,
+    write_lanes,
+    write_number,
+)
+from pymc_features.simulators.taylor.layout import (
+    CHANGE,
+    HAS_KINK,
+    N_ENTRIES,
+    N_MOMENTS,
+    RATE_SIGN,
+    V_END,
+    Z_END,
+    Z_SIGN,
+    layout_of,
+)
+from pymc_features.simulators.taylor.polynomials import polynomials_of
+from pymc_features.simulators.taylor.series import RATE, Spring, Z
+
+MAX_KINKS = 4  # of one spring in one step
+# Entries of a batch behind its record: drift rate at the end, address and record of each pair, and its lane
+RATE_END, OWNER, PLACE, LANE = range(4)
+N_BATCH_ENTRIES = 4
+
+
+def batch_size(series) -> int:
+    """Vectors of a batch: a record, the old coefficients of z, two vectors of flags and the entries."""
+    length, record, _, _ = layout_of(series)
+    return record + length + N_BATCH_ENTRIES + 2
+
+
+@cache
+def expansion_of(series, k):
+    """Return a function that expands z of a spring anew, from order k on, with the drift rates it has."""
+    expand, is_last = jit(series.expand), k == series.order - 1
+    rest = None if is_last else expansion_of(series, k + 1)
+
+    @jit
+    def last(spring):
+        rate = read_lanes(spring.address, spring.first + RATE * spring.length + k)
+        expand(spring, k, splat(0.0), rate)
+
+    if is_last:
+        return last
+
+    @jit
+    def expansion(spring):
+        rate = read_lanes(spring.address, spring.first + RATE * spring.length + k)
+        expand(spring, k, splat(0.0), rate)
+        rest(spring)
+
+    return expansion
+
+
+@cache
+def turn_of(series):
+    """Return the function that corrects all kinks of the pairs in a batch."""
+    length, record, entries, constants = layout_of(series)
+    order, branch, tangent = series.order, jit(series.branch), jit(series.tangent)
+    shift, root, dip = polynomials_of(order)
+    expand_again = expansion_of(series, 0)
+    rates, zs, old, more = length * (1 + RATE), length * (1 + Z), record, record + length
+
+    @jit
+    def add_moments(batch, hit, left):
+        """Add the change of z to its moments, from the difference of the new series and the old."""
+        e0 = e1 = e2 = e3 = e4 = splat(0.0)
+        for k in range(order, 0, -1):
+            before = read_lanes(batch, old + k)
+            after = where_less(splat(0.0), hit, read_lanes(batch, zs + k), before)
+            write_lanes(batch, zs + k, after)
+            c = after - before
+            i1 = 1.0 / (k + 1)
+            i2 = i1 / (k + 2)
+            i3 = i2 / (k + 3)
+            e0 = e0 * left + c
+            e1 = e1 * left + c * i1
+            e2 = e2 * left + c * i2
+            e3 = e3 * left + c * i3
+            e4 = e4 * left + c * (i3 / (k + 4))
+        at = entries + CHANGE
+        power = left
+        for change in (e0, e1, e2, e3, e4):
+            write_lanes(batch, at, read_lanes(batch, at) + change * power)
+            power = power * left
+            at += 1
+
+    @jit
+    def turn(batch, count):
+        """Correct the first `count` pairs; what a spring has beyond `MAX_KINKS` is left to the next step."""
+        zero, one = splat(0.0), splat(1.0)
+        for lane in range(count, LANES):
+            for c in range(length, record + length + N_BATCH_ENTRIES):
+                write_number(batch, c * LANES + lane, read_number(batch, c * LANES))
+        for c in range(CHANGE, CHANGE + 1 + N_MOMENTS):
+            write_lanes(batch, entries + c, zero)
+        z_end, rate_end = read_lanes(batch, entries + Z_END), read_lanes(batch, more + RATE_END)
+        rate_sign, z_sign = read_lanes(batch, entries + RATE_SIGN), read_lanes(batch, entries + Z_SIGN)
+        spring = Spring(batch, length, length, constants)
+        done, reach, low, z_now = zero, one, rate_end, z_end
+        back = where_less(rate_end * rate_sign, zero, one, zero)
+        cross = where_less(z_end * z_sign, zero, one, zero)
+        start = read_lanes(batch, rates) + read_lanes(batch, rates + 1)
+        dips = where_less(start * rate_sign, zero, one, zero) * (one - back)
+        if any_less(zero, dips):
+            where, value = dip(batch, rates, rate_sign)
+            dips = dips * where_less(value * rate_sign, zero, one, zero)
+            reach = where_less(zero, dips, where, one)
+            low = where_less(zero, dips, value, low)
+            back = back + dips
+        hit = where_less(zero, back + cross, one, zero)
+        for _ in range(MAX_KINKS):
+            if not any_less(zero, hit):
+                break
+            left = one - done
+            x, turns = left, zero
+            if any_less(zero, back):
+                end = where_less(zero, dips, reach - done, left)
+                r = root(batch, rates, rate_sign * back, low, end)
+                x = where_less(zero, back, where_less(r, x, r, x), x)
+                turns = back
+            if any_less(zero, cross):
+                r = root(batch, zs, z_sign * cross, z_now, left)
+                first = cross * where_less(r, x, one, zero)
+                x = where_less(zero, first, r, x)
+                turns = turns * (one - first)
+            x = where_less(zero, hit, x, zero)
+            shift(batch, rates, zs, x)
+            done = done + x
+            left = one - done
+            rate_sign = where_less(zero, hit * turns, zero - rate_sign, rate_sign)
+            z_sign = where_less(zero, hit * (one - turns), zero - z_sign, z_sign)
+            branch(spring, rate_sign * z_sign, z_sign)
+            for k in range(length):
+                write_lanes(batch, old + k, read_lanes(batch, zs + k))
+            expand_again(spring)
+            add_moments(batch, hit, left)
+            z_now = z_end + read_lanes(batch, entries + CHANGE)
+            dips, low = zero, rate_end
+            back = hit * where_less(rate_end * rate_sign, zero, one, zero)
+            cross = hit * where_less(z_now * z_sign, zero, one, zero)
+            hit = where_less(zero, back + cross, one, zero)
+        write_lanes(batch, entries + RATE_SIGN, rate_sign)
+        write_lanes(batch, entries + Z_SIGN, z_sign)
+        by_z = tangent(spring, z_end)[2]
+        for c in range(CHANGE + 1, CHANGE + 1 + N_MOMENTS):
+            write_lanes(batch, entries + c, by_z * read_lanes(batch, entries + c))
+        hand_back(batch, count)
+
+    @jit
+    def hand_back(batch, count):
+        """Copy what the kinks change to the springs and lanes that it belongs to."""
+        for lane in range(count):
+            address = int(read_number(batch, (more + OWNER) * LANES + lane))
+            place = int(read_number(batch, (more + PLACE) * LANES + lane))
+            own = int(read_number(batch, (more + LANE) * LANES + lane))
+            for c in range(CHANGE, N_ENTRIES):
+                value = read_number(batch, (entries + c) * LANES + lane)
+                write_number(address, (place + entries + c) * LANES + own, value)
+
+    return turn
+
+
+@cache
+def search_of(series):
+    """Return the function that finds the springs with kinks in a group, and fills batches with them."""
+    length, record, entries, _ = layout_of(series)
+    turn = turn_of(series)
+    rates, more, flags = length * (1 + RATE), record + length, record + length + N_BATCH_ENTRIES
+
+    @jit
+    def pack(address, here, lane, batch, count):
+        """Copy a spring of one chain into lane `count` of the batch."""
+        for c in range(length, length * (2 + Z)):
+            write_number(batch, c * LANES + count, read_number(address, (here + c) * LANES + lane))
+        for c in range(entries + Z_END, record):
+            write_number(batch, c * LANES + count, read_number(address, (here + c) * LANES + lane))
+        write_number(batch, (more + RATE_END) * LANES + count, read_number(batch, (flags + 1) * LANES + lane))
+        write_number(batch, (more + OWNER) * LANES + count, float(address))
+        write_number(batch, (more + PLACE) * LANES + count, float(here))
+        write_number(batch, (more + LANE) * LANES + count, float(lane))
+
+    @jit
+    def search(address, n, batch, count):
+        """Return the number of pairs that wait in the batch; springs with kinks have zero changes."""
+        zero = splat(0.0)
+        for i in range(1, n + 1):
+            here = i * record
+            at = here + entries
+            rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
+            rate_end = read_lanes(address, at + V_END) - read_lanes(address, at + V_END - record)
+            a, b = rate_end * rate_sign, read_lanes(address, at + Z_END) * z_sign
+            lowest = where_less(a, b, a, b)
+            start = read_lanes(address, here + rates) + read_lanes(address, here + rates + 1)
+            start = start * rate_sign
+            lowest = where_less(start, lowest, start, lowest)
+            has_kink = any_less(lowest, zero)
+            write_number(address, (at + HAS_KINK) * LANES, 1.0 if has_kink else 0.0)
+            if has_kink:
+                for c in range(CHANGE, CHANGE + 1 + N_MOMENTS):
+                    write_lanes(address, at + c, zero)
+                write_lanes(batch, flags, lowest)
+                write_lanes(batch, flags + 1, rate_end)
+                for lane in range(LANES):
+                    if read_number(batch, flags * LANES + lane) < 0.0:
+                        pack(address, here, lane, batch, count)
+                        count += 1
+                        if count == LANES:
+                            turn(batch, count)
+                            count = 0
+        return count
+
+    return search

@@ -1,0 +1,222 @@
+"""Groups of chains through a record by Taylor steps, and the statistics of their misfits.
+
+All chains of a march take the same steps, so many to a step of the recursion as the last coefficients say:
+with the largest, |V_P|, and the largest acceleration A of its mass so far, a step is accurate where
+|V_P| / (H^2 A) is below the tolerance of the recurrence. The ratio grows as H^(P - 1). Where it has been
+exceeded by far the steps are taken once more, shorter. A chain that asks for more than `MAX_STEPS` is lost:
+NaN, and left to others.
+"""
+
+from functools import cache
+
+import numpy as np
+
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import highest, magnitude, splat, where_less
+from pymc_features.simulators.compiled.vector_math import larger
+from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
+from pymc_features.simulators.oscillators.arguments import (
+    ABSOLUTE_ACCELERATION,
+    RELATIVE_DISPLACEMENT,
+    RELATIVE_VELOCITY,
+    ground_at,
+)
+from pymc_features.simulators.taylor.feedback import feedback_of
+from pymc_features.simulators.taylor.kinks import search_of, turn_of
+from pymc_features.simulators.taylor.layout import (
+    DASHPOT,
+    DRAG,
+    LAST,
+    LAST_Z,
+    LOST,
+    MOBILITY,
+    PEAK,
+    RATE_SIGN,
+    Z_SIGN,
+    U,
+    layout_of,
+)
+from pymc_features.simulators.taylor.orders import HUGE, finish_of, orders_from
+from pymc_features.simulators.taylor.series import Z
+
+MAX_STEPS = 64  # of a step of the recursion
+TOO_FAR = 10.0  # above the tolerance: steps are repeated
+LARGEST_Z = 1e-2  # last coefficient of z: above it the series are of no use
+
+
+@cache
+def group_of(series):
+    """Return functions of one group: start, rescale, keep or bring back the state, and take a step."""
+    length, record, entries, _ = layout_of(series)
+    first, others = orders_from(series, 0), orders_from(series, 1)
+    finish, kinks = finish_of(series), series.branch is not None
+    if kinks:
+        search, turn = search_of(series), turn_of(series)
+        apply, restart, choose_branches = feedback_of(series)
+    z_first = (1 + Z) * length
+
+    @jit
+    def rescale(group, ratio):
+        """Make the step longer by a ratio."""
+        address, kept, modal, n = group
+        inverse, squared = splat(1.0 / ratio), splat(ratio * ratio)
+        factor = splat(ratio)
+        for i in range(1, n + 1):
+            here = i * record
+            at = here + entries
+            write_lanes(address, here, factor * read_lanes(address, here))
+            write_lanes(address, at + MOBILITY, squared * read_lanes(address, at + MOBILITY))
+            write_lanes(address, at + DASHPOT, inverse * read_lanes(address, at + DASHPOT))
+        end = (n + 1) * record
+        write_lanes(address, end + DRAG, factor * read_lanes(address, end + DRAG))
+        if modal != 0:
+            for i in range(n * n):
+                write_lanes(modal, i, factor * read_lanes(modal, i))
+
+    @jit
+    def copy(group, back):
+        """Keep u, H v, z and the signs of all springs, or bring them back."""
+        address, kept, _, n = group
+        for i in range(1, n + 1):
+            here = i * record
+            places = (here, here + entries + U)
+            if kinks:
+                places = (
+                    here,
+                    here + entries + U,
+                    here + z_first,
+                    here + entries + RATE_SIGN,
+                    here + entries + Z_SIGN,
+                )
+            for c in range(len(places)):
+                if back:
+                    write_lanes(address, places[c], read_lanes(kept, 5 * i + c))
+                else:
+                    write_lanes(kept, 5 * i + c, read_lanes(address, places[c]))
+        if back and kinks:
+            choose_branches(address, n)
+
+    @jit
+    def begin(group, step, ground):
+        """Coefficients 1 of the velocities, and the largest acceleration so far."""
+        address, _, modal, n = group
+        first(address, modal, n, step * step * ground)
+        largest = splat(0.0)
+        for i in range(1, n + 1):
+            largest = larger(largest, magnitude(read_lanes(address, i * record + 1)))
+        peak = (n + 1) * record + PEAK
+        write_lanes(address, peak, larger(read_lanes(address, peak), largest * splat(1.0 / (step * step))))
+
+    @jit
+    def advance(group, step, rise, batch):
+        """Take the step that has begun; `rise` of the ground acceleration over it."""
+        address, _, modal, n = group
+        others(address, modal, n, step * step * rise)
+        finish(address, n)
+        if kinks:
+            count = search(address, n, batch, 0)
+            if count > 0:
+                turn(batch, count)
+            apply(address, n)
+            restart(address, n)
+
+    @jit
+    def start(group):
+        """Choose the branches at rest."""
+        if kinks:
+            choose_branches(group.address, group.n)
+
+    return start, rescale, copy, begin, advance
+
+
+@cache
+def march_of(series):
+    """Return the function that takes groups of chains through a record."""
+    _, record, entries, _ = layout_of(series)
+    start_group, rescale, copy, begin, advance = group_of(series)
+    order, tolerance = series.order, series.tolerance
+
+    @jit
+    def needed(group, step, most):
+        """Largest ratio of last coefficients to the tolerance; a chain beyond `most` is lost."""
+        address, n = group.address, group.n
+        end = (n + 1) * record
+        scale = splat(tolerance * step * step) * read_lanes(address, end + PEAK) + 1e-300
+        ratio = read_lanes(address, end + LAST) / scale
+        ratio = larger(ratio, read_lanes(address, end + LAST_Z) * splat(1.0 / LARGEST_Z))
+        lost = where_less(ratio, splat(most), read_lanes(address, end + LOST), splat(1.0))
+        write_lanes(address, end + LOST, lost)
+        write_lanes(address, end + LAST, splat(0.0))
+        write_lanes(address, end + LAST_Z, splat(0.0))
+        return highest(where_less(lost, splat(0.5), ratio, splat(0.0)))
+
+    @jit
+    def compare(group, ground, step, sample, wanted, observed, sums):
+        """Add the misfits at the sensors to `sums`, four vectors for each of them."""
+        address, _n = group.address, group.n
+        share = splat(1.0 / observed.shape[1])
+        for j in range(wanted.sensors.size):
+            here = (wanted.sensors[j] + 1) * record
+            if wanted.quantity == RELATIVE_DISPLACEMENT:
+                value = read_lanes(address, here + entries + U)
+            elif wanted.quantity == RELATIVE_VELOCITY:
+                value = read_lanes(address, here) * splat(1.0 / step)
+            else:
+                value = read_lanes(address, here + 1) * splat(1.0 / (step * step))
+                if wanted.quantity == ABSOLUTE_ACCELERATION:
+                    value = value + ground
+            misfit = observed[j, sample] - value
+            if observed[j, sample] == observed[j, sample]:  # NaN is a gap
+                write_lanes(sums, 4 * j, read_lanes(sums, 4 * j) + misfit * misfit * share)
+            if sample == 0:
+                write_lanes(sums, 4 * j + 2, misfit)
+            else:
+                change = misfit - read_lanes(sums, 4 * j + 3)
+                write_lanes(sums, 4 * j + 1, read_lanes(sums, 4 * j + 1) + change * change * share)
+            write_lanes(sums, 4 * j + 3, misfit)
+
+    @jit
+    def march(group, batch, sums, start, excitation, wanted, observed):
+        """Write the statistics of the misfits; `start` is the number of steps to begin with."""
+        acceleration, dt, substeps, stride = excitation
+        length = dt / substeps
+        count = start
+        step = length / count
+        total = observed.shape[1]
+        steps = 0
+        start_group(group)
+        for sample in range(total):
+            fine = sample * stride
+            ground = ground_at(acceleration, fine, substeps)
+            begin(group, step, ground)
+            compare(group, ground, step, sample, wanted, observed, sums)
+            if sample == total - 1:
+                break
+            begun = True
+            for _ in range(stride):
+                rise = ground_at(acceleration, fine + 1, substeps) - ground
+                copy(group, False)
+                while True:
+                    for part in range(count):
+                        if not begun:
+                            begin(group, step, ground + rise * part / count)
+                        begun = False
+                        advance(group, step, rise / count, batch)
+                    steps += count
+                    ratio = needed(group, step, HUGE if count < MAX_STEPS else TOO_FAR)
+                    better = int(np.ceil(count * max(ratio, 1e-12) ** (1.0 / (order - 1))))
+                    better = max(min(better, MAX_STEPS), 1)
+                    repeat = ratio > TOO_FAR and better > count
+                    if repeat:
+                        copy(group, True)
+                    if better != count:
+                        rescale(group, count / better)
+                        count = better
+                        step = length / count
+                    if not repeat:
+                        break
+                fine += 1
+                ground = ground_at(acceleration, fine, substeps)
+        return steps
+
+    return march

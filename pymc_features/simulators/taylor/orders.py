@@ -1,0 +1,124 @@
+"""The recurrence of the coefficients of a chain, and the sums at the end of a step.
+
+With the coefficients V_i,k of H v_i, R_i,k = V_i,k - V_i-1,k those of the drift rate and D_k = R_k-1 / k
+those of the drift,
+
+    V_i,k+1 = [ H^2/m_i (f_i+1,k - f_i,k) - alpha H V_i,k - H^2 g_k ] / (k + 1),
+
+where f includes the dashpot, (beta k_i / H) R_i,k, and g_0, g_1 are the ground acceleration and its change
+over the step. One function is compiled for each k, a closure, so that its sums are written out.
+"""
+
+from functools import cache
+
+import numpy as np
+
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import magnitude, splat, where_less
+from pymc_features.simulators.compiled.vector_math import larger
+from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
+from pymc_features.simulators.taylor.layout import (
+    DASHPOT,
+    DRAG,
+    LAST,
+    LAST_Z,
+    MOBILITY,
+    V_END,
+    Z_END,
+    U,
+    add_lanes,
+    layout_of,
+)
+from pymc_features.simulators.taylor.series import Spring, Z
+
+HUGE = 1e250
+
+
+@jit
+def damp(address, modal, n, record, k):
+    """Take H M^-1 C V_k of damping by modal ratios, in the rows of `modal`, from the coefficients k + 1."""
+    for i in range(n):
+        total = splat(0.0)
+        for j in range(n):
+            v = read_lanes(address, (j + 1) * record + k)
+            total = total + read_lanes(modal, i * n + j) * v
+        add_lanes(address, (i + 1) * record + k + 1, total * splat(-1.0 / (k + 1)))
+
+
+@cache
+def orders_from(series, k):
+    """Return the function for coefficients k + 1 of the velocities; for k > 0 for all above as well.
+
+    Its `push` is that of k = 0 or 1.
+    """
+    length, record, entries, constants = layout_of(series)
+    expand, share, last = jit(series.expand), 1.0 / (k + 1), 1.0 / max(k, 1)
+    rest = orders_from(series, k + 1) if 0 < k < series.order - 1 else None
+    loads = 1.0 if k <= 1 else 0.0
+
+    @jit
+    def order(address, modal, n, push):
+        drag = read_lanes(address, (n + 1) * record + DRAG)
+        upper, here, load = splat(0.0), n * record, push * loads
+        v = read_lanes(address, here + k)
+        for _ in range(n):
+            lower = here - record
+            v_lower = read_lanes(address, lower + k)
+            if k == 0:
+                drift = read_lanes(address, here + entries + U) - read_lanes(address, lower + entries + U)
+            else:
+                drift = (read_lanes(address, here + k - 1) - read_lanes(address, lower + k - 1)) * last
+            rate = v - v_lower
+            force = expand(Spring(address, here + length, length, here + constants), k, drift, rate)
+            force = force + read_lanes(address, here + entries + DASHPOT) * rate
+            pull = read_lanes(address, here + entries + MOBILITY) * (upper - force)
+            write_lanes(address, here + k + 1, share * (pull - drag * v - load))
+            upper, v, here = force, v_lower, lower
+        if modal != 0:
+            damp(address, modal, n, record, k)
+        if rest is not None:
+            rest(address, modal, n, 0.0)
+
+    return order
+
+
+@cache
+def finish_of(series):
+    """Return the function that sums the series up at the end of a step."""
+    length, record, entries, _ = layout_of(series)
+    order, kinks = series.order, series.branch is not None
+    z_first = (1 + Z) * length
+
+    @jit
+    def finish(address, n):
+        """Advance u, and write H v and z of the end; keep the largest last coefficient of each chain."""
+        largest = largest_z = total = splat(0.0)
+        for i in range(1, n + 1):
+            here = i * record
+            v = read_lanes(address, here + order)
+            largest = larger(largest, magnitude(v))
+            u = v * (1.0 / (order + 1))
+            for k in range(order - 1, -1, -1):
+                c = read_lanes(address, here + k)
+                v = v + c
+                u = u + c * (1.0 / (k + 1))
+            total = total + v  # a maximum forgets what is not finite
+            at = here + entries
+            write_lanes(address, at + U, read_lanes(address, at + U) + u)
+            if kinks:
+                write_lanes(address, at + V_END, v)
+                z = read_lanes(address, here + z_first + order)
+                largest_z = larger(largest_z, magnitude(z))
+                for k in range(order - 1, -1, -1):
+                    z = z + read_lanes(address, here + z_first + k)
+                write_lanes(address, at + Z_END, z)
+            else:
+                write_lanes(address, here, v)
+        largest = where_less(magnitude(total), splat(HUGE), largest, splat(np.inf))
+        last = (n + 1) * record + LAST
+        write_lanes(address, last, larger(read_lanes(address, last), largest))
+        if kinks:
+            last = (n + 1) * record + LAST_Z
+            write_lanes(address, last, larger(read_lanes(address, last), largest_z))
+
+    return finish

@@ -1,0 +1,124 @@
+"""Taylor series of the springs of a chain, one chain in each lane: what a law writes its recurrence with.
+
+Over a step of length H, in units of which time counts, every quantity is a polynomial, x(t) = sum_k x_k t^k.
+The series of one spring lie one after the other in the memory of its record, `length` vectors each. From the
+coefficients k of drift and drift rate, H d', and from those before, a law gives coefficient k of its force
+and k + 1 of its internal variable:
+
+    (x y)_k = sum_j x_j y_{k-j},    (x')_k = (k + 1) x_{k+1}.
+
+A law has one recurrence or several, each for some values of its parameters; what none of them serves is
+integrated by Runge-Kutta steps. In laws with kinks the first two series are the drift rate and z.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import splat
+from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
+
+RATE, Z = range(2)  # series of laws with kinks
+
+
+class Group(NamedTuple):
+    """Chains, one in each lane: addresses of their records, of what they come back to, and of modal damping.
+
+    `modal` is 0 without it; otherwise there lie H M^-1 C, (n, n) vectors. `n` is the number of springs.
+    """
+
+    address: int
+    kept: int
+    modal: int
+    n: int
+
+
+class Spring(NamedTuple):
+    """Where the series of a spring lie, and its constants behind them, in vectors."""
+
+    address: int
+    first: int
+    length: int
+    constants: int
+
+
+class Series(NamedTuple):
+    """A recurrence of a law.
+
+    Attributes
+    ----------
+    order : int
+        Of the polynomials.
+    tolerance : float
+        Largest |V_P| / (H^2 A), see `march.py`.
+    n_series, n_constants : int
+        Series and constants of each spring.
+    serves : callable
+        Parameters (rows, ...) -> bool (...): whether it serves such springs.
+    constants : callable
+        Stiffness (...) and parameters (rows, ...) -> list of the first constants, (...) each.
+    expand : callable
+        (spring, k, drift, rate) -> coefficient k of the force; writes coefficient k + 1 of z. `k` is a
+        number when it is compiled.
+    branch : callable, optional
+        (spring, loading, sign) for laws with kinks: write the constants of the branch; `loading` is positive
+        where drift rate and z have one sign, `sign` is that of z.
+    tangent : callable, optional
+        (spring, z) -> df/dd and dz/dd of the branch, and df/dz at a given drift.
+    """
+
+    order: int
+    tolerance: float
+    n_series: int
+    n_constants: int
+    serves: Callable
+    constants: Callable
+    expand: Callable
+    branch: Callable | None = None
+    tangent: Callable | None = None
+
+
+@jit
+def coefficient(spring, series, k):
+    """Coefficient k of a series."""
+    return read_lanes(spring.address, spring.first + series * spring.length + k)
+
+
+@jit
+def write_coefficient(spring, series, k, value):
+    """Write coefficient k of a series."""
+    write_lanes(spring.address, spring.first + series * spring.length + k, value)
+
+
+@jit
+def constant_of(spring, name):
+    """Constant number `name` of the spring."""
+    return read_lanes(spring.address, spring.constants + name)
+
+
+@jit
+def write_constant(spring, name, value):
+    """Write constant number `name` of the spring."""
+    write_lanes(spring.address, spring.constants + name, value)
+
+
+@jit
+def product(spring, a, b, k):
+    """Coefficient k of the product of two series."""
+    total = splat(0.0)
+    for j in range(k + 1):
+        total = total + coefficient(spring, a, j) * coefficient(spring, b, k - j)
+    return total
+
+
+@jit
+def square(spring, a, k):
+    """Coefficient k of the square of a series."""
+    total = splat(0.0)
+    for j in range((k + 1) // 2):
+        total = total + coefficient(spring, a, j) * coefficient(spring, a, k - j)
+    total = total + total
+    if k % 2 == 0:
+        middle = coefficient(spring, a, k // 2)
+        total = total + middle * middle
+    return total
