@@ -1,7 +1,9 @@
 """Kernels for `pm.sample_smc`, and results that can be saved. Nothing here knows of structures."""
 
 from pymc_features.smc.density.evaluation import PopulationLogp, population_logp
+from pymc_features.smc.density.graph import Outputs, batched_graph
 from pymc_features.smc.density.prior import prior_points
+from pymc_features.smc.density.rows import RowFunction
 from pymc_features.smc.kernels.base import PopulationKernel
 from pymc_features.smc.kernels.imh import PopulationIMH
 from pymc_features.smc.kernels.mh import PopulationMH
@@ -9,7 +11,7 @@ from pymc_features.smc.kernels.persistent import PersistentSMC
 from pymc_features.smc.kernels.subset import SubsetSimulation
 from pymc_features.smc.kernels.tmcmc import TMCMC
 from pymc_features.smc.proposals.reference import Reference, find_reference
-from pymc_features.smc.results import savable
+from pymc_features.smc.results import likelihood_kinds, savable
 from pymc_features.smc.sample import check_run, processors, sample_smc
 
 KERNELS = (PopulationIMH, PopulationMH, PersistentSMC, TMCMC)  # for any model
@@ -18,16 +20,20 @@ SIMULATOR_KERNELS = (SubsetSimulation,)  # for models with one pm.Simulator node
 __all__ = [
     "KERNELS",
     "SIMULATOR_KERNELS",
+    "Outputs",
     "PersistentSMC",
     "PopulationIMH",
     "PopulationKernel",
     "PopulationLogp",
     "PopulationMH",
     "Reference",
+    "RowFunction",
     "SubsetSimulation",
     "TMCMC",
+    "batched_graph",
     "check_run",
     "find_reference",
+    "likelihood_kinds",
     "population_logp",
     "prior_points",
     "processors",

@@ -1,9 +1,13 @@
 """Results of `pm.sample_smc` that can be saved."""
 
+import json
+
 import numpy as np
 import xarray as xr
+from pymc.distributions.simulator import SimulatorRV
+from pytensor.graph.basic import Constant
 
-PER_CHAIN = ("log_marginal_likelihood", "log_marginal_likelihood_se", "ess", "pareto_k")
+PER_CHAIN = ("log_marginal_likelihood", "log_marginal_likelihood_se", "ess", "pareto_k", "largest_share")
 
 
 def savable(idata: xr.DataTree) -> xr.DataTree:
@@ -21,7 +25,8 @@ def savable(idata: xr.DataTree) -> xr.DataTree:
     -------
     DataTree
         The same groups; `sample_stats` has the dimensions (chain, stage), but for
-        `log_marginal_likelihood`, its standard error, `ess` and `pareto_k`, which belong to the chain.
+        `log_marginal_likelihood`, its standard error, `ess`, `pareto_k` and `largest_share`, which belong to
+        the chain.
     """
     result = idata.copy()
     if "sample_stats" not in result.children:
@@ -72,3 +77,21 @@ def pad_stages(values, n_chains: int) -> np.ndarray:
 def _plain(value):
     """Attribute values that netCDF can hold."""
     return value if isinstance(value, str | int | float | np.number) else str(value)
+
+
+def likelihood_kinds(model) -> str:
+    """What each likelihood of a model is a density of, as JSON: by this evidences can be compared.
+
+    "data" of PyMC's distributions and of ours with ``density="data"``; the class of those of a feature; of a
+    simulator node the tolerance.
+    """
+    return json.dumps({rv.name: kind_of_density(rv.owner.op) for rv in model.observed_RVs}, sort_keys=True)
+
+
+def kind_of_density(op) -> str:
+    """What one likelihood is a density of."""
+    if isinstance(op, SimulatorRV):
+        epsilon = op.epsilon.data.tolist() if isinstance(op.epsilon, Constant) else "of pm.Data"
+        return f"simulator with tolerance {epsilon}"
+    density = getattr(op, "density", "data")
+    return "data" if density == "data" else f"{density} of {type(op).__name__.removesuffix('RV')}"

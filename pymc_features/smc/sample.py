@@ -23,7 +23,8 @@ from pymc_features.exceptions import CheckpointError, ToleranceNotReachedError
 from pymc_features.smc.kernels.base import PopulationKernel
 from pymc_features.smc.kernels.checkpoint import remembered
 from pymc_features.smc.kernels.persistent import PersistentSMC
-from pymc_features.smc.results import savable
+from pymc_features.smc.results import likelihood_kinds, savable
+from pymc_features.smc.trace import all_draws_at_once
 
 MOST_RUNS = 10_000  # chains, or processes
 
@@ -65,7 +66,7 @@ def sample_smc(
     -------
     DataTree
         As from `pm.sample_smc`, but `sample_stats` holds float arrays (chain, stage), padded with NaN, and
-        `log_marginal_likelihood` (chain,).
+        `log_marginal_likelihood` (chain,). The attribute `likelihoods` says what each is a density of.
 
     Raises
     ------
@@ -108,9 +109,11 @@ def sample_smc(
     if cores is None:
         cores = 1 if is_parallel_by_itself(model) else processors()
     try:
-        return savable(
-            pm.sample_smc(draws, kernel, chains=chains, cores=cores, random_seed=random_seed, **settings)
-        )
+        with all_draws_at_once():
+            found = pm.sample_smc(
+                draws, kernel, chains=chains, cores=cores, random_seed=random_seed, **settings
+            )
+        idata = savable(found)
     except ParallelSamplingError as error:
         # the same with one process and with many
         if isinstance(error.__cause__, ToleranceNotReachedError | CheckpointError):
@@ -121,6 +124,8 @@ def sample_smc(
             "a process that sampled a chain died: killed, or out of memory. Sample with fewer `cores` or "
             "`draws`; with `checkpoint` the next run goes on from there."
         ) from error
+    idata["sample_stats"].attrs["likelihoods"] = likelihood_kinds(model)
+    return idata
 
 
 def check_run(draws, chains, cores, random_seed, progressbar) -> None:

@@ -7,7 +7,7 @@ from scipy import stats
 from scipy.special import logsumexp
 
 from pymc_features.smc.proposals.mixture import equal_draws, pareto_shape
-from pymc_features.smc.proposals.pool import QUANTILES, Pool, next_beta
+from pymc_features.smc.proposals.pool import LARGEST_SHARE, QUANTILES, Pool, next_beta
 
 
 class Normal:
@@ -111,6 +111,18 @@ def test_next_beta_keeps_the_effective_number():
     assert next_beta(flat, 0.0, 150.0) == 1.0
 
 
+def test_points_that_do_not_count_may_have_any_weight():
+    """Where a chain was when its states began to be kept, and was not again: its weight may overflow."""
+    pool = Pool(np.linspace(-1.0, 1.0, 400)[:, None], np.zeros(400), -np.linspace(0.0, 40.0, 400))
+    pool.add_density(0.2, -2.0)
+    before = [pool.log_evidence(pool.log_weights(1.0)), next_beta(pool, 0.2, 60.0)]
+    pool.add(np.zeros((1, 1)), np.zeros(1), np.full(1, 5e3), np.zeros(1), np.zeros(1, dtype=int), 1)
+    log_weights = pool.log_weights(1.0)
+    assert [pool.log_evidence(log_weights), next_beta(pool, 0.2, 60.0)] == pytest.approx(before, rel=1e-3)
+    assert pool.normalised(log_weights)[-1] == 0.0
+    assert np.isfinite(pool.effective_of_quantiles(log_weights)).all()
+
+
 def importance_sample(rng, n=2000, width=2.0):
     """Draws wider than a standard normal target, as a pool whose reference is the proposal."""
     x = rng.normal(0.0, width, size=(n, 1))
@@ -141,6 +153,18 @@ def test_standard_error_of_the_evidence():
     pools = [importance_sample(np.random.default_rng(seed)) for seed in range(200)]
     spread = np.std([pool.log_evidence(pool.log_weights(1.0)) for pool in pools])
     assert np.mean([pool.standard_error() for pool in pools]) == pytest.approx(spread, rel=0.15)
+
+
+def test_share_of_the_heaviest_draw():
+    """Of a proposal without the target's tails one draw is heavy; a wide one has none."""
+    shares = []
+    for width in (2.0, 0.6):
+        pool = importance_sample(np.random.default_rng(3), width=width)
+        x = pool.particles[:, 0]
+        weights = stats.norm.pdf(x) / stats.norm(0.0, width).pdf(x)
+        assert pool.largest_share() == pytest.approx(weights.max() / weights.sum())
+        shares.append(pool.largest_share())
+    assert shares[0] < LARGEST_SHARE < shares[1]
 
 
 @pytest.mark.parametrize("width", [2.0, 0.6])

@@ -146,6 +146,24 @@ def test_the_prior_has_its_share(monkeypatch):
     assert evidence < -0.4
 
 
+def test_laplace_of_widths_far_apart():
+    """Axes 1e9 apart, turned: the factor has the volume of the evidence, and Cholesky's does not exist."""
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    hessian = (turn * np.array([1.0, 1e18])) @ turn.T
+
+    def density(x):
+        return -0.5 * np.einsum("ni,ij,nj->n", x, hessian, x), -x @ hessian
+
+    mode = reference.laplace_mode(density, np.zeros(2))
+    assert mode.factor[0, 1] == 0.0
+    assert (np.diag(mode.factor) > 0.0).all()
+    volume = mode.log_evidence - np.log(2.0 * np.pi)
+    assert np.log(np.diag(mode.factor)).sum() == pytest.approx(volume, abs=1e-6)
+    assert np.linalg.norm(turn[:, 1] @ mode.factor) < 1e-7
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky((turn * np.array([1.0, 1e-18])) @ turn.T)
+
+
 def test_no_reference_without_a_finite_density():
     def impossible(x):
         return np.full(len(x), -np.inf)

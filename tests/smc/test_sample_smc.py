@@ -75,7 +75,7 @@ def test_unequal_stages_are_padded(saved):
     assert np.isfinite(found["log_marginal_likelihood"]).all()
     assert len(np.unique(found["log_marginal_likelihood"])) == 3
     if kernel is PersistentSMC:
-        for name in ("log_marginal_likelihood_se", "ess", "pareto_k"):
+        for name in ("log_marginal_likelihood_se", "ess", "pareto_k", "largest_share"):
             assert found[name].dims == ("chain",)
         assert (found["log_marginal_likelihood_se"] > 0).all()
         assert (found["ess"] >= 60).all()

@@ -45,14 +45,15 @@ def with_mode(compile_kwargs: dict, outputs) -> dict:
 def has_python_loops(outputs) -> bool:
     """Whether NumPy would be called once for each particle or step."""
     owners = {v.owner for v in ancestors(outputs) if v.owner is not None}
-    return any(is_loop(node.op) for node in owners)
+    return any(is_loop(node) for node in owners)
 
 
-def is_loop(op) -> bool:
-    """Whether an Op is a loop over particles or steps that takes longer in Python than what it calls."""
+def is_loop(node) -> bool:
+    """Whether a node is a loop over particles or steps that takes longer in Python than what it calls."""
+    op = node.op
     if isinstance(op, Scan):
         return True
-    if not isinstance(op, Blockwise) or isinstance(op.core_op, RandomVariable):
+    if not isinstance(op, Blockwise) or isinstance(op.core_op, RandomVariable) or op.batch_ndim(node) == 0:
         return False
     spec = op.gufunc_spec or getattr(op.core_op, "gufunc_spec", None)
     return spec is None and not type(op.core_op).__module__.startswith("pymc_features.")

@@ -64,8 +64,12 @@ class DensityGraph(NamedTuple):
 
 def density_graph(model, point, terms) -> DensityGraph:
     """The graph of two scalar `terms` in the model's value variables; `point` has their shapes."""
-    one = joined_graph(model, point, terms)
     discrete = tuple(v.name for v in model.value_vars if v.dtype in discrete_types)
+    return batched_graph(joined_graph(model, point, terms), discrete)
+
+
+def batched_graph(one: Outputs, discrete: tuple[str, ...] = ()) -> DensityGraph:
+    """The same for a whole population, where no part of it refuses."""
     if (reason := why_not_batched(one.outputs)) is not None:
         return DensityGraph(one, None, reason, discrete)
     particles = pt.matrix("particles", dtype=one.joined.dtype)
@@ -117,20 +121,20 @@ def joined_graph(model, point, terms) -> Outputs:
     return Outputs(vector, outputs)
 
 
-def largest_result(graph: Outputs) -> int:
-    """Number of entries of the largest intermediate result that depends on the parameters."""
+def largest_result(inputs, outputs) -> int:
+    """Number of entries of the largest result, final or intermediate, that depends on the inputs."""
     sources = [
         v
-        for v in ancestors(graph.outputs)
+        for v in ancestors(outputs)
         if isinstance(v, Constant | SharedVariable) and isinstance(v.type, TensorType)
     ]
     unknown = 1  # stands for a length that is not known before the call: no longer than the longest data
     for v in sources:
         value = v.data if isinstance(v, Constant) else v.get_value(borrow=True)
         unknown = max([unknown, *np.shape(value)])
-    depends = {graph.joined}
+    depends = set(inputs)
     largest = 1
-    for node in io_toposort([graph.joined], graph.outputs):
+    for node in io_toposort(inputs, outputs):
         if depends.isdisjoint(node.inputs):
             continue
         depends.update(node.outputs)

@@ -50,7 +50,9 @@ class RowFunction:
     def __init__(self, graph: DensityGraph, compile_kwargs: dict, alive: int = 1):
         self.raised = ""
         self.batched = graph.population is not None
-        self.batch = max(1, BATCH_BYTES // (8 * alive * largest_result(graph.one)))
+        self.batch = max(
+            1, BATCH_BYTES // (8 * alive * largest_result([graph.one.joined], graph.one.outputs))
+        )
         self.errors = NUMERICAL_ERRORS if simulator_functions(graph.one.outputs) == [] else Exception
         joined, outputs = graph.population if self.batched else graph.one
         kwargs = with_mode(compile_kwargs, outputs) if self.batched else compile_kwargs

@@ -1,6 +1,5 @@
 """Persistent sampling: chains from temperature to temperature, then independent draws."""
 
-import warnings
 from typing import Unpack
 
 import numpy as np
@@ -8,12 +7,11 @@ import pymc as pm
 from pymc.util import RandomState
 
 from pymc_features._checks import check_flag, message, shown
-from pymc_features.exceptions import SamplingWarning
 from pymc_features.keywords import check_keywords
 from pymc_features.smc.kernels.base import KernelOptions, PopulationKernel
 from pymc_features.smc.kernels.chains import Chains
+from pymc_features.smc.kernels.last_draws import LastDraws
 from pymc_features.smc.proposals.arms import FittedMoves
-from pymc_features.smc.proposals.fitted import fit_to
 from pymc_features.smc.proposals.mixture import equal_draws
 from pymc_features.smc.proposals.pool import GROUPS, LARGEST_K, Pool, next_beta
 from pymc_features.smc.proposals.reference import Reference, good_share
@@ -22,19 +20,16 @@ MORE_PRIOR = 50  # the prior is drawn from at most this many times, in search of
 KEPT_STEPS, LAST_STEPS = 8, 32  # of the chains of a stage, and of those of the last
 FEWEST_EFFECTIVE = (60, 8)  # points that a new temperature keeps at least: in all, and for each parameter
 LEAST_ACCEPTANCE, MAX_REPEATS = 0.01, 5  # chains that move less repeat their stage
-FIT_POINTS = FIRST_DRAWS = 200  # of a fit, and from the first fit of the last stage, for each parameter
 GOOD_FIT = 0.3  # effective share of its draws, of a fit of a stage that needs no chains
 WORTH_A_TRIAL = 0.2  # of the last fit, below which the next is not tried
-MAX_EVALUATIONS = 500  # of the last stage, for each draw
-FOR_TAILS = 5  # and of more fits where a few draws outweigh the rest
 FIRST_OF_REFERENCE = (400, 30)  # draws of the reference: at least, and for each parameter
 USABLE_REFERENCE = 0.05  # effective share of its draws, to begin with
 LONG_WAY = 25.0  # from prior to posterior, in nats, such that a reference that is only usable saves stages
-TOO_FEW = "PersistentSMC ended with draws worth {:.0f} of {}. Increase `stage_draws`, or narrow the priors."
-STATISTICS = "accept_rate", "hamiltonian_share", "steps_per_draw", "reference_efficiency", "ess", "pareto_k"
+OF_LAST_DRAWS = "ess", "pareto_k", "largest_share"
+STATISTICS = "accept_rate", "hamiltonian_share", "steps_per_draw", "reference_efficiency", *OF_LAST_DRAWS
 
 
-class PersistentSMC(PopulationKernel):
+class PersistentSMC(LastDraws, PopulationKernel):
     """Sequential Monte Carlo that keeps what it has evaluated, and ends with independent draws.
 
     Points of all stages stay in a pool that is reweighted to each new temperature (persistent sampling,
@@ -74,9 +69,10 @@ class PersistentSMC(PopulationKernel):
     that were trajectories), `steps_per_draw` (of the chains, for one independent draw), `effective`
     (independent points behind the stage's weights), `reference_efficiency` (effective share of the
     reference's draws; 0 without one) and, at the end, `log_marginal_likelihood_se` (standard error, by a
-    jackknife), `ess` (independent draws that the quantiles of the worst parameter are worth) and `pareto_k`
-    (of the final weights: above 0.7 they mislead). A constant added to the log-likelihood changes nothing but
-    the evidence. There is a `SamplingWarning` if the last stage ends before its draws are worth `draws`.
+    jackknife), `ess` (independent draws that the quantiles of the worst parameter are worth), `pareto_k` (of
+    the final weights: above 0.7 they mislead if draws are heavy) and `largest_share` (of the posterior, that
+    the heaviest draw stands for). A constant added to the log-likelihood changes nothing but the evidence.
+    There is a `SamplingWarning` if the last stage ends before its draws are worth `draws`.
 
     References
     ----------
@@ -117,7 +113,8 @@ class PersistentSMC(PopulationKernel):
     def _initialize_kernel(self):
         """Begin with draws from the reference, if there is a good one, or else from the prior."""
         self.moves, self.reference = FittedMoves(), self.given_reference
-        self.accept_rate = self.steps_per_draw = self.standard_error = self.ess = self.pareto_k = np.nan
+        self.accept_rate = self.steps_per_draw = self.standard_error = np.nan
+        self.ess = self.pareto_k = self.largest_share = np.nan
         self.reference_efficiency, self.hamiltonian_share, self.fit_efficiency = 0.0, 0.0, 1.0
         self.repeats = 0
         if self.reference is not None and self.begin_with_reference():
@@ -206,11 +203,6 @@ class PersistentSMC(PopulationKernel):
         if self.needs_fit:
             self.moves.fit(self.fitting_points(), self.rng)
 
-    def fitting_points(self) -> np.ndarray:
-        """Equally weighted points of the pool (n, d) for a fit."""
-        n = min(max(FIT_POINTS * self.n_parameters, 2 * self.stage_draws), len(self.weights))
-        return self.pool.particles[equal_draws(self.weights, n, self.rng)]
-
     def mutate(self) -> None:
         """Advance chains of this temperature; at the end, draw from fits to all points."""
         self.n_steps, self.steps_per_draw, self.hamiltonian_share = 1, 1.0, 0.0  # of independent draws
@@ -237,54 +229,6 @@ class PersistentSMC(PopulationKernel):
         self.draw_more(self.stage_draws, source)
         self.fit_efficiency = self.accept_rate = self.pool.efficiency(source, self.beta)
         return self.fit_efficiency > GOOD_FIT
-
-    def complete(self) -> None:
-        """Draw from the reference, or fits that follow each other, until that is worth `draws`.
-
-        Only draws of the last fit count, which no draws have shaped. If few show that more is missing than
-        were drawn in all, it draws as many, and another one follows.
-        """
-        pool, used, limit, drawn = self.pool, 0, 0, 0
-        source = self.last_stage if self.last_stage in pool.proposals else 0  # drawn from in place of chains
-        while True:
-            sample = pool.independent(max(source, self.last_stage))
-            worth = float(sample.effective_of_quantiles(sample.log_weights(1.0)).min())
-            missing = max(self.draws - worth, 0.0)
-            heavy = sample.pareto_k() > LARGEST_K and used < FOR_TAILS * self.draws
-            if not (missing or heavy) or used >= MAX_EVALUATIONS * self.draws:
-                break
-            n = 1.1 * missing * max(1.0, sample.counts.sum() / max(worth, 1.0))
-            first = max(FIRST_DRAWS * self.n_parameters, self.draws // 4)
-            poor = pool.efficiency(source) < good_share(self.n_parameters)
-            for_tails = not missing and (poor or first < FOR_TAILS * self.draws)
-            another = for_tails or (poor and n > max(used, first))
-            if another and (n := limit - drawn) <= 0:
-                self.weights = pool.normalised(pool.log_weights(1.0))
-                pool.add_proposal(fit_to(self.fitting_points(), self.rng))
-                source, n, limit, drawn = len(pool.betas) - 1, first, max(used, first), 0
-            n = int(np.clip(n, (0.1 if missing else 0.5) * self.draws, 2.0 * self.draws + used))
-            self.draw_more(n, source)
-            used, drawn = used + n, drawn + n
-        if worth < self.draws:
-            warnings.warn(TOO_FEW.format(worth, self.draws), SamplingWarning, stacklevel=2)
-            whole = float(pool.effective_of_quantiles(pool.log_weights(1.0)).min())
-            sample = pool if self.hamiltonian_share > 0.0 and whole > worth else sample  # chains got about
-        self.ess = worth
-        self.finish(sample)
-
-    def draw_more(self, n: int, source: int) -> None:
-        """Independent draws from the reference or prior, or from a fit."""
-        x = self.pool.proposals[source].draw(n, self.rng) if source else self.draw_reference(n)
-        self.pool.add_draws(x, *self.weigh(x), source)
-        self.pool.solve()
-
-    def finish(self, sample: Pool) -> None:
-        """Draw equally weighted points from the independent draws; evidence and its standard error."""
-        log_weights = sample.log_weights(1.0)
-        self.log_marginal_likelihood = sample.log_evidence(log_weights)
-        self.standard_error, self.pareto_k = sample.standard_error(), sample.pareto_k()
-        chosen = equal_draws(sample.normalised(log_weights), self.draws, self.rng)
-        self.tempered_posterior = sample.particles[chosen]
 
     def sample_stats(self) -> dict:
         """Statistics of the stage just finished."""

@@ -8,6 +8,7 @@ from pymc_features.smc.proposals.mixture import bennett, log_sum, newton_step, o
 SMALLEST_BETA = 1e-300
 QUANTILES = np.array([0.05, 0.5, 0.95])
 LARGEST_K = 0.7  # Pareto shape of weights that can be trusted
+LARGEST_SHARE = 0.005  # of one draw, which moves a tail quantile by about 1.5 % of the width
 GROUPS = 20  # of the jackknife; numbers of draws and chains are multiples of it, so that all are equal
 
 
@@ -101,8 +102,8 @@ class Pool:
         """
         known = np.isnan(self.betas) & (np.arange(len(self.betas)) >= since)
         known[0] = True
-        part = object.__new__(Pool)
         rows = known[self.source]
+        part = object.__new__(Pool)
         part._size, part._columns = int(rows.sum()), [column[: self._size][rows] for column in self._columns]
         part._columns[6] = np.cumsum(known)[part._columns[6]] - 1
         numbers = np.flatnonzero(known)
@@ -143,29 +144,30 @@ class Pool:
         """ln w_i(beta), shape (n,)."""
         return beta * self.log_ratio - (self.log_mixture() if log_mixture is None else log_mixture)
 
-    def largest(self, log_weights) -> float:
-        """The largest of log weights (n,), of points that count."""
-        return float(log_weights[self.visits > 0.0].max())
+    def scaled(self, log_weights) -> tuple[np.ndarray, float]:
+        """Weights (n,) over the largest of a point that counts, and the logarithm of that."""
+        top = float(log_weights[self.visits > 0.0].max())
+        return np.exp(np.minimum(log_weights - top, 0.0)), top  # those without mass may be infinite
 
     def normalised(self, log_weights) -> np.ndarray:
         """Share of each point (n,) in a temperature: mass times weight."""
-        shares = self.mass * np.exp(log_weights - self.largest(log_weights))
+        shares = self.mass * self.scaled(log_weights)[0]
         return shares / shares.sum()
 
     def log_evidence(self, log_weights) -> float:
         """ln Z from the weights of a temperature."""
         # not SciPy's logsumexp: where ArviZ is loaded and JAX installed, it imports JAX
-        top = self.largest(log_weights)
-        return float(top + np.log(self.mass @ np.exp(log_weights - top)) - np.log(self.counts.sum()))
+        w, top = self.scaled(log_weights)
+        return float(top + np.log(self.mass @ w) - np.log(self.counts.sum()))
 
     def effective(self, log_weights) -> float:
         """Effective number of independent points behind weights (Kish), serial correlation included."""
-        w, mass = np.exp(log_weights - self.largest(log_weights)), self.mass
+        w, mass = self.scaled(log_weights)[0], self.mass
         return float((mass @ w) ** 2 / (mass * np.maximum(mass, 1.0) @ w**2))
 
     def effective_of_quantiles(self, log_weights) -> np.ndarray:
         """Effective number (d,) of points behind the 5, 50 and 95 % quantiles of each parameter."""
-        mass, w = self.mass, np.exp(log_weights - self.largest(log_weights))
+        mass, w = self.mass, self.scaled(log_weights)[0]
         total = mass @ w
         shares, squares = mass * w / total, mass * np.maximum(mass, 1.0) * (w / total) ** 2
         numbers = []
@@ -178,6 +180,10 @@ class Pool:
             variances = (1.0 - QUANTILES) ** 2 * upto + QUANTILES**2 * (spread[-1] - upto)
             numbers.append(1.0 / np.mean(variances / (QUANTILES * (1.0 - QUANTILES))))
         return np.array(numbers)
+
+    def largest_share(self) -> float:
+        """Share of the posterior that the heaviest point stands for."""
+        return float(self.normalised(self.log_weights(1.0)).max())
 
     def pareto_k(self) -> float:
         """Shape of the largest weights of independent draws at a temperature of one; above 0.7 they mislead.

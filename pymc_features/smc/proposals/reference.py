@@ -105,7 +105,7 @@ class Reference:
         maps = []
         for mode, share in zip(self.modes, self.mode_shares(), strict=True):
             variances, vectors = np.linalg.eigh(mode.factor @ mode.factor.T)
-            axes = (vectors * np.sqrt(np.maximum(variances, 0.0)))[:, ::-1]
+            axes = (vectors * np.sqrt(np.maximum(variances, 1e-16 * variances[-1])))[:, ::-1]
             start = Transport((Stretch(self.centre + self.scale * mode.x, self.scale[:, None] * axes),))
             end = fit_transport(evaluate, gradient, start, rng) if share > MINOR else start
             maps.append(None if end is start else end)
@@ -220,7 +220,9 @@ def laplace_mode(density: Callable, x) -> Mode | None:
         return None
     eigenvalues, vectors = np.linalg.eigh(hessian)
     variances = 1.0 / np.maximum(eigenvalues, 1.0 / WIDEST**2)
-    factor = np.linalg.cholesky((vectors * variances) @ vectors.T)
+    # the Cholesky factor, by QR: that of the covariance itself fails where widths are 1e8 apart
+    factor = np.linalg.qr((vectors * np.sqrt(variances)).T, mode="r").T
+    factor *= np.where(np.diag(factor) < 0.0, -1.0, 1.0)
     before, slope = density(x[None])
     step = factor @ (factor.T @ slope[0])
     after, _ = density((x + step)[None])
