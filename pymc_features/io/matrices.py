@@ -124,6 +124,9 @@ def _vector(group, name):
 def _read_npz(path):
     with zipfile.ZipFile(path) as file:
         check_promise(path, [entry.file_size for entry in file.infolist()])
+    with path.open("rb") as file:
+        if file.read(2) != b"PK":  # NumPy would read what stands above the archive
+            raise ValueError("it does not begin as an archive")
     with np.load(path, allow_pickle=False) as file:
         names = set(file.files)
         arrays = {name: _member(path, file, name) for name in file.files}

@@ -48,8 +48,9 @@ def check_channels(
     xarray.Dataset (sensor)
         `gain`, `lag` [s], their standard errors and `coherence` as of `low_frequency_gains`; `peak` [m/s^2],
         the largest deviation from the median; `scale` [-] and `delay` [s], what `correct` takes to put right
-        a channel that is inverted, in other units, or late: 1 and 0 where nothing is wrong. `attrs["order"]`:
-        the sensors by their gains, if these do not rise.
+        a channel that is inverted, in other units, or late: 1 and 0 where nothing is wrong. Where one channel
+        is late, all get the lag that damping and chance do not explain, also less than a tenth of a sample.
+        `attrs["order"]`: the sensors by their gains, if these do not rise.
 
     Raises
     ------
@@ -81,17 +82,20 @@ def check_channels(
     index = base_index(channels, base)
     reference = repr(str(found["sensor"].values[index]))
     allowed = _LATE * sampling_step(channels), damping_ratio / (1.5 * np.pi * found.attrs["band"][1])
-    comparable, scale, delay = [], np.ones(found.sizes["sensor"]), np.zeros(found.sizes["sensor"])
+    comparable, late = [], False
+    scale, delay = np.ones(found.sizes["sensor"]), np.zeros(found.sizes["sensor"])
     for i in range(found.sizes["sensor"]):
         row = {name: float(found[name][i]) for name in found.data_vars}
         messages = [] if i == index else _against_base(row, reference, allowed)
         if i != index and row["coherence"] >= _COHERENT:
-            scale[i], delay[i] = _factor(row["gain"]), row["lag"] if _is_late(row, allowed) else 0.0
+            scale[i], delay[i] = _factor(row["gain"]), row["lag"] if _late(row, allowed[1]) > 0.0 else 0.0
+            late |= _late(row, allowed[1]) > allowed[0]
         for message in messages:
             warn_channel(f"Channel {str(found['sensor'].values[i])!r} {message}")
         if row["coherence"] >= _COHERENT and _GAINS[0] <= abs(row["gain"]) <= _GAINS[1]:
             comparable.append(i)
     found.attrs["order"] = _check_order(found.isel(sensor=comparable))
+    delay *= late  # no clock is touched for what no message is worth
     return found.assign(scale=("sensor", scale), delay=("sensor", delay, {"units": "s"}))
 
 
@@ -104,10 +108,10 @@ def _factor(gain: float) -> float:
     return float(sign * (1.0 / known if abs(gain) > 1.0 else known))
 
 
-def _is_late(row: dict, allowed: tuple[float, float]) -> bool:
-    """Whether a lag is more than a part of a sample, damping and chance."""
-    explained = abs(1.0 - 1.0 / max(abs(row["gain"]), 1.0)) * allowed[1]
-    return abs(row["lag"]) > allowed[0] + explained + 3.0 * row["lag_error"]
+def _late(row: dict, damping: float) -> float:
+    """By how much a lag [s] is more than damping and chance explain."""
+    explained = abs(1.0 - 1.0 / max(abs(row["gain"]), 1.0)) * damping
+    return abs(row["lag"]) - explained - 3.0 * row["lag_error"]
 
 
 def _against_base(row: dict, base: str, allowed: tuple[float, float]) -> list[str]:
@@ -129,7 +133,7 @@ def _against_base(row: dict, base: str, allowed: tuple[float, float]) -> list[st
             f"has a low-frequency gain of {gain:.3g} against {base}, where floors follow the base"
             f"{', ' if reason else ''}{reason}. Check units and sensitivity."
         )
-    if _is_late(row, allowed):
+    if _late(row, allowed[1]) > allowed[0]:
         messages.append(
             f"comes {1e3 * abs(lag):.3g} ms ({abs(lag) * _LATE / allowed[0]:.3g} samples) "
             f"{'after' if lag > 0.0 else 'before'} {base}, +- {1e3 * row['lag_error']:.2g} ms. "

@@ -37,12 +37,13 @@ def check_each(channels: xr.DataArray) -> None:
                 f"Channel {name} must move, all its {history.size} samples are {history[:1].sum():g}. Leave "
                 "it out."
             )
-    for name, history in zip(names, measured, strict=True):
-        for message in (_units(history), _clipped(history), _held(history)):
-            if message:
-                warn_channel(f"Channel {name} {message}")
-    _copies(names, values)
-    _empty_start(names, filled(values)[0])
+    with np.errstate(over="ignore", invalid="ignore"):  # implausible peaks may be as large as numbers get
+        for name, history in zip(names, measured, strict=True):
+            for message in (_units(history), _clipped(history), _held(history)):
+                if message:
+                    warn_channel(f"Channel {name} {message}")
+        _copies(names, values)
+        _empty_start(names, filled(values)[0])
 
 
 def _units(history) -> str | None:
@@ -118,9 +119,11 @@ def _copies(names, values) -> None:
 def _empty_start(names, values) -> None:
     """A first sample of exact zeros before noise or offsets: the empty packet of a logger."""
     later = values[:, 1:21]
+    if later.shape[1] < 20:
+        return
     zero = (values[:, 0] == 0.0) & (later != 0.0).all(axis=1)
     jump = np.abs(values[:, 1]) > 4.0 * np.median(np.abs(np.diff(later, axis=1)), axis=1)
-    if zero.all() and jump.any() and later.shape[1] == 20:
+    if zero.all() and jump.any():
         warn_channel(
             f"The first sample of {', '.join(names)} is exactly zero, unlike those that follow: an empty "
             "packet? Pass skip=1 to `read_channels`, or trim it."

@@ -7,6 +7,7 @@ import os
 import shutil
 import sqlite3
 import threading
+import time
 from pathlib import Path
 
 import cloudpickle
@@ -273,6 +274,22 @@ def write(path, first, barrier):
     cache = EvaluationCache(path)
     for i in range(first, first + 100):
         cache.add(str(i), (1.0,), Outcome("ok", np.full(3, float(i))))
+
+
+@pytest.mark.processes
+def test_simulations_wait_for_a_slow_writer(simulator, tmp_path, monkeypatch):
+    """A run that is killed loses at most two results of each process, on a busy machine too."""
+    s = simulator(Counted(tmp_path / "calls"), executor=2, cache=tmp_path / "cache.sqlite")
+    add, ahead = EvaluationCache.add, []
+
+    def slowly(cache, *result):
+        time.sleep(0.01)
+        ahead.append(len(s.function.calls()) - len(ahead))
+        add(cache, *result)
+
+    monkeypatch.setattr(EvaluationCache, "add", slowly)
+    s.responses(np.arange(1.0, 31.0))
+    assert len(ahead) == 30 and max(ahead) <= 4
 
 
 @pytest.mark.processes

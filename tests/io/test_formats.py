@@ -332,6 +332,25 @@ def test_files_without_acceleration(tmp_path, text, message):
         read_record(path)
 
 
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        (
+            "cosmos",
+            "acceleration pts, approx",
+            "accleration pts, approx",
+            "the quantity must stand here, as acceleration",
+        ),
+        ("knet", "    9139", "    9.39", r"values must be counts, whole numbers, got 9\.39 above"),
+    ],
+)
+def test_a_spoilt_byte_does_not_give_another_channel(tmp_path, name, old, new, message):
+    text = EXAMPLES[name].text
+    assert old in text
+    with pytest.raises(ValueError, match=message):
+        read_record(write(tmp_path, name, text.replace(old, new, 1)), column=0)
+
+
 @each_example
 def test_truncated_files_name_their_format(tmp_path, name):
     lines = EXAMPLES[name].text.split("\n")

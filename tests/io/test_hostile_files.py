@@ -114,6 +114,12 @@ def mat_of_terabytes(path):
     path.write_bytes(raw)
 
 
+def mat_5_that_begins_as_mat_4(path):
+    """SciPy tells versions by a zero in the first four bytes, and takes memory for the name of the matrix."""
+    savemat(path, {"ag": np.arange(5.0)})
+    path.write_bytes(b"\0\0" + path.read_bytes()[2:])
+
+
 def compressed_zeros(path):
     savemat(path, {"K": np.zeros((3000, 4000))}, do_compression=True)
 
@@ -143,6 +149,10 @@ PROMISES = {  # what is said: what is given
         sparse_hdf5_group,
     ),
     "m.mat must be a MATLAB .mat file, it cannot be read": ("m.mat", mat_of_terabytes),
+    "m.mat must be a MATLAB .mat file, it cannot be read .*it is of no version": (
+        "m.mat",
+        mat_5_that_begins_as_mat_4,
+    ),
 }
 
 
@@ -231,6 +241,10 @@ WRONG = {  # what is said: what is given
     "the symmetry must be general, symmetric or skew": (
         "K.mtx",
         lambda p: p.write_text("%%MatrixMarket matrix coordinate real odd\n2 2 1\n1 1 1\n"),
+    ),
+    "K.npz must hold matrices, it cannot be read .it does not begin as an archive": (
+        "K.npz",
+        lambda p: (np.savez(p, K=np.eye(2)), p.write_bytes(p.read_bytes()[1:])),
     ),
     "K.npz must hold matrices, it cannot be read": (
         "K.npz",

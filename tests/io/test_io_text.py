@@ -273,6 +273,13 @@ def test_units_that_contradict_the_header(tmp_path):
         assert read_record(path, units="m/s2").pga == 0.25
 
 
+@pytest.mark.parametrize("line", ["s,g", "gain,1.02", ",1", "ch. 1,2.5 V", "12:00:00.5,0"])
+def test_a_line_between_labels_and_numbers(tmp_path, line):
+    """Units, gains, numbers of sensors: no row of numbers that is spoilt."""
+    path = write(tmp_path, f"t,a\n{line}\n0.0,0.1\n0.02,0.2\n0.04,0.1\n")
+    np.testing.assert_allclose(read_record(path, units=1.0).acceleration, [0.1, 0.2, 0.1])
+
+
 # --- errors -------------------------------------------------------------------------------------
 
 
@@ -296,6 +303,10 @@ def test_units_that_contradict_the_header(tmp_path):
         ("0,1\n0.02,1,3\n", "line 2: rows must have 2 values like the first, got 3"),
         ("0 1\n0.02\n", "line 2: rows must have 2 values like the first, got 1"),
         ("0 1\n0.02 1\nend of file\n", "line 3: values must be finite numbers, got 'end'"),
+        ("t,a\n0.0x,0.1\n0.02,0.2\n0.04,0.1\n", "line 2: values must be finite numbers, got '0.0x'"),
+        ("t,a\n,0.1\n0.02,0.2\n0.04,0.1\n", "line 2: values must be finite numbers, got an empty cell"),
+        ("t,a\n0.0,,0.1\n0.02,0.2\n0.04,0.1\n", "line 2: values must be finite numbers, got an empty cell"),
+        ("0.;00 0.1\n0.02 0.2\n0.04 0.1\n", "line 1: values must be finite numbers, got '0.;00'"),
         ("PK\0\0", "elcentro.csv must be a text file, it holds binary data"),
     ],
 )
@@ -390,6 +401,12 @@ def test_one_series_along_the_lines(tmp_path, per_line, header, n_values):
     np.testing.assert_allclose(record.acceleration, 0.01 * WRAPPED[:n_values], rtol=1e-12)
     found = read_channels({"base": path}, units=1.0, dt=0.01, wrapped=True)
     np.testing.assert_allclose(found.values, WRAPPED[None, :n_values], rtol=1e-12)
+
+
+def test_a_spoilt_first_line_of_wrapped_values(tmp_path):
+    path = write(tmp_path, "a motion\n0.1 0.2x 0.3 0.4\n0.5 0.6 0.7 0.8\n")
+    with pytest.raises(ValueError, match="line 2: values must be finite numbers, got '0.2x'"):
+        read_record(path, units="g", dt=0.02, wrapped=True)
 
 
 def test_times_and_values_in_turn(tmp_path):

@@ -9,6 +9,7 @@ from scipy import signal as scipy_signal
 
 from pymc_features import RayleighDamping, SpringMassChain, signals, simulate, synthetic_earthquake
 from pymc_features.signals import check_channels
+from pymc_features.signals.single import check_each
 from support.warned import messages
 
 STEP = 0.01
@@ -337,6 +338,34 @@ def test_base_may_be_any_sensor(building):
     np.testing.assert_allclose(
         found["gain"][[3, 0, 1, 2]], signals.low_frequency_gains(array(building), BAND)["gain"], rtol=1e-12
     )
+
+
+def test_where_one_clock_is_late_all_are_put_right(building):
+    """By what chance and damping do not explain, if no message is worth it; else the corrected data of a late
+    sensor would not be those of the same sensor in time.
+    """
+    values = building.copy()
+    values[1] = delayed(values[1], 0.0008)  # below a tenth of a sample
+    assert messages(lambda: check_channels(array(values), BAND)) == []
+    assert (check_channels(array(values), BAND)["delay"] == 0.0).all()
+    with_late = values.copy()
+    with_late[3] = delayed(values[3], 0.0123)
+    with pytest.warns(match="'floor3' comes 12.* ms .* after 'base'") as told:
+        found = check_channels(array(with_late), BAND)
+    assert len(told) == 1
+    np.testing.assert_allclose(found["delay"], [0.0, 0.0008, 0.0, 0.0123], atol=4e-4)
+    assert (found["delay"][[0, 2]] == 0.0).all()
+    assert (found["delay"][[1, 3]] == found["lag"][[1, 3]]).all()
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_numbers_as_large_as_they_get_and_few_of_them(building):
+    values = building.copy()
+    values[1, 500:502] = 1e308, -1e308
+    told = messages(lambda: check_each(array(values)))
+    assert len(told) == 1
+    assert "'floor1' has an implausible peak of 1e+308 m/s^2" in told[0]
+    assert messages(lambda: check_each(array(building[:, :2]))) == []
 
 
 def test_lag_that_damping_explains_is_not_told(building):

@@ -225,3 +225,12 @@ def test_damaged_configurations(folder):
     said = mutate(folder, 11, MUTATIONS)
     refused = sum(map(bool, said))
     assert MUTATIONS // 2 < refused < MUTATIONS
+
+
+def test_a_structure_without_a_natural_frequency(tmp_path):
+    """A mass so small that its inverse is no number."""
+    [table] = [t for t in originals(tmp_path) if t["structure"]["type"] == "LinearStructure"]
+    table["structure"]["mass"] = [0.1, 0.1, 1e-308]
+    (tmp_path / "mutated.toml").write_text(as_toml(table))
+    with pytest.raises(ConfigError, match=r"\[structure\]: masses and stiffnesses must have a natural freq"):
+        read_problem(tmp_path / "mutated.toml")

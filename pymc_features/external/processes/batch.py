@@ -1,9 +1,11 @@
 """Many simulations at once, whatever happens to single ones."""
 
+import sys
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, CancelledError
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from queue import Empty, SimpleQueue
 
 from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
@@ -44,8 +46,8 @@ class Batch:
     Parameters
     ----------
     executor : object with submit()
-        Where. If it has `brings` that is true, it brings the payload to each place once; and `check()`, which
-        raises a `NoWorkersError`.
+        Where. If it has `brings` that is true, it brings the payload to each place once; if it has `at_most`,
+        it gets no more calls than that before their outcomes are taken.
     work : Work
         What.
     done : callable
@@ -60,13 +62,17 @@ class Batch:
         self.first_payload = work.payload if brings else None
         self.running: dict = {}  # future -> number, arguments, attempts, times lost
         self.over: SimpleQueue = SimpleQueue()
+        self.at_most = getattr(executor, "at_most", sys.maxsize)
 
     def run(self, calls):
         """Run all of (number, arguments); Ctrl-C drops those that have not begun."""
+        waiting = iter(calls)
         try:
-            for number, arguments in calls:
-                self.submit(number, arguments, 1, 0, self.first_payload)
-            while self.running:
+            while True:
+                for number, arguments in islice(waiting, self.at_most - len(self.running)):
+                    self.submit(number, arguments, 1, 0, self.first_payload)
+                if not self.running:
+                    return
                 with suppress(Empty):
                     self.settle(self.over.get(timeout=1.0))
                 self.tick()

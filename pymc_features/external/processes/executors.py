@@ -40,12 +40,17 @@ def open_executor(executor):
 
 
 class LocalExecutor(ThreadPoolExecutor):
-    """Threads that wait, each for a process of its own."""
+    """Threads that wait, each for a process of its own.
+
+    Each has one call in work and one in reserve. So a run that is killed loses no more than two results of
+    each, however slowly they are written down.
+    """
 
     brings = True
 
     def __init__(self, n_processes: int):
         super().__init__(n_processes, thread_name_prefix="simulation")
+        self.at_most = 2 * n_processes
 
     def end(self, digests):
         """Drop what has not begun, and kill what has."""

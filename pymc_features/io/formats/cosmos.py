@@ -25,6 +25,7 @@ UNITS = {  # code: factor and unit; the file's own word for others
     11: (1e-3, "g"),
     12: (1e-6, "g"),
 }
+QUANTITIES = ("accel", "veloc", "displ", "rotat", "angul", "press", "strain", "speed")
 STEP, RAW_STEP, PEAK = 61, 33, 63  # reals: of the series [ms], of the recorder [s], signed
 
 
@@ -89,6 +90,8 @@ def _series(lines: Lines, name: str, reals):
         if n_times is None or "units=" not in line:
             raise lines.error("the number of points and their units must stand here", repr(line.strip()[:60]))
         values = lines.fields(n_times, column_width(line, 10), "values")
+        if not any(word in line for word in QUANTITIES):  # else a misspelt channel would not be missed
+            raise lines.error("the quantity must stand here, as acceleration", repr(line.strip()[:60]))
         if "accel" in line and "velocity" not in line:
             yield _acceleration(lines, name, line, values, reals)
 

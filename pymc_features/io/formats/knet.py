@@ -43,6 +43,9 @@ def read(path: Path) -> tuple[list[Channel], str]:
     duration = to_number(found["duration"])
     check_sections(lines, {"the sampling frequency": rate, "the duration": duration})
     counts = lines.words(round(rate * duration), "values, frequency times duration")
+    if (counts % 1.0).any():
+        odd = counts[counts % 1.0 != 0.0][0]
+        raise lines.error("values must be counts, whole numbers", f"{odd:g} above this line")
     if (line := lines.peek()) is not None:
         raise lines.error("nothing may follow the values, frequency times duration", repr(line[:60]))
     gal = _scale(lines, found["scale"]) * (counts - counts.mean())

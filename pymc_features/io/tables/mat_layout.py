@@ -35,8 +35,10 @@ def check_layout(path: Path) -> int:
         If a part is longer than what holds it, or much more comes out of a file than is in it.
     """
     with path.open("rb") as file:
-        order = {b"IM": "little", b"MI": "big"}.get(file.read(HEADER)[-2:])
-        return _check_4(path, file) if order is None else _check_5(path, file, order)
+        header = file.read(HEADER)
+        if 0 in header[:4]:  # as SciPy tells version 4, whose header is no text
+            return _check_4(path, file, header)
+        return _check_5(path, file, "little" if header[-2:] == b"IM" else "big")
 
 
 def _check_5(path: Path, file, order: str) -> int:
@@ -110,12 +112,12 @@ def _check_sparse(parts: list[bytes], order: str) -> None:
         raise ValueError("the entries of a sparse matrix must be in its rows and columns")
 
 
-def _check_4(path: Path, file) -> int:
+def _check_4(path: Path, file, first: bytes) -> int:
     """Type, rows, columns, whether complex, and length of the name, above each matrix."""
     size, start = path.stat().st_size, 0
+    order = "little" if int.from_bytes(first[:4], "little") <= 5000 else "big"  # of all
     file.seek(0)
     while len(header := file.read(20)) == 20:
-        order = "little" if int.from_bytes(header[:4], "little") < 5000 else "big"
         kind, rows, columns, imaginary, n_name = (
             int.from_bytes(header[k : k + 4], order) for k in range(0, 20, 4)
         )

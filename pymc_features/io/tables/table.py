@@ -12,6 +12,7 @@ from pymc_features._checks import shown
 from pymc_features.io.reading.lines import Lines, not_a_number, to_number
 from pymc_features.io.reading.units import known_factor
 from pymc_features.io.tables.brackets import labels_with_brackets, texts_in_brackets, without_brackets
+from pymc_features.io.tables.first_row import refuse_spoilt_first
 
 _SEPARATORS = (r"\t", ";", ",", r"\s+")
 _COMMENTS = ("#", "%", "//")
@@ -129,18 +130,15 @@ def parse_table(path: Path, skip: int = 0, wrapped: bool | None = None, gaps: bo
     lines = Lines(path)
     header, bare, first, separator = _header(lines)
     body = Body(lines, first, skip)
+    n_columns = len(_split(next(line for _, line in Body(lines, first)), separator))
+    above = [(number, _split(line, separator)) for number, line in bare]
+    refuse_spoilt_first(path.name, above, first, n_columns)
     if wrapped:
         values, n_columns = _series(path.name, Body(lines, first), separator)
         values = _at_least_two(path.name, values[skip:])
         return Table(
             path.name, header, [], values, Body(lines, first), separator, n_columns // values.shape[1]
         )
-    n_columns = len(_split(next(line for _, line in Body(lines, first)), separator))
-    for number, line in bare:  # a spoilt first row must not pass for a header
-        cells = _split(line, separator)
-        if len(cells) == n_columns > 1 and to_number(cells[0]) is not None:
-            bad = next(cell for cell in cells if to_number(cell) is None)
-            raise not_a_number(f"{path.name}, line {number}", bad)
     values = _numbers(path.name, Body(lines, first), separator, n_columns, gaps)[skip:]
     labels = [found for line in header if (found := _labels(line, n_columns))]
     return Table(path.name, header, labels, _at_least_two(path.name, values), body, separator)

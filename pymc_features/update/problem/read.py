@@ -160,7 +160,7 @@ def read_problem(path) -> Problem:
     structure = StructureOf(config.structure, path.parent)
     with named_key("structure"):
         expected = structure(**{n: priors[n].median for n in structure.names})
-        first_frequency = float(modes_of(expected, 1).natural_frequencies[0])
+        first_frequency = first_frequency_of(expected)
     measured, dofs, modal = None, [], None
     if config.data is not None:
         measured = read_measured(config, path.parent, first_frequency)
@@ -183,6 +183,18 @@ def read_problem(path) -> Problem:
         )
     text = path.read_text(encoding="utf-8")
     return Problem(path, text, config, raw, measured, structure, priors, dofs, modal)
+
+
+def first_frequency_of(expected) -> float:
+    """The first natural frequency of a structure [Hz]."""
+    with np.errstate(all="ignore"):  # the inverse of a tiny mass is no number
+        found = modes_of(expected, 1).natural_frequencies
+    if not (found.size and np.isfinite(found[0])):
+        raise ValueError(
+            "masses and stiffnesses must have a natural frequency at the medians of the priors, got none. "
+            "Check their units."
+        )
+    return float(found[0])
 
 
 def checked_dofs(config, size) -> list[int]:
