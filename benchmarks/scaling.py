@@ -1,11 +1,17 @@
 """How the cost of an evaluation grows with samples, sensors, degrees of freedom and particles.
 
 One table for each, with exponents fitted by least squares in log-log over all rows: 1 is proportional
-to the size, less than 1 says that a fixed cost still counts.
+to the size, less than 1 says that a fixed cost still counts. Long records have a table of their own: their
+mean squares come from tables, beside the march that these replace.
 """
 
+import time
+
+import numpy as np
+
+import pymc_features as pmf
 from benchmarks.case import build, record_of_length
-from benchmarks.routes import batched, scalar
+from benchmarks.routes import batched, long_records, scalar
 from benchmarks.tables import significant, table
 from benchmarks.timing import best_of_rounds, fitted_exponent
 
@@ -56,8 +62,34 @@ def measure(make_case, sizes, rounds):
     return seconds, steps
 
 
+LONG = (2_001, 4_001, 20_001, 60_001, 200_001)  # samples at 200 Hz
+
+
+def run_long_records(rounds):
+    """Print the cost of e_j from tables against the number of samples, ten storeys and five sensors."""
+    rows, costs = [], []
+    for size in LONG:
+        record = pmf.Record(np.random.default_rng(0).standard_normal(size), 0.005)
+        case = build(record, particles=512, n_dof=10, n_sensors=5)
+        few = case.first(64)
+        call, march = long_records.prepare(case), batched.prepare(few)
+        start = time.process_time()
+        difference = np.abs(call()[:64] / march() - 1.0).max()
+        first = time.process_time() - start
+        best = best_of_rounds({"table": call, "march": march}, rounds)
+        table_cost, march_cost = 1e6 * best["table"] / 512, 1e6 * best["march"] / 64
+        costs.append(table_cost)
+        cells = (first, march_cost, table_cost, march_cost / table_cost)
+        rows.append([f"{size:,}", *map(significant, cells), f"{difference:.0e}"])
+    rows.append(["exponent", "", "", f"{fitted_exponent(LONG, costs):.2f}", "", ""])
+    print("\n## Long records: us per particle, modes included (ten storeys, five sensors, 200 Hz)\n")
+    headers = ["samples N_D", "first call: s", "march", "table", "ratio", "relative difference of e_j"]
+    print(table(headers, rows), flush=True)
+
+
 def run(quick=False):
     """Print one table for each study."""
+    run_long_records(rounds=2 if quick else 7)
     for name, (make_case, sizes) in STUDIES.items():
         seconds, steps = measure(make_case, sizes, rounds=2 if quick else 7)
         print(f"\n## Cost against {name} ({make_case.__doc__.split(', ', 1)[1].rstrip('.')})\n")

@@ -8,6 +8,7 @@ import inspect
 import re
 from pathlib import Path
 
+from pymc_features.ambient import AmbientResponse
 from pymc_features.distributions import LIKELIHOODS
 from pymc_features.inference import sample
 from pymc_features.io import FORMATS
@@ -19,7 +20,7 @@ from pymc_features.structures import DAMPINGS, STRUCTURES
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = {  # name between the markers -> heading of the first column, members
     "structures": ("structure or damping", STRUCTURES + DAMPINGS),
-    "likelihoods": ("likelihood or node", (*LIKELIHOODS, ModalFeature, *NODES)),
+    "likelihoods": ("likelihood or node", (*LIKELIHOODS, ModalFeature, AmbientResponse, *NODES)),
     "kernels": ("sampler or kernel", (sample, *KERNELS, *SIMULATOR_KERNELS)),
 }
 

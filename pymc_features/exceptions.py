@@ -6,6 +6,7 @@ Arguments out of their range raise Python's own `ValueError` and `TypeError`; so
 """
 
 __all__ = [
+    "AmbientWarning",
     "CalibrationWarning",
     "ChainsDisagreeWarning",
     "ChannelWarning",
@@ -51,6 +52,10 @@ class DatasetUnavailableError(OSError):
 
 class FeatureLikelihoodWarning(UserWarning):
     """The posterior of a feature likelihood will not mean what the user expects."""
+
+
+class AmbientWarning(UserWarning):
+    """A band has no mode, or a record is too short for one."""
 
 
 class ModalMatchWarning(UserWarning):

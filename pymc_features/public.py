@@ -1,6 +1,7 @@
 """Every public name: a new one is a line here."""
 
 from pymc_features import datasets, exceptions, plots, signals
+from pymc_features.ambient import AmbientResponse, spectral_response
 from pymc_features.calibration import calibrate, effective_samples, event_check, fill_degrees
 from pymc_features.distributions import (
     CorrelatedNormal,
@@ -9,9 +10,18 @@ from pymc_features.distributions import (
     TruncNormalFeature,
     sigma_mpv,
 )
+from pymc_features.events import compare, hierarchical
+from pymc_features.events.sequence import continue_with, sample_in_sequence
 from pymc_features.external import ExternalSimulator, ProgramSimulator, Surrogate
 from pymc_features.ground_motion import synthetic_earthquake
-from pymc_features.inference import fisher_information, laplace, sample, sample_nuts, tolerance_sweep
+from pymc_features.inference import (
+    compiled_logp,
+    fisher_information,
+    laplace,
+    sample,
+    sample_nuts,
+    tolerance_sweep,
+)
 from pymc_features.io import (
     read_channels,
     read_channels_with_gaps,
@@ -23,6 +33,7 @@ from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
 from pymc_features.modal import ModalData, merge_setups
 from pymc_features.modal_features import ModalFeature, mac, match_modes, modes
 from pymc_features.ops import mean_square_discrepancy, response
+from pymc_features.placement import sensor_placement
 from pymc_features.plots import *  # noqa: F403  plot_chains, plot_loops, ...
 from pymc_features.prediction import first_passage_probability, posterior_response
 from pymc_features.records import Loading, Record
@@ -41,6 +52,7 @@ from pymc_features.study import paper, sampling_rate_study
 
 __all__ = [
     "AffineStructure",
+    "AmbientResponse",
     "CorrelatedNormal",
     "DiscrepancySimulator",
     "DuffingChain",
@@ -66,6 +78,9 @@ __all__ = [
     "TruncNormalFeature",
     "abc_tolerance",
     "calibrate",
+    "compare",
+    "compiled_logp",
+    "continue_with",
     "datasets",
     "effective_samples",
     "event_check",
@@ -73,6 +88,7 @@ __all__ = [
     "fill_degrees",
     "first_passage_probability",
     "fisher_information",
+    "hierarchical",
     "integration_error",
     "laplace",
     "mac",
@@ -89,12 +105,15 @@ __all__ = [
     "read_record",
     "response",
     "sample",
+    "sample_in_sequence",
     "sample_nuts",
     "sample_smc",
     "sampling_rate_study",
+    "sensor_placement",
     "sigma_mpv",
     "signals",
     "simulate",
+    "spectral_response",
     "spring_forces",
     "synthetic_earthquake",
     "tolerance_sweep",

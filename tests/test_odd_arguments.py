@@ -12,9 +12,10 @@ import pytest
 
 import pymc_features as pmf
 from support.border import Call, fate, wrong
-from support.calls import files, likelihoods, modal, results, samplers, structures
+from support.calls import events, files, likelihoods, modal, results, samplers, structures
 
-CALLS = structures.CALLS | likelihoods.CALLS | files.CALLS | modal.CALLS | samplers.CALLS | results.CALLS
+TABLES = (structures, likelihoods, files, modal, samplers, results, events)
+CALLS = {name: call for table in TABLES for name, call in table.CALLS.items()}
 CASES = [(name, argument) for name, call in CALLS.items() for argument in call.arguments]
 
 

@@ -243,8 +243,7 @@ def _warn_about_noise(mu, observed):
     """Warn if the response at the model's initial point equals the data: sigma then runs to zero."""
     model = pm.modelcontext(None)
     try:
-        e = mean_square_discrepancy(mu, observed)
-        upstream = set(ancestors([e]))
+        upstream = set(ancestors([mu]))
         if any(v.owner is not None and getattr(v.owner.op, "expensive", False) for v in upstream):
             return
         free = [rv for rv in model.free_RVs if rv in upstream]
@@ -253,9 +252,11 @@ def _warn_about_noise(mu, observed):
             rvs_to_transforms={},
             initval_strategies=dict(model.rvs_to_initial_values),
         )
-        e = graph_replace(e, dict(zip(free, points, strict=True)), strict=False)
-        misfit = e.eval(mode=Mode(linker="py", optimizer=None))
-        power = np.nanmean(np.square(_values(pt.as_tensor_variable(observed))), axis=-1)
+        mu = graph_replace(mu, dict(zip(free, points, strict=True)), strict=False)
+        # the response itself: its kernel has most likely made the data, or will predict with the posterior
+        data = _values(pt.as_tensor_variable(observed))
+        misfit = mean_square_discrepancy(mu.eval(mode=Mode(linker="py", optimizer=None)), data)
+        power = np.nanmean(np.square(data), axis=-1)
     except Exception:  # a courtesy: whatever cannot be evaluated here is no error of the user's
         return
     if (power > 0).any() and (misfit[power > 0] <= NOISE_FREE * power[power > 0]).all():

@@ -129,11 +129,8 @@ class StructuralOp(Op):
         return results if isinstance(results, tuple) else (results,)
 
     def arguments(self, inputs) -> tuple:
-        """Arguments of the kernel, from the arrays of a node.
-
-        Arrays that may not be written are copied: Numba would compile the kernel for these once more.
-        """
-        arrays = [np.require(x, requirements=["C", "W"]) if np.ndim(x) else x.item() for x in inputs]
+        """Arguments of the kernel, from the arrays of a node."""
+        arrays = [prepared(x) for x in inputs]
         arguments = self.spec.assemble(arrays[: self.n_common], self.quantity_code)
         more, directions = self.split(arrays[self.n_common :])
         return *arguments, *more, *directions
@@ -149,6 +146,14 @@ class StructuralOp(Op):
         """Parameters and data count; constants, the record, the sampling and the sensors do not."""
         counts = [i < self.n_parameters or i >= self.n_common for i in range(len(node.inputs))]
         return [[c] * len(node.outputs) for c in counts]
+
+
+def prepared(x):
+    """An array, or a number of an array without dimensions, as the kernels take it.
+
+    Arrays that may not be written are copied: Numba would compile the kernels for these once more.
+    """
+    return np.require(x, requirements=["C", "W"]) if np.ndim(x) else x.item()
 
 
 def shapes(inputs: dict[str, str]) -> str:

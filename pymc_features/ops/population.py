@@ -6,7 +6,7 @@ from pytensor.graph.basic import Apply
 from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor.blockwise import Blockwise
 
-from pymc_features.ops.base import StructuralOp, count
+from pymc_features.ops.base import StructuralOp, count, prepared
 from pymc_features.ops.comparison import (
     DiscrepancyTangent,
     MisfitGradient,
@@ -14,6 +14,7 @@ from pymc_features.ops.comparison import (
     StructuralDiscrepancy,
     StructuralMisfit,
 )
+from pymc_features.simulators.mean_squares.population import is_long, mean_squares
 
 
 class PopulationComparison(StructuralOp):
@@ -63,6 +64,19 @@ class PopulationDiscrepancy(PopulationComparison):
     """e_j of Eq. (3) for a population (particle, sensor)."""
 
     kernel_name = "population_discrepancy"
+
+    def run(self, inputs):
+        """From tables, where the record is long and the structure has modes."""
+        if "population_systems" in self.spec.kernels and is_long(inputs[self.at("stride")], inputs[-1]):
+            return (mean_squares(self.spec, *self.uncopied(inputs)),)
+        return super().run(inputs)
+
+    def uncopied(self, inputs):
+        """Arguments of the kernel, and the data; no copies of record and data, known by their memory."""
+        *common, observed = inputs
+        record = self.at("acceleration")
+        known = [x if i == record else prepared(x) for i, x in enumerate(common)]
+        return self.spec.assemble(known, self.quantity_code), observed
 
 
 class PopulationMisfit(PopulationComparison):

@@ -6,6 +6,8 @@ A new one is one file and one line. matplotlib is imported when the first of the
 from pymc_features.plots.chains import plot_chains as plot_chains
 from pymc_features.plots.channels import plot_channels as plot_channels
 from pymc_features.plots.drawing.axes import close as close
+from pymc_features.plots.events.placement import plot_sensor_placement as plot_sensor_placement
+from pymc_features.plots.events.sequence import plot_sequence as plot_sequence
 from pymc_features.plots.loops import plot_loops as plot_loops
 from pymc_features.plots.mac import plot_mac as plot_mac
 from pymc_features.plots.mode_shapes import plot_mode_shapes as plot_mode_shapes

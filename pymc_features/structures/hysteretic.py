@@ -47,7 +47,9 @@ class HystereticChain(Chain):
     Without damping
     errors of phase add up, to 1e-6 after a dozen periods. One response of ten storeys under a record
     at 0.02 s costs about 0.5 microseconds for each spring and step with n = 1 or 2, 1 with another n; more
-    where the highest period is shorter than five steps.
+    where the highest period is shorter than five steps. A population is integrated by Taylor steps, several
+    particles at once (tests/simulators/test_taylor.py): its mean squares agree with those of single particles
+    to about 1e-6. Springs with another n than 1 or 2 are integrated one particle at a time.
 
     References
     ----------

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from pymc_features.simulators.oscillators.close_modes import CLOSE
-from pymc_features.simulators.oscillators.recursion import TAYLOR_TERMS
+from pymc_features.simulators.oscillators.hold import TAYLOR_TERMS
 
 MAX_HALVINGS = 24  # of the largest admissible frequency
 ACCELERATIONS = ("absolute_acceleration", "relative_acceleration")

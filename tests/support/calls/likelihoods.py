@@ -4,7 +4,7 @@ import numpy as np
 import pytensor.tensor as pt
 
 import pymc_features as pmf
-from support.border import Call
+from support.border import Call, work
 from support.odd_values import NOT_NEGATIVE, ONE, POSITIVE, TEXTS
 
 COORDS = {"sensor": range(2)}
@@ -55,7 +55,53 @@ def simulate(theta):
     return theta * DATA
 
 
+CHAIN = pmf.SpringMassChain([1.0, 1.0], [9.0, 9.0], pmf.ModalDamping(0.02))
+RESPONSE = pmf.spectral_response(CHAIN, 1.0)
+
 CALLS = {
+    "AmbientResponse": Call(
+        pmf.AmbientResponse,
+        {
+            "name": "y",
+            "response": RESPONSE,
+            "error": 1.0,
+            "bands": [0.5, 2.0],
+            "dt": 0.1,
+            "observed": np.ones((2, 100)),
+            "mu": None,
+            "dims": ("sensor", "time"),
+        },
+        {
+            "name": TAKEN["name"],
+            "error": POSITIVE | SCALARS | {"vector variable", "shared variable", "matrix variable"},
+            "bands": NUMERIC,
+            "mu": {"None", "matrix variable"},
+            "dims": {"None"},
+        },
+        {"dt": ["bands"], "observed": ["bands"]},
+        coords=COORDS | {"time": range(100)},
+        instead={"pymc_features.ambient.response.warn_at_start": work},
+    ),
+    "spectral_response": Call(
+        pmf.spectral_response,
+        {
+            "structure": CHAIN,
+            "excitation": 1.0,
+            "forces": "dofs",
+            "sensors": None,
+            "outputs": None,
+            "n_modes": None,
+            "quantity": "acceleration",
+        },
+        {
+            "excitation": SCALE | BATCHES,
+            "structure": {"structure"},
+            "forces": {"matrix in Fortran's order", "DataFrame"},
+            "sensors": {"None", "range", "0"},
+            "outputs": {"None", "matrix in Fortran's order", "sparse matrix"},
+            "n_modes": {"None", "NumPy's 2", "1.0 of 16 bits", "array without dimensions"},
+        },
+    ),
     "TruncNormalFeature": Call(pmf.TruncNormalFeature, NAMED | {"density": "data"}, TAKEN, coords=COORDS),
     "ExpFeature": Call(pmf.ExpFeature, NAMED | {"density": "data"}, TAKEN, coords=COORDS),
     "GammaFeature": Call(pmf.GammaFeature, NAMED | {"m": 3.0, "density": "data"}, TAKEN, coords=COORDS),

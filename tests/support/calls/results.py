@@ -1,5 +1,7 @@
 """Predictions, studies, figures, and simulators that run outside."""
 
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 
@@ -54,6 +56,14 @@ TREE = xr.DataTree.from_dict(
             },
             {"chain": [0]},
         ),
+        "sequence": xr.Dataset(
+            {
+                "mean": (("event", "parameter"), np.ones((2, 1))),
+                "standard_deviation": (("event", "parameter"), np.ones((2, 1))),
+                "alarm": ("event", [0, 1]),
+            },
+            {"event": [0, 1], "parameter": ["x"]},
+        ),
         "TN/modal": xr.Dataset({"natural_frequency": (("chain", "draw", "mode"), np.ones((1, 2, 1)))}),
     }
 )
@@ -103,6 +113,7 @@ AXES = {
     "var_names": {"None"},
     "units": {"None", "{}"},
     "measured": {"None"},
+    "parameters": {"None"},
 }
 PREDICT = {
     "idata": IDATA,
@@ -326,6 +337,21 @@ CALLS = {
         },
     ),
     "plot_record": figure("record", record=RECORD),
+    "plot_sensor_placement": replace(
+        figure(
+            "sensor_placement",
+            result=xr.Dataset(
+                {"alone": ("candidate", [1.0]), "gain": ("order", [1.0]), "sensor": ("order", [0])},
+                {"candidate": [0], "order": [1]},
+                {"criterion": "D"},
+            ),
+        ),
+        instead={"pymc_features.plots.events.placement.checked_axes": work},
+    ),
+    "plot_sequence": replace(
+        figure("sequence", idata=TREE, parameters=["x"]),
+        instead={"pymc_features.plots.events.sequence.checked_axes": work},
+    ),
     "plot_chains": figure("chains", idata=PLAIN, kind="rank", var_names=None),
     "plot_channels": figure("channels", channels=OBSERVED["y"]),
     "plot_loops": figure("loops", result=TREE, springs=None),

@@ -151,6 +151,12 @@ CALLS = {
         TAKEN | {"draws": ONE, "start": DICTS},
         instead={"pymc_features.inference.laplace.Unconstrained": work},
     ),
+    "compiled_logp": Call(
+        pmf.compiled_logp,
+        {"model": MODEL, "compile_kwargs": None},
+        TAKEN,
+        instead={"pymc_features.inference.compiled.CompiledLogp": work},
+    ),
     "fisher_information": Call(
         pmf.fisher_information,
         {"model": MODEL, "point": {"x": 1.0}},

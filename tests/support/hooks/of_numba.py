@@ -137,7 +137,8 @@ def places_of_machine_code():
 
     assert issubclass(KernelCacheLocator, caching._CacheLocator)
     assert caching._CacheLocator.__abstractmethods__ <= set(vars(KernelCacheLocator))
-    assert caching.CacheImpl._locator_classes[0] is KernelCacheLocator
+    first, *_ = [x for x in caching.CacheImpl._locator_classes if not x.__module__.startswith("pytensor.")]
+    assert first is KernelCacheLocator  # PyTensor's takes the functions of its graphs only
     assert callable(appdirs.AppDirs)
     assert ascending.stats.cache_path == KernelCacheLocator(ascending.py_func).get_cache_path()
 

@@ -172,6 +172,28 @@ def correlation():
     np.testing.assert_allclose(Pearson(points).get(points), 1.0)
 
 
+@check("pymc.smc.sampling._build_trace_from_kernel_state")
+def traces_of_chains():
+    from pymc.smc import sampling
+
+    names = list(inspect.signature(sampling._build_trace_from_kernel_state).parameters)
+    assert names == ["tempered_posterior", "var_info", "variables", "chain", "model"]
+    for function in (sampling._sample_smc_sequentially, sampling.sample_smc):
+        assert "_build_trace_from_kernel_state" in function.__code__.co_names
+
+
+@check("pymc.backends.ndarray.NDArray")
+def trace_in_memory():
+    from pymc.backends import ndarray
+
+    with pm.Model() as model:
+        pm.Normal("x")
+    shapes, dtypes = {"x": (2,)}, {"x": np.dtype(float)}
+    trace = ndarray.NDArray(model=model, fn=lambda x: [x], var_shapes=shapes, var_dtypes=dtypes)
+    trace.setup(3, 0)
+    assert trace.samples["x"].shape == (3, 2) and (trace.draws, trace.draw_idx) == (3, 0)
+
+
 @check("pymc.sampling.parallel.ParallelSamplingError")
 def error_of_a_chain():
     """It is raised from what was raised in the process of the chain."""
