@@ -118,10 +118,6 @@ def nonlinear_histories(law, parameters, excitation, sensors, quantities, refine
     return problem.response(problem.parameters, quantities, refine)[0]
 
 
-# Laws whose populations take Taylor steps: none, until a particle that is lost leaves its neighbours alone
-BY_TAYLOR: set[str] = set()
-
-
 def one_by_one(problem, parameters, observed) -> np.ndarray:
     """Statistics (p, s, 4) of particles by Runge-Kutta steps, vectors of springs."""
     result = np.empty((n_particles(parameters), problem.wanted.sensors.size, 4))
@@ -138,7 +134,7 @@ def population_statistics(law, problem, observed) -> np.ndarray:
     result = np.empty((count, problem.wanted.sensors.size, 4))
     left = np.ones(count, dtype=bool)
     usual = is_linear_chain(parameters) & left
-    for group, series in LAWS[law].series.items() if law in BY_TAYLOR else ():
+    for group, series in LAWS[law].series.items():
         serves = series.serves(parameters.law.swapaxes(0, 1)).all(axis=-1)
         members = np.flatnonzero(left & usual & serves)
         if members.size:
