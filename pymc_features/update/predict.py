@@ -46,7 +46,8 @@ def bands(problem, kind, model, idata) -> xr.Dataset:
     compared = at_sensors[names[0]].values[..., measured.compared]
     found = xr.Dataset({"response": (dims, compared)}, coords=coords)
     off = observed - found["response"].sel(quantile=0.5, drop=True)
-    found["normalised_error"] = np.sqrt((off**2).mean("time") / (observed**2).mean("time"))
+    with np.errstate(divide="ignore", invalid="ignore"):  # of a channel of zeros
+        found["normalised_error"] = np.sqrt((off**2).mean("time") / (observed**2).mean("time"))
     if not KINDS[kind].is_likelihood_free:
         found["predictive"] = dims, predictive(model, idata)
         low, high = found["predictive"].isel(quantile=0), found["predictive"].isel(quantile=-1)

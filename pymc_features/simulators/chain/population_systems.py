@@ -3,14 +3,13 @@
 import numpy as np
 
 from pymc_features.simulators.chain.parameters import own_rows
-from pymc_features.simulators.chain.population import check_population, new_modes, solve_modes
-from pymc_features.simulators.chain.population_modes import take_modes
-from pymc_features.simulators.chain.response import chain_feed, write_shapes
+from pymc_features.simulators.chain.population import check_population
+from pymc_features.simulators.chain.sensor_modes import new_sensor_modes, solve_at_sensors
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.mean_squares.systems import new_systems, put_modes
-from pymc_features.simulators.oscillators.modal_system import ModalSystem
-from pymc_features.simulators.oscillators.recursion import write_damping
+from pymc_features.simulators.eigen.filling import take_lane
+from pymc_features.simulators.mean_squares.systems import new_systems, put_lane
+from pymc_features.simulators.oscillators.modal_system import DampingLaw
 
 
 @jit
@@ -25,17 +24,16 @@ def chain_systems(parameters, excitation, wanted, observed):
     n_particles = check_population(parameters, excitation, wanted, observed)
     sensors, m, quantity = wanted
     n, step = parameters.mass.shape[1], excitation.dt / excitation.substeps
-    systems, modes = new_systems(n_particles, sensors.size, m, 1), new_modes(n)
-    omega, damping, participation = np.empty(n), np.empty(m), np.empty(n)
-    rows, shapes = np.empty((n, n)), np.empty((sensors.size, m))
+    systems, modes = new_systems(n_particles, sensors.size, m, 1), new_sensor_modes(n, sensors.size)
+    kept, order = (np.zeros((m, LANES)), np.zeros((m, LANES))), np.empty(n, dtype=np.int64)
+    motion = np.ones(sensors.size)
     for first in range(0, n_particles, LANES):
         count = min(LANES, n_particles - first)
-        solve_modes(modes, parameters, first, count)
+        solve_at_sensors(modes, parameters, sensors, first, count)
         for lane in range(count):
             own = own_rows(parameters, first + lane)
-            take_modes(modes, lane, omega, participation, rows)
-            if modes.valid[lane] and write_damping(omega[:m], own.rayleigh, own.ratios, step, damping):
-                write_shapes(rows, sensors, shapes)
-                system = ModalSystem(omega[:m], damping, shapes, participation[:m].reshape(m, 1))
-                put_modes(systems, first + lane, system, chain_feed(system, wanted, m == n))
+            law = DampingLaw(own.rayleigh, own.ratios)
+            if modes.valid[lane] and take_lane(kept, lane, modes.values, law, step, order):
+                shapes = modes.vectors, order, lane
+                put_lane(systems, first + lane, kept, shapes, (motion, quantity))
     return systems

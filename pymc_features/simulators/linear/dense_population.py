@@ -8,7 +8,7 @@ from pymc_features.simulators.eigen.filling import empty_modes, fill_lanes, take
 from pymc_features.simulators.eigen.matrices import all_diagonal
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
 from pymc_features.simulators.linear.dense import assemble_dense, dense_modes, is_finite
-from pymc_features.simulators.mean_squares.systems import new_systems, put_modes
+from pymc_features.simulators.mean_squares.systems import new_systems, put_lane, put_modes
 from pymc_features.simulators.oscillators.lanes import new_lanes
 from pymc_features.simulators.oscillators.modal_system import (
     DampingLaw,
@@ -148,6 +148,15 @@ def own_values(parameters, p):
 
 
 @jit
+def bring(modes, parameters, first, count, is_there):
+    """Write the theta of particles `first` ... into the lanes, and whether their parameters are finite."""
+    for lane in range(LANES):
+        theta, pair, ratios = own_values(parameters, min(first + lane, count - 1))
+        is_there[lane] = first + lane < count and is_finite(theta) and is_finite(pair) and is_finite(ratios)
+        modes.theta[:, lane] = theta
+
+
+@jit
 def march_dense(parameters, excitation, wanted, observed, increments):
     """Misfits of all particles, `LANES` at a time; those that have no place in a lane are solved alone.
 
@@ -182,12 +191,7 @@ def march_dense(parameters, excitation, wanted, observed, increments):
     is_there, alone = np.empty(LANES, dtype=np.bool_), np.empty(count, dtype=np.int64)
     n_alone, start = 0, excitation.acceleration[0, 0]
     for first in range(0, count, LANES):
-        for lane in range(LANES):
-            own = own_values(parameters, min(first + lane, count - 1))
-            is_there[lane] = (
-                first + lane < count and is_finite(own[0]) and is_finite(own[1]) and is_finite(own[2])
-            )
-            modes.theta[:, lane] = own[0]
+        bring(modes, parameters, first, count, is_there)
         solve_structures(modes, stacks, is_diagonal, columns)
         for lane in range(LANES):
             if is_there[lane] and not modes.is_good[lane]:
@@ -242,12 +246,29 @@ def march_alone(parameters, excitation, wanted, lanes, places, data):
 
 @jit
 def dense_systems(parameters, excitation, wanted, count):
-    """`Systems` of dense structures with classical damping, as `march_dense` has them."""
-    n_sensors, n_inputs = wanted.sensors.shape[0], parameters.influence.shape[1]
-    systems = new_systems(count, n_sensors, wanted.n_modes, n_inputs)
+    """`Systems` of dense structures with classical damping, as `march_dense` has them; of any inputs."""
+    (n_sensors, n), step = wanted.sensors.shape, excitation.dt / excitation.substeps
+    n_inputs, m = parameters.influence.shape[1], wanted.n_modes
+    systems = new_systems(count, n_sensors, m, n_inputs)
+    is_there, is_alone = np.empty(LANES, dtype=np.bool_), np.ones(count, dtype=np.bool_)
+    if n_inputs == 1:
+        columns, stacks = wanted_columns(parameters, wanted), (parameters.mass, parameters.stiffness)
+        modes = new_structures(n, parameters.theta.shape[1], columns[0].shape[1])
+        kept, order = (np.zeros((m, LANES)), np.zeros((m, LANES))), np.empty(n, dtype=np.int64)
+        is_diagonal, motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
+        for first in range(0, count, LANES):
+            bring(modes, parameters, first, count, is_there)
+            solve_structures(modes, stacks, is_diagonal, columns)
+            for lane in range(min(LANES, count - first)):
+                is_alone[first + lane] = is_there[lane] and not modes.is_good[lane]
+                _, pair, ratios = own_values(parameters, first + lane)
+                law, is_kept = DampingLaw(pair, ratios), is_there[lane] and modes.is_good[lane]
+                if is_kept and take_lane(kept, lane, modes.values, law, step, order):
+                    shapes = modes.vectors, order, lane
+                    put_lane(systems, first + lane, kept, shapes, (motion, wanted.quantity))
     for p in range(count):
-        own = own_values(parameters, p)
-        valid, system, feed = dense_system(parameters, own, wanted, excitation.dt / excitation.substeps)
-        if valid:
-            put_modes(systems, p, system, feed)
+        if is_alone[p]:
+            valid, system, feed = dense_system(parameters, own_values(parameters, p), wanted, step)
+            if valid:
+                put_modes(systems, p, system, feed)
     return systems
