@@ -40,6 +40,7 @@ from support.reference import richardson
 X = np.array([[1.05, 0.9], [0.8, 1.2], [1.0, 1.0]])
 DIRECTION = np.array([0.7, -0.4])
 WEIGHTS = np.array([0.5, 2.0, -1.0])
+OF_POPULATIONS = dict.fromkeys(("hysteretic", "duffing"), 3e-6)  # Taylor steps: another route
 
 
 def with_gaps(data):
@@ -85,7 +86,7 @@ def test_mean_squares_and_derivatives_of_every_family(name):
         return means(simulate(build(x), record).values, data)
 
     np.testing.assert_allclose(e, expected(X[0]), rtol=1e-9)
-    np.testing.assert_allclose(population, [expected(x) for x in X], rtol=1e-9)
+    np.testing.assert_allclose(population, [expected(x) for x in X], rtol=OF_POPULATIONS.get(name, 1e-9))
     rough = 1e-5 if name in ("hysteretic", "duffing") else 1e-8
     slopes = np.array([[richardson(expected, x, d) for d in np.eye(2)] for x in X])  # (p, x, s)
     close = {"rtol": rough, "atol": rough * np.abs(slopes).max()}
@@ -241,7 +242,7 @@ def test_population_of_a_model(name):
         density_of_what_was_measured(ExpFeature, data, simulate(build(x), record).values, s)
         for x, s in zip(X, [0.4, 0.7, 1.1], strict=True)
     ]
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    np.testing.assert_allclose(found, expected, rtol=OF_POPULATIONS.get(name, 1e-9))
     [drawn] = pm.draw([model["y"]], random_seed=1, mode=LIGHT)
     assert np.isfinite(drawn).all()
 
