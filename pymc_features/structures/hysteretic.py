@@ -43,13 +43,13 @@ class HystereticChain(Chain):
     Numbers are checked here; variables cannot be. Where a draw leaves the ranges, the response is NaN.
 
     Integrated by a fifth-order method in steps that follow the state and end at the kinks of the law: to 1e-6
-    of the peak, mostly 1e-8 (tests/simulators/test_hysteretic.py; `integration_error` estimates it).
-    Without damping
-    errors of phase add up, to 1e-6 after a dozen periods. One response of ten storeys under a record
+    of the peak, mostly 1e-8 (tests/simulators/test_hysteretic.py; `integration_error` estimates it). Without
+    damping errors of phase add up, to 1e-6 after a dozen periods. One response of ten storeys under a record
     at 0.02 s costs about 0.5 microseconds for each spring and step with n = 1 or 2, 1 with another n; more
-    where the highest period is shorter than five steps. A population is integrated by Taylor steps, several
-    particles at once (tests/simulators/test_taylor.py): its mean squares agree with those of single particles
-    to about 1e-6. Springs with another n than 1 or 2 are integrated one particle at a time.
+    where the highest period is shorter than five steps. A population with n = 1 or 2 is integrated by Taylor
+    steps, several particles at once: its mean squares agree with those of single particles to some 1e-7,
+    at worst to some 1e-6 (tests/simulators/test_taylor.py). Springs with another n are integrated one
+    particle at a time.
 
     References
     ----------

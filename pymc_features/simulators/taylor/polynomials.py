@@ -45,7 +45,7 @@ def polynomials_of(order):
         start, low, high = larger(sign * read_lanes(address, first), zero), zero, end
         x = end * start / (start - sign * at_end + TINY)
         x = where_less(zero, x, where_less(x, end, x, end), zero)
-        leaves = sign * read_lanes(address, first + 1)  # the origin is a root where the last kink was
+        leaves = sign * read_lanes(address, first + 1)  # the root at 0 is the kink before
         x = where_less(zero, leaves, larger(x, splat(0.5) * end), x)
         for _ in range(MAX_ITERATIONS):
             value, slope = value_and_slope(address, first, x)
