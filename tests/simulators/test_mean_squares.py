@@ -291,3 +291,19 @@ def test_short_records_and_yielding_springs_are_marched(tables):
         np.testing.assert_array_equal(found, case.marched())
     assert tables == []
     assert "population_systems" not in FAMILIES[HystereticChain.family].kernels
+
+
+@pytest.mark.parametrize("quantity", [0, 3])
+def test_forces_and_particles_that_are_no_structures(quantity):
+    """Masses are pushed by other forces than their inertia; three particles have no modes."""
+    case = Case(dense(), quantity=quantity)
+    parameters = case.arguments[0]
+    theta = parameters.theta.copy()
+    theta[3], theta[7], theta[9] = np.nan, -50.0, 1e300
+    forces = np.random.default_rng(5).normal(size=parameters.forces.shape)
+    before = case.by_table()
+    case.arguments = parameters._replace(theta=theta, forces=forces), *case.arguments[1:]
+    found = case.by_table()
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(found).all(axis=1)), [3, 7, 9])
+    np.testing.assert_allclose(found, case.marched(), rtol=1e-9)
+    assert not np.isclose(found[0], before[0], rtol=1e-3).any()
