@@ -1,6 +1,7 @@
 """Checks of arguments, with one message for all: "`name` must be ..., got .... What to do."."""
 
 from pymc_features._checks.messages import (
+    listed,
     message,
     shown,
 )
@@ -65,6 +66,7 @@ __all__ = [
     "check_title",
     "is_among",
     "is_number",
+    "listed",
     "masked_as_nan",
     "message",
     "shown",

@@ -1,8 +1,10 @@
 """The sentence that refuses an argument: "`name` must be ..., got .... What to do."."""
 
+from collections.abc import Sequence
 from reprlib import Repr
 
 LONGEST = 80  # characters of a value in a message
+MOST = 20  # names in a list
 _SHORT = Repr(maxlist=12, maxtuple=12, maxdict=6, maxlong=40, maxstring=LONGEST, maxother=LONGEST)
 
 
@@ -18,3 +20,9 @@ def shown(value) -> str:
     except Exception:  # integers of thousands of digits, and classes whose text fails
         return type(value).__name__
     return text if len(text) <= 2 * LONGEST else type(value).__name__
+
+
+def listed(names: Sequence, most: int = MOST) -> str:
+    """Names as a message lists them, the first of many."""
+    more = f", ... {len(names)} in all" if len(names) > most else ""
+    return ", ".join(str(name)[:40] for name in names[:most]) + more or "none"

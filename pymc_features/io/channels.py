@@ -17,6 +17,7 @@ from pymc_features._checks import (
     check_path,
     check_step,
     is_number,
+    listed,
     message,
     shown,
     single,
@@ -262,7 +263,7 @@ def _sensor_names(found, labels, keys, named: bool) -> list[str]:
             names += own if len(found) == 1 and not named else [f"{label} {name}" for name in own]
     if len(set(names)) < len(names):
         raise ValueError(
-            f"Sensors must have different names, got {', '.join(names)}. Pass `files` or `columns` as a "
+            f"Sensors must have different names, got {listed(names)}. Pass `files` or `columns` as a "
             "mapping of names."
         )
     return names

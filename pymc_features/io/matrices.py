@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from scipy import sparse
 
-from pymc_features._checks import check_path
+from pymc_features._checks import check_path, listed
 from pymc_features.io.matrix_market import read_matrix_market
 from pymc_features.io.reading.lines import check_readable, shortened
 from pymc_features.io.reading.promise import check_promise
@@ -68,7 +68,7 @@ def read_matrices(path: str | PathLike) -> dict:
     if not matrices:
         raise ValueError(
             f"{path.name} must hold matrices of real numbers, got "
-            f"{', '.join(sorted(found)) or 'nothing'}. Save M, C and K as variables."
+            f"{listed(sorted(found)) if found else 'nothing'}. Save M, C and K as variables."
         )
     return {name: _as_floats(value, f"{path.name}, `{name}`") for name, value in matrices.items()}
 

@@ -12,6 +12,7 @@ from pymc_features._checks import (
     check_finite,
     check_title,
     is_number,
+    listed,
     message,
     shown,
 )
@@ -100,10 +101,10 @@ class ModalData:
         return values
 
     def _checked_channels(self):
-        listed = as_list(self.channels)
-        if listed is None or not all(isinstance(name, str) or is_number(name) for name in listed):
+        given = as_list(self.channels)
+        if given is None or not all(isinstance(name, str) or is_number(name) for name in given):
             raise TypeError(message("channels", "a sequence of names", shown(self.channels)))
-        names = tuple((name if isinstance(name, str) else check_title(name)).strip() for name in listed)
+        names = tuple((name if isinstance(name, str) else check_title(name)).strip() for name in given)
         if "" in names:
             raise ValueError(f"`channels` must have a name each, got none at index {names.index('')}.")
         twice = [name for name, count in Counter(names).items() if count > 1]
@@ -272,12 +273,6 @@ def find_channels(wanted: Sequence[str], names: Sequence[str], where: str) -> li
             "these names."
         )
     return [places[name] for name in wanted]
-
-
-def listed(names: Sequence[str], most: int = 20) -> str:
-    """Names as a message lists them."""
-    more = f", ... {len(names)} in all" if len(names) > most else ""
-    return ", ".join(str(name)[:40] for name in names[:most]) + more or "none"
 
 
 def _index(mode, n_modes: int) -> int:

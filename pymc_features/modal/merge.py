@@ -15,9 +15,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from pymc_features._checks import check_number, check_texts, shown
+from pymc_features._checks import check_number, check_texts, listed, shown
 from pymc_features.modal.averages import mean_entries, merged
-from pymc_features.modal.data import ModalData, find_channels, listed
+from pymc_features.modal.data import ModalData, find_channels
 from pymc_features.modal.shapes import mac, warn_modes
 
 RADIANS = (2.0 * np.pi, 0.5 / np.pi)  # ratios of rad/s and Hz

@@ -293,3 +293,36 @@ def test_counts_that_no_file_holds(tmp_path):
     used, message = peak_memory(lambda: read_record(path))
     assert used < 2_000_000
     assert "(COSMOS), line" in message
+
+
+MANY = [f"variable{k}" for k in range(800)]
+
+
+def many_in_mat(path):
+    savemat(path, dict.fromkeys(MANY, "text"))
+
+
+def many_in_npz(path):
+    np.savez(path, **dict.fromkeys(MANY, np.array(["text"])))
+
+
+def many_in_csv(path):
+    path.write_text("\n".join([",".join(MANY), *[",".join(["1.0"] * len(MANY))] * 20]) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "read"),
+    [
+        ("many.mat", many_in_mat, lambda path: read_record(path, units="g", dt=0.01)),
+        ("many.mat", many_in_mat, lambda path: read_channels(path, units="g", dt=0.01)),
+        ("many.mat", many_in_mat, read_matrices),
+        ("many.npz", many_in_npz, read_matrices),
+        ("many.csv", many_in_csv, lambda path: read_record(path, units="g", dt=0.01)),
+        ("many.csv", many_in_csv, lambda path: read_channels(path, columns="none", units="g", dt=0.01)),
+    ],
+)
+def test_messages_list_the_first_of_many_variables(tmp_path, name, write, read):
+    write(tmp_path / name)
+    with pytest.raises(ValueError, match=r"variable0.*, \.\.\. 800 in all") as caught:
+        read(tmp_path / name)
+    assert len(str(caught.value)) < 1500

@@ -39,6 +39,16 @@ def save_hdf5(path, **arrays):
             file.create_dataset(name, data=values).attrs["MATLAB_class"] = np.bytes_("double")
 
 
+def save_sparse_hdf5(path):
+    """As MATLAB 7.3 does it."""
+    matrix = sparse.csc_array(STIFFNESS)
+    with h5py.File(path, "w") as file:
+        group = file.create_group("K")
+        group.attrs["MATLAB_sparse"] = np.uint64(matrix.shape[0])
+        for name, values in (("data", matrix.data), ("ir", matrix.indices), ("jc", matrix.indptr)):
+            group[name] = values if name == "data" else values.astype(np.uint64)
+
+
 def save_wave(path, kind):
     values = (1e3 * A).astype(np.float32 if kind.startswith("SAC") else np.int32)
     header = {"station": "WTMC", "channel": "HNE", "delta": STEP}
@@ -134,6 +144,7 @@ READERS = {  # name: suffix, how the file is made, how it is read
     "histories, 58": (".uff", lambda p: save_histories(p, binary=0), channels(units=1.0, columns="7X")),
     "histories, 58b": (".uff", lambda p: save_histories(p, binary=1), channels(units=1.0, columns="7X")),
     "matrices of mat 7.3": (".mat", lambda p: save_hdf5(p, K=STIFFNESS, M=np.ones((1, 6))), read_matrices),
+    "sparse matrices of mat 7.3": (".mat", save_sparse_hdf5, read_matrices),
 }
 #: Nothing in these files says how many values there are, or where each byte belongs.
 COUNTLESS = {"csv", "channels of csv", "csv with gaps", "wrapped text", "mat", "mat 7.3", "SAC"}

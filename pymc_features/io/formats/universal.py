@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pymc_features._checks import listed
 from pymc_features.io.reading.format import Channel, Opening, RecordedFormat, even_or_times
 from pymc_features.io.reading.lines import shortened
 from pymc_features.io.reading.universal import AXES, FUNCTIONS, NAME, is_universal
@@ -53,7 +54,7 @@ def read(path: Path) -> tuple[list[Channel], None]:
             "again."
         ) from error
     if not sets:
-        held = ", ".join(dict.fromkeys(str(kind) for kind in kinds)) or "none"
+        held = listed(list(dict.fromkeys(kinds)))
         raise ValueError(
             f"{path.name} ({NAME}) must hold time histories in data sets 58, got the data sets {held[:200]}. "
             "Read identified modes by `read_modal`."

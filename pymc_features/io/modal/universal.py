@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features._checks import listed
 from pymc_features.io.modal.identified import Identified
 from pymc_features.io.reading.lines import Lines, to_count, to_number
 from pymc_features.io.reading.promise import check_promise
@@ -86,7 +87,7 @@ def _skip(lines: Lines) -> None:
 
 
 def _no_modes(path: Path, others: list[str]) -> ValueError:
-    held = ", ".join(dict.fromkeys(others)) or "none"
+    held = listed(list(dict.fromkeys(others)))
     advice = "Export the identified modes as data set 55."
     if FUNCTIONS in others:
         advice = (
@@ -264,7 +265,7 @@ def _identified(path: Path, modes: list[Mode]) -> Identified:
     if len(counts) > 1:
         raise ValueError(
             f"{path.name} ({NAME}) must have the same number of values at each node in all modes, got "
-            f"{', '.join(map(str, sorted(counts)))}. Export them alike."
+            f"{listed(sorted(counts))}. Export them alike."
         )
     directions = DIRECTIONS[counts.pop()]
     kind = np.complex128 if any(mode.values.dtype.kind == "c" for mode in modes) else np.float64

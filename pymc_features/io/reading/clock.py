@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pymc_features._checks import is_number, shown, single, to_float
+from pymc_features._checks import is_number, listed, shown, single, to_float
 from pymc_features.io.reading.units import time_step
 from pymc_features.signals.channels import warn_channel
 
@@ -161,7 +161,7 @@ def common_window(clocks: list[Clock]) -> Window:
     start = first.start + steps * dt
     n_times = min(clock.n_times - k for clock, k in zip(clocks, skipped, strict=True))
     if n_times < 2:
-        ranges = ", ".join(f"{clock.file} {clock.start:.6g} s to {clock.stop:.6g} s" for clock in clocks)
+        ranges = listed([f"{clock.file} {clock.start:.6g} s to {clock.stop:.6g} s" for clock in clocks])
         raise ValueError(
             f"Sensors must have a common clock, these have no time in common: {ranges}. Pass clock=False "
             "and `dt` if the files start together, or one event only."
@@ -190,9 +190,9 @@ def _without_clocks(clocks: list[Clock]) -> Window:
         )
     lengths = [clock.n_times for clock in clocks]
     if len(set(lengths)) > 1:
-        listed = ", ".join(f"{clock.file} {clock.n_times}" for clock in clocks)
+        sizes = listed([f"{clock.file} {clock.n_times}" for clock in clocks])
         raise ValueError(
-            f"Sensors without clocks must have the same number of samples, got {listed}. Cut them to the "
+            f"Sensors without clocks must have the same number of samples, got {sizes}. Cut them to the "
             "same window first."
         )
     return Window(clocks[0].dt, 0.0, lengths[0], (0,) * len(clocks))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features._checks import SAMPLING_INTERVAL, shown
+from pymc_features._checks import SAMPLING_INTERVAL, listed, shown
 from pymc_features.io.reading.clock import Clock, MeasuredFile, Request
 from pymc_features.io.reading.lines import decoded
 from pymc_features.io.reading.units import resolve_dt, resolve_units, time_step, warn_user
@@ -157,7 +157,7 @@ class RecordedFormat(Format):
 
 
 def _listed(channels: Sequence[Channel]) -> str:
-    return ", ".join(channel.name for channel in channels)
+    return listed([channel.name for channel in channels])
 
 
 def _find(channels: Sequence[Channel], column, argument: str, file: str) -> Channel:
@@ -180,7 +180,7 @@ def _even(channels: Sequence[Channel], request: Request, file: str) -> tuple[lis
     if len(steps) > 1 or len({channel.start for channel in channels}) > 1:
         raise ValueError(
             f"`columns` must name channels with one step and start, {_listed(channels)} of {file} have "
-            f"steps of {', '.join(f'{step} s' for step in sorted(steps, key=str))}. Read them one by one."
+            f"steps of {listed([f'{step} s' for step in sorted(steps, key=str)])}. Read them one by one."
         )
     dt = resolve_dt(request.dt, steps.pop(), file)
     rows = []
@@ -193,7 +193,7 @@ def _even(channels: Sequence[Channel], request: Request, file: str) -> tuple[lis
     if len({row.size for row in rows}) > 1:
         raise ValueError(
             f"`columns` must name channels of the same number of samples, those of {file} have "
-            f"{', '.join(str(row.size) for row in rows)}. Read them one by one."
+            f"{listed([row.size for row in rows])}. Read them one by one."
         )
     return rows, dt
 

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 from scipy.io import loadmat, whosmat
 
+from pymc_features._checks import listed
 from pymc_features.io.reading.clock import Request
 from pymc_features.io.reading.lines import shortened
 from pymc_features.io.reading.promise import check_promise
@@ -63,11 +64,11 @@ def stated_units(variables: dict[str, np.ndarray]) -> str | None:
 
 def describe(variables: dict[str, np.ndarray], file: str) -> str:
     """What a file holds, as a sentence of a message."""
-    found = ", ".join(
+    found = [
         f"{name} {'text' if value.dtype.kind == 'U' else value.shape}"
         for name, value in sorted(variables.items())
-    )
-    return f"{file} holds {found or 'no arrays of numbers'}."
+    ]
+    return f"{file} holds {listed(found) if found else 'no arrays of numbers'}."
 
 
 #: Bytes of an element, of the variables that are read from versions 4 to 7.
@@ -213,6 +214,6 @@ def _agreed(stated: dict[str, float | None], file: str, dt: float | None) -> flo
         return None
     first = next(iter(steps.values()))
     if dt is None and not np.allclose(list(steps.values()), first, rtol=1e-3, atol=0.0):
-        listed = ", ".join(f"{name}: {step:g} s" for name, step in steps.items())
-        raise ValueError(f"`dt` must be given, {file} contradicts itself ({listed}).")
+        said = listed([f"{name}: {step:g} s" for name, step in steps.items()])
+        raise ValueError(f"`dt` must be given, {file} contradicts itself ({said}).")
     return first

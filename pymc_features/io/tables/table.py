@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features._checks import shown
+from pymc_features._checks import listed, shown
 from pymc_features.io.reading.lines import Lines, not_a_number, to_number
 from pymc_features.io.reading.units import known_factor
 from pymc_features.io.tables.brackets import labels_with_brackets, texts_in_brackets, without_brackets
@@ -69,7 +69,7 @@ class Table:
 
     def names(self) -> str:
         """The columns, as a message lists them."""
-        return ", ".join(self.labels[-1]) if self.labels else f"0 to {self.values.shape[1] - 1}"
+        return listed(self.labels[-1]) if self.labels else f"0 to {self.values.shape[1] - 1}"
 
     def find(self, column, argument: str, what: str) -> int:
         """Index of a column by its index or header name.

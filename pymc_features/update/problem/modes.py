@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from pymc_features._checks import listed
 from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_modal
 from pymc_features.modal import ModalData, merge_setups
-from pymc_features.modal.data import listed
 from pymc_features.update.config.entries import Parameter
 from pymc_features.update.config.messages import shown
 from pymc_features.update.problem.channels import named_key
