@@ -161,8 +161,13 @@ def forget_parts(options, what, console):
     """With --force, delete the finished parts in the output folder."""
     from pymc_features.storage import remove_parts
 
-    if options.force and (n := remove_parts(options.out, what)):
-        say(console, f"deleted {n} finished part{'s' if n > 1 else ''} in {options.out / 'parts'}")
+    if not options.force:
+        return
+    n = remove_parts(options.out, what)
+    for folder in (options.out / "sequence").glob("*/"):
+        n += remove_parts(folder, "sequence")
+    if n:
+        say(console, f"deleted {n} finished part{'s' if n > 1 else ''} in {options.out}")
 
 
 def read_and_tell(config, console):
@@ -178,14 +183,21 @@ def read_and_tell(config, console):
     told = list(dict.fromkeys(str(warning.message) for warning in caught))
     for sentence in told:
         say(console, f"warning: {sentence}", "yellow")
-    if (measured := problem.measured) is not None:
-        say(console, f"data: {measured.source}; base: {measured.record}")
-        say(console, f"channels: {measured.checked.sentence}")
-        if measured.left_out:
-            say(console, f"left out as gaps: {measured.left_out}")
+    for event in problem.events:
+        tell_channels(event.measured, console, f"{event.name}: ")
+    if problem.measured is not None and not problem.events:
+        tell_channels(problem.measured, console)
     if problem.modal is not None:
         say(console, f"modes: {problem.modal.sentence}")
     return problem, told
+
+
+def tell_channels(measured, console, event=""):
+    """Where channels come from, and what the check found."""
+    say(console, f"{event}data: {measured.source}; base: {measured.record}")
+    say(console, f"{event}channels: {measured.checked.sentence}")
+    if measured.left_out:
+        say(console, f"{event}left out as gaps: {measured.left_out}")
 
 
 def check(options, console):
@@ -195,10 +207,14 @@ def check(options, console):
     config = Path(options.config)
     problem, told = read_and_tell(config, console)
     out = Path(options.out or config.with_name(f"{config.stem}-check.png"))
-    if problem.measured is not None:
-        for shown in check_data(problem, out):
+    drawn = {out: problem} if problem.measured is not None else {}
+    if problem.events:
+        problems = map(problem.at, problem.events)
+        drawn = {out.with_name(f"{out.stem}-{k}{out.suffix}"): one for k, one in enumerate(problems, 1)}
+    for path, one in drawn.items():
+        for shown in check_data(one, path):
             console.print(shown)
-        say(console, f"wrote {out}")
+        say(console, f"wrote {path}")
     if problem.modal is not None:
         path = out if problem.measured is None else out.with_name(f"{out.stem}-modes{out.suffix}")
         shown, sentences, is_drawn = check_modes(problem, path)

@@ -57,7 +57,7 @@ ALLOWED = {
     "update": {
         *("records", "structures", "signals", "io", "datasets", "ground_motion", "simulators", "ops"),
         *("likelihood_free", "likelihoods", "smc", "inference", "calibration", "prediction"),
-        *("storage", "plots", "modal", "modal_features"),
+        *("storage", "plots", "modal", "modal_features", "events"),
     },
 }
 ANYTHING = {"__init__", "public", "cli"}

@@ -4,6 +4,7 @@ import json
 import time
 import warnings
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pymc as pm
@@ -23,9 +24,10 @@ from pymc_features.update.predict_modes import identified_modes, matched, shapes
 from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.model import declare, names_for
 from pymc_features.update.problem.read import Problem
+from pymc_features.update.sequence import Running, sample_events
 
 PRIOR_DRAWS = 4000
-GROUPS = ("posterior", "sample_stats", "particles", "modes", "calibration")
+GROUPS = ("posterior", "sample_stats", "particles", "modes", "calibration", "sequence")
 
 
 def run_update(
@@ -59,7 +61,8 @@ def run_update(
         modal, and of CAL calibration, what `effective_samples` returns. And `/data`: motion of the base,
         measured responses and their gain. Of identified modes `/identified`, and in each likelihood
         `matched`, which mode each is matched with, and `shapes` of draws; without responses the only
-        likelihood is MODAL, and there are neither data nor bands.
+        likelihood is MODAL, and there are neither data nor bands. Of several events `sequence`, and all
+        else is the state after the last of them.
 
     Raises
     ------
@@ -72,9 +75,10 @@ def run_update(
     for done, kind in enumerate(kinds):
         tell(kind, done, len(kinds))
         part, tolerance = store.load(kind), tolerance_of(problem, parts) if kind == "ABC" else None
-        if part is None or part.attrs.get("epsilon") != tolerance:
+        if not is_of(part, problem, tolerance):
             base = parts.get(KINDS[kind].calibrates)
-            part = run_part(problem, kind, tolerance, base, cores, progressbar)
+            telling = partial(tell, done=done, total=len(kinds))
+            part = run_part(problem, kind, tolerance, base, Running(cores, progressbar, out, telling))
             store.save(kind, part)
         parts[kind] = part
     tell("report", len(kinds), len(kinds))
@@ -89,23 +93,33 @@ def run_update(
     return xr.DataTree.from_dict(shown, name=title)
 
 
-def run_part(problem, kind, tolerance, base, cores, progressbar) -> xr.DataTree:
+def is_of(part, problem, tolerance) -> bool:
+    """Whether a part is there, and of the same tolerance and events."""
+    if part is None:
+        return False
+    return part.attrs.get("epsilon") == tolerance and part.attrs.get("events", "") == problem.events_sha256
+
+
+def run_part(problem, kind, tolerance, base, running: Running) -> xr.DataTree:
     """Sample one posterior and predict with it; warnings on the way are part of the result.
 
     `base` is the part that is calibrated, if the likelihood is one that is made from another.
     """
+    cores, progressbar = running.cores, running.progressbar
     start = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
         model = declare(problem, kind, tolerance)
-        if base is None:
+        if problem.events:
+            idata = sample_events(problem, kind, seed_of(problem, kind), running)
+        elif base is None:
             idata = sample(problem, kind, model, cores, progressbar)
         else:
             idata = calibrated(problem, kind, base, model, cores or problem.config.sampler.cores, progressbar)
         if is_cut_short(problem, kind, idata["posterior"].sizes):
             raise KeyboardInterrupt
-        if base is None and not KINDS[kind].is_likelihood_free:
+        if base is None and not problem.events and not KINDS[kind].is_likelihood_free:
             idata = without_lost_chains(idata, model)
         part = {name: idata[name].to_dataset() for name in GROUPS if name in idata.children}
         part["prior"] = prior_draws(problem, kind)
@@ -125,6 +139,8 @@ def run_part(problem, kind, tolerance, base, cores, progressbar) -> xr.DataTree:
     }
     if tolerance is not None:
         tree.attrs["epsilon"] = tolerance
+    if problem.events:
+        tree.attrs["events"] = problem.events_sha256
     return tree
 
 

@@ -5,6 +5,7 @@
 
 import copy
 import re
+import shutil
 import time
 import tomllib
 import warnings
@@ -125,6 +126,16 @@ VARIANTS = [  # sections, and what is different there
         },
     },
     {**ALONE, "modal": {"file": "modes.csv", "shapes": False, "sigma_f": ["sigma", 0.01]}},
+    {
+        "events": {"folder": ".", "pattern": "measured*.csv", "drift": {"k1": 5.0}, "change": 0.01},
+        "data": {"files": None},
+        "likelihood": {"kinds": ["NORM", "EXP"]},
+    },
+    {
+        "events": {"files": ["measured.csv", "measured-2.csv"], "forgetting": 0.9},
+        "data": {"files": None},
+        "likelihood": {"kinds": ["EXP"]},
+    },
 ]
 MODES = "frequency,floor1,roof\n3.7,0.5,1.0\n10.4,-1.0,0.6\n"
 SETUP = "frequency,floor2,roof\n3.71,0.8,1.0\n10.5,-0.6,0.6\n"
@@ -141,6 +152,7 @@ def originals(folder):
     path, _ = write_example(folder / "original.toml", synthetic=True)[0]
     lines = (folder / "original-measured.csv").read_text().splitlines()[: ROWS + 1]
     (folder / "measured.csv").write_text("\n".join(lines) + "\n")
+    shutil.copy(folder / "measured.csv", folder / "measured-2.csv")
     (folder / "gaps.csv").write_text(
         "\n".join([*lines[:90], *map(without_last, lines[90:110]), *lines[110:]])
     )
@@ -179,6 +191,8 @@ def stands(path):
     """All that happens before something is sampled, and the data of the report."""
     problem = read_problem(path)
     problem.settings()
+    for event in problem.events:
+        assert run.declare(problem.at(event), problem.kinds[0]).free_RVs
     for kind in problem.kinds:
         tolerance = (problem.config.likelihood.epsilon or 1.0) if kind == "ABC" else None
         model = run.declare(problem, kind, tolerance)

@@ -1,13 +1,14 @@
 """`sample_in_sequence`: many events one after another, kept in a folder."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 
 import pymc as pm
 import xarray as xr
 
 from pymc_features._checks import as_list, check_integer, check_model, check_path, check_seed, message, shown
-from pymc_features.events.sequence.continuing import continue_with
+from pymc_features.events.sequence.continuing import continue_with, sequence_of
 from pymc_features.exceptions import StudyMismatchError
 from pymc_features.inference.sample import sample
 from pymc_features.smc.kernels.checkpoint import model_fingerprint
@@ -48,7 +49,7 @@ def sample_in_sequence(
     Returns
     -------
     DataTree
-        As from `continue_with`, after the last event.
+        As from `continue_with`, after the last event; of one event alone `sequence` has one entry.
 
     Raises
     ------
@@ -59,6 +60,16 @@ def sample_in_sequence(
     --------
     plot_sequence : parameters and alarms, event by event.
     """
+    states = states_in_sequence(
+        events, model=model, out=out, draws=draws, chains=chains, random_seed=random_seed, **settings
+    )
+    return deque(states, maxlen=1).pop()
+
+
+def states_in_sequence(
+    events, *, model=None, out=None, draws=4000, chains=2, random_seed=0, **settings
+) -> Iterator[xr.DataTree]:
+    """The posterior after each event, one by one; arguments as of `sample_in_sequence`."""
     listed = as_list(events)
     if not listed or not all(
         isinstance(event, Mapping if model is not None else pm.Model) for event in listed
@@ -91,7 +102,7 @@ def sample_in_sequence(
             known.attrs["model"] = print_
             store.save(name, known)
         idata = known
-    return idata
+        yield idata
 
 
 def one_event(before, model, i: int, run: dict, settings: dict) -> xr.DataTree:
@@ -99,5 +110,7 @@ def one_event(before, model, i: int, run: dict, settings: dict) -> xr.DataTree:
     seed = None if run["random_seed"] is None else run["random_seed"] + i
     if before is None:
         own = {name: value for name, value in settings.items() if name not in OF_RUN}
-        return sample(run["draws"], chains=run["chains"], model=model, random_seed=seed, **own)
+        first = sample(run["draws"], chains=run["chains"], model=model, random_seed=seed, **own)
+        first["sequence"] = xr.DataTree(sequence_of(first, model))
+        return first
     return continue_with(before, model=model, draws=run["draws"], random_seed=seed, **settings)

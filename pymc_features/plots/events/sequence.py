@@ -4,10 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
+from matplotlib.ticker import MaxNLocator
 
 from pymc_features._checks import check_group
 from pymc_features.plots.drawing.axes import AxesLike, checked_axes, chosen_among
 
+NAMED = 12  # events with room for their names
 WIDE = 1.645  # standard deviations of 90 %
 
 
@@ -19,7 +21,8 @@ def plot_sequence(
     Parameters
     ----------
     idata : DataTree
-        From `continue_with` or `sample_in_sequence`.
+        From `continue_with` or `sample_in_sequence`; a coordinate `name` (event) of `sequence` names a few
+        events.
     parameters : sequence of str, optional
         Which to draw; all by default.
     axes : sequence of matplotlib Axes, optional
@@ -44,4 +47,9 @@ def plot_sequence(
             ax.axvline(at, color="C3", lw=1.2, ls="--", label=None if i else "alarm")
         ax.set(xlabel="event", ylabel=name)
         ax.legend(frameon=False, fontsize="small")
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    if "name" in record.coords and event.size <= NAMED:
+        for ax in axes:
+            ax.set(xlabel="", xticks=event, xticklabels=[])
+        axes[-1].set_xticklabels(record["name"].values.astype(str), rotation=20, ha="right")
     return axes

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.entries import units_in
+from pymc_features.update.config.events_section import Events, check_events
 from pymc_features.update.config.messages import sentence, shown
 from pymc_features.update.config.modal_section import Modal, with_damping
 from pymc_features.update.config.sections import (
@@ -44,6 +45,7 @@ class Config(Section):
     """The whole file."""
 
     data: Data | None = Field(None, description="a table")
+    events: Events | None = Field(None, description="a table")
     modal: Modal | None = Field(None, description="a table")
     record: RecordFile | None = Field(None, description="a table")
     processing: Processing = Field(Processing(), description="a table")
@@ -136,6 +138,13 @@ def read_config(path) -> tuple[Config, dict]:
 
 def check_sources(config: Config) -> None:
     """There is something to compare with, and no section that it does not need."""
+    if config.events is not None:
+        check_events(config)
+    elif config.data is not None and config.data.files is None and config.data.dataset is None:
+        raise ConfigError(
+            "`data` must have one of the keys `files` and `dataset`, got neither. Or name several events in "
+            "[events]."
+        )
     if config.data is None and config.modal is None:
         raise ConfigError(
             "`data` must be given: a table with the files of measured responses. Or give identified modes in "

@@ -113,7 +113,7 @@ def place(error, raw: dict, model: type[BaseModel]) -> Place:
         field = next((s.model_fields[part] for s in owners if part in s.model_fields), None)
         at = Place(path, field, owners)
         sections = [] if field is None else sections_in(field.annotation)
-        is_table = field is not None and typing.get_origin(field.annotation) is dict
+        is_table = bool(sections) and typing.get_origin(field.annotation) is dict
         if isinstance(node, dict) and "type" in node:
             named = [s for s in sections if is_called(s, node["type"])]
             sections = named or sections

@@ -86,8 +86,8 @@ class Data(Section):
     @model_validator(mode="after")
     def one_source(self):
         """Files or a data set, each with its own keys."""
-        if (self.dataset is None) == (self.files is None):
-            raise ValueError("must have one of the keys `files` and `dataset`, got both or neither")
+        if self.dataset is not None and self.files is not None:
+            raise ValueError("must have one of the keys `files` and `dataset`, got both")
         if self.dataset is None and "event" in self.model_fields_set:
             raise ValueError("must have `event` only with `dataset`, got it with `files`")
         if self.dataset is not None:

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +16,22 @@ from pymc_features.update.config.messages import shown
 from pymc_features.update.config.priors import Prior
 from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.problem.channels import Measured, named_key, read_measured
+from pymc_features.update.problem.events import Event, read_events
 from pymc_features.update.problem.kinds import KINDS, MODAL
 from pymc_features.update.problem.modes import MeasuredModes, check_priors, read_modes
 from pymc_features.update.problem.structure import StructureOf, modes_of
 
 #: Keys that change no draw, or, as the tolerance, those of ABC alone.
-WITHOUT_EFFECT = ("report", "modal.nodes", "likelihood.kinds", "likelihood.epsilon", "sampler.cores")
+WITHOUT_EFFECT = (
+    "report",
+    "modal.nodes",
+    "likelihood.kinds",
+    "likelihood.epsilon",
+    "sampler.cores",
+    "events.folder",  # each event is recognised by its data
+    "events.pattern",
+    "events.files",
+)
 
 
 BEYOND = 1.2  # of the highest identified frequency: modes above it are not in tables
@@ -42,7 +52,7 @@ class Problem:
     raw : dict
         The same, as it was parsed.
     measured : Measured or None
-        Motion of the base, and measured responses.
+        Motion of the base, and measured responses; of several events those of the last one.
     structure : StructureOf
         Values of the priors to a structure.
     priors : dict
@@ -51,6 +61,8 @@ class Problem:
         Degree of freedom of each sensor.
     modal : MeasuredModes or None
         Identified modes.
+    events : tuple of Event
+        In their order; empty if there is one only, without [events].
     """
 
     path: Path
@@ -62,6 +74,17 @@ class Problem:
     priors: dict[str, Prior]
     dofs: list[int]
     modal: MeasuredModes | None = None
+    events: tuple[Event, ...] = ()
+
+    def at(self, event: Event) -> "Problem":
+        """The problem of one event alone."""
+        return replace(self, measured=event.measured, events=())
+
+    @property
+    def events_sha256(self) -> str:
+        """What all events are recognised by; empty without any."""
+        prints = [[event.name, *prints_of(event.measured).values()] for event in self.events]
+        return hashlib.sha256(json.dumps(prints).encode()).hexdigest() if prints else ""
 
     @property
     def asked(self) -> list[str]:
@@ -98,9 +121,8 @@ class Problem:
         """All that determines the draws, flat, for the folder they are kept in."""
         flat = dict(flattened(self.raw))
         kept = {k: v for k, v in flat.items() if not k.startswith(WITHOUT_EFFECT)}
-        if self.measured is not None:
-            kept["base_sha256"] = fingerprint(self.measured.record.acceleration)
-            kept["channels_sha256"] = fingerprint(np.ascontiguousarray(self.measured.channels.values))
+        if self.measured is not None and not self.events:  # events may be added
+            kept |= prints_of(self.measured)
         if self.modal is not None:
             data = self.modal.data
             arrays = {"frequencies": data.frequencies, "sd": data.frequency_sd, "shapes": data.shapes}
@@ -111,6 +133,14 @@ class Problem:
             digest = hashlib.sha256((self.path.parent / file).read_bytes())
             kept[f"{file}_sha256"] = digest.hexdigest()
         return json.loads(json.dumps(kept, default=str))
+
+
+def prints_of(measured: Measured) -> dict[str, str]:
+    """What measured responses are recognised by."""
+    return {
+        "base_sha256": fingerprint(measured.record.acceleration),
+        "channels_sha256": fingerprint(np.ascontiguousarray(measured.channels.values)),
+    }
 
 
 def flattened(table, prefix=""):
@@ -161,12 +191,17 @@ def read_problem(path) -> Problem:
     with named_key("structure"):
         expected = structure(**{n: priors[n].median for n in structure.names})
         first_frequency = first_frequency_of(expected)
-    measured, dofs, modal = None, [], None
+    measured, dofs, modal, events = None, [], None, ()
     if config.data is not None:
-        measured = read_measured(config, path.parent, first_frequency)
+        if config.events is None:
+            measured = read_measured(config, path.parent, first_frequency)
+        else:
+            events = read_events(config, path.parent, first_frequency)
+            measured = events[-1].measured
         dofs = checked_dofs(config, expected.n_dof)
         check_errors(config, priors)
-        check_gaps(config, measured)
+        for one in [event.measured for event in events] or [measured]:
+            check_gaps(config, one)
     if config.modal is not None:
         check_priors(config.modal, priors)
         modal = read_modes(config.modal, path.parent, expected)
@@ -182,7 +217,7 @@ def read_problem(path) -> Problem:
             f"{config.structure.type}. Use relative_displacement."
         )
     text = path.read_text(encoding="utf-8")
-    return Problem(path, text, config, raw, measured, structure, priors, dofs, modal)
+    return Problem(path, text, config, raw, measured, structure, priors, dofs, modal, events)
 
 
 def first_frequency_of(expected) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 
 from pymc_features import plots
 from pymc_features.update.problem.read import Problem
+from pymc_features.update.report.events import draw_events
 from pymc_features.update.report.modes import draw_mac, draw_shapes
 from pymc_features.update.report.summary import kinds_of
 
@@ -88,6 +89,14 @@ def of_one(problem, part, kind) -> list[Figure]:
             lambda: plots.plot_prior_posterior(part, units=units),
         ),
     ]
+    if "sequence" in part.children:
+        found.append(
+            Figure(
+                f"{kind}_events",
+                f"{kind}: mean and 90 % interval of each parameter after each event, with the alarms.",
+                lambda: draw_events(part, units),
+            )
+        )
     if "bands" in part.children:
         found += of_responses(part, kind)
     if has_stages(part):

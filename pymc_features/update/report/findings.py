@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from pymc_features.update.problem.read import Problem
+from pymc_features.update.report.events import events_verdict
 from pymc_features.update.report.modes import ModeRow, mode_rows
 from pymc_features.update.report.summary import Row, changed, kinds_of, rows, supported, warnings_of
 from pymc_features.update.report.verdict import Verdict, verdict
@@ -27,6 +28,10 @@ class Findings(NamedTuple):
         Which parameters the data changed, under the first likelihood.
     modes : dict
         Likelihoods to their rows of identified modes; empty without any.
+    events : str
+        Whether the structure changed from event to event; empty without several.
+    is_unchanged : bool
+        Whether no event raised an alarm.
     """
 
     verdict: Verdict
@@ -36,6 +41,8 @@ class Findings(NamedTuple):
     doubts: list[str]
     changed: str
     modes: dict[str, list[ModeRow]]
+    events: str
+    is_unchanged: bool
 
 
 def findings(problem: Problem, result) -> Findings:
@@ -52,6 +59,7 @@ def findings(problem: Problem, result) -> Findings:
     modes = {}
     if problem.modal is not None:
         modes = {kind: mode_rows(problem, result[f"{kind}/matched"]) for kind in kinds_of(result)}
+    first = kinds_of(result)[0]
     return Findings(
         verdict(problem, result, next(iter(modes.values()), [])),
         gaps_of(problem),
@@ -60,6 +68,7 @@ def findings(problem: Problem, result) -> Findings:
         warnings_of(result, table),
         changed(table),
         modes,
+        *events_verdict(first, result[first]),
     )
 
 

@@ -6,8 +6,12 @@ import importlib.metadata
 
 import numpy as np
 
+from pymc_features._checks import listed
 from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.read import Problem
+from pymc_features.update.report.events import COLUMNS as EVENT_COLUMNS
+from pymc_features.update.report.events import MEANING as EVENT_MEANING
+from pymc_features.update.report.events import event_rows
 from pymc_features.update.report.findings import Findings
 from pymc_features.update.report.modes import COLUMNS as MODE_COLUMNS
 from pymc_features.update.report.modes import MEANING
@@ -40,6 +44,10 @@ def report(problem: Problem, result, found: Findings, drawn) -> str:
         used=used_sentence(problem),
         supported=found.supported,
         verdict=found.verdict,
+        sequence=found.events,
+        is_unchanged=found.is_unchanged,
+        event_columns=EVENT_COLUMNS,
+        event_meaning=EVENT_MEANING,
         doubts=found.doubts,
         priors=prior_rows(problem),
         likelihoods=[likelihood_row(kind, result[kind]) for kind in kinds_of(result)],
@@ -66,6 +74,9 @@ def used_sentence(problem) -> str:
     if problem.measured is not None:
         duration = problem.measured.record.duration
         parts.append(f"{len(problem.dofs)} measured accelerations over {duration:.4g} s")
+        if problem.events:
+            durations = [f"{event.measured.record.duration:.4g}" for event in problem.events]
+            parts = [f"{len(problem.dofs)} measured accelerations in events of {listed(durations)} s"]
     if problem.modal is not None:
         n = len(problem.modal.data)
         parts.append(f"{n} identified mode{'s' if n > 1 else ''}")
@@ -171,6 +182,7 @@ def kind_section(kind, part, figures, modes) -> dict:
         "name": kind,
         "run": run_sentences(part),
         "modes": [row.cells for row in modes],
+        "events": event_rows(part),
         "figures": [figure for figure in figures if figure["name"].startswith(f"{kind}_")],
     }
     return section | (fit_of(part["bands"].to_dataset()) if "bands" in part.children else {})
@@ -201,6 +213,10 @@ def run_sentences(part) -> list[str]:
         told.append(f"tolerance {part.attrs['epsilon']:.4g} m²/s⁴")
     if base := KINDS[part.attrs["kind"]].calibrates:
         told.append(f"of the likelihood of {base} to the power {stats.attrs['power']:.3g}, stretched")
+    if "sequence" in part.children:
+        record = part["sequence"].to_dataset()
+        total, error = (float(record[name].sum()) for name in ("log_score", "log_score_se"))
+        told.append(f"log evidence of all events {total:.2f}, standard error at most {error:.2g}")
     if "advice" in getattr(stats, "attrs", {}):
         return told + sentences_of_sample(stats.attrs, is_calibrated=bool(base))
     if "log_marginal_likelihood" in stats:
@@ -215,16 +231,19 @@ def run_sentences(part) -> list[str]:
 
 
 def sentences_of_sample(found, is_calibrated=False) -> list[str]:
-    """What `sample` says of its run, from its attributes; nothing of modes or evidence if calibrated."""
+    """What `sample` says of its run, from its attributes; nothing of modes or evidence if calibrated.
+
+    After several events, modes were searched for in the first one alone.
+    """
     told = [
-        f"{found['search_evaluations']} evaluations and {found['search_gradients']} gradients in search of "
-        "modes",
+        f"{found.get('search_evaluations')} evaluations and {found.get('search_gradients')} gradients in "
+        "search of modes",
         f"modes found: {found['n_modes']}",
         f"log evidence {found['log_evidence']:.2f}, standard error {found['log_evidence_se']:.2g}",
         f"draws worth {found['ess']:.0f} independent ones for the quantiles of the worst parameter",
         f"Pareto k of the weights {found['pareto_k']:.2f} (below 0.7: they can be trusted)",
     ]
-    if is_calibrated:
+    if is_calibrated or "search_evaluations" not in found:
         del told[:3]
     elif found["no_gradient"]:
         told[:2] = [f"no climbs to modes, for the model has no gradient: {found['no_gradient']}"]

@@ -38,6 +38,8 @@ def summary(found: Findings):
     """
     for sentence in found.verdict.sentences:
         yield sentence, "bold" if found.verdict.explains else "bold red"
+    if found.events:
+        yield found.events, None if found.is_unchanged else "bold red"
     if found.left_out:
         yield found.left_out, None
     if found.supported:

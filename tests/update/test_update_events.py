@@ -1,0 +1,284 @@
+"""Several events in one configuration: order, continuation, alarms, and what is refused."""
+
+import shutil
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from pymc_features import cli, sample_in_sequence, structures
+from pymc_features.events.sequence import run as sequence_run
+from pymc_features.exceptions import ChannelWarning, ConfigError, StudyMismatchError
+from pymc_features.ground_motion import synthetic_earthquake
+from pymc_features.simulators import simulate
+from pymc_features.update import read_problem, run_update
+from pymc_features.update.problem.events import by_numbers
+from pymc_features.update.problem.model import declare
+from pymc_features.update.run import seed_of
+
+SOUND, DAMAGED = (400.0, 400.0, 400.0), (400.0, 300.0, 400.0)
+NOISE = 0.5  # m/s^2
+TOML = """
+[events]
+folder = "events"
+change = 0.01
+
+[data]
+base = "base"
+sensors = ["floor1", "floor2", "floor3"]
+
+[structure]
+type = "SpringMassChain"
+mass = 0.15
+stiffness = ["k1", "k2", "k3"]
+damping = { type = "ModalDamping", ratios = "zeta" }
+
+[priors]
+k1 = { distribution = "LogNormal", mu = 6.0, sigma = 0.2 }
+k2 = { distribution = "LogNormal", mu = 6.0, sigma = 0.2 }
+k3 = { distribution = "LogNormal", mu = 6.0, sigma = 0.2 }
+zeta = { distribution = "LogNormal", mu = -4.0, sigma = 0.3 }
+sigma = { distribution = "HalfNormal", sigma = 0.5 }
+
+[likelihood]
+kinds = ["NORM"]
+sigma = "sigma"
+
+[sampler]
+draws = 200
+chains = 2
+random_seed = 3
+"""
+
+
+def write_event(path, stiffness, seed, dt=0.02):
+    """A file with four channels: a chain under an earthquake of its own, and white noise."""
+    base = synthetic_earthquake(12.0, dt, random_seed=seed, pga=2.0)
+    damping = structures.ModalDamping(0.02)
+    floors = simulate(structures.SpringMassChain([0.15] * 3, stiffness, damping), base).values
+    noise = np.random.default_rng(seed).standard_normal(floors.shape)
+    columns = np.vstack([base.time, base.acceleration, floors + NOISE * noise])
+    header = "time [s],base [m/s^2],floor1 [m/s^2],floor2 [m/s^2],floor3 [m/s^2]"
+    np.savetxt(path, columns.T, "%.6f", ",", header=header, comments="")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A configuration, and three events of which the last is of a damaged structure."""
+    folder = tmp_path_factory.mktemp("events")
+    (folder / "events").mkdir()
+    for number, stiffness in ((8, SOUND), (9, SOUND), (10, DAMAGED)):
+        write_event(
+            folder / "events" / f"event-{number}.csv", stiffness, number, dt=0.02 if number < 10 else 0.01
+        )
+    (folder / "bridge.toml").write_text(TOML)
+    assert cli.main(["update", str(folder / "bridge.toml"), "--cores", "1"]) == 0
+    return folder
+
+
+def copied(made, tmp_path, *changes, text=TOML):
+    """Configuration and events in another folder, without results."""
+    shutil.copytree(made / "events", tmp_path / "events")
+    for old, new in changes:
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    path = tmp_path / "bridge.toml"
+    path.write_text(text)
+    return path
+
+
+def results(folder):
+    with xr.open_datatree(folder / "bridge-output" / "update.nc", engine="h5netcdf") as tree:
+        return tree["NORM"].load()
+
+
+def test_a_change_is_reported(made):
+    part = results(made)
+    record = part["sequence"].to_dataset()
+    assert record["name"].values.tolist() == ["event-8.csv", "event-9.csv", "event-10.csv"]
+    assert record["alarm"].values.tolist() == [0, 0, 1]
+    k2 = record["mean"].sel(parameter="k2").values
+    assert abs(k2[1] - SOUND[1]) < 20.0 and abs(k2[2] - DAMAGED[1]) < 20.0
+    page = (made / "bridge-output" / "report.html").read_text()
+    assert "Alarm: under NORM the structure has changed before event-10.csv (probability" in page
+    assert "probability of a change</th>" in page and "events of 12, 12, 12 s" in page
+    assert (made / "bridge-output" / "figures" / "NORM_events.png").stat().st_size > 10_000
+
+
+def test_the_posterior_is_that_of_the_sequence(made):
+    problem = read_problem(made / "bridge.toml")
+    assert [event.measured.step for event in problem.events] == [0.02, 0.02, 0.01]
+    models = [declare(problem.at(event), "NORM") for event in problem.events]
+    seed = seed_of(problem, "NORM")
+    expected = sample_in_sequence(
+        models, draws=200, chains=2, random_seed=seed, change=0.01, progressbar=False
+    )
+    found = results(made)
+    for name in ("k1", "k2", "k3", "zeta", "sigma"):
+        np.testing.assert_array_equal(found["posterior"][name], expected["posterior"][name])
+    # what is drawn is the response to the last event
+    assert found["observed_data"]["y"].sizes["time"] == problem.events[2].measured.channels.sizes["time"]
+
+
+def test_killed_between_events_and_continued(made, tmp_path, monkeypatch):
+    path, calls = copied(made, tmp_path), []
+    one_event = sequence_run.one_event
+
+    def stopped(before, model, i, *rest):
+        calls.append(i)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return one_event(before, model, i, *rest)
+
+    monkeypatch.setattr(sequence_run, "one_event", stopped)
+    assert cli.main(["update", str(path), "--cores", "1"]) == 130
+    assert cli.main(["update", str(path), "--cores", "1"]) == 0
+    assert calls == [0, 1, 1, 2]
+    for name in ("k1", "k2", "zeta"):
+        np.testing.assert_array_equal(results(tmp_path)["posterior"][name], results(made)["posterior"][name])
+
+
+def test_one_event_more_samples_one_event(made, tmp_path, monkeypatch, capsys):
+    path, calls = copied(made, tmp_path), []
+    shutil.copytree(made / "bridge-output", tmp_path / "bridge-output")
+    write_event(tmp_path / "events" / "event-11.csv", DAMAGED, 11)
+    one_event = sequence_run.one_event
+
+    def counted(before, model, i, *rest):
+        calls.append(i)
+        return one_event(before, model, i, *rest)
+
+    monkeypatch.setattr(sequence_run, "one_event", counted)
+    assert cli.main(["update", str(path), "--cores", "1"]) == 0
+    assert calls == [3]
+    assert results(tmp_path)["sequence"]["alarm"].values.tolist() == [0, 0, 1, 0]
+    assert "Alarm: under NORM" in capsys.readouterr().err
+    # an event that was there is no other one now
+    write_event(tmp_path / "events" / "event-9.csv", SOUND, 99)
+    with pytest.raises(StudyMismatchError, match="must hold the same events, .* another one at place 1"):
+        run_update(read_problem(path), out=tmp_path / "bridge-output", cores=1, progressbar=False)
+    # nor is it after another walk of the parameters
+    path.write_text(TOML.replace("change = 0.01", "change = 0.01\ndrift = { k1 = 5.0 }"))
+    with pytest.raises(StudyMismatchError, match=r"events.drift.k1 = None instead of 5.0"):
+        run_update(read_problem(path), out=tmp_path / "bridge-output", cores=1, progressbar=False)
+
+
+def test_one_event_alone(made, tmp_path):
+    path = copied(made, tmp_path, ("change = 0.01", 'pattern = "*-8.csv"'), ("draws = 200", "draws = 100"))
+    assert cli.main(["update", str(path), "--cores", "1"]) == 0
+    page = (tmp_path / "bridge-output" / "report.html").read_text()
+    assert "One event, event-8.csv: there is nothing yet to compare it with." in page
+
+
+def test_check_draws_each_event(made, tmp_path, capsys):
+    path = copied(made, tmp_path)
+    assert cli.main(["check", str(path)]) == 0
+    for k in (1, 2, 3):
+        assert (tmp_path / f"bridge-check-{k}.png").stat().st_size > 10_000
+    said = capsys.readouterr().err
+    assert said.index("event-9.csv: data:") < said.index("event-10.csv: data:")
+
+
+def test_a_folder_for_each_event(made, tmp_path):
+    path = copied(made, tmp_path, ("[data]", '[data]\nfiles = "motion.csv"'))
+    for file in list((tmp_path / "events").iterdir()):
+        (tmp_path / "events" / file.stem).mkdir()
+        file.rename(tmp_path / "events" / file.stem / "motion.csv")
+    problem = read_problem(path)
+    assert [event.name for event in problem.events] == ["event-8", "event-9", "event-10"]
+    of_files = read_problem(made / "bridge.toml")
+    for one, other in zip(problem.events, of_files.events, strict=True):
+        np.testing.assert_array_equal(one.measured.channels, other.measured.channels)
+    # a motion of the base beside them, of its own in each folder
+    text = path.read_text().replace('base = "base"\n', "")
+    path.write_text(text + '\n[record]\npath = "motion.csv"\ncolumn = "base"\n')
+    np.testing.assert_array_equal(
+        read_problem(path).events[2].measured.record.acceleration,
+        of_files.events[2].measured.record.acceleration,
+    )
+
+
+def test_warnings_and_errors_name_the_event(made, tmp_path):
+    path = copied(made, tmp_path)
+    file = tmp_path / "events" / "event-9.csv"
+    numbers = np.loadtxt(file, delimiter=",", skiprows=1)
+    numbers[:, 3] *= -1.0
+    header = file.read_text().splitlines()[0]
+    np.savetxt(file, numbers, "%.6f", ",", header=header, comments="")
+    with pytest.warns(ChannelWarning, match="event-9.csv: Channel 'floor2' is inverted against 'base'"):
+        read_problem(path)
+    file.write_text(file.read_text().replace("floor3", "roof"))
+    with pytest.raises(ConfigError, match="event event-9.csv: `data.sensors` must be among .* got 'floor3'"):
+        read_problem(path)
+    file.write_text("nothing here")
+    with pytest.raises(ConfigError, match=r"event event-9.csv: \[data\]: event-9.csv"):
+        read_problem(path)
+
+
+def test_numbers_in_names_are_ordered():
+    names = ["b-2", "a-10", "a-9", "a", "10", "9", "a-9-x", "1" * 5000]
+    expected = ["9", "10", "1" * 5000, "a", "a-9", "a-9-x", "a-10", "b-2"]
+    assert sorted(names, key=by_numbers) == expected
+
+
+DATASET = 'dataset = "mini_shake_table"'
+MODES = '\n[modal]\nfile = "modes.csv"\nsigma_f = 0.01\nshapes = false\n'
+REFUSED = {  # what is said: what is changed, into what
+    "`events` must have one of the keys `folder` and `files`, got both or neither": ('folder = "events"', ""),
+    "`events` must have `pattern` only with `folder`": (
+        'folder = "events"',
+        'files = ["events/event-8.csv"]\npattern = "*"',
+    ),
+    r"`events` must name each event once, got \['a', 'a'\]": ('folder = "events"', 'files = ["a", "a"]'),
+    "`events.folder` must be an existing folder, got 'nowhere'": ('folder = "events"', 'folder = "nowhere"'),
+    r"`events.folder` must hold an event or more, got none with a name like '\*.mat'": (
+        "change = 0.01",
+        'pattern = "*.mat"',
+    ),
+    "event missing.csv: .*missing.csv": ('folder = "events"', 'files = ["missing.csv"]'),
+    "`events.change` must be a probability between 0 and 1, got 1.5": ("change = 0.01", "change = 1.5"),
+    "`events.forgetting` must be a number above 0 and at most 1, got 0.0": (
+        "change = 0.01",
+        "forgetting = 0.0",
+    ),
+    "`events.drift` must name priors of the file, got 'k9'. Known here: k1, k2": (
+        "change = 0.01",
+        "drift = { k9 = 5.0 }",
+    ),
+    "`events.drift` must be a table of priors to positive numbers.* got -5.0 for k1": (
+        "change = 0.01",
+        "drift = { k1 = -5.0 }",
+    ),
+    "`likelihood.kinds` must not have CAL with .events.*Take NORM, TN, EXP, CN": (
+        '["NORM"]',
+        '["NORM", "CAL"]',
+    ),
+    "`likelihood.kinds` must not have ABC with .events.": ('["NORM"]', '["EXP", "ABC"]'),
+    "`sampler.method` must be \"auto\" with .events., got 'nuts'": ("draws = 200", 'method = "nuts"'),
+    "`sampler.draws` must be at least 100 with .events., got 50": ("draws = 200", "draws = 50"),
+    "`data.files` must be left out where events are files": ("[data]", '[data]\nfiles = "motion.csv"'),
+    "`record` must be left out where events are files": (
+        'base = "base"',
+        "[record]\npath = 'a.csv'\n[data]",
+    ),
+    "`data.files` must be given where events are folders": ('folder = "events"', 'files = ["events"]'),
+    "`events` must be left out with `data.dataset`, got both": ("[data]", f"[data]\n{DATASET}"),
+    "`events` must be left out without .data. or with .modal.": ("[data]", f"{MODES}[data]"),
+    "`data` must have one of the keys `files` and `dataset`, got neither. Or name several events": (
+        '[events]\nfolder = "events"\nchange = 0.01',
+        "",
+    ),
+}
+
+
+@pytest.mark.parametrize("match", REFUSED)
+def test_what_is_refused(made, tmp_path, match):
+    path = copied(made, tmp_path)
+    old, new = REFUSED[match]
+    text = path.read_text()
+    if "[record]" in new:
+        text = text.replace("[data]\n", "", 1)
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new))
+    with pytest.raises(ConfigError, match=match):
+        read_problem(path)
