@@ -14,6 +14,7 @@ from pymc_features.simulators import simulate
 from pymc_features.update import read_problem, run_update
 from pymc_features.update.problem.events import by_numbers
 from pymc_features.update.problem.model import declare
+from pymc_features.update.report.verdict import foretold
 from pymc_features.update.run import seed_of
 
 SOUND, DAMAGED = (400.0, 400.0, 400.0), (400.0, 300.0, 400.0)
@@ -213,6 +214,14 @@ def test_warnings_and_errors_name_the_event(made, tmp_path):
     file.write_text("nothing here")
     with pytest.raises(ConfigError, match=r"event event-9.csv: \[data\]: event-9.csv"):
         read_problem(path)
+
+
+def test_observations_of_all_events_count(made, tmp_path):
+    path = copied(made, tmp_path, ('["NORM"]', '["EXP"]'))
+    assert foretold(read_problem(path)) == []  # 3 events of 3 sensors, two for each: 18 for 4 parameters
+    path.write_text(path.read_text().replace("change = 0.01", 'pattern = "*-8.csv"'))
+    [sentence] = foretold(read_problem(path))
+    assert sentence.startswith("EXP counts 6 observations for 4 unknown") and "CAL" not in sentence
 
 
 def test_numbers_in_names_are_ordered():

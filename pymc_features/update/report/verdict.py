@@ -228,14 +228,14 @@ def foretold(problem: Problem) -> list[str]:
     if problem.modal is not None:
         return []  # modes are observations besides
     n_unknown = len(problem.structure.names)
-    samples, m = problem.measured.samples, problem.config.likelihood.m
+    measured, m = [event.measured for event in problem.events], problem.config.likelihood.m
+    advice = "" if measured else " CAL counts what the residuals support."
     found = []
     for kind in problem.config.likelihood.kinds:
-        claimed = KINDS[kind].claimed(samples, m)
-        if claimed is not None and claimed < 2 * n_unknown:
+        claimed = [KINDS[kind].claimed(one.samples, m) for one in measured or [problem.measured]]
+        if None not in claimed and sum(claimed) < 2 * n_unknown:
             found.append(
-                f"{kind} counts {claimed:.0f} observations for {n_unknown} unknown parameters of the "
-                "structure: expect a posterior that is not much narrower than the prior. CAL counts what the "
-                "residuals support."
+                f"{kind} counts {sum(claimed):.0f} observations for {n_unknown} unknown parameters of the "
+                f"structure: expect a posterior that is not much narrower than the prior.{advice}"
             )
     return found
