@@ -101,25 +101,25 @@ def joint():
         mu = pmf.response(chain(theta), record, sensors=[0, 2])
         pmf.ExpFeature(name, mu, pm.HalfNormal(f"sigma_{name}", 2.0), observed=measured)
 
-    def population(shape=None):
-        mean, scatter = pm.Normal("mean", 1.0, 0.3), pm.HalfNormal("scatter", 0.1)
-        return pm.Normal("theta", mean, scatter, shape=shape)
+    def population():
+        return pm.Normal("mean", 1.0, 0.3), pm.HalfNormal("scatter", 0.1)
 
     models = []
     for i in range(3):
         with pm.Model() as model:
             likelihood("y", pm.Uniform("theta", 0.3, 2.0), i)
         models.append(model)
-    posteriors = [pmf.sample(2000, model=m, chains=2, random_seed=i, **QUIET) for i, m in enumerate(models)]
+    posteriors = [pmf.sample(4000, model=m, chains=2, random_seed=i, **QUIET) for i, m in enumerate(models)]
     with pm.Model() as hyper:
-        population()
-    settings = {"draws": 4000, "chains": 2, "random_seed": 1, **QUIET}
-    two = pmf.hierarchical(posteriors, hyper, models=models, event_draws=4000, **settings)
+        pm.Normal("theta", *population())
+    settings = {"draws": 8000, "chains": 2, "random_seed": 1, **QUIET}
+    two = pmf.hierarchical(posteriors, hyper, models=models, event_draws=8000, **settings)
     with pm.Model() as whole:
-        theta = population(3)
+        mean, scatter = population()  # by standard normal variables, which NUTS can sample
+        theta = pm.Deterministic("theta", mean + scatter * pm.Normal("z", shape=3))
         for i in range(3):
             likelihood(f"y{i}", theta[i], i)
-        one = pm.sample(4000, tune=1500, chains=2, random_seed=1, target_accept=0.95, **QUIET)
+        one = pm.sample(10_000, tune=1500, chains=2, random_seed=1, target_accept=0.95, **QUIET)
     for name in ("mean", "scatter"):
         print(f"{name}: off by {apart(two.posterior[name], one.posterior[name]):.3f} of the width")
     for i in range(3):

@@ -27,7 +27,7 @@ CENTRE = 0.5
 SD = {1: 0.1, 5: 0.1, 20: 0.3}  # of the likelihood, for each number of dimensions
 
 
-N_DRAWS = {1: 1000, 5: 2000, 20: 4000}
+N_DRAWS = {1: 1000, 5: 1000, 20: 2000}
 
 
 @cache
@@ -84,7 +84,7 @@ CASES = [
 @pytest.mark.parametrize(("kernel", "d"), CASES)
 def test_conjugate_gaussian(kernel, d):
     """Evidence, mean, spread and distribution; the standard error that a kernel reports covers each run."""
-    found, runs, errors = faults(kernel, d, {TMCMC: 10_000, PopulationMH: 2000}.get(kernel))
+    found, runs, errors = faults(kernel, d, {TMCMC: 4000, PopulationMH: 2000}.get(kernel))
     assert found == []
     if kernel is PersistentSMC:
         assert (np.abs(errors) < 4.0 * np.array([r.se for r in runs])).all()

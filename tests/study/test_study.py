@@ -148,10 +148,10 @@ DURATION = {0.1: 1.5, 10.0: 10.0}  # [s] used of the record: the rest only adds 
 @pytest.mark.statistical
 @pytest.mark.parametrize("multiplier", DURATION)
 def test_sampled_quantiles_are_the_exact_ones(record, multiplier):
-    """5, 50 and 95 % of all parameters within 8 % of the exact 5-95 % width; all ABC draws in the exact set.
+    """5, 50 and 95 % of all parameters within 11 % of the exact 5-95 % width; all ABC draws in the exact set.
 
-    2 x 2000 draws are worth 3000 to 4000 independent ones; the standard error of the worst quantile, sigma's
-    95 % under TN, is then 2.0 to 2.3 % of the width: with other seeds one step in 500 would fail by chance.
+    2 x 1000 draws are worth 1500 to 2000 independent ones; the standard error of the worst quantile, sigma's
+    95 % under TN, is then 2.8 to 3.2 % of the width: with other seeds one step in 500 would fail by chance.
     The seeds are fixed.
     """
     record = Record(record.acceleration[record.time <= DURATION[multiplier]], record.dt)
@@ -159,7 +159,7 @@ def test_sampled_quantiles_are_the_exact_ones(record, multiplier):
         record,
         multipliers=[multiplier],
         likelihoods=ALL_KINDS,
-        draws=2000,
+        draws=1000,
         chains=2,
         random_seed=0,
         progressbar=False,
@@ -168,8 +168,8 @@ def test_sampled_quantiles_are_the_exact_ones(record, multiplier):
     quantiles = ["q05", "q50", "q95"]
     width = summary["exact"].sel(statistic="q95") - summary["exact"].sel(statistic="q05")
     error = (summary["sampled"] - summary["exact"]).sel(statistic=quantiles) / width
-    assert float(np.abs(error).max()) < 0.08, error.values.round(3)
-    assert float(summary["r_hat"].max()) < 1.01
+    assert float(np.abs(error).max()) < 0.11, error.values.round(3)
+    assert float(summary["r_hat"].max()) < 1.02
     low, high = summary["epsilon_interval"].values
     theta = result[f"ABC/x{multiplier:g}/posterior/theta"].values
     assert low * (1 - 1e-12) <= theta.min() <= theta.max() <= high * (1 + 1e-12)
