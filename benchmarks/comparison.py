@@ -11,7 +11,8 @@ from benchmarks.posteriors import collect
 from benchmarks.samplers import SAMPLERS
 from benchmarks.tables import significant, table
 from benchmarks.timing import best_of_rounds
-from pymc_features.smc.density.evaluation import joined_graph, population_logp
+from pymc_features.smc.density.evaluation import population_logp
+from pymc_features.smc.density.graph import joined_graph
 
 PARTICLES = 256
 

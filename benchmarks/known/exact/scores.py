@@ -11,7 +11,8 @@ from pytensor.graph.replace import vectorize_graph
 from scipy import special
 
 from pymc_features.inference.parameters import entry_names
-from pymc_features.smc.density.evaluation import joined_graph, population_logp
+from pymc_features.smc.density.evaluation import population_logp
+from pymc_features.smc.density.graph import joined_graph
 
 CONSTANT = 0.5 * np.log(2.0 * np.pi)
 
