@@ -36,9 +36,9 @@ def gradient_cost(model, rounds=3):
     start = np.concatenate([np.ravel(point[v.name]) for v in model.value_vars]).astype(float)
     particles = start + 0.01 * np.random.default_rng(0).standard_normal((PARTICLES, start.size))
     values = population_logp(model, point, {})
-    outputs, joined, _ = joined_graph(model, point, (model.varlogp, model.datalogp))
+    one = joined_graph(model, point, (model.varlogp, model.datalogp))
     population = pt.matrix("particles")
-    density = vectorize_graph(outputs[0] + outputs[1], {joined: population})
+    density = vectorize_graph(one.outputs[0] + one.outputs[1], {one.joined: population})
     both = [density, pt.grad(density.sum(), population)]
     gradients = pytensor.function([population], both, trust_input=True)
     calls = {"values": lambda: values(particles), "gradients": lambda: gradients(particles)}

@@ -14,6 +14,7 @@ from pymc_features.events import compare, hierarchical
 from pymc_features.events.sequence import continue_with, sample_in_sequence
 from pymc_features.external import ExternalSimulator, ProgramSimulator, Surrogate
 from pymc_features.ground_motion import synthetic_earthquake
+from pymc_features.identification import identify_modes, propose_bands
 from pymc_features.inference import (
     compiled_logp,
     fisher_information,
@@ -89,6 +90,7 @@ __all__ = [
     "first_passage_probability",
     "fisher_information",
     "hierarchical",
+    "identify_modes",
     "integration_error",
     "laplace",
     "mac",
@@ -98,6 +100,7 @@ __all__ = [
     "modes",
     "paper",
     "posterior_response",
+    "propose_bands",
     "read_channels",
     "read_channels_with_gaps",
     "read_matrices",

@@ -1,11 +1,14 @@
 """The benchmarks run: their routes agree, and what is not installed is said, not dropped."""
 
+import importlib
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import pymc as pm
 import pytest
+from scipy import stats
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -29,6 +32,31 @@ def case(benchmarks, record):
     from pymc_features import Record
 
     return build(Record(record.acceleration[:100], record.dt), particles=4, substeps=2)
+
+
+def test_all_of_them_can_be_imported(benchmarks):
+    """But for those of other packages, which ask for these."""
+    for path in sorted((ROOT / "benchmarks").rglob("*.py")):
+        if path.name != "__main__.py":
+            name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+            try:
+                importlib.import_module(name)
+            except ModuleNotFoundError as error:
+                assert not error.name.startswith(("pymc_features", "benchmarks")), name
+
+
+def test_gradients_and_scores_of_a_normal(benchmarks):
+    """What the comparison with other samplers is counted in, and the answers are computed from."""
+    from benchmarks.comparison import gradient_cost
+    from benchmarks.known.exact import scores
+
+    with pm.Model() as model:
+        pm.Normal("y", pm.Normal("x"), 1.0, observed=0.5)
+    assert gradient_cost(model, rounds=1) > 0.0
+    [found] = [value for value in vars(scores).values() if hasattr(value, "log_likelihood")]
+    z = np.array([[0.0], [0.7]])
+    density = found(model)
+    np.testing.assert_allclose(density.log_likelihood(z), stats.norm(density.parameters(z)[:, 0]).logpdf(0.5))
 
 
 @pytest.mark.slow

@@ -5,10 +5,17 @@ Three stiffness factors of the source's ten-storey chain under El Centro, all fl
 
 from benchmarks.coverage.errors import ERRORS
 from benchmarks.coverage.events import run_events
+from benchmarks.coverage.identified import run_identified
 from benchmarks.coverage.steps import run_steps
 from benchmarks.coverage.table import run_errors, run_ten
 
-PARTS = {"errors": run_errors, "ten": run_ten, "events": run_events, "steps": run_steps}
+PARTS = {
+    "errors": run_errors,
+    "ten": run_ten,
+    "events": run_events,
+    "steps": run_steps,
+    "identified": run_identified,
+}
 NAMES = (*PARTS, *ERRORS)
 
 

@@ -6,4 +6,9 @@ from pymc_features.ambient.spectral import SpectralResponse, spectral_response
 
 OPS = numba_dispatch.OPS
 
-__all__ = ["OPS", "AmbientResponse", "SpectralResponse", "spectral_response"]
+__all__ = [
+    "OPS",
+    "AmbientResponse",
+    "SpectralResponse",
+    "spectral_response",
+]

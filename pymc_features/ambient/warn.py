@@ -29,15 +29,19 @@ def warn_at_start(rv, response, bands) -> None:
                 f"the band {low:g} to {high:g} Hz of {rv.name} has no mode at the model's initial point; the "
                 f"nearest is at {near:.4g} Hz. Move the band, or the start of the parameters."
             )
-        in_peak = 2.0 * ratios[inside] * frequencies[inside] * duration
-        for f, zeta, count in zip(frequencies[inside], ratios[inside], in_peak, strict=True):
-            if count < FEWEST_IN_PEAK:
-                tell(
-                    f"a record of {duration:.4g} s is short for the mode of {rv.name} at {f:.4g} Hz with "
-                    f"{100.0 * zeta:.3g} % damping: {count:.2g} of its frequencies lie in the half-power "
-                    f"width. Its damping will be uncertain and biased; {FEWEST_IN_PEAK / (2 * zeta * f):.3g} "
-                    "s and more are better."
-                )
+        for f, zeta in zip(frequencies[inside], ratios[inside], strict=True):
+            warn_of_peak(f"the mode of {rv.name} at {f:.4g} Hz", f, zeta, duration)
+
+
+def warn_of_peak(what: str, f: float, zeta: float, duration: float) -> None:
+    """Warn if a record of some seconds has few frequencies in the half-power width of a mode."""
+    count = 2.0 * zeta * f * duration
+    if count < FEWEST_IN_PEAK:
+        tell(
+            f"a record of {duration:.4g} s is short for {what} with {100.0 * zeta:.3g} % damping: "
+            f"{count:.2g} of its frequencies lie in the half-power width. Its damping will be uncertain and "
+            f"biased; {FEWEST_IN_PEAK / (2 * zeta * f):.3g} s and more are better."
+        )
 
 
 def tell(text: str) -> None:

@@ -87,9 +87,9 @@ class NormalScores:
         self.d = len(self.priors)
         self.values = self.gradients = 0
         self._value = population_logp(model, point, {})
-        outputs, joined, _ = joined_graph(model, point, (model.varlogp, model.datalogp))
+        one = joined_graph(model, point, (model.varlogp, model.datalogp))
         particles = pt.matrix("particles")
-        likelihood = vectorize_graph(outputs[1], {joined: particles})
+        likelihood = vectorize_graph(one.outputs[1], {one.joined: particles})
         gradient = pt.grad(likelihood.sum(), particles)
         self._gradient = pytensor.function([particles], [likelihood, gradient], on_unused_input="ignore")
 

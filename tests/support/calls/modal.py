@@ -7,9 +7,9 @@ import pymc as pm
 
 import pymc_features as pmf
 from support.border import Call, work
-from support.calls.files import FOLDER
+from support.calls.files import FOLDER, MEASURED, ODD_CHANNELS, SEVERAL
 from support.calls.structures import CHAIN, SCALARS, TAKEN, VECTORS
-from support.odd_values import NUMBERS, PAIR, POSITIVE, TEXTS
+from support.odd_values import NUMBERS, ONE, PAIR, POSITIVE, TEXTS
 
 TABLE = Path(FOLDER.name) / "modes.csv"
 TABLE.write_text("omega [rad/s],damping [%],roof\n6.2832,1.2,1.0\n18.85,0.9,-0.5\n")
@@ -28,7 +28,30 @@ LABELS = PAIR - {"DataArray"} | {
 }
 SCALE = POSITIVE | SCALARS | VECTORS | PAIR - {"range"}
 
+NUMERIC = {
+    "array of 16 bits",
+    "array that is read-only",
+    "array of every second",
+    "DataArray",
+    "Series",
+}
+WITHOUT_GAPS = SEVERAL - {"channels with NaN"}
+
 CALLS = {
+    "identify_modes": Call(
+        pmf.identify_modes,
+        {"channels": MEASURED, "bands": [0.3, 2.0], "n_modes": None, "quantity": "acceleration"},
+        {"bands": NUMERIC, "n_modes": {"None", *ONE}, "channels": WITHOUT_GAPS},
+        instead={"pymc_features.identification.identify.of_band": work},
+        more={"channels": ODD_CHANNELS},
+    ),
+    "propose_bands": Call(
+        pmf.propose_bands,
+        {"channels": MEASURED, "highest": None},
+        {"highest": {"None", *POSITIVE}, "channels": WITHOUT_GAPS},
+        instead={"pymc_features.identification.propose.spectral_matrices": work},
+        more={"channels": ODD_CHANNELS},
+    ),
     "ModalData": Call(
         pmf.ModalData,
         {

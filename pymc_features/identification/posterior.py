@@ -1,0 +1,196 @@
+"""The posterior of free modes in one band: coordinates, values, gradients and the way to its mode."""
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize
+from scipy.linalg import null_space
+
+from pymc_features.simulators.spectra import Lines, SpectralParameters, spectral_gradient
+
+STEP = 1e-4  # of differences of gradients, in coordinates of order one
+TOLERANCE = 1e-5  # of the gradient, relative to the number of data
+
+
+class BandData(NamedTuple):
+    """Transforms of all channels in one band.
+
+    Attributes
+    ----------
+    spectra : array (s, 2, k)
+        Real and imaginary parts.
+    lines : Lines
+    limits : array (2,)
+        [Hz]
+    duration : float
+        Of the record [s].
+    """
+
+    spectra: np.ndarray
+    lines: Lines
+    limits: np.ndarray
+    duration: float
+
+    @property
+    def used(self) -> np.ndarray:
+        """Complex transforms (s, n) of the frequencies that count."""
+        kept = self.lines.weights > 0.0
+        return self.spectra[:, 0, kept] + 1j * self.spectra[:, 1, kept]
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """Of `used` [Hz]."""
+        return self.lines.frequencies[self.lines.weights > 0.0]
+
+
+class FreeModes(NamedTuple):
+    """Parameters of the modes of one band.
+
+    Attributes
+    ----------
+    natural, ratios : array (m,)
+        Frequencies [Hz] and damping ratios.
+    shapes : array (m, s)
+        Of length one, the largest entry positive.
+    factor : array (m, m)
+        L, complex, lower triangular with a positive diagonal: L L^* is the spectral density of the forces.
+    error : float
+        Spectral density of the error of each channel.
+    """
+
+    natural: np.ndarray
+    ratios: np.ndarray
+    shapes: np.ndarray
+    factor: np.ndarray
+    error: float
+
+    def normalised(self) -> "FreeModes":
+        """Shapes of length one and one sign; the forces take the rest."""
+        lengths = np.linalg.norm(self.shapes, axis=1)
+        largest = self.shapes[np.arange(len(lengths)), np.abs(self.shapes).argmax(axis=1)]
+        signs = np.sign(largest)
+        factor = self.factor * (lengths * signs)[:, None] * signs
+        return self._replace(shapes=self.shapes / (lengths * signs)[:, None], factor=factor)
+
+
+class Posterior:
+    """The log-likelihood of a band in coordinates (d,) that are zero at some modes and of order one near.
+
+    They are, of each mode, ln f over the damping ratio, ln zeta, and the tangent of the shape (s - 1 numbers:
+    its length belongs to the forces); the entries of L, logarithms on its diagonal; and ln S_e. The prior is
+    flat in them.
+    """
+
+    def __init__(self, data: BandData, centre: FreeModes):
+        self.data, self.centre = data, centre
+        m, s = centre.shapes.shape
+        self.basis = np.array([null_space(shape[None]) for shape in centre.shapes]).reshape(m, s, s - 1)
+        self.below = np.tril_indices(m, -1)
+        sizes = [m, m, m * (s - 1), m, len(self.below[0]), len(self.below[0]), 1]
+        self.parts = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
+        self.size = sum(sizes)
+
+    def parameters(self, x) -> SpectralParameters:
+        """Those of points (n, d)."""
+        c, n = self.centre, len(x)
+        m, s = c.shapes.shape
+        u, v, t, a, real, imaginary, e = (x[:, part] for part in self.parts)
+        shapes = c.shapes + np.einsum("mst,nmt->nms", self.basis, t.reshape(n, m, s - 1))
+        factor = np.zeros((n, 1, m, m, 2))
+        diagonal = np.diag(c.factor).real
+        factor[:, 0, np.arange(m), np.arange(m), 0] = diagonal * np.exp(a)
+        rows, columns = self.below
+        off = c.factor[rows, columns] + diagonal[rows] * (real + 1j * imaginary)
+        factor[:, 0, rows, columns, 0], factor[:, 0, rows, columns, 1] = off.real, off.imag
+        return SpectralParameters(
+            c.natural * np.exp(c.ratios * u),
+            c.ratios * np.exp(v),
+            shapes,
+            factor,
+            np.repeat(c.error * np.exp(e)[:, :, None], s, axis=2),
+            np.repeat(self.data.spectra[None], n, axis=0),
+        )
+
+    def modes(self, x) -> FreeModes:
+        """The modes of a point (d,)."""
+        p = self.parameters(x[None])
+        factor = p.factor[0, 0, ..., 0] + 1j * p.factor[0, 0, ..., 1]
+        return FreeModes(p.natural[0], p.ratios[0], p.shapes[0], factor, float(p.error[0, 0, 0])).normalised()
+
+    def value_and_gradient(self, x) -> tuple[np.ndarray, np.ndarray]:
+        """Log-likelihoods (n,) and gradients (n, d) of points (n, d); -inf and zero for impossible ones."""
+        with np.errstate(over="ignore"):
+            p = self.parameters(x)
+        logp = np.empty(len(x))
+        slopes = SpectralParameters(
+            *(np.zeros(y.shape) for y in p[:-1]), np.zeros((0, *self.data.spectra.shape))
+        )
+        spectral_gradient(p, self.data.lines, logp, slopes)
+        m = len(self.centre.natural)
+        rows, columns = self.below
+        diagonal, each = np.diag(self.centre.factor).real, np.arange(m)
+        with np.errstate(invalid="ignore", over="ignore"):
+            parts = (
+                slopes.natural * p.natural * self.centre.ratios,
+                slopes.ratios * p.ratios,
+                np.einsum("mst,nms->nmt", self.basis, slopes.shapes).reshape(len(x), -1),
+                slopes.factor[:, 0, each, each, 0] * p.factor[:, 0, each, each, 0],
+                slopes.factor[:, 0, rows, columns, 0] * diagonal[rows],
+                slopes.factor[:, 0, rows, columns, 1] * diagonal[rows],
+                (slopes.error * p.error).sum(axis=(1, 2))[:, None],
+            )
+        return logp, np.nan_to_num(np.concatenate(parts, axis=1))
+
+    def information(self, x) -> np.ndarray:
+        """Minus the second derivatives (d, d) at a point, by differences of gradients."""
+        moved = x + STEP * np.vstack([np.eye(self.size), -np.eye(self.size)])
+        up, down = np.split(self.value_and_gradient(moved)[1], 2)
+        found = (down - up) / (2.0 * STEP)
+        return 0.5 * (found + found.T)
+
+    def value(self) -> float:
+        """The log-likelihood of the modes it is centred at."""
+        return float(self.value_and_gradient(np.zeros((1, self.size)))[0][0])
+
+    def climbed(self) -> "Posterior":
+        """Centred at the mode of the posterior that lies uphill, by Newton's method with a trust region."""
+
+        def minus(x):
+            logp, gradient = self.value_and_gradient(x[None])
+            return -logp[0], -gradient[0]
+
+        done = optimize.minimize(
+            minus,
+            np.zeros(self.size),
+            jac=True,
+            hess=self.information,
+            method="trust-exact",
+            options={"gtol": TOLERANCE * self.data.used.size, "maxiter": 200, "initial_trust_radius": 0.5},
+        )
+        return Posterior(self.data, self.modes(done.x))
+
+    @cached_property
+    def covariance(self) -> np.ndarray | None:
+        """Of the coordinates (d, d), Laplace's approximation; None where there is no maximum."""
+        values, vectors = np.linalg.eigh(self.information(np.zeros(self.size)))
+        if not (np.isfinite(values).all() and values[0] > 0.0):
+            return None
+        return (vectors / values) @ vectors.T
+
+    def standard_deviations(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of frequencies (m,) [Hz], damping ratios (m,) and entries of the shapes (m, s)."""
+        c, covariance = self.centre, self.covariance
+        m, s = c.shapes.shape
+        sd = np.sqrt(np.diag(covariance))
+        u, v, t, *_ = self.parts
+        tangent = covariance[np.ix_(t, t)].reshape(m, s - 1, m, s - 1)
+        own = tangent[np.arange(m), :, np.arange(m), :]
+        of_shapes = np.sqrt(np.einsum("mst,mtr,msr->ms", self.basis, own, self.basis))
+        return c.natural * c.ratios * sd[u], c.ratios * sd[v], of_shapes
+
+
+def noise_logp(data: BandData) -> float:
+    """The largest log-likelihood without any mode."""
+    spectra = data.used
+    return -spectra.size * (np.log(np.pi * np.mean(np.abs(spectra) ** 2)) + 1.0)

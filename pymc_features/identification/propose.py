@@ -1,0 +1,82 @@
+"""Bands around the peaks of the singular values of the spectra."""
+
+import numpy as np
+import xarray as xr
+
+from pymc_features._checks import check_finite, check_positive, message
+from pymc_features.signals import sampling_step
+from pymc_features.signals.channels import check_array
+
+SEGMENTS = 20  # of the record, half over each other
+PROMINENCE = 6.0  # dB above the valleys beside a peak
+HALF_WIDTH = 0.06  # of a band, relative to the frequency of its peak
+FEWEST = 3.0  # resolutions of the averaged spectrum on each side
+
+
+def propose_bands(channels: xr.DataArray, *, highest: float | None = None) -> np.ndarray:
+    """Bands around the peaks of the first singular value of the spectra, to begin with.
+
+    Spectra are averaged over twenty parts of the record (Welch); a peak stands 6 dB above the valleys on both
+    of its sides. Look at the bands in the spectra: a machine is a peak as well.
+
+    Parameters
+    ----------
+    channels : DataArray (sensor, time)
+        As `read_channels` returns them.
+    highest : float, optional
+        Frequency [Hz] up to which to look; 0.4 of the sampling rate by default.
+
+    Returns
+    -------
+    array (band, 2)
+        Lower and upper ends [Hz], apart from each other.
+
+    Raises
+    ------
+    ValueError
+        If there is no peak.
+    """
+    from scipy import signal  # a second to import
+
+    values, dt = checked_values(channels), sampling_step(channels)
+    highest = 0.4 / dt if highest is None else check_positive(highest, "highest", "Pass it in Hz.")
+    length = min(values.shape[1], 2 * values.shape[1] // (SEGMENTS + 1))
+    f, matrices = spectral_matrices(values, dt, length)
+    first = np.linalg.eigvalsh(matrices)[:, -1]
+    inside = (f > 0.0) & (f <= highest)
+    f, level = f[inside], 10.0 * np.log10(np.maximum(first[inside], np.finfo(float).tiny))
+    peaks, _ = signal.find_peaks(level, prominence=PROMINENCE)
+    if not peaks.size:
+        raise ValueError(
+            message(
+                "channels",
+                "of a structure that moves in its modes",
+                "spectra without a peak",
+                "Pass `bands`.",
+            )
+        )
+    half = np.maximum(HALF_WIDTH * f[peaks], FEWEST * (f[1] - f[0]))
+    bands = np.column_stack([np.maximum(f[peaks] - half, 0.5 * f[0]), np.minimum(f[peaks] + half, 0.49 / dt)])
+    joined = [bands[0]]
+    for low, high in bands[1:]:
+        if low <= joined[-1][1]:
+            joined[-1] = np.array([joined[-1][0], high])
+        else:
+            joined.append(np.array([low, high]))
+    return np.array(joined)
+
+
+def spectral_matrices(values, dt: float, length: int) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (k,) and averaged spectra (k, s, s) of channels (s, t), from parts of some samples."""
+    from scipy import signal
+
+    f, _ = signal.welch(values[0], 1.0 / dt, nperseg=length)
+    rows = [[signal.csd(a, b, 1.0 / dt, nperseg=length)[1] for b in values] for a in values]
+    return f, np.array(rows).transpose(2, 0, 1)
+
+
+def checked_values(channels: xr.DataArray) -> np.ndarray:
+    """Numbers (sensor, time) of channels without gaps."""
+    values = check_array(channels, sensors=True).values.astype(np.float64)
+    check_finite(values, "channels", "Cut the record where there are gaps.")
+    return values

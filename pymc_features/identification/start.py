@@ -1,0 +1,66 @@
+"""Where the search for the modes of a band begins."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pymc_features.identification.posterior import BandData, FreeModes, Posterior
+
+RATIOS = (0.005, 0.02)  # damping ratios that are tried
+STARTS = 3  # from which the posterior is climbed, of those that are likely at once
+SMALLEST = 1e-3  # force or error, over the mean of the band
+
+
+def best_posterior(data: BandData, m: int) -> Posterior | None:
+    """The posterior of m modes, centred at the highest maximum that was found; None if there is none."""
+    starts = [Posterior(data, modes) for modes in first_guesses(data, m)]
+    ordered = sorted(starts, key=lambda one: -one.value())
+    found = [one.climbed() for one in ordered[:STARTS] if np.isfinite(one.value())]
+    found = [one for one in found if np.isfinite(one.value()) and one.covariance is not None]
+    return max(found, key=lambda one: one.value(), default=None)
+
+
+def first_guesses(data: BandData, m: int) -> Iterator[FreeModes]:
+    """Modes at peaks of the spectrum, at equal shares of its energy, and close together at its peak."""
+    from scipy import signal  # a second to import
+
+    power = (np.abs(data.used) ** 2).sum(axis=0)
+    width = max(3, power.size // 25)
+    smooth = np.convolve(np.pad(power, width, mode="edge"), np.ones(width) / width, "same")[width:-width]
+    f = data.frequencies
+    peaks, _ = signal.find_peaks(smooth, distance=width)
+    peaks = peaks[np.argsort(-smooth[peaks])][:m]
+    main, share = f[smooth.argmax()], np.cumsum(power) / power.sum()
+    close = np.linspace(-1.0, 1.0, m) if m > 1 else np.zeros(1)
+    sets = [np.interp((np.arange(m) + 0.5) / m, share, f), main * (1.0 + 0.01 * close)]
+    if peaks.size == m:
+        sets.append(np.sort(f[peaks]))
+    for natural in sets:
+        for ratio in RATIOS:
+            yield fitted(data, natural, np.full(m, ratio))
+
+
+def fitted(data: BandData, natural, ratios) -> FreeModes:
+    """Shapes, forces and errors of given frequencies, by least squares.
+
+    The spectral matrix Re(F F^*) is close to sum_r |h_r|^2 S_r phi_r phi_r' + S_e I where modes do not
+    interfere; the best matrices in the place of S_r phi_r phi_r' have shape and force as their first
+    eigenvector and eigenvalue.
+    """
+    spectra, f, m = data.used, data.frequencies, len(natural)
+    s = len(spectra)
+    matrices = np.einsum("ik,jk->kij", spectra, spectra.conj()).real
+    beta = natural / f[:, None]
+    gains = data.lines.gains[data.lines.weights > 0.0]
+    transfer = gains[:, None] ** 2 / np.abs(1.0 - beta**2 - 2j * ratios * beta) ** 2
+    columns = np.column_stack([transfer, np.ones(f.size)])
+    weight = 1.0 / (columns @ (1.0 / columns.mean(axis=0)))  # as large as the spectrum may be
+    solved = np.linalg.lstsq(
+        columns * weight[:, None], matrices.reshape(f.size, -1) * weight[:, None], rcond=None
+    )
+    values, vectors = np.linalg.eigh(solved[0].reshape(m + 1, s, s))
+    level = np.mean(np.abs(spectra) ** 2)
+    force = np.maximum(values[:m, -1], SMALLEST * level / transfer.mean(axis=0))
+    error = max(values[m].mean(), SMALLEST * level)
+    shapes = vectors[:m, :, -1]
+    return FreeModes(natural, ratios, shapes, np.diag(np.sqrt(force)).astype(complex), error).normalised()
