@@ -80,7 +80,8 @@ def identify_modes(
     Examples
     --------
     >>> from pymc_features import LinearStructure, Loading, ModalDamping, simulate
-    >>> frame = LinearStructure([1.0, 1.0], [[1800.0, -900.0], [-900.0, 900.0]], ModalDamping(0.01))
+    >>> stiffness = [[1800.0, -900.0], [-900.0, 900.0]]
+    >>> frame = LinearStructure(mass=[1.0, 1.0], stiffness=stiffness, damping=ModalDamping(0.01))
     >>> wind = Loading(np.random.default_rng(1).standard_normal((2, 12_000)), 0.05, kind="force")
     >>> found = identify_modes(simulate(frame, wind), [[2.7, 3.2], [7.3, 8.2]])
     >>> found.frequencies.round(1), frame.modes().natural_frequencies.round(1)
