@@ -84,8 +84,8 @@ def identify_modes(
     >>> frame = LinearStructure(mass=[1.0, 1.0], stiffness=stiffness, damping=ModalDamping(0.01))
     >>> wind = Loading(np.random.default_rng(1).standard_normal((2, 12_000)), 0.05, kind="force")
     >>> found = identify_modes(simulate(frame, wind), [[2.7, 3.2], [7.3, 8.2]])
-    >>> found.frequencies.round(1), frame.modes().natural_frequencies.round(1)
-    (array([3. , 7.7]), array([3. , 7.7]))
+    >>> abs(found.frequencies - frame.modes().natural_frequencies) < 4.0 * found.frequency_sd
+    array([ True,  True])
     """
     check_choice(quantity, "quantity", list(MEASURED))
     if bands is None:
