@@ -3,6 +3,7 @@
 Three stiffness factors of the source's ten-storey chain under El Centro, all floors measured, and all ten.
 """
 
+from benchmarks.coverage.ambient import run_ambient
 from benchmarks.coverage.errors import ERRORS
 from benchmarks.coverage.events import run_events
 from benchmarks.coverage.identified import run_identified
@@ -15,6 +16,7 @@ PARTS = {
     "events": run_events,
     "steps": run_steps,
     "identified": run_identified,
+    "ambient": run_ambient,
 }
 NAMES = (*PARTS, *ERRORS)
 
