@@ -187,6 +187,9 @@ def read_and_tell(config, console):
         tell_channels(event.measured, console, f"{event.name}: ")
     if problem.measured is not None and not problem.events:
         tell_channels(problem.measured, console)
+    if problem.ambient is not None:
+        ambient = problem.ambient
+        say(console, f"data: {ambient.source}, {ambient.duration:.4g} s at {ambient.step:.4g} s")
     if problem.modal is not None:
         say(console, f"modes: {problem.modal.sentence}")
     return problem, told
@@ -202,7 +205,7 @@ def tell_channels(measured, console, event=""):
 
 def check(options, console):
     """Look at the data of a configuration."""
-    from pymc_features.update.expected import check_data, check_modes
+    from pymc_features.update.expected import check_data, check_modes, check_spectra
 
     config = Path(options.config)
     problem, told = read_and_tell(config, console)
@@ -215,8 +218,15 @@ def check(options, console):
         for shown in check_data(one, path):
             console.print(shown)
         say(console, f"wrote {path}")
+    if problem.ambient is not None:
+        say(console, check_spectra(problem, out))
+        say(console, f"wrote {out}")
     if problem.modal is not None:
-        path = out if problem.measured is None else out.with_name(f"{out.stem}-modes{out.suffix}")
+        path = (
+            out
+            if problem.measured is None and problem.ambient is None
+            else out.with_name(f"{out.stem}-modes{out.suffix}")
+        )
         shown, sentences, is_drawn = check_modes(problem, path)
         console.print(shown)
         for sentence in sentences:

@@ -51,14 +51,14 @@ ALLOWED = {
         "plots",
     },
     "likelihoods": {"ops", "distributions", "likelihood_free", "calibration"},
-    "plots": {"records", "likelihoods", "modal", "modal_features"},
+    "plots": {"records", "likelihoods", "modal", "modal_features", "signals"},
     "interrupt": set(),
     "progress": {"interrupt"},
     "arguments": set(),
     "update": {
         *("records", "structures", "signals", "io", "datasets", "ground_motion", "simulators", "ops"),
         *("likelihood_free", "likelihoods", "smc", "inference", "calibration", "prediction"),
-        *("storage", "plots", "modal", "modal_features", "events"),
+        *("storage", "plots", "modal", "modal_features", "events", "ambient", "identification"),
     },
 }
 ANYTHING = {"__init__", "public", "cli"}
@@ -124,6 +124,7 @@ PUBLIC_NAMES = [
     "plot_sampling_rate",
     "plot_sensor_placement",
     "plot_sequence",
+    "plot_singular_values",
     "plot_tempering",
     "plot_tolerance",
     "plot_widths",

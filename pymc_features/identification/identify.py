@@ -43,7 +43,9 @@ def identify_modes(
         Lower and upper ends of the bands [Hz], one around each mode or group of close modes, apart from each
         other; `propose_bands(channels)` by default.
     n_modes : int or list of int, optional
-        In each band. By default the number, up to four, with the best Bayesian information criterion.
+        In each band. By default the number, up to four, with the best Bayesian information criterion; beside
+        modes whose half-power widths are inside the band, wider ones that reach over its ends are taken for
+        what comes in from other modes, and left out.
     quantity : str
         What was measured: "acceleration", "velocity" or "displacement".
 
@@ -94,7 +96,7 @@ def identify_modes(
     found = []
     for data, number in zip(parts, checked_numbers(n_modes, len(parts)), strict=True):
         posterior = of_band(data, number)
-        own = [] if posterior is None else modes_of(data, posterior)
+        own = [] if posterior is None else modes_of(data, posterior, is_free=number is None)
         if not own:
             low, high = data.limits
             tell(
@@ -154,21 +156,27 @@ def of_band(data: BandData, n_modes: int | None) -> Posterior | None:
     best, score = None, noise_logp(data) - charge
     for m in range(1, min(MOST, len(data.spectra) + 1) + 1):
         posterior = best_posterior(data, m)
-        if posterior is None or (new := posterior.value() - charge * posterior.size) <= score:
+        if posterior is None:  # as of a sine among what comes in from other modes
+            continue
+        if (new := posterior.value() - charge * posterior.size) <= score:
             break
         best, score = posterior, new
     return best
 
 
-def modes_of(data: BandData, posterior: Posterior) -> list[tuple]:
-    """Frequency, damping ratio and shape of each mode within the band, and their standard deviations."""
+def modes_of(data: BandData, posterior: Posterior, is_free: bool) -> list[tuple]:
+    """Frequency, damping ratio and shape of each mode within the band, and their standard deviations.
+
+    If the number of modes `is_free`, some of them may only stand for what comes in from beside the band.
+    """
     centre, (low, high) = posterior.centre, data.limits
-    rows = zip(centre.natural, centre.ratios, centre.shapes, *posterior.standard_deviations(), strict=True)
+    f, half = centre.natural, centre.natural * centre.ratios
+    whole = (f - half > low) & (f + half < high)
+    taken = whole if is_free and whole.any() else (f > low) & (f < high)
+    rows = zip(f, centre.ratios, centre.shapes, *posterior.standard_deviations(), strict=True)
     found = []
-    for row in rows:
+    for row in (row for row, is_taken in zip(rows, taken, strict=True) if is_taken):
         f, zeta = row[:2]
-        if not low < f < high:
-            continue  # what comes in from beside the band
         if min(f - low, high - f) < zeta * f:
             tell(
                 f"the mode at {f:.4g} Hz lies at the edge of its band, {low:.4g} to {high:.4g} Hz. Widen it."

@@ -6,8 +6,8 @@ import xarray as xr
 from pymc_features._checks import check_finite, check_positive, message
 from pymc_features.signals import sampling_step
 from pymc_features.signals.channels import check_array
+from pymc_features.signals.spectra import averaged_spectra
 
-SEGMENTS = 20  # of the record, half over each other
 PROMINENCE = 6.0  # dB above the valleys beside a peak
 HALF_WIDTH = 0.06  # of a band, relative to the frequency of its peak
 FEWEST = 3.0  # resolutions of the averaged spectrum on each side
@@ -40,9 +40,8 @@ def propose_bands(channels: xr.DataArray, *, highest: float | None = None) -> np
 
     values, dt = checked_values(channels), sampling_step(channels)
     highest = 0.4 / dt if highest is None else check_positive(highest, "highest", "Pass it in Hz.")
-    length = min(values.shape[1], 2 * values.shape[1] // (SEGMENTS + 1))
-    f, matrices = spectral_matrices(values, dt, length)
-    first = np.linalg.eigvalsh(matrices)[:, -1]
+    spectra = averaged_spectra(values, dt)
+    f, first = spectra.frequencies, spectra.singular_values[:, 0]
     inside = (f > 0.0) & (f <= highest)
     f, level = f[inside], 10.0 * np.log10(np.maximum(first[inside], np.finfo(float).tiny))
     peaks, _ = signal.find_peaks(level, prominence=PROMINENCE)
@@ -64,15 +63,6 @@ def propose_bands(channels: xr.DataArray, *, highest: float | None = None) -> np
         else:
             joined.append(np.array([low, high]))
     return np.array(joined)
-
-
-def spectral_matrices(values, dt: float, length: int) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (k,) and averaged spectra (k, s, s) of channels (s, t), from parts of some samples."""
-    from scipy import signal
-
-    f, _ = signal.welch(values[0], 1.0 / dt, nperseg=length)
-    rows = [[signal.csd(a, b, 1.0 / dt, nperseg=length)[1] for b in values] for a in values]
-    return f, np.array(rows).transpose(2, 0, 1)
 
 
 def checked_values(channels: xr.DataArray) -> np.ndarray:

@@ -9,9 +9,10 @@ from pymc_features.plots.drawing.axes import close as close
 from pymc_features.plots.events.placement import plot_sensor_placement as plot_sensor_placement
 from pymc_features.plots.events.sequence import plot_sequence as plot_sequence
 from pymc_features.plots.loops import plot_loops as plot_loops
-from pymc_features.plots.mac import plot_mac as plot_mac
-from pymc_features.plots.mode_shapes import plot_mode_shapes as plot_mode_shapes
-from pymc_features.plots.natural_frequencies import plot_natural_frequencies as plot_natural_frequencies
+from pymc_features.plots.modes.mac import plot_mac as plot_mac
+from pymc_features.plots.modes.mode_shapes import plot_mode_shapes as plot_mode_shapes
+from pymc_features.plots.modes.natural_frequencies import plot_natural_frequencies as plot_natural_frequencies
+from pymc_features.plots.modes.singular_values import plot_singular_values as plot_singular_values
 from pymc_features.plots.predictive import plot_predictive as plot_predictive
 from pymc_features.plots.prior_posterior import plot_prior_posterior as plot_prior_posterior
 from pymc_features.plots.record import plot_record as plot_record

@@ -10,6 +10,7 @@ from pymc_features.storage import write_atomically
 from pymc_features.update.predict_modes import expected, matched, shapes
 from pymc_features.update.problem.channels import base_and_sensors
 from pymc_features.update.report.modes import draw_mac, draw_shapes, mode_rows, modes_verdict
+from pymc_features.update.report.spectra import draw_spectra
 from pymc_features.update.report.terminal import gains_table, modes_table
 
 DPI = 120
@@ -20,6 +21,12 @@ def check_data(problem, path) -> list:
     write_figure(plots.plot_channels(base_and_sensors(problem.measured)), path)
     gains = problem.measured.checked.gains
     return [] if gains is None else [gains_table(gains)]
+
+
+def check_spectra(problem, path) -> str:
+    """Draw the spectra with the bands into a file; return the line of the file with the bands."""
+    write_figure(draw_spectra(problem), path)
+    return problem.ambient.sentence
 
 
 def check_modes(problem, path) -> tuple:

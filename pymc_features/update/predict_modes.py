@@ -15,6 +15,7 @@ MATCHED_DRAWS, SHAPE_DRAWS = 500, 100
 
 def expected(problem) -> xr.Dataset:
     """Draws of the priors of what decides on modes."""
+    problem = problem.of_modes
     names = names_for(problem, MODAL.name)
     values = {
         name: (("chain", "draw"), problem.priors[name].draw(MATCHED_DRAWS, k)[None])
@@ -29,7 +30,7 @@ def matched(problem, posterior: xr.Dataset, **limits) -> xr.Dataset:
     Its dimension is `identified`, with the numbers of the modes in their file. `limits` are those of
     partners.
     """
-    model = declare(problem, MODAL.name)
+    model = declare(problem.of_modes, MODAL.name)
     found = match_modes(thinned(posterior, MATCHED_DRAWS), name="modal", model=model, **limits)
     found = found.rename(mode="identified").assign_coords(identified=problem.modal.numbers)
     return found.assign(has_partner=found["has_partner"].astype(np.int8))

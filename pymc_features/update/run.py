@@ -21,6 +21,7 @@ from pymc_features.update.chains import without_lost_chains
 from pymc_features.update.config.entries import Parameter
 from pymc_features.update.predict import bands, frequencies, measured_gain
 from pymc_features.update.predict_modes import identified_modes, matched, shapes
+from pymc_features.update.predict_spectra import fitted_spectra
 from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.model import declare, names_for
 from pymc_features.update.problem.read import Problem
@@ -61,8 +62,9 @@ def run_update(
         modal, and of CAL calibration, what `effective_samples` returns. And `/data`: motion of the base,
         measured responses and their gain. Of identified modes `/identified`, and in each likelihood
         `matched`, which mode each is matched with, and `shapes` of draws; without responses the only
-        likelihood is MODAL, and there are neither data nor bands. Of several events `sequence`, and all
-        else is the state after the last of them.
+        likelihood is MODAL, and there are neither data nor bands. Of ambient vibration the likelihood is
+        AMBIENT, with `spectra`, see `fitted_spectra`, and with the modes that the channels have. Of several
+        events `sequence`, and all else is the state after the last of them.
 
     Raises
     ------
@@ -126,6 +128,8 @@ def run_part(problem, kind, tolerance, base, running: Running) -> xr.DataTree:
         if problem.measured is not None:
             part["observed_data"] = xr.Dataset({"y": problem.measured.channels.drop_attrs()})
             part["bands"] = bands(problem, kind, model, idata)
+        if problem.ambient is not None:
+            part["spectra"] = fitted_spectra(problem, model, idata["posterior"].to_dataset())
         part["modal"] = frequencies(problem, idata)
         if problem.modal is not None:
             part["matched"] = matched(problem, idata["posterior"].to_dataset())

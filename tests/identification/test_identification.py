@@ -1,5 +1,7 @@
 """`identify_modes`: against simulated modes, uncertainty laws, coverage; what it warns of and refuses."""
 
+import warnings
+
 import numpy as np
 import pymc as pm
 import pytest
@@ -215,3 +217,19 @@ def test_bad_arguments(arguments, match):
     measured = channels([1.0], [0.02], [[1.0, 2.0]], 100.0, 1)
     with pytest.raises(ValueError, match=match):
         pmf.identify_modes(measured, **{"bands": [0.9, 1.1]} | arguments)
+
+
+def test_what_comes_in_from_other_modes_is_none():
+    """Hardly any noise: in each band the tails of three other modes show, and they are not named."""
+    rng, fine = np.random.default_rng(3), 0.005
+    building = pmf.SpringMassChain(np.full(4, 1e5), 1e8 * np.ones(4), pmf.ModalDamping(0.015))
+    wind = pmf.Loading(rng.standard_normal((4, 80_000)), fine, kind="force")
+    whole = pmf.LinearStructure(**building.matrices()._asdict())
+    channels = pmf.simulate(whole, wind, sensors=[0, 1, 3])[:, ::4]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = pmf.identify_modes(channels)
+    exact = building.modes().natural_frequencies
+    assert len(found) == 4 and (abs(found.frequencies - exact) < 5.0 * found.frequency_sd).all()
+    with pytest.warns(AmbientWarning, match="lies at the edge of its band"):
+        assert len(pmf.identify_modes(channels, [[1.7, 1.9]], n_modes=1)) == 1

@@ -45,6 +45,11 @@ ALONE = {
     "processing": None,
     "report": {"quantities": None, "natural_frequencies": None},
 }
+UNKNOWN_FORCES = {
+    "data": {"base": None, "excitation": "ambient"},
+    "likelihood": None,
+    "report": {"quantities": None, "natural_frequencies": None},
+}
 VARIANTS = [  # sections, and what is different there
     {},
     {"likelihood": {"kinds": ["TN"]}, "sampler": {"method": "smc", "kernel": "TMCMC", "cores": 2}},
@@ -136,6 +141,16 @@ VARIANTS = [  # sections, and what is different there
         "data": {"files": None},
         "likelihood": {"kinds": ["EXP"]},
     },
+    {
+        **UNKNOWN_FORCES,
+        "processing": {"band_pass": None, "trim": None, "decimate": 1, "check_band": None},
+        "ambient": {"bands": [[2.0, 20.0]], "force": "sigma", "error": 1e-3, "forces": "modes"},
+    },
+    {
+        **UNKNOWN_FORCES,
+        "processing": {"band_pass": None, "trim": [0.5, 3.5], "check_band": None},
+        "ambient": {"bands": [[2.0, 6.0], [7.0, 20.0]], "force": ["sigma", 2.0], "error": [1e-3, 0.1]},
+    },
 ]
 MODES = "frequency,floor1,roof\n3.7,0.5,1.0\n10.4,-1.0,0.6\n"
 SETUP = "frequency,floor2,roof\n3.71,0.8,1.0\n10.5,-0.6,0.6\n"
@@ -182,7 +197,7 @@ def without_last(line):
 
 def without_idle_priors(table):
     """Those that structure and likelihoods name."""
-    named = str([table.get(name) for name in ("structure", "likelihood", "modal")])
+    named = str([table.get(name) for name in ("structure", "likelihood", "modal", "ambient")])
     table["priors"] = {name: prior for name, prior in table["priors"].items() if f"'{name}'" in named}
     return table
 

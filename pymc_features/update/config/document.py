@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from pymc_features.exceptions import ConfigError
+from pymc_features.update.config.ambient_section import Ambient, check_ambient
 from pymc_features.update.config.entries import units_in
 from pymc_features.update.config.events_section import Events, check_events
 from pymc_features.update.config.messages import sentence, shown
@@ -47,6 +48,7 @@ class Config(Section):
     data: Data | None = Field(None, description="a table")
     events: Events | None = Field(None, description="a table")
     modal: Modal | None = Field(None, description="a table")
+    ambient: Ambient | None = Field(None, description="a table")
     record: RecordFile | None = Field(None, description="a table")
     processing: Processing = Field(Processing(), description="a table")
     structure: StructureSection = Field(description="a table with `type`, the name of a structure")
@@ -70,6 +72,8 @@ class Config(Section):
             places += [(f"likelihood.{name}", ERRORS[name], value) for name, value in taken.items()]
         if self.modal is not None:
             places += parameters_of("modal", self.modal)
+        if self.ambient is not None:
+            places += self.ambient.parameters()
         found: dict[str, list[tuple[str, str]]] = {}
         for key, of_key, value in places:
             for name, unit in units_in(value, of_key):
@@ -138,7 +142,7 @@ def read_config(path) -> tuple[Config, dict]:
 
 def check_sources(config: Config) -> None:
     """There is something to compare with, and no section that it does not need."""
-    if config.events is not None:
+    if config.events is not None and (config.data is None or config.data.excitation == "measured"):
         check_events(config)
     elif config.data is not None and config.data.files is None and config.data.dataset is None:
         raise ConfigError(
@@ -150,6 +154,12 @@ def check_sources(config: Config) -> None:
             "`data` must be given: a table with the files of measured responses. Or give identified modes in "
             "[modal]."
         )
+    is_ambient = config.data is not None and config.data.excitation == "ambient"
+    if config.ambient is not None and not is_ambient:
+        raise ConfigError('`ambient` must be left out without `data.excitation = "ambient"`, got it.')
+    if is_ambient:
+        check_ambient(config)
+        return
     if config.data is None:
         for name in OF_RESPONSES:
             if name in config.model_fields_set:

@@ -56,6 +56,7 @@ class Data(Section):
 
     dataset: Literal["mini_shake_table"] | None = key('"mini_shake_table", or left out', None)
     event: Literal["northridge", "sine1p5"] = key('"northridge" or "sine1p5"', "northridge")
+    excitation: Literal["measured", "ambient"] = key('"measured" or "ambient"', "measured")
     files: str | list[str] | dict[str, str] | None = key(
         "a file, a list of files, or a table of sensor names to files", None
     )
@@ -91,7 +92,7 @@ class Data(Section):
         if self.dataset is None and "event" in self.model_fields_set:
             raise ValueError("must have `event` only with `dataset`, got it with `files`")
         if self.dataset is not None:
-            own = {"dataset", "event", "base", "sensors", "dofs", "rows", "scale", "delay"}
+            own = {"dataset", "event", "excitation", "base", "sensors", "dofs", "rows", "scale", "delay"}
             if more := sorted(self.model_fields_set - own):
                 raise ValueError(f"must have `{more[0]}` only with `files`, got it with `dataset`")
         if len(set(self.sensors)) < len(self.sensors) or self.base in self.sensors:

@@ -108,20 +108,7 @@ def read_measured(config: Config, folder: Path, first_frequency: float) -> Measu
         If a file is missing or broken, a sensor is not in it, or a step of the processing fails; the message
         names the key.
     """
-    with named_key("data", path="files"):
-        channels, source = read_all(config, folder)
-    known = [str(name) for name in channels["sensor"].values]
-    wanted = ([] if config.data.base is None else [config.data.base]) + list(config.data.sensors)
-    for name in wanted:
-        if name not in known:
-            key = "base" if name == config.data.base else "sensors"
-            raise ConfigError(
-                f"`data.{key}` must be among the sensors {', '.join(known)}, got {shown(name)}."
-            )
-    with named_key("data"):
-        channels = signals.correct(channels, scale=config.data.scale, delay=config.data.delay)
-        channels = some_rows(channels, config.data.rows)
-    channels = channels.isel(sensor=[known.index(name) for name in wanted])
+    channels, source = read_corrected(config, folder)
     if config.record is None:
         motion = None
     else:
@@ -149,6 +136,24 @@ def read_measured(config: Config, folder: Path, first_frequency: float) -> Measu
             f"{floors['sensor'].values[silent[0]]} (filters and decimation widen gaps). Leave it out."
         )
     return Measured(record, floors, factor * record.dt, source, checked, first)
+
+
+def read_corrected(config: Config, folder: Path) -> tuple[xr.DataArray, str]:
+    """The channels that [data] names, the base first, corrected as it says; and the names of their files."""
+    with named_key("data", path="files"):
+        channels, source = read_all(config, folder)
+    known = [str(name) for name in channels["sensor"].values]
+    wanted = ([] if config.data.base is None else [config.data.base]) + list(config.data.sensors)
+    for name in wanted:
+        if name not in known:
+            key = "base" if name == config.data.base else "sensors"
+            raise ConfigError(
+                f"`data.{key}` must be among the sensors {', '.join(known)}, got {shown(name)}."
+            )
+    with named_key("data"):
+        channels = signals.correct(channels, scale=config.data.scale, delay=config.data.delay)
+        channels = some_rows(channels, config.data.rows)
+    return channels.isel(sensor=[known.index(name) for name in wanted]), source
 
 
 def refuse_gaps_of_the_base(base, name) -> None:
@@ -236,12 +241,18 @@ def read_motion(config, folder, step) -> xr.DataArray:
     )
 
 
+def detrended(channels, asked) -> xr.DataArray:
+    """Channels less what [processing] names as their offset or line."""
+    if asked.detrend is None:
+        return channels
+    with named_key("processing.detrend"):
+        return signals.detrend(channels, asked.detrend.kind, window=asked.detrend.window)
+
+
 def processed(channels, config, first_frequency) -> tuple[xr.DataArray, Checked]:
     """Channels after every step of [processing] but the decimation, and what the check found before."""
     asked = config.processing
-    if asked.detrend is not None:
-        with named_key("processing.detrend"):
-            channels = signals.detrend(channels, asked.detrend.kind, window=asked.detrend.window)
+    channels = detrended(channels, asked)
     with named_key("processing.check_band"):
         checked = check(channels, config, first_frequency)
     if asked.band_pass is not None:

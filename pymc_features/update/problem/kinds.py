@@ -1,10 +1,10 @@
-"""What may be sampled: the likelihoods of responses, and that of identified modes alone."""
+"""What may be sampled: the likelihoods of responses, of identified modes alone, and of ambient vibration."""
 
 from pymc_features.likelihoods import LIKELIHOODS, Likelihood
 
 
 def nothing(given):
-    """No responses are compared."""
+    """No response is compared in time."""
 
 
 MODAL = Likelihood(
@@ -14,5 +14,12 @@ MODAL = Likelihood(
     nothing,
     takes=(),
 )
+AMBIENT = Likelihood(
+    "AMBIENT",
+    "Fourier transforms of the channels complex Gaussian, forces and errors white in each band",
+    "C8",
+    nothing,
+    takes=(),
+)
 #: By name. The place of one is part of its seed.
-KINDS = LIKELIHOODS | {MODAL.name: MODAL}
+KINDS = LIKELIHOODS | {entry.name: entry for entry in (MODAL, AMBIENT)}

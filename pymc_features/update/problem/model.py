@@ -3,6 +3,7 @@
 import pymc as pm
 import pytensor.tensor as pt
 
+from pymc_features.ambient import AmbientResponse, spectral_response
 from pymc_features.likelihoods import DIMS, Comparison
 from pymc_features.modal_features import ModalFeature, modes
 from pymc_features.modal_features.feature import checked_parameters
@@ -10,15 +11,19 @@ from pymc_features.modal_features.identified import identified
 from pymc_features.ops import response
 from pymc_features.update.config.entries import evaluated, priors_in
 from pymc_features.update.problem.channels import named_key
-from pymc_features.update.problem.kinds import KINDS, MODAL
+from pymc_features.update.problem.kinds import AMBIENT, KINDS, MODAL
 from pymc_features.update.problem.read import Problem
 
 
 def names_for(problem: Problem, kind: str) -> list[str]:
     """Names of the priors in the model of one likelihood, in the order of the file."""
     used = set(problem.structure.names)
-    values = [] if kind == MODAL.name else [v for _, v in problem.config.likelihood.parameters_of(kind)]
-    if problem.modal is not None:
+    values = []
+    if kind == AMBIENT.name:
+        values += [value for *_, value in problem.config.ambient.parameters()]
+    elif kind != MODAL.name:
+        values += [value for _, value in problem.config.likelihood.parameters_of(kind)]
+    if problem.config.modal is not None:
         values += [problem.config.modal.sigma_f, problem.config.modal.sigma_phi]
     for value in values:
         used |= {item.prior for item in priors_in(value)}
@@ -40,13 +45,16 @@ def declare(problem: Problem, kind: str, tolerance: float | None = None) -> pm.M
     -------
     pymc.Model
         With the priors of the structure and of the errors, and the data: responses `y` (sensor, time)
-        [m/s^2], unless kind is MODAL, and identified modes `modal`, if there are any. Where residuals of
-        the responses decide the width, modes are part of what is known beforehand.
+        [m/s^2], unless kind is MODAL, and identified modes `modal`, if there are any, unless it is AMBIENT.
+        Where residuals of the responses decide the width, modes are part of what is known beforehand.
     """
     with pm.Model() as model:
         values = {name: problem.priors[name].declare(name) for name in names_for(problem, kind)}
         with named_key("structure"):
             structure = problem.structure(**{name: values[name] for name in problem.structure.names})
+        if kind == AMBIENT.name:
+            compare_spectra(problem, structure, values)
+            return model
         if kind != MODAL.name:
             compare_responses(problem, kind, structure, values, tolerance)
         if problem.modal is not None:
@@ -75,6 +83,26 @@ def compare_responses(problem, kind, structure, values, tolerance) -> None:
         errors["dt"] = pt.constant(measured.step)  # which likelihoods no longer see
     given = Comparison(mu, observed.values, epsilon=tolerance, density=asked.density, **errors)
     KINDS[kind].declare(given)
+
+
+def compare_spectra(problem, structure, values) -> None:
+    """Add the response to forces that nobody measured to the model of the context."""
+    ambient, asked = problem.ambient, problem.config.ambient
+    pm.modelcontext(None).add_coords({dim: ambient.channels[dim].values for dim in DIMS})
+    force, error = (pt.as_tensor_variable(evaluated(v, values)) for v in (asked.force, asked.error))
+    with named_key("ambient", excitation="ambient.force", error="ambient.error"):
+        found = spectral_response(
+            structure, force, forces=asked.forces, sensors=problem.dofs, n_modes=problem.structure.n_modes
+        )
+        AmbientResponse(
+            "y",
+            found,
+            error=error,
+            bands=ambient.bands,
+            dt=ambient.step,
+            observed=ambient.channels.values,
+            dims=DIMS,
+        )
 
 
 def compare_modes(problem, structure, values, *, as_prior=False) -> None:

@@ -9,7 +9,6 @@ from pymc_features._checks import listed
 from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_modal
 from pymc_features.modal import ModalData, merge_setups
-from pymc_features.update.config.entries import Parameter
 from pymc_features.update.config.messages import shown
 from pymc_features.update.problem.channels import named_key
 from pymc_features.update.problem.nodes import Points, read_nodes
@@ -173,18 +172,6 @@ def check_scales(section, data, source) -> None:
             if isinstance(value, float) and (value < 0.0 or (value == 0.0 and least == "positive")):
                 raise ConfigError(
                     f"`modal.{name}` must be {least}, got {value:g}. 0.01 is an error of one per cent."
-                )
-
-
-def check_priors(section, priors) -> None:
-    """Scales have priors of positive numbers."""
-    for name in ("sigma_f", "sigma_phi"):
-        given = getattr(section, name)
-        for value in given if isinstance(given, list) else [given]:
-            if isinstance(value, Parameter) and (middle := priors[value.prior].median) <= 0.0:
-                raise ConfigError(
-                    f"`modal.{name}` must be positive, got the prior `priors.{value.prior}` with the median "
-                    f"{middle:g}. Take a distribution of positive numbers."
                 )
 
 

@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features.exceptions import ConfigError
-from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.storage import fingerprint
 from pymc_features.update.config.document import Config, read_config
-from pymc_features.update.config.entries import Matrix, Parameter
+from pymc_features.update.config.entries import Matrix, priors_in
 from pymc_features.update.config.messages import shown
 from pymc_features.update.config.priors import Prior
-from pymc_features.update.config.sections import ERRORS
+from pymc_features.update.problem.ambient import MeasuredAmbient, compared_modes, read_ambient
 from pymc_features.update.problem.channels import Measured, named_key, read_measured
 from pymc_features.update.problem.events import Event, read_events
-from pymc_features.update.problem.kinds import KINDS, MODAL
-from pymc_features.update.problem.modes import MeasuredModes, check_priors, read_modes
+from pymc_features.update.problem.kinds import AMBIENT, KINDS, MODAL
+from pymc_features.update.problem.likelihood import check_errors, check_gaps
+from pymc_features.update.problem.modes import MeasuredModes, read_modes
 from pymc_features.update.problem.structure import StructureOf, modes_of
 
 #: Keys that change no draw, or, as the tolerance, those of ABC alone.
@@ -52,7 +52,8 @@ class Problem:
     raw : dict
         The same, as it was parsed.
     measured : Measured or None
-        Motion of the base, and measured responses; of several events those of the last one.
+        Motion of the base, and measured responses; of several events those of the last one. None if the
+        excitation was not measured.
     structure : StructureOf
         Values of the priors to a structure.
     priors : dict
@@ -60,7 +61,9 @@ class Problem:
     dofs : list of int
         Degree of freedom of each sensor.
     modal : MeasuredModes or None
-        Identified modes.
+        Identified modes; of ambient vibration those that the channels have, which are only compared.
+    ambient : MeasuredAmbient or None
+        Response to forces that nobody measured.
     events : tuple of Event
         In their order; empty if there is one only, without [events].
     """
@@ -75,10 +78,19 @@ class Problem:
     dofs: list[int]
     modal: MeasuredModes | None = None
     events: tuple[Event, ...] = ()
+    ambient: MeasuredAmbient | None = None
 
     def at(self, event: Event) -> "Problem":
         """The problem of one event alone."""
         return replace(self, measured=event.measured, events=())
+
+    @property
+    def of_modes(self) -> "Problem":
+        """The problem of identified modes alone, with which those of the model are compared."""
+        if self.ambient is None:
+            return self
+        config = self.config.model_copy(update={"modal": compared_modes(self.modal.data)})
+        return replace(self, config=config, ambient=None)
 
     @property
     def events_sha256(self) -> str:
@@ -88,7 +100,9 @@ class Problem:
 
     @property
     def asked(self) -> list[str]:
-        """Likelihoods of the file: that of modes alone where it has no responses."""
+        """Likelihoods of the file: that of spectra, or of modes alone, where it has no excitation."""
+        if self.ambient is not None:
+            return [AMBIENT.name]
         return [MODAL.name] if self.measured is None else self.config.likelihood.kinds
 
     @property
@@ -106,6 +120,8 @@ class Problem:
     @property
     def band(self) -> tuple[float, float]:
         """Frequencies [Hz] that the processing leaves; without responses those up to the highest mode."""
+        if self.ambient is not None:
+            return float(self.ambient.bands.min()), float(self.ambient.bands.max())
         if self.measured is None:
             return 0.0, BEYOND * self.modal.data.frequencies.max()
         kept, nyquist = self.config.processing.band_pass, 0.5 / self.measured.step
@@ -123,7 +139,10 @@ class Problem:
         kept = {k: v for k, v in flat.items() if not k.startswith(WITHOUT_EFFECT)}
         if self.measured is not None and not self.events:  # events may be added
             kept |= prints_of(self.measured)
-        if self.modal is not None:
+        if self.ambient is not None:
+            arrays = {"channels": self.ambient.channels.values, "bands": self.ambient.bands}
+            kept |= {f"{k}_sha256": fingerprint(np.ascontiguousarray(v)) for k, v in arrays.items()}
+        elif self.modal is not None:
             data = self.modal.data
             arrays = {"frequencies": data.frequencies, "sd": data.frequency_sd, "shapes": data.shapes}
             for name, values in arrays.items():
@@ -191,8 +210,12 @@ def read_problem(path) -> Problem:
     with named_key("structure"):
         expected = structure(**{n: priors[n].median for n in structure.names})
         first_frequency = first_frequency_of(expected)
-    measured, dofs, modal, events = None, [], None, ()
-    if config.data is not None:
+    measured, dofs, modal, events, ambient = None, [], None, (), None
+    if config.ambient is not None:
+        dofs = checked_dofs(config, expected.n_dof)
+        ambient, modal = read_ambient(config, path.parent, dofs, expected)
+        check_positive_priors("ambient", config.ambient, ("force", "error"), priors)
+    elif config.data is not None:
         if config.events is None:
             measured = read_measured(config, path.parent, first_frequency)
         else:
@@ -203,7 +226,7 @@ def read_problem(path) -> Problem:
         for one in [event.measured for event in events] or [measured]:
             check_gaps(config, one)
     if config.modal is not None:
-        check_priors(config.modal, priors)
+        check_positive_priors("modal", config.modal, ("sigma_f", "sigma_phi"), priors)
         modal = read_modes(config.modal, path.parent, expected)
     frequencies = config.report.natural_frequencies
     if frequencies is not None and not (frequencies and np.all(np.diff([0.0, *frequencies]) > 0.0)):
@@ -217,7 +240,7 @@ def read_problem(path) -> Problem:
             f"{config.structure.type}. Use relative_displacement."
         )
     text = path.read_text(encoding="utf-8")
-    return Problem(path, text, config, raw, measured, structure, priors, dofs, modal, events)
+    return Problem(path, text, config, raw, measured, structure, priors, dofs, modal, events, ambient)
 
 
 def first_frequency_of(expected) -> float:
@@ -254,43 +277,12 @@ def checked_dofs(config, size) -> list[int]:
     return dofs
 
 
-def check_gaps(config, measured) -> None:
-    """Likelihoods that compare neighbouring samples take no gaps."""
-    whole = [kind for kind in config.likelihood.kinds if not LIKELIHOODS[kind].takes_gaps]
-    if whole and measured.left_out:
-        raise ConfigError(
-            f"`likelihood.kinds` must not have {whole[0]} where samples are missing, got gaps of "
-            f"{measured.left_out}: it compares neighbouring samples. Compare a part "
-            "without gaps by `processing.compare`, leave out the sensor, or take "
-            f"{', '.join(kind for kind, entry in LIKELIHOODS.items() if entry.takes_gaps)}."
-        )
-
-
-def check_errors(config, priors) -> None:
-    """One positive value, or one for each sensor; the sigma that ABC takes from EXP must be one."""
-    likelihood, n_sensors = config.likelihood, len(config.data.sensors)
-    for name, unit in ERRORS.items():
-        given = getattr(likelihood, name)
-        if isinstance(given, list) and len(given) != n_sensors:
-            raise ConfigError(
-                f"`likelihood.{name}` must be one value or one for each of the {n_sensors} sensors, got "
-                f"{len(given)}."
-            )
-        for value in given if isinstance(given, list) else [given]:
-            if isinstance(value, float) and value <= 0.0:
-                advice = f"Pass it in {unit}." if unit != "-" else "1 is that of TN, 2 that of EXP."
-                raise ConfigError(f"`likelihood.{name}` must be positive, got {value:g}. {advice}")
-            if isinstance(value, Parameter) and (middle := priors[value.prior].median) <= 0.0:
+def check_positive_priors(section, asked, names, priors) -> None:
+    """Scales have priors of positive numbers."""
+    for name in names:
+        for item in priors_in(getattr(asked, name)):
+            if (middle := priors[item.prior].median) <= 0.0:
                 raise ConfigError(
-                    f"`likelihood.{name}` must be positive, got the prior `priors.{value.prior}` with the "
+                    f"`{section}.{name}` must be positive, got the prior `priors.{item.prior}` with the "
                     f"median {middle:g}. Take a distribution of positive numbers."
                 )
-    if "ABC" in likelihood.kinds and config.processing.compare is not None:
-        raise ConfigError(
-            "`likelihood.kinds` must not have ABC with `processing.compare`, for it compares whole "
-            "responses. Leave one of them out."
-        )
-    if "ABC" in likelihood.kinds and likelihood.epsilon is None and isinstance(likelihood.sigma, list):
-        raise ConfigError(
-            "`likelihood.epsilon` must be given for ABC where each sensor has its own sigma, got none."
-        )

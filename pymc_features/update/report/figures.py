@@ -8,6 +8,7 @@ from pymc_features import plots
 from pymc_features.update.problem.read import Problem
 from pymc_features.update.report.events import draw_events
 from pymc_features.update.report.modes import draw_mac, draw_shapes
+from pymc_features.update.report.spectra import draw_spectra
 from pymc_features.update.report.summary import kinds_of
 
 ZOOM = 4.0  # [s] around the strongest motion
@@ -99,6 +100,16 @@ def of_one(problem, part, kind) -> list[Figure]:
         )
     if "bands" in part.children:
         found += of_responses(part, kind)
+    if "spectra" in part.children:
+        found.append(
+            Figure(
+                f"{kind}_spectra",
+                f"{kind}: singular values of the spectra of the channels (black the first, grey the others), "
+                "averaged over twenty parts of the record; shaded the bands that are compared, and in red "
+                "what the model makes of them there, median and 5-95 % interval. Dotted: identified modes.",
+                lambda: draw_spectra(problem, part["spectra"].to_dataset()),
+            )
+        )
     if has_stages(part):
         found.append(
             Figure(

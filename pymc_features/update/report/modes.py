@@ -14,6 +14,7 @@ MEANING = (
     "MAC of at least 0.5."
 )
 MOST = 0.5  # share of the draws without a partner that is said
+WIDTH = 3.29  # standard deviations between 5 and 95 % of a normal distribution
 ALONE = 0.95  # share of the draws in which a mode takes the same partner
 
 
@@ -52,6 +53,11 @@ class ModeRow(NamedTuple):
     def off(self) -> float:
         """Median of the model over the measurement, less one."""
         return self.middle / self.measured - 1.0
+
+    def deviation(self, sd: float) -> float:
+        """How many standard deviations the median of the model is off, if that of the measurement is `sd`."""
+        of_model = (self.high - self.low) / WIDTH
+        return (self.middle - self.measured) / float(np.hypot(sd, of_model))
 
     @property
     def has_partner(self) -> bool:

@@ -15,6 +15,7 @@ from pymc_features.update.report.events import event_rows
 from pymc_features.update.report.findings import Findings
 from pymc_features.update.report.modes import COLUMNS as MODE_COLUMNS
 from pymc_features.update.report.modes import MEANING
+from pymc_features.update.report.spectra import ambient_section
 from pymc_features.update.report.summary import COLUMNS, kinds_of
 from pymc_features.update.templates import TEMPLATES
 
@@ -52,6 +53,7 @@ def report(problem: Problem, result, found: Findings, drawn) -> str:
         priors=prior_rows(problem),
         likelihoods=[likelihood_row(kind, result[kind]) for kind in kinds_of(result)],
         data=None if problem.measured is None else data_section(problem),
+        ambient=None if problem.ambient is None else ambient_section(problem),
         modal=None if problem.modal is None else modal_section(problem),
         mode_columns=MODE_COLUMNS,
         mode_meaning=MEANING,
@@ -77,6 +79,9 @@ def used_sentence(problem) -> str:
         if problem.events:
             durations = [f"{event.measured.record.duration:.4g}" for event in problem.events]
             parts = [f"{len(problem.dofs)} measured accelerations in events of {listed(durations)} s"]
+    if problem.ambient is not None:
+        ambient = problem.ambient
+        return f"{len(problem.dofs)} channels of ambient vibration over {ambient.duration:.4g} s"
     if problem.modal is not None:
         n = len(problem.modal.data)
         parts.append(f"{n} identified mode{'s' if n > 1 else ''}")
@@ -105,7 +110,7 @@ def modal_section(problem) -> dict:
         numbers = np.full(n, np.nan) if values is None else factor * values
         columns.append(["" if np.isnan(value) else f"{value:.2g}" for value in numbers])
     at = ", ".join(f"{name} ({dof})" for name, dof in zip(data.channels, modal.dofs, strict=True))
-    undrawn = modal.dofs and modal.points is None
+    undrawn = modal.dofs and modal.points is None and problem.ambient is None
     return {
         "sentence": modal.sentence + (f": {at} (degree of freedom)" if at else ""),
         "rows": list(zip(*columns, strict=True)),
@@ -274,8 +279,8 @@ def pretty(unit) -> str:
 
 
 def number_text(value) -> str:
-    """Four digits, without an exponent where it is not needed."""
-    return f"{value:.4g}" if 1e-4 < abs(value) < 1e4 or value == 0.0 else f"{value:.3e}"
+    """Four digits, or three and an exponent where it is needed."""
+    return f"{value:.4g}" if 1e-4 < abs(value) < 1e4 or value == 0.0 else f"{value:.2e}"
 
 
 def versions() -> list[str]:

@@ -6,7 +6,9 @@ import numpy as np
 
 from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.read import Problem
+from pymc_features.update.report.judgement import Verdict
 from pymc_features.update.report.modes import ModeRow, modes_verdict
+from pymc_features.update.report.spectra import verdict_of_spectra
 from pymc_features.update.report.summary import kinds_of
 
 UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation, unless it is noise
@@ -18,21 +20,6 @@ FOLLOWS = 0.6  # coherence of the error with the base: noise has it in one of 20
 BESIDE = 0.1  # relative distance within which a peak is that of a natural frequency
 SEGMENTS = 8  # of a record, for coherences
 DAMPING = (5e-4, 0.2)  # ratios that structures have
-
-
-class Verdict(NamedTuple):
-    """What to think of the fit.
-
-    Attributes
-    ----------
-    sentences : list of str
-        The first says whether the model explains the measurements; others say why not.
-    explains : bool
-        Whether it does.
-    """
-
-    sentences: list[str]
-    explains: bool
 
 
 class Residuals(NamedTuple):
@@ -82,6 +69,12 @@ def verdict(problem: Problem, result, modes: list[ModeRow] = ()) -> Verdict:
         of_responses = verdict_of_responses(problem, result)
         sentences = [*of_responses.sentences, *sentences]
         explains &= of_responses.explains
+    if problem.ambient is not None:
+        sd = [] if problem.modal is None else problem.modal.data.frequency_sd
+        fitted = result[kinds_of(result)[0]]["spectra"].to_dataset()
+        of_spectra = verdict_of_spectra(fitted, modes, sd)
+        sentences = [*of_spectra.sentences, *sentences]
+        explains &= of_spectra.explains
     return Verdict(sentences, explains)
 
 
@@ -225,8 +218,8 @@ def odd_damping(ratios) -> list[str]:
 
 def foretold(problem: Problem) -> list[str]:
     """What likelihoods that count sensors cannot tell, before anything is sampled."""
-    if problem.modal is not None:
-        return []  # modes are observations besides
+    if problem.modal is not None or problem.ambient is not None:
+        return []  # modes are observations besides, or spectra are
     n_unknown = len(problem.structure.names)
     measured, m = [event.measured for event in problem.events], problem.config.likelihood.m
     advice = "" if measured else " CAL counts what the residuals support."

@@ -49,7 +49,20 @@ CALLS = {
         pmf.propose_bands,
         {"channels": MEASURED, "highest": None},
         {"highest": {"None", *POSITIVE}, "channels": WITHOUT_GAPS},
-        instead={"pymc_features.identification.propose.spectral_matrices": work},
+        instead={"pymc_features.identification.propose.averaged_spectra": work},
+        more={"channels": ODD_CHANNELS},
+    ),
+    "plot_singular_values": Call(
+        pmf.plot_singular_values,
+        {"channels": MEASURED, "bands": [0.3, 2.0], "frequencies": [1.0], "fitted": None, "axes": None},
+        {
+            "bands": {"None"} | PAIR,
+            "frequencies": {"None", "0", "range", *NUMERIC},
+            "channels": WITHOUT_GAPS,
+            "fitted": {"None"},
+            "axes": {"None"},
+        },
+        instead={"pymc_features.plots.modes.singular_values.checked_axes": work},
         more={"channels": ODD_CHANNELS},
     ),
     "ModalData": Call(

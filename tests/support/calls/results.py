@@ -81,12 +81,13 @@ def double(x):
 
 def figure(name, **arguments):
     """A call of a function that draws, up to where it makes the axes."""
+    function = getattr(pmf, f"plot_{name}")
     return Call(
-        getattr(pmf, f"plot_{name}"),
+        function,
         arguments,
         AXES | {"idata": {"posterior of others"} if name == "chains" else ()},
         {"result": ["quantity"]},
-        instead={f"pymc_features.plots.{name}.checked_axes": work},
+        instead={f"{function.__module__}.checked_axes": work},
         more={"idata": ODD_TREES},
     )
 
@@ -337,21 +338,15 @@ CALLS = {
         },
     ),
     "plot_record": figure("record", record=RECORD),
-    "plot_sensor_placement": replace(
-        figure(
-            "sensor_placement",
-            result=xr.Dataset(
-                {"alone": ("candidate", [1.0]), "gain": ("order", [1.0]), "sensor": ("order", [0])},
-                {"candidate": [0], "order": [1]},
-                {"criterion": "D"},
-            ),
+    "plot_sensor_placement": figure(
+        "sensor_placement",
+        result=xr.Dataset(
+            {"alone": ("candidate", [1.0]), "gain": ("order", [1.0]), "sensor": ("order", [0])},
+            {"candidate": [0], "order": [1]},
+            {"criterion": "D"},
         ),
-        instead={"pymc_features.plots.events.placement.checked_axes": work},
     ),
-    "plot_sequence": replace(
-        figure("sequence", idata=TREE, parameters=["x"]),
-        instead={"pymc_features.plots.events.sequence.checked_axes": work},
-    ),
+    "plot_sequence": figure("sequence", idata=TREE, parameters=["x"]),
     "plot_chains": figure("chains", idata=PLAIN, kind="rank", var_names=None),
     "plot_channels": figure("channels", channels=OBSERVED["y"]),
     "plot_loops": figure("loops", result=TREE, springs=None),

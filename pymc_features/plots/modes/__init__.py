@@ -1,0 +1,1 @@
+"""Figures of modes and of the spectra they are found in."""

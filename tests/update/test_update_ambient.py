@@ -1,0 +1,344 @@
+"""Updating with the response to forces that nobody measured: messages, what is found, the report."""
+
+import re
+import warnings
+
+import numpy as np
+import pymc as pm
+import pytest
+import xarray as xr
+from scipy import signal
+
+import pymc_features as pmf
+from pymc_features import ModalDamping, SpringMassChain, cli
+from pymc_features.exceptions import AmbientWarning, ConfigError
+from pymc_features.signals.spectra import averaged_spectra
+from pymc_features.update import read_problem, run_update
+from pymc_features.update.predict_spectra import fitted_spectra
+from pymc_features.update.problem.model import declare
+from pymc_features.update.report.findings import findings
+from support.linear import as_linear
+
+STEP, N = 0.02, 20_000  # s, samples
+MASS, DRAWN = 1e5, np.array([1.2e8, 1e8])  # kg, N/m
+TRUE = {"k1": 0.8, "k2": 1.1, "zeta": 0.02, "wind": 1e6, "noise": 1e-6}
+FREE = {"k1": (0.0, 0.3), "k2": (0.0, 0.3), "zeta": (-4.0, 0.5), "wind": (13.0, 2.0), "noise": (-13.0, 2.0)}
+TEXT = """
+[data]
+files = "wind.csv"
+excitation = "ambient"
+units = "m/s^2"
+sensors = ["first", "roof"]
+
+[ambient]
+force = "wind"
+error = "noise"
+
+[structure]
+type = "SpringMassChain"
+mass = 1e5
+stiffness = { groups = [["k1", 1], ["k2", 1]], times = [1.2e8, 1e8] }
+damping = { type = "ModalDamping", ratios = "zeta" }
+
+[sampler]
+draws = 400
+cores = 1
+
+[priors]
+"""
+
+
+def priors(**changed):
+    """Lines of [priors]."""
+    wanted = FREE | changed
+    lines = [
+        f'{name} = {{ distribution = "LogNormal", mu = {mu}, sigma = {sigma} }}'
+        for name, (mu, sigma) in wanted.items()
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def building(k1, k2, zeta):
+    """The structure of the file."""
+    return SpringMassChain([MASS, MASS], DRAWN * [k1, k2], ModalDamping(zeta))
+
+
+def shaken(seed, k1=TRUE["k1"], k2=TRUE["k2"]):
+    """Accelerations (2, N) under white forces, with errors [m/s^2].
+
+    From four times as many samples: forces that are straight between them are not white near their end.
+    """
+    rng, fine = np.random.default_rng(seed), STEP / 4
+    forces = np.sqrt(0.5 * TRUE["wind"] / fine) * rng.standard_normal((2, 4 * N))
+    chain, _ = as_linear(building(k1, k2, TRUE["zeta"]))
+    values = pmf.simulate(chain, pmf.Loading(forces, fine, kind="force")).values
+    values = signal.decimate(values, 4, ftype="fir")
+    return values + np.sqrt(0.5 * TRUE["noise"] / STEP) * rng.standard_normal(values.shape)
+
+
+def write(folder, values, text=None):
+    """Channels and the configuration."""
+    np.savetxt(
+        folder / "wind.csv",
+        np.column_stack([STEP * np.arange(values.shape[1]), *values]),
+        delimiter=",",
+        header="time,first,roof",
+        comments="",
+        fmt="%.8g",
+    )
+    path = folder / "wind.toml"
+    path.write_text(text or TEXT + priors())
+    return path
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("ambient"), shaken(1))
+
+
+@pytest.fixture(scope="module")
+def updated(path):
+    out = path.with_name("output")
+    said = cli.main(["update", str(path), "--out", str(out)])
+    assert said == 0
+    problem = read_problem(path)
+    return problem, run_update(problem, out=out), out
+
+
+@pytest.mark.slow
+def test_the_structure_is_found(updated):
+    """The 99.9 % intervals of all five parameters; one data set of 200 would miss one."""
+    _, result, _ = updated
+    posterior = result["AMBIENT/posterior"].to_dataset()
+    for name, value in TRUE.items():
+        low, high = posterior[name].quantile([0.0005, 0.9995])
+        assert low < value < high, name
+    assert 0.002 < posterior["k1"].std() < 0.02  # of a prior of 0.3
+
+
+@pytest.mark.slow
+def test_what_is_said_of_it(updated, capsys):
+    problem, result, out = updated
+    found = findings(problem, result)
+    assert found.verdict.explains
+    assert re.match(
+        r"The model explains the spectra in all \d+ parts of the bands", found.verdict.sentences[0]
+    )
+    assert "all 2 identified modes" in found.verdict.sentences[1]
+    frequencies = building(TRUE["k1"], TRUE["k2"], 0.02).modes().natural_frequencies
+    rows = found.modes["AMBIENT"]
+    np.testing.assert_allclose([row.measured for row in rows], frequencies, rtol=0.01)
+    assert [row.partner for row in rows] == [1, 2] and all(row.mac[1] > 0.99 for row in rows)
+    page = (out / "report.html").read_text()
+    for text in (
+        "2 channels of ambient vibration over 400 s",
+        "Nobody measured the forces",
+        "proposed from the peaks of the spectra",
+        "m²/s³",
+        "identified in the bands",
+    ):
+        assert text in page, text
+    assert {p.stem for p in (out / "figures").iterdir()} >= {
+        "AMBIENT_spectra",
+        "AMBIENT_mac",
+        "AMBIENT_shapes",
+    }
+
+
+@pytest.mark.slow
+def test_fitted_spectra_at_the_truth(path):
+    """What Welch's method sees of 40 records, and the power of the record at hand, beside their expectation.
+
+    Averages of 40 spectra, each over 40 parts of which half overlap, have scatter of 3 %.
+    """
+    problem = read_problem(path)
+    truth = xr.Dataset({name: (("chain", "draw"), [[value]]) for name, value in TRUE.items()})
+    fitted = fitted_spectra(problem, declare(problem, "AMBIENT"), truth)
+    total = 0.0
+    for seed in range(100, 140):
+        spectra = averaged_spectra(shaken(seed), STEP)
+        total = total + spectra.matrices / 40
+    seen = np.isin(spectra.frequencies, fitted["frequency"].values)
+    values = np.linalg.eigvalsh(total[seen])[:, ::-1]
+    off = np.log(fitted["response"].sel(quantile=0.5).values.T / values)
+    assert np.abs(off.mean(axis=0)).max() < 0.02 and off.std(axis=0).max() < 0.08
+    z = (fitted["ratio"] - 1.0) / fitted["sd"]
+    assert np.abs(z).max() < 4.0 and 0.5 < z.std() < 1.5
+    changed = fitted_spectra(problem, declare(problem, "AMBIENT"), truth.assign(k1=1.05 * truth["k1"]))
+    assert ((changed["ratio"] - 1.0) / changed["sd"]).max() > 6.0
+
+
+@pytest.mark.slow
+def test_a_model_that_cannot_have_the_frequencies(tmp_path):
+    """Both springs by one factor: the ratio of the frequencies is wrong by 7 %."""
+    text = (TEXT + priors()).replace('[["k1", 1], ["k2", 1]]', '[["k1", 2]]')
+    text = "\n".join(line for line in text.splitlines() if not line.startswith("k2 ="))
+    problem = read_problem(write(tmp_path, shaken(2), text))
+    found = findings(problem, run_update(problem, progressbar=False))
+    assert not found.verdict.explains
+    assert any("standard deviations from that of the model" in s for s in found.verdict.sentences)
+
+
+@pytest.mark.slow
+def test_a_peak_that_the_model_lacks(tmp_path):
+    """A second structure beside a mode, within the band."""
+    values = shaken(3) + [[0.3], [1.0]] * shaken(4, k1=0.9, k2=1.3)
+    text = (TEXT + priors(zeta=(-4.0, 0.1))).replace(
+        "[ambient]", "[ambient]\nbands = [[2.5, 4.4], [7.0, 9.0]]"
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AmbientWarning)
+        problem = read_problem(write(tmp_path, values, text))
+    found = findings(problem, run_update(problem, progressbar=False))
+    assert not found.verdict.explains
+
+
+def test_model_is_the_one_declared_by_hand(path):
+    """The log-likelihood at the truth and beside it."""
+    problem = read_problem(path)
+    model = declare(problem, "AMBIENT")
+    with pm.Model() as by_hand:
+        free = {name: pm.LogNormal(name, *FREE[name]) for name in FREE}
+        structure = building(free["k1"], free["k2"], free["zeta"])
+        response = pmf.spectral_response(structure, free["wind"])
+        pmf.AmbientResponse(
+            "y",
+            response,
+            error=free["noise"],
+            bands=problem.ambient.bands,
+            dt=STEP,
+            observed=problem.ambient.channels.values,
+        )
+    found, expected = (m.compile_logp(mode="FAST_COMPILE") for m in (model, by_hand))
+    for factor in (1.0, 1.02):
+        point = {f"{name}_log__": np.log(factor * value) for name, value in TRUE.items()}
+        assert found(point) == pytest.approx(expected(point), rel=1e-12)
+
+
+def test_bands_of_the_file_or_of_the_spectra(path, tmp_path):
+    """What is compared is part of what draws are kept by."""
+    problem = read_problem(path)
+    frequencies = building(TRUE["k1"], TRUE["k2"], 0.02).modes().natural_frequencies
+    low, high = problem.ambient.bands.T
+    assert ((low < frequencies) & (frequencies < high)).all() and problem.band == (low[0], high[1])
+    text = path.read_text().replace("[ambient]", "[ambient]\nbands = [[2.6, 3.6]]")
+    other = read_problem(write(tmp_path, shaken(1), text))
+    assert other.ambient.bands.tolist() == [[2.6, 3.6]]
+    assert other.settings()["bands_sha256"] != problem.settings()["bands_sha256"]
+    assert other.settings()["channels_sha256"] == problem.settings()["channels_sha256"]
+
+
+def test_one_channel_is_compared_by_frequencies(tmp_path):
+    text = (TEXT + priors()).replace('["first", "roof"]', '["roof"]\ndofs = [1]')
+    problem = read_problem(write(tmp_path, shaken(1), text))
+    assert problem.modal.data.shapes is None and len(problem.modal.data) == 2
+
+
+def test_processing(tmp_path):
+    """Trimmed and decimated; decimation sets an end to the bands."""
+    text = (
+        TEXT + priors() + '[processing]\ndetrend = { kind = "linear" }\ntrim = [100.0, 300.0]\ndecimate = 2\n'
+    )
+    problem = read_problem(write(tmp_path, shaken(1), text))
+    assert problem.ambient.channels.sizes == {"sensor": 2, "time": 5000 + 1}
+    assert problem.ambient.step == pytest.approx(2 * STEP)
+    too_high = text.replace("[ambient]", "[ambient]\nbands = [[2.6, 3.6], [9.5, 10.5]]")
+    with pytest.raises(
+        ConfigError, match=r"`ambient.bands` must end below 10 Hz after `processing.decimate`"
+    ):
+        read_problem(write(tmp_path, shaken(1), too_high))
+
+
+def test_check_says_the_bands_and_draws(path, capfd):
+    assert cli.main(["check", str(path)]) == 0
+    said = capfd.readouterr().err
+    assert re.search(r"bands = \[\[\d\.\d+, \d\.\d+\], \[\d\.\d+, \d\.\d+\]\]  # Hz", said)
+    assert "all 2 identified modes" in said and "nothing was found wrong" in said
+    assert path.with_name("wind-check.png").stat().st_size > 10_000
+    assert path.with_name("wind-check-modes.png").stat().st_size > 5_000
+
+
+def test_a_machine_is_told(tmp_path):
+    """A sine of the roof between two modes, in a band of its own."""
+    values = shaken(1)
+    values[1] += 0.05 * np.sin(2.0 * np.pi * 5.3 * STEP * np.arange(N))
+    with pytest.warns(AmbientWarning) as caught:
+        read_problem(write(tmp_path, values))
+    said = " ".join(str(warning.message) for warning in caught)
+    assert re.search(r"mode at 5\.3 Hz is no wider .* a machine at constant speed", said)
+    assert "more than the structure" in said
+
+
+def test_more_modes_than_the_structure_has(tmp_path):
+    values = shaken(1) + np.array([[1.0], [0.5]]) * np.sqrt(5.0) * shaken(5, k1=2.4, k2=3.4)
+    with pytest.warns(AmbientWarning, match="modes in the bands, more than the structure: it cannot explain"):
+        problem = read_problem(write(tmp_path, values))
+    assert problem.modal is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        ("[ambient]", "[nothing]", "`nothing` must be left out, it is no key"),
+        ('excitation = "ambient"', "", "`ambient` must be left out without `data.excitation"),
+        (
+            'excitation = "ambient"',
+            'excitation = "wind"',
+            '`data.excitation` must be "measured" or "ambient"',
+        ),
+        ('force = "wind"', "", "`ambient.force` must be given: the name of a prior or a positive number"),
+        ('force = "wind"', 'force = "gusts"', "`ambient.force` must name priors of the file, got 'gusts'"),
+        ("[ambient]", "[ambient]\nbands = [[3.0, 2.0]]", "`ambient.bands` must be two rising numbers"),
+        ("[ambient]", "[ambient]\nbands = []", '`ambient.bands` must be "auto" or a list of pairs'),
+        (
+            "[ambient]",
+            "[ambient]\nbands = [[2.0, 80.0]]",
+            r"\[ambient.bands\]: `bands` must be ascending pairs",
+        ),
+        ("[ambient]", "[ambient]\nbands = [[3.0, 3.01]]", "bands with 8 frequencies of the record"),
+        ('error = "noise"', 'error = ["noise", 1e-6]', "must list `bands` where `error` is a list"),
+        (
+            "[ambient]",
+            "[ambient]\nbands = [[2.6, 3.6]]\nforces = 3",
+            '`ambient.forces` must be "dofs" or "modes"',
+        ),
+        (
+            'error = "noise"',
+            "error = -1.0",
+            "`ambient` must have positive spectral densities as `error`, got -1",
+        ),
+        (
+            '["first", "roof"]',
+            '["roof"]\nbase = "first"',
+            "`data.base` must be left out with `data.excitation",
+        ),
+        ("[sampler]", "[likelihood]\nsigma = 1.0\n[sampler]", "`likelihood` must be left out with"),
+        ("[sampler]", '[events]\nfolder = "."\n[sampler]', "`events` must be left out with"),
+        ("[sampler]", "[processing]\nband_pass = { low = 1.0 }\n[sampler]", "`processing.band_pass` must be"),
+        (
+            "[sampler]",
+            "[processing]\ncompare = [1.0, 9.0]\n[sampler]",
+            "`processing.compare` must be left out",
+        ),
+        ("[sampler]", '[report]\nquantities = ["base_shear"]\n[sampler]', "`report.quantities` must be left"),
+        (
+            'wind = { distribution = "LogNormal", mu = 13.0',
+            'wind = { distribution = "Normal", mu = -1.0',
+            "`ambient.force` must be positive, got the prior `priors.wind` with the median -1",
+        ),
+    ],
+)
+def test_bad_configurations(tmp_path, old, new, match):
+    text = TEXT + priors()
+    assert old in text
+    path = write(tmp_path, shaken(1)[:, :3000], text.replace(old, new))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AmbientWarning)
+        with pytest.raises(ConfigError, match=match):
+            declare(read_problem(path), "AMBIENT")
+
+
+def test_a_record_without_peaks(tmp_path):
+    noise = np.random.default_rng(5).standard_normal((2, 4000))
+    with pytest.raises(ConfigError, match=r"\[ambient.bands\]: .* spectra without a peak"):
+        read_problem(write(tmp_path, noise))
