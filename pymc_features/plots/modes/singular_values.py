@@ -48,15 +48,8 @@ def plot_singular_values(
     check_finite(values, "channels", "Cut the record where there are gaps.")
     spectra = averaged_spectra(values, sampling_step(channels))
     f, levels = spectra.frequencies[1:], spectra.singular_values[1:]
-    limits, marked = np.empty((0, 2)), np.empty(0)
-    if bands is not None:
-        limits = np.atleast_2d(as_numbers(bands, "bands", "Pass pairs in Hz."))
-        if limits.ndim != 2 or limits.shape[1] != 2 or not limits.size:
-            raise ValueError(message("bands", "pairs of frequencies (band, 2)", limits.shape))
-        check_finite(limits, "bands")
-    if frequencies is not None:
-        marked = as_numbers(frequencies, "frequencies", "Pass them in Hz.").ravel()
-        check_finite(marked, "frequencies")
+    limits = np.empty((0, 2)) if bands is None else checked_limits(bands)
+    marked = np.empty(0) if frequencies is None else checked_frequencies(frequencies)
     if not (fitted is None or (isinstance(fitted, xr.Dataset) and "response" in fitted)):
         advice = "Pass `spectra` of a likelihood of `run_update`."
         raise TypeError(message("fitted", "a Dataset with `response`", shown(fitted), advice))
@@ -71,14 +64,36 @@ def plot_singular_values(
         draw_fitted(ax, fitted)
     seen = f <= min(f[-1], BESIDE * limits.max() if limits.size else f[-1])
     top = float(levels[seen, 0].max())
-    shown = levels[seen]
+    drawn = levels[seen]
     ax.set(
         yscale="log", xlabel="frequency [Hz]", ylabel="singular values [(m/s²)²/Hz]", xlim=(0.0, f[seen][-1])
     )
     if top > 0.0:
-        lowest = float(shown[shown > 0.0].min())
+        lowest = float(drawn[drawn > 0.0].min())
         ax.set_ylim(max(0.5 * lowest, top / 10.0**DECADES), 3.0 * top)
     return axes
+
+
+def checked_limits(bands) -> np.ndarray:
+    """Pairs of rising frequencies (band, 2)."""
+    limits = np.atleast_2d(as_numbers(bands, "bands", "Pass pairs in Hz."))
+    if limits.ndim != 2 or limits.shape[1] != 2 or not limits.size:
+        raise ValueError(message("bands", "pairs of frequencies (band, 2)", limits.shape))
+    check_finite(limits, "bands")
+    if not (limits[:, 0] < limits[:, 1]).all():
+        raise ValueError(message("bands", "pairs of rising frequencies in Hz", limits.tolist()))
+    return limits
+
+
+def checked_frequencies(frequencies) -> np.ndarray:
+    """Frequencies in a row."""
+    marked = as_numbers(frequencies, "frequencies", "Pass them in Hz.")
+    if marked.ndim != 1:
+        raise ValueError(message("frequencies", "a list of frequencies in Hz", marked.shape))
+    check_finite(marked, "frequencies")
+    if (marked < 0.0).any():
+        raise ValueError(message("frequencies", "at least zero", marked.tolist()))
+    return marked
 
 
 def draw_fitted(ax, fitted) -> None:

@@ -54,13 +54,12 @@ CALLS = {
     ),
     "plot_singular_values": Call(
         pmf.plot_singular_values,
-        {"channels": MEASURED, "bands": [0.3, 2.0], "frequencies": [1.0], "fitted": None, "axes": None},
+        {"channels": MEASURED, "bands": [0.3, 2.0], "frequencies": [1.0], "fitted": None},
         {
             "bands": {"None"} | PAIR,
-            "frequencies": {"None", "0", "range", *NUMERIC},
+            "frequencies": {"None", "range", "()", "[]", "empty array", *NUMERIC},
             "channels": WITHOUT_GAPS,
             "fitted": {"None"},
-            "axes": {"None"},
         },
         instead={"pymc_features.plots.modes.singular_values.checked_axes": work},
         more={"channels": ODD_CHANNELS},

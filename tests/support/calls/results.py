@@ -1,7 +1,5 @@
 """Predictions, studies, figures, and simulators that run outside."""
 
-from dataclasses import replace
-
 import numpy as np
 import xarray as xr
 
