@@ -232,4 +232,4 @@ def test_what_comes_in_from_other_modes_is_none():
     exact = building.modes().natural_frequencies
     assert len(found) == 4 and (abs(found.frequencies - exact) < 5.0 * found.frequency_sd).all()
     with pytest.warns(AmbientWarning, match="lies at the edge of its band"):
-        assert len(pmf.identify_modes(channels, [[1.715, 1.9]], n_modes=1)) == 1
+        assert len(pmf.identify_modes(channels, [[1.735, 1.95]], n_modes=1)) == 1
