@@ -166,7 +166,7 @@ class Posterior:
             jac=True,
             hess=self.information,
             method="trust-exact",
-            options={"gtol": TOLERANCE * self.data.used.size, "maxiter": 200, "initial_trust_radius": 0.5},
+            options={"gtol": TOLERANCE * self.data.used.size, "maxiter": 100, "initial_trust_radius": 0.5},
         )
         return Posterior(self.data, self.modes(done.x))
 

@@ -7,17 +7,19 @@ import numpy as np
 from pymc_features.identification.posterior import BandData, FreeModes, Posterior
 
 RATIOS = (0.005, 0.02)  # damping ratios that are tried
-STARTS = 3  # from which the posterior is climbed, of those that are likely at once
+STARTS = 3  # from which the posterior is climbed, the likeliest first, until there is a maximum
 SMALLEST = 1e-3  # force or error, over the mean of the band
 
 
 def best_posterior(data: BandData, m: int) -> Posterior | None:
-    """The posterior of m modes, centred at the highest maximum that was found; None if there is none."""
+    """The posterior of m modes, centred at a maximum uphill from the best guess; None if there is none."""
     starts = [Posterior(data, modes) for modes in first_guesses(data, m)]
     ordered = sorted(starts, key=lambda one: -one.value())
-    found = [one.climbed() for one in ordered[:STARTS] if np.isfinite(one.value())]
-    found = [one for one in found if np.isfinite(one.value()) and one.covariance is not None]
-    return max(found, key=lambda one: one.value(), default=None)
+    for start in ordered[:STARTS]:
+        found = start.climbed() if np.isfinite(start.value()) else start
+        if np.isfinite(found.value()) and found.covariance is not None:
+            return found
+    return None
 
 
 def first_guesses(data: BandData, m: int) -> Iterator[FreeModes]:
