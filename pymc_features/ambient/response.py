@@ -7,7 +7,15 @@ from numpy.typing import ArrayLike
 from pymc.distributions.distribution import Continuous
 from pytensor.tensor import TensorLike, TensorVariable
 
-from pymc_features._checks import as_numbers, check_finite, check_name, check_step, message, shown
+from pymc_features._checks import (
+    as_numbers,
+    check_finite,
+    check_integer,
+    check_name,
+    check_step,
+    message,
+    shown,
+)
 from pymc_features.ambient.bands import checked_bands
 from pymc_features.ambient.density import AmbientResponseRV
 from pymc_features.ambient.forces import in_bands, modal_factor
@@ -91,32 +99,46 @@ class AmbientResponse(Continuous):
         if not isinstance(response, SpectralResponse):
             raise TypeError(message("response", "what `spectral_response` returned", shown(response)))
         data = checked_channels(observed)
-        bands = checked_bands(bands, data.shape[1], check_step(dt), MEASURED[response.quantity])
         if (s := response.shapes.type.shape[1]) not in (None, len(data)):
             advice = "Name the degrees of freedom of the channels by `sensors`."
             raise ValueError(message("observed", f"({s}, time), a row for each sensor", data.shape, advice))
-        b = len(bands.limits)
-        density = in_bands(response.excitation, "excitation", b, response.patterns.type.shape[1], "force")
-        error = in_bands(spectral(error, "error"), "error", b, len(data), "sensor")
         mean = np.zeros(data.shape) if mu is None else as_tensor(mu, "mu", "Pass what `response` returned.")
-        shape = mean.shape if mu is None else mean.type.shape
-        if len(shape) != 2 or any(n not in (None, m) for n, m in zip(shape, data.shape, strict=True)):
-            raise ValueError(message("mu", f"of shape {data.shape}", shape))
-        rv = super().__new__(
-            cls,
-            name,
-            (*response[:3], modal_factor(response.patterns, density), error, mean),
-            bands,
-            observed=data,
-            dims=known_dims(dims, 2),
-        )
-        warn_at_start(rv, response, bands)
+        settings = {"error": error, "bands": bands, "dt": dt, "n_samples": data.shape[1]}
+        dims = known_dims(dims, 2)
+        rv = super().__new__(cls, name, response, mu=mean, **settings, observed=data, dims=dims)
+        warn_at_start(rv, response, checked_bands(bands, data.shape[1], dt, MEASURED[response.quantity]))
         return rv
 
     @classmethod
-    def dist(cls, *parameters: Sequence, **kwargs) -> TensorVariable:
-        """Build the random variable from what `rv_op` takes."""
-        return super().dist(parameters, **kwargs)
+    def dist(
+        cls,
+        response: SpectralResponse,
+        *,
+        error: TensorLike,
+        bands: ArrayLike,
+        dt: float,
+        n_samples: int,
+        mu: TensorLike | None = None,
+        **kwargs,
+    ) -> TensorVariable:
+        """Histories (sensor, n_samples) as a random variable of no model; see the class for the arguments."""
+        if not isinstance(response, SpectralResponse):
+            raise TypeError(message("response", "what `spectral_response` returned", shown(response)))
+        n_samples = check_integer(n_samples, "n_samples", least=1)
+        bands = checked_bands(bands, n_samples, check_step(dt), MEASURED[response.quantity])
+        s, b = response.shapes.type.shape[1], len(bands.limits)
+        if s is None and mu is not None:
+            s = np.shape(mu)[0] if not isinstance(mu, TensorVariable) else mu.type.shape[0]
+        density = in_bands(response.excitation, "excitation", b, response.patterns.type.shape[1], "force")
+        error = in_bands(spectral(error, "error"), "error", b, s, "sensor")
+        if mu is None:
+            mu = np.zeros((s, n_samples))
+        mean = as_tensor(mu, "mu", "Pass what `response` returned.")
+        wanted, shape = (s, n_samples), mean.type.shape
+        if len(shape) != 2 or any(n not in (None, m) for n, m in zip(shape, wanted, strict=True)):
+            raise ValueError(message("mu", f"of shape {wanted}", shape))
+        factor = modal_factor(response.patterns, density)
+        return super().dist([(*response[:3], factor, error, mean), bands], **kwargs)
 
 
 def checked_channels(observed) -> np.ndarray:

@@ -277,3 +277,17 @@ def test_what_says_little_is_told():
         assert [w.category for w in warned] == [pmf.exceptions.AmbientWarning]
         with pytest.warns(match="band 3 to 4 Hz of z has no mode .* nearest is at 1.5"):
             pmf.AmbientResponse("z", response, **GOOD | {"bands": [3.0, 4.0]})
+
+
+def test_histories_of_no_model():
+    """`dist` has the draws and the log-density of the variable of a model."""
+    response = pmf.spectral_response(oscillator(2.0), 4.0)
+    settings = {"error": 1e-2, "bands": [1.0, 3.0], "dt": 0.1}
+    free = pmf.AmbientResponse.dist(response, n_samples=2000, **settings)
+    values = pm.draw(free, random_seed=1)
+    assert values.shape == (1, 2000) and values.std() > 0.1
+    with pm.Model() as model:
+        pmf.AmbientResponse("y", response, observed=values, **settings)
+    assert pm.logp(free, values).eval() == pytest.approx(model.compile_fn(model.datalogp)({}), rel=1e-12)
+    with pytest.raises(ValueError, match="`n_samples` must be"):
+        pmf.AmbientResponse.dist(response, n_samples=0, **settings)
