@@ -50,6 +50,7 @@ ALLOWED = {
         *("ops", "distributions", "likelihoods", "smc", "inference", "calibration", "storage"),
         "plots",
     },
+    "umbridge": {"external", "inference"},
     "likelihoods": {"ops", "distributions", "likelihood_free", "calibration"},
     "plots": {"records", "likelihoods", "modal", "modal_features", "signals"},
     "interrupt": set(),
