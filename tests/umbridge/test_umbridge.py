@@ -1,4 +1,4 @@
-"""Models and samplers over UM-Bridge: protocol 1.0, values, gradients, and a posterior like the direct one."""
+"""Models and samplers over UM-Bridge: protocol 1.0, values, gradients, a posterior like the direct one."""
 
 import socket
 import subprocess
