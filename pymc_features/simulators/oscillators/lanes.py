@@ -106,16 +106,9 @@ def clear(lanes):
 
 
 @jit
-def copy_data(lanes, observed, first, count, measured):
-    """Write a block of data, from sample `first` on, into `lanes.data`; zeros behind `count` samples.
-
-    Unless `measured` is None zeros in gaps, too, and into `measured` where they are.
-    """
+def copy_data(lanes, observed, first, count):
+    """Write a block of data, from sample `first` on, into `lanes.data`; zeros behind `count` samples."""
     own_data = lanes.data
     for j in range(observed.shape[0]):
         for b in range(SAMPLES):
             own_data[j, b] = observed[j, first + b] if b < count else 0.0
-            if measured is not None:
-                is_there = own_data[j, b] == own_data[j, b]
-                measured[j, b] = 1.0 if is_there else 0.0
-                own_data[j, b] = own_data[j, b] if is_there else 0.0

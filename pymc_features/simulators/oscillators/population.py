@@ -10,8 +10,8 @@ and with y2 scaled so that the coefficient by which it enters y1 is one, five pr
 instead of ten; what stands before a[k] in the output goes into the feed-through of the sensors. A block of
 16 outputs of all modes stays in the first-level cache, where it is combined with the mode shapes and
 compared with the data, two sensors and four samples at a time. Where the increments of the misfit are asked
-for, the misfits of the block go through a buffer in that cache; where not, Numba leaves that code out, and
-so with gaps in the data, that others lose no time by them.
+for, the misfits of the block go through a buffer in that cache; where not, Numba leaves that code out. Blocks
+with gaps in the data are compared by a plain loop.
 """
 
 import numpy as np
@@ -149,12 +149,11 @@ def advance_pairs(coefficients, states, ground, first, stride, outputs):
 
 
 @jit
-def add_squares(lanes, data, sample, ground, step, stride, measured, misfits):
+def add_squares(lanes, data, sample, ground, step, stride, misfits):
     """Add the squared misfits of `SAMPLES` samples to `lanes.squares`.
 
     `data` (sensors, time) from column `sample` on and `ground` from entry `step` on are common to all lanes.
-    Each misfit is multiplied by its entry in `measured` (sensors, SAMPLES), unless that is None. The misfits
-    are written into `misfits` (s SAMPLES, LANES), unless it is None.
+    The misfits are written into `misfits` (s SAMPLES, LANES), unless it is None.
     """
     shapes, feed, outputs, squares = lanes.shapes, lanes.feed, lanes.outputs, lanes.squares
     n_modes = outputs.shape[0] // SAMPLES
@@ -179,11 +178,6 @@ def add_squares(lanes, data, sample, ground, step, stride, measured, misfits):
                 a1, b1 = a1 - shape_a * z1, b1 - shape_b * z1
                 a2, b2 = a2 - shape_a * z2, b2 - shape_b * z2
                 a3, b3 = a3 - shape_a * z3, b3 - shape_b * z3
-            if measured is not None:
-                a0, a1 = splat(measured[j, t]) * a0, splat(measured[j, t + 1]) * a1
-                a2, a3 = splat(measured[j, t + 2]) * a2, splat(measured[j, t + 3]) * a3
-                b0, b1 = splat(measured[k, t]) * b0, splat(measured[k, t + 1]) * b1
-                b2, b3 = splat(measured[k, t + 2]) * b2, splat(measured[k, t + 3]) * b3
             sum_a = sum_a + ((a0 * a0 + a1 * a1) + (a2 * a2 + a3 * a3))
             sum_b = sum_b + ((b0 * b0 + b1 * b1) + (b2 * b2 + b3 * b3))
             if misfits is not None:
@@ -198,6 +192,34 @@ def add_squares(lanes, data, sample, ground, step, stride, measured, misfits):
                 store(misfits, row_b + 3, b3)
         store(squares, j, sum_a)
         store(squares, j + 1, sum_b)
+
+
+@jit
+def is_whole(observed, first, count):
+    """Whether a block of data (sensors, time) has no gap."""
+    for j in range(observed.shape[0]):
+        for k in range(first, first + count):
+            if observed[j, k] != observed[j, k]:
+                return False
+    return True
+
+
+@jit
+def add_measured_squares(lanes, observed, first, count, ground, step, stride):
+    """Add the squared misfits of those of `count` samples, from `first` on, that were measured."""
+    n_modes = lanes.outputs.shape[0] // SAMPLES
+    for j in range(observed.shape[0]):
+        total, feed = load(lanes.squares, j), load(lanes.feed, j)
+        for t in range(count):
+            value = observed[j, first + t]
+            if value == value:
+                misfit = splat(value) - feed * splat(ground[step + t * stride])
+                for r in range(n_modes):
+                    misfit = misfit - load(lanes.shapes, j * n_modes + r) * load(
+                        lanes.outputs, SAMPLES * r + t
+                    )
+                total = total + misfit * misfit
+        store(lanes.squares, j, total)
 
 
 @jit
@@ -220,11 +242,10 @@ def add_increments(increments, count, is_first):
 
 
 @jit
-def march(lanes, excitation, observed, increments, measured):
+def march(lanes, excitation, observed, increments):
     """Sums of squares of all sensors for the structures in the lanes, into `lanes.squares`.
 
-    `increments` is None if they are not asked for; with them, all sums of data with gaps are NaN. `measured`
-    (sensors, SAMPLES) is overwritten; None if the data have no gaps, and Numba leaves that code out.
+    `increments` is None if they are not asked for; with them, all sums of data with gaps are NaN.
     """
     acceleration, _, substeps, stride = excitation
     own_ground, outputs = lanes.ground, lanes.outputs
@@ -242,8 +263,8 @@ def march(lanes, excitation, observed, increments, measured):
         if count < SAMPLES:  # the end of the data: what lies behind it must come out as zero
             for k in range(count * stride, own_ground.size):
                 own_ground[k] = 0.0
-        if count < SAMPLES or measured is not None:
-            copy_data(lanes, observed, first, count, measured)
+        if count < SAMPLES:
+            copy_data(lanes, observed, first, count)
             data, sample = lanes.data, 0
         if outputs.shape[0] == SAMPLES * lanes.states.shape[0]:
             advance_pairs(lanes.coefficients, lanes.states, ground, step, stride, outputs)
@@ -253,9 +274,12 @@ def march(lanes, excitation, observed, increments, measured):
             for b in range(count, SAMPLES):
                 store(outputs, SAMPLES * r + b, splat(0.0))
         if increments is None:
-            add_squares(lanes, data, sample, ground, step, stride, measured, None)
+            if lanes.has_gaps and not is_whole(observed, first, min(count, SAMPLES)):
+                add_measured_squares(lanes, observed, first, min(count, SAMPLES), ground, step, stride)
+            else:
+                add_squares(lanes, data, sample, ground, step, stride, None)
         else:
-            add_squares(lanes, data, sample, ground, step, stride, None, increments.misfits)
+            add_squares(lanes, data, sample, ground, step, stride, increments.misfits)
             add_increments(increments, min(count, SAMPLES), first == 0)
 
 
@@ -272,10 +296,7 @@ def lane_statistics(lanes, excitation, observed, increments):
     increments : Increments or None
         None if only e_j is asked for.
     """
-    if increments is None and lanes.has_gaps:
-        march(lanes, single_input(excitation), observed, increments, np.empty((observed.shape[0], SAMPLES)))
-    else:
-        march(lanes, single_input(excitation), observed, increments, None)
+    march(lanes, single_input(excitation), observed, increments)
     n_sensors, n_times = observed.shape
     result = np.empty((LANES, n_sensors, 1 if increments is None else 4))
     for lane in range(LANES):
