@@ -224,6 +224,6 @@ def spectra_of(natural, ratios, shapes, factor, error, frequencies, band, integr
     transfer = (2.0 * np.pi * f) ** -float(integrals) / (1.0 - beta**2 - 2j * ratios * beta)
     forces = factor[..., 0] + 1j * factor[..., 1]
     rows = np.repeat(band, frequencies.shape[1])
-    roots = np.einsum("ms,kmr->skr", shapes, transfer[..., None] * forces[rows])
+    roots = (shapes.T @ (transfer[..., None] * forces[rows])).transpose(1, 0, 2)
     power = (np.abs(roots) ** 2).sum(axis=-1) + error[rows].T
     return transfer, forces, roots, power.reshape(len(power), *frequencies.shape)

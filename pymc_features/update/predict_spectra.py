@@ -94,7 +94,7 @@ def covariance(parameters, frequencies, band) -> np.ndarray:
     beta = natural / np.maximum(frequencies, 1e-12)[:, None]
     transfer = 1.0 / (1.0 - beta**2 - 2j * ratios * beta)
     forces = (factor[..., 0] + 1j * factor[..., 1])[band]
-    roots = np.einsum("ms,km,kmr->ksr", shapes, transfer, forces)
+    roots = shapes.T @ (transfer[..., None] * forces)
     found = roots @ roots.conj().transpose(0, 2, 1)
     diagonal = np.arange(shapes.shape[1])
     found[:, diagonal, diagonal] += error[band]

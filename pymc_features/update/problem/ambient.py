@@ -128,6 +128,4 @@ def identified(channels, bands, dofs, structure) -> MeasuredModes | None:
         )
         return None
     points = points_of(section, data, dofs, Path(), structure)
-    return MeasuredModes(
-        data, numbers, numbers, dofs, n_modes, points, "the channels, identified in the bands"
-    )
+    return MeasuredModes(data, numbers, numbers, dofs, n_modes, points, "the spectra in the bands")

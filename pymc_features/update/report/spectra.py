@@ -73,9 +73,11 @@ def verdict_of_parts(fitted) -> Verdict:
     places, n = [f"{low:.4g} to {high:.4g} Hz" for low, high in ends], len(ratio)
     if not (more | less).any():
         where = f"all {n} parts of the bands" if n > 1 else "its band"
-        return Verdict([f"The model explains the spectra in {where}."], True)
+        return Verdict([f"The power of the channels is what the model expects in {where}."], True)
     wrong = (more | less).sum()
-    sentences = [f"This model does not explain the spectra in {wrong} of {n} parts of the bands."]
+    sentences = [
+        f"The power of the channels is not what the model expects in {wrong} of {n} parts of the bands."
+    ]
     if more.any():
         worst = int(np.argmax(np.where(more, ratio, 0.0)))
         sentences.append(
