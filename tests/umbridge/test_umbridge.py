@@ -61,11 +61,11 @@ def url(folder):
     process = subprocess.Popen([sys.executable, str(folder / "server.py"), str(port)])
     address = f"http://localhost:{port}"
     try:
-        for _ in range(600):
+        for _ in range(1200):
             try:
-                requests.get(f"{address}/Info", timeout=5)
+                requests.get(f"{address}/Info", timeout=20)
                 break
-            except requests.exceptions.ConnectionError:
+            except requests.exceptions.RequestException:
                 assert process.poll() is None, "the server ended"
                 time.sleep(0.1)
         yield address
