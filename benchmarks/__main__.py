@@ -9,7 +9,7 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-SECTIONS = ("evaluation", "gradients", "posteriors", "abc", "scaling", "structures")
+SECTIONS = ("evaluation", "gradients", "ambient", "posteriors", "abc", "scaling", "structures")
 LONG = ("dimensions", "targets", "coverage", "opensees", "events")  # run only if asked for
 HELP = f"run one section; all but {', '.join(LONG)} by default (15 minutes)"
 PACKAGES = (
