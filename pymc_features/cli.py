@@ -180,6 +180,7 @@ def read_and_tell(config, console):
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
         problem = read_problem(config)
+        modes = problem.modal  # of ambient vibration they are identified now
     told = list(dict.fromkeys(str(warning.message) for warning in caught))
     for sentence in told:
         say(console, f"warning: {sentence}", "yellow")
@@ -190,8 +191,8 @@ def read_and_tell(config, console):
     if problem.ambient is not None:
         ambient = problem.ambient
         say(console, f"data: {ambient.source}, {ambient.duration:.4g} s at {ambient.step:.4g} s")
-    if problem.modal is not None:
-        say(console, f"modes: {problem.modal.sentence}")
+    if modes is not None:
+        say(console, f"modes: {modes.sentence}")
     return problem, told
 
 

@@ -215,7 +215,7 @@ def stands(path):
         run.method_of(problem, kind), run.seed_of(problem, kind)
     if problem.measured is not None:
         run.data_of(problem)
-    if problem.modal is not None:
+    if problem.given_modes is not None:
         run.identified_modes(problem)
 
 

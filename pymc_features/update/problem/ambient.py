@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from pymc_features.ambient.bands import checked_bands
 from pymc_features.exceptions import AmbientWarning, ConfigError
 from pymc_features.identification import identify_modes, propose_bands
 from pymc_features.modal import ModalData
+from pymc_features.structures import Structure
 from pymc_features.update.config.document import Config
 from pymc_features.update.config.modal_section import Modal
 from pymc_features.update.problem.channels import detrended, named_key, read_corrected
@@ -35,12 +37,31 @@ class MeasuredAmbient:
         Frequencies that are compared [Hz].
     source : str
         Where the channels come from.
+    dofs : list of int
+        Degree of freedom of each sensor.
+    structure : Structure
+        What the priors expect.
     """
 
     channels: xr.DataArray
     step: float
     bands: np.ndarray
     source: str
+    dofs: list[int]
+    structure: Structure
+
+    @cached_property
+    def modes(self) -> MeasuredModes | None:
+        """Modes identified in the bands, when they are first asked for: that takes seconds.
+
+        None if there are none, or more than the structure has.
+
+        Warns
+        -----
+        AmbientWarning
+            If a band has no mode, or a mode is too narrow, as that of a machine.
+        """
+        return identified(self.channels, self.bands, self.dofs, self.structure)
 
     @property
     def duration(self) -> float:
@@ -61,27 +82,15 @@ def compared_modes(data: ModalData) -> Modal:
     return Modal(file="", **PARTNER)
 
 
-def read_ambient(
-    config: Config, folder: Path, dofs: list[int], structure
-) -> tuple[MeasuredAmbient, MeasuredModes | None]:
-    """Read, correct and process the channels, find bands if it is asked for, and identify modes in them.
+def read_ambient(config: Config, folder: Path, dofs: list[int], structure: Structure) -> MeasuredAmbient:
+    """Read, correct and process the channels, and find bands if it is asked for.
 
     Files are relative to `folder`; `dofs` are those of the sensors, `structure` is what the priors expect.
-
-    Returns
-    -------
-    MeasuredAmbient, MeasuredModes or None
-        Modes to compare with; None if there are none, or more than the structure has.
 
     Raises
     ------
     ConfigError
         If a file is missing or broken, or a band holds too few frequencies; the message names the key.
-
-    Warns
-    -----
-    AmbientWarning
-        If a band has no mode, or a mode is too narrow, as that of a machine.
     """
     channels, source = read_corrected(config, folder)
     asked = config.processing
@@ -102,7 +111,7 @@ def read_ambient(
             f"`ambient.bands` must end below {PASSED / step:.4g} Hz after `processing.decimate`, got "
             f"{bands.max():.4g} Hz: decimation weakens what is above. Decimate less."
         )
-    return MeasuredAmbient(channels, step, bands, source), identified(channels, bands, dofs, structure)
+    return MeasuredAmbient(channels, step, bands, source, dofs, structure)
 
 
 def identified(channels, bands, dofs, structure) -> MeasuredModes | None:

@@ -60,8 +60,8 @@ class Problem:
         Names to `Prior`, in the order of the file.
     dofs : list of int
         Degree of freedom of each sensor.
-    modal : MeasuredModes or None
-        Identified modes; of ambient vibration those that the channels have, which are only compared.
+    given_modes : MeasuredModes or None
+        Identified modes of [modal].
     ambient : MeasuredAmbient or None
         Response to forces that nobody measured.
     events : tuple of Event
@@ -76,7 +76,7 @@ class Problem:
     structure: StructureOf
     priors: dict[str, Prior]
     dofs: list[int]
-    modal: MeasuredModes | None = None
+    given_modes: MeasuredModes | None = None
     events: tuple[Event, ...] = ()
     ambient: MeasuredAmbient | None = None
 
@@ -85,12 +85,17 @@ class Problem:
         return replace(self, measured=event.measured, events=())
 
     @property
+    def modal(self) -> MeasuredModes | None:
+        """Identified modes; of ambient vibration those that the channels have, which are only compared."""
+        return self.given_modes if self.ambient is None else self.ambient.modes
+
+    @property
     def of_modes(self) -> "Problem":
         """The problem of identified modes alone, with which those of the model are compared."""
         if self.ambient is None:
             return self
         config = self.config.model_copy(update={"modal": compared_modes(self.modal.data)})
-        return replace(self, config=config, ambient=None)
+        return replace(self, config=config, given_modes=self.modal, ambient=None)
 
     @property
     def events_sha256(self) -> str:
@@ -213,7 +218,7 @@ def read_problem(path) -> Problem:
     measured, dofs, modal, events, ambient = None, [], None, (), None
     if config.ambient is not None:
         dofs = checked_dofs(config, expected.n_dof)
-        ambient, modal = read_ambient(config, path.parent, dofs, expected)
+        ambient = read_ambient(config, path.parent, dofs, expected)
         check_positive_priors("ambient", config.ambient, ("force", "error"), priors)
     elif config.data is not None:
         if config.events is None:

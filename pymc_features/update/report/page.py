@@ -280,7 +280,7 @@ def pretty(unit) -> str:
 
 def number_text(value) -> str:
     """Four digits, or three and an exponent where it is needed."""
-    return f"{value:.4g}" if 1e-4 < abs(value) < 1e4 or value == 0.0 else f"{value:.2e}"
+    return f"{value:.4g}" if 1e-3 < abs(value) < 1e4 or value == 0.0 else f"{value:.2e}"
 
 
 def versions() -> list[str]:
