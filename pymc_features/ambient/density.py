@@ -13,6 +13,7 @@ from pytensor.tensor import TensorLike, TensorVariable
 
 from pymc_features.ambient.bands import Bands
 from pymc_features.ambient.operations import SpectralLogp
+from pymc_features.ambient.transfer import transfer_functions
 from pymc_features.ambient.transforms import BandTransform, band_histories
 
 PARTS = "(m),(m),(m,s),(b,m,r,c),(b,s)"
@@ -43,8 +44,8 @@ class AmbientHistories(Op):
         natural, ratios, shapes, factor, error, mean, bins, weights, gains, starts, dt, *normal = inputs
         of_forces, of_error = (np.sqrt(0.5) * x for x in normal)
         band = np.repeat(np.arange(len(starts) - 1), np.diff(starts))  # of each frequency
-        beta = natural * (dt * mean.shape[-1]) / np.maximum(bins, 1)[:, None]
-        transfer = gains[:, None] / (1.0 - beta**2 - 2j * ratios * beta)
+        frequencies = bins / (dt * mean.shape[-1])
+        transfer = gains[:, None] * transfer_functions(natural, ratios, frequencies)
         factor, of_forces = factor[..., 0] + 1j * factor[..., 1], of_forces[0] + 1j * of_forces[1]
         forces = np.einsum("kmr,kr->km", factor[band], of_forces)
         response = ((transfer * forces) @ shapes).T
@@ -79,6 +80,11 @@ class AmbientResponseRV(SymbolicRandomVariable):
         next_rng, errors = pt.random.normal(size=(shapes.shape[1], 2, k), rng=next_rng, return_next_rng=True)
         histories = AmbientHistories()(*parameters, *lines, forces, errors)
         return cls(inputs=[rng, *parameters, *lines], outputs=[next_rng, histories])(rng, *parameters, *lines)
+
+
+def parameters_of(rv: TensorVariable) -> list[Variable]:
+    """Frequencies, damping ratios, shapes, factor of the forces and error of an `AmbientResponse`."""
+    return rv.owner.inputs[1:6]
 
 
 @_logprob.register(AmbientResponseRV)

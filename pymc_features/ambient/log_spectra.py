@@ -9,14 +9,15 @@ from pytensor.graph.basic import Apply
 from pytensor.graph.op import Op
 from pytensor.tensor import TensorLike, TensorVariable
 
-from pymc_features._checks import check_finite, check_integer, message, shown
+from pymc_features._checks import check_integer, message, shown
 from pymc_features.ambient.bands import checked_bands
 from pymc_features.ambient.forces import in_bands, modal_factor
 from pymc_features.ambient.spectral import MEASURED, SpectralResponse, spectral
+from pymc_features.ambient.transfer import transfer_functions
 from pymc_features.ambient.transforms import band_transform
 from pymc_features.ops.gradient import undefined
 from pymc_features.signals import sampling_step
-from pymc_features.signals.channels import check_array
+from pymc_features.signals.channels import whole_values
 
 N = 5  # parameters: frequencies, damping ratios, shapes, factor of the forces, error
 CORE = "(m),(m),(m,s),(b,m,r,p),(b,s),(c,a),(c),()"
@@ -50,8 +51,7 @@ def log_spectra(channels: xr.DataArray, bands: ArrayLike, *, average: int = 8) -
     """
     from scipy.special import digamma
 
-    values = check_array(channels, sensors=True).values.astype(np.float64)
-    check_finite(values, "channels", "Cut the record where there are gaps.")
+    values = whole_values(channels)
     average, dt = check_integer(average, "average", least=1), sampling_step(channels)
     checked = checked_bands(bands, values.shape[1], dt, 0)
     cells, band = [], []
@@ -124,10 +124,11 @@ def expected_log_spectra(
 
 
 class LogSpectra(Op):
-    """ln of averages of S_s(f) = |h| sums of forces + error (s, c), of modes and forces of one particle.
+    """ln of the mean over a of S_s(f_ca), with S_s(f) = sum_r |sum_m phi_ms h_m(f) L_mr|^2 + S_e,s; (s, c).
 
-    Inputs are frequencies, damping ratios and shapes of the modes, the factor of the forces, the spectral
-    density of the error, frequencies (c, a) [Hz], the band of each c, and how often was integrated.
+    Of one particle. Inputs are frequencies, damping ratios and shapes of the modes, the factor of the forces,
+    the spectral density of the error, frequencies (c, a) [Hz], the band of each c, and how often was
+    integrated.
     """
 
     __props__ = ()
@@ -203,7 +204,7 @@ class LogSpectraGradient(Op):
                 of_error[number] = weight[:, own].sum(axis=1)
             f = frequencies.reshape(-1, 1)
             beta = natural / f
-            scaled = by_transfer * transfer / (1.0 - beta**2 - 2j * ratios * beta)
+            scaled = by_transfer * transfer * transfer_functions(natural, ratios, f.ravel())
             return (
                 (scaled * (2.0 * beta + 2j * ratios) / f).real.sum(axis=0),
                 (scaled * 2j * beta).real.sum(axis=0),
@@ -218,10 +219,10 @@ class LogSpectraGradient(Op):
 
 
 def spectra_of(natural, ratios, shapes, factor, error, frequencies, band, integrals):
-    """Transfer functions (k, m), forces (b, m, r), their sums (s, k, r) and spectral densities (s, c, a)."""
-    f = frequencies.reshape(-1, 1)
-    beta = natural / f
-    transfer = (2.0 * np.pi * f) ** -float(integrals) / (1.0 - beta**2 - 2j * ratios * beta)
+    """h (k, m), L (b, m, r), sum_m phi_ms h_km L_mr (s, k, r) and S (s, c, a), for k = c a frequencies."""
+    f = frequencies.ravel()
+    gains = (2.0 * np.pi * f[:, None]) ** -float(integrals)
+    transfer = gains * transfer_functions(natural, ratios, f)
     forces = factor[..., 0] + 1j * factor[..., 1]
     rows = np.repeat(band, frequencies.shape[1])
     roots = (shapes.T @ (transfer[..., None] * forces[rows])).transpose(1, 0, 2)

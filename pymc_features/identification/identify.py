@@ -10,10 +10,11 @@ from pymc_features.ambient.spectral import MEASURED
 from pymc_features.ambient.transforms import band_transform
 from pymc_features.ambient.warn import tell, warn_of_peak
 from pymc_features.identification.posterior import BandData, Posterior, noise_logp
-from pymc_features.identification.propose import checked_values, propose_bands
+from pymc_features.identification.propose import propose_bands
 from pymc_features.identification.start import best_posterior
 from pymc_features.modal import ModalData
 from pymc_features.signals import sampling_step
+from pymc_features.signals.channels import whole_values
 from pymc_features.simulators.spectra import Lines
 
 MOST = 4  # modes in a band that are looked for
@@ -123,7 +124,7 @@ def identify_modes(
 
 def transformed(channels: xr.DataArray, bands: ArrayLike, quantity: str) -> list[BandData]:
     """Transforms of channels, less their means, in each band."""
-    values, dt = checked_values(channels), sampling_step(channels)
+    values, dt = whole_values(channels), sampling_step(channels)
     duration = values.shape[1] * dt
     checked = checked_bands(bands, values.shape[1], dt, MEASURED[quantity])
     spectra = band_transform(values - values.mean(axis=1, keepdims=True), checked.bins, checked.weights, dt)

@@ -3,9 +3,9 @@
 import numpy as np
 import xarray as xr
 
-from pymc_features._checks import check_finite, check_positive, message
+from pymc_features._checks import check_positive, message
 from pymc_features.signals import sampling_step
-from pymc_features.signals.channels import check_array
+from pymc_features.signals.channels import whole_values
 from pymc_features.signals.spectra import averaged_spectra
 
 PROMINENCE = 6.0  # dB above the valleys beside a peak
@@ -38,7 +38,7 @@ def propose_bands(channels: xr.DataArray, *, highest: float | None = None) -> np
     """
     from scipy import signal  # a second to import
 
-    values, dt = checked_values(channels), sampling_step(channels)
+    values, dt = whole_values(channels), sampling_step(channels)
     highest = 0.4 / dt if highest is None else check_positive(highest, "highest", "Pass it in Hz.")
     spectra = averaged_spectra(values, dt)
     f, first = spectra.frequencies, spectra.singular_values[:, 0]
@@ -63,10 +63,3 @@ def propose_bands(channels: xr.DataArray, *, highest: float | None = None) -> np
         else:
             joined.append(np.array([low, high]))
     return np.array(joined)
-
-
-def checked_values(channels: xr.DataArray) -> np.ndarray:
-    """Numbers (sensor, time) of channels without gaps."""
-    values = check_array(channels, sensors=True).values.astype(np.float64)
-    check_finite(values, "channels", "Cut the record where there are gaps.")
-    return values

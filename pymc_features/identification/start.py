@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from pymc_features.ambient.transfer import transfer_functions
 from pymc_features.identification.posterior import BandData, FreeModes, Posterior
 
 RATIOS = (0.005, 0.02)  # damping ratios that are tried
@@ -52,9 +53,8 @@ def fitted(data: BandData, natural, ratios) -> FreeModes:
     spectra, f, m = data.used, data.frequencies, len(natural)
     s = len(spectra)
     matrices = np.einsum("ik,jk->kij", spectra, spectra.conj()).real
-    beta = natural / f[:, None]
     gains = data.lines.gains[data.lines.weights > 0.0]
-    transfer = gains[:, None] ** 2 / np.abs(1.0 - beta**2 - 2j * ratios * beta) ** 2
+    transfer = np.abs(gains[:, None] * transfer_functions(natural, ratios, f)) ** 2
     columns = np.column_stack([transfer, np.ones(f.size)])
     weight = 1.0 / (columns @ (1.0 / columns.mean(axis=0)))  # as large as the spectrum may be
     solved = np.linalg.lstsq(

@@ -53,6 +53,13 @@ def check_array(channels, sensors: bool = False) -> xr.DataArray:
     return channels
 
 
+def whole_values(channels) -> np.ndarray:
+    """Numbers (sensor, time) of channels; refuse those with gaps."""
+    values = check_array(channels, sensors=True).values.astype(np.float64)
+    check_finite(values, "channels", "Cut the record where there are gaps.")
+    return values
+
+
 def sampling_step(channels: xr.DataArray) -> float:
     """Sampling interval [s] of channels, from their time coordinate.
 

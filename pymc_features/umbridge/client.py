@@ -10,7 +10,7 @@ import numpy as np
 from pymc_features._checks import check_integer, check_mapping, check_text, message
 from pymc_features.external import ExternalSimulator
 from pymc_features.external.evaluator import EvaluationOptions
-from pymc_features.umbridge.library import umbridge
+from pymc_features.umbridge.extra import umbridge
 
 
 class RemoteModel:

@@ -12,7 +12,7 @@ from pymc_features._checks import check_integer, check_model, message, shown
 from pymc_features.exceptions import NotDifferentiableError
 from pymc_features.inference import compiled_logp
 from pymc_features.inference.compiled import LOWEST
-from pymc_features.umbridge.library import umbridge
+from pymc_features.umbridge.extra import umbridge
 
 
 def serve(

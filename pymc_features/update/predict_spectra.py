@@ -6,6 +6,8 @@ import xarray as xr
 from pytensor.graph.replace import clone_replace
 
 from pymc_features.ambient.bands import Bands, checked_bands
+from pymc_features.ambient.density import parameters_of
+from pymc_features.ambient.transfer import transfer_functions
 from pymc_features.ambient.transforms import band_transform
 from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.update.predict import QUANTILES, thinned
@@ -80,7 +82,7 @@ def parts_of_draws(model, posterior: xr.Dataset):
     names = [rv.name for rv in model.free_RVs]
     inputs = [model[name].type(name) for name in names]
     parts = clone_replace(
-        model["y"].owner.inputs[1:6], dict(zip((model[n] for n in names), inputs, strict=True))
+        parameters_of(model["y"]), dict(zip((model[n] for n in names), inputs, strict=True))
     )
     function = pytensor.function(inputs, parts, mode="FAST_COMPILE", on_unused_input="ignore")
     for chain, draw in np.ndindex(few.sizes["chain"], few.sizes["draw"]):
@@ -91,8 +93,7 @@ def parts_of_draws(model, posterior: xr.Dataset):
 def covariance(parameters, frequencies, band) -> np.ndarray:
     """E (k, s, s) of accelerations at frequencies [Hz], each in a band."""
     natural, ratios, shapes, factor, error = parameters
-    beta = natural / np.maximum(frequencies, 1e-12)[:, None]
-    transfer = 1.0 / (1.0 - beta**2 - 2j * ratios * beta)
+    transfer = transfer_functions(natural, ratios, np.maximum(frequencies, 1e-12))
     forces = (factor[..., 0] + 1j * factor[..., 1])[band]
     roots = shapes.T @ (transfer[..., None] * forces)
     found = roots @ roots.conj().transpose(0, 2, 1)

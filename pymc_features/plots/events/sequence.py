@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
-from matplotlib.ticker import MaxNLocator
 
 from pymc_features._checks import check_group
 from pymc_features.plots.drawing.axes import AxesLike, checked_axes, chosen_among
@@ -32,6 +31,8 @@ def plot_sequence(
     -------
     array of matplotlib Axes
     """
+    from matplotlib.ticker import MaxNLocator
+
     record = check_group(
         idata, "idata", "sequence", "Pass what continue_with() returned.", "event", "parameter"
     )

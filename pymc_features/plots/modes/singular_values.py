@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from pymc_features._checks import as_numbers, check_finite, message, shown
 from pymc_features.plots.drawing.axes import AxesLike, checked_axes
 from pymc_features.signals import sampling_step
-from pymc_features.signals.channels import check_array
+from pymc_features.signals.channels import whole_values
 from pymc_features.signals.spectra import averaged_spectra
 
 BESIDE = 1.25  # of the highest band: what is drawn
@@ -44,9 +44,7 @@ def plot_singular_values(
     -------
     array of one matplotlib Axes
     """
-    values = check_array(channels, sensors=True).values.astype(np.float64)
-    check_finite(values, "channels", "Cut the record where there are gaps.")
-    spectra = averaged_spectra(values, sampling_step(channels))
+    spectra = averaged_spectra(whole_values(channels), sampling_step(channels))
     f, levels = spectra.frequencies[1:], spectra.singular_values[1:]
     limits = np.empty((0, 2)) if bands is None else checked_limits(bands)
     marked = np.empty(0) if frequencies is None else checked_frequencies(frequencies)
