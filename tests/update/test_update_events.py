@@ -1,5 +1,6 @@
 """Several events in one configuration: order, continuation, alarms, and what is refused."""
 
+import re
 import shutil
 
 import numpy as np
@@ -288,4 +289,12 @@ def test_what_is_refused(made, tmp_path, match):
     assert text.count(old) == 1
     path.write_text(text.replace(old, new))
     with pytest.raises(ConfigError, match=match):
+        read_problem(path)
+
+
+def test_events_without_a_likelihood(made, tmp_path):
+    path = copied(made, tmp_path)
+    kept = re.sub(r"\[likelihood\].*?(?=\n\[)", "", path.read_text(), flags=re.DOTALL)
+    path.write_text(kept)
+    with pytest.raises(ConfigError, match=r"`likelihood` must be given with \[events\]: a table"):
         read_problem(path)

@@ -56,6 +56,8 @@ def check_events(config) -> None:
         raise ConfigError(
             "`events` must be left out with `data.dataset`, got both. Name the files of each event."
         )
+    if config.likelihood is None:
+        raise ConfigError("`likelihood` must be given with [events]: a table.")
     refused = [kind for kind, entry in LIKELIHOODS.items() if entry.calibrates or entry.is_likelihood_free]
     if found := [kind for kind in config.likelihood.kinds if kind in refused]:
         taken = ", ".join(kind for kind in LIKELIHOODS if kind not in refused)
