@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pymc_features.smc.proposals import unbending
 from pymc_features.smc.proposals.fitted import FittedProposal, Unbent, fit_proposal, fit_to, fit_unbent
 from pymc_features.smc.proposals.proposal import fit_mixture
 from pymc_features.smc.proposals.unbending import UnbendingMap
@@ -78,6 +79,35 @@ def test_it_unbends(shape):
     assert bent(z) < 0.5 * bent(fresh)
 
 
+def test_a_parabola_between_logits(monkeypatch):
+    """Three bananas of bounded parameters, on the scale that is sampled: how many of its draws a fit keeps.
+
+    Parabolas of the logits, the negative control, keep a third of that at most.
+    """
+    boxes = np.array([[-6.0, 8.0]] * 3 + [[-5.0, 70.0]] * 3).T
+
+    def to_logits(x):
+        return np.log((x - boxes[0]) / (boxes[1] - x))
+
+    def log_density(u):
+        share = 1.0 / (1.0 + np.exp(-u))
+        a, b = np.hsplit(boxes[0] + np.ptp(boxes, axis=0) * share, 2)
+        slopes = np.log(np.ptp(boxes, axis=0) * share * (1.0 - share)).sum(axis=1)
+        return stats.norm.logpdf(a, 1.0).sum(axis=1) + stats.norm.logpdf(b, a**2, 0.1).sum(axis=1) + slopes
+
+    def share_kept():
+        rng = np.random.default_rng(3)
+        a = 1.0 + rng.standard_normal((1000, 3))
+        proposal = fit_to(to_logits(np.hstack([a, a**2 + 0.1 * rng.standard_normal((1000, 3))])), rng)
+        y = proposal.draw(20_000, rng)
+        w = np.exp(log_density(y) - proposal.log_density(y))
+        return w.sum() ** 2 / (w @ w) / len(w)
+
+    kept = share_kept()
+    monkeypatch.setattr(unbending, "affordable", lambda k, n_points: unbending.PRODUCTS)
+    assert kept > 0.08 and kept > 3.0 * share_kept()
+
+
 @shapes
 def test_the_map_is_used_where_it_is_better(shape):
     """Other draws have a higher density behind the map than without."""
@@ -105,7 +135,7 @@ def test_density_is_normalised(shape):
     x = SHAPES[shape](np.random.default_rng(0), 3000)
     proposal = fit_to(x, np.random.default_rng(2))
     wide = stats.multivariate_t(x.mean(axis=0), 4.0 * np.cov(x.T), df=2)
-    draws = wide.rvs(100_000, random_state=np.random.default_rng(3))
+    draws = wide.rvs(200_000, random_state=np.random.default_rng(3))
     ratios = np.exp(proposal.log_density(draws) - wide.logpdf(draws))
     assert abs(ratios.mean() - 1.0) < 4.0 * ratios.std() / np.sqrt(len(ratios))
     assert ratios.std() / np.sqrt(len(ratios)) < 0.05

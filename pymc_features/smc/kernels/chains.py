@@ -131,8 +131,12 @@ class Chains:
         ahead[possible] = self.pool.add(*(values[possible] for values in columns), self.source)
         self.position = np.where(moved, ahead, self.position)
 
-    def forget(self) -> None:
-        """Step until the chains are no longer correlated with where they started; then begin to keep."""
+    def forget(self, of_trajectories: float = 0.0) -> None:
+        """Step until the chains are no longer correlated with where they started; then begin to keep.
+
+        Trajectories have the share `of_trajectories` at least, if there are gradients.
+        """
+        share = 0.0 if self.slopes is None else of_trajectories
         while self.n_steps < MAX_BURN_IN:
             self.step()
             if self.n_steps >= FIRST_CHECK and self.n_steps % CHECK_EVERY == 0:
@@ -142,17 +146,20 @@ class Chains:
                 if mean < FORGOTTEN and correlation.max() < SLOWEST * chance:
                     break
                 if self.slopes is not None:
-                    self.consider_trajectories()
+                    self.consider_trajectories(share)
         self.first = len(self.pool.visits)
         self.source = max(s for s, beta in enumerate(self.pool.betas) if beta == self.beta)
         rows = (self.x, self.log_reference, self.log_ratio, np.zeros(len(self.x)), np.arange(len(self.x)))
         self.position = self.pool.add(*rows, self.source)
-        self.moves.adapt()
+        self.moves.adapt(share)
 
-    def consider_trajectories(self) -> None:
-        """Try them on some of the chains where the other moves do badly; draw them if they are better."""
+    def consider_trajectories(self, share: float) -> None:
+        """Try them on some of the chains where the other moves do badly, or they are to have a share.
+
+        They are drawn if they are better, and with this share at least.
+        """
         moves = self.moves
-        if moves.wants_trial:
+        if moves.wants_trial or (share and not moves.tried[HAMILTONIAN]):
             least, one_in = ON_TRIAL
             rows = np.arange(min(len(self.x), max(least, len(self.x) // one_in)))
             for _ in range(FIRST_TRIALS if moves.hamiltonian.is_new else 1):
@@ -160,7 +167,7 @@ class Chains:
                 if USABLE[0] < probability.mean() < USABLE[1]:
                     break
         if moves.tried[HAMILTONIAN] or moves.shares[HAMILTONIAN]:
-            moves.adapt()
+            moves.adapt(share)
 
     def measure(self) -> None:
         """Say in the pool how many steps count for one independent draw."""

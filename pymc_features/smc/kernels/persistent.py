@@ -21,6 +21,8 @@ KEPT_STEPS, LAST_STEPS = 8, 32  # of the chains of a stage, and of those of the 
 FEWEST_EFFECTIVE = (60, 8)  # points that a new temperature keeps at least: in all, and for each parameter
 LEAST_ACCEPTANCE, MAX_REPEATS = 0.01, 5  # chains that move less repeat their stage
 GOOD_FIT = 0.3  # effective share of its draws, of a fit of a stage that needs no chains
+# the same of the last stage, below which chains go on; how often; their share of trajectories then
+USABLE_FIT, MOST_ROUNDS, OF_TRAJECTORIES = 0.03, 6, 0.7
 WORTH_A_TRIAL = 0.2  # of the last fit, below which the next is not tried
 FIRST_OF_REFERENCE = (400, 30)  # draws of the reference: at least, and for each parameter
 USABLE_REFERENCE = 0.05  # effective share of its draws, to begin with
@@ -207,28 +209,51 @@ class PersistentSMC(LastDraws, PopulationKernel):
         """Advance chains of this temperature; at the end, draw from fits to all points."""
         self.n_steps, self.steps_per_draw, self.hamiltonian_share = 1, 1.0, 0.0  # of independent draws
         if self.needs_fit and not self.fit_is_good():
-            slopes = self.slopes if self.gradients_allowed else None
-            chains = Chains(self.pool, self.position, self.moves, self.beta, self.weigh, self.rng, slopes)
-            chains.forget()
-            for _ in range(KEPT_STEPS if self.beta < 1.0 else LAST_STEPS):
-                chains.step()
-            chains.measure()
-            self.pool.solve()
-            self.n_steps, self.steps_per_draw = chains.n_steps, chains.inflation
-            self.accept_rate = float(np.mean(chains.acceptances))
-            self.hamiltonian_share = chains.n_hamiltonian / chains.n_steps
+            self.advance()
+            if self.beta == 1.0:
+                self.advance_until_a_fit_is_usable()
         if self.beta == 1.0:
             self.complete()
 
+    def advance(self, of_trajectories: float = 0.0) -> None:
+        """Let chains forget where they start, and keep what follows, with so many trajectories or more."""
+        slopes = self.slopes if self.gradients_allowed else None
+        chains = Chains(self.pool, self.position, self.moves, self.beta, self.weigh, self.rng, slopes)
+        chains.forget(of_trajectories)
+        for _ in range(KEPT_STEPS if self.beta < 1.0 else LAST_STEPS):
+            chains.step()
+        chains.measure()
+        self.pool.solve()
+        self.n_steps, self.steps_per_draw = chains.n_steps, chains.inflation
+        self.accept_rate = float(np.mean(chains.acceptances))
+        self.hamiltonian_share = chains.n_hamiltonian / chains.n_steps
+
+    def advance_until_a_fit_is_usable(self) -> None:
+        """At a temperature of one, let chains go on while draws from fits to them are worth hardly anything.
+
+        Points of the stages before may be too few to show how the posterior is bent.
+        """
+        for _ in range(MOST_ROUNDS):
+            self.weights = self.pool.normalised(self.pool.log_weights(1.0))
+            self.moves.fit(self.fitting_points(), self.rng)
+            if self.try_fit() > USABLE_FIT:
+                break
+            self.weights = self.pool.normalised(self.pool.log_weights(1.0))
+            self.resample()
+            self.advance(OF_TRAJECTORIES)
+        self.last_stage = len(self.pool.betas) - 1  # the fit that none of its draws has shaped
+
     def fit_is_good(self) -> bool:
         """Whether independent draws from the fit of a stage do instead of chains."""
-        if self.fit_efficiency < WORTH_A_TRIAL:
-            return False
+        return self.fit_efficiency >= WORTH_A_TRIAL and self.try_fit() > GOOD_FIT
+
+    def try_fit(self) -> float:
+        """Draw from the fit of a stage, and return the effective share of its draws."""
         self.pool.add_proposal(self.moves.proposal)
         source = len(self.pool.betas) - 1
         self.draw_more(self.stage_draws, source)
         self.fit_efficiency = self.accept_rate = self.pool.efficiency(source, self.beta)
-        return self.fit_efficiency > GOOD_FIT
+        return self.fit_efficiency
 
     def sample_stats(self) -> dict:
         """Statistics of the stage just finished."""

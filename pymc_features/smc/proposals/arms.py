@@ -106,8 +106,11 @@ class FittedMoves:
         """Whether trajectories have not been tried since the fit, and may be better than what was."""
         return bool(self.tried[0]) and not self.tried[HAMILTONIAN] and self.best < self.remembered
 
-    def adapt(self) -> None:
-        """Draw moves in proportion to what they achieved."""
+    def adapt(self, of_trajectories: float = 0.0) -> None:
+        """Draw moves in proportion to what they achieved, trajectories with this probability at least.
+
+        Without one if they have never been tried.
+        """
         mean = (self.distance + 0.1) / (self.tried + 0.5)
         mean[HAMILTONIAN] = 0.0
         if (self.tried[HAMILTONIAN] or self.shares[HAMILTONIAN]) and self.remembered > self.best:
@@ -115,3 +118,6 @@ class FittedMoves:
             mean[HAMILTONIAN] = self.remembered
         self.shares = (1.0 - LEAST_SHARE * len(SIMPLE)) * mean / mean.sum()
         self.shares[:HAMILTONIAN] += LEAST_SHARE
+        if self.shares[HAMILTONIAN] < of_trajectories and not self.hamiltonian.is_new:
+            self.shares *= (1.0 - of_trajectories) / (1.0 - self.shares[HAMILTONIAN])
+            self.shares[HAMILTONIAN] = of_trajectories

@@ -5,7 +5,7 @@ Three steps, each with an explicit inverse and Jacobian:
 1. every coordinate by itself, u = sinh(delta asinh((x - m) / s) - epsilon): skewness and tails (Jones &
    Pewsey, Biometrika 96, 2009), matched to quantiles;
 2. whitening: the principal axes of u, the widest first;
-3. each axis t_k less a polynomial of the wider ones, over a scale that is log-linear in them,
+3. each axis t_k less a polynomial of the wider ones, over a scale whose logarithm is another one,
    z_k = [t_k - p_k(t_1 .. t_k-1)] exp(-s_k(t_1 .. t_k-1)): bananas, ridges and funnels.
 
 The last step is a triangular transport map (Marzouk, Moselhy, Parno & Spantini, 2016) with the least number
@@ -18,6 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
+LINEAR, SQUARES, PRODUCTS, POWERS = "linear", "squares", "products", "powers"  # polynomials of step 3
 CLIP = 4.0  # standard deviations beyond which polynomials stay as they are
 MAX_LOG_SCALE = 6.0
 SMALLEST_SQUARE = 1e-6  # beside the mean square, where a logarithm is taken
@@ -49,17 +50,17 @@ class Margins(NamedTuple):
 
 
 class Axis(NamedTuple):
-    """Coefficients of step 3 for one axis: polynomial (of a degree), log-linear scale, and its constant."""
+    """Coefficients of step 3 for one axis: those of its place (of a kind) and log scale, and a constant."""
 
-    degree: int
+    kind: str
     shift: np.ndarray
     slope: np.ndarray
     level: float
 
     def parts(self, wider):
         """p_k and s_k, each (n,), given the wider axes (n, k)."""
-        log_scale = np.clip(monomials(wider, 1) @ self.slope, -MAX_LOG_SCALE, MAX_LOG_SCALE)
-        return monomials(wider, self.degree) @ self.shift, self.level + log_scale
+        log_scale = np.clip(monomials(wider, SQUARES) @ self.slope, -MAX_LOG_SCALE, MAX_LOG_SCALE)
+        return monomials(wider, self.kind) @ self.shift, self.level + log_scale
 
 
 class UnbendingMap:
@@ -130,32 +131,48 @@ def influence(t, w, n_points) -> np.ndarray:
 
 def entropies(wider, t, w, n_points) -> np.ndarray:
     """Entropy of each coordinate (n, k) given the wider ones, less that of a standard normal one (k,)."""
-    rest, log_scale = conditional(wider, t, w, n_points, 2)[2:]
+    rest, log_scale = conditional(wider, t, w, n_points, PRODUCTS)[2:]
     return 0.5 * np.log(w @ (rest * np.exp(-log_scale)) ** 2) + w @ log_scale
 
 
-def monomials(t, degree: int):
-    """1, t_i and, of degree 2, all products t_i t_j, of coordinates (n, k) within `CLIP`: (n, terms)."""
+def monomials(t, kind: str):
+    """Terms (n, terms) of a polynomial of coordinates (n, k), which count within `CLIP`.
+
+    1 and t_i if it is `LINEAR`; besides, t_i^2 with `SQUARES`, all t_i t_j with `PRODUCTS`, and these and
+    t_i^3, t_i^4 with `POWERS`: a parabola of parameters is none of the logarithms or logits that are sampled.
+    """
     t = np.clip(t, -CLIP, CLIP)
     columns = [np.ones((len(t), 1)), t]
-    if degree == 2:
+    if kind == SQUARES:
+        columns.append(t**2)
+    elif kind != LINEAR:
         i, j = np.triu_indices(t.shape[1])
         columns.append(t[:, i] * t[:, j])
+    if kind == POWERS:
+        columns += [t**3, t**4]
     return np.hstack(columns)
+
+
+def affordable(k: int, n_points: float) -> str:
+    """Polynomial of k coordinates with as many terms as so many effective points can tell."""
+    n_products = (k + 1) * (k + 2) // 2
+    for kind, n_terms in ((POWERS, n_products + 2 * k), (PRODUCTS, n_products), (SQUARES, 2 * k + 1)):
+        if n_terms <= TERMS_PER_POINT * n_points:
+            return kind
+    return LINEAR
 
 
 def fit_axis(wider, t, w, n_points) -> Axis:
     """Regress one axis (n,) on the wider ones (n, k); weights w sum up to one."""
-    k = wider.shape[1]
-    degree = 2 if 1 + k + k * (k + 1) // 2 <= TERMS_PER_POINT * n_points else 1
-    shift, slope, rest, log_scale = conditional(wider, t[:, None], w, n_points, degree)
+    kind = affordable(wider.shape[1], n_points)
+    shift, slope, rest, log_scale = conditional(wider, t[:, None], w, n_points, kind)
     level = 0.5 * np.log(w @ (rest * np.exp(-log_scale)) ** 2)
-    return Axis(degree, shift[:, 0], slope[:, 0], float(level[0]))
+    return Axis(kind, shift[:, 0], slope[:, 0], float(level[0]))
 
 
-def conditional(wider, t, w, n_points, degree) -> tuple[np.ndarray, ...]:
+def conditional(wider, t, w, n_points, kind) -> tuple[np.ndarray, ...]:
     """Coefficients of place and log scale of axes (n, m) given wider ones; what is left, and log scales."""
-    terms, linear = monomials(wider, degree), monomials(wider, 1)
+    terms, linear = monomials(wider, kind), monomials(wider, SQUARES)
     shift = ridge(terms, t, w, 0.1 * terms.shape[1] / n_points + 1e-6)
     rest = t - terms @ shift
     size = np.log((rest / np.sqrt(w @ rest**2)) ** 2 + SMALLEST_SQUARE)
