@@ -90,3 +90,11 @@ def linear_systems(parameters, excitation, wanted, observed) -> Systems | None:
         if system is not None:
             put_modes(systems, p, *observe(own, system))
     return systems
+
+
+def linear_gradient_systems(parameters, excitation, wanted, observed) -> Systems | None:
+    """As `linear_systems`, where `linear_gradient_of_sums` goes on from there; None elsewhere."""
+    one_input = excitation.acceleration.shape[0] == 1
+    if not (parameters.is_dense and parameters.is_classical and one_input):
+        return None
+    return linear_systems(parameters, excitation, wanted, observed)
