@@ -1,4 +1,4 @@
-"""What is asked of many structures under a record: their modes for the tables, and the march of some of them."""
+"""What is asked of many structures under a record: modes for the tables, and the march of some of them."""
 
 import numpy as np
 
@@ -56,7 +56,7 @@ class Asked:
         return found[None] if isinstance(found, np.ndarray) else tuple(x[None] for x in found)
 
     def parts(self, kernel, tables, chunk=CHUNK):
-        """Yield numbers of particles, their `Systems` and `Poles`, which the tables cover then; few at a time.
+        """Yield numbers of particles, `Systems` and `Poles`, which the tables cover then; few at a time.
 
         Nothing is yielded of structures that have no `Systems`.
         """
@@ -79,7 +79,7 @@ class Asked:
             yield part, systems, poles
 
     def is_due(self, kernel):
-        """Whether some particles are to be compared with the march; a vector of them in N costs a twentieth."""
+        """Whether to compare some particles with the march; a vector of them in N costs a twentieth."""
         until_check, n_times = self.data.until_check, self.data.observed.shape[1]
         is_due = until_check.get(kernel, 0) <= 0
         until_check[kernel] = (n_times if is_due else until_check[kernel]) - self.rows

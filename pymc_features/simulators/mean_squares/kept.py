@@ -1,8 +1,9 @@
 """Tables kept with their data, found again without reading these.
 
 A model asks for the same data thousands of times. They are known again by the memory in which they lie, as
-long as its owner is alive, and by some of their values; now and then all are compared (`same`). Other memory
-with the same content finds the same table by its hash.
+long as its owner is alive, and by some of their values; now and then all are compared (`same`), and always
+where the owner is gone, as it is of constants in compiled graphs. Other memory with the same content finds
+the same table by its hash.
 """
 
 import hashlib
@@ -74,8 +75,10 @@ class Kept:
         found = self.by_memory.get(memory)
         if found is not None:
             owners, probes, data = found
-            alive = [owner() is not None for owner in owners]
-            if all(alive) and probes == probe(observed) + probe(acceleration):
+            alive = all(owner() is not None for owner in owners)
+            if probes == probe(observed) + probe(acceleration) and (
+                alive or data.same(observed, acceleration)
+            ):
                 return data
             del self.by_memory[memory]
         data = self.by_hash(observed, acceleration, excitation)

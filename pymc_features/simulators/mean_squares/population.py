@@ -13,6 +13,7 @@ from pymc_features.simulators.mean_squares.evaluate import evaluate
 from pymc_features.simulators.mean_squares.kept import KEPT
 
 FEWEST_SAMPLES = 2000  # below, the march is as fast
+FEWEST_ALONE, LEAST_ALONE = 4000, 80_000  # of one structure: samples, and samples times modes
 ROUNDING = 5e-15  # errors of a sum, relative to what `evaluate` calls sizes: ten times what was found
 SURE = 1e-8  # error of e_j that makes no difference to TN and EXP
 NATS = 1e-3  # error of the log-likelihood of independent samples, whose variance is near e_j
@@ -22,6 +23,12 @@ AGREEMENT = 1e-6  # with the march
 def is_long(stride, observed) -> bool:
     """Whether tables are faster: many samples, one for each step of the recursion."""
     return stride == 1 and observed.shape[-1] >= FEWEST_SAMPLES
+
+
+def is_long_alone(stride, observed, n_modes) -> bool:
+    """Whether tables are faster for one structure, whose modes do not fill the lanes of a vector."""
+    n_times = observed.shape[-1]
+    return stride == 1 and n_times >= FEWEST_ALONE and n_times * n_modes >= LEAST_ALONE
 
 
 def mean_squares(family, arguments, observed) -> np.ndarray:
@@ -39,10 +46,13 @@ def mean_squares(family, arguments, observed) -> np.ndarray:
     return misfits(family, arguments, observed, "population_discrepancy")
 
 
-def misfits(family, arguments, observed, kernel) -> np.ndarray:
-    """What a kernel gives, "population_discrepancy" (p, s) or "population_misfit" (p, s, 4)."""
+def misfits(family, arguments, observed, kernel, is_alone=False) -> np.ndarray:
+    """What a kernel gives, "population_discrepancy" (p, s) or "population_misfit" (p, s, 4).
+
+    One structure that `is_alone` is marched, where it is, by the kernels for one.
+    """
     data = KEPT.of(observed, arguments[1])
-    asked, parts = Asked(family, arguments, data), []
+    asked, parts = Asked(family, arguments, data, is_alone), []
     tables = data.tables(4 if kernel == "population_misfit" else 1)
     if tables:
         for part, systems, poles in asked.parts("population_systems", tables):
@@ -56,7 +66,7 @@ def misfits(family, arguments, observed, kernel) -> np.ndarray:
     if asked.is_due(kernel):
         if not data.same(observed, np.atleast_2d(arguments[1].acceleration)):  # changed in place
             KEPT.forget(data)
-            return misfits(family, arguments, observed, kernel)
+            return misfits(family, arguments, observed, kernel, is_alone)
         if not agree(found[asked.some], asked.march(kernel, asked.some)):
             data.drop_tables()
             return asked.march(kernel)
@@ -64,7 +74,7 @@ def misfits(family, arguments, observed, kernel) -> np.ndarray:
 
 
 def from_tables(data, tables, systems, poles):
-    """Statistics of the misfit (p, s) or (p, s, 4), and whether they are as exact as likelihoods need, (p,)."""
+    """Statistics of the misfit (p, s) or (p, s, 4), and whether they are as exact as needed, (p,)."""
     shape, n_times = systems.feed.shape[:2], data.observed.shape[1]
     is_sure, squares = np.ones(len(systems.valid), dtype=bool), []
     for table in tables:

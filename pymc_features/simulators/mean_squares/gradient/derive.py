@@ -35,7 +35,7 @@ from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT
 
 
 class Derivatives(NamedTuple):
-    """Derivatives of a number L by what the modes of many structures do over time, f = o - a as in `gradient`.
+    """Derivatives of a number L by what the modes of many structures do over time.
 
     Attributes
     ----------

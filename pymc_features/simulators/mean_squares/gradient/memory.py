@@ -12,7 +12,7 @@ from pymc_features.simulators.mean_squares.work import TURNS
 
 VECTOR = 8 * LANES  # bytes
 N_NUMBERS, N_FACTORS = 9, 16  # vectors for a pole
-# Rows of a pole, complex numbers as two: C times E X, rho, phi2, U and Q, as they stand in the products of two
+# Rows of a pole, complex numbers as two: C times E X, rho, phi2, U and Q, as they stand in products of two
 # modes, and the same of their derivatives by lambda; E - 1; sums of w times C v and C v'; C times a'v and
 # v[N-1]; and a number, of `pairs.own_size`
 LAST, AHEAD, NOW, BEFORE, HERE, DERIVATIVES = 0, 2, 4, 6, 8, 10

@@ -56,11 +56,17 @@ def take_pair(own, r, q):
     whole = a + c + a * c
     growth = whole - b * d, b + d + a * d + b * c
     decay = whole + b * d, b - d - a * d + b * c
-    over, over_conjugate = inverse(zero - growth[0], zero - growth[1]), inverse(zero - decay[0], zero - decay[1])
+    over, over_conjugate = (
+        inverse(zero - growth[0], zero - growth[1]),
+        inverse(zero - decay[0], zero - decay[1]),
+    )
     plain, conjugate = times(plain, over), times(conjugate, over_conjugate)
     grown = scaled(h, times((growth[0] + 1.0, growth[1]), plain))
     decayed = scaled(h, times((decay[0] + 1.0, decay[1]), conjugate))
-    left, left_conjugate = times(plus(left, grown), over), times(plus(left_conjugate, decayed), over_conjugate)
+    left, left_conjugate = (
+        times(plus(left, grown), over),
+        times(plus(left_conjugate, decayed), over_conjugate),
+    )
     share, both = zero, 2.0 * (plain[0] + conjugate[0])
     for j in range(own.n_sensors):
         of_r, of_q = read_lanes(own.scaled, j * m + r), read_lanes(own.scaled, j * m + q)

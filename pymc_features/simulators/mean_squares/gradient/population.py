@@ -16,11 +16,11 @@ KERNEL = "population_gradient"
 
 
 def is_long(stride, observed) -> bool:
-    """Whether tables are faster: many samples, one for each step of the recursion."""
+    """Whether tables are faster for a population; `mean_squares.population` knows it for one structure."""
     return stride == 1 and observed.shape[-1] >= FEWEST_SAMPLES
 
 
-def population_gradient(family, arguments, observed, weights) -> tuple:
+def misfit_gradient(family, arguments, observed, weights, is_alone=False) -> tuple:
     """Gradient of sum_pjq weights_pjq statistics_pjq by each parameter, in arrays of their shapes.
 
     Parameters
@@ -30,16 +30,18 @@ def population_gradient(family, arguments, observed, weights) -> tuple:
     arguments, observed
         As in `mean_squares`.
     weights : array (p, s, 1) or (p, s, 4)
+    is_alone : bool
+        Whether there is one structure, to be marched, where it is, by the kernel for one.
     """
     data = KEPT.of(observed, arguments[1])
-    asked, tables = Asked(family, arguments, data), data.tables(weights.shape[2])
+    asked, tables = Asked(family, arguments, data, is_alone), data.tables(weights.shape[2])
     found = by_tables(asked, tables, weights) if tables else None
     if found is None:
         return asked.march(KERNEL, None, weights)
     if asked.is_due(KERNEL):
         if not data.same(observed, np.atleast_2d(arguments[1].acceleration)):  # changed in place
             KEPT.forget(data)
-            return population_gradient(family, arguments, observed, weights)
+            return misfit_gradient(family, arguments, observed, weights, is_alone)
         own, few = weights[asked.some], (asked.parameters_of(asked.some), *arguments[1:])
         some = Asked(family, few, data, asked.is_alone)
         if not agree(by_tables(some, tables, own), some.march(KERNEL, None, own)):
