@@ -135,19 +135,6 @@ class StructuralOp(Op):
         more, directions = self.split(arrays[self.n_common :])
         return *arguments, *more, *directions
 
-    def uncopied(self, inputs):
-        """The named tuples of the kernel, with a row for each particle, and what comes behind them.
-
-        No copies of record and data, which the tables of `mean_squares` know by their memory.
-        """
-        record, common = self.at("acceleration"), list(inputs[: self.n_common])
-        for i, x in enumerate(common):
-            if i < self.n_parameters and not self.batched:
-                common[i] = prepared(x[None])
-            elif i != record:
-                common[i] = prepared(x)
-        return self.spec.assemble(common, self.quantity_code), inputs[self.n_common :]
-
     def split(self, more):
         """What follows the family's inputs, and a tuple with the tuple of directions if there are any."""
         if not self.takes_directions:

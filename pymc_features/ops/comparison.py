@@ -20,15 +20,14 @@ from pymc_features._checks import as_numbers
 from pymc_features.ops.base import StructuralOp, check_shape
 from pymc_features.ops.external import ExternalResponse
 from pymc_features.ops.gradient import Gradient, ResponseTangent, Tangent
+from pymc_features.ops.long_records import GradientFromTables, StatisticsFromTables
 from pymc_features.ops.response import StructuralResponse, response_node
-from pymc_features.simulators.mean_squares.gradient.population import misfit_gradient
-from pymc_features.simulators.mean_squares.population import is_long_alone, misfits
 from pymc_features.structures.variables import as_tensor
 
 HISTORY = "Pass a history (..., sensor, time)."
 
 
-class StructuralComparison(StructuralOp):
+class StructuralComparison(StatisticsFromTables, StructuralOp):
     """Base: statistics of each sensor's misfit, from the parameters of a structure and the data.
 
     Attributes
@@ -40,13 +39,6 @@ class StructuralComparison(StructuralOp):
     more_signature = "(s,u)"
     values: tuple[int, ...] = ()
     simulates = True  # a value that is not finite is a failed simulation, and counted as such
-
-    def run(self, inputs):
-        """From tables, where the record is long and the structure has modes."""
-        if not has_tables(self, inputs):
-            return super().run(inputs)
-        arguments, [observed] = self.uncopied(inputs)
-        return (misfits(self.spec, arguments, observed, f"population_{self.kernel_name}", is_alone=True)[0],)
 
     def make_node(self, *inputs):
         *common, observed = inputs
@@ -94,7 +86,7 @@ class StructuralMisfit(StructuralComparison):
     values = (4,)
 
 
-class MisfitGradient(Gradient):
+class MisfitGradient(GradientFromTables, Gradient):
     """Gradient of sum_jq c_jq times the first statistic, or all four.
 
     The last inputs are the data (sensor, time) and c (sensor, n_statistics).
@@ -111,14 +103,6 @@ class MisfitGradient(Gradient):
     def more_signature(self):
         """Shapes of the data and of c."""
         return f"(s,u),(s,{self.n_statistics})"
-
-    def run(self, inputs):
-        """From tables, as in `StructuralComparison`."""
-        if not has_tables(self, inputs):
-            return super().run(inputs)
-        arguments, [observed, weights] = self.uncopied(inputs)
-        gradient = misfit_gradient(self.spec, arguments, observed, weights[None], is_alone=True)
-        return tuple(x[0] for x in gradient)
 
     def transpose(self, inputs, cotangents):
         """The change of the statistics along a direction; that of the last three from the response's."""
@@ -145,12 +129,6 @@ class DiscrepancyTangent(Tangent):
     def transpose(self, inputs, cotangents):
         [weights] = cotangents
         return self.like(MisfitGradient)(*inputs, weights[:, None], return_list=True)
-
-
-def has_tables(op, inputs) -> bool:
-    """Whether a structure by itself takes statistics of the misfit, and their gradient, from tables."""
-    stride, n_modes, observed = inputs[op.at("stride")], inputs[op.at("n_modes")], inputs[op.n_common]
-    return "gradient_of_sums" in op.spec.kernels and is_long_alone(stride, observed, n_modes)
 
 
 def misfit_values(misfit):

@@ -167,6 +167,33 @@ def test_strong_damping(tables, damping):
     assert tables[0][1].all()
 
 
+@pytest.mark.parametrize("quantity", range(4), ids=QUANTITIES)
+@pytest.mark.parametrize("asked", [{}, {"record": FROM_REST, "n_modes": 3}], ids=["", "modes"])
+def test_complex_modes(tables, quantity, asked):
+    """A dashpot at the base couples the modes; one particle is no structure."""
+    mass, damping, stiffness = chain().matrices()
+    damping[0, 0] += 5.0
+    terms = [np.diag([400.0, 0.0, 0.0, 0.0])]
+    case = Case(
+        AffineStructure(mass, stiffness=stiffness, damping=damping, stiffness_terms=terms),
+        quantity=quantity,
+        **asked,
+    )
+    case.arguments[0].theta[2] = np.nan
+    np.testing.assert_allclose(case.by_table(), case.marched(), rtol=1e-9)
+    assert np.flatnonzero(~tables[0][1]).tolist() == [2]
+
+
+def test_strong_dashpots_are_marched(tables):
+    """Their complex modes do not come out, or not surely."""
+    mass, damping, stiffness = chain().matrices()
+    damping[0, 0] += 500.0
+    terms = [np.diag([400.0, 0.0, 0.0, 0.0])]
+    case = Case(AffineStructure(mass, stiffness=stiffness, damping=damping, stiffness_terms=terms))
+    np.testing.assert_array_equal(case.by_table(), case.marched())
+    assert not tables[0][1].any()
+
+
 @pytest.mark.parametrize("damping", [ModalDamping(0.0), ModalDamping(1.0), ModalDamping(4.0)], ids=str)
 def test_what_a_table_cannot_do_is_marched(tables, damping):
     """Without damping, critically damped, and poles that last less than a hundred samples."""
