@@ -26,6 +26,8 @@ from pymc_features.simulators.mean_squares import asked, kept, population, stenc
 from pymc_features.smc.density.evaluation import population_logp
 from support.reference import first_order_hold
 
+# what the march would put right, and warn of, is a failure here
+pytestmark = pytest.mark.filterwarnings("error:.*differ from those of the march")
 N_TIMES, DT, PARTICLES = 2003, 0.02, LANES + 3
 LIGHT = RayleighDamping(0.2, 1e-3)
 
