@@ -2,7 +2,7 @@
 
 One table for each, with exponents fitted by least squares in log-log over all rows: 1 is proportional
 to the size, less than 1 says that a fixed cost still counts. Long records have a table of their own: their
-mean squares come from tables, beside the march that these replace.
+mean squares and gradients come from tables, beside the march that these replace.
 """
 
 import time
@@ -65,25 +65,44 @@ def measure(make_case, sizes, rounds):
 LONG = (2_001, 4_001, 20_001, 60_001, 200_001)  # samples at 200 Hz
 
 
+def relative_difference(found, expected):
+    """Largest difference beside the largest number."""
+    return np.abs(found - expected).max() / np.abs(expected).max()
+
+
 def run_long_records(rounds):
-    """Print the cost of e_j from tables against the number of samples, ten storeys and five sensors."""
-    rows, costs = [], []
+    """Print the cost of e_j and of its gradient from tables against samples, ten storeys and five sensors."""
+    rows, costs = [], {"table": [], "gradient": []}
     for size in LONG:
         record = pmf.Record(np.random.default_rng(0).standard_normal(size), 0.005)
         case = build(record, particles=512, n_dof=10, n_sensors=5)
         few = case.first(64)
-        call, march = long_records.prepare(case), batched.prepare(few)
+        calls = {
+            "table": long_records.prepare(case),
+            "gradient": long_records.prepare_gradient(case),
+            "march": batched.prepare(few),
+            "marching gradient": long_records.prepare_marching_gradient(few),
+        }
         start = time.process_time()
-        difference = np.abs(call()[:64] / march() - 1.0).max()
+        difference = np.abs(calls["table"]()[:64] / calls["march"]() - 1.0).max()
         first = time.process_time() - start
-        best = best_of_rounds({"table": call, "march": march}, rounds)
-        table_cost, march_cost = 1e6 * best["table"] / 512, 1e6 * best["march"] / 64
-        costs.append(table_cost)
-        cells = (first, march_cost, table_cost, march_cost / table_cost)
-        rows.append([f"{size:,}", *map(significant, cells), f"{difference:.0e}"])
-    rows.append(["exponent", "", "", f"{fitted_exponent(LONG, costs):.2f}", "", ""])
+        slope = relative_difference(calls["gradient"]()[:64], calls["marching gradient"]())
+        best = best_of_rounds(calls, rounds)
+        us = {name: 1e6 * s / (512 if name in costs else 64) for name, s in best.items()}
+        for name, own in costs.items():
+            own.append(us[name])
+        both = (us["table"] + us["gradient"]) / us["table"]
+        cells = (first, us["march"], us["table"], us["march"] / us["table"], us["marching gradient"])
+        cells += us["gradient"], us["marching gradient"] / us["gradient"], both
+        rows.append([f"{size:,}", *map(significant, cells), f"{difference:.0e}", f"{slope:.0e}"])
+    exponents = {name: f"{fitted_exponent(LONG, own):.2f}" for name, own in costs.items()}
+    rows.append(["exponent", "", "", exponents["table"], "", "", exponents["gradient"], "", "", "", ""])
     print("\n## Long records: us per particle, modes included (ten storeys, five sensors, 200 Hz)\n")
-    headers = ["samples N_D", "first call: s", "march", "table", "ratio", "relative difference of e_j"]
+    headers = [
+        *("samples N_D", "first call: s", "march", "table", "ratio", "gradient by the march"),
+        *("gradient from tables", "ratio", "value and gradient over value"),
+        *("relative difference of e_j", "of the gradient"),
+    ]
     print(table(headers, rows), flush=True)
 
 

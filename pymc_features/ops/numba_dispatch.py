@@ -31,6 +31,7 @@ from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradie
 from pymc_features.ops.response import StructuralResponse
 from pymc_features.simulators.compiled.dependencies import source_hash
 from pymc_features.simulators.families import count
+from pymc_features.simulators.mean_squares.population import FEWEST_ALONE
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs
 
 DISPATCH_HASH = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
@@ -47,16 +48,19 @@ OPS = (
     DiscrepancyTangent,
     PopulationGradient,
 )
+ALONE = (StructuralDiscrepancy, StructuralMisfit, MisfitGradient)  # for which there are tables
 
 
-def cache_key(op) -> str:
+def cache_key(op, length="") -> str:
     """Key of an Op's machine code: type, properties, and hashes of this file and of the kernel's source.
+
+    `length` is what is known of the data.
 
     PyTensor's own key sees neither: an edited kernel would silently run old code. A kernel that runs in
     Python is not part of the machine code.
     """
     kernel = source_hash(op.kernel.__module__) if op.spec.compiled else ""
-    return default_hash_key_from_props(op, kernel=kernel, dispatch=DISPATCH_HASH)
+    return default_hash_key_from_props(op, kernel=kernel, dispatch=DISPATCH_HASH, length=length)
 
 
 def prepared(arrays):
@@ -74,8 +78,21 @@ def _prepared(arrays):
 
 
 def funcify(op, node=None, **kwargs):
-    """Return the Op's kernel with its quantity bound."""
-    return (compiled(op) if op.spec.compiled else in_python(op, node)), cache_key(op)
+    """Return the Op's kernel with its quantity bound.
+
+    One structure under a record that is known to be long takes its tables in Python. Where only the data will
+    tell, as with `pm.Data`, both ways are there.
+    """
+    if not op.spec.compiled:
+        return in_python(op, node), cache_key(op)
+    if op.batched or not isinstance(op, ALONE):
+        return compiled(op), cache_key(op)
+    n_times = node.inputs[op.n_common].type.shape[-1]
+    if n_times is None:
+        return by_length(op, node), cache_key(op, "unknown")
+    if n_times < FEWEST_ALONE:
+        return compiled(op), cache_key(op)
+    return in_python(op, node), cache_key(op, "long")
 
 
 @functools.cache
@@ -150,6 +167,25 @@ def compiled(op):
         return kernel((*assembled(given), *given[more:directions], given[directions:]))
 
     return along_directions if op.takes_directions else structural_op
+
+
+def by_length(op, node):
+    """Compiled code, and for long records a call to Python."""
+    march, python, data = compiled(op), in_python(op, node), op.n_common
+
+    @numba_njit
+    def one_output(*inputs):
+        if inputs[data].shape[1] >= FEWEST_ALONE:
+            return np.ascontiguousarray(python(*inputs))
+        return march(*inputs)
+
+    @numba_njit
+    def several_outputs(*inputs):
+        if inputs[data].shape[1] >= FEWEST_ALONE:
+            return prepared(python(*inputs))
+        return prepared(march(*inputs))  # no longer a named tuple
+
+    return one_output if len(node.outputs) == 1 else several_outputs
 
 
 def in_python(op, node):

@@ -6,7 +6,7 @@ from pytensor.graph.basic import Apply
 from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor.blockwise import Blockwise
 
-from pymc_features.ops.base import StructuralOp, count, prepared
+from pymc_features.ops.base import StructuralOp, count
 from pymc_features.ops.comparison import (
     DiscrepancyTangent,
     MisfitGradient,
@@ -14,7 +14,10 @@ from pymc_features.ops.comparison import (
     StructuralDiscrepancy,
     StructuralMisfit,
 )
-from pymc_features.simulators.mean_squares.population import is_long, mean_squares
+from pymc_features.ops.long_records import uncopied
+from pymc_features.simulators.mean_squares.gradient.population import is_long as has_long_gradient
+from pymc_features.simulators.mean_squares.gradient.population import misfit_gradient
+from pymc_features.simulators.mean_squares.population import is_long, misfits
 
 
 class PopulationComparison(StructuralOp):
@@ -29,6 +32,13 @@ class PopulationComparison(StructuralOp):
     batched = True
     values: tuple[int, ...] = ()
     simulates = True
+
+    def run(self, inputs):
+        """From tables, where the record is long and the structure has modes."""
+        if "population_systems" in self.spec.kernels and is_long(inputs[self.at("stride")], inputs[-1]):
+            arguments, [observed] = uncopied(self, inputs)
+            return (misfits(self.spec, arguments, observed, self.kernel_name),)
+        return super().run(inputs)
 
     def make_node(self, *inputs):
         *common, observed = inputs
@@ -65,19 +75,6 @@ class PopulationDiscrepancy(PopulationComparison):
 
     kernel_name = "population_discrepancy"
 
-    def run(self, inputs):
-        """From tables, where the record is long and the structure has modes."""
-        if "population_systems" in self.spec.kernels and is_long(inputs[self.at("stride")], inputs[-1]):
-            return (mean_squares(self.spec, *self.uncopied(inputs)),)
-        return super().run(inputs)
-
-    def uncopied(self, inputs):
-        """Arguments of the kernel, and the data; no copies of record and data, known by their memory."""
-        *common, observed = inputs
-        record = self.at("acceleration")
-        known = [x if i == record else prepared(x) for i, x in enumerate(common)]
-        return self.spec.assemble(known, self.quantity_code), observed
-
 
 class PopulationMisfit(PopulationComparison):
     """All four statistics of the misfit (particle, sensor, 4)."""
@@ -92,6 +89,14 @@ class PopulationGradient(MisfitGradient):
     kernel_name = "population_gradient"
     gufunc_signature = None
     batched = True
+
+    def run(self, inputs):
+        """From tables, as in `PopulationComparison`."""
+        *_, observed, weights = inputs
+        if "gradient_of_sums" in self.spec.kernels and has_long_gradient(inputs[self.at("stride")], observed):
+            arguments, _ = uncopied(self, inputs)
+            return misfit_gradient(self.spec, arguments, observed, weights)
+        return StructuralOp.run(self, inputs)
 
     @property
     def more_signature(self):

@@ -14,6 +14,8 @@ population_discrepancy  data                                (p, s), with paramet
 population_misfit       data                                (p, s, 4)
 population_systems      data                                modes, see `mean_squares`, or None; may lack
 population_gradient     data, weights (p, s, 1) or (.., 4)  gradients in the shapes of the parameters
+gradient_systems        data                                modes of those of whom there is the following
+gradient_of_sums        sums over time, see `take_sums`     as population_gradient; both may lack
 
 What describes no structure gives NaN, in its own rows. NaN in the data is a gap: the first statistic, and
 what follows from it, is of the other samples, over the number of all; the others are NaN then. A new family
@@ -34,16 +36,21 @@ from pymc_features.simulators.chain.gradient import (
 )
 from pymc_features.simulators.chain.parameters import ChainParameters
 from pymc_features.simulators.chain.population import population_discrepancy, population_misfit
-from pymc_features.simulators.chain.population_gradient import population_gradient
+from pymc_features.simulators.chain.population_gradient import (
+    chain_gradient_of_sums,
+    population_gradient,
+)
 from pymc_features.simulators.chain.population_systems import chain_systems
 from pymc_features.simulators.chain.response import chain_discrepancy, chain_misfit, chain_response
 from pymc_features.simulators.linear.arguments import LinearParameters
 from pymc_features.simulators.linear.gradient import (
+    linear_gradient_of_sums,
     linear_misfit_gradient,
     linear_population_gradient,
     linear_response_gradient,
 )
 from pymc_features.simulators.linear.population import (
+    linear_gradient_systems,
     linear_population_discrepancy,
     linear_population_misfit,
     linear_systems,
@@ -167,6 +174,8 @@ FAMILIES = {
             "population_misfit": population_misfit,
             "population_systems": chain_systems,
             "population_gradient": population_gradient,
+            "gradient_systems": chain_systems,
+            "gradient_of_sums": chain_gradient_of_sums,
         },
         compiled=True,
         modal={"modes": chain_population_modes, "modes_gradient": chain_modes_gradient},
@@ -186,6 +195,8 @@ FAMILIES = {
             "population_misfit": linear_population_misfit,
             "population_systems": linear_systems,
             "population_gradient": linear_population_gradient,
+            "gradient_systems": linear_gradient_systems,
+            "gradient_of_sums": linear_gradient_of_sums,
         },
         constants={
             "mass": "a,e",

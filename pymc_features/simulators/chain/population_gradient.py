@@ -21,7 +21,13 @@ from pymc_features.simulators.derivatives.memory import (
     put,
     room_of_lanes,
 )
-from pymc_features.simulators.derivatives.pairs import derive_pairs, modes_apart, take_gradient
+from pymc_features.simulators.derivatives.pairs import (
+    derive_modes,
+    derive_pairs,
+    modes_apart,
+    take_gradient,
+    take_sums,
+)
 from pymc_features.simulators.oscillators.recursion import write_damping
 
 
@@ -174,7 +180,8 @@ def add_groups(rooms, parameters, excitation, wanted, observed, weights, gradien
                 put(lanes.factors, j, lane, 2.0 * weights[first + lane, j, 0] / n_times)
         write_lanes(chains.apart, 0, modes_apart(lanes, n_times * excitation.stride * step))
         sum_history(lanes, rooms[0], excitation, wanted.quantity, observed)
-        derive_pairs(lanes, step, start)
+        derive_modes(lanes, step, start)
+        derive_pairs(lanes)
         if wanted.n_modes == n:
             spread_lanes(lanes, chains)
         for lane in range(count):
@@ -201,4 +208,39 @@ def population_gradient(parameters, excitation, wanted, observed, weights):
     for p in range(weights.shape[0]):
         own, own_gradients = own_rows(parameters, p), own_rows(gradients, p)
         add_gradient(own, excitation, wanted, observed, weights[p], own_gradients)
+    return gradients
+
+
+@jit
+def spread_groups(rooms, parameters, excitation, wanted, sums, gradients):
+    """Add the gradients of a vector of chains at a time, from sums over time; `rooms` as in `add_groups`."""
+    (n_particles, n_sensors, m), n = sums[0].shape, parameters.mass.shape[1]
+    step, modes = excitation.dt / excitation.substeps, new_modes(n)
+    lanes, chains = new_gradient_lanes(rooms[0], np.zeros(n_sensors), m, 1), new_chain_lanes(rooms[1], n)
+    for first in range(0, n_particles, LANES):
+        count = min(LANES, n_particles - first)
+        solve_modes(modes, parameters, first, count)
+        fill_lanes(lanes, chains, modes, parameters, wanted, step, first)
+        take_sums(lanes, sums, first, count)
+        derive_pairs(lanes)
+        if m == n:
+            spread_lanes(lanes, chains)
+        for lane in range(count):
+            own, own_gradients = own_rows(parameters, first + lane), own_rows(gradients, first + lane)
+            if modes.valid[lane]:
+                add_lane(lanes, chains, lane, own, wanted, own_gradients)
+            else:
+                for gradient in own_gradients:
+                    gradient[:] = np.nan
+
+
+@jit
+def chain_gradient_of_sums(parameters, excitation, wanted, sums):
+    """Gradients of a population of which the sums over time are known, see `take_sums`.
+
+    No two modes of a chain may be close. Parameters and results as in `population_gradient`.
+    """
+    gradients, n = zeros_like(parameters), parameters.mass.shape[1]
+    rooms = room_of_lanes(wanted.sensors.size, wanted.n_modes, 1), room_of_chains(n)
+    spread_groups(rooms, parameters, excitation, wanted, sums, gradients)
     return gradients

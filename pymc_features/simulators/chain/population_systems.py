@@ -24,7 +24,7 @@ def chain_systems(parameters, excitation, wanted, observed):
     n_particles = check_population(parameters, excitation, wanted, observed)
     sensors, m, quantity = wanted
     n, step = parameters.mass.shape[1], excitation.dt / excitation.substeps
-    systems, modes = new_systems(n_particles, sensors.size, m, 1), new_sensor_modes(n, sensors.size)
+    systems, modes = new_systems(n_particles, sensors.size, m, 1, False), new_sensor_modes(n, sensors.size)
     kept, order = (np.zeros((m, LANES)), np.zeros((m, LANES))), np.empty(n, dtype=np.int64)
     motion = np.ones(sensors.size)
     for first in range(0, n_particles, LANES):

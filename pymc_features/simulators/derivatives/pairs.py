@@ -3,11 +3,11 @@
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import splat, where_less
+from pymc_features.simulators.compiled.vector import LANES, splat, where_less
 from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
 from pymc_features.simulators.derivatives.filters import BY_A, BY_D, BY_S, DECAY
-from pymc_features.simulators.derivatives.memory import N_FILTER, N_STATES, get
+from pymc_features.simulators.derivatives.memory import N_FILTER, N_STATES, get, put
 from pymc_features.simulators.oscillators.close_modes import CLOSE
 from pymc_features.simulators.oscillators.gradient import ModalGradient
 
@@ -68,10 +68,35 @@ def derive_modes(lanes, step, start):
 
 
 @jit
-def derive_pairs(lanes, step, start):
-    """Write the derivatives by all that the history knows of the structures, see `GradientLanes`."""
+def take_sums(lanes, sums, first, count):
+    """Write dL/dlambda, dL/dD, dL/d(Phi' L) and dL/d(S Phi) of structures `first` ... from sums over time.
+
+    `sums` are those of dL/dy_j times modal outputs (p, s, m), relative to the ground in accelerations, and
+    dL/dlambda at the same D and shapes and dL/dD, both (p, m).
+    """
+    (outputs, by_lambda, by_damping), m = sums, lanes.m
+    for lane in range(LANES):
+        p = first + min(lane, count - 1)
+        for r in range(lanes.n_modes):
+            put(lanes.by_damping, r, lane, by_damping[p, r])
+            put(lanes.by_lambda, r, lane, by_lambda[p, r])
+            for j in range(lanes.n_sensors):
+                put(lanes.by_shapes, j * m + r, lane, outputs[p, j, r])
+    for r in range(lanes.n_modes):
+        gamma, load = read_lanes(lanes.participation, r), splat(0.0)
+        for j in range(lanes.n_sensors):
+            product = read_lanes(lanes.by_shapes, j * m + r)
+            load = load + read_lanes(lanes.shapes, j * m + r) * product
+            write_lanes(lanes.by_shapes, j * m + r, gamma * product)
+        slope = read_lanes(lanes.slopes, r) * read_lanes(lanes.by_damping, r)
+        write_lanes(lanes.by_lambda, r, read_lanes(lanes.by_lambda, r) + slope)
+        write_lanes(lanes.by_load, r, load)
+
+
+@jit
+def derive_pairs(lanes):
+    """Write the derivatives by the reduced matrices, see `GradientLanes`, from those by each mode."""
     m = lanes.m
-    derive_modes(lanes, step, start)
     for r in range(lanes.n_modes):
         omega, gamma = read_lanes(lanes.omega, r), read_lanes(lanes.participation, r)
         load, own = read_lanes(lanes.by_load, r), read_lanes(lanes.by_lambda, r)

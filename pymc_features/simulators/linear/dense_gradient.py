@@ -9,7 +9,13 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, store
 from pymc_features.simulators.derivatives.history import sum_history
 from pymc_features.simulators.derivatives.memory import clear, new_gradient_lanes, put, room_of_lanes
-from pymc_features.simulators.derivatives.pairs import derive_pairs, modes_apart, take_gradient
+from pymc_features.simulators.derivatives.pairs import (
+    derive_modes,
+    derive_pairs,
+    modes_apart,
+    take_gradient,
+    take_sums,
+)
 from pymc_features.simulators.linear.dense_population import solve_dense
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, single_input
 from pymc_features.simulators.oscillators.gradient import modal_gradient
@@ -130,7 +136,8 @@ def add_groups(room, parameters, excitation, wanted, observed, weights, gradient
                     put(lanes.factors, j, lane, 2.0 * weights[first + lane, j, 0] / n_times)
         store(apart, 0, modes_apart(lanes, n_times * excitation.stride * step))
         sum_history(lanes, room, motion, quantity, observed)
-        derive_pairs(lanes, step, motion.acceleration[0])
+        derive_modes(lanes, step, motion.acceleration[0])
+        derive_pairs(lanes)
         for lane in range(count):
             own, own_gradients = own_arrays(parameters, gradients, first + lane)
             if valid[lane] and apart[0, lane] == 1.0:
@@ -155,3 +162,43 @@ def add_population_gradient(parameters, excitation, wanted, observed, weights, g
     for p in range(weights.shape[0]):
         own, own_gradients = own_arrays(parameters, gradients, p)
         add_gradient(parameters, own, excitation, wanted, observed, weights[p], own_gradients)
+
+
+@jit
+def spread_groups(room, parameters, excitation, wanted, sums, gradients):
+    """Add the gradients of a vector of structures at a time, from sums over time, see `take_sums`.
+
+    No two modes of a structure may be close; `room` and `gradients` as in `add_groups`.
+    """
+    (n_particles, n_sensors, m), n = sums[0].shape, parameters.influence.shape[0]
+    step, lanes = excitation.dt / excitation.substeps, new_gradient_lanes(room, np.zeros(n_sensors), m, 1)
+    valid, omega, rows = np.empty(LANES, dtype=np.bool_), np.empty((LANES, n)), np.empty((LANES, n, n))
+    load = np.empty((LANES, n, 1))
+    for first in range(0, n_particles, LANES):
+        count = min(LANES, n_particles - first)
+        for lane in range(LANES):
+            clear(lanes, lane)
+            if lane < count:
+                own, _ = own_arrays(parameters, gradients, first + lane)
+                found = solve_dense(parameters, own, step, n, m)
+                valid[lane], omega[lane], rows[lane], damping, load[lane] = found
+                if valid[lane]:
+                    modes = omega[lane], rows[lane], load[lane]
+                    fill_lane(lanes, lane, own, wanted.sensors, modes, damping)
+        take_sums(lanes, sums, first, count)
+        derive_pairs(lanes)
+        for lane in range(count):
+            _, own_gradients = own_arrays(parameters, gradients, first + lane)
+            if valid[lane]:
+                modes, derived = (omega[lane], rows[lane], load[lane]), take_gradient(lanes, lane)
+                spread_gradient(parameters, wanted.sensors, modes, derived, own_gradients)
+            else:
+                for gradient in own_gradients:
+                    gradient[:] = np.nan
+
+
+@jit
+def spread_population(parameters, excitation, wanted, sums, gradients):
+    """As `spread_groups`, in memory of its own."""
+    room = room_of_lanes(wanted.sensors.shape[0], wanted.n_modes, 1)
+    spread_groups(room, parameters, excitation, wanted, sums, gradients)

@@ -249,7 +249,7 @@ def dense_systems(parameters, excitation, wanted, count):
     """`Systems` of dense structures with classical damping, as `march_dense` has them; of any inputs."""
     (n_sensors, n), step = wanted.sensors.shape, excitation.dt / excitation.substeps
     n_inputs, m = parameters.influence.shape[1], wanted.n_modes
-    systems = new_systems(count, n_sensors, m, n_inputs)
+    systems = new_systems(count, n_sensors, m, n_inputs, False)
     is_there, is_alone = np.empty(LANES, dtype=np.bool_), np.ones(count, dtype=np.bool_)
     if n_inputs == 1:
         columns, stacks = wanted_columns(parameters, wanted), (parameters.mass, parameters.stiffness)

@@ -9,7 +9,11 @@ import numpy as np
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear import oscillators, state_adjoint
 from pymc_features.simulators.linear.arguments import Arguments, n_particles
-from pymc_features.simulators.linear.dense_gradient import add_gradient, add_population_gradient
+from pymc_features.simulators.linear.dense_gradient import (
+    add_gradient,
+    add_population_gradient,
+    spread_population,
+)
 from pymc_features.simulators.linear.projection import to_parameters
 from pymc_features.simulators.linear.system import solve_system
 
@@ -64,6 +68,17 @@ def linear_population_gradient(parameters, excitation, wanted, observed, weights
         for total, part in zip(sums, own, strict=True):
             total[p % total.shape[0]] += part
     return sums
+
+
+def linear_gradient_of_sums(parameters, excitation, wanted, sums) -> tuple:
+    """Gradients of a population of which the sums over time are known, see `derivatives.pairs.take_sums`.
+
+    Dense structures with classical damping under one input, without close modes. Parameters and results as in
+    `linear_population_gradient`.
+    """
+    a, totals = Arguments(parameters, excitation, wanted), tuple(map(np.zeros_like, parameters.random))
+    spread_population(parameters.for_kernel(), a.inputs, a.outputs, sums, totals)
+    return totals
 
 
 def gradient(a, history, weights):

@@ -10,6 +10,7 @@ import numpy as np
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.eigen.coupled import march_coupled
+from pymc_features.simulators.eigen.coupled_systems import fill_systems
 from pymc_features.simulators.linear.arguments import Arguments, n_particles
 from pymc_features.simulators.linear.dense_population import dense_systems, march_dense
 from pymc_features.simulators.linear.response import evaluate
@@ -75,18 +76,33 @@ def is_symmetric(stack, n) -> bool:
 
 
 def linear_systems(parameters, excitation, wanted, observed) -> Systems | None:
-    """`Systems` of all particles; None of structures with a damping matrix, which may couple their modes."""
+    """`Systems` of all particles; None of damping matrices that no kernel for complex modes takes."""
     a = Arguments(parameters, excitation, wanted)
     count, shared = n_particles(parameters), a._replace(parameters=parameters.one_of(0))
     shared.check(observed)
+    n_inputs = excitation.acceleration.shape[0]
     if not parameters.is_classical:
-        return None
+        if not (parameters.is_dense and n_inputs == 1 and is_symmetric(parameters.damping, parameters.n_dof)):
+            return None
+        systems = new_systems(count, a.shape[0], 2 * wanted.n_modes, 1, True)
+        theta = np.repeat(parameters.theta, count // len(parameters.theta), axis=0)
+        kernel = parameters._replace(theta=theta).for_kernel()
+        fill_systems(systems, kernel, a.inputs, a.outputs, writable(observed))
+        return systems
     if parameters.is_dense:
         return dense_systems(parameters.for_kernel(), a.inputs, a.outputs, count)
-    systems = new_systems(count, a.shape[0], wanted.n_modes, excitation.acceleration.shape[0])
+    systems = new_systems(count, a.shape[0], wanted.n_modes, n_inputs, False)
     for p in range(count):
         own = a._replace(parameters=parameters.one_of(p))
         system = solve_system(own)
         if system is not None:
             put_modes(systems, p, *observe(own, system))
     return systems
+
+
+def linear_gradient_systems(parameters, excitation, wanted, observed) -> Systems | None:
+    """As `linear_systems`, where `linear_gradient_of_sums` goes on from there; None elsewhere."""
+    one_input = excitation.acceleration.shape[0] == 1
+    if not (parameters.is_dense and parameters.is_classical and one_input):
+        return None
+    return linear_systems(parameters, excitation, wanted, observed)

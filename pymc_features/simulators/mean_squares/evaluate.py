@@ -35,7 +35,7 @@ def prepare_pole(own, r):
     gain_re, gain_im = load_pair(own.numbers, row + 2)
     nu_re, nu_im = load_pair(own.numbers, row + 4)
     turn_re, turn_im = product(*centre_turn(nu_re, nu_im), *load_pair(own.numbers, row + 6))
-    write_weights(own, nu_re, nu_im)
+    write_weights(own.even, own.odd, 1.0, nu_re, nu_im, own.weights)
     grown_re, grown_im, one_re, one_im, two_re, two_im = hold(sigma, omega, own.step)
     store_pair(own.grown, 2 * r, grown_re, grown_im)
     rho_re, rho_im = one_re - two_re, one_im - two_im
@@ -117,18 +117,23 @@ def finish_pole(own, r):
     n_sensors, n_inputs = own.n_sensors, own.n_inputs
     e_re, e_im = read_lanes(own.grown, 2 * r) + 1.0, read_lanes(own.grown, 2 * r + 1)
     last_re, last_im = load_pair(own.products, n_sensors + 2 * n_inputs)
+    kick_re = kick_im = splat(0.0)  # v[1]
+    for i in range(n_inputs):
+        at, first, second = 2 * (r * n_inputs + i), read_number(own.first, i), read_number(own.second, i)
+        kick_re = kick_re + (first * read_lanes(own.ahead, at) + second * read_lanes(own.now, at))
+        kick_im = kick_im + (first * read_lanes(own.ahead, at + 1) + second * read_lanes(own.now, at + 1))
     for i in range(n_inputs):
         q_re, q_im = load_pair(own.products, n_sensors + 2 * i)
-        final, first = read_number(own.final, i), read_number(own.first, i)
+        final, kick = read_number(own.final, i), read_number(own.kick, i)
         u_re, u_im = product(q_re - last_re * final, q_im - last_im * final, e_re, e_im)
         for j in range(n_sensors):
             share = read_lanes(own.feed, j * n_inputs + i) * read_lanes(own.shapes, r * n_sensors + j)
             write_lanes(own.squares, j, read_lanes(own.squares, j) + 4.0 * share * q_re)
+        q_re, q_im = q_re + kick * kick_re, q_im + kick * kick_im
         for k in range(n_inputs):
             at = 2 * (r * n_inputs + k)
-            square = read_number(own.inputs, i * n_inputs + k)
-            early = 0.5 * (square - final * read_number(own.final, k))
-            late = 0.5 * (square - first * read_number(own.first, k))
+            early = 0.5 * read_number(own.early, i * n_inputs + k)
+            late = 0.5 * read_number(own.late, i * n_inputs + k)
             rho_re, rho_im = load_pair(own.ahead, at)
             two_re, two_im = load_pair(own.now, at)
             u_re, u_im = u_re + early * rho_re, u_im + early * rho_im
@@ -140,6 +145,7 @@ def finish_pole(own, r):
     for j in range(n_sensors):
         shape = read_lanes(own.shapes, r * n_sensors + j)
         write_lanes(own.cross, j, read_lanes(own.cross, j) + shape * read_lanes(own.products, j))
+        write_lanes(own.ends, j, read_lanes(own.ends, j) + shape * (2.0 * last_re))
 
 
 @jit
@@ -160,13 +166,15 @@ def begin(own):
         write_lanes(own.squares, j, total)
         write_lanes(own.spread, j, spread)
         write_lanes(own.cross, j, splat(0.0))
+        write_lanes(own.ends, j, splat(0.0))
 
 
 @jit
-def evaluate(mesh: Mesh, sums: Sums, systems: Systems, poles: Poles, result, sizes):
-    """Write sums of squared misfits, and what their rounding errors are relative to, both (p, s).
+def evaluate(mesh: Mesh, sums: Sums, systems: Systems, poles: Poles, result, sizes, ends):
+    """Write sums of squared misfits, what their rounding errors are relative to, and last outputs, (p, s).
 
-    Rows of structures that the mesh does not serve stay as they are.
+    Rows of structures that the mesh does not serve stay as they are. The last outputs are those of the modes
+    without the feed-through.
     """
     n_sensors, n_inputs = sums.products.shape
     n_poles = poles.numbers.shape[1]
@@ -189,3 +197,4 @@ def evaluate(mesh: Mesh, sums: Sums, systems: Systems, poles: Poles, result, siz
             for j in range(n_sensors):
                 result[own[lane], j] = work.squares[j, lane] - 2.0 * work.cross[j, lane]
                 sizes[own[lane], j] = work.spread[j, lane] ** 2
+                ends[own[lane], j] = work.ends[j, lane]

@@ -1,8 +1,9 @@
 """Tables kept with their data, found again without reading these.
 
 A model asks for the same data thousands of times. They are known again by the memory in which they lie, as
-long as its owner is alive, and by some of their values; now and then all are compared (`same`). Other memory
-with the same content finds the same table by its hash.
+long as its owner is alive, and by some of their values; now and then all are compared (`same`), and always
+where the owner is gone, as it is of constants in compiled graphs. Other memory with the same content finds
+the same table by its hash.
 """
 
 import hashlib
@@ -19,26 +20,42 @@ PROBES = 64  # values of an array that are compared whenever it comes by
 
 
 class Data:
-    """Data and inputs, with their table.
+    """Data and inputs, with their tables.
 
     Attributes
     ----------
-    table : Table or None
-        None where there is none: data with gaps, numbers that are not finite.
-    until_check : int
-        Particles to be evaluated before the next comparison with the march.
+    has_tables : bool
+        Not of data with gaps, nor of numbers that are not finite.
+    until_check : dict
+        Particles to be evaluated by each kernel before the next comparison with the march.
     """
 
     def __init__(self, observed, acceleration, excitation):
         self.observed, self.acceleration = observed.copy(), acceleration.copy()
-        self.table, self.until_check = None, 0
-        if not (np.isfinite(observed).all() and np.isfinite(acceleration).all()):
-            return
-        ground = np.empty((len(acceleration), observed.shape[1]))
-        for i, row in enumerate(ground):
-            interpolate(self.acceleration[i], excitation.substeps, 0, row)
-        step = excitation.dt / excitation.substeps
-        self.table = Table(correlations(self.observed, ground, step))
+        self.grid, self.until_check, self.made = excitation[1:], {}, {}
+        self.has_tables = bool(np.isfinite(observed).all() and np.isfinite(acceleration).all())
+
+    def tables(self, n_statistics):
+        """The table of the misfit and, for four statistics, that of its increments; none if there is none."""
+        if not self.has_tables:
+            return ()
+        return tuple(self.table(of_increments) for of_increments in (False, True)[: 1 + (n_statistics == 4)])
+
+    def table(self, of_increments):
+        """The table of the misfit or of its increments, made when it is first asked for."""
+        if of_increments not in self.made:
+            dt, substeps, _ = self.grid
+            ground = np.empty((len(self.acceleration), self.observed.shape[1]))
+            for i, row in enumerate(ground):
+                interpolate(self.acceleration[i], substeps, 0, row)
+            self.made[of_increments] = Table(
+                correlations(self.observed, ground, dt / substeps, of_increments)
+            )
+        return self.made[of_increments]
+
+    def drop_tables(self):
+        """March from now on."""
+        self.has_tables, self.made = False, {}
 
     def same(self, observed, acceleration) -> bool:
         """Whether all values are those of the table."""
@@ -58,8 +75,10 @@ class Kept:
         found = self.by_memory.get(memory)
         if found is not None:
             owners, probes, data = found
-            alive = [owner() is not None for owner in owners]
-            if all(alive) and probes == probe(observed) + probe(acceleration):
+            alive = all(owner() is not None for owner in owners)
+            if probes == probe(observed) + probe(acceleration) and (
+                alive or data.same(observed, acceleration)
+            ):
                 return data
             del self.by_memory[memory]
         data = self.by_hash(observed, acceleration, excitation)

@@ -76,7 +76,10 @@ def find_poles(systems: Systems, mesh: Mesh, quantity, lowest, highest):
     for p in range(n_particles):
         for r in range(n_poles):
             sigma, omega, gain = pole_of(systems.omega[p, r % m], systems.damping[p, r % m], r >= m)
-            gain = -mesh.step * gain_of(sigma, omega, gain, quantity)
+            seen = quantity
+            if systems.in_pairs:
+                seen = RELATIVE_DISPLACEMENT if r % m < m // 2 else RELATIVE_VELOCITY
+            gain = -mesh.step * gain_of(sigma, omega, gain, seen)
             row, column, along, across = place_of(mesh, sigma, omega)
             served[p] &= row >= 0
             own = numbers[p, r]

@@ -1,6 +1,6 @@
-"""e_j of populations under long records: from a table, and by the march where that is not sure.
+"""Misfits of populations under long records: from tables, and by the march where that is not sure.
 
-A structure's numbers do not depend on the others of its population, nor on what the table was asked before.
+A structure's numbers do not depend on the others of its population, nor on what the tables were asked before.
 """
 
 import warnings
@@ -8,23 +8,27 @@ import warnings
 import numpy as np
 
 from pymc_features.exceptions import PopulationWarning
-from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.mean_squares.asked import Asked
 from pymc_features.simulators.mean_squares.evaluate import evaluate
 from pymc_features.simulators.mean_squares.kept import KEPT
-from pymc_features.simulators.mean_squares.poles import find_poles
-from pymc_features.simulators.mean_squares.table import MOST_BYTES, empty_reach
 
 FEWEST_SAMPLES = 2000  # below, the march is as fast
-CHUNK = 1024  # particles at a time
+FEWEST_ALONE, LEAST_ALONE = 4000, 80_000  # of one structure: samples, and samples times modes
 ROUNDING = 5e-15  # errors of a sum, relative to what `evaluate` calls sizes: ten times what was found
 SURE = 1e-8  # error of e_j that makes no difference to TN and EXP
 NATS = 1e-3  # error of the log-likelihood of independent samples, whose variance is near e_j
-AGREEMENT = 1e-6  # of e_j with the march
+AGREEMENT = 1e-6  # with the march
 
 
 def is_long(stride, observed) -> bool:
     """Whether tables are faster: many samples, one for each step of the recursion."""
     return stride == 1 and observed.shape[-1] >= FEWEST_SAMPLES
+
+
+def is_long_alone(stride, observed, n_modes) -> bool:
+    """Whether tables are faster for one structure, whose modes do not fill the lanes of a vector."""
+    n_times = observed.shape[-1]
+    return stride == 1 and n_times >= FEWEST_ALONE and n_times * n_modes >= LEAST_ALONE
 
 
 def mean_squares(family, arguments, observed) -> np.ndarray:
@@ -39,70 +43,75 @@ def mean_squares(family, arguments, observed) -> np.ndarray:
     observed : array (s, N)
         Data.
     """
-    parameters, given, wanted = arguments
-    data = KEPT.of(observed, given)
-    excitation = given._replace(acceleration=data.acceleration.reshape(given.acceleration.shape))
-    march, shared = family.kernels["population_discrepancy"], (excitation, wanted, data.observed)
-    rows = max(getattr(parameters, name).shape[0] for name in family.parameters)
+    return misfits(family, arguments, observed, "population_discrepancy")
 
-    def only(which):
-        """The arguments of some particles."""
-        own = {name: getattr(parameters, name) for name in family.parameters}
-        own = {name: np.ascontiguousarray(x[which]) for name, x in own.items() if x.shape[0] > 1}
-        return parameters._replace(**own), *shared
 
-    parts = []
-    for first in range(0, rows, CHUNK):
-        part = np.arange(first, min(first + CHUNK, rows))
-        systems = None if data.table is None else family.kernels["population_systems"](*only(part))
-        if systems is None:
-            return march(parameters, *shared)
-        e, is_sure = from_table(data, systems, wanted.quantity)
-        if not is_sure.all():
-            e[~is_sure] = march(*only(part[~is_sure]))
-        parts.append(e)
-    e = np.concatenate(parts)
-    if data.until_check <= 0:
-        data.until_check = observed.shape[1]
-        if not data.same(observed, np.atleast_2d(given.acceleration)):  # changed in place
+def misfits(family, arguments, observed, kernel, is_alone=False) -> np.ndarray:
+    """What a kernel gives, "population_discrepancy" (p, s) or "population_misfit" (p, s, 4).
+
+    One structure that `is_alone` is marched, where it is, by the kernels for one.
+    """
+    data = KEPT.of(observed, arguments[1])
+    asked, parts = Asked(family, arguments, data, is_alone), []
+    tables = data.tables(4 if kernel == "population_misfit" else 1)
+    if tables:
+        for part, systems, poles in asked.parts("population_systems", tables):
+            found, is_sure = from_tables(data, tables, systems, poles)
+            if not is_sure.all():
+                found[~is_sure] = asked.march(kernel, part[~is_sure])
+            parts.append(found)
+    if not parts:
+        return asked.march(kernel)
+    found = np.concatenate(parts)
+    if asked.is_due(kernel):
+        if not data.same(observed, np.atleast_2d(arguments[1].acceleration)):  # changed in place
             KEPT.forget(data)
-            return mean_squares(family, arguments, observed)
-        some = np.unique(np.linspace(0, rows - 1, LANES).astype(int))
-        if not agree(e[some], march(*only(some))):
-            data.table = None
-            return march(parameters, *shared)
-    data.until_check -= rows
-    return e
+            return misfits(family, arguments, observed, kernel, is_alone)
+        if not agree(found[asked.some], asked.march(kernel, asked.some)):
+            data.drop_tables()
+            return asked.march(kernel)
+    return found
 
 
-def from_table(data, systems, quantity):
-    """e_j (p, s), and whether they are as exact as the likelihoods need, (p,)."""
-    table, sums = data.table, data.table.of.sums
-    n_sensors, n_times = data.observed.shape
-    lowest, highest = empty_reach(table.mesh)
-    poles = find_poles(systems, table.mesh, quantity, lowest, highest)
-    n_particles = len(systems.valid)
-    if n_particles > 1 and table.size_of(lowest, highest) > MOST_BYTES:
-        half = n_particles // 2
-        halves = (type(systems)(*(x[part] for x in systems)) for part in (slice(half), slice(half, None)))
-        return tuple(
-            np.concatenate(x) for x in zip(*(from_table(data, h, quantity) for h in halves), strict=True)
-        )
-    if table.cover(lowest, highest):
-        data.until_check = 0
-    e, sizes = np.full((n_particles, n_sensors), np.nan), np.full((n_particles, n_sensors), np.inf)
-    evaluate(table.mesh, sums, systems, poles, e, sizes)
-    bound = min(SURE, 2.0 * NATS / (n_times * n_sensors))
-    is_sure = (ROUNDING * sizes <= bound * e).all(axis=1) | ~systems.valid
-    return e / n_times, is_sure
+def from_tables(data, tables, systems, poles):
+    """Statistics of the misfit (p, s) or (p, s, 4), and whether they are as exact as needed, (p,)."""
+    shape, n_times = systems.feed.shape[:2], data.observed.shape[1]
+    is_sure, squares = np.ones(len(systems.valid), dtype=bool), []
+    for table in tables:
+        e, sizes, ends = np.full(shape, np.nan), np.full(shape, np.inf), np.full(shape, np.nan)
+        evaluate(table.mesh, table.of.sums, systems, poles, e, sizes, ends)
+        is_sure &= are_sure(e, sizes, n_times)
+        squares.append((e / n_times, ends))
+    is_sure |= ~systems.valid
+    if len(tables) == 1:
+        return squares[0][0], is_sure
+    (mean_square, ends), (increment, _) = squares
+    sums, observed = tables[0].of.sums, data.observed
+    first = observed[:, 0] - systems.feed @ sums.first
+    last = observed[:, -1] - systems.feed @ sums.last - ends
+    first[~systems.valid] = np.nan
+    return np.stack([mean_square, increment, first, last], axis=-1), is_sure
 
 
-def agree(e, marched) -> bool:
-    """Whether a table and the march give the same; a vector of particles in N costs a twentieth."""
-    if np.allclose(e, marched, rtol=AGREEMENT, atol=0.0, equal_nan=True):
-        return True
+def are_sure(squares, sizes, n_times):
+    """Whether sums of squares (p, s) are as exact as the likelihoods need, (p,)."""
+    bound = min(SURE, 2.0 * NATS / (n_times * squares.shape[1]))
+    return (ROUNDING * sizes <= bound * squares).all(axis=1)
+
+
+def agree(found, marched) -> bool:
+    """Whether tables and the march give the same: e_j, or all statistics."""
+    limits = abs(marched)
+    if marched.ndim == 3:  # the first and the last misfit may be zero
+        limits = limits + np.sqrt(marched[:, :, :1]) * np.array([0.0, 0.0, 1.0, 1.0])
+    is_same = (abs(found - marched) <= AGREEMENT * limits) | (np.isnan(found) & np.isnan(marched))
+    return bool(is_same.all()) or warn_of("mean squares")
+
+
+def warn_of(what) -> bool:
+    """Warn of a table that does not agree with the march; False."""
     warnings.warn(
-        "mean squares from a table differ from those of the march through the record, which is taken from "
+        f"{what} from a table differ from those of the march through the record, which is taken from "
         "now on. Please report the model.",
         PopulationWarning,
         stacklevel=2,

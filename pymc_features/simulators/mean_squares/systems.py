@@ -21,6 +21,9 @@ class Systems(NamedTuple):
     participation : array (p, m, d)
     feed : array (p, s, d)
         What stands before the inputs in the response.
+    in_pairs : bool
+        Whether each mode is there twice, first half of the m and second half: seen by its displacement and by
+        its velocity, whatever the quantity, as complex modes are.
     """
 
     valid: np.ndarray
@@ -29,10 +32,11 @@ class Systems(NamedTuple):
     shapes: np.ndarray
     participation: np.ndarray
     feed: np.ndarray
+    in_pairs: bool
 
 
 @jit
-def new_systems(n_particles, n_sensors, n_modes, n_inputs):
+def new_systems(n_particles, n_sensors, n_modes, n_inputs, in_pairs):
     """Room for the modes of structures; none of them valid."""
     return Systems(
         np.zeros(n_particles, dtype=np.bool_),
@@ -41,6 +45,7 @@ def new_systems(n_particles, n_sensors, n_modes, n_inputs):
         np.zeros((n_particles, n_sensors, n_modes)),
         np.zeros((n_particles, n_modes, n_inputs)),
         np.zeros((n_particles, n_sensors, n_inputs)),
+        in_pairs,
     )
 
 

@@ -83,16 +83,20 @@ def real_polynomial(coefficients, n, twice, norm, x_re, x_im):
 
 
 @jit
-def write_weights(own, nu_re, nu_im):
-    """Write a_n(nu), n = -REACH ... REACH: real and imaginary parts in turn, (2 TAPS, LANES)."""
+def write_weights(even, odd, parity, nu_re, nu_im, weights):
+    """Write a_n(nu), n = -REACH ... REACH: real and imaginary parts in turn, (2 TAPS, LANES).
+
+    `even`, `odd` and `weights` are addresses; `parity` is 1.0 for F and -1.0 for its derivative.
+    """
     u_re, u_im = product(nu_re, nu_im, nu_re, nu_im)
     twice, norm = 2.0 * u_re, u_re * u_re + u_im * u_im
     for n in range(REACH + 1):
-        even_re, even_im = real_polynomial(own.even, n, twice, norm, u_re, u_im)
-        odd_re, odd_im = real_polynomial(own.odd, n, twice, norm, u_re, u_im)
+        even_re, even_im = real_polynomial(even, n, twice, norm, u_re, u_im)
+        odd_re, odd_im = real_polynomial(odd, n, twice, norm, u_re, u_im)
         odd_re, odd_im = product(odd_re, odd_im, nu_re, nu_im)
-        store_pair(own.weights, 2 * (REACH - n), even_re - odd_re, even_im - odd_im)
-        store_pair(own.weights, 2 * (REACH + n), even_re + odd_re, even_im + odd_im)
+        left_re, left_im = parity * (even_re - odd_re), parity * (even_im - odd_im)
+        store_pair(weights, 2 * (REACH - n), left_re, left_im)
+        store_pair(weights, 2 * (REACH + n), even_re + odd_re, even_im + odd_im)
 
 
 @jit

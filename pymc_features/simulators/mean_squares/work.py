@@ -31,8 +31,8 @@ class Work(NamedTuple):
         The functions of one pole of one structure.
     products : array (s + 2 d + 2, LANES)
         g'o, and C times Q and X, of one pole.
-    cross, squares, spread : array (s, LANES)
-        sum_r S_jr g_j'o_r, sum_rs S_jr S_js o_r'o_s, sum_r |S_jr| |o_r|.
+    cross, squares, spread, ends : array (s, LANES)
+        sum_r S_jr g_j'o_r, sum_rs S_jr S_js o_r'o_s, sum_r |S_jr| |o_r|, sum_r S_jr o_r[N-1].
     """
 
     numbers: np.ndarray
@@ -52,6 +52,7 @@ class Work(NamedTuple):
     cross: np.ndarray
     squares: np.ndarray
     spread: np.ndarray
+    ends: np.ndarray
 
 
 @jit
@@ -76,6 +77,7 @@ def new_work(n_poles, n_sensors, n_inputs, vectors):
         np.empty((n_sensors, LANES)),
         np.empty((n_sensors, LANES)),
         np.empty((n_sensors, LANES)),
+        np.empty((n_sensors, LANES)),
     )
 
 
@@ -89,9 +91,9 @@ class Addresses(NamedTuple):
     ----------
     values, even, odd, lag_zero : int
         Of the mesh.
-    data_squares, data_products, inputs, first, final : int
+    data_squares, data_products, inputs, early, late, first, final, second, kick : int
         Of the sums; `final` are the last samples.
-    numbers ... spread : int
+    numbers ... ends : int
         Of the memory.
     step : float
         h [s].
@@ -111,8 +113,12 @@ class Addresses(NamedTuple):
     data_squares: int
     data_products: int
     inputs: int
+    early: int
+    late: int
     first: int
     final: int
+    second: int
+    kick: int
     numbers: int
     shapes: int
     participation: int
@@ -130,6 +136,7 @@ class Addresses(NamedTuple):
     cross: int
     squares: int
     spread: int
+    ends: int
     step: float
     n_sensors: int
     n_inputs: int
@@ -154,8 +161,12 @@ def addresses(mesh, sums, work):
         sums.squares.ctypes.data,
         sums.products.ctypes.data,
         sums.inputs.ctypes.data,
+        sums.early.ctypes.data,
+        sums.late.ctypes.data,
         sums.first.ctypes.data,
         sums.last.ctypes.data,
+        sums.second.ctypes.data,
+        sums.kick.ctypes.data,
         work.numbers.ctypes.data,
         work.shapes.ctypes.data,
         work.participation.ctypes.data,
@@ -173,6 +184,7 @@ def addresses(mesh, sums, work):
         work.cross.ctypes.data,
         work.squares.ctypes.data,
         work.spread.ctypes.data,
+        work.ends.ctypes.data,
         mesh.step,
         n_sensors,
         n_inputs,
