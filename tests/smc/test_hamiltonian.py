@@ -286,7 +286,7 @@ def test_posterior_and_evidence_of_a_ring():
     assert mean_within_errors([(r.draws**2).sum(axis=1).mean() - square for r in runs])
     assert mean_within_errors([r.draws[:, 0].mean() for r in runs])
     shares = [max(s["hamiltonian_share"] for s in r.stages) for r in runs]
-    assert sum(share > 0.1 for share in shares) >= 9, "the others may do without chains, for their fits are good"
+    assert sum(share > 0.1 for share in shares) >= 9, "others may do without chains: their fits are good"
 
 
 @pytest.mark.usefixtures("by_gradients")
