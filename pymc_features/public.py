@@ -37,7 +37,7 @@ from pymc_features.ops import mean_square_discrepancy, response
 from pymc_features.placement import sensor_placement
 from pymc_features.plots import *  # noqa: F403  plot_chains, plot_loops, ...
 from pymc_features.prediction import first_passage_probability, posterior_response
-from pymc_features.records import Loading, Record
+from pymc_features.records import CyclicTest, Loading, Record
 from pymc_features.simulators import integration_error, simulate, spring_forces
 from pymc_features.smc import TMCMC, PersistentSMC, PopulationIMH, PopulationMH, SubsetSimulation, sample_smc
 from pymc_features.structures import (
@@ -49,24 +49,29 @@ from pymc_features.structures import (
     RayleighDamping,
     SpringMassChain,
 )
+from pymc_features.structures.specimens import Degradation, HystereticSpecimen, Pinching
 from pymc_features.study import paper, sampling_rate_study
 
 __all__ = [
     "AffineStructure",
     "AmbientResponse",
     "CorrelatedNormal",
+    "CyclicTest",
+    "Degradation",
     "DiscrepancySimulator",
     "DuffingChain",
     "ExpFeature",
     "GammaFeature",
     "ExternalSimulator",
     "HystereticChain",
+    "HystereticSpecimen",
     "LinearStructure",
     "Loading",
     "ModalDamping",
     "ModalData",
     "ModalFeature",
     "PersistentSMC",
+    "Pinching",
     "PopulationIMH",
     "PopulationMH",
     "ProgramSimulator",

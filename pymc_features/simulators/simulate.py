@@ -13,24 +13,33 @@ from pymc_features._checks import shown
 from pymc_features.records import DynamicLoad
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.linear.response import response_in_modes
-from pymc_features.simulators.quantities import HISTORIES, at_outputs, checked_request, force_share, rows_of
+from pymc_features.simulators.quantities import (
+    HISTORIES,
+    at_outputs,
+    checked_request,
+    force_share,
+    quantities_of,
+    rows_of,
+)
 
 if TYPE_CHECKING:
-    from pymc_features.records import Loading, Record
+    from pymc_features.records import CyclicTest, Loading, Record
     from pymc_features.structures import Structure
 
 
 def simulate(
     structure: "Structure",
-    record: "Record | Loading",
+    record: "Record | Loading | CyclicTest",
     *,
     dt: float | None = None,
     sensors: Sequence[int] | Sequence[str] | None = None,
-    quantity: str = "absolute_acceleration",
+    quantity: str | None = None,
     n_modes: int | None = None,
     outputs: ArrayLike | sparse.sparray | None = None,
 ) -> xr.DataArray:
     """Response history of a structure to a ground acceleration, Eqs. (17)-(24), or to other loads.
+
+    Of a specimen the force under its prescribed displacement.
 
     Of a linear structure exact, to rounding, for an excitation that is linear between the record's
     samples, at any output step: nothing is integrated numerically. Nonlinear structures are integrated, under
@@ -38,18 +47,18 @@ def simulate(
 
     Parameters
     ----------
-    structure : SpringMassChain, LinearStructure, AffineStructure, HystereticChain or DuffingChain
-        With numbers as parameters.
-    record : Record or Loading
+    structure : SpringMassChain, LinearStructure, AffineStructure, HystereticChain, DuffingChain, ...
+        With numbers as parameters; or a HystereticSpecimen.
+    record : Record, Loading or CyclicTest
         Ground acceleration, or, on linear structures, accelerations of several supports or forces; the
-        structure is at rest at the first sample.
+        structure is at rest at the first sample. Of a specimen the displacement that is prescribed.
     dt : float, optional
         Output step [s], an integer multiple or divisor of the record's step, which is the default.
     sensors : sequence of int or str, optional
         Degrees of freedom, or storeys of a drift, 0 next to the base; or their names, where the structure has
         any (`LinearStructure.with_names`). All by default.
-    quantity : str
-        "absolute_acceleration" [m/s^2] (default), "relative_acceleration" [m/s^2],
+    quantity : str, optional
+        "absolute_acceleration" [m/s^2] (default; of a specimen "restoring_force" [N], and no other), "relative_acceleration" [m/s^2],
         "relative_velocity" [m/s] or "relative_displacement" [m]; relative to the base,
         or to the quasi-static motion of several supports. Under forces both accelerations are the same.
         "inter_storey_drift" [m] of a chain, x_i - x_{i-1}, storey 0 against the base. "base_shear" [N], see
@@ -88,6 +97,7 @@ def simulate(
     left out by `n_modes` go to the ground statically.
     """
     check_arguments(structure, record)
+    quantity = quantities_of(structure)[0] if quantity is None else quantity
     asked, outputs = checked_request(
         structure, record, quantity, dt=dt, sensors=sensors, n_modes=n_modes, outputs=outputs
     )
