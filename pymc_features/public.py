@@ -26,6 +26,7 @@ from pymc_features.inference import (
 from pymc_features.io import (
     read_channels,
     read_channels_with_gaps,
+    read_cyclic_test,
     read_matrices,
     read_modal,
     read_record,
@@ -110,6 +111,7 @@ __all__ = [
     "propose_bands",
     "read_channels",
     "read_channels_with_gaps",
+    "read_cyclic_test",
     "read_matrices",
     "read_modal",
     "read_record",

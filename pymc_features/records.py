@@ -25,12 +25,13 @@ FILL = "Fill or cut the gap first."
 class DynamicLoad:
     """What acts on a structure that is at rest at the first sample; linear between the samples.
 
-    Structures and simulators take a `Record`, a `Loading` or a `CyclicTest` by these attributes, and by nothing else.
+    Structures and simulators take a `Record`, a `Loading` or a `CyclicTest` by these attributes, and by
+    nothing else.
 
     Attributes
     ----------
     inputs : array (input, time)
-        Accelerations of the base or the supports [m/s^2], forces [N], or a prescribed displacement [m].
+        Accelerations of the base or the supports [m/s^2], forces [N], or a displacement [m].
     is_force, is_displacement : bool
         Whether they are forces, or a prescribed displacement.
     dt : float

@@ -79,8 +79,9 @@ def response(
         Degrees of freedom, or storeys of a drift, 0 next to the base; or their names, where the structure has
         any (`LinearStructure.with_names`). All by default.
     quantity : str, optional
-        As of `simulate`: "absolute_acceleration" (default; of a specimen "restoring_force" [N]), "relative_acceleration" [m/s^2],
-        "relative_velocity" [m/s], "relative_displacement" [m], "inter_storey_drift" [m] or "base_shear" [N].
+        As of `simulate`: "absolute_acceleration" (default), "relative_acceleration" [m/s^2],
+        "relative_velocity" [m/s], "relative_displacement" [m], "inter_storey_drift" [m] or "base_shear" [N];
+        of a specimen "restoring_force" [N].
     n_modes : int, optional
         Number of modes kept, lowest first. All by default, and of a nonlinear structure always.
     outputs : array_like or sparse matrix (s, n), optional

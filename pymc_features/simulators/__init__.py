@@ -3,8 +3,8 @@
 Rooms: `compiled` (machine code), `oscillators` (uncoupled modes through time), `derivatives` (gradients of
 many structures together), `eigen` (modes of many structures together), `mean_squares` (without going through
 time), `taylor` (populations of nonlinear chains through time), `chain`, `linear`, `nonlinear` and `cyclic`
-(from the parameters of a family to its modes or states), `modal` (modes for their own sake), and above them `families`,
-the table of all kernels. Nothing here knows of PyMC or PyTensor.
+(from the parameters of a family to its modes, states or forces), `modal` (modes for their own sake), and
+above them `families`, the table of all kernels. Nothing here knows of PyMC or PyTensor.
 
 Symbols, as in the equations of the documentation:
 
@@ -51,7 +51,7 @@ from pymc_features.simulators.quantities import (
     rows_of,
 )
 from pymc_features.simulators.request import CODES, UNITS, request
-from pymc_features.simulators.simulate import simulate
+from pymc_features.simulators.simulate import simulate, times_of
 from pymc_features.simulators.spring_forces import integration_error, spring_forces
 
 __all__ = [
@@ -83,4 +83,5 @@ __all__ = [
     "rows_of",
     "simulate",
     "spring_forces",
+    "times_of",
 ]

@@ -58,11 +58,11 @@ def simulate(
         Degrees of freedom, or storeys of a drift, 0 next to the base; or their names, where the structure has
         any (`LinearStructure.with_names`). All by default.
     quantity : str, optional
-        "absolute_acceleration" [m/s^2] (default; of a specimen "restoring_force" [N], and no other), "relative_acceleration" [m/s^2],
+        "absolute_acceleration" [m/s^2] (default), "relative_acceleration" [m/s^2],
         "relative_velocity" [m/s] or "relative_displacement" [m]; relative to the base,
         or to the quasi-static motion of several supports. Under forces both accelerations are the same.
         "inter_storey_drift" [m] of a chain, x_i - x_{i-1}, storey 0 against the base. "base_shear" [N], see
-        Notes.
+        Notes. Of a specimen "restoring_force" [N], its default, and no other.
     n_modes : int, optional
         Number of modes kept, lowest first. All by default, and of a nonlinear structure always. The absolute
         acceleration keeps the ground's share of those left out.
@@ -75,7 +75,8 @@ def simulate(
     xarray.DataArray (sensor, time)
         With coordinates `sensor` (degree of freedom, its name, or row of `outputs`) and `time` [s], and the
         units in `attrs`, without those of `outputs`. Drifts have the dimension storey instead of sensor, the
-        base shear has neither, or support where there are several.
+        base shear has neither, or support where there are several. Of a specimen the coordinate
+        `displacement` (time) [m] besides.
 
     Raises
     ------
@@ -117,10 +118,18 @@ def simulate(
     return xr.DataArray(
         values if rows.dim else values[0],
         dims=dims,
-        coords=coords | {"time": ("time", asked.times(record.dt, values.shape[1]), {"units": "s"})},
+        coords=coords | times_of(record, asked, values.shape[1]),
         name=quantity,
         attrs={"units": HISTORIES[quantity].units, "record": record.name},
     )
+
+
+def times_of(record, asked, n_outputs: int) -> dict[str, tuple]:
+    """Coordinates of the output samples: times [s], and of a cyclic test its displacement [m]."""
+    coords = {"time": ("time", asked.times(record.dt, n_outputs), {"units": "s"})}
+    if record.is_displacement:
+        coords["displacement"] = "time", at_outputs(record.inputs, asked)[0], {"units": "m"}
+    return coords
 
 
 def respond(structure, record, asked, rows) -> np.ndarray:

@@ -21,10 +21,10 @@ w grows along it, and passes zero once at most: there c jumps and |w|^n has a ki
 
 References
 ----------
-T. T. Baber & Y.-K. Wen, J. Eng. Mech. Div. ASCE 107 (1981) 1069-1087 (degradation). T. T. Baber & M. N. Noori,
-J. Eng. Mech. 111 (1985) 1010-1026 and J. Vib. Acoust. 108 (1986) 411-420 (pinching). G. C. Foliente, J. Struct.
-Eng. 121 (1995) 1013-1022: h, zeta_1, zeta_2 and z_u as above, with A = 1, which no data can tell from the other
-parameters (F. Ma et al., Prob. Eng. Mech. 19 (2004) 251-260).
+T. T. Baber & Y.-K. Wen, J. Eng. Mech. Div. ASCE 107 (1981) 1069-1087 (degradation). T. T. Baber & M. N.
+Noori, J. Eng. Mech. 111 (1985) 1010-1026 and J. Vib. Acoust. 108 (1986) 411-420 (pinching). G. C. Foliente,
+J. Struct. Eng. 121 (1995) 1013-1022: h, zeta_1, zeta_2 and z_u as above, here with A = 1, which no data can
+tell from the other parameters (F. Ma et al., J. Appl. Mech. 71 (2004) 342-349).
 """
 
 from typing import NamedTuple
@@ -50,8 +50,8 @@ NAMES = (
     "severity",
 )
 N_PARAMETERS = len(NAMES)
-STIFFNESS, REACH, RATIO, SHARPNESS, BETA, GAMMA, D_NU, D_ETA, SLIP, SLIP_RATE, Q, PSI, D_PSI, SEVERITY = range(
-    N_PARAMETERS
+STIFFNESS, REACH, RATIO, SHARPNESS, BETA, GAMMA, D_NU, D_ETA, SLIP, SLIP_RATE, Q, PSI, D_PSI, SEVERITY = (
+    range(N_PARAMETERS)
 )
 
 

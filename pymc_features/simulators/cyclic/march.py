@@ -21,11 +21,11 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.cyclic.law import (
+    BETA,
     D_NU,
-    N_PARAMETERS,
-    PSI,
     D_PSI,
-    Q,
+    GAMMA,
+    PSI,
     RATIO,
     REACH,
     SEVERITY,
@@ -33,8 +33,7 @@ from pymc_features.simulators.cyclic.law import (
     SLIP,
     SLIP_RATE,
     STIFFNESS,
-    BETA,
-    GAMMA,
+    Q,
     is_specimen,
     rate,
 )
@@ -58,6 +57,7 @@ LAST = 6
 
 TOLERANCE = 1e-9  # of w and of e / (1 + e) in one step
 FIRST_STEP, LONGEST_STEP = 0.1, 1.0  # in units of d_y
+NEAR_ZERO, SMOOTH = 2e-3, 3.0  # a step at w = 0, and n from which none is needed
 MOST_STEPS = 5000  # between two displacements
 W, E, LEFT = range(3)
 
@@ -122,14 +122,20 @@ def step_error(state, slopes, step, by_w):
 
 
 @jit
-def width(law, w, e):
-    """A step that cannot miss the pinch: half its width, or half the distance to it."""
+def longest(law, w, e, columns):
+    """A step that cannot miss the pinch: half its width, or half the distance to it.
+
+    Nor, where derivatives are wanted, the singularity of |w|^n log|w| at zero, the derivative by n.
+    """
+    near = LONGEST_STEP
+    if columns and law[SHARPNESS] < SMOOTH:
+        near = max(NEAR_ZERO, 0.5 * abs(w))
     if law[SLIP] == 0.0:
-        return LONGEST_STEP
+        return near
     zeta_1 = law[SLIP] * (1.0 - np.exp(-law[SLIP_RATE] * e))
     zeta_2 = (law[PSI] + law[D_PSI] * e) * (law[SEVERITY] + zeta_1)
     z_u = ((1.0 + law[D_NU] * e) * (law[BETA] + law[GAMMA])) ** (-1.0 / law[SHARPNESS])
-    return min(LONGEST_STEP, max(0.5 * zeta_2, 0.5 * abs(w - law[Q] * z_u)))
+    return min(near, LONGEST_STEP, max(0.5 * zeta_2, 0.5 * abs(w - law[Q] * z_u)))
 
 
 @jit
@@ -140,7 +146,7 @@ def go(law, state, change, suggested, step_change, work):
         left = state[LEFT]
         if left <= 0.0:
             return suggested
-        part = min(suggested, width(law, state[W], state[E])) / left
+        part = min(suggested, longest(law, state[W], state[E], change.shape[1])) / left
         part = 1.0 if part >= 1.0 else min(part, 0.5)
         step_change[:] = part * change[LEFT]
         error = take_step(law, state, change, part * left, step_change, False, work)

@@ -126,5 +126,4 @@ class Pinching(Deterioration):
         self.severity = scalar_of(severity, "severity", unit)
 
 
-
 NO_DEGRADATION, NO_PINCHING = Degradation(), Pinching(0.0)

@@ -9,6 +9,7 @@ from pytensor.graph.basic import Variable
 from pymc_features._checks import check_number, is_number, single
 from pymc_features.records import DynamicLoad
 from pymc_features.structures.base import Structure
+from pymc_features.structures.inputs import DEGRADATION, PINCHING, scalar
 from pymc_features.structures.specimens.deterioration import (
     NO_DEGRADATION,
     NO_PINCHING,
@@ -17,7 +18,6 @@ from pymc_features.structures.specimens.deterioration import (
     Value,
     scalar_of,
 )
-from pymc_features.structures.inputs import DEGRADATION, PINCHING, scalar
 from pymc_features.structures.variables import as_float_tensor
 
 
@@ -77,8 +77,8 @@ class HystereticSpecimen(Structure):
     References
     ----------
     T. T. Baber & M. N. Noori, J. Eng. Mech. 111 (1985) 1010-1026; J. Vib. Acoust. 108 (1986) 411-420.
-    G. C. Foliente, J. Struct. Eng. 121 (1995) 1013-1022. F. Ma et al., Prob. Eng. Mech. 19 (2004) 251-260: A
-    is left out, for no data can tell it from the other parameters. S. Erlicher & N. Point, C. R. Mecanique 332
+    G. C. Foliente, J. Struct. Eng. 121 (1995) 1013-1022. F. Ma et al., J. Appl. Mech. 71 (2004) 342-349: A is
+    left out, for no data can tell it from the other parameters. S. Erlicher & N. Point, C. R. Mecanique 332
     (2004) 51-57: ``beta >= |gamma|``.
 
     Examples
@@ -137,8 +137,8 @@ class HystereticSpecimen(Structure):
     def _check_ranges(self):
         if known(self.post_yield_ratio) and self.post_yield_ratio > 1.0:
             raise ValueError(
-                f"`post_yield_ratio` must lie between 0 and 1, got {self.post_yield_ratio:g}. Pass post-yield "
-                "over initial stiffness."
+                f"`post_yield_ratio` must lie between 0 and 1, got {self.post_yield_ratio:g}. Pass "
+                "post-yield over initial stiffness."
             )
         if known(self.sharpness) and self.sharpness < 1.0:
             raise ValueError(
@@ -146,8 +146,8 @@ class HystereticSpecimen(Structure):
             )
         if known(self.beta) and known(self.gamma) and not -self.beta < self.gamma <= self.beta:
             raise ValueError(
-                f"`gamma` must lie above -beta and not exceed beta = {self.beta:g}, got {self.gamma:g}. Loops "
-                "would produce energy, or have no strength; `beta` goes with sign(d' z)."
+                f"`gamma` must lie above -beta and not exceed beta = {self.beta:g}, got {self.gamma:g}. "
+                "Loops would produce energy, or have no strength; `beta` goes with sign(d' z)."
             )
 
     def __repr__(self):
