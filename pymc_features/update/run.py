@@ -63,8 +63,9 @@ def run_update(
         measured responses and their gain; of a cyclic test force and displacement, and no modal. Of
         identified modes `/identified`, and in each likelihood `matched`, which mode each is matched with, and
         `shapes` of draws; without responses the only likelihood is MODAL, and there are neither data nor
-        bands. Of ambient vibration the likelihood is AMBIENT, with `spectra`, see `fitted_spectra`, and with the modes that the channels have. Of several
-        events `sequence`, and all else is the state after the last of them.
+        bands. Of ambient vibration the likelihood is AMBIENT, with `spectra`, see `fitted_spectra`, and with
+        the modes that the channels have. Of several events `sequence`, and all else is the state after the
+        last of them.
 
     Raises
     ------
