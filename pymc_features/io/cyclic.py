@@ -18,10 +18,10 @@ from pymc_features._checks import (
     shown,
     single,
 )
+from pymc_features.cyclic_test import CyclicTest
 from pymc_features.io.channels import check_column, check_wrapped
 from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.tables.table import Table, check_not_wrapped, parse_table
-from pymc_features.records import CyclicTest
 
 INCH, POUND = 0.0254, 4.4482216152605  # m and N, exact
 #: m and N per unit.

@@ -18,7 +18,7 @@ from pymc_features.structures.specimens.deterioration import (
     Value,
     scalar_of,
 )
-from pymc_features.structures.variables import as_float_tensor
+from pymc_features.structures.variables import as_float_tensor, unpacked
 
 
 class HystereticSpecimen(Structure):
@@ -202,8 +202,10 @@ def of_any_sign(value, name: str) -> Value:
         if not np.isfinite(number):
             raise ValueError(f"`{name}` must be finite, got {number:g}.")
         return number
-    if isinstance(value, Variable) and value.ndim == 0:
-        return as_float_tensor(value, name)
+    value = unpacked(value)
+    tensor = as_float_tensor(value, name) if isinstance(value, Variable) else None
+    if tensor is not None and not tensor.ndim:
+        return tensor
     return scalar_of(value, name, "plain numbers", allow_zero=True)
 
 

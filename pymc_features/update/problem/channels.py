@@ -9,9 +9,10 @@ import numpy as np
 import xarray as xr
 
 from pymc_features import datasets, signals
+from pymc_features.cyclic_test import CyclicTest
 from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 from pymc_features.io import read_channels, read_channels_with_gaps, read_record
-from pymc_features.records import CyclicTest, Record
+from pymc_features.records import Record
 from pymc_features.signals.channels import check_window
 from pymc_features.update.config.document import Config
 from pymc_features.update.config.messages import shown

@@ -56,6 +56,7 @@ def verdict_of_loops(problem, part) -> Verdict:
         largest = float(displacement[np.abs(error).argmax()])
         sentences.append(
             "The error is no noise but an error of the model, largest at a displacement of "
-            f"{largest:.3g} m. Let more of the specimen be uncertain, as degradation or pinching."
+            f"{largest:.3g} m. Let more of the specimen be uncertain (degradation, pinching); what is left "
+            "then is beyond its law."
         )
     return Verdict(sentences, explains)
