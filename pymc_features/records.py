@@ -25,8 +25,7 @@ FILL = "Fill or cut the gap first."
 class DynamicLoad:
     """What acts on a structure that is at rest at the first sample; linear between the samples.
 
-    Structures and simulators take a `Record`, a `Loading` or a `CyclicTest` by these attributes, and by
-    nothing else.
+    Structures and simulators take a `Record`, `Loading` or `CyclicTest` by these attributes alone.
 
     Attributes
     ----------

@@ -33,8 +33,6 @@ WITHOUT_EFFECT = (
     "events.pattern",
     "events.files",
 )
-
-
 BEYOND = 1.2  # of the highest identified frequency: modes above it are not in tables
 
 
@@ -83,7 +81,7 @@ class Problem:
 
     @property
     def is_cyclic(self) -> bool:
-        """Whether it is a specimen in a cyclic test, which has forces and no motion."""
+        """Whether it is a cyclic test, which has forces and no motion."""
         return self.config.cyclic is not None
 
     def at(self, event: Event) -> "Problem":
