@@ -87,6 +87,7 @@ def read_cyclic_test(
     Examples
     --------
     >>> import tempfile
+    >>> from pathlib import Path
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "wall.csv"
     ...     _ = path.write_text("drift [mm],load [kN]\\n0.0,0.0\\n2.0,35.5\\n-2.0,-34.0\\n")
