@@ -16,10 +16,11 @@ from pymc_features.likelihood_free import NODES
 from pymc_features.modal_features import ModalFeature
 from pymc_features.smc import KERNELS, SIMULATOR_KERNELS
 from pymc_features.structures import DAMPINGS, STRUCTURES
+from pymc_features.structures.specimens import SPECIMENS
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = {  # name between the markers -> heading of the first column, members
-    "structures": ("structure or damping", STRUCTURES + DAMPINGS),
+    "structures": ("structure or damping", STRUCTURES + SPECIMENS + DAMPINGS),
     "likelihoods": ("likelihood or node", (*LIKELIHOODS, ModalFeature, AmbientResponse, *NODES)),
     "kernels": ("sampler or kernel", (sample, *KERNELS, *SIMULATOR_KERNELS)),
 }

@@ -186,7 +186,9 @@ def read_and_tell(config, console):
         say(console, f"warning: {sentence}", "yellow")
     for event in problem.events:
         tell_channels(event.measured, console, f"{event.name}: ")
-    if problem.measured is not None and not problem.events:
+    if problem.is_cyclic:
+        say(console, f"data: {problem.measured.source}; {problem.measured.record}")
+    elif problem.measured is not None and not problem.events:
         tell_channels(problem.measured, console)
     if problem.ambient is not None:
         ambient = problem.ambient
@@ -206,12 +208,15 @@ def tell_channels(measured, console, event=""):
 
 def check(options, console):
     """Look at the data of a configuration."""
-    from pymc_features.update.expected import check_data, check_modes, check_spectra
+    from pymc_features.update.expected import check_data, check_loops, check_modes, check_spectra
 
     config = Path(options.config)
     problem, told = read_and_tell(config, console)
     out = Path(options.out or config.with_name(f"{config.stem}-check.png"))
-    drawn = {out: problem} if problem.measured is not None else {}
+    drawn = {out: problem} if problem.measured is not None and not problem.is_cyclic else {}
+    if problem.is_cyclic:
+        say(console, check_loops(problem, out))
+        say(console, f"wrote {out}")
     if problem.events:
         problems = map(problem.at, problem.events)
         drawn = {out.with_name(f"{out.stem}-{k}{out.suffix}"): one for k, one in enumerate(problems, 1)}

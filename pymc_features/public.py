@@ -3,6 +3,7 @@
 from pymc_features import datasets, exceptions, plots, signals
 from pymc_features.ambient import AmbientResponse, expected_log_spectra, log_spectra, spectral_response
 from pymc_features.calibration import calibrate, effective_samples, event_check, fill_degrees
+from pymc_features.cyclic_test import CyclicTest
 from pymc_features.distributions import (
     CorrelatedNormal,
     ExpFeature,
@@ -26,6 +27,7 @@ from pymc_features.inference import (
 from pymc_features.io import (
     read_channels,
     read_channels_with_gaps,
+    read_cyclic_test,
     read_matrices,
     read_modal,
     read_record,
@@ -49,24 +51,29 @@ from pymc_features.structures import (
     RayleighDamping,
     SpringMassChain,
 )
+from pymc_features.structures.specimens import Degradation, HystereticSpecimen, Pinching
 from pymc_features.study import paper, sampling_rate_study
 
 __all__ = [
     "AffineStructure",
     "AmbientResponse",
     "CorrelatedNormal",
+    "CyclicTest",
+    "Degradation",
     "DiscrepancySimulator",
     "DuffingChain",
     "ExpFeature",
     "GammaFeature",
     "ExternalSimulator",
     "HystereticChain",
+    "HystereticSpecimen",
     "LinearStructure",
     "Loading",
     "ModalDamping",
     "ModalData",
     "ModalFeature",
     "PersistentSMC",
+    "Pinching",
     "PopulationIMH",
     "PopulationMH",
     "ProgramSimulator",
@@ -105,6 +112,7 @@ __all__ = [
     "propose_bands",
     "read_channels",
     "read_channels_with_gaps",
+    "read_cyclic_test",
     "read_matrices",
     "read_modal",
     "read_record",

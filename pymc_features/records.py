@@ -23,16 +23,16 @@ FILL = "Fill or cut the gap first."
 
 
 class DynamicLoad:
-    """What shakes a structure that is at rest at the first sample; linear between the samples.
+    """What acts on a structure that is at rest at the first sample; linear between the samples.
 
-    Structures and simulators take a `Record` or a `Loading` by these attributes, and by nothing else.
+    Structures and simulators take a `Record`, `Loading` or `CyclicTest` by these attributes alone.
 
     Attributes
     ----------
     inputs : array (input, time)
-        Accelerations of the base or the supports [m/s^2], or forces [N].
-    is_force : bool
-        Whether they are forces.
+        Accelerations of the base or the supports [m/s^2], forces [N], or a displacement [m].
+    is_force, is_displacement : bool
+        Whether they are forces, or a prescribed displacement.
     dt : float
         Sampling interval [s].
     name : str
@@ -41,6 +41,7 @@ class DynamicLoad:
 
     inputs: np.ndarray
     is_force: bool = False
+    is_displacement: bool = False
     dt: float
     name: str
 

@@ -4,6 +4,7 @@ from os import PathLike
 
 from pymc_features._checks import check_path, check_step
 from pymc_features.io.channels import check_column, check_wrapped, read_channels, read_channels_with_gaps
+from pymc_features.io.cyclic import read_cyclic_test
 from pymc_features.io.formats import FORMATS, format_of
 from pymc_features.io.matrices import read_matrices
 from pymc_features.io.modal import read_modal
@@ -16,6 +17,7 @@ __all__ = [
     "FORMATS",
     "read_channels",
     "read_channels_with_gaps",
+    "read_cyclic_test",
     "read_matrices",
     "read_modal",
     "read_record",

@@ -13,6 +13,7 @@ from pymc_features._checks import check_integer
 from pymc_features.modal_features.operations import StructuralModes
 from pymc_features.ops.response import as_data
 from pymc_features.records import Record
+from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.request import check_outputs, check_sensors, picked_by_name
 from pymc_features.structures import Structure
 from pymc_features.structures.base import static_length
@@ -102,6 +103,8 @@ def modes(
             f"`structure` must be a Structure, got {type(structure).__name__}. "
             "Pass for example a SpringMassChain."
         )
+    if not FAMILIES[structure.family].modal:
+        structure.modes()  # which says why there are none
     n, most = structure.n_dof, structure.n_modes
     if n_modes is None:
         n_modes = most

@@ -7,7 +7,7 @@ import pytensor.tensor as pt
 from pytensor.graph.basic import Constant, Variable
 from pytensor.graph.op import Op
 
-from pymc_features.simulators import FAMILIES, QUANTITIES, n_outputs
+from pymc_features.simulators import CODES, FAMILIES, n_outputs
 from pymc_features.simulators.families import count
 
 
@@ -17,7 +17,7 @@ class StructuralOp(Op):
     Parameters
     ----------
     quantity : str
-        One of `simulators.QUANTITIES`.
+        A key of `simulators.CODES`.
     family : str
         A key of `simulators.FAMILIES`; it fixes the inputs. Everything else the kernels read is an input of
         the node, so that equal Ops always do the same.
@@ -45,7 +45,7 @@ class StructuralOp(Op):
     def __init__(self, quantity: str = "absolute_acceleration", family: str = "chain"):
         self.quantity = quantity
         self.family = family
-        self.quantity_code = QUANTITIES.index(quantity)
+        self.quantity_code = CODES[quantity]
         self.names = tuple(self.spec.inputs)
         self.n_parameters, self.n_common = len(self.spec.parameters), len(self.names)
 

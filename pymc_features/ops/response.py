@@ -18,11 +18,19 @@ from scipy import sparse
 
 from pymc_features._checks import shown
 from pymc_features.algebra import to_dense
+from pymc_features.cyclic_test import CyclicTest
 from pymc_features.ops.base import StructuralOp
 from pymc_features.ops.external import ExternalResponse
 from pymc_features.ops.gradient import ResponseGradient
-from pymc_features.records import Loading, Record
-from pymc_features.simulators import HISTORIES, at_outputs, checked_request, force_share, rows_of
+from pymc_features.records import DynamicLoad, Loading, Record
+from pymc_features.simulators import (
+    HISTORIES,
+    at_outputs,
+    checked_request,
+    force_share,
+    quantities_of,
+    rows_of,
+)
 from pymc_features.structures import Structure
 
 
@@ -48,11 +56,11 @@ class StructuralResponse(StructuralOp):
 
 def response(
     structure: Structure,
-    record: Record | Loading,
+    record: Record | Loading | CyclicTest,
     *,
     dt: float | TensorVariable | None = None,
     sensors: Sequence[int] | Sequence[str] | None = None,
-    quantity: str = "absolute_acceleration",
+    quantity: str | None = None,
     n_modes: int | None = None,
     outputs: ArrayLike | sparse.sparray | None = None,
 ) -> TensorVariable:
@@ -60,20 +68,21 @@ def response(
 
     Parameters
     ----------
-    structure : SpringMassChain, LinearStructure, AffineStructure, HystereticChain or DuffingChain
-        Its parameters may be random variables.
-    record : Record or Loading
+    structure : SpringMassChain, LinearStructure, AffineStructure, HystereticChain, DuffingChain, ...
+        Its parameters may be random variables; or a HystereticSpecimen.
+    record : Record, Loading or CyclicTest
         Ground acceleration, or, on linear structures, accelerations of several supports or forces; the
-        structure is at rest at the first sample.
+        structure is at rest at the first sample. Of a specimen the displacement that is prescribed.
     dt : float or pm.Data, optional
         Output step [s], an integer multiple or divisor of the record's step, which is the default. As
         data it can be changed together with the measurements, without compiling the model anew.
     sensors : sequence of int or str, optional
         Degrees of freedom, or storeys of a drift, 0 next to the base; or their names, where the structure has
         any (`LinearStructure.with_names`). All by default.
-    quantity : str
+    quantity : str, optional
         As of `simulate`: "absolute_acceleration" (default), "relative_acceleration" [m/s^2],
-        "relative_velocity" [m/s], "relative_displacement" [m], "inter_storey_drift" [m] or "base_shear" [N].
+        "relative_velocity" [m/s], "relative_displacement" [m], "inter_storey_drift" [m] or "base_shear" [N];
+        of a specimen "restoring_force" [N].
     n_modes : int, optional
         Number of modes kept, lowest first. All by default, and of a nonlinear structure always.
     outputs : array_like or sparse matrix (s, n), optional
@@ -113,6 +122,7 @@ def response(
     (2, 3)
     """
     check_arguments(structure, record)
+    quantity = quantities_of(structure)[0] if quantity is None else quantity
     step = dt.get_value() if isinstance(dt, SharedVariable) else dt
     asked, outputs = checked_request(
         structure, record, quantity, dt=step, sensors=sensors, n_modes=n_modes, outputs=outputs
@@ -171,7 +181,7 @@ def check_arguments(structure, record):
             f"`structure` must be a Structure, got {type(structure).__name__}. "
             "Pass for example a SpringMassChain."
         )
-    if not isinstance(record, Record | Loading):
+    if not isinstance(record, DynamicLoad):
         raise TypeError(
             f"`record` must be a Record, got {type(record).__name__}. "
             "Use read_record(path) or Record(acceleration, dt)."

@@ -1,36 +1,54 @@
-"""Hysteresis loops: force against drift of the springs that yield most."""
+"""Hysteresis loops: of the springs that yield most, or of the specimen of a cyclic test."""
 
 from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
 
-from pymc_features._checks import message, shown
+from pymc_features._checks import as_numbers, message, shown
 from pymc_features.plots.drawing.axes import AxesLike, checked_axes, chosen_among, set_figure_title
+from pymc_features.plots.drawing.cyclic import draw_test
 
 
 def plot_loops(
-    result: xr.DataTree, springs: int | Sequence[int] | None = None, axes: AxesLike = None
+    result: xr.DataTree | xr.Dataset,
+    springs: int | Sequence[int] | None = None,
+    axes: AxesLike = None,
+    *,
+    measured: xr.DataArray | ArrayLike | None = None,
 ) -> np.ndarray:
     """Force of springs against their drift at the true parameter, and the displacement at which they yield.
 
+    Or the force of a specimen against its displacement, in three consecutive parts of a cyclic test: band and
+    median under the posterior, and what was measured.
+
     Parameters
     ----------
-    result : DataTree
-        From `sampling_rate_study`, of a structure whose springs can yield.
+    result : DataTree or Dataset
+        From `sampling_rate_study`, of a structure whose springs can yield; or from `posterior_response`, of a
+        `HystereticSpecimen`.
     springs : int or sequence of int, optional
         Springs to draw, 0 next to the base; by default the three whose peak drift is the largest multiple of
         their yield displacement, the largest first.
     axes : matplotlib Axes or sequence of them, optional
-        One for each spring; a new figure by default.
+        One for each spring, or for each of the three parts; a new figure by default.
+    measured : DataArray or array_like (sensor, time) or (time,), optional
+        Measured force [N] of a specimen, as of `read_cyclic_test`.
 
     Returns
     -------
     array of matplotlib Axes
     """
+    if isinstance(result, xr.Dataset):
+        return loops_of_specimen(result, springs, measured, axes)
+    if measured is not None:
+        raise ValueError("`measured` must be left out for a study, got it. Its loops are simulated.")
     if not isinstance(result, xr.DataTree):
         raise TypeError(
-            message("result", "a DataTree", shown(result), "Pass what sampling_rate_study() returned.")
+            message(
+                "result", "a DataTree or Dataset", shown(result), "Pass what sampling_rate_study() returned."
+            )
         )
     if "loops" not in result.children:
         raise ValueError(
@@ -58,3 +76,25 @@ def plot_loops(
         )
     axes[0].set_ylabel("force [N]")
     return axes
+
+
+def loops_of_specimen(result, springs, measured, axes) -> np.ndarray:
+    """Loops under the posterior, from `posterior_response`."""
+    if springs is not None:
+        raise ValueError(f"`springs` must be left out for a specimen, got {shown(springs)}. It is one.")
+    if "restoring_force" not in result or "displacement" not in result.coords:
+        raise ValueError(
+            "`result` must have the restoring_force of a specimen, got a Dataset without. Pass what "
+            'posterior_response(idata, specimen, test, "restoring_force") returned.'
+        )
+    force = result["restoring_force"].isel(sensor=0).transpose("quantile", "time")
+    displacement, probabilities = force["displacement"].values, force["quantile"].values
+    if measured is not None:
+        measured = np.ravel(as_numbers(measured, "measured"))
+        if measured.size != displacement.size:
+            raise ValueError(
+                f"`measured` must have the {displacement.size} samples of the result, got {measured.size}."
+            )
+    bands = force.values[[0, force.sizes["quantile"] // 2, -1]]
+    share = 100.0 * (probabilities[-1] - probabilities[0])
+    return draw_test(displacement, bands, measured, axes, f"{share:g} %")

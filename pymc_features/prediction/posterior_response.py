@@ -9,17 +9,18 @@ from numpy.typing import ArrayLike
 from pymc.util import RandomGenerator
 
 from pymc_features._checks import as_numbers, check_texts, message, shown
+from pymc_features.cyclic_test import CyclicTest
 from pymc_features.prediction.draws import ResponseOptions, check_records, response_options, structure_draws
 from pymc_features.prediction.simulated import largest
 from pymc_features.records import Loading, Record
-from pymc_features.simulators import HISTORIES
+from pymc_features.simulators import HISTORIES, times_of
 from pymc_features.structures import Structure
 
 
 def posterior_response(
     idata: xr.DataTree | xr.Dataset,
     structure: Callable[..., Structure],
-    record: Record | Loading,
+    record: Record | Loading | CyclicTest,
     quantities: str | Sequence[str] = ("absolute_acceleration",),
     *,
     draws: int = 500,
@@ -42,11 +43,12 @@ def posterior_response(
         Function of variables of the posterior, matched by the names of its parameters, that returns a
         structure, any that `simulate` takes, such as `lambda theta: paper.chain(theta)`. It is called with
         the numbers or arrays of one draw. Parameters that the posterior does not have keep their default.
-    record : Record or Loading
+    record : Record, Loading or CyclicTest
         Ground acceleration, of the inference or another; or, on linear structures, accelerations of several
-        supports or forces.
+        supports or forces; or, of specimens, the displacement.
     quantities : str or sequence of str
-        Those of `simulate`, "inter_storey_drift" of chains and "base_shear" among them.
+        Those of `simulate`, "inter_storey_drift" of chains and "base_shear" among them. Specimens have
+        "restoring_force" only, which must be named.
     draws : int
         At most so many draws, equally many of each chain (but one at least), evenly spaced.
     quantiles : array_like
@@ -109,7 +111,8 @@ def posterior_response(
         parts = {}
         for name in names:
             parts |= describe(chosen.ensemble, name, quantiles)
-        return xr.Dataset(parts, chosen.labels, chosen.attrs | {"record": record.name})
+        times = times_of(record, chosen.ensemble.wanted.requests[0], len(chosen.ensemble.times(0)))
+        return xr.Dataset(parts, chosen.labels | times, chosen.attrs | {"record": record.name})
 
 
 def describe(ensemble, name, quantiles) -> dict:

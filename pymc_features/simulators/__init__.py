@@ -2,9 +2,9 @@
 
 Rooms: `compiled` (machine code), `oscillators` (uncoupled modes through time), `derivatives` (gradients of
 many structures together), `eigen` (modes of many structures together), `mean_squares` (without going through
-time), `taylor` (populations of nonlinear chains through time), `chain`, `linear` and `nonlinear` (from the
-parameters of a family to its modes or states), `modal` (modes for their own sake), and above them `families`,
-the table of all kernels. Nothing here knows of PyMC or PyTensor.
+time), `taylor` (populations of nonlinear chains through time), `chain`, `linear`, `nonlinear` and `cyclic`
+(from the parameters of a family to its modes, states or forces), `modal` (modes for their own sake), and
+above them `families`, the table of all kernels. Nothing here knows of PyMC or PyTensor.
 
 Symbols, as in the equations of the documentation:
 
@@ -42,12 +42,20 @@ from pymc_features.simulators.chain.population_gradient import population_gradie
 from pymc_features.simulators.chain.response import chain_discrepancy, chain_misfit, chain_response
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation, Outputs, n_outputs
-from pymc_features.simulators.quantities import HISTORIES, at_outputs, checked_request, force_share, rows_of
-from pymc_features.simulators.request import UNITS, request
-from pymc_features.simulators.simulate import simulate
+from pymc_features.simulators.quantities import (
+    HISTORIES,
+    at_outputs,
+    checked_request,
+    force_share,
+    quantities_of,
+    rows_of,
+)
+from pymc_features.simulators.request import CODES, UNITS, request
+from pymc_features.simulators.simulate import simulate, times_of
 from pymc_features.simulators.spring_forces import integration_error, spring_forces
 
 __all__ = [
+    "CODES",
     "FAMILIES",
     "HISTORIES",
     "QUANTITIES",
@@ -65,6 +73,7 @@ __all__ = [
     "force_share",
     "integration_error",
     "n_outputs",
+    "quantities_of",
     "population_discrepancy",
     "population_gradient",
     "population_misfit",
@@ -74,4 +83,5 @@ __all__ = [
     "rows_of",
     "simulate",
     "spring_forces",
+    "times_of",
 ]

@@ -42,6 +42,8 @@ from pymc_features.simulators.chain.population_gradient import (
 )
 from pymc_features.simulators.chain.population_systems import chain_systems
 from pymc_features.simulators.chain.response import chain_discrepancy, chain_misfit, chain_response
+from pymc_features.simulators.cyclic.kernels import KERNELS as OF_SPECIMENS
+from pymc_features.simulators.cyclic.law import SpecimenParameters
 from pymc_features.simulators.linear.arguments import LinearParameters
 from pymc_features.simulators.linear.gradient import (
     linear_gradient_of_sums,
@@ -85,12 +87,13 @@ class Family(NamedTuple):
     constants : dict
         Name and shape of what all particles share, float64; integers if the name is in `integers`.
     excitation, sensors : str
-        Shapes: one ground acceleration or several inputs; degrees of freedom, or a matrix S of outputs.
+        Shapes: one ground acceleration (of a specimen: its displacement) or several inputs; degrees of
+        freedom, or a matrix S of outputs.
     compiled : bool
         Whether the kernels can be called from compiled code.
     modal : dict
         The functions of `modal`, of a population: parameters and `Outputs` in, and a `Cotangent` for the
-        gradient.
+        gradient. None where there is no mass.
     """
 
     arguments: type
@@ -212,6 +215,7 @@ FAMILIES = {
         sensors="s,n",
         modal={"modes": linear_population_modes, "modes_gradient": linear_modes_gradient},
     ),
+    "specimen": Family(SpecimenParameters, {"law": "l"}, OF_SPECIMENS),
 }
 SMALL_MOTIONS = {"modes": small_motion_modes, "modes_gradient": small_motion_gradient}
 FAMILIES |= {

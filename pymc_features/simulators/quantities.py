@@ -6,7 +6,15 @@ import numpy as np
 
 from pymc_features._checks import check_choice, shown
 from pymc_features.simulators.oscillators.arguments import QUANTITIES
-from pymc_features.simulators.request import UNITS, Picked, Request, check_outputs, picked_by_name, request
+from pymc_features.simulators.request import (
+    RESTORING_FORCE,
+    UNITS,
+    Picked,
+    Request,
+    check_outputs,
+    picked_by_name,
+    request,
+)
 
 
 class Response(NamedTuple):
@@ -19,7 +27,7 @@ class Response(NamedTuple):
 
 # Names that users type; the kernels know those of `QUANTITIES` only. The dimension support is left out where
 # there is one support.
-HISTORIES = {name: Response(name, "sensor", UNITS[name]) for name in QUANTITIES} | {
+HISTORIES = {name: Response(name, "sensor", unit) for name, unit in UNITS.items()} | {
     "inter_storey_drift": Response("relative_displacement", "storey", "m"),
     "base_shear": Response("absolute_acceleration", "support", "N"),
 }
@@ -55,6 +63,13 @@ class Rows(NamedTuple):
         return self.picked @ values if self.picked.ndim == 2 else values[self.picked]
 
 
+def quantities_of(structure) -> list[str]:
+    """Quantities that a structure has, the usual one first."""
+    if structure.family == "specimen":
+        return [RESTORING_FORCE]
+    return [name for name in HISTORIES if name != RESTORING_FORCE]
+
+
 def rows_of(structure, quantity: str, asked: Request, outputs=None) -> Rows:
     """Rows of a quantity; sensors stand for storeys in a drift, and for nothing in a shear."""
     sensors, labels = asked.sensors, asked.labels
@@ -78,8 +93,11 @@ def checked_request(structure, record, quantity, *, dt=None, sensors=None, n_mod
     ------
     ValueError
         If an argument is out of range or has no meaning for the structure or the quantity.
+    TypeError
+        If the record cannot act on the structure.
     """
-    check_choice(quantity, "quantity", HISTORIES)
+    structure.check_load(record)
+    check_choice(quantity, "quantity", quantities_of(structure))
     if n_modes is not None and not structure.is_linear:
         raise ValueError(
             f"`n_modes` must be left out for a nonlinear structure, got {shown(n_modes)}. "

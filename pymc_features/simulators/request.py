@@ -23,7 +23,9 @@ from pymc_features.simulators.oscillators.arguments import QUANTITIES
 
 FINEST = 1e-6  # output step over the record's
 
-UNITS = dict(zip(QUANTITIES, ("m/s^2", "m/s^2", "m/s", "m"), strict=True))
+RESTORING_FORCE = "restoring_force"  # the only quantity of a specimen
+UNITS = dict(zip(QUANTITIES, ("m/s^2", "m/s^2", "m/s", "m"), strict=True)) | {RESTORING_FORCE: "N"}
+CODES = {name: code for code, name in enumerate(QUANTITIES)} | {RESTORING_FORCE: 0}
 
 
 class Request(NamedTuple):
@@ -42,7 +44,7 @@ class Request(NamedTuple):
     @property
     def quantity_code(self) -> int:
         """What the kernels call the quantity."""
-        return QUANTITIES.index(self.quantity)
+        return CODES[self.quantity]
 
     def n_outputs(self, n_times: int) -> int:
         """Number of output samples for a record of `n_times` samples."""
@@ -71,7 +73,7 @@ def request(
         With a message that names the argument, what it was and what to pass.
     """
     substeps, stride = sampling_grid(record_dt, dt)
-    check_choice(quantity, "quantity", QUANTITIES)
+    check_choice(quantity, "quantity", CODES)
     most_modes = n_dof if most_modes is None else most_modes
     n_modes = most_modes if n_modes is None else n_modes
     n_modes = check_integer(n_modes, "n_modes", most=most_modes, advice="Leave it out for all modes.")

@@ -13,24 +13,34 @@ from pymc_features._checks import shown
 from pymc_features.records import DynamicLoad
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.linear.response import response_in_modes
-from pymc_features.simulators.quantities import HISTORIES, at_outputs, checked_request, force_share, rows_of
+from pymc_features.simulators.quantities import (
+    HISTORIES,
+    at_outputs,
+    checked_request,
+    force_share,
+    quantities_of,
+    rows_of,
+)
 
 if TYPE_CHECKING:
+    from pymc_features.cyclic_test import CyclicTest
     from pymc_features.records import Loading, Record
     from pymc_features.structures import Structure
 
 
 def simulate(
     structure: "Structure",
-    record: "Record | Loading",
+    record: "Record | Loading | CyclicTest",
     *,
     dt: float | None = None,
     sensors: Sequence[int] | Sequence[str] | None = None,
-    quantity: str = "absolute_acceleration",
+    quantity: str | None = None,
     n_modes: int | None = None,
     outputs: ArrayLike | sparse.sparray | None = None,
 ) -> xr.DataArray:
     """Response history of a structure to a ground acceleration, Eqs. (17)-(24), or to other loads.
+
+    Of a specimen the force under its prescribed displacement.
 
     Of a linear structure exact, to rounding, for an excitation that is linear between the record's
     samples, at any output step: nothing is integrated numerically. Nonlinear structures are integrated, under
@@ -38,22 +48,22 @@ def simulate(
 
     Parameters
     ----------
-    structure : SpringMassChain, LinearStructure, AffineStructure, HystereticChain or DuffingChain
-        With numbers as parameters.
-    record : Record or Loading
+    structure : SpringMassChain, LinearStructure, AffineStructure, HystereticChain, DuffingChain, ...
+        With numbers as parameters; or a HystereticSpecimen.
+    record : Record, Loading or CyclicTest
         Ground acceleration, or, on linear structures, accelerations of several supports or forces; the
-        structure is at rest at the first sample.
+        structure is at rest at the first sample. Of a specimen the displacement that is prescribed.
     dt : float, optional
         Output step [s], an integer multiple or divisor of the record's step, which is the default.
     sensors : sequence of int or str, optional
         Degrees of freedom, or storeys of a drift, 0 next to the base; or their names, where the structure has
         any (`LinearStructure.with_names`). All by default.
-    quantity : str
+    quantity : str, optional
         "absolute_acceleration" [m/s^2] (default), "relative_acceleration" [m/s^2],
         "relative_velocity" [m/s] or "relative_displacement" [m]; relative to the base,
         or to the quasi-static motion of several supports. Under forces both accelerations are the same.
         "inter_storey_drift" [m] of a chain, x_i - x_{i-1}, storey 0 against the base. "base_shear" [N], see
-        Notes.
+        Notes. Of a specimen "restoring_force" [N], its default, and no other.
     n_modes : int, optional
         Number of modes kept, lowest first. All by default, and of a nonlinear structure always. The absolute
         acceleration keeps the ground's share of those left out.
@@ -66,7 +76,8 @@ def simulate(
     xarray.DataArray (sensor, time)
         With coordinates `sensor` (degree of freedom, its name, or row of `outputs`) and `time` [s], and the
         units in `attrs`, without those of `outputs`. Drifts have the dimension storey instead of sensor, the
-        base shear has neither, or support where there are several.
+        base shear has neither, or support where there are several. Of a specimen the coordinate
+        `displacement` (time) [m] besides.
 
     Raises
     ------
@@ -88,6 +99,7 @@ def simulate(
     left out by `n_modes` go to the ground statically.
     """
     check_arguments(structure, record)
+    quantity = quantities_of(structure)[0] if quantity is None else quantity
     asked, outputs = checked_request(
         structure, record, quantity, dt=dt, sensors=sensors, n_modes=n_modes, outputs=outputs
     )
@@ -107,10 +119,18 @@ def simulate(
     return xr.DataArray(
         values if rows.dim else values[0],
         dims=dims,
-        coords=coords | {"time": ("time", asked.times(record.dt, values.shape[1]), {"units": "s"})},
+        coords=coords | times_of(record, asked, values.shape[1]),
         name=quantity,
         attrs={"units": HISTORIES[quantity].units, "record": record.name},
     )
+
+
+def times_of(record, asked, n_outputs: int) -> dict[str, tuple]:
+    """Coordinates of the output samples: times [s], and of a cyclic test its displacement [m]."""
+    coords = {"time": ("time", asked.times(record.dt, n_outputs), {"units": "s"})}
+    if record.is_displacement:
+        coords["displacement"] = "time", at_outputs(record.inputs, asked)[0], {"units": "m"}
+    return coords
 
 
 def respond(structure, record, asked, rows) -> np.ndarray:

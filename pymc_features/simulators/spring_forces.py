@@ -86,8 +86,8 @@ def _histories(structure, record, codes, *, dt=None, refine=1):
     check_arguments(structure, record)
     if structure.family not in NONLINEAR:
         raise TypeError(
-            f"`structure` must be a nonlinear chain, got {type(structure).__name__}. "
-            "Its response is exact and its springs are linear: use `simulate`."
+            f"`structure` must be a nonlinear chain, got {type(structure).__name__}. Use `simulate`, which "
+            "of a linear structure is exact."
         )
     asked = request(structure.n_dof, record.dt, dt=dt)
     values = nonlinear_histories(

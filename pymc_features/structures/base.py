@@ -80,6 +80,14 @@ class Structure(ABC):
             )
         return record.acceleration
 
+    def check_load(self, record: DynamicLoad) -> None:
+        """Refuse a load that cannot act on it."""
+        if record.is_displacement:
+            raise TypeError(
+                f"`record` must be a Record for a {type(self).__name__}, got {type(record).__name__}. Only a "
+                "HystereticSpecimen follows a prescribed displacement."
+            )
+
     @abstractmethod
     def matrices(self) -> "Matrices":
         """Return mass [kg], damping [N s/m] and (initial) stiffness [N/m] matrices, each (n, n)."""

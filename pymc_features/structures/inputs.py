@@ -17,6 +17,8 @@ class Kind(Enum):
     MATRICES = "a list of constant matrices, some of them left out"
     DAMPING = "a damping"
     DAMPING_OR_MATRIX = "a damping or a constant matrix"
+    DEGRADATION = "a degradation, or nothing"
+    PINCHING = "a pinching, or nothing"
 
 
 class Input(NamedTuple):
@@ -41,3 +43,5 @@ MATRIX = Input(Kind.MATRIX)
 MATRICES = Input(Kind.MATRICES)
 DAMPING = Input(Kind.DAMPING)
 DAMPING_OR_MATRIX = Input(Kind.DAMPING_OR_MATRIX)
+DEGRADATION = Input(Kind.DEGRADATION)
+PINCHING = Input(Kind.PINCHING)

@@ -3,9 +3,11 @@
 import warnings
 
 import numpy as np
+import xarray as xr
 
 from pymc_features import plots
-from pymc_features.exceptions import ModalMatchWarning
+from pymc_features.exceptions import ModalMatchWarning, PredictionWarning
+from pymc_features.prediction import posterior_response
 from pymc_features.storage import write_atomically
 from pymc_features.update.predict_modes import expected, matched, shapes
 from pymc_features.update.problem.channels import base_and_sensors
@@ -14,6 +16,7 @@ from pymc_features.update.report.spectra import draw_spectra
 from pymc_features.update.report.terminal import gains_table, modes_table
 
 DPI = 120
+DRAWS = 200
 
 
 def check_data(problem, path) -> list:
@@ -21,6 +24,24 @@ def check_data(problem, path) -> list:
     write_figure(plots.plot_channels(base_and_sensors(problem.measured)), path)
     gains = problem.measured.checked.gains
     return [] if gains is None else [gains_table(gains)]
+
+
+def check_loops(problem, path) -> str:
+    """Draw measured loops and what the priors expect of them into a file; say how much of it they hold."""
+    names = problem.structure.names
+    columns = {
+        name: (("chain", "draw"), problem.priors[name].draw(DRAWS, k)[None]) for k, name in enumerate(names)
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PredictionWarning)  # priors may reach beyond what a specimen is
+        found = posterior_response(
+            xr.Dataset(columns), problem.structure, problem.measured.record, "restoring_force", draws=DRAWS
+        )
+    force = problem.measured.channels
+    write_figure(plots.plot_loops(found, measured=force), path)
+    low, *_, high = found["restoring_force"].transpose("quantile", "sensor", "time").values
+    share = float(np.mean((force.values >= low) & (force.values <= high)))
+    return f"{100.0 * share:.0f} % of the measured forces lie within what the priors expect (5 to 95 %)"
 
 
 def check_spectra(problem, path) -> str:

@@ -34,17 +34,20 @@ def bands(problem, kind, model, idata) -> xr.Dataset:
         predictive band, both without the gaps in what was measured. Peaks of other responses
         (`<quantity>_peak`) if the report asks for them.
     """
-    measured, names = problem.measured, ["absolute_acceleration", *problem.config.report.quantities]
+    measured = problem.measured
+    usual = "restoring_force" if problem.is_cyclic else "absolute_acceleration"
     settings = {"draws": DRAWS, "quantiles": QUANTILES, "random_seed": 0}
     settings |= {"dt": measured.step, "n_modes": problem.structure.n_modes}
     at_sensors = posterior_response(
-        idata, problem.structure, measured.record, names[0], sensors=problem.dofs, **settings
+        idata, problem.structure, measured.record, usual, sensors=problem.dofs, **settings
     )
     observed = measured.channels
     coords = {"quantile": list(QUANTILES), "sensor": observed["sensor"], "time": observed["time"]}
     dims = ("quantile", "sensor", "time")
-    compared = at_sensors[names[0]].values[..., measured.compared]
+    compared = at_sensors[usual].values[..., measured.compared]
     found = xr.Dataset({"response": (dims, compared)}, coords=coords)
+    if problem.is_cyclic:
+        found = found.assign_coords(displacement=("time", measured.record.displacement))
     off = observed - found["response"].sel(quantile=0.5, drop=True)
     with np.errstate(divide="ignore", invalid="ignore"):  # of a channel of zeros
         found["normalised_error"] = np.sqrt((off**2).mean("time") / (observed**2).mean("time"))

@@ -60,11 +60,12 @@ def run_update(
     DataTree
         For each likelihood `/<kind>/`, CAL first: posterior, prior, sample_stats, observed_data, bands,
         modal, and of CAL calibration, what `effective_samples` returns. And `/data`: motion of the base,
-        measured responses and their gain. Of identified modes `/identified`, and in each likelihood
-        `matched`, which mode each is matched with, and `shapes` of draws; without responses the only
-        likelihood is MODAL, and there are neither data nor bands. Of ambient vibration the likelihood is
-        AMBIENT, with `spectra`, see `fitted_spectra`, and with the modes that the channels have. Of several
-        events `sequence`, and all else is the state after the last of them.
+        measured responses and their gain; of a cyclic test force and displacement, and no modal. Of
+        identified modes `/identified`, and in each likelihood `matched`, which mode each is matched with, and
+        `shapes` of draws; without responses the only likelihood is MODAL, and there are neither data nor
+        bands. Of ambient vibration the likelihood is AMBIENT, with `spectra`, see `fitted_spectra`, and with
+        the modes that the channels have. Of several events `sequence`, and all else is the state after the
+        last of them.
 
     Raises
     ------
@@ -130,7 +131,8 @@ def run_part(problem, kind, tolerance, base, running: Running) -> xr.DataTree:
             part["bands"] = bands(problem, kind, model, idata)
         if problem.ambient is not None:
             part["spectra"] = fitted_spectra(problem, model, idata["posterior"].to_dataset())
-        part["modal"] = frequencies(problem, idata)
+        if not problem.is_cyclic:
+            part["modal"] = frequencies(problem, idata)
         if problem.modal is not None:
             part["matched"] = matched(problem, idata["posterior"].to_dataset())
     tree = xr.DataTree.from_dict(part)
@@ -258,6 +260,10 @@ def prior_draws(problem, kind) -> xr.Dataset:
 def data_of(problem) -> xr.Dataset:
     """What was measured, as figures take it."""
     measured = problem.measured
+    if problem.is_cyclic:
+        displacement = ("time", measured.record.displacement, {"units": "m"})
+        channels = measured.channels.drop_attrs().assign_attrs(units="N")
+        return xr.Dataset({"measured": channels}, {"displacement": displacement}, {"source": measured.source})
     gain, peaks = measured_gain(problem)
     given = problem.config.report.natural_frequencies
     if given is None and problem.modal is not None:

@@ -175,7 +175,9 @@ def test_memory_is_bounded():
 
 
 def test_result_saves(idata, tmp_path):
-    found = pmf.posterior_response(idata, three_storeys, SHAKE, list(simulators.HISTORIES))
+    found = pmf.posterior_response(
+        idata, three_storeys, SHAKE, simulators.quantities_of(three_storeys(100.0))
+    )
     found.to_netcdf(tmp_path / "bands.nc", engine="h5netcdf")
     xr.testing.assert_identical(xr.load_dataset(tmp_path / "bands.nc"), found)
     risk = pmf.first_passage_probability(idata, three_storeys, [SHAKE, OTHER], [0.01, 0.1])

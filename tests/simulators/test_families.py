@@ -27,15 +27,16 @@ from pymc_features.ops.comparison import misfit_values
 from pymc_features.ops.response import response_step
 from pymc_features.simulators import FAMILIES
 from pymc_features.structures import STRUCTURES
-from support.families import CASES, MAIN, RAYLEIGH, TRUTH, K, measured, pulse
+from pymc_features.structures.specimens import SPECIMENS
+from support.families import CASES, CYCLIC, MAIN, RAYLEIGH, TRUTH, K, measured, pulse
 from support.graphs import PLAIN, our_ops
 from support.reference import richardson
 from support.sampling import SERIAL
 
 
 def test_every_structure_is_in_a_family_and_here():
-    assert {kind.family for kind in STRUCTURES} == set(FAMILIES)
-    built = {CASES[name][0](TRUTH).family for name in CASES}
+    assert {kind.family for kind in (*STRUCTURES, *SPECIMENS)} == set(FAMILIES)
+    built = {build(TRUTH).family for build, _ in (CASES | CYCLIC).values()}
     assert built == set(FAMILIES)
     for family in FAMILIES.values():
         for_tables = {"population_systems", "gradient_systems", "gradient_of_sums"}
@@ -57,9 +58,9 @@ def test_response_is_simulate(name, quantity):
     )
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", CASES | CYCLIC)
 def test_fused_is_unfused_and_batch_is_loop(name):
-    build, record = CASES[name]
+    build, record = (CASES | CYCLIC)[name]
     data, x, rows = measured(name), pt.vector("x", shape=(2,)), pt.matrix("rows", shape=(None, 2))
     mu = response(build(x), record)
     e, statistics = mean_square_discrepancy(mu, data), misfit_statistics(mu, data)
@@ -86,12 +87,12 @@ def test_fused_is_unfused_and_batch_is_loop(name):
     assert np.isfinite(np.delete(batched[0], 4, axis=0)).all()
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", CASES | CYCLIC)
 def test_gradients_of_one_and_of_a_population(name):
-    build, record = CASES[name]
+    build, record = (CASES | CYCLIC)[name]
     data, x, rows = measured(name), pt.vector("x", shape=(2,)), pt.matrix("rows", shape=(None, 2))
     e = mean_square_discrepancy(response(build(x), record), data)
-    weights = np.array([1.0, -2.0, 0.5])
+    weights = np.array([1.0, -2.0, 0.5])[: len(data)]
     total = pt.dot(weights, e)
     batch = vectorize_graph(total, {x: rows})
     value = pytensor.function([x], total, mode=PLAIN)
@@ -105,9 +106,9 @@ def test_gradients_of_one_and_of_a_population(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", MAIN)
+@pytest.mark.parametrize("name", (*MAIN, *CYCLIC))
 def test_numba_runs_the_same_and_keeps_its_code(name):
-    build, record = CASES[name]
+    build, record = (CASES | CYCLIC)[name]
     data, x, rows = measured(name), pt.vector("x", shape=(2,)), pt.matrix("rows", shape=(None, 2))
     e = mean_square_discrepancy(response(build(x), record), data)
     outputs = [e, vectorize_graph(e, {x: rows}), *pytensor.gradient.grad(e.sum(), [x])]
@@ -119,9 +120,9 @@ def test_numba_runs_the_same_and_keeps_its_code(name):
 
 
 def model_of(name, likelihood=TruncNormalFeature):
-    build, record = CASES[name]
+    build, record = (CASES | CYCLIC)[name]
     data = measured(name)
-    with pm.Model(coords={"sensor": range(3), "time": np.arange(data.shape[1])}) as model:
+    with pm.Model(coords={"sensor": range(len(data)), "time": np.arange(data.shape[1])}) as model:
         # below zero there is no structure, whatever the family
         x = pm.Uniform("x", -0.4, 1.6, shape=2)
         sigma = pm.Uniform("sigma", 0.0, 3.0)
@@ -130,7 +131,7 @@ def model_of(name, likelihood=TruncNormalFeature):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", MAIN)
+@pytest.mark.parametrize("name", (*MAIN, *CYCLIC))
 def test_models_sample_and_count_what_is_no_structure(name):
     model = model_of(name)
     quick = {"compile_kwargs": {"mode": "FAST_COMPILE"}, **SERIAL}
@@ -141,7 +142,7 @@ def test_models_sample_and_count_what_is_no_structure(name):
     assert abs(np.median(x, axis=(0, 1)) - 1.0).max() < 0.4
 
 
-@pytest.mark.parametrize("name", MAIN)
+@pytest.mark.parametrize("name", (*MAIN, *CYCLIC))
 def test_models_pickle_and_get_nuts(name):
     model = model_of(name)
     again = pickle.loads(cloudpickle.dumps(model))
@@ -154,9 +155,9 @@ def test_models_pickle_and_get_nuts(name):
     assert (np.linalg.eigvalsh(information) > 0).all()
 
 
-@pytest.mark.parametrize("name", MAIN)
+@pytest.mark.parametrize("name", (*MAIN, *CYCLIC))
 def test_simulator_nodes_take_any_family(name):
-    build, record = CASES[name]
+    build, record = (CASES | CYCLIC)[name]
     with pm.Model() as model:
         x = pm.Uniform("x", 0.7, 1.3, shape=2)
         DiscrepancySimulator("y", response(build(x), record), epsilon=1.0, observed=measured(name))

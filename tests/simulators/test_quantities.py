@@ -72,6 +72,7 @@ def test_labels():
         "relative_displacement": "m",
         "inter_storey_drift": "m",
         "base_shear": "N",
+        "restoring_force": "N",
     }
 
 
@@ -153,7 +154,7 @@ REFUSED_VALUES = {  # what is said: what is given
         {"quantity": "inter_storey_drift"},
     ),
     "`quantity` must be one of .*base_shear, got 'shear'": (CHAINS[0], {"quantity": "shear"}),
-    "`quantity` must be one of .*, got None": (CHAINS[0], {"quantity": None}),
+    "`quantity` must be one of .*, got 3": (CHAINS[0], {"quantity": 3}),
     r"`sensors` must be left out for the base shear, got \[1\]. It is a sum": (
         CHAINS[2],
         {"quantity": "base_shear", "sensors": [1]},

@@ -3,7 +3,7 @@
 import copy
 import datetime
 
-from pymc_features.update.config import ambient_section, modal_section, sections
+from pymc_features.update.config import ambient_section, cyclic_section, modal_section, sections
 from pymc_features.update.config.document import Config
 from pymc_features.update.config.priors import DISTRIBUTIONS, arguments_of
 from pymc_features.update.config.structure_sections import DAMPINGS, STRUCTURES
@@ -58,7 +58,9 @@ def known_keys() -> list[str]:
     """All keys of the sections."""
     parts = [Config, *STRUCTURES.values(), *DAMPINGS.values()]
     parts += [
-        value for module in (sections, modal_section, ambient_section) for value in vars(module).values()
+        value
+        for module in (sections, modal_section, ambient_section, cyclic_section)
+        for value in vars(module).values()
     ]
     return sorted({name for part in parts for name in getattr(part, "model_fields", {})})
 

@@ -7,10 +7,14 @@ from scipy import sparse
 
 from pymc_features import (
     AffineStructure,
+    CyclicTest,
+    Degradation,
     DuffingChain,
     HystereticChain,
+    HystereticSpecimen,
     Loading,
     ModalDamping,
+    Pinching,
     RayleighDamping,
     Record,
     SpringMassChain,
@@ -67,6 +71,20 @@ CASES = {  # x -> structure, what shakes it
     ),
     "duffing": (lambda x: chain(x, DuffingChain, cubic=3e4), pulse()),
 }
+
+
+def specimen(x):
+    """Stiffness and yield displacement follow x (2,)."""
+    return HystereticSpecimen(
+        100.0 * x[0],
+        yield_displacement=0.5 * x[1],
+        post_yield_ratio=0.1,
+        degradation=Degradation(0.02, 0.05),
+        pinching=Pinching(0.6),
+    )
+
+
+CYCLIC = {"specimen": (specimen, CyclicTest(3.0 * pulse().acceleration, dt=0.05))}  # one force
 MAIN = ("chain", "affine", "coupled damping", "hysteretic", "duffing")
 TRUTH = np.array([1.0, 1.0])
 
@@ -74,7 +92,7 @@ TRUTH = np.array([1.0, 1.0])
 @functools.cache
 def measured(name):
     """Response of the truth, with noise."""
-    build, record = CASES[name]
+    build, record = (CASES | CYCLIC)[name]
     exact = simulate(build(TRUTH), record).values
     noise = np.random.default_rng(3).standard_normal(exact.shape)
     return exact + 0.1 * abs(exact).max() * noise

@@ -8,6 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.ambient_section import Ambient, check_ambient
+from pymc_features.update.config.cyclic_section import UNITS as CYCLIC_UNITS
+from pymc_features.update.config.cyclic_section import Cyclic, check_cyclic
 from pymc_features.update.config.entries import units_in
 from pymc_features.update.config.events_section import Events, check_events
 from pymc_features.update.config.messages import sentence, shown
@@ -49,6 +51,7 @@ class Config(Section):
     events: Events | None = Field(None, description="a table")
     modal: Modal | None = Field(None, description="a table")
     ambient: Ambient | None = Field(None, description="a table")
+    cyclic: Cyclic | None = Field(None, description="a table")
     record: RecordFile | None = Field(None, description="a table")
     processing: Processing = Field(Processing(), description="a table")
     structure: StructureSection = Field(description="a table with `type`, the name of a structure")
@@ -69,7 +72,8 @@ class Config(Section):
         if self.likelihood is not None:
             asked = self.likelihood
             taken = dict(pair for kind in asked.kinds for pair in asked.parameters_of(kind))
-            places += [(f"likelihood.{name}", ERRORS[name], value) for name, value in taken.items()]
+            units = ERRORS if self.cyclic is None else ERRORS | CYCLIC_UNITS
+            places += [(f"likelihood.{name}", units[name], value) for name, value in taken.items()]
         if self.modal is not None:
             places += parameters_of("modal", self.modal)
         if self.ambient is not None:
@@ -142,6 +146,9 @@ def read_config(path) -> tuple[Config, dict]:
 
 def check_sources(config: Config) -> None:
     """There is something to compare with, and no section that it does not need."""
+    check_cyclic(config)
+    if config.cyclic is not None:
+        return
     if config.events is not None and (config.data is None or config.data.excitation == "measured"):
         check_events(config)
     elif config.data is not None and config.data.files is None and config.data.dataset is None:

@@ -145,7 +145,8 @@ class Likelihood(Section):
         f"a list of {', '.join(LIKELIHOODS)}, each once", ["EXP"], min_length=1
     )
     sigma: Vector | None = key(
-        "the name of a prior or a positive number in m/s^2, one or one for each sensor", None
+        "the name of a prior or a positive number in m/s^2 (with [cyclic] in N), one or one for each sensor",
+        None,
     )
     correlation_time: Vector | None = key(
         "the name of a prior or a positive number in s, one or one for each sensor", None
@@ -154,7 +155,9 @@ class Likelihood(Section):
         "a positive number, the independent observations of a sensor, one or one for each", None
     )
     density: Literal["feature", "data"] = key('"feature" or "data"', "feature")
-    epsilon: float | None = key("the tolerance of ABC in m^2/s^4, positive", None, gt=0)
+    epsilon: float | None = key(
+        "the tolerance of ABC in m^2/s^4 (with [cyclic] in N^2), positive", None, gt=0
+    )
 
     @model_validator(mode="after")
     def complete(self):

@@ -7,6 +7,8 @@ from pydantic import Discriminator, Field, PlainValidator, Tag, create_model
 
 from pymc_features import structures
 from pymc_features.structures import Input, Kind, Structure
+from pymc_features.structures.specimens import DETERIORATIONS
+from pymc_features.structures.specimens import SPECIMENS as KINDS_OF_SPECIMENS
 from pymc_features.update.config.entries import Entry, MatrixEntry, Terms, matrix
 from pymc_features.update.config.sections import Section
 from pymc_features.update.config.storeys import GROUPS, TAPER, ByStorey, Grouped
@@ -29,18 +31,33 @@ BY_STOREY = ByStorey, f"{ONE}, or a list of these, {GROUPS} or {TAPER}"
 def section_of(cls) -> type[Section]:
     """The keys of a structure or damping: its type and its inputs, with the defaults of its signature."""
     has_storeys = issubclass(cls, Structure) and cls.has_storeys
-    signature = inspect.signature(cls).parameters
-    fields: dict[str, Any] = {"type": (Literal[cls.__name__], ...)}
-    for name, given in cls.inputs.items():
-        default = signature[name].default
-        must = given.required or default is inspect.Parameter.empty
-        words = BY_STOREY if has_storeys and given.kind is Kind.VECTOR else TYPES[given.kind]
-        fields[name] = key_of(words, given, ... if must else default)
+    fields: dict[str, Any] = {"type": (Literal[cls.__name__], ...)} | inputs_of(cls, has_storeys)
     if has_storeys:
         fields["n"] = int | None, Field(None, description="the number of storeys, positive", ge=1)
     if issubclass(cls, Structure) and cls.is_linear:
         words = "the number of modes kept, positive"
         fields["n_modes"] = int | None, Field(None, description=words, ge=1)
+    return made(cls, fields)
+
+
+def part_of(cls) -> type[Section]:
+    """The keys of what a structure has one kind of: its inputs, without a type."""
+    return made(cls, {"type": (Literal[cls.__name__], cls.__name__)} | inputs_of(cls))
+
+
+def inputs_of(cls, has_storeys=False) -> dict[str, Any]:
+    """Types and fields of the inputs of a class."""
+    signature, fields = inspect.signature(cls).parameters, {}
+    for name, given in cls.inputs.items():
+        default = signature[name].default
+        must = given.required or default is inspect.Parameter.empty
+        words = BY_STOREY if has_storeys and given.kind is Kind.VECTOR else TYPES[given.kind]
+        fields[name] = key_of(words, given, ... if must else default)
+    return fields
+
+
+def made(cls, fields) -> type[Section]:
+    """A section of some keys."""
     summary = inspect.getdoc(cls).partition("\n")[0]
     return create_model(f"{cls.__name__}Section", __base__=Section, __doc__=summary, **fields)
 
@@ -76,4 +93,10 @@ TYPES[Kind.DAMPING_OR_MATRIX] = (
     f"{A_DAMPING}, or {A_MATRIX}",
 )
 STRUCTURES = {cls.__name__: section_of(cls) for cls in structures.STRUCTURES}
-StructureSection = Annotated[Union[tuple(STRUCTURES.values())], Field(discriminator="type")]  # noqa: UP007
+for kind, cls in zip((Kind.DEGRADATION, Kind.PINCHING), DETERIORATIONS, strict=True):
+    TYPES[kind] = part_of(cls), f"a table with {', '.join(f'`{name}`' for name in cls.inputs)}"
+SPECIMENS = {cls.__name__: section_of(cls) for cls in KINDS_OF_SPECIMENS}
+StructureSection = Annotated[
+    Union[*STRUCTURES.values(), *SPECIMENS.values()],  # noqa: UP007
+    Field(discriminator="type"),
+]

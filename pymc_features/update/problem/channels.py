@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features import datasets, signals
+from pymc_features.cyclic_test import CyclicTest
 from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 from pymc_features.io import read_channels, read_channels_with_gaps, read_record
 from pymc_features.records import Record
@@ -26,11 +27,11 @@ class Measured:
 
     Attributes
     ----------
-    record : Record
-        Motion of the base.
+    record : Record or CyclicTest
+        Motion of the base, or displacement of a specimen.
     channels : DataArray (sensor, time)
-        Measured absolute accelerations [m/s^2] that are compared, at `step`, NaN in gaps; time 0 is that of
-        the record.
+        Measured absolute accelerations [m/s^2], or forces [N], that are compared, at `step`, NaN in gaps;
+        time 0 is that of the record.
     step : float
         Sampling interval of the channels [s], a multiple of the record's.
     source : str
@@ -41,7 +42,7 @@ class Measured:
         Sample of the response that the first of the channels is compared with.
     """
 
-    record: Record
+    record: Record | CyclicTest
     channels: xr.DataArray
     step: float
     source: str

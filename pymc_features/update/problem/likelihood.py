@@ -18,9 +18,9 @@ def check_gaps(config, measured) -> None:
         )
 
 
-def check_errors(config, priors) -> None:
+def check_errors(config, priors, n_sensors: int) -> None:
     """One positive value, or one for each sensor; the sigma that ABC takes from EXP must be one."""
-    likelihood, n_sensors = config.likelihood, len(config.data.sensors)
+    likelihood = config.likelihood
     for name, unit in ERRORS.items():
         given = getattr(likelihood, name)
         if isinstance(given, list) and len(given) != n_sensors:

@@ -15,6 +15,7 @@ from pymc_features.update.config.messages import shown
 from pymc_features.update.config.priors import Prior
 from pymc_features.update.problem.ambient import MeasuredAmbient, compared_modes, read_ambient
 from pymc_features.update.problem.channels import Measured, named_key, read_measured
+from pymc_features.update.problem.cyclic import read_cyclic
 from pymc_features.update.problem.events import Event, read_events
 from pymc_features.update.problem.kinds import AMBIENT, KINDS, MODAL
 from pymc_features.update.problem.likelihood import check_errors, check_gaps
@@ -32,8 +33,6 @@ WITHOUT_EFFECT = (
     "events.pattern",
     "events.files",
 )
-
-
 BEYOND = 1.2  # of the highest identified frequency: modes above it are not in tables
 
 
@@ -79,6 +78,11 @@ class Problem:
     given_modes: MeasuredModes | None = None
     events: tuple[Event, ...] = ()
     ambient: MeasuredAmbient | None = None
+
+    @property
+    def is_cyclic(self) -> bool:
+        """Whether it is a cyclic test, which has forces and no motion."""
+        return self.config.cyclic is not None
 
     def at(self, event: Event) -> "Problem":
         """The problem of one event alone."""
@@ -162,7 +166,7 @@ class Problem:
 def prints_of(measured: Measured) -> dict[str, str]:
     """What measured responses are recognised by."""
     return {
-        "base_sha256": fingerprint(measured.record.acceleration),
+        "base_sha256": fingerprint(measured.record.inputs[0]),
         "channels_sha256": fingerprint(np.ascontiguousarray(measured.channels.values)),
     }
 
@@ -214,9 +218,12 @@ def read_problem(path) -> Problem:
     structure = StructureOf(config.structure, path.parent)
     with named_key("structure"):
         expected = structure(**{n: priors[n].median for n in structure.names})
-        first_frequency = first_frequency_of(expected)
+        first_frequency = None if config.cyclic is not None else first_frequency_of(expected)
     measured, dofs, modal, events, ambient = None, [], None, (), None
-    if config.ambient is not None:
+    if config.cyclic is not None:
+        measured, dofs = read_cyclic(config, path.parent), [0]
+        check_errors(config, priors, len(dofs))
+    elif config.ambient is not None:
         dofs = checked_dofs(config, expected.n_dof)
         ambient = read_ambient(config, path.parent, dofs, expected)
         check_positive_priors("ambient", config.ambient, ("force", "error"), priors)
@@ -227,7 +234,7 @@ def read_problem(path) -> Problem:
             events = read_events(config, path.parent, first_frequency)
             measured = events[-1].measured
         dofs = checked_dofs(config, expected.n_dof)
-        check_errors(config, priors)
+        check_errors(config, priors, len(dofs))
         for one in [event.measured for event in events] or [measured]:
             check_gaps(config, one)
     if config.modal is not None:

@@ -7,14 +7,15 @@ from pymc_features import structures
 from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_matrices
 from pymc_features.structures import AffineStructure
+from pymc_features.structures.specimens import DETERIORATIONS, SPECIMENS
 from pymc_features.update.config.document import parameters_of
 from pymc_features.update.config.entries import Matrix, evaluated, priors_in
 from pymc_features.update.config.sections import Section
 from pymc_features.update.problem.channels import named_key
 from pymc_features.update.problem.storeys import spread_over_storeys
 
-CATALOGUE = {cls.__name__: cls for cls in structures.STRUCTURES}
-DAMPINGS = {cls.__name__: cls for cls in structures.DAMPINGS}
+CATALOGUE = {cls.__name__: cls for cls in (*structures.STRUCTURES, *SPECIMENS)}
+PARTS = {cls.__name__: cls for cls in (*structures.DAMPINGS, *DETERIORATIONS)}
 MOST_MODES = 10
 
 
@@ -87,10 +88,10 @@ def read_matrix(asked: Matrix, key, folder):
 
 
 def built(value, values):
-    """A damping as an object, anything else with values in place of names."""
+    """A damping, degradation or pinching as an object, anything else with values in place of names."""
     if isinstance(value, Section):
-        damping = DAMPINGS[value.type]
-        return damping(**{name: evaluated(getattr(value, name), values) for name in damping.inputs})
+        part = PARTS[value.type]
+        return part(**{name: evaluated(getattr(value, name), values) for name in part.inputs})
     return evaluated(value, values)
 
 

@@ -28,7 +28,7 @@ class Figure(NamedTuple):
 
 def figures(problem: Problem, result, modes) -> list[Figure]:
     """Every figure of the report; nothing is drawn yet. `modes` are the rows of each likelihood."""
-    found = of_data(result) if problem.measured is not None else []
+    found = of_data(result) if problem.measured is not None and not problem.is_cyclic else []
     for kind in kinds_of(result):
         first, *rest = of_one(problem, result[kind], kind)
         found.append(first)
@@ -98,7 +98,9 @@ def of_one(problem, part, kind) -> list[Figure]:
                 lambda: draw_events(part, units),
             )
         )
-    if "bands" in part.children:
+    if problem.is_cyclic:
+        found.append(of_loops(part, kind))
+    elif "bands" in part.children:
         found += of_responses(part, kind)
     if "spectra" in part.children:
         found.append(
@@ -150,6 +152,18 @@ def of_responses(part, kind) -> list[Figure]:
             lambda: plots.plot_predictive(part, window=strongest(part)),
         ),
     ]
+
+
+def of_loops(part, kind) -> Figure:
+    """Figure of a cyclic test under one likelihood."""
+    bands, force = part["bands"].to_dataset(), part["observed_data"]["y"]
+    found = bands[["response"]].rename(response="restoring_force")
+    return Figure(
+        f"{kind}_loops",
+        f"{kind}: force against displacement in three parts of the test. Dashed what was measured; blue the "
+        "5-95 % interval and the median of the specimen, from the uncertainty of the parameters.",
+        lambda: plots.plot_loops(found, measured=force),
+    )
 
 
 def has_stages(part) -> bool:

@@ -13,6 +13,7 @@ from pymc_features.update.report.events import COLUMNS as EVENT_COLUMNS
 from pymc_features.update.report.events import MEANING as EVENT_MEANING
 from pymc_features.update.report.events import event_rows
 from pymc_features.update.report.findings import Findings
+from pymc_features.update.report.loops import loops_section
 from pymc_features.update.report.modes import COLUMNS as MODE_COLUMNS
 from pymc_features.update.report.modes import MEANING
 from pymc_features.update.report.spectra import ambient_section
@@ -52,7 +53,8 @@ def report(problem: Problem, result, found: Findings, drawn) -> str:
         doubts=found.doubts,
         priors=prior_rows(problem),
         likelihoods=[likelihood_row(kind, result[kind]) for kind in kinds_of(result)],
-        data=None if problem.measured is None else data_section(problem),
+        data=None if problem.measured is None or problem.is_cyclic else data_section(problem),
+        cyclic=loops_section(problem) if problem.is_cyclic else None,
         ambient=None if problem.ambient is None else ambient_section(problem),
         modal=None if problem.modal is None else modal_section(problem),
         mode_columns=MODE_COLUMNS,
@@ -73,6 +75,8 @@ def report(problem: Problem, result, found: Findings, drawn) -> str:
 def used_sentence(problem) -> str:
     """What the structure was updated with."""
     parts = []
+    if problem.is_cyclic:
+        return f"{problem.measured.record.n_times} measured forces of a cyclic test"
     if problem.measured is not None:
         duration = problem.measured.record.duration
         parts.append(f"{len(problem.dofs)} measured accelerations over {duration:.4g} s")

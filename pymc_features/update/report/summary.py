@@ -61,6 +61,8 @@ def rows(problem: Problem, result: xr.DataTree) -> list[Row]:
             found.append(
                 Row(kind, str(name), unit, *moments(draws), taught, r_hat, float(az.ess(draws)), overlap)
             )
+        if problem.is_cyclic:
+            continue
         modal = part["modal"]["natural_frequency"]
         for mode in modal["mode"].values:
             one = modal.sel(mode=mode)

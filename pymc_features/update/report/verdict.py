@@ -7,6 +7,7 @@ import numpy as np
 from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.read import Problem
 from pymc_features.update.report.judgement import Verdict
+from pymc_features.update.report.loops import verdict_of_loops
 from pymc_features.update.report.modes import ModeRow, modes_verdict
 from pymc_features.update.report.spectra import verdict_of_spectra
 from pymc_features.update.report.summary import kinds_of
@@ -66,7 +67,8 @@ def verdict(problem: Problem, result, modes: list[ModeRow] = ()) -> Verdict:
     """
     sentences, explains = modes_verdict(modes) if modes else ([], True)
     if problem.measured is not None:
-        of_responses = verdict_of_responses(problem, result)
+        of_first = verdict_of_responses if not problem.is_cyclic else verdict_of_force
+        of_responses = of_first(problem, result)
         sentences = [*of_responses.sentences, *sentences]
         explains &= of_responses.explains
     if problem.ambient is not None:
@@ -76,6 +78,11 @@ def verdict(problem: Problem, result, modes: list[ModeRow] = ()) -> Verdict:
         sentences = [*of_spectra.sentences, *sentences]
         explains &= of_spectra.explains
     return Verdict(sentences, explains)
+
+
+def verdict_of_force(problem: Problem, result) -> Verdict:
+    """Judge how the first likelihood of a result meets the force of a cyclic test."""
+    return verdict_of_loops(problem, result[kinds_of(result)[0]])
 
 
 def verdict_of_responses(problem: Problem, result) -> Verdict:

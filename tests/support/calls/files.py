@@ -125,6 +125,25 @@ CALLS = {
     ),
     "read_channels": reader(pmf.read_channels),
     "read_channels_with_gaps": reader(pmf.read_channels_with_gaps),
+    "read_cyclic_test": Call(
+        pmf.read_cyclic_test,
+        {
+            "files": TEXT,
+            "columns": ("base", "roof"),
+            "units": ("mm", "kN"),
+            "dt": 1.0,
+            "skip": 0,
+            "wrapped": None,
+        },
+        {
+            "dt": POSITIVE,
+            "skip": {"0", *ONE},
+            "wrapped": {"None"},
+            "units": PAIR - {"range"},
+            "columns": {"range"},
+        },
+        {"columns": ["units"], "wrapped": ["columns"]},
+    ),
     "read_matrices": Call(pmf.read_matrices, {"path": MATRICES}),
     "datasets.mini_shake_table": Call(
         pmf.datasets.mini_shake_table,

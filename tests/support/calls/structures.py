@@ -75,6 +75,7 @@ TAKEN = {
     "record": {"Record"},
     "dt": {"None", *ONE, "1.5", "Fraction"},
     "sensors": {"None", "0", "range"},
+    "quantity": {"None"},
     "n_modes": {"None", *ONE},
     "outputs": {"None", *MATRICES},
 }
@@ -108,6 +109,38 @@ CALLS = {
     ),
     "Loading.first": Call(
         pmf.Loading([0.0, 1.0, 2.0], 0.1).first, {"n_times": 2}, {"n_times": {"NumPy's 2"}}
+    ),
+    "CyclicTest": Call(
+        pmf.CyclicTest,
+        {"displacement": [0.0, 1.0], "dt": 0.1, "name": ""},
+        {"displacement": PAIR | {"negative array"}, "dt": POSITIVE, "name": TEXTS | NUMBERS},
+    ),
+    "CyclicTest.first": Call(
+        pmf.CyclicTest([0.0, 1.0, 2.0]).first, {"n_times": 2}, {"n_times": {"NumPy's 2"}}
+    ),
+    "Degradation": Call(
+        pmf.Degradation,
+        {"strength": 0.1, "stiffness": 0.1},
+        {"strength": NOT_NEGATIVE | SCALARS, "stiffness": NOT_NEGATIVE | SCALARS},
+    ),
+    "Pinching": Call(
+        pmf.Pinching,
+        {"slip": 0.5, "rate": 1.0, "initiation": 0.1, "spread": 0.2, "spread_rate": 0.0, "severity": 0.3},
+        {name: NOT_NEGATIVE | SCALARS for name in ("rate", "initiation", "spread_rate")}
+        | {name: POSITIVE | SCALARS for name in ("spread", "severity")}
+        | {"slip": {"0", "1e-300", "Fraction"} | SCALARS},
+    ),
+    "HystereticSpecimen": Call(
+        pmf.HystereticSpecimen,
+        {"stiffness": 100.0} | YIELD | {"degradation": pmf.Degradation(), "pinching": pmf.Pinching(0.5)},
+        {name: POSITIVE | SCALARS for name in ("stiffness", "yield_displacement")}
+        | {"sharpness": POSITIVE - {"1e-300", "Fraction"} | SCALARS, "beta": POSITIVE - {"1e-300"} | SCALARS}
+        | {
+            "post_yield_ratio": {"0", "1e-300", "1.0 of 16 bits", "array without dimensions", "Fraction"}
+            | SCALARS
+        }
+        | {"gamma": {"0", "1e-300", "Fraction"} | SCALARS}
+        | {"degradation": {"None"}, "pinching": {"None"}},
     ),
     "RayleighDamping": Call(
         pmf.RayleighDamping,
@@ -187,12 +220,14 @@ CALLS = {
     "simulate": Call(pmf.simulate, RESPONSE, TAKEN),
     "response": Call(pmf.response, RESPONSE, TAKEN),
     "spring_forces": Call(
-        pmf.spring_forces, {"structure": YIELDING, "record": RECORD, "dt": None}, TAKEN | {"structure": set()}
+        pmf.spring_forces,
+        {"structure": YIELDING, "record": RECORD, "dt": None},
+        TAKEN | {"structure": set(), "quantity": set()},
     ),
     "integration_error": Call(
         pmf.integration_error,
         {"structure": YIELDING, "record": RECORD, "quantity": "relative_velocity"},
-        TAKEN | {"structure": set()},
+        TAKEN | {"structure": set(), "quantity": set()},
     ),
     "mean_square_discrepancy": Call(
         pmf.mean_square_discrepancy,
