@@ -9,7 +9,7 @@ from itertools import islice
 from queue import Empty, SimpleQueue
 
 from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
-from pymc_features.external.processes.calls import Outcome, call
+from pymc_features.processes.calls import Outcome, call
 
 LOST_AT_MOST = 5  # times that a place of work may vanish under one and the same call
 SMALL = 2**16  # bytes that travel with every call; more of them only where they are missing
