@@ -37,6 +37,23 @@ class Work:
     retries: int
 
 
+def submitted(executor, work: Work, arguments, payload):
+    """The future of one call.
+
+    Raises
+    ------
+    NoWorkersError
+        If the executor takes none.
+    """
+    try:
+        return executor.submit(call, work.digest, arguments, work.timeout, payload)
+    except (BrokenExecutor, RuntimeError) as error:
+        raise NoWorkersError(
+            f"`executor` must run simulations, got {type(error).__name__}: {error}. What is finished is "
+            "kept where there is a cache; start again with a new executor."
+        ) from error
+
+
 class Batch:
     """Runs calls on an executor, and those again that failed or were lost.
 
@@ -82,13 +99,7 @@ class Batch:
 
     def submit(self, number, arguments, attempt, lost, payload):
         """Hand one call to the executor."""
-        try:
-            future = self.executor.submit(call, self.work.digest, arguments, self.work.timeout, payload)
-        except (BrokenExecutor, RuntimeError) as error:
-            raise NoWorkersError(
-                f"`executor` must run simulations, got {type(error).__name__}: {error}. What is finished is "
-                "kept where there is a cache; start again with a new executor."
-            ) from error
+        future = submitted(self.executor, self.work, arguments, payload)
         self.running[future] = number, arguments, attempt, lost
         future.add_done_callback(self.over.put)
 

@@ -46,7 +46,7 @@ class ModelPart:
         self.logp = logp
 
     def __call__(self, which: str, particles: np.ndarray | None) -> PartResult | None:
-        """Raw outputs of `values` or `slopes` of particles (p, d); nothing of none, who only has it loaded."""
+        """Raw outputs of `values` or `slopes` of particles (p, d); none only loads the model."""
         if particles is None:
             return None
         with warnings.catch_warnings(record=True) as caught:

@@ -12,8 +12,7 @@ import cloudpickle
 import numpy as np
 
 from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
-from pymc_features.processes.batch import Batch, Work
-from pymc_features.processes.calls import call
+from pymc_features.processes.batch import Batch, Work, submitted
 from pymc_features.processes.executors import LocalExecutor, check_executor, open_executor
 from pymc_features.smc.density.evaluation import PopulationLogp
 from pymc_features.smc.density.rows import ONE_CALL
@@ -134,25 +133,27 @@ class Spread:
 
     def __call__(self, logp: PopulationLogp, which: str, particles: np.ndarray) -> list[np.ndarray]:
         """Raw outputs of `values` or `slopes` of particles (p, d)."""
-        self.run.check()
-        function = getattr(logp, which)
-        if which not in self.seconds and len(particles) < 2 * function.unit:
-            return function(particles)
-        if which not in self.seconds:  # a first group tells how long one takes
-            first = self.here(function, which, particles[: function.unit])
-            rest = self(logp, which, particles[function.unit :])
-            return [np.concatenate(pair) for pair in zip(first, rest, strict=True)]
-        parts = self.cut(function.unit, which, len(particles))
-        if len(parts) == 1:
-            return self.here(function, which, particles)
-        if self.some_are_ready(self.work(logp)):
-            return self.elsewhere(logp, which, particles, parts)
-        few = max(1, int(WHILE_WAITING / self.seconds[which] / function.unit)) * function.unit
-        if len(particles) < few + function.unit:
-            return self.here(function, which, particles)
-        first = self.here(function, which, particles[:few])
-        rest = self(logp, which, particles[few:])
-        return [np.concatenate(pair) for pair in zip(first, rest, strict=True)]
+        function, outputs = getattr(logp, which), []
+        while len(particles) or not outputs:
+            self.run.check()
+            count = self.count_here(function.unit, which, len(particles), logp)
+            if not count:
+                outputs.append(self.elsewhere(logp, which, particles))
+                break
+            outputs.append(self.here(function, which, particles[:count]))
+            particles = particles[count:]
+        return [np.concatenate(column) for column in zip(*outputs, strict=True)]
+
+    def count_here(self, unit, which, n, logp) -> int:
+        """How many of n particles are evaluated in this process before one looks again; none, if all go."""
+        few = unit  # a first group tells how long one takes
+        if which in self.seconds:
+            if len(self.cut(unit, which, n)) == 1:
+                return n
+            if self.some_are_ready(self.work(logp)):
+                return 0
+            few *= max(1, int(WHILE_WAITING / self.seconds[which] / unit))
+        return few if n >= few + unit else n
 
     def cut(self, unit, which, n):
         """Parts of a population of n particles; one if they are not worth a message."""
@@ -166,7 +167,7 @@ class Spread:
         if work.digest not in self.loading:
             executor, nothing = self.workers.executor, ("values", None)
             self.loading[work.digest] = [
-                executor.submit(call, work.digest, nothing, None, work.payload)
+                submitted(executor, work, nothing, work.payload)
                 for _ in range(getattr(executor, "places", 1))
             ]
         return any(future.done() for future in self.loading[work.digest])
@@ -183,8 +184,9 @@ class Spread:
         known = self.seconds.get(which, seconds)
         self.seconds[which] = max(FORGETS * seconds + (1.0 - FORGETS) * known, 1e-9)
 
-    def elsewhere(self, logp, which, particles, parts):
+    def elsewhere(self, logp, which, particles):
         """Evaluate by the workers, and put the parts together."""
+        parts = self.cut(getattr(logp, which).unit, which, len(particles))
         results, seconds = [None] * len(parts), 0.0
 
         def done(k, outcome):
