@@ -19,6 +19,7 @@ from pymc_features.smc import (
     PersistentSMC,
     Reference,
     check_run,
+    check_workers,
     find_reference,
     open_workers,
     population_logp,
@@ -114,6 +115,7 @@ def sample(
     -1.5
     """
     check_run(draws, chains, cores, check_seed(random_seed), progressbar)
+    check_workers(executor)
     model = check_model(model)
     compile_kwargs = settings.pop("compile_kwargs", None)
     compile_kwargs = check_mapping(compile_kwargs, "compile_kwargs", "a dict for `pytensor.function`")

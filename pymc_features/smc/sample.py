@@ -27,7 +27,7 @@ from pymc_features.smc.kernels.persistent import PersistentSMC
 from pymc_features.smc.results import likelihood_kinds, savable
 from pymc_features.smc.trace import all_draws_at_once
 from pymc_features.smc.workers.chains import chains_on
-from pymc_features.smc.workers.workers import open_workers
+from pymc_features.smc.workers.workers import check_workers, open_workers
 
 MOST_RUNS = 10_000  # chains, or processes
 
@@ -100,6 +100,7 @@ def sample_smc(
     """
     check_run(draws, chains, cores, random_seed, settings.get("progressbar", True))
     check_kernel(kernel)
+    check_workers(executor)
     model = check_model(settings.get("model"))
     if settings.pop("return_inferencedata", True) is not True:
         raise ValueError(

@@ -19,7 +19,7 @@ from pymc_features.keywords import check_keywords
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.likelihoods.free import exact_tolerance
 from pymc_features.records import Record
-from pymc_features.smc import SubsetSimulation, open_workers, sample_smc
+from pymc_features.smc import SubsetSimulation, check_workers, open_workers, sample_smc
 from pymc_features.storage import PartStore, settings_in
 from pymc_features.study import paper
 from pymc_features.study.models import declare, set_measurements
@@ -115,6 +115,7 @@ def sampling_rate_study(
     check_keywords(kwargs, StudyOptions.__annotations__, "sampling_rate_study")
     cores, progressbar = kwargs.pop("cores", None), kwargs.pop("progressbar", True)
     executor = kwargs.pop("executor", None)
+    check_workers(executor)
     if cores is not None:
         check_integer(cores, "cores")
     check_flag(progressbar, "progressbar")

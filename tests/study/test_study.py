@@ -393,7 +393,7 @@ def test_ragged_statistics_are_padded():
 def test_arguments_of_samplers_are_known_by_name(short):
     with pytest.raises(
         TypeError,
-        match=r"own or draws, chains, cores, executor, progressbar, noise_time, got 'chain'. Did you mean",
+        match=r"cores, executor, progressbar, noise_time, got 'chain'. Did you mean",
     ):
         small_study(short, chain=1)
 

@@ -57,13 +57,19 @@ class Workers:
                 warnings.warn(sentence, category, stacklevel=2)
 
 
+def check_workers(executor):
+    """Refuse what `open_workers` cannot open."""
+    if not isinstance(executor, Workers):
+        check_executor(executor)
+
+
 @contextmanager
 def open_workers(executor) -> Iterator[Workers | None]:
     """Workers of an executor, ended at the end; those that are open stay so, and None stays None."""
+    check_workers(executor)
     if executor is None or isinstance(executor, Workers):
         yield executor
         return
-    check_executor(executor)
     workers = Workers(executor)
     try:
         yield workers
