@@ -3,7 +3,6 @@
 from pymc.distributions.simulator import SimulatorRV
 from pytensor.compile.ops import DeepCopyOp, ViewOp
 from pytensor.graph.traversal import ancestors
-from pytensor.link.basic import PerformLinker
 from pytensor.raise_op import CheckAndRaise
 from pytensor.tensor.basic import Alloc, Join, MakeVector, ScalarFromTensor, Split, TensorFromScalar
 from pytensor.tensor.blockwise import Blockwise
@@ -83,13 +82,10 @@ def is_random(node) -> bool:
 
 
 def goes_row_by_row(function) -> bool:
-    """Whether the rows of a compiled function's results are known not to depend on the number of rows.
+    """Whether the rows of what NumPy evaluates are known not to depend on the number of rows.
 
-    To the last bit: a product of matrices sums in another order for another number of rows, and a loop that
-    is compiled to vectors treats the last rows by other instructions.
+    To the last bit: a product of matrices sums in another order for another number of rows.
     """
-    if not isinstance(function.maker.linker, PerformLinker):
-        return False
     graph = function.maker.fgraph
     depends = set(graph.inputs[:1])
     for node in graph.toposort():

@@ -9,7 +9,7 @@ from pymc.pytensorf import compile as compile_function
 from pytensor import shared as make_shared
 from pytensor.tensor.random.type import RandomGeneratorType
 
-from pymc_features.smc.density.compilation import with_mode
+from pymc_features.smc.density.compilation import INTERPRETED, with_mode
 from pymc_features.smc.density.graph import DensityGraph, largest_result
 from pymc_features.smc.density.nodes import goes_row_by_row, simulator_functions
 
@@ -69,7 +69,8 @@ class RowFunction:
         self.function.trust_input = True
         if not self.batched:
             self.batch = self.unit = 1
-        elif goes_row_by_row(self.function):
+        elif kwargs.get("mode") is INTERPRETED and goes_row_by_row(self.function):
+            # compiled by Numba, a loop treats its last rows by other instructions
             self.unit = min(UNIT, self.batch)
             self.batch -= self.batch % self.unit
         else:

@@ -140,7 +140,9 @@ class Spread:
     def __call__(self, logp: PopulationLogp, which: str, particles: np.ndarray) -> list[np.ndarray]:
         """Raw outputs of `values` or `slopes` of particles (p, d)."""
         function, outputs = getattr(logp, which), []
-        while len(particles) or not outputs:
+        if not len(particles):
+            return function(particles)
+        while len(particles):
             self.run.check()
             count = self.count_here(function.unit, which, len(particles), logp)
             if not count:
