@@ -88,7 +88,7 @@ def test_rows_do_not_depend_on_where_a_population_is_cut(name):
     """Among them particles that are no structure, and others that are stepped more finely."""
     model = model_of(name)
     logp = population_logp(model, model.initial_point(), {})
-    particles = RNG.normal(0.0, 1.5, (6 * UNIT + 5, 3))
+    particles = np.random.default_rng(3).normal(1.0, 0.8, (6 * UNIT + 5, 3))
     before = PARTICLES["taylor"]
     whole = logp(particles)
     assert logp.values.unit == UNIT and 0 < np.isfinite(whole[1]).sum() < len(particles)
