@@ -94,6 +94,7 @@ class PopulationKernel(SMC_KERNEL):
     # integers of the real line they move on. Where the first particles must be draws from the prior, both
     # are undone.
     starts_from_prior = False
+    densities = ("logp",)  # attributes that evaluate populations
     correlation_threshold = 0.01  # of `mutate`, as in PyMC
     stats_dtypes_shapes = {
         **SMC_KERNEL.stats_dtypes_shapes,
@@ -157,7 +158,8 @@ class PopulationKernel(SMC_KERNEL):
 
     def evaluate_by(self, spread: Callable[[PopulationLogp], PopulationLogp]) -> None:
         """Let `spread` make of each evaluation the same one elsewhere."""
-        self.logp = spread(self.logp)
+        for name in self.densities:
+            setattr(self, name, spread(getattr(self, name)))
 
     def set_rng(self, rng: np.random.Generator) -> None:
         """Use this generator; random draws inside the log-probability get streams of their own."""

@@ -1,7 +1,6 @@
 """ABC with a hard tolerance by subset simulation."""
 
 import warnings
-from collections.abc import Callable
 from typing import NoReturn, Unpack
 
 import numpy as np
@@ -12,7 +11,7 @@ from pymc_features._checks import check_share, is_number, shown, single
 from pymc_features.exceptions import SubsetSimulationWarning, ToleranceNotReachedError
 from pymc_features.keywords import check_keywords
 from pymc_features.smc.density.discrepancy import SimulatorNode
-from pymc_features.smc.density.evaluation import PopulationLogp, population_logp
+from pymc_features.smc.density.evaluation import population_logp
 from pymc_features.smc.kernels.base import KernelOptions, PopulationKernel
 from pymc_features.smc.kernels.levels import Levels
 from pymc_features.smc.proposals.moves import CrossedMoves
@@ -88,6 +87,7 @@ class SubsetSimulation(PopulationKernel):
     """
 
     starts_from_prior = True
+    densities = ("logp", "base")
     stats_dtypes_shapes = {
         **PopulationKernel.stats_dtypes_shapes,
         "epsilon": (float, []),
@@ -140,11 +140,6 @@ class SubsetSimulation(PopulationKernel):
         self.conditions_on_more = node.conditions_on_more
         self.base = population_logp(model, point, compile_kwargs, "base", node.base_terms)
         self.logp = population_logp(model, point, compile_kwargs, "rho", node.rho_terms)
-
-    def evaluate_by(self, spread: Callable[[PopulationLogp], PopulationLogp]) -> None:
-        """Let `spread` make of each evaluation the same one elsewhere."""
-        super().evaluate_by(spread)
-        self.base = spread(self.base)
 
     def __getstate__(self):
         return {key: value for key, value in self.__dict__.items() if key != "node"}  # the model stays
