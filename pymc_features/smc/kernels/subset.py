@@ -146,8 +146,7 @@ class SubsetSimulation(PopulationKernel):
 
     def _initialize_kernel(self):
         """Simulate draws from the prior until enough of them give a number."""
-        self.moves = CrossedMoves(self.n_parameters)
-        self.levels = Levels(self.epsilon, self.p0)
+        self.moves, self.levels = CrossedMoves(self.n_parameters), Levels(self.epsilon, self.p0)
         self.simulations, self.smallest = 0, np.inf
         wanted, parts, possible = max(20, 4 * self.n_parameters), [], 0
         while possible < wanted:
