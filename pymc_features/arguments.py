@@ -3,6 +3,10 @@
 import argparse
 
 FORCE = "start anew: delete the finished parts in the output folder first"
+EXECUTOR = (
+    "spread populations over this number of processes, or over the Dask cluster whose scheduler has this "
+    "address, such as tcp://host:8786; --cores then says how many chains run at once"
+)
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -57,6 +61,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("--draws", type=int, help="draws per chain (default: 2000, quick 250; bouc-wen: 1000)")
     add("--chains", type=int, help="chains (default: 4, quick 2; bouc-wen: 2)")
     add("--cores", type=int, help="processes (default: all processors)")
+    add("--executor", type=executor, metavar="WHERE", help=EXECUTOR)
     add(
         "--force",
         action="store_true",
@@ -65,6 +70,11 @@ def make_parser() -> argparse.ArgumentParser:
     add("--traceback", action="store_true", help="on an error, show where it came from")
     add_update(commands)
     return parser
+
+
+def executor(text: str) -> int | str:
+    """A number of processes, or an address."""
+    return int(text) if text.lstrip("-").isdigit() else text
 
 
 def add_update(commands):
@@ -79,6 +89,7 @@ def add_update(commands):
     run.add_argument("config", metavar="CONFIG", help="configuration file, TOML")
     run.add_argument("--out", metavar="DIR", help="output folder (default: CONFIG-output beside CONFIG)")
     run.add_argument("--cores", type=int, help="processes (default: as CONFIG says, or all processors)")
+    run.add_argument("--executor", type=executor, metavar="WHERE", help=EXECUTOR)
     run.add_argument(
         "--force",
         action="store_true",

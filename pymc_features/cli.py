@@ -38,6 +38,7 @@ def main(arguments=None) -> int:
     from rich.console import Console
 
     from pymc_features.arguments import make_parser
+    from pymc_features.exceptions import NoWorkersError
 
     options = make_parser().parse_args(arguments)
     import_module(NEEDED[options.command])
@@ -53,7 +54,7 @@ def main(arguments=None) -> int:
         kept = f": finished parts are kept in {out}; the same command continues" if out else ""
         say(console, f"Interrupted{kept}.", "yellow")
         return EXIT_INTERRUPTED
-    except (ValueError, TypeError, OSError) as error:
+    except (ValueError, TypeError, OSError, NoWorkersError) as error:
         if options.traceback:
             raise
         console.print(f"pymc-features: error: {error}", markup=False, soft_wrap=True)
@@ -104,7 +105,7 @@ def reproduce(options, console):
         record = strong_part(record, described.quick_seconds)
         say(console, f"used: {record}")
     settings = dict(described.quick) if options.quick else {}
-    for name in ("draws", "chains", "cores", "likelihoods", "noise_time"):
+    for name in ("draws", "chains", "cores", "executor", "likelihoods", "noise_time"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
     forget_parts(options, "study", console)
@@ -143,6 +144,7 @@ def update(options, console):
             problem,
             out=options.out,
             cores=options.cores,
+            executor=options.executor,
             progress=progress,
             progressbar=console.is_terminal,
         )

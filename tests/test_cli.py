@@ -34,6 +34,13 @@ def arguments(record_file, out, *more):
     ]
 
 
+def test_reproduce_takes_an_executor(record_file, tmp_path, capsys):
+    assert cli.main(arguments(record_file, tmp_path, "--executor", "0")) == 2
+    assert "`executor` must be something that runs simulations, got 0" in capsys.readouterr().err
+    parsed = make_parser().parse_args(["reproduce", "--executor", "tcp://host:8786"])
+    assert parsed.executor == "tcp://host:8786"
+
+
 @pytest.mark.slow
 def test_reproduce_writes_everything_and_continues(record_file, tmp_path, capsys, monkeypatch):
     """At one sampling step."""

@@ -16,7 +16,7 @@ from pymc_features.calibration.sandwich import Sandwich, sandwich, whitening
 from pymc_features.exceptions import CalibrationWarning, SamplingWarning
 from pymc_features.inference.parameters import Unconstrained, posterior_for
 from pymc_features.inference.sample import Search, compared_draws, sample_from
-from pymc_features.smc import Reference, population_logp, prior_points
+from pymc_features.smc import Reference, open_workers, population_logp, prior_points
 from pymc_features.smc.proposals.reference import Mode
 
 CURVED = 0.2  # standard deviations over which curvature is measured
@@ -113,11 +113,13 @@ def calibrate(
         for fit in distinct_fits(predictions, idata, rng)
     ]
     adjusted, parts = adjusted_model(model, len(modes)), []
-    for i, mode in enumerate(modes):
-        part = calibrated_mode(adjusted, mode, modes[:i] + modes[i + 1 :], settings, rng)
-        part.idata["calibration"] = xr.DataTree(described(model, *mode))
-        far_away(compared_draws(model, part.idata["posterior"]), *mode)
-        parts.append(part)
+    with open_workers(settings.pop("executor", None)) as workers:
+        for i, mode in enumerate(modes):
+            others, own = modes[:i] + modes[i + 1 :], settings | {"executor": workers}
+            part = calibrated_mode(adjusted, mode, others, own, rng)
+            part.idata["calibration"] = xr.DataTree(described(model, *mode))
+            far_away(compared_draws(model, part.idata["posterior"]), *mode)
+            parts.append(part)
     calibrated = pooled(parts, rng)
     for group in ("observed_data", "constant_data"):
         if group in idata.children:

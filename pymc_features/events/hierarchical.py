@@ -27,7 +27,16 @@ from pymc_features.inference.sample import sample
 from pymc_features.keywords import check_keywords
 
 ROUNDS = 3  # of sampling events again
-OF_SAMPLE = ("draws", "chains", "cores", "progressbar", "compile_kwargs", "stage_draws", "threshold")
+OF_SAMPLE = (
+    "draws",
+    "chains",
+    "cores",
+    "executor",
+    "progressbar",
+    "compile_kwargs",
+    "stage_draws",
+    "threshold",
+)
 OWN_SHARE = 0.1  # of an event's own prior, in that under which it is sampled again
 
 

@@ -10,7 +10,7 @@ from weakref import WeakSet
 
 import numpy as np
 
-from pymc_features.external.processes.calls import Outcome
+from pymc_features.processes.calls import Outcome
 
 VERSION = 1
 WAIT_SECONDS = 60.0  # for other writers

@@ -20,7 +20,7 @@ from pymc_features._checks import (
     single,
     to_float,
 )
-from pymc_features.external.processes.executors import check_executor
+from pymc_features.processes.executors import check_executor
 
 RETURNS = ("response", "mean_square")
 

@@ -2,6 +2,7 @@
 
 import os
 import warnings
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +19,9 @@ from pymc_features.smc import (
     PersistentSMC,
     Reference,
     check_run,
+    check_workers,
     find_reference,
+    open_workers,
     population_logp,
     prior_points,
     processors,
@@ -42,8 +45,8 @@ def sample(
     model: pm.Model | None = None,
     random_seed: RandomState = None,
     checkpoint: str | os.PathLike | None = None,
+    executor: int | str | Executor | None = None,
     progressbar: bool = True,
-    compile_kwargs: dict | None = None,
     **settings,
 ) -> xr.DataTree:
     """Posterior and evidence of any PyMC model with up to about a hundred parameters.
@@ -70,12 +73,13 @@ def sample(
         For the same draws each time.
     checkpoint : path-like, optional
         Folder that keeps every evaluation, by which a run that was killed goes on. See `sample_smc`.
+    executor : int, str, dask Client or Executor, optional
+        Where populations, those of climbs and gradients included, are evaluated: number of local processes,
+        address of a Dask scheduler, or any object with `submit`. See `sample_smc`.
     progressbar : bool
         Whether to show progress.
-    compile_kwargs : dict, optional
-        For `pytensor.function`.
     **settings
-        Of `sample_smc` and `PersistentSMC`.
+        Of `sample_smc` and `PersistentSMC`, such as `compile_kwargs`, a dict for `pytensor.function`.
 
     Returns
     -------
@@ -111,7 +115,9 @@ def sample(
     -1.5
     """
     check_run(draws, chains, cores, check_seed(random_seed), progressbar)
+    check_workers(executor)
     model = check_model(model)
+    compile_kwargs = settings.pop("compile_kwargs", None)
     compile_kwargs = check_mapping(compile_kwargs, "compile_kwargs", "a dict for `pytensor.function`")
     if checkpoint is not None:
         check_path(checkpoint, "checkpoint")
@@ -123,20 +129,24 @@ def sample(
     if checkpoint is not None:
         Path(checkpoint).mkdir(parents=True, exist_ok=True)
         journal = Journal(Path(checkpoint) / "modes.record", model_fingerprint(model))
-    found = search(model, logp, draws, rng, journal)
-    idata = sample_from(
-        found,
-        model,
-        space,
-        draws=draws,
-        chains=chains,
-        cores=cores,
-        random_seed=random_seed,
-        checkpoint=checkpoint,
-        progressbar=progressbar,
-        compile_kwargs=compile_kwargs,
-        **settings,
-    )
+    with open_workers(executor) as workers:
+        if workers is not None:
+            logp = workers.run().of(logp)
+        found = search(model, logp, draws, rng, journal)
+        idata = sample_from(
+            found,
+            model,
+            space,
+            draws=draws,
+            chains=chains,
+            cores=cores,
+            random_seed=random_seed,
+            checkpoint=checkpoint,
+            executor=workers,
+            progressbar=progressbar,
+            compile_kwargs=compile_kwargs,
+            **settings,
+        )
     if advice := idata["sample_stats"].attrs["advice"]:
         warnings.warn(advice, SamplingWarning, stacklevel=2)
     return idata

@@ -17,7 +17,7 @@ from pymc_features._checks import (
     shown,
 )
 from pymc_features.exceptions import ToleranceNotReachedError
-from pymc_features.smc import SubsetSimulation, sample_smc
+from pymc_features.smc import SubsetSimulation, open_workers, sample_smc
 
 OF_THE_SAMPLER = ("log_probability", "log_probability_se", "simulations")
 
@@ -46,7 +46,7 @@ def tolerance_sweep(
     random_seed : int or sequence of int, optional
         Of all runs: the same, so that intervals differ by their tolerance and little else.
     **kwargs
-        Of `sample_smc` and `SubsetSimulation` (`chains`, `cores`, `p0`, `progressbar`, ...).
+        Of `sample_smc` and `SubsetSimulation` (`chains`, `cores`, `executor`, `p0`, ...).
 
     Returns
     -------
@@ -77,20 +77,22 @@ def tolerance_sweep(
         random_seed = int(np.random.SeedSequence().generate_state(1)[0])
     kwargs.setdefault("compute_convergence_checks", False)
     rows, reached = [], []
-    for value in epsilon:
-        try:
-            result = sample_smc(
-                draws,
-                SubsetSimulation,
-                model=model,
-                epsilon=float(value),
-                random_seed=random_seed,
-                **kwargs,
-            )
-        except ToleranceNotReachedError:
-            break  # smaller ones are not reached either
-        rows.append(summary(result, names, quantiles))
-        reached.append(value)
+    with open_workers(kwargs.pop("executor", None)) as workers:
+        for value in epsilon:
+            try:
+                result = sample_smc(
+                    draws,
+                    SubsetSimulation,
+                    model=model,
+                    epsilon=float(value),
+                    random_seed=random_seed,
+                    executor=workers,
+                    **kwargs,
+                )
+            except ToleranceNotReachedError:
+                break  # smaller ones are not reached either
+            rows.append(summary(result, names, quantiles))
+            reached.append(value)
     if not rows:
         raise ToleranceNotReachedError(
             f"`epsilon` must be within reach of the simulator, got {epsilon[0]:.6g} as the largest. "

@@ -13,6 +13,7 @@ from pymc_features.smc.kernels.tmcmc import TMCMC
 from pymc_features.smc.proposals.reference import Reference, find_reference
 from pymc_features.smc.results import likelihood_kinds, savable
 from pymc_features.smc.sample import check_run, processors, sample_smc
+from pymc_features.smc.workers.workers import Workers, check_workers, open_workers
 
 KERNELS = (PopulationIMH, PopulationMH, PersistentSMC, TMCMC)  # for any model
 SIMULATOR_KERNELS = (SubsetSimulation,)  # for models with one pm.Simulator node
@@ -30,10 +31,13 @@ __all__ = [
     "RowFunction",
     "SubsetSimulation",
     "TMCMC",
+    "Workers",
     "batched_graph",
     "check_run",
+    "check_workers",
     "find_reference",
     "likelihood_kinds",
+    "open_workers",
     "population_logp",
     "prior_points",
     "processors",

@@ -1,6 +1,7 @@
 """`sample_smc`: PyMC's function with a better default kernel and a result that can be saved."""
 
 import os
+from concurrent.futures import Executor
 
 import numpy as np
 import pymc as pm
@@ -25,6 +26,8 @@ from pymc_features.smc.kernels.checkpoint import remembered
 from pymc_features.smc.kernels.persistent import PersistentSMC
 from pymc_features.smc.results import likelihood_kinds, savable
 from pymc_features.smc.trace import all_draws_at_once
+from pymc_features.smc.workers.chains import chains_on
+from pymc_features.smc.workers.workers import check_workers, open_workers
 
 MOST_RUNS = 10_000  # chains, or processes
 
@@ -37,6 +40,7 @@ def sample_smc(
     cores: int | None = None,
     random_seed: RandomState = None,
     checkpoint: str | os.PathLike | None = None,
+    executor: int | str | Executor | None = None,
     **settings,
 ) -> xr.DataTree:
     """`pm.sample_smc` with `PersistentSMC` by default and a result that saves to netCDF and Zarr.
@@ -59,6 +63,11 @@ def sample_smc(
         Folder that keeps every evaluation, for the kernels of this package. A run that was killed at any
         moment and is started again goes on from there, with the same seed, and ends with the particles that
         it would have had. Remove the folder when it is done.
+    executor : int, str, dask Client or Executor, optional
+        Where populations are evaluated, for the kernels of this package: number of local processes, address
+        of a Dask scheduler, or any object with `submit` as of `concurrent.futures`. The chains share it, all
+        at once or `cores` of them; the particles are those of one process, bit for bit, on processors of one
+        kind. By default each chain is evaluated in its own process.
     **settings
         Of `pm.sample_smc` (`model`, `progressbar`, `mp_ctx`, ...) and of the kernel.
 
@@ -76,6 +85,8 @@ def sample_smc(
         If the checkpoint is damaged, in use, or of another run.
     RuntimeError
         If a process dies that samples a chain.
+    NoWorkersError
+        If an executor runs nothing any more, or its processes die again and again with the same particles.
 
     Examples
     --------
@@ -89,27 +100,32 @@ def sample_smc(
     """
     check_run(draws, chains, cores, random_seed, settings.get("progressbar", True))
     check_kernel(kernel)
+    check_workers(executor)
     model = check_model(settings.get("model"))
     if settings.pop("return_inferencedata", True) is not True:
         raise ValueError(
             "`return_inferencedata` must be True, got False. Use pm.sample_smc() for a MultiTrace."
         )
     default_chains = max(2, cores or processors())
+    for name, given in (("checkpoint", checkpoint), ("executor", executor)):
+        if given is not None and not issubclass(kernel, PopulationKernel):
+            raise TypeError(
+                f"`{name}` must be left out for {kernel.__name__}, which has none. Use a kernel of "
+                "pymc_features."
+            )
     if checkpoint is not None:
         check_path(checkpoint, "checkpoint")
-        if not issubclass(kernel, PopulationKernel):
-            raise TypeError(
-                f"`checkpoint` must be left out for {kernel.__name__}, which keeps none. "
-                "Use a kernel of pymc_features."
-            )
         random_seed, chains = remembered(checkpoint, random_seed, chains, default_chains)
         settings["checkpoint"] = checkpoint
     if chains is None:
         chains = default_chains
-    if cores is None:
+    at_once = min(cores or chains, chains)
+    if executor is not None:
+        cores = 1  # process; chains in threads
+    elif cores is None:
         cores = 1 if is_parallel_by_itself(model) else processors()
     try:
-        with all_draws_at_once():
+        with open_workers(executor) as workers, chains_on(workers, at_once), all_draws_at_once():
             found = pm.sample_smc(
                 draws, kernel, chains=chains, cores=cores, random_seed=random_seed, **settings
             )

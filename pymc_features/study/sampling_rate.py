@@ -3,6 +3,7 @@
 import time
 import warnings
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from os import PathLike
 from pathlib import Path
 from typing import TypedDict, Unpack
@@ -18,7 +19,7 @@ from pymc_features.keywords import check_keywords
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.likelihoods.free import exact_tolerance
 from pymc_features.records import Record
-from pymc_features.smc import SubsetSimulation, sample_smc
+from pymc_features.smc import SubsetSimulation, check_workers, open_workers, sample_smc
 from pymc_features.storage import PartStore, settings_in
 from pymc_features.study import paper
 from pymc_features.study.models import declare, set_measurements
@@ -35,6 +36,7 @@ class SamplingOptions(TypedDict, total=False):
     draws: int | None
     chains: int | None
     cores: int | None
+    executor: int | str | Executor | None
     progressbar: bool
 
 
@@ -89,7 +91,7 @@ def sampling_rate_study(
     progress : callable (str, int, int), optional
         Called with the name of the part in work, the number finished, and the number in all.
     **kwargs
-        `draws`, `chains`, `cores` and `progressbar` of `sample_smc`, which samples ABC with
+        `draws`, `chains`, `cores`, `executor` and `progressbar` of `sample_smc`, which samples ABC with
         `SubsetSimulation`, and of `sample`, which samples the others. By default four chains of 2000 draws of
         the linear chain, two of 1000 of the other, whose response takes longer. `noise_time`: correlation
         time of the noise [s], 0 by default, white.
@@ -112,6 +114,8 @@ def sampling_rate_study(
     """
     check_keywords(kwargs, StudyOptions.__annotations__, "sampling_rate_study")
     cores, progressbar = kwargs.pop("cores", None), kwargs.pop("progressbar", True)
+    executor = kwargs.pop("executor", None)
+    check_workers(executor)
     if cores is not None:
         check_integer(cores, "cores")
     check_flag(progressbar, "progressbar")
@@ -139,15 +143,17 @@ def sampling_rate_study(
         if part is None:
             base = LIKELIHOODS[kind].calibrates
             base = finished(base, multiplier) if base else None
-            part = run_part(study, kind, multiplier, base, models, cores, progressbar)
+            part = run_part(study, kind, multiplier, base, models, common)
             store.save(label, part)
         return part
 
     parts: dict[tuple[str, float], xr.DataTree] = {}
-    for done, (kind, multiplier) in enumerate(names):
-        if progress is not None:
-            progress(part_name(kind, multiplier), done, len(names))
-        parts[kind, multiplier] = finished(kind, multiplier)
+    with open_workers(executor) as workers:
+        common = {"cores": cores, "executor": workers, "progressbar": progressbar}
+        for done, (kind, multiplier) in enumerate(names):
+            if progress is not None:
+                progress(part_name(kind, multiplier), done, len(names))
+            parts[kind, multiplier] = finished(kind, multiplier)
     if progress is not None:
         progress("exact posteriors", len(names), len(names))
     return assemble(study, parts)
@@ -165,9 +171,10 @@ def part_name(kind: str, multiplier: float) -> str:
     return f"{kind}_x{multiplier:g}"
 
 
-def run_part(study, kind, multiplier, base, models, cores, progressbar) -> xr.DataTree:
+def run_part(study, kind, multiplier, base, models, common) -> xr.DataTree:
     """Sample one posterior; `models` keeps the model of each likelihood, which is compiled once.
 
+    `common` are the settings of all samplers.
     `base` is the part that is calibrated, if the likelihood is one that is made from another.
     """
     data, entry = study.data(multiplier), LIKELIHOODS[kind]
@@ -190,9 +197,8 @@ def run_part(study, kind, multiplier, base, models, cores, progressbar) -> xr.Da
             "model": models[name],
             "draws": study.draws,
             "chains": study.chains,
-            "cores": cores,
             "random_seed": study.part_seed(kind),
-            "progressbar": progressbar,
+            **common,
         }
         if base is not None:
             idata = calibrate(base, **settings)

@@ -4,6 +4,7 @@ import json
 import time
 import warnings
 from collections.abc import Callable
+from concurrent.futures import Executor
 from functools import partial
 
 import numpy as np
@@ -15,7 +16,7 @@ from pymc_features import inference, smc
 from pymc_features.calibration import calibrate
 from pymc_features.exceptions import ConfigError, ToleranceNotReachedError
 from pymc_features.likelihood_free import abc_tolerance
-from pymc_features.smc import sample_smc
+from pymc_features.smc import open_workers, sample_smc
 from pymc_features.storage import PartStore
 from pymc_features.update.chains import without_lost_chains
 from pymc_features.update.config.entries import Parameter
@@ -36,6 +37,7 @@ def run_update(
     *,
     out=None,
     cores: int | None = None,
+    executor: int | str | Executor | None = None,
     progress: Callable[[str, int, int], None] | None = None,
     progressbar: bool = True,
 ) -> xr.DataTree:
@@ -50,6 +52,8 @@ def run_update(
         continues. Other likelihoods, another tolerance, report or `cores` are no other problem.
     cores : int, optional
         Processes; as the configuration says, or all processors.
+    executor : int, str, dask Client or Executor, optional
+        Where populations are evaluated, as of `sample_smc`; `cores` then says how many chains run at once.
     progress : callable (str, int, int), optional
         Called with the name of the likelihood in work, the number finished, and the number in all.
     progressbar : bool
@@ -72,18 +76,23 @@ def run_update(
     ConfigError
         If `out` holds another problem, or the tolerance of ABC is out of reach; everything else is kept.
     """
+    if executor is not None and problem.config.sampler.method == "laplace":
+        raise ConfigError("`sampler.method` must be one with populations for an executor, got laplace.")
     store = PartStore(out, problem.settings(), "update")
     kinds, parts = problem.kinds, {}
     tell = progress or (lambda part, done, total: None)
-    for done, kind in enumerate(kinds):
-        tell(kind, done, len(kinds))
-        part, tolerance = store.load(kind), tolerance_of(problem, parts) if kind == "ABC" else None
-        if not is_of(part, problem, tolerance):
-            base = parts.get(KINDS[kind].calibrates)
-            telling = partial(tell, done=done, total=len(kinds))
-            part = run_part(problem, kind, tolerance, base, Running(cores, progressbar, out, telling))
-            store.save(kind, part)
-        parts[kind] = part
+    with open_workers(executor) as workers:
+        for done, kind in enumerate(kinds):
+            tell(kind, done, len(kinds))
+            part, tolerance = store.load(kind), tolerance_of(problem, parts) if kind == "ABC" else None
+            if not is_of(part, problem, tolerance):
+                base = parts.get(KINDS[kind].calibrates)
+                running = Running(
+                    cores, workers, progressbar, out, partial(tell, done=done, total=len(kinds))
+                )
+                part = run_part(problem, kind, tolerance, base, running)
+                store.save(kind, part)
+            parts[kind] = part
     tell("report", len(kinds), len(kinds))
     shown = {kind: parts[kind].copy() for kind in problem.reported}
     title = problem.config.report.title.replace("/", "-")  # which would be a path in the tree
@@ -108,7 +117,6 @@ def run_part(problem, kind, tolerance, base, running: Running) -> xr.DataTree:
 
     `base` is the part that is calibrated, if the likelihood is one that is made from another.
     """
-    cores, progressbar = running.cores, running.progressbar
     start = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
@@ -117,9 +125,9 @@ def run_part(problem, kind, tolerance, base, running: Running) -> xr.DataTree:
         if problem.events:
             idata = sample_events(problem, kind, seed_of(problem, kind), running)
         elif base is None:
-            idata = sample(problem, kind, model, cores, progressbar)
+            idata = sample(problem, kind, model, running)
         else:
-            idata = calibrated(problem, kind, base, model, cores or problem.config.sampler.cores, progressbar)
+            idata = calibrated(problem, kind, base, model, running)
         if is_cut_short(problem, kind, idata["posterior"].sizes):
             raise KeyboardInterrupt
         if base is None and not problem.events and not KINDS[kind].is_likelihood_free:
@@ -178,7 +186,7 @@ def seed_of(problem, kind) -> int:
     return int(np.random.SeedSequence(key).generate_state(1)[0])
 
 
-def calibrated(problem, kind, base, model, cores, progressbar) -> xr.DataTree:
+def calibrated(problem, kind, base, model, running: Running) -> xr.DataTree:
     """The posterior whose width the residuals decide, from the part of another likelihood."""
     asked = problem.config.sampler
     try:
@@ -187,9 +195,10 @@ def calibrated(problem, kind, base, model, cores, progressbar) -> xr.DataTree:
             model=model,
             draws=asked.draws,
             chains=asked.chains,
-            cores=cores,
+            cores=running.cores or asked.cores,
+            executor=running.workers,
             random_seed=seed_of(problem, kind),
-            progressbar=progressbar,
+            progressbar=running.progressbar,
         )
     except ValueError as error:
         raise ConfigError(
@@ -200,18 +209,19 @@ def calibrated(problem, kind, base, model, cores, progressbar) -> xr.DataTree:
     return idata
 
 
-def sample(problem, kind, model, cores, progressbar) -> xr.DataTree:
+def sample(problem, kind, model, running: Running) -> xr.DataTree:
     """The posterior by the sampler of the configuration."""
     asked = problem.config.sampler
     method = method_of(problem, kind)
     common = {"model": model, "random_seed": seed_of(problem, kind)}
-    settings = {"cores": cores or asked.cores, "progressbar": progressbar}
+    cores, progressbar = running.cores or asked.cores, running.progressbar
+    settings = {"cores": cores, "executor": running.workers, "progressbar": progressbar}
     try:
         if method == "Laplace":
             return inference.laplace(asked.draws, **common)
         if method == "NUTS":
             first = {**settings, "draws": max(500, asked.draws // 2), "chains": asked.chains}
-            workers = {} if cores is None and asked.cores is None else {"cores": cores or asked.cores}
+            workers = {} if cores is None else {"cores": cores}
             return inference.sample_nuts(
                 asked.draws,
                 tune=asked.tune,

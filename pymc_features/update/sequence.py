@@ -8,6 +8,7 @@ import xarray as xr
 
 from pymc_features.events.sequence.run import states_in_sequence
 from pymc_features.exceptions import ConfigError, StudyMismatchError
+from pymc_features.smc import Workers
 from pymc_features.update.problem.model import declare
 from pymc_features.update.problem.read import Problem
 
@@ -21,6 +22,8 @@ class Running(NamedTuple):
     ----------
     cores : int or None
         Processes.
+    workers : Workers or None
+        Where populations are evaluated.
     progressbar : bool
         Whether to show PyMC's own.
     out : path or None
@@ -30,6 +33,7 @@ class Running(NamedTuple):
     """
 
     cores: int | None
+    workers: Workers | None
     progressbar: bool
     out: object
     tell: Callable[[str], None]
@@ -71,6 +75,7 @@ def sample_events(problem: Problem, kind: str, seed: int, running: Running) -> x
         chains=sampler.chains,
         random_seed=seed,
         cores=running.cores or sampler.cores,
+        executor=running.workers,
         progressbar=running.progressbar,
         drift={name: value for name, value in asked.drift.items() if name in free},
         forgetting=asked.forgetting,

@@ -15,9 +15,9 @@ import pytest
 from pymc_features import ExternalSimulator, PopulationIMH, sample_smc
 from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
 from pymc_features.external import EvaluationCache
-from pymc_features.external.processes import calls
-from pymc_features.external.processes.process import SimulatorProcess
 from pymc_features.external.progress import Lines, clock
+from pymc_features.processes import calls
+from pymc_features.processes.process import SimulatorProcess
 from support import external_functions as functions
 from support.external_functions import DATA, SECONDS, SHAPE, Counted, Hanging, beam, lives, wait_until
 from support.external_models import BrokenElsewhere, model_of
@@ -265,8 +265,8 @@ def test_ctrl_c_while_processes_start(tmp_path, simulator, monkeypatch):
     begun, goes_on = threading.Event(), threading.Event()
 
     class Late(SimulatorProcess):
-        def __init__(self, payload):
-            super().__init__(payload)
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
             begun.set()
             goes_on.wait(SECONDS)
 

@@ -24,9 +24,9 @@ from pymc_features import (
     sample_smc,
     simulate,
 )
-from pymc_features.external.processes.calls import Outcome
 from pymc_features.external.surrogate import learner, surrogate
 from pymc_features.external.surrogate.gaussian_process import GaussianProcess, unit_kernel
+from pymc_features.processes.calls import Outcome
 
 GROUPS = ([0, 1, 2], [3, 4, 5], [6, 7, 8, 9])  # springs that share a factor
 LEVELS = (0.05, 0.5, 0.95)

@@ -502,7 +502,7 @@ def test_models_and_kernels_that_cannot_go_on(tmp_path):
         )
     with pytest.raises(ValueError, match="`checkpoint` must be left out for a model with random draws"):
         sample(model, checkpoint=tmp_path)
-    with pytest.raises(TypeError, match="`checkpoint` must be left out for MH, which keeps none"):
+    with pytest.raises(TypeError, match="`checkpoint` must be left out for MH, which has none"):
         sample(model, pm.smc.MH, checkpoint=tmp_path)
 
 

@@ -392,7 +392,8 @@ def test_ragged_statistics_are_padded():
 
 def test_arguments_of_samplers_are_known_by_name(short):
     with pytest.raises(
-        TypeError, match=r"own or draws, chains, cores, progressbar, noise_time, got 'chain'. Did you mean"
+        TypeError,
+        match=r"cores, executor, progressbar, noise_time, got 'chain'. Did you mean",
     ):
         small_study(short, chain=1)
 

@@ -15,6 +15,8 @@ import xarray as xr
 
 from pymc_features import cli, datasets, simulate, structures
 from pymc_features.exceptions import ConfigError, DatasetUnavailableError
+from pymc_features.smc.workers import workers
+from pymc_features.smc.workers.workers import Spread
 from pymc_features.update import predict, read_problem, run, write_example
 from pymc_features.update.config import priors, structure_sections
 from pymc_features.update.config.document import read_config
@@ -277,6 +279,28 @@ def finished(example):
         patch.setattr(run, "sample", only_abc)
         assert cli.main(command) == 0
     return out
+
+
+@pytest.mark.processes
+def test_update_on_two_processes(example, finished, tmp_path, capsys, monkeypatch):
+    """The draws of one; what is no executor is refused before anything is sampled."""
+    spread, elsewhere = [], Spread.elsewhere
+
+    def counted(self, logp, which, particles):
+        spread.append(len(particles))
+        return elsewhere(self, logp, which, particles)
+
+    monkeypatch.setattr(workers, "HERE", 0.0)
+    monkeypatch.setattr(Spread, "some_are_ready", lambda self, work: True)
+    monkeypatch.setattr(Spread, "elsewhere", counted)
+    command = ["update", str(example), "--out", str(tmp_path / "out"), "--executor"]
+    assert cli.main([*command, "0"]) == 2
+    assert "`executor` must be something that runs simulations, got 0" in capsys.readouterr().err
+    assert cli.main([*command, "2"]) == 0 and sum(spread) > 1000
+    for kind in ("EXP", "ABC"):
+        paths = [folder / "parts" / f"{kind}.nc" for folder in (finished, tmp_path / "out")]
+        one, two = (xr.open_dataset(path, group="posterior", engine="h5netcdf").load() for path in paths)
+        assert one.equals(two)
 
 
 def test_outputs(finished):

@@ -40,7 +40,15 @@ from pymc_features.smc.proposals.mixture import equal_draws
 OWN_SHARE = 0.2  # of the model's own prior among the draws; it does not change the posterior
 FOR_ERROR = 200  # draws whose likelihood is asked for again
 ALARM = 0.5  # probability of a change from which there is an alarm
-OF_SAMPLE_SMC = ("cores", "progressbar", "compile_kwargs", "stage_draws", "threshold", "checkpoint")
+OF_SAMPLE_SMC = (
+    "cores",
+    "executor",
+    "progressbar",
+    "compile_kwargs",
+    "stage_draws",
+    "threshold",
+    "checkpoint",
+)
 
 
 def continue_with(

@@ -11,6 +11,7 @@ from pymc_features._checks import as_list, check_integer, check_model, check_pat
 from pymc_features.events.sequence.continuing import continue_with, sequence_of
 from pymc_features.exceptions import StudyMismatchError
 from pymc_features.inference.sample import sample
+from pymc_features.smc import open_workers
 from pymc_features.smc.kernels.checkpoint import model_fingerprint
 from pymc_features.storage import PartStore
 
@@ -60,10 +61,13 @@ def sample_in_sequence(
     --------
     plot_sequence : parameters and alarms, event by event.
     """
-    states = states_in_sequence(
-        events, model=model, out=out, draws=draws, chains=chains, random_seed=random_seed, **settings
-    )
-    return deque(states, maxlen=1).pop()
+    with open_workers(settings.pop("executor", None)) as workers:
+        if workers is not None:
+            settings["executor"] = workers
+        states = states_in_sequence(
+            events, model=model, out=out, draws=draws, chains=chains, random_seed=random_seed, **settings
+        )
+        return deque(states, maxlen=1).pop()
 
 
 def states_in_sequence(

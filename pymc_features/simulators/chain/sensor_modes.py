@@ -111,6 +111,7 @@ def improve_value(modes, r, largest):
     """
     found = load(modes.values, r)
     value, lost = found, has_lost(found, largest)
+    moving = lost  # a lane that has settled stays: its number is not to depend on its neighbours
     for _ in range(ROUNDS):
         twisted_vector(modes.diagonal, modes.off_diagonal, value, modes.pivots, modes.shape)
         energy = inertia = below = splat(0.0)
@@ -123,8 +124,9 @@ def improve_value(modes, r, largest):
             below = shape
         quotient = energy / inertia
         change = magnitude(quotient - value) - SETTLED * quotient
-        value = quotient
-        if not highest(where_less(splat(0.0), lost, change, splat(-1.0))) > 0.0:
+        value = where_less(splat(0.0), moving, quotient, value)
+        moving = where_less(splat(0.0), moving, change, splat(-1.0))
+        if not highest(moving) > 0.0:
             break
     near = where_less(magnitude(value - found), REACH * largest, value, found)
     store(modes.values, r, where_less(splat(0.0), lost, near, found))

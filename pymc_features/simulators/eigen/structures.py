@@ -148,6 +148,7 @@ def improve_value(lanes, r, largest, is_diagonal):
     """
     n, found = lanes.diagonal.shape[0], load(lanes.values, r)
     value, lost = found, has_lost(found, largest)
+    moving = lost  # a lane that has settled stays: its number is not to depend on its neighbours
     for _ in range(ROUNDS):
         twisted_vector(lanes.diagonal, lanes.off_diagonal, value, lanes.pivots, lanes.shape)
         inertia = splat(0.0)
@@ -162,8 +163,9 @@ def improve_value(lanes, r, largest, is_diagonal):
         change = magnitude(quotient - value) - SETTLED * magnitude(quotient)
         is_zero = where_less(splat(0.0), magnitude(quotient), splat(0.0), splat(1.0))
         change = where_less(splat(0.0), is_zero, splat(-1.0), change)
-        value = quotient
-        if not highest(where_less(splat(0.0), lost, change, splat(-1.0))) > 0.0:
+        value = where_less(splat(0.0), moving, quotient, value)
+        moving = where_less(splat(0.0), moving, change, splat(-1.0))
+        if not highest(moving) > 0.0:
             break
     near = where_less(magnitude(value - found), REACH * largest, value, splat(-1.0))
     store(lanes.values, r, where_less(splat(0.0), lost, near, found))

@@ -99,6 +99,15 @@ def rows_of(parameters, members):
     return [np.ascontiguousarray(p[members % len(p)]) for p in parameters]
 
 
+def groups_of(members):
+    """The particles in groups for the lanes, by their places in the population.
+
+    Not by their places among the members: the steps of a particle go by its group, and its numbers must be
+    the same wherever a population is cut at multiples of the lanes.
+    """
+    return np.split(members, np.flatnonzero(np.diff(members // LANES)) + 1)
+
+
 def march_population(march, lanes, parameters, members, problem, result):
     """Write the statistics of particles into `result` (p, s, 4); return those lost, with neighbours.
 
@@ -118,8 +127,7 @@ def march_population(march, lanes, parameters, members, problem, result):
     excitation, wanted, observed = problem
     length = excitation.dt / excitation.substeps
     lost = []
-    for first in range(0, len(members), LANES):
-        own = members[first : first + LANES]
+    for own in groups_of(members):
         chains = rows_of(parameters, np.resize(own, LANES))
         start = int(min(max(np.ceil(length * largest_rate(*chains[:4]).max() / FIRST_PHASE), 1), MAX_STEPS))
         lanes.fill(chains, length / start, LEAST_PEAK * np.abs(excitation.acceleration).max())

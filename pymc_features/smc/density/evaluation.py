@@ -2,6 +2,7 @@
 
 import uuid
 import warnings
+from collections.abc import Callable
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import cloudpickle
@@ -35,6 +36,8 @@ class PopulationLogp:
     ----------
     batched : bool
         False if the particles are evaluated one by one, since a part of the model takes no batch.
+    spread : callable or None
+        What evaluates populations elsewhere, see `spread_over`.
     """
 
     def __init__(self, model, point, compile_kwargs, terms=None):
@@ -48,6 +51,7 @@ class PopulationLogp:
                 PopulationWarning,
                 stacklevel=2,
             )
+        self.spread = None
         self.values = RowFunction(self.graph, self.compile_kwargs)
         self.slopes = self._why_no_gradient = self._with_slopes = None  # not known before they are asked for
         _ALIVE[self.token] = self
@@ -68,7 +72,13 @@ class PopulationLogp:
             ours, its result is not finite; elsewhere, the log-likelihood is not. Those at which the model
             raises a numerical error, too.
         """
-        return self._judge(*self.values(particles))
+        return self._judge(*self._outputs("values", particles))
+
+    def _outputs(self, which, particles):
+        """Raw outputs of `values` or `slopes`, here or on the workers."""
+        if self.spread is None:
+            return getattr(self, which)(particles)
+        return self.spread(self, which, particles)
 
     def _judge(self, prior, likelihood, *failure):
         """Log prior, log-likelihood and failures, from the raw outputs, each (p,)."""
@@ -102,7 +112,7 @@ class PopulationLogp:
         """
         if self.slopes is None:
             self.compile_gradient()
-        *values, grad_prior, grad_likelihood = self.slopes(particles)
+        *values, grad_prior, grad_likelihood = self._outputs("slopes", particles)
         prior, likelihood, failed = self._judge(*values)
         slopes = np.stack([grad_prior, grad_likelihood], dtype=np.float64)
         slopes[:, ~(np.isfinite(prior + likelihood) & np.isfinite(slopes).all(axis=(0, 2)))] = 0.0
@@ -181,6 +191,12 @@ class PopulationLogp:
         nodes = inner_nodes(self.function.maker.fgraph)
         return any(getattr(core_op(node), "expensive", False) for node in nodes)
 
+    def spread_over(self, spread: Callable) -> "PopulationLogp":
+        """The same evaluation by `spread(logp, "values" or "slopes", particles)`."""
+        other = object.__new__(PopulationLogp)
+        other.__dict__.update(self.__dict__, spread=spread)
+        return other
+
     def with_rng(self, rng: np.random.Generator) -> "PopulationLogp":
         """An evaluation with random streams of its own; this one if there are no random draws in it."""
         values = self.values.with_rng(rng)
@@ -195,7 +211,7 @@ class PopulationLogp:
         graph = self.graph if self.slopes is None else None
         parts = cloudpickle.dumps((self.values, self.slopes, graph))
         others = {k: v for k, v in self.__dict__.items() if k not in PARTS}
-        return others | {"_with_slopes": None, "parts": parts}
+        return others | {"_with_slopes": None, "spread": None, "parts": parts}
 
     def __setstate__(self, state):
         parts = state.pop("parts")

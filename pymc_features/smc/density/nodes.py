@@ -1,9 +1,40 @@
 """Which simulators and which random draws a graph has inside."""
 
 from pymc.distributions.simulator import SimulatorRV
+from pytensor.compile.ops import DeepCopyOp, ViewOp
 from pytensor.graph.traversal import ancestors
+from pytensor.raise_op import CheckAndRaise
+from pytensor.tensor.basic import Alloc, Join, MakeVector, ScalarFromTensor, Split, TensorFromScalar
 from pytensor.tensor.blockwise import Blockwise
+from pytensor.tensor.elemwise import CAReduce, DimShuffle, Elemwise
 from pytensor.tensor.random.type import RandomGeneratorType
+from pytensor.tensor.shape import Reshape, Shape, Shape_i, SpecifyShape
+from pytensor.tensor.subtensor import AdvancedIncSubtensor, AdvancedSubtensor, IncSubtensor, Subtensor
+
+# What NumPy computes of each row by itself, in the same way whatever the number of rows; a product of
+# matrices is none of them. So do the Ops of this package.
+ROW_BY_ROW = (
+    Elemwise,
+    DimShuffle,
+    CAReduce,
+    Alloc,
+    Join,
+    Split,
+    MakeVector,
+    ScalarFromTensor,
+    TensorFromScalar,
+    Reshape,
+    Shape,
+    Shape_i,
+    SpecifyShape,
+    Subtensor,
+    IncSubtensor,
+    AdvancedSubtensor,
+    AdvancedIncSubtensor,
+    ViewOp,
+    DeepCopyOp,
+    CheckAndRaise,
+)
 
 
 def core_op(node):
@@ -48,3 +79,20 @@ def is_random(node) -> bool:
         return False
     inside = getattr(op, "fgraph", None) is not None  # its own nodes tell
     return not inside and any(isinstance(v.type, RandomGeneratorType) for v in node.inputs)
+
+
+def goes_row_by_row(function) -> bool:
+    """Whether the rows of what NumPy evaluates are known not to depend on the number of rows.
+
+    To the last bit: a product of matrices sums in another order for another number of rows.
+    """
+    graph = function.maker.fgraph
+    depends = set(graph.inputs[:1])
+    for node in graph.toposort():
+        if depends.isdisjoint(node.inputs):
+            continue
+        depends.update(node.outputs)
+        ours = type(core_op(node)).__module__.startswith("pymc_features.")
+        if not (isinstance(node.op, ROW_BY_ROW) or ours) or is_random(node):
+            return False
+    return True

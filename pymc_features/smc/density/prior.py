@@ -8,6 +8,8 @@ from pymc.initial_point import make_initial_point_expression
 from pymc.pytensorf import compile as compile_function
 from pymc.pytensorf import reseed_rngs
 
+from pymc_features.smc.density.rows import ONE_CALL
+
 # In this process, and in those forked from it, pickled draws find their compiled function here.
 _ALIVE: WeakValueDictionary = WeakValueDictionary()
 _OF_MODEL: WeakKeyDictionary = WeakKeyDictionary()
@@ -36,8 +38,10 @@ class PriorDraws:
 
     def __call__(self, draws: int, rng: np.random.Generator) -> list[np.ndarray]:
         """Return an array (draws, ...) for each variable."""
-        reseed_rngs(self.rngs, rng.integers(2**30, dtype=np.int64))
-        return [np.stack(column) for column in zip(*(self.function() for _ in range(draws)), strict=True)]
+        with ONE_CALL:
+            reseed_rngs(self.rngs, rng.integers(2**30, dtype=np.int64))
+            drawn = [self.function() for _ in range(draws)]
+        return [np.stack(column) for column in zip(*drawn, strict=True)]
 
     def __getstate__(self):
         return {"token": self.token, "expression": self.expression}

@@ -1,5 +1,6 @@
 """A compiled function of particles, called for as many at once as memory allows."""
 
+import threading
 import warnings
 from contextlib import contextmanager
 
@@ -8,11 +9,16 @@ from pymc.pytensorf import compile as compile_function
 from pytensor import shared as make_shared
 from pytensor.tensor.random.type import RandomGeneratorType
 
-from pymc_features.smc.density.compilation import with_mode
+from pymc_features.smc.density.compilation import INTERPRETED, with_mode
 from pymc_features.smc.density.graph import DensityGraph, largest_result
-from pymc_features.smc.density.nodes import simulator_functions
+from pymc_features.smc.density.nodes import goes_row_by_row, simulator_functions
 
 BATCH_BYTES = 2**26  # of the largest intermediate result of one call; larger populations are split
+UNIT = 8  # particles of a group in our kernels, or two groups: a population is cut at multiples of it
+TOGETHER = 32  # particles of simulations in a call where a row may depend on how many others there are
+
+# Compiled functions have memory of their own: where several chains run in threads, one at a time.
+ONE_CALL = threading.RLock()
 
 # what a model function may raise at bad parameters; the particle at fault is then found and set aside
 NUMERICAL_ERRORS = (ArithmeticError, np.linalg.LinAlgError)
@@ -43,6 +49,8 @@ class RowFunction:
         False if it is called for each particle by itself.
     batch : int
         Particles in one call, at most.
+    unit : int
+        No bit of a result changes where a population is cut at multiples of it, and no part is smaller.
     raised : str
         What the model raised last; empty if nothing did.
     """
@@ -59,11 +67,20 @@ class RowFunction:
         with quiet_about_python():
             self.function = compile_function([joined], outputs, **{**kwargs, "on_unused_input": "ignore"})
         self.function.trust_input = True
+        if not self.batched:
+            self.batch = self.unit = 1
+        elif kwargs.get("mode") is INTERPRETED and goes_row_by_row(self.function):
+            # compiled by Numba, a loop treats its last rows by other instructions
+            self.unit = min(UNIT, self.batch)
+            self.batch -= self.batch % self.unit
+        else:
+            self.batch = self.unit = min(self.batch, TOGETHER) if graph.counts_simulations else self.batch
 
     def __call__(self, particles: np.ndarray) -> list[np.ndarray]:
         """Outputs (p, ...); NaN for particles at which the model raises a numerical error."""
-        size = self.batch if self.batched else 1
-        parts = [self._evaluate(particles[i : i + size]) for i in range(0, len(particles), size)]
+        ends = [*range(self.batch, len(particles) - self.unit + 1, self.batch), len(particles)]
+        with ONE_CALL:
+            parts = [self._evaluate(particles[i:k]) for i, k in zip([0, *ends], ends, strict=False)]
         return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
     def _evaluate(self, particles):
@@ -77,7 +94,8 @@ class RowFunction:
                 self.raised = f"{type(error).__name__}: {str(error).partition('\n')[0]}"
                 outputs = [out for out in self.function.maker.fgraph.outputs if hasattr(out, "ndim")]
                 return [np.full((1, d)[: out.ndim + (not self.batched)], np.nan) for out in outputs]
-            halves = self._evaluate(particles[: n // 2]), self._evaluate(particles[n // 2 :])
+            half = max(n // 2 // self.unit, 1) * self.unit if n > self.unit else n // 2
+            halves = self._evaluate(particles[:half]), self._evaluate(particles[half:])
             return [np.concatenate(pair) for pair in zip(*halves, strict=True)]
 
     def with_rng(self, rng: np.random.Generator) -> "RowFunction":

@@ -1,6 +1,7 @@
 """What the kernels share that evaluate a whole population at once."""
 
 import time
+from collections.abc import Callable
 from os import PathLike
 from typing import NoReturn, TypedDict
 
@@ -20,7 +21,7 @@ from pymc_features._checks import (
     check_seed,
     check_share,
 )
-from pymc_features.smc.density.evaluation import population_logp
+from pymc_features.smc.density.evaluation import PopulationLogp, population_logp
 from pymc_features.smc.density.prior import prior_draws
 from pymc_features.smc.kernels.checkpoint import Checkpoint, model_fingerprint
 
@@ -93,6 +94,7 @@ class PopulationKernel(SMC_KERNEL):
     # integers of the real line they move on. Where the first particles must be draws from the prior, both
     # are undone.
     starts_from_prior = False
+    densities = ("logp",)  # attributes that evaluate populations
     correlation_threshold = 0.01  # of `mutate`, as in PyMC
     stats_dtypes_shapes = {
         **SMC_KERNEL.stats_dtypes_shapes,
@@ -153,6 +155,11 @@ class PopulationKernel(SMC_KERNEL):
     def compile_evaluation(self, model: pm.Model, point: dict, compile_kwargs: dict) -> None:
         """Compile what `evaluate` calls."""
         self.logp = population_logp(model, point, compile_kwargs)
+
+    def evaluate_by(self, spread: Callable[[PopulationLogp], PopulationLogp]) -> None:
+        """Let `spread` make of each evaluation the same one elsewhere."""
+        for name in self.densities:
+            setattr(self, name, spread(getattr(self, name)))
 
     def set_rng(self, rng: np.random.Generator) -> None:
         """Use this generator; random draws inside the log-probability get streams of their own."""

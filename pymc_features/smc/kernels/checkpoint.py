@@ -12,6 +12,7 @@ import operator
 import os
 import re
 import struct
+import threading
 import zlib
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from pymc_features.exceptions import CheckpointError
 
 MAGIC = b"pymc_features journal 2\n"
 HEAD = struct.Struct("<QQI")  # rows and columns of the particles, CRC-32 of the run and what follows
+ONE_CHAIN = threading.Lock()  # of those in threads, at a time, says what run this is
 VALUES = 3  # log prior, log-likelihood, failed, each (p,); arrays (p, d) of gradients may follow
 ADVICE = "Choose another folder, or remove this one to begin anew."
 
@@ -166,7 +168,8 @@ class Checkpoint:
             If the folder belongs to another run.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
-        run = self.claim({"model": self.model, **settings})
+        with ONE_CHAIN:
+            run = self.claim({"model": self.model, **settings})
         state = json.dumps(rng.bit_generator.state, sort_keys=True, default=int)
         name = hashlib.sha256(state.encode()).hexdigest()[:16]
         return Journal(self.folder / f"{name}.journal", json.dumps(run, sort_keys=True))

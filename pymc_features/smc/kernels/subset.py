@@ -87,6 +87,7 @@ class SubsetSimulation(PopulationKernel):
     """
 
     starts_from_prior = True
+    densities = ("logp", "base")
     stats_dtypes_shapes = {
         **PopulationKernel.stats_dtypes_shapes,
         "epsilon": (float, []),
@@ -145,8 +146,7 @@ class SubsetSimulation(PopulationKernel):
 
     def _initialize_kernel(self):
         """Simulate draws from the prior until enough of them give a number."""
-        self.moves = CrossedMoves(self.n_parameters)
-        self.levels = Levels(self.epsilon, self.p0)
+        self.moves, self.levels = CrossedMoves(self.n_parameters), Levels(self.epsilon, self.p0)
         self.simulations, self.smallest = 0, np.inf
         wanted, parts, possible = max(20, 4 * self.n_parameters), [], 0
         while possible < wanted:

@@ -8,7 +8,7 @@ import xarray as xr
 
 import pymc_features as pmf
 from support.border import Call, work
-from support.odd_values import ONE, PAIR, PATHS, POSITIVE
+from support.odd_values import ONE, PAIR, PATHS, POSITIVE, TEXTS
 
 with pm.Model() as MODEL:
     X = pm.Normal("x")
@@ -86,6 +86,7 @@ TAKEN = {
     "max_simulations": {"None", "inf", "1e300", "10**400", "10**5000"},
     "chains": {"None", *ONE},
     "cores": {"None", *ONE},
+    "executor": {"None", *TEXTS - {"empty text"}},
     "tune": {"0", *ONE},
     "progressbar": {"True", "NumPy's True"},
     "point": DICTS,
@@ -105,6 +106,8 @@ def kernel(of, **more):
 
 
 RUN = {"draws": 100, "chains": 2, "cores": 1, "random_seed": 1, "checkpoint": None, "progressbar": False}
+RUN |= {"executor": None}
+WORKERS = {"pymc_features.smc.workers.workers.open_executor": work}
 
 CALLS = {
     "PopulationIMH": kernel(pmf.PopulationIMH, correlation_threshold=0.01),
@@ -118,7 +121,7 @@ CALLS = {
         pmf.sample_smc,
         {**RUN, "kernel": pmf.PersistentSMC, "model": MODEL},
         TAKEN,
-        instead={"pymc.sample_smc": work, "pymc_features.smc.sample.remembered": work},
+        instead={"pymc.sample_smc": work, "pymc_features.smc.sample.remembered": work, **WORKERS},
     ),
     "sample": Call(
         pmf.sample,

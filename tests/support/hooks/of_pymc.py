@@ -182,6 +182,16 @@ def traces_of_chains():
         assert "_build_trace_from_kernel_state" in function.__code__.co_names
 
 
+@check("pymc.smc.sampling._sample_smc_sequentially")
+def chains_of_a_run():
+    from pymc.smc import sampling
+
+    names = {"kernel", "chains", "rngs", "start_points", "model", "progressbar", "progressbar_theme"}
+    names |= {"traces", "sample_stats", "sample_settings"}
+    assert set(inspect.signature(sampling._sample_smc_sequentially).parameters) == names
+    assert "_sample_smc_sequentially" in sampling.sample_smc.__code__.co_names
+
+
 @check("pymc.backends.ndarray.NDArray")
 def trace_in_memory():
     from pymc.backends import ndarray

@@ -1,6 +1,8 @@
 """What an executor runs, in whichever thread, process or machine: one call of a simulator process.
 
-Each place keeps its simulator processes and uses them again.
+Each place keeps its simulator processes and uses them again. A digest names a payload. Processes belong to
+what stands before the slash in it, their owner, and take one payload after another of that owner; without a
+slash each payload has processes of its own.
 """
 
 import atexit
@@ -9,12 +11,12 @@ import threading
 from dataclasses import dataclass
 
 from pymc_features.exceptions import DiedAtStartError, UnusableSimulatorError
-from pymc_features.external.processes.process import SimulatorProcess
+from pymc_features.processes.process import SimulatorProcess
 
 STARTS = 3  # attempts at a process that dies before it is ready: the cause may have come from outside
 IDLE_KEPT = 64  # processes of all simulators, and payloads; where nobody says that one is not needed any more
 
-_IDLE: dict[str, list[SimulatorProcess]] = {}  # by payload
+_IDLE: dict[str, list[SimulatorProcess]] = {}  # by owner
 _BUSY: dict[str, set[SimulatorProcess]] = {}
 _PAYLOADS: dict[str, bytes] = {}
 _ENDED: set[str] = set()
@@ -45,6 +47,7 @@ class Outcome:
 
 def call(digest: str, arguments, timeout: float | None, payload: bytes | None = None) -> Outcome:
     """Run one simulation of the simulator known by its digest, or sent along."""
+    owner = owner_of(digest)
     with _LOCK:
         payload = _PAYLOADS.get(digest, payload)
         if payload is None:
@@ -52,51 +55,68 @@ def call(digest: str, arguments, timeout: float | None, payload: bytes | None = 
         _PAYLOADS[digest] = payload
         while len(_PAYLOADS) > IDLE_KEPT:
             _PAYLOADS.pop(next(iter(_PAYLOADS)))
-    process = take(digest) or start(payload)
+    process = take(owner, digest) or start(digest, payload)
+    if process is None:
+        return Outcome("died", message="the simulator was closed")
     with _LOCK:
-        if digest not in _ENDED:
-            _BUSY.setdefault(digest, set()).add(process)
+        if owner not in _ENDED:
+            _BUSY.setdefault(owner, set()).add(process)
     try:
-        if digest in _ENDED:
+        if owner in _ENDED:
             return Outcome("died", message="the simulator was closed")
-        state, value, seconds = process.ask(arguments, timeout)
+        state, value, seconds = process.load(digest, payload)
+        if state == "ready":
+            state, value, seconds = process.ask(digest, arguments, timeout)
     except BaseException:
         process.close()
         raise
     finally:
-        give(digest, process)
+        give(owner, process)
     if state == "ok":
         return Outcome(state, value, seconds=seconds)
     return Outcome(state, message=value, seconds=seconds)
 
 
-def take(digest) -> SimulatorProcess | None:
-    """A process that waits for work, if there is one that lives."""
+def owner_of(digest) -> str:
+    """Whose processes run what a digest names."""
+    return digest.partition("/")[0]
+
+
+def take(owner, digest) -> SimulatorProcess | None:
+    """A process that waits for work, if there is one that lives; rather one that has loaded the digest."""
     while True:
         with _LOCK:
-            idle = _IDLE.get(digest)
-            process = idle.pop() if idle else None
+            idle = _IDLE.get(owner)
+            process = None
+            if idle:
+                loaded = [i for i, one in enumerate(idle) if digest in one.digests]
+                process = idle.pop(loaded[-1] if loaded else -1)
         if process is None or process.process.poll() is None:
             return process
         process.close()
 
 
-def start(payload) -> SimulatorProcess:
-    """A new process."""
+def start(digest, payload) -> SimulatorProcess | None:
+    """A new process; None where its owner wants none any more."""
+    owner = owner_of(digest)
     for _ in range(STARTS):
         try:
-            return SimulatorProcess(payload)
+            process = SimulatorProcess(payload, lambda: owner not in _ENDED)
+            process.digests = [digest]
+            return process
         except DiedAtStartError as error:
+            if owner in _ENDED:
+                return None
             reason = str(error)
     raise UnusableSimulatorError(reason)
 
 
-def give(digest, process):
+def give(owner, process):
     """A process that has done its work waits for more, or is ended."""
     with _LOCK:
-        _BUSY.get(digest, set()).discard(process)
-        if process.usable and digest not in _ENDED:
-            _IDLE.setdefault(digest, []).append(process)
+        _BUSY.get(owner, set()).discard(process)
+        if process.usable and owner not in _ENDED:
+            _IDLE.setdefault(owner, []).append(process)
             process = None
         surplus = [process] if process is not None else []
         if sum(map(len, _IDLE.values())) > IDLE_KEPT:
@@ -105,15 +125,15 @@ def give(digest, process):
         one.close()
 
 
-def end_processes(digests=None):
+def end_processes(owners=None):
     """End the processes of some simulators, or of all; busy ones are killed, and none starts any more."""
     with _LOCK:
-        chosen = {*_IDLE, *_BUSY} if digests is None else digests
+        chosen = {*_IDLE, *_BUSY} if owners is None else set(owners)
         _ENDED.update(chosen)
-        for digest in chosen:
-            _PAYLOADS.pop(digest, None)
-        idle = [process for digest in chosen for process in _IDLE.pop(digest, ())]
-        busy = [process for digest in chosen for process in _BUSY.pop(digest, ())]
+        for digest in [digest for digest in _PAYLOADS if owner_of(digest) in chosen]:
+            del _PAYLOADS[digest]
+        idle = [process for owner in chosen for process in _IDLE.pop(owner, ())]
+        busy = [process for owner in chosen for process in _BUSY.pop(owner, ())]
     for process in idle:
         process.close()
     for process in busy:

@@ -1,13 +1,17 @@
 """Where simulations run: local processes, a Dask cluster, or any executor."""
 
 import os
+import threading
+import time
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 
 from pymc_features._checks import shown
-from pymc_features.external.processes.calls import end_processes
+from pymc_features.processes.calls import end_processes
 
 MOST_PROCESSES = 10_000
+PAYLOADS_KEPT = 8  # on a cluster, for each client
+COUNTED_FOR = 10.0  # seconds until the workers of a cluster are counted again
 ADVICE = (
     "Give a number of local processes, the address of a Dask scheduler, or an object with submit() like "
     "those of concurrent.futures."
@@ -26,7 +30,7 @@ def check_executor(executor):
 
 
 def open_executor(executor):
-    """Return an object with `submit`, and a function of digests that ends what runs and what is ours."""
+    """Return an object with `submit`, and a function of owners that ends what runs and what is ours."""
     if executor is None or isinstance(executor, int):
         pool = LocalExecutor(executor or processors())
         return pool, pool.end
@@ -44,18 +48,23 @@ class LocalExecutor(ThreadPoolExecutor):
 
     Each has one call in work and one in reserve. So a run that is killed loses no more than two results of
     each, however slowly they are written down.
+
+    Attributes
+    ----------
+    places : int
+        How many calls run at once.
     """
 
     brings = True
 
     def __init__(self, n_processes: int):
         super().__init__(n_processes, thread_name_prefix="simulation")
-        self.at_most = 2 * n_processes
+        self.places, self.at_most = n_processes, 2 * n_processes
 
-    def end(self, digests):
+    def end(self, owners):
         """Drop what has not begun, and kill what has."""
         self.shutdown(wait=False, cancel_futures=True)
-        end_processes(digests)
+        end_processes(owners)
 
 
 class DaskExecutor:
@@ -73,21 +82,32 @@ class DaskExecutor:
     def __init__(self, client, ours: bool):
         self.client, self.ours = client, ours
         self.executor = client.get_executor(pure=False)
-        self.payloads = {}
+        self.payloads, self.lock = {}, threading.Lock()
+        self._counted = -COUNTED_FOR, 1
+
+    @property
+    def places(self) -> int:
+        """Threads of all workers; workers may come and go."""
+        if time.monotonic() - self._counted[0] > COUNTED_FOR:
+            self._counted = time.monotonic(), max(1, sum(self.client.nthreads().values()))
+        return self._counted[1]
 
     def submit(self, function, digest, arguments, timeout, payload):
         """A `concurrent.futures.Future`; the payload goes to each worker once, and again to a new one."""
         if self.client.status not in ("running", "connecting"):
             raise RuntimeError(f"the Dask client is {self.client.status}")
-        if digest not in self.payloads:
-            self.payloads[digest] = self.client.submit(bytes, payload, key=f"simulator-{digest}")
-        return self.executor.submit(function, digest, arguments, timeout, self.payloads[digest])
+        with self.lock:
+            sent = self.payloads.get(digest) or self.client.submit(bytes, payload, key=f"simulator-{digest}")
+            self.payloads[digest] = sent
+            while len(self.payloads) > PAYLOADS_KEPT:
+                self.payloads.pop(next(iter(self.payloads)))
+        return self.executor.submit(function, digest, arguments, timeout, sent)
 
-    def end(self, digests):
+    def end(self, owners):
         """End the processes on all workers."""
         self.payloads.clear()
         with suppress(Exception):  # there may be no cluster any more
-            self.client.run(end_processes, digests, on_error="ignore")
+            self.client.run(end_processes, owners, on_error="ignore")
         if self.ours:
             self.client.close()
 

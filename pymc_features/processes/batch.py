@@ -9,7 +9,7 @@ from itertools import islice
 from queue import Empty, SimpleQueue
 
 from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
-from pymc_features.external.processes.calls import Outcome, call
+from pymc_features.processes.calls import Outcome, call
 
 LOST_AT_MOST = 5  # times that a place of work may vanish under one and the same call
 SMALL = 2**16  # bytes that travel with every call; more of them only where they are missing
@@ -35,6 +35,23 @@ class Work:
     payload: bytes
     timeout: float | None
     retries: int
+
+
+def submitted(executor, work: Work, arguments, payload):
+    """The future of one call.
+
+    Raises
+    ------
+    NoWorkersError
+        If the executor takes none.
+    """
+    try:
+        return executor.submit(call, work.digest, arguments, work.timeout, payload)
+    except (BrokenExecutor, RuntimeError) as error:
+        raise NoWorkersError(
+            f"`executor` must run simulations, got {type(error).__name__}: {error}. What is finished is "
+            "kept where there is a cache; start again with a new executor."
+        ) from error
 
 
 class Batch:
@@ -82,13 +99,7 @@ class Batch:
 
     def submit(self, number, arguments, attempt, lost, payload):
         """Hand one call to the executor."""
-        try:
-            future = self.executor.submit(call, self.work.digest, arguments, self.work.timeout, payload)
-        except (BrokenExecutor, RuntimeError) as error:
-            raise NoWorkersError(
-                f"`executor` must run simulations, got {type(error).__name__}: {error}. What is finished is "
-                "kept where there is a cache; start again with a new executor."
-            ) from error
+        future = submitted(self.executor, self.work, arguments, payload)
         self.running[future] = number, arguments, attempt, lost
         future.add_done_callback(self.over.put)
 

@@ -20,8 +20,10 @@ import numpy as np
 
 
 def one_call(work, arguments):
-    """Result of one simulation as an array."""
+    """Result of one simulation as an array; as it is where no shape is asked for."""
     result = work["function"](*arguments)
+    if work["shape"] is None:
+        return result
     if np.iscomplexobj(result):
         raise TypeError("the simulator must return real numbers, got complex ones. Return their parts.")
     result = np.array(result, dtype=np.float64)
@@ -48,7 +50,7 @@ def answer(work, arguments, scratch):
             folder = tempfile.mkdtemp(prefix="simulation-", dir=scratch)
             os.chdir(folder)
         result = one_call(work, arguments)
-        if not np.isfinite(result).all():
+        if work["shape"] is not None and not np.isfinite(result).all():
             return "error", "the result is not finite", time.perf_counter() - start
         return "ok", result, time.perf_counter() - start
     except KeyboardInterrupt:
@@ -88,13 +90,13 @@ def own_folder(work) -> str:
 
 
 def main():
-    """Load the function, then answer calls until the parent is gone."""
+    """Load the function, then answer calls, and load others, until the parent is gone."""
     connection = Connection(int(sys.argv[1]))
     os.set_inheritable(connection.fileno(), False)
     sys.path[:] = pickle.loads(connection.recv_bytes())
     try:
-        work = cloudpickle.loads(connection.recv_bytes())
-        scratch = own_folder(work)
+        works = [cloudpickle.loads(connection.recv_bytes())]
+        scratch = own_folder(works[0])
         connection.send(("ready", scratch, 0.0))
     except BaseException as error:
         connection.send(("unusable", f"{type(error).__name__}: {error}", 0.0))
@@ -102,9 +104,25 @@ def main():
     threading.Thread(target=end_with_parent, args=(connection, scratch), daemon=True).start()
     try:
         while True:
-            connection.send(answer(work, connection.recv(), scratch))
+            kind, first, second = connection.recv()
+            if kind == "load":
+                connection.send(load_more(works, first, second))
+            else:
+                connection.send(answer(works[first], second, scratch))
     except (EOFError, OSError):
         remove(scratch)
+
+
+def load_more(works, payload, drop):
+    """Add one more payload, in place of the first one if that is to go; an answer for the parent."""
+    start = time.perf_counter()
+    if drop:
+        del works[0]
+    try:
+        works.append(cloudpickle.loads(payload))
+    except BaseException as error:
+        return "unusable", f"{type(error).__name__}: {error}", 0.0
+    return "ready", "", time.perf_counter() - start
 
 
 if __name__ == "__main__":

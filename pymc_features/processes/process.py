@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -18,6 +19,7 @@ from pymc_features.exceptions import DiedAtStartError, UnusableSimulatorError
 SCRIPT = Path(__file__).with_name("runner.py")
 START_SECONDS = 300.0  # to import what a simulator needs may take long on a busy file system
 LOOK_SECONDS = 1.0  # what a dead process started may hold its end of the socket open
+LOADED_AT_MOST = 4  # payloads in a process; the one loaded first goes first
 END_SECONDS = 5.0  # between the end of the connection and that of the process
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -28,7 +30,15 @@ class SimulatorProcess:
     Parameters
     ----------
     payload : bytes
-        By cloudpickle: function, observed, shape and scratch folder.
+        By cloudpickle: function, observed, shape and scratch folder; without a shape the function's result is
+        taken as it is.
+    is_wanted : callable
+        Asked about once a second while it starts; it is ended where it is not.
+
+    Attributes
+    ----------
+    digests : list of str
+        Of the payloads that it has loaded; whoever starts it names the first.
 
     Raises
     ------
@@ -38,10 +48,10 @@ class SimulatorProcess:
         If the process ends before.
     """
 
-    def __init__(self, payload: bytes):
+    def __init__(self, payload: bytes, is_wanted: Callable[[], bool] = lambda: True):
         ours, theirs = socket.socketpair()
         self.log = tempfile.TemporaryFile()  # noqa: SIM115  as long as the process
-        self.folder = ""
+        self.folder, self.digests, self.is_wanted = "", [], is_wanted
         self.process = subprocess.Popen(
             [sys.executable, "-P", str(SCRIPT), str(theirs.fileno())],
             pass_fds=[theirs.fileno()],
@@ -58,17 +68,33 @@ class SimulatorProcess:
             self.connection.send_bytes(payload)
         state, text, _ = self.receive(START_SECONDS)
         if state == "ready":
-            self.folder = text
+            self.folder, self.is_wanted = text, lambda: True
             return
         self.close()
         raise (UnusableSimulatorError if state == "unusable" else DiedAtStartError)(text)
 
-    def ask(self, arguments, timeout: float | None):
+    def load(self, digest: str, payload: bytes):
+        """Take one more payload, if it is not there: (state, text, seconds), state ready or died."""
+        if digest in self.digests:
+            return "ready", "", 0.0
+        drop = len(self.digests) >= LOADED_AT_MOST
+        try:
+            self.connection.send(("load", payload, drop))
+        except OSError:
+            return "died", self.last_words(), 0.0
+        answer = self.receive(START_SECONDS)
+        if answer[0] == "unusable":
+            self.close()
+            raise UnusableSimulatorError(answer[1])
+        self.digests = [*self.digests[drop:], digest]
+        return answer
+
+    def ask(self, digest: str, arguments, timeout: float | None):
         """Run one simulation: (state, result or text, seconds), state ok, error, timeout or died."""
         os.lseek(self.log.fileno(), 0, os.SEEK_SET)  # both sides share the position
         os.ftruncate(self.log.fileno(), 0)
         try:
-            self.connection.send(arguments)
+            self.connection.send(("call", self.digests.index(digest), arguments))
         except OSError:
             return "died", self.last_words(), 0.0
         return self.receive(timeout)
@@ -91,13 +117,15 @@ class SimulatorProcess:
             left = min(LOOK_SECONDS, end - time.monotonic())
             if self.connection.poll(max(left, 0.0)):
                 return True
-            if self.process.poll() is not None:
+            if self.process.poll() is not None or not self.is_wanted():
                 raise EOFError
             if left < LOOK_SECONDS:
                 return False
 
     def last_words(self) -> str:
         """Close it, and say how it ended and the last line it printed."""
+        if not self.is_wanted():
+            self.kill()
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(END_SECONDS)
         size = os.fstat(self.log.fileno()).st_size

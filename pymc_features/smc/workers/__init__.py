@@ -1,0 +1,1 @@
+"""Populations, and chains, on several processes or a cluster."""

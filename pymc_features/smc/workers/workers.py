@@ -1,0 +1,242 @@
+"""Places that evaluate parts of populations: local processes, a Dask cluster, or any executor."""
+
+import hashlib
+import os
+import time
+import uuid
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import cloudpickle
+import numpy as np
+
+from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
+from pymc_features.processes.batch import Batch, Work, submitted
+from pymc_features.processes.executors import LocalExecutor, check_executor, open_executor
+from pymc_features.smc.density.evaluation import PopulationLogp
+from pymc_features.smc.density.rows import ONE_CALL
+from pymc_features.smc.workers.cuts import parts_of
+from pymc_features.smc.workers.part import ModelPart
+
+ATTEMPTS = 3  # at a part, in processes that die
+# a part takes at least so long, that its message hardly counts [s]: to a process here, or elsewhere
+HERE, ELSEWHERE = 0.005, 0.05
+WHILE_WAITING = 0.2  # of evaluation here, until it is asked again whether a worker is ready [s]
+FORGETS = 0.5  # weight of the last population in the time of a particle
+
+
+class Workers:
+    """An executor that is open, for the populations of any number of models and chains.
+
+    Parameters
+    ----------
+    executor : int, str or object with submit()
+        As `check_executor` allows.
+    """
+
+    def __init__(self, executor):
+        self.executor, self._end = open_executor(executor)
+        self.owner, self.process = uuid.uuid4().hex, os.getpid()
+        self.told: set[str] = set()
+
+    def run(self) -> "Run":
+        """For the evaluations of one run."""
+        return Run(self)
+
+    def end(self):
+        """End the processes, and the executor if it was opened here."""
+        if self.process == os.getpid():
+            self._end([self.owner])
+
+    def tell(self, warned):
+        """Warn here of what was warned of elsewhere, once for each sentence."""
+        for category, sentence in warned:
+            if sentence not in self.told:
+                self.told.add(sentence)
+                warnings.warn(sentence, category, stacklevel=2)
+
+
+def check_workers(executor):
+    """Refuse what `open_workers` cannot open."""
+    if not isinstance(executor, Workers):
+        check_executor(executor)
+
+
+@contextmanager
+def open_workers(executor) -> Iterator[Workers | None]:
+    """Workers of an executor, ended at the end; those that are open stay so, and None stays None."""
+    check_workers(executor)
+    if executor is None or isinstance(executor, Workers):
+        yield executor
+        return
+    workers = Workers(executor)
+    try:
+        yield workers
+    finally:
+        workers.end()
+
+
+class Run:
+    """The evaluations of some chains on workers, which end together.
+
+    Parameters
+    ----------
+    workers : Workers
+    """
+
+    def __init__(self, workers: Workers):
+        self.workers, self.stopped, self.spreads = workers, False, {}
+
+    def of(self, logp: PopulationLogp) -> PopulationLogp:
+        """The same evaluation by the workers; one for all chains.
+
+        Raises
+        ------
+        ValueError
+            If the model is parallel by itself, or draws random numbers.
+        """
+        if logp.is_expensive:
+            raise ValueError(
+                "`executor` must be left out for a model with an ExternalSimulator, which has its own. Pass "
+                "it there: ExternalSimulator(..., executor=8)."
+            )
+        if logp.draws_random_numbers:
+            raise ValueError(
+                "`executor` must be left out for a model with random draws inside (`noise`), for they would "
+                "not be the same again. Sample it without, or infer the noise by a likelihood."
+            )
+        if logp.token not in self.spreads:
+            self.spreads[logp.token] = Spread(self)
+        return logp.spread_over(self.spreads[logp.token])
+
+    def stop(self):
+        """Let evaluations under way end with an error, in whichever thread."""
+        self.stopped = True
+
+    def check(self):
+        """Raise where the run has been stopped."""
+        if self.stopped:
+            raise NoWorkersError("`executor` must be open, got one whose run was stopped. Start again.")
+
+
+class Spread:
+    """Evaluates the populations of one model in parts, bit for bit as in one process.
+
+    A population that is not worth a message is evaluated here, and so is the beginning of one until the first
+    worker has loaded the model, which takes seconds. How long a particle takes is measured, and decides how
+    many particles a part has; where a population is cut makes no difference to its results.
+
+    Parameters
+    ----------
+    run : Run
+    """
+
+    def __init__(self, run: Run):
+        self.run, self.workers, self.works = run, run.workers, {}
+        self.seconds: dict[str, float] = {}  # of a particle
+        self.loading: dict[str, list] = {}  # futures by digest
+
+    def __call__(self, logp: PopulationLogp, which: str, particles: np.ndarray) -> list[np.ndarray]:
+        """Raw outputs of `values` or `slopes` of particles (p, d)."""
+        function, outputs = getattr(logp, which), []
+        if not len(particles):
+            return function(particles)
+        while len(particles):
+            self.run.check()
+            count = self.count_here(function.unit, which, len(particles), logp)
+            if not count:
+                outputs.append(self.elsewhere(logp, which, particles))
+                break
+            outputs.append(self.here(function, which, particles[:count]))
+            particles = particles[count:]
+        return [np.concatenate(column) for column in zip(*outputs, strict=True)]
+
+    def count_here(self, unit, which, n, logp) -> int:
+        """How many of n particles are evaluated in this process before one looks again; none, if all go."""
+        few = unit  # a first group tells how long one takes
+        if which in self.seconds:
+            if len(self.cut(unit, which, n)) == 1:
+                return n
+            if self.some_are_ready(self.work(logp)):
+                return 0
+            few *= max(1, int(WHILE_WAITING / self.seconds[which] / unit))
+        return few if n >= few + unit else n
+
+    def cut(self, unit, which, n):
+        """Parts of a population of n particles; one if they are not worth a message."""
+        executor = self.workers.executor
+        worth = HERE if isinstance(executor, LocalExecutor) else ELSEWHERE
+        least = int(min(worth / self.seconds[which], n)) + 1
+        return parts_of(n, unit, least, getattr(executor, "places", None))
+
+    def some_are_ready(self, work):
+        """Whether a worker has loaded the model; all are asked to, the first time."""
+        if work.digest not in self.loading:
+            executor, nothing = self.workers.executor, ("values", None)
+            self.loading[work.digest] = [
+                submitted(executor, work, nothing, work.payload)
+                for _ in range(getattr(executor, "places", 1))
+            ]
+        return any(future.done() for future in self.loading[work.digest])
+
+    def here(self, function, which, particles):
+        """Evaluate in this process."""
+        start = time.thread_time()
+        outputs = function(particles)
+        self.learn(which, (time.thread_time() - start) / len(particles))
+        return outputs
+
+    def learn(self, which, seconds):
+        """Take in how long a particle took."""
+        known = self.seconds.get(which, seconds)
+        self.seconds[which] = max(FORGETS * seconds + (1.0 - FORGETS) * known, 1e-9)
+
+    def elsewhere(self, logp, which, particles):
+        """Evaluate by the workers, and put the parts together."""
+        parts = self.cut(getattr(logp, which).unit, which, len(particles))
+        results, seconds = [None] * len(parts), 0.0
+
+        def done(k, outcome):
+            nonlocal seconds
+            self.run.check()
+            if outcome.state != "ok":
+                refuse(outcome)
+            results[k] = outcome.value.outputs
+            seconds += outcome.seconds
+            if outcome.value.last_error:
+                getattr(logp, which).raised = outcome.value.last_error
+            self.workers.tell(outcome.value.warned)
+
+        calls = [(k, (which, np.ascontiguousarray(particles[i:j]))) for k, (i, j) in enumerate(parts)]
+        try:
+            Batch(self.workers.executor, self.work(logp), done, self.run.check).run(calls)
+        except UnusableSimulatorError as error:
+            raise NoWorkersError(
+                f"`executor` must have workers that can load the model, got {error.reason}. Install there "
+                "what is installed here, in the same versions, or define what the model calls in a module."
+            ) from error
+        self.learn(which, seconds / len(particles))
+        return [np.concatenate(column) for column in zip(*results, strict=True)]
+
+    def work(self, logp) -> Work:
+        """The model as it travels; anew when it has got a gradient."""
+        has_slopes = logp.slopes is not None
+        with ONE_CALL:  # what is pickled is not to be in use
+            if has_slopes not in self.works:
+                part = ModelPart(logp)
+                payload = cloudpickle.dumps({"function": part, "shape": None, "scratch": None})
+                digest = f"{self.workers.owner}/{hashlib.sha256(payload).hexdigest()}"
+                self.works[has_slopes] = Work(digest, payload, None, ATTEMPTS - 1)
+            return self.works[has_slopes]
+
+
+def refuse(outcome):
+    """Say what became of a part that no worker evaluates."""
+    if outcome.state == "died":
+        raise NoWorkersError(
+            f"`executor` must have workers that live, got {ATTEMPTS} that died with the same part of a "
+            f"population: {outcome.message}. They may be out of memory: use fewer of them on a machine. What "
+            "is finished is kept where there is a `checkpoint`."
+        )
+    raise NoWorkersError(f"`executor` must have workers that can evaluate the model, got {outcome.message}.")

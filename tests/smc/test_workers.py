@@ -1,0 +1,311 @@
+"""Populations and chains on several processes or a cluster: the particles are those of one process."""
+
+import logging
+import os
+import signal
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pymc as pm
+import pytensor
+import pytensor.tensor as pt
+import pytest
+
+from pymc_features import (
+    DiscrepancySimulator,
+    ExpFeature,
+    ExternalSimulator,
+    SpringMassChain,
+    SubsetSimulation,
+    TruncNormalFeature,
+    response,
+    sample,
+    sample_smc,
+)
+from pymc_features.exceptions import NoWorkersError
+from pymc_features.processes import calls
+from pymc_features.simulators.nonlinear.kernels import PARTICLES
+from pymc_features.smc import open_workers, population_logp
+from pymc_features.smc.density.rows import TOGETHER, UNIT
+from pymc_features.smc.workers import workers as workers_module
+from pymc_features.smc.workers.cuts import parts_of
+from support.external_functions import DATA, SHAPE, beam, lives
+from support.families import CASES, RAYLEIGH, measured, pulse
+from support.sampling import QUIET
+
+RNG = np.random.default_rng(7)
+
+
+@pytest.fixture(autouse=True)
+def usual_mode():
+    """NumPy around the kernels, as users have it."""
+    with pytensor.config.change_flags(mode="Mode"):
+        yield
+
+
+@pytest.fixture
+def eager(monkeypatch):
+    """Every population is worth a message, and none begins here while workers load the model."""
+    monkeypatch.setattr(workers_module, "HERE", 0.0)
+    monkeypatch.setattr(workers_module, "ELSEWHERE", 0.0)
+    monkeypatch.setattr(workers_module.Spread, "some_are_ready", lambda self, work: True)
+
+
+def model_of(name, likelihood=ExpFeature):
+    """A structure of two factors, some of which are no structure, and the scale of the errors."""
+    build, record = CASES[name]
+    with pm.Model() as model:
+        x, sigma = pm.Normal("x", 1.0, 0.5, shape=2), pm.HalfNormal("sigma", 1.0)
+        likelihood("y", mu=response(build(x), record), sigma=sigma, observed=measured(name))
+    return model
+
+
+def two_nodes():
+    """Springs from a random field, two events, the second as data to change: a product of matrices inside."""
+    basis = np.random.default_rng(5).standard_normal((3, 2))
+    with pm.Model() as model:
+        x = pm.Normal("x", shape=2)
+        structure = SpringMassChain(np.ones(3), 120.0 * pt.exp(0.1 * pt.dot(basis, x)), RAYLEIGH)
+        acceleration = response(structure, pulse())
+        ExpFeature("y", mu=acceleration, sigma=1.0, observed=measured("chain"))
+        TruncNormalFeature("z", mu=acceleration, sigma=2.0, observed=pm.Data("data", measured("chain")))
+    return model
+
+
+def same(found, expected):
+    """Whether all draws are the same, bit for bit."""
+    names = list(expected.posterior.data_vars)
+    return all(np.array_equal(found.posterior[n].values, expected.posterior[n].values) for n in names)
+
+
+# --------------------------------------------------------------------------- cuts
+
+
+@pytest.mark.parametrize("name", ["chain", "sparse", "hysteretic", "duffing"])
+def test_rows_do_not_depend_on_where_a_population_is_cut(name):
+    """Among them particles that are no structure, and others that are stepped more finely."""
+    model = model_of(name)
+    logp = population_logp(model, model.initial_point(), {})
+    particles = np.random.default_rng(3).normal(1.0, 0.8, (6 * UNIT + 5, 3))
+    before = PARTICLES["taylor"]
+    whole = logp(particles)
+    assert logp.values.unit == UNIT and 0 < np.isfinite(whole[1]).sum() < len(particles)
+    cuts = [0, UNIT, 4 * UNIT, len(particles)]
+    parts = [logp(particles[i:k]) for i, k in zip(cuts, cuts[1:], strict=False)]
+    for found, expected in zip(map(np.concatenate, zip(*parts, strict=True)), whole, strict=True):
+        np.testing.assert_array_equal(found, expected)
+    if name in ("hysteretic", "duffing"):
+        assert PARTICLES["taylor"] > before
+        shifted = logp(particles[1:])[1]  # other neighbours, other steps
+        assert (shifted != whole[1][1:]).any()
+        np.testing.assert_allclose(shifted, whole[1][1:], rtol=1e-4)
+
+
+def test_products_of_matrices_are_evaluated_by_equal_calls():
+    """BLAS adds up in another order for other numbers of rows."""
+    logp = population_logp(two_nodes(), two_nodes().initial_point(), {})
+    assert logp.values.unit == logp.batch == TOGETHER
+    with pm.Model() as plain:
+        x = pm.Normal("x", shape=2)
+        pm.Normal("y", pt.dot(RNG.normal(size=(5, 2)), x), observed=np.zeros(5))
+    logp = population_logp(plain, plain.initial_point(), {})
+    assert logp.values.unit == logp.batch > 1000  # no simulation: not worth it
+
+
+@pytest.mark.parametrize("n", [1, 15, 16, 17, 1000])
+@pytest.mark.parametrize("places", [None, 1, 3, 1000])
+def test_parts(n, places):
+    parts = parts_of(n, 8, 20, places)
+    assert parts[0][0] == 0 and parts[-1][1] == n
+    assert all(end == begin for (_, end), (begin, _) in zip(parts, parts[1:], strict=False))
+    assert all(first % 8 == 0 for first, _ in parts)
+    assert len(parts) == 1 or min(end - first for first, end in parts) >= 24
+    assert places is None or max(end - first for first, end in parts) <= max(48, n / (2 * places) + 8)
+
+
+# --------------------------------------------------------------------------- workers
+
+
+class Here(ThreadPoolExecutor):
+    """A thread that does what a worker does, in this process; counts what it is sent."""
+
+    places = 2
+
+    def __init__(self, lose=()):
+        super().__init__(1)
+        self.payloads, self.parts, self.lose = [], 0, set(lose)
+
+    def submit(self, function, digest, arguments, timeout, payload):
+        self.payloads.append(payload)
+        self.parts += 1
+        if self.parts in self.lose:
+            return super().submit(int, "a machine that is gone")
+        return super().submit(function, digest, arguments, timeout, payload)
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("run", [sample_smc, sample], ids=["sample_smc", "sample"])
+def test_the_particles_of_one_process(run, eager):
+    """Two chains at once, with gradients (`sample`), a product of matrices, two likelihoods, and data."""
+    settings = {"model": two_nodes(), "chains": 2, "random_seed": 1, **QUIET}
+    settings |= {"stage_draws": 60} if run is sample_smc else {}
+    expected = run(60, cores=1, **settings)
+    with ThreadPoolExecutor(1) as pool:  # one process, as two have no more to say here
+        found = run(60, executor=pool, **settings)
+    assert same(found, expected)
+    for name in ("evaluations", "gradients", "beta"):
+        np.testing.assert_array_equal(found.sample_stats[name], expected.sample_stats[name])
+
+
+@pytest.mark.processes
+def test_local_processes_dask_and_a_killed_worker(eager, tmp_path):
+    """Of yielding chains; with a checkpoint, which does not know of executors."""
+    distributed = pytest.importorskip("distributed")
+    model = model_of("hysteretic")
+    logp = population_logp(model, model.initial_point(), {})
+    particles = RNG.normal(1.0, 0.3, (400, 3))
+    expected = logp(particles)
+    with open_workers(2) as workers:
+        own = workers.run().of(logp)
+        for found, wanted in zip(own(particles), expected, strict=True):
+            np.testing.assert_array_equal(found, wanted)
+        victim, bystander = (p.process.pid for p in calls._IDLE[workers.owner])
+        timer = threading.Timer(0.01, os.kill, (victim, signal.SIGKILL))
+        timer.start()
+        for _ in range(5):
+            for found, wanted in zip(own(particles), expected, strict=True):
+                np.testing.assert_array_equal(found, wanted)
+        timer.join()
+        now = [p.process.pid for p in calls._IDLE[workers.owner]]
+        assert victim not in now and bystander in now
+        begun = time.monotonic()
+    assert not any(map(lives, now)) and time.monotonic() - begun < 30.0
+    settings = {"model": model, "chains": 1, "random_seed": 3, "stage_draws": 60, **QUIET}
+    expected = sample_smc(60, cores=1, checkpoint=tmp_path / "kept", **settings)
+    [journal] = (tmp_path / "kept").glob("*.journal")
+    journal.write_bytes(journal.read_bytes()[: journal.stat().st_size // 2])  # as if it had been killed
+    with distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=2,
+        dashboard_address=":0",
+        silence_logs=logging.CRITICAL,
+        local_directory=str(tmp_path),
+    ) as cluster:
+        address = cluster.scheduler_address
+        assert same(sample_smc(60, checkpoint=tmp_path / "kept", executor=address, **settings), expected)
+
+
+def test_a_model_is_sent_where_it_is_missing_and_parts_again_that_are_lost(eager, monkeypatch):
+    """By an executor of the user's, that does not bring it; nothing of the package runs in processes here."""
+    monkeypatch.setattr(calls, "SimulatorProcess", InThisProcess)
+    model = model_of("chain")
+    logp = population_logp(model, model.initial_point(), {})
+    particles = RNG.normal(1.0, 0.3, (200, 3))
+    monkeypatch.setattr("pymc_features.processes.batch.SMALL", 0)
+    with Here(lose={3, 4, 5}) as pool, open_workers(pool) as workers:
+        own = workers.run().of(logp)
+        np.testing.assert_array_equal(own(particles)[1], logp(particles)[1])
+        sent = [payload for payload in pool.payloads if payload is not None]
+        assert 1 <= len(sent) < len(pool.payloads) and len({*sent}) == 1
+        n_sent = len(sent)
+        own(particles)
+        assert len([p for p in pool.payloads if p is not None]) == n_sent  # it is there
+        calls._PAYLOADS.clear()  # a new machine in place of an old one
+        np.testing.assert_array_equal(own(particles)[1], logp(particles)[1])
+        assert len([p for p in pool.payloads if p is not None]) > n_sent
+
+
+class InThisProcess:
+    """What a process does, without one; dies, or answers."""
+
+    dies = 0
+    process = type("Alive", (), {"poll": staticmethod(lambda: None), "returncode": 0})
+    usable = True
+
+    def __init__(self, payload, is_wanted):
+        self.works, self.digests = [calls_of(payload)], []
+
+    def load(self, digest, payload):
+        """One more."""
+        if digest not in self.digests:
+            self.works.append(calls_of(payload))
+            self.digests.append(digest)
+        return "ready", "", 0.0
+
+    def ask(self, digest, arguments, timeout):
+        """Answer; or say that it died."""
+        if InThisProcess.dies:
+            InThisProcess.dies -= 1
+            return "died", "the process ended with signal 9", 0.0
+        return "ok", self.works[self.digests.index(digest)](*arguments), 0.01
+
+    def close(self):
+        """Nothing to end."""
+
+
+def calls_of(payload):
+    """The function in a payload."""
+    import cloudpickle
+
+    return cloudpickle.loads(payload)["function"]
+
+
+def test_a_part_on_which_processes_die(eager, monkeypatch):
+    monkeypatch.setattr(calls, "SimulatorProcess", InThisProcess)
+    model = model_of("chain")
+    logp = population_logp(model, model.initial_point(), {})
+    particles = RNG.normal(1.0, 0.3, (32, 3))
+    with Here() as pool, open_workers(pool) as workers:
+        own = workers.run().of(logp)
+        monkeypatch.setattr(InThisProcess, "dies", 2)
+        np.testing.assert_array_equal(own(particles)[1], logp(particles)[1])
+        monkeypatch.setattr(InThisProcess, "dies", 1000)
+        with pytest.raises(NoWorkersError, match="`executor` must have workers that live, got 3 that died"):
+            own(particles)
+
+
+def test_too_small_populations_stay_here():
+    model = model_of("chain")
+    logp = population_logp(model, model.initial_point(), {})
+    with Here() as pool, open_workers(pool) as workers:
+        own, particles = workers.run().of(logp), RNG.normal(1.0, 0.3, (100, 3))
+        np.testing.assert_array_equal(own(particles)[1], logp(particles)[1])
+        assert pool.parts == 0
+
+
+def test_an_error_in_one_chain_ends_all(eager, monkeypatch):
+    """And Ctrl-C, which is one in the main thread."""
+    monkeypatch.setattr(calls, "SimulatorProcess", InThisProcess)
+    monkeypatch.setattr(InThisProcess, "dies", 10_000)
+    with Here() as pool, pytest.raises(NoWorkersError, match="that died with the same part"):
+        sample_smc(100, model=model_of("chain"), chains=3, executor=pool, random_seed=1, **QUIET)
+    assert not [t for t in threading.enumerate() if t.name.startswith("chain")]
+
+
+# --------------------------------------------------------------------------- refused
+
+
+@pytest.mark.parametrize("executor", [0, -1, 1.5, True, "", [2], ThreadPoolExecutor, object()])
+def test_values_that_are_no_executor(executor):
+    with pytest.raises(TypeError, match="`executor` must be something that runs simulations, got"):
+        sample_smc(100, model=model_of("chain"), executor=executor)
+    with pytest.raises(TypeError, match="`executor` must be something that runs simulations, got"):
+        sample(100, model=model_of("chain"), executor=executor)
+
+
+def test_models_and_kernels_that_take_no_executor():
+    settings = {"model": model_of("chain"), "executor": 2, **QUIET}
+    with pytest.raises(TypeError, match="`executor` must be left out for MH, which has none"):
+        sample_smc(100, pm.smc.MH, **settings)
+    with ExternalSimulator(beam, SHAPE, executor=1, progress=False) as simulator, pm.Model() as external:
+        ExpFeature("y", simulator(pm.Uniform("k", 0.5, 1.5)), 1.0, observed=DATA)
+    with pytest.raises(ValueError, match="`executor` must be left out for a model with an ExternalSimulator"):
+        sample_smc(100, **settings | {"model": external})
+    build, record = CASES["chain"]
+    with pm.Model() as noisy:
+        mu = response(build(pm.Normal("x", 1.0, 0.3, shape=2)), record)
+        DiscrepancySimulator("y", mu, epsilon=30.0, observed=measured("chain"), noise=0.1)
+    with pytest.raises(ValueError, match="`executor` must be left out for a model with random draws inside"):
+        sample_smc(100, SubsetSimulation, **settings | {"model": noisy})
