@@ -17,6 +17,7 @@ from pymc_features.simulators.linear.system import is_coupled, observe, solve_sy
 from pymc_features.simulators.mean_squares.systems import Systems, new_systems, put_modes
 from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
 from pymc_features.simulators.oscillators.population import lane_statistics, put_system
+from pymc_features.simulators.reduced.structures import solved
 
 SYMMETRY = 1e-14  # differences from the transposed matrix below this times its largest entry are rounding
 
@@ -48,9 +49,8 @@ def march_population(a: Arguments, observed, with_increments):
         result, is_written = march_coupled(kernel, a.inputs, a.outputs, observed, increments)
         result, is_written = np.resize(result, (count, *result.shape[1:])), np.resize(is_written, count)
     lanes, places = new_lanes(observed, a.wanted.n_modes, a.excitation.stride), []
-    for p in np.flatnonzero(~is_written.astype(bool)):
-        own = a._replace(parameters=a.parameters.one_of(p))
-        system = solve_system(own)
+    waiting = np.flatnonzero(~is_written.astype(bool))
+    for p, own, system in solved(a, waiting):
         if system is None:
             continue
         if one_input and not is_coupled(system.modal_damping):

@@ -1,0 +1,173 @@
+"""A basis V in which the modes of all structures of a population lie, and the matrices reduced to it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import spsolve_triangular
+
+from pymc_features.algebra import assemble, massless_motions, spectral_shift
+from pymc_features.simulators.linear.arguments import LinearParameters
+from pymc_features.simulators.reduced.inertia import Pattern, elimination_pattern
+
+NEW = 1e-9  # share of a shape outside the basis from which it joins
+ROUNDING = 1e-13  # squares below this times the largest of some vectors are not told from rounding
+PROBES = 24  # random vectors by which residuals are measured
+
+
+class Terms(NamedTuple):
+    """What does not change with the basis: the matrices of a structure, and the metric of its vectors.
+
+    Attributes
+    ----------
+    given : LinearParameters
+    stiffness, mass, damping : list of csc_array (n, n)
+        A_0, A_1, ...
+    metric : csc_array (n, n)
+        Of the basis, V' metric V = 1: M where it is constant and definite, otherwise K + shift M at one point.
+    is_inertia : bool
+        Whether the metric is M.
+    shift : float
+        [(rad/s)^2]; K + shift M is definite where there is a structure.
+    probes : array (n, PROBES)
+        Columns Z with the covariance (K + shift M)^-1 at that point.
+    pattern : Pattern
+    spring_entries, mass_entries : array (1 + p, e) or (1, e)
+        Entries in the order of the pattern.
+    """
+
+    given: LinearParameters
+    stiffness: list
+    mass: list
+    damping: list
+    metric: sparse.csc_array
+    is_inertia: bool
+    shift: float
+    probes: np.ndarray
+    pattern: Pattern
+    spring_entries: np.ndarray
+    mass_entries: np.ndarray
+
+
+def new_terms(given, system) -> Terms:
+    """`Terms` of a structure, by the `System` of one set of parameters."""
+    none, layout = np.zeros(0), (given.rows, given.starts, given.n_dof)
+    stiffness, mass, damping = (
+        [assemble(row[None], none, *layout) for row in stack]
+        for stack in (given.stiffness, given.mass, given.damping)
+    )
+    shift = spectral_shift(system.mass, system.stiffness)
+    is_inertia = len(mass) == 1 and massless_motions(mass[0]).rank == given.n_dof
+    metric = mass[0] if is_inertia else system.stiffness + shift * system.mass
+    pattern = elimination_pattern(given.rows, given.starts, system.factor.perm_c)
+    entries = (np.ascontiguousarray(stack[:, pattern.places]) for stack in (given.stiffness, given.mass))
+    probes = energy_probes(system.factor)
+    return Terms(given, stiffness, mass, damping, metric, is_inertia, shift, probes, pattern, *entries)
+
+
+def energy_probes(factor) -> np.ndarray:
+    """Random vectors whose covariance is the inverse of a definite matrix F = L D L', by its `SuperLU`.
+
+    The mean of (z' x)^2 over such vectors z is x' F^-1 x, the square of x in the norm of the energy.
+    """
+    roots = np.sqrt(factor.U.diagonal())
+    normal = np.random.default_rng(0).standard_normal((roots.size, PROBES))
+    upper = sparse.csr_array(factor.L.T)
+    solved = spsolve_triangular(upper, normal / roots[:, None], lower=False, unit_diagonal=True)
+    return solved[factor.perm_c]
+
+
+class Basis(NamedTuple):
+    """Columns V and what is reduced to them; never changed, `joined` makes another.
+
+    Attributes
+    ----------
+    columns : array (n, r)
+        V.
+    stiffness, mass, damping : array (1 + p, r, r), or fewer
+        V' A_i V, in the order of `LinearParameters`.
+    spring_probes, mass_probes : array (1 + p or 1, PROBES, r)
+        Z' A_i V.
+    influence : array (r, d)
+        Coordinates of the influence, which lies in the basis.
+    """
+
+    columns: np.ndarray
+    stiffness: np.ndarray
+    mass: np.ndarray
+    damping: np.ndarray
+    spring_probes: np.ndarray
+    mass_probes: np.ndarray
+    influence: np.ndarray
+
+    @property
+    def size(self) -> int:
+        """Number of columns r."""
+        return self.columns.shape[1]
+
+    def reduced(self, own: LinearParameters) -> LinearParameters:
+        """Dense parameters of a structure, or of a population, in the basis."""
+        flat = (stack.reshape(len(stack), self.size**2) for stack in (self.mass, self.damping, self.stiffness))
+        none = np.zeros(0, dtype=np.int64)
+        forces = self.columns.T @ own.forces if own.forces.any() else np.zeros(self.influence.shape)
+        return LinearParameters(*own.random, *flat, none, none, self.influence, forces)
+
+
+def new_basis(terms: Terms) -> Basis:
+    """The basis of the influence alone."""
+    given, n = terms.given, terms.given.n_dof
+    empty = [np.zeros((len(a), 0, 0)) for a in (terms.stiffness, terms.mass, terms.damping)]
+    probes = [np.zeros((len(a), PROBES, 0)) for a in (terms.stiffness, terms.mass)]
+    bare = Basis(np.zeros((n, 0)), *empty, *probes, np.zeros((0, given.influence.shape[1])))
+    return joined(terms, bare, given.influence[:, given.influence.any(axis=0)])
+
+
+def joined(terms: Terms, basis: Basis, shapes) -> Basis:
+    """The basis with what is new in some shapes (n, k)."""
+    new = new_columns(terms, basis.columns, shapes)
+    if not new.shape[1]:
+        return basis
+    columns = np.hstack([basis.columns, new])
+    grown = (
+        grow(basis.stiffness, terms.stiffness, basis.columns, new),
+        grow(basis.mass, terms.mass, basis.columns, new),
+        grow(basis.damping, terms.damping, basis.columns, new, symmetric=False),
+    )
+    probes = [
+        np.concatenate([old, [terms.probes.T @ (a @ new) for a in matrices]], axis=2)
+        for old, matrices in ((basis.spring_probes, terms.stiffness), (basis.mass_probes, terms.mass))
+    ]
+    influence = columns.T @ (terms.metric @ terms.given.influence)
+    return Basis(columns, *grown, *probes, influence)
+
+
+def new_columns(terms, columns, shapes):
+    """Orthonormal columns for what of some shapes lies outside of others."""
+    size = np.sqrt((shapes * (terms.metric @ shapes)).sum(axis=0))
+    new = outside(terms, columns, outside(terms, columns, shapes / size))
+    squares, turn = np.linalg.eigh(new.T @ (terms.metric @ new))
+    kept = squares > max(NEW**2, ROUNDING * squares.max(initial=0.0))
+    new = new @ (turn[:, kept] / np.sqrt(squares[kept]))
+    for _ in range(2):  # what is left of small differences is orthogonal only now
+        new = outside(terms, columns, new)
+        factor = np.linalg.cholesky(new.T @ (terms.metric @ new))
+        new = np.linalg.solve(factor, new.T).T
+    return np.ascontiguousarray(new)
+
+
+def outside(terms, columns, vectors):
+    """Vectors less their part in the span of columns."""
+    return vectors - columns @ (columns.T @ (terms.metric @ vectors))
+
+
+def grow(stack, matrices, columns, new, *, symmetric=True):
+    """V' A_i V (terms, r, r) of more columns."""
+    old, size = stack.shape[-1], stack.shape[-1] + new.shape[1]
+    grown = np.empty((len(stack), size, size))
+    for reduced, matrix, before in zip(grown, matrices, stack, strict=True):
+        moved = matrix @ new
+        reduced[:old, :old] = before
+        reduced[:old, old:] = columns.T @ moved
+        reduced[old:, old:] = new.T @ moved
+        reduced[old:, :old] = reduced[:old, old:].T if symmetric else (matrix.T @ new).T @ columns
+    return grown
