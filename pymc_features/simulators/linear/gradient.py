@@ -11,7 +11,7 @@ from pymc_features.simulators.linear import oscillators, state_adjoint
 from pymc_features.simulators.linear.arguments import Arguments, n_particles
 from pymc_features.simulators.linear.dense_gradient import add_gradient, add_population_gradient
 from pymc_features.simulators.linear.projection import to_parameters
-from pymc_features.simulators.linear.system import solve_system
+from pymc_features.simulators.reduced.structures import solved
 
 
 def linear_response_gradient(parameters, excitation, wanted, cotangent) -> tuple:
@@ -59,9 +59,9 @@ def linear_population_gradient(parameters, excitation, wanted, observed, weights
         data = writable(observed), writable(weights)
         add_population_gradient(parameters.for_kernel(), a.inputs, a.outputs, *data, sums)
         return sums
-    for p in range(count):
-        own = linear_misfit_gradient(parameters.one_of(p), excitation, wanted, observed, weights[p])
-        for total, part in zip(sums, own, strict=True):
+    a._replace(parameters=first).check(observed, weights[0])
+    for p, own, system in solved(a, np.arange(count), left_out=True):
+        for total, part in zip(sums, gradient_of(own, system, observed, weights[p]), strict=True):
             total[p % total.shape[0]] += part
     return sums
 
@@ -75,8 +75,13 @@ def gradient(a, history, weights):
         kernel = given.for_kernel()
         add_gradient(kernel, kernel.random, a.inputs, a.outputs, *data, sums)
         return sums
-    system = solve_system(a, left_out=True)
+    [(_, own, system)] = solved(a._replace(parameters=given.as_population()), np.arange(1), left_out=True)
+    return gradient_of(own, system, history, weights)
+
+
+def gradient_of(a, system, history, weights):
+    """The same, of a structure whose modes are known; None for no structure."""
     if system is None:
-        return tuple(np.full(array.shape, np.nan) for array in given.random)
-    route = oscillators if given.is_classical else state_adjoint
+        return tuple(np.full(array.shape, np.nan) for array in a.parameters.random)
+    route = oscillators if a.parameters.is_classical else state_adjoint
     return to_parameters(a, system, route.pull_back(a, system, history, weights))

@@ -10,9 +10,10 @@ from pymc_features.algebra import assemble, massless_motions, spectral_shift
 from pymc_features.simulators.linear.arguments import LinearParameters
 from pymc_features.simulators.reduced.inertia import Pattern, elimination_pattern
 
-NEW = 1e-9  # share of a shape outside the basis from which it joins
+NEW = 1e-8  # share of a shape outside the basis from which it joins
 ROUNDING = 1e-13  # squares below this times the largest of some vectors are not told from rounding
-PROBES = 24  # random vectors by which residuals are measured
+PROBES = 24  # random vectors by which residuals are measured: off by three once in 5e7 times
+DIRECTIONS = 2
 
 
 class Terms(NamedTuple):
@@ -34,6 +35,8 @@ class Terms(NamedTuple):
     pattern : Pattern
     spring_entries, mass_entries : array (1 + p, e) or (1, e)
         Entries in the order of the pattern.
+    directions : array (DIRECTIONS, p)
+        Random changes of theta, each of which moves some omega^2 by about as much as itself.
     """
 
     given: LinearParameters
@@ -47,6 +50,7 @@ class Terms(NamedTuple):
     pattern: Pattern
     spring_entries: np.ndarray
     mass_entries: np.ndarray
+    directions: np.ndarray
 
 
 def new_terms(given, system) -> Terms:
@@ -62,7 +66,24 @@ def new_terms(given, system) -> Terms:
     pattern = elimination_pattern(given.rows, given.starts, system.factor.perm_c)
     entries = (np.ascontiguousarray(stack[:, pattern.places]) for stack in (given.stiffness, given.mass))
     probes = energy_probes(system.factor)
-    return Terms(given, stiffness, mass, damping, metric, is_inertia, shift, probes, pattern, *entries)
+    directions = random_directions(stiffness, mass, system)
+    return Terms(
+        given, stiffness, mass, damping, metric, is_inertia, shift, probes, pattern, *entries, directions
+    )
+
+
+def random_directions(stiffness, mass, system):
+    """Random changes of theta, in units in which each moves some omega^2 by as much as itself."""
+    shapes, values = system.shapes, system.omega**2
+    moved = np.zeros(max(len(stiffness), len(mass)) - 1)
+    for i in range(moved.size):
+        slopes = np.zeros(values.size)
+        if len(stiffness) > 1:
+            slopes += (shapes * (stiffness[1 + i] @ shapes)).sum(axis=0)
+        if len(mass) > 1:
+            slopes -= (shapes * (mass[1 + i] @ shapes)).sum(axis=0) * values
+        moved[i] = (abs(slopes) / values).max()
+    return np.random.default_rng(0).standard_normal((DIRECTIONS, moved.size)) / np.where(moved > 0.0, moved, 1.0)
 
 
 def energy_probes(factor) -> np.ndarray:
@@ -143,16 +164,22 @@ def joined(terms: Terms, basis: Basis, shapes) -> Basis:
 
 def new_columns(terms, columns, shapes):
     """Orthonormal columns for what of some shapes lies outside of others."""
-    size = np.sqrt((shapes * (terms.metric @ shapes)).sum(axis=0))
-    new = outside(terms, columns, outside(terms, columns, shapes / size))
-    squares, turn = np.linalg.eigh(new.T @ (terms.metric @ new))
-    kept = squares > max(NEW**2, ROUNDING * squares.max(initial=0.0))
-    new = new @ (turn[:, kept] / np.sqrt(squares[kept]))
-    for _ in range(2):  # what is left of small differences is orthogonal only now
-        new = outside(terms, columns, new)
-        factor = np.linalg.cholesky(new.T @ (terms.metric @ new))
-        new = np.linalg.solve(factor, new.T).T
-    return np.ascontiguousarray(new)
+    rest = shapes / np.sqrt((shapes * (terms.metric @ shapes)).sum(axis=0))
+    found = np.zeros((len(shapes), 0))
+    while found.shape[1] < shapes.shape[1]:
+        whole = np.hstack([columns, found])
+        rest = outside(terms, whole, outside(terms, whole, rest))
+        squares, turn = np.linalg.eigh(rest.T @ (terms.metric @ rest))
+        kept = squares > max(NEW**2, ROUNDING * squares[-1])  # the others drown in rounding, this time
+        if not kept.any():
+            break
+        new = rest @ (turn[:, kept] / np.sqrt(squares[kept]))
+        for _ in range(2):  # what is left of small differences is orthogonal only now
+            new = outside(terms, whole, new)
+            factor = np.linalg.cholesky(new.T @ (terms.metric @ new))
+            new = np.linalg.solve(factor, new.T).T
+        found = np.hstack([found, new])
+    return np.ascontiguousarray(found)
 
 
 def outside(terms, columns, vectors):

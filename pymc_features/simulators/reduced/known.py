@@ -29,6 +29,11 @@ class Known:
             np.array_equal(x, y) for x, y in pairs
         )
 
+    @property
+    def is_begun(self) -> bool:
+        """Whether there are more columns than modes."""
+        return self.basis is not None and self.basis.size > self.n_modes + 1
+
     def solve(self, a: Arguments):
         """The `System` of one structure, solved in full; its modes join the basis, and some more above them."""
         given, m = a.parameters, self.n_modes

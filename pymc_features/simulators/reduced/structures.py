@@ -13,7 +13,8 @@ from pymc_features.simulators.reduced.eigenproblem import lowest
 from pymc_features.simulators.reduced.inertia import count_below_lanes
 from pymc_features.simulators.reduced.known import KNOWN
 
-TOLERANCE = 3e-9  # of shapes, in the norm of the energy, by the probes
+TOLERANCE = 3e-8  # of shapes, in the norm of the energy, by the probes
+OF_DERIVATIVES = 1e-6  # the same, of derivatives by parameters scaled to move some omega^2 by as much as itself
 BELOW = 1e-6  # how far below the highest mode kept the others are counted, as a share of omega^2
 
 
@@ -31,36 +32,47 @@ class Candidate(NamedTuple):
     vectors: np.ndarray
 
 
-def solved(a: Arguments, particles, *, left_out=False):
+def solved(a: Arguments, particles, *, left_out=False, signed=False):
     """Yield number, `Arguments` and `System` of some particles of a population; None where there is no structure.
 
     Where the modes were found in a basis, the arguments and the system are those of the structure reduced to
     it: dense, of as many degrees of freedom as the basis has columns.
+
+    Parameters
+    ----------
+    a : Arguments
+        Its sensors a matrix.
+    particles : integer array
+    left_out : bool
+        Whether derivatives are asked for, which need what the modes that are left out add.
+    signed : bool
+        Whether shapes must be positive at their largest entry.
     """
     known = KNOWN.of(a.parameters, a.wanted.n_modes, len(particles))
     for first in range(0, len(particles), LANES):
-        waiting = particles[first : first + LANES]
-        while len(waiting):
-            found = {} if known is None else in_basis(a, known, waiting, left_out)
+        waiting = list(particles[first : first + LANES])
+        while waiting:
+            found = {} if known is None else in_basis(a, known, waiting, left_out, signed)
             for p, pair in found.items():
                 yield p, *pair
             waiting = [p for p in waiting if p not in found]
-            if not waiting:
-                break
-            p, *waiting = waiting
-            own = a._replace(parameters=a.parameters.one_of(p))
-            yield p, own, solve_system(own, left_out=left_out) if known is None else known.solve(own)
+            if waiting:
+                p, *waiting = waiting
+                own = a._replace(parameters=a.parameters.one_of(p))
+                yield p, own, solve_system(own, left_out=left_out) if known is None else known.solve(own)
 
 
-def in_basis(a, known, block, left_out) -> dict:
-    """Arguments and systems of those particles of a block whose modes are good."""
-    if known.basis is None or known.basis.size <= a.wanted.n_modes + 1:
+def in_basis(a, known, particles, left_out, signed) -> dict:
+    """Arguments and systems of those of at most `LANES` particles whose modes are good."""
+    m = a.wanted.n_modes
+    if not known.is_begun:
         return {}
     reduced, given = known.reduced(a), a.parameters
-    theta = np.stack([given.theta[p % given.theta.shape[0]] for p in block])
-    found = candidates(known.terms, known.basis, theta, a.wanted.n_modes, left_out)
-    good = complete(known.terms, theta, a.wanted.n_modes, found)
-    return {block[i]: system_of(reduced, block[i], found[i]) for i in good}
+    theta = np.stack([given.theta[p % given.theta.shape[0]] for p in particles])
+    found = candidates(known.terms, known.basis, theta, m, left_out)
+    places = [i for i in complete(known.terms, theta, m, found) if found[i].values[0] > known.terms.shift]
+    columns = known.basis.columns if signed else None
+    return {particles[i]: system_of(reduced, particles[i], found[i], columns) for i in places}
 
 
 def candidates(terms: Terms, basis: Basis, theta, m, left_out) -> dict:
@@ -68,42 +80,92 @@ def candidates(terms: Terms, basis: Basis, theta, m, left_out) -> dict:
     usable = np.flatnonzero(np.isfinite(theta).all(axis=1))
     weights = np.hstack([np.ones((len(usable), 1)), theta[usable]])
     stacks = basis.stiffness, basis.mass, basis.spring_probes, basis.mass_probes
-    parts = [np.tensordot(weights[:, : len(stack)], stack, 1) for stack in stacks]
+    parts = (np.tensordot(weights[:, : len(stack)], stack, 1) for stack in stacks)
     found = {}
-    for i, stiffness, mass, springs, masses in zip(usable, *parts, strict=True):
+    for i, *matrices in zip(usable, *parts, strict=True):
         try:
-            own_mass = None if terms.is_inertia else mass
-            values, vectors = lowest(stiffness, own_mass, terms.shift, None if left_out else m + 1)
+            candidate = solve_reduced(terms, matrices, m, left_out)
         except LinAlgError:
             continue
-        kept, forces = vectors[:, :m], stiffness @ vectors[:, :m]
-        inertia = 1.0 if terms.is_inertia else (kept * (mass @ kept)).sum(axis=0)
-        values[:m] = (kept * forces).sum(axis=0) / inertia
-        if not values[0] > terms.shift:  # rigid bodies have no energy to measure errors by
+        if candidate is None or (left_out and not holds_derivatives(terms, basis, matrices, m, candidate)):
             continue
-        residuals = springs @ kept - (masses @ kept) * values[:m]
-        error = np.sqrt((residuals**2).mean(axis=0) / values[:m])
-        if (error <= TOLERANCE).all():
-            found[i] = Candidate(values, vectors)
+        found[i] = candidate
     return found
+
+
+def solve_reduced(terms, matrices, m, left_out) -> Candidate | None:
+    """Modes of V' K V and V' M V; None if the residuals of the lowest m are large."""
+    stiffness, mass, springs, masses = matrices
+    own_mass = None if terms.is_inertia else mass
+    values, vectors = lowest(stiffness, own_mass, terms.shift, None if left_out else m + 1)
+    kept = vectors[:, :m]
+    inertia = 1.0 if terms.is_inertia else (kept * (mass @ kept)).sum(axis=0)
+    values[:m] = (kept * (stiffness @ kept)).sum(axis=0) / inertia
+    if not values[0] > terms.shift:  # rigid bodies have no energy to measure errors by
+        return None
+    residuals = springs @ kept - (masses @ kept) * values[:m]
+    return Candidate(values, vectors) if (size(residuals, values[:m]) <= TOLERANCE).all() else None
+
+
+def size(residuals, values):
+    """Norms (m,) of residuals (PROBES, m) that the probes have seen, as shares of the energy of the modes."""
+    return np.sqrt((residuals**2).mean(axis=0) / values)
+
+
+def holds_derivatives(terms, basis, matrices, m, found) -> bool:
+    """Whether the derivatives of the kept modes lie in the basis, by their residuals along random directions.
+
+    They solve (K - lambda M) dphi = -(dK - lambda dM) phi, in the basis by the other modes in it, and what the
+    kept ones have of it lies there in any case.
+    """
+    _, mass, springs, masses = matrices
+    kept, others = found.vectors[:, :m], found.vectors[:, m:]
+    values, above = found.values[:m], found.values[m:, None]
+    gaps = np.where(np.isinf(above), 1.0, above - values)
+    for direction in terms.directions:
+        loads = change(direction, basis.stiffness) @ kept
+        residuals = change(direction, basis.spring_probes) @ kept
+        if len(basis.mass) > 1:
+            loads = loads - change(direction, basis.mass) @ kept * values
+            residuals = residuals - change(direction, basis.mass_probes) @ kept * values
+        moved = others @ (others.T @ loads / -gaps)
+        residuals += springs @ moved - masses @ moved * values - masses @ kept @ (kept.T @ loads)
+        if not (size(residuals, values) <= OF_DERIVATIVES).all():
+            return False
+    return True
+
+
+def change(direction, stack):
+    """sum_i d_i A_i, zero where nothing depends on theta."""
+    return np.tensordot(direction, stack[1:], 1) if len(stack) > 1 else np.zeros(stack.shape[1:])
 
 
 def complete(terms: Terms, theta, m, found) -> list:
     """Which candidates are all there is: M definite, and no other omega^2 below the highest one kept."""
+    if not found:
+        return []
     places = list(found)
     lanes, bounds = np.zeros((theta.shape[1], LANES)), np.zeros((1, LANES))
     lanes[:, : len(places)] = theta[places].T
     bounds[0, : len(places)] = [found[i].values[m - 1] * (1.0 - BELOW) for i in places]
-    below = count_below_lanes(terms.pattern, terms.spring_entries, terms.mass_entries, lanes, bounds)
-    expected = [np.sum(found[i].values[:m] < bounds[0, k]) for k, i in enumerate(places)]
-    return [i for k, i in enumerate(places) if below[k] == expected[k]]
+    springs, masses = terms.spring_entries, terms.mass_entries
+    below = count_below_lanes(terms.pattern, springs, masses, lanes, bounds)
+    good = [below[k] == np.sum(found[i].values[:m] < bounds[0, k]) for k, i in enumerate(places)]
+    if len(masses) > 1:
+        negative = count_below_lanes(terms.pattern, masses, masses, lanes, np.zeros((1, LANES)))
+        good &= negative[: len(places)] == 0.0
+    return [i for k, i in enumerate(places) if good[k]]
 
 
-def system_of(reduced: Arguments, p, found: Candidate):
-    """Arguments and system of one structure in the basis."""
+def system_of(reduced: Arguments, p, found: Candidate, columns):
+    """Arguments and system of one structure in the basis; `columns` where signs matter."""
     own, m = reduced._replace(parameters=reduced.parameters.one_of(p)), reduced.wanted.n_modes
-    omega = np.sqrt(np.maximum(found.values, 0.0))
-    system = solve_system(own, known=(omega, found.vectors))
+    omega, vectors = np.sqrt(np.maximum(found.values, 0.0)), found.vectors
+    if columns is not None:
+        shapes = columns @ vectors[:, :m]
+        peaks = np.take_along_axis(shapes, abs(shapes).argmax(axis=0)[None], axis=0)
+        vectors = np.hstack([vectors[:, :m] * np.where(peaks < 0.0, -1.0, 1.0), vectors[:, m:]])
+    system = solve_system(own, known=(omega, vectors))
     if system is not None and omega.size > m + 1:
-        system = system._replace(others=(omega[m:], found.vectors[:, m:]))
+        system = system._replace(others=(omega[m:], vectors[:, m:]))
     return own, system
