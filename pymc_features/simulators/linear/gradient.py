@@ -11,7 +11,7 @@ from pymc_features.simulators.linear import oscillators, state_adjoint
 from pymc_features.simulators.linear.arguments import Arguments, n_particles
 from pymc_features.simulators.linear.dense_gradient import add_gradient, add_population_gradient
 from pymc_features.simulators.linear.projection import to_parameters
-from pymc_features.simulators.reduced.structures import solved
+from pymc_features.simulators.linear.system import solved, solved_alone
 
 
 def linear_response_gradient(parameters, excitation, wanted, cotangent) -> tuple:
@@ -75,8 +75,7 @@ def gradient(a, history, weights):
         kernel = given.for_kernel()
         add_gradient(kernel, kernel.random, a.inputs, a.outputs, *data, sums)
         return sums
-    [(_, own, system)] = solved(a._replace(parameters=given.as_population()), np.arange(1), left_out=True)
-    return gradient_of(own, system, history, weights)
+    return gradient_of(*solved_alone(a, left_out=True), history, weights)
 
 
 def gradient_of(a, system, history, weights):

@@ -13,11 +13,10 @@ from pymc_features.simulators.eigen.coupled import march_coupled
 from pymc_features.simulators.linear.arguments import Arguments, n_particles
 from pymc_features.simulators.linear.dense_population import dense_systems, march_dense
 from pymc_features.simulators.linear.response import evaluate
-from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
+from pymc_features.simulators.linear.system import is_coupled, observe, solved
 from pymc_features.simulators.mean_squares.systems import Systems, new_systems, put_modes
 from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
 from pymc_features.simulators.oscillators.population import lane_statistics, put_system
-from pymc_features.simulators.reduced.structures import solved
 
 SYMMETRY = 1e-14  # differences from the transposed matrix below this times its largest entry are rounding
 
@@ -84,9 +83,7 @@ def linear_systems(parameters, excitation, wanted, observed) -> Systems | None:
     if parameters.is_dense:
         return dense_systems(parameters.for_kernel(), a.inputs, a.outputs, count)
     systems = new_systems(count, a.shape[0], wanted.n_modes, excitation.acceleration.shape[0])
-    for p in range(count):
-        own = a._replace(parameters=parameters.one_of(p))
-        system = solve_system(own)
+    for p, own, system in solved(a, np.arange(count)):
         if system is not None:
             put_modes(systems, p, *observe(own, system))
     return systems

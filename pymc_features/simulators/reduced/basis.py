@@ -7,7 +7,6 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve_triangular
 
 from pymc_features.algebra import assemble, massless_motions, spectral_shift
-from pymc_features.simulators.linear.arguments import LinearParameters
 from pymc_features.simulators.reduced.inertia import Pattern, elimination_pattern
 
 NEW = 1e-8  # share of a shape outside the basis from which it joins
@@ -22,10 +21,11 @@ class Terms(NamedTuple):
     Attributes
     ----------
     given : LinearParameters
+        Of the arrays, see `linear.arguments`.
     stiffness, mass, damping : list of csc_array (n, n)
         A_0, A_1, ...
     metric : csc_array (n, n)
-        Of the basis, V' metric V = 1: M where it is constant and definite, otherwise K + shift M at one point.
+        V' metric V = 1: M where it is constant and definite, otherwise K + shift M at one point.
     is_inertia : bool
         Whether the metric is M.
     shift : float
@@ -39,7 +39,7 @@ class Terms(NamedTuple):
         Random changes of theta, each of which moves some omega^2 by about as much as itself.
     """
 
-    given: LinearParameters
+    given: NamedTuple
     stiffness: list
     mass: list
     damping: list
@@ -53,28 +53,40 @@ class Terms(NamedTuple):
     directions: np.ndarray
 
 
-def new_terms(given, system) -> Terms:
-    """`Terms` of a structure, by the `System` of one set of parameters."""
+def new_terms(given, matrices, modes) -> Terms:
+    """`Terms` of structures, by one of them: its M and K, and its factor of K + shift M, omega and shapes."""
     none, layout = np.zeros(0), (given.rows, given.starts, given.n_dof)
     stiffness, mass, damping = (
         [assemble(row[None], none, *layout) for row in stack]
         for stack in (given.stiffness, given.mass, given.damping)
     )
-    shift = spectral_shift(system.mass, system.stiffness)
+    factor, *pairs = modes
+    shift = spectral_shift(*matrices)
     is_inertia = len(mass) == 1 and massless_motions(mass[0]).rank == given.n_dof
-    metric = mass[0] if is_inertia else system.stiffness + shift * system.mass
-    pattern = elimination_pattern(given.rows, given.starts, system.factor.perm_c)
-    entries = (np.ascontiguousarray(stack[:, pattern.places]) for stack in (given.stiffness, given.mass))
-    probes = energy_probes(system.factor)
-    directions = random_directions(stiffness, mass, system)
+    pattern = elimination_pattern(given.rows, given.starts, factor.perm_c)
+    spring_entries, mass_entries = (
+        np.ascontiguousarray(stack[:, pattern.places]) for stack in (given.stiffness, given.mass)
+    )
     return Terms(
-        given, stiffness, mass, damping, metric, is_inertia, shift, probes, pattern, *entries, directions
+        given,
+        stiffness,
+        mass,
+        damping,
+        metric=mass[0] if is_inertia else matrices[1] + shift * matrices[0],
+        is_inertia=is_inertia,
+        shift=shift,
+        probes=energy_probes(factor),
+        pattern=pattern,
+        spring_entries=spring_entries,
+        mass_entries=mass_entries,
+        directions=random_directions(stiffness, mass, pairs),
     )
 
 
-def random_directions(stiffness, mass, system):
+def random_directions(stiffness, mass, modes):
     """Random changes of theta, in units in which each moves some omega^2 by as much as itself."""
-    shapes, values = system.shapes, system.omega**2
+    omega, shapes = modes
+    values = omega**2
     moved = np.zeros(max(len(stiffness), len(mass)) - 1)
     for i in range(moved.size):
         slopes = np.zeros(values.size)
@@ -83,7 +95,9 @@ def random_directions(stiffness, mass, system):
         if len(mass) > 1:
             slopes -= (shapes * (mass[1 + i] @ shapes)).sum(axis=0) * values
         moved[i] = (abs(slopes) / values).max()
-    return np.random.default_rng(0).standard_normal((DIRECTIONS, moved.size)) / np.where(moved > 0.0, moved, 1.0)
+    return np.random.default_rng(0).standard_normal((DIRECTIONS, moved.size)) / np.where(
+        moved > 0.0, moved, 1.0
+    )
 
 
 def energy_probes(factor) -> np.ndarray:
@@ -126,12 +140,18 @@ class Basis(NamedTuple):
         """Number of columns r."""
         return self.columns.shape[1]
 
-    def reduced(self, own: LinearParameters) -> LinearParameters:
-        """Dense parameters of a structure, or of a population, in the basis."""
-        flat = (stack.reshape(len(stack), self.size**2) for stack in (self.mass, self.damping, self.stiffness))
+    def reduced(self, given):
+        """`LinearParameters` of a structure, or of a population, in the basis: dense."""
         none = np.zeros(0, dtype=np.int64)
-        forces = self.columns.T @ own.forces if own.forces.any() else np.zeros(self.influence.shape)
-        return LinearParameters(*own.random, *flat, none, none, self.influence, forces)
+        return given._replace(
+            mass=self.mass.reshape(len(self.mass), -1),
+            damping=self.damping.reshape(len(self.damping), self.size**2),
+            stiffness=self.stiffness.reshape(len(self.stiffness), -1),
+            rows=none,
+            starts=none,
+            influence=self.influence,
+            forces=self.columns.T @ given.forces,
+        )
 
 
 def new_basis(terms: Terms) -> Basis:

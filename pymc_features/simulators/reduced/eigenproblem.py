@@ -52,7 +52,7 @@ def lowest(stiffness, mass, shift, count):
 
 
 def spectrum(matrix, count, from_above):
-    """The lowest eigenvalues, ascending, or the highest, descending, and their vectors; the lower half counts."""
+    """Lowest eigenvalues, ascending, or highest, descending, and their vectors; the lower half counts."""
     n = len(matrix)
     if count is None or count >= n:
         values, vectors = eigh(matrix, lower=True, driver="evd", check_finite=False)

@@ -40,7 +40,7 @@ class Pattern(NamedTuple):
 
 
 def elimination_pattern(rows, starts, order) -> Pattern:
-    """The pattern of symmetric matrices (n, n) given by columns, whose row i is eliminated as `order[i]`-th."""
+    """The pattern of symmetric matrices given by columns, of which row i is eliminated as `order[i]`-th."""
     n = starts.size - 1
     columns = np.repeat(np.arange(n), np.diff(starts))
     new_rows, new_columns = order[rows].astype(np.int64), order[columns].astype(np.int64)
@@ -112,7 +112,10 @@ def count_below_lanes(pattern, stiffness, mass, theta, bounds):
     n, above = pattern.starts.size - 1, pattern.rows.size
     zero, one = splat(0.0), splat(1.0)
     row, inverse = np.zeros((n, LANES)), np.empty((n, LANES))
-    factor, at = np.empty((max(pattern.columns.size, 1), LANES)), np.empty(pattern.columns.size, dtype=np.int64)
+    factor, at = (
+        np.empty((max(pattern.columns.size, 1), LANES)),
+        np.empty(pattern.columns.size, dtype=np.int64),
+    )
     ends, found = pattern.factor_starts[:n].copy(), np.zeros((2, LANES))
     bound, negative, unsure = load(bounds, 0), zero, zero
     for k in range(n):

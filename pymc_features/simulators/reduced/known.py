@@ -2,64 +2,90 @@
 
 import numpy as np
 
-from pymc_features.simulators.linear.arguments import Arguments
-from pymc_features.simulators.linear.system import admissible_modes, solve_system
 from pymc_features.simulators.reduced.basis import joined, new_basis, new_terms
+from pymc_features.simulators.reduced.candidates import candidates, complete, with_signs
 
 MOST_STRUCTURES = 4  # of which bases are kept; the one not asked for longest goes first
 MOST_COLUMNS = 400
-GUARDS = 3  # one more mode for so many is solved for, since the highest ones change places with those above
+LARGE = 8  # degrees of freedom for each mode kept from which a basis is worth while
 FEWEST = 8  # structures asked for before a basis is begun
+GUARDS = 3  # one mode more for so many is learnt, since the highest ones change places with those above
 ARRAYS = "stiffness", "mass", "damping", "influence", "rows", "starts"
 
 
 class Known:
-    """What is known of structures that share their matrices."""
+    """What is known of structures that share their matrices.
+
+    Attributes
+    ----------
+    asked : int
+        How many structures have been asked for.
+    tried, found, solved : int
+        How many were tried in the basis there is, how many were found in it, and how many have been learnt.
+    is_given_up : bool
+        Whether no basis of some hundred columns holds most of them.
+    """
 
     def __init__(self, given, n_modes):
         self.given = given._replace(**{name: getattr(given, name).copy() for name in ARRAYS})
-        self.n_modes, self.asked = n_modes, 0
-        self.terms, self.basis, self._reduced = None, None, None
-        self.solved = 0
+        self.n_modes, self.asked, self.is_given_up = n_modes, 0, False
+        self.most = min(MOST_COLUMNS, given.n_dof // 2)
+        self.terms, self.basis = None, None
+        self.tried = self.found = self.solved = 0
 
     def fits(self, given, n_modes) -> bool:
         """Whether it is about these structures."""
         pairs = [(getattr(self.given, name), getattr(given, name)) for name in ARRAYS]
-        return self.n_modes == n_modes and all(x.shape == y.shape for x, y in pairs) and all(
-            np.array_equal(x, y) for x, y in pairs
-        )
+        return self.n_modes == n_modes and all(np.array_equal(x, y) for x, y in pairs)
 
     @property
     def is_begun(self) -> bool:
         """Whether there are more columns than modes."""
         return self.basis is not None and self.basis.size > self.n_modes + 1
 
-    def solve(self, a: Arguments):
-        """The `System` of one structure, solved in full; its modes join the basis, and some more above them."""
-        given, m = a.parameters, self.n_modes
-        if not given.is_finite:
-            return None
-        mass, stiffness = given.assemble(given.mass), given.assemble(given.stiffness)
-        factor, *modes = admissible_modes(mass, stiffness, m + m // GUARDS)
-        system = solve_system(a, known=modes) if modes else None
-        if system is None:
-            return None
-        system = system._replace(factor=factor)
-        if system.omega[0] > 0.0:
-            self.solved += 1
-            if self.terms is None:
-                self.terms = new_terms(self.given, system)
-                self.basis = new_basis(self.terms)
-            grown = joined(self.terms, self.basis, modes[1])
-            if grown.size > MOST_COLUMNS:
-                grown = joined(self.terms, new_basis(self.terms), modes[1])
-            self.basis = grown
-        return system
+    @property
+    def n_learnt(self) -> int:
+        """Number of modes that are learnt of each structure solved in full."""
+        return self.n_modes + self.n_modes // GUARDS
 
-    def reduced(self, a: Arguments) -> Arguments:
-        """The arguments of a population in the basis."""
-        wanted = a.wanted._replace(sensors=a.wanted.sensors @ self.basis.columns)
-        return a._replace(parameters=self.basis.reduced(a.parameters), wanted=wanted)
+    def modes(self, theta, *, left_out=False, signed=False) -> tuple:
+        """The basis, and omega (> m,) and vectors (r, > m) of those of up to `LANES` structures found in it.
+
+        Parameters
+        ----------
+        theta : array (p, t)
+        left_out : bool
+            Whether all modes in the basis are wanted, for derivatives, which must lie in it too.
+        signed : bool
+            Whether shapes must be positive at their largest entry.
+        """
+        if not self.is_begun:
+            return None, {}
+        m, basis = self.n_modes, self.basis
+        some = candidates(self.terms, basis, theta, m, left_out)
+        places = complete(self.terms, theta, m, some)
+        self.tried, self.found = self.tried + len(theta), self.found + len(places)
+        result = {}
+        for i in places:
+            values, vectors = some[i]
+            vectors = with_signs(basis.columns, vectors, m) if signed else vectors
+            result[i] = np.sqrt(np.maximum(values, 0.0)), vectors
+        return basis, result
+
+    def learn(self, matrices, modes):
+        """Let the modes of a structure join: its M and K, and the factor of K + shift M, omega and shapes."""
+        _, omega, shapes = modes
+        if omega[0] <= 0.0 or self.is_given_up:  # rigid bodies have no energy to measure errors by
+            return
+        if self.terms is None:
+            self.terms = new_terms(self.given, matrices, modes)
+            self.basis = new_basis(self.terms)
+        grown = joined(self.terms, self.basis, shapes)
+        if grown.size > self.most:  # begin anew, where the structures are now
+            self.is_given_up = 2 * self.found < self.tried
+            grown = joined(self.terms, new_basis(self.terms), shapes)
+            self.tried = self.found = 0
+        self.basis, self.solved = grown, self.solved + 1
 
 
 class AllKnown:
@@ -68,9 +94,9 @@ class AllKnown:
     def __init__(self):
         self.entries = []
 
-    def of(self, given, n_modes, count):
-        """What is known of these structures; None where a basis is not worth its while."""
-        if given.is_dense or given.has_constant_modes or given.n_dof < 8 * n_modes:
+    def of(self, given, n_modes, count) -> Known | None:
+        """What is known of structures, `count` of which are asked for; None where it is not worth while."""
+        if given.is_dense or given.has_constant_modes or given.n_dof < LARGE * n_modes:
             return None
         for entry in self.entries:
             if entry.fits(given, n_modes):
@@ -80,7 +106,11 @@ class AllKnown:
             entry = Known(given, n_modes)
         self.entries = [entry, *self.entries[: MOST_STRUCTURES - 1]]
         entry.asked += count
-        return entry if entry.asked >= FEWEST else None
+        return entry if entry.asked >= FEWEST and not entry.is_given_up else None
+
+    def forget(self):
+        """Drop all, so that what follows does not depend on what was before."""
+        self.entries = []
 
 
 KNOWN = AllKnown()

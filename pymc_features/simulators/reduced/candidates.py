@@ -1,4 +1,4 @@
-"""Structures of a population one after the other, in a reduced basis where that is good enough."""
+"""Modes of structures in a basis, where their residuals are small and none is missing."""
 
 from typing import NamedTuple
 
@@ -6,15 +6,12 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.linear.arguments import Arguments
-from pymc_features.simulators.linear.system import solve_system
 from pymc_features.simulators.reduced.basis import Basis, Terms
 from pymc_features.simulators.reduced.eigenproblem import lowest
 from pymc_features.simulators.reduced.inertia import count_below_lanes
-from pymc_features.simulators.reduced.known import KNOWN
 
 TOLERANCE = 3e-8  # of shapes, in the norm of the energy, by the probes
-OF_DERIVATIVES = 1e-6  # the same, of derivatives by parameters scaled to move some omega^2 by as much as itself
+OF_DERIVATIVES = 1e-6  # the same, along parameters in units in which some omega^2 moves by as much as itself
 BELOW = 1e-6  # how far below the highest mode kept the others are counted, as a share of omega^2
 
 
@@ -30,49 +27,6 @@ class Candidate(NamedTuple):
 
     values: np.ndarray
     vectors: np.ndarray
-
-
-def solved(a: Arguments, particles, *, left_out=False, signed=False):
-    """Yield number, `Arguments` and `System` of some particles of a population; None where there is no structure.
-
-    Where the modes were found in a basis, the arguments and the system are those of the structure reduced to
-    it: dense, of as many degrees of freedom as the basis has columns.
-
-    Parameters
-    ----------
-    a : Arguments
-        Its sensors a matrix.
-    particles : integer array
-    left_out : bool
-        Whether derivatives are asked for, which need what the modes that are left out add.
-    signed : bool
-        Whether shapes must be positive at their largest entry.
-    """
-    known = KNOWN.of(a.parameters, a.wanted.n_modes, len(particles))
-    for first in range(0, len(particles), LANES):
-        waiting = list(particles[first : first + LANES])
-        while waiting:
-            found = {} if known is None else in_basis(a, known, waiting, left_out, signed)
-            for p, pair in found.items():
-                yield p, *pair
-            waiting = [p for p in waiting if p not in found]
-            if waiting:
-                p, *waiting = waiting
-                own = a._replace(parameters=a.parameters.one_of(p))
-                yield p, own, solve_system(own, left_out=left_out) if known is None else known.solve(own)
-
-
-def in_basis(a, known, particles, left_out, signed) -> dict:
-    """Arguments and systems of those of at most `LANES` particles whose modes are good."""
-    m = a.wanted.n_modes
-    if not known.is_begun:
-        return {}
-    reduced, given = known.reduced(a), a.parameters
-    theta = np.stack([given.theta[p % given.theta.shape[0]] for p in particles])
-    found = candidates(known.terms, known.basis, theta, m, left_out)
-    places = [i for i in complete(known.terms, theta, m, found) if found[i].values[0] > known.terms.shift]
-    columns = known.basis.columns if signed else None
-    return {particles[i]: system_of(reduced, particles[i], found[i], columns) for i in places}
 
 
 def candidates(terms: Terms, basis: Basis, theta, m, left_out) -> dict:
@@ -115,7 +69,7 @@ def size(residuals, values):
 def holds_derivatives(terms, basis, matrices, m, found) -> bool:
     """Whether the derivatives of the kept modes lie in the basis, by their residuals along random directions.
 
-    They solve (K - lambda M) dphi = -(dK - lambda dM) phi, in the basis by the other modes in it, and what the
+    They solve (K - lambda M) dphi = -(dK - lambda dM) phi, in the basis by the other modes in it; what the
     kept ones have of it lies there in any case.
     """
     _, mass, springs, masses = matrices
@@ -157,15 +111,8 @@ def complete(terms: Terms, theta, m, found) -> list:
     return [i for k, i in enumerate(places) if good[k]]
 
 
-def system_of(reduced: Arguments, p, found: Candidate, columns):
-    """Arguments and system of one structure in the basis; `columns` where signs matter."""
-    own, m = reduced._replace(parameters=reduced.parameters.one_of(p)), reduced.wanted.n_modes
-    omega, vectors = np.sqrt(np.maximum(found.values, 0.0)), found.vectors
-    if columns is not None:
-        shapes = columns @ vectors[:, :m]
-        peaks = np.take_along_axis(shapes, abs(shapes).argmax(axis=0)[None], axis=0)
-        vectors = np.hstack([vectors[:, :m] * np.where(peaks < 0.0, -1.0, 1.0), vectors[:, m:]])
-    system = solve_system(own, known=(omega, vectors))
-    if system is not None and omega.size > m + 1:
-        system = system._replace(others=(omega[m:], vectors[:, m:]))
-    return own, system
+def with_signs(columns, vectors, m):
+    """The vectors (r, > m), the lowest m so that the largest entry of each shape (n,) is positive."""
+    shapes = columns @ vectors[:, :m]
+    peaks = np.take_along_axis(shapes, abs(shapes).argmax(axis=0)[None], axis=0)
+    return np.hstack([vectors[:, :m] * np.where(peaks < 0.0, -1.0, 1.0), vectors[:, m:]])
