@@ -102,17 +102,22 @@ def solved(a: Arguments, particles, *, left_out=False, signed=False):
         Whether shapes must be positive at their largest entry.
     """
     known = KNOWN.of(a.parameters, a.wanted.n_modes, len(particles))
-    for first in range(0, len(particles), LANES):
-        waiting = list(particles[first : first + LANES])
+    if known is None:
+        for p in particles:
+            own = a._replace(parameters=a.parameters.one_of(p))
+            yield p, own, solve_system(own, left_out=left_out)
+        return
+    n_blocks = -(-len(particles) // LANES)
+    for first in range(n_blocks):  # a block is from all of the population, which may be in order
+        waiting = list(particles[first::n_blocks])
         while waiting:
-            found = {} if known is None else solved_in_basis(a, known, waiting, left_out, signed)
+            found, worst = solved_in_basis(a, known, waiting, left_out, signed)
             for p, pair in found.items():
                 yield p, *pair
-            waiting = [p for p in waiting if p not in found]
-            if waiting:
-                p, *waiting = waiting
-                own = a._replace(parameters=a.parameters.one_of(p))
-                yield p, own, solve_system(own, left_out=left_out) if known is None else learnt(own, known)
+            if len(found) < len(waiting):
+                own = a._replace(parameters=a.parameters.one_of(worst))
+                yield worst, own, learnt(own, known)
+            waiting = [p for p in waiting if p not in found and p != worst]
 
 
 def solved_alone(a: Arguments, *, left_out=False) -> tuple:
@@ -122,11 +127,11 @@ def solved_alone(a: Arguments, *, left_out=False) -> tuple:
     return own, system
 
 
-def solved_in_basis(a, known, particles, left_out, signed) -> dict:
-    """Arguments and systems of those of at most `LANES` particles that are found in a basis."""
+def solved_in_basis(a, known, particles, left_out, signed) -> tuple:
+    """Arguments and systems of those of up to `LANES` particles found in a basis; and the worst of others."""
     given, m = a.parameters, a.wanted.n_modes
     theta = np.stack([given.theta[p % given.theta.shape[0]] for p in particles])
-    basis, found = known.modes(theta, left_out=left_out, signed=signed)
+    basis, found, errors = known.modes(theta, left_out=left_out, signed=signed)
     result = {}
     if found:
         wanted = a.wanted._replace(sensors=a.wanted.sensors @ basis.columns)
@@ -137,7 +142,8 @@ def solved_in_basis(a, known, particles, left_out, signed) -> dict:
         if system is not None and left_out:
             system = system._replace(others=(omega[m:], vectors[:, m:]))
         result[particles[i]] = own, system
-    return result
+    others = [i for i in range(len(particles)) if i not in found]
+    return result, particles[max(others, key=lambda i: errors[i])] if others else None
 
 
 def learnt(a: Arguments, known) -> System | None:

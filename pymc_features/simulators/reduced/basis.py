@@ -9,10 +9,11 @@ from scipy.sparse.linalg import spsolve_triangular
 from pymc_features.algebra import assemble, massless_motions, spectral_shift
 from pymc_features.simulators.reduced.inertia import Pattern, elimination_pattern
 
-NEW = 1e-8  # share of a shape outside the basis from which it joins
+NEW = 5e-10  # share of a shape outside the basis from which it joins
 ROUNDING = 1e-13  # squares below this times the largest of some vectors are not told from rounding
 PROBES = 24  # random vectors by which residuals are measured: off by three once in 5e7 times
 DIRECTIONS = 2
+FEEBLE = 1e-3  # change of omega^2 against that of entries of K or M, below which the latter counts
 
 
 class Terms(NamedTuple):
@@ -79,25 +80,26 @@ def new_terms(given, matrices, modes) -> Terms:
         pattern=pattern,
         spring_entries=spring_entries,
         mass_entries=mass_entries,
-        directions=random_directions(stiffness, mass, pairs),
+        directions=random_directions((stiffness, mass), matrices, pairs),
     )
 
 
-def random_directions(stiffness, mass, modes):
-    """Random changes of theta, in units in which each moves some omega^2 by as much as itself."""
-    omega, shapes = modes
-    values = omega**2
-    moved = np.zeros(max(len(stiffness), len(mass)) - 1)
+def random_directions(terms, matrices, modes):
+    """Random changes of theta, in units in which each moves some omega^2 by about as much as itself.
+
+    `terms` are K_0, K_1, ... and M_0, M_1, ...; what hardly moves a mode is measured by its entries.
+    """
+    (stiffness, mass), (omega, shapes) = terms, modes
+    values, moved = omega**2, np.zeros(max(len(stiffness), len(mass)) - 1)
     for i in range(moved.size):
-        slopes = np.zeros(values.size)
-        if len(stiffness) > 1:
-            slopes += (shapes * (stiffness[1 + i] @ shapes)).sum(axis=0)
-        if len(mass) > 1:
-            slopes -= (shapes * (mass[1 + i] @ shapes)).sum(axis=0) * values
-        moved[i] = (abs(slopes) / values).max()
-    return np.random.default_rng(0).standard_normal((DIRECTIONS, moved.size)) / np.where(
-        moved > 0.0, moved, 1.0
-    )
+        slopes, share = np.zeros(values.size), 0.0
+        for stack, whole, factor in ((stiffness, matrices[1], 1.0), (mass, matrices[0], -values)):
+            if len(stack) > 1:
+                slopes += factor * (shapes * (stack[1 + i] @ shapes)).sum(axis=0)
+                own, all_of_it = abs(stack[1 + i].diagonal()), whole.diagonal()
+                share = max(share, (own[all_of_it > 0.0] / all_of_it[all_of_it > 0.0]).max())
+        moved[i] = max((abs(slopes) / values).max(), FEEBLE * share) or 1.0
+    return np.random.default_rng(0).standard_normal((DIRECTIONS, moved.size)) / moved
 
 
 def energy_probes(factor) -> np.ndarray:

@@ -10,8 +10,9 @@ from pymc_features.simulators.reduced.basis import Basis, Terms
 from pymc_features.simulators.reduced.eigenproblem import lowest
 from pymc_features.simulators.reduced.inertia import count_below_lanes
 
-TOLERANCE = 3e-8  # of shapes, in the norm of the energy, by the probes
+TOLERANCE = 2e-9  # of shapes, in the norm of the energy, by the probes
 OF_DERIVATIVES = 1e-6  # the same, along parameters in units in which some omega^2 moves by as much as itself
+FINER = TOLERANCE / OF_DERIVATIVES
 BELOW = 1e-6  # how far below the highest mode kept the others are counted, as a share of omega^2
 
 
@@ -29,26 +30,30 @@ class Candidate(NamedTuple):
     vectors: np.ndarray
 
 
-def candidates(terms: Terms, basis: Basis, theta, m, left_out) -> dict:
-    """Modes in the basis of those structures of which the residuals are small; `theta` (p, t)."""
+def candidates(terms: Terms, basis: Basis, theta, m, left_out) -> tuple:
+    """Modes in the basis of those structures of which the residuals are small, and how large all are.
+
+    `theta` (p, t); a dictionary by its rows, and an array (p,), infinite where no modes were found at all.
+    """
     usable = np.flatnonzero(np.isfinite(theta).all(axis=1))
     weights = np.hstack([np.ones((len(usable), 1)), theta[usable]])
     stacks = basis.stiffness, basis.mass, basis.spring_probes, basis.mass_probes
     parts = (np.tensordot(weights[:, : len(stack)], stack, 1) for stack in stacks)
-    found = {}
+    found, errors = {}, np.full(len(theta), np.inf)
     for i, *matrices in zip(usable, *parts, strict=True):
         try:
-            candidate = solve_reduced(terms, matrices, m, left_out)
+            candidate, errors[i] = solve_reduced(terms, matrices, m, left_out)
         except LinAlgError:
             continue
-        if candidate is None or (left_out and not holds_derivatives(terms, basis, matrices, m, candidate)):
-            continue
-        found[i] = candidate
-    return found
+        if errors[i] <= TOLERANCE and left_out:
+            errors[i] = max(errors[i], derivative_error(terms, basis, matrices, m, candidate) * FINER)
+        if errors[i] <= TOLERANCE:
+            found[i] = candidate
+    return found, errors
 
 
-def solve_reduced(terms, matrices, m, left_out) -> Candidate | None:
-    """Modes of V' K V and V' M V; None if the residuals of the lowest m are large."""
+def solve_reduced(terms, matrices, m, left_out) -> tuple:
+    """Modes of V' K V and V' M V, and the largest residual of the lowest m."""
     stiffness, mass, springs, masses = matrices
     own_mass = None if terms.is_inertia else mass
     values, vectors = lowest(stiffness, own_mass, terms.shift, None if left_out else m + 1)
@@ -56,18 +61,19 @@ def solve_reduced(terms, matrices, m, left_out) -> Candidate | None:
     inertia = 1.0 if terms.is_inertia else (kept * (mass @ kept)).sum(axis=0)
     values[:m] = (kept * (stiffness @ kept)).sum(axis=0) / inertia
     if not values[0] > terms.shift:  # rigid bodies have no energy to measure errors by
-        return None
+        return None, np.inf
     residuals = springs @ kept - (masses @ kept) * values[:m]
-    return Candidate(values, vectors) if (size(residuals, values[:m]) <= TOLERANCE).all() else None
+    return Candidate(values, vectors), size(residuals, values[:m])
 
 
-def size(residuals, values):
-    """Norms (m,) of residuals (PROBES, m) that the probes have seen, as shares of the energy of the modes."""
-    return np.sqrt((residuals**2).mean(axis=0) / values)
+def size(residuals, values) -> float:
+    """The largest norm of residuals (PROBES, m) that the probes have seen, as a share of a mode's energy."""
+    largest = np.sqrt((residuals**2).mean(axis=0) / values).max()
+    return largest if np.isfinite(largest) else np.inf
 
 
-def holds_derivatives(terms, basis, matrices, m, found) -> bool:
-    """Whether the derivatives of the kept modes lie in the basis, by their residuals along random directions.
+def derivative_error(terms, basis, matrices, m, found) -> float:
+    """How far derivatives of the kept modes lie outside the basis, by residuals along random directions.
 
     They solve (K - lambda M) dphi = -(dK - lambda dM) phi, in the basis by the other modes in it; what the
     kept ones have of it lies there in any case.
@@ -75,7 +81,7 @@ def holds_derivatives(terms, basis, matrices, m, found) -> bool:
     _, mass, springs, masses = matrices
     kept, others = found.vectors[:, :m], found.vectors[:, m:]
     values, above = found.values[:m], found.values[m:, None]
-    gaps = np.where(np.isinf(above), 1.0, above - values)
+    gaps, largest = np.where(np.isinf(above), 1.0, above - values), 0.0
     for direction in terms.directions:
         loads = change(direction, basis.stiffness) @ kept
         residuals = change(direction, basis.spring_probes) @ kept
@@ -84,9 +90,8 @@ def holds_derivatives(terms, basis, matrices, m, found) -> bool:
             residuals = residuals - change(direction, basis.mass_probes) @ kept * values
         moved = others @ (others.T @ loads / -gaps)
         residuals += springs @ moved - masses @ moved * values - masses @ kept @ (kept.T @ loads)
-        if not (size(residuals, values) <= OF_DERIVATIVES).all():
-            return False
-    return True
+        largest = max(largest, size(residuals, values))
+    return largest
 
 
 def change(direction, stack):
@@ -106,9 +111,17 @@ def complete(terms: Terms, theta, m, found) -> list:
     below = count_below_lanes(terms.pattern, springs, masses, lanes, bounds)
     good = [below[k] == np.sum(found[i].values[:m] < bounds[0, k]) for k, i in enumerate(places)]
     if len(masses) > 1:
-        negative = count_below_lanes(terms.pattern, masses, masses, lanes, np.zeros((1, LANES)))
-        good &= negative[: len(places)] == 0.0
+        good &= have_mass(terms, lanes)[: len(places)]
     return [i for k, i in enumerate(places) if good[k]]
+
+
+def have_mass(terms, lanes) -> np.ndarray:
+    """In which lanes M is known to be definite, or diagonal and positive but where no structure has mass."""
+    masses, above = terms.mass_entries, terms.pattern.rows.size
+    if masses[:, :above].any():
+        return count_below_lanes(terms.pattern, masses, masses, lanes, np.zeros((1, LANES))) == 0.0
+    diagonal = masses[0, above:, None] + masses[1:, above:].T @ lanes
+    return ((diagonal > 0.0) | ~masses[:, above:].any(axis=0)[:, None]).all(axis=0)
 
 
 def with_signs(columns, vectors, m):

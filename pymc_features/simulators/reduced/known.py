@@ -51,6 +51,8 @@ class Known:
     def modes(self, theta, *, left_out=False, signed=False) -> tuple:
         """The basis, and omega (> m,) and vectors (r, > m) of those of up to `LANES` structures found in it.
 
+        Last comes how large the residuals of all are (p,), infinite where there are none.
+
         Parameters
         ----------
         theta : array (p, t)
@@ -60,9 +62,9 @@ class Known:
             Whether shapes must be positive at their largest entry.
         """
         if not self.is_begun:
-            return None, {}
+            return None, {}, np.full(len(theta), np.inf)
         m, basis = self.n_modes, self.basis
-        some = candidates(self.terms, basis, theta, m, left_out)
+        some, errors = candidates(self.terms, basis, theta, m, left_out)
         places = complete(self.terms, theta, m, some)
         self.tried, self.found = self.tried + len(theta), self.found + len(places)
         result = {}
@@ -70,7 +72,7 @@ class Known:
             values, vectors = some[i]
             vectors = with_signs(basis.columns, vectors, m) if signed else vectors
             result[i] = np.sqrt(np.maximum(values, 0.0)), vectors
-        return basis, result
+        return basis, result, errors
 
     def learn(self, matrices, modes):
         """Let the modes of a structure join: its M and K, and the factor of K + shift M, omega and shapes."""
