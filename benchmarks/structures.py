@@ -3,8 +3,8 @@
 Populations through the kernels that the Ops call: ns per particle and step of the record. The same shear
 building is a chain, a dense LinearStructure, one with a dashpot that couples its modes, and a chain with
 nonlinear springs; beside them what people write with SciPy. Large sparse frames keep 20 modes: ms for one
-value and for one gradient, of the same structure again and again, and of one of a population in a common basis,
-with and without building it.
+value and for one gradient, of the same structure again and again, and of one of a population in a common
+basis, with and without building it.
 """
 
 import numpy as np
@@ -102,7 +102,7 @@ def value_and_gradient(structure, record):
 
 
 def population_in_a_basis(structure, record, particles):
-    """Calls for value and gradient of a population that differs by 20 %, without a basis and with the last one."""
+    """Calls for value and gradient of a population within 20 %, without a basis and with the last one."""
     family, n = FAMILIES["linear"], structure.n_dof
     rows = family.rows(np.linspace(n // 4, n - 1, 4).astype(int), n).toarray()
     theta, *rest = structure.parameters()
