@@ -9,9 +9,7 @@ from scipy.sparse.linalg import spsolve_triangular
 from pymc_features.algebra import assemble, massless_motions, spectral_shift
 from pymc_features.simulators.reduced.inertia import Pattern, elimination_pattern
 
-NEW = (
-    5e-11  # share of a shape outside the basis from which it joins; in energy it may count ten times as much
-)
+NEW = 5e-10  # share of a shape outside the basis from which it joins
 ROUNDING = 1e-13  # squares below this times the largest of some vectors are not told from rounding
 PROBES = 24  # random vectors by which residuals are measured: off by three once in 5e7 times
 DIRECTIONS = 2
