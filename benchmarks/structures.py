@@ -3,7 +3,8 @@
 Populations through the kernels that the Ops call: ns per particle and step of the record. The same shear
 building is a chain, a dense LinearStructure, one with a dashpot that couples its modes, and a chain with
 nonlinear springs; beside them what people write with SciPy. Large sparse frames keep 20 modes: ms for one
-value and for one gradient.
+value and for one gradient, of the same structure again and again, and of one of a population in a common
+basis, with and without building it.
 """
 
 import numpy as np
@@ -15,6 +16,7 @@ from benchmarks.routes import filters
 from benchmarks.tables import significant, table
 from benchmarks.timing import best_of_rounds, fitted_exponent
 from pymc_features.simulators import FAMILIES
+from pymc_features.simulators.reduced.known import KNOWN
 
 SIZES = (3, 10, 30, 100)
 GRIDS = ((10, 30), (20, 50), (20, 100))  # bays and storeys of the sparse frames
@@ -99,6 +101,39 @@ def value_and_gradient(structure, record):
     }
 
 
+def population_in_a_basis(structure, record, particles):
+    """Calls for value and gradient of a population within 20 %, without a basis and with the last one."""
+    family, n = FAMILIES["linear"], structure.n_dof
+    rows = family.rows(np.linspace(n // 4, n - 1, 4).astype(int), n).toarray()
+    theta, *rest = structure.parameters()
+    spread = np.random.default_rng(0).uniform(-0.2, 0.2, (particles, theta.size))
+    parameters = theta * (1.0 + spread), *(x[None] for x in rest)
+    excitation = (structure.excitation(record), record.dt, 1, 1)
+    inputs = (*parameters, *structure.constants(record), *excitation, rows, N_MODES)
+    arguments, data = family.assemble(inputs, 0), np.zeros((4, record.acceleration.size))
+    weights, kernels = np.ones((particles, 4, 1)), family.kernels
+
+    def anew(call):
+        def run_anew():
+            KNOWN.forget()
+            call()
+
+        return run_anew
+
+    def value():
+        kernels["population_discrepancy"](*arguments, data)
+
+    def gradient():
+        kernels["population_gradient"](*arguments, data, weights)
+
+    return {
+        "value, anew": anew(value),
+        "value": value,
+        "gradient, anew": anew(gradient),
+        "gradient": gradient,
+    }
+
+
 def run(quick=False):
     """Print both tables."""
     rounds = 2 if quick else 7
@@ -125,3 +160,10 @@ def run(quick=False):
         )
     print(f"\n## Sparse frames, {N_MODES} modes, 4 sensors, 1559 samples\n")
     print(table(["DOF", "value: ms", "gradient: ms", "x value"], rows), flush=True)
+    rows, particles = [], 16 if quick else 500
+    for bays, storeys in GRIDS[: 1 if quick else None]:
+        calls = population_in_a_basis(frame(bays, storeys), record, particles)
+        best = best_of_rounds(calls, 1 if quick else 2)
+        rows.append([f"{bays * storeys:,}", *(significant(1e3 * s / particles) for s in best.values())])
+    print(f"\n## The same, each of {particles} in a common basis: ms\n")
+    print(table(["DOF", *best], rows), flush=True)

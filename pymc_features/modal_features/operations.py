@@ -13,6 +13,7 @@ from pymc_features.ops.gradient import filled, undefined
 from pymc_features.ops.population import as_rows, without_unit_batch
 from pymc_features.simulators import FAMILIES, Outputs
 from pymc_features.simulators.modal.perturbation import Cotangent
+from pymc_features.simulators.reduced.known import KNOWN
 
 OUTPUTS = ("(m)", "(m,s)", "(m)")
 
@@ -71,6 +72,10 @@ class ModalOp(Op):
                 raise ValueError(f"input {i} must have {expected} dimensions, got {tensor.ndim}.")
             prepared.append(tensor if tensor.dtype == dtype else tensor.astype(dtype))
         return prepared
+
+    def prepare_node(self, node, storage_map, compute_map, impl):
+        """Forget what other functions have learnt, so that a run with the same seed is the same."""
+        KNOWN.forget()
 
     def perform(self, node, inputs, output_storage):
         for storage, result in zip(output_storage, self.run(inputs), strict=True):

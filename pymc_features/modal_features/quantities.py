@@ -86,10 +86,9 @@ def modes(
     their shapes has an exact gradient; single frequencies and shapes have none there, whatever is returned.
     Where `n_modes` cuts a pair of equal frequencies, keep both.
 
-    A population is one call. Sparse structures of 3000 degrees of freedom and more begin with the modes of
-    those before them, checked by residuals and inertia: frequencies are those of each by itself to rounding,
-    shapes to 1e-6 (tests/modal_features/test_neighbours.py). Of 300 lattices of 8000 degrees of freedom whose
-    nine parameters varied by 10 % ten were solved anew, in half the time of all; the gradient takes as long.
+    A population is one call. Modes of sparse structures that differ in theta alone are found in a basis of
+    those that were solved before, checked by residuals and inertia: frequencies are those of each by itself
+    to 1e-11, shapes and gradients to 1e-6 (tests/simulators/test_reduced.py).
 
     Examples
     --------

@@ -9,6 +9,7 @@ from pytensor.graph.op import Op
 
 from pymc_features.simulators import CODES, FAMILIES, n_outputs
 from pymc_features.simulators.families import count
+from pymc_features.simulators.reduced.known import KNOWN
 
 
 class StructuralOp(Op):
@@ -117,6 +118,10 @@ class StructuralOp(Op):
         """Number of output samples as a tensor."""
         substeps, stride = node.inputs[self.at("substeps")], node.inputs[self.at("stride")]
         return ((shapes[self.at("acceleration")][-1] - 1) * substeps) // stride + 1
+
+    def prepare_node(self, node, storage_map, compute_map, impl):
+        """Forget what other functions have learnt, as `numba_dispatch.in_python` does."""
+        KNOWN.forget()
 
     def perform(self, node, inputs, output_storage):
         results = self.run(inputs)

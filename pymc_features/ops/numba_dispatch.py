@@ -33,6 +33,7 @@ from pymc_features.simulators.compiled.dependencies import source_hash
 from pymc_features.simulators.families import count
 from pymc_features.simulators.mean_squares.population import FEWEST_ALONE
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs
+from pymc_features.simulators.reduced.known import KNOWN
 
 DISPATCH_HASH = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
@@ -189,7 +190,12 @@ def by_length(op, node):
 
 
 def in_python(op, node):
-    """A call from compiled code to a kernel in Python, which costs ten microseconds."""
+    """A call from compiled code to a kernel in Python, which costs ten microseconds.
+
+    What other functions have learnt of their structures is forgotten, so that a run with the same seed is the
+    same, whatever was before.
+    """
+    KNOWN.forget()
     one = len(node.outputs) == 1
     results = [get_numba_type(output.type) for output in node.outputs]
     result_type = results[0] if one else types.Tuple(results)

@@ -1,10 +1,11 @@
 """Arrays in, arrays out: response, misfit and their derivatives, as compiled kernels.
 
 Rooms: `compiled` (machine code), `oscillators` (uncoupled modes through time), `derivatives` (gradients of
-many structures together), `eigen` (modes of many structures together), `mean_squares` (without going through
-time), `taylor` (populations of nonlinear chains through time), `chain`, `linear`, `nonlinear` and `cyclic`
-(from the parameters of a family to its modes, states or forces), `modal` (modes for their own sake), and
-above them `families`, the table of all kernels. Nothing here knows of PyMC or PyTensor.
+many structures together), `eigen` (modes of many structures together), `reduced` (those of large sparse
+ones), `mean_squares` (without going through time), `taylor` (populations of nonlinear chains through time),
+`chain`, `linear`, `nonlinear` and `cyclic` (from the parameters of a family to its modes, states or forces),
+`modal` (modes for their own sake), and above them `families`, the table of all kernels. Nothing here knows of
+PyMC or PyTensor.
 
 Symbols, as in the equations of the documentation:
 

@@ -449,7 +449,7 @@ def test_population_is_its_particles(name):
 )
 def test_dense_population_is_compiled(name, varied, monkeypatch):
     """Misfits of more than two vectors of particles, without our modes; NaN in the bad rows alone."""
-    monkeypatch.setattr(population, "solve_system", None)
+    monkeypatch.setattr(population, "solved", None)
     case, _ = CASES[name]
     rng = np.random.default_rng(19)
     count = 2 * LANES + 5
@@ -520,7 +520,7 @@ def test_dense_gradients_are_compiled(name, n_weights, shared, monkeypatch):
             one[[2, 4]] = [[np.nan], [-1e4]]
         expected = loop()
         with monkeypatch.context() as patch:
-            patch.setattr(gradient, "solve_system", None)
+            patch.setattr(gradient, "solved", None)
             found = FAMILIES["linear"].kernels["population_gradient"](
                 *LINEAR.assemble((theta, rayleigh, ratios, *case.rest[:-1]), case.quantity), observed, weights
             )

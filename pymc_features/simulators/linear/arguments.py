@@ -78,6 +78,10 @@ class LinearParameters(NamedTuple):
         """Parameters of particle p of a population: `random` has a row for each particle, or one for all."""
         return LinearParameters(*(array[p % array.shape[0]] for array in self.random), *self[N_PARAMETERS:])
 
+    def as_population(self) -> "LinearParameters":
+        """A population of one particle."""
+        return LinearParameters(*(array[None] for array in self.random), *self[N_PARAMETERS:])
+
     def for_kernel(self) -> "LinearParameters":
         """The same in arrays that compiled code takes."""
         whole = np.int64

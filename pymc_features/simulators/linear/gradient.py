@@ -15,7 +15,7 @@ from pymc_features.simulators.linear.dense_gradient import (
     spread_population,
 )
 from pymc_features.simulators.linear.projection import to_parameters
-from pymc_features.simulators.linear.system import solve_system
+from pymc_features.simulators.linear.system import solved, solved_alone
 
 
 def linear_response_gradient(parameters, excitation, wanted, cotangent) -> tuple:
@@ -63,9 +63,9 @@ def linear_population_gradient(parameters, excitation, wanted, observed, weights
         data = writable(observed), writable(weights)
         add_population_gradient(parameters.for_kernel(), a.inputs, a.outputs, *data, sums)
         return sums
-    for p in range(count):
-        own = linear_misfit_gradient(parameters.one_of(p), excitation, wanted, observed, weights[p])
-        for total, part in zip(sums, own, strict=True):
+    a._replace(parameters=first).check(observed, weights[0])
+    for p, own, system in solved(a, np.arange(count), left_out=True):
+        for total, part in zip(sums, gradient_of(own, system, observed, weights[p]), strict=True):
             total[p % total.shape[0]] += part
     return sums
 
@@ -90,8 +90,12 @@ def gradient(a, history, weights):
         kernel = given.for_kernel()
         add_gradient(kernel, kernel.random, a.inputs, a.outputs, *data, sums)
         return sums
-    system = solve_system(a, left_out=True)
+    return gradient_of(*solved_alone(a, left_out=True), history, weights)
+
+
+def gradient_of(a, system, history, weights):
+    """The same, of a structure whose modes are known; None for no structure."""
     if system is None:
-        return tuple(np.full(array.shape, np.nan) for array in given.random)
-    route = oscillators if given.is_classical else state_adjoint
+        return tuple(np.full(array.shape, np.nan) for array in a.parameters.random)
+    route = oscillators if a.parameters.is_classical else state_adjoint
     return to_parameters(a, system, route.pull_back(a, system, history, weights))

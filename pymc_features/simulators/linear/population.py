@@ -14,7 +14,7 @@ from pymc_features.simulators.eigen.coupled_systems import fill_systems
 from pymc_features.simulators.linear.arguments import Arguments, n_particles
 from pymc_features.simulators.linear.dense_population import dense_systems, march_dense
 from pymc_features.simulators.linear.response import evaluate
-from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
+from pymc_features.simulators.linear.system import is_coupled, observe, solved
 from pymc_features.simulators.mean_squares.systems import Systems, new_systems, put_modes
 from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
 from pymc_features.simulators.oscillators.population import lane_statistics, put_system
@@ -49,9 +49,8 @@ def march_population(a: Arguments, observed, with_increments):
         result, is_written = march_coupled(kernel, a.inputs, a.outputs, observed, increments)
         result, is_written = np.resize(result, (count, *result.shape[1:])), np.resize(is_written, count)
     lanes, places = new_lanes(observed, a.wanted.n_modes, a.excitation.stride), []
-    for p in np.flatnonzero(~is_written.astype(bool)):
-        own = a._replace(parameters=a.parameters.one_of(p))
-        system = solve_system(own)
+    waiting = np.flatnonzero(~is_written.astype(bool))
+    for p, own, system in solved(a, waiting):
         if system is None:
             continue
         if one_input and not is_coupled(system.modal_damping):
@@ -92,9 +91,7 @@ def linear_systems(parameters, excitation, wanted, observed) -> Systems | None:
     if parameters.is_dense:
         return dense_systems(parameters.for_kernel(), a.inputs, a.outputs, count)
     systems = new_systems(count, a.shape[0], wanted.n_modes, n_inputs, False)
-    for p in range(count):
-        own = a._replace(parameters=parameters.one_of(p))
-        system = solve_system(own)
+    for p, own, system in solved(a, np.arange(count)):
         if system is not None:
             put_modes(systems, p, *observe(own, system))
     return systems

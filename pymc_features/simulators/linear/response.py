@@ -11,7 +11,7 @@ from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.dense_population import march_structure
 from pymc_features.simulators.linear.state_space import march_state, state_matrices
-from pymc_features.simulators.linear.system import is_coupled, observe, solve_system
+from pymc_features.simulators.linear.system import is_coupled, observe, solve_system, solved_alone
 from pymc_features.simulators.oscillators.recursion import march_modes, statistics
 
 
@@ -57,7 +57,7 @@ def solve(a, observed):
     Dense structures with classical damping stay in compiled code.
     """
     if not (a.parameters.is_dense and a.parameters.is_classical):
-        return evaluate(a, solve_system(a), observed)
+        return evaluate(*solved_alone(a), observed)
     observed, history = data_or_history(a, observed)
     sums = march_structure(a.parameters.for_kernel(), a.inputs, a.outputs, observed, history)
     return history if history.size else sums

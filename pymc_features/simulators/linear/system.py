@@ -7,10 +7,12 @@ from scipy import sparse
 
 from pymc_features.algebra import massless_motions, natural_modes, shifted_factor, spectral_shift
 from pymc_features.simulators.compiled.arrays import writable
+from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.oscillators.modal_system import ModalSystem, write_feed
 from pymc_features.simulators.oscillators.recursion import STIFFEST, write_damping
+from pymc_features.simulators.reduced.known import KNOWN
 
 COUPLING = 1e-12  # off-diagonal entries of D below this times the largest are rounding
 
@@ -81,6 +83,81 @@ def solve_system(a: Arguments, *, left_out=False, known=None) -> System | None:
     load = mass @ given.influence - given.forces
     participation = shapes.T @ load
     return System(mass, damping, stiffness, factor, omega, shapes, others, modal_damping, load, participation)
+
+
+def solved(a: Arguments, particles, *, left_out=False, signed=False):
+    """Yield number, `Arguments` and `System` of some particles of a population; None for no structure.
+
+    Where the modes were found in a basis, see `reduced`, the arguments and the system are those of the
+    structure reduced to it: dense, of as many degrees of freedom as the basis has columns.
+
+    Parameters
+    ----------
+    a : Arguments
+        Its sensors a matrix.
+    particles : integer array
+    left_out : bool
+        Whether derivatives are asked for, which need what the modes that are left out add.
+    signed : bool
+        Whether shapes must be positive at their largest entry.
+    """
+    known = KNOWN.of(a.parameters, a.wanted.n_modes, len(particles))
+    if known is None:
+        for p in particles:
+            own = a._replace(parameters=a.parameters.one_of(p))
+            yield p, own, solve_system(own, left_out=left_out)
+        return
+    n_blocks = -(-len(particles) // LANES)
+    for first in range(n_blocks):  # a block is from all of the population, which may be in order
+        waiting = list(particles[first::n_blocks])
+        while waiting:
+            found, worst = solved_in_basis(a, known, waiting, left_out, signed)
+            for p, pair in found.items():
+                yield p, *pair
+            if len(found) < len(waiting):
+                own = a._replace(parameters=a.parameters.one_of(worst))
+                yield worst, own, learnt(own, known)
+            waiting = [p for p in waiting if p not in found and p != worst]
+
+
+def solved_alone(a: Arguments, *, left_out=False) -> tuple:
+    """`Arguments` and `System` of one structure, see `solved`."""
+    population = a._replace(parameters=a.parameters.as_population())
+    [(_, own, system)] = solved(population, [0], left_out=left_out)
+    return own, system
+
+
+def solved_in_basis(a, known, particles, left_out, signed) -> tuple:
+    """Arguments and systems of those of up to `LANES` particles found in a basis; and the worst of others."""
+    given, m = a.parameters, a.wanted.n_modes
+    theta = np.stack([given.theta[p % given.theta.shape[0]] for p in particles])
+    basis, found, errors = known.modes(theta, left_out=left_out, signed=signed)
+    result = {}
+    if found:
+        wanted = a.wanted._replace(sensors=a.wanted.sensors @ basis.columns)
+        a = a._replace(parameters=basis.reduced(given), wanted=wanted)
+    for i, (omega, vectors) in found.items():
+        own = a._replace(parameters=a.parameters.one_of(particles[i]))
+        system = solve_system(own, known=(omega, vectors))
+        if system is not None and left_out:
+            system = system._replace(others=(omega[m:], vectors[:, m:]))
+        result[particles[i]] = own, system
+    others = [i for i in range(len(particles)) if i not in found]
+    return result, particles[max(others, key=lambda i: errors[i])] if others else None
+
+
+def learnt(a: Arguments, known) -> System | None:
+    """The system of a structure that is not found in a basis, whose modes join it."""
+    given = a.parameters
+    if not given.is_finite:
+        return None
+    mass, stiffness = given.assemble(given.mass), given.assemble(given.stiffness)
+    factor, *modes = admissible_modes(mass, stiffness, known.n_learnt)
+    system = solve_system(a, known=modes) if modes else None
+    if system is None:
+        return None
+    known.learn((mass, stiffness), (factor, *modes))
+    return system._replace(factor=factor)
 
 
 def admissible_modes(mass, stiffness, n_modes):

@@ -10,7 +10,7 @@ from pymc_features.simulators.linear import oscillators, state_adjoint
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.projection import project_direction
 from pymc_features.simulators.linear.response import data_or_history
-from pymc_features.simulators.linear.system import solve_system
+from pymc_features.simulators.linear.system import solved_alone
 
 
 def linear_response_tangent(parameters, excitation, wanted, directions) -> np.ndarray:
@@ -32,7 +32,7 @@ def tangent(a, directions, observed):
     if any(d.shape != array.shape for d, array in zip(directions, a.parameters.random, strict=True)):
         raise ValueError("the directions must have the shapes of the parameters")
     n_sensors, total = a.shape
-    system = solve_system(a, left_out=True)
+    a, system = solved_alone(a, left_out=True)
     if system is None:
         return np.full((n_sensors, total) if observed is None else n_sensors, np.nan)
     observed, history = data_or_history(a, observed)

@@ -5,15 +5,14 @@ those without damping and the ratios phi' C phi / (2 omega), as of `LinearStruct
 """
 
 import numpy as np
+from scipy import sparse
 
-from pymc_features.algebra import shifted_factor
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear.arguments import Arguments, n_particles
 from pymc_features.simulators.linear.projection import Cotangent as Reduced
 from pymc_features.simulators.linear.projection import to_parameters
-from pymc_features.simulators.linear.system import System, solve_system, uncoupled
+from pymc_features.simulators.linear.system import solved, uncoupled
 from pymc_features.simulators.modal.dense import add_dense_gradients, dense_population_modes
-from pymc_features.simulators.modal.neighbours import Neighbours
 from pymc_features.simulators.modal.perturbation import (
     Cotangent,
     by_eigenvalues,
@@ -31,13 +30,11 @@ def linear_population_modes(parameters, wanted) -> tuple:
     count, m = n_particles(parameters), wanted.n_modes
     frequencies, ratios = np.full((count, m), np.nan), np.full((count, m), np.nan)
     shapes = np.full((count, m, wanted.sensors.size), np.nan)
-    near = neighbours(parameters, wanted, count)
-    for p in range(count):
-        system = solve(parameters.one_of(p), wanted, near)
+    for p, own, system in solved(arguments(parameters, wanted), np.arange(count), signed=True):
         if system is not None:
             damping = uncoupled(system.modal_damping)
             frequencies[p] = system.omega / (2.0 * np.pi)
-            shapes[p] = system.shapes[wanted.sensors].T
+            shapes[p] = (own.wanted.sensors @ system.shapes).T
             ratios[p] = [damping_ratio(*pair) for pair in zip(system.omega, damping, strict=True)]
     return frequencies, shapes, ratios
 
@@ -49,10 +46,8 @@ def linear_modes_gradient(parameters, wanted, cotangent) -> tuple:
     if parameters.is_dense and parameters.is_classical:
         add_dense_gradients(parameters.for_kernel(), wanted, cotangent, sums)
         return sums
-    near = neighbours(parameters, wanted, len(cotangent.frequencies))
-    for p in range(len(cotangent.frequencies)):
-        a = arguments(parameters.one_of(p), wanted)
-        system = solve(a.parameters, wanted, near, for_gradient=True)
+    particles = np.arange(len(cotangent.frequencies))
+    for p, a, system in solved(arguments(parameters, wanted), particles, left_out=True, signed=True):
         if system is None:
             own = (np.nan,) * len(sums)
         else:
@@ -62,45 +57,26 @@ def linear_modes_gradient(parameters, wanted, cotangent) -> tuple:
     return sums
 
 
-def neighbours(parameters, wanted, count) -> Neighbours | None:
-    """What makes use of the structures before, of several large sparse ones."""
-    if count == 1 or parameters.is_dense or parameters.one_of(0).has_constant_modes:
-        return None
-    near = Neighbours(parameters.one_of(0), wanted.n_modes)
-    return near if near.is_worthwhile else None
-
-
-def solve(parameters, wanted, near, *, for_gradient=False) -> System | None:
-    """The system of one structure; None where there is none."""
-    a = arguments(parameters, wanted)
-    if near is None:
-        return solve_system(a, left_out=for_gradient)
-    known = near.modes(parameters, checked=not for_gradient)
-    system = None if known is None else solve_system(a, known=known)
-    if system is not None and for_gradient:
-        return system._replace(factor=shifted_factor(system.mass, system.stiffness))
-    return system
-
-
 def check(parameters, wanted):
     """Refuse sizes that do not agree."""
     first, n = parameters.one_of(0), parameters.n_dof
     if wanted.sensors.size and not 0 <= wanted.sensors.min() <= wanted.sensors.max() < n:
         raise ValueError("`sensors` must be degrees of freedom of the structure")
-    a = arguments(first, wanted)
-    a._replace(wanted=wanted._replace(sensors=np.empty((0, n)))).check()
+    arguments(first, wanted).check()
 
 
 def arguments(parameters, wanted) -> Arguments:
-    """What `solve_system` takes: a structure at rest, whose steps are short enough for any mode."""
-    return Arguments(parameters, Excitation(np.zeros((parameters.forces.shape[1], 2)), 0.0, 1, 1), wanted)
+    """What `solve_system` takes: structures at rest, whose steps are short enough for any mode."""
+    entries = np.ones(wanted.sensors.size), (np.arange(wanted.sensors.size), wanted.sensors)
+    rows = sparse.csr_array(entries, shape=(wanted.sensors.size, parameters.n_dof))
+    excitation = Excitation(np.zeros((parameters.forces.shape[1], 2)), 0.0, 1, 1)
+    return Arguments(parameters, excitation, wanted._replace(sensors=rows))
 
 
 def reduced(a, system, cotangent) -> Reduced:
     """Derivatives of L by the reduced matrices, by the shapes outside their span, and by the damping."""
     omega, (rayleigh, ratios) = writable(system.omega), a.parameters.random[1:]
-    by_shapes = np.zeros(system.shapes.shape)
-    np.add.at(by_shapes, a.wanted.sensors, cotangent.shapes.T)
+    by_shapes = a.wanted.sensors.T @ cotangent.shapes.T
     with np.errstate(divide="ignore", invalid="ignore"):
         by_damping = np.where(cotangent.ratios == 0.0, 0.0, cotangent.ratios / (2.0 * omega))
         if a.parameters.is_classical:

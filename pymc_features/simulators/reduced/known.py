@@ -1,0 +1,118 @@
+"""The bases of a process, found again by the matrices they belong to."""
+
+import numpy as np
+
+from pymc_features.simulators.reduced.basis import joined, new_basis, new_terms
+from pymc_features.simulators.reduced.candidates import candidates, complete, with_signs
+
+MOST_STRUCTURES = 4  # of which bases are kept; the one not asked for longest goes first
+MOST_COLUMNS = 400
+LARGE = 8  # degrees of freedom for each mode kept from which a basis is worth while
+FEWEST = 8  # structures asked for before a basis is begun
+GUARDS = 3  # one mode more for so many is learnt, since the highest ones change places with those above
+ARRAYS = "stiffness", "mass", "damping", "influence", "rows", "starts"
+
+
+class Known:
+    """What is known of structures that share their matrices.
+
+    Attributes
+    ----------
+    asked : int
+        How many structures have been asked for.
+    tried, found, solved : int
+        How many were tried in the basis there is, how many were found in it, and how many have been learnt.
+    is_given_up : bool
+        Whether no basis of some hundred columns holds most of them.
+    """
+
+    def __init__(self, given, n_modes):
+        self.given = given._replace(**{name: getattr(given, name).copy() for name in ARRAYS})
+        self.n_modes, self.asked, self.is_given_up = n_modes, 0, False
+        self.most = min(MOST_COLUMNS, given.n_dof // 2)
+        self.terms, self.basis = None, None
+        self.tried = self.found = self.solved = 0
+
+    def fits(self, given, n_modes) -> bool:
+        """Whether it is about these structures."""
+        pairs = [(getattr(self.given, name), getattr(given, name)) for name in ARRAYS]
+        return self.n_modes == n_modes and all(np.array_equal(x, y) for x, y in pairs)
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether there are more columns than modes."""
+        return self.basis is not None and self.basis.size > self.n_modes + 1
+
+    @property
+    def n_learnt(self) -> int:
+        """Number of modes that are learnt of each structure solved in full."""
+        return self.n_modes + self.n_modes // GUARDS
+
+    def modes(self, theta, *, left_out=False, signed=False) -> tuple:
+        """The basis, and omega (> m,) and vectors (r, > m) of those of up to `LANES` structures found in it.
+
+        Last comes how large the residuals of all are (p,), infinite where there are none.
+
+        Parameters
+        ----------
+        theta : array (p, t)
+        left_out : bool
+            Whether all modes in the basis are wanted, for derivatives, which must lie in it too.
+        signed : bool
+            Whether shapes must be positive at their largest entry.
+        """
+        if not self.is_begun:
+            return None, {}, np.full(len(theta), np.inf)
+        m, basis = self.n_modes, self.basis
+        some, errors = candidates(self.terms, basis, theta, m, left_out)
+        places = complete(self.terms, theta, m, some)
+        self.tried, self.found = self.tried + len(theta), self.found + len(places)
+        result = {}
+        for i in places:
+            values, vectors = some[i]
+            vectors = with_signs(basis.columns, vectors, m) if signed else vectors
+            result[i] = np.sqrt(np.maximum(values, 0.0)), vectors
+        return basis, result, errors
+
+    def learn(self, matrices, modes):
+        """Let the modes of a structure join: its M and K, and the factor of K + shift M, omega and shapes."""
+        _, omega, shapes = modes
+        if omega[0] <= 0.0 or self.is_given_up:  # rigid bodies have no energy to measure errors by
+            return
+        if self.terms is None:
+            self.terms = new_terms(self.given, matrices, modes)
+            self.basis = new_basis(self.terms)
+        grown = joined(self.terms, self.basis, shapes)
+        if grown.size > self.most:  # begin anew, where the structures are now
+            self.is_given_up = 2 * self.found < self.tried
+            grown = joined(self.terms, new_basis(self.terms), shapes)
+            self.tried = self.found = 0
+        self.basis, self.solved = grown, self.solved + 1
+
+
+class AllKnown:
+    """The last few."""
+
+    def __init__(self):
+        self.entries = []
+
+    def of(self, given, n_modes, count) -> Known | None:
+        """What is known of structures, `count` of which are asked for; None where it is not worth while."""
+        if given.is_dense or given.has_constant_modes or given.n_dof < LARGE * n_modes:
+            return None
+        for entry in self.entries:
+            if entry.fits(given, n_modes):
+                self.entries.remove(entry)
+                break
+        else:
+            entry = Known(given, n_modes)
+        self.entries = [entry, *self.entries[: MOST_STRUCTURES - 1]]
+        entry.asked += count
+        return entry if entry.asked >= FEWEST and not entry.is_given_up else None
+
+    def forget(self):
+        """Drop all, so that what follows does not depend on what was before."""
+        self.entries = []
+
+
+KNOWN = AllKnown()

@@ -1,0 +1,211 @@
+"""Populations of large sparse structures in a reduced basis: what it does not hold is noticed."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.linalg import eigh
+
+from pymc_features import AffineStructure, Loading, ModalDamping
+from pymc_features.modal_features.quantities import AT_REST
+from pymc_features.simulators import FAMILIES, Outputs
+from pymc_features.simulators.linear.arguments import LinearParameters
+from pymc_features.simulators.modal import linear
+from pymc_features.simulators.modal.perturbation import Cotangent
+from pymc_features.simulators.reduced.eigenproblem import lowest
+from pymc_features.simulators.reduced.known import KNOWN, Known
+
+SIDES = 20, 15  # of a membrane on springs
+APPENDAGE = 100  # a degree of freedom that hangs on one spring
+M = 4
+WANTED = Outputs(np.array([5, 77, 200]), M, 0)
+NEAR = 0.05 * np.random.default_rng(3).standard_normal((40, 5))
+NEAR[:, 4] = np.abs(NEAR[:, 4])
+APART = 2.3e4  # ratio of both directions at which the second and third frequency of a square would meet
+
+
+def membrane(massless=False):
+    """n = 300: theta scale the springs of both directions, the bedding, an appendage's spring, and masses."""
+    n = SIDES[0] * SIDES[1]
+
+    def chain(k):
+        return sparse.diags_array([np.full(k, 2.0), -np.ones(k - 1), -np.ones(k - 1)], offsets=[0, 1, -1])
+
+    def identity(k):
+        return sparse.eye_array(k)
+
+    keep = np.ones(n)
+    keep[APPENDAGE] = 0.0
+    keep = sparse.diags_array(keep)
+    terms = [
+        keep @ (1e4 * sparse.kron(chain(SIDES[0]), identity(SIDES[1]))) @ keep,
+        keep @ (APART * sparse.kron(identity(SIDES[0]), chain(SIDES[1]))) @ keep,
+        50.0 * sparse.diags_array(np.linspace(0.0, 1.0, n)) @ keep,
+        2e4 * (sparse.eye_array(n) - keep),
+    ]
+    terms = [term.tocsc() for term in terms]
+    masses = np.ones(n)
+    masses[7:n:9] = 0.0 if massless else 1.0
+    more = sparse.diags_array(masses * np.linspace(0.0, 1.0, n)).tocsc()
+    return AffineStructure(
+        sparse.diags_array(masses).tocsc(),
+        stiffness=sum(terms[1:], terms[0]),
+        damping=ModalDamping(0.01),
+        stiffness_terms=[*terms, None],
+        mass_terms=[None] * 4 + [more] if massless else (),
+        theta=np.zeros(5),
+    )
+
+
+def population(structure, thetas):
+    _, rayleigh, ratios = structure.parameters()
+    return LinearParameters(thetas, rayleigh[None], ratios[None], *structure.constants(AT_REST))
+
+
+def in_full(function, *args, **kwargs):
+    """The same without any basis."""
+    KNOWN.forget()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(KNOWN, "of", lambda *given: None)
+        return function(*args, **kwargs)
+
+
+@pytest.fixture(autouse=True)
+def begin_anew():
+    KNOWN.forget()
+
+
+def dense_frequencies(structure, theta):
+    """Independent of all factorisations of this package."""
+    own = structure.with_parameters(theta)
+    values = eigh(own.stiffness.toarray(), own.mass.toarray(), eigvals_only=True)
+    return np.sqrt(values[:M]) / (2.0 * np.pi)
+
+
+@pytest.mark.parametrize("massless", [False, True], ids=["constant mass", "mass that varies, not everywhere"])
+def test_modes_are_those_of_each_by_itself(massless):
+    """Frequencies to 1e-11, shapes to 1e-6, signs included; most in the basis; order hardly counts."""
+    structure, thetas = membrane(massless), NEAR.copy()
+    thetas[17, 0] = -3.0  # no structure
+    parameters = population(structure, thetas)
+    found = linear.linear_population_modes(parameters, WANTED)
+    [known] = KNOWN.entries
+    assert known.solved <= 24 and known.found >= 16
+    expected = in_full(linear.linear_population_modes, parameters, WANTED)
+    backwards = linear.linear_population_modes(population(structure, thetas[::-1]), WANTED)
+    for result in (found, [x[::-1] for x in backwards]):
+        np.testing.assert_allclose(result[0], expected[0], rtol=1e-11)
+        np.testing.assert_allclose(result[1], expected[1], rtol=0, atol=1e-6 * np.nanmax(abs(expected[1])))
+    assert np.isnan(found[0]).sum() == M and np.isnan(found[0][17]).all()
+    KNOWN.forget()
+    np.testing.assert_array_equal(linear.linear_population_modes(parameters, WANTED)[1], found[1])
+
+
+def test_gradients_are_those_of_each_by_itself():
+    """To 1e-6, though the basis has other shapes only; without the check of derivatives it would not be."""
+    structure, rng = membrane(), np.random.default_rng(1)
+    parameters = population(structure, NEAR)
+    _, shapes, _ = linear.linear_population_modes(parameters, WANTED)
+    weights = rng.normal(size=(40, M)), np.zeros((40, M, 3)), rng.normal(size=(40, M))
+    weights[1][:] = shapes  # of phi' phi / 2
+    found = linear.linear_modes_gradient(parameters, WANTED, Cotangent(*weights))
+    assert KNOWN.entries[0].found > 40
+    expected = in_full(linear.linear_modes_gradient, parameters, WANTED, Cotangent(*weights))
+    error = abs(found[0] - expected[0]).max(axis=1) / abs(expected[0]).max(axis=1)
+    assert error.max() < 1e-6
+
+
+def responses(structure, thetas, quantity=0):
+    """What the kernels of populations take: forces at two places, sensors, the lowest modes, data."""
+    family, n = FAMILIES["linear"], structure.n_dof
+    rng = np.random.default_rng(0)
+    places = np.zeros((n, 2))
+    places[[40, 222], [0, 1]] = 1e3
+    loads = Loading(rng.standard_normal((2, 200)), 0.02, kind="force", matrix=places)
+    _, rayleigh, ratios = structure.parameters()
+    rows = family.rows(np.array([5, 77, 200]), n).toarray()
+    inputs = thetas, rayleigh[None], ratios[None], *structure.constants(loads), structure.excitation(loads)
+    given = family.assemble((*inputs, 0.02, 1, 1, rows, M), quantity)
+    return given, 1e-4 * rng.standard_normal((3, 200)), family.kernels
+
+
+@pytest.mark.parametrize("massless", [False, True])
+def test_misfits_under_forces(massless):
+    """e_j to 1e-8 and their gradients to 1e-6, of particles together and of one alone."""
+    structure = membrane(massless)
+    given, data, kernels = responses(structure, NEAR)
+    weights = np.ones((40, 3, 1))
+    values = kernels["population_discrepancy"](*given, data)
+    gradients = kernels["population_gradient"](*given, data, weights)
+    known = KNOWN.entries[0]
+    assert known.found > 40
+    before, one = known.found, (given[0].one_of(3), *given[1:])
+    alone = kernels["discrepancy"](*one, data)
+    assert known.found == before + 1  # in the basis that is there
+    np.testing.assert_allclose(alone, values[3], rtol=1e-8)
+    np.testing.assert_allclose(in_full(kernels["population_discrepancy"], *given, data), values, rtol=1e-8)
+    expected = in_full(kernels["population_gradient"], *given, data, weights)
+    error = abs(gradients[0] - expected[0]).max(axis=1) / abs(expected[0]).max(axis=1)
+    assert error.max() < 1e-6
+
+
+@pytest.mark.parametrize("softer", [-0.9999, -1.01], ids=["a mode that no other has", "no structure"])
+def test_a_mode_that_the_basis_lacks_is_found(softer):
+    """A spring so soft that its mass is the lowest mode, or gone: the inertia tells, the residuals do not."""
+    structure, thetas = membrane(), NEAR.copy()
+    thetas[:, 3] = 0.0
+    thetas[-1, 3] = softer
+    frequencies, *_ = linear.linear_population_modes(population(structure, thetas), WANTED)
+    if softer < -1.0:
+        assert np.isnan(frequencies[-1]).all()
+        return
+    np.testing.assert_allclose(frequencies[-1], dense_frequencies(structure, thetas[-1]), rtol=1e-9)
+    assert frequencies[-1, 0] == pytest.approx(np.sqrt(2e4 * (1.0 + softer)) / (2.0 * np.pi))
+
+
+def test_modes_that_cross():
+    """Along a line on which the second and third mode, and the kept and the next one, change places."""
+    structure, thetas = membrane(), np.zeros((60, 5))
+    thetas[:, 0] = np.linspace(-0.3, 3.0, 60)
+    frequencies, *_ = linear.linear_population_modes(population(structure, thetas), WANTED)
+    assert KNOWN.entries[0].found > 30
+    expected = [dense_frequencies(structure, theta) for theta in thetas[::12]]
+    np.testing.assert_allclose(frequencies[::12], expected, rtol=1e-9)
+    closest = np.diff(frequencies, axis=1).min(axis=0)
+    assert (closest < 0.03 * frequencies[0, 0]).any()
+
+
+def test_a_basis_that_is_too_small_is_noticed():
+    """Of structures a little off those it was made of; their residuals tell."""
+    structure = membrane()
+    linear.linear_population_modes(population(structure, 1e-3 * NEAR), WANTED)
+    known = KNOWN.entries[0]
+    solved = known.solved
+    away = population(structure, 3.0 * NEAR[:1])
+    found = linear.linear_population_modes(away, WANTED)
+    assert known.solved == solved + 1
+    np.testing.assert_allclose(found[0][0], dense_frequencies(structure, away.theta[0]), rtol=1e-9)
+
+
+def test_a_basis_stays_small(monkeypatch):
+    """Where its columns do not suffice it begins anew, and gives up if it holds hardly any structure."""
+    monkeypatch.setattr(Known, "most", property(lambda self: 14, lambda self, value: None), raising=False)
+    thetas = NEAR * 6.0
+    frequencies, *_ = linear.linear_population_modes(population(membrane(), thetas), WANTED)
+    known = KNOWN.entries[0]
+    assert known.is_given_up and known.basis.size <= 14
+    assert KNOWN.of(known.given, M, 40) is None
+    np.testing.assert_allclose(frequencies[5], dense_frequencies(membrane(), thetas[5]), rtol=1e-9)
+
+
+@pytest.mark.parametrize("with_mass", [False, True])
+def test_eigenpairs_of_small_matrices(with_mass):
+    """Against LAPACK, pairs of equal eigenvalues included."""
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((30, 30))
+    stiffness = np.kron(np.eye(2), root @ root.T + np.eye(30))
+    mass = np.kron(np.eye(2), np.eye(30) + 0.1 * root.T @ root) if with_mass else None
+    values, vectors = lowest(stiffness, mass, 0.01, 9)
+    np.testing.assert_allclose(values, eigh(stiffness, mass, eigvals_only=True)[:9], rtol=1e-11)
+    inertia = np.eye(60) if mass is None else mass
+    np.testing.assert_allclose(vectors.T @ inertia @ vectors, np.eye(9), atol=1e-10)
+    np.testing.assert_allclose(stiffness @ vectors, inertia @ vectors * values, atol=1e-9)
