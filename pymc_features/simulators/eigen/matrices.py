@@ -134,3 +134,49 @@ def energy_lanes(stiffness, shape):
         x = where_less(x, splat(0.0), 0.0 - x, x)
         terms = terms + 2.0 * x * size + where_less(own, splat(0.0), 0.0 - own, own)
     return energy, terms
+
+
+@jit
+def products_of_rows(left, right, widths, inner, out):
+    """Write the products of all rows of two matrices, row r of the left and s of the right into out[r, s].
+
+    Parameters
+    ----------
+    left, right : array (r w, LANES), (s v, LANES)
+    widths : tuple of int
+        w and v, of which the first `inner` entries of a row count.
+    out : array (r s, LANES)
+    """
+    w, v = widths
+    n, m = left.shape[0] // w, right.shape[0] // v
+    for r in range(0, n, 4):  # what stands behind the last row repeats it
+        r1, r2, r3 = min(r + 1, n - 1), min(r + 2, n - 1), min(r + 3, n - 1)
+        for s in range(0, m, 4):
+            s1, s2, s3 = min(s + 1, m - 1), min(s + 2, m - 1), min(s + 3, m - 1)
+            a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = splat(0.0)
+            c0 = c1 = c2 = c3 = d0 = d1 = d2 = d3 = splat(0.0)
+            for i in range(inner):
+                x0, x1 = load(right, s * v + i), load(right, s1 * v + i)
+                x2, x3 = load(right, s2 * v + i), load(right, s3 * v + i)
+                y = load(left, r * w + i)
+                a0, a1, a2, a3 = a0 + y * x0, a1 + y * x1, a2 + y * x2, a3 + y * x3
+                y = load(left, r1 * w + i)
+                b0, b1, b2, b3 = b0 + y * x0, b1 + y * x1, b2 + y * x2, b3 + y * x3
+                y = load(left, r2 * w + i)
+                c0, c1, c2, c3 = c0 + y * x0, c1 + y * x1, c2 + y * x2, c3 + y * x3
+                y = load(left, r3 * w + i)
+                d0, d1, d2, d3 = d0 + y * x0, d1 + y * x1, d2 + y * x2, d3 + y * x3
+            places = s, s1, s2, s3
+            store_four(out, r * m, places, (a0, a1, a2, a3))
+            store_four(out, r1 * m, places, (b0, b1, b2, b3))
+            store_four(out, r2 * m, places, (c0, c1, c2, c3))
+            store_four(out, r3 * m, places, (d0, d1, d2, d3))
+
+
+@jit
+def store_four(matrix, row, places, vectors):
+    """Write four entries of a row."""
+    store(matrix, row + places[0], vectors[0])
+    store(matrix, row + places[1], vectors[1])
+    store(matrix, row + places[2], vectors[2])
+    store(matrix, row + places[3], vectors[3])
