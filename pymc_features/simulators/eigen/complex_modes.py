@@ -256,26 +256,38 @@ def at_sensor(modes, j, p):
 
 
 @jit
-def input_factor(modes, p):
-    """x'Gamma / (x' (2 lambda + D) x) of mode p of the panel."""
+def norm(modes, p):
+    """1 / x' (2 lambda + D) x of mode p of the panel."""
     m, x, zero = modes.omega.shape[0], modes.vectors, splat(0.0)
     square = load(modes.poles, 3 * p + 2)
     pole = 2.0 * load(modes.poles, 3 * p), 2.0 * load(modes.poles, 3 * p + 1)
-    real = imaginary = norm_real = norm_imaginary = zero
+    real = imaginary = zero
     for s in range(m):
-        row, weight = 2 * (PANEL * s + p), load(modes.participation, s)
-        entry = load(x, row), load(x, row + 1)
-        real, imaginary = real + weight * entry[0], imaginary + weight * entry[1]
+        row = 2 * (PANEL * s + p)
+        entry, y = (load(x, row), load(x, row + 1)), (load(modes.products, row), load(modes.products, row + 1))
         twice = times(pole, entry, square)
-        y = load(modes.products, row), load(modes.products, row + 1)
         term = times(entry, (twice[0] + y[0], twice[1] + y[1]), square)
-        norm_real, norm_imaginary = norm_real + term[0], norm_imaginary + term[1]
-    return over((real, imaginary), (norm_real, norm_imaginary), square)
+        real, imaginary = real + term[0], imaginary + term[1]
+    return over((splat(1.0), zero), (real, imaginary), square)
 
 
 @jit
-def check_sums(modes, n_sensors):
-    """Take the lanes out of the good ones where modes are missing, or residues cancel."""
+def input_factor(modes, p):
+    """x'Gamma / x' (2 lambda + D) x of mode p of the panel."""
+    real = imaginary = splat(0.0)
+    for s in range(modes.omega.shape[0]):
+        row, weight = 2 * (PANEL * s + p), load(modes.participation, s)
+        real = real + weight * load(modes.vectors, row)
+        imaginary = imaginary + weight * load(modes.vectors, row + 1)
+    return times((real, imaginary), norm(modes, p), load(modes.poles, 3 * p + 2))
+
+
+@jit
+def check_sums(modes, n_sensors, cancelling):
+    """Take the lanes out of the good ones where modes are missing, or residues cancel.
+
+    `cancelling` is how many times larger than the classical ones the residues may be.
+    """
     m, zero, one = modes.omega.shape[0], splat(0.0), splat(1.0)
     scale = wrong = left = whole = fastest = zero
     for r in range(m):
@@ -290,5 +302,5 @@ def check_sums(modes, n_sensors):
         whole, scale = larger(whole, load(modes.sums, 3 * j + 2)), larger(scale, size)
     passed = where_less(left, COMPLETE * scale, one, zero)
     passed = where_less(wrong, COMPLETE * scale, passed, zero)
-    passed = where_less(whole, CANCELLING * scale, passed, zero)
+    passed = where_less(whole, cancelling * scale, passed, zero)
     store(modes.is_good, 0, load(modes.is_good, 0) * passed)

@@ -7,8 +7,9 @@ cost does not grow with the number of parameters but for one product with the st
 import numpy as np
 
 from pymc_features.simulators.compiled.arrays import writable
+from pymc_features.simulators.derivatives.coupled import add_coupled_gradients
 from pymc_features.simulators.linear import oscillators, state_adjoint
-from pymc_features.simulators.linear.arguments import Arguments, n_particles
+from pymc_features.simulators.linear.arguments import Arguments, is_symmetric, n_particles
 from pymc_features.simulators.linear.dense_gradient import add_gradient, add_population_gradient
 from pymc_features.simulators.linear.projection import to_parameters
 from pymc_features.simulators.linear.system import solve_system
@@ -59,11 +60,24 @@ def linear_population_gradient(parameters, excitation, wanted, observed, weights
         data = writable(observed), writable(weights)
         add_population_gradient(parameters.for_kernel(), a.inputs, a.outputs, *data, sums)
         return sums
-    for p in range(count):
+    is_done = np.zeros(count, dtype=bool)
+    if in_complex_modes(a._replace(parameters=first), weights):
+        a._replace(parameters=first).check(observed, weights[0])
+        data = writable(observed), writable(weights)
+        is_done = add_coupled_gradients(parameters.for_kernel(), a.inputs, a.outputs, *data, sums[0])
+    for p in np.flatnonzero(~is_done):
         own = linear_misfit_gradient(parameters.one_of(p), excitation, wanted, observed, weights[p])
         for total, part in zip(sums, own, strict=True):
             total[p % total.shape[0]] += part
     return sums
+
+
+def in_complex_modes(a, weights) -> bool:
+    """Whether complex modes in lanes give the gradient by weights (..., s, 1 or 4)."""
+    given = a.parameters
+    is_simple = given.is_dense and not given.is_classical and a.excitation.acceleration.shape[0] == 1
+    is_whole = a.wanted.n_modes == given.n_dof and weights.shape[-1] == 1
+    return is_simple and is_whole and is_symmetric(given.damping, given.n_dof)
 
 
 def gradient(a, history, weights):
