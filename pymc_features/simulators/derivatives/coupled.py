@@ -22,7 +22,7 @@ from pymc_features.simulators.eigen.coupled import (
     sort_modes,
     write_sensors,
 )
-from pymc_features.simulators.eigen.matrices import all_diagonal, assemble_lanes, products_of_rows, store_four
+from pymc_features.simulators.eigen.matrices import all_diagonal, assemble_lanes, multiply_lanes, store_four
 from pymc_features.simulators.eigen.pairs import new_pair_lanes
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
 from pymc_features.simulators.oscillators.arguments import single_input
@@ -161,36 +161,42 @@ def spread_to_theta(parameters, pairs, modes, products, matrices, request, by_th
     write_right(pairs, right)
     for k in range(n):
         put_number(own, k, write_differences(pairs, k, n_sensors, differences))
-    products_of_rows(right, differences, (2 * n, 2 * n), 2 * n, partners)
+    width = 2 * n
+    multiply_lanes((right, width, 1), (differences, 1, width), (n, width, width), partners)
     multiply_left(pairs, False, left)
     if parameters.stiffness.shape[0] > 1:
-        write_entries(left, partners, parameters.stiffness, entries)
+        write_entries((left, width, 1), (partners, width, 1), width, parameters.stiffness, entries)
         add_terms(parameters.stiffness, entries, by_theta)
     if parameters.damping.shape[0] == 1 and parameters.mass.shape[0] == 1:
         return
     multiply_left(pairs, True, left)
     if parameters.damping.shape[0] > 1:
-        write_entries(left, partners, parameters.damping, entries)
+        write_entries((left, width, 1), (partners, width, 1), width, parameters.damping, entries)
         add_terms(parameters.damping, entries, by_theta)
     if parameters.mass.shape[0] > 1:
         multiply_left(pairs, True, left)
-        write_entries(left, partners, parameters.mass, entries)
+        write_entries((left, width, 1), (partners, width, 1), width, parameters.mass, entries)
         write_shapes(modes, products, sensors, load_shape)
         add_mass_terms(pairs, sensors, (right, load_shape, by_load), request, own, entries)
-        for i in range(n):
-            for k in range(n):
-                row = i * n + k
-                by_influence = load(by_load, i) * parameters.influence[k, 0]
-                store(entries, row, load(entries, row) + by_influence)
+        add_load_terms(by_load, parameters.influence, entries)
         add_terms(parameters.mass, entries, by_theta)
 
 
 @jit
-def write_entries(left, right, stack, entries):
-    """Write the products of rows at the places where a stack (1 + p, n n) depends on theta, or everywhere."""
-    size = stack.shape[1]
+def write_entries(left, right, inner, stack, entries):
+    """Write a product (n n, LANES) at the places where a stack (1 + p, n n) depends on theta, or everywhere.
+
+    Parameters
+    ----------
+    left : tuple of array (.., LANES), int, int
+        See `multiply_lanes`.
+    right : tuple
+        As `left`, of the transposed matrix.
+    inner : int
+        Columns of the left matrix.
+    """
+    (x, x_down, x_along), (y, y_down, y_along), size = left, right, stack.shape[1]
     n, places, count = int(np.sqrt(size)), np.empty(size, dtype=np.int64), 0
-    width = left.shape[0] // n
     for e in range(size):
         for term in range(1, stack.shape[0]):
             if stack[term, e] != 0.0:
@@ -198,15 +204,26 @@ def write_entries(left, right, stack, entries):
                 count += 1
                 break
     if count > FEW * size:
-        products_of_rows(left, right, (width, width), width, entries)
+        multiply_lanes(left, (y, y_along, y_down), (n, inner, n), entries)
         return
     for e in places[:count]:
-        a, b = (e // n) * width, (e % n) * width
+        a, b = (e // n) * x_down, (e % n) * y_down
         even = odd = splat(0.0)
-        for k in range(0, width, 2):
-            even = even + load(left, a + k) * load(right, b + k)
-            odd = odd + load(left, a + k + 1) * load(right, b + k + 1)
+        for k in range(0, inner - 1, 2):
+            even = even + load(x, a + k * x_along) * load(y, b + k * y_along)
+            odd = odd + load(x, a + (k + 1) * x_along) * load(y, b + (k + 1) * y_along)
+        if inner % 2 == 1:
+            even = even + load(x, a + (inner - 1) * x_along) * load(y, b + (inner - 1) * y_along)
         store(entries, e, even + odd)
+
+
+@jit
+def add_load_terms(by_load, influence, entries):
+    """Add to the derivatives by M those by the load M influence, (n, LANES); influence (n, 1)."""
+    n = by_load.shape[0]
+    for i in range(n):
+        for k in range(n):
+            store(entries, i * n + k, load(entries, i * n + k) + load(by_load, i) * influence[k, 0])
 
 
 @jit

@@ -12,7 +12,7 @@ from pymc_features.simulators.eigen.matrices import (
     all_diagonal,
     assemble_lanes,
     factorise_lanes,
-    products_of_rows,
+    multiply_lanes,
 )
 from pymc_features.simulators.eigen.pairs import fill_pairs, new_pair_lanes
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
@@ -110,8 +110,8 @@ def project(modes, damping, products, n, room):
     width = products.shape[0] // m
     for r in range(m):
         store(modes.participation, r, load(products, r * width + width - 1))
-    products_of_rows(products, damping, (width, n), n, room)
-    products_of_rows(room, products, (n, width), n, modes.damping)
+    multiply_lanes((products, width, 1), (damping, n, 1), (m, n, n), room)
+    multiply_lanes((room, n, 1), (products, 1, width), (m, n, m), modes.damping)
 
 
 @jit

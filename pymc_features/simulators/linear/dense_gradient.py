@@ -6,11 +6,17 @@ The same chain rule as in `projection`, by all n modes of the structure at hand.
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, store
+from pymc_features.simulators.compiled.vector import LANES, load, splat, store
+from pymc_features.simulators.compiled.vector_memory import read_lanes
+from pymc_features.simulators.derivatives.coupled import add_load_terms, add_terms, write_entries
 from pymc_features.simulators.derivatives.history import sum_history
-from pymc_features.simulators.derivatives.memory import clear, new_gradient_lanes, put, room_of_lanes
-from pymc_features.simulators.derivatives.pairs import derive_pairs, modes_apart, take_gradient
-from pymc_features.simulators.linear.dense_population import solve_dense
+from pymc_features.simulators.derivatives.memory import clear, get, new_gradient_lanes, put, room_of_lanes
+from pymc_features.simulators.derivatives.pairs import derive_pairs, modes_apart
+from pymc_features.simulators.eigen.coupled import all_columns
+from pymc_features.simulators.eigen.filling import take_lane
+from pymc_features.simulators.eigen.matrices import all_diagonal, multiply_lanes
+from pymc_features.simulators.eigen.structures import new_structures, solve_structures
+from pymc_features.simulators.linear.dense_population import bring, solve_dense
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, single_input
 from pymc_features.simulators.oscillators.gradient import modal_gradient
 from pymc_features.simulators.oscillators.modal_system import DampingLaw, ModalSystem
@@ -76,21 +82,41 @@ def spread_gradient(parameters, sensors, modes, found, gradients):
 
 
 @jit
-def fill_lane(lanes, lane, own, sensors, modes, damping):
-    """Write the modes of one structure under one input into a lane."""
-    (omega, rows, load), (_, rayleigh, ratios), m = modes, own, damping.size
-    participation, shapes = np.dot(rows[:m], load), np.dot(sensors, rows[:m].T)
-    for r in range(m):
-        slope = rayleigh[1]
-        if omega[r] > 0.0:  # nothing changes the lambda of a rigid body
-            slope += ratios[r] / omega[r]
-        put(lanes.omega, r, lane, omega[r])
-        put(lanes.damping, r, lane, damping[r])
+def fill_lane(lanes, lane, own, solved, wanted):
+    """Write the modes of one structure under one input into a lane.
+
+    `solved` has omega and D (m, LANES), the products of the modes with the columns of `all_columns`, and the
+    order of the modes.
+    """
+    (kept, damping), products, order = solved
+    (_, rayleigh, ratios), (n_sensors, n) = own, wanted.sensors.shape
+    width = n + 2
+    for r in range(lanes.n_modes):
+        omega, row, slope = kept[r, lane], order[r] * width, rayleigh[1]
+        if omega > 0.0:  # nothing changes the lambda of a rigid body
+            slope += ratios[r] / omega
+        put(lanes.omega, r, lane, omega)
+        put(lanes.damping, r, lane, damping[r, lane])
         put(lanes.slopes, r, lane, slope)
         put(lanes.ratios, r, lane, ratios[r])
-        put(lanes.participation, r, lane, participation[r, 0])
-        for j in range(lanes.n_sensors):
-            put(lanes.shapes, j * lanes.m + r, lane, shapes[j, r])
+        put(lanes.participation, r, lane, products[row + width - 1, lane])
+        for j in range(n_sensors):
+            seen = 0.0
+            for i in range(n):
+                if wanted.sensors[j, i] != 0.0:
+                    seen += wanted.sensors[j, i] * products[row + i, lane]
+            put(lanes.shapes, j * lanes.m + r, lane, seen)
+
+
+@jit
+def write_ordered(rows, lane, structures, order):
+    """Write omega^2 (n, LANES) and the products with all columns of the modes of one lane in ascending order."""
+    (values, vectors), n = rows, order.size
+    width = vectors.shape[0] // n
+    for r in range(n):
+        values[r, lane] = structures.values[order[r], lane]
+        for c in range(width):
+            vectors[r * width + c, lane] = structures.vectors[order[r] * width + c, lane]
 
 
 @jit
@@ -106,39 +132,115 @@ def own_arrays(parameters, gradients, p):
 def add_groups(room, parameters, excitation, wanted, observed, weights, gradients):
     """Add the gradients by e_j alone under one input, of a vector of structures at a time.
 
-    A structure with modes that are close goes by itself, `add_gradient`. `room` is from `room_of_lanes`.
+    A structure with modes that are close, or that has no place in a lane, goes by itself, `add_gradient`.
+    `room` is from `room_of_lanes`.
     """
     (sensors, m, quantity), n, n_times = wanted, parameters.influence.shape[0], observed.shape[1]
-    step, motion = excitation.dt / excitation.substeps, single_input(excitation)
+    step, motion, count = excitation.dt / excitation.substeps, single_input(excitation), weights.shape[0]
     feed = np.dot(sensors, parameters.influence)[:, 0].copy()
     if quantity != ABSOLUTE_ACCELERATION:
         feed[:] = 0.0
-    lanes = new_gradient_lanes(room, feed, m, excitation.stride)
-    valid, omega, rows = np.empty(LANES, dtype=np.bool_), np.empty((LANES, n)), np.empty((LANES, n, n))
-    load, apart = np.empty((LANES, n, 1)), np.empty((1, LANES))
-    for first in range(0, weights.shape[0], LANES):
-        count = min(LANES, weights.shape[0] - first)
+    lanes, (columns, influence) = new_gradient_lanes(room, feed, m, excitation.stride), all_columns(parameters)
+    structures, stacks = new_structures(n, parameters.theta.shape[1], n + 2), (parameters.mass, parameters.stiffness)
+    kept, order = (np.zeros((m, LANES)), np.zeros((m, LANES))), np.empty(n, dtype=np.int64)
+    rows, matrices = (np.zeros((n, LANES)), np.zeros((n * (n + 2), LANES))), new_spread(n, m)
+    is_there, apart, is_diagonal = np.empty(LANES, dtype=np.bool_), np.empty((1, LANES)), all_diagonal(stacks[0], n)
+    by_theta = np.zeros((parameters.theta.shape[1], LANES))
+    for first in range(0, count, LANES):
+        bring(structures, parameters, first, count, is_there)
+        solve_structures(structures, stacks, is_diagonal, (columns, influence))
         for lane in range(LANES):
             clear(lanes, lane)
-            if lane < count:
+            is_there[lane] &= structures.is_good[lane]
+            if is_there[lane]:
                 own, _ = own_arrays(parameters, gradients, first + lane)
-                found = solve_dense(parameters, own, step, n, m)
-                valid[lane], omega[lane], rows[lane], damping, load[lane] = found
-                if valid[lane]:
-                    fill_lane(lanes, lane, own, sensors, (omega[lane], rows[lane], load[lane]), damping)
+                law = DampingLaw(own[1], own[2])
+                is_there[lane] = take_lane(kept, lane, structures.values, law, step, order)
+            if is_there[lane]:
+                fill_lane(lanes, lane, own, (kept, structures.vectors, order), wanted)
+                write_ordered(rows, lane, structures, order)
                 for j in range(feed.size):
                     put(lanes.factors, j, lane, 2.0 * weights[first + lane, j, 0] / n_times)
         store(apart, 0, modes_apart(lanes, n_times * excitation.stride * step))
         sum_history(lanes, room, motion, quantity, observed)
         derive_pairs(lanes, step, motion.acceleration[0])
-        for lane in range(count):
+        by_theta.fill(0.0)
+        spread_lanes(parameters, sensors, lanes, rows, matrices, by_theta)
+        for lane in range(min(LANES, count - first)):
             own, own_gradients = own_arrays(parameters, gradients, first + lane)
-            if valid[lane] and apart[0, lane] == 1.0:
-                modes = omega[lane], rows[lane], load[lane]
-                spread_gradient(parameters, sensors, modes, take_gradient(lanes, lane), own_gradients)
+            if is_there[lane] and apart[0, lane] == 1.0:
+                own_gradients[0][:] += by_theta[:, lane]
+                add_damping(lanes, lane, own_gradients)
             else:
                 w = weights[first + lane]
                 add_gradient(parameters, own, excitation, wanted, observed, w, own_gradients)
+
+
+@jit
+def new_spread(n, m):
+    """Room for `spread_lanes`: derivatives in modes (n m), left factors and entries, and a vector."""
+    return np.zeros((n * m, LANES)), np.zeros((n * m, LANES)), np.zeros((n * n, LANES)), np.zeros((n, LANES))
+
+
+@jit
+def add_damping(lanes, lane, gradients):
+    """Add the derivatives of one lane by Rayleigh's pair and the ratios."""
+    for r in range(lanes.n_modes):
+        omega, damping = get(lanes.omega, r, lane), get(lanes.by_damping, r, lane)
+        gradients[1][0] += damping
+        gradients[1][1] += damping * omega * omega
+        gradients[2][r] += damping * 2.0 * omega
+
+
+@jit
+def write_reduced(lanes, sensors, rows, of_mass, reduced):
+    """Write the derivatives by Phi'K Phi, or Phi'M Phi, (n m, LANES), those by kept modes in the columns.
+
+    The rows of the modes left out are how the kept ones leave their span, see `outside`.
+    """
+    (values, vectors), m, n = rows, lanes.n_modes, rows[0].shape[0]
+    own = lanes.by_mass if of_mass else lanes.by_stiffness
+    for s in range(m):
+        for r in range(m):
+            store(reduced, s * m + r, read_lanes(own, s * lanes.m + r))
+    for s in range(m, n):
+        for r in range(m):
+            store(reduced, s * m + r, load(vectors, s * (n + 2) + n + 1) * read_lanes(lanes.by_load, r))
+        for j in range(sensors.shape[0]):
+            seen = splat(0.0)
+            for i in range(n):
+                if sensors[j, i] != 0.0:
+                    seen = seen + load(vectors, s * (n + 2) + i) * sensors[j, i]
+            for r in range(m):
+                total = load(reduced, s * m + r) + seen * read_lanes(lanes.by_shapes, j * lanes.m + r)
+                store(reduced, s * m + r, total)
+        for r in range(m):
+            value, total = load(values, r), load(reduced, s * m + r)
+            total = total / (load(values, s) - value)
+            store(reduced, s * m + r, value * total if of_mass else splat(0.0) - total)
+
+
+@jit
+def spread_lanes(parameters, sensors, lanes, rows, matrices, by_theta):
+    """Add the derivatives by the entries of K and M, times what theta changes of them, to `by_theta`."""
+    (reduced, left, entries, by_load), vectors = matrices, rows[1]
+    n, m = by_load.shape[0], lanes.n_modes
+    width = n + 2
+    for of_mass in (False, True):
+        stack = parameters.mass if of_mass else parameters.stiffness
+        if stack.shape[0] == 1:
+            continue
+        write_reduced(lanes, sensors, rows, of_mass, reduced)
+        multiply_lanes((vectors, 1, width), (reduced, m, 1), (n, n, m), left)
+        write_entries((left, m, 1), (vectors, 1, width), m, stack, entries)
+        if of_mass:
+            for i in range(n):
+                total = splat(0.0)
+                for r in range(m):
+                    total = total + load(vectors, r * width + i) * read_lanes(lanes.by_load, r)
+                store(by_load, i, total)
+            add_load_terms(by_load, parameters.influence, entries)
+        add_terms(stack, entries, by_theta)
 
 
 @jit
