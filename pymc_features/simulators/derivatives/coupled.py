@@ -1,4 +1,4 @@
-"""Gradients of populations of dense structures whose damping is a matrix, by complex modes in vector lanes."""
+"""Gradients of populations of dense structures whose damping is a matrix, by complex modes in lanes."""
 
 import numpy as np
 
@@ -14,7 +14,13 @@ from pymc_features.simulators.derivatives.pair_differences import (
     write_right,
 )
 from pymc_features.simulators.derivatives.pair_lanes import new_pairs, sum_pairs, write_pair
-from pymc_features.simulators.eigen.complex_modes import PANEL, check_sums, new_complex, settle_panel, start_panel
+from pymc_features.simulators.eigen.complex_modes import (
+    PANEL,
+    check_sums,
+    new_complex,
+    settle_panel,
+    start_panel,
+)
 from pymc_features.simulators.eigen.coupled import (
     all_columns,
     check_damping,
@@ -62,7 +68,11 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
     lanes, modes = new_pair_lanes(observed, n, excitation.stride), new_complex(n, n_sensors)
     structures, pairs = new_structures(n, theta.shape[1], n + 2), new_pairs(n, n, n_sensors)
-    damping, products, room = np.zeros((n * n, LANES)), np.zeros((n * (n + 2), LANES)), np.zeros((n * n, LANES))
+    damping, products, room = (
+        np.zeros((n * n, LANES)),
+        np.zeros((n * (n + 2), LANES)),
+        np.zeros((n * n, LANES)),
+    )
     misfits, by_theta = new_increments(n_sensors).misfits, np.zeros((theta.shape[1], LANES))
     order, matrices = np.empty(n, dtype=np.int64), new_matrices(n, n_sensors)
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
@@ -82,7 +92,9 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
         check_damping(modes, structures.factor, damping, step, n)
         write_sensors(modes, lanes, products, wanted, support_motion)
         fill_gradient_pairs(lanes, pairs, modes, products, request)
-        store(modes.is_good, 0, load(modes.is_good, 0) * poles_apart(pairs, n_times * excitation.stride * step))
+        store(
+            modes.is_good, 0, load(modes.is_good, 0) * poles_apart(pairs, n_times * excitation.stride * step)
+        )
         sum_pairs(lanes, pairs, motion, observed, misfits)
         complete_sums(pairs, n_sensors, step, wanted.quantity)
         by_theta.fill(0.0)
@@ -96,7 +108,7 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
 
 @jit
 def new_matrices(n, n_sensors):
-    """Room for `spread_to_theta`: three matrices (n 2n), the differences, entries, sensors and two vectors."""
+    """Room for `spread_to_theta`: matrices (n 2n), the differences, entries, sensors and vectors."""
     return (
         np.zeros((2 * n * n, LANES)),
         np.zeros((2 * n * n, LANES)),
@@ -156,7 +168,7 @@ def write_vectors(pairs, modes, products, first):
 @jit
 def spread_to_theta(parameters, pairs, modes, products, matrices, request, by_theta):
     """Add the derivatives by the entries of K, C and M, times what theta changes of them, to `by_theta`."""
-    n, (n_sensors, quantity) = parameters.influence.shape[0], request
+    n, n_sensors = parameters.influence.shape[0], request[0]
     left, right, partners, differences, entries, sensors, own, load_shape, by_load = matrices
     write_right(pairs, right)
     for k in range(n):

@@ -1,7 +1,7 @@
 """Derivatives by the entries of M, C and K of structures in lanes, from the sums of `pair_lanes`.
 
-With Q(z) = z^2 M + z C + K and its inverse, the sum of x_k x_k' / (alpha_k (z - lambda_k)) over all poles, the
-displacement -Q^-1 Gamma a changes by Q^-1 dQ Q^-1 Gamma a: by pairs of poles with divided differences,
+With Q(z) = z^2 M + z C + K and its inverse, the sum of x_k x_k' / (alpha_k (z - lambda_k)) over all poles,
+the displacement -Q^-1 Gamma a changes by Q^-1 dQ Q^-1 Gamma a: by pairs of poles with divided differences,
 
     dL = sum_kl (x_k' dA x_l) p_k r_l lambda_k^i [v_k'o_k - v_k'o_l] / (lambda_k - lambda_l),
 
@@ -9,7 +9,7 @@ p_k = 1/alpha_k, r_l = x_l'Gamma/alpha_l, v_k = S x_k dL/dy, o_l the output of p
 is K, C or M. For k = l the quotient is v_k'do_k/dlambda. Where it is M two terms more come from what the
 divided differences of z^2 lambda/(z - lambda) leave: the sum of lambda_k p_k x_k x_k' is the identity.
 
-Of two pairs of poles with i_k and i_l the differences are numbers with four parts, of 1, i_k, i_l and i_k i_l.
+Of two pairs of poles with i_k and i_l the differences are numbers of four parts, of 1, i_k, i_l and i_k i_l.
 """
 
 from pymc_features.simulators.compiled.jit import jit
@@ -42,8 +42,8 @@ def poles_apart(pairs, duration):
         size = magnitude(a) + b
         memory = where_less(one, duration * magnitude(a), one / magnitude(a), splat(duration))
         memory = larger(memory, 3.0 / size)
-        for l in range(k):
-            c, d, other = pole_of(pairs, l)
+        for r in range(k):
+            c, d, other = pole_of(pairs, r)
             across, along = magnitude(b - d), magnitude(a - c)
             gap = along + across
             # real poles, of one pair or of both
@@ -56,7 +56,7 @@ def poles_apart(pairs, duration):
 
 @jit
 def complete_sums(pairs, n_sensors, step, quantity):
-    """Turn the sums over y and V into those over a pole's output and its derivative by lambda, times dL/dy."""
+    """Turn the sums of dL/dy times y and V into those times a pole's output and its derivative by lambda."""
     m, order = pairs.poles.shape[0] // 3, order_of(quantity)
     for r in range(m):
         a, b, square = pole_of(pairs, r)
@@ -93,27 +93,27 @@ def own_differences(pairs, r, n_sensors):
 
 @jit
 def write_differences(pairs, k, n_sensors, differences):
-    """Write row k of the divided differences, the four parts of l in rows 2 k and 2 k + 1, columns 2 l, 2 l + 1.
+    """Write the divided differences of pair k, into rows 2 k and 2 k + 1 of a matrix (4 m m, LANES).
 
-    `differences` is a matrix (4 m m, LANES). Returns v_k'o_k.
+    Those with pair r, of four parts, stand in its columns 2 r and 2 r + 1. Returns v_k'o_k.
     """
     m, half = pairs.poles.shape[0] // 3, splat(0.5)
     a, b, square = pole_of(pairs, k)
     own, same, cross = own_differences(pairs, k, n_sensors)
     top, low = 4 * k * m, 4 * k * m + 2 * m
-    for l in range(m):
-        if l == k:
-            store(differences, top + 2 * l, half * (same[0] + cross[0]))
-            store(differences, low + 2 * l, half * (same[1] + cross[1]))
-            store(differences, top + 2 * l + 1, half * (same[1] - cross[1]))
-            store(differences, low + 2 * l + 1, half * (square * (same[0] - cross[0])))
+    for r in range(m):
+        if r == k:
+            store(differences, top + 2 * r, half * (same[0] + cross[0]))
+            store(differences, low + 2 * r, half * (same[1] + cross[1]))
+            store(differences, top + 2 * r + 1, half * (same[1] - cross[1]))
+            store(differences, low + 2 * r + 1, half * (square * (same[0] - cross[0])))
             continue
         p0, p1, q0, q1 = own[0], own[1], splat(0.0), splat(0.0)
         for j in range(n_sensors):
-            seen, output = number(pairs.seen, j * m + k), number(pairs.sums, 2 * (j * m + l))
+            seen, output = number(pairs.seen, j * m + k), number(pairs.sums, 2 * (j * m + r))
             p0, p1 = p0 - seen[0] * output[0], p1 - seen[1] * output[0]
             q0, q1 = q0 - seen[0] * output[1], q1 - seen[1] * output[1]
-        c, d, other = pole_of(pairs, l)
+        c, d, other = pole_of(pairs, r)
         gap = a - c
         # over gap + b i_k - d i_l: times gap + b i_k + d i_l, over a number with i_k only
         unlike = where_less(square * other, splat(0.0), b * b + d * d, (b - d) * (b + d))
@@ -123,16 +123,16 @@ def write_differences(pairs, k, n_sensors, differences):
         carry = other * d
         p = over((first[0] + carry * q0, first[1] + carry * q1), size, square)
         q = over((second[0] + d * p0, second[1] + d * p1), size, square)
-        store(differences, top + 2 * l, p[0])
-        store(differences, low + 2 * l, p[1])
-        store(differences, top + 2 * l + 1, q[0])
-        store(differences, low + 2 * l + 1, q[1])
+        store(differences, top + 2 * r, p[0])
+        store(differences, low + 2 * r, p[1])
+        store(differences, top + 2 * r + 1, q[0])
+        store(differences, low + 2 * r + 1, q[1])
     return own
 
 
 @jit
 def write_right(pairs, right):
-    """Write r_l times the vectors, (n 2m, LANES), so that a product with the parts of l sums over both poles."""
+    """Write r_l times the vectors, (n 2m, LANES), so that products with differences sum over both poles."""
     m = pairs.poles.shape[0] // 3
     n = pairs.vectors.shape[0] // (2 * m)
     for r in range(m):

@@ -1,10 +1,12 @@
 """Pairs of complex modes on their way through a record, with the sums that their gradients need.
 
-One structure in each vector lane. A number a + b i with i^2 = -1, or +1 where both poles of the pair are real,
-stands for both modes of a pair, see `eigen.complex_modes`; what is summed over both is twice its real part.
+One structure in each vector lane. A number a + b i with i^2 = -1, or +1 where both poles of the pair are
+real, stands for both modes of a pair, see `eigen.complex_modes`; what is summed over both is twice its real
+part.
 
-Mode k carries f[k+1] = E f[k] + B0 a[k] + B1 a[k+1], E = exp(lambda h), the exact solution of f' = lambda f + a
-for an input linear over the step h, and its derivative by lambda. With y = f - B1 a and that derivative h V,
+A mode carries f[k+1] = E f[k] + B0 a[k] + B1 a[k+1], E = exp(lambda h), the exact solution of
+f' = lambda f + a for an input linear over the step h, and its derivative by lambda. With y = f - B1 a and
+that derivative h V,
 
     y[k+1] = E y[k] + C a[k],   V[k+1] = E (V[k] + y[k]) + C' a[k],   C = E B1 + B0,   C' h = dC/dlambda.
 
@@ -157,7 +159,7 @@ def at_pole(f, g, z, square):
 
 @jit
 def slope_at_pole(f, g, z, s):
-    """Derivative of f + g z by z; f and g depend on s, the product of z and its partner, and d, less their sum.
+    """Derivative of f + g z by z; f and g depend on its product s with its partner and on d, less their sum.
 
     `f` and `g` are (value, derivative by s, derivative by d).
     """
@@ -198,7 +200,11 @@ def write_step(lanes, pairs, r, pole, step):
 def carry_mode(lanes, pairs, r, ground, first, stride):
     """Write y and V of mode r at the samples of a block, and carry V on."""
     row, k = N_OF_PAIR * r, 4 * r
-    e, f, c = load(lanes.coefficients, row), load(lanes.coefficients, row + 1), load(lanes.coefficients, row + 2)
+    e, f, c = (
+        load(lanes.coefficients, row),
+        load(lanes.coefficients, row + 1),
+        load(lanes.coefficients, row + 2),
+    )
     g, d = load(lanes.coefficients, row + 3), load(lanes.coefficients, row + 5)
     slope, slope_i = load(pairs.slopes, k), load(pairs.slopes, k + 1)
     y, y_i = load(pairs.before, k), load(pairs.before, k + 1)

@@ -108,9 +108,9 @@ def over(x, y, square):
 
 @jit
 def start_panel(modes, first):
-    """Write a first guess of the modes `first` ...: classical poles, vectors that one step makes of classical ones.
+    """Write a first guess of the modes `first` ...; what stands behind the last mode repeats it.
 
-    What stands behind the last mode repeats it.
+    The poles are classical, the vectors what one step makes of classical ones.
     """
     m, zero, one = modes.omega.shape[0], splat(0.0), splat(1.0)
     for p in range(PANEL):
@@ -264,7 +264,10 @@ def norm(modes, p):
     real = imaginary = zero
     for s in range(m):
         row = 2 * (PANEL * s + p)
-        entry, y = (load(x, row), load(x, row + 1)), (load(modes.products, row), load(modes.products, row + 1))
+        entry, y = (
+            (load(x, row), load(x, row + 1)),
+            (load(modes.products, row), load(modes.products, row + 1)),
+        )
         twice = times(pole, entry, square)
         term = times(entry, (twice[0] + y[0], twice[1] + y[1]), square)
         real, imaginary = real + term[0], imaginary + term[1]

@@ -50,7 +50,11 @@ def march_coupled(parameters, excitation, wanted, observed, increments):
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
     lanes, modes = new_pair_lanes(observed, m, excitation.stride), new_complex(m, n_sensors)
     structures = new_structures(n, theta.shape[1], columns[0].shape[1])
-    damping, products, room = np.zeros((n * n, LANES)), np.zeros((m * (n + 2), LANES)), np.zeros((m * n, LANES))
+    damping, products, room = (
+        np.zeros((n * n, LANES)),
+        np.zeros((m * (n + 2), LANES)),
+        np.zeros((m * n, LANES)),
+    )
     order, start = np.empty(n, dtype=np.int64), excitation.acceleration[0, 0]
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
     for first in range(0, count, LANES):

@@ -110,7 +110,7 @@ def fill_lane(lanes, lane, own, solved, wanted):
 
 @jit
 def write_ordered(rows, lane, structures, order):
-    """Write omega^2 (n, LANES) and the products with all columns of the modes of one lane in ascending order."""
+    """Write omega^2 (n, LANES), and the modes' products with all columns, of one lane in ascending order."""
     (values, vectors), n = rows, order.size
     width = vectors.shape[0] // n
     for r in range(n):
@@ -140,11 +140,21 @@ def add_groups(room, parameters, excitation, wanted, observed, weights, gradient
     feed = np.dot(sensors, parameters.influence)[:, 0].copy()
     if quantity != ABSOLUTE_ACCELERATION:
         feed[:] = 0.0
-    lanes, (columns, influence) = new_gradient_lanes(room, feed, m, excitation.stride), all_columns(parameters)
-    structures, stacks = new_structures(n, parameters.theta.shape[1], n + 2), (parameters.mass, parameters.stiffness)
+    lanes, (columns, influence) = (
+        new_gradient_lanes(room, feed, m, excitation.stride),
+        all_columns(parameters),
+    )
+    structures, stacks = (
+        new_structures(n, parameters.theta.shape[1], n + 2),
+        (parameters.mass, parameters.stiffness),
+    )
     kept, order = (np.zeros((m, LANES)), np.zeros((m, LANES))), np.empty(n, dtype=np.int64)
     rows, matrices = (np.zeros((n, LANES)), np.zeros((n * (n + 2), LANES))), new_spread(n, m)
-    is_there, apart, is_diagonal = np.empty(LANES, dtype=np.bool_), np.empty((1, LANES)), all_diagonal(stacks[0], n)
+    is_there, apart, is_diagonal = (
+        np.empty(LANES, dtype=np.bool_),
+        np.empty((1, LANES)),
+        all_diagonal(stacks[0], n),
+    )
     by_theta = np.zeros((parameters.theta.shape[1], LANES))
     for first in range(0, count, LANES):
         bring(structures, parameters, first, count, is_there)

@@ -50,7 +50,8 @@ def linear_population_gradient(parameters, excitation, wanted, observed, weights
     """Gradient of the weighted statistics of a population; data (s, u), weights c (p, s, 1) or (p, s, 4).
 
     theta, rayleigh and ratios have one more axis in front. Returns arrays of their shapes; what all particles
-    share, in one row, gets the sum. Dense structures with classical damping stay in compiled code.
+    share, in one row, gets the sum. Dense structures stay in compiled code, but for those with a matrix for
+    damping whose complex modes are close.
     """
     count = n_particles(parameters, weights)
     sums = tuple(np.zeros(array.shape) for array in parameters.random)
@@ -89,6 +90,12 @@ def gradient(a, history, weights):
         kernel = given.for_kernel()
         add_gradient(kernel, kernel.random, a.inputs, a.outputs, *data, sums)
         return sums
+    if weights is not None and in_complex_modes(a, weights):
+        one = given._replace(**{name: getattr(given, name)[None] for name in ("theta", "rayleigh", "ratios")})
+        sums, data = tuple(np.zeros(array.shape) for array in given.random), writable(history)
+        kernel = one.for_kernel(), a.inputs, a.outputs, data, writable(weights[None])
+        if add_coupled_gradients(*kernel, sums[0][None])[0]:
+            return sums
     system = solve_system(a, left_out=True)
     if system is None:
         return tuple(np.full(array.shape, np.nan) for array in given.random)

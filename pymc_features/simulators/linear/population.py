@@ -18,6 +18,7 @@ from pymc_features.simulators.mean_squares.systems import Systems, new_systems, 
 from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
 from pymc_features.simulators.oscillators.population import lane_statistics, put_system
 
+
 def linear_population_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:
     """e_j (p, s) of Eq. (3) of all particles, of the data `observed` (s, u); NaN in invalid rows.
 
