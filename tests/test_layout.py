@@ -219,7 +219,7 @@ def test_import_rule_can_fail(tmp_path):
 SIMULATOR_ROOMS = {
     "compiled": set(),
     "oscillators": {"compiled"},
-    "derivatives": {"compiled", "oscillators"},
+    "derivatives": {"compiled", "oscillators", "eigen"},
     "spectra": {"compiled"},
     "eigen": {"compiled", "oscillators"},
     "mean_squares": {"compiled", "oscillators"},

@@ -7,7 +7,7 @@ from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear import population
 from support.kernels import linear_misfit, linear_population_discrepancy, linear_population_misfit
-from support.linear import noise, random_structure, spring_chain
+from support.linear import meeting, noise, random_structure, spring_chain
 from support.reference import first_order_hold, interpolated
 
 DT, NONE = 0.02, np.zeros(0, dtype=int)
@@ -111,23 +111,6 @@ def test_through_a_coalescence_of_modes(alone):
     for quantity in range(4):
         assert case.worst(thetas, quantity) < 1e-9
     assert 0 < len(alone) < 4 * thetas.size
-
-
-def meeting(omega, base, pots):
-    """The factor of the dashpots at which two eigenvalues come closest, by bisection of a grid."""
-
-    def distance(theta):
-        zero, one = np.zeros((2, 2)), np.eye(2)
-        drag = base + theta * pots
-        values = np.linalg.eigvals(np.block([[zero, one], [-np.diag(omega**2), -drag]]))
-        a, b = values[values.imag > 0]
-        return abs(a - b)
-
-    grid = np.linspace(0.0, 1.0, 201)
-    for _ in range(12):
-        best = min(range(201), key=lambda i: distance(grid[i]))
-        grid = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, 200)], 201)
-    return grid[100]
 
 
 def test_neighbours_do_not_matter():

@@ -56,3 +56,20 @@ def affine(kind=np.asarray, **kwargs):
         theta=[1.0, 0.0],
         **kwargs,
     )
+
+
+def meeting(omega, base, pots):
+    """The factor of the dashpots at which two eigenvalues come closest, by bisection of a grid."""
+
+    def distance(theta):
+        zero, one = np.zeros((2, 2)), np.eye(2)
+        drag = base + theta * pots
+        values = np.linalg.eigvals(np.block([[zero, one], [-np.diag(omega**2), -drag]]))
+        a, b = values[values.imag > 0]
+        return abs(a - b)
+
+    grid = np.linspace(0.0, 1.0, 201)
+    for _ in range(12):
+        best = min(range(201), key=lambda i: distance(grid[i]))
+        grid = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, 200)], 201)
+    return grid[100]

@@ -9,9 +9,9 @@ from pymc_features.simulators.chain.population_modes import fill_matrix, normali
 from pymc_features.simulators.chain.response import check_history, check_sizes
 from pymc_features.simulators.chain.sensor_modes import new_sensor_modes, solve_at_sensors
 from pymc_features.simulators.compiled.jit import inline, jit
-from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.compiled.vector import LANES, load, store
 from pymc_features.simulators.eigen.filling import empty_modes, fill_lanes, take_lane
-from pymc_features.simulators.eigen.tridiagonal import diagonalise_lanes
+from pymc_features.simulators.eigen.tridiagonal import are_apart, diagonalise_lanes, whole_vectors
 from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
 from pymc_features.simulators.oscillators.modal_system import DampingLaw, feed_through
 from pymc_features.simulators.oscillators.population import lane_statistics
@@ -71,9 +71,29 @@ def solve_modes(modes, parameters, first, count):
     for lane in range(count):
         own = own_rows(parameters, first + lane)
         valid[lane] = fill_matrix(modes, lane, own.mass, own.stiffness)
-    if not diagonalise_lanes(frequencies, off_diagonal, vectors):
+    if not find_vectors(modes):
         valid.fill(False)
     normalise_lanes(modes)
+
+
+@jit
+def find_vectors(modes):
+    """Overwrite the diagonals by eigenvalues, and write the vectors; False if that fails."""
+    n, vectors = modes.frequencies.shape[0], modes.vectors
+    values, work = np.empty((n, LANES)), np.empty((n, LANES))
+    for turn in range(2):  # without vectors first: they are found one by one where no eigenvalues are close
+        for i in range(n):
+            store(values, i, load(modes.frequencies, i))
+            store(work, i, load(modes.off_diagonal, i))
+        if not diagonalise_lanes(values, work, vectors if turn == 1 else vectors[:0]):
+            return False
+        if turn == 0 and are_apart(values):
+            pivots = np.empty((2 * n, LANES))
+            whole_vectors(modes.frequencies, modes.off_diagonal, values, pivots, work, vectors)
+            break
+    for i in range(n):
+        store(modes.frequencies, i, load(values, i))
+    return True
 
 
 @jit

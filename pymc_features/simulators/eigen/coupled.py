@@ -8,7 +8,12 @@ from pymc_features.simulators.compiled.vector import LANES, load, magnitude, spl
 from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.eigen.complex_modes import new_complex
 from pymc_features.simulators.eigen.filling import positions
-from pymc_features.simulators.eigen.matrices import all_diagonal, assemble_lanes, factorise_lanes
+from pymc_features.simulators.eigen.matrices import (
+    all_diagonal,
+    assemble_lanes,
+    factorise_lanes,
+    multiply_lanes,
+)
 from pymc_features.simulators.eigen.pairs import fill_pairs, new_pair_lanes
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION
@@ -45,7 +50,11 @@ def march_coupled(parameters, excitation, wanted, observed, increments):
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
     lanes, modes = new_pair_lanes(observed, m, excitation.stride), new_complex(m, n_sensors)
     structures = new_structures(n, theta.shape[1], columns[0].shape[1])
-    damping, products, room = np.zeros((n * n, LANES)), np.zeros((m * (n + 2), LANES)), np.zeros((n, LANES))
+    damping, products, room = (
+        np.zeros((n * n, LANES)),
+        np.zeros((m * (n + 2), LANES)),
+        np.zeros((m * n, LANES)),
+    )
     order, start = np.empty(n, dtype=np.int64), excitation.acceleration[0, 0]
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
     for first in range(0, count, LANES):
@@ -99,24 +108,14 @@ def sort_modes(structures, modes, room):
 def project(modes, damping, products, n, room):
     """Write D = Phi'C Phi and Gamma.
 
-    `damping` are matrices C (n n, LANES), `products` those of `sort_modes`, `room` a vector (n, LANES).
+    `damping` are matrices C (n n, LANES), `products` those of `sort_modes`, `room` a matrix (m n, LANES).
     """
     m = modes.omega.shape[0]
     width = products.shape[0] // m
     for r in range(m):
-        row = r * width
-        store(modes.participation, r, load(products, row + width - 1))
-        for i in range(n):
-            total = splat(0.0)
-            for k in range(n):
-                total = total + load(damping, i * n + k) * load(products, row + k)
-            store(room, i, total)
-        for s in range(r + 1):
-            total = splat(0.0)
-            for i in range(n):
-                total = total + load(room, i) * load(products, s * width + i)
-            store(modes.damping, r * m + s, total)
-            store(modes.damping, s * m + r, total)
+        store(modes.participation, r, load(products, r * width + width - 1))
+    multiply_lanes((products, width, 1), (damping, n, 1), (m, n, n), room)
+    multiply_lanes((room, n, 1), (products, 1, width), (m, n, m), modes.damping)
 
 
 @jit

@@ -5,6 +5,7 @@ import numpy as np
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, splat, store
 from pymc_features.simulators.eigen.complex_modes import (
+    CANCELLING,
     PANEL,
     check_sums,
     input_factor,
@@ -47,7 +48,7 @@ def write_pairs(lanes, modes, kept, n_sensors, quantity):
             found = input_factor(modes, p), (zero, zero)
             for j in range(n_sensors):
                 write_share(lanes, modes, (first + p, p, j), found, 1.0, quantity)
-    check_sums(modes, n_sensors)
+    check_sums(modes, n_sensors, CANCELLING)
 
 
 @jit

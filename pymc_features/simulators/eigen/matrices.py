@@ -134,3 +134,51 @@ def energy_lanes(stiffness, shape):
         x = where_less(x, splat(0.0), 0.0 - x, x)
         terms = terms + 2.0 * x * size + where_less(own, splat(0.0), 0.0 - own, own)
     return energy, terms
+
+
+@jit
+def multiply_lanes(left, right, sizes, out):
+    """Write a product of two matrices, in blocks of four rows and columns.
+
+    Parameters
+    ----------
+    left, right : tuple of array (.., LANES), int, int
+        Entry (r, i) is in row r p + i q of the array, p and q the numbers.
+    sizes : tuple of int
+        Rows of the left matrix, its columns, and columns of the right one.
+    out : array (.., LANES)
+        Written in C order.
+    """
+    (x, x_down, x_along), (y, y_down, y_along), (n, inner, m) = left, right, sizes
+    for r in range(0, n, 4):  # what stands behind the last row or column repeats it
+        r1, r2, r3 = min(r + 1, n - 1), min(r + 2, n - 1), min(r + 3, n - 1)
+        for s in range(0, m, 4):
+            s1, s2, s3 = min(s + 1, m - 1), min(s + 2, m - 1), min(s + 3, m - 1)
+            a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = splat(0.0)
+            c0 = c1 = c2 = c3 = d0 = d1 = d2 = d3 = splat(0.0)
+            for i in range(inner):
+                k, h = i * x_along, i * y_down
+                y0, y1 = load(y, h + s * y_along), load(y, h + s1 * y_along)
+                y2, y3 = load(y, h + s2 * y_along), load(y, h + s3 * y_along)
+                factor = load(x, r * x_down + k)
+                a0, a1, a2, a3 = a0 + factor * y0, a1 + factor * y1, a2 + factor * y2, a3 + factor * y3
+                factor = load(x, r1 * x_down + k)
+                b0, b1, b2, b3 = b0 + factor * y0, b1 + factor * y1, b2 + factor * y2, b3 + factor * y3
+                factor = load(x, r2 * x_down + k)
+                c0, c1, c2, c3 = c0 + factor * y0, c1 + factor * y1, c2 + factor * y2, c3 + factor * y3
+                factor = load(x, r3 * x_down + k)
+                d0, d1, d2, d3 = d0 + factor * y0, d1 + factor * y1, d2 + factor * y2, d3 + factor * y3
+            places = s, s1, s2, s3
+            store_four(out, r * m, places, (a0, a1, a2, a3))
+            store_four(out, r1 * m, places, (b0, b1, b2, b3))
+            store_four(out, r2 * m, places, (c0, c1, c2, c3))
+            store_four(out, r3 * m, places, (d0, d1, d2, d3))
+
+
+@jit
+def store_four(matrix, row, places, vectors):
+    """Write four entries of a row."""
+    store(matrix, row + places[0], vectors[0])
+    store(matrix, row + places[1], vectors[1])
+    store(matrix, row + places[2], vectors[2])
+    store(matrix, row + places[3], vectors[3])

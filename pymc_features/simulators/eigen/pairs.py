@@ -11,6 +11,7 @@ import numpy as np
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, magnitude, splat, store, where_less
 from pymc_features.simulators.eigen.complex_modes import (
+    CANCELLING,
     PANEL,
     at_sensor,
     check_sums,
@@ -67,7 +68,7 @@ def fill_pairs(lanes, modes, n_sensors, step, quantity, start):
             factor = input_factor(modes, p)
             for j in range(n_sensors):
                 write_share(lanes, modes, (first + p, p, j), (factor, after), step, quantity)
-    check_sums(modes, n_sensors)
+    check_sums(modes, n_sensors, CANCELLING)
 
 
 @jit
@@ -91,6 +92,17 @@ def write_recursion(lanes, modes, r, p, step, start):
 
 
 @jit
+def add_to_sums(modes, j, pole, residue):
+    """Add the residue of a pair at sensor j to the sums that are checked; `pole` is a, b and i^2."""
+    a, b, square = pole
+    speed, rate = 2.0 * residue[0], 2.0 * (a * residue[0] + square * (b * residue[1]))
+    whole = magnitude(a * residue[0]) + magnitude(b * residue[1]) + magnitude(a * residue[1])
+    store(modes.sums, 3 * j, load(modes.sums, 3 * j) + speed)
+    store(modes.sums, 3 * j + 1, load(modes.sums, 3 * j + 1) + rate)
+    store(modes.sums, 3 * j + 2, load(modes.sums, 3 * j + 2) + whole + magnitude(b * residue[0]))
+
+
+@jit
 def write_share(lanes, modes, place, found, step, quantity):
     """Write what sensor j sees of a pair, and add it to the sums that are checked.
 
@@ -108,10 +120,7 @@ def write_share(lanes, modes, place, found, step, quantity):
     speed, size = 2.0 * residue[0], 2.0 * (a * residue[0] - square * (b * residue[1]))
     by_q, by_v = 0.0 - size, speed
     rate = by_q - drag * by_v  # of q' in the velocity, and of the input in the acceleration
-    whole = magnitude(a * residue[0]) + magnitude(b * residue[1]) + magnitude(a * residue[1])
-    store(modes.sums, 3 * j, load(modes.sums, 3 * j) + speed)
-    store(modes.sums, 3 * j + 1, load(modes.sums, 3 * j + 1) + rate)
-    store(modes.sums, 3 * j + 2, load(modes.sums, 3 * j + 2) + whole + magnitude(b * residue[0]))
+    add_to_sums(modes, j, (a, b, square), residue)
     if quantity != RELATIVE_DISPLACEMENT:
         by_q, by_v = 0.0 - stiffness * by_v, rate
         if quantity != RELATIVE_VELOCITY:

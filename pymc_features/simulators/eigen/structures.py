@@ -18,6 +18,7 @@ from pymc_features.simulators.eigen.matrices import (
     divide_transposed,
     energy_lanes,
     factorise_lanes,
+    multiply_lanes,
     standard_lanes,
 )
 from pymc_features.simulators.eigen.reflections import reflect_back, tridiagonalise
@@ -25,10 +26,12 @@ from pymc_features.simulators.eigen.tridiagonal import (
     REACH,
     ROUNDS,
     SETTLED,
+    are_apart,
     diagonalise_lanes,
     has_lost,
     largest_values,
     twisted_vector,
+    whole_vectors,
 )
 
 
@@ -47,6 +50,8 @@ class StructureLanes(NamedTuple):
     vectors : array (n w, LANES)
         Products of mode i with w vectors, in rows i w ...
     pivots, shape : array (2 n, LANES), (n, LANES)
+    rows, turned : array (n n, LANES), (n w, LANES)
+        Eigenvectors of the tridiagonal matrix, and a copy of the vectors, where w is at least n.
     room : tuple of arrays
         See `reflections.tridiagonalise`.
     """
@@ -63,6 +68,8 @@ class StructureLanes(NamedTuple):
     vectors: np.ndarray
     pivots: np.ndarray
     shape: np.ndarray
+    rows: np.ndarray
+    turned: np.ndarray
     room: tuple
 
 
@@ -90,6 +97,8 @@ def new_structures(n, n_theta, width):
         vectors=np.zeros((n * width, LANES)),
         pivots=np.zeros((2 * n, LANES)),
         shape=np.zeros((n, LANES)),
+        rows=np.zeros((n * n if width >= n else 0, LANES)),
+        turned=np.zeros((n * width if width >= n else 0, LANES)),
         room=room,
     )
 
@@ -126,10 +135,12 @@ def solve_structures(lanes, stacks, is_diagonal, columns):
         store(lanes.vectors, i * width + width - 1, total)
     standard_lanes(lanes.stiffness, lanes.factor, n, is_diagonal, lanes.reduced)
     tridiagonalise(lanes.reduced, lanes.diagonal, lanes.off_diagonal, lanes.vectors, lanes.room)
-    for i in range(n):
-        store(lanes.values, i, load(lanes.diagonal, i))
-        store(lanes.work, i, load(lanes.off_diagonal, i))
-    converged = diagonalise_lanes(lanes.values, lanes.work, lanes.vectors)
+    converged = diagonalise(lanes, lanes.vectors if width < n else lanes.vectors[:0])
+    if width >= n and converged:
+        if are_apart(lanes.values):
+            turn_whole(lanes, width)
+        else:
+            converged = diagonalise(lanes, lanes.vectors)
     largest = largest_values(lanes.values)
     for r in range(n):
         if highest(has_lost(load(lanes.values, r), largest)) > 0.0:
@@ -138,6 +149,25 @@ def solve_structures(lanes, stacks, is_diagonal, columns):
         lanes.is_good[lane] = converged
         for r in range(n):  # NaN and infinity too
             lanes.is_good[lane] &= 0.0 <= lanes.values[r, lane] < np.inf
+
+
+@jit
+def diagonalise(lanes, vectors):
+    """Write omega^2 of the tridiagonal matrices, and turn vectors to their basis; False if that fails."""
+    for i in range(lanes.diagonal.shape[0]):
+        store(lanes.values, i, load(lanes.diagonal, i))
+        store(lanes.work, i, load(lanes.off_diagonal, i))
+    return diagonalise_lanes(lanes.values, lanes.work, vectors)
+
+
+@jit
+def turn_whole(lanes, width):
+    """Turn vectors, at least n of them, by eigenvectors that are found one by one: QL takes longer."""
+    n, turned = lanes.diagonal.shape[0], lanes.turned
+    whole_vectors(lanes.diagonal, lanes.off_diagonal, lanes.values, lanes.pivots, lanes.shape, lanes.rows)
+    for i in range(turned.shape[0]):
+        store(turned, i, load(lanes.vectors, i))
+    multiply_lanes((lanes.rows, n, 1), (turned, width, 1), (n, n, width), lanes.vectors)
 
 
 @jit

@@ -25,6 +25,7 @@ TINY = 1e-300  # keeps quotients of zeros from becoming NaN
 LOSS = 1e-3  # eigenvalues below this share of the largest have lost digits that a quotient brings back
 ROUNDS = 3  # of inverse iteration and quotient; one does in all but strongly graded matrices
 SETTLED = 1e-7  # change of a quotient, whose next one is right to the square of it
+APART = 1e-6  # of the largest eigenvalue: vectors of gaps above are found one by one, orthogonal to 1e-10
 REACH = 1e-13  # of the largest eigenvalue: QL errs by less, and what moves further is another eigenvalue
 
 
@@ -151,6 +152,37 @@ def twisted_vector(diagonal, off_diagonal, value, pivots, vector):
     for i in range(1, n):
         above = zero - load(off_diagonal, i - 1) * load(vector, i - 1) / load(pivots, n + i)
         store(vector, i, where_less(place, splat(i - 0.5), above, load(vector, i)))
+
+
+@jit
+def are_apart(values):
+    """Whether no two eigenvalues of any lane are so close that their vectors must be found together."""
+    n, least = values.shape[0], splat(1e300)
+    largest = largest_values(values)
+    for r in range(n):
+        value = load(values, r)
+        for s in range(r):
+            gap = magnitude(value - load(values, s))
+            least = where_less(gap, least, gap, least)
+    return not highest(largest * APART - least) > 0.0  # NaN is nobody's neighbour
+
+
+@jit
+def whole_vectors(diagonal, off_diagonal, values, pivots, vector, vectors):
+    """Write the eigenvectors of eigenvalues that are apart into the rows of `vectors` (n n, LANES).
+
+    `pivots` (2 n, LANES) and `vector` (n, LANES) are overwritten.
+    """
+    n = diagonal.shape[0]
+    for r in range(n):
+        twisted_vector(diagonal, off_diagonal, load(values, r), pivots, vector)
+        square = splat(0.0)
+        for i in range(n):
+            entry = load(vector, i)
+            square = square + entry * entry
+        scale = splat(1.0) / square_root(square)
+        for i in range(n):
+            store(vectors, r * n + i, load(vector, i) * scale)
 
 
 @jit

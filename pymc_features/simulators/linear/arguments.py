@@ -89,6 +89,7 @@ class LinearParameters(NamedTuple):
         return LinearParameters(*map(writable, self))._replace(**pattern)
 
 
+SYMMETRY = 1e-14  # differences from the transposed matrix below this times its largest entry are rounding
 N_PARAMETERS = 3  # theta, rayleigh and ratios come first
 
 
@@ -168,3 +169,10 @@ def n_particles(parameters: LinearParameters, weights=None) -> int:
     if len((counts | given) - {1}) > 1 or max(given) < max(counts):
         raise ValueError("the parameters must have one row, or one for each particle, and `weights` all rows")
     return max(given)
+
+
+def is_symmetric(stack, n) -> bool:
+    """Whether all matrices of a stack (terms, n n) are symmetric to rounding, as those of dashpots are."""
+    matrices = stack.reshape(-1, n, n)
+    skew = abs(matrices - matrices.transpose(0, 2, 1))
+    return bool(skew.max() <= SYMMETRY * abs(matrices).max())

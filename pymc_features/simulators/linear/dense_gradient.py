@@ -3,20 +3,22 @@
 The same chain rule as in `projection`, by all n modes of the structure at hand.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, store
+from pymc_features.simulators.compiled.vector import LANES, load, splat, store
+from pymc_features.simulators.compiled.vector_memory import read_lanes
+from pymc_features.simulators.derivatives.coupled import add_load_terms, add_terms, write_entries
 from pymc_features.simulators.derivatives.history import sum_history
-from pymc_features.simulators.derivatives.memory import clear, new_gradient_lanes, put, room_of_lanes
-from pymc_features.simulators.derivatives.pairs import (
-    derive_modes,
-    derive_pairs,
-    modes_apart,
-    take_gradient,
-    take_sums,
-)
-from pymc_features.simulators.linear.dense_population import solve_dense
+from pymc_features.simulators.derivatives.memory import clear, get, new_gradient_lanes, put, room_of_lanes
+from pymc_features.simulators.derivatives.pairs import derive_modes, derive_pairs, modes_apart, take_sums
+from pymc_features.simulators.eigen.coupled import all_columns
+from pymc_features.simulators.eigen.filling import take_lane
+from pymc_features.simulators.eigen.matrices import all_diagonal, multiply_lanes
+from pymc_features.simulators.eigen.structures import StructureLanes, new_structures, solve_structures
+from pymc_features.simulators.linear.dense_population import bring, solve_dense
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, single_input
 from pymc_features.simulators.oscillators.gradient import modal_gradient
 from pymc_features.simulators.oscillators.modal_system import DampingLaw, ModalSystem
@@ -82,21 +84,41 @@ def spread_gradient(parameters, sensors, modes, found, gradients):
 
 
 @jit
-def fill_lane(lanes, lane, own, sensors, modes, damping):
-    """Write the modes of one structure under one input into a lane."""
-    (omega, rows, load), (_, rayleigh, ratios), m = modes, own, damping.size
-    participation, shapes = np.dot(rows[:m], load), np.dot(sensors, rows[:m].T)
-    for r in range(m):
-        slope = rayleigh[1]
-        if omega[r] > 0.0:  # nothing changes the lambda of a rigid body
-            slope += ratios[r] / omega[r]
-        put(lanes.omega, r, lane, omega[r])
-        put(lanes.damping, r, lane, damping[r])
+def fill_lane(lanes, lane, own, solved, wanted):
+    """Write the modes of one structure under one input into a lane.
+
+    `solved` has omega and D (m, LANES), the products of the modes with the columns of `all_columns`, and the
+    order of the modes.
+    """
+    (kept, damping), products, order = solved
+    (_, rayleigh, ratios), (n_sensors, n) = own, wanted.sensors.shape
+    width = n + 2
+    for r in range(lanes.n_modes):
+        omega, row, slope = kept[r, lane], order[r] * width, rayleigh[1]
+        if omega > 0.0:  # nothing changes the lambda of a rigid body
+            slope += ratios[r] / omega
+        put(lanes.omega, r, lane, omega)
+        put(lanes.damping, r, lane, damping[r, lane])
         put(lanes.slopes, r, lane, slope)
         put(lanes.ratios, r, lane, ratios[r])
-        put(lanes.participation, r, lane, participation[r, 0])
-        for j in range(lanes.n_sensors):
-            put(lanes.shapes, j * lanes.m + r, lane, shapes[j, r])
+        put(lanes.participation, r, lane, products[row + width - 1, lane])
+        for j in range(n_sensors):
+            seen = 0.0
+            for i in range(n):
+                if wanted.sensors[j, i] != 0.0:
+                    seen += wanted.sensors[j, i] * products[row + i, lane]
+            put(lanes.shapes, j * lanes.m + r, lane, seen)
+
+
+@jit
+def write_ordered(rows, lane, structures, order):
+    """Write omega^2 (n, LANES), and the modes' products with all columns, of one lane in ascending order."""
+    (values, vectors), n = rows, order.size
+    width = vectors.shape[0] // n
+    for r in range(n):
+        values[r, lane] = structures.values[order[r], lane]
+        for c in range(width):
+            vectors[r * width + c, lane] = structures.vectors[order[r] * width + c, lane]
 
 
 @jit
@@ -108,44 +130,197 @@ def own_arrays(parameters, gradients, p):
     return (theta[i], rayleigh[j], ratios[k]), (grad_theta[i], grad_rayleigh[j], grad_ratios[k])
 
 
+class DenseGroup(NamedTuple):
+    """Structures, one in each lane, on their way to a gradient, and what all of them share.
+
+    `columns` are of `all_columns`; `kept` has omega and D of the modes kept (m, LANES), `rows` omega^2 and
+    the modes' products with all columns in ascending order; `spread` is room for `spread_lanes`.
+    """
+
+    structures: StructureLanes
+    is_diagonal: bool
+    columns: tuple
+    kept: tuple
+    order: np.ndarray
+    rows: tuple
+    is_there: np.ndarray
+    spread: tuple
+    by_theta: np.ndarray
+
+
+@jit
+def new_group(parameters, m):
+    """Room for `LANES` structures, of which m modes are kept."""
+    n, n_theta = parameters.influence.shape[0], parameters.theta.shape[1]
+    return DenseGroup(
+        new_structures(n, n_theta, n + 2),
+        all_diagonal(parameters.mass, n),
+        all_columns(parameters),
+        (np.zeros((m, LANES)), np.zeros((m, LANES))),
+        np.empty(n, dtype=np.int64),
+        (np.zeros((n, LANES)), np.zeros((n * (n + 2), LANES))),
+        np.empty(LANES, dtype=np.bool_),
+        new_spread(n, m),
+        np.zeros((n_theta, LANES)),
+    )
+
+
+@jit
+def fill_lanes(lanes, group, parameters, gradients, wanted, place):
+    """Solve the structures from the first on, and write those into the lanes that are there and have a place.
+
+    `place` is the first structure, their number, and the time step.
+    """
+    first, count, step = place
+    structures, stacks = group.structures, (parameters.mass, parameters.stiffness)
+    bring(structures, parameters, first, count, group.is_there)
+    solve_structures(structures, stacks, group.is_diagonal, group.columns)
+    for lane in range(LANES):
+        clear(lanes, lane)
+        group.is_there[lane] &= structures.is_good[lane]
+        if group.is_there[lane]:
+            own, _ = own_arrays(parameters, gradients, first + lane)
+            law = DampingLaw(own[1], own[2])
+            values = structures.values
+            group.is_there[lane] = take_lane(group.kept, lane, values, law, step, group.order)
+        if group.is_there[lane]:
+            solved = group.kept, structures.vectors, group.order
+            fill_lane(lanes, lane, own, solved, wanted)
+            write_ordered(group.rows, lane, structures, group.order)
+
+
 @jit
 def add_groups(room, parameters, excitation, wanted, observed, weights, gradients):
     """Add the gradients by e_j alone under one input, of a vector of structures at a time.
 
-    A structure with modes that are close goes by itself, `add_gradient`. `room` is from `room_of_lanes`.
+    A structure with modes that are close, or that has no place in a lane, goes by itself, `add_gradient`.
+    `room` is from `room_of_lanes`.
     """
-    (sensors, m, quantity), n, n_times = wanted, parameters.influence.shape[0], observed.shape[1]
+    (sensors, m, quantity), n_times, count = wanted, observed.shape[1], weights.shape[0]
     step, motion = excitation.dt / excitation.substeps, single_input(excitation)
     feed = np.dot(sensors, parameters.influence)[:, 0].copy()
     if quantity != ABSOLUTE_ACCELERATION:
         feed[:] = 0.0
-    lanes = new_gradient_lanes(room, feed, m, excitation.stride)
-    valid, omega, rows = np.empty(LANES, dtype=np.bool_), np.empty((LANES, n)), np.empty((LANES, n, n))
-    load, apart = np.empty((LANES, n, 1)), np.empty((1, LANES))
-    for first in range(0, weights.shape[0], LANES):
-        count = min(LANES, weights.shape[0] - first)
+    lanes, group = new_gradient_lanes(room, feed, m, excitation.stride), new_group(parameters, m)
+    apart = np.empty((1, LANES))
+    for first in range(0, count, LANES):
+        fill_lanes(lanes, group, parameters, gradients, wanted, (first, count, step))
         for lane in range(LANES):
-            clear(lanes, lane)
-            if lane < count:
-                own, _ = own_arrays(parameters, gradients, first + lane)
-                found = solve_dense(parameters, own, step, n, m)
-                valid[lane], omega[lane], rows[lane], damping, load[lane] = found
-                if valid[lane]:
-                    fill_lane(lanes, lane, own, sensors, (omega[lane], rows[lane], load[lane]), damping)
+            if group.is_there[lane]:
                 for j in range(feed.size):
                     put(lanes.factors, j, lane, 2.0 * weights[first + lane, j, 0] / n_times)
         store(apart, 0, modes_apart(lanes, n_times * excitation.stride * step))
         sum_history(lanes, room, motion, quantity, observed)
         derive_modes(lanes, step, motion.acceleration[0])
         derive_pairs(lanes)
-        for lane in range(count):
+        group.by_theta.fill(0.0)
+        spread_lanes(parameters, sensors, lanes, group.rows, group.spread, group.by_theta)
+        for lane in range(min(LANES, count - first)):
             own, own_gradients = own_arrays(parameters, gradients, first + lane)
-            if valid[lane] and apart[0, lane] == 1.0:
-                modes = omega[lane], rows[lane], load[lane]
-                spread_gradient(parameters, sensors, modes, take_gradient(lanes, lane), own_gradients)
+            if group.is_there[lane] and apart[0, lane] == 1.0:
+                own_gradients[0][:] += group.by_theta[:, lane]
+                add_damping(lanes, lane, own_gradients)
             else:
                 w = weights[first + lane]
                 add_gradient(parameters, own, excitation, wanted, observed, w, own_gradients)
+
+
+@jit
+def spread_groups(room, parameters, excitation, wanted, sums, gradients):
+    """Add the gradients of a vector of structures at a time, from sums over time, see `take_sums`.
+
+    No two modes of a structure may be close; `room` and `gradients` as in `add_groups`.
+    """
+    (count, n_sensors, m), step = sums[0].shape, excitation.dt / excitation.substeps
+    lanes, group = new_gradient_lanes(room, np.zeros(n_sensors), m, 1), new_group(parameters, m)
+    for first in range(0, count, LANES):
+        fill_lanes(lanes, group, parameters, gradients, wanted, (first, count, step))
+        take_sums(lanes, sums, first, min(LANES, count - first))
+        derive_pairs(lanes)
+        group.by_theta.fill(0.0)
+        spread_lanes(parameters, wanted.sensors, lanes, group.rows, group.spread, group.by_theta)
+        for lane in range(min(LANES, count - first)):
+            _, own_gradients = own_arrays(parameters, gradients, first + lane)
+            if group.is_there[lane]:
+                own_gradients[0][:] += group.by_theta[:, lane]
+                add_damping(lanes, lane, own_gradients)
+            else:
+                for gradient in own_gradients:
+                    gradient[:] = np.nan
+
+
+@jit
+def spread_population(parameters, excitation, wanted, sums, gradients):
+    """As `spread_groups`, in memory of its own."""
+    room = room_of_lanes(wanted.sensors.shape[0], wanted.n_modes, 1)
+    spread_groups(room, parameters, excitation, wanted, sums, gradients)
+
+
+@jit
+def new_spread(n, m):
+    """Room for `spread_lanes`: derivatives in modes (n m), left factors and entries, and a vector."""
+    return np.zeros((n * m, LANES)), np.zeros((n * m, LANES)), np.zeros((n * n, LANES)), np.zeros((n, LANES))
+
+
+@jit
+def add_damping(lanes, lane, gradients):
+    """Add the derivatives of one lane by Rayleigh's pair and the ratios."""
+    for r in range(lanes.n_modes):
+        omega, damping = get(lanes.omega, r, lane), get(lanes.by_damping, r, lane)
+        gradients[1][0] += damping
+        gradients[1][1] += damping * omega * omega
+        gradients[2][r] += damping * 2.0 * omega
+
+
+@jit
+def write_reduced(lanes, sensors, rows, of_mass, reduced):
+    """Write the derivatives by Phi'K Phi, or Phi'M Phi, (n m, LANES), those by kept modes in the columns.
+
+    The rows of the modes left out are how the kept ones leave their span, see `outside`.
+    """
+    (values, vectors), m, n = rows, lanes.n_modes, rows[0].shape[0]
+    own = lanes.by_mass if of_mass else lanes.by_stiffness
+    for s in range(m):
+        for r in range(m):
+            store(reduced, s * m + r, read_lanes(own, s * lanes.m + r))
+    for s in range(m, n):
+        for r in range(m):
+            store(reduced, s * m + r, load(vectors, s * (n + 2) + n + 1) * read_lanes(lanes.by_load, r))
+        for j in range(sensors.shape[0]):
+            seen = splat(0.0)
+            for i in range(n):
+                if sensors[j, i] != 0.0:
+                    seen = seen + load(vectors, s * (n + 2) + i) * sensors[j, i]
+            for r in range(m):
+                total = load(reduced, s * m + r) + seen * read_lanes(lanes.by_shapes, j * lanes.m + r)
+                store(reduced, s * m + r, total)
+        for r in range(m):
+            value, total = load(values, r), load(reduced, s * m + r)
+            total = total / (load(values, s) - value)
+            store(reduced, s * m + r, value * total if of_mass else splat(0.0) - total)
+
+
+@jit
+def spread_lanes(parameters, sensors, lanes, rows, matrices, by_theta):
+    """Add the derivatives by the entries of K and M, times what theta changes of them, to `by_theta`."""
+    (reduced, left, entries, by_load), vectors = matrices, rows[1]
+    n, m = by_load.shape[0], lanes.n_modes
+    width = n + 2
+    for of_mass in (False, True):
+        stack = parameters.mass if of_mass else parameters.stiffness
+        if stack.shape[0] == 1:
+            continue
+        write_reduced(lanes, sensors, rows, of_mass, reduced)
+        multiply_lanes((vectors, 1, width), (reduced, m, 1), (n, n, m), left)
+        write_entries((left, m, 1), (vectors, 1, width), m, stack, entries)
+        if of_mass:
+            for i in range(n):
+                total = splat(0.0)
+                for r in range(m):
+                    total = total + load(vectors, r * width + i) * read_lanes(lanes.by_load, r)
+                store(by_load, i, total)
+            add_load_terms(by_load, parameters.influence, entries)
+        add_terms(stack, entries, by_theta)
 
 
 @jit
@@ -162,43 +337,3 @@ def add_population_gradient(parameters, excitation, wanted, observed, weights, g
     for p in range(weights.shape[0]):
         own, own_gradients = own_arrays(parameters, gradients, p)
         add_gradient(parameters, own, excitation, wanted, observed, weights[p], own_gradients)
-
-
-@jit
-def spread_groups(room, parameters, excitation, wanted, sums, gradients):
-    """Add the gradients of a vector of structures at a time, from sums over time, see `take_sums`.
-
-    No two modes of a structure may be close; `room` and `gradients` as in `add_groups`.
-    """
-    (n_particles, n_sensors, m), n = sums[0].shape, parameters.influence.shape[0]
-    step, lanes = excitation.dt / excitation.substeps, new_gradient_lanes(room, np.zeros(n_sensors), m, 1)
-    valid, omega, rows = np.empty(LANES, dtype=np.bool_), np.empty((LANES, n)), np.empty((LANES, n, n))
-    load = np.empty((LANES, n, 1))
-    for first in range(0, n_particles, LANES):
-        count = min(LANES, n_particles - first)
-        for lane in range(LANES):
-            clear(lanes, lane)
-            if lane < count:
-                own, _ = own_arrays(parameters, gradients, first + lane)
-                found = solve_dense(parameters, own, step, n, m)
-                valid[lane], omega[lane], rows[lane], damping, load[lane] = found
-                if valid[lane]:
-                    modes = omega[lane], rows[lane], load[lane]
-                    fill_lane(lanes, lane, own, wanted.sensors, modes, damping)
-        take_sums(lanes, sums, first, count)
-        derive_pairs(lanes)
-        for lane in range(count):
-            _, own_gradients = own_arrays(parameters, gradients, first + lane)
-            if valid[lane]:
-                modes, derived = (omega[lane], rows[lane], load[lane]), take_gradient(lanes, lane)
-                spread_gradient(parameters, wanted.sensors, modes, derived, own_gradients)
-            else:
-                for gradient in own_gradients:
-                    gradient[:] = np.nan
-
-
-@jit
-def spread_population(parameters, excitation, wanted, sums, gradients):
-    """As `spread_groups`, in memory of its own."""
-    room = room_of_lanes(wanted.sensors.shape[0], wanted.n_modes, 1)
-    spread_groups(room, parameters, excitation, wanted, sums, gradients)

@@ -7,8 +7,9 @@ cost does not grow with the number of parameters but for one product with the st
 import numpy as np
 
 from pymc_features.simulators.compiled.arrays import writable
+from pymc_features.simulators.derivatives.coupled import add_coupled_gradients
 from pymc_features.simulators.linear import oscillators, state_adjoint
-from pymc_features.simulators.linear.arguments import Arguments, n_particles
+from pymc_features.simulators.linear.arguments import Arguments, is_symmetric, n_particles
 from pymc_features.simulators.linear.dense_gradient import (
     add_gradient,
     add_population_gradient,
@@ -53,7 +54,8 @@ def linear_population_gradient(parameters, excitation, wanted, observed, weights
     """Gradient of the weighted statistics of a population; data (s, u), weights c (p, s, 1) or (p, s, 4).
 
     theta, rayleigh and ratios have one more axis in front. Returns arrays of their shapes; what all particles
-    share, in one row, gets the sum. Dense structures with classical damping stay in compiled code.
+    share, in one row, gets the sum. Dense structures stay in compiled code, but for those with a matrix for
+    damping whose complex modes are close.
     """
     count = n_particles(parameters, weights)
     sums = tuple(np.zeros(array.shape) for array in parameters.random)
@@ -64,7 +66,11 @@ def linear_population_gradient(parameters, excitation, wanted, observed, weights
         add_population_gradient(parameters.for_kernel(), a.inputs, a.outputs, *data, sums)
         return sums
     a._replace(parameters=first).check(observed, weights[0])
-    for p, own, system in solved(a, np.arange(count), left_out=True):
+    is_done = np.zeros(count, dtype=bool)
+    if in_complex_modes(a._replace(parameters=first), weights):
+        data = writable(observed), writable(weights)
+        is_done = add_coupled_gradients(parameters.for_kernel(), a.inputs, a.outputs, *data, sums[0])
+    for p, own, system in solved(a, np.flatnonzero(~is_done), left_out=True):
         for total, part in zip(sums, gradient_of(own, system, observed, weights[p]), strict=True):
             total[p % total.shape[0]] += part
     return sums
@@ -81,6 +87,14 @@ def linear_gradient_of_sums(parameters, excitation, wanted, sums) -> tuple:
     return totals
 
 
+def in_complex_modes(a, weights) -> bool:
+    """Whether complex modes in lanes give the gradient by weights (..., s, 1 or 4)."""
+    given = a.parameters
+    is_simple = given.is_dense and not given.is_classical and a.excitation.acceleration.shape[0] == 1
+    is_whole = a.wanted.n_modes == given.n_dof and weights.shape[-1] == 1
+    return is_simple and is_whole and is_symmetric(given.damping, given.n_dof)
+
+
 def gradient(a, history, weights):
     """Gradient of sum w y, w the `history`, or of the misfit's statistics with `weights` and the data."""
     given = a.parameters
@@ -90,6 +104,12 @@ def gradient(a, history, weights):
         kernel = given.for_kernel()
         add_gradient(kernel, kernel.random, a.inputs, a.outputs, *data, sums)
         return sums
+    if weights is not None and in_complex_modes(a, weights):
+        one = given._replace(**{name: getattr(given, name)[None] for name in ("theta", "rayleigh", "ratios")})
+        sums, data = tuple(np.zeros(array.shape) for array in given.random), writable(history)
+        kernel = one.for_kernel(), a.inputs, a.outputs, data, writable(weights[None])
+        if add_coupled_gradients(*kernel, sums[0][None])[0]:
+            return sums
     return gradient_of(*solved_alone(a, left_out=True), history, weights)
 
 

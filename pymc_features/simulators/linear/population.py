@@ -11,15 +11,13 @@ from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.eigen.coupled import march_coupled
 from pymc_features.simulators.eigen.coupled_systems import fill_systems
-from pymc_features.simulators.linear.arguments import Arguments, n_particles
+from pymc_features.simulators.linear.arguments import Arguments, is_symmetric, n_particles
 from pymc_features.simulators.linear.dense_population import dense_systems, march_dense
 from pymc_features.simulators.linear.response import evaluate
 from pymc_features.simulators.linear.system import is_coupled, observe, solved
 from pymc_features.simulators.mean_squares.systems import Systems, new_systems, put_modes
 from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
 from pymc_features.simulators.oscillators.population import lane_statistics, put_system
-
-SYMMETRY = 1e-14  # differences from the transposed matrix below this times its largest entry are rounding
 
 
 def linear_population_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:
@@ -65,13 +63,6 @@ def march_population(a: Arguments, observed, with_increments):
     if places:
         result[places] = lane_statistics(lanes, a.inputs, observed, increments)[: len(places)]
     return result
-
-
-def is_symmetric(stack, n) -> bool:
-    """Whether all matrices of a stack (terms, n n) are symmetric to rounding, as those of dashpots are."""
-    matrices = stack.reshape(-1, n, n)
-    skew = abs(matrices - matrices.transpose(0, 2, 1))
-    return bool(skew.max() <= SYMMETRY * abs(matrices).max())
 
 
 def linear_systems(parameters, excitation, wanted, observed) -> Systems | None:

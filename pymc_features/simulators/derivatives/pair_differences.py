@@ -1,0 +1,202 @@
+"""Derivatives by the entries of M, C and K of structures in lanes, from the sums of `pair_lanes`.
+
+With Q(z) = z^2 M + z C + K and its inverse, the sum of x_k x_k' / (alpha_k (z - lambda_k)) over all poles,
+the displacement -Q^-1 Gamma a changes by Q^-1 dQ Q^-1 Gamma a: by pairs of poles with divided differences,
+
+    dL = sum_kl (x_k' dA x_l) p_k r_l lambda_k^i [v_k'o_k - v_k'o_l] / (lambda_k - lambda_l),
+
+p_k = 1/alpha_k, r_l = x_l'Gamma/alpha_l, v_k = S x_k dL/dy, o_l the output of pole l, and i = 0, 1, 2 where A
+is K, C or M. For k = l the quotient is v_k'do_k/dlambda. Where it is M two terms more come from what the
+divided differences of z^2 lambda/(z - lambda) leave: the sum of lambda_k p_k x_k x_k' is the identity.
+
+Of two pairs of poles with i_k and i_l the differences are numbers of four parts, of 1, i_k, i_l and i_k i_l.
+"""
+
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import load, magnitude, splat, store, where_less
+from pymc_features.simulators.compiled.vector_math import larger
+from pymc_features.simulators.derivatives.pair_lanes import number, order_of, put_number
+from pymc_features.simulators.eigen.complex_modes import over, times
+from pymc_features.simulators.oscillators.close_modes import CLOSE
+
+
+@jit
+def pole_of(pairs, r):
+    """a, b and i^2 of pair r."""
+    return load(pairs.poles, 3 * r), load(pairs.poles, 3 * r + 1), load(pairs.poles, 3 * r + 2)
+
+
+@jit
+def smaller(x, y):
+    """The smaller of two numbers, lane by lane."""
+    return where_less(x, y, x, y)
+
+
+@jit
+def poles_apart(pairs, duration):
+    """One in the lanes where no two poles are close, as in `close_modes`; zero elsewhere."""
+    m, one, zero = pairs.poles.shape[0] // 3, splat(1.0), splat(0.0)
+    apart = one
+    for k in range(m):
+        a, b, square = pole_of(pairs, k)
+        size = magnitude(a) + b
+        memory = where_less(one, duration * magnitude(a), one / magnitude(a), splat(duration))
+        memory = larger(memory, 3.0 / size)
+        for r in range(k):
+            c, d, other = pole_of(pairs, r)
+            across, along = magnitude(b - d), magnitude(a - c)
+            gap = along + across
+            # real poles, of one pair or of both
+            real = smaller(magnitude(along - across), magnitude(along - (b + d)))
+            mixed = where_less(square, zero, b, d) + larger(along - where_less(square, zero, d, b), zero)
+            gap = where_less(zero, square * other, where_less(zero, square, real, gap), mixed)
+            apart = where_less(splat(CLOSE), gap * memory, apart, zero)
+    return apart
+
+
+@jit
+def complete_sums(pairs, n_sensors, step, quantity):
+    """Turn the sums of dL/dy times y and V into those times a pole's output and its derivative by lambda."""
+    m, order = pairs.poles.shape[0] // 3, order_of(quantity)
+    for r in range(m):
+        a, b, square = pole_of(pairs, r)
+        after, pole = number(pairs.after, r), (a, b)
+        slope = load(pairs.slopes, 4 * r + 2), load(pairs.slopes, 4 * r + 3)
+        for j in range(n_sensors):
+            row, ground = 2 * (j * m + r), load(pairs.of_ground, j)
+            y, v = number(pairs.sums, row), number(pairs.sums, row + 1)
+            f = y[0] + after[0] * ground, y[1] + after[1] * ground
+            d = step * (v[0] + slope[0] * ground), step * (v[1] + slope[1] * ground)
+            for _ in range(order):
+                d = times(pole, d, square)
+                d = d[0] + f[0], d[1] + f[1]
+                f = times(pole, f, square)
+            put_number(pairs.sums, row, f)
+            put_number(pairs.sums, row + 1, d)
+
+
+@jit
+def own_differences(pairs, r, n_sensors):
+    """v_r'o_r, and the differences of pole r with itself and with its partner."""
+    m, zero = pairs.poles.shape[0] // 3, splat(0.0)
+    _, b, square = pole_of(pairs, r)
+    own = same = cross = (zero, zero)
+    for j in range(n_sensors):
+        seen, row = number(pairs.seen, j * m + r), 2 * (j * m + r)
+        output = number(pairs.sums, row)
+        product, slope = times(seen, output, square), times(seen, number(pairs.sums, row + 1), square)
+        own = own[0] + product[0], own[1] + product[1]
+        same = same[0] + slope[0], same[1] + slope[1]
+        cross = cross[0] + seen[0] * output[1], cross[1] + seen[1] * output[1]
+    return own, same, (cross[0] / b, cross[1] / b)
+
+
+@jit
+def write_differences(pairs, k, n_sensors, differences):
+    """Write the divided differences of pair k, into rows 2 k and 2 k + 1 of a matrix (4 m m, LANES).
+
+    Those with pair r, of four parts, stand in its columns 2 r and 2 r + 1. Returns v_k'o_k.
+    """
+    m, half = pairs.poles.shape[0] // 3, splat(0.5)
+    a, b, square = pole_of(pairs, k)
+    own, same, cross = own_differences(pairs, k, n_sensors)
+    top, low = 4 * k * m, 4 * k * m + 2 * m
+    for r in range(m):
+        if r == k:
+            store(differences, top + 2 * r, half * (same[0] + cross[0]))
+            store(differences, low + 2 * r, half * (same[1] + cross[1]))
+            store(differences, top + 2 * r + 1, half * (same[1] - cross[1]))
+            store(differences, low + 2 * r + 1, half * (square * (same[0] - cross[0])))
+            continue
+        p0, p1, q0, q1 = own[0], own[1], splat(0.0), splat(0.0)
+        for j in range(n_sensors):
+            seen, output = number(pairs.seen, j * m + k), number(pairs.sums, 2 * (j * m + r))
+            p0, p1 = p0 - seen[0] * output[0], p1 - seen[1] * output[0]
+            q0, q1 = q0 - seen[0] * output[1], q1 - seen[1] * output[1]
+        c, d, other = pole_of(pairs, r)
+        gap = a - c
+        # over gap + b i_k - d i_l: times gap + b i_k + d i_l, over a number with i_k only
+        unlike = where_less(square * other, splat(0.0), b * b + d * d, (b - d) * (b + d))
+        size = gap * gap + square * unlike, 2.0 * gap * b
+        up, over_p, over_q = (gap, b), (p0, p1), (q0, q1)
+        first, second = times(over_p, up, square), times(over_q, up, square)
+        carry = other * d
+        p = over((first[0] + carry * q0, first[1] + carry * q1), size, square)
+        q = over((second[0] + d * p0, second[1] + d * p1), size, square)
+        store(differences, top + 2 * r, p[0])
+        store(differences, low + 2 * r, p[1])
+        store(differences, top + 2 * r + 1, q[0])
+        store(differences, low + 2 * r + 1, q[1])
+    return own
+
+
+@jit
+def write_right(pairs, right):
+    """Write r_l times the vectors, (n 2m, LANES), so that products with differences sum over both poles."""
+    m = pairs.poles.shape[0] // 3
+    n = pairs.vectors.shape[0] // (2 * m)
+    for r in range(m):
+        square, factor = load(pairs.poles, 3 * r + 2), number(pairs.right, r)
+        for i in range(n):
+            x = times(number(pairs.vectors, i * m + r), factor, square)
+            put_number(right, i * m + r, (2.0 * x[0], 2.0 * (square * x[1])))
+
+
+@jit
+def multiply_left(pairs, by_pole, left):
+    """Write p_k times the vectors into `left` (n 2m, LANES) or, `by_pole`, multiply it by lambda_k."""
+    m = pairs.poles.shape[0] // 3
+    n = pairs.vectors.shape[0] // (2 * m)
+    for r in range(m):
+        a, b, square = pole_of(pairs, r)
+        factor = number(pairs.left, r)
+        for i in range(n):
+            if by_pole:  # the imaginary part has the sign that the sum over both poles gives it
+                x = load(left, 2 * (i * m + r)), square * load(left, 2 * (i * m + r) + 1)
+                x = times(x, (a, b), square)
+            else:
+                x = times(number(pairs.vectors, i * m + r), factor, square)
+                x = 2.0 * x[0], 2.0 * x[1]
+            put_number(left, i * m + r, (x[0], square * x[1]))
+
+
+@jit
+def add_mass_terms(pairs, sensors, modes, request, own, entries):
+    """Add to the derivatives by M (n n, LANES) what divided differences leave; write those by the load.
+
+    Parameters
+    ----------
+    sensors : array (s n, LANES)
+        M^-1 S'.
+    modes : tuple of arrays (n 2m, LANES), (n, LANES), (n, LANES)
+        Of `write_right`; M^-1 times the load; the derivatives by the load, written.
+    request : tuple
+        Number of sensors and quantity.
+    own : array (2 m, LANES)
+        v_k'o_k.
+    """
+    (right, load_shape, by_load), (n_sensors, quantity) = modes, request
+    m, n = pairs.poles.shape[0] // 3, load_shape.shape[0]
+    is_acceleration = order_of(quantity) == 2
+    for i in range(n):
+        total = splat(0.0)
+        for r in range(m):
+            square = load(pairs.poles, 3 * r + 2)
+            x = times(number(pairs.vectors, i * m + r), number(pairs.left, r), square)
+            v = number(own, r)
+            total = total - 2.0 * (x[0] * v[0] + square * (x[1] * v[1]))
+        if is_acceleration:
+            for j in range(n_sensors):
+                total = total - load(pairs.of_ground, j) * load(sensors, j * n + i)
+        store(by_load, i, total)
+    for j in range(n_sensors):
+        for k in range(n):
+            total = splat(0.0)
+            for r in range(m):
+                output, x = number(pairs.sums, 2 * (j * m + r)), number(right, k * m + r)
+                total = total + output[0] * x[0] + output[1] * x[1]
+            if is_acceleration:
+                total = total + load(pairs.of_ground, j) * load(load_shape, k)
+            for i in range(n):
+                row = i * n + k
+                store(entries, row, load(entries, row) + load(sensors, j * n + i) * total)
