@@ -75,8 +75,13 @@ def group_of(series):
 
     @jit
     def copy(group, back):
-        """Keep u, H v, z and the signs of all springs, or bring them back."""
+        """Keep the largest acceleration, and u, H v, z and the signs of all springs, or bring them back."""
         address, kept, _, n = group
+        peak = (n + 1) * record + PEAK
+        if back:
+            write_lanes(address, peak, read_lanes(kept, 0))
+        else:
+            write_lanes(kept, 0, read_lanes(address, peak))
         for i in range(1, n + 1):
             here = i * record
             places = (here, here + entries + U)
