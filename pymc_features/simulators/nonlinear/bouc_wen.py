@@ -20,8 +20,8 @@ from pymc_features.simulators.nonlinear.law import Functions, parameter, registe
 from pymc_features.simulators.taylor.powers import (
     COEFFICIENTS,
     DEGREE,
-    HOLD,
     HALF,
+    HOLD,
     LEFT,
     MIDDLE,
     N_CONSTANTS,

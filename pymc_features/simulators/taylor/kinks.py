@@ -13,6 +13,9 @@ J1 ... J4, the masses i and i - 1 have the changes of velocity and displacement
 
 and these change the forces of springs i - 1, i and i + 1 through their tangents, which gives J3 and J4. What
 is left is of the order of the sixth power of the step, as is the error of the series.
+
+Of some laws the series of z is not always good over a whole step (`powers.py`). Such springs go into the
+batch as well: their z is expanded anew at the beginning of the step, and wherever a series ceases to be good.
 """
 
 from functools import cache
@@ -117,6 +120,26 @@ def turn_of(series):
             at += 1
 
     @jit
+    def renew(batch, spring, hit, left):
+        """Expand z of the pairs that are hit anew."""
+        for k in range(length):
+            write_lanes(batch, old + k, read_lanes(batch, zs + k))
+        if pieces is not None:
+            write_constant(spring, pieces.left, left)
+        expand_again(spring)
+        add_moments(batch, hit, left)
+
+    @jit
+    def reached(batch, spring, left):
+        """z where its series ceases to be good, or at the end, and when that is."""
+        ends = until(spring)
+        ends = where_less(ends, left, ends, left)
+        z = read_lanes(batch, zs + order)
+        for k in range(order - 1, -1, -1):
+            z = z * ends + read_lanes(batch, zs + k)
+        return z, ends
+
+    @jit
     def turn(batch, count):
         """Correct the first `count` pairs; what a spring has beyond `MAX_KINKS` is left to the next step."""
         zero, one = splat(0.0), splat(1.0)
@@ -142,7 +165,13 @@ def turn_of(series):
         hit = where_less(zero, back + cross, one, zero)
         if pieces is not None:
             write_constant(spring, pieces.whole, zero)
-            hit = where_less(until(spring), one, one, hit)
+            again = where_less(until(spring), one, one, zero)
+            if any_less(zero, again):
+                renew(batch, spring, again, one)
+                z_now, reach_z = reached(batch, spring, one)
+                cross = where_less(z_now * z_sign, zero, one, zero)
+                ends = again * where_less(until(spring), one, one, zero)
+                hit = where_less(zero, back + cross + ends, one, zero)
         for _ in range(most):
             if not any_less(zero, hit):
                 break
@@ -170,19 +199,10 @@ def turn_of(series):
             rate_sign = where_less(zero, kink * turns, zero - rate_sign, rate_sign)
             z_sign = where_less(zero, kink * (one - turns), zero - z_sign, z_sign)
             branch(spring, rate_sign * z_sign, z_sign)
-            for k in range(length):
-                write_lanes(batch, old + k, read_lanes(batch, zs + k))
-            if pieces is not None:
-                write_constant(spring, pieces.left, left)
-            expand_again(spring)
-            add_moments(batch, hit, left)
+            renew(batch, spring, hit, left)
             z_now, reach_z = z_end + read_lanes(batch, entries + CHANGE), left
             if pieces is not None:
-                ends = until(spring)
-                reach_z = where_less(ends, left, ends, left)
-                z_now = read_lanes(batch, zs + order)
-                for k in range(order - 1, -1, -1):
-                    z_now = z_now * reach_z + read_lanes(batch, zs + k)
+                z_now, reach_z = reached(batch, spring, left)
             dips, low = zero, rate_end
             back = hit * where_less(rate_end * rate_sign, zero, one, zero)
             cross = hit * where_less(z_now * z_sign, zero, one, zero)

@@ -1,18 +1,17 @@
 """Polynomials in place of |z|^n with any real n, over the range of z in one step.
 
-A power has no series about zero, and where z passes close to it the series about z is of no use over a step.
-Here |z|^n becomes a quartic in y = |z| - c over the range that z is expected to take, from a to b,
+A power has no series about zero, and close to zero the series about z is of no use over a step. Here |z|^n
+becomes a quartic in y = |z| - c over the range that z is expected to take, from a to b,
 
     |z|^n = c^n sum_k q_k (y / c)^k.
 
 Where a is above b / `NEAR`, c is the middle of the range, and the q_k are those of the binomial series whose
 powers five to seven have been replaced by Chebyshev's best polynomials on the range (economisation).
 
-Nearer to zero, and where the range is so wide that the quartic would be wrong by more than some `ERROR` of z,
-the spring is treated as one with kinks (`kinks.py`): its z is expanded anew, piece by piece, each over a range
-for which a quartic is good. A piece that begins at zero has c = b / 2, and its q_k depend on n alone. The
-motion of the chain goes by a polynomial that is rougher and does not depart far beyond the range: near zero a
-quadratic.
+Nearer to zero, and where the range is so wide that z would be wrong by more than some `ERROR`, the spring is
+treated as one with kinks (`kinks.py`): its z is expanded anew, piece by piece, each over a range for which a
+quartic is good. A piece that begins at zero has c = b / 2, and its q_k depend on n alone. The motion of the
+chain goes by a polynomial that is rougher and does not depart far beyond the range: near zero a quadratic.
 """
 
 from typing import NamedTuple
@@ -26,19 +25,19 @@ from pymc_features.simulators.compiled.vector_memory import any_less
 from pymc_features.simulators.taylor.series import constant_of, write_constant
 
 DEGREE = 4
-NEAR = 3.0  # end over beginning of a range that is near zero
+NEAR = 5.0  # end over beginning of a range that is near zero
 BEYOND = 1.1  # reach of the quartic from zero, beside the range expected
-SMALLEST = 1e-2, 1e-7  # end of a range in a march, where the change of z is a guess, and in a batch
+SMALLEST = 1e-3, 1e-7  # end of a range in a march, where the change of z is a guess, and in a batch
 OUTSIDE = 1.3  # distance from the middle of a range, in halves of it, up to which a polynomial is good
 ERROR = 5e-8  # of z at the end of a step, about
-WIDEST = 0.49  # half of a range over its middle
+WIDEST = 0.66  # half of a range over its middle
 LONG = 2.0  # in steps: longer than any
 NODES = np.cos(np.pi * (np.arange(32) + 0.5) / 32)
 TAME = 0.1  # weight of |z| < 0, which is no more than continued
 
-# Constants, behind the number `first` of a spring: n; the end of a range from zero; how narrow others must be;
-# quartic from zero, and quadratic across it; time to the end of the step; 1 in a march, 0 in a batch of kinks;
-# and of a step: until when its polynomial holds, how far from c, c, and the coefficients of the powers of y
+# Constants of a spring, from number `first` on: n; the end of a range from zero; how narrow others must be;
+# the quartic from zero, the quadratic across it; time to the end of the step; 1 in a march, 0 in a batch of
+# kinks; and of a step: until when its polynomial holds, how far from c, c, and the coefficients
 EXPONENT, NEAR_END, NARROWNESS, FROM_ZERO = range(4)
 ACROSS = FROM_ZERO + DEGREE + 1
 LEFT, WHOLE, HOLD, HALF, MIDDLE, COEFFICIENTS = range(ACROSS + 3, ACROSS + 9)
@@ -92,7 +91,7 @@ def economised(n, square):
 
 @jit
 def write_polynomial(spring, first, low, high, extent):
-    """Write the economised binomial series for a range; return the powers of `extent`, (extent)^(n - k)."""
+    """Write the economised binomial series for a range; return extent^(n - k), k = 0 ... 4."""
     n = constant_of(spring, first + EXPONENT)
     inverse = 1.0 / extent
     r = 0.5 * (high - low) * inverse
@@ -143,22 +142,28 @@ def choose_for_march(spring, first, size, end):
 
 
 @jit
-def piece_of(spring, first, expected):
-    """Positive where a range expected is too wide for one piece, and where to end the first one."""
-    zero, (size, end) = splat(0.0), (expected.size, expected.end)
-    near_end, narrowness = constant_of(spring, first + NEAR_END), constant_of(spring, first + NARROWNESS)
+def excess_of(spring, first, expected):
+    """Positive where a range expected is too wide for one piece."""
+    size, end = expected.size, expected.end
     low, high = where_less(size, end, size, end), larger(size, end)
     is_near, span, total = high - NEAR * low, high - low, high + low
-    excess = narrowness * high * (span * span) - total * total
-    excess = where_less(zero, is_near, high - near_end, excess)
-    excess = where_less(low, zero, splat(1.0), excess)
+    excess = constant_of(spring, first + NARROWNESS) * high * (span * span) - total * total
+    excess = where_less(splat(0.0), is_near, high - constant_of(spring, first + NEAR_END), excess)
+    return where_less(low, splat(0.0), splat(1.0), excess)
+
+
+@jit
+def good_end(spring, first, expected):
+    """Where to end the first piece of a range."""
+    size, end = expected.size, expected.end
+    near_end, narrowness = constant_of(spring, first + NEAR_END), constant_of(spring, first + NARROWNESS)
     r = square_root(1.0 / (narrowness * (2.0 * magnitude(size)) + 1e-300))
     r = where_less(r, splat(WIDEST), r, splat(WIDEST))
     ratio = (1.0 + r) / (1.0 - r)
     up = where_less(NEAR * size, near_end, near_end, size * ratio)
     up = where_less(up, end, up, end)
     down = where_less(near_end, size, size / ratio, -0.5 * magnitude(size) - SMALLEST[1])
-    return excess, where_less(size, end, up, larger(down, end))
+    return where_less(size, end, up, larger(down, end))
 
 
 @jit
@@ -176,11 +181,13 @@ def time_of(expected, target):
 def choose_for_piece(spring, first, expected):
     """Write the polynomial of the next piece, and until when it holds."""
     zero = splat(0.0)
-    left = constant_of(spring, first + LEFT)
-    excess, good = piece_of(spring, first, expected)
-    hold = left * time_of(expected, good)
-    write_constant(spring, first + HOLD, where_less(zero, excess, hold, splat(LONG)))
-    size, end = expected.size, where_less(zero, excess, good, expected.end)
+    size, end, hold = expected.size, expected.end, splat(LONG)
+    excess = excess_of(spring, first, expected)
+    if any_less(zero, excess):
+        good = good_end(spring, first, expected)
+        time = constant_of(spring, first + LEFT) * time_of(expected, good)
+        end, hold = where_less(zero, excess, good, end), where_less(zero, excess, time, hold)
+    write_constant(spring, first + HOLD, hold)
     low, high = where_less(size, end, size, end), larger(size, end)
     is_near, high = high - NEAR * low, larger(high, splat(SMALLEST[1]))
     middle = where_less(zero, is_near, (0.5 * BEYOND) * high, 0.5 * (low + high))
