@@ -46,9 +46,10 @@ class HystereticChain(Chain):
     of the peak, mostly 1e-8 (tests/simulators/test_hysteretic.py; `integration_error` estimates it). Without
     damping errors of phase add up, to 1e-6 after a dozen periods. One response of ten storeys under a record
     at 0.02 s costs about 0.5 microseconds for each spring and step with n = 1 or 2, 1 with another n; more
-    where the highest period is shorter than five steps. A population with n = 1 or 2 is integrated by Taylor
+    where the highest period is shorter than five steps. A population with n up to 6 is integrated by Taylor
     steps, several particles at once: its mean squares agree with those of single particles to some 1e-7,
-    at worst to some 1e-6 (tests/simulators/test_taylor.py). Springs with another n are integrated one
+    at worst to some 1e-6 of what the response itself has (tests/simulators/test_taylor.py). With n = 1 or 2
+    that costs a third to a half of what it does with another n. Springs with n above 6 are integrated one
     particle at a time.
 
     References

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.compiled.vector import LANES
@@ -45,7 +46,9 @@ def history(family, parameters, where, k):
     return KERNELS[family]["response"](*particle(parameters, k), *where)
 
 
+ANY = (1.0, 1.2, 1.5, 2.0, 3.3, 5.0)
 CASES = {  # chains, requests
+    "any sharpness": ({"sharpness": ANY}, {}),
     "acceleration": ({}, {}),
     "relative acceleration, ten masses": ({"n": 10}, {"n": 10, "n_times": 40, "quantity": 1}),
     "modal damping, coarse velocity": ({"modal": True}, {"stride": 3, "quantity": 2}),
@@ -103,7 +106,7 @@ def test_particles_that_taylor_steps_leave_to_others():
     changed[0][1, 0] = -1.0
     changed[1][2, 1] = np.nan
     changed[4][4, 4] = 0.9  # gamma above beta
-    changed[4][5, 2, 1] = 2.7
+    changed[4][5, 2, 1] = 7.3  # sharper than the recurrence serves
     changed[4][LANES, 0] = 1e-4  # yields at once, and far
     changed[4][LANES + 1, 0] = 1e-12
     kernels.PARTICLES.clear()
@@ -150,3 +153,35 @@ def test_steps_follow_the_motion(family):
     for k in range(len(errors)):
         expected = (history(family, parameters, where, k) ** 2).mean(axis=1)
         np.testing.assert_allclose(errors[k], expected, rtol=2e-6)
+
+
+def slope(t, y, chain, record, dt):
+    """Equations of motion of a chain with Bouc-Wen springs as they stand in its docstring."""
+    mass, stiffness, (alpha, beta), _, (reach, ratio, sharpness, b, gamma) = chain
+    u, v, z = y.reshape(3, -1)
+    drift, rate = np.diff(u, prepend=0.0), np.diff(v, prepend=0.0)
+    force = stiffness * (ratio * drift + (1.0 - ratio) * reach * z + beta * rate)
+    ground = np.interp(t, dt * np.arange(record.size), record)
+    acceleration = (np.append(force[1:], 0.0) - force) / mass - alpha * v - ground
+    losses = np.abs(z) ** sharpness * (gamma + b * np.sign(rate * z))
+    return np.concatenate([v, acceleration, rate / reach * (1.0 - losses)])
+
+
+@pytest.mark.parametrize("reach", [0.03, 0.001], ids=["hardly yielding", "strongly yielding"])
+def test_any_sharpness_beside_scipy(reach):
+    """A tight solution that knows of no kinks: Runge-Kutta steps of order eight, shortened across them."""
+    parameters, where = population("hysteretic", 2, p=4, sharpness=(1.2,)), shaken(2, n_times=30)
+    parameters[4][:, 0] = reach
+    parameters[4][:, 2] = np.array([1.05, 1.2, 1.5, 3.3])[:, None]
+    record, dt = where[:2]
+    n_times = record.size
+    sums = KERNELS["hysteretic"]["population_misfit"](*parameters, *where, np.zeros((1, n_times)))
+    for k in range(4):
+        chain, y, squares = particle(parameters, k), np.zeros(6), []
+        for i in range(n_times):
+            squares.append((slope(i * dt, y, chain, record, dt)[3] + record[i]) ** 2)  # the upper mass
+            if i < n_times - 1:
+                given = {"args": (chain, record, dt), "method": "DOP853", "rtol": 1e-10, "atol": 1e-12}
+                y = solve_ivp(slope, (i * dt, (i + 1) * dt), y, **given).y[:, -1]
+        np.testing.assert_allclose(sums[k, 0, 0], np.mean(squares), rtol=1e-6)
+        assert abs(abs(sums[k, 0, 3]) - squares[-1] ** 0.5) < 2e-6 * max(squares) ** 0.5

@@ -17,9 +17,22 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import magnitude, splat, square_root, where_less
 from pymc_features.simulators.compiled.vector_math import logarithm, power
 from pymc_features.simulators.nonlinear.law import Functions, parameter, register, single
+from pymc_features.simulators.taylor.powers import (
+    COEFFICIENTS,
+    DEGREE,
+    HALF,
+    HOLD,
+    LEFT,
+    MIDDLE,
+    N_CONSTANTS,
+    WHOLE,
+    choose_polynomial,
+    power_constants,
+)
 from pymc_features.simulators.taylor.series import (
     RATE,
     Group,
+    Pieces,
     Series,
     Z,
     coefficient,
@@ -31,6 +44,7 @@ from pymc_features.simulators.taylor.series import (
 )
 
 YIELD_DISPLACEMENT, RATIO, SHARPNESS, BETA, GAMMA = range(5)
+SHARPEST = 6.0  # n of springs that take Taylor steps
 
 
 class BoucWen(NamedTuple):
@@ -104,6 +118,7 @@ def has_kinks(law):
 
 
 # Taylor series, for n = 1 and 2: z' = d' (1 - w) / d_y with w = loss |z|^n = a z + b z^2
+ORDER = 6
 LOSSES = 2  # series of w
 ELASTIC, HYSTERETIC, PER_YIELD, LOADING, UNLOADING, POWER, BY_Z, BY_SQUARE = range(8)
 
@@ -158,20 +173,103 @@ def tangent(spring, z):
     return tangents(spring, z * (constant_of(spring, BY_Z) + constant_of(spring, BY_SQUARE) * z))
 
 
-def serves(values):
-    """Whether n is 1 or 2, and the other parameters lie in their ranges."""
-    reach, ratio, sharpness, beta, gamma = values
+# and for any n: |z|^n by a polynomial over the range of each step (`powers.py`), w = loss sum_k c_k y^k
+DISTANCES, REST = LOSSES + 1, LOSSES + 2  # series of y^2, and of c_2 + c_3 y + c_4 y^2
+LOSS, SIGN, POWER_OF_Z = range(POWER, POWER + 3)  # constants; the last of them begins those of `powers.py`
+
+
+def constants_any(stiffness, values):
+    """Those above, those of a branch, and those of the power."""
+    *usual, sharpness = constants(stiffness, values)
+    return [*usual, 0.0 * sharpness, 0.0 * sharpness, *power_constants(sharpness)]
+
+
+def branch_any(spring, loading, sign):
+    """Loss and sign of z."""
+    write_constant(spring, LOSS, loss_of(spring, loading))
+    write_constant(spring, SIGN, sign)
+
+
+@jit
+def begin_any(spring, rate):
+    """Choose the polynomial, and write the coefficients 0 of the losses and 1 of z."""
+    left = constant_of(spring, POWER_OF_Z + LEFT)
+    drift = splat(0.0)
+    for k in range(ORDER, -1, -1):
+        drift = (drift + coefficient(spring, RATE, k) * splat(1.0 / (k + 1))) * left
+    rates = coefficient(spring, RATE, 0), rate, drift
+    sign, loss = constant_of(spring, SIGN), constant_of(spring, LOSS)
+    size = sign * coefficient(spring, Z, 0)
+    nearly = loss * size * size
+    nearly = where_less(nearly, splat(1.0), nearly, splat(1.0))
+    slope = sign * (constant_of(spring, PER_YIELD) * (1.0 - nearly))
+    choose_polynomial(spring, POWER_OF_Z, size, slope, rates)
+    c = POWER_OF_Z + COEFFICIENTS
+    y = size - constant_of(spring, POWER_OF_Z + MIDDLE)
+    squared = y * y
+    rest = constant_of(spring, c + 2) + constant_of(spring, c + 3) * y + constant_of(spring, c + 4) * squared
+    losses = loss * (constant_of(spring, c) + constant_of(spring, c + 1) * y + squared * rest)
+    write_coefficient(spring, DISTANCES, 0, squared)
+    write_coefficient(spring, REST, 0, rest)
+    advance(spring, 0, rate, rates[0], losses)
+
+
+def expand_any(spring, k, drift, rate):
+    """w_k = loss (c_1 y_k + (y^2 (c_2 + c_3 y + c_4 y^2))_k)."""
+    if k == 0:  # the polynomial is chosen when one more drift rate is known
+        write_coefficient(spring, RATE, 0, rate)
+        z = coefficient(spring, Z, 0)
+        return constant_of(spring, ELASTIC) * drift + constant_of(spring, HYSTERETIC) * z
+    if k == 1:
+        begin_any(spring, rate)
+    c = POWER_OF_Z + COEFFICIENTS
+    y = constant_of(spring, SIGN) * coefficient(spring, Z, k)
+    squared = square(spring, Z, k) - 2.0 * (constant_of(spring, POWER_OF_Z + MIDDLE) * y)
+    rest = constant_of(spring, c + 3) * y + constant_of(spring, c + 4) * squared
+    write_coefficient(spring, DISTANCES, k, squared)
+    write_coefficient(spring, REST, k, rest)
+    losses = constant_of(spring, c + 1) * y + product(spring, DISTANCES, REST, k)
+    return advance(spring, k, drift, rate, constant_of(spring, LOSS) * losses)
+
+
+def tangent_any(spring, z):
+    """By the polynomial of the step."""
+    c = POWER_OF_Z + COEFFICIENTS
+    y = constant_of(spring, SIGN) * z - constant_of(spring, POWER_OF_Z + MIDDLE)
+    losses = constant_of(spring, c + DEGREE)
+    for k in range(DEGREE - 1, -1, -1):
+        losses = losses * y + constant_of(spring, c + k)
+    return tangents(spring, constant_of(spring, LOSS) * losses)
+
+
+def in_range(values):
+    """Whether all but n lie in their ranges."""
+    reach, ratio, _, beta, gamma = values
     springs = (reach > 0.0) & (reach < np.inf) & (ratio >= 0.0) & (ratio <= 1.0)
     loops = (beta > 0.0) & (beta < np.inf) & (gamma >= 0.0) & (gamma <= beta)
-    return springs & loops & np.isin(sharpness, (1.0, 2.0))
+    return springs & loops
+
+
+def serves(values):
+    """Whether n is 1 or 2, and the other parameters lie in their ranges."""
+    return in_range(values) & np.isin(values[SHARPNESS], (1.0, 2.0))
+
+
+def serves_any(values):
+    """Whether n is at most `SHARPEST`, and the parameters lie in their ranges."""
+    return in_range(values) & (values[SHARPNESS] >= 1.0) & (values[SHARPNESS] <= SHARPEST)
 
 
 class OneOrTwo(Group):
     """Chains in lanes whose springs have n = 1 or 2."""
 
 
+class AnySharpness(Group):
+    """Chains in lanes whose springs have any n in the range of `serves_any`."""
+
+
 SQUARES = Series(
-    order=6,
+    order=ORDER,
     tolerance=4e-7,
     n_series=3,
     n_constants=8,
@@ -181,5 +279,17 @@ SQUARES = Series(
     branch=branch,
     tangent=tangent,
 )
-SERIES = {OneOrTwo: SQUARES}
+POWERS = Series(
+    order=ORDER,
+    tolerance=4e-7,
+    n_series=5,
+    n_constants=POWER_OF_Z + N_CONSTANTS,
+    serves=serves_any,
+    constants=constants_any,
+    expand=expand_any,
+    branch=branch_any,
+    tangent=tangent_any,
+    pieces=Pieces(*(POWER_OF_Z + c for c in (LEFT, WHOLE, HOLD, MIDDLE, HALF)), SIGN),
+)
+SERIES = {OneOrTwo: SQUARES, AnySharpness: POWERS}
 register(BoucWen, Functions(5, spring, partials, step_rate, is_admissible, has_kinks, SERIES))

@@ -133,11 +133,12 @@ def population_statistics(law, problem, observed) -> np.ndarray:
     parameters, count = problem.parameters, n_particles(problem.parameters)
     result = np.empty((count, problem.wanted.sensors.size, 4))
     left = np.ones(count, dtype=bool)
-    usual = is_linear_chain(parameters) & left
+    untried = is_linear_chain(parameters) & left
     for group, series in LAWS[law].series.items():
         serves = series.serves(parameters.law.swapaxes(0, 1)).all(axis=-1)
-        members = np.flatnonzero(left & usual & serves)
+        members = np.flatnonzero(untried & serves)
         if members.size:
+            untried[members] = False
             lanes = Lanes(group, series, problem.n, len(observed), bool(parameters.ratios.any()))
             given = problem.excitation, problem.wanted, observed
             lost = march_population(march_kernel, lanes, parameters, members, given, result)

@@ -13,12 +13,15 @@ J1 ... J4, the masses i and i - 1 have the changes of velocity and displacement
 
 and these change the forces of springs i - 1, i and i + 1 through their tangents, which gives J3 and J4. What
 is left is of the order of the sixth power of the step, as is the error of the series.
+
+Of some laws the series of z is not always good over a whole step (`powers.py`). Such springs go into the
+batch as well: their z is expanded anew at the beginning of the step, and wherever a series ceases to be good.
 """
 
 from functools import cache
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, splat, where_less
+from pymc_features.simulators.compiled.vector import LANES, magnitude, splat, where_less
 from pymc_features.simulators.compiled.vector_memory import (
     any_less,
     read_lanes,
@@ -38,9 +41,10 @@ from pymc_features.simulators.taylor.layout import (
     layout_of,
 )
 from pymc_features.simulators.taylor.polynomials import polynomials_of
-from pymc_features.simulators.taylor.series import RATE, Spring, Z
+from pymc_features.simulators.taylor.series import RATE, Spring, Z, constant_of, write_constant
 
 MAX_KINKS = 4  # of one spring in one step
+MAX_PIECES = 24  # and where a series is put together of several
 # Entries of a batch behind its record: drift rate at the end, address and record of each pair, and its lane
 RATE_END, OWNER, PLACE, LANE = range(4)
 N_BATCH_ENTRIES = 4
@@ -83,6 +87,13 @@ def turn_of(series):
     shift, root, dip = polynomials_of(order)
     expand_again = expansion_of(series, 0)
     rates, zs, old, more = length * (1 + RATE), length * (1 + Z), record, record + length
+    pieces = series.pieces
+    most = MAX_KINKS if pieces is None else MAX_PIECES
+
+    @jit
+    def until(spring):
+        """Until when the series of a spring is good."""
+        return splat(2.0) if pieces is None else constant_of(spring, pieces.hold)
 
     @jit
     def add_moments(batch, hit, left):
@@ -109,6 +120,26 @@ def turn_of(series):
             at += 1
 
     @jit
+    def renew(batch, spring, hit, left):
+        """Expand z of the pairs that are hit anew."""
+        for k in range(length):
+            write_lanes(batch, old + k, read_lanes(batch, zs + k))
+        if pieces is not None:
+            write_constant(spring, pieces.left, left)
+        expand_again(spring)
+        add_moments(batch, hit, left)
+
+    @jit
+    def reached(batch, spring, left):
+        """z where its series ceases to be good, or at the end, and when that is."""
+        ends = until(spring)
+        ends = where_less(ends, left, ends, left)
+        z = read_lanes(batch, zs + order)
+        for k in range(order - 1, -1, -1):
+            z = z * ends + read_lanes(batch, zs + k)
+        return z, ends
+
+    @jit
     def turn(batch, count):
         """Correct the first `count` pairs; what a spring has beyond `MAX_KINKS` is left to the next step."""
         zero, one = splat(0.0), splat(1.0)
@@ -120,7 +151,7 @@ def turn_of(series):
         z_end, rate_end = read_lanes(batch, entries + Z_END), read_lanes(batch, more + RATE_END)
         rate_sign, z_sign = read_lanes(batch, entries + RATE_SIGN), read_lanes(batch, entries + Z_SIGN)
         spring = Spring(batch, length, length, constants)
-        done, reach, low, z_now = zero, one, rate_end, z_end
+        done, reach, low, z_now, reach_z = zero, one, rate_end, z_end, one
         back = where_less(rate_end * rate_sign, zero, one, zero)
         cross = where_less(z_end * z_sign, zero, one, zero)
         start = read_lanes(batch, rates) + read_lanes(batch, rates + 1)
@@ -132,7 +163,16 @@ def turn_of(series):
             low = where_less(zero, dips, value, low)
             back = back + dips
         hit = where_less(zero, back + cross, one, zero)
-        for _ in range(MAX_KINKS):
+        if pieces is not None:
+            write_constant(spring, pieces.whole, zero)
+            again = where_less(until(spring), one, one, zero)
+            if any_less(zero, again):
+                renew(batch, spring, again, one)
+                z_now, reach_z = reached(batch, spring, one)
+                cross = where_less(z_now * z_sign, zero, one, zero)
+                ends = again * where_less(until(spring), one, one, zero)
+                hit = where_less(zero, back + cross + ends, one, zero)
+        for _ in range(most):
             if not any_less(zero, hit):
                 break
             left = one - done
@@ -143,26 +183,31 @@ def turn_of(series):
                 x = where_less(zero, back, where_less(r, x, r, x), x)
                 turns = back
             if any_less(zero, cross):
-                r = root(batch, zs, z_sign * cross, z_now, left)
+                r = root(batch, zs, z_sign * cross, z_now, reach_z)
                 first = cross * where_less(r, x, one, zero)
                 x = where_less(zero, first, r, x)
                 turns = turns * (one - first)
+            kink = hit
+            if pieces is not None:
+                ends = until(spring)
+                kink = where_less(ends, x, zero, hit)
+                x = where_less(ends, x, ends, x)
             x = where_less(zero, hit, x, zero)
             shift(batch, rates, zs, x)
             done = done + x
             left = one - done
-            rate_sign = where_less(zero, hit * turns, zero - rate_sign, rate_sign)
-            z_sign = where_less(zero, hit * (one - turns), zero - z_sign, z_sign)
+            rate_sign = where_less(zero, kink * turns, zero - rate_sign, rate_sign)
+            z_sign = where_less(zero, kink * (one - turns), zero - z_sign, z_sign)
             branch(spring, rate_sign * z_sign, z_sign)
-            for k in range(length):
-                write_lanes(batch, old + k, read_lanes(batch, zs + k))
-            expand_again(spring)
-            add_moments(batch, hit, left)
-            z_now = z_end + read_lanes(batch, entries + CHANGE)
+            renew(batch, spring, hit, left)
+            z_now, reach_z = z_end + read_lanes(batch, entries + CHANGE), left
+            if pieces is not None:
+                z_now, reach_z = reached(batch, spring, left)
             dips, low = zero, rate_end
             back = hit * where_less(rate_end * rate_sign, zero, one, zero)
             cross = hit * where_less(z_now * z_sign, zero, one, zero)
-            hit = where_less(zero, back + cross, one, zero)
+            ends = hit * where_less(until(spring), left, one, zero)
+            hit = where_less(zero, back + cross + ends, one, zero)
         write_lanes(batch, entries + RATE_SIGN, rate_sign)
         write_lanes(batch, entries + Z_SIGN, z_sign)
         by_z = tangent(spring, z_end)[2]
@@ -187,8 +232,8 @@ def turn_of(series):
 @cache
 def search_of(series):
     """Return the function that finds the springs with kinks in a group, and fills batches with them."""
-    length, record, entries, _ = layout_of(series)
-    turn = turn_of(series)
+    length, record, entries, constants = layout_of(series)
+    turn, pieces = turn_of(series), series.pieces
     rates, more, flags = length * (1 + RATE), record + length, record + length + N_BATCH_ENTRIES
 
     @jit
@@ -217,6 +262,14 @@ def search_of(series):
             start = read_lanes(address, here + rates) + read_lanes(address, here + rates + 1)
             start = start * rate_sign
             lowest = where_less(start, lowest, start, lowest)
+            if pieces is not None:
+                spring = Spring(address, here + length, length, here + constants)
+                away = constant_of(spring, pieces.sign) * read_lanes(address, at + Z_END)
+                away = magnitude(away - constant_of(spring, pieces.middle))
+                hold = constant_of(spring, pieces.hold)
+                hold = where_less(constant_of(spring, pieces.half), away, zero, hold)
+                write_constant(spring, pieces.hold, hold)
+                lowest = where_less(hold, splat(1.0), splat(-1.0), lowest)
             has_kink = any_less(lowest, zero)
             write_number(address, (at + HAS_KINK) * LANES, 1.0 if has_kink else 0.0)
             if has_kink:

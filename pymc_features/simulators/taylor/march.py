@@ -3,8 +3,9 @@
 All chains of a march take the same steps, so many to a step of the recursion as the last coefficients say:
 with the largest, |V_P|, and the largest acceleration A of its mass so far, a step is accurate where
 |V_P| / (H^2 A) is below the tolerance of the recurrence. The ratio grows as H^(P - 1). Where it has been
-exceeded by far the steps are taken once more, shorter. A chain that asks for more than `MAX_STEPS` is lost:
-NaN, and left to others.
+exceeded by far the steps are taken once more, shorter. Their number falls by a third at most at a time: while
+a spring flows the coefficients are small, but long steps would not be stable. A chain that asks for more than
+`MAX_STEPS` is lost: NaN, and left to others.
 """
 
 from functools import cache
@@ -75,8 +76,13 @@ def group_of(series):
 
     @jit
     def copy(group, back):
-        """Keep u, H v, z and the signs of all springs, or bring them back."""
+        """Keep the largest acceleration, and u, H v, z and the signs of all springs, or bring them back."""
         address, kept, _, n = group
+        peak = (n + 1) * record + PEAK
+        if back:
+            write_lanes(address, peak, read_lanes(kept, 0))
+        else:
+            write_lanes(kept, 0, read_lanes(address, peak))
         for i in range(1, n + 1):
             here = i * record
             places = (here, here + entries + U)
@@ -144,6 +150,7 @@ def march_of(series):
         scale = splat(tolerance * step * step) * read_lanes(address, end + PEAK) + 1e-300
         ratio = read_lanes(address, end + LAST) / scale
         ratio = larger(ratio, read_lanes(address, end + LAST_Z) * splat(1.0 / LARGEST_Z))
+        ratio = where_less(ratio, splat(HUGE), ratio, splat(0.5 * HUGE))  # steps not finite are repeated too
         lost = where_less(ratio, splat(most), read_lanes(address, end + LOST), splat(1.0))
         write_lanes(address, end + LOST, lost)
         write_lanes(address, end + LAST, splat(0.0))
@@ -204,8 +211,8 @@ def march_of(series):
                         advance(group, step, rise / count, batch)
                     steps += count
                     ratio = needed(group, step, HUGE if count < MAX_STEPS else TOO_FAR)
-                    better = int(np.ceil(count * max(ratio, 1e-12) ** (1.0 / (order - 1))))
-                    better = max(min(better, MAX_STEPS), 1)
+                    asked = np.ceil(count * max(ratio, 1e-12) ** (1.0 / (order - 1)))
+                    better = max(int(min(asked, MAX_STEPS)), (2 * count + 2) // 3)
                     repeat = ratio > TOO_FAR and better > count
                     if repeat:
                         copy(group, True)

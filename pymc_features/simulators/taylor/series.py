@@ -42,6 +42,21 @@ class Spring(NamedTuple):
     constants: int
 
 
+class Pieces(NamedTuple):
+    """Constants of springs whose series may be good for a part of a step only: see `powers.py`.
+
+    The time to the end of the step; 1 in a march and 0 in a batch of kinks; until when the series is good, 0
+    where it is not; the middle of the range of |z|, how far from it |z| may be at the end, and the sign of z.
+    """
+
+    left: int
+    whole: int
+    hold: int
+    middle: int
+    half: int
+    sign: int
+
+
 class Series(NamedTuple):
     """A recurrence of a law.
 
@@ -65,6 +80,8 @@ class Series(NamedTuple):
         where drift rate and z have one sign, `sign` is that of z.
     tangent : callable, optional
         (spring, z) -> df/dd and dz/dd of the branch, and df/dz at a given drift.
+    pieces : Pieces, optional
+        Where the series of z may have to be put together of several in one step.
     """
 
     order: int
@@ -76,6 +93,7 @@ class Series(NamedTuple):
     expand: Callable
     branch: Callable | None = None
     tangent: Callable | None = None
+    pieces: Pieces | None = None
 
 
 @jit
