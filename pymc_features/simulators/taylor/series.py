@@ -12,7 +12,7 @@ integrated by Runge-Kutta steps. In laws with kinks the first two series are the
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import splat
@@ -65,6 +65,8 @@ class Series(NamedTuple):
         where drift rate and z have one sign, `sign` is that of z.
     tangent : callable, optional
         (spring, z) -> df/dd and dz/dd of the branch, and df/dz at a given drift.
+    adjoint : Adjoint, optional
+        Of `adjoint/series.py`; without one gradients are by Runge-Kutta steps.
     """
 
     order: int
@@ -76,6 +78,7 @@ class Series(NamedTuple):
     expand: Callable
     branch: Callable | None = None
     tangent: Callable | None = None
+    adjoint: Any = None
 
 
 @jit
