@@ -12,6 +12,7 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, splat, where_less
 from pymc_features.simulators.compiled.vector_memory import (
     aligned,
+    prefetch,
     read_lanes,
     read_number,
     write_lanes,
@@ -21,7 +22,7 @@ from pymc_features.simulators.taylor.layout import RATE_SIGN, Z_SIGN, U, layout_
 from pymc_features.simulators.taylor.series import Z
 
 MAX_STEPS = 64  # of a step of the recursion
-ROOM = 1 << 26  # bytes of the steps of a tape
+ROOM = 1 << 28  # bytes of the steps of a tape
 # Numbers: segments so far, steps of the last one, steps to one of the recursion at the end; then those to each
 # step of the recursion, then the first such step of each segment
 SEGMENTS, STEPS, COUNT, COUNTS = range(4)
@@ -116,6 +117,13 @@ def tape_of(series):
             to += width
 
     @jit
+    def fetch(group, states, slot):
+        """Announce that a kept state will be restored; it has most often left the caches."""
+        size = group.n * width
+        for i in range(max(slot, 0) * size, max(slot + 1, 0) * size):
+            prefetch(states, i)
+
+    @jit
     def accept(group, tape, fine, count):
         """Note that `count` steps, behind those on the tape, led through step `fine` of the recursion."""
         steps, segments = int(read_number(tape.numbers, STEPS)), int(read_number(tape.numbers, SEGMENTS))
@@ -137,4 +145,4 @@ def tape_of(series):
             return 0
         return steps
 
-    return keep, restore, accept, first_free
+    return keep, (fetch, restore), accept, first_free

@@ -11,7 +11,7 @@ of the difference c of the new and the old series of z.
 
 from functools import cache
 
-from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.jit import jit, unrolled
 from pymc_features.simulators.compiled.vector import LANES, magnitude, splat, where_less
 from pymc_features.simulators.compiled.vector_memory import (
     read_lanes,
@@ -51,7 +51,7 @@ def bars_size(series) -> int:
 @cache
 def expansion_adjoint(series, k):
     """Return the function that carries bars of z back through an expansion, from order k down."""
-    expand, rest = jit(series.adjoint.expand), expansion_adjoint(series, k - 1) if k > 0 else None
+    expand, rest = unrolled(series.adjoint.expand), expansion_adjoint(series, k - 1) if k > 0 else None
 
     @jit
     def expansion(spring, bars):

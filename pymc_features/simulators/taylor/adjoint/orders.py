@@ -11,7 +11,7 @@ Bars of masses are those by ln(H^2/m_i), of dashpots by beta k_i / H, of `DRAG` 
 
 from functools import cache
 
-from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.jit import jit, unrolled
 from pymc_features.simulators.compiled.vector import splat
 from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
 from pymc_features.simulators.taylor.layout import (
@@ -77,7 +77,7 @@ def reverse_from(series, k):
     """
     length, record, entries, constants = layout_of(series)
     _, own, own_entries, own_constants = layout_of(bars_of(series))
-    expand, share, last = jit(series.adjoint.expand), 1.0 / (k + 1), 1.0 / max(k, 1)
+    expand, share, last = unrolled(series.adjoint.expand), 1.0 / (k + 1), 1.0 / max(k, 1)
     rest = reverse_from(series, k - 1) if k > 1 else None
     kinks, undamp = series.branch is not None, damping_adjoint(series, k)
 

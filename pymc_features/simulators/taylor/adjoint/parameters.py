@@ -1,8 +1,9 @@
 """From the bars of the numbers that a march works with to the gradient by the parameters of chains."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from pymc_features.simulators.taylor.layout import DASHPOT, DRAG, MOBILITY
 from pymc_features.simulators.taylor.population import modal_damping, modal_squares
 
 STEP = 1e-100  # of the complex step, which has no rounding error
@@ -54,24 +55,36 @@ def damping_gradient(mass, stiffness, ratios, bars):
     return by_mass, by_stiffness, by_ratios
 
 
-def parameter_gradients(lanes, memory, parameters, step):
-    """Gradient by the parameters of the chains in the lanes; `step` [s] is that of the first step of the march."""
+class ChainBars(NamedTuple):
+    """Bars of the numbers that a march works with, of particles p.
+
+    Attributes
+    ----------
+    mobility, dashpot : array (p, n)
+        By ln(1/m) at given forces of the springs, and by beta k.
+    alpha : array (p,)
+    constants : array (p, n, constants)
+        Of the law.
+    damping : array (p, n, n), or (p, 0, 0)
+        By M^-1 C of modal ratios.
+    """
+
+    mobility: np.ndarray
+    dashpot: np.ndarray
+    alpha: np.ndarray
+    constants: np.ndarray
+    damping: np.ndarray
+
+
+def parameter_gradients(series, parameters, bars):
+    """Gradient by the parameters of particles, rows for all of which are given."""
     mass, stiffness, rayleigh, ratios, values = parameters
-    bars, n = memory.bars, lanes.n
-    record, entries, constants = memory.layout.record, memory.layout.entries, memory.layout.constants
-    springs = bars[record : (n + 1) * record].reshape(n, record, -1)
-    by_mobility, by_dashpot = springs[:, entries + MOBILITY].T, springs[:, entries + DASHPOT].T / step
-    by_alpha = bars[(n + 1) * record + DRAG] * step
-    by_stiffness, by_law = constants_gradient(
-        lanes.series, stiffness, values, springs[:, constants:].transpose(2, 0, 1)
-    )
-    by_mass, by_ratios = -by_mobility / mass, np.full(stiffness.shape, np.nan)
-    if lanes.modal.size:
-        damping = memory.modal.reshape(n, n, -1).transpose(2, 0, 1) * step
+    by_stiffness, by_law = constants_gradient(series, stiffness, values, bars.constants)
+    by_mass, by_ratios = -bars.mobility / mass, np.full(mass.shape, np.nan)
+    if bars.damping.size:
         # what masses do to the springs' part of the accelerations, which are less by that of damping
-        by_mass += (damping * modal_damping(mass, stiffness, ratios)).sum(axis=2) / mass
-        more_mass, more_stiffness, by_ratios = damping_gradient(mass, stiffness, ratios, damping)
+        by_mass += (bars.damping * modal_damping(mass, stiffness, ratios)).sum(axis=2) / mass
+        more_mass, more_stiffness, by_ratios = damping_gradient(mass, stiffness, ratios, bars.damping)
         by_mass, by_stiffness = by_mass + more_mass, by_stiffness + more_stiffness
-    by_rayleigh = np.stack([by_alpha, (stiffness * by_dashpot).sum(axis=1)], axis=1)
-    by_stiffness = by_stiffness + rayleigh[:, 1:] * by_dashpot
-    return by_mass, by_stiffness, by_rayleigh, by_ratios, by_law
+    by_rayleigh = np.stack([bars.alpha, (stiffness * bars.dashpot).sum(axis=1)], axis=1)
+    return by_mass, by_stiffness + rayleigh[:, 1:] * bars.dashpot, by_rayleigh, by_ratios, by_law

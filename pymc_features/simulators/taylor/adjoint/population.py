@@ -3,7 +3,7 @@
 import numpy as np
 
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.taylor.adjoint.parameters import parameter_gradients
+from pymc_features.simulators.taylor.adjoint.parameters import ChainBars, parameter_gradients
 from pymc_features.simulators.taylor.adjoint.sweep import GradientLanes
 from pymc_features.simulators.taylor.population import groups_of, rows_of
 from pymc_features.simulators.taylor.tape import TapeMemory
@@ -27,7 +27,8 @@ def add_gradients(kernels, lanes, parameters, members, problem, weights, gradien
     excitation, wanted, observed = problem
     n_fine = (observed.shape[1] - 1) * excitation.stride
     tape = TapeMemory(lanes.series, lanes.n, n_fine, *observed.shape)
-    memory, lost = GradientLanes(lanes, len(observed), weights.shape[2]), []
+    memory = GradientLanes(lanes, len(observed), weights.shape[2])
+    lost, done, bars = [], [], []
     for own in groups_of(members):
         chains = rows_of(parameters, np.resize(own, LANES))
         tape.clear()
@@ -37,7 +38,13 @@ def add_gradients(kernels, lanes, parameters, members, problem, weights, gradien
             continue
         memory.clear(weights[np.resize(own, LANES)])
         count = sweep(lanes.group, memory.memory, tape.tape, excitation, wanted, observed)
-        found = parameter_gradients(lanes, memory, chains, excitation.dt / excitation.substeps / count)
+        step = excitation.dt / excitation.substeps / count
+        bars.append(ChainBars(*(x[: len(own)] for x in memory.take(step))))
+        done.append(own)
+    if done:
+        done = np.concatenate(done)
+        bars = ChainBars(*map(np.concatenate, zip(*bars, strict=True)))
+        found = parameter_gradients(lanes.series, rows_of(parameters, done), bars)
         for total, gradient in zip(gradients, found, strict=True):
-            np.add.at(total, own % len(total), gradient[: len(own)])
+            np.add.at(total, done % len(total), gradient)
     return np.concatenate(lost) if lost else members[:0]

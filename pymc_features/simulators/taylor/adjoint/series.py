@@ -12,7 +12,7 @@ is reached, all that depends on it is known. Bars lie in a memory of the layout 
 from collections.abc import Callable
 from typing import NamedTuple
 
-from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.jit import jit, unrolled
 from pymc_features.simulators.compiled.vector import splat
 from pymc_features.simulators.taylor.layout import add_lanes
 from pymc_features.simulators.taylor.series import coefficient
@@ -49,7 +49,7 @@ class Adjoint(NamedTuple):
     fixed: tuple[tuple[int, tuple[float, ...]], ...] = ()
 
 
-@jit
+@unrolled
 def correlation(bars, by, spring, of, k):
     """Sum of coefficient j of series `by` of the bars times coefficient j - k of series `of`, for j >= k."""
     total = splat(0.0)

@@ -25,9 +25,19 @@ from pymc_features.simulators.oscillators.arguments import (
 from pymc_features.simulators.taylor.adjoint.feedback import feedback_adjoint
 from pymc_features.simulators.taylor.adjoint.kinks import bars_size, turns_adjoint
 from pymc_features.simulators.taylor.adjoint.orders import bars_of, damping_bars, reverse_from, spread_of
+from pymc_features.simulators.taylor.adjoint.parameters import ChainBars
 from pymc_features.simulators.taylor.feedback import feedback_of
 from pymc_features.simulators.taylor.kinks import search_of, trace_size, turn_of
-from pymc_features.simulators.taylor.layout import DASHPOT, DRAG, V_END, U, add_lanes, group_size, layout_of
+from pymc_features.simulators.taylor.layout import (
+    DASHPOT,
+    DRAG,
+    MOBILITY,
+    V_END,
+    U,
+    add_lanes,
+    group_size,
+    layout_of,
+)
 from pymc_features.simulators.taylor.march import group_of
 from pymc_features.simulators.taylor.orders import finish_of, orders_from
 from pymc_features.simulators.taylor.tape import COUNT, COUNTS, SEGMENTS, STEPS, tape_of
@@ -66,7 +76,7 @@ def step_adjoint(series):
     others, finish, kinks = orders_from(series, 1), finish_of(series), series.branch is not None
     reverse, reverse_first = reverse_from(series, series.order - 1), reverse_from(series, 0)
     spread, collect = spread_of(series)
-    add_damping, restore = damping_bars(series), tape_of(series)[1]
+    add_damping, (fetch, restore) = damping_bars(series), tape_of(series)[1]
     if kinks:
         search, turn, unturn = search_of(series), turn_of(series), turns_adjoint(series)
         apply, _, choose_branches = feedback_of(series)
@@ -77,6 +87,7 @@ def step_adjoint(series):
         """Repeat the step that begins in a slot, and carry bars back from its end to order 1."""
         address, _, modal, n = group
         restore(group, states, slot)
+        fetch(group, states, slot - 1)
         if kinks:
             choose_branches(address, n)
         begin(group, step, ground)
@@ -150,7 +161,7 @@ def sweep_of(series):
     """Return the function that takes bars from the end of a march to its beginning."""
     start_group, rescale, _, begin, advance = group_of(series)
     _, own, entries, _ = layout_of(bars_of(series))
-    keep, restore, _, _ = tape_of(series)
+    keep, (_, restore), _, _ = tape_of(series)
     reverse_step, reverse_start, spread = step_adjoint(series)
     weigh = misfits_of(series)
 
@@ -238,7 +249,8 @@ class GradientLanes:
     """Memory of the gradient of a group of chains, beside that of the group."""
 
     def __init__(self, lanes, n_sensors, n_statistics):
-        series, n = lanes.series, lanes.n
+        series, self.n = lanes.series, lanes.n
+        n = self.n
         own = bars_of(series)
         self.layout = layout_of(own)
         self.bars = aligned(group_size(own, n) * LANES).reshape(-1, LANES)
@@ -250,6 +262,20 @@ class GradientLanes:
         self.weights = aligned(n_sensors * n_statistics * LANES).reshape(n_sensors, n_statistics, LANES)
         memories = self.bars, self.modal, lanes.batch, self.batch, self.trace, self.before, self.weights
         self.memory = Bars(*(m.ctypes.data for m in memories), n_statistics)
+
+    def take(self, step) -> ChainBars:
+        """What a sweep has found, with the step [s] that its first sample had."""
+        n, layout = self.n, self.layout
+        springs = self.bars[layout.record : (n + 1) * layout.record].reshape(n, layout.record, LANES)
+        entries, modal = springs[:, layout.entries :], self.modal.reshape(-1, LANES)
+        side = n if len(modal) else 0
+        return ChainBars(
+            entries[:, MOBILITY].T.copy(),
+            entries[:, DASHPOT].T / step,
+            self.bars[(n + 1) * layout.record + DRAG] * step,
+            springs[:, layout.constants :].transpose(2, 0, 1).copy(),
+            modal.reshape(side, side, LANES).transpose(2, 0, 1) * step,
+        )
 
     def clear(self, weights):
         """Begin a sweep with weights (p, s, q), one particle in each lane."""
