@@ -73,6 +73,18 @@ def prefetch(typingctx, address, index):
     return types.none(types.intp, types.intp), codegen
 
 
+@intrinsic
+def stream_lanes(typingctx, address, index, value):
+    """Write a vector past the caches: it will not be read soon. The address is one of `aligned`."""
+
+    def codegen(context, builder, signature, args):
+        store = builder.store(args[2], _pointer(builder, *args[:2], VECTOR, 8 * LANES), align=8 * LANES)
+        store.set_metadata("nontemporal", builder.module.add_metadata([ir.Constant(_SHORT, 1)]))
+        return context.get_dummy_value()
+
+    return types.none(types.intp, types.intp, LANES_TYPE), codegen
+
+
 def _shift(first):
     """Return an intrinsic for `LANES` numbers out of two vectors in a row, from number `first` on."""
 

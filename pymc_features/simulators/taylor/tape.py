@@ -12,9 +12,9 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, splat, where_less
 from pymc_features.simulators.compiled.vector_memory import (
     aligned,
-    prefetch,
     read_lanes,
     read_number,
+    stream_lanes,
     write_lanes,
     write_number,
 )
@@ -90,13 +90,13 @@ def tape_of(series):
         to = slot * n * width
         for i in range(1, n + 1):
             here = i * record
-            write_lanes(states, to, read_lanes(address, here))
-            write_lanes(states, to + 1, read_lanes(address, here + entries + U))
+            stream_lanes(states, to, read_lanes(address, here))
+            stream_lanes(states, to + 1, read_lanes(address, here + entries + U))
             if kinks:
                 signs = 2.0 * read_lanes(address, here + entries + RATE_SIGN)
                 signs = signs + read_lanes(address, here + entries + Z_SIGN)
-                write_lanes(states, to + 2, read_lanes(address, here + z_first))
-                write_lanes(states, to + 3, signs)
+                stream_lanes(states, to + 2, read_lanes(address, here + z_first))
+                stream_lanes(states, to + 3, signs)
             to += width
 
     @jit
@@ -115,13 +115,6 @@ def tape_of(series):
                 write_lanes(address, here + entries + RATE_SIGN, rate_sign)
                 write_lanes(address, here + entries + Z_SIGN, signs - 2.0 * rate_sign)
             to += width
-
-    @jit
-    def fetch(group, states, slot):
-        """Announce that a kept state will be restored; it has most often left the caches."""
-        size = group.n * width
-        for i in range(max(slot, 0) * size, max(slot + 1, 0) * size):
-            prefetch(states, i)
 
     @jit
     def accept(group, tape, fine, count):
@@ -145,4 +138,4 @@ def tape_of(series):
             return 0
         return steps
 
-    return keep, (fetch, restore), accept, first_free
+    return keep, restore, accept, first_free

@@ -13,7 +13,7 @@ from functools import cache
 
 from pymc_features.simulators.compiled.jit import jit, unrolled
 from pymc_features.simulators.compiled.vector import splat
-from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
+from pymc_features.simulators.compiled.vector_memory import prefetch, read_lanes, write_lanes
 from pymc_features.simulators.taylor.layout import (
     DASHPOT,
     DRAG,
@@ -27,6 +27,7 @@ from pymc_features.simulators.taylor.layout import (
     layout_of,
 )
 from pymc_features.simulators.taylor.series import RATE, Spring, Z
+from pymc_features.simulators.taylor.tape import width_of
 
 
 def bars_of(series):
@@ -73,23 +74,26 @@ def damping_bars(series):
 def reverse_from(series, k):
     """Return the function that carries bars back over order k; for k > 1 over those below it as well, to 1.
 
-    `push` is that of order 0 or 1.
+    `push` is that of order 0 or 1; `ahead` is the address of the state that is restored next, which has most often
+    left the caches.
     """
     length, record, entries, constants = layout_of(series)
     _, own, own_entries, own_constants = layout_of(bars_of(series))
     expand, share, last = unrolled(series.adjoint.expand), 1.0 / (k + 1), 1.0 / max(k, 1)
     rest = reverse_from(series, k - 1) if k > 1 else None
-    kinks, undamp = series.branch is not None, damping_adjoint(series, k)
+    kinks, undamp, width = series.branch is not None, damping_adjoint(series, k), width_of(series)
 
     @jit
-    def order(address, bars, modal, n, push):
+    def order(address, bars, modal, n, push, ahead):
         drag = read_lanes(address, (n + 1) * record + DRAG)
         here, there = n * record, n * own
         bar = read_lanes(bars, there + k + 1) * share
         pull = read_lanes(address, here + entries + MOBILITY) * bar
         v, load = read_lanes(address, here + k), splat(push if k <= 1 else 0.0)
         upper_rate = upper_drift = drag_bar = splat(0.0)
-        for _ in range(n):
+        for i in range(n, 0, -1):
+            if 0 < k <= width:
+                prefetch(ahead, (i - 1) * width + k - 1)
             lower = here - record
             v_lower = read_lanes(address, lower + k)
             bar_lower = read_lanes(bars, there - own + k + 1) * share
@@ -120,7 +124,7 @@ def reverse_from(series, k):
         if modal != 0:
             undamp(bars, modal, n)
         if rest is not None:
-            rest(address, bars, modal, n, push)
+            rest(address, bars, modal, n, push, ahead)
 
     return order
 

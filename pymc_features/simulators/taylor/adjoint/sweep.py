@@ -40,7 +40,7 @@ from pymc_features.simulators.taylor.layout import (
 )
 from pymc_features.simulators.taylor.march import group_of
 from pymc_features.simulators.taylor.orders import finish_of, orders_from
-from pymc_features.simulators.taylor.tape import COUNT, COUNTS, SEGMENTS, STEPS, tape_of
+from pymc_features.simulators.taylor.tape import COUNT, COUNTS, SEGMENTS, STEPS, tape_of, width_of
 
 
 class Bars(NamedTuple):
@@ -72,11 +72,11 @@ class Bars(NamedTuple):
 @cache
 def step_adjoint(series):
     """Return functions that repeat a step and carry bars back over it, but for order 0, and over that."""
-    _, _, _, begin, _ = group_of(series)
-    others, finish, kinks = orders_from(series, 1), finish_of(series), series.branch is not None
+    first, others = orders_from(series, 0), orders_from(series, 1)
+    width, finish, kinks = width_of(series), finish_of(series), series.branch is not None
     reverse, reverse_first = reverse_from(series, series.order - 1), reverse_from(series, 0)
     spread, collect = spread_of(series)
-    add_damping, (fetch, restore) = damping_bars(series), tape_of(series)[1]
+    add_damping, restore = damping_bars(series), tape_of(series)[1]
     if kinks:
         search, turn, unturn = search_of(series), turn_of(series), turns_adjoint(series)
         apply, _, choose_branches = feedback_of(series)
@@ -87,10 +87,9 @@ def step_adjoint(series):
         """Repeat the step that begins in a slot, and carry bars back from its end to order 1."""
         address, _, modal, n = group
         restore(group, states, slot)
-        fetch(group, states, slot - 1)
         if kinks:
             choose_branches(address, n)
-        begin(group, step, ground)
+        first(address, modal, n, step * step * ground)
         others(address, modal, n, step * step * rise)
         if kinks:
             finish(address, n)
@@ -106,13 +105,14 @@ def step_adjoint(series):
             choose_branches(address, n)
         else:
             spread(memory.bars, n)
-        reverse(address, memory.bars, modal, n, step * step * rise)
+        ahead = states + 8 * LANES * (max(slot - 1, 0) * n * width)
+        reverse(address, memory.bars, modal, n, step * step * rise, ahead)
 
     @jit
     def reverse_start(group, memory, step, ground):
         """Carry bars back over order 0 of a step."""
         address, _, modal, n = group
-        reverse_first(address, memory.bars, modal, n, step * step * ground)
+        reverse_first(address, memory.bars, modal, n, step * step * ground, 0)
         collect(address, memory.bars, n)
         if modal != 0:
             add_damping(address, memory.bars, memory.modal, n)
@@ -161,7 +161,7 @@ def sweep_of(series):
     """Return the function that takes bars from the end of a march to its beginning."""
     start_group, rescale, _, begin, advance = group_of(series)
     _, own, entries, _ = layout_of(bars_of(series))
-    keep, (_, restore), _, _ = tape_of(series)
+    keep, restore, _, _ = tape_of(series)
     reverse_step, reverse_start, spread = step_adjoint(series)
     weigh = misfits_of(series)
 
