@@ -167,7 +167,7 @@ def test_population_is_a_loop(family):
         np.testing.assert_allclose(sums[k], kernels["misfit"](*own, *where, observed), rtol=2e-6)
         np.testing.assert_array_equal(errors[k], sums[k, :, 0])
         alone = kernels["misfit_gradient"](*own, *where, observed, weights[k])
-        np.testing.assert_allclose(gradient[1][k], alone[1], rtol=1e-5)
+        np.testing.assert_allclose(gradient[1][k], alone[1], rtol=0, atol=1e-4 * np.abs(alone[1]).max())
         assert np.isnan(alone[1]).all() == np.isnan(sums[k]).all() == (k == 3)
         shared = shared + (0.0 if k == 3 else alone[4])
     assert np.isnan(gradient[4]).all()  # the sum over all
@@ -176,7 +176,9 @@ def test_population_is_a_loop(family):
     gradient = population_gradient(family, population, where, observed, weights[valid])
     computed = np.isfinite(gradient[4][0]).all(axis=-1)
     assert computed.sum() == len(computed) - (family == "hysteretic")  # all but the sharpness
-    np.testing.assert_allclose(gradient[4][0][computed], shared[computed], rtol=1e-5)
+    shared = shared[computed]
+    near = np.abs(gradient[4][0][computed] - shared) < 1e-4 * np.abs(shared).max(axis=-1, keepdims=True)
+    assert near.all()
 
 
 # --------------------------------------------------------------------------- derivatives

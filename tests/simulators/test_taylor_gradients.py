@@ -91,7 +91,7 @@ def test_gradient_is_that_of_the_march(family, case):
 
 @pytest.mark.parametrize("family", NAMES)
 def test_near_the_gradient_by_runge_kutta_steps(family):
-    """Of one particle, to 1e-6 of the largest derivative of its kind in the median, to 5e-4 in all.
+    """Of one particle, to 1e-5 of the largest derivative of its kind in the median, to 5e-4 in all.
 
     What is not computed is NaN.
     """
@@ -108,7 +108,7 @@ def test_near_the_gradient_by_runge_kutta_steps(family):
         for p, row in {(p, row) for p, _, row in entries(family, parameters)}:
             a, b = (g if p < 4 else g[row[1]] for g in (ours[p][k], theirs[p]))
             errors.append(np.abs(a - b).max() / np.abs(b).max())
-    assert np.median(errors) < 1e-6
+    assert np.median(errors) < 1e-5
     assert max(errors) < 5e-4
 
 
@@ -144,7 +144,7 @@ def test_a_short_tape(monkeypatch):
     ("row", "value", "by_taylor_steps"), [(0, 1e-12, 0), (SHARPNESS, 2.3, 0), (4, 0.9, 2)]
 )
 def test_particles_that_are_left_to_others(row, value, by_taylor_steps):
-    """One that is given up, with its neighbours; a sharpness that is sought; no structure: as one particle."""
+    """One that is given up, with its neighbours; a sharpness that is sought; no structure."""
     parameters, where = inside("hysteretic", population("hysteretic", p=3)), shaken(n_times=20)
     observed = noisy("hysteretic", parameters, where)
     weights = np.ones((3, len(observed), 1))

@@ -44,8 +44,8 @@ MAX_KINKS = 4  # of one spring in one step
 # Entries of a batch behind its record: drift rate at the end, address and record of each pair, and its lane
 RATE_END, OWNER, PLACE, LANE = range(4)
 N_BATCH_ENTRIES = 4
-# Entries of a trace behind each copy of a batch: where the kink is, from the kink before, and what is left of the
-# step behind it; 1 in lanes with a kink, and in those where the drift rate is zero there; the signs behind it;
+# Entries of a trace behind each copy of a batch: where the kink is, from the kink before, and what is left
+# of the step behind it; 1 in lanes with a kink, and where the drift rate is zero there; the signs behind it;
 # whether it is the first of the batch, and the number of pairs
 WHERE, LEFT, HIT, TURNS, RATE_SIGN_BEHIND, Z_SIGN_BEHIND, IS_FIRST, N_PAIRS = range(8)
 N_TRACE_ENTRIES = 8
@@ -126,7 +126,7 @@ def turn_of(series):
         """Add a copy of the batch, with some vectors more, to the trace (`adjoint/kinks.py`)."""
         number = int(read_number(trace, 0))
         at = TRACE_HEADER + number * turn_size
-        for i in range(size):
+        for i in range(length, more + N_BATCH_ENTRIES):
             write_lanes(trace, at + i, read_lanes(batch, i))
         for i in range(len(given)):
             write_lanes(trace, at + size + i, given[i])

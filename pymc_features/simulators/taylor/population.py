@@ -95,7 +95,7 @@ class Lanes:
             self.modal[:] = damping.transpose(1, 2, 0).reshape(-1, LANES)
 
     def march(self, march, chains, problem, tape):
-        """March chains, one in each lane, through a record; `problem` and `march` as of `march_population`."""
+        """March chains, one in each lane, through a record; see `march_population`."""
         excitation, wanted, observed = problem
         length = excitation.dt / excitation.substeps
         start = int(min(max(np.ceil(length * largest_rate(*chains[:4]).max() / FIRST_PHASE), 1), MAX_STEPS))

@@ -1,8 +1,8 @@
 """Where a group of chains was at the beginning of each step: its gradient goes back from there.
 
-A tape has room for `capacity` steps. Where a march takes more of them the tape is begun anew, as often as that is
-needed; the state at the beginning of every such segment is kept as well, so that the gradient can march through
-it once more. The number of steps to each step of the recursion is kept, and the misfits of the sensors.
+A tape has room for `capacity` steps. Where a march takes more of them the tape is begun anew, as often as
+needed; the state at the beginning of every such segment is kept as well, so that the gradient can march
+through it once more. Kept are also the number of steps to each step of the recursion, and the misfits of the sensors.
 """
 
 from functools import cache
@@ -22,9 +22,9 @@ from pymc_features.simulators.taylor.layout import RATE_SIGN, Z_SIGN, U, layout_
 from pymc_features.simulators.taylor.series import Z
 
 MAX_STEPS = 64  # of a step of the recursion
-ROOM = 1 << 28  # bytes of the steps of a tape
-# Numbers: segments so far, steps of the last one, steps to one of the recursion at the end; then those to each
-# step of the recursion, then the first such step of each segment
+ROOM = 1 << 28  # bytes of the steps of a tape: some 1,500 samples of 100 masses
+# Numbers: segments so far, steps of the last one, steps to one of the recursion at the end; then those to
+# each step of the recursion, then the first such step of each segment
 SEGMENTS, STEPS, COUNT, COUNTS = range(4)
 
 

@@ -33,7 +33,7 @@ def feedback_adjoint(series):
 
     @jit
     def unpush(address, bars, i, force_1, force_2):
-        """Bars of the two integrals of a force that pushes both ends of spring i; add to those of the masses."""
+        """Bars of both integrals of a force that pushes the ends of spring i; add to those of the masses."""
         at, there = i * record + entries, i * own + own_entries
         up, down = read_lanes(address, at + MOBILITY), read_lanes(address, at + MOBILITY - record)
         v, v_below = read_lanes(bars, there + V_END), read_lanes(bars, there + V_END - own)
@@ -76,7 +76,7 @@ def feedback_adjoint(series):
 
     @jit
     def unapply(address, bars, n, before):
-        """Carry the bars of the end of a step back to those before the changes; `before` is that of `apply`."""
+        """Carry the bars of a step's end back to those before the changes; `before` is that of `apply`."""
         drag = read_lanes(address, (n + 1) * record + DRAG)
         for i in range(n, 0, -1):
             at, there = i * record + entries, i * own + own_entries

@@ -1,8 +1,8 @@
 """The kinks of a step in reverse: what they push, and the expansions behind them.
 
-Where a kink is, x, follows from the polynomial g that is zero there: dx = -dg(x) / g'(x). Both branches agree in
-value and slope there, so that little comes through x. What comes before and after is linear in the series that
-a kink changes: their shift to x, the expansion on the new branch, and the moments
+Where a kink is, x, follows from the polynomial g that is zero there: dx = -dg(x) / g'(x). Both branches agree
+in value and slope there, so that little comes through x. The rest are the shift of the series to x, the
+expansion on the new branch, and the moments
 
     change_q = sum_k c_k left^(k+q) k! / (k+q)!,    d change_q / d left = change_q-1
 

@@ -1,7 +1,7 @@
 """The recurrence of the coefficients of a chain in reverse.
 
-With bars for derivatives of L, q_i = H^2/m_i Vbar_i,k+1 / (k + 1) and the forces' fbar_i = q_i-1 - q_i, the law
-gives the bars of drift and drift rate, Dbar_i and Rbar_i, and
+With bars for derivatives of L, q_i = H^2/m_i Vbar_i,k+1 / (k + 1) and the forces' fbar_i = q_i-1 - q_i, the
+law gives the bars of drift and drift rate, Dbar_i and Rbar_i, and
 
     Vbar_i,k   +=  Rbar_i - Rbar_i+1 + beta k_i / H (fbar_i - fbar_i+1) - alpha H Vbar_i,k+1 / (k + 1),
     Vbar_i,k-1 += (Dbar_i - Dbar_i+1) / k;    for k = 0 the displacements instead.
@@ -37,8 +37,8 @@ def bars_of(series):
 
 @cache
 def damping_adjoint(series, k):
-    """Return the function that adds, to the bars of coefficients k, what comes through damping by modal ratios."""
-    record, own, share = layout_of(series).record, layout_of(bars_of(series)).record, -1.0 / (k + 1)
+    """Return the function that adds to the bars of coefficients k what comes through modal ratios."""
+    own, share = layout_of(bars_of(series)).record, -1.0 / (k + 1)
 
     @jit
     def undamp(bars, modal, n):
@@ -53,7 +53,7 @@ def damping_adjoint(series, k):
 
 @cache
 def damping_bars(series):
-    """Return the function that adds to the bars of H M^-1 C, (n, n) vectors, at the end of a step's reverse."""
+    """Return the function that adds what a step gives to the bars of H M^-1 C, (n, n) vectors."""
     record, own, order = layout_of(series).record, layout_of(bars_of(series)).record, series.order
 
     @jit
@@ -74,8 +74,8 @@ def damping_bars(series):
 def reverse_from(series, k):
     """Return the function that carries bars back over order k; for k > 1 over those below it as well, to 1.
 
-    `push` is that of order 0 or 1; `ahead` is the address of the state that is restored next, which has most often
-    left the caches.
+    `push` is that of order 0 or 1; `ahead` is the address of the state that is restored next, which has most
+    often left the caches.
     """
     length, record, entries, constants = layout_of(series)
     _, own, own_entries, own_constants = layout_of(bars_of(series))
@@ -143,7 +143,7 @@ def spread_of(series):
 
     @jit
     def spread(bars, n):
-        """Give bars to all coefficients: H v and z of the end are their sums, u has grown by sum V_k / (k + 1)."""
+        """Give bars to all coefficients: H v and z end with their sums, u grows by sum V_k / (k + 1)."""
         for i in range(1, n + 1):
             here = i * own
             v, u = read_lanes(bars, here + entries + V_END), read_lanes(bars, here + entries + U)

@@ -28,8 +28,8 @@ def constants_gradient(series, stiffness, values, bars):
 def damping_gradient(mass, stiffness, ratios, bars):
     """Derivatives by masses, stiffnesses and ratios (p, n) of chains, from `bars` (p, n, n) of M^-1 C.
 
-    As `chain.modal_damping.add_damping_gradient`, with M^-1/2 K M^-1/2 = A and the symmetric S, its function with
-    eigenvectors Q: (M^-1 C)_ij = S_ij (m_j / m_i)^1/2.
+    As `chain.modal_damping.add_damping_gradient`: (M^-1 C)_ij = S_ij (m_j / m_i)^1/2, S a function of the
+    symmetric M^-1/2 K M^-1/2 with its eigenvectors.
     """
     roots = np.sqrt(mass)
     scale = roots[:, None, :] / roots[:, :, None]

@@ -10,7 +10,7 @@ from pymc_features.simulators.taylor.tape import TapeMemory
 
 
 def add_gradients(kernels, lanes, parameters, members, problem, weights, gradients):
-    """Add the gradients of particles; what all particles share gets the sum. Return those lost, with neighbours.
+    """Add the gradients of particles, sums where they share a row; return those lost, with neighbours.
 
     Parameters
     ----------

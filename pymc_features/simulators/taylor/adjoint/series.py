@@ -3,10 +3,12 @@
 Bars stand for derivatives of a scalar L by what the march computes. Coefficient k of a product depends on
 coefficient j of a factor by coefficient k - j of the other one, so that
 
-    p = x y  has  xbar_j = sum_{k >= j} pbar_k y_{k-j},    p = x^m  has  xbar_j = sum_{k >= j} pbar_k (m x^(m-1))_{k-j},
+    p = x y  has  xbar_j = sum_{k >= j} pbar_k y_{k-j},
+    p = x^m  has  xbar_j = sum_{k >= j} pbar_k (m x^{m-1})_{k-j},
 
-a `correlation`. The recurrence goes from order 0 up, its reverse from the highest order down; where coefficient k
-is reached, all that depends on it is known. Bars lie in a memory of the layout of the chains, with series of its own.
+a `correlation`. The recurrence goes from order 0 up, its reverse from the highest order down; where
+coefficient k is reached, all that depends on it is known. Bars lie in a memory of the layout of the chains,
+with series of their own.
 """
 
 from collections.abc import Callable
@@ -21,8 +23,8 @@ from pymc_features.simulators.taylor.series import coefficient
 class Adjoint(NamedTuple):
     """The derivatives of a recurrence (`Series`), transposed.
 
-    `spring` below has the series and constants of a spring, `bars` (a `Spring` as well) the derivatives of L by them;
-    in laws with kinks their first two series are those by drift rate and z, the others are the law's own.
+    `spring` below has the series and constants of a spring, `bars` (a `Spring` as well) the derivatives of L
+    by them; in laws with kinks their first two series are by drift rate and z, the others the law's own.
 
     Attributes
     ----------
@@ -30,14 +32,14 @@ class Adjoint(NamedTuple):
         Series of bars of each spring.
     expand : callable
         (spring, bars, k, drift, rate, force) -> bars of coefficients k of drift and drift rate, from that of
-        the `force`. It takes the bar of coefficient k + 1 of z, and adds to that of coefficient k and to those
-        of the constants.
+        the `force`. It takes the bar of coefficient k + 1 of z, and adds to that of coefficient k and to
+        those of the constants.
     branch : callable, optional
         (spring, bars, loading, sign) for laws with kinks: move the bars of the constants that `Series.branch`
         writes to those from which it does.
     tangent : callable, optional
-        (spring, bars, z, of_drift, z_of_drift, of_z) -> bar of z, from those of the results of `Series.tangent`;
-        adds to the bars of the constants.
+        (spring, bars, z, of_drift, z_of_drift, of_z) -> bar of z, from those of what `Series.tangent`
+        returns; adds to the bars of the constants.
     fixed : tuple of pairs
         Parameters of the law, by number, and the values that they can only have: their derivatives are NaN.
     """

@@ -1,8 +1,8 @@
 """Gradient of the statistics of the misfits of a group of chains: its march in reverse.
 
-It is the derivative of what the march computes, with the choices that it made: numbers of steps, branches, springs
-with kinks. From the last step to the first the state at its beginning is taken from the tape, the step is repeated,
-and the bars of its end become those of its beginning.
+It is the derivative of what the march computes, with the choices that it made: numbers of steps, branches,
+springs with kinks. From the last step to the first the state at its beginning is taken from the tape, the
+step is repeated, and the bars of its end become those of its beginning.
 """
 
 from functools import cache
@@ -206,7 +206,7 @@ def sweep_of(series):
 
     @jit
     def sweep(group, memory, tape, excitation, wanted, observed):
-        """Write the bars of a group, whose march has just ended; return the number of steps of the first sample."""
+        """Write the bars of a group that has just been marched; return the number of steps of its first."""
         acceleration, dt, substeps, stride = excitation
         length, total, n_fine = dt / substeps, observed.shape[1], tape.n_fine
         count = count_of_bars = int(read_number(tape.numbers, COUNT))
