@@ -18,7 +18,14 @@ from pymc_features.smc import population_logp
 SIZES = ((1, 10, 10), (10, 10, 10), (100, 100, 10), (100, 100, 100))
 SAMPLES = 1559
 PARTICLES = 200
-POPULATIONS = (("chain", 10), ("matrices", 10), ("Bouc-Wen", 10), ("chain", 40), ("matrices", 40))
+POPULATIONS = (
+    *(("chain", 10), ("matrices", 10), ("Bouc-Wen", 10), ("Duffing", 10)),
+    *(("chain", 40), ("matrices", 40), ("Bouc-Wen", 40), ("Duffing", 40)),
+)
+NONLINEAR = {
+    "Bouc-Wen": (pmf.HystereticChain, {"yield_displacement": 0.05, "post_yield_ratio": 0.1}),
+    "Duffing": (pmf.DuffingChain, {"cubic": 1e4}),
+}
 
 
 def problem(n_parameters, n_dof, n_sensors):
@@ -68,8 +75,7 @@ def structure(kind, n_dof, x):
         terms = [1800.0 * d.T @ d for d in (drifts[:half], drifts[half:])]
         nothing = np.zeros((n_dof, n_dof))
         return pmf.AffineStructure(mass, stiffness=nothing, damping=damping, stiffness_terms=terms, theta=x)
-    make = {"chain": pmf.SpringMassChain, "Bouc-Wen": pmf.HystereticChain}[kind]
-    more = {} if kind == "chain" else {"yield_displacement": 0.05, "post_yield_ratio": 0.1}
+    make, more = NONLINEAR.get(kind, (pmf.SpringMassChain, {}))
     return make(mass, x @ (1800.0 * np.repeat(np.eye(2), half, axis=1)), damping, **more)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pymc_features.simulators import QUANTITIES
-from pymc_features.simulators.linear import gradient
+from pymc_features.simulators.linear import system
 from support.kernels import linear_misfit_gradient, linear_population_gradient
 from support.linear import meeting, noise, spring_chain
 from support.reference import first_order_hold, interpolated
@@ -67,8 +67,8 @@ def error(case, thetas):
 @pytest.fixture
 def alone(monkeypatch):
     """Structures that went the slow way."""
-    found, solve = [], gradient.solve_system
-    monkeypatch.setattr(gradient, "solve_system", lambda a, **more: found.append(a) or solve(a, **more))
+    found, solve = [], system.solve_system
+    monkeypatch.setattr(system, "solve_system", lambda a, **more: found.append(a) or solve(a, **more))
     return found
 
 

@@ -148,7 +148,7 @@ def population_gradient(family, population, where, observed, weights):
 def test_population_is_a_loop(family):
     """Parameters with a row for each particle or one for all; one that is no chain does not affect others.
 
-    Values of a population are by Taylor steps, those of one particle and all gradients by Runge-Kutta steps.
+    Values and gradients of a population are by Taylor steps, those of one particle by Runge-Kutta steps.
     """
     kernels, where = KERNELS[family], settings(n_times=30)
     given = parameters(family)
@@ -167,14 +167,18 @@ def test_population_is_a_loop(family):
         np.testing.assert_allclose(sums[k], kernels["misfit"](*own, *where, observed), rtol=2e-6)
         np.testing.assert_array_equal(errors[k], sums[k, :, 0])
         alone = kernels["misfit_gradient"](*own, *where, observed, weights[k])
-        np.testing.assert_array_equal(gradient[1][k], alone[1])
+        np.testing.assert_allclose(gradient[1][k], alone[1], rtol=0, atol=1e-4 * np.abs(alone[1]).max())
         assert np.isnan(alone[1]).all() == np.isnan(sums[k]).all() == (k == 3)
         shared = shared + (0.0 if k == 3 else alone[4])
     assert np.isnan(gradient[4]).all()  # the sum over all
     valid = np.arange(5) != 3
     population = (*population[:1], population[1][valid], *population[2:])
     gradient = population_gradient(family, population, where, observed, weights[valid])
-    np.testing.assert_allclose(gradient[4][0], shared, rtol=1e-12)
+    computed = np.isfinite(gradient[4][0]).all(axis=-1)
+    assert computed.sum() == len(computed) - (family == "hysteretic")  # all but the sharpness
+    shared = shared[computed]
+    near = np.abs(gradient[4][0][computed] - shared) < 1e-4 * np.abs(shared).max(axis=-1, keepdims=True)
+    assert near.all()
 
 
 # --------------------------------------------------------------------------- derivatives

@@ -62,6 +62,12 @@ def jit(function):
     return Kernel(function, targetoptions=options)
 
 
+def unrolled(function):
+    """As `jit`, for a part that goes into its callers: loops are written out for known arguments."""
+    options = {"nopython": True, "fastmath": FASTMATH, "error_model": "numpy", "forceinline": True}
+    return Kernel(function, targetoptions=options)
+
+
 def inline(function):
     """Put a kernel's code into those that call it, and do not compile it by itself, which takes as long."""
     return njit(function, fastmath=FASTMATH, error_model="numpy", inline="always")

@@ -3,6 +3,7 @@
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 from pymc_features.simulators.compiled.vector import LANES, LANES_TYPE, VECTOR
@@ -55,6 +56,33 @@ def _memory_access(kind, numba_kind, size):
 
 read_number, write_number = _memory_access(ir.DoubleType(), types.float64, 8)
 read_lanes, write_lanes = _memory_access(VECTOR, LANES_TYPE, 8 * LANES)
+
+
+@intrinsic
+def prefetch(typingctx, address, index):
+    """Bring vector `index` into the first cache, for who will read it soon."""
+
+    def codegen(context, builder, signature, args):
+        byte = ir.IntType(8).as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [byte, _SHORT, _SHORT, _SHORT])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
+        pointer = builder.bitcast(_pointer(builder, *args, VECTOR, 8 * LANES), byte)
+        builder.call(function, [pointer, *(ir.Constant(_SHORT, x) for x in (0, 3, 1))])
+        return context.get_dummy_value()
+
+    return types.none(types.intp, types.intp), codegen
+
+
+@intrinsic
+def stream_lanes(typingctx, address, index, value):
+    """Write a vector past the caches: it will not be read soon. The address is one of `aligned`."""
+
+    def codegen(context, builder, signature, args):
+        store = builder.store(args[2], _pointer(builder, *args[:2], VECTOR, 8 * LANES), align=8 * LANES)
+        store.set_metadata("nontemporal", builder.module.add_metadata([ir.Constant(_SHORT, 1)]))
+        return context.get_dummy_value()
+
+    return types.none(types.intp, types.intp, LANES_TYPE), codegen
 
 
 def _shift(first):

@@ -17,6 +17,7 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import magnitude, splat, square_root, where_less
 from pymc_features.simulators.compiled.vector_math import logarithm, power
 from pymc_features.simulators.nonlinear.law import Functions, parameter, register, single
+from pymc_features.simulators.taylor.adjoint.series import Adjoint, add_coefficient, add_constant, correlation
 from pymc_features.simulators.taylor.powers import (
     COEFFICIENTS,
     DEGREE,
@@ -173,6 +174,52 @@ def tangent(spring, z):
     return tangents(spring, z * (constant_of(spring, BY_Z) + constant_of(spring, BY_SQUARE) * z))
 
 
+CHANGES, LOSSES_BAR = 2, 3  # series of bars: of (k + 1) z_k+1, and of w_k
+
+
+def reverse(spring, bars, k, drift, rate, force):
+    """z' = d' (1 - w) / d_y and w = a z + b z^2, transposed."""
+    z = coefficient(spring, Z, k)
+    change = coefficient(bars, Z, k + 1) * splat(1.0 / (k + 1))
+    write_coefficient(bars, CHANGES, k, change)
+    net = change - correlation(bars, CHANGES, spring, LOSSES, k)
+    losses = constant_of(spring, PER_YIELD) * (0.0 - correlation(bars, CHANGES, spring, RATE, k))
+    write_coefficient(bars, LOSSES_BAR, k, losses)
+    squares = correlation(bars, LOSSES_BAR, spring, Z, k)
+    of_z = constant_of(spring, BY_Z) * losses + 2.0 * (constant_of(spring, BY_SQUARE) * squares)
+    add_coefficient(bars, Z, k, of_z + constant_of(spring, HYSTERETIC) * force)
+    add_constant(bars, ELASTIC, force * drift)
+    add_constant(bars, HYSTERETIC, force * z)
+    add_constant(bars, PER_YIELD, rate * net)
+    add_constant(bars, BY_Z, losses * z)
+    add_constant(bars, BY_SQUARE, squares * z)
+    return constant_of(spring, ELASTIC) * force, constant_of(spring, PER_YIELD) * net
+
+
+def reverse_branch(spring, bars, loading, sign):
+    """To the loss of the branch, from a and b."""
+    zero, is_linear = splat(0.0), 2.0 - constant_of(spring, POWER)
+    loss = is_linear * (sign * constant_of(bars, BY_Z)) + (1.0 - is_linear) * constant_of(bars, BY_SQUARE)
+    add_constant(bars, LOADING, where_less(zero, loading, loss, zero))
+    add_constant(bars, UNLOADING, where_less(zero, loading, zero, loss))
+    write_constant(bars, BY_Z, zero)
+    write_constant(bars, BY_SQUARE, zero)
+
+
+def reverse_tangent(spring, bars, z, of_drift, z_of_drift, of_z):
+    """df/dd = a k + (1 - a) k d_y dz/dd, with dz/dd = (1 - w) / d_y."""
+    a, b = constant_of(spring, BY_Z), constant_of(spring, BY_SQUARE)
+    net = 1.0 - z * (a + b * z)
+    total = z_of_drift + constant_of(spring, HYSTERETIC) * of_drift
+    losses = constant_of(spring, PER_YIELD) * (0.0 - total)
+    add_constant(bars, ELASTIC, of_drift)
+    add_constant(bars, HYSTERETIC, of_drift * constant_of(spring, PER_YIELD) * net + of_z)
+    add_constant(bars, PER_YIELD, net * total)
+    add_constant(bars, BY_Z, losses * z)
+    add_constant(bars, BY_SQUARE, losses * z * z)
+    return losses * (a + 2.0 * (b * z))
+
+
 # and for any n: |z|^n by a polynomial over the range of each step (`powers.py`), w = loss sum_k c_k y^k
 DISTANCES, REST = LOSSES + 1, LOSSES + 2  # series of y^2, and of c_2 + c_3 y + c_4 y^2
 LOSS, SIGN, POWER_OF_Z = range(POWER, POWER + 3)  # constants; the last of them begins those of `powers.py`
@@ -278,6 +325,7 @@ SQUARES = Series(
     expand=expand,
     branch=branch,
     tangent=tangent,
+    adjoint=Adjoint(4, reverse, reverse_branch, reverse_tangent, fixed=((SHARPNESS, (1.0, 2.0)),)),
 )
 POWERS = Series(
     order=ORDER,

@@ -6,6 +6,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.vector import magnitude, splat, square_root
 from pymc_features.simulators.nonlinear.law import Functions, parameter, register, single
+from pymc_features.simulators.taylor.adjoint.series import Adjoint, add_constant, correlation
 from pymc_features.simulators.taylor.series import (
     Group,
     Series,
@@ -55,6 +56,7 @@ def has_kinks(law):
 
 STIFFNESS, COEFFICIENT = range(2)  # constants
 DRIFTS, SQUARES = range(2)  # series
+FORCES = 0  # series of bars
 
 
 def expand(spring, k, drift, rate):
@@ -63,6 +65,16 @@ def expand(spring, k, drift, rate):
     write_coefficient(spring, SQUARES, k, square(spring, DRIFTS, k))
     cube = product(spring, DRIFTS, SQUARES, k)
     return constant_of(spring, STIFFNESS) * drift + constant_of(spring, COEFFICIENT) * cube
+
+
+def reverse(spring, bars, k, drift, rate, force):
+    """With fbar: dbar_k = k fbar_k + 3 c sum_j fbar_j (d^2)_j-k, cbar = sum_jk fbar_j (d^2)_j-k d_k."""
+    write_coefficient(bars, FORCES, k, force)
+    by_cube = correlation(bars, FORCES, spring, SQUARES, k)
+    add_constant(bars, STIFFNESS, force * drift)
+    add_constant(bars, COEFFICIENT, by_cube * drift)
+    tangent = 3.0 * constant_of(spring, COEFFICIENT)
+    return constant_of(spring, STIFFNESS) * force + tangent * by_cube, splat(0.0)
 
 
 class CubicGroup(Group):
@@ -77,5 +89,6 @@ SERIES = Series(
     serves=lambda values: (values[0] >= 0.0) & (values[0] < np.inf),
     constants=lambda stiffness, values: [stiffness, values[0]],
     expand=expand,
+    adjoint=Adjoint(1, reverse),
 )
 register(Cubic, Functions(1, spring, partials, step_rate, is_admissible, has_kinks, {CubicGroup: SERIES}))

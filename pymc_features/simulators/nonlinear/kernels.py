@@ -20,10 +20,16 @@ from pymc_features.simulators.nonlinear.parameters import (
     n_particles,
     particle,
 )
-from pymc_features.simulators.nonlinear.response import history_kernel, march_kernel, misfit_kernel
+from pymc_features.simulators.nonlinear.response import (
+    history_kernel,
+    march_kernel,
+    misfit_kernel,
+    sweep_kernel,
+)
 from pymc_features.simulators.nonlinear.tape import Tape, record_size, tape_memory
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs, n_outputs
 from pymc_features.simulators.oscillators.misfit import measured_difference, weigh_history
+from pymc_features.simulators.taylor.adjoint.population import add_gradients
 from pymc_features.simulators.taylor.population import Lanes, is_linear_chain, march_population, rows_of
 
 PARTICLES = Counter()  # evaluated in populations by Taylor steps, by Runge-Kutta steps, and by both
@@ -125,6 +131,19 @@ def one_by_one(problem, parameters, observed) -> np.ndarray:
     return result
 
 
+def taylor_groups(law, problem):
+    """Recurrences of a law and the particles that each of them serves; what serves none is left to others."""
+    parameters = problem.parameters
+    left = np.ones(n_particles(parameters), dtype=bool) & is_linear_chain(parameters)
+    for group, series in LAWS[law].series.items():
+        members = left & series.serves(parameters.law.swapaxes(0, 1)).all(axis=-1)
+        if members.any():
+            has_modal_damping = bool(parameters.ratios.any())
+            lanes = Lanes(group, series, problem.n, problem.wanted.sensors.size, has_modal_damping)
+            yield lanes, np.flatnonzero(members)
+        left &= ~members
+
+
 def population_statistics(law, problem, observed) -> np.ndarray:
     """Statistics (p, s, 4) of particles by Taylor steps, vectors of particles, and of the others one by one.
 
@@ -133,25 +152,39 @@ def population_statistics(law, problem, observed) -> np.ndarray:
     parameters, count = problem.parameters, n_particles(problem.parameters)
     result = np.empty((count, problem.wanted.sensors.size, 4))
     left = np.ones(count, dtype=bool)
-    untried = is_linear_chain(parameters) & left
-    for group, series in LAWS[law].series.items():
-        serves = series.serves(parameters.law.swapaxes(0, 1)).all(axis=-1)
-        members = np.flatnonzero(untried & serves)
-        if members.size:
-            untried[members] = False
-            lanes = Lanes(group, series, problem.n, len(observed), bool(parameters.ratios.any()))
-            given = problem.excitation, problem.wanted, observed
-            lost = march_population(march_kernel, lanes, parameters, members, given, result)
-            left[members] = False
-            left[lost] = True
-            PARTICLES["taylor"] += members.size
-            PARTICLES["lost"] += lost.size
+    given = problem.excitation, problem.wanted, observed
+    for lanes, members in taylor_groups(law, problem):
+        lost = march_population(march_kernel, lanes, parameters, members, given, result)
+        left[members] = False
+        left[lost] = True
+        PARTICLES["taylor"] += members.size
+        PARTICLES["lost"] += lost.size
     others = np.flatnonzero(left)
     if others.size:
         rows = NonlinearParameters(*rows_of(parameters, others))
         result[others] = one_by_one(problem, rows, observed)
         PARTICLES["runge_kutta"] += others.size
     return result
+
+
+def add_taylor_gradients(law, problem, observed, weights, gradients) -> np.ndarray:
+    """Add the gradients of particles by Taylor steps; return the particles that are left to others."""
+    parameters, count = problem.parameters, n_particles(problem.parameters)
+    left = np.ones(count, dtype=bool)
+    given = problem.excitation, problem.wanted, observed
+    for lanes, members in taylor_groups(law, problem):
+        adjoint = lanes.series.adjoint
+        # a parameter that has other values in other particles is sought, and its derivative is wanted
+        if adjoint is None or not all(
+            np.isin(parameters.law[:, row], values).all() for row, values in adjoint.fixed
+        ):
+            continue
+        kernels = march_kernel, sweep_kernel
+        lost = add_gradients(kernels, lanes, parameters, members, given, weights, gradients)
+        left[members] = False
+        left[lost] = True
+        PARTICLES["taylor gradients"] += members.size - lost.size
+    return np.flatnonzero(left)
 
 
 def nonlinear_kernels(law) -> dict:
@@ -187,9 +220,12 @@ def nonlinear_kernels(law) -> dict:
                 f"got {weights.shape}."
             )
         gradients = NonlinearParameters(*(np.zeros(p.shape) for p in problem.parameters))
-        for k, own_weights in enumerate(weights):
+        others = range(1)
+        if len(weights) > 1:
+            others = add_taylor_gradients(law, problem, observed, weights, gradients)
+        for k in others:
 
-            def cotangent_of(response, c=own_weights):
+            def cotangent_of(response, c=weights[k]):
                 weigh_history(response, observed, c)
                 return response
 

@@ -3,7 +3,7 @@
 from functools import cache
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.compiled.vector import LANES, splat
 from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes
 from pymc_features.simulators.taylor.layout import (
     CHANGE,
@@ -39,7 +39,10 @@ def feedback_of(series):
 
     @jit
     def respond(address, here, share, kink):
-        """Let a spring follow a drift that is `share` times the force of a kink, integrated twice."""
+        """Let a spring follow a drift that is `share` times the force of a kink, integrated twice.
+
+        Returns z before that.
+        """
         at = here + entries
         j2 = read_lanes(address, kink + CHANGE + 2)
         j3, j4 = read_lanes(address, kink + CHANGE + 3), read_lanes(address, kink + CHANGE + 4)
@@ -51,10 +54,14 @@ def feedback_of(series):
         dashpot = read_lanes(address, at + DASHPOT)
         push(address, at, share * (stiffness * j3 + dashpot * j2), share * (stiffness * j4 + dashpot * j3))
         write_lanes(address, at + Z_END, z + z_by_drift * share * j2)
+        return z
 
     @jit
-    def apply(address, n):
-        """Add the changes of all kinks of the step."""
+    def apply(address, n, before):
+        """Add the changes of all kinks of the step.
+
+        Unless `before` is None, z of the springs that follow is written there, three vectors for each kink.
+        """
         drag = read_lanes(address, (n + 1) * record + DRAG)
         for i in range(1, n + 1):
             here = i * record
@@ -64,11 +71,16 @@ def feedback_of(series):
                 j1, j2 = read_lanes(address, at + CHANGE + 1), read_lanes(address, at + CHANGE + 2)
                 add_lanes(address, at + Z_END, read_lanes(address, at + CHANGE))
                 push(address, at, j1 - drag * j2, j2)
+                below = above = splat(0.0)
                 if i > 1:
-                    respond(address, here - record, down, at)
-                respond(address, here, 0.0 - (up + down), at)
+                    below = respond(address, here - record, down, at)
+                own = respond(address, here, 0.0 - (up + down), at)
                 if i < n:
-                    respond(address, here + record, up, at)
+                    above = respond(address, here + record, up, at)
+                if before is not None:
+                    write_lanes(before, 3 * i, below)
+                    write_lanes(before, 3 * i + 1, own)
+                    write_lanes(before, 3 * i + 2, above)
 
     @jit
     def choose_branches(address, n):

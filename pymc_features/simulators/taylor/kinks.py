@@ -48,12 +48,24 @@ MAX_PIECES = 24  # and where a series is put together of several
 # Entries of a batch behind its record: drift rate at the end, address and record of each pair, and its lane
 RATE_END, OWNER, PLACE, LANE = range(4)
 N_BATCH_ENTRIES = 4
+# Entries of a trace behind each copy of a batch: where the kink is, from the kink before, and what is left
+# of the step behind it; 1 in lanes with a kink, and where the drift rate is zero there; the signs behind it;
+# whether it is the first of the batch, and the number of pairs
+WHERE, LEFT, HIT, TURNS, RATE_SIGN_BEHIND, Z_SIGN_BEHIND, IS_FIRST, N_PAIRS = range(8)
+N_TRACE_ENTRIES = 8
+TRACE_HEADER = 1  # the number of copies
 
 
 def batch_size(series) -> int:
     """Vectors of a batch: a record, the old coefficients of z, two vectors of flags and the entries."""
     length, record, _, _ = layout_of(series)
     return record + length + N_BATCH_ENTRIES + 2
+
+
+def trace_size(series, n: int) -> int:
+    """Vectors of the trace of a step of n springs; n = 0: of one kink of the pairs in a batch."""
+    size = batch_size(series) + N_TRACE_ENTRIES
+    return size if n == 0 else TRACE_HEADER + (n + 1) * MAX_KINKS * size
 
 
 @cache
@@ -84,6 +96,7 @@ def turn_of(series):
     """Return the function that corrects all kinks of the pairs in a batch."""
     length, record, entries, constants = layout_of(series)
     order, branch, tangent = series.order, jit(series.branch), jit(series.tangent)
+    size, turn_size = batch_size(series), trace_size(series, 0)
     shift, root, dip = polynomials_of(order)
     expand_again = expansion_of(series, 0)
     rates, zs, old, more = length * (1 + RATE), length * (1 + Z), record, record + length
@@ -120,14 +133,13 @@ def turn_of(series):
             at += 1
 
     @jit
-    def renew(batch, spring, hit, left):
-        """Expand z of the pairs that are hit anew."""
+    def renew(batch, spring, left):
+        """Expand z anew, and keep the coefficients it had."""
         for k in range(length):
             write_lanes(batch, old + k, read_lanes(batch, zs + k))
         if pieces is not None:
             write_constant(spring, pieces.left, left)
         expand_again(spring)
-        add_moments(batch, hit, left)
 
     @jit
     def reached(batch, spring, left):
@@ -140,8 +152,22 @@ def turn_of(series):
         return z, ends
 
     @jit
-    def turn(batch, count):
-        """Correct the first `count` pairs; what a spring has beyond `MAX_KINKS` is left to the next step."""
+    def keep_turn(batch, trace, given):
+        """Add a copy of the batch, with some vectors more, to the trace (`adjoint/kinks.py`)."""
+        number = int(read_number(trace, 0))
+        at = TRACE_HEADER + number * turn_size
+        for i in range(length, more + N_BATCH_ENTRIES):
+            write_lanes(trace, at + i, read_lanes(batch, i))
+        for i in range(len(given)):
+            write_lanes(trace, at + size + i, given[i])
+        write_number(trace, 0, number + 1.0)
+
+    @jit
+    def turn(batch, count, trace):
+        """Correct the first `count` pairs; what a spring has beyond `MAX_KINKS` is left to the next step.
+
+        Unless `trace` is None, what a gradient needs of each kink is added to it.
+        """
         zero, one = splat(0.0), splat(1.0)
         for lane in range(count, LANES):
             for c in range(length, record + length + N_BATCH_ENTRIES):
@@ -167,12 +193,13 @@ def turn_of(series):
             write_constant(spring, pieces.whole, zero)
             again = where_less(until(spring), one, one, zero)
             if any_less(zero, again):
-                renew(batch, spring, again, one)
+                renew(batch, spring, one)
+                add_moments(batch, again, one)
                 z_now, reach_z = reached(batch, spring, one)
                 cross = where_less(z_now * z_sign, zero, one, zero)
                 ends = again * where_less(until(spring), one, one, zero)
                 hit = where_less(zero, back + cross + ends, one, zero)
-        for _ in range(most):
+        for number in range(most):
             if not any_less(zero, hit):
                 break
             left = one - done
@@ -199,7 +226,12 @@ def turn_of(series):
             rate_sign = where_less(zero, kink * turns, zero - rate_sign, rate_sign)
             z_sign = where_less(zero, kink * (one - turns), zero - z_sign, z_sign)
             branch(spring, rate_sign * z_sign, z_sign)
-            renew(batch, spring, hit, left)
+            renew(batch, spring, left)
+            if trace is not None:
+                is_first = splat(1.0 if number == 0 else 0.0)
+                given = x, left, hit, turns, rate_sign, z_sign, is_first, splat(float(count))
+                keep_turn(batch, trace, given)
+            add_moments(batch, hit, left)
             z_now, reach_z = z_end + read_lanes(batch, entries + CHANGE), left
             if pieces is not None:
                 z_now, reach_z = reached(batch, spring, left)
@@ -249,7 +281,7 @@ def search_of(series):
         write_number(batch, (more + LANE) * LANES + count, float(lane))
 
     @jit
-    def search(address, n, batch, count):
+    def search(address, n, batch, count, trace):
         """Return the number of pairs that wait in the batch; springs with kinks have zero changes."""
         zero = splat(0.0)
         for i in range(1, n + 1):
@@ -282,7 +314,7 @@ def search_of(series):
                         pack(address, here, lane, batch, count)
                         count += 1
                         if count == LANES:
-                            turn(batch, count)
+                            turn(batch, count, trace)
                             count = 0
         return count
 

@@ -15,7 +15,7 @@ import numpy as np
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import highest, magnitude, splat, where_less
 from pymc_features.simulators.compiled.vector_math import larger
-from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
+from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes, write_number
 from pymc_features.simulators.oscillators.arguments import (
     ABSOLUTE_ACCELERATION,
     RELATIVE_DISPLACEMENT,
@@ -39,8 +39,8 @@ from pymc_features.simulators.taylor.layout import (
 )
 from pymc_features.simulators.taylor.orders import HUGE, finish_of, orders_from
 from pymc_features.simulators.taylor.series import Z
+from pymc_features.simulators.taylor.tape import COUNT, MAX_STEPS, tape_of
 
-MAX_STEPS = 64  # of a step of the recursion
 TOO_FAR = 10.0  # above the tolerance: steps are repeated
 LARGEST_Z = 1e-2  # last coefficient of z: above it the series are of no use
 
@@ -120,10 +120,10 @@ def group_of(series):
         others(address, modal, n, step * step * rise)
         finish(address, n)
         if kinks:
-            count = search(address, n, batch, 0)
+            count = search(address, n, batch, 0, None)
             if count > 0:
-                turn(batch, count)
-            apply(address, n)
+                turn(batch, count, None)
+            apply(address, n, None)
             restart(address, n)
 
     @jit
@@ -140,6 +140,7 @@ def march_of(series):
     """Return the function that takes groups of chains through a record."""
     _, record, entries, _ = layout_of(series)
     start_group, rescale, copy, begin, advance = group_of(series)
+    keep, _, accept, first_free = tape_of(series)
     order, tolerance = series.order, series.tolerance
 
     @jit
@@ -158,9 +159,9 @@ def march_of(series):
         return highest(where_less(lost, splat(0.5), ratio, splat(0.0)))
 
     @jit
-    def compare(group, ground, step, sample, wanted, observed, sums):
+    def compare(group, ground, step, sample, wanted, observed, sums, tape):
         """Add the misfits at the sensors to `sums`, four vectors for each of them."""
-        address, _n = group.address, group.n
+        address = group.address
         share = splat(1.0 / observed.shape[1])
         for j in range(wanted.sensors.size):
             here = (wanted.sensors[j] + 1) * record
@@ -181,30 +182,36 @@ def march_of(series):
                 change = misfit - read_lanes(sums, 4 * j + 3)
                 write_lanes(sums, 4 * j + 1, read_lanes(sums, 4 * j + 1) + change * change * share)
             write_lanes(sums, 4 * j + 3, misfit)
+            if tape.capacity > 0:
+                write_lanes(tape.misfits, sample * wanted.sensors.size + j, misfit)
 
     @jit
-    def march(group, batch, sums, start, excitation, wanted, observed):
+    def march(group, batch, sums, start, excitation, wanted, observed, tape):
         """Write the statistics of the misfits; `start` is the number of steps to begin with."""
         acceleration, dt, substeps, stride = excitation
         length = dt / substeps
         count = start
         step = length / count
         total = observed.shape[1]
-        steps = 0
+        steps = slot = 0
         start_group(group)
         for sample in range(total):
             fine = sample * stride
             ground = ground_at(acceleration, fine, substeps)
             begin(group, step, ground)
-            compare(group, ground, step, sample, wanted, observed, sums)
+            compare(group, ground, step, sample, wanted, observed, sums, tape)
             if sample == total - 1:
                 break
             begun = True
             for _ in range(stride):
                 rise = ground_at(acceleration, fine + 1, substeps) - ground
                 copy(group, False)
+                if tape.capacity > 0:
+                    slot = first_free(tape)
                 while True:
                     for part in range(count):
+                        if tape.capacity > 0:
+                            keep(group, tape.states, slot + part)
                         if not begun:
                             begin(group, step, ground + rise * part / count)
                         begun = False
@@ -216,6 +223,8 @@ def march_of(series):
                     repeat = ratio > TOO_FAR and better > count
                     if repeat:
                         copy(group, True)
+                    elif tape.capacity > 0:
+                        accept(group, tape, fine, count)
                     if better != count:
                         rescale(group, count / better)
                         count = better
@@ -224,6 +233,8 @@ def march_of(series):
                         break
                 fine += 1
                 ground = ground_at(acceleration, fine, substeps)
+        if tape.capacity > 0:
+            write_number(tape.numbers, COUNT, float(count))
         return steps
 
     return march

@@ -16,15 +16,15 @@ from pymc_features.simulators.taylor.layout import (
     group_size,
     layout_of,
 )
-from pymc_features.simulators.taylor.march import MAX_STEPS
+from pymc_features.simulators.taylor.tape import MAX_STEPS, NO_TAPE
 
 LARGEST = 1e100  # of a parameter: none overflows on its way
 LEAST_PEAK = 1e-2  # of the accelerations of a chain over that of the ground: records begin at zero
 FIRST_PHASE = 0.5  # largest product of step and rate of change at first
 
 
-def modal_damping(mass, stiffness, ratios):
-    """M^-1 C (p, n, n) of modal ratios, for chains with masses (p, n) on springs (p, n)."""
+def modal_squares(mass, stiffness):
+    """Squares of the frequencies (p, n), eigenvectors (p, n, n) and the matrix M^-1/2 K M^-1/2 (p, n, n)."""
     n = mass.shape[1]
     roots = np.sqrt(mass)
     above = np.concatenate([stiffness[:, 1:], np.zeros((len(mass), 1))], axis=1)
@@ -34,7 +34,13 @@ def modal_damping(mass, stiffness, ratios):
     matrix[:, at[1:], at[:-1]] = matrix[:, at[:-1], at[1:]] = -stiffness[:, 1:] / (
         roots[:, 1:] * roots[:, :-1]
     )
-    squares, vectors = np.linalg.eigh(matrix)
+    return *np.linalg.eigh(matrix), matrix
+
+
+def modal_damping(mass, stiffness, ratios):
+    """M^-1 C (p, n, n) of modal ratios, for chains with masses (p, n) on springs (p, n)."""
+    roots = np.sqrt(mass)
+    squares, vectors, _ = modal_squares(mass, stiffness)
     weights = 2.0 * ratios * np.sqrt(np.maximum(squares, 0.0))
     damping = np.einsum("pir,pr,pjr->pij", vectors, weights, vectors)
     return damping * roots[:, None, :] / roots[:, :, None]
@@ -88,6 +94,15 @@ class Lanes:
             damping = step * modal_damping(mass, stiffness, ratios)
             self.modal[:] = damping.transpose(1, 2, 0).reshape(-1, LANES)
 
+    def march(self, march, chains, problem, tape):
+        """March chains, one in each lane, through a record; see `march_population`."""
+        excitation, wanted, observed = problem
+        length = excitation.dt / excitation.substeps
+        start = int(min(max(np.ceil(length * largest_rate(*chains[:4]).max() / FIRST_PHASE), 1), MAX_STEPS))
+        self.fill(chains, length / start, LEAST_PEAK * np.abs(excitation.acceleration).max())
+        addresses = self.batch.ctypes.data, self.sums.ctypes.data
+        march(self.group, *addresses, start, excitation, wanted, observed, tape)
+
     @property
     def lost(self):
         """Which chains have been given up (LANES,)."""
@@ -124,15 +139,9 @@ def march_population(march, lanes, parameters, members, problem, result):
     problem : tuple
         Excitation, outputs wanted and data.
     """
-    excitation, wanted, observed = problem
-    length = excitation.dt / excitation.substeps
     lost = []
     for own in groups_of(members):
-        chains = rows_of(parameters, np.resize(own, LANES))
-        start = int(min(max(np.ceil(length * largest_rate(*chains[:4]).max() / FIRST_PHASE), 1), MAX_STEPS))
-        lanes.fill(chains, length / start, LEAST_PEAK * np.abs(excitation.acceleration).max())
-        addresses = lanes.batch.ctypes.data, lanes.sums.ctypes.data
-        march(lanes.group, *addresses, start, excitation, wanted, observed)
+        lanes.march(march, rows_of(parameters, np.resize(own, LANES)), problem, NO_TAPE)
         result[own] = lanes.sums.transpose(2, 0, 1)[: len(own)]
         if lanes.lost.any():  # the steps of its neighbours went by it
             lost.append(own)

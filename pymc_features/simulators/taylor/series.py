@@ -12,7 +12,7 @@ integrated by Runge-Kutta steps. In laws with kinks the first two series are the
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import splat
@@ -82,6 +82,8 @@ class Series(NamedTuple):
         (spring, z) -> df/dd and dz/dd of the branch, and df/dz at a given drift.
     pieces : Pieces, optional
         Where the series of z may have to be put together of several in one step.
+    adjoint : Adjoint, optional
+        Of `adjoint/series.py`; without one gradients are by Runge-Kutta steps.
     """
 
     order: int
@@ -94,6 +96,7 @@ class Series(NamedTuple):
     branch: Callable | None = None
     tangent: Callable | None = None
     pieces: Pieces | None = None
+    adjoint: Any = None
 
 
 @jit

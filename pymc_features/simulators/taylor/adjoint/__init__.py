@@ -1,0 +1,1 @@
+"""Gradients of chains with nonlinear springs: the Taylor steps of the march in reverse."""

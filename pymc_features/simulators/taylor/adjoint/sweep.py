@@ -1,0 +1,283 @@
+"""Gradient of the statistics of the misfits of a group of chains: its march in reverse.
+
+It is the derivative of what the march computes, with the choices that it made: numbers of steps, branches,
+springs with kinks. From the last step to the first the state at its beginning is taken from the tape, the
+step is repeated, and the bars of its end become those of its beginning.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import LANES, splat
+from pymc_features.simulators.compiled.vector_memory import (
+    aligned,
+    read_lanes,
+    read_number,
+    write_lanes,
+    write_number,
+)
+from pymc_features.simulators.oscillators.arguments import (
+    RELATIVE_DISPLACEMENT,
+    RELATIVE_VELOCITY,
+    ground_at,
+)
+from pymc_features.simulators.taylor.adjoint.feedback import feedback_adjoint
+from pymc_features.simulators.taylor.adjoint.kinks import bars_size, turns_adjoint
+from pymc_features.simulators.taylor.adjoint.orders import bars_of, damping_bars, reverse_from, spread_of
+from pymc_features.simulators.taylor.adjoint.parameters import ChainBars
+from pymc_features.simulators.taylor.feedback import feedback_of
+from pymc_features.simulators.taylor.kinks import search_of, trace_size, turn_of
+from pymc_features.simulators.taylor.layout import (
+    DASHPOT,
+    DRAG,
+    MOBILITY,
+    V_END,
+    U,
+    add_lanes,
+    group_size,
+    layout_of,
+)
+from pymc_features.simulators.taylor.march import group_of
+from pymc_features.simulators.taylor.orders import finish_of, orders_from
+from pymc_features.simulators.taylor.tape import COUNT, COUNTS, SEGMENTS, STEPS, tape_of, width_of
+
+
+class Bars(NamedTuple):
+    """Addresses of what a gradient needs besides the group and its tape.
+
+    Attributes
+    ----------
+    bars : address of vectors
+        Bars of the group, in the layout of `orders_adjoint.bars_of`.
+    modal : address
+        Bars of H M^-1 C (n, n), 0 without damping by modal ratios.
+    batch, kinks, trace, before : addresses
+        A batch of pairs with kinks, its bars, what is traced of it, and z before the kinks of others.
+    weights : address
+        Of vectors (sensor, n_statistics).
+    n_statistics : int
+    """
+
+    bars: int
+    modal: int
+    batch: int
+    kinks: int
+    trace: int
+    before: int
+    weights: int
+    n_statistics: int
+
+
+@cache
+def step_adjoint(series):
+    """Return functions that repeat a step and carry bars back over it, but for order 0, and over that."""
+    first, others = orders_from(series, 0), orders_from(series, 1)
+    width, finish, kinks = width_of(series), finish_of(series), series.branch is not None
+    reverse, reverse_first = reverse_from(series, series.order - 1), reverse_from(series, 0)
+    spread, collect = spread_of(series)
+    add_damping, restore = damping_bars(series), tape_of(series)[1]
+    if kinks:
+        search, turn, unturn = search_of(series), turn_of(series), turns_adjoint(series)
+        apply, _, choose_branches = feedback_of(series)
+        unapply = feedback_adjoint(series)
+
+    @jit
+    def reverse_step(group, memory, states, slot, step, ground, rise):
+        """Repeat the step that begins in a slot, and carry bars back from its end to order 1."""
+        address, _, modal, n = group
+        restore(group, states, slot)
+        if kinks:
+            choose_branches(address, n)
+        first(address, modal, n, step * step * ground)
+        others(address, modal, n, step * step * rise)
+        if kinks:
+            finish(address, n)
+            write_number(memory.trace, 0, 0.0)
+            count = search(address, n, memory.batch, 0, memory.trace)
+            if count > 0:
+                turn(memory.batch, count, memory.trace)
+            apply(address, n, memory.before)
+            unapply(address, memory.bars, n, memory.before)
+            spread(memory.bars, n)
+            unturn(memory.bars, memory.kinks, memory.trace)
+            restore(group, states, slot)
+            choose_branches(address, n)
+        else:
+            spread(memory.bars, n)
+        ahead = states + 8 * LANES * (max(slot - 1, 0) * n * width)
+        reverse(address, memory.bars, modal, n, step * step * rise, ahead)
+
+    @jit
+    def reverse_start(group, memory, step, ground):
+        """Carry bars back over order 0 of a step."""
+        address, _, modal, n = group
+        reverse_first(address, memory.bars, modal, n, step * step * ground, 0)
+        collect(address, memory.bars, n)
+        if modal != 0:
+            add_damping(address, memory.bars, memory.modal, n)
+
+    return reverse_step, reverse_start, spread
+
+
+@cache
+def misfits_of(series):
+    """Return the function that adds the bars of a sample's misfits to those of the series."""
+    _, own, entries, _ = layout_of(bars_of(series))
+
+    @jit
+    def weigh(memory, tape, sample, step, wanted, observed):
+        n_sensors, total = observed.shape
+        share, count = 2.0 / total, memory.n_statistics
+        for j in range(n_sensors):
+            here, at = (wanted.sensors[j] + 1) * own, sample * n_sensors + j
+            misfit, weights = read_lanes(tape.misfits, at), memory.weights + 8 * LANES * j * count
+            bar = splat(0.0)
+            if observed[j, sample] == observed[j, sample]:  # NaN is a gap
+                bar = share * read_lanes(weights, 0) * misfit
+            if count > 1:
+                change = splat(0.0)
+                if sample > 0:
+                    change = misfit - read_lanes(tape.misfits, at - n_sensors)
+                else:
+                    bar = bar + read_lanes(weights, 2)
+                if sample < total - 1:
+                    change = change - (read_lanes(tape.misfits, at + n_sensors) - misfit)
+                else:
+                    bar = bar + read_lanes(weights, 3)
+                bar = bar + share * read_lanes(weights, 1) * change
+            if wanted.quantity == RELATIVE_DISPLACEMENT:
+                add_lanes(memory.bars, here + entries + U, 0.0 - bar)
+            elif wanted.quantity == RELATIVE_VELOCITY:
+                add_lanes(memory.bars, here, bar * splat(-1.0 / step))
+            else:
+                add_lanes(memory.bars, here + 1, bar * splat(-1.0 / (step * step)))
+
+    return weigh
+
+
+@cache
+def sweep_of(series):
+    """Return the function that takes bars from the end of a march to its beginning."""
+    start_group, rescale, _, begin, advance = group_of(series)
+    _, own, entries, _ = layout_of(bars_of(series))
+    keep, restore, _, _ = tape_of(series)
+    reverse_step, reverse_start, spread = step_adjoint(series)
+    weigh = misfits_of(series)
+
+    @jit
+    def rescale_bars(group, memory, ratio):
+        """Bars for a step that is longer by a ratio."""
+        n, factor, inverse = group.n, splat(ratio), splat(1.0 / ratio)
+        for i in range(1, n + 1):
+            at = i * own + entries
+            write_lanes(memory.bars, at + V_END, inverse * read_lanes(memory.bars, at + V_END))
+            write_lanes(memory.bars, at + DASHPOT, factor * read_lanes(memory.bars, at + DASHPOT))
+        end = (n + 1) * own + DRAG
+        write_lanes(memory.bars, end, inverse * read_lanes(memory.bars, end))
+        if group.modal != 0:
+            for i in range(n * n):
+                write_lanes(memory.modal, i, inverse * read_lanes(memory.modal, i))
+
+    @jit
+    def count_of(tape, fine):
+        return int(read_number(tape.numbers, COUNTS + fine))
+
+    @jit
+    def march_again(group, memory, tape, segment, last, count, excitation):
+        """March through a segment, to step `last` of the recursion, and keep its states on the tape."""
+        acceleration, dt, substeps, _ = excitation
+        first = int(read_number(tape.numbers, COUNTS + tape.n_fine + segment))
+        slot = 0
+        for fine in range(first, last + 1):
+            rescale(group, count / count_of(tape, fine))
+            count = count_of(tape, fine)
+            if fine == first:
+                restore(group, tape.starts, segment)
+                start_group(group)
+            ground, step = ground_at(acceleration, fine, substeps), dt / substeps / count
+            rise = ground_at(acceleration, fine + 1, substeps) - ground
+            for part in range(count):
+                keep(group, tape.states, slot)
+                begin(group, step, ground + rise * part / count)
+                advance(group, step, rise / count, memory.batch)
+                slot += 1
+        return slot
+
+    @jit
+    def sweep(group, memory, tape, excitation, wanted, observed):
+        """Write the bars of a group that has just been marched; return the number of steps of its first."""
+        acceleration, dt, substeps, stride = excitation
+        length, total, n_fine = dt / substeps, observed.shape[1], tape.n_fine
+        count = count_of_bars = int(read_number(tape.numbers, COUNT))
+        step = length / count
+        ground = ground_at(acceleration, n_fine, substeps)
+        spread(memory.bars, group.n)
+        weigh(memory, tape, total - 1, step, wanted, observed)
+        reverse_start(group, memory, step, ground)
+        last, slot = n_fine - 1, int(read_number(tape.numbers, STEPS))
+        for segment in range(int(read_number(tape.numbers, SEGMENTS)) - 1, -1, -1):
+            first = int(read_number(tape.numbers, COUNTS + n_fine + segment))
+            if last < n_fine - 1:
+                slot = march_again(group, memory, tape, segment, last, count, excitation)
+                count = count_of(tape, last)
+            for fine in range(last, first - 1, -1):
+                now = count_of(tape, fine)
+                if now != count:
+                    rescale(group, count / now)
+                    count = now
+                if now != count_of_bars:
+                    rescale_bars(group, memory, count_of_bars / now)
+                    count_of_bars = now
+                step = length / count
+                ground = ground_at(acceleration, fine, substeps)
+                rise = ground_at(acceleration, fine + 1, substeps) - ground
+                for part in range(count - 1, -1, -1):
+                    slot -= 1
+                    now_ground = ground + rise * part / count
+                    reverse_step(group, memory, tape.states, slot, step, now_ground, rise / count)
+                    if part == 0 and fine % stride == 0:
+                        weigh(memory, tape, fine // stride, step, wanted, observed)
+                    reverse_start(group, memory, step, now_ground)
+            last = first - 1
+        return count_of_bars
+
+    return sweep
+
+
+class GradientLanes:
+    """Memory of the gradient of a group of chains, beside that of the group."""
+
+    def __init__(self, lanes, n_sensors, n_statistics):
+        series, self.n = lanes.series, lanes.n
+        n = self.n
+        own = bars_of(series)
+        self.layout = layout_of(own)
+        self.bars = aligned(group_size(own, n) * LANES).reshape(-1, LANES)
+        self.modal = aligned(lanes.modal.size)
+        kinks = series.branch is not None
+        self.batch = aligned(bars_size(series) * LANES if kinks else 0)
+        self.trace = aligned(trace_size(series, n) * LANES if kinks else 0)
+        self.before = aligned(3 * (n + 1) * LANES)
+        self.weights = aligned(n_sensors * n_statistics * LANES).reshape(n_sensors, n_statistics, LANES)
+        memories = self.bars, self.modal, lanes.batch, self.batch, self.trace, self.before, self.weights
+        self.memory = Bars(*(m.ctypes.data for m in memories), n_statistics)
+
+    def take(self, step) -> ChainBars:
+        """What a sweep has found, with the step [s] that its first sample had."""
+        n, layout = self.n, self.layout
+        springs = self.bars[layout.record : (n + 1) * layout.record].reshape(n, layout.record, LANES)
+        entries, modal = springs[:, layout.entries :], self.modal.reshape(-1, LANES)
+        side = n if len(modal) else 0
+        return ChainBars(
+            entries[:, MOBILITY].T.copy(),
+            entries[:, DASHPOT].T / step,
+            self.bars[(n + 1) * layout.record + DRAG] * step,
+            springs[:, layout.constants :].transpose(2, 0, 1).copy(),
+            modal.reshape(side, side, LANES).transpose(2, 0, 1) * step,
+        )
+
+    def clear(self, weights):
+        """Begin a sweep with weights (p, s, q), one particle in each lane."""
+        self.bars[:] = self.modal[:] = 0.0
+        self.weights[:] = weights.transpose(1, 2, 0)

@@ -1,0 +1,142 @@
+"""Where a group of chains was at the beginning of each step: its gradient goes back from there.
+
+A tape has room for `capacity` steps. Where a march takes more of them the tape is begun anew, as often as
+needed; the state at the beginning of every such segment is kept as well, so that the gradient can march
+through it once more. Kept are also the number of steps to each step of the recursion, and the misfits of the
+sensors.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import LANES, splat, where_less
+from pymc_features.simulators.compiled.vector_memory import (
+    aligned,
+    read_lanes,
+    read_number,
+    stream_lanes,
+    write_lanes,
+    write_number,
+)
+from pymc_features.simulators.taylor.layout import RATE_SIGN, Z_SIGN, U, layout_of
+from pymc_features.simulators.taylor.series import Z
+
+MAX_STEPS = 64  # of a step of the recursion
+ROOM = 1 << 28  # bytes of the steps of a tape: some 1,500 samples of 100 masses
+# Numbers: segments so far, steps of the last one, steps to one of the recursion at the end; then those to
+# each step of the recursion, then the first such step of each segment
+SEGMENTS, STEPS, COUNT, COUNTS = range(4)
+
+
+class Tape(NamedTuple):
+    """Addresses of what is kept; a tape without capacity keeps nothing.
+
+    Attributes
+    ----------
+    states, starts : addresses of vectors
+        States at the beginnings of steps, and of segments.
+    misfits : address of vectors (time, sensor)
+    numbers : address
+        As listed above.
+    capacity, n_fine : int
+        Steps that there is room for; steps of the recursion.
+    """
+
+    states: int
+    starts: int
+    misfits: int
+    numbers: int
+    capacity: int
+    n_fine: int
+
+
+NO_TAPE = Tape(0, 0, 0, 0, 0, 0)
+
+
+class TapeMemory:
+    """Memory of a tape for a group of chains with n springs; pages that are never written cost nothing."""
+
+    def __init__(self, series, n, n_fine, n_sensors, n_samples):
+        size = width_of(series) * n
+        capacity = max(min(n_fine * MAX_STEPS, ROOM // (8 * LANES * size)), 2 * MAX_STEPS)
+        segments = n_fine * MAX_STEPS // (capacity - MAX_STEPS) + 1
+        self.states = aligned(capacity * size * LANES)
+        self.starts = aligned(segments * size * LANES)
+        self.misfits = aligned(n_samples * n_sensors * LANES)
+        self.numbers = aligned(COUNTS + n_fine + segments)
+        memories = self.states, self.starts, self.misfits, self.numbers
+        self.tape = Tape(*(m.ctypes.data for m in memories), capacity, n_fine)
+
+    def clear(self):
+        """Begin a march."""
+        self.numbers[:COUNTS] = 0.0
+
+
+def width_of(series) -> int:
+    """Vectors that are kept of each spring: H v and u, and with kinks z and the signs."""
+    return 2 if series.branch is None else 4
+
+
+@cache
+def tape_of(series):
+    """Return the functions that keep a state, bring one back, and note the steps that were accepted."""
+    length, record, entries, _ = layout_of(series)
+    width, kinks, z_first = width_of(series), series.branch is not None, (1 + Z) * length
+
+    @jit
+    def keep(group, states, slot):
+        """Write the state of all springs to slot number `slot`."""
+        address, n = group.address, group.n
+        to = slot * n * width
+        for i in range(1, n + 1):
+            here = i * record
+            stream_lanes(states, to, read_lanes(address, here))
+            stream_lanes(states, to + 1, read_lanes(address, here + entries + U))
+            if kinks:
+                signs = 2.0 * read_lanes(address, here + entries + RATE_SIGN)
+                signs = signs + read_lanes(address, here + entries + Z_SIGN)
+                stream_lanes(states, to + 2, read_lanes(address, here + z_first))
+                stream_lanes(states, to + 3, signs)
+            to += width
+
+    @jit
+    def restore(group, states, slot):
+        """Make a kept state the present one."""
+        address, n = group.address, group.n
+        to = slot * n * width
+        for i in range(1, n + 1):
+            here = i * record
+            write_lanes(address, here, read_lanes(states, to))
+            write_lanes(address, here + entries + U, read_lanes(states, to + 1))
+            if kinks:
+                signs = read_lanes(states, to + 3)
+                rate_sign = where_less(signs, splat(0.0), splat(-1.0), splat(1.0))
+                write_lanes(address, here + z_first, read_lanes(states, to + 2))
+                write_lanes(address, here + entries + RATE_SIGN, rate_sign)
+                write_lanes(address, here + entries + Z_SIGN, signs - 2.0 * rate_sign)
+            to += width
+
+    @jit
+    def accept(group, tape, fine, count):
+        """Note that `count` steps, behind those on the tape, led through step `fine` of the recursion."""
+        steps, segments = int(read_number(tape.numbers, STEPS)), int(read_number(tape.numbers, SEGMENTS))
+        write_number(tape.numbers, COUNTS + fine, float(count))
+        if steps == 0:
+            size = group.n * width
+            for i in range(size):
+                write_lanes(tape.starts, segments * size + i, read_lanes(tape.states, i))
+            write_number(tape.numbers, COUNTS + tape.n_fine + segments, float(fine))
+            write_number(tape.numbers, SEGMENTS, segments + 1.0)
+        write_number(tape.numbers, STEPS, float(steps + count))
+
+    @jit
+    def first_free(tape):
+        """The slot of the next step, where as many as there may be have room."""
+        steps = int(read_number(tape.numbers, STEPS))
+        if steps + MAX_STEPS > tape.capacity:
+            write_number(tape.numbers, STEPS, 0.0)
+            return 0
+        return steps
+
+    return keep, restore, accept, first_free

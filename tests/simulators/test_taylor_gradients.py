@@ -1,0 +1,162 @@
+"""Gradients of populations of nonlinear chains: derivatives of what the Taylor march computes."""
+
+import numpy as np
+import pytest
+
+from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.families import FAMILIES
+from pymc_features.simulators.nonlinear import kernels
+from pymc_features.simulators.taylor import tape
+from simulators.test_taylor import CASES, KERNELS, history, particle, population, shaken
+from simulators.test_taylor import FAMILIES as NAMES
+from support.kernels import population_gradient as chain_gradient
+
+STEP = 3e-6  # of a parameter: small enough for the choices that a march makes
+ROUNDING = 3e-15  # of L
+SHARPNESS = 2  # row of the law
+
+
+def gradient(family, parameters, where, observed, weights):
+    *settings, quantity = where
+    given = FAMILIES[family].assemble([*parameters, *settings], quantity)
+    return FAMILIES[family].kernels["population_gradient"](*given, observed, weights)
+
+
+def inside(family, parameters):
+    """With a row for each particle, and away from the bounds of all parameters."""
+    count = len(parameters[1])
+    parameters = [np.repeat(p, count, axis=0) if len(p) == 1 else p.copy() for p in parameters]
+    if family == "hysteretic":
+        parameters[4][:, 4] *= 0.8
+    if not parameters[3].any():
+        return parameters
+    parameters[2][:] = 0.05, 2e-4
+    return parameters
+
+
+def noisy(family, parameters, where, seed=2):
+    response = history(family, parameters, where, 0)
+    return response + 0.3 * np.abs(response).max() * np.random.default_rng(seed).normal(size=response.shape)
+
+
+def entries(family, parameters):
+    """All that can be differentiated: number and index of a parameter, and the row that it is compared in."""
+    for p, values in enumerate(parameters):
+        for i in np.ndindex(values.shape[1:]):
+            fixed = p == 4 and family == "hysteretic" and i[0] == SHARPNESS
+            if not fixed and values.any():
+                yield p, i, (p, i[0] if p in (2, 4) else 0)
+
+
+def errors_of_gradient(family, parameters, where, observed, weights):
+    """Largest difference to central differences of the same march, beside the largest of its row."""
+    ours = gradient(family, parameters, where, observed, weights)
+
+    def weighted(p, change):
+        moved = [*parameters[:p], parameters[p] + change, *parameters[p + 1 :]]
+        sums = KERNELS[family]["population_misfit"](*moved, *where, observed)
+        return (sums[..., : weights.shape[2]] * weights).sum(axis=(1, 2))
+
+    size = np.abs(weighted(0, 0.0))
+    errors, sizes = {}, {}
+    for p, i, row in entries(family, parameters):
+        change = np.zeros_like(parameters[p])
+        change[:, *i] = STEP * parameters[p][:, *i]
+        coarse = weighted(p, change) - weighted(p, -change)
+        fine = weighted(p, 0.5 * change) - weighted(p, -0.5 * change)
+        exact = (8.0 * fine - coarse) / 6.0  # over the change
+        error = np.abs(exact - (ours[p] * change)[:, *i]) - ROUNDING * size
+        errors[row] = np.maximum(errors.get(row, 0.0), error)
+        sizes[row] = np.maximum(sizes.get(row, 0.0), np.abs(exact))
+    return {row: errors[row] / sizes[row] for row in errors}
+
+
+@pytest.mark.parametrize("family", NAMES)
+@pytest.mark.parametrize("case", CASES)
+def test_gradient_is_that_of_the_march(family, case):
+    """1e-6 of the largest derivative by a parameter of its kind, in each particle, hardly yielding or far."""
+    chains, request = CASES[case]
+    parameters, where = inside(family, population(family, **chains)), shaken(**request)
+    observed = noisy(family, parameters, where)
+    several = case == "modal damping, coarse velocity"
+    if not several:
+        observed[0, 4:9] = np.nan
+    parameters[1][1] *= 4.0  # stays almost linear
+    weights = np.random.default_rng(5).normal(size=(LANES + 3, len(observed), 4 if several else 1))
+    before = kernels.PARTICLES["taylor gradients"]
+    errors = errors_of_gradient(family, parameters, where, observed, weights)
+    assert kernels.PARTICLES["taylor gradients"] == before + len(weights)
+    assert max(e.max() for e in errors.values()) < 1e-6, errors
+
+
+@pytest.mark.parametrize("family", NAMES)
+def test_near_the_gradient_by_runge_kutta_steps(family):
+    """Of one particle, to 1e-5 of the largest derivative of its kind in the median, to 5e-4 in all.
+
+    What is not computed is NaN.
+    """
+    parameters, where = inside(family, population(family)), shaken()
+    observed = noisy(family, parameters, where)
+    weights = np.ones((len(parameters[1]), len(observed), 1))
+    ours = gradient(family, parameters, where, observed, weights)
+    assert np.isnan(ours[3]).all()
+    if family == "hysteretic":
+        assert np.isnan(ours[4][:, SHARPNESS]).all()
+    errors = []
+    for k in range(len(weights)):
+        theirs = KERNELS[family]["misfit_gradient"](*particle(parameters, k), *where, observed, weights[k])
+        for p, row in {(p, row) for p, _, row in entries(family, parameters)}:
+            a, b = (g if p < 4 else g[row[1]] for g in (ours[p][k], theirs[p]))
+            errors.append(np.abs(a - b).max() / np.abs(b).max())
+    assert np.median(errors) < 1e-5
+    assert max(errors) < 5e-4
+
+
+@pytest.mark.parametrize("family", NAMES)
+@pytest.mark.parametrize("modal", [False, True], ids=["rayleigh", "modal"])
+def test_linear_limit(family, modal):
+    """The population gradient of the linear chain, which is exact; shared parameters have the sum."""
+    *linear, values = population(family, 4, modal=modal)
+    values[:, 1 if family == "hysteretic" else 0] = float(family == "hysteretic")
+    where = shaken(4, n_times=200)
+    data = 0.5 * history(family, (*linear, values), where, 0)
+    weights = np.random.default_rng(6).normal(size=(LANES + 3, len(data)))
+    ours = gradient(family, (*linear, values), where, data, weights[..., None])
+    exact = chain_gradient(*linear, *where, data, weights)
+    for a, b in list(zip(ours[:4], exact, strict=True))[: 3 + modal]:
+        assert a.shape == b.shape
+        assert (np.abs(a - b) < 2e-6 * np.abs(b).max(axis=-1, keepdims=True)).all()
+
+
+def test_a_short_tape(monkeypatch):
+    """The march is repeated for what the tape has no room for: the same numbers."""
+    parameters, where = population("hysteretic"), shaken()
+    observed = noisy("hysteretic", parameters, where)
+    weights = np.ones((LANES + 3, len(observed), 1))
+    whole = gradient("hysteretic", parameters, where, observed, weights)
+    monkeypatch.setattr(tape, "ROOM", 1)
+    in_parts = gradient("hysteretic", parameters, where, observed, weights)
+    for a, b in zip(whole, in_parts, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("row", "value", "by_taylor_steps"), [(0, 1e-12, 0), (SHARPNESS, 2.3, 0), (4, 0.9, 2)]
+)
+def test_particles_that_are_left_to_others(row, value, by_taylor_steps):
+    """One that is given up, with its neighbours; a sharpness that is sought; no structure."""
+    parameters, where = inside("hysteretic", population("hysteretic", p=3)), shaken(n_times=20)
+    observed = noisy("hysteretic", parameters, where)
+    weights = np.ones((3, len(observed), 1))
+    parameters[4][1, row, 0] = value
+    before = kernels.PARTICLES["taylor gradients"]
+    found = gradient("hysteretic", parameters, where, observed, weights)
+    assert kernels.PARTICLES["taylor gradients"] == before + by_taylor_steps
+    for k in range(3) if by_taylor_steps == 0 else (1,):
+        alone = KERNELS["hysteretic"]["misfit_gradient"](
+            *particle(parameters, k), *where, observed, weights[k]
+        )
+        for a, b in zip(found, alone, strict=True):
+            np.testing.assert_array_equal(a[k], b)
+    assert np.isfinite(found[1][[0, 2]]).all()
+    assert np.isfinite(found[1][1]).all() == (row == SHARPNESS)
