@@ -13,7 +13,8 @@ from pymc_features.simulators.derivatives.pair_differences import (
     write_differences,
     write_right,
 )
-from pymc_features.simulators.derivatives.pair_lanes import new_pairs, sum_pairs, write_pair
+from pymc_features.simulators.derivatives.pair_lanes import sum_pairs, write_pair
+from pymc_features.simulators.derivatives.pair_memory import new_pairs
 from pymc_features.simulators.eigen.complex_modes import (
     PANEL,
     check_sums,

@@ -15,7 +15,8 @@ Of two pairs of poles with i_k and i_l the differences are numbers of four parts
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import load, magnitude, splat, store, where_less
 from pymc_features.simulators.compiled.vector_math import larger
-from pymc_features.simulators.derivatives.pair_lanes import number, order_of, put_number
+from pymc_features.simulators.derivatives.pair_lanes import order_of
+from pymc_features.simulators.derivatives.pair_memory import number, put_number
 from pymc_features.simulators.eigen.complex_modes import over, times
 from pymc_features.simulators.oscillators.close_modes import CLOSE
 

@@ -14,13 +14,10 @@ All coefficients are functions of z = lambda h that are a + b z, with a and b th
 (`filters.hold_functions`).
 """
 
-from typing import NamedTuple
-
-import numpy as np
-
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, load, splat, store, where_less
+from pymc_features.simulators.compiled.vector import load, splat, store, where_less
 from pymc_features.simulators.derivatives.filters import hold_functions
+from pymc_features.simulators.derivatives.pair_memory import put_number
 from pymc_features.simulators.eigen.complex_modes import at_sensor, input_factor, norm, times
 from pymc_features.simulators.eigen.pairs import add_to_sums
 from pymc_features.simulators.oscillators.arguments import (
@@ -33,86 +30,12 @@ from pymc_features.simulators.oscillators.lanes import N_OF_PAIR, SAMPLES
 from pymc_features.simulators.oscillators.population import add_squares, advance_pairs
 
 
-class PairLanes(NamedTuple):
-    """Pairs of complex modes of structures, one in each lane. Two vectors for each complex number.
-
-    Attributes
-    ----------
-    poles : array (3 m, LANES)
-        a, b and i^2.
-    left, right : array (2 m, LANES)
-        1 / alpha and x'Gamma / alpha, alpha = x' (2 lambda + D) x.
-    seen : array (2 s m, LANES)
-        S x, of sensor j and mode r in rows 2 (j m + r) ...
-    vectors : array (2 m n, LANES)
-        Phi x, of entry i and mode r in rows 2 (i m + r) ...
-    slopes, before : array (4 m, LANES), (4 m, LANES)
-        C' and what stands before a in the derivative of f; y and V at the beginning of a block.
-    after : array (2 m, LANES)
-        B1.
-    sums : array (4 s m, LANES)
-        Of dL/dy_j times y and V.
-    of_ground : array (s, LANES)
-        Of dL/dy_j times the input.
-    history : array (4 SAMPLES, LANES)
-        y and V of one mode in a block.
-    factors : array (s, LANES)
-        Derivatives of L by e_j, times -2 / N_D.
-    """
-
-    poles: np.ndarray
-    left: np.ndarray
-    right: np.ndarray
-    seen: np.ndarray
-    vectors: np.ndarray
-    slopes: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    sums: np.ndarray
-    of_ground: np.ndarray
-    history: np.ndarray
-    factors: np.ndarray
-
-
-@jit
-def new_pairs(n, m, n_sensors):
-    """Room for structures of n degrees of freedom and m pairs of modes."""
-    s = n_sensors + n_sensors % 2
-    return PairLanes(
-        poles=np.zeros((3 * m, LANES)),
-        left=np.zeros((2 * m, LANES)),
-        right=np.zeros((2 * m, LANES)),
-        seen=np.zeros((2 * s * m, LANES)),
-        vectors=np.zeros((2 * m * n, LANES)),
-        slopes=np.zeros((4 * m, LANES)),
-        before=np.zeros((4 * m, LANES)),
-        after=np.zeros((2 * m, LANES)),
-        sums=np.zeros((4 * s * m, LANES)),
-        of_ground=np.zeros((s, LANES)),
-        history=np.zeros((4 * SAMPLES, LANES)),
-        factors=np.zeros((s, LANES)),
-    )
-
-
 @jit
 def order_of(quantity):
     """How many times the displacement is differentiated."""
     if quantity in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION):
         return 2
     return 1 if quantity == RELATIVE_VELOCITY else 0
-
-
-@jit
-def put_number(matrix, i, number):
-    """Write a complex number."""
-    store(matrix, 2 * i, number[0])
-    store(matrix, 2 * i + 1, number[1])
-
-
-@jit
-def number(matrix, i):
-    """A complex number."""
-    return load(matrix, 2 * i), load(matrix, 2 * i + 1)
 
 
 @jit
