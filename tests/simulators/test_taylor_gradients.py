@@ -72,7 +72,7 @@ def errors_of_gradient(family, parameters, where, observed, weights):
 
 
 @pytest.mark.parametrize("family", NAMES)
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [case for case in CASES if case != "any sharpness"])  # has no adjoint
 def test_gradient_is_that_of_the_march(family, case):
     """1e-6 of the largest derivative by a parameter of its kind, in each particle, hardly yielding or far."""
     chains, request = CASES[case]

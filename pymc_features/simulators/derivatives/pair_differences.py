@@ -17,7 +17,7 @@ from pymc_features.simulators.compiled.vector import load, magnitude, splat, sto
 from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.derivatives.pair_lanes import order_of
 from pymc_features.simulators.derivatives.pair_memory import number, put_number
-from pymc_features.simulators.eigen.complex_modes import over, times
+from pymc_features.simulators.eigen.pair_numbers import over, times
 from pymc_features.simulators.oscillators.close_modes import CLOSE
 
 

@@ -18,7 +18,8 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import load, splat, store, where_less
 from pymc_features.simulators.derivatives.filters import hold_functions
 from pymc_features.simulators.derivatives.pair_memory import put_number
-from pymc_features.simulators.eigen.complex_modes import at_sensor, input_factor, norm, times
+from pymc_features.simulators.eigen.complex_modes import at_sensor, input_factor, norm
+from pymc_features.simulators.eigen.pair_numbers import times
 from pymc_features.simulators.eigen.pairs import add_to_sums
 from pymc_features.simulators.oscillators.arguments import (
     ABSOLUTE_ACCELERATION,

@@ -33,6 +33,7 @@ from pymc_features.simulators.compiled.vector import (
     where_less,
 )
 from pymc_features.simulators.compiled.vector_math import larger
+from pymc_features.simulators.eigen.pair_numbers import over, times
 
 PANEL = 2
 MAX_ITERATIONS = 80
@@ -90,20 +91,6 @@ def new_complex(n_modes, n_sensors):
         poles=np.zeros((3 * PANEL, LANES)),
         sums=np.zeros((3 * n_sensors, LANES)),
     )
-
-
-@jit
-def times(x, y, square):
-    """Product of two numbers (real, imaginary), i^2 = `square`."""
-    return x[0] * y[0] + square * (x[1] * y[1]), x[0] * y[1] + x[1] * y[0]
-
-
-@jit
-def over(x, y, square):
-    """Quotient of two such numbers."""
-    size = splat(1.0) / (y[0] * y[0] - square * (y[1] * y[1]))
-    real, imaginary = times(x, (y[0], 0.0 - y[1]), square)
-    return real * size, imaginary * size
 
 
 @jit

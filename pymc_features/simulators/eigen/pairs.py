@@ -18,9 +18,9 @@ from pymc_features.simulators.eigen.complex_modes import (
     input_factor,
     settle_panel,
     start_panel,
-    times,
 )
 from pymc_features.simulators.eigen.filling import hold_lanes
+from pymc_features.simulators.eigen.pair_numbers import times
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
 from pymc_features.simulators.oscillators.lanes import N_OF_PAIR, SAMPLES, Lanes, has_gaps
 
