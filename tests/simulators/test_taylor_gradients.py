@@ -7,13 +7,15 @@ from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.nonlinear import kernels
 from pymc_features.simulators.taylor import tape
-from simulators.test_taylor import CASES, KERNELS, history, particle, population, shaken
+from simulators.test_taylor import CASES as MARCHES
 from simulators.test_taylor import FAMILIES as NAMES
+from simulators.test_taylor import KERNELS, history, particle, population, shaken
 from support.kernels import population_gradient as chain_gradient
 
 STEP = 3e-6  # of a parameter: small enough for the choices that a march makes
 ROUNDING = 3e-15  # of L
 SHARPNESS = 2  # row of the law
+CASES = {name: case for name, case in MARCHES.items() if "sharpness" not in case[0]}  # those with a reverse
 
 
 def gradient(family, parameters, where, observed, weights):
