@@ -23,7 +23,7 @@ from pymc_features.simulators.oscillators.arguments import (
     ground_at,
 )
 from pymc_features.simulators.taylor.feedback import feedback_of
-from pymc_features.simulators.taylor.kinks import search_of, turn_of
+from pymc_features.simulators.taylor.kinks import turn_of
 from pymc_features.simulators.taylor.layout import (
     DASHPOT,
     DRAG,
@@ -38,6 +38,7 @@ from pymc_features.simulators.taylor.layout import (
     layout_of,
 )
 from pymc_features.simulators.taylor.orders import HUGE, finish_of, orders_from
+from pymc_features.simulators.taylor.search import search_of
 from pymc_features.simulators.taylor.series import Z
 from pymc_features.simulators.taylor.tape import COUNT, MAX_STEPS, tape_of
 

@@ -27,7 +27,7 @@ from pymc_features.simulators.taylor.adjoint.kinks import bars_size, turns_adjoi
 from pymc_features.simulators.taylor.adjoint.orders import bars_of, damping_bars, reverse_from, spread_of
 from pymc_features.simulators.taylor.adjoint.parameters import ChainBars
 from pymc_features.simulators.taylor.feedback import feedback_of
-from pymc_features.simulators.taylor.kinks import search_of, trace_size, turn_of
+from pymc_features.simulators.taylor.kinks import trace_size, turn_of
 from pymc_features.simulators.taylor.layout import (
     DASHPOT,
     DRAG,
@@ -40,6 +40,7 @@ from pymc_features.simulators.taylor.layout import (
 )
 from pymc_features.simulators.taylor.march import group_of
 from pymc_features.simulators.taylor.orders import finish_of, orders_from
+from pymc_features.simulators.taylor.search import search_of
 from pymc_features.simulators.taylor.tape import COUNT, COUNTS, SEGMENTS, STEPS, tape_of, width_of
 
 
