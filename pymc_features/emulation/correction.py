@@ -75,9 +75,9 @@ def remaining(theta, at, log_ratios, log_updates) -> Remaining:
 
     Notes
     -----
-    With weights w = exp(log_ratios) of mean one, E_true f - E_emulator f = Cov(w, f) is estimated by
-    mean (w - 1)(f - E_emulator f), whose standard error shrinks with the error of the emulator: a control
-    variate, since E_emulator f is known from all draws. The part by which the update has moved f is taken away.
+    With weights w = exp(log_ratios) of mean one, E_true f - E_emulator f = Cov(w, f) is estimated by the mean
+    of (w - 1)(f - E_emulator f), whose standard error shrinks with the error of the emulator: a control
+    variate, since E_emulator f is known from all draws. What the update has moved f by is taken away.
     """
     weights, updates = normalised(log_ratios), normalised(log_updates)
     scaled = (theta - theta.mean(axis=0)) / theta.std(axis=0)

@@ -32,25 +32,29 @@ def first_points(model, space, n, rng):
 
 
 def uncertainty(campaign, theta, rng):
-    """Contribution (n, group) of each process to the variance of the log-likelihood at points (n, d).
+    """Contribution (n, process) of each process to the variance of the log-likelihood at points (n, d).
 
-    By components one standard deviation up and down, with random signs where several share a process: slope and
-    curvature of any likelihood.
+    By components one standard deviation up and down, with random signs where several share a process: slope
+    and curvature of any likelihood.
     """
-    emulator = campaign.stand_in.emulator
-    here = campaign.log_likelihood(theta, np.zeros(len(emulator.basis)))
-    parts = np.zeros((len(theta), len(emulator.groups)))
-    for g, group in enumerate(emulator.groups):
-        shift = np.zeros(len(emulator.basis))
-        shift[group] = rng.choice([-1.0, 1.0], size=group.stop - group.start)
-        up, down = (campaign.log_likelihood(theta, sign * shift) for sign in (1.0, -1.0))
-        with np.errstate(invalid="ignore"):
-            parts[:, g] = (0.5 * (up - down)) ** 2 + 0.5 * (up + down - 2.0 * here) ** 2
+    none = [np.zeros(len(response.emulator.basis)) for response in campaign.responses]
+    here, parts = campaign.log_likelihood(theta, none), []
+    for i, response in enumerate(campaign.responses):
+        for group in response.emulator.groups:
+            sides = []
+            signs = rng.choice([-1.0, 1.0], size=group.stop - group.start)
+            for side in (1.0, -1.0):
+                shifts = [shift.copy() for shift in none]
+                shifts[i][group] = side * signs
+                sides.append(campaign.log_likelihood(theta, shifts))
+            with np.errstate(invalid="ignore"):
+                parts.append((0.5 * (sides[0] - sides[1])) ** 2 + 0.5 * (sum(sides) - 2.0 * here) ** 2)
+    parts = np.stack(parts, axis=1)
     return np.where(np.isfinite(parts), parts, 0.0)
 
 
 def candidates(campaign, draws, rng):
-    """Points to choose from (n, d): draws from the posterior, and what may belong to it if the emulator errs."""
+    """Points to choose from (n, d): draws from the posterior, and what may belong to it for all one knows."""
     draws = draws[rng.permutation(len(draws))[:TARGETS]]
     spread = WIDER**2 * np.cov(draws, rowvar=False).reshape(draws.shape[1], -1)
     wide = stats.multivariate_t(draws.mean(axis=0), spread, DEGREES, allow_singular=True, seed=rng)
@@ -70,9 +74,12 @@ def next_points(campaign, draws, n, rng):
     posterior, given those chosen before: a Gaussian process's variance does not depend on what is found.
     """
     points = candidates(campaign, draws, rng)
-    emulator = campaign.stand_in.emulator
-    coordinates = emulator.coordinates(campaign.x_of(points))
-    covariances = [process.covariance(coordinates) for process in emulator.processes]
+    noises, covariances = [], []
+    for response in campaign.responses:
+        coordinates = response.coordinates(response.x_of(points))
+        for process in response.emulator.processes:
+            noises.append(process.noise)
+            covariances.append(process.covariance(coordinates))
     variances = np.stack([np.diag(c) for c in covariances], axis=1)
     parts = uncertainty(campaign, points, rng)
     per_unit = parts / np.maximum(variances, 1e-12)
@@ -80,13 +87,13 @@ def next_points(campaign, draws, n, rng):
     chosen = []
     for _ in range(n):
         gain = np.zeros(len(points))
-        for g, (covariance, process) in enumerate(zip(covariances, emulator.processes, strict=True)):
-            reduced = covariance**2 / (np.diag(covariance) + process.noise)
+        for g, (covariance, noise) in enumerate(zip(covariances, noises, strict=True)):
+            reduced = covariance**2 / (np.diag(covariance) + noise)
             gain += per_unit[:, g] @ reduced
         gain[chosen] = -np.inf
         best = int(gain.argmax())
         chosen.append(best)
-        for g, process in enumerate(emulator.processes):
+        for g, noise in enumerate(noises):
             column = covariances[g][:, best]
-            covariances[g] = covariances[g] - np.outer(column, column) / (column[best] + process.noise)
+            covariances[g] = covariances[g] - np.outer(column, column) / (column[best] + noise)
     return points[chosen]

@@ -9,17 +9,7 @@ import pymc as pm
 import xarray as xr
 from rich.console import Console
 
-from pymc_features._checks import (
-    check_flag,
-    check_integer,
-    check_model,
-    check_seed,
-    is_number,
-    message,
-    shown,
-    single,
-    to_float,
-)
+from pymc_features._checks import check_integer, check_model, check_seed, check_share
 from pymc_features.emulation.campaign import Campaign
 from pymc_features.emulation.correction import Remaining, largest_change, remaining
 from pymc_features.emulation.design import first_points, next_points
@@ -28,7 +18,7 @@ from pymc_features.exceptions import SamplingWarning
 from pymc_features.inference.parameters import check_continuous, coordinate_names
 from pymc_features.inference.sample import sample
 from pymc_features.progress import PartProgress
-from pymc_features.smc import prior_points
+from pymc_features.smc import check_run, prior_points
 
 FIRST, LEAST_FIRST = 6, 8  # runs for each parameter of the simulator before the first choice
 BATCHES, LEAST_BATCH = 12, 4  # parts of all runs
@@ -90,10 +80,10 @@ def emulate(
     Parameters
     ----------
     runs : int
-        Simulations at most, those that fail or are found in the cache included.
+        Simulations of each response at most, those that fail or are found in the cache included.
     model : pymc.Model, optional
-        With one response of an `ExternalSimulator`, compared with data by any likelihood. The model of the
-        context by default.
+        With responses of `ExternalSimulator`, one or several, compared with data by any likelihood. The model
+        of the context by default.
     draws, chains : int
         Of the posterior, as for `sample`.
     batch : int, optional
@@ -115,8 +105,7 @@ def emulate(
     Raises
     ------
     ValueError
-        If the model has no response of an external simulator, or several, or discrete parameters; or `runs`
-        are too few.
+        If the model has no response of an external simulator, or discrete parameters; or `runs` are too few.
     RuntimeError
         If almost all simulations fail.
 
@@ -150,14 +139,14 @@ def emulate(
     >>> bool(abs(found.idata.posterior["k"].mean() - 1.0) < 0.02)
     True
     """
-    settings = checked(runs, draws, batch, tolerance, progressbar)
-    seed = check_seed(random_seed)
+    settings, seed = checked(runs, batch, tolerance), check_seed(random_seed)
+    check_run(draws, chains, None, None, progressbar)
     model = check_model(model)
     check_continuous(model, "emulate()")
     seeds = np.random.SeedSequence(seed)
     rng = np.random.default_rng(seeds.spawn(1)[0])
-    replacement = replaced(model)
-    campaign = Campaign(replacement, prior_points(replacement.model, PRIOR_DRAWS, rng))
+    emulated, parts = replaced(model)
+    campaign = Campaign(emulated, parts, prior_points(emulated, PRIOR_DRAWS, rng))
     with PartProgress(Console(file=sys.stderr, quiet=not progressbar), "Emulating") as shown_progress:
         history, left = explored(campaign, settings, rng, shown_progress)
         shown_progress("sampling the posterior", campaign.n_runs, settings.runs)
@@ -183,23 +172,17 @@ class Settings(NamedTuple):
     tolerance: float
 
 
-def checked(runs, draws, batch, tolerance, progressbar) -> Settings:
+def checked(runs, batch, tolerance) -> Settings:
     """Refuse what cannot be used."""
-    check_integer(runs, "runs", least=LEAST_FIRST + LEAST_CHECKS)
-    check_integer(draws, "draws", least=2)
-    check_flag(progressbar, "progressbar")
-    if batch is not None:
-        check_integer(batch, "batch", least=1)
-    number = single(tolerance)
-    if not (is_number(number) and 0.0 < to_float(number) < 1.0):
-        raise ValueError(message("tolerance", "between 0 and 1", shown(tolerance), "0.02 is a good choice."))
-    batch = batch or max(LEAST_BATCH, runs // BATCHES)
-    return Settings(runs, batch, max(LEAST_CHECKS, runs // CHECKS), float(tolerance))
+    runs = check_integer(runs, "runs", least=LEAST_FIRST + LEAST_CHECKS)
+    batch = max(LEAST_BATCH, runs // BATCHES) if batch is None else check_integer(batch, "batch")
+    tolerance = check_share(tolerance, "tolerance", "0.02 is a good choice.")
+    return Settings(runs, batch, max(LEAST_CHECKS, runs // CHECKS), tolerance)
 
 
 def explored(campaign, settings, rng, progress) -> tuple[list[Batch], Remaining]:
     """Run until the posterior stays where it is, and then at its draws."""
-    n_parameters = campaign.coordinates.scale.size
+    n_parameters = max(response.coordinates.varying.size for response in campaign.responses)
     first = min(max(LEAST_FIRST, FIRST * n_parameters), settings.runs - settings.checks)
     progress("runs all over the prior", 0, settings.runs)
     campaign.run(first_points(campaign.model, campaign.space, first, rng))
@@ -269,7 +252,7 @@ def judged(campaign, draws, settings, rng) -> tuple[Batch, Remaining]:
 
 def described(campaign, settings, history, left: Remaining) -> xr.Dataset:
     """The group `emulation` of the result."""
-    usable = campaign.stand_in.emulator.usable
+    usable = np.concatenate([response.emulator.usable for response in campaign.responses])
     names = coordinate_names(campaign.model, campaign.space)
     runs, change, error = (np.array(column) for column in zip(*history, strict=True))
     data = {"runs": ("batch", runs), "change": ("batch", change), "error": ("batch", error)}
@@ -290,8 +273,8 @@ def advice(last: Batch, left: Remaining, settings) -> str:
     """What is wrong, and what to do."""
     return (
         f"the emulator was still learning after {last.runs} runs: the last ones moved a quantile by "
-        f"{100 * last.change:.2g} % of the 5-95 % width, and were predicted to {last.error:.2g} nats. The error "
-        f"that is left is up to {left.largest:.2g} standard deviations. Increase `runs`; if that does not "
-        "help, the response is not smooth in the parameters, or the priors are too wide: sample with "
+        f"{100 * last.change:.2g} % of the 5-95 % width, and were predicted to {last.error:.2g} nats. The "
+        f"error that is left is up to {left.largest:.2g} standard deviations. Increase `runs`; if that does "
+        "not help, the response is not smooth in the parameters, or the priors are too wide: sample with "
         "sample_smc()."
     )

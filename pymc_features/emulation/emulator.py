@@ -4,13 +4,13 @@ Responses g (sensor, time) of the runs so far are scaled by the spread of each s
 
     g(x) = g_0 + sum_c z_c(x) phi_c + rest,
 
-with orthonormal phi_c (singular value decomposition). Each z_c is a Gaussian process of the parameters x; the
-rest, beyond the last component that is kept, counts as an error of constant variance for each sensor. With mean
-m_c and variance v_c of z_c the expected e_j of Eq. (3) is, exactly,
+with orthonormal phi_c (singular value decomposition). Each z_c is a Gaussian process of the parameters x;
+the rest, beyond the last component that is kept, counts as an error of constant variance for each sensor.
+With mean m_c and variance v_c of z_c the expected e_j of Eq. (3) is, exactly,
 
     E e_j = |y_j - g_0j - sum_c m_c phi_cj|^2 / N + sum_c v_c |phi_cj|^2 / N + rest_j.
 
-A simulator that returns e_j itself is emulated by its logarithm, and the expected e_j is that of a log-normal.
+A simulator that returns e_j itself is emulated by its logarithm; the expected e_j is that of a log-normal.
 """
 
 from typing import NamedTuple
@@ -24,6 +24,7 @@ NEGLECTED = 1e-7  # share of the variance of all runs that components left out m
 MOST_COMPONENTS = 60
 GROUPS = (1, 1, 1, 1, 1, 1, 2, 2, 4, 4, 8, 8, 16, 16)  # components that share a kernel, the largest alone
 PREDICTED_AT_ONCE = 2000
+CONSTANT = 1e-12  # relative range within which a parameter does not vary
 POSITIVE_SKEW = 0.5  # by how much less skewed a logarithm must be to take the place of its parameter
 
 
@@ -32,40 +33,51 @@ class Coordinates(NamedTuple):
 
     Attributes
     ----------
-    logarithmic : array of bool (parameter,)
-    centre, scale : array (parameter,)
+    varying : array of int
+        Which parameters vary; the others are left out.
+    logarithmic : array of bool (varying,)
+    centre, scale : array (varying,)
+    n_parameters : int
+        Those that do not vary included.
     """
 
+    varying: np.ndarray
     logarithmic: np.ndarray
     centre: np.ndarray
     scale: np.ndarray
+    n_parameters: int
 
     @classmethod
     def of(cls, x) -> "Coordinates":
         """Those that suit draws from the prior (point, parameter)."""
-        positive = (x > 0).all(axis=0)
-        logs = np.log(np.where(positive, x, 1.0))
-        logarithmic = positive & (np.abs(skewness(logs)) + POSITIVE_SKEW < np.abs(skewness(x)))
-        moved = np.where(logarithmic, logs, x)
-        scale = moved.std(axis=0)
-        return cls(logarithmic, moved.mean(axis=0), np.where(scale > 0, scale, 1.0))
+        varying = np.flatnonzero(np.ptp(x, axis=0) > CONSTANT * np.abs(x).max(axis=0))
+        own = x[:, varying]
+        positive = (own > 0).all(axis=0)
+        logs = np.log(np.where(positive, own, 1.0))
+        logarithmic = positive & (np.abs(skewness(logs)) + POSITIVE_SKEW < np.abs(skewness(own)))
+        moved = np.where(logarithmic, logs, own)
+        return cls(varying, logarithmic, moved.mean(axis=0), moved.std(axis=0), x.shape[1])
 
     def __call__(self, x):
-        """Points (n, d)."""
+        """Points (n, varying)."""
+        own = x[:, self.varying]
         with np.errstate(invalid="ignore", divide="ignore"):
-            moved = np.where(self.logarithmic, np.log(np.where(self.logarithmic, x, 1.0)), x)
+            moved = np.where(self.logarithmic, np.log(np.where(self.logarithmic, own, 1.0)), own)
         return (moved - self.centre) / self.scale
 
-    def slope(self, x):
-        """Derivatives (n, d) by the parameters."""
-        return 1.0 / (self.scale * np.where(self.logarithmic, x, 1.0))
+    def pulled_back(self, gradient, x):
+        """Gradient (n, parameter) by the parameters, of one by the coordinates (n, varying)."""
+        result = np.zeros((len(x), self.n_parameters))
+        result[:, self.varying] = gradient / self.scale
+        result[:, self.varying] /= np.where(self.logarithmic, x[:, self.varying], 1.0)
+        return result
 
 
 def skewness(x):
     """Of each column (n, d)."""
     off = x - x.mean(axis=0)
-    spread = np.maximum(off.std(axis=0), 1e-300)
-    return ((off / spread) ** 3).mean(axis=0)
+    spread = off.std(axis=0)
+    return ((off / np.where(spread > 0, spread, 1.0)) ** 3).mean(axis=0)
 
 
 class Comparison(NamedTuple):
@@ -192,7 +204,7 @@ class Emulator:
         for group, process in zip(self.groups, self.processes, strict=True):
             by_unit = self.inflation * by_variance[:, group] @ process.variance
             gradient = gradient + process.slopes(points, by_mean[:, group], by_unit)
-        return gradient * self.coordinates.slope(x)
+        return self.coordinates.pulled_back(gradient, x)
 
     def discrepancy_slopes(self, x, observed, weights):
         """Gradient (n, parameter) of sum_j weights_j E e_j, weights (n, sensor)."""

@@ -1,10 +1,10 @@
 r"""A Gaussian process of a few outputs that share one kernel, about a polynomial trend.
 
 Outputs y (point, output) have the mean H(x) beta, with beta unknown and a flat prior, and the covariance
-s_c^2 [k(x, x') + noise delta(x, x')], with a variance s_c^2 for each output: universal kriging. The kernel is a
-squared exponential or a Matern 5/2, with one length scale for each parameter; the one of more likelihood is
-taken. Restricted marginal likelihood, with beta and s_c^2 eliminated (Santner, Williams & Notz, The Design and
-Analysis of Computer Experiments, 2nd ed. 2018, section 3.3):
+s_c^2 [k(x, x') + noise delta(x, x')], with a variance s_c^2 for each output: universal kriging. The kernel is
+a squared exponential or a Matern 5/2, with one length scale for each parameter; the one of more likelihood is
+taken. Restricted marginal likelihood, with beta and s_c^2 eliminated (Santner, Williams & Notz, The Design
+and Analysis of Computer Experiments, 2nd ed. 2018, section 3.3):
 
     -2 ln L = q [ln |K| + ln |H' K^-1 H|] + (n - p) sum_c ln s_c^2,   s_c^2 = y_c' P y_c / (n - p),
     P = K^-1 - K^-1 H (H' K^-1 H)^-1 H' K^-1.
@@ -231,7 +231,7 @@ class GaussianProcess:
         return self.correlation(x, x) - known @ known.T + open_ @ open_.T
 
     def slopes(self, x, by_mean, by_variance):
-        """Gradient (n, d) of sum_c by_mean_c mean_c + by_variance * variance, weights (n, output) and (n,)."""
+        """Gradient (n, d) of sum_c by_mean_c mean_c + by_variance variance; weights (n, output), (n,)."""
         squares = squared_distances(x / self.lengths, self.x / self.lengths)
         cross = self.kernel.value(squares)
         slope = self.kernel.slope(squares, cross)  # dk/dx = -slope (x - x_i) / lengths^2

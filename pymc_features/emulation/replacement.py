@@ -1,5 +1,6 @@
-"""A PyMC model in which an emulator stands in for an external simulator."""
+"""A PyMC model in which emulators stand in for external simulators."""
 
+from collections.abc import Callable
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -8,11 +9,14 @@ import pymc as pm
 import pytensor.tensor as pt
 from pymc.model.fgraph import fgraph_from_model, model_from_fgraph
 from pytensor.graph.replace import graph_replace
+from pytensor.graph.traversal import ancestors
 
 from pymc_features._checks import message
 from pymc_features.emulation.emulator import PREDICTED_AT_ONCE, Emulator
 from pymc_features.external import ExternalSimulator
+from pymc_features.fingerprint import fingerprint
 from pymc_features.inference.parameters import Unconstrained
+from pymc_features.inference.unit_cube import parts_of
 from pymc_features.ops import ExternalResponse
 from pymc_features.smc import Outputs, RowFunction, batched_graph
 
@@ -40,9 +44,15 @@ class StandIn:
 
     def __init__(self, simulator):
         self.shape, self.returns, self.dt = simulator.shape, simulator.returns, simulator.dt
-        self.identity = simulator.identity
+        self.simulator_identity = simulator.identity
         self.emulator: Emulator | None = None
         self.shift, self.truly = None, False
+
+    @property
+    def identity(self) -> str:
+        """Fingerprint of what is computed, for checkpoints."""
+        runs = () if self.emulator is None else (self.emulator.x, self.emulator.responses)
+        return fingerprint(self.simulator_identity, *runs)
 
     @contextmanager
     def shifted(self, shift):
@@ -157,92 +167,68 @@ def unflat(gradient, parameters):
     return [part.reshape(-1, *np.shape(p)[1:]) for part, p in zip(parts, parameters, strict=True)]
 
 
-class Replacement(NamedTuple):
-    """A model and its copy with a stand-in.
+class Part(NamedTuple):
+    """One response in a model.
 
     Attributes
     ----------
     simulator : ExternalSimulator
     stand_in : StandIn
-    model : pymc.Model
-        The copy.
     parameters_of : callable
-        Points theta (n, d) on the unconstrained scale to the arguments of the simulator, a list of arrays with
-        rows.
+        Points theta (n, d) on the unconstrained scale to the arguments of the simulator, arrays with rows.
     """
 
     simulator: ExternalSimulator
     stand_in: StandIn
-    model: pm.Model
-    parameters_of: object
+    parameters_of: Callable
 
 
-def replaced(model: pm.Model) -> Replacement:
-    """Put a stand-in in the place of the one external simulator of a model.
+def replaced(model: pm.Model) -> tuple[pm.Model, list[Part]]:
+    """A copy of a model with stand-ins in the place of its external simulators.
 
     Raises
     ------
     ValueError
-        If there is none, or more than one response of one.
+        If there is no response of one.
     """
     fgraph, _ = fgraph_from_model(model)
     nodes = [node for node in fgraph.apply_nodes if isinstance(node.op, ExternalResponse)]
-    if len(nodes) != 1:
-        advice = "Use the simulator once, as mu of a likelihood."
-        expected = "one response of an ExternalSimulator"
-        raise ValueError(message("model", expected, str(len(nodes) or "none"), advice))
-    [node] = nodes
-    if not isinstance(node.op.simulator, ExternalSimulator):
-        raise ValueError(message("model", "that of the simulator", "one with an emulator already"))
-    stand_in = StandIn(node.op.simulator)
-    response = ExternalResponse(stand_in, node.op.ndims)(*node.inputs)
-    fgraph.replace(node.outputs[0], response, reason="emulate", import_missing=True)
+    if not nodes:
+        advice = "Write mu=simulator(...) in a likelihood; for a DiscrepancySimulator there is no emulator."
+        raise ValueError(message("model", "a model with a response of an ExternalSimulator", "none", advice))
+    if not all(isinstance(node.op.simulator, ExternalSimulator) for node in nodes):
+        raise ValueError(message("model", "that of the simulator", "one that emulate() has made"))
+    stand_ins = []
+    for node in nodes:
+        stand_ins.append((node.op.simulator, StandIn(node.op.simulator)))
+        response = ExternalResponse(stand_ins[-1][1], node.op.ndims)(*node.inputs)
+        fgraph.replace(node.outputs[0], response, reason="emulate", import_missing=True)
     copy = model_from_fgraph(fgraph, mutate_fgraph=True)
-    return Replacement(node.op.simulator, stand_in, copy, arguments(copy, stand_in))
+    return copy, [Part(*pair, arguments(copy, pair[1])) for pair in stand_ins]
 
 
-def arguments(model, stand_in):
-    """The function from points theta (n, d) to the arguments of the simulator."""
-    outputs = [*model.basic_RVs, *model.potentials, *model.deterministics]
+def arguments(model, stand_in) -> Callable:
+    """The function from points theta (n, d) to the arguments of a simulator."""
     [node] = {
         v.owner
-        for v in ancestors_of(outputs)
-        if v.owner is not None
-        and isinstance(v.owner.op, ExternalResponse)
-        and v.owner.op.simulator is stand_in
+        for v in ancestors([*model.basic_RVs, *model.potentials, *model.deterministics])
+        if isinstance(getattr(v.owner, "op", None), ExternalResponse) and v.owner.op.simulator is stand_in
     }
-    space = Unconstrained(model)
-    theta, values, first = pt.vector("theta"), {}, 0
-    for v in model.value_vars:
-        size = int(np.prod(space.shapes[v.name], dtype=int))
-        values[v] = theta[first : first + size].reshape(space.shapes[v.name]).astype(v.dtype)
-        values[v] = pt.specify_shape(values[v], v.type.shape)
-        first += size
-    inputs = graph_replace(model.replace_rvs_by_values(node.inputs), values, strict=False)
-    shapes = [tuple(value.shape) for value in inputs_at(model, node)]
-    row = pt.concatenate([x.ravel() for x in inputs])
-    function = RowFunction(batched_graph(Outputs(theta, [row])), {})
-    sizes = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes])[:-1]
+    space, theta = Unconstrained(model), pt.vector("theta")
+    tensors = model.replace_rvs_by_values(node.inputs)
+    parts = parts_of(theta, space)
+    values = {v: pt.specify_shape(parts[v.name].astype(v.dtype), v.type.shape) for v in model.value_vars}
+    inputs = graph_replace(tensors, values, strict=False)
+    at_start = model.compile_fn(
+        tensors, inputs=model.value_vars, mode="FAST_COMPILE", on_unused_input="ignore"
+    )
+    shapes = [np.shape(value) for value in at_start(space.point)]
+    function = RowFunction(batched_graph(Outputs(theta, [pt.concatenate([x.ravel() for x in inputs])])), {})
+    ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes])[:-1]
 
     def parameters_of(points):
         [rows] = function(points)
-        parts = np.split(rows, sizes, axis=1)
+        parts = np.split(rows, ends, axis=1)
         return [part.reshape(len(points), *shape) for part, shape in zip(parts, shapes, strict=True)]
 
     return parameters_of
-
-
-def ancestors_of(outputs):
-    """All variables that some depend on."""
-    from pytensor.graph.traversal import ancestors
-
-    return ancestors(outputs)
-
-
-def inputs_at(model, node):
-    """Arguments of the simulator at the initial point, for their shapes."""
-    tensors = model.replace_rvs_by_values(node.inputs)
-    function = model.compile_fn(
-        tensors, inputs=model.value_vars, mode="FAST_COMPILE", on_unused_input="ignore"
-    )
-    return function(model.initial_point())
