@@ -204,6 +204,9 @@ def replaced(model: pm.Model) -> tuple[pm.Model, list[Part]]:
         response = ExternalResponse(stand_ins[-1][1], node.op.ndims)(*node.inputs)
         fgraph.replace(node.outputs[0], response, reason="emulate", import_missing=True)
     copy = model_from_fgraph(fgraph, mutate_fgraph=True)
+    order = [rv.name for rv in model.basic_RVs]
+    for variables in (copy.free_RVs, copy.observed_RVs):  # as in the model, not as in its graph
+        variables.sort(key=lambda rv: order.index(rv.name))
     return copy, [Part(*pair, arguments(copy, pair[1])) for pair in stand_ins]
 
 

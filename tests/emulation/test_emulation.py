@@ -258,6 +258,7 @@ def test_two_responses_and_failures():
     low, middle, high = exact_quantiles(data, 0.3, 1.0, 4.0)
     assert abs(found.idata.posterior["k"].mean() - middle) < 0.2 * (high - low)
     assert found.idata.posterior["c"].max() < 0.9
+    assert [v.name for v in found.model.value_vars] == [v.name for v in model.value_vars]
 
 
 @pytest.mark.slow
