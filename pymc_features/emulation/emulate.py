@@ -22,7 +22,7 @@ from pymc_features.smc import check_run, prior_points
 
 FIRST, LEAST_FIRST = 6, 8  # runs for each parameter of the simulator before the first choice
 BATCHES, LEAST_BATCH = 12, 4  # parts of all runs
-CHECKS, LEAST_CHECKS = 6, 8  # part of all runs that judges the result
+CHECKS, LEAST_CHECKS, MOST_CHECKS = 6, 8, 32  # part of all runs that judges the result
 DESIGN_DRAWS = 1000
 PRIOR_DRAWS = 500
 NATS = 10.0  # permitted error of the log-likelihood, in tolerances
@@ -84,7 +84,7 @@ def emulate(
     model : pymc.Model, optional
         With responses of `ExternalSimulator`, one or several, compared with data by any likelihood. The model
         of the context by default.
-    draws, chains : int
+    draws, chains : int, optional
         Of the posterior, as for `sample`.
     batch : int, optional
         Simulations at once; a twelfth of all by default. A multiple of the processes they run on is best.
@@ -143,8 +143,7 @@ def emulate(
     check_run(draws, chains, None, None, progressbar)
     model = check_model(model)
     check_continuous(model, "emulate()")
-    seeds = np.random.SeedSequence(seed)
-    rng = np.random.default_rng(seeds.spawn(1)[0])
+    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
     emulated, parts = replaced(model)
     campaign = Campaign(emulated, parts, prior_points(emulated, PRIOR_DRAWS, rng))
     with PartProgress(Console(file=sys.stderr, quiet=not progressbar), "Emulating") as shown_progress:
@@ -177,7 +176,7 @@ def checked(runs, batch, tolerance) -> Settings:
     runs = check_integer(runs, "runs", least=LEAST_FIRST + LEAST_CHECKS)
     batch = max(LEAST_BATCH, runs // BATCHES) if batch is None else check_integer(batch, "batch")
     tolerance = check_share(tolerance, "tolerance", "0.02 is a good choice.")
-    return Settings(runs, batch, max(LEAST_CHECKS, runs // CHECKS), tolerance)
+    return Settings(runs, batch, min(max(LEAST_CHECKS, runs // CHECKS), MOST_CHECKS), tolerance)
 
 
 def explored(campaign, settings, rng, progress) -> tuple[list[Batch], Remaining]:

@@ -22,7 +22,7 @@ from pymc_features.emulation.gaussian_process import GaussianProcess, fit_hyperp
 
 NEGLECTED = 1e-7  # share of the variance of all runs that components left out may have
 MOST_COMPONENTS = 60
-GROUPS = (1, 1, 1, 1, 1, 1, 2, 2, 4, 4, 8, 8, 16, 16)  # components that share a kernel, the largest alone
+GROUPS = (1, 1, 1, 1, 2, 2, 4, 8, 16, 32)  # components that share a kernel, the largest alone
 PREDICTED_AT_ONCE = 2000
 CONSTANT = 1e-12  # relative range within which a parameter does not vary
 POSITIVE_SKEW = 0.5  # by how much less skewed a logarithm must be to take the place of its parameter

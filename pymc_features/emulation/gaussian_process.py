@@ -10,6 +10,7 @@ and Analysis of Computer Experiments, 2nd ed. 2018, section 3.3):
     P = K^-1 - K^-1 H (H' K^-1 H)^-1 H' K^-1.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,8 @@ NOISE_BOUNDS = (1e-8, 1e-1)  # over the variance of the process
 # weak prior of the logarithm of a length scale, lest a flat likelihood run away
 LENGTH_PRIOR = (np.log(2.0), 2.0)
 JITTER = 1e-11
-MOST_STEPS = 60
+MOST_STEPS, ENOUGH = 40, 1e-6  # of the search, and the relative gain below which it ends
+MANY_POINTS = 60  # from which a kernel that was chosen is kept
 
 
 class Kernel(NamedTuple):
@@ -35,8 +37,18 @@ class Kernel(NamedTuple):
         -2 dk/d(r^2), from r^2 and k.
     """
 
-    value: object
-    slope: object
+    value: Callable
+    slope: Callable
+
+
+def gaussian(squares):
+    """exp(-r^2 / 2)."""
+    return np.exp(-0.5 * squares)
+
+
+def gaussian_slope(squares, value):
+    """The same once more."""
+    return value
 
 
 def matern(squares):
@@ -52,7 +64,7 @@ def matern_slope(squares, value):
 
 
 KERNELS = {
-    "squared exponential": Kernel(lambda squares: np.exp(-0.5 * squares), lambda squares, value: value),
+    "squared exponential": Kernel(gaussian, gaussian_slope),
     "Matern 5/2": Kernel(matern, matern_slope),
 }
 
@@ -146,13 +158,14 @@ def fit_hyperparameters(x, y, start: Hyperparameters | None = None) -> Hyperpara
     ----------
     x, y : array (point, parameter), (point, output)
     start : Hyperparameters, optional
-        Where to begin, and the kernel to keep.
+        Where to begin; of many points its kernel is kept.
     """
     basis = trend(x, largest_degree(*x.shape))
     y = y / np.maximum(y.std(axis=0), 1e-300)
     bounds = [np.log(LENGTH_BOUNDS)] * x.shape[1] + [np.log(NOISE_BOUNDS)]
     found = []
-    for kernel in KERNELS:
+    kept = start is not None and len(x) > MANY_POINTS
+    for kernel in [start.kernel] if kept else KERNELS:
         if start is not None and start.kernel == kernel:
             first = np.append(np.log(start.lengths), np.log(start.noise))
         else:
@@ -165,7 +178,7 @@ def fit_hyperparameters(x, y, start: Hyperparameters | None = None) -> Hyperpara
             jac=True,
             method="L-BFGS-B",
             bounds=bounds,
-            options={"maxiter": MOST_STEPS},
+            options={"maxiter": MOST_STEPS, "ftol": ENOUGH},
         )
         found.append(
             Hyperparameters(kernel, np.exp(result.x[:-1]), float(np.exp(result.x[-1])), float(result.fun))

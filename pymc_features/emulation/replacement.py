@@ -8,6 +8,7 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 from pymc.model.fgraph import fgraph_from_model, model_from_fgraph
+from pytensor.graph.basic import Variable
 from pytensor.graph.replace import graph_replace
 from pytensor.graph.traversal import ancestors
 
@@ -191,7 +192,12 @@ def replaced(model: pm.Model) -> tuple[pm.Model, list[Part]]:
     ValueError
         If there is no response of one.
     """
-    fgraph, _ = fgraph_from_model(model)
+    initial = dict(model.rvs_to_initial_values)
+    model.rvs_to_initial_values.update(dict.fromkeys(initial))  # PyMC copies no model that has some
+    try:
+        fgraph, _ = fgraph_from_model(model)
+    finally:
+        model.rvs_to_initial_values.update(initial)
     nodes = [node for node in fgraph.apply_nodes if isinstance(node.op, ExternalResponse)]
     if not nodes:
         advice = "Write mu=simulator(...) in a likelihood; for a DiscrepancySimulator there is no emulator."
@@ -207,6 +213,8 @@ def replaced(model: pm.Model) -> tuple[pm.Model, list[Part]]:
     order = [rv.name for rv in model.basic_RVs]
     for variables in (copy.free_RVs, copy.observed_RVs):  # as in the model, not as in its graph
         variables.sort(key=lambda rv: order.index(rv.name))
+    for rv, value in initial.items():
+        copy.rvs_to_initial_values[copy[rv.name]] = None if isinstance(value, Variable) else value
     return copy, [Part(*pair, arguments(copy, pair[1])) for pair in stand_ins]
 
 

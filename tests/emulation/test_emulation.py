@@ -247,7 +247,7 @@ def test_two_responses_and_failures():
         return mean_square_discrepancy(oscillators(k, 0.3), data)
 
     with pm.Model() as model:
-        k, c = pm.Uniform("k", 1.0, 4.0), pm.Uniform("c", 0.1, 1.0)
+        k, c = pm.Uniform("k", 1.0, 4.0, initval=1.5), pm.Uniform("c", 0.1, 1.0)
         whole = simulator(oscillators, (2, 40))
         itself = simulator(misfit, (2, 40), returns="mean_square")
         pm.Normal("y", whole(k, c), 0.3, observed=data)
@@ -259,6 +259,7 @@ def test_two_responses_and_failures():
     assert abs(found.idata.posterior["k"].mean() - middle) < 0.2 * (high - low)
     assert found.idata.posterior["c"].max() < 0.9
     assert [v.name for v in found.model.value_vars] == [v.name for v in model.value_vars]
+    assert found.model.initial_point() == model.initial_point()
 
 
 @pytest.mark.slow
