@@ -14,8 +14,8 @@ import pymc_features as pmf
 from benchmarks.tables import significant, table
 from pymc_features import paper
 from pymc_features.emulation.correction import largest_change
-from pymc_features.external.processes.calls import Outcome
 from pymc_features.inference.parameters import Unconstrained, to_unconstrained
+from pymc_features.processes.calls import Outcome
 from pymc_features.smc import population_logp
 
 GROUPS = {3: ([0, 1, 2], [3, 4, 5], [6, 7, 8, 9]), 5: ([0, 1], [2, 3], [4, 5], [6, 7], [8, 9])}

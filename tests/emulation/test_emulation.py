@@ -21,7 +21,7 @@ from pymc_features.emulation.emulator import Coordinates, Emulator
 from pymc_features.emulation.gaussian_process import GaussianProcess, Hyperparameters, fit_hyperparameters
 from pymc_features.emulation.replacement import replaced
 from pymc_features.exceptions import SamplingWarning
-from pymc_features.external.processes.calls import Outcome
+from pymc_features.processes.calls import Outcome
 
 pytestmark = pytest.mark.usefixtures("fast_compile")
 TIME = np.linspace(0.0, 3.0, 40)
