@@ -10,7 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 SECTIONS = ("evaluation", "gradients", "ambient", "posteriors", "abc", "scaling", "structures")
-LONG = ("dimensions", "targets", "coverage", "opensees", "events", "cluster")  # run only if asked for
+# run only if asked for
+LONG = ("dimensions", "targets", "coverage", "opensees", "events", "cluster", "emulation")
 HELP = f"run one section; all but {', '.join(LONG)} by default (15 minutes)"
 PACKAGES = (
     *("pymc-features", "pymc", "pytensor", "numba", "numpy", "scipy"),

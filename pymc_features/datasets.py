@@ -86,6 +86,13 @@ _BRIDGE_PARTS = (
     "K_z2",
 )
 
+_COLUMN = "https://raw.githubusercontent.com/NHERI-SimCenter/quoFEM/{}/Examples/qfem-0034/src/{}"
+_COLUMN_COMMITS = "8cc8c98792dcb02efd8f276c884f4733cf55ce93", "1b7db1552be0daae95460df72147f49fff66442d"
+_COLUMN_FILES = {
+    "experimentDisp.csv": "02b1df7f2235a6f40df96cd4ffca3681edf9c0e6f1c7f9c23f4b7a6eeb59bea3",
+    "experimentForce.csv": "cd597dc05b2e89777e0ed6b75a10adc3902c6f906fd5e7b6a1d126f4ed70b13b",
+}
+
 
 def el_centro() -> Record:
     """North-south ground acceleration of El Centro, Imperial Valley earthquake, 18 May 1940.
@@ -229,6 +236,29 @@ def footbridge() -> Footbridge:
     )
     parts = {name: sparse.csc_array(found[name].astype(np.float64)) for name in _BRIDGE_PARTS}
     return Footbridge(modal, sparse.csc_array(found["M0"]), parts, measured)
+
+
+def rc_column() -> xr.Dataset:
+    """Measured loops of a reinforced-concrete column under cyclic displacement of its top.
+
+    A cantilever of 1.60 m, 0.40 m square, under 744 kN of axial force. Looked for in
+    ``PYMC_FEATURES_DATA/rc_column``, the cache, and the network; refused as those of `footbridge` are.
+
+    Returns
+    -------
+    Dataset (step)
+        Prescribed `displacement` of the top [m] and lateral `force` [N], 548 of each.
+
+    References
+    ----------
+    Soesianawati, Park & Priestley, Limited ductility design of reinforced concrete columns, University of
+    Canterbury, 1986; files of https://github.com/NHERI-SimCenter/quoFEM (BSD-2-Clause).
+    """
+    columns = []
+    for commit, (file, digest) in zip(_COLUMN_COMMITS, _COLUMN_FILES.items(), strict=True):
+        text = _fetch(_Source(f"rc_column/{file}", _COLUMN.format(commit, file), digest)).read_text()
+        columns.append(np.array(text.replace(",", " ").split(), dtype=np.float64))
+    return xr.Dataset({"displacement": ("step", columns[0]), "force": ("step", 1e3 * columns[1])})
 
 
 def _fetch(source: _Source) -> Path:

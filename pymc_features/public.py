@@ -11,9 +11,10 @@ from pymc_features.distributions import (
     TruncNormalFeature,
     sigma_mpv,
 )
+from pymc_features.emulation import emulate
 from pymc_features.events import compare, hierarchical
 from pymc_features.events.sequence import continue_with, sample_in_sequence
-from pymc_features.external import ExternalSimulator, ProgramSimulator, Surrogate
+from pymc_features.external import ExternalSimulator, ProgramSimulator
 from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.identification import identify_modes, propose_bands
 from pymc_features.inference import (
@@ -81,7 +82,6 @@ __all__ = [
     "Record",
     "SpringMassChain",
     "SubsetSimulation",
-    "Surrogate",
     "TMCMC",
     "TruncNormalFeature",
     "abc_tolerance",
@@ -91,6 +91,7 @@ __all__ = [
     "continue_with",
     "datasets",
     "effective_samples",
+    "emulate",
     "event_check",
     "exceptions",
     "expected_log_spectra",

@@ -11,7 +11,7 @@ from scipy.io import loadmat
 from scipy.linalg import eigh
 
 from pymc_features import Record, datasets
-from pymc_features.datasets import el_centro, footbridge, mini_shake_table
+from pymc_features.datasets import el_centro, footbridge, mini_shake_table, rc_column
 from pymc_features.exceptions import DatasetUnavailableError
 from pymc_features.io import read_record
 from pymc_features.io.reading.units import G
@@ -248,3 +248,28 @@ def test_a_footbridge_of_other_bytes(tmp_path, monkeypatch):
         ValueError, match="ExpModeInfo_FEM.mat must have the SHA-256 c185a0ff.*Replace it by the file"
     ):
         footbridge()
+
+
+# --- column -------------------------------------------------------------------------------------
+
+
+def test_column(no_download, data_dir):
+    """The published numbers in SI units."""
+    if not (data_dir / "rc_column").is_dir():
+        pytest.skip("the loops of the column are not there")
+    column = rc_column()
+    assert dict(column.sizes) == {"step": 548}
+    assert column["force"].values[:3].tolist() == [0.0, 32470.0, 58731.0]
+    assert float(column["displacement"].max()) == pytest.approx(0.078, abs=0.001)
+
+
+def test_column_is_downloaded(cache, data_dir, monkeypatch):
+    """Both files once, from fixed commits."""
+    names = ["experimentDisp.csv", "experimentForce.csv"]
+    folder = data_dir / "rc_column"
+    if not folder.is_dir():
+        pytest.skip("the loops of the column are not there")
+    calls = serve(monkeypatch, lambda target: shutil.copyfile(folder / names[len(calls) - 1], target))
+    assert rc_column().equals(rc_column())
+    assert [call.rpartition("/")[2] for call in calls] == names
+    assert all("/NHERI-SimCenter/quoFEM/" in call and "/qfem-0034/src/" in call for call in calls)

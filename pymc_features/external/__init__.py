@@ -4,6 +4,5 @@ from pymc_features.external.cache import EvaluationCache
 from pymc_features.external.evaluator import Evaluator, Failure
 from pymc_features.external.program import ProgramSimulator
 from pymc_features.external.simulator import ExternalSimulator
-from pymc_features.external.surrogate.surrogate import Surrogate
 
-__all__ = ["ProgramSimulator", "EvaluationCache", "Evaluator", "ExternalSimulator", "Failure", "Surrogate"]
+__all__ = ["ProgramSimulator", "EvaluationCache", "Evaluator", "ExternalSimulator", "Failure"]

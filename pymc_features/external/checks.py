@@ -25,7 +25,7 @@ from pymc_features.processes.executors import check_executor
 RETURNS = ("response", "mean_square")
 
 
-def check_simulator(function, shape, returns, gradient, version, surrogate, dt):
+def check_simulator(function, shape, returns, gradient, version, dt):
     """Refuse what cannot be used of a simulator."""
     for name, value in (("function", function), ("gradient", gradient)):
         if not callable(value) and not (name == "gradient" and value is None):
@@ -37,19 +37,8 @@ def check_simulator(function, shape, returns, gradient, version, surrogate, dt):
         )
     check_choice(returns, "returns", RETURNS)
     check_seconds("dt", dt)
-    if gradient is not None and surrogate is not None:
-        raise ValueError(
-            "`gradient` must be left out with `surrogate`, got both: predictions have other derivatives. "
-            "Sample with pmf.sample_smc()."
-        )
     if not (version is None or isinstance(version, str)):
         raise TypeError(f"`version` must be a text, got {shown(version)}.")
-    if isinstance(surrogate, type) or not (
-        surrogate is None or callable(getattr(surrogate, "evaluate", None))
-    ):
-        raise TypeError(
-            f"`surrogate` must be a Surrogate, got {type(surrogate).__name__}. Pass pmf.Surrogate(2) for EXP."
-        )
 
 
 def check_evaluation(timeout, retries, executor, progress):

@@ -13,7 +13,6 @@ from pymc_features.exceptions import UnknownIdentityError
 from pymc_features.external.checks import check_simulator
 from pymc_features.external.evaluator import EvaluationOptions, Evaluator, Failure, Task
 from pymc_features.external.gradient import FlatGradient
-from pymc_features.external.surrogate.surrogate import Surrogate
 from pymc_features.fingerprint import fingerprint
 from pymc_features.keywords import check_keywords
 from pymc_features.ops import ExternalResponse, as_tensor
@@ -42,9 +41,6 @@ class ExternalSimulator:
         Stands for the function of this name in the cache. By default that is its code, that of the functions
         and classes it names, and what they hold; not what installed packages, modules that it calls by name
         (`solver.run()`) or programs do, so give a version where these change.
-    surrogate : Surrogate, optional
-        Predicts most discrepancies in place of simulations; histories are always simulated. One for each
-        simulator.
     dt : float, optional
         Time step of the data [s], for the time axis.
     **kwargs
@@ -79,20 +75,15 @@ class ExternalSimulator:
         returns: str = "response",
         gradient: Callable | None = None,
         version: str | None = None,
-        surrogate: Surrogate | None = None,
         dt: float | None = None,
         **kwargs: Unpack[EvaluationOptions],
     ):
         check_keywords(kwargs, EvaluationOptions.__annotations__, "ExternalSimulator")
-        check_simulator(function, shape, returns, gradient, version, surrogate, dt)
+        check_simulator(function, shape, returns, gradient, version, dt)
         self.function, self.shape, self.returns = function, tuple(int(n) for n in shape), returns
-        self.gradient, self.version, self.surrogate, self.dt = gradient, version, surrogate, dt
+        self.gradient, self.version, self.dt = gradient, version, dt
         self.evaluator = Evaluator(**{"scratch": getattr(function, "needs_scratch", False)} | kwargs)
-        self.function_identity = self._identity(function)
-        # what goes on from a checkpoint must be predicted alike, what is in a cache was run
-        self.identity = self.function_identity
-        if surrogate is not None:
-            self.identity = fingerprint(self.function_identity, repr(surrogate))
+        self.identity = self._identity(function)
         if gradient is not None:
             self._flat_gradient, self._gradient_identity = FlatGradient(gradient), self._identity(gradient)
 
@@ -137,16 +128,13 @@ class ExternalSimulator:
                 "the simulator must return responses for this, got one that returns mean squares. Histories "
                 'and predictions need `returns="response"`.'
             )
-        task = Task(self.function, self.shape, None, self.function_identity)
+        task = Task(self.function, self.shape, None, self.identity)
         return self.evaluator.run(task, spread(parameters))
 
     def discrepancies(self, *parameters: ArrayLike, observed: ArrayLike | None) -> np.ndarray:
-        """e_j (particle, sensor) of Eq. (3) at parameters (particle, ...) each; NaN where they fail.
-
-        Simulated, or predicted by the surrogate.
-        """
+        """e_j (particle, sensor) of Eq. (3) at parameters (particle, ...) each; NaN where they fail."""
         if self.returns == "mean_square":
-            task = Task(self.function, self.shape[:1], None, self.function_identity)
+            task = Task(self.function, self.shape[:1], None, self.identity)
         else:
             observed = as_numbers(observed, "observed", "Pass the data.")
             if observed.shape != self.shape:
@@ -154,14 +142,8 @@ class ExternalSimulator:
                     f"`observed` must have shape (sensor, time) = {self.shape}, got {observed.shape}. Give "
                     "one row for each sensor and one column for each output step."
                 )
-            task = Task(self.function, self.shape, observed, self.function_identity)
-        rows = spread(parameters)
-        if self.surrogate is None:
-            return self.evaluator.run(task, rows)
-        flat = np.concatenate([r.reshape(len(r), -1) for r in rows], axis=1)
-        return self.surrogate.evaluate(
-            flat, lambda chosen: self.evaluator.run(task, [r[chosen] for r in rows]), fingerprint(observed)
-        )
+            task = Task(self.function, self.shape, observed, self.identity)
+        return self.evaluator.run(task, spread(parameters))
 
     def gradients(self, *parameters: ArrayLike, cotangent: ArrayLike) -> list[np.ndarray]:
         """Gradients of sum(cotangent * result), each with a row for every row of the parameters."""

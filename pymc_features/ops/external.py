@@ -109,8 +109,9 @@ class ExternalResponse(ExternalOp):
         return [self.simulator.responses(*rows)]
 
     def pullback(self, inputs, outputs, cotangents):
-        """By the user's gradient."""
-        return ExternalGradient(self.simulator, self.ndims).of(inputs, cotangents[0])
+        """By the user's gradient; for a population where the simulator has one for all rows at once."""
+        batched = self.batched and hasattr(self.simulator, "discrepancy_gradients")
+        return ExternalGradient(self.simulator, self.ndims, batched).of(inputs, cotangents[0])
 
     def compare(self, parameters, observed):
         """e_j of Eq. (3), without a history here."""
@@ -137,9 +138,13 @@ class ExternalDiscrepancy(ExternalOp):
         return [self.simulator.discrepancies(*rows, observed=observed)]
 
     def pullback(self, inputs, outputs, cotangents):
-        """By the user's gradient, for one particle; of a history, from one more run."""
+        """By the user's gradient, for one particle; of a history, from one more run unless it is at hand."""
         *parameters, observed = inputs
         [weights] = cotangents
+        if hasattr(self.simulator, "discrepancy_gradients"):
+            slopes = ExternalDiscrepancyGradient(self.simulator, self.ndims, self.batched)
+            by_parameters = slopes(*parameters, observed, weights, return_list=True)
+            return [*by_parameters, pt.full_like(observed, np.nan)]  # data are not inferred
         gradient = ExternalGradient(self.simulator, self.ndims)
         by_data = pt.full_like(observed, np.nan)  # data are not inferred
         if self.simulator.returns == "mean_square":
@@ -152,39 +157,60 @@ class ExternalDiscrepancy(ExternalOp):
         ]
 
 
-class ExternalGradient(ExternalOp):
-    """Gradient of sum(cotangent * result) by each parameter, by the user's function."""
+class GradientOp(ExternalOp):
+    """Base: gradients by each parameter, of the shapes of the parameters."""
 
     simulates = False
-
-    def __init__(self, simulator, ndims, batched=False):
-        super().__init__(simulator, ndims, batched)
-        self.more_ndims = (1 if simulator.returns == "mean_square" else 2,)
 
     @property
     def output_signature(self):
         """As the parameters."""
         return ",".join("(" + ",".join(f"p{i}{k}" for k in range(n)) + ")" for i, n in enumerate(self.ndims))
 
+    def output_shapes(self, inputs):
+        """Those of the parameters."""
+        return [x.type.shape[self.batched :] for x in inputs[: self.n_parameters]]
+
+    def infer_shape(self, node, shapes):
+        parameters = shapes[: self.n_parameters]
+        if not self.batched:
+            return parameters
+        rows = pt.maximum(most_rows(parameters), shapes[-1][0])
+        return [(rows, *shape[1:]) for shape in parameters]
+
+
+class ExternalGradient(GradientOp):
+    """Gradient of sum(cotangent * result) by each parameter, by the user's function."""
+
+    def __init__(self, simulator, ndims, batched=False):
+        super().__init__(simulator, ndims, batched)
+        self.more_ndims = ((1 if simulator.returns == "mean_square" else 2) + batched,)
+
     def of(self, parameters, cotangent):
         """Gradients as a list; refused where the user gave no function."""
         if self.simulator.gradient is None:
             raise NotDifferentiableError(
-                "an external simulator without `gradient` has none. Sample with pmf.sample_smc(), or give "
-                "ExternalSimulator a gradient."
+                "an external simulator without `gradient` has none. Sample with pmf.sample_smc(), give "
+                "ExternalSimulator a gradient, or let pmf.emulate() make a model that has one."
             )
         return self(*parameters, cotangent, return_list=True)
 
-    def output_shapes(self, inputs):
-        """Those of the parameters."""
-        return [x.type.shape for x in inputs[: self.n_parameters]]
-
-    def infer_shape(self, node, shapes):
-        return shapes[: self.n_parameters]
-
     def compute(self, rows, cotangent):
-        """Gradients of one row."""
+        """Gradients of one row, or of all with a cotangent for each."""
         return self.simulator.gradients(*rows, cotangent=cotangent)
+
+
+class ExternalDiscrepancyGradient(GradientOp):
+    """Gradient of sum_j weights_j e_j by each parameter, of a simulator that has it without a history."""
+
+    def __init__(self, simulator, ndims, batched=False):
+        super().__init__(simulator, ndims, batched)
+        self.more_ndims = (2, 1 + batched)
+
+    def compute(self, rows, observed, weights):
+        """Gradients of all rows."""
+        weights = np.asarray(weights).reshape(-1, np.shape(weights)[-1])
+        return self.simulator.discrepancy_gradients(*rows, observed=observed, weights=weights)
 
 
 def most_rows(shapes):

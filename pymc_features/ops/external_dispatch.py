@@ -4,7 +4,12 @@ import warnings
 
 from pytensor.link.numba.dispatch.basic import generate_fallback_impl, register_funcify_and_cache_key
 
-from pymc_features.ops.external import ExternalDiscrepancy, ExternalGradient, ExternalResponse
+from pymc_features.ops.external import (
+    ExternalDiscrepancy,
+    ExternalDiscrepancyGradient,
+    ExternalGradient,
+    ExternalResponse,
+)
 
 
 def funcify(op, node=None, **kwargs):
@@ -14,5 +19,5 @@ def funcify(op, node=None, **kwargs):
         return generate_fallback_impl(op, node=node, **kwargs), None
 
 
-for _op in (ExternalResponse, ExternalDiscrepancy, ExternalGradient):
+for _op in (ExternalResponse, ExternalDiscrepancy, ExternalGradient, ExternalDiscrepancyGradient):
     register_funcify_and_cache_key(_op)(funcify)

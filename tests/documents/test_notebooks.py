@@ -22,7 +22,12 @@ def test_notebooks_are_numbered_and_ask_a_question():
         assert "assert" in [cell.source for cell in cells if cell.cell_type == "code"][-1]
 
 
-MEASUREMENTS = [("mini_shake_table", "northridge"), ("mini_shake_table", "sine1p5"), ("footbridge",)]
+MEASUREMENTS = [
+    ("mini_shake_table", "northridge"),
+    ("mini_shake_table", "sine1p5"),
+    ("footbridge",),
+    ("rc_column",),
+]
 
 
 def skip_without_measurements(source):

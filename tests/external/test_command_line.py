@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pymc_features import ExternalSimulator, ProgramSimulator, Surrogate
+from pymc_features import ExternalSimulator, ProgramSimulator
 from pymc_features.external import checks
 from pymc_features.external.evaluator import EvaluationOptions, Evaluator
 from support.external_functions import DATA, SHAPE, beam, lives, wait_until
@@ -161,8 +161,6 @@ BAD_SETTINGS = {
     "`retries` must be an integer of at least 0, got 1.5": {"retries": 1.5},
     "`retries` must be an integer of at least 0, got True": {"retries": True},
     "`version` must be a text, got 1": {"version": 1},
-    "`surrogate` must be a Surrogate, got int": {"surrogate": 1},
-    "`gradient` must be left out with `surrogate`": {"gradient": beam, "surrogate": Surrogate(1)},
     "`executor` must be something that runs simulations, got 0": {"executor": 0},
     "`executor` must be something that runs simulations, got True": {"executor": True},
     "`executor` must be something that runs simulations, got \\[\\]": {"executor": []},

@@ -172,6 +172,21 @@ CALLS = {
         TAKEN | {"epsilon": POSITIVE | PAIR - {"range"}},
         instead={"pymc_features.inference.tolerance.sample_smc": work},
     ),
+    "emulate": Call(
+        pmf.emulate,
+        {
+            "runs": 100,
+            "model": MODEL,
+            "draws": 100,
+            "chains": 2,
+            "batch": 8,
+            "tolerance": 0.02,
+            "random_seed": 1,
+            "progressbar": False,
+        },
+        TAKEN | {"draws": {"NumPy's 2"}, "batch": {"None", *ONE}, "tolerance": SHARES},
+        instead={"pymc_features.emulation.emulate.replaced": work},
+    ),
     "calibrate": Call(
         pmf.calibrate,
         {
