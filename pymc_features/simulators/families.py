@@ -66,7 +66,7 @@ from pymc_features.simulators.modal.chain import (
     small_motion_modes,
 )
 from pymc_features.simulators.modal.linear import linear_modes_gradient, linear_population_modes
-from pymc_features.simulators.nonlinear.bouc_wen import BoucWen
+from pymc_features.simulators.nonlinear.bouc_wen.law import BoucWen
 from pymc_features.simulators.nonlinear.duffing import Cubic
 from pymc_features.simulators.nonlinear.kernels import nonlinear_kernels
 from pymc_features.simulators.nonlinear.parameters import NonlinearParameters

@@ -36,7 +36,7 @@ def test_dependencies_are_the_files_that_can_change_a_kernel():
     assert {"simulators/chain/modes.py", "simulators/oscillators/recursion.py"} <= chain
     assert not any("linear/" in name or "nonlinear/" in name for name in chain)
     law = names("nonlinear.runge_kutta")  # which calls the laws by their type only
-    assert {"simulators/nonlinear/bouc_wen.py", "simulators/nonlinear/duffing.py"} <= law
+    assert {"simulators/nonlinear/bouc_wen/law.py", "simulators/nonlinear/duffing.py"} <= law
 
 
 def test_one_kernel_serves_python_and_graphs():

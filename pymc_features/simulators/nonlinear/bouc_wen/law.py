@@ -15,8 +15,15 @@ import numpy as np
 
 from pymc_features.simulators.compiled.vector import magnitude, splat, square_root, where_less
 from pymc_features.simulators.compiled.vector_math import logarithm, power
+from pymc_features.simulators.nonlinear.bouc_wen.series import (
+    BETA,
+    GAMMA,
+    RATIO,
+    SERIES,
+    SHARPNESS,
+    YIELD_DISPLACEMENT,
+)
 from pymc_features.simulators.nonlinear.law import Functions, parameter, register, single
-from pymc_features.simulators.taylor.bouc_wen import BETA, GAMMA, RATIO, SERIES, SHARPNESS, YIELD_DISPLACEMENT
 
 
 class BoucWen(NamedTuple):

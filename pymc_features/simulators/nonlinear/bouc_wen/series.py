@@ -1,4 +1,4 @@
-"""Taylor series of Bouc-Wen springs, see `nonlinear/bouc_wen.py`, and the reverse of them."""
+"""Taylor series of Bouc-Wen springs (`law.py`), and the reverse of those for n = 1 and 2."""
 
 import numpy as np
 

@@ -1,0 +1,1 @@
+"""Bouc-Wen springs: the law, and its Taylor series."""
