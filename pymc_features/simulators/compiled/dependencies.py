@@ -37,7 +37,7 @@ def neighbours(path: Path) -> frozenset[Path]:
             *(module_path(f"{module}.{name}") for name in re.findall(r"\w+", names)),
         }
     if re.search(r"^def register\(", read(path), re.MULTILINE):
-        others = path.parent.glob("*.py")
+        others = path.parent.rglob("*.py")
         found |= {other for other in others if re.search(r"^register\(", read(other), re.MULTILINE)}
     return frozenset(found - {None})
 

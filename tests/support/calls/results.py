@@ -184,7 +184,7 @@ CALLS = {
     "first_passage_probability": Call(
         pmf.first_passage_probability,
         {**PREDICT, "limit": 1.0, "quantity": "relative_velocity"},
-        {**OF_PREDICTION, "limit": POSITIVE | PAIR - {"range"}},
+        {**OF_PREDICTION, "limit": POSITIVE | PAIR - {"range"}, "quantity": set()},
         more={"idata": ODD_TREES},
     ),
     "paper.chain": Call(
