@@ -1,5 +1,7 @@
 """`serve`: the densities and responses of a PyMC model for samplers in other languages."""
 
+import json
+
 import numpy as np
 import pymc as pm
 import pytensor
@@ -26,7 +28,8 @@ def serve(
 
     The server has the model `posterior`: of the input theta, the point on PyMC's unconstrained scale that
     `compiled_logp(model)` takes, the output is the log-density of prior and likelihood, with its gradient.
-    Where it is -inf the output is -1e300, for JSON has no infinity. With `response` there is another model,
+    Where it is -inf the output is -1e300, for JSON has no infinity; a response that is not finite is answered
+    by the protocol's error InvalidOutput. With `response` there is another model,
     `response`, of theta to all entries of this response, with its gradient.
 
     Parameters
@@ -81,11 +84,11 @@ def models_of(model, response, compile_kwargs) -> list:
             return self.slope is not None
 
         def __call__(self, parameters, config=None):
-            return [self.value(np.array(parameters[0], dtype=np.float64)).tolist()]
+            return [for_json(self.value(np.array(parameters[0], dtype=np.float64)))]
 
         def gradient(self, out_wrt, in_wrt, parameters, sens, config=None):
             point = np.array(parameters[0], dtype=np.float64)
-            return self.slope(point, np.array(sens, dtype=np.float64)).tolist()
+            return for_json(self.slope(point, np.array(sens, dtype=np.float64)))
 
     def log_posterior(theta):
         return np.maximum(np.atleast_1d(density.log_posterior(theta)), LOWEST)
@@ -101,6 +104,16 @@ def models_of(model, response, compile_kwargs) -> list:
     if response is not None:
         served.append(Served("response", *functions_of(model, response, compile_kwargs)))
     return served
+
+
+def for_json(numbers) -> list:
+    """A list of numbers; the protocol's error, an answer of its own, where JSON has none for them."""
+    if np.isfinite(numbers).all():
+        return numbers.tolist()
+    from aiohttp import web  # which umbridge serves with
+
+    error = {"type": "InvalidOutput", "message": "The output is not finite: theta describes no structure."}
+    raise web.HTTPInternalServerError(text=json.dumps({"error": error}), content_type="application/json")
 
 
 def functions_of(model, response, compile_kwargs):

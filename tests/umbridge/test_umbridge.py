@@ -117,6 +117,9 @@ def test_the_protocol(url):
     ):
         status, answer = ask(url, what, **content)
         assert status == 400 and answer["error"]["type"] == error
+    for what, more in (("Evaluate", {}), ("Gradient", {"outWrt": 0, "inWrt": 0, "sens": [1.0] * 2 * n})):
+        status, answer = ask(url, what, name="response", input=[[800.0, 0.0, 0.0]], config={}, **more)
+        assert status == 500 and answer["error"]["type"] == "InvalidOutput"
 
 
 def test_densities_responses_and_gradients(url, model):
