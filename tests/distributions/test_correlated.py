@@ -509,10 +509,13 @@ PEAK_GROWTH = """
 
 @pytest.mark.processes
 def test_populations_need_no_memory_for_histories(tmp_path):
-    """256 particles of 10 x 15590: growth of the peak over the size of one history, and from histories."""
+    """256 particles of 10 x 15590: growth of the peak over the size of one history, and from histories.
+
+    Two tables of the data take a few histories, whatever the number of particles.
+    """
     pytest.importorskip("resource")
     fused, gradient, unfused = map(float, run_python(PEAK_GROWTH, tmp_path).split())
-    assert max(fused, gradient) < 1.0
+    assert max(fused, gradient) < 8.0
     assert unfused > 30.0
 
 

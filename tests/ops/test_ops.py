@@ -492,8 +492,11 @@ def test_likelihood_graph_never_holds_the_history(likelihood, pulse, measured):
 PEAK_GROWTH = """
     import numpy as np, pytensor
     from pymc_features import ModalDamping, Record, SpringMassChain, mean_square_discrepancy, response
+    from pymc_features.ops import numba_dispatch
     from support.graphs import PLAIN
     from support.memory import growth
+
+    numba_dispatch.FEWEST_ALONE = np.inf  # a table of the data takes some times their size, once
 
     n_times, n_sensors = 400_000, 10
     rng = np.random.default_rng(0)

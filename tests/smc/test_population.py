@@ -435,7 +435,8 @@ def test_memory_does_not_grow_with_histories(likelihood, fused):
     histories = 8 * N_PARTICLES * y.size
     with pm.Model() as model:
         likelihood(response(chain(pm.Uniform("theta", 0.5, 1.5)), LONG), y)
-    logp = population_logp(model, model.initial_point(), {})
+    with pytensor.config.change_flags(mode="Mode"):
+        logp = population_logp(model, model.initial_point(), {})
     particles = prior_particles(model, n=N_PARTICLES)
     logp(particles[:8])
     queue = multiprocessing.get_context("fork").SimpleQueue()

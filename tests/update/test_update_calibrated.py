@@ -10,6 +10,7 @@ from pymc_features import cli
 from pymc_features.exceptions import CalibrationWarning, ConfigError
 from pymc_features.update import read_problem, run, write_example
 from pymc_features.update.report.summary import supported
+from pymc_features.update.sequence import Running
 from update.test_update import replaced, table_of, variant
 
 pytestmark = pytest.mark.slow
@@ -126,7 +127,7 @@ def test_data_that_tell_no_width_are_refused_by_the_key(example, monkeypatch):
     monkeypatch.setattr(run, "calibrate", refused)
     wanted = "`likelihood.kinds` must have CAL only where residuals can tell a width: the residuals of y must"
     with pytest.raises(ConfigError, match=wanted):
-        run.calibrated(read_problem(example), "CAL", None, None, 1, False)
+        run.calibrated(read_problem(example), "CAL", None, None, Running(1, None, False, None, str))
 
 
 def test_gamma_takes_its_observations_as_they_are_given(example, tmp_path):

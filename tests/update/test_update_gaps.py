@@ -10,6 +10,7 @@ from pymc_features.exceptions import ConfigError
 from pymc_features.update import read_problem, run, run_update, write_example, write_outputs
 from pymc_features.update.report import terminal
 from pymc_features.update.report.findings import findings
+from pymc_features.update.sequence import Running
 from update.test_update import replaced
 
 KINDS = 'kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]'
@@ -215,7 +216,9 @@ def test_a_gap_in_the_shaking_table(data_dir, tmp_path):
         problem = read_problem(table(tmp_path, (21.0, 22.0), value))
         assert bool(problem.measured.left_out) == (name == "gap")
         model = run.declare(problem, "EXP")
-        found[name] = run.sample(problem, "EXP", model, 1, False)["posterior"].to_dataset()
+        found[name] = run.sample(problem, "EXP", model, Running(1, None, False, None, str))[
+            "posterior"
+        ].to_dataset()
     scale = found["clean"].std()
     off = {name: abs(found[name].median() - found["clean"].median()) / scale for name in ("gap", "zeros")}
     names = ["k1", "k2", "k3", "zeta", "sigma"]

@@ -34,7 +34,7 @@ def judged(measured, response, structure, record=SHAKING, low=None, high=None):
     channels = xr.DataArray(measured, dims=("sensor", "time"), coords={"sensor": sensors} | TIMES)
     kept = SimpleNamespace(low=low, high=high) if low or high else None
     measurements = Measured(record, channels, 0.01, "simulated", None)
-    config = SimpleNamespace(processing=SimpleNamespace(band_pass=kept))
+    config = SimpleNamespace(processing=SimpleNamespace(band_pass=kept), cyclic=None)
     problem = Problem(None, "", config, {}, measurements, None, {}, [])
     modes = structure.modes()
     dims = ("chain", "draw", "mode")
