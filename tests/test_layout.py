@@ -42,7 +42,7 @@ ALLOWED = {
     "ambient": {"records", "structures", "simulators", "ops", "modal_features", "signals"},
     "identification": {"ambient", "modal", "signals", "simulators"},
     "likelihood_free": {"ops", "modal_features", "simulators", "fingerprint"},
-    "smc": {"processes"},
+    "smc": {"processes", "simulators"},
     "inference": {"records", "structures", "simulators", "ops", "distributions", "smc"},
     "calibration": {"ops", "distributions", "inference", "smc"},
     "placement": {"inference", "smc", "calibration"},

@@ -12,11 +12,14 @@ import pymc as pm
 import pytensor
 import pytensor.tensor as pt
 import pytest
+from scipy import sparse
 
 from pymc_features import (
+    AffineStructure,
     DiscrepancySimulator,
     ExpFeature,
     ExternalSimulator,
+    ModalDamping,
     SpringMassChain,
     SubsetSimulation,
     TruncNormalFeature,
@@ -27,6 +30,7 @@ from pymc_features import (
 from pymc_features.exceptions import NoWorkersError
 from pymc_features.processes import calls
 from pymc_features.simulators.nonlinear.kernels import PARTICLES
+from pymc_features.simulators.reduced.known import KNOWN
 from pymc_features.smc import open_workers, population_logp
 from pymc_features.smc.density.rows import TOGETHER, UNIT
 from pymc_features.smc.workers import workers as workers_module
@@ -101,6 +105,60 @@ def test_rows_do_not_depend_on_where_a_population_is_cut(name):
         shifted = logp(particles[1:])[1]  # other neighbours, other steps
         assert (shifted != whole[1][1:]).any()
         np.testing.assert_allclose(shifted, whole[1][1:], rtol=1e-4)
+
+
+def large_sparse():
+    """300 masses on springs in a plane, stiffer to one side, on a bedding: two factors, four modes."""
+    along, across = (
+        sparse.diags_array([2.0 * np.ones(k), -np.ones(k - 1), -np.ones(k - 1)], offsets=[0, 1, -1])
+        for k in (20, 15)
+    )
+    springs = sparse.kron(along, sparse.eye_array(15)) + 2.3 * sparse.kron(sparse.eye_array(20), across)
+    terms = [
+        1e4 * sparse.csc_array(springs),
+        1e3 * sparse.csc_array(sparse.diags_array(np.linspace(0, 1, 300))),
+    ]
+    nothing = sparse.csc_array((300, 300))
+    plane = AffineStructure(
+        np.ones(300),
+        stiffness=nothing,
+        damping=ModalDamping(0.02),
+        stiffness_terms=terms,
+        theta=np.ones(2),
+    )
+    data = RNG.normal(size=(2, len(pulse().acceleration)))
+    with pm.Model() as model:
+        x = pm.LogNormal("x", 0.0, 0.2, shape=2)
+        mu = response(plane.with_parameters(x), pulse(), sensors=[5, 200], n_modes=4)
+        ExpFeature("y", mu=mu, sigma=1.0, observed=data)
+    return model
+
+
+@pytest.mark.processes
+def test_large_structures_share_a_basis(eager):
+    """Values and gradients, here, in other cuts and in another process; far from the prior too."""
+    model = large_sparse()
+    logp = population_logp(model, model.initial_point(), {})
+    particles = RNG.normal(0.0, 0.2, (3 * UNIT + 3, 2))
+    particles[4], particles[9] = [3.0, -3.0], [-6.0, 5.0]
+    values, slopes = logp(particles), logp.gradient(particles)
+    [of_values], [of_slopes] = logp.values.bases, logp.slopes.bases
+    assert of_values.is_fixed and 8 < of_values.basis.size <= of_slopes.basis.size < 100
+    assert of_values.found >= len(particles) - 2 and np.isfinite(values[1]).all()
+    logp(particles[::-1])
+    with open_workers(1) as workers:
+        elsewhere = workers.run().of(logp)
+        answers = [logp(particles[:UNIT]), elsewhere(particles)], [elsewhere.gradient(particles)]
+    for found, expected in [*zip(answers[0], ([x[:UNIT] for x in values], values), strict=True)]:
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_array_equal(one, other)
+    for one, other in zip(answers[1][0], slopes, strict=True):
+        np.testing.assert_array_equal(one, other)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(KNOWN, "of", lambda *given: None)
+        in_full = logp.gradient(particles)
+    np.testing.assert_allclose(values[1], in_full[1], rtol=1e-8)
+    np.testing.assert_allclose(slopes[4], in_full[4], rtol=1e-5, atol=1e-5 * abs(in_full[4]).max())
 
 
 def test_products_of_matrices_are_evaluated_by_equal_calls():

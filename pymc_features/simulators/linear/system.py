@@ -111,13 +111,13 @@ def solved(a: Arguments, particles, *, left_out=False, signed=False):
     for first in range(n_blocks):  # a block is from all of the population, which may be in order
         waiting = list(particles[first::n_blocks])
         while waiting:
-            found, worst = solved_in_basis(a, known, waiting, left_out, signed)
+            found, unknown = solved_in_basis(a, known, waiting, left_out, signed)
             for p, pair in found.items():
                 yield p, *pair
-            if len(found) < len(waiting):
-                own = a._replace(parameters=a.parameters.one_of(worst))
-                yield worst, own, learnt(own, known)
-            waiting = [p for p in waiting if p not in found and p != worst]
+            for p in unknown:
+                own = a._replace(parameters=a.parameters.one_of(p))
+                yield p, own, learnt(own, known)
+            waiting = [p for p in waiting if p not in found and p not in unknown]
 
 
 def solved_alone(a: Arguments, *, left_out=False) -> tuple:
@@ -128,7 +128,10 @@ def solved_alone(a: Arguments, *, left_out=False) -> tuple:
 
 
 def solved_in_basis(a, known, particles, left_out, signed) -> tuple:
-    """Arguments and systems of those of up to `LANES` particles found in a basis; and the worst of others."""
+    """Arguments and systems of those of up to `LANES` particles found in a basis, and which to solve in full.
+
+    These are all others where nothing is learnt from them, otherwise the worst, before all is asked again.
+    """
     given, m = a.parameters, a.wanted.n_modes
     theta = np.stack([given.theta[p % given.theta.shape[0]] for p in particles])
     basis, found, errors = known.modes(theta, left_out=left_out, signed=signed)
@@ -142,8 +145,8 @@ def solved_in_basis(a, known, particles, left_out, signed) -> tuple:
         if system is not None and left_out:
             system = system._replace(others=(omega[m:], vectors[:, m:]))
         result[particles[i]] = own, system
-    others = [i for i in range(len(particles)) if i not in found]
-    return result, particles[max(others, key=lambda i: errors[i])] if others else None
+    others = sorted((i for i in range(len(particles)) if i not in found), key=lambda i: -errors[i])
+    return result, [particles[i] for i in (others if known.is_fixed else others[:1])]
 
 
 def learnt(a: Arguments, known) -> System | None:
@@ -152,7 +155,7 @@ def learnt(a: Arguments, known) -> System | None:
     if not given.is_finite:
         return None
     mass, stiffness = given.assemble(given.mass), given.assemble(given.stiffness)
-    factor, *modes = admissible_modes(mass, stiffness, known.n_learnt)
+    factor, *modes = admissible_modes(mass, stiffness, a.wanted.n_modes if known.is_fixed else known.n_learnt)
     system = solve_system(a, known=modes) if modes else None
     if system is None:
         return None

@@ -35,12 +35,12 @@ def candidates(terms: Terms, basis: Basis, theta, m, left_out) -> tuple:
 
     `theta` (p, t); a dictionary by its rows, and an array (p,), infinite where no modes were found at all.
     """
-    usable = np.flatnonzero(np.isfinite(theta).all(axis=1))
-    weights = np.hstack([np.ones((len(usable), 1)), theta[usable]])
     stacks = basis.stiffness, basis.mass, basis.spring_probes, basis.mass_probes
-    parts = (np.tensordot(weights[:, : len(stack)], stack, 1) for stack in stacks)
     found, errors = {}, np.full(len(theta), np.inf)
-    for i, *matrices in zip(usable, *parts, strict=True):
+    for i in np.flatnonzero(np.isfinite(theta).all(axis=1)):
+        weights = np.append(1.0, theta[i])
+        # one by one: in a product of all, the last bits would depend on how many there are
+        matrices = [np.tensordot(weights[: len(stack)], stack, 1) for stack in stacks]
         try:
             candidate, errors[i] = solve_reduced(terms, matrices, m, left_out)
         except LinAlgError:

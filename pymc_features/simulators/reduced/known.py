@@ -1,5 +1,8 @@
 """The bases of a process, found again by the matrices they belong to."""
 
+import threading
+from contextlib import contextmanager
+
 import numpy as np
 
 from pymc_features.simulators.reduced.basis import joined, new_basis, new_terms
@@ -24,11 +27,13 @@ class Known:
         How many were tried in the basis there is, how many were found in it, and how many have been learnt.
     is_given_up : bool
         Whether no basis of some hundred columns holds most of them.
+    is_fixed : bool
+        Whether nothing more is learnt: what is found then depends on a structure alone, not on those before.
     """
 
     def __init__(self, given, n_modes):
         self.given = given._replace(**{name: getattr(given, name).copy() for name in ARRAYS})
-        self.n_modes, self.asked, self.is_given_up = n_modes, 0, False
+        self.n_modes, self.asked, self.is_given_up, self.is_fixed = n_modes, 0, False, False
         self.most = min(MOST_COLUMNS, given.n_dof // 2)
         self.terms, self.basis = None, None
         self.tried = self.found = self.solved = 0
@@ -77,7 +82,9 @@ class Known:
     def learn(self, matrices, modes):
         """Let the modes of a structure join: its M and K, and the factor of K + shift M, omega and shapes."""
         _, omega, shapes = modes
-        if omega[0] <= 0.0 or self.is_given_up:  # rigid bodies have no energy to measure errors by
+        if (
+            omega[0] <= 0.0 or self.is_given_up or self.is_fixed
+        ):  # rigid bodies have no energy to measure errors by
             return
         if self.terms is None:
             self.terms = new_terms(self.given, matrices, modes)
@@ -90,16 +97,26 @@ class Known:
         self.basis, self.solved = grown, self.solved + 1
 
 
-class AllKnown:
-    """The last few."""
+class AllKnown(threading.local):
+    """The last few of a thread; or those that were made for a function, and are fixed.
+
+    Attributes
+    ----------
+    entries : list of Known
+        The one asked for last comes first.
+    bases : tuple of Known, or None
+        Nothing else is known, where it is not None.
+    """
 
     def __init__(self):
-        self.entries = []
+        self.entries, self.bases = [], None
 
     def of(self, given, n_modes, count) -> Known | None:
         """What is known of structures, `count` of which are asked for; None where it is not worth while."""
         if given.is_dense or given.has_constant_modes or given.n_dof < LARGE * n_modes:
             return None
+        if self.bases is not None:
+            return next((entry for entry in self.bases if entry.fits(given, n_modes)), None)
         for entry in self.entries:
             if entry.fits(given, n_modes):
                 self.entries.remove(entry)
@@ -113,6 +130,32 @@ class AllKnown:
     def forget(self):
         """Drop all, so that what follows does not depend on what was before."""
         self.entries = []
+
+    @contextmanager
+    def learning(self):
+        """Begin with nothing, and forget at the end what was learnt."""
+        before = self.entries, self.bases
+        self.entries, self.bases = [], None
+        try:
+            yield
+        finally:
+            self.entries, self.bases = before
+
+    def fix(self) -> tuple:
+        """What has been learnt, from now on fixed."""
+        for entry in self.entries:
+            entry.is_fixed = True
+        return tuple(self.entries)
+
+    @contextmanager
+    def only(self, bases):
+        """Know these and nothing else; None changes nothing."""
+        before = self.bases
+        self.bases = before if bases is None else bases
+        try:
+            yield
+        finally:
+            self.bases = before
 
 
 KNOWN = AllKnown()

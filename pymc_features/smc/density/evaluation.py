@@ -3,6 +3,7 @@
 import uuid
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import cloudpickle
@@ -12,7 +13,10 @@ from pymc_features.exceptions import NotDifferentiableError, PopulationWarning
 from pymc_features.smc.density.gradient import gradient_graph
 from pymc_features.smc.density.graph import density_graph
 from pymc_features.smc.density.nodes import core_op, inner_nodes, is_random, simulators_inside
+from pymc_features.smc.density.prior import prior_points
 from pymc_features.smc.density.rows import RowFunction
+
+PRIOR_POINTS = 512  # at most, from which bases are made
 
 # In this process, and in those forked from it, a pickled evaluation finds its compiled functions here.
 _ALIVE: WeakValueDictionary = WeakValueDictionary()
@@ -36,6 +40,8 @@ class PopulationLogp:
     ----------
     batched : bool
         False if the particles are evaluated one by one, since a part of the model takes no batch.
+    all_over : array (n, d) or None
+        Particles from the prior, for the bases of large sparse structures; always the same ones.
     spread : callable or None
         What evaluates populations elsewhere, see `spread_over`.
     """
@@ -57,8 +63,12 @@ class PopulationLogp:
         _ALIVE[self.token] = self
         start = np.concatenate([np.ravel(point[v.name]) for v in model.value_vars])[None]
         self.start = start.astype(self.graph.one.joined.dtype)
-        if not self.is_expensive:
-            self.values(self.start)  # in this process, that forked ones need not begin with the machine code
+        self.all_over = None
+        # in this process, that forked ones need not begin with the machine code
+        if not self.is_expensive and self.values.has_large_structures(self.start):
+            with suppress(NotImplementedError):  # of a prior without draws
+                self.all_over = prior_points(model, PRIOR_POINTS, np.random.default_rng(0))
+                self.values.learn(self.all_over)
 
     def __call__(self, particles: np.ndarray):
         """Evaluate particles (p, d).
@@ -138,6 +148,8 @@ class PopulationLogp:
             owner._with_slopes = None
             if not owner.is_expensive:
                 owner.slopes(owner.start)
+            if owner.all_over is not None:
+                owner.slopes.learn(owner.all_over)
         self.slopes, self._why_no_gradient = owner.slopes, ""
 
     @property

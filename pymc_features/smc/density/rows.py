@@ -9,12 +9,14 @@ from pymc.pytensorf import compile as compile_function
 from pytensor import shared as make_shared
 from pytensor.tensor.random.type import RandomGeneratorType
 
+from pymc_features.simulators.reduced.known import KNOWN
 from pymc_features.smc.density.compilation import INTERPRETED, with_mode
 from pymc_features.smc.density.graph import DensityGraph, largest_result
 from pymc_features.smc.density.nodes import goes_row_by_row, simulator_functions
 
 BATCH_BYTES = 2**26  # of the largest intermediate result of one call; larger populations are split
 UNIT = 8  # particles of a group in our kernels, or two groups: a population is cut at multiples of it
+LEARNS_FROM, SETTLED = 32, 2  # particles of a call, and calls in turn, after which nothing new is expected
 TOGETHER = 32  # particles of simulations in a call where a row may depend on how many others there are
 
 # Compiled functions have memory of their own: where several chains run in threads, one at a time.
@@ -53,10 +55,12 @@ class RowFunction:
         No bit of a result changes where a population is cut at multiples of it, and no part is smaller.
     raised : str
         What the model raised last; empty if nothing did.
+    bases : tuple of Known, or None
+        In which modes of large sparse structures are looked for, see `learn`.
     """
 
     def __init__(self, graph: DensityGraph, compile_kwargs: dict, alive: int = 1):
-        self.raised = ""
+        self.raised, self.bases = "", None
         self.batched = graph.population is not None
         self.batch = max(
             1, BATCH_BYTES // (8 * alive * largest_result([graph.one.joined], graph.one.outputs))
@@ -79,9 +83,31 @@ class RowFunction:
     def __call__(self, particles: np.ndarray) -> list[np.ndarray]:
         """Outputs (p, ...); NaN for particles at which the model raises a numerical error."""
         ends = [*range(self.batch, len(particles) - self.unit + 1, self.batch), len(particles)]
-        with ONE_CALL:
+        with ONE_CALL, KNOWN.only(self.bases):
             parts = [self._evaluate(particles[i:k]) for i, k in zip([0, *ends], ends, strict=False)]
         return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+    def has_large_structures(self, start: np.ndarray) -> bool:
+        """Call the function at one particle (1, d), and say whether `learn` makes bases for it."""
+        with ONE_CALL, KNOWN.learning():
+            self(start)
+            return len(KNOWN.entries) > 0
+
+    def learn(self, particles: np.ndarray) -> None:
+        """Make bases for the modes of large sparse structures, from particles (n, d) all over the prior.
+
+        No result depends from then on on those before, nor on the process.
+        """
+        with ONE_CALL, KNOWN.learning():
+            without_news = 0
+            for first in range(0, len(particles), LEARNS_FROM):
+                before = sum(known.solved for known in KNOWN.entries)
+                self(particles[first : first + LEARNS_FROM])
+                is_new = sum(known.solved for known in KNOWN.entries) > before
+                without_news = 0 if is_new else without_news + 1
+                if without_news == SETTLED:
+                    break
+            self.bases = KNOWN.fix()
 
     def _evaluate(self, particles):
         try:
