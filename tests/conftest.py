@@ -11,6 +11,10 @@ _BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 if "PYMC_FEATURES_DATA" not in os.environ and _BESIDE.is_dir():
     os.environ["PYMC_FEATURES_DATA"] = str(_BESIDE)
 os.environ.setdefault("MPLBACKEND", "Agg")
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(
+        _name, "1"
+    )  # tests run side by side; more threads than processors wait for each other
 # PyTensor notes for each node of a graph where it was made, a fifth of the time of building one
 os.environ["PYTENSOR_FLAGS"] = ",".join(
     filter(None, [os.environ.get("PYTENSOR_FLAGS"), "traceback__limit=0"])
