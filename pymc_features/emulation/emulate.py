@@ -17,6 +17,7 @@ from pymc_features.emulation.replacement import replaced
 from pymc_features.exceptions import SamplingWarning
 from pymc_features.inference.parameters import check_continuous, coordinate_names
 from pymc_features.inference.sample import sample
+from pymc_features.processes.threads import one_thread_each
 from pymc_features.progress import PartProgress
 from pymc_features.smc import check_run, prior_points
 
@@ -146,7 +147,8 @@ def emulate(
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
     emulated, parts = replaced(model)
     campaign = Campaign(emulated, parts, prior_points(emulated, PRIOR_DRAWS, rng))
-    with PartProgress(Console(file=sys.stderr, quiet=not progressbar), "Emulating") as shown_progress:
+    console = Console(file=sys.stderr, quiet=not progressbar)
+    with PartProgress(console, "Emulating") as shown_progress, one_thread_each():
         history, left = explored(campaign, settings, rng, shown_progress)
         shown_progress("sampling the posterior", campaign.n_runs, settings.runs)
         idata = sample(

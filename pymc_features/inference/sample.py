@@ -15,6 +15,7 @@ from pymc_features._checks import check_mapping, check_model, check_path, check_
 from pymc_features.exceptions import SamplingWarning
 from pymc_features.inference.beside import closeness, distance_to_modes, undetermined
 from pymc_features.inference.parameters import Unconstrained, coordinate_names, to_unconstrained
+from pymc_features.processes.threads import one_thread_each
 from pymc_features.smc import (
     PersistentSMC,
     Reference,
@@ -132,7 +133,8 @@ def sample(
     with open_workers(executor) as workers:
         if workers is not None:
             logp = workers.run().of(logp)
-        found = search(model, logp, draws, rng, journal)
+        with one_thread_each():
+            found = search(model, logp, draws, rng, journal)
         idata = sample_from(
             found,
             model,

@@ -15,13 +15,13 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from pymc_features.exceptions import DiedAtStartError, UnusableSimulatorError
+from pymc_features.processes.threads import ONE_THREAD
 
 SCRIPT = Path(__file__).with_name("runner.py")
 START_SECONDS = 300.0  # to import what a simulator needs may take long on a busy file system
 LOOK_SECONDS = 1.0  # what a dead process started may hold its end of the socket open
 LOADED_AT_MOST = 4  # payloads in a process; the one loaded first goes first
 END_SECONDS = 5.0  # between the end of the connection and that of the process
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class SimulatorProcess:

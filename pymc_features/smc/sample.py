@@ -21,6 +21,7 @@ from pymc_features._checks import (
     shown,
 )
 from pymc_features.exceptions import CheckpointError, ToleranceNotReachedError
+from pymc_features.processes.threads import one_thread_each
 from pymc_features.smc.kernels.base import PopulationKernel
 from pymc_features.smc.kernels.checkpoint import remembered
 from pymc_features.smc.kernels.persistent import PersistentSMC
@@ -125,7 +126,12 @@ def sample_smc(
     elif cores is None:
         cores = 1 if is_parallel_by_itself(model) else processors()
     try:
-        with open_workers(executor) as workers, chains_on(workers, at_once), all_draws_at_once():
+        with (
+            open_workers(executor) as workers,
+            chains_on(workers, at_once),
+            all_draws_at_once(),
+            one_thread_each(),
+        ):
             found = pm.sample_smc(
                 draws, kernel, chains=chains, cores=cores, random_seed=random_seed, **settings
             )

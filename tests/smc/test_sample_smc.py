@@ -1,6 +1,7 @@
 """Runs of `pm.sample_smc` with our kernels: what they report, refuse and save; and models with simulators."""
 
 import inspect
+import os
 import warnings
 
 import arviz as az
@@ -11,6 +12,7 @@ import pytest
 import xarray as xr
 from pymc.smc.kernels import IMH
 from scipy import stats
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from pymc_features import (
     TMCMC,
@@ -360,3 +362,25 @@ def test_signatures_of_kernels_say_what_they_take(kernel):
     assert not any(p.kind is p.VAR_POSITIONAL for p in known.values())
     with pytest.raises(TypeError, match="threshhold"):
         kernel(20, model=pm.Model(), threshhold=0.5)
+
+
+def threads_of_blas():
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+
+def test_linear_algebra_takes_one_thread(monkeypatch):
+    """While chains are sampled; afterwards what it had before."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    seen = []
+
+    def draws(rng, mean, size):
+        seen.append((threads_of_blas(), os.environ["OMP_NUM_THREADS"], os.environ["MKL_NUM_THREADS"]))
+        return draws_of(rng, mean, size)
+
+    with threadpool_limits(2, "blas"):
+        before = threads_of_blas()
+        sample_smc(20, PopulationIMH, model=simulator(marked(draws)), chains=1, random_seed=1, **SERIAL)
+        assert threads_of_blas() == before
+    assert before == {2} and {(frozenset(n), *rest) for n, *rest in seen} == {(frozenset({1}), "1", "1")}
+    assert os.environ["OMP_NUM_THREADS"] == "2" and "MKL_NUM_THREADS" not in os.environ
