@@ -1,5 +1,6 @@
 """Populations and chains on several processes or a cluster: the particles are those of one process."""
 
+import _thread
 import logging
 import os
 import signal
@@ -253,6 +254,32 @@ def test_local_processes_dask_and_a_killed_worker(eager, tmp_path):
     ) as cluster:
         address = cluster.scheduler_address
         assert same(sample_smc(60, checkpoint=tmp_path / "kept", executor=address, **settings), expected)
+
+
+@pytest.mark.processes
+def test_ctrl_c_ends_the_processes_and_loses_nothing(eager, monkeypatch, tmp_path):
+    """Pressed while two chains wait for a worker; the next run goes on from what is kept."""
+    elsewhere, sent, pressed, pids = workers_module.Spread.elsewhere, [], [], set()
+
+    def interrupted(self, *rest):
+        sent.append(1)
+        known = [kept.get(self.workers.owner, ()) for kept in (calls._IDLE, calls._BUSY)]
+        pids.update(p.process.pid for processes in known for p in processes)
+        if len(sent) > 5 and pids and not pressed:
+            pressed.append(1)
+            _thread.interrupt_main()
+        return elsewhere(self, *rest)
+
+    settings = {"model": model_of("chain"), "chains": 2, "random_seed": 4, "stage_draws": 60, **QUIET}
+    expected = sample_smc(60, cores=1, **settings)
+    with monkeypatch.context() as patch:
+        patch.setattr(workers_module.Spread, "elsewhere", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            sample_smc(60, executor=1, checkpoint=tmp_path / "kept", **settings)
+    assert pids and not any(map(lives, pids))
+    found = sample_smc(60, cores=1, checkpoint=tmp_path / "kept", **settings)
+    assert same(found, expected)
+    assert sum(j.stat().st_size for j in (tmp_path / "kept").glob("*.journal")) > 0
 
 
 def test_a_model_is_sent_where_it_is_missing_and_parts_again_that_are_lost(eager, monkeypatch):
