@@ -1,5 +1,6 @@
 """Where tests find data, and which record they use."""
 
+import gc
 import os
 import socket
 import sys
@@ -11,10 +12,11 @@ _BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 if "PYMC_FEATURES_DATA" not in os.environ and _BESIDE.is_dir():
     os.environ["PYMC_FEATURES_DATA"] = str(_BESIDE)
 os.environ.setdefault("MPLBACKEND", "Agg")
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(
-        _name, "1"
-    )  # tests run side by side; more threads than processors wait for each other
+# tests run side by side: with more threads than processors those of linear algebra wait for each other
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+# LLVM's level 3, Numba's own, makes no kernel faster and takes a third longer
+os.environ.setdefault("NUMBA_OPT", "2")
 # PyTensor notes for each node of a graph where it was made, a fifth of the time of building one
 os.environ["PYTENSOR_FLAGS"] = ",".join(
     filter(None, [os.environ.get("PYTENSOR_FLAGS"), "traceback__limit=0"])
@@ -49,6 +51,12 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if not NOT_QUICK & {mark.name for mark in item.iter_markers()}:
             item.add_marker("quick")
+
+
+def pytest_collection_finish():
+    """Look for garbage less often: what is imported stays, and graphs are made of very many objects."""
+    gc.freeze()
+    gc.set_threshold(100_000, 20, 20)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -2,9 +2,7 @@
 
 Numba optimises each function that it compiles, and makes machine code of it, together with all that the
 function calls: code that is six calls deep is optimised six times. Here what a kernel calls is translated to
-LLVM's language only; it is optimised and becomes machine code once, in the kernel that Python calls. There
-LLVM's level 2 is asked for: of level 3, which is Numba's, the machine code is as fast, and takes half as long
-again to make.
+LLVM's language only; it is optimised and becomes machine code once, in the kernel that Python calls.
 """
 
 from numba.core.codegen import JITCodeLibrary
@@ -13,8 +11,6 @@ from numba.core.compiler_machinery import register_pass
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import NativeLowering
 from numba.core.types import Dispatcher as DispatcherType
-
-LEVEL = 2  # of optimisation
 
 
 class PartLibrary(JITCodeLibrary):
@@ -28,24 +24,6 @@ class PartLibrary(JITCodeLibrary):
         self._final_module.verify()
         self._finalize_dynamic_globals()
         self._finalized = True
-
-
-class KernelLibrary(JITCodeLibrary):
-    """Code that is optimised at LLVM's level 2."""
-
-    def _optimize_functions(self, ll_module):
-        ll_module.data_layout = self._codegen._data_layout
-        for function in ll_module.functions:
-            passes, builder = self._codegen._function_pass_manager(opt=LEVEL)
-            passes.run(function, builder)
-
-    def _optimize_final_module(self):
-        for settings in (
-            {"opt": 0, "loop_vectorize": False, "slp_vectorize": False, "cost": "cheap"},
-            {"opt": LEVEL},
-        ):
-            passes, builder = self._codegen._module_pass_manager(**settings)
-            passes.run(self._final_module, builder)
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -64,36 +42,16 @@ class PartLowering(NativeLowering):
         return True
 
 
-@register_pass(mutates_CFG=True, analysis_only=False)
-class KernelLowering(NativeLowering):
-    """The last pass of a compilation, into a `KernelLibrary`."""
-
-    _name = "kernel_lowering"
-
-    def run_pass(self, state):
-        state.library = KernelLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
-        state.library.enable_object_caching()
-        return super().run_pass(state)
-
-
 class PartCompiler(CompilerBase):
-    """Numba's compiler with another last pass."""
-
-    last_pass = PartLowering
+    """Numba's compiler with that pass."""
 
     def define_pipelines(self):
         manager = DefaultPassBuilder.define_nopython_pipeline(self.state)
         manager.passes = [
-            (self.last_pass if step is NativeLowering else step, why) for step, why in manager.passes
+            (PartLowering if step is NativeLowering else step, why) for step, why in manager.passes
         ]
         manager.finalize()
         return [manager]
-
-
-class KernelCompiler(PartCompiler):
-    """The same for kernels."""
-
-    last_pass = KernelLowering
 
 
 class PartDispatcher(CPUDispatcher):
@@ -107,7 +65,7 @@ class Kernel(CPUDispatcher):
     """A kernel as Python calls it: machine code of its own, kept on disk."""
 
     def __init__(self, py_func, locals=None, targetoptions=None):
-        super().__init__(py_func, locals, targetoptions, pipeline_class=KernelCompiler)
+        super().__init__(py_func, locals, targetoptions)
         alone = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         self.part = PartDispatcher(py_func, targetoptions=targetoptions | alone, pipeline_class=PartCompiler)
         self.enable_caching()
