@@ -145,13 +145,20 @@ def test_log_likelihood_differences_are_those_of_the_gaussian_process():
 @njit
 def kalman_logp(y, transition, noise, covariance, error):
     """Log-likelihood of a history of displacements with white errors, by Kalman's filter."""
-    x, p, logp = np.zeros(2), covariance.copy(), 0.0
+    a, b, c, d = transition[0, 0], transition[0, 1], transition[1, 0], transition[1, 1]
+    u, v, logp = 0.0, 0.0, 0.0  # the state, and its covariance [[uu, uv], [uv, vv]]
+    uu, uv, vv = covariance[0, 0], covariance[0, 1], covariance[1, 1]
     for k in range(y.size):
-        s, r = p[0, 0] + error, y[k] - x[0]
+        s, r = uu + error, y[k] - u
         logp -= 0.5 * (np.log(2.0 * np.pi * s) + r * r / s)
-        gain = p[:, 0] / s
-        x, p = transition @ (x + gain * r), p - np.outer(gain, p[0])
-        p = transition @ p @ transition.T + noise
+        u, v = u + uu / s * r, v + uv / s * r
+        uu, uv, vv = uu - uu * uu / s, uv - uv * uu / s, vv - uv * uv / s
+        u, v = a * u + b * v, c * u + d * v
+        uu, uv, vv = (
+            a * a * uu + 2.0 * a * b * uv + b * b * vv + noise[0, 0],
+            a * c * uu + (a * d + b * c) * uv + b * d * vv + noise[0, 1],
+            c * c * uu + 2.0 * c * d * uv + d * d * vv + noise[1, 1],
+        )
     return logp
 
 

@@ -135,27 +135,28 @@ def test_populations_and_gradients():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["EXP", "TN"])
-def test_posteriors_hold_the_truth_and_are_wide(kind):
-    """99 % intervals of the stiffness; tens of times wider than under `AmbientResponse`, for two sensors."""
+def test_posteriors_hold_the_truth_and_are_wide():
+    """99 % intervals of the stiffness; tens of times wider than under `AmbientResponse`, for two sensors.
+
+    Under EXP of the posterior itself, under TN of its Gaussian.
+    """
     values = simulated(3)
-    idata = pmf.sample(
-        400,
-        model=declared(kind, pmf.log_spectra(channels(values), BANDS)),
-        random_seed=1,
-        cores=1,
-        progressbar=False,
-    )
-    theta = idata["posterior"]["theta"]
-    low, high = theta.quantile([0.005, 0.995])
-    assert low < 1.0 < high
+    models = [declared(kind, pmf.log_spectra(channels(values), BANDS)) for kind in ("EXP", "TN")]
+    found = [
+        pmf.sample(300, model=models[0], random_seed=1, cores=1, progressbar=False),
+        pmf.laplace(500, model=models[1], random_seed=1),
+    ]
+    thetas = [result["posterior"]["theta"] for result in found]
+    for theta in thetas:
+        low, high = theta.quantile([0.005, 0.995])
+        assert low < 1.0 < high
     with pm.Model() as exact:
         factor = pm.LogNormal("theta", 0.0, 0.2)
         wind, error = pm.LogNormal("wind", 0.0, 1.0), pm.LogNormal("error", -3.0, 1.0)
         response = pmf.spectral_response(building(factor), wind, sensors=[1, 3])
         pmf.AmbientResponse("y", response, error=error, bands=BANDS, dt=DT, observed=values)
     gaussian = pmf.laplace(500, model=exact, random_seed=1)["posterior"]["theta"]
-    assert 20.0 < theta.std() / gaussian.std() < 60.0
+    assert all(20.0 < theta.std() / gaussian.std() < 60.0 for theta in thetas)
 
 
 @pytest.mark.parametrize(

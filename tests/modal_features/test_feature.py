@@ -361,18 +361,19 @@ def exact_quantiles(m, grid):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("density, m", [("TN", 1), ("EXP", 2)])
-def test_posterior_of_two_storeys_against_quadrature(density, m):
-    """Quantiles within 3 % of the 5-95 % width."""
+def test_posterior_of_two_storeys_against_quadrature():
+    """Quantiles within 3 % of the 5-95 % width; those of another number of degrees of freedom are not."""
     with pm.Model():
         theta = pm.LogNormal("theta", 0.0, 0.3)
         variance = pm.InverseGamma("variance", 3.0, 0.02)
         found = modes(storeys(theta))
-        ModalFeature("y", found, observed=TWO, sigma_f=0.03, sigma_phi=pt.sqrt(variance), density=density)
-        idata = sample(4000, chains=2, cores=1, random_seed=3, progressbar=False)
-    exact = exact_quantiles(m, np.linspace(0.5, 1.8, 4001))
+        ModalFeature("y", found, observed=TWO, sigma_f=0.03, sigma_phi=pt.sqrt(variance), density="EXP")
+        idata = sample(2000, chains=2, cores=1, random_seed=3, progressbar=False)
+    exact, other = (exact_quantiles(m, np.linspace(0.5, 1.8, 1001)) for m in (2, 1))
     got = np.quantile(idata.posterior["theta"], [0.05, 0.25, 0.5, 0.75, 0.95])
-    np.testing.assert_allclose(got, exact, rtol=0, atol=0.03 * (exact[-1] - exact[0]))
+    limit = 0.03 * (exact[-1] - exact[0])
+    np.testing.assert_allclose(got, exact, rtol=0, atol=limit)
+    assert abs(got - other).max() > limit
 
 
 def test_model_has_coordinates_predictive_draws_and_a_log_likelihood_for_each_mode():
