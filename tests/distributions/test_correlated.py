@@ -453,7 +453,7 @@ def test_smc_finds_the_posterior(pulse):
     data = exact + pm.draw(errors, random_seed=6, mode=PLAIN)
     fixed = {"sigma": lambda: 1.0, "tau": lambda: 0.2}
     model = build_model(pulse, data, **fixed)
-    grid = np.linspace(0.5, 1.5, 801)
+    grid = np.linspace(0.5, 1.5, 401)
 
     def moments(tau):
         logp = []
