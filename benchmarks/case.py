@@ -87,11 +87,12 @@ def build(record, *, particles, n_dof=10, n_sensors=None, substeps=1, seed=0):
     Sensors are spread evenly over the height; all degrees of freedom by default.
     """
     rng = np.random.default_rng(seed)
+    acceleration = np.array(record.acceleration)  # for what may not be written kernels are compiled again
     sensors = np.unique(np.linspace(0, n_dof - 1, n_sensors or n_dof).round().astype(np.int64))
     nominal = np.full(n_dof, STIFFNESS)
     exact = chain_response(
         ChainParameters(np.ones(n_dof), nominal, np.array([ALPHA, BETA]), np.zeros(n_dof)),
-        Excitation(record.acceleration, record.dt, substeps, stride=1),
+        Excitation(acceleration, record.dt, substeps, stride=1),
         Outputs(sensors, n_dof, quantity=0),
     )
     scale = NOISE * np.sqrt(np.mean(exact**2, axis=1, keepdims=True))
@@ -99,7 +100,7 @@ def build(record, *, particles, n_dof=10, n_sensors=None, substeps=1, seed=0):
     stiffness[:, :3] *= rng.uniform(0.5, 1.5, (particles, 1))
     return Case(
         stiffness=stiffness,
-        acceleration=record.acceleration,
+        acceleration=acceleration,
         dt=record.dt,
         substeps=substeps,
         sensors=sensors,

@@ -29,9 +29,9 @@ class Problem:
     def __init__(self):
         self.record = pmf.synthetic_earthquake(19.98, 0.02, random_seed=1, pga=2.0)
         self.measured = pmf.paper.measurements(self.record, multipliers=(1.0,), random_seed=2).values
-        self.parameters = pmf.paper.chain().parameters()
+        self.parameters = [np.array(p) for p in pmf.paper.chain().parameters()]
         self.settings = (
-            Excitation(self.record.acceleration, self.record.dt, 1, 1),
+            Excitation(np.array(self.record.acceleration), self.record.dt, 1, 1),
             Outputs(np.arange(10), n_modes=10, quantity=0),
         )
 

@@ -103,7 +103,7 @@ class Posterior:
         rows, columns = self.below
         off = c.factor[rows, columns] + diagonal[rows] * (real + 1j * imaginary)
         factor[:, 0, rows, columns, 0], factor[:, 0, rows, columns, 1] = off.real, off.imag
-        return SpectralParameters(
+        parameters = (
             c.natural * np.exp(c.ratios * u),
             c.ratios * np.exp(v),
             shapes,
@@ -111,6 +111,7 @@ class Posterior:
             np.repeat(c.error * np.exp(e)[:, :, None], s, axis=2),
             np.repeat(self.data.spectra[None], n, axis=0),
         )
+        return SpectralParameters(*map(np.ascontiguousarray, parameters))  # one kernel serves all
 
     def modes(self, x) -> FreeModes:
         """The modes of a point (d,)."""

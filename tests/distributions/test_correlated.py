@@ -25,7 +25,6 @@ from pymc_features.ops import (
 from pymc_features.simulators import QUANTITIES, request
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.smc.density.evaluation import population_logp
-from support.commands import run_python
 from support.graphs import LIGHT, PLAIN, our_ops, our_ops_of
 from support.kernels import chain_misfit, chain_response, population_discrepancy, population_misfit
 from support.reference import misfit_statistics as by_definition
@@ -454,7 +453,7 @@ def test_smc_finds_the_posterior(pulse):
     data = exact + pm.draw(errors, random_seed=6, mode=PLAIN)
     fixed = {"sigma": lambda: 1.0, "tau": lambda: 0.2}
     model = build_model(pulse, data, **fixed)
-    grid = np.linspace(0.5, 1.5, 801)
+    grid = np.linspace(0.5, 1.5, 401)
 
     def moments(tau):
         logp = []
@@ -473,50 +472,6 @@ def test_smc_finds_the_posterior(pulse):
     white_mean, white_sd = moments(1e-9)
     shift = abs(theta.mean() - white_mean) / az.mcse(theta)
     assert max(shift, abs(theta.std() - white_sd) / az.mcse(theta, method="sd")) > 10
-
-
-# --------------------------------------------------------------------------- memory
-
-PEAK_GROWTH = """
-    import numpy as np, pymc as pm, pytensor, pytensor.tensor as pt
-    from pytensor.graph.replace import vectorize_graph
-    from pymc_features import CorrelatedNormal, paper, response, synthetic_earthquake
-    from pymc_features.ops import misfit_statistics
-    from pymc_features.smc.density.evaluation import population_logp
-    from support.memory import growth
-
-    def evaluation(change):
-        with pm.Model() as model:
-            mu = change(response(paper.chain(pm.Normal("theta", 1.0)), record))
-            CorrelatedNormal("y", mu, 1.0, 0.1, record.dt, observed=change(data))
-        return population_logp(model, model.initial_point(), {"mode": "FAST_COMPILE"})
-
-    record = synthetic_earthquake(31.18, 0.002, random_seed=1)
-    data = np.random.default_rng(0).normal(size=(10, record.n_times))
-    functions = [evaluation(lambda mu: mu), evaluation(lambda mu: mu[::-1])]
-    particles = np.linspace(0.5, 1.5, 256)[:, None]
-    (fused, one), (unfused, other) = (growth(lambda: function(particles)[1]) for function in functions)
-    np.testing.assert_allclose(one, other, rtol=1e-9)
-    theta, batch = pt.dscalar(), pt.dvector()
-    alone = misfit_statistics(response(paper.chain(theta), record), pytensor.shared(data)).sum()
-    together = vectorize_graph(alone, {theta: batch}).sum()
-    slopes = pytensor.function([batch], pt.grad(together, batch), mode="NUMBA")
-    slopes(particles[:2, 0])  # compiles
-    gradient, _ = growth(lambda: slopes(particles[:, 0]))
-    print(fused / data.nbytes, gradient / data.nbytes, unfused / data.nbytes)
-"""
-
-
-@pytest.mark.processes
-def test_populations_need_no_memory_for_histories(tmp_path):
-    """256 particles of 10 x 15590: growth of the peak over the size of one history, and from histories.
-
-    Two tables of the data take a few histories, whatever the number of particles.
-    """
-    pytest.importorskip("resource")
-    fused, gradient, unfused = map(float, run_python(PEAK_GROWTH, tmp_path).split())
-    assert max(fused, gradient) < 8.0
-    assert unfused > 30.0
 
 
 # --------------------------------------------------------------------------- refusals

@@ -172,7 +172,7 @@ def test_degrees_of_freedom_of_each_sensor():
         pm.logp(GammaFeature.dist(mu[[j]], sigma[j], m[j]), data[[j]]).eval(mode=PLAIN)[0] for j in range(4)
     ]
     np.testing.assert_allclose(together, alone, rtol=1e-12)
-    draws = draw(GammaFeature.dist(mu, sigma, m), draws=20_000)
+    draws = draw(GammaFeature.dist(mu, sigma, m, size=(20_000, 4)))
     e = mean_square_discrepancy(draws, np.broadcast_to(mu, draws.shape))
     for j in range(4):
         assert stats.kstest(e[:, j] / sigma[j] ** 2, stats.chi2(m[j]).cdf).pvalue > 1e-3
@@ -214,7 +214,7 @@ def sample(request):
     """20000 draws of two sensors with five samples each: (likelihood, mu, sigma, draws)."""
     mu = np.array([[1.0, -2.0, 0.0, 3.0, 0.5], [0.0, 0.0, 5.0, -1.0, 2.0]])
     sigma = np.array([0.5, 3.0])
-    return request.param, mu, sigma, draw(declare(request.param, mu, sigma), draws=20_000)
+    return request.param, mu, sigma, draw(declare(request.param, mu, sigma, size=(20_000, 2)))
 
 
 @pytest.mark.slow

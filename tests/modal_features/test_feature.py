@@ -271,10 +271,10 @@ def walk(coupling, n, half_width, fixed=False):
 )
 def test_density_is_continuous_where_modes_cross(coupling, half_width):
     """The largest step of a walk halves with the step length; of modes by their number it does not."""
-    coarse, fine = (abs(np.diff(walk(coupling, n, half_width))).max() for n in (200, 400))
+    coarse, fine = (abs(np.diff(walk(coupling, n, half_width))).max() for n in (100, 200))
     assert fine == pytest.approx(0.5 * coarse, rel=0.1)
     if coupling == 0.0:
-        jumps = [abs(np.diff(walk(coupling, n, half_width, fixed=True))).max() for n in (200, 400)]
+        jumps = [abs(np.diff(walk(coupling, n, half_width, fixed=True))).max() for n in (100, 200)]
         assert jumps[1] > 0.9 * jumps[0] > 5.0 * coarse
 
 
@@ -361,18 +361,18 @@ def exact_quantiles(m, grid):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("density, m", [("TN", 1), ("EXP", 2)])
-def test_posterior_of_two_storeys_against_quadrature(density, m):
-    """Quantiles within 3 % of the 5-95 % width."""
+def test_posterior_of_two_storeys_against_quadrature():
+    """Quantiles within 3 % of the 5-95 % width: three standard errors of 4,000 draws at its ends."""
     with pm.Model():
         theta = pm.LogNormal("theta", 0.0, 0.3)
         variance = pm.InverseGamma("variance", 3.0, 0.02)
         found = modes(storeys(theta))
-        ModalFeature("y", found, observed=TWO, sigma_f=0.03, sigma_phi=pt.sqrt(variance), density=density)
-        idata = sample(4000, chains=2, cores=1, random_seed=3, progressbar=False)
-    exact = exact_quantiles(m, np.linspace(0.5, 1.8, 4001))
+        ModalFeature("y", found, observed=TWO, sigma_f=0.03, sigma_phi=pt.sqrt(variance), density="EXP")
+        idata = sample(2000, chains=2, cores=1, random_seed=3, progressbar=False)
+    exact = exact_quantiles(2, np.linspace(0.5, 1.8, 1001))
     got = np.quantile(idata.posterior["theta"], [0.05, 0.25, 0.5, 0.75, 0.95])
     np.testing.assert_allclose(got, exact, rtol=0, atol=0.03 * (exact[-1] - exact[0]))
+    assert abs(got - 1.1 * exact).min() > 0.03 * (exact[-1] - exact[0])  # of springs a tenth stiffer
 
 
 def test_model_has_coordinates_predictive_draws_and_a_log_likelihood_for_each_mode():

@@ -379,7 +379,7 @@ def test_mean_squares_that_come_from_outside_are_taken_as_they_are():
 
 
 @pytest.mark.slow
-def test_jax():
+def test_jax(quick_compilation):
     data = with_gaps(measured("chain"))
     build, record = CASES["chain"]
     x, rows, y = pt.dvector("x"), pt.dmatrix("rows"), pt.dmatrix("data")

@@ -45,10 +45,9 @@ def started():
 
 SETTINGS = {  # quantity, degrees of freedom, substeps, stride, modes, sensors
     "3 masses": ("absolute_acceleration", 3, 1, 1, 3, (0, 1, 2)),
-    "1 mass": ("absolute_acceleration", 1, 1, 1, 1, (0,)),
+    "1 mass, coarser": ("relative_velocity", 1, 1, 3, 1, (0,)),
     "2 masses, finer": ("relative_displacement", 2, 5, 1, 2, (1,)),
-    "5 masses, 2 modes, coarser": ("relative_acceleration", 5, 1, 3, 2, (4, 0)),
-    "10 masses, 2 in 3 steps": ("relative_velocity", 10, 3, 2, 10, (9, 0, 0, 4)),
+    "5 masses, 2 modes, 2 in 3 steps": ("relative_acceleration", 5, 3, 2, 2, (4, 0, 0, 3)),
 }
 REPEATED = {  # nearly, and to the last bit: settings, mass, stiffness, and what rounding allows
     **{f"soft {e:g}": ("3 masses", [1.0] * 3, [1e3, 1e3 * e, 500.0], LIMIT) for e in (1e-5, 1e-9, 1e-300)},
@@ -121,14 +120,6 @@ def results(mode, settings, values):
     found = {op: [next(flat) for _ in range(4 if op in GRADIENTS else 1)] for op in OPS}
     assert {x.dtype for arrays in found.values() for x in arrays} == {np.dtype("float64")}
     return found
-
-
-@pytest.fixture
-def quick_compilation():
-    """XLA without most optimisations takes half the time; the models below have them all."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
 
 
 def blocks(op, arrays, values, repeated):
@@ -342,7 +333,7 @@ def test_log_densities_of_models(likelihood):
     assert np.isneginf(logp[7]) or np.isnan(logp[7])
 
 
-def test_on_the_first_device():
+def test_on_the_first_device(quick_compilation):
     """A GPU where JAX has one, else the processor: there, in double precision, point by point."""
     density = jax.jit(jax.value_and_grad(log_density(model_of(pmf.TruncNormalFeature))))
     device = jax.devices()[0]
@@ -354,7 +345,7 @@ def test_on_the_first_device():
         np.testing.assert_allclose([logp, *gradient], [value, *slope], rtol=LIMIT)
 
 
-def test_gradient_by_the_data():
+def test_gradient_by_the_data(quick_compilation):
     """Data that are no numbers, such as a record with unknown offset, count."""
     with pm.Model() as model:
         offset = pm.Flat("offset")
@@ -382,7 +373,7 @@ def test_correlated_draws():
 # --------------------------------------------------------------------------- the output step as data
 
 
-def test_output_step_as_data():
+def test_output_step_as_data(quick_compilation):
     """For samplers PyMC makes it a number; a function that could change it is refused."""
     model = model_of(pmf.TruncNormalFeature, dt=0.04)
     for dt in (0.04, 0.1):
@@ -407,18 +398,18 @@ SAMPLERS = {
 
 @pytest.fixture(scope="module")
 def one_stiffness():
-    """TN for the ten-storey chain: the model, and the exact mean and standard deviation of theta."""
-    record = pmf.synthetic_earthquake(4.0, 0.02, random_seed=1)
-    data = paper.measurements(record, multipliers=(1.0,), random_seed=0).values
+    """TN for three storeys: the model, and the exact mean and standard deviation of theta."""
 
     def total(theta):
-        return float(((simulate(paper.chain(theta), record).values - data) ** 2).mean(axis=1).sum())
+        misfit = simulate(three_storeys(100.0 * theta), RECORD).values - MEASURED
+        return float((misfit**2).mean(axis=1).sum())
 
     with pm.Model() as model:
-        mu = response(paper.chain(pm.Uniform("theta", *paper.THETA_RANGE)), record)
-        pmf.TruncNormalFeature("y", mu=mu, sigma=pm.Uniform("sigma", *paper.SIGMA_RANGE), observed=data)
-    curve = quadrature.DiscrepancyCurve(total, paper.THETA_RANGE, data.size)
-    exact = quadrature.exact_posterior(curve, LIKELIHOODS["TN"].exponents(*data.shape), paper.SIGMA_RANGE)
+        mu = response(three_storeys(100.0 * pm.Uniform("theta", *paper.THETA_RANGE)), RECORD)
+        pmf.TruncNormalFeature("y", mu=mu, sigma=pm.Uniform("sigma", *paper.SIGMA_RANGE), observed=MEASURED)
+    curve = quadrature.DiscrepancyCurve(total, paper.THETA_RANGE, MEASURED.size)
+    exponents = LIKELIHOODS["TN"].exponents(*MEASURED.shape)
+    exact = quadrature.exact_posterior(curve, exponents, paper.SIGMA_RANGE)
     nodes, below = exact.theta.nodes, exact.theta.below
     middle, probability = 0.5 * (nodes[1:] + nodes[:-1]), np.diff(below)
     mean = probability @ middle
@@ -427,13 +418,13 @@ def one_stiffness():
 
 @pytest.mark.statistical
 @pytest.mark.parametrize("sampler", SAMPLERS)
-def test_samplers_find_the_posterior(sampler, one_stiffness):
+def test_samplers_find_the_posterior(sampler, one_stiffness, quick_compilation):
     """Mean and sd of theta within 5 Monte Carlo errors of the quadrature; false alarms: below 1e-4 in all."""
     model, mean, sd = one_stiffness
     quiet = {"progressbar": False, "compute_convergence_checks": False, "cores": 1, "random_seed": 1}
-    idata = pm.sample(300, tune=300, chains=2, model=model, **quiet, **SAMPLERS[sampler])
+    idata = pm.sample(200, tune=200, chains=2, model=model, **quiet, **SAMPLERS[sampler])
     theta = idata["posterior"]["theta"].values
-    assert theta.shape == (2, 300)
+    assert theta.shape == (2, 200)
     assert az.ess(theta) > 100
     assert abs(theta.mean() - mean) < 5 * az.mcse(theta)
     assert abs(theta.std() - sd) < 5 * az.mcse(theta, method="sd")
@@ -445,26 +436,24 @@ def test_samplers_find_the_posterior(sampler, one_stiffness):
 LATE = """
     import sys
     import numpy as np
-    FIRST
-    import pymc_features
     from pymc_features import ModalDamping, Record, SpringMassChain, response
     import pytensor, pytensor.tensor as pt
     k = pt.dscalar("k")
     y = response(SpringMassChain([1.0, 2.0], k, ModalDamping(0.1)), Record([0.0, 1.0, 0.0], 0.1))
     dispatch = "pymc_features.ops.jax_dispatch"
     expected = pytensor.function([k], y, mode=pytensor.compile.mode.Mode(linker="py", optimizer=None))(9.0)
-    before = [name in sys.modules for name in ("jax", dispatch)]
+    assert "jax" not in sys.modules
+    import jax
+    assert jax.numpy.ones(1).dtype == "float32" and dispatch not in sys.modules
     got = pytensor.function([k], y, mode="JAX")(9.0)
     assert dispatch in sys.modules
     assert got.dtype == "float64"
     np.testing.assert_allclose(got, expected, rtol=1e-14, atol=1e-15)
-    print(*before)
+    print("done")
 """
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("first", ["pass", "import jax; assert jax.numpy.ones(1).dtype == 'float32'"])
-def test_dispatch_is_registered_when_a_graph_is_compiled_for_jax(first, tmp_path):
+def test_dispatch_is_registered_when_a_graph_is_compiled_for_jax(tmp_path):
     """Not with the package; in double precision also if JAX was in use, in single precision, before."""
-    output = run_python(LATE.replace("FIRST", first), tmp_path)
-    assert output.split() == [str(first != "pass"), "False"]
+    assert run_python(LATE, tmp_path) == "done"

@@ -1,4 +1,4 @@
-"""The Ops: Numba, Python and NumPy agree; batches, shapes, caches, memory, and the refusal of gradients."""
+"""The Ops: Numba, Python and NumPy agree; batches, shapes, caches, and the refusal of gradients."""
 
 import functools
 import pickle
@@ -34,7 +34,6 @@ from pymc_features.ops import (
 )
 from pymc_features.ops.base import count
 from pymc_features.simulators import FAMILIES, QUANTITIES, n_outputs
-from support.commands import run_python
 from support.graphs import PLAIN, REWRITTEN, our_ops, our_ops_of
 from support.kernels import chain_discrepancy, chain_response
 from support.structures import noise_record, three_storeys, with_first_spring, with_noise
@@ -485,42 +484,3 @@ def test_likelihood_graph_never_holds_the_history(likelihood, pulse, measured):
         mu = response(three_storeys(pm.Uniform("k", 50.0, 200.0)), pulse)
         pm.StudentT("y", nu=4.0, mu=mu, sigma=1.0, observed=measured)
     assert our_ops_of(control.compile_logp(mode=REWRITTEN)) == {StructuralResponse}
-
-
-# --------------------------------------------------------------------------- memory
-
-PEAK_GROWTH = """
-    import numpy as np, pytensor
-    from pymc_features import ModalDamping, Record, SpringMassChain, mean_square_discrepancy, response
-    from pymc_features.ops import numba_dispatch
-    from support.graphs import PLAIN
-    from support.memory import growth
-
-    numba_dispatch.FEWEST_ALONE = np.inf  # a table of the data takes some times their size, once
-
-    n_times, n_sensors = 400_000, 10
-    rng = np.random.default_rng(0)
-    chain = SpringMassChain(np.ones(n_sensors), 1800.0, ModalDamping(0.05))
-    node = response(chain, Record(np.ones(5), 0.02)).owner
-    record = pytensor.shared(np.ones(5), shape=(None,))
-    data = pytensor.shared(np.ones((n_sensors, 5)), shape=(n_sensors, None))
-    mu = node.op(*(record if name == "acceleration" else x for name, x in zip(NAMES, node.inputs)))
-    fused = pytensor.function([], mean_square_discrepancy(mu, data), mode="NUMBA")
-    unfused = pytensor.function([], ((mu - data) ** 2).mean(axis=-1), mode=PLAIN)
-    fused(), unfused()  # compiles, on five samples
-    record.set_value(rng.normal(size=n_times), borrow=True)
-    data.set_value(rng.normal(size=(n_sensors, n_times)), borrow=True)
-    (grown, one), (control, other) = growth(fused), growth(unfused)
-    np.testing.assert_allclose(one, other, rtol=1e-11)
-    print(grown / (8 * n_times * n_sensors), control / (8 * n_times * n_sensors))
-"""
-
-
-@pytest.mark.processes
-def test_fused_discrepancy_needs_no_memory_for_the_history(tmp_path):
-    """Peak resident memory over the size of the data; the unfused graph is the negative control."""
-    pytest.importorskip("resource")
-    code = PEAK_GROWTH.replace("NAMES", repr(list(CHAIN.inputs)))
-    fused, unfused = map(float, run_python(code, tmp_path).split())
-    assert fused < 0.1
-    assert unfused > 0.9

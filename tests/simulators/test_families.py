@@ -106,7 +106,7 @@ def test_gradients_of_one_and_of_a_population(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", (*MAIN, *CYCLIC))
+@pytest.mark.parametrize("name", (*MAIN[1:], *CYCLIC))  # of the chain: `test_ops` and `test_gradients`
 def test_numba_runs_the_same_and_keeps_its_code(name):
     build, record = (CASES | CYCLIC)[name]
     data, x, rows = measured(name), pt.vector("x", shape=(2,)), pt.matrix("rows", shape=(None, 2))
@@ -123,8 +123,8 @@ def model_of(name, likelihood=TruncNormalFeature):
     build, record = (CASES | CYCLIC)[name]
     data = measured(name)
     with pm.Model(coords={"sensor": range(len(data)), "time": np.arange(data.shape[1])}) as model:
-        # below zero there is no structure, whatever the family
-        x = pm.Uniform("x", -0.4, 1.6, shape=2)
+        # below zero there is no structure, whatever the family; specimens that yield at once take many steps
+        x = pm.Uniform("x", [-0.4, 0.3 if name in CYCLIC else -0.4], 1.6, shape=2)
         sigma = pm.Uniform("sigma", 0.0, 3.0)
         likelihood("y", response(build(x), record), sigma, observed=data, dims=("sensor", "time"))
     return model
@@ -135,7 +135,7 @@ def model_of(name, likelihood=TruncNormalFeature):
 def test_models_sample_and_count_what_is_no_structure(name):
     model = model_of(name)
     quick = {"compile_kwargs": {"mode": "FAST_COMPILE"}, **SERIAL}
-    idata = sample_smc(60, model=model, chains=2, random_seed=1, **quick)
+    idata = sample_smc(60, model=model, chains=1, random_seed=1, **quick)
     assert float(idata["sample_stats"]["failed"].sum()) > 0
     x = idata["posterior"]["x"].values
     assert (x > 0).all()

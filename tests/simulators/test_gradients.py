@@ -32,7 +32,6 @@ from pymc_features.ops import (
 )
 from pymc_features.ops.base import count
 from pymc_features.simulators import FAMILIES, QUANTITIES
-from support.commands import run_python
 from support.graphs import PLAIN, our_ops
 from support.kernels import (
     DAMPINGS,
@@ -482,9 +481,9 @@ def assert_all_close(actual, expected, rtol):
 
 
 @pytest.mark.parametrize(
-    ("mode", "quantity"), [("NUMBA", QUANTITY), *(("FAST_COMPILE", quantity) for quantity in QUANTITIES)]
+    ("kind", "mode", "quantity"),
+    [("modal", "NUMBA", QUANTITY), *((kind, "FAST_COMPILE", q) for kind in WRT for q in QUANTITIES)],
 )
-@pytest.mark.parametrize("kind", WRT)
 def test_gradients_of_graphs(kind, mode, quantity):
     """pt.grad of response and discrepancy, by all parameters and by the data, without object mode."""
     mu, e = symbolic(kind, quantity)
@@ -681,40 +680,3 @@ def test_log_probability_of_models(likelihood):
 
             expected.append(richardson(along, start[i], h=2e-2))
     np.testing.assert_allclose(got, expected, rtol=1e-8, atol=1e-10 * np.abs(got).max())
-
-
-# --------------------------------------------------------------------------- memory
-
-PEAK_GROWTH = """
-    import numpy as np
-    from support.kernels import discrepancy_gradient, population_gradient, response_tangent
-    from support.memory import growth
-
-    n, n_times = 10, 400_000
-    chain = [np.ones(n), np.full(n, 1800.0), np.array([0.1, 1e-3]), np.zeros(n)]
-    rows = [x[None] for x in chain]
-    record, data = np.random.default_rng(0).normal(size=n_times), np.ones((n, n_times))
-
-    def calls(length):
-        more = [record[:length].copy(), 0.02, 1, 1, np.arange(n), n, 0]
-        history = data[:, :length].copy()
-        return (
-            lambda: discrepancy_gradient(*chain, *more, history, np.ones(n)),
-            lambda: population_gradient(*rows, *more, history, np.ones((1, n))),
-            lambda: response_tangent(*chain, *more, *chain),
-        )
-
-    for function in calls(5):
-        function()  # compiles
-    print(*(growth(function)[0] / data.nbytes for function in calls(n_times)))
-"""
-
-
-@pytest.mark.processes
-def test_gradients_need_no_memory_for_the_history(tmp_path):
-    """Peak memory over the size of the data; negative control: forward mode, which returns a history."""
-    pytest.importorskip("resource")
-    single, batch, forward = map(float, run_python(PEAK_GROWTH, tmp_path).split())
-    assert single < 0.1
-    assert batch < 0.1
-    assert forward > 0.9
