@@ -28,7 +28,7 @@ N_RUNS = 40
 @cache
 def ball_runs(d, kernel=SubsetSimulation, n=N_RUNS):
     model = ball(d, radius(d, PROBABILITY[d]) ** 2)
-    return [run(model, 500, seed, kernel) for seed in range(n)]
+    return [run(model, {1: 500, 2: 1000, 5: 500}[d], seed, kernel) for seed in range(n)]
 
 
 @pytest.mark.parametrize("d", PROBABILITY)

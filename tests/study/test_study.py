@@ -302,20 +302,20 @@ def test_table_holds_sampled_and_exact(result):
 
 
 def test_interrupted_study_continues_with_the_same_numbers(short, tmp_path, monkeypatch):
-    """Stopped in the third part: a second call samples only what is missing, and the result is the same."""
-    run, calls, kinds = study_module.run_part, [], ["NORM", "TN"]
+    """Stopped in the second part: another call samples only what is missing, and the result is the same."""
+    run, calls, kinds = study_module.run_part, [], ["TN"]
     whole = small_study(short, likelihoods=kinds)
 
-    def stop_at_third(study, kind, multiplier, *args):
-        if len(calls) == 2:
+    def stop_at_second(study, kind, multiplier, *args):
+        if len(calls) == 1:
             raise KeyboardInterrupt
         calls.append((kind, multiplier))
         return run(study, kind, multiplier, *args)
 
-    monkeypatch.setattr(study_module, "run_part", stop_at_third)
+    monkeypatch.setattr(study_module, "run_part", stop_at_second)
     with pytest.raises(KeyboardInterrupt):
         small_study(short, out=tmp_path, likelihoods=kinds)
-    assert sorted(p.name for p in (tmp_path / "parts").glob("*.nc")) == ["NORM_x1.nc", "TN_x1.nc"]
+    assert sorted(p.name for p in (tmp_path / "parts").glob("*.nc")) == ["TN_x1.nc"]
 
     resumed = []
 
@@ -325,12 +325,12 @@ def test_interrupted_study_continues_with_the_same_numbers(short, tmp_path, monk
 
     monkeypatch.setattr(study_module, "run_part", record_calls)
     result = small_study(short, out=tmp_path, likelihoods=kinds)
-    assert calls == [("NORM", 1.0), ("TN", 1.0)]
-    assert resumed == [("NORM", 2.0), ("TN", 2.0)]
+    assert calls == [("TN", 1.0)]
+    assert resumed == [("TN", 2.0)]
     xr.testing.assert_equal(result["summary"]["sampled"], whole["summary"]["sampled"])
     whole.to_netcdf(tmp_path / "study.nc", engine="h5netcdf")
     with xr.open_datatree(tmp_path / "study.nc", engine="h5netcdf") as again:
-        for path in ("summary", "data", "TN/x1/posterior", "NORM/x2/sample_stats"):
+        for path in ("summary", "data", "TN/x1/posterior", "TN/x2/sample_stats"):
             xr.testing.assert_equal(again[path].to_dataset(), whole[path].to_dataset())
 
 
