@@ -1,7 +1,5 @@
 """Emulators of external simulators: against closed forms, and posteriors against quadrature."""
 
-from concurrent.futures import Future
-
 import numpy as np
 import pymc as pm
 import pytest
@@ -21,7 +19,7 @@ from pymc_features.emulation.emulator import Coordinates, Emulator
 from pymc_features.emulation.gaussian_process import GaussianProcess, Hyperparameters, fit_hyperparameters
 from pymc_features.emulation.replacement import replaced
 from pymc_features.exceptions import SamplingWarning
-from pymc_features.processes.calls import Outcome
+from support.external_models import AtOnce
 
 pytestmark = pytest.mark.usefixtures("fast_compile")
 TIME = np.linspace(0.0, 3.0, 40)
@@ -33,23 +31,6 @@ def oscillators(k, c):
     if c > 0.9:
         raise RuntimeError("no equilibrium found")
     return np.array([np.exp(-c * TIME) * np.cos(k * TIME), k * np.exp(-2.0 * c * TIME) * np.sin(k * TIME)])
-
-
-class AtOnce:
-    """An executor that runs a function here, without a process; counts."""
-
-    def __init__(self, function):
-        self.function, self.runs = function, 0
-
-    def submit(self, call, digest, arguments, *_):
-        """The result, done."""
-        self.runs += 1
-        future = Future()
-        try:
-            future.set_result(Outcome("ok", self.function(*arguments)))
-        except RuntimeError as error:
-            future.set_result(Outcome("error", message=str(error)))
-        return future
 
 
 def simulator(function, shape, **settings):
@@ -252,7 +233,7 @@ def test_two_responses_and_failures():
         itself = simulator(misfit, (2, 40), returns="mean_square")
         pm.Normal("y", whole(k, c), 0.3, observed=data)
         pm.Normal("z", itself(k), 0.3, observed=data)
-    found = emulate(60, model=model, draws=500, chains=2, random_seed=1, progressbar=False)
+    found = emulate(48, model=model, draws=500, chains=2, batch=12, random_seed=1, progressbar=False)
     assert whole.counts["ok"] + whole.counts["error"] == itself.counts["ok"]
     assert found.idata["emulation"].attrs["failed"] == whole.counts["error"] > 0
     low, middle, high = exact_quantiles(data, 0.3, 1.0, 4.0)
@@ -275,7 +256,7 @@ def test_an_emulator_of_a_rough_response_gives_itself_away():
     with pytest.warns(
         SamplingWarning, match="the emulator was still learning after 24 runs.*Increase `runs`"
     ):
-        found = emulate(24, model=model, draws=200, chains=2, random_seed=1, progressbar=False)
+        found = emulate(24, model=model, draws=200, chains=2, batch=8, random_seed=1, progressbar=False)
     assert found.idata["emulation"].attrs["converged"] == 0
     assert found.idata["emulation"]["error"][-1] > 1.0
 

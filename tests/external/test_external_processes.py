@@ -106,7 +106,7 @@ def test_posterior_with_failures(tmp_path):
     sigma, cache = 8.0, tmp_path / "cache.sqlite"
     basis = functions.beam(1.0)
     with ExternalSimulator(
-        functions.troubled_line, SHAPE, executor=8, timeout=0.5, cache=cache, progress=False
+        functions.troubled_line, SHAPE, executor=4, timeout=0.5, cache=cache, progress=False
     ) as s:
         with pm.Model():
             a = pm.Normal("a", 0.0, 1.0)

@@ -171,7 +171,7 @@ def simulator():
 def test_without_gradients_it_falls_back_and_says_why(make):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        idata = pmf.sample(200, model=make(), chains=2, **QUIET)
+        idata = pmf.sample(60, model=make(), chains=2, **QUIET)
     found = idata["sample_stats"].attrs
     assert found["no_gradient"]
     assert found["search_gradients"] == 0
@@ -179,7 +179,7 @@ def test_without_gradients_it_falls_back_and_says_why(make):
     assert np.isnan(found["laplace_error"])
     assert found["close_to_laplace"] == ""
     assert "modes" not in idata.children
-    assert idata["posterior"].sizes["draw"] == 200
+    assert idata["posterior"].sizes["draw"] == 60
 
 
 # --------------------------------------------------------------------------- checkpoint

@@ -216,7 +216,6 @@ def sequential():
         ("fork", PersistentSMC),
         ("fork", PopulationMH),
         ("forkserver", PersistentSMC),
-        ("spawn", PersistentSMC),
     ],
 )
 def test_parallel_chains_give_the_same_draws(sequential, default_mode, mp_ctx, kernel):

@@ -196,9 +196,9 @@ def test_against_differences(build):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("likelihood", ["TN", "correlated", "of a changed response"])
-def test_machine_code(likelihood):
-    model = structural("chain", likelihood)
+def test_machine_code():
+    """Others, and of a changed response, at the end of this file."""
+    model = structural("chain")
     particles = prior_particles(model, spread=0.05)
     expected = evaluation_of(model, mode="FAST_COMPILE").gradient(particles)
     for got, exact in zip(evaluation_of(model, mode="NUMBA").gradient(particles), expected, strict=True):
@@ -554,27 +554,33 @@ GROWTH = """
     from pymc_features.smc import population_logp
     from support.memory import growth
 
-    def evaluation(change):
+    def evaluations(change):
         with pm.Model() as model:
             mu = change(response(paper.chain(pm.Normal("theta", 1.0)), record))
             CorrelatedNormal("y", mu, 1.0, 0.1, record.dt, observed=change(data))
-        return population_logp(model, model.initial_point(), {"mode": "NUMBA"})
+        start = model.initial_point()
+        return [population_logp(model, start, {"mode": mode}) for mode in ("NUMBA", "FAST_COMPILE")]
 
     record = synthetic_earthquake(31.18, 0.002, random_seed=1)
     data = np.random.default_rng(0).normal(size=(10, record.n_times))
     particles = np.linspace(0.5, 1.5, 64)[:, None]
     grown = []
     for change, share in ((lambda mu: mu, 64), (lambda mu: mu[::-1], 16)):
-        logp = evaluation(change)
-        logp.gradient(particles[:2])
+        logp, plain = evaluations(change)
+        found = logp.gradient(particles[:2])
         grown.append(growth(lambda: logp.gradient(particles[:share]))[0])
+        for got, exact in zip(found, plain.gradient(particles[:2]), strict=True):
+            np.testing.assert_allclose(got, exact, rtol=1e-9, atol=1e-9 * abs(exact).max())
     print(*(size / data.nbytes for size in grown))
 """
 
 
 @pytest.mark.processes
 def test_no_memory_for_histories(tmp_path):
-    """64 particles of 10 x 15590: growth of the peak over the size of one response, and from responses."""
+    """64 particles of 10 x 15590: growth of the peak over the size of one response, and from responses.
+
+    Both in machine code, whose gradients are those of the kernels that Python calls.
+    """
     pytest.importorskip("resource")
     fused, unfused = map(float, run_python(GROWTH, tmp_path).split())
     assert fused < 1.0

@@ -40,16 +40,22 @@ def gaussian(d, shift=0.0):
     return model
 
 
+@cache
+def conjugate(kernel, d, draws, seed):
+    return run_chain(kernel, gaussian(d), draws, seed)
+
+
 def faults(kernel, d, draws=None):
-    """What is wrong with a kernel on a conjugate Gaussian, over twelve seeds.
+    """What is wrong with a kernel on a conjugate Gaussian, over twelve seeds, in 20 dimensions over eight.
 
     "evidence", "mean" and "spread" if their mean errors exceed four standard errors over seeds, of a Student
-    t with 11 degrees of freedom: a false alarm in 480 each. (The spread may be wrong by 1 % besides, for it
-    has a bias in 1 / draws.) "distribution" if the smallest Kolmogorov-Smirnov probability of the seeds, each
-    with every tenth draw, is below 1e-3 / 12: a false alarm in 1000. "noise" if evidences scatter by more
-    than 0.3.
+    t with 11 degrees of freedom: a false alarm in 480 each; of eight seeds one in 190. (The spread may be
+    wrong by 1 % besides, for it has a bias in 1 / draws.) "distribution" if the smallest Kolmogorov-Smirnov
+    probability of the seeds, each with every tenth draw, is below 1e-3 over their number: a false alarm in
+    1000. "noise" if evidences scatter by more than 0.3.
     """
-    runs = [run_chain(kernel, gaussian(d), draws or N_DRAWS[d], seed) for seed in SEEDS]
+    seeds = SEEDS[:8] if d == 20 else SEEDS
+    runs = [conjugate(kernel, d, draws or N_DRAWS[d], seed) for seed in seeds]
     precision = 1.0 + 1.0 / SD[d] ** 2
     mean = CENTRE / SD[d] ** 2 / precision
     exact = stats.norm(0.0, np.sqrt(1.0 + SD[d] ** 2)).logpdf(CENTRE) * d
@@ -60,8 +66,8 @@ def faults(kernel, d, draws=None):
         "evidence": mean_within_errors(errors),
         "noise": errors.std() < 0.3,
         "mean": mean_within_errors([x.mean() for x in z]),
-        "spread": abs(spread.mean()) < 4.0 * spread.std(ddof=1) / np.sqrt(len(SEEDS)) + 0.01,
-        "distribution": min(stats.kstest(x[::10].ravel(), "norm").pvalue for x in z) > 1e-3 / len(SEEDS),
+        "spread": abs(spread.mean()) < 4.0 * spread.std(ddof=1) / np.sqrt(len(seeds)) + 0.01,
+        "distribution": min(stats.kstest(x[::10].ravel(), "norm").pvalue for x in z) > 1e-3 / len(seeds),
     }
     return [name for name, passed in checks.items() if not passed], runs, errors
 
@@ -211,7 +217,7 @@ def test_narrow_posterior():
 
 
 @pytest.mark.parametrize("kernel", [PersistentSMC, TMCMC])
-@pytest.mark.parametrize("scale", [1e-3, 1e-5, 1e-7])
+@pytest.mark.parametrize("scale", [1e-3, 1e-7])
 def test_temperatures_follow_any_scale(kernel, scale):
     """Stages grow with the logarithm of the ratio of prior to posterior, and every seed arrives.
 
@@ -231,9 +237,7 @@ def tolerance(share):
     return model
 
 
-@pytest.mark.parametrize(
-    ("share", "draws", "stage"), [(0.5, 1000, None), (0.01, 1000, None), (0.01, 100, 40)]
-)
+@pytest.mark.parametrize(("share", "draws", "stage"), [(0.5, 500, None), (0.01, 500, None), (0.01, 100, 40)])
 def test_hard_threshold(share, draws, stage):
     """Draws uniform on the set, evidence its prior probability, however few prior draws are inside.
 
@@ -274,9 +278,9 @@ def test_impossible_prior_draws_count(kernel):
         pm.Potential("half", pt.switch(x[0] > 0.4, 0.0, -np.inf))
     posterior = stats.norm(0.5 / 1.09, np.sqrt(0.09 / 1.09))
     exact = 2 * stats.norm.logpdf(0.5, 0.0, np.sqrt(1.09)) + posterior.logsf(0.4)
-    runs = [run_chain(kernel, model, 1000, seed) for seed in SEEDS]
+    runs = [run_chain(kernel, model, 500, seed) for seed in SEEDS]
     assert mean_within_errors([r.evidence - exact for r in runs])
-    assert np.std([r.evidence for r in runs]) < 0.2
+    assert np.std([r.evidence for r in runs]) < 0.28
     assert all((r.draws[:, 0] > 0.4).all() for r in runs)
 
 
@@ -332,6 +336,6 @@ def test_standard_error_is_calibrated(d):
 
     A false alarm in 1e3 for a true ratio between 0.9 and 1.2.
     """
-    runs = [run_chain(PersistentSMC, gaussian(d), 1000, seed) for seed in range(30)]
+    runs = [conjugate(PersistentSMC, d, 1000, seed) for seed in range(30)]
     ratio = np.std([r.evidence for r in runs], ddof=1) / np.mean([r.se for r in runs])
     assert 0.6 < ratio < 1.7

@@ -247,7 +247,7 @@ def test_local_processes_dask_and_a_killed_worker(eager, tmp_path):
     journal.write_bytes(journal.read_bytes()[: journal.stat().st_size // 2])  # as if it had been killed
     with distributed.LocalCluster(
         n_workers=1,
-        threads_per_worker=2,
+        threads_per_worker=1,
         dashboard_address=":0",
         silence_logs=logging.CRITICAL,
         local_directory=str(tmp_path),

@@ -14,6 +14,7 @@ import pymc_features as pmf
 from pymc_features.umbridge import RemoteModel, from_umbridge
 from pymc_features.umbridge.client import checked_shape
 from pymc_features.umbridge.server import models_of
+from support.external_models import AtOnce
 
 pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("fast_compile")]
 SERVER = """
@@ -199,7 +200,11 @@ def test_shapes_of_outputs():
 
 def test_without_a_gradient_none_is_offered():
     """An external function has none."""
-    with pmf.ExternalSimulator(lambda k: np.full((1, 3), k), shape=(1, 3), executor=1) as simulator:
+
+    def flat(k):
+        return np.full((1, 3), k)
+
+    with pmf.ExternalSimulator(flat, shape=(1, 3), executor=AtOnce(flat), version="1") as simulator:
         with pm.Model() as declared:
             mu = simulator(pm.Normal("k"))
             pm.Normal("y", mu=mu, sigma=1.0, observed=np.zeros((1, 3)))
