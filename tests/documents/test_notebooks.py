@@ -43,7 +43,7 @@ def skip_without_measurements(source):
 @pytest.mark.notebook
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.name)
 def test_notebook_runs(path, tmp_path):
-    """With a third of the draws that its cell with the tag `parameters` asks for, of many a sixteenth.
+    """With half the draws that its cell with the tag `parameters` asks for, of many an eighth.
 
     Without machine code of PyTensor's: the kernels do the work, and the rest takes longer to compile.
     """
@@ -52,7 +52,7 @@ def test_notebook_runs(path, tmp_path):
     skip_without_measurements("".join(cell.source for cell in notebook.cells))
     [cell] = [cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", [])]
     [draws] = re.findall(r"^draws = (\d+)", cell.source, flags=re.MULTILINE)
-    fewer = int(draws) // (3 if int(draws) < 1000 else 16)
+    fewer = int(draws) // (2 if int(draws) < 1000 else 8)
     cell.source = cell.source.replace(f"draws = {draws}", f"draws = {fewer}")
     nbformat.write(notebook, tmp_path / path.name)
     # in a process of its own: its client leaves threads behind, and other tests fork
