@@ -89,10 +89,17 @@ def gaps_of(kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("missing", ["blocks", "single"])
 @pytest.mark.parametrize(
-    ("kind", "lowest"),
-    [("white", 0.86), ("persistent", 0.84), ("common", 0.84), ("growing", 0.84), ("narrow", 0.80)],
+    ("kind", "lowest", "missing"),
+    [
+        ("white", 0.86, "blocks"),
+        ("persistent", 0.84, "blocks"),
+        ("common", 0.84, "blocks"),
+        ("growing", 0.84, "blocks"),
+        ("narrow", 0.80, "blocks"),
+        ("white", 0.86, "single"),
+        ("narrow", 0.80, "single"),
+    ],
 )
 def test_coverage_with_gaps(kind, lowest, missing):
     """As below, of what was measured; up to a third of the record is missing in one sensor or another."""

@@ -340,7 +340,7 @@ def test_standard_error_of_what_never_happened():
 def test_bands_cover_the_true_unmeasured_response():
     """Truths from the prior, data at the top, bands of everything else: 90 % of the times are in them.
 
-    Of 60 data sets the share is 0.9 within 4.5 of its standard errors by their scatter. Negative control:
+    Of 30 data sets the share is 0.9 within 4.5 of its standard errors by their scatter. Negative control:
     bands of the 30 % in the middle are not.
     """
     rng = np.random.default_rng(11)
@@ -354,13 +354,13 @@ def test_bands_cover_the_true_unmeasured_response():
         data = pm.Data("data", np.zeros((1, 150)))
         pm.Normal("y", pmf.response(structure(k), record, sensors=[1]), 0.5, observed=data)
     shares = []
-    for i in range(60):
+    for i in range(30):
         truth = structure(np.exp(0.3 * rng.normal(size=2)))
         measured = pmf.simulate(truth, record, sensors=[1]).values + 0.5 * rng.normal(size=(1, 150))
         with model:
             pm.set_data({"data": measured})
             quick = {"compile_kwargs": {"mode": "FAST_COMPILE"}, **SERIAL}
-            sampled = pmf.sample_smc(400, chains=1, random_seed=i, **quick)
+            sampled = pmf.sample_smc(300, chains=1, random_seed=i, **quick)
         found = pmf.posterior_response(
             sampled, structure, record, ["inter_storey_drift"], quantiles=[0.05, 0.35, 0.65, 0.95]
         )["inter_storey_drift"].values[..., 20:]
@@ -369,7 +369,7 @@ def test_bands_cover_the_true_unmeasured_response():
         shares.append([((found[a] < drift) & (drift < found[3 - a])).mean() for a in (0, 1)])
     wide, narrow = np.transpose(shares)
     error = wide.std(ddof=1) / np.sqrt(len(wide))
-    assert error < 0.03
+    assert error < 0.04
     assert abs(wide.mean() - 0.9) < 4.5 * error
     assert abs(narrow.mean() - 0.9) > 4.5 * error
     assert abs(narrow.mean() - 0.3) < 4.5 * narrow.std(ddof=1) / np.sqrt(len(narrow))

@@ -13,10 +13,13 @@ from pymc_features.update.report.findings import findings
 from pymc_features.update.sequence import Running
 from update.test_update import replaced
 
+pytestmark = pytest.mark.usefixtures("fast_compile")
+
 KINDS = 'kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]'
 QUICK = [
     (KINDS, 'kinds = ["CAL", "NORM", "EXP"]'),
     ('method = "auto"', 'method = "laplace"'),
+    ("draws = 1000", "draws = 400"),
     ("chains = 2", "chains = 1"),
 ]
 LEAVE_OUT = 'gaps = "leave_out"'

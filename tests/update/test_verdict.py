@@ -22,6 +22,8 @@ from pymc_features.update.report.summary import overlap_of
 from pymc_features.update.report.verdict import foretold, verdict
 from update.test_update import replaced
 
+pytestmark = pytest.mark.usefixtures("fast_compile")
+
 MASS, STIFFNESS = [0.1601, 0.1601, 0.1421], [385.0, 420.0, 600.0]
 BUILDING = SpringMassChain(MASS, STIFFNESS, ModalDamping(0.01))
 SHAKING = synthetic_earthquake(12.0, 0.01, random_seed=7, pga=3.0)
@@ -118,6 +120,7 @@ def fitted(folder, record, floors, *pairs):
     common = [
         ('kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]', 'kinds = ["NORM"]'),
         ('method = "auto"', 'method = "laplace"'),
+        ("draws = 1000", "draws = 300"),
         ('quantities = ["inter_storey_drift", "base_shear"]', "quantities = []"),
     ]
     path.write_text(replaced(path.read_text(), [*common, *pairs]))
