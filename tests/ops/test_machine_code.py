@@ -69,6 +69,12 @@ def test_kernels_are_parts_of_those_that_call_them():
         assert not engine.is_symbol_defined(name)
 
 
+def test_code_that_cannot_be_kept_is_warned_of_by_file():
+    """As Numba does where it optimises nothing."""
+    locator = n_outputs._cache._impl.locator
+    assert Path(locator._py_file).name == "arguments.py"
+
+
 class Copy:
     """A copy of the package, with caches of its own, whose source can be edited."""
 

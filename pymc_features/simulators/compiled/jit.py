@@ -28,6 +28,7 @@ class KernelCacheLocator(_CacheLocator):
         self._stamp = source_hash(py_func.__module__)
         self._path = Path(base) / "kernels" / self._stamp[:24]
         self._name = f"{py_func.__module__}.{py_func.__qualname__}"
+        self._py_file = py_func.__code__.co_filename  # named where Numba warns that it cannot keep code
 
     def get_cache_path(self):
         return str(self._path)
