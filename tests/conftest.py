@@ -17,9 +17,10 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 # LLVM's level 3, Numba's own, makes no kernel faster and takes a third longer
 os.environ.setdefault("NUMBA_OPT", "2")
-# PyTensor notes for each node of a graph where it was made, a fifth of the time of building one
+# PyTensor notes for each node of a graph where it was made, a fifth of the time of building one; and in
+# FAST_COMPILE it compiles C++, a second for each new kind of node
 os.environ["PYTENSOR_FLAGS"] = ",".join(
-    filter(None, [os.environ.get("PYTENSOR_FLAGS"), "traceback__limit=0"])
+    filter(None, [os.environ.get("PYTENSOR_FLAGS"), "traceback__limit=0,cxx="])
 )
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
     # else each of the many processes that the tests start compiles all that it imports, PyMC in 7 s

@@ -6,6 +6,7 @@ from pytensor.graph.rewriting.basic import dfs_rewriter, node_rewriter
 from pytensor.graph.traversal import ancestors
 from pytensor.scalar import Add, Mul
 from pytensor.scan.op import Scan
+from pytensor.tensor.basic import Alloc
 from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.elemwise import Elemwise
 from pytensor.tensor.random.op import RandomVariable
@@ -53,7 +54,11 @@ def is_loop(node) -> bool:
     op = node.op
     if isinstance(op, Scan):
         return True
-    if not isinstance(op, Blockwise) or isinstance(op.core_op, RandomVariable) or op.batch_ndim(node) == 0:
+    if (
+        not isinstance(op, Blockwise)
+        or isinstance(op.core_op, RandomVariable | Alloc)
+        or op.batch_ndim(node) == 0
+    ):
         return False
     spec = op.gufunc_spec or getattr(op.core_op, "gufunc_spec", None)
     return spec is None and not type(op.core_op).__module__.startswith("pymc_features.")
