@@ -16,7 +16,7 @@ from pymc_features.smc.density.nodes import core_op, inner_nodes, is_random, sim
 from pymc_features.smc.density.prior import prior_points
 from pymc_features.smc.density.rows import RowFunction
 
-PRIOR_POINTS = 512  # at most, from which bases are made
+PRIOR_POINTS = 1024  # at most, from which bases are made
 
 # In this process, and in those forked from it, a pickled evaluation finds its compiled functions here.
 _ALIVE: WeakValueDictionary = WeakValueDictionary()
