@@ -256,8 +256,16 @@ def test_local_processes_dask_and_a_killed_worker(eager, tmp_path):
         assert same(sample_smc(60, checkpoint=tmp_path / "kept", executor=address, **settings), expected)
 
 
+@pytest.fixture
+def usual_ctrl_c():
+    """Python's own handler; commands that other tests have run leave theirs."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.processes
-def test_ctrl_c_ends_the_processes_and_loses_nothing(eager, monkeypatch, tmp_path):
+def test_ctrl_c_ends_the_processes_and_loses_nothing(eager, usual_ctrl_c, monkeypatch, tmp_path):
     """Pressed while two chains wait for a worker; the next run goes on from what is kept."""
     elsewhere, done, pids = workers_module.Spread.elsewhere, [], set()
 
