@@ -72,7 +72,7 @@ def log_prior(model: pm.Model, names: list[str]) -> Callable:
 def log_sum_exp(terms):
     """ln sum_s exp(terms) (event,) of terms (event, draw).
 
-    In parts, not by `pt.logsumexp`, which in a population is a loop over its particles and compiled for 20 s.
+    In parts, not by `pt.logsumexp`, which in a population is a loop over its particles, and must be compiled.
     """
     largest = disconnected_grad(pt.max(terms, axis=1))
     shift = pt.switch(pt.isinf(largest), 0.0, largest)

@@ -130,11 +130,10 @@ def sample(
     if checkpoint is not None:
         Path(checkpoint).mkdir(parents=True, exist_ok=True)
         journal = Journal(Path(checkpoint) / "modes.record", model_fingerprint(model))
-    with open_workers(executor) as workers:
+    with open_workers(executor) as workers, one_thread_each():
         if workers is not None:
             logp = workers.run().of(logp)
-        with one_thread_each():
-            found = search(model, logp, draws, rng, journal)
+        found = search(model, logp, draws, rng, journal)
         idata = sample_from(
             found,
             model,

@@ -82,9 +82,8 @@ class Known:
     def learn(self, matrices, modes):
         """Let the modes of a structure join: its M and K, and the factor of K + shift M, omega and shapes."""
         _, omega, shapes = modes
-        if (
-            omega[0] <= 0.0 or self.is_given_up or self.is_fixed
-        ):  # rigid bodies have no energy to measure errors by
+        is_rigid = omega[0] <= 0.0  # then there is no energy to measure errors by
+        if is_rigid or self.is_given_up or self.is_fixed:
             return
         if self.terms is None:
             self.terms = new_terms(self.given, matrices, modes)
