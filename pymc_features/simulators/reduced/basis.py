@@ -9,8 +9,9 @@ from scipy.sparse.linalg import spsolve_triangular
 from pymc_features.algebra import assemble, massless_motions, spectral_shift
 from pymc_features.simulators.reduced.inertia import Pattern, elimination_pattern
 
-NEW = 5e-10  # share of a shape outside the basis from which it joins
+NEW = 5e-10  # share of a shape outside the basis from which it joins, in the norm of the energy
 ROUNDING = 1e-13  # squares below this times the largest of some vectors are not told from rounding
+LAST_BITS = 2e-15  # relative errors of the entries of a shape that are not taken for something new
 PROBES = 24  # random vectors by which residuals are measured: off by three once in 5e7 times
 DIRECTIONS = 2
 FEEBLE = 1e-3  # change of omega^2 against that of entries of K or M, below which the latter counts
@@ -25,8 +26,10 @@ class Terms(NamedTuple):
         Of the arrays, see `linear.arguments`.
     stiffness, mass, damping : list of csc_array (n, n)
         A_0, A_1, ...
+    energy : csc_array (n, n)
+        K + shift M at one point.
     metric : csc_array (n, n)
-        V' metric V = 1: M where it is constant and definite, otherwise K + shift M at one point.
+        V' metric V = 1: M where it is constant and definite, otherwise the energy.
     is_inertia : bool
         Whether the metric is M.
     shift : float
@@ -44,6 +47,7 @@ class Terms(NamedTuple):
     stiffness: list
     mass: list
     damping: list
+    energy: sparse.csc_array
     metric: sparse.csc_array
     is_inertia: bool
     shift: float
@@ -64,6 +68,7 @@ def new_terms(given, matrices, modes) -> Terms:
     factor, *pairs = modes
     shift = spectral_shift(*matrices)
     is_inertia = len(mass) == 1 and massless_motions(mass[0]).rank == given.n_dof
+    energy = matrices[1] + shift * matrices[0]
     pattern = elimination_pattern(given.rows, given.starts, factor.perm_c)
     spring_entries, mass_entries = (
         np.ascontiguousarray(stack[:, pattern.places]) for stack in (given.stiffness, given.mass)
@@ -73,7 +78,8 @@ def new_terms(given, matrices, modes) -> Terms:
         stiffness,
         mass,
         damping,
-        metric=mass[0] if is_inertia else matrices[1] + shift * matrices[0],
+        energy,
+        metric=mass[0] if is_inertia else energy,
         is_inertia=is_inertia,
         shift=shift,
         probes=energy_probes(factor),
@@ -185,14 +191,19 @@ def joined(terms: Terms, basis: Basis, shapes) -> Basis:
 
 
 def new_columns(terms, columns, shapes):
-    """Orthonormal columns for what of some shapes lies outside of others."""
-    rest = shapes / np.sqrt((shapes * (terms.metric @ shapes)).sum(axis=0))
+    """Orthonormal columns for what of some shapes lies outside of others.
+
+    It is measured by its energy, as residuals are: a small part of stiff motions has much of it.
+    """
+    rest = shapes / np.sqrt((shapes * (terms.energy @ shapes)).sum(axis=0))
+    rounding = LAST_BITS**2 * (terms.energy.diagonal() @ rest**2)
+    least = max([NEW**2, *rounding])
     found = np.zeros((len(shapes), 0))
     while found.shape[1] < shapes.shape[1]:
         whole = np.hstack([columns, found])
         rest = outside(terms, whole, outside(terms, whole, rest))
-        squares, turn = np.linalg.eigh(rest.T @ (terms.metric @ rest))
-        kept = squares > max(NEW**2, ROUNDING * squares[-1])  # the others drown in rounding, this time
+        squares, turn = np.linalg.eigh(rest.T @ (terms.energy @ rest))
+        kept = squares > max(least, ROUNDING * squares[-1])  # the others drown in rounding, this time
         if not kept.any():
             break
         new = rest @ (turn[:, kept] / np.sqrt(squares[kept]))
