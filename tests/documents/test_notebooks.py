@@ -1,14 +1,15 @@
 """Each notebook asks a question, runs, and its assertions hold."""
 
+import multiprocessing
 import os
 import re
-import sys
+import traceback
 
 import nbformat
 import pytest
 
 import pymc_features
-from support.commands import ROOT, run
+from support.commands import ROOT
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
@@ -40,25 +41,49 @@ def skip_without_measurements(source):
                 pytest.skip(str(error))
 
 
+def run_cells(sources, folder, errors):
+    """Run cells as IPython does, and send the first error, or an empty string."""
+    import pytensor
+    from IPython.core.interactiveshell import InteractiveShell
+
+    os.chdir(folder)
+    pytensor.config.mode = "FAST_COMPILE"
+    shell = InteractiveShell.instance()
+    for source in sources:
+        error = shell.run_cell(source).error_in_exec
+        if error is not None:
+            errors.send(f"{source}\n{''.join(traceback.format_exception(error))}")
+            return
+    errors.send("")
+
+
 @pytest.mark.notebook
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.name)
 def test_notebook_runs(path, tmp_path):
     """With half the draws that its cell with the tag `parameters` asks for, of many an eighth.
 
-    Without machine code of PyTensor's: the kernels do the work, and the rest takes longer to compile.
+    Without machine code of PyTensor's: the kernels do the work, and the rest takes longer to compile. Each in
+    a process of its own, forked from one that has imported what they need.
     """
     notebook = nbformat.read(path, as_version=4)
     assert all(not cell.get("outputs") for cell in notebook.cells), "commit notebooks without outputs"
-    skip_without_measurements("".join(cell.source for cell in notebook.cells))
-    [cell] = [cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", [])]
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    skip_without_measurements("".join(cell.source for cell in cells))
+    [cell] = [cell for cell in cells if "parameters" in cell.metadata.get("tags", [])]
     [draws] = re.findall(r"^draws = (\d+)", cell.source, flags=re.MULTILINE)
     fewer = int(draws) // (2 if int(draws) < 1000 else 8)
     cell.source = cell.source.replace(f"draws = {draws}", f"draws = {fewer}")
-    nbformat.write(notebook, tmp_path / path.name)
-    # in a process of its own: its client leaves threads behind, and other tests fork
-    code = (
-        "import sys, nbformat, nbclient; "
-        "nbclient.NotebookClient(nbformat.read(sys.argv[1], as_version=4), timeout=300).execute()"
-    )
-    flags = ",".join(filter(None, [os.environ.get("PYTENSOR_FLAGS"), "mode=FAST_COMPILE"]))
-    run(sys.executable, "-c", code, str(tmp_path / path.name), env=os.environ | {"PYTENSOR_FLAGS": flags})
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["pymc_features.public", "IPython.core.interactiveshell"])
+    received, errors = context.Pipe(duplex=False)
+    process = context.Process(target=run_cells, args=([cell.source for cell in cells], tmp_path, errors))
+    process.start()
+    errors.close()
+    try:
+        said = received.recv() if received.poll(300.0) else "still running after 300 s"
+    except EOFError:
+        said = "the process has ended"
+    if said:
+        process.terminate()
+    process.join()
+    assert said == ""
