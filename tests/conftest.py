@@ -36,17 +36,32 @@ NOT_QUICK = {"notebook", "statistical", "processes", "slow"}
 LAST = ["test_jax.py", "test_pages.py", "test_notebooks.py", "test_reference.py", "test_recipes.py"]
 
 
+KERNELS = "simulators", "ops"  # folders whose tests compile most kernels
+FEW_KERNELS = "io", "identification", "signals", "modal", "test_layout.py", "test_odd_arguments.py"
+
+
+def of(path, names):
+    """Whether a file, or its folder, is one of those named."""
+    return path.name in names or path.parent.name in names
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """What is quick, and the order of the tests: kernels first, to compile them for the others.
 
-    So workers end together.
+    Meanwhile another worker runs tests that need few. So workers end together.
     """
 
     def place(item):
-        name, kernels = item.path.name, item.path.parent.name in ("simulators", "ops")
-        file = item.callspec.params["path"] if "notebook" in item.keywords else item.path
-        return LAST.index(name) if name in LAST else -2 if kernels else -1, -file.stat().st_size
+        path = item.path
+        if path.name in LAST:
+            order = LAST.index(path.name)
+        elif of(path, KERNELS):
+            order = -3
+        else:
+            order = -2 if of(path, FEW_KERNELS) or path.stem.endswith("_statistics") else -1
+        file = item.callspec.params["path"] if "notebook" in item.keywords else path
+        return order, -file.stat().st_size
 
     items.sort(key=place)
     for item in items:
@@ -62,11 +77,17 @@ def pytest_collection_finish():
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Files stay on one worker, for the sake of their fixtures; each notebook goes to any."""
+    """Files stay on one worker, for the sake of their fixtures; each notebook goes to any.
+
+    Those that compile kernels stay on one, since kernels have parts that no other worker then translates.
+    """
     from xdist.scheduler import LoadFileScheduling
 
     class Scheduling(LoadFileScheduling):
         def _split_scope(self, nodeid):
+            path = Path(nodeid.split("::")[0])
+            if of(path, KERNELS) and path.name not in LAST:
+                return "kernels"
             return nodeid if "::test_notebook_runs[" in nodeid else super()._split_scope(nodeid)
 
     return Scheduling(config, log)
