@@ -8,6 +8,7 @@ from scipy.stats import halfnorm, multivariate_normal, norm
 
 from pymc_features import compare, hierarchical, sample
 from pymc_features.exceptions import SamplingWarning
+from pymc_features.smc.density import compilation
 
 QUIET = {"cores": 1, "chains": 2, "random_seed": 1, "progressbar": False}
 PROBABILITIES = [0.05, 0.5, 0.95]
@@ -44,8 +45,8 @@ def population(scatter=None, shape=()):
     return hyper
 
 
-def test_eight_schools():
-    """Mean, scatter, evidence and the next school, by quadrature.
+def test_eight_schools(monkeypatch):
+    """Mean, scatter, evidence and the next school, by quadrature; without a compilation of ten seconds.
 
     Bounds are four standard errors: 1 to 3 % of the 5-95 % width for quantiles of 1500 draws; 2400
     stored draws of each school add less.
@@ -54,7 +55,10 @@ def test_eight_schools():
     events, _ = zip(
         *(event(y, s, 20.0, 2400, rng) for y, s in zip(EFFECTS, ERRORS, strict=True)), strict=True
     )
+    has_loops, looked = compilation.has_python_loops, []
+    monkeypatch.setattr(compilation, "has_python_loops", lambda v: looked.append(has_loops(v)) or looked[-1])
     found = hierarchical(events, population(), event_draws=2400, draws=750, **QUIET)
+    assert looked and not any(looked)  # else Numba compiles the sum over the draws of the events
     mean, scatter = np.meshgrid(np.linspace(-40, 50, 601), np.linspace(1e-3, 60, 800), indexing="ij")
     log_p = norm.logpdf(mean, 0.0, 10.0) + halfnorm.logpdf(scatter, 0.0, 10.0)
     for y, s in zip(EFFECTS, ERRORS, strict=True):
