@@ -17,7 +17,7 @@ from pymc_features.smc.density.nodes import goes_row_by_row, simulator_functions
 BATCH_BYTES = 2**26  # of the largest intermediate result of one call; larger populations are split
 UNIT = 8  # particles of a group in our kernels, or two groups: a population is cut at multiples of it
 LEARNS_FROM, SETTLED = 32, 8  # particles of a call, and calls in turn, after which nothing new is expected
-TOGETHER = 32  # particles of simulations in a call where a row may depend on how many others there are
+TOGETHER = 128  # particles of simulations in a call where a row may depend on how many others there are
 
 # Compiled functions have memory of their own: where several chains run in threads, one at a time.
 ONE_CALL = threading.RLock()
