@@ -39,15 +39,16 @@ def distance_to_modes(reference, flat):
         The coordinate that is furthest off, and by how much, over the 5-95 % width of its draws; None and NaN
         without modes.
     """
-    if reference is None or flat is None:
+    modes = [] if reference is None else [mode for mode in reference.modes if mode.is_maximum]
+    if not modes or flat is None:
         return None, np.nan
     rng = np.random.default_rng(2)
-    log_weights = np.array([mode.log_evidence for mode in reference.modes])
+    log_weights = np.array([mode.log_evidence for mode in modes])
     weights = np.exp(log_weights - log_weights.max())
     counts = rng.multinomial(N_GAUSSIAN, weights / weights.sum())
     u = [
         mode.x + rng.standard_normal((n, len(mode.x))) @ mode.factor.T
-        for mode, n in zip(reference.modes, counts, strict=True)
+        for mode, n in zip(modes, counts, strict=True)
     ]
     gaussian = np.quantile(reference.centre + reference.scale * np.concatenate(u), QUANTILES, axis=0)
     sampled = np.quantile(flat, QUANTILES, axis=0)

@@ -86,7 +86,8 @@ def sample(
     -------
     DataTree
         `posterior`; `modes` (mode, or posterior_mode where the model has a dimension mode), if climbs found
-        any: parameters, `log_evidence` of Laplace's approximation at each, `n_climbs` that ended there;
+        any: parameters, `log_evidence` of Laplace's approximation at each, `n_climbs` that ended there (one
+        that stops on a slope, as in the neck of a funnel whose density grows without bound, found none);
         `sample_stats` as from `sample_smc`, with for each chain `log_marginal_likelihood` and its standard
         error `log_marginal_likelihood_se`, `ess` (independent draws that the quantiles of the worst parameter
         are worth), `pareto_k`, and `largest_share` (of the posterior, that one weighted draw stands for).
@@ -159,10 +160,12 @@ def sample_from(found: "Search", model, space, **settings) -> xr.DataTree:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "PersistentSMC ended", SamplingWarning)  # `advice` says it
         idata = sample_smc(kernel=PersistentSMC, reference=found.reference, model=model, **settings)
-    if found.reference is not None:
-        modes = found.reference.modes
-        summary = {"log_evidence": [m.log_evidence for m in modes], "n_climbs": [m.n_climbs for m in modes]}
-        idata["modes"] = xr.DataTree(space.modes(model, found.reference.peaks, **summary))
+    modes = [] if found.reference is None else found.reference.modes
+    is_maximum = np.array([mode.is_maximum for mode in modes], dtype=bool)
+    if is_maximum.any():
+        maxima = [mode for mode in modes if mode.is_maximum]
+        summary = {"log_evidence": [m.log_evidence for m in maxima], "n_climbs": [m.n_climbs for m in maxima]}
+        idata["modes"] = xr.DataTree(space.modes(model, found.reference.peaks[is_maximum], **summary))
     summary = found._asdict() | summarise(model, space, idata, found.reference)
     del summary["reference"]
     idata["sample_stats"].attrs |= summary

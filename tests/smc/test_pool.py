@@ -96,6 +96,48 @@ def test_independent_draws_alone():
     np.testing.assert_allclose(part.log_weights(1.0), log_likelihood(part.particles) - mixture)
 
 
+def test_draws_that_shaped_the_last_fit_are_left_out():
+    """Those of the reference before it, possible or not; those after it count, in a part as well."""
+    pool = pool_of(np.random.default_rng(2))
+    x = np.linspace(-1.0, 1.0, 50)[:, None] * np.ones(2)
+    pool.add_draws(x, log_prior(x), np.where(x[:, 0] < 0.0, -np.inf, -1.0))
+    for whole in (pool, pool.independent()):
+        part = whole.unseen()
+        rows = (whole.source > 0) | (np.arange(len(whole.mass)) >= len(whole.mass) - 25)
+        np.testing.assert_array_equal(part.particles, whole.particles[rows])
+        np.testing.assert_allclose(part.counts, [50.0, *whole.counts[1:]])
+        assert part.unseen().particles.shape == part.particles.shape
+    only_reference = importance_sample(np.random.default_rng(2))
+    assert only_reference.unseen() is only_reference
+
+
+def fitted_pool(rng, d=4, n=80):
+    """Draws of a reference twice as wide as a standard normal target, and of a normal fit to them."""
+    x = rng.normal(0.0, 2.0, size=(n, d))
+    reference = stats.norm(0.0, 2.0).logpdf(x).sum(axis=1)
+    pool = Pool(x, reference, log_prior(x) - reference)
+    weights = pool.normalised(pool.log_weights(1.0))
+    fit = stats.multivariate_normal(weights @ x, 1.5 * np.cov(x.T, aweights=weights) + 0.1 * np.eye(d))
+    fit.log_density = fit.logpdf
+    pool.add_proposal(fit)
+    y = fit.rvs(size=2 * n, random_state=rng)
+    reference = stats.norm(0.0, 2.0).logpdf(y).sum(axis=1)
+    pool.add_draws(y, reference, log_prior(y) - reference, 1)
+    return pool
+
+
+def test_evidence_is_that_of_draws_which_shaped_no_fit():
+    """The mean of 300 evidences is one within four standard errors (6e-5); with the others it is low."""
+    rng = np.random.default_rng(4)
+    pools = [fitted_pool(rng) for _ in range(300)]
+    for unseen, low in ((True, False), (False, True)):
+        parts = [pool.unseen() if unseen else pool for pool in pools]
+        evidences = np.exp([part.log_evidence(part.log_weights(1.0)) for part in parts])
+        error = evidences.std() / np.sqrt(len(parts))
+        assert (evidences.mean() < 1.0 - 4.0 * error) == low
+        assert evidences.mean() < 1.0 + 4.0 * error
+
+
 def test_next_beta_keeps_the_effective_number():
     """At the temperature found, Kish's number is the target; of likelihoods of any scale."""
     for scale in (1.0, 1e8, 1e-2):

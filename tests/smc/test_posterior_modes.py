@@ -164,6 +164,54 @@ def test_laplace_of_widths_far_apart():
         np.linalg.cholesky((turn * np.array([1.0, 1e-18])) @ turn.T)
 
 
+class Spike(Target):
+    """Eight values x ~ N(0, e^v) around zero, v logistic: the density grows without bound as v falls."""
+
+    def __init__(self):
+        self.d, self.rng = 9, np.random.default_rng(2)
+
+    def with_gradient(self, points):
+        v, x = points[:, 0], points[:, 1:]
+        squares = (x**2).sum(axis=1) * np.exp(-2.0 * v)
+        value = -0.5 * squares - 8.0 * v + v - 2.0 * np.logaddexp(0.0, v)
+        slope = squares - 7.0 - 2.0 / (1.0 + np.exp(-v))
+        return value, np.column_stack([slope, -x * np.exp(-2.0 * v)[:, None]])
+
+    def value(self, points):
+        return self.with_gradient(points)[0]
+
+    def draw_prior(self, n):
+        v = self.rng.logistic(size=n)
+        return np.column_stack([v, np.exp(v)[:, None] * self.rng.standard_normal((n, 8))])
+
+
+def test_ends_in_a_spike_are_no_maxima():
+    found = Spike().reference()
+    assert len(found.modes) > 0
+    assert not any(mode.is_maximum for mode in found.modes)
+
+
+class Valley(Target):
+    """Rosenbrock's function: climbs stop along the bent ridge, all of which lead to one maximum."""
+
+    def __init__(self):
+        self.d, self.rng = 2, np.random.default_rng(2)
+
+    def with_gradient(self, x):
+        return rosenbrock(x)
+
+    def value(self, x):
+        return rosenbrock(x)[0]
+
+
+def test_ends_along_a_ridge_are_counted_at_the_maximum_that_they_lead_to():
+    found = Valley().reference()
+    maxima = [mode for mode in found.modes if mode.is_maximum]
+    assert len(found.modes) > len(maxima) == 1
+    np.testing.assert_allclose(found.centre + found.scale * maxima[0].x, [1.0, 1.0], atol=0.05)
+    assert maxima[0].n_climbs > 1.5 * reference.WAVE
+
+
 def test_no_reference_without_a_finite_density():
     def impossible(x):
         return np.full(len(x), -np.inf)

@@ -73,10 +73,14 @@ class LastDraws:
         self.pool.solve()
 
     def finish(self, sample: Pool) -> None:
-        """Draw equally weighted points from the independent draws; evidence and its standard error."""
-        log_weights = sample.log_weights(1.0)
-        self.log_marginal_likelihood = sample.log_evidence(log_weights)
-        self.standard_error, self.pareto_k = sample.standard_error(), sample.pareto_k()
+        """Draw equally weighted points from the independent draws; evidence and its standard error.
+
+        Where these are all there is, the evidence is that of the draws that have shaped no fit.
+        """
+        unseen = sample if sample is self.pool else sample.unseen()
+        self.log_marginal_likelihood = unseen.log_evidence(unseen.log_weights(1.0))
+        self.standard_error, self.pareto_k = unseen.standard_error(), sample.pareto_k()
         self.largest_share = sample.largest_share()
+        log_weights = sample.log_weights(1.0)
         chosen = equal_draws(sample.normalised(log_weights), self.draws, self.rng)
         self.tempered_posterior = sample.particles[chosen]

@@ -12,7 +12,13 @@ SMALL_GAIN = 0.03  # in the log-density, over three iterations: a quarter of a s
 ARMIJO = 1e-4
 
 
-def climb(density: Callable, starts: np.ndarray, arrived: Callable) -> tuple[np.ndarray, np.ndarray]:
+def climb(
+    density: Callable,
+    starts: np.ndarray,
+    arrived: Callable,
+    small_gain: float = SMALL_GAIN,
+    iterations: int = MAX_ITERATIONS,
+) -> tuple[np.ndarray, np.ndarray]:
     """Climb from all starts together: L-BFGS with backtracking.
 
     Nocedal & Wright, Numerical Optimization, 2006, section 7.2.
@@ -24,6 +30,10 @@ def climb(density: Callable, starts: np.ndarray, arrived: Callable) -> tuple[np.
     starts : array (n, d)
     arrived : callable
         Whether points (n, d) are where no climb need go on, array (n,).
+    small_gain : float
+        In the log-density, over three iterations, at which a climb ends.
+    iterations : int
+        At most.
 
     Returns
     -------
@@ -36,7 +46,7 @@ def climb(density: Callable, starts: np.ndarray, arrived: Callable) -> tuple[np.
     steps, changes, n_kept = np.zeros((n, MEMORY, d)), np.zeros((n, MEMORY, d)), np.zeros(n, dtype=int)
     going = value > -np.inf
     last = np.full((3, n), -np.inf)
-    for iteration in range(MAX_ITERATIONS):
+    for iteration in range(iterations):
         rows = np.flatnonzero(going)
         if not len(rows):
             break
@@ -50,7 +60,7 @@ def climb(density: Callable, starts: np.ndarray, arrived: Callable) -> tuple[np.
         store(rows[useful], s[useful], c[useful], steps, changes, n_kept)
         n_kept[rows[~useful]] = 0  # from a straight or hollow stretch, begin anew with the gradient
         x[rows], value[rows], slope[rows] = y, new_value, new_slope
-        going[rows] = (new_value - last[0, rows] > SMALL_GAIN) & ~arrived(y)
+        going[rows] = (new_value - last[0, rows] > small_gain) & ~arrived(y)
         last[:, rows] = np.vstack([last[1:, rows], new_value[None]])
     return x, value
 

@@ -17,6 +17,8 @@ CLIMBS_PER_MODE, MORE_CLIMBS, MOST_WAVES = 8, 1.5, 10  # for each mode found; if
 WIDEST = 3.0  # prior standard deviations of a mode at most, along each principal axis
 NEGLIGIBLE = 12.0  # a mode is left out whose evidence is smaller by this, in logarithms
 SAME_MODE = 1.0  # squared distance, in standard deviations of a mode, within which another is the same
+LEVEL = 0.1  # standard deviations left to a maximum, by slope and curvature, within which a climb is there
+FURTHER, FINER = 50, 1e-3  # iterations of climbs that go on from a slope, and the gain at which they end
 PRIOR_SHARE = 0.05
 # widths (standard deviations), degrees of freedom and shares of what stands at each mode
 WIDTHS, DEGREES, SHARES = (1.05, 1.3, 2.0), (60.0, 8.0, 3.0), (0.7, 0.2, 0.1)
@@ -32,7 +34,7 @@ def good_share(n_parameters: int) -> float:
 
 
 class Mode(NamedTuple):
-    """A maximum of the posterior density, in prior standard deviations from the prior's mean.
+    """Where climbs have ended, in prior standard deviations from the prior's mean.
 
     Attributes
     ----------
@@ -43,12 +45,16 @@ class Mode(NamedTuple):
         Of Laplace's approximation.
     n_climbs : int
         Climbs that ended here.
+    is_maximum : bool
+        Whether the density has a maximum here. If not, the climbs have stopped on a slope: along a ridge,
+        or in the neck of a funnel, where the density may grow without bound and have no maximum.
     """
 
     x: np.ndarray
     factor: np.ndarray
     log_evidence: float
     n_climbs: int
+    is_maximum: bool = True
 
 
 class Reference:
@@ -135,7 +141,7 @@ class Reference:
 
     @property
     def peaks(self) -> np.ndarray:
-        """Modes (k, d) on the sampled scale."""
+        """Where climbs have ended (k, d) on the sampled scale."""
         return np.array([self.centre + self.scale * mode.x for mode in self.modes])
 
 
@@ -171,10 +177,13 @@ def find_reference(
         best = values.argmax(axis=1) + CANDIDATES * np.arange(WAVE)
         starts = (candidates[best] - centre)[values.max(axis=1) > -np.inf] / scale
         modes = with_ends(modes, scaled, *climb(scaled, starts, partial(are_known, modes)))
-        enough = len(modes) if spent > effort else MORE_CLIMBS * (len(modes) + 1)
+        # ends on slopes are no reason to go on for long: there may be any number of them
+        n_maxima = sum(mode.is_maximum for mode in modes)
+        enough = max(n_maxima, 1) if spent > effort else MORE_CLIMBS * (len(modes) + 1)
         if WAVE * wave >= CLIMBS_PER_MODE * enough:
             break
         candidates = draw_prior(WAVE * CANDIDATES)
+    modes = with_maxima(modes, scaled)
     top = max((mode.log_evidence for mode in modes), default=0.0)
     modes = [mode for mode in modes if mode.log_evidence > top - NEGLIGIBLE]
     return Reference(modes, centre, scale) if modes else None
@@ -210,6 +219,27 @@ def with_ends(modes: list[Mode], density: Callable, x, values) -> list[Mode]:
     return modes
 
 
+def with_maxima(modes: list[Mode], density: Callable) -> list[Mode]:
+    """The same and the maxima that climbs which stopped on a slope lead to, with the climbs counted there."""
+    maxima = [mode for mode in modes if mode.is_maximum]
+    on_slopes = [mode for mode in modes if not mode.is_maximum]
+    if not on_slopes:
+        return modes
+    starts = np.array([mode.x for mode in on_slopes])
+    x, values = climb(density, starts, partial(are_known, maxima), FINER, FURTHER)
+    apart = []
+    for i in np.argsort(-values):
+        end, known = on_slopes[i], int(nearest(maxima, x[i][None])[0])
+        if known >= 0:
+            maxima[known] = maxima[known]._replace(n_climbs=maxima[known].n_climbs + end.n_climbs)
+        elif (mode := laplace_mode(density, x[i])) is not None and mode.is_maximum:
+            maxima.append(mode._replace(n_climbs=end.n_climbs))
+            if nearest([end], mode.x[None])[0] == 0:
+                continue  # the maximum takes its place
+        apart.append(end)
+    return maxima + apart
+
+
 def laplace_mode(density: Callable, x) -> Mode | None:
     """Laplace's approximation at the end of a climb (d,), after a step of Newton's method.
 
@@ -225,8 +255,18 @@ def laplace_mode(density: Callable, x) -> Mode | None:
     factor *= np.where(np.diag(factor) < 0.0, -1.0, 1.0)
     before, slope = density(x[None])
     step = factor @ (factor.T @ slope[0])
-    after, _ = density((x + step)[None])
+    after, slope_after = density((x + step)[None])
     better = after[0] >= before[0]
-    value = after[0] if better else before[0]
+    value, slope = (after[0], slope_after[0]) if better else (before[0], slope[0])
+    is_maximum = bool(np.linalg.norm(factor.T @ slope) < LEVEL and is_definite(hessian))
     log_evidence = value + 0.5 * (len(x) * np.log(2.0 * np.pi) + np.log(variances).sum())
-    return Mode(x + step if better else x, factor, float(log_evidence), 1)
+    return Mode(x + step if better else x, factor, float(log_evidence), 1, is_maximum)
+
+
+def is_definite(hessian) -> bool:
+    """Whether a matrix (d, d) is positive definite by more than rounding, whatever the units of its axes."""
+    diagonal = np.diag(hessian)
+    if not (diagonal > 0.0).all():
+        return False
+    least = np.linalg.eigvalsh(hessian / np.sqrt(np.outer(diagonal, diagonal)))[0]
+    return bool(least > 10.0 * len(diagonal) * np.finfo(float).eps)
