@@ -109,7 +109,7 @@ class Pool:
         """The same without draws of the reference that the last proposal was fitted to.
 
         A fit has the more mass where they were heavy, so that their weights are too small: with them the log
-        evidence of a bent posterior is low by about two standard errors.
+        evidence of a bent posterior can be low by two standard errors.
         """
         if not self.proposals:
             return self
