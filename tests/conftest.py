@@ -33,7 +33,7 @@ NOT_QUICK = {"notebook", "statistical", "processes", "slow"}
 
 # in this order after all others: JAX starts threads, and others fork; the rest run in their own processes,
 # the longest first, so that a worker that has taken one more than the other ends soon
-LAST = ["test_jax.py", "test_pages.py", "test_notebooks.py", "test_reference.py", "test_recipes.py"]
+LAST = ["test_jax.py", "test_pages.py", "test_recipes.py", "test_notebooks.py", "test_reference.py"]
 
 
 KERNELS = "simulators", "ops"  # folders whose tests compile most kernels
