@@ -50,7 +50,8 @@ def run_cells(sources, folder, errors):
     pytensor.config.mode = "FAST_COMPILE"
     shell = InteractiveShell.instance()
     for source in sources:
-        error = shell.run_cell(source).error_in_exec
+        result = shell.run_cell(source)
+        error = result.error_before_exec or result.error_in_exec  # what is no Python, or raises
         if error is not None:
             errors.send(f"{source}\n{''.join(traceback.format_exception(error))}")
             return

@@ -176,9 +176,9 @@ def frame(storeys=40, lines=4):
 
 
 def test_what_little_is_new_of_stiff_motions_joins():
-    """A part of a shape of 1e-10 of its length has 1e-8 of its energy where members are stiff.
+    """Where members are stiff, a part of a shape that is small by its length has much of its energy.
 
-    Measured by its length it stays outside, where the residuals find it: each structure is solved in full.
+    Measured by its length it would stay outside, where the residuals find it: 64 structures are solved then.
     """
     structure, thetas = frame(), np.random.default_rng(0).uniform(-0.4, 0.4, (160, 2))
     found = linear.linear_population_modes(population(structure, thetas), WANTED)
