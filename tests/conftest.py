@@ -30,6 +30,7 @@ if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
 
 
 NOT_QUICK = {"notebook", "statistical", "processes", "slow"}
+RUNS = {"finished", "updated"}  # fixtures that wait for a whole run, which takes seconds
 
 # in this order after all others: JAX starts threads, and others fork; the rest run in their own processes,
 # the longest first, so that a worker that has taken one more than the other ends soon
@@ -65,7 +66,9 @@ def pytest_collection_modifyitems(items):
 
     items.sort(key=place)
     for item in items:
-        if not NOT_QUICK & {mark.name for mark in item.iter_markers()}:
+        if not NOT_QUICK & {mark.name for mark in item.iter_markers()} and not RUNS & set(
+            getattr(item, "fixturenames", ())
+        ):
             item.add_marker("quick")
 
 

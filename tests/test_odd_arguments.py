@@ -19,6 +19,7 @@ CALLS = {name: call for table in TABLES for name, call in table.CALLS.items()}
 CASES = [(name, argument) for name, call in CALLS.items() for argument in call.arguments]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name, argument", CASES, ids=["-".join(case) for case in CASES])
 def test_odd_argument(name, argument):
     assert wrong(CALLS[name], argument) == {}

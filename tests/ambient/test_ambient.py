@@ -254,6 +254,7 @@ def three_storeys(kind):
     return model
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pymc_features.exceptions.AmbientWarning")
 @pytest.mark.parametrize("kind", ["dofs", "modes", "pattern"])
 def test_gradients_of_populations_through_the_structure(kind):

@@ -97,6 +97,7 @@ def test_measured_logarithms_are_unbiased():
         assert abs(found.values.mean() + 0.5 / average - np.log(2.0)) > 4.0 * error  # as without the bias
 
 
+@pytest.mark.slow
 def test_the_expected_ones_are_those_measured():
     """Averages of forty records, whose scatter is 0.06 for each of the frequencies."""
     total = sum(pmf.log_spectra(channels(simulated(seed)), BANDS).values for seed in range(40)) / 40

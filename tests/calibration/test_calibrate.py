@@ -147,6 +147,7 @@ def test_stretching():
     assert power == pytest.approx(1.0 / 3.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["NORM", "EXP"])
 def test_posterior_has_the_covariance_that_the_residuals_support(kind, y):
     """In every direction, from likelihoods that claim 2400 and 8 observations."""

@@ -35,6 +35,7 @@ def declare(model, design, errors):
     return model
 
 
+@pytest.mark.slow
 def test_mean_of_a_process_of_first_order(model):
     """m = N (1 - phi) / (1 + phi), a quarter of the samples; each sensor's scatters by some 15 %."""
     phi = 0.6

@@ -135,6 +135,7 @@ def mean_model(data, kind=GammaFeature):
     return model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [GammaFeature, ExpFeature])
 @pytest.mark.parametrize("phi", [0.0, 0.8])
 def test_observations_of_data_with_gaps(phi, kind):

@@ -158,6 +158,7 @@ def test_prior_and_posterior_predictive(updated, pulse):
             assert len(np.unique(z)) == 3
 
 
+@pytest.mark.slow
 @EVERY_FEATURE
 def test_posterior_predictive_has_the_law_of_the_feature(likelihood, pulse):
     """4000 draws at one particle, KS at 1e-3; the other law is rejected."""

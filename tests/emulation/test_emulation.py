@@ -169,6 +169,7 @@ def test_remaining_error_on_a_toy():
     assert largest_change(theta, ratios) == pytest.approx(0.3 / 3.29, abs=0.02)
 
 
+@pytest.mark.slow
 def test_gradients_of_emulated_models(emulator):
     """Of one point and of populations, for EXP and for a likelihood that needs the history."""
     data, model = oscillators(2.0, 0.3), pm.Model()

@@ -45,6 +45,7 @@ def population(scatter=None, shape=()):
     return hyper
 
 
+@pytest.mark.slow
 def test_eight_schools(monkeypatch):
     """Mean, scatter, evidence and the next school, by quadrature; without a compilation of ten seconds.
 
@@ -95,6 +96,7 @@ def test_eight_schools(monkeypatch):
     assert not told.attrs["decided"]
 
 
+@pytest.mark.slow
 def test_an_event_that_hardly_overlaps_is_sampled_again():
     """One with a vague posterior, among others that are precise: closed form. Left as it is, it misleads."""
     rng, scatter = np.random.default_rng(4), 1.0

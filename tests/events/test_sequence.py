@@ -45,6 +45,7 @@ def off(idata, mean, covariance):
     return np.abs((found - exact) / (exact[2] - exact[0])).max()
 
 
+@pytest.mark.slow
 def test_three_events_are_those_of_the_kalman_filter():
     """With a random walk, and with forgetting; then a change, after which the events before are forgotten.
 
@@ -77,6 +78,7 @@ def test_three_events_are_those_of_the_kalman_filter():
     assert off(idata, *filtered(*state, 4, broken)[:2]) > 0.5  # the control: not forgotten
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_goes_on(tmp_path, monkeypatch):
     """Between events, to the same draws; with another event at some place it is refused."""
     model, called = linear(), []

@@ -22,6 +22,7 @@ def likelihood(name, theta, sigma, i):
     pmf.ExpFeature(name, mu=pmf.response(structure(theta), RECORDS[i]), sigma=sigma, observed=DATA[i])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shared", [True, False])
 def test_one_call_for_each_record(shared):
     """One factor for all events, or one each from a population: the sum of what events give alone."""

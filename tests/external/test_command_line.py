@@ -74,6 +74,7 @@ def test_programs_that_fail(tmp_path, monkeypatch):
             run_in(tmp_path / "run", monkeypatch, c, 1.0)
 
 
+@pytest.mark.slow
 def test_command_line_as_a_simulator(simulator, tmp_path):
     """In scratch folders, failures and time-outs counted; a program that hangs is killed."""
     code = (

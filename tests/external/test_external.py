@@ -96,6 +96,7 @@ def test_the_whole_population_is_one_batch(simulator, monkeypatch):
     assert sizes == [7]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("likelihood", ["TN", "EXP", "ABC"])
 def test_mean_squares_do_as_well_as_responses(likelihood, simulator):
     point = {"theta_interval__": 0.3, "sigma_interval__": -0.2}

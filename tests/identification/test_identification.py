@@ -135,6 +135,7 @@ def test_intervals_of_two_close_modes_cover():
     assert abs(halved - 0.9) > 0.077
 
 
+@pytest.mark.slow
 def test_integrals_of_accelerations_have_the_same_modes():
     """Displacements of the same forces; the spectra are divided by (2 pi f)^4."""
     f, zeta = [0.5], [0.02]

@@ -35,6 +35,7 @@ def cube():
     return np.random.default_rng(1).random((1000, 7))
 
 
+@pytest.mark.slow
 def test_densities_and_gradients_are_those_of_pymc(hierarchy, density, cube):
     theta = density.from_unit_cube(cube[:4])
     found = density(theta, gradient=True)

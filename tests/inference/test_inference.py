@@ -89,6 +89,7 @@ def test_nuts_is_the_exact_posterior(kind, example):
     assert int(idata["sample_stats"]["diverging"].sum()) < 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", LIKELIHOODS)
 def test_map_is_the_exact_one(kind, example):
     """On the scale of the parameters, without the Jacobians of their transforms, by their gradient."""

@@ -133,6 +133,7 @@ def test_more_modes_than_climbs_find_are_said():
         pmf.sample(200, model=model, chains=1, **QUIET)
 
 
+@pytest.mark.slow
 def test_no_modes_are_counted_where_the_density_has_none():
     """Centred eight schools: the density grows without bound as their scatter falls, so that climbs stop on
     slopes, each somewhere else."""

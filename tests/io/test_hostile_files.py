@@ -38,6 +38,7 @@ CRAFTED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CRAFTED)
 @pytest.mark.parametrize("suffix", [".csv", ".at2"])
 @pytest.mark.parametrize("body", ["0.00,0.1\n0.02,0.2\n", ""], ids=["numbers", "bare"])
@@ -156,6 +157,7 @@ PROMISES = {  # what is said: what is given
 }
 
 
+@pytest.mark.slow
 @refusals("name write", PROMISES)
 def test_promises_of_terabytes(tmp_path, name, write, match):
     """They are refused before memory is taken; what is compressed is inflated up to 64 MiB."""

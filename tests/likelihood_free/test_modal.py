@@ -50,6 +50,7 @@ def errors(theta, data, epsilon):
     return min(options, key=lambda option: option[0])[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [float, complex])
 @pytest.mark.parametrize("epsilon", [0.3, [0.01, 0.02, 0.03, 0.2, 0.1]], ids=["one", "each"])
 def test_density_of_a_population_against_all_assignments(kind, epsilon):

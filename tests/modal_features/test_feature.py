@@ -137,6 +137,7 @@ def random_data(seed, kind=float, missing=True, n=4, s=5):
     return (frequencies, shapes), data
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("density, m", [("TN", 1), ("EXP", 2), (3.5, 3.5)])
 @pytest.mark.parametrize("kind", [float, complex])
 @pytest.mark.parametrize("seed", range(4))
@@ -266,6 +267,7 @@ def walk(coupling, n, half_width, fixed=False):
     return np.array([function([x]) for x in 1.0 + half_width * (np.linspace(-1.0, 1.0, n + 1) + 1e-7)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "coupling, half_width", [(0.0, 0.1), (1e-3, 2e-4), (1.0, 0.1)], ids=["crossing", "narrow veering", "wide"]
 )

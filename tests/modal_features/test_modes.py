@@ -184,6 +184,7 @@ AFFINE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gap", [0.3, 1e-6])
 @pytest.mark.parametrize("name", AFFINE)
 def test_gradients_of_matrices_against_sixty_digits(name, gap):

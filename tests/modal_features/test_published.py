@@ -84,6 +84,7 @@ def bridge_model(bridge, sigma_f):
     return model
 
 
+@pytest.mark.slow
 def test_the_swapped_modes_of_the_footbridge_are_matched(bridge, published):
     """By their shapes nominally, where frequencies say little; in their order at both optima."""
     own = published["footbridge"]

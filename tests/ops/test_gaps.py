@@ -76,6 +76,7 @@ def graph(name):
     return pytensor.function([x, data, rows], outputs, mode=PLAIN)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_mean_squares_and_derivatives_of_every_family(name):
     build, record = CASES[name]
@@ -95,6 +96,7 @@ def test_mean_squares_and_derivatives_of_every_family(name):
     np.testing.assert_allclose(gradients, slopes @ WEIGHTS, **close)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_data_without_gaps_change_nothing(name):
     """To the last bit: where it is known that there are none, the factor is not even in the graph."""
@@ -133,6 +135,7 @@ def test_blocks_with_and_without_gaps(n_times, dt):
     np.testing.assert_allclose(alone, expected[0], rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["chain", "sparse", "coupled damping", "duffing"])
 def test_a_gap_hides_no_failure(name):
     """A response that is NaN is one where nothing was measured, too."""
@@ -229,6 +232,7 @@ def test_a_model_has_no_variables_for_gaps(likelihood, as_masked):
     np.testing.assert_allclose(logp(*point.values()), expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["chain", "coupled damping", "hysteretic"])
 def test_population_of_a_model(name):
     """Log-likelihoods of particles at once, and a draw of the data without gaps."""

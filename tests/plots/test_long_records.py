@@ -152,6 +152,7 @@ def is_inside(text):
     return extent.x0 >= frame.x0 and extent.x1 <= frame.x1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [3 * NAME, "RSN6_IMPVALL.I_I-ELC180_" * 9, "force $x^{$ on the roof " * 9])
 def test_long_titles_are_broken(name):
     """At words if there are any, and none is taken for a formula."""

@@ -82,6 +82,7 @@ def slow_history(structure, record, name, **settings):
 # --------------------------------------------------------------------------- bands
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("record", "dt", "n_modes"),
     [(SHAKE, None, None), (SHAKE, 0.01, 2), (SHAKE, 0.06, None), (OTHER, 0.02, None)],

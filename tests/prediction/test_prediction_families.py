@@ -125,6 +125,7 @@ LOADS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load", LOADS)
 @pytest.mark.parametrize(("dt", "n_modes"), [(None, None), (0.01, 2)])
 def test_several_supports_and_forces(idata, load, dt, n_modes):
@@ -174,6 +175,7 @@ def test_first_passage_under_several_loads(idata):
 # --------------------------------------------------------------------------- draw by draw
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", [dashpot, bouc_wen, duffing], ids=lambda f: f.__name__)
 @pytest.mark.parametrize("memory", [histories.MEMORY, 8 * 30 * 3 * 7, 1])
 def test_simulated_bands_are_those_of_all_histories(idata, structure, memory, monkeypatch):

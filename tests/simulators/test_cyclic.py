@@ -93,6 +93,7 @@ def test_force_is_that_of_a_tight_ode_solution(seed):
     np.testing.assert_allclose(forces(law, excitation)[0], expected, rtol=0, atol=1e-7 * abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2])
 def test_derivatives_are_those_of_the_ode_solution(seed):
     law = random_law(seed)

@@ -142,6 +142,7 @@ def test_models_sample_and_count_what_is_no_structure(name):
     assert abs(np.median(x, axis=(0, 1)) - 1.0).max() < 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", (*MAIN, *CYCLIC))
 def test_models_pickle_and_get_nuts(name):
     model = model_of(name)

@@ -267,6 +267,7 @@ MISFIT_CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_response_and_derivatives(name):
     """Response, gradients and tangents of both kinds, and tangents as transposes of gradients."""

@@ -19,6 +19,8 @@ from support.graphs import PLAIN
 from support.kernels import discrepancy_gradient, flat_kernels, response_gradient
 from support.reference import misfit_statistics
 
+pytestmark = pytest.mark.slow  # each family has kernels of its own
+
 KERNELS = {family: flat_kernels(family) for family in NONLINEAR}
 NAMES = ("mass", "stiffness", "rayleigh", "ratios", "values")
 DT = 0.02
@@ -125,7 +127,6 @@ def case(request):
 # --------------------------------------------------------------------------- sums
 
 
-@pytest.mark.slow
 def test_fused_sums(case):
     family, given, where = case
     response, observed = data(family, given, where)
@@ -143,7 +144,6 @@ def population_gradient(family, population, where, observed, weights):
     return FAMILIES[family].kernels["population_gradient"](*given, observed, weights)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("family", KERNELS)
 def test_population_is_a_loop(family):
     """Parameters with a row for each particle or one for all; one that is no chain does not affect others.
@@ -270,7 +270,6 @@ def test_tangents_at_the_bounds_of_a_law(case):
     np.testing.assert_array_equal(nothing, np.zeros((2, 60)))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("family", "sharpness"), [("hysteretic", 1.0), ("hysteretic", 1.2), ("duffing", 2.0)]
 )
@@ -349,7 +348,6 @@ def gradient_errors(family, given, where, exact):
     return np.array(errors)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("family", KERNELS)
 @pytest.mark.parametrize("modal", [False, True], ids=["rayleigh", "modal"])
 def test_against_differences_of_a_tight_ode_solution(family, modal):

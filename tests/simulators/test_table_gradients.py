@@ -215,6 +215,7 @@ def declared(case, likelihood, as_data):
     return model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("likelihood", [TruncNormalFeature, CorrelatedNormal])
 def test_gradients_of_a_population_of_a_model(tables, monkeypatch, likelihood):
     model = declared(Case(chain()), likelihood, False)

@@ -73,6 +73,7 @@ def continued(finished, folder, name):
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["seed.json", "run.json", ".journal"])
 def test_damaged_files(finished, tmp_path, kind):
     """Bytes at random; all of them, half of them, and none."""

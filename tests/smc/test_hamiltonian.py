@@ -298,6 +298,7 @@ def test_a_seed_gives_the_same_particles():
     assert sum(s["gradients"] for s in first.stages) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_gradients")
 def test_a_checkpoint_gives_the_same_particles(tmp_path, monkeypatch):
     """Once whole, once cut off in the middle, and once from the record alone."""

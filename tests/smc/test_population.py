@@ -271,6 +271,7 @@ def compare(model, particles):
     return possible, failed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("build", MODELS)
 def test_equals_the_model_point_by_point(build):
     model = build()
@@ -469,6 +470,7 @@ def holds_a_history(model):
     return any("StructuralResponse" in str(node.op) for node in graph.apply_nodes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", [0.4, [[0.2], [0.4], [0.8]], "free", "free of each sensor"])
 def test_normal_of_a_response_needs_no_history(sigma):
     """The sum of SciPy's log-densities, also particle by particle, from a graph without a history."""

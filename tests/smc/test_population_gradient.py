@@ -174,6 +174,7 @@ def test_every_family_of_structures(name):
     assert PopulationGradient in ops and StructuralResponse not in ops
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("likelihood", [name for name in LIKELIHOODS if name != "TN"])
 def test_every_likelihood(likelihood):
     model = structural("chain", likelihood)
@@ -182,6 +183,7 @@ def test_every_likelihood(likelihood):
     assert (StructuralResponse in our_ops_of(logp.slopes.function)) == (likelihood == "of a changed response")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("build", [transforms, lambda: structural("chain")])
 def test_against_differences(build):
     """Another route: differences of the values themselves."""

@@ -83,6 +83,7 @@ def test_unequal_stages_are_padded(saved):
         assert (found["ess"] >= 60).all()
 
 
+@pytest.mark.slow
 def test_netcdf(saved, tmp_path):
     """Saved and loaded, everything is as it was."""
     _, idata = saved

@@ -69,6 +69,7 @@ FAILING = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:particles are evaluated one by one")
 @pytest.mark.filterwarnings("ignore:the simulator failed")
 @pytest.mark.parametrize("build", FAILING.values(), ids=FAILING)
@@ -126,6 +127,7 @@ def largest(model, **settings):
 CUSTOM = {"distance": lambda epsilon, y, s: -pt.sqr(y - s) / epsilon}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "edge"),
     [

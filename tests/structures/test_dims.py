@@ -79,6 +79,7 @@ def test_dims_and_shape_are_the_same_model(name):
     np.testing.assert_allclose(gradient, expected_gradient, rtol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["modal ratios", "factors", "affine"])
 def test_particles_are_still_taken_together(name):
     models = [declared(BUILDS[name], **given) for given in ({"dims": "storey"}, {"shape": (3,)})]

@@ -28,6 +28,7 @@ def written(folder, *pairs):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["NORM", "EXP", "CN-TAU"])
 def test_log_density_is_that_of_a_sliced_response(tmp_path, kind):
     problem = read_problem(

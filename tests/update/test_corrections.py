@@ -154,6 +154,7 @@ def test_command_looks_at_the_data_and_samples_nothing(tmp_path, data_dir, capsy
     assert (tmp_path / "table-check.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "match"),
     [

@@ -304,6 +304,7 @@ def test_update_on_two_processes(example, finished, tmp_path, capsys, monkeypatc
         assert one.equals(two)
 
 
+@pytest.mark.slow
 def test_outputs(finished):
     names = {path.name for path in finished.iterdir()}
     assert names == {"figures", "parts", "report.html", "table.csv", "update.json", "update.nc"}

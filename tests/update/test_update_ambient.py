@@ -252,6 +252,7 @@ def test_processing(tmp_path):
         read_problem(write(tmp_path, shaken(1), too_high))
 
 
+@pytest.mark.slow
 def test_check_says_the_bands_and_draws(path, capfd):
     assert cli.main(["check", str(path)]) == 0
     said = capfd.readouterr().err

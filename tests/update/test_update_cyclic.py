@@ -61,6 +61,7 @@ def write(folder, text=TEXT):
     return folder / "update.toml"
 
 
+@pytest.mark.slow
 def test_the_truth_is_found_and_reported(tmp_path):
     problem = read_problem(write(tmp_path))
     result = run_update(problem, progressbar=False)
@@ -81,6 +82,7 @@ def test_the_truth_is_found_and_reported(tmp_path):
     assert "Natural frequencies" not in page and "m/s²" not in page
 
 
+@pytest.mark.slow
 def test_a_specimen_that_cannot_do_it_is_told(tmp_path):
     text = TEXT.replace('pinching = { slip = "slip", spread = 0.3 }', "").replace("stiffness = 0.03", "")
     lines = [line for line in text.split("\n") if not line.startswith("slip")]

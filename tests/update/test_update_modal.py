@@ -317,6 +317,7 @@ def finished(folder):
     return folder / "m-output"
 
 
+@pytest.mark.slow
 def test_posterior_has_the_truth_and_the_report_its_numbers(finished, folder):
     table = np.genfromtxt(folder / "modes.csv", delimiter=",", skip_header=1)
     html = (finished / "report.html").read_text()
@@ -352,6 +353,7 @@ def test_outputs_of_modes_alone(finished):
     assert "modal_shapes_sha256" in settings and "channels_sha256" not in settings
 
 
+@pytest.mark.slow
 def test_other_nodes_sample_nothing_other_modes_are_refused(finished, folder, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(run, "sample", None)
     out = tmp_path / "copy"
@@ -378,6 +380,7 @@ def logp_of(problem, kind, point):
     return float(sum(np.sum(term) for term in terms))
 
 
+@pytest.mark.slow
 def test_responses_and_modes_are_one_model(folder):
     """Its log-density is that of responses and that of modes, with one prior; CAL's is that of NORM."""
     rest = with_damping(STRUCTURE) + DATA
@@ -408,6 +411,7 @@ def test_modes_and_responses_together_are_narrower(folder):
 # ---- what is said ----
 
 
+@pytest.mark.slow
 def test_a_mode_without_partner_and_a_missing_entry(folder, capsys):
     """The third mode moves as a rigid body would; the roof of the second was not measured."""
     lines = (folder / "hole.csv").read_text().splitlines()
@@ -447,6 +451,7 @@ def test_verdict_on_modes():
     ]
 
 
+@pytest.mark.slow
 def test_check_draws_what_there_is(folder, capsys, monkeypatch):
     monkeypatch.setattr(run, "sample", None)
     assert cli.main(["check", str(folder / "m.toml")]) == 0

@@ -53,6 +53,7 @@ def judged(measured, response, structure, record=SHAKING, low=None, high=None):
     return verdict(problem, xr.DataTree.from_dict(tree))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [0.02, 0.2, 1.0])
 def test_of_right_models_nothing_bad_is_said(level):
     """White noise on 40 earthquakes: no word but the first sentence in 38 of them at least.

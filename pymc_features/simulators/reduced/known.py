@@ -12,6 +12,7 @@ MOST_STRUCTURES = 4  # of which bases are kept; the one not asked for longest go
 MOST_COLUMNS = 400
 LARGE = 8  # degrees of freedom for each mode kept from which a basis is worth while
 FEWEST = 8  # structures asked for before a basis is begun
+FRUITLESS = 16  # structures that bring nothing new although they were not found: rounding is above the limit
 GUARDS = 3  # one mode more for so many is learnt, since the highest ones change places with those above
 ARRAYS = "stiffness", "mass", "damping", "influence", "rows", "starts"
 
@@ -23,10 +24,11 @@ class Known:
     ----------
     asked : int
         How many structures have been asked for.
-    tried, found, solved : int
-        How many were tried in the basis there is, how many were found in it, and how many have been learnt.
+    tried, found, solved, fruitless : int
+        How many were tried in the basis there is, how many were found in it, how many have been learnt, and
+        how many of these brought nothing new.
     is_given_up : bool
-        Whether no basis of some hundred columns holds most of them.
+        Whether no basis of some hundred columns holds most of them, or rounding hides that one does.
     is_fixed : bool
         Whether nothing more is learnt: what is found then depends on a structure alone, not on those before.
     """
@@ -36,7 +38,7 @@ class Known:
         self.n_modes, self.asked, self.is_given_up, self.is_fixed = n_modes, 0, False, False
         self.most = min(MOST_COLUMNS, given.n_dof // 2)
         self.terms, self.basis = None, None
-        self.tried = self.found = self.solved = 0
+        self.tried = self.found = self.solved = self.fruitless = 0
 
     def fits(self, given, n_modes) -> bool:
         """Whether it is about these structures."""
@@ -89,8 +91,12 @@ class Known:
             self.terms = new_terms(self.given, matrices, modes)
             self.basis = new_basis(self.terms)
         grown = joined(self.terms, self.basis, shapes)
+        self.fruitless += grown.size == self.basis.size
+        holds_few = 2 * self.found < self.tried
+        if self.fruitless >= FRUITLESS:
+            self.is_given_up = holds_few
         if grown.size > self.most:  # begin anew, where the structures are now
-            self.is_given_up = 2 * self.found < self.tried
+            self.is_given_up = holds_few
             grown = joined(self.terms, new_basis(self.terms), shapes)
             self.tried = self.found = 0
         self.basis, self.solved = grown, self.solved + 1
@@ -115,7 +121,8 @@ class AllKnown(threading.local):
         if given.is_dense or given.has_constant_modes or given.n_dof < LARGE * n_modes:
             return None
         if self.bases is not None:
-            return next((entry for entry in self.bases if entry.fits(given, n_modes)), None)
+            known = (e for e in self.bases if e.fits(given, n_modes) and not e.is_given_up)
+            return next(known, None)
         for entry in self.entries:
             if entry.fits(given, n_modes):
                 self.entries.remove(entry)

@@ -105,7 +105,7 @@ class RowFunction:
                 self(particles[first : first + LEARNS_FROM])
                 is_new = sum(known.solved for known in KNOWN.entries) > before
                 without_news = 0 if is_new else without_news + 1
-                if without_news == SETTLED:
+                if without_news == SETTLED or all(known.is_given_up for known in KNOWN.entries):
                     break
             self.bases = KNOWN.fix()
 
