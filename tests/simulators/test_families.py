@@ -87,6 +87,7 @@ def test_fused_is_unfused_and_batch_is_loop(name):
     assert np.isfinite(np.delete(batched[0], 4, axis=0)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES | CYCLIC)
 def test_gradients_of_one_and_of_a_population(name):
     build, record = (CASES | CYCLIC)[name]

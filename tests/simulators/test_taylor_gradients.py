@@ -12,6 +12,8 @@ from simulators.test_taylor import FAMILIES as NAMES
 from simulators.test_taylor import KERNELS, history, particle, population, shaken
 from support.kernels import population_gradient as chain_gradient
 
+pytestmark = pytest.mark.slow  # each family has kernels of its own
+
 STEP = 3e-6  # of a parameter: small enough for the choices that a march makes
 ROUNDING = 3e-15  # of L
 SHARPNESS = 2  # row of the law

@@ -88,6 +88,7 @@ def same(found, expected):
 # --------------------------------------------------------------------------- cuts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["chain", "sparse", "hysteretic", "duffing"])
 def test_rows_do_not_depend_on_where_a_population_is_cut(name):
     """Among them particles that are no structure, and others that are stepped more finely."""
