@@ -2,9 +2,9 @@
 
 Populations through the kernels that the Ops call: ns per particle and step of the record. The same shear
 building is a chain, a dense LinearStructure, one with a dashpot that couples its modes, and a chain with
-nonlinear springs; beside them what people write with SciPy. Large sparse frames keep 20 modes: ms for one
-value and for one gradient, of the same structure again and again, and of one of a population in a common
-basis, with and without building it.
+nonlinear springs; beside them what people write with SciPy, JAX and OpenSees, where they are installed. Large
+sparse frames keep 20 modes: ms for one value and for one gradient, of the same structure again and again, and
+of one of a population in a common basis, with and without building it.
 """
 
 import numpy as np
@@ -12,6 +12,8 @@ from scipy import sparse
 
 import pymc_features as pmf
 from benchmarks.case import ALPHA, BETA, build, record_of_length
+from benchmarks.peers import PEERS
+from benchmarks.peers.population import Population
 from benchmarks.routes import filters
 from benchmarks.tables import significant, table
 from benchmarks.timing import best_of_rounds, fitted_exponent
@@ -43,21 +45,117 @@ def structures(case):
 
 
 def population(structure, case):
-    """Return a call that evaluates as many particles as the case has, (P, s)."""
-    family = FAMILIES[structure.family]
-    record = pmf.Record(case.acceleration, case.dt)
+    """As many particles as the case has, whose springs differ by 10 %."""
     rng = np.random.default_rng(0)
     parameters = [np.asarray(p)[None] for p in structure.parameters()]
     varied = 0 if structure.family == "linear" else 1  # theta, or the springs
     spread = 0.1 * rng.uniform(-1.0, 1.0, (len(case.stiffness), parameters[varied].shape[1]))
     parameters[varied] = parameters[varied] * (1.0 + spread) + (spread if varied == 0 else 0.0)
+    return Population(structure, tuple(parameters), case)
+
+
+def kernels(population):
+    """Calls of our kernels for e_j (P, s) and for the gradient of their sum."""
+    structure, parameters, case = population
+    family, record = FAMILIES[structure.family], pmf.Record(case.acceleration, case.dt)
     rows = family.rows(case.sensors, case.n_dof)
     rows = rows.toarray() if sparse.issparse(rows) else rows
     excitation = (structure.excitation(record), case.dt, case.substeps, 1)
     inputs = (*parameters, *structure.constants(record), *excitation, rows, case.n_dof)
     arguments = family.assemble(inputs, 0)
-    kernel = family.kernels["population_discrepancy"]
-    return lambda: kernel(*arguments, case.observed)
+    weights = np.ones((len(case.stiffness), case.sensors.size, 1))
+    return {
+        "value": lambda: family.kernels["population_discrepancy"](*arguments, case.observed),
+        "gradient": lambda: family.kernels["population_gradient"](*arguments, case.observed, weights),
+    }
+
+
+def with_peers(name, given):
+    """Our call and those of tools that know the structure; how far they are off ours; what is missing."""
+    calls = {name: kernels(given)["value"]}
+    expected, differences, missing = calls[name](), {}, set()
+    for peer, (prepare, known, count) in PEERS.items():
+        if name not in known:
+            continue
+        label = f"{name}: {peer}"
+        try:
+            calls[label] = prepare(given.first(count))
+        except ImportError as error:
+            missing.add(error.name)
+            continue
+        found = calls[label]()
+        differences[label] = np.abs(found / expected[: len(found)] - 1.0).max()
+    return calls, differences, missing
+
+
+def run_families(rounds, sizes):
+    """Print the cost of families of structures, and of other tools, against degrees of freedom."""
+    seconds, differences, missing = {}, {}, set()
+    for size in sizes:
+        case = build(record_of_length(1000), particles=128, n_dof=size, n_sensors=min(5, size))
+        for name, structure in structures(case).items():
+            calls, found, absent = with_peers(name, population(structure, case))
+            missing |= absent
+            if name == "chain":
+                calls["chain: SciPy eigh, lfilter"] = filters.prepare(case.first(20))
+            for label, best in best_of_rounds(calls, rounds if size < 100 else min(rounds, 2)).items():
+                peer = PEERS.get(label.partition(": ")[2])
+                count = peer.particles if peer else 20 if label.endswith("lfilter") else 128
+                seconds.setdefault(label, []).append(1e9 * best / case.first(count).steps)
+            differences |= found  # those of the largest
+    rows = [
+        [
+            name,
+            *map(significant, found),
+            f"{fitted_exponent(sizes, found):.2f}",
+            *map(significant, [found[-1] / seconds[name.partition(":")[0]][-1]]),
+            f"{differences[name]:.0e}" if name in differences else "",
+        ]
+        for name, found in seconds.items()
+    ]
+    print("\n## Families of structures: ns per particle and step, 1000 samples, 5 sensors, all modes\n")
+    last = f"{sizes[-1]} DOF"
+    headers = [*(f"{size} DOF" for size in sizes), "exponent", f"x ours, {last}", f"e_j differ by, {last}"]
+    print(table(["structure", *headers], rows), flush=True)
+    if missing:
+        print(f"\nNot installed: {', '.join(sorted(missing))}.")
+
+
+def run_exponents(rounds, quick):
+    """Print how the cost of a particle grows with samples and with parameters, ten degrees of freedom."""
+    studies = {"samples": (1_000, 2_000, 4_000, 8_000), "parameters": (1, 3, 10)}
+    for study, sizes in studies.items():
+        sizes, costs = sizes[: 2 if quick else None], {}
+        for size in sizes:
+            case = build(
+                record_of_length(size if study == "samples" else 1000), particles=64, n_dof=10, n_sensors=5
+            )
+            chosen = structures(case)
+            if study == "parameters":
+                chosen = {
+                    name: with_terms(chosen[name], size) for name in ("LinearStructure", "coupled damping")
+                }
+            for name, structure in chosen.items():
+                best = best_of_rounds(kernels(population(structure, case)), rounds)
+                for what, own in best.items():
+                    costs.setdefault(f"{name}, {what}", []).append(1e6 * own / 64)
+        rows = [
+            [name, *map(significant, own), f"{fitted_exponent(sizes, own):.2f}"]
+            for name, own in costs.items()
+        ]
+        print(f"\n## Cost of a particle against {study}: us, 10 DOF, 5 sensors\n")
+        print(table(["structure", *(f"{size:,}" for size in sizes), "exponent"], rows), flush=True)
+
+
+def with_terms(structure, count):
+    """The same structure with a factor for each of its lowest springs."""
+    k = structure.stiffness
+    terms = [np.zeros_like(k) for _ in range(count)]
+    for i, term in enumerate(terms):
+        above = -k[i, i - 1] if i else k[0, 0] + k[0, 1]
+        ends = [i - 1, i] if i else [0]
+        term[np.ix_(ends, ends)] = above * (np.array([[1.0, -1.0], [-1.0, 1.0]]) if i else 1.0)
+    return pmf.AffineStructure(structure.mass, stiffness=k, damping=structure.damping, stiffness_terms=terms)
 
 
 def frame(bays, storeys):
@@ -135,22 +233,10 @@ def population_in_a_basis(structure, record, particles):
 
 
 def run(quick=False):
-    """Print both tables."""
+    """Print all tables."""
     rounds = 2 if quick else 7
-    seconds = {}
-    for size in SIZES[: 3 if quick else None]:
-        case = build(record_of_length(1000), particles=128, n_dof=size, n_sensors=min(5, size))
-        calls = {name: population(one, case) for name, one in structures(case).items()}
-        calls["SciPy: eigh, lfilter"] = filters.prepare(case)
-        for name, best in best_of_rounds(calls, rounds).items():
-            seconds.setdefault(name, []).append(1e9 * best / case.steps)
-    sizes = SIZES[: len(seconds["chain"])]
-    rows = [
-        [name, *map(significant, found), f"{fitted_exponent(sizes, found):.2f}"]
-        for name, found in seconds.items()
-    ]
-    print("\n## Families of structures: ns per particle and step, 1000 samples, 5 sensors, all modes\n")
-    print(table(["structure", *(f"{size} DOF" for size in sizes), "exponent"], rows), flush=True)
+    run_families(rounds, SIZES[: 2 if quick else None])
+    run_exponents(rounds, quick)
     record, rows = record_of_length(1559), []
     for bays, storeys in GRIDS[: 1 if quick else None]:
         best = best_of_rounds(value_and_gradient(frame(bays, storeys), record), rounds)
