@@ -16,12 +16,6 @@ BLOCK = 8  # springs, whose coefficients fill half of a first cache of 32 KB
 SHORT = 16  # springs of a chain that is one block: those of two would be read as often
 
 
-@jit
-def behind(high, low, n, lag):
-    """Highest and lowest spring of a block for those that stay behind by `lag` springs."""
-    return min(high + lag, n), low + lag if low > 1 else 1
-
-
 @cache
 def series_of(series, ends):
     """Return the function that expands all series of a step, and where it `ends` sums them up.
@@ -36,21 +30,22 @@ def series_of(series, ends):
     def expand(group, load, push, has_begun, batch, trace):
         """`load` and `push` are H^2 times the ground acceleration at the beginning, and its change."""
         address, _, modal, n = group
-        size = n if modal != 0 or n <= SHORT else BLOCK
+        largest = n if modal != 0 or n <= SHORT else BLOCK
         high, count = n, 0
         while high > 0:
-            low = high - size + 1 if high > size else 1
+            size = largest if high > largest else high
             if not has_begun:
-                first(address, modal, n, load, high, low)
-            top, bottom = behind(high, low, n, 1)
-            others(address, modal, n, push, top, bottom)
+                first(address, modal, n, load, high, size)
+            top = high + 1 if high + 1 < n else n
+            others(address, modal, n, push, top, size - 1 + top - high if size < high else top)
             if ends:
-                top, bottom = behind(high, low, n, order)
-                finish(address, n, top, bottom)
+                top = high + order if high + order < n else n
+                finish(address, n, top, size - order + top - high if size < high else top)
             if kinks:
-                top, bottom = behind(high, low, n, order + 1)
-                count = search(address, (top, bottom), batch, count, trace)
-            high = low - 1
+                top = high + order + 1 if high + order + 1 < n else n
+                own = size - order - 1 + top - high if size < high else top
+                count = search(address, top, own, batch, count, trace)
+            high -= size
         return count
 
     return expand

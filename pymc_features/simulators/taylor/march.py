@@ -96,7 +96,7 @@ def group_of(series):
     @jit
     def begin(group, step, ground):
         """Coefficients 1 of the velocities."""
-        first(group.address, group.modal, group.n, step * step * ground, group.n, 1)
+        first(group.address, group.modal, group.n, step * step * ground, group.n, group.n)
 
     @jit
     def advance(group, step, loads, has_begun, batch):

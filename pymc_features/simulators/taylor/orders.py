@@ -7,7 +7,7 @@ those of the drift,
 
 where f includes the dashpot, (beta k_i / H) R_i,k, and g_0, g_1 are the ground acceleration and its change
 over the step. One function is compiled for each k, a closure, so that its sums are written out. Each takes a
-block of springs, from `high` down to `low`, and the next one does so one spring further up (`blocks.py`).
+block of `size` springs, from spring `high` down, and the next order stays one spring behind (`blocks.py`).
 """
 
 from functools import cache
@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import magnitude, splat, where_less
+from pymc_features.simulators.compiled.vector import LANES, magnitude, splat, where_less
 from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
 from pymc_features.simulators.taylor.layout import (
@@ -39,15 +39,23 @@ from pymc_features.simulators.taylor.series import Spring, Z, write_coefficient
 HUGE = 1e250
 
 
-@jit
-def damp(address, modal, n, record, k):
-    """Take H M^-1 C V_k of damping by modal ratios, in the rows of `modal`, from the coefficients k + 1."""
-    for i in range(n):
-        total = splat(0.0)
-        for j in range(n):
-            v = read_lanes(address, (j + 1) * record + k)
-            total = total + read_lanes(modal, i * n + j) * v
-        add_lanes(address, (i + 1) * record + k + 1, total * splat(-1.0 / (k + 1)))
+@cache
+def damping_of(record):
+    """Return the function that takes H M^-1 C V_k of damping by modal ratios from the coefficients k + 1.
+
+    H M^-1 C lies in the rows of `modal`; `first` is the address of coefficient k in record 0, and `share` is
+    -1 / (k + 1).
+    """
+
+    @jit
+    def damp(first, modal, n, share):
+        for i in range(n):
+            total = splat(0.0)
+            for j in range(n):
+                total = total + read_lanes(modal, i * n + j) * read_lanes(first, (j + 1) * record)
+            add_lanes(first, (i + 1) * record + 1, total * share)
+
+    return damp
 
 
 @cache
@@ -60,19 +68,19 @@ def orders_from(series, k):
     expand, share, last = jit(series.expand), 1.0 / (k + 1), 1.0 / max(k, 1)
     rest = orders_from(series, k + 1) if 0 < k < series.order - 1 else None
     loads, left = 1.0 if k <= 1 else 0.0, N_CHAIN_ENTRIES + k
-    starts = k == 0
+    starts, damp = k == 0, damping_of(record)
     begins = starts and series.branch is not None
     branch = jit(series.branch) if begins else None
     v_at = entries + V_END if starts else k
 
     @jit
-    def order(address, modal, n, push, high, low):
+    def order(address, modal, n, push, high, size):
         end, upper = (n + 1) * record, splat(0.0)
         if high < n:
             upper = read_lanes(address, end + left)
         drag, load, here, largest = read_lanes(address, end + DRAG), push * loads, high * record, splat(0.0)
         v = read_lanes(address, here + v_at)
-        for _ in range(high - low + 1):
+        for _ in range(size):
             lower, at = here - record, here + entries
             v_lower = read_lanes(address, lower + v_at)
             spring = Spring(address, here + length, length, here + constants)
@@ -96,14 +104,15 @@ def orders_from(series, k):
             upper, v, here = force, v_lower, lower
         write_lanes(address, end + left, upper)
         if modal != 0:
-            damp(address, modal, n, record, k)
+            damp(address + 8 * LANES * k, modal, n, -share)
             if starts:
                 for i in range(1, n + 1):
                     largest = larger(largest, magnitude(read_lanes(address, i * record + 1)))
         if starts:
             write_lanes(address, end + FIRST, larger(read_lanes(address, end + FIRST), largest))
         if rest is not None:
-            rest(address, modal, n, 0.0, min(high + 1, n), low + 1 if low > 1 else 1)
+            top = high + 1 if high < n else n
+            rest(address, modal, n, 0.0, top, size - 1 + top - high if size < high else top)
 
     return order
 
@@ -116,10 +125,10 @@ def finish_of(series):
     z_first = (1 + Z) * length
 
     @jit
-    def finish(address, n, high, low):
+    def finish(address, n, high, size):
         """Advance u, H v and z of a block of springs; keep the largest last coefficient of each chain."""
         largest = largest_z = total = splat(0.0)
-        for i in range(low, high + 1):
+        for i in range(high - size + 1, high + 1):
             here = i * record
             v = read_lanes(address, here + order)
             largest = larger(largest, magnitude(v))

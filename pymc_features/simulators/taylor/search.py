@@ -54,10 +54,10 @@ def search_of(series):
         put(batch, more + LANE, count, float(lane))
 
     @jit
-    def search(address, block, batch, count, trace):
+    def search(address, high, size, batch, count, trace):
         """Return the number of pairs that wait in the batch; springs with kinks have zero changes."""
-        zero, (high, low) = splat(0.0), block
-        for i in range(low, high + 1):
+        zero = splat(0.0)
+        for i in range(high - size + 1, high + 1):
             here = i * record
             at = here + entries
             rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
