@@ -123,6 +123,27 @@ all_less, all_equal, any_less = _comparison("<", True), _comparison("==", True),
 
 
 @intrinsic
+def lanes_less(typingctx, a, b):
+    """The lanes where a < b, as the bits of an integer."""
+
+    def codegen(context, builder, signature, args):
+        bits = builder.bitcast(builder.fcmp_ordered("<", *args), ir.IntType(LANES))
+        return builder.zext(bits, _LONG)
+
+    return types.intp(LANES_TYPE, LANES_TYPE), codegen
+
+
+@intrinsic
+def first_lane(typingctx, lanes):
+    """The first of the lanes in an integer of `lanes_less` that is not zero."""
+
+    def codegen(context, builder, signature, args):
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.intp(types.intp), codegen
+
+
+@intrinsic
 def exponent(typingctx, a):
     """The e for which a = m 2^e with m from sqrt(1/2) to sqrt(2); `a` is a normal positive number."""
 

@@ -19,12 +19,12 @@ from pymc_features.simulators.taylor.layout import (
     add_lanes,
     layout_of,
 )
-from pymc_features.simulators.taylor.series import Spring, Z
+from pymc_features.simulators.taylor.series import Spring
 
 
 @cache
 def feedback_of(series):
-    """Return the functions that apply the changes, begin the next step, and choose its branches."""
+    """Return the functions that apply the changes, and choose the branches of the springs."""
     length, record, entries, constants = layout_of(series)
     branch, tangent = jit(series.branch), jit(series.tangent)
 
@@ -91,13 +91,4 @@ def feedback_of(series):
             rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
             branch(Spring(address, here + length, length, here + constants), rate_sign * z_sign, z_sign)
 
-    @jit
-    def restart(address, n):
-        """Begin a step where the last one has ended."""
-        for i in range(1, n + 1):
-            here = i * record
-            write_lanes(address, here, read_lanes(address, here + entries + V_END))
-            write_lanes(address, here + (1 + Z) * length, read_lanes(address, here + entries + Z_END))
-        choose_branches(address, n)
-
-    return apply, restart, choose_branches
+    return apply, choose_branches

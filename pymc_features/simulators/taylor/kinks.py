@@ -55,9 +55,9 @@ TRACE_HEADER = 1  # the number of copies
 
 
 def batch_size(series) -> int:
-    """Vectors of a batch: a record, the old coefficients of z, two vectors of flags and the entries."""
+    """Vectors of a batch: a record, the old coefficients of z, the entries and a vector of drift rates."""
     length, record, _, _ = layout_of(series)
-    return record + length + N_BATCH_ENTRIES + 2
+    return record + length + N_BATCH_ENTRIES + 1
 
 
 def trace_size(series, n: int) -> int:
@@ -167,9 +167,6 @@ def turn_of(series):
         Unless `trace` is None, what a gradient needs of each kink is added to it.
         """
         zero, one = splat(0.0), splat(1.0)
-        for lane in range(count, LANES):
-            for c in range(length, record + length + N_BATCH_ENTRIES):
-                write_number(batch, c * LANES + lane, read_number(batch, c * LANES))
         for c in range(CHANGE, CHANGE + 1 + N_MOMENTS):
             write_lanes(batch, entries + c, zero)
         z_end, rate_end = read_lanes(batch, entries + Z_END), read_lanes(batch, more + RATE_END)

@@ -2,7 +2,8 @@
 
 Every spring, with the mass above it, has a record of vectors: the coefficients of the mass's velocity H v,
 the series of the spring (`series.py`), the entries below, and the constants of the law. Record 0 is the base,
-all zeros; springs are numbered from 1. Behind the last record stand entries of whole chains. H is the step.
+all zeros; springs are numbered from 1. Behind the last record stand entries of whole chains, and what a
+block of springs leaves to the one below it (`blocks.py`). H is the step.
 """
 
 from typing import NamedTuple
@@ -10,17 +11,18 @@ from typing import NamedTuple
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
 
-# Entries of a record: displacement [m], H^2 / m [s^2/kg], beta k / H [N/m]; H v [m] at the end of a step; and
-# with kinks: whether a lane has one; their change of z, and of the force integrated 1 ... 4 times over the
-# step; z at its end; the signs of drift rate and z
+# Entries of a record: displacement [m], H^2 / m [s^2/kg], beta k / H [N/m]; H v [m] where a step ends and the
+# next begins; and with kinks: whether a lane has one; their change of z, and of the force integrated 1 ... 4
+# times over the step; z at its end; the signs of drift rate and z
 U, MOBILITY, DASHPOT, V_END, HAS_KINK, CHANGE = range(6)
 N_MOMENTS = 4
 Z_END, RATE_SIGN, Z_SIGN = range(CHANGE + 1 + N_MOMENTS, CHANGE + 1 + N_MOMENTS + 3)
 N_ENTRIES = Z_SIGN + 1
-# Entries of a chain: alpha H, largest acceleration so far [m/s^2], largest last coefficients of H v and of z
-# since they were looked at, and 1 where the chain is given up
-DRAG, PEAK, LAST, LAST_Z, LOST = range(5)
-N_CHAIN_ENTRIES = 5
+# Entries of a chain: alpha H, largest acceleration so far [m/s^2], the largest first and last coefficients of
+# H v and last ones of z since they were looked at, and 1 where the chain is given up
+DRAG, PEAK, FIRST, LAST, LAST_Z, LOST = range(6)
+N_CHAIN_ENTRIES = 6
+N_LEFT = 2  # vectors for each order that a block leaves
 
 
 class Layout(NamedTuple):
@@ -42,7 +44,7 @@ def layout_of(series) -> Layout:
 
 def group_size(series, n: int) -> int:
     """Vectors of a group of chains with n springs."""
-    return (n + 1) * layout_of(series).record + N_CHAIN_ENTRIES
+    return (n + 1) * layout_of(series).record + N_CHAIN_ENTRIES + N_LEFT * series.order
 
 
 @jit

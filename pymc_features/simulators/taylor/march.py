@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import highest, magnitude, splat, where_less
+from pymc_features.simulators.compiled.vector import highest, splat, where_less
 from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes, write_number
 from pymc_features.simulators.oscillators.arguments import (
@@ -22,24 +22,26 @@ from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_VELOCITY,
     ground_at,
 )
+from pymc_features.simulators.taylor.blocks import series_of
 from pymc_features.simulators.taylor.feedback import feedback_of
 from pymc_features.simulators.taylor.kinks import turn_of
 from pymc_features.simulators.taylor.layout import (
     DASHPOT,
     DRAG,
+    FIRST,
     LAST,
     LAST_Z,
     LOST,
     MOBILITY,
     PEAK,
     RATE_SIGN,
+    V_END,
+    Z_END,
     Z_SIGN,
     U,
     layout_of,
 )
-from pymc_features.simulators.taylor.orders import HUGE, finish_of, orders_from
-from pymc_features.simulators.taylor.search import search_of
-from pymc_features.simulators.taylor.series import Z
+from pymc_features.simulators.taylor.orders import HUGE, orders_from
 from pymc_features.simulators.taylor.tape import COUNT, MAX_STEPS, tape_of
 
 TOO_FAR = 10.0  # above the tolerance: steps are repeated
@@ -48,14 +50,11 @@ LARGEST_Z = 1e-2  # last coefficient of z: above it the series are of no use
 
 @cache
 def group_of(series):
-    """Return functions of one group: start, rescale, keep or bring back the state, and take a step."""
-    length, record, entries, _ = layout_of(series)
-    first, others = orders_from(series, 0), orders_from(series, 1)
-    finish, kinks = finish_of(series), series.branch is not None
+    """Return functions of one group: rescale, keep or bring back the state, begin and take a step."""
+    _, record, entries, _ = layout_of(series)
+    first, expand, kinks = orders_from(series, 0), series_of(series, True), series.branch is not None
     if kinks:
-        search, turn = search_of(series), turn_of(series)
-        apply, restart, choose_branches = feedback_of(series)
-    z_first = (1 + Z) * length
+        turn, apply = turn_of(series), feedback_of(series)[0]
 
     @jit
     def rescale(group, ratio):
@@ -64,9 +63,8 @@ def group_of(series):
         inverse, squared = splat(1.0 / ratio), splat(ratio * ratio)
         factor = splat(ratio)
         for i in range(1, n + 1):
-            here = i * record
-            at = here + entries
-            write_lanes(address, here, factor * read_lanes(address, here))
+            at = i * record + entries
+            write_lanes(address, at + V_END, factor * read_lanes(address, at + V_END))
             write_lanes(address, at + MOBILITY, squared * read_lanes(address, at + MOBILITY))
             write_lanes(address, at + DASHPOT, inverse * read_lanes(address, at + DASHPOT))
         end = (n + 1) * record
@@ -85,62 +83,39 @@ def group_of(series):
         else:
             write_lanes(kept, 0, read_lanes(address, peak))
         for i in range(1, n + 1):
-            here = i * record
-            places = (here, here + entries + U)
+            at = i * record + entries
+            places = (at + V_END, at + U)
             if kinks:
-                places = (
-                    here,
-                    here + entries + U,
-                    here + z_first,
-                    here + entries + RATE_SIGN,
-                    here + entries + Z_SIGN,
-                )
+                places = (at + V_END, at + U, at + Z_END, at + RATE_SIGN, at + Z_SIGN)
             for c in range(len(places)):
                 if back:
                     write_lanes(address, places[c], read_lanes(kept, 5 * i + c))
                 else:
                     write_lanes(kept, 5 * i + c, read_lanes(address, places[c]))
-        if back and kinks:
-            choose_branches(address, n)
 
     @jit
     def begin(group, step, ground):
-        """Coefficients 1 of the velocities, and the largest acceleration so far."""
-        address, _, modal, n = group
-        first(address, modal, n, step * step * ground)
-        largest = splat(0.0)
-        for i in range(1, n + 1):
-            largest = larger(largest, magnitude(read_lanes(address, i * record + 1)))
-        peak = (n + 1) * record + PEAK
-        write_lanes(address, peak, larger(read_lanes(address, peak), largest * splat(1.0 / (step * step))))
+        """Coefficients 1 of the velocities."""
+        first(group.address, group.modal, group.n, step * step * ground, group.n, group.n)
 
     @jit
-    def advance(group, step, rise, batch):
-        """Take the step that has begun; `rise` of the ground acceleration over it."""
-        address, _, modal, n = group
-        others(address, modal, n, step * step * rise)
-        finish(address, n)
+    def advance(group, step, loads, has_begun, batch):
+        """Take a step; `loads` are the ground acceleration at its beginning, and the rise over it."""
+        ground, rise = loads
+        count = expand(group, step * step * ground, step * step * rise, has_begun, batch, None)
         if kinks:
-            count = search(address, n, batch, 0, None)
             if count > 0:
                 turn(batch, count, None)
-            apply(address, n, None)
-            restart(address, n)
+            apply(group.address, group.n, None)
 
-    @jit
-    def start(group):
-        """Choose the branches at rest."""
-        if kinks:
-            choose_branches(group.address, group.n)
-
-    return start, rescale, copy, begin, advance
+    return rescale, copy, begin, advance
 
 
 @cache
 def march_of(series):
     """Return the function that takes groups of chains through a record."""
     _, record, entries, _ = layout_of(series)
-    start_group, rescale, copy, begin, advance = group_of(series)
+    rescale, copy, begin, advance = group_of(series)
     keep, _, accept, first_free = tape_of(series)
     order, tolerance = series.order, series.tolerance
 
@@ -149,12 +124,16 @@ def march_of(series):
         """Largest ratio of last coefficients to the tolerance; a chain beyond `most` is lost."""
         address, n = group.address, group.n
         end = (n + 1) * record
-        scale = splat(tolerance * step * step) * read_lanes(address, end + PEAK) + 1e-300
+        largest = read_lanes(address, end + FIRST) * splat(1.0 / (step * step))
+        peak = larger(read_lanes(address, end + PEAK), largest)
+        scale = splat(tolerance * step * step) * peak + 1e-300
         ratio = read_lanes(address, end + LAST) / scale
         ratio = larger(ratio, read_lanes(address, end + LAST_Z) * splat(1.0 / LARGEST_Z))
         ratio = where_less(ratio, splat(HUGE), ratio, splat(0.5 * HUGE))  # steps not finite are repeated too
         lost = where_less(ratio, splat(most), read_lanes(address, end + LOST), splat(1.0))
         write_lanes(address, end + LOST, lost)
+        write_lanes(address, end + PEAK, peak)
+        write_lanes(address, end + FIRST, splat(0.0))
         write_lanes(address, end + LAST, splat(0.0))
         write_lanes(address, end + LAST_Z, splat(0.0))
         return highest(where_less(lost, splat(0.5), ratio, splat(0.0)))
@@ -195,7 +174,6 @@ def march_of(series):
         step = length / count
         total = observed.shape[1]
         steps = slot = 0
-        start_group(group)
         for sample in range(total):
             fine = sample * stride
             ground = ground_at(acceleration, fine, substeps)
@@ -213,10 +191,9 @@ def march_of(series):
                     for part in range(count):
                         if tape.capacity > 0:
                             keep(group, tape.states, slot + part)
-                        if not begun:
-                            begin(group, step, ground + rise * part / count)
+                        loads = ground + rise * part / count, rise / count
+                        advance(group, step, loads, begun, batch)
                         begun = False
-                        advance(group, step, rise / count, batch)
                     steps += count
                     ratio = needed(group, step, HUGE if count < MAX_STEPS else TOO_FAR)
                     asked = np.ceil(count * max(ratio, 1e-12) ** (1.0 / (order - 1)))

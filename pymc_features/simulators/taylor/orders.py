@@ -6,7 +6,8 @@ those of the drift,
     V_i,k+1 = [ H^2/m_i (f_i+1,k - f_i,k) - alpha H V_i,k - H^2 g_k ] / (k + 1),
 
 where f includes the dashpot, (beta k_i / H) R_i,k, and g_0, g_1 are the ground acceleration and its change
-over the step. One function is compiled for each k, a closure, so that its sums are written out.
+over the step. One function is compiled for each k, a closure, so that its sums are written out. Each takes a
+block of `size` springs, from spring `high` down, and the next order stays one spring behind (`blocks.py`).
 """
 
 from functools import cache
@@ -14,70 +15,104 @@ from functools import cache
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import magnitude, splat, where_less
+from pymc_features.simulators.compiled.vector import LANES, magnitude, splat, where_less
 from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
 from pymc_features.simulators.taylor.layout import (
     DASHPOT,
     DRAG,
+    FIRST,
     LAST,
     LAST_Z,
     MOBILITY,
+    N_CHAIN_ENTRIES,
+    RATE_SIGN,
     V_END,
     Z_END,
+    Z_SIGN,
     U,
     add_lanes,
     layout_of,
 )
-from pymc_features.simulators.taylor.series import Spring, Z
+from pymc_features.simulators.taylor.series import Spring, Z, write_coefficient
 
 HUGE = 1e250
 
 
-@jit
-def damp(address, modal, n, record, k):
-    """Take H M^-1 C V_k of damping by modal ratios, in the rows of `modal`, from the coefficients k + 1."""
-    for i in range(n):
-        total = splat(0.0)
-        for j in range(n):
-            v = read_lanes(address, (j + 1) * record + k)
-            total = total + read_lanes(modal, i * n + j) * v
-        add_lanes(address, (i + 1) * record + k + 1, total * splat(-1.0 / (k + 1)))
+@cache
+def damping_of(record):
+    """Return the function that takes H M^-1 C V_k of damping by modal ratios from the coefficients k + 1.
+
+    H M^-1 C lies in the rows of `modal`; `first` is the address of coefficient k in record 0, and `share` is
+    -1 / (k + 1).
+    """
+
+    @jit
+    def damp(first, modal, n, share):
+        for i in range(n):
+            total = splat(0.0)
+            for j in range(n):
+                total = total + read_lanes(modal, i * n + j) * read_lanes(first, (j + 1) * record)
+            add_lanes(first, (i + 1) * record + 1, total * share)
+
+    return damp
 
 
 @cache
 def orders_from(series, k):
     """Return the function for coefficients k + 1 of the velocities; for k > 0 for all above as well.
 
-    Its `push` is that of k = 0 or 1.
+    Its `push` is that of k = 0 or 1. The function for k = 0 begins the step at the state in the entries.
     """
     length, record, entries, constants = layout_of(series)
     expand, share, last = jit(series.expand), 1.0 / (k + 1), 1.0 / max(k, 1)
     rest = orders_from(series, k + 1) if 0 < k < series.order - 1 else None
-    loads = 1.0 if k <= 1 else 0.0
+    loads, left = 1.0 if k <= 1 else 0.0, N_CHAIN_ENTRIES + k
+    starts, damp = k == 0, damping_of(record)
+    begins = starts and series.branch is not None
+    branch = jit(series.branch) if begins else None
+    v_at = entries + V_END if starts else k
 
     @jit
-    def order(address, modal, n, push):
-        drag = read_lanes(address, (n + 1) * record + DRAG)
-        upper, here, load = splat(0.0), n * record, push * loads
-        v = read_lanes(address, here + k)
-        for _ in range(n):
-            lower = here - record
-            v_lower = read_lanes(address, lower + k)
-            if k == 0:
-                drift = read_lanes(address, here + entries + U) - read_lanes(address, lower + entries + U)
+    def order(address, modal, n, push, high, size):
+        end, upper = (n + 1) * record, splat(0.0)
+        if high < n:
+            upper = read_lanes(address, end + left)
+        drag, load, here, largest = read_lanes(address, end + DRAG), push * loads, high * record, splat(0.0)
+        v = read_lanes(address, here + v_at)
+        for _ in range(size):
+            lower, at = here - record, here + entries
+            v_lower = read_lanes(address, lower + v_at)
+            spring = Spring(address, here + length, length, here + constants)
+            if starts:
+                drift = read_lanes(address, at + U) - read_lanes(address, lower + entries + U)
+                write_lanes(address, here, v)
             else:
                 drift = (read_lanes(address, here + k - 1) - read_lanes(address, lower + k - 1)) * last
+            if begins:
+                rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
+                branch(spring, rate_sign * z_sign, z_sign)
+                write_coefficient(spring, Z, 0, read_lanes(address, at + Z_END))
             rate = v - v_lower
-            force = expand(Spring(address, here + length, length, here + constants), k, drift, rate)
-            force = force + read_lanes(address, here + entries + DASHPOT) * rate
-            pull = read_lanes(address, here + entries + MOBILITY) * (upper - force)
-            write_lanes(address, here + k + 1, share * (pull - drag * v - load))
+            force = expand(spring, k, drift, rate)
+            force = force + read_lanes(address, at + DASHPOT) * rate
+            pull = read_lanes(address, at + MOBILITY) * (upper - force)
+            acceleration = share * (pull - drag * v - load)
+            write_lanes(address, here + k + 1, acceleration)
+            if starts and modal == 0:
+                largest = larger(largest, magnitude(acceleration))
             upper, v, here = force, v_lower, lower
+        write_lanes(address, end + left, upper)
         if modal != 0:
-            damp(address, modal, n, record, k)
+            damp(address + 8 * LANES * k, modal, n, -share)
+            if starts:
+                for i in range(1, n + 1):
+                    largest = larger(largest, magnitude(read_lanes(address, i * record + 1)))
+        if starts:
+            write_lanes(address, end + FIRST, larger(read_lanes(address, end + FIRST), largest))
         if rest is not None:
-            rest(address, modal, n, 0.0)
+            top = high + 1 if high < n else n
+            rest(address, modal, n, 0.0, top, size - 1 + top - high if size < high else top)
 
     return order
 
@@ -90,10 +125,10 @@ def finish_of(series):
     z_first = (1 + Z) * length
 
     @jit
-    def finish(address, n):
-        """Advance u, and write H v and z of the end; keep the largest last coefficient of each chain."""
+    def finish(address, n, high, size):
+        """Advance u, H v and z of a block of springs; keep the largest last coefficient of each chain."""
         largest = largest_z = total = splat(0.0)
-        for i in range(1, n + 1):
+        for i in range(high - size + 1, high + 1):
             here = i * record
             v = read_lanes(address, here + order)
             largest = larger(largest, magnitude(v))
@@ -105,15 +140,13 @@ def finish_of(series):
             total = total + v  # a maximum forgets what is not finite
             at = here + entries
             write_lanes(address, at + U, read_lanes(address, at + U) + u)
+            write_lanes(address, at + V_END, v)
             if kinks:
-                write_lanes(address, at + V_END, v)
                 z = read_lanes(address, here + z_first + order)
                 largest_z = larger(largest_z, magnitude(z))
                 for k in range(order - 1, -1, -1):
                     z = z + read_lanes(address, here + z_first + k)
                 write_lanes(address, at + Z_END, z)
-            else:
-                write_lanes(address, here, v)
         largest = where_less(magnitude(total), splat(HUGE), largest, splat(np.inf))
         last = (n + 1) * record + LAST
         write_lanes(address, last, larger(read_lanes(address, last), largest))

@@ -6,6 +6,8 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, magnitude, splat, where_less
 from pymc_features.simulators.compiled.vector_memory import (
     any_less,
+    first_lane,
+    lanes_less,
     read_lanes,
     read_number,
     write_lanes,
@@ -33,22 +35,29 @@ def search_of(series):
     rates, more, flags = length * (1 + RATE), record + length, record + length + N_BATCH_ENTRIES
 
     @jit
-    def pack(address, here, lane, batch, count):
-        """Copy a spring of one chain into lane `count` of the batch."""
-        for c in range(length, length * (2 + Z)):
-            write_number(batch, c * LANES + count, read_number(address, (here + c) * LANES + lane))
-        for c in range(entries + Z_END, record):
-            write_number(batch, c * LANES + count, read_number(address, (here + c) * LANES + lane))
-        write_number(batch, (more + RATE_END) * LANES + count, read_number(batch, (flags + 1) * LANES + lane))
-        write_number(batch, (more + OWNER) * LANES + count, float(address))
-        write_number(batch, (more + PLACE) * LANES + count, float(here))
-        write_number(batch, (more + LANE) * LANES + count, float(lane))
+    def put(batch, c, count, number):
+        if count == 0:
+            write_lanes(batch, c, splat(number))
+        else:
+            write_number(batch, c * LANES + count, number)
 
     @jit
-    def search(address, n, batch, count, trace):
+    def pack(address, here, lane, batch, count):
+        """Copy a spring of one chain into lane `count` of the batch; the first one goes into all lanes."""
+        for c in range(length, length * (2 + Z)):
+            put(batch, c, count, read_number(address, (here + c) * LANES + lane))
+        for c in range(entries + Z_END, record):
+            put(batch, c, count, read_number(address, (here + c) * LANES + lane))
+        put(batch, more + RATE_END, count, read_number(batch, flags * LANES + lane))
+        put(batch, more + OWNER, count, float(address))
+        put(batch, more + PLACE, count, float(here))
+        put(batch, more + LANE, count, float(lane))
+
+    @jit
+    def search(address, high, size, batch, count, trace):
         """Return the number of pairs that wait in the batch; springs with kinks have zero changes."""
         zero = splat(0.0)
-        for i in range(1, n + 1):
+        for i in range(high - size + 1, high + 1):
             here = i * record
             at = here + entries
             rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
@@ -71,15 +80,15 @@ def search_of(series):
             if has_kink:
                 for c in range(CHANGE, CHANGE + 1 + N_MOMENTS):
                     write_lanes(address, at + c, zero)
-                write_lanes(batch, flags, lowest)
-                write_lanes(batch, flags + 1, rate_end)
-                for lane in range(LANES):
-                    if read_number(batch, flags * LANES + lane) < 0.0:
-                        pack(address, here, lane, batch, count)
-                        count += 1
-                        if count == LANES:
-                            turn(batch, count, trace)
-                            count = 0
+                write_lanes(batch, flags, rate_end)
+                lanes = lanes_less(lowest, zero)
+                while lanes != 0:
+                    pack(address, here, first_lane(lanes), batch, count)
+                    lanes &= lanes - 1
+                    count += 1
+                    if count == LANES:
+                        turn(batch, count, trace)
+                        count = 0
         return count
 
     return search

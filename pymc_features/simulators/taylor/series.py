@@ -125,21 +125,25 @@ def write_constant(spring, name, value):
 
 @jit
 def product(spring, a, b, k):
-    """Coefficient k of the product of two series."""
+    """Coefficient k of the product of two series; what the newest coefficients are needed for comes last."""
     total = splat(0.0)
-    for j in range(k + 1):
+    for j in range(1, k):
         total = total + coefficient(spring, a, j) * coefficient(spring, b, k - j)
-    return total
+    if k > 0:
+        total = total + coefficient(spring, a, k) * coefficient(spring, b, 0)
+    return total + coefficient(spring, a, 0) * coefficient(spring, b, k)
 
 
 @jit
 def square(spring, a, k):
-    """Coefficient k of the square of a series."""
-    total = splat(0.0)
-    for j in range((k + 1) // 2):
+    """Coefficient k of the square of a series; what the newest coefficient is needed for comes last."""
+    total, first = splat(0.0), coefficient(spring, a, 0)
+    if k == 0:
+        return first * first
+    for j in range(1, (k + 1) // 2):
         total = total + coefficient(spring, a, j) * coefficient(spring, a, k - j)
     total = total + total
     if k % 2 == 0:
         middle = coefficient(spring, a, k // 2)
         total = total + middle * middle
-    return total
+    return total + (first + first) * coefficient(spring, a, k)

@@ -19,8 +19,7 @@ from pymc_features.simulators.compiled.vector_memory import (
     write_lanes,
     write_number,
 )
-from pymc_features.simulators.taylor.layout import RATE_SIGN, Z_SIGN, U, layout_of
-from pymc_features.simulators.taylor.series import Z
+from pymc_features.simulators.taylor.layout import RATE_SIGN, V_END, Z_END, Z_SIGN, U, layout_of
 
 MAX_STEPS = 64  # of a step of the recursion
 ROOM = 1 << 28  # bytes of the steps of a tape: some 1,500 samples of 100 masses
@@ -81,8 +80,8 @@ def width_of(series) -> int:
 @cache
 def tape_of(series):
     """Return the functions that keep a state, bring one back, and note the steps that were accepted."""
-    length, record, entries, _ = layout_of(series)
-    width, kinks, z_first = width_of(series), series.branch is not None, (1 + Z) * length
+    _, record, entries, _ = layout_of(series)
+    width, kinks = width_of(series), series.branch is not None
 
     @jit
     def keep(group, states, slot):
@@ -90,13 +89,12 @@ def tape_of(series):
         address, n = group.address, group.n
         to = slot * n * width
         for i in range(1, n + 1):
-            here = i * record
-            stream_lanes(states, to, read_lanes(address, here))
-            stream_lanes(states, to + 1, read_lanes(address, here + entries + U))
+            at = i * record + entries
+            stream_lanes(states, to, read_lanes(address, at + V_END))
+            stream_lanes(states, to + 1, read_lanes(address, at + U))
             if kinks:
-                signs = 2.0 * read_lanes(address, here + entries + RATE_SIGN)
-                signs = signs + read_lanes(address, here + entries + Z_SIGN)
-                stream_lanes(states, to + 2, read_lanes(address, here + z_first))
+                signs = 2.0 * read_lanes(address, at + RATE_SIGN) + read_lanes(address, at + Z_SIGN)
+                stream_lanes(states, to + 2, read_lanes(address, at + Z_END))
                 stream_lanes(states, to + 3, signs)
             to += width
 
@@ -106,15 +104,15 @@ def tape_of(series):
         address, n = group.address, group.n
         to = slot * n * width
         for i in range(1, n + 1):
-            here = i * record
-            write_lanes(address, here, read_lanes(states, to))
-            write_lanes(address, here + entries + U, read_lanes(states, to + 1))
+            at = i * record + entries
+            write_lanes(address, at + V_END, read_lanes(states, to))
+            write_lanes(address, at + U, read_lanes(states, to + 1))
             if kinks:
                 signs = read_lanes(states, to + 3)
                 rate_sign = where_less(signs, splat(0.0), splat(-1.0), splat(1.0))
-                write_lanes(address, here + z_first, read_lanes(states, to + 2))
-                write_lanes(address, here + entries + RATE_SIGN, rate_sign)
-                write_lanes(address, here + entries + Z_SIGN, signs - 2.0 * rate_sign)
+                write_lanes(address, at + Z_END, read_lanes(states, to + 2))
+                write_lanes(address, at + RATE_SIGN, rate_sign)
+                write_lanes(address, at + Z_SIGN, signs - 2.0 * rate_sign)
             to += width
 
     @jit

@@ -26,6 +26,7 @@ from pymc_features.simulators.taylor.adjoint.feedback import feedback_adjoint
 from pymc_features.simulators.taylor.adjoint.kinks import bars_size, turns_adjoint
 from pymc_features.simulators.taylor.adjoint.orders import bars_of, damping_bars, reverse_from, spread_of
 from pymc_features.simulators.taylor.adjoint.parameters import ChainBars
+from pymc_features.simulators.taylor.blocks import series_of
 from pymc_features.simulators.taylor.feedback import feedback_of
 from pymc_features.simulators.taylor.kinks import trace_size, turn_of
 from pymc_features.simulators.taylor.layout import (
@@ -39,8 +40,6 @@ from pymc_features.simulators.taylor.layout import (
     layout_of,
 )
 from pymc_features.simulators.taylor.march import group_of
-from pymc_features.simulators.taylor.orders import finish_of, orders_from
-from pymc_features.simulators.taylor.search import search_of
 from pymc_features.simulators.taylor.tape import COUNT, COUNTS, SEGMENTS, STEPS, tape_of, width_of
 
 
@@ -73,14 +72,14 @@ class Bars(NamedTuple):
 @cache
 def step_adjoint(series):
     """Return functions that repeat a step and carry bars back over it, but for order 0, and over that."""
-    first, others = orders_from(series, 0), orders_from(series, 1)
-    width, finish, kinks = width_of(series), finish_of(series), series.branch is not None
+    width, kinks = width_of(series), series.branch is not None
+    expand = series_of(series, kinks)
     reverse, reverse_first = reverse_from(series, series.order - 1), reverse_from(series, 0)
     spread, collect = spread_of(series)
     add_damping, restore = damping_bars(series), tape_of(series)[1]
     if kinks:
-        search, turn, unturn = search_of(series), turn_of(series), turns_adjoint(series)
-        apply, _, choose_branches = feedback_of(series)
+        turn, unturn = turn_of(series), turns_adjoint(series)
+        apply, choose_branches = feedback_of(series)
         unapply = feedback_adjoint(series)
 
     @jit
@@ -89,13 +88,10 @@ def step_adjoint(series):
         address, _, modal, n = group
         restore(group, states, slot)
         if kinks:
-            choose_branches(address, n)
-        first(address, modal, n, step * step * ground)
-        others(address, modal, n, step * step * rise)
-        if kinks:
-            finish(address, n)
             write_number(memory.trace, 0, 0.0)
-            count = search(address, n, memory.batch, 0, memory.trace)
+        load, push = step * step * ground, step * step * rise
+        count = expand(group, load, push, False, memory.batch, memory.trace)
+        if kinks:
             if count > 0:
                 turn(memory.batch, count, memory.trace)
             apply(address, n, memory.before)
@@ -107,7 +103,7 @@ def step_adjoint(series):
         else:
             spread(memory.bars, n)
         ahead = states + 8 * LANES * (max(slot - 1, 0) * n * width)
-        reverse(address, memory.bars, modal, n, step * step * rise, ahead)
+        reverse(address, memory.bars, modal, n, push, ahead)
 
     @jit
     def reverse_start(group, memory, step, ground):
@@ -160,7 +156,7 @@ def misfits_of(series):
 @cache
 def sweep_of(series):
     """Return the function that takes bars from the end of a march to its beginning."""
-    start_group, rescale, _, begin, advance = group_of(series)
+    rescale, _, _, advance = group_of(series)
     _, own, entries, _ = layout_of(bars_of(series))
     keep, restore, _, _ = tape_of(series)
     reverse_step, reverse_start, spread = step_adjoint(series)
@@ -195,13 +191,12 @@ def sweep_of(series):
             count = count_of(tape, fine)
             if fine == first:
                 restore(group, tape.starts, segment)
-                start_group(group)
             ground, step = ground_at(acceleration, fine, substeps), dt / substeps / count
             rise = ground_at(acceleration, fine + 1, substeps) - ground
             for part in range(count):
                 keep(group, tape.states, slot)
-                begin(group, step, ground + rise * part / count)
-                advance(group, step, rise / count, memory.batch)
+                loads = ground + rise * part / count, rise / count
+                advance(group, step, loads, False, memory.batch)
                 slot += 1
         return slot
 
