@@ -9,7 +9,7 @@ from pymc_features.smc.proposals.fitted import fit_to
 from pymc_features.smc.proposals.mixture import equal_draws
 from pymc_features.smc.proposals.patches import patched
 from pymc_features.smc.proposals.pool import LARGEST_K, LARGEST_SHARE, Pool
-from pymc_features.smc.proposals.reference import good_share
+from pymc_features.smc.proposals.reference import MANY, good_share
 
 FIT_POINTS = FIRST_DRAWS = 200  # of a fit, and from the first fit of the last stage, for each parameter
 MAX_EVALUATIONS = 500  # of the last stage, for each draw
@@ -30,14 +30,14 @@ class LastDraws:
 
         Only draws of the last fit count, which no draws have shaped. If few show that more is missing than
         were drawn in all, it draws as many, and another one follows. So it does where a few draws outweigh
-        the rest, with a part around each of these.
+        the rest, with a part around each of these. A good reference that is bent stands in for the fit.
         """
         pool, used, limit, drawn, before_tails = self.pool, 0, 0, 0, None
         source = self.last_stage if self.last_stage in pool.proposals else 0  # drawn from in place of chains
         first = max(FIRST_DRAWS * self.n_parameters, self.draws // 4)
         while True:
             sample = pool.independent(max(source, self.last_stage))
-            n_sample = sample.counts.sum()
+            n_sample = sample.counts[min(source, 1) :].sum()  # of the fits alone, if there are any
             worth = float(sample.effective_of_quantiles(sample.log_weights(1.0)).min())
             missing = max(self.draws - worth, 0.0)
             if not missing and before_tails is None:
@@ -53,7 +53,9 @@ class LastDraws:
                 if n <= 0:
                     self.weights = pool.normalised(pool.log_weights(1.0))
                     points, shares = self.fitting_points(), sample.normalised(sample.log_weights(1.0))
-                    fit = fit_to(points, self.rng)
+                    # draws in many dimensions, a few of them heavy, are too few for a fit to be as good
+                    bent = not self.needs_fit and self.n_parameters >= MANY
+                    fit = self.reference.mixture if bent else fit_to(points, self.rng)
                     pool.add_proposal(patched(fit, points, sample.particles, shares))
                     source, n, limit, drawn = len(pool.betas) - 1, first, max(used, first), 0
             n = int(np.clip(n, 0.1 * self.draws, 2.0 * self.draws + used))

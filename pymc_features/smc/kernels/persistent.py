@@ -26,6 +26,7 @@ USABLE_FIT, MOST_ROUNDS, OF_TRAJECTORIES = 0.03, 6, 0.7
 WORTH_A_TRIAL = 0.2  # of the last fit, below which the next is not tried
 FIRST_OF_REFERENCE = (400, 30)  # draws of the reference: at least, and for each parameter
 USABLE_REFERENCE = 0.05  # effective share of its draws, to begin with
+WORST_QUANTILE = 0.8  # what the draws of a good one are worth for the worst quantile, over that share
 LONG_WAY = 25.0  # from prior to posterior, in nats, such that a reference that is only usable saves stages
 OF_LAST_DRAWS = "ess", "pareto_k", "largest_share"
 STATISTICS = "accept_rate", "hamiltonian_share", "steps_per_draw", "reference_efficiency", *OF_LAST_DRAWS
@@ -118,6 +119,7 @@ class PersistentSMC(LastDraws, PopulationKernel):
         self.accept_rate = self.steps_per_draw = self.standard_error = np.nan
         self.ess = self.pareto_k = self.largest_share = np.nan
         self.reference_efficiency, self.hamiltonian_share, self.fit_efficiency = 0.0, 0.0, 1.0
+        self.reference_is_good = False
         self.repeats = 0
         if self.reference is not None and self.begin_with_reference():
             return
@@ -142,14 +144,32 @@ class PersistentSMC(LastDraws, PopulationKernel):
         prior, likelihood = self.evaluate(particles)
         self.pool = pool = Pool(particles, *self.relative(particles, prior, likelihood))
         self.reference_efficiency = pool.efficiency(0)
-        if self.reference_efficiency > good_share(self.n_parameters):
+        self.reference_is_good = self.reference_is_confirmed()
+        if self.reference_is_good:
             return True
         if self.reference_efficiency < USABLE_REFERENCE or pool.pareto_k() > LARGEST_K:
             return False
         log_weights = pool.log_weights(1.0)
         possible = prior + likelihood > -np.inf
-        information = pool.normalised(log_weights) @ likelihood[possible] - pool.log_evidence(log_weights)
+        shares = pool.normalised(log_weights)[: possible.sum()]  # of the first draws
+        information = shares @ likelihood[possible] / shares.sum() - pool.log_evidence(log_weights)
         return information > LONG_WAY
+
+    def reference_is_confirmed(self) -> bool:
+        """Whether as many draws of the reference as are wanted in the end, if the first few are, are good.
+
+        Where the posterior has a part beyond the reference, few draws are there, and heavy: without one among
+        the first, all looks well. The quantile that this part shifts shows it before the whole does.
+        """
+        share = good_share(self.n_parameters)
+        if self.reference_efficiency <= share:
+            return False
+        if (missing := self.draws - self.pool.counts[0]) > 0:
+            self.draw_more(int(missing), 0)
+            self.reference_efficiency = self.pool.efficiency(0)
+        worth = self.pool.effective_of_quantiles(self.pool.log_weights(1.0)).min() / self.pool.counts[0]
+        good = self.reference_efficiency > share and worth > WORST_QUANTILE * share
+        return good and self.pool.pareto_k() <= LARGEST_K
 
     def draw_reference(self, n: int) -> np.ndarray:
         """Independent draws (n, d) from the reference, or from the prior if there is none."""
@@ -201,7 +221,7 @@ class PersistentSMC(LastDraws, PopulationKernel):
 
     def tune(self) -> None:
         """Fit the proposal to the weighted pool, if independent draws from the reference will not do."""
-        self.needs_fit = self.reference is None or self.reference_efficiency < good_share(self.n_parameters)
+        self.needs_fit = self.reference is None or not self.reference_is_good
         if self.needs_fit:
             self.moves.fit(self.fitting_points(), self.rng)
 

@@ -1,0 +1,84 @@
+"""`PersistentSMC` at its two ends: whether a reference is good, and from what the last draws are taken."""
+
+import functools
+
+import numpy as np
+import pymc as pm
+
+import pymc_features as pmf
+from pymc_features.smc import PersistentSMC
+from pymc_features.smc.kernels import last_draws
+from pymc_features.smc.proposals.reference import Mode, Reference
+
+PRIOR_SD = 10.0
+
+
+@functools.cache
+def model_with_lump(d=3):
+    """A standard normal likelihood with some of its mass `share` in a lump at (3.5, 0, ...)."""
+    with pm.Model() as model:
+        share = pm.Data("share", 0.05)
+        x = pm.Normal("x", 0.0, PRIOR_SD, shape=d)
+        bulk, lump = (-0.5 * ((x - place * np.eye(d)[0]) ** 2).sum() for place in (0.0, 3.5))
+        pm.Potential("likelihood", pm.math.logaddexp(pm.math.log1p(-share) + bulk, pm.math.log(share) + lump))
+    return model
+
+
+def reference_of_bulk(d=3):
+    """What climbs to the mode at the origin alone would give."""
+    mode = Mode(np.zeros(d), np.eye(d) / PRIOR_SD, 0.0, 1)
+    return Reference([mode], np.zeros(d), np.full(d, PRIOR_SD))
+
+
+def good_ones(share, seeds=40):
+    """In how many of the seeds the reference is taken for good."""
+    good = 0
+    with model_with_lump() as model:
+        pm.set_data({"share": share})
+        for seed in range(seeds):
+            kernel = PersistentSMC(1000, reference=reference_of_bulk(), model=model, random_seed=seed)
+            kernel._initialize_kernel()
+            good += kernel.reference is not None
+    return good
+
+
+def test_a_reference_that_misses_a_part_is_not_good():
+    """Two of a thousand draws of it stand for 5 % of the posterior, and often none of the first 400.
+
+    Judged by these, it is good in all of 40 seeds, as it is without the lump.
+    """
+    assert good_ones(0.05) <= 12
+    assert good_ones(1e-12) == 40
+
+
+def test_a_good_fit_of_the_last_stage_is_kept(monkeypatch):
+    """Draws of the prior, where tempering began, do not make it look poor."""
+    fits = []
+    fit = last_draws.fit_to
+    monkeypatch.setattr(last_draws, "fit_to", lambda *arguments: fits.append(1) or fit(*arguments))
+    with model_with_lump() as model:
+        pm.set_data({"share": 0.3})
+        quiet = {"progressbar": False, "compute_convergence_checks": False, "cores": 1}
+        sampled = pmf.sample_smc(1000, kernel=PersistentSMC, chains=2, random_seed=1, model=model, **quiet)
+    assert not fits
+    assert (sampled.sample_stats["ess"].values[..., -1] >= 1000).all()
+
+
+def test_heavy_draws_in_many_dimensions_do_not_replace_a_good_reference_by_a_fit(monkeypatch):
+    """Parts are put around them, beside those of the reference; the evidence is right to four errors."""
+    monkeypatch.setattr(last_draws, "LARGEST_K", -np.inf)  # all draws are taken for heavy
+    monkeypatch.setattr(last_draws, "LARGEST_SHARE", 0.0)
+    monkeypatch.setattr(last_draws, "fit_to", None)
+    with model_with_lump(16) as model:
+        pm.set_data({"share": 1e-12})
+        kernel = PersistentSMC(200, reference=reference_of_bulk(16), model=model, random_seed=1)
+        kernel._initialize_kernel()
+        kernel.beta, kernel.last_stage = 1.0, 1
+        kernel.tune()
+        kernel.mutate()
+    of_reference = kernel.reference.mixture.components
+    assert kernel.pool.proposals
+    for proposal in kernel.pool.proposals.values():
+        assert proposal.components[: len(of_reference) - 1] == of_reference[:-1]
+    exact = -8.0 * np.log(1.0 + PRIOR_SD**2)
+    assert abs(kernel.log_marginal_likelihood - exact) < 4.0 * kernel.standard_error < 0.3
