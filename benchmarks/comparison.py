@@ -1,9 +1,6 @@
 """One table, problems by samplers, for posteriors of any number of parameters with known answers."""
 
 import numpy as np
-import pytensor
-import pytensor.tensor as pt
-from pytensor.graph.replace import vectorize_graph
 
 from benchmarks.accuracy import accuracy
 from benchmarks.known import problem
@@ -12,7 +9,6 @@ from benchmarks.samplers import SAMPLERS
 from benchmarks.tables import significant, table
 from benchmarks.timing import best_of_rounds
 from pymc_features.smc.density.evaluation import population_logp
-from pymc_features.smc.density.graph import joined_graph
 
 PARTICLES = 256
 
@@ -35,13 +31,9 @@ def gradient_cost(model, rounds=3):
     point = model.initial_point()
     start = np.concatenate([np.ravel(point[v.name]) for v in model.value_vars]).astype(float)
     particles = start + 0.01 * np.random.default_rng(0).standard_normal((PARTICLES, start.size))
-    values = population_logp(model, point, {})
-    one = joined_graph(model, point, (model.varlogp, model.datalogp))
-    population = pt.matrix("particles")
-    density = vectorize_graph(one.outputs[0] + one.outputs[1], {one.joined: population})
-    both = [density, pt.grad(density.sum(), population)]
-    gradients = pytensor.function([population], both, trust_input=True)
-    calls = {"values": lambda: values(particles), "gradients": lambda: gradients(particles)}
+    logp = population_logp(model, point, {})
+    logp.compile_gradient()
+    calls = {"values": lambda: logp(particles), "gradients": lambda: logp.gradient(particles)}
     seconds = best_of_rounds(calls, rounds)
     return seconds["gradients"] / seconds["values"]
 
