@@ -5,7 +5,6 @@ import functools
 import numpy as np
 import pymc as pm
 
-import pymc_features as pmf
 from pymc_features.smc import PersistentSMC
 from pymc_features.smc.kernels import last_draws
 from pymc_features.smc.proposals.reference import Mode, Reference
@@ -49,19 +48,6 @@ def test_a_reference_that_misses_a_part_is_not_good():
     """
     assert good_ones(0.05) <= 12
     assert good_ones(1e-12) == 40
-
-
-def test_a_good_fit_of_the_last_stage_is_kept(monkeypatch):
-    """Draws of the prior, where tempering began, do not make it look poor."""
-    fits = []
-    fit = last_draws.fit_to
-    monkeypatch.setattr(last_draws, "fit_to", lambda *arguments: fits.append(1) or fit(*arguments))
-    with model_with_lump() as model:
-        pm.set_data({"share": 0.3})
-        quiet = {"progressbar": False, "compute_convergence_checks": False, "cores": 1}
-        sampled = pmf.sample_smc(1000, kernel=PersistentSMC, chains=2, random_seed=1, model=model, **quiet)
-    assert not fits
-    assert (sampled.sample_stats["ess"].values[..., -1] >= 1000).all()
 
 
 def test_heavy_draws_in_many_dimensions_do_not_replace_a_good_reference_by_a_fit(monkeypatch):

@@ -37,7 +37,7 @@ class LastDraws:
         first = max(FIRST_DRAWS * self.n_parameters, self.draws // 4)
         while True:
             sample = pool.independent(max(source, self.last_stage))
-            n_sample = sample.counts[min(source, 1) :].sum()  # of the fits alone, if there are any
+            n_sample = sample.counts.sum()
             worth = float(sample.effective_of_quantiles(sample.log_weights(1.0)).min())
             missing = max(self.draws - worth, 0.0)
             if not missing and before_tails is None:
