@@ -9,6 +9,8 @@ from support.kernels import linear_misfit_gradient, linear_population_gradient
 from support.linear import meeting, noise, spring_chain
 from support.reference import first_order_hold, interpolated
 
+pytestmark = pytest.mark.slow  # they wait for kernels
+
 N_TIMES, DT, NONE = 121, 0.02, np.zeros(0, dtype=int)
 
 

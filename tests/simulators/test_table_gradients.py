@@ -21,7 +21,7 @@ from pymc_features.smc.density.evaluation import population_logp
 from simulators.test_mean_squares import DT, FROM_REST, LIGHT, N_TIMES, PARTICLES, Case, chain, dense, noise
 
 # what the march would put right, and warn of, is a failure here
-pytestmark = pytest.mark.filterwarnings("error:.*differ from those of the march")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("error:.*differ from those of the march")]
 CLASSICAL = [chain(), dense()]
 
 
@@ -215,7 +215,6 @@ def declared(case, likelihood, as_data):
     return model
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("likelihood", [TruncNormalFeature, CorrelatedNormal])
 def test_gradients_of_a_population_of_a_model(tables, monkeypatch, likelihood):
     model = declared(Case(chain()), likelihood, False)

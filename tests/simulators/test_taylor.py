@@ -10,6 +10,8 @@ from pymc_features.simulators.nonlinear import kernels
 from support.kernels import flat_kernels, population_discrepancy
 from support.reference import misfit_statistics
 
+pytestmark = pytest.mark.slow  # they wait for kernels
+
 FAMILIES = ("hysteretic", "duffing")
 
 
