@@ -53,6 +53,7 @@ CASES = {  # chains, requests
     "any sharpness": ({"sharpness": ANY}, {}),
     "acceleration": ({}, {}),
     "relative acceleration, ten masses": ({"n": 10}, {"n": 10, "n_times": 40, "quantity": 1}),
+    "blocks of springs": ({"n": 21}, {"n": 21, "n_times": 30}),
     "modal damping, coarse velocity": ({"modal": True}, {"stride": 3, "quantity": 2}),
     "fine displacement, one mass": ({"n": 1}, {"n": 1, "substeps": 3, "n_times": 30, "quantity": 3}),
     "coarse record": ({}, {"dt": 0.1, "n_times": 20, "scale": 1.0}),
