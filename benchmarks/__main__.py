@@ -16,7 +16,7 @@ HELP = f"run one section; all but {', '.join(LONG)} by default (15 minutes)"
 PACKAGES = (
     *("pymc-features", "pymc", "pytensor", "numba", "numpy", "scipy"),
     *("jax", "blackjax", "numpyro", "ultranest", "dynesty", "smcpy", "parallel-abus"),
-    *("pyabc", "sbi", "torch", "nutpie"),
+    *("pyabc", "sbi", "torch", "nutpie", "diffrax", "openseespy"),
 )
 
 

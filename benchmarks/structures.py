@@ -98,7 +98,7 @@ def run_families(rounds, sizes):
             missing |= absent
             if name == "chain":
                 calls["chain: SciPy eigh, lfilter"] = filters.prepare(case.first(20))
-            for label, best in best_of_rounds(calls, rounds if size < 100 else min(rounds, 2)).items():
+            for label, best in best_of_rounds(calls, min(rounds, 3)).items():
                 peer = PEERS.get(label.partition(": ")[2])
                 count = peer.particles if peer else 20 if label.endswith("lfilter") else 128
                 seconds.setdefault(label, []).append(1e9 * best / case.first(count).steps)

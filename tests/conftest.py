@@ -66,9 +66,8 @@ def pytest_collection_modifyitems(items):
 
     items.sort(key=place)
     for item in items:
-        if not NOT_QUICK & {mark.name for mark in item.iter_markers()} and not RUNS & set(
-            getattr(item, "fixturenames", ())
-        ):
+        marks, fixtures = {mark.name for mark in item.iter_markers()}, set(getattr(item, "fixturenames", ()))
+        if not marks & NOT_QUICK and not fixtures & RUNS:
             item.add_marker("quick")
 
 

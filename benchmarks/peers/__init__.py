@@ -24,7 +24,7 @@ YIELDING = "HystereticChain", "DuffingChain"
 
 PEERS = {
     "JAX, matrix exponential and scan": Peer(jax_exponential.prepare, LINEAR, 16),
-    "diffrax, Tsit5": Peer(diffrax_steps.prepare, YIELDING, 16),
-    "SciPy DOP853, compiled right-hand side": Peer(compiled_scipy.prepare, YIELDING, 2),
-    "OpenSees, Newmark, ten steps a sample": Peer(opensees_chain.prepare, ("chain", "HystereticChain"), 2),
+    "diffrax, Tsit5": Peer(diffrax_steps.prepare, YIELDING, 8),
+    "SciPy DOP853, compiled right-hand side": Peer(compiled_scipy.prepare, YIELDING, 1),
+    "OpenSees, Newmark, ten steps a sample": Peer(opensees_chain.prepare, ("chain", "HystereticChain"), 1),
 }

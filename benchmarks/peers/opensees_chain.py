@@ -1,4 +1,4 @@
-"""OpenSees (optional): a chain, by Newmark's method at the steps of the record, Newton's for yielding."""
+"""OpenSees (optional): a chain, by Newmark's method, ten steps for each sample; Newton's for yielding."""
 
 import numpy as np
 

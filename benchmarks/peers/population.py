@@ -49,11 +49,11 @@ def mean_squares(found, case):
     return np.mean((np.asarray(found) - case.observed) ** 2, axis=2)
 
 
-def rates_of(family, xp):
-    """Rates of u, v and z (n,) of a chain with nonlinear springs, by the array module `xp`.
+def springs_of(family, xp):
+    """Functions for the forces of nonlinear springs (n,) and the rates of their z, by the array module `xp`.
 
-    Plain array expressions, which Numba compiles and JAX traces. The springs of a family: Bouc-Wen, or
-    k d + c d^3, whose z stays zero.
+    Plain array expressions, which Numba compiles and JAX traces: the equation of `HystereticChain`, or that
+    of `DuffingChain`, whose z stays zero.
     """
 
     def forces(drift, z, stiffness, values):
@@ -73,7 +73,7 @@ def rates_of(family, xp):
 
 def chain_rates(family, xp, compiled=lambda function: function):
     """A function of (u, v, z, ground, mass, stiffness, rayleigh, values) that returns v, v' and z'."""
-    forces, growth = map(compiled, rates_of(family, xp))
+    forces, growth = map(compiled, springs_of(family, xp))
 
     def rates(u, v, z, ground, mass, stiffness, rayleigh, values):
         end = xp.zeros(1)

@@ -26,7 +26,7 @@ class Known:
         How many structures have been asked for.
     tried, found, solved, fruitless : int
         How many were tried in the basis there is, how many were found in it, how many have been learnt, and
-        how many of these brought nothing new.
+        how many of these brought nothing new to it.
     is_given_up : bool
         Whether no basis of some hundred columns holds most of them, or rounding hides that one does.
     is_fixed : bool
@@ -93,12 +93,12 @@ class Known:
         grown = joined(self.terms, self.basis, shapes)
         self.fruitless += grown.size == self.basis.size
         holds_few = 2 * self.found < self.tried
-        if self.fruitless >= FRUITLESS:
+        is_full = grown.size > self.most
+        if is_full or self.fruitless >= FRUITLESS:
             self.is_given_up = holds_few
-        if grown.size > self.most:  # begin anew, where the structures are now
-            self.is_given_up = holds_few
+        if is_full:  # begin anew, where the structures are now
             grown = joined(self.terms, new_basis(self.terms), shapes)
-            self.tried = self.found = 0
+            self.tried = self.found = self.fruitless = 0
         self.basis, self.solved = grown, self.solved + 1
 
 
