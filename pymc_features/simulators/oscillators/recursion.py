@@ -75,15 +75,15 @@ def write_table(omega, damping, step, quantity, table):
 
 
 @jit
-def advance(table, participation, q, p, ground, stride, count, outputs):
-    """Add `count` outputs of every mode and carry the modal states to the sample behind them.
+def advance(table, is_first, q, p, ground, stride, count, outputs):
+    """Write `count` outputs of every mode, or add them, and carry the states to the sample behind them.
 
     Parameters
     ----------
     table : array (11, m)
-        From `write_table`.
-    participation : array (m,)
-        Gamma of one input, by which the outputs are multiplied.
+        From `write_table`, its excitation times Gamma of the input.
+    is_first : bool
+        Whether the outputs are written; those of other inputs are added.
     q, p : array (m,)
         Modal states at the first of these samples, at rest at the beginning; overwritten.
     ground : array (> count stride,)
@@ -94,8 +94,12 @@ def advance(table, participation, q, p, ground, stride, count, outputs):
         Updated.
     """
     for b in range(count):
-        for r in range(q.size):
-            outputs[b, r] += participation[r] * (table[OUT_Q, r] * q[r] + table[OUT_P, r] * p[r])
+        if is_first:
+            for r in range(q.size):
+                outputs[b, r] = table[OUT_Q, r] * q[r] + table[OUT_P, r] * p[r]
+        else:
+            for r in range(q.size):
+                outputs[b, r] += table[OUT_Q, r] * q[r] + table[OUT_P, r] * p[r]
         for step in range(b * stride, (b + 1) * stride):
             now, after = ground[step], ground[step + 1]
             for r in range(q.size):
@@ -145,16 +149,19 @@ def march_modes(system, feed, excitation, quantity, observed, history, sums):
     inputs, dt, substeps, stride = excitation
     n_sensors, n_modes = system.shapes.shape
     n_inputs, total = inputs.shape[0], max(history.shape[1], observed.shape[1])
-    table, participation = np.empty((N_ROWS, n_modes)), system.participation.T.copy()
-    write_table(system.omega, system.damping, dt / substeps, quantity, table)
-    ground, outputs = np.empty((n_inputs, BLOCK * stride + 1)), np.empty((BLOCK, n_modes))
+    tables = np.empty((n_inputs, N_ROWS, n_modes))
+    for i in range(n_inputs):
+        write_table(system.omega, system.damping, dt / substeps, quantity, tables[i])
+        for row in range(Q_NOW, P_NEXT + 1):
+            for r in range(n_modes):
+                tables[i, row, r] *= system.participation[r, i]
+    ground, outputs = np.empty((n_inputs, BLOCK * stride + 1)), np.zeros((BLOCK, n_modes))
     q, p, block = np.zeros((n_inputs, n_modes)), np.zeros((n_inputs, n_modes)), np.empty((n_sensors, BLOCK))
     for first in range(0, total, BLOCK):
         count = min(BLOCK, total - first)
-        outputs[:] = 0.0
         for i in range(n_inputs):
             interpolate(inputs[i], substeps, first * stride, ground[i])
-            advance(table, participation[i], q[i], p[i], ground[i], stride, count, outputs)
+            advance(tables[i], i == 0, q[i], p[i], ground[i], stride, count, outputs)
         np.dot(system.shapes, outputs.T, block)
         add_feed(feed, ground, stride, count, block)
         take_block(block, first, count, observed, history, sums)
