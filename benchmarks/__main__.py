@@ -12,7 +12,7 @@ from pathlib import Path
 SECTIONS = ("evaluation", "gradients", "ambient", "posteriors", "abc", "scaling", "structures")
 # run only if asked for
 LONG = ("dimensions", "targets", "coverage", "opensees", "events", "cluster", "emulation")
-HELP = f"run one section; all but {', '.join(LONG)} by default (15 minutes)"
+HELP = f"run one section; all but {', '.join(LONG)} by default (20 minutes)"
 PACKAGES = (
     *("pymc-features", "pymc", "pytensor", "numba", "numpy", "scipy"),
     *("jax", "blackjax", "numpyro", "ultranest", "dynesty", "smcpy", "parallel-abus"),
@@ -45,7 +45,7 @@ def main():
     """Run the sections asked for and print their tables."""
     parser = argparse.ArgumentParser("python -m benchmarks", description="Cost and accuracy, side by side.")
     parser.add_argument("--only", choices=SECTIONS + LONG, help=HELP)
-    parser.add_argument("--quick", action="store_true", help="fewer rounds and seeds (three minutes)")
+    parser.add_argument("--quick", action="store_true", help="fewer rounds and seeds (five minutes)")
     parser.add_argument("--names", nargs="+", metavar="NAME", help="problems, or parts of coverage")
     arguments = parser.parse_args()
     if arguments.names and arguments.only not in LONG:
