@@ -20,10 +20,8 @@ class Recursions(NamedTuple):
 
     Attributes
     ----------
-    tables : array (n, 11, m)
-        Recursion and output coefficients, see `recursion`.
-    participation : array (n, d, m)
-        Of the modes in the inputs.
+    tables : array (n, d, 11, m)
+        Recursion and output coefficients of each input, see `recursion.advance`.
     shapes : array (n, row, m)
         Mode shapes at the rows.
     direct : array (n, row, d)
@@ -31,7 +29,6 @@ class Recursions(NamedTuple):
     """
 
     tables: np.ndarray
-    participation: np.ndarray
     shapes: np.ndarray
     direct: np.ndarray
 
@@ -48,7 +45,7 @@ def response_blocks(recursions: Recursions, excitation: Excitation, size: int):
     A block has `size` samples, the last as many as are left; the excitation has inputs (d, t).
     """
     n, n_rows, n_modes = recursions.shapes.shape
-    states = np.zeros((2, n, excitation.acceleration.shape[0], n_modes))
+    states = np.zeros((2, n, recursions.tables.shape[1], n_modes))
     buffer = np.empty((n_rows, size, n))
     total = n_outputs(excitation.acceleration.shape[1], excitation.substeps, excitation.stride)
     for first in range(0, total, size):
@@ -70,7 +67,7 @@ def advance_all(recursions, excitation, states, first, count, responses):
     responses : array (row, >= count, n)
         Written.
     """
-    tables, participation, shapes, direct = recursions
+    tables, shapes, direct = recursions
     inputs, _, substeps, stride = excitation
     q, p = states
     n, n_rows, n_modes = shapes.shape
@@ -80,9 +77,8 @@ def advance_all(recursions, excitation, states, first, count, responses):
     for k in range(inputs.shape[0]):
         interpolate(inputs[k], substeps, first * stride, ground[k])
     for i in range(n):
-        modal[:] = 0.0
         for k in range(inputs.shape[0]):
-            advance(tables[i], participation[i, k], q[i, k], p[i, k], ground[k], stride, count, modal)
+            advance(tables[i, k], k == 0, q[i, k], p[i, k], ground[k], stride, count, modal)
         np.dot(shapes[i], modal.T, block)
         add_feed(direct[i], ground, stride, count, block)
         for j in range(n_rows):

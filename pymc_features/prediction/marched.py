@@ -13,7 +13,7 @@ from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.system import observe, solve_system, uncoupled
 from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation, Outputs
-from pymc_features.simulators.oscillators.recursion import N_ROWS, write_table
+from pymc_features.simulators.oscillators.recursion import N_ROWS, scale_input, write_table
 from pymc_features.simulators.quantities import HISTORIES, force_share
 
 
@@ -76,8 +76,8 @@ class Chains(Marched):
         complete, found = request.n_modes == first.n_dof, []
         for _, parameters in self.kept:
             _, system, _, _ = modes_of(parameters, self.steps[k], wanted)
-            table = np.empty((N_ROWS, request.n_modes))
-            write_table(system.omega, system.damping, self.steps[k], wanted.quantity, table)
+            table = np.empty((1, N_ROWS, request.n_modes))
+            write_table(system.omega, system.damping, self.steps[k], wanted.quantity, table[0])
             # with the participation in the shapes a response is that of `simulate` to the last bit
             found.append(
                 (table, system.shapes * system.participation[:, 0], chain_feed(system, wanted, complete))
@@ -85,7 +85,7 @@ class Chains(Marched):
         tables, shapes, direct = (np.stack(part) for part in zip(*found, strict=True))
         if combinations is not None:
             shapes, direct = combinations @ shapes, combinations @ direct
-        return Recursions(tables, np.ones((len(self), 1, request.n_modes)), shapes, direct)
+        return Recursions(tables, shapes, direct)
 
 
 class KeptModes(NamedTuple):
@@ -160,12 +160,14 @@ class Oscillators(Marched):
     def recursions(self, k: int, name: str) -> Recursions:
         """Recursions for record `k` and a quantity."""
         load, code = self.loads[k], QUANTITIES.index(HISTORIES[name].source)
-        tables = np.empty((len(self), N_ROWS, self.kept[0].omega.size))
-        for modes, table in zip(self.kept, tables, strict=True):
-            write_table(modes.omega, modes.modal_damping, self.steps[k], code, table)
+        n_inputs, n_modes = self.kept[0].participation[load].shape
+        tables = np.empty((len(self), n_inputs, N_ROWS, n_modes))
+        for modes, of_inputs in zip(self.kept, tables, strict=True):
+            for table, participation in zip(of_inputs, modes.participation[load], strict=True):
+                write_table(modes.omega, modes.modal_damping, self.steps[k], code, table)
+                scale_input(table, participation)
         return Recursions(
             tables,
-            np.stack([modes.participation[load] for modes in self.kept]),
             np.stack([modes.output_shapes[name] for modes in self.kept]),
             np.stack([modes.direct[name, load] for modes in self.kept]),
         )

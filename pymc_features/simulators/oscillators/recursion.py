@@ -75,13 +75,21 @@ def write_table(omega, damping, step, quantity, table):
 
 
 @jit
+def scale_input(table, participation):
+    """Multiply the excitation of a recursion table (11, m) by Gamma (m,) of an input."""
+    for row in range(Q_NOW, P_NEXT + 1):
+        for r in range(participation.size):
+            table[row, r] *= participation[r]
+
+
+@jit
 def advance(table, is_first, q, p, ground, stride, count, outputs):
     """Write `count` outputs of every mode, or add them, and carry the states to the sample behind them.
 
     Parameters
     ----------
     table : array (11, m)
-        From `write_table`, its excitation times Gamma of the input.
+        From `write_table`, after `scale_input`.
     is_first : bool
         Whether the outputs are written; those of other inputs are added.
     q, p : array (m,)
@@ -152,9 +160,7 @@ def march_modes(system, feed, excitation, quantity, observed, history, sums):
     tables = np.empty((n_inputs, N_ROWS, n_modes))
     for i in range(n_inputs):
         write_table(system.omega, system.damping, dt / substeps, quantity, tables[i])
-        for row in range(Q_NOW, P_NEXT + 1):
-            for r in range(n_modes):
-                tables[i, row, r] *= system.participation[r, i]
+        scale_input(tables[i], system.participation[:, i])
     ground, outputs = np.empty((n_inputs, BLOCK * stride + 1)), np.zeros((BLOCK, n_modes))
     q, p, block = np.zeros((n_inputs, n_modes)), np.zeros((n_inputs, n_modes)), np.empty((n_sensors, BLOCK))
     for first in range(0, total, BLOCK):
