@@ -65,7 +65,7 @@ def in_full(function, *args, **kwargs):
     """The same without any basis."""
     KNOWN.forget()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(KNOWN, "of", lambda *given: None)
+        patch.setattr(KNOWN, "of", lambda *given, **settings: None)
         return function(*args, **kwargs)
 
 
@@ -218,6 +218,18 @@ def test_rounding_above_the_limit_ends_the_search(stiff, is_given_up):
     np.testing.assert_allclose(frequencies[-1], expected, rtol=1e-7 if is_given_up else 1e-8)
     with KNOWN.only(KNOWN.fix()):
         assert (KNOWN.of(known.given, M, 80) is None) == is_given_up
+
+
+def test_the_same_structure_again_and_again():
+    """Its modes are in the basis, what their derivatives need is not: the search for that alone ends."""
+    parameters = population(membrane(), np.repeat(NEAR[:1], 40, axis=0))
+    weights = Cotangent(np.ones((40, M)), np.zeros((40, M, 3)), np.zeros((40, M)))
+    linear.linear_population_modes(parameters, WANTED)
+    linear.linear_modes_gradient(parameters, WANTED, weights)
+    [known] = KNOWN.entries
+    assert known.searches[True].is_given_up and known.solved <= 20
+    assert KNOWN.of(known.given, M, 40, left_out=True) is None
+    assert KNOWN.of(known.given, M, 40) is known and known.searches[False].found > 30
 
 
 @pytest.mark.parametrize("softer", [-0.9999, -1.01], ids=["a mode that no other has", "no structure"])

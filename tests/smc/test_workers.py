@@ -157,7 +157,7 @@ def test_large_structures_share_a_basis(eager):
     for one, other in zip(answers[1][0], slopes, strict=True):
         np.testing.assert_array_equal(one, other)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(KNOWN, "of", lambda *given: None)
+        patch.setattr(KNOWN, "of", lambda *given, **settings: None)
         in_full = logp.gradient(particles)
     np.testing.assert_allclose(values[1], in_full[1], rtol=1e-8)
     np.testing.assert_allclose(slopes[4], in_full[4], rtol=1e-5, atol=1e-5 * abs(in_full[4]).max())

@@ -101,7 +101,7 @@ def solved(a: Arguments, particles, *, left_out=False, signed=False):
     signed : bool
         Whether shapes must be positive at their largest entry.
     """
-    known = KNOWN.of(a.parameters, a.wanted.n_modes, len(particles))
+    known = KNOWN.of(a.parameters, a.wanted.n_modes, len(particles), left_out=left_out)
     if known is None:
         for p in particles:
             own = a._replace(parameters=a.parameters.one_of(p))
@@ -116,7 +116,7 @@ def solved(a: Arguments, particles, *, left_out=False, signed=False):
                 yield p, *pair
             for p in unknown:
                 own = a._replace(parameters=a.parameters.one_of(p))
-                yield p, own, learnt(own, known)
+                yield p, own, learnt(own, known, left_out)
             waiting = [p for p in waiting if p not in found and p not in unknown]
 
 
@@ -149,7 +149,7 @@ def solved_in_basis(a, known, particles, left_out, signed) -> tuple:
     return result, [particles[i] for i in (others if known.is_fixed else others[:1])]
 
 
-def learnt(a: Arguments, known) -> System | None:
+def learnt(a: Arguments, known, left_out) -> System | None:
     """The system of a structure that is not found in a basis, whose modes join it."""
     given = a.parameters
     if not given.is_finite:
@@ -159,7 +159,7 @@ def learnt(a: Arguments, known) -> System | None:
     system = solve_system(a, known=modes) if modes else None
     if system is None:
         return None
-    known.learn((mass, stiffness), (factor, *modes))
+    known.learn((mass, stiffness), (factor, *modes), left_out=left_out)
     return system._replace(factor=factor)
 
 

@@ -17,28 +17,46 @@ GUARDS = 3  # one mode more for so many is learnt, since the highest ones change
 ARRAYS = "stiffness", "mass", "damping", "influence", "rows", "starts"
 
 
+class Search:
+    """How the search in a basis goes, for modes or for modes with what their derivatives need.
+
+    Attributes
+    ----------
+    tried, found, fruitless : int
+        How many structures were tried in the basis there is, how many were found in it, and how many of those
+        that were not brought nothing new to it.
+    is_given_up : bool
+        Whether no basis of some hundred columns holds most of them, or rounding hides that one does.
+    """
+
+    def __init__(self):
+        self.is_given_up = False
+        self.begin()
+
+    def begin(self):
+        """Begin in a new basis."""
+        self.tried = self.found = self.fruitless = 0
+
+
 class Known:
     """What is known of structures that share their matrices.
 
     Attributes
     ----------
-    asked : int
-        How many structures have been asked for.
-    tried, found, solved, fruitless : int
-        How many were tried in the basis there is, how many were found in it, how many have been learnt, and
-        how many of these brought nothing new to it.
-    is_given_up : bool
-        Whether no basis of some hundred columns holds most of them, or rounding hides that one does.
+    asked, solved : int
+        How many structures have been asked for, and how many have been learnt.
+    searches : dict
+        A `Search` for modes alone (False), and one for modes with those that are left out (True).
     is_fixed : bool
         Whether nothing more is learnt: what is found then depends on a structure alone, not on those before.
     """
 
     def __init__(self, given, n_modes):
         self.given = given._replace(**{name: getattr(given, name).copy() for name in ARRAYS})
-        self.n_modes, self.asked, self.is_given_up, self.is_fixed = n_modes, 0, False, False
+        self.n_modes, self.asked, self.solved, self.is_fixed = n_modes, 0, 0, False
         self.most = min(MOST_COLUMNS, given.n_dof // 2)
         self.terms, self.basis = None, None
-        self.tried = self.found = self.solved = self.fruitless = 0
+        self.searches = {False: Search(), True: Search()}
 
     def fits(self, given, n_modes) -> bool:
         """Whether it is about these structures."""
@@ -49,6 +67,17 @@ class Known:
     def is_begun(self) -> bool:
         """Whether there are more columns than modes."""
         return self.basis is not None and self.basis.size > self.n_modes + 1
+
+    @property
+    def found(self) -> int:
+        """How many structures were found in the basis there is."""
+        return sum(search.found for search in self.searches.values())
+
+    @property
+    def is_given_up(self) -> bool:
+        """Whether every search that there was is given up."""
+        searches = [search for search in self.searches.values() if search.tried or search.is_given_up]
+        return bool(searches) and all(search.is_given_up for search in searches)
 
     @property
     def n_learnt(self) -> int:
@@ -73,7 +102,8 @@ class Known:
         m, basis = self.n_modes, self.basis
         some, errors = candidates(self.terms, basis, theta, m, left_out)
         places = complete(self.terms, theta, m, some)
-        self.tried, self.found = self.tried + len(theta), self.found + len(places)
+        search = self.searches[left_out]
+        search.tried, search.found = search.tried + len(theta), search.found + len(places)
         result = {}
         for i in places:
             values, vectors = some[i]
@@ -81,24 +111,33 @@ class Known:
             result[i] = np.sqrt(np.maximum(values, 0.0)), vectors
         return basis, result, errors
 
-    def learn(self, matrices, modes):
-        """Let the modes of a structure join: its M and K, and the factor of K + shift M, omega and shapes."""
+    def learn(self, matrices, modes, *, left_out=False):
+        """Let the modes of a structure that was not found join.
+
+        Parameters
+        ----------
+        matrices, modes : tuple
+            M and K; the factor of K + shift M, omega and shapes.
+        left_out : bool
+            As it was in `modes`.
+        """
         _, omega, shapes = modes
+        search = self.searches[left_out]
         is_rigid = omega[0] <= 0.0  # then there is no energy to measure errors by
-        if is_rigid or self.is_given_up or self.is_fixed:
+        if is_rigid or search.is_given_up or self.is_fixed:
             return
         if self.terms is None:
             self.terms = new_terms(self.given, matrices, modes)
             self.basis = new_basis(self.terms)
         grown = joined(self.terms, self.basis, shapes)
-        self.fruitless += grown.size == self.basis.size
-        holds_few = 2 * self.found < self.tried
+        search.fruitless += grown.size == self.basis.size
         is_full = grown.size > self.most
-        if is_full or self.fruitless >= FRUITLESS:
-            self.is_given_up = holds_few
+        if is_full or search.fruitless >= FRUITLESS:
+            search.is_given_up = 2 * search.found < search.tried
         if is_full:  # begin anew, where the structures are now
             grown = joined(self.terms, new_basis(self.terms), shapes)
-            self.tried = self.found = self.fruitless = 0
+            for each in self.searches.values():
+                each.begin()
         self.basis, self.solved = grown, self.solved + 1
 
 
@@ -116,12 +155,12 @@ class AllKnown(threading.local):
     def __init__(self):
         self.entries, self.bases = [], None
 
-    def of(self, given, n_modes, count) -> Known | None:
+    def of(self, given, n_modes, count, *, left_out=False) -> Known | None:
         """What is known of structures, `count` of which are asked for; None where it is not worth while."""
         if given.is_dense or given.has_constant_modes or given.n_dof < LARGE * n_modes:
             return None
         if self.bases is not None:
-            known = (e for e in self.bases if e.fits(given, n_modes) and not e.is_given_up)
+            known = (e for e in self.bases if e.fits(given, n_modes) and not e.searches[left_out].is_given_up)
             return next(known, None)
         for entry in self.entries:
             if entry.fits(given, n_modes):
@@ -131,7 +170,7 @@ class AllKnown(threading.local):
             entry = Known(given, n_modes)
         self.entries = [entry, *self.entries[: MOST_STRUCTURES - 1]]
         entry.asked += count
-        return entry if entry.asked >= FEWEST and not entry.is_given_up else None
+        return entry if entry.asked >= FEWEST and not entry.searches[left_out].is_given_up else None
 
     def forget(self):
         """Drop all, so that what follows does not depend on what was before."""
