@@ -31,7 +31,7 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="NAME",
         default="linear",
         help="linear: the source's (default; three minutes on two cores), or bouc-wen: the same with "
-        "hysteretic springs (most of an hour)",
+        "hysteretic springs (four minutes)",
     )
     add("--record", metavar="FILE", help="ground motion: PEER AT2, text/CSV or .mat")
     add("--units", help="units of the record's file: g, m/s^2, cm/s^2, gal, or m/s^2 per unit")

@@ -1,6 +1,7 @@
 """The command line: messages, interrupts and exit codes."""
 
 import os
+import runpy
 import signal
 import subprocess
 import sys
@@ -29,6 +30,15 @@ def arguments(record_file, out, *more):
         *("reproduce", "--quick", "--record", str(record_file), "--record-dt", "0.02"),
         *("--draws", "60", "--chains", "1", "--cores", "1", "--out", str(out), *more),
     ]
+
+
+def test_the_package_is_the_command(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["pymc_features", "update", "nowhere.toml"])
+    monkeypatch.setattr(cli, "command", cli.main)  # without its signals and what it does at exit
+    with pytest.raises(SystemExit) as stopped:
+        runpy.run_module("pymc_features", run_name="__main__")
+    assert stopped.value.code == 2
+    assert "nowhere.toml" in capsys.readouterr().err
 
 
 def test_reproduce_takes_an_executor(record_file, tmp_path, capsys):
