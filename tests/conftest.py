@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+gc.disable()  # until all is imported, of which nothing is garbage
 _BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 if "PYMC_FEATURES_DATA" not in os.environ and _BESIDE.is_dir():
     os.environ["PYMC_FEATURES_DATA"] = str(_BESIDE)
@@ -37,7 +38,7 @@ RUNS = {"finished", "updated"}  # fixtures that wait for a whole run, which take
 LAST = ["test_jax.py", "test_pages.py", "test_recipes.py", "test_notebooks.py", "test_reference.py"]
 
 
-KERNELS = "simulators", "ops"  # folders whose tests compile most kernels
+KERNELS = "simulators", "ops", "test_benchmarks.py"  # whose tests compile most kernels
 FEW_KERNELS = "io", "identification", "signals", "modal", "test_layout.py", "test_odd_arguments.py"
 
 
@@ -74,7 +75,8 @@ def pytest_collection_modifyitems(items):
 def pytest_collection_finish():
     """Look for garbage less often: what is imported stays, and graphs are made of very many objects."""
     gc.freeze()
-    gc.set_threshold(100_000, 20, 20)
+    gc.set_threshold(1_000_000, 20, 20)
+    gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)

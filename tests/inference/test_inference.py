@@ -21,6 +21,7 @@ from pymc_features.study.models import declare
 
 LIKELIHOODS = ["NORM", "TN", "EXP"]
 QUIET = {"progressbar": False, "random_seed": 1}
+ONE = {"cores": 1}  # a process for each chain takes longer to start than its chain
 pytestmark = pytest.mark.usefixtures("fast_compile")  # all but NUTS, which evaluates most often
 
 
@@ -47,7 +48,7 @@ class Example:
         smc = {"draws": 500, "chains": 1, "cores": 1}
         with pytensor.config.change_flags(mode="Mode"):
             return {
-                kind: pmf.sample_nuts(500, tune=300, model=model, sample_settings=smc, **QUIET)
+                kind: pmf.sample_nuts(500, tune=300, model=model, sample_settings=smc, **ONE, **QUIET)
                 for kind, model in self.models.items()
             }
 
@@ -133,7 +134,7 @@ def ten_springs(record):
         pmf.ExpFeature("y", mu=pmf.response(chain, record), sigma=sigma, observed=measured)
     particles = pmf.sample_smc(1000, model=model, chains=4, **QUIET)
     with pytensor.config.change_flags(mode="Mode"):
-        return particles, pmf.sample_nuts(500, tune=250, model=model, particles=particles, **QUIET)
+        return particles, pmf.sample_nuts(500, tune=250, model=model, particles=particles, **ONE, **QUIET)
 
 
 def standard_errors(idata, kind):

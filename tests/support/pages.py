@@ -19,7 +19,7 @@ def script(path: Path, kind: str = "python") -> str:
     code = "\n".join(blocks(path, kind))
     for ours, theirs in (
         ("chains=2", "chains=2, cores=1, progressbar=False"),
-        ("sample_nuts(1000", "sample_nuts(200, tune=200"),
+        ("sample_nuts(1000", "sample_nuts(200, tune=200, cores=1"),
     ):
         code = code.replace(ours, theirs)
     return code

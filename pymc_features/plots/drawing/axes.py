@@ -1,6 +1,7 @@
 """The axes that a figure is drawn on: those given, or those of a new figure."""
 
 import textwrap
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
@@ -90,12 +91,17 @@ def broken(text: str, inches: float, size: str | float) -> str:
     from matplotlib.textpath import text_to_path
 
     font = FontProperties(size=size)
-    for letters in range(len(text), 0, -1):
-        lines = textwrap.wrap(text, letters)
-        widths = [text_to_path.get_text_width_height_descent(line, font, False)[0] for line in lines]
-        if max(widths, default=0.0) <= 72.0 * inches:
-            return "\n".join(lines)
-    return text
+
+    def is_wider(letters):
+        widths = (
+            text_to_path.get_text_width_height_descent(line, font, False)[0]
+            for line in textwrap.wrap(text, letters)
+        )
+        return max(widths, default=0.0) > 72.0 * inches
+
+    # each width takes a while to compute: search, and not one number of letters after another
+    letters = bisect_left(range(1, len(text) + 1), True, key=is_wider)
+    return "\n".join(textwrap.wrap(text, letters)) if letters else text
 
 
 def close(axes: "Iterable[Axes]") -> None:
