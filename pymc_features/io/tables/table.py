@@ -59,7 +59,7 @@ class Table:
         """Resolution of a printed column, from its decimals and its significant digits."""
         least, digits = 0, 1
         for _, line in self.body:
-            exponent, n_digits = _printed(_split(line, self.separator)[index])
+            exponent, n_digits = _printed(_cell(line, self.separator, index))
             least, digits = min(least, exponent), max(digits, n_digits)
         decimals = 10.0**least
         largest = np.abs(self.values[:, index]).max()
@@ -176,6 +176,11 @@ def _header(lines: Lines) -> tuple[list[str], list[tuple[int, str]], int, str]:
 def _split(line: str, separator: str) -> list[str]:
     cells = [cell.strip().strip('"') for cell in re.split(separator, line.strip())]
     return cells[:-1] if len(cells) > 1 and not cells[-1] else cells
+
+
+def _cell(line: str, separator: str, index: int) -> str:
+    """One cell of `_split`, without those behind it."""
+    return re.split(separator, line.strip(), maxsplit=index + 1)[index].strip().strip('"')
 
 
 def _separator(line: str) -> str | None:
