@@ -81,7 +81,7 @@ def fate(call: Call, argument: str, value) -> str:
     except Passed:
         return "taken"
     except Exception as error:
-        where = extract_tb(error.__traceback__)[-1]
+        where = extract_tb(error.__traceback__, limit=-1)[-1]
         names = (argument, *call.called.get(argument, ()))
         if not where.filename.startswith(ROOT):
             return f"{type(error).__name__} in {Path(where.filename).name}: {error}"
