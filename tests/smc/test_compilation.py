@@ -1,5 +1,6 @@
 """What is compiled around the kernels of a population, and what is not."""
 
+import cloudpickle
 import numpy as np
 import pymc as pm
 import pytensor
@@ -7,6 +8,8 @@ import pytensor.tensor as pt
 import pytest
 from pytensor.link.basic import PerformLinker
 from pytensor.link.numba.linker import NumbaLinker
+from pytensor.scalar import Add, Cast, Mul
+from pytensor.tensor.elemwise import Elemwise
 
 from pymc_features import ExpFeature, ModalDamping, SpringMassChain, response, synthetic_earthquake
 from pymc_features.smc import population_logp
@@ -30,6 +33,23 @@ def linker_of(compile_kwargs):
 
 def test_a_new_model_needs_no_compilation_of_its_graph():
     assert isinstance(linker_of({}), PerformLinker)
+
+
+def test_python_is_called_for_no_single_number():
+    """NumPy or SciPy has a function for every operation on arrays, those of bounded priors included."""
+    model = declare()
+    logp = population_logp(model, model.initial_point(), {})
+    logp.compile_gradient()
+    for function in (logp.values.function, logp.slopes.function):
+        operations = [node.op for node in function.maker.fgraph.toposort() if isinstance(node.op, Elemwise)]
+        folded = (Add, Mul, Cast)  # by PyTensor itself
+        alone = [op for op in operations if not (op.nfunc_spec or isinstance(op.scalar_op, folded))]
+        assert operations and not alone
+    assert cloudpickle.dumps(logp.slopes), "processes of chains take it"
+    x = np.array([[-1.0, 0.2], [-40.0, 0.2], [0.3, -1.0], [20.0, 0.2], [40.0, 0.2]])
+    uniform = -np.logaddexp(0.0, x[:, 0]) - np.logaddexp(0.0, -x[:, 0])  # with its logit's derivative
+    half_normal = 0.5 * np.log(2.0 / np.pi) - 0.5 * np.exp(2.0 * x[:, 1]) + x[:, 1]
+    np.testing.assert_allclose(logp(x)[0], uniform + half_normal, rtol=1e-13)
 
 
 def test_what_the_user_asks_for_comes_first():

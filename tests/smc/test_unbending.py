@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pymc_features.smc.proposals import unbending
+from pymc_features.smc.proposals import polynomials, unbending
 from pymc_features.smc.proposals.fitted import FittedProposal, Unbent, fit_proposal, fit_to, fit_unbent
 from pymc_features.smc.proposals.proposal import fit_mixture
 from pymc_features.smc.proposals.unbending import UnbendingMap
@@ -57,6 +57,28 @@ def test_inverse_and_jacobian(shape, rotated):
     assert smooth.mean() > 0.9, "but for points at the edges of the clipped polynomials"
 
 
+@pytest.mark.parametrize("n_points", [12.0, 30.0, 60.0, 1000.0])
+def test_polynomials_of_all_axes_at_once(n_points):
+    """The same as axis by axis with `monomials`, from linear ones to powers, and back again."""
+    rng, d, n = np.random.default_rng(4), 5, unbending.BATCH + 7
+    axes = []
+    for k in range(d):
+        kind = polynomials.affordable(k, n_points)
+        n_terms = [polynomials.monomials(np.zeros((1, k)), of).shape[1] for of in (kind, polynomials.SQUARES)]
+        axes.append(polynomials.Axis(kind, *(0.2 * rng.standard_normal(m) for m in n_terms), 0.1 * k))
+    of_all, t = polynomials.Polynomials(axes), 2.0 * rng.standard_normal((n, d))
+    shift, log_scale = of_all.of_all(t.T)
+    for k, axis in enumerate(axes):
+        slope = polynomials.monomials(t[:, :k], polynomials.SQUARES) @ axis.slope
+        limit = polynomials.MAX_LOG_SCALE
+        np.testing.assert_allclose(log_scale[k], axis.level + np.clip(slope, -limit, limit), atol=1e-12)
+        np.testing.assert_allclose(
+            shift[k], polynomials.monomials(t[:, :k], axis.kind) @ axis.shift, atol=1e-10
+        )
+    z = (t.T - shift) * np.exp(-log_scale)
+    np.testing.assert_allclose(of_all.solved(z), t.T, atol=1e-9)
+
+
 @shapes
 def test_it_unbends(shape):
     """The mapped coordinates of other draws are less dependent, by three measures on their ranks.
@@ -104,7 +126,7 @@ def test_a_parabola_between_logits(monkeypatch):
         return w.sum() ** 2 / (w @ w) / len(w)
 
     kept = share_kept()
-    monkeypatch.setattr(unbending, "affordable", lambda k, n_points: unbending.PRODUCTS)
+    monkeypatch.setattr(unbending, "affordable", lambda k, n_points: polynomials.PRODUCTS)
     assert kept > 0.08 and kept > 3.0 * share_kept()
 
 

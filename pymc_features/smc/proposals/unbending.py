@@ -18,11 +18,18 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
-LINEAR, SQUARES, PRODUCTS, POWERS = "linear", "squares", "products", "powers"  # polynomials of step 3
-CLIP = 4.0  # standard deviations beyond which polynomials stay as they are
-MAX_LOG_SCALE = 6.0
+from pymc_features.smc.proposals.polynomials import (
+    MAX_LOG_SCALE,
+    PRODUCTS,
+    SQUARES,
+    Axis,
+    Polynomials,
+    affordable,
+    monomials,
+)
+
+BATCH = 256  # points whose monomials are taken at a time
 SMALLEST_SQUARE = 1e-6  # beside the mean square, where a logarithm is taken
-TERMS_PER_POINT = 0.25  # a polynomial has at most this many coefficients for each effective point
 ENOUGH = 1000  # points to tell which coordinates others follow
 CHANCE = 5.0  # nats times points that a fit gains by chance
 LEVELS = np.array([0.005, 0.02, 0.05, 0.15, 0.3, 0.5, 0.7, 0.85, 0.95, 0.98, 0.995])
@@ -40,27 +47,13 @@ class Margins(NamedTuple):
     def forward(self, x):
         """u (n, d), and ln |du/dx| (n,)."""
         v = (x - self.location) / self.scale
-        a = self.delta * np.arcsinh(v) - self.epsilon
-        slopes = np.log(np.cosh(a)) + np.log(self.delta / self.scale) - 0.5 * np.log1p(v**2)
-        return np.sinh(a), slopes.sum(axis=1)
+        u = np.sinh(self.delta * np.arcsinh(v) - self.epsilon)
+        slopes = 0.5 * np.log((1.0 + u**2) / (1.0 + v**2))  # cosh(asinh(u)) over cosh(asinh(v))
+        return u, slopes.sum(axis=1) + np.log(self.delta / self.scale).sum()
 
     def inverse(self, u):
         """x (n, d)."""
         return self.location + self.scale * np.sinh((np.arcsinh(u) + self.epsilon) / self.delta)
-
-
-class Axis(NamedTuple):
-    """Coefficients of step 3 for one axis: those of its place (of a kind) and log scale, and a constant."""
-
-    kind: str
-    shift: np.ndarray
-    slope: np.ndarray
-    level: float
-
-    def parts(self, wider):
-        """p_k and s_k, each (n,), given the wider axes (n, k)."""
-        log_scale = np.clip(monomials(wider, SQUARES) @ self.slope, -MAX_LOG_SCALE, MAX_LOG_SCALE)
-        return monomials(wider, self.kind) @ self.shift, self.level + log_scale
 
 
 class UnbendingMap:
@@ -93,27 +86,32 @@ class UnbendingMap:
             self.vectors, self.deviations = np.eye(len(order))[:, order], np.sqrt(np.diag(scatter))[order]
         t = centred @ self.vectors / self.deviations
         self.axes = [fit_axis(t[:, :k], t[:, k], w, n_points) for k in range(x.shape[1])]
+        self.polynomials = Polynomials(self.axes)
 
     def forward(self, x):
         """z (n, d), and ln |dz/dx| (n,)."""
-        u, log_jacobian = self.margins.forward(x)
-        t = (u - self.mean) @ self.vectors / self.deviations
-        z = np.empty_like(t)
-        log_jacobian = log_jacobian - np.log(self.deviations).sum()
-        for k, axis in enumerate(self.axes):
-            shift, log_scale = axis.parts(t[:, :k])
-            z[:, k] = (t[:, k] - shift) * np.exp(-log_scale)
-            log_jacobian -= log_scale
-        return z, log_jacobian
+        z, log_jacobian = np.empty_like(x), np.empty(len(x))
+        for rows in batches(len(x)):
+            u, slopes = self.margins.forward(x[rows])
+            t = ((u - self.mean) @ self.vectors / self.deviations).T
+            shift, log_scale = self.polynomials.of_all(t)
+            z[rows] = ((t - shift) * np.exp(-log_scale)).T
+            log_jacobian[rows] = slopes - log_scale.sum(axis=0)
+        return z, log_jacobian - np.log(self.deviations).sum()
 
     def inverse(self, z):
         """x (n, d); infinite where a point is too far out."""
-        t = np.empty_like(z)
-        for k, axis in enumerate(self.axes):
-            shift, log_scale = axis.parts(t[:, :k])
-            t[:, k] = z[:, k] * np.exp(log_scale) + shift
+        x = np.empty_like(z)
         with np.errstate(over="ignore"):
-            return self.margins.inverse(self.mean + (t * self.deviations) @ self.vectors.T)
+            for rows in batches(len(z)):
+                t = self.polynomials.solved(np.ascontiguousarray(z[rows].T)).T
+                x[rows] = self.margins.inverse(self.mean + (t * self.deviations) @ self.vectors.T)
+        return x
+
+
+def batches(n: int) -> list[slice]:
+    """Parts of n points that stay in a processor's cache."""
+    return [slice(first, first + BATCH) for first in range(0, n, BATCH)]
 
 
 def influence(t, w, n_points) -> np.ndarray:
@@ -133,33 +131,6 @@ def entropies(wider, t, w, n_points) -> np.ndarray:
     """Entropy of each coordinate (n, k) given the wider ones, less that of a standard normal one (k,)."""
     rest, log_scale = conditional(wider, t, w, n_points, PRODUCTS)[2:]
     return 0.5 * np.log(w @ (rest * np.exp(-log_scale)) ** 2) + w @ log_scale
-
-
-def monomials(t, kind: str):
-    """Terms (n, terms) of a polynomial of coordinates (n, k), which count within `CLIP`.
-
-    1 and t_i if it is `LINEAR`; besides, t_i^2 with `SQUARES`, all t_i t_j with `PRODUCTS`, and these and
-    t_i^3, t_i^4 with `POWERS`: a parabola of parameters is none of the logarithms or logits that are sampled.
-    """
-    t = np.clip(t, -CLIP, CLIP)
-    columns = [np.ones((len(t), 1)), t]
-    if kind == SQUARES:
-        columns.append(t**2)
-    elif kind != LINEAR:
-        i, j = np.triu_indices(t.shape[1])
-        columns.append(t[:, i] * t[:, j])
-    if kind == POWERS:
-        columns += [t**3, t**4]
-    return np.hstack(columns)
-
-
-def affordable(k: int, n_points: float) -> str:
-    """Polynomial of k coordinates with as many terms as so many effective points can tell."""
-    n_products = (k + 1) * (k + 2) // 2
-    for kind, n_terms in ((POWERS, n_products + 2 * k), (PRODUCTS, n_products), (SQUARES, 2 * k + 1)):
-        if n_terms <= TERMS_PER_POINT * n_points:
-            return kind
-    return LINEAR
 
 
 def fit_axis(wider, t, w, n_points) -> Axis:
