@@ -66,7 +66,7 @@ ALLOWED = {
         "cyclic_test",
     },
 }
-ANYTHING = {"__init__", "public", "cli"}
+ANYTHING = {"__init__", "__main__", "public", "cli"}
 
 PUBLIC_NAMES = [
     "AffineStructure",
