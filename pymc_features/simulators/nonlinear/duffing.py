@@ -10,6 +10,7 @@ from pymc_features.simulators.taylor.adjoint.series import Adjoint, add_constant
 from pymc_features.simulators.taylor.series import (
     Group,
     Series,
+    coefficient,
     constant_of,
     product,
     square,
@@ -54,9 +55,10 @@ def has_kinks(law):
     return False
 
 
+ORDER = 10
 STIFFNESS, COEFFICIENT = range(2)  # constants
 DRIFTS, SQUARES = range(2)  # series
-FORCES = 0  # series of bars
+CUBES_BAR, FORCES = range(2)  # series of bars: of (d^3)_k / c, then of the force
 
 
 def expand(spring, k, drift, rate):
@@ -67,14 +69,23 @@ def expand(spring, k, drift, rate):
     return constant_of(spring, STIFFNESS) * drift + constant_of(spring, COEFFICIENT) * cube
 
 
-def reverse(spring, bars, k, drift, rate, force):
-    """With fbar: dbar_k = k fbar_k + 3 c sum_j fbar_j (d^2)_j-k, cbar = sum_jk fbar_j (d^2)_j-k d_k."""
-    write_coefficient(bars, FORCES, k, force)
+def reverse(spring, bars, k, force):
+    """With fbar: dbar_k = k fbar_k + 3 c sum_j fbar_j (d^2)_j-k."""
     by_cube = correlation(bars, FORCES, spring, SQUARES, k)
-    add_constant(bars, STIFFNESS, force * drift)
-    add_constant(bars, COEFFICIENT, by_cube * drift)
+    write_coefficient(bars, CUBES_BAR, k, by_cube)
     tangent = 3.0 * constant_of(spring, COEFFICIENT)
-    return constant_of(spring, STIFFNESS) * force + tangent * by_cube, splat(0.0)
+    return constant_of(spring, STIFFNESS) * force + tangent * by_cube, splat(0.0), splat(0.0)
+
+
+def reverse_sums(spring, bars, drift, loading, sign):
+    """kbar = sum_k fbar_k d_k, cbar = sum_jk fbar_j (d^2)_j-k d_k."""
+    by_stiffness = by_coefficient = splat(0.0)
+    for k in range(ORDER):
+        drift = coefficient(spring, DRIFTS, k)
+        by_stiffness = by_stiffness + coefficient(bars, FORCES, k) * drift
+        by_coefficient = by_coefficient + coefficient(bars, CUBES_BAR, k) * drift
+    add_constant(bars, STIFFNESS, by_stiffness)
+    add_constant(bars, COEFFICIENT, by_coefficient)
 
 
 class CubicGroup(Group):
@@ -82,13 +93,13 @@ class CubicGroup(Group):
 
 
 SERIES = Series(
-    order=10,
+    order=ORDER,
     tolerance=2.5e-7,
     n_series=2,
     n_constants=2,
     serves=lambda values: (values[0] >= 0.0) & (values[0] < np.inf),
     constants=lambda stiffness, values: [stiffness, values[0]],
     expand=expand,
-    adjoint=Adjoint(1, reverse),
+    adjoint=Adjoint(FORCES, reverse, reverse_sums),
 )
 register(Cubic, Functions(1, spring, partials, step_rate, is_admissible, has_kinks, {CubicGroup: SERIES}))

@@ -11,34 +11,44 @@ from functools import cache
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.taylor.orders import finish_of, orders_from
 from pymc_features.simulators.taylor.search import search_of
+from pymc_features.simulators.taylor.tape import tape_of
 
 BLOCK = 8  # springs, whose coefficients fill half of a first cache of 32 KB
 SHORT = 16  # springs of a chain that is one block: those of two would be read as often
 
 
 @cache
-def series_of(series, ends):
-    """Return the function that expands all series of a step, and where it `ends` sums them up.
+def series_of(series, repeats):
+    """Return the function that expands all series of a step, and sums them up.
+
+    One that `repeats` a step takes its beginning from a tape. It leaves the displacements there, and sums up
+    what the search for kinks needs.
 
     It returns the number of pairs with kinks that wait in the batch.
     """
     first, others, order = orders_from(series, 0), orders_from(series, 1), series.order
-    finish, kinks = finish_of(series), series.branch is not None
+    finish, kinks, restore = finish_of(series, not repeats), series.branch is not None, tape_of(series)[1]
     search = search_of(series) if kinks else None
 
     @jit
-    def expand(group, load, push, has_begun, batch, trace):
-        """`load` and `push` are H^2 times the ground acceleration at the beginning, and its change."""
+    def expand(group, load, push, begun, batch, trace):
+        """`load` and `push` are H^2 times the ground acceleration at the beginning, and its change.
+
+        `begun` tells whether order 0 is done; in a step that is repeated it is the address of its beginning.
+        """
         address, _, modal, n = group
         largest = n if modal != 0 or n <= SHORT else BLOCK
         high, count = n, 0
         while high > 0:
             size = largest if high > largest else high
-            if not has_begun:
+            if repeats:  # and the spring below as well
+                top = high if high == n else high - 1
+                restore(group, begun, top, size + top - high + (1 if size < high else 0))
+            if repeats or not begun:
                 first(address, modal, n, load, high, size)
             top = high + 1 if high + 1 < n else n
             others(address, modal, n, push, top, size - 1 + top - high if size < high else top)
-            if ends:
+            if kinks or not repeats:
                 top = high + order if high + order < n else n
                 finish(address, n, top, size - order + top - high if size < high else top)
             if kinks:

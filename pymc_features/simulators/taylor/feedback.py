@@ -24,7 +24,7 @@ from pymc_features.simulators.taylor.series import Spring
 
 @cache
 def feedback_of(series):
-    """Return the functions that apply the changes, and choose the branches of the springs."""
+    """Return the function that applies the changes."""
     length, record, entries, constants = layout_of(series)
     branch, tangent = jit(series.branch), jit(series.tangent)
 
@@ -38,7 +38,7 @@ def feedback_of(series):
         add_lanes(address, at + U - record, down * force_2)
 
     @jit
-    def respond(address, here, share, kink):
+    def respond(address, here, share, kink, before):
         """Let a spring follow a drift that is `share` times the force of a kink, integrated twice.
 
         Returns z before that.
@@ -51,8 +51,10 @@ def feedback_of(series):
         rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
         branch(spring, rate_sign * z_sign, z_sign)
         stiffness, z_by_drift, _ = tangent(spring, z)
-        dashpot = read_lanes(address, at + DASHPOT)
-        push(address, at, share * (stiffness * j3 + dashpot * j2), share * (stiffness * j4 + dashpot * j3))
+        if before is None:
+            dashpot = read_lanes(address, at + DASHPOT)
+            force_1, force_2 = stiffness * j3 + dashpot * j2, stiffness * j4 + dashpot * j3
+            push(address, at, share * force_1, share * force_2)
         write_lanes(address, at + Z_END, z + z_by_drift * share * j2)
         return z
 
@@ -60,7 +62,8 @@ def feedback_of(series):
     def apply(address, n, before):
         """Add the changes of all kinks of the step.
 
-        Unless `before` is None, z of the springs that follow is written there, three vectors for each kink.
+        Unless `before` is None z alone changes, and what that of the springs that follow was is written
+        there, three vectors for each kink.
         """
         drag = read_lanes(address, (n + 1) * record + DRAG)
         for i in range(1, n + 1):
@@ -70,25 +73,17 @@ def feedback_of(series):
                 up, down = read_lanes(address, at + MOBILITY), read_lanes(address, at + MOBILITY - record)
                 j1, j2 = read_lanes(address, at + CHANGE + 1), read_lanes(address, at + CHANGE + 2)
                 add_lanes(address, at + Z_END, read_lanes(address, at + CHANGE))
-                push(address, at, j1 - drag * j2, j2)
+                if before is None:
+                    push(address, at, j1 - drag * j2, j2)
                 below = above = splat(0.0)
                 if i > 1:
-                    below = respond(address, here - record, down, at)
-                own = respond(address, here, 0.0 - (up + down), at)
+                    below = respond(address, here - record, down, at, before)
+                own = respond(address, here, 0.0 - (up + down), at, before)
                 if i < n:
-                    above = respond(address, here + record, up, at)
+                    above = respond(address, here + record, up, at, before)
                 if before is not None:
                     write_lanes(before, 3 * i, below)
                     write_lanes(before, 3 * i + 1, own)
                     write_lanes(before, 3 * i + 2, above)
 
-    @jit
-    def choose_branches(address, n):
-        """Write the constants of the branches that the springs have."""
-        for i in range(1, n + 1):
-            here = i * record
-            at = here + entries
-            rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
-            branch(Spring(address, here + length, length, here + constants), rate_sign * z_sign, z_sign)
-
-    return apply, choose_branches
+    return apply

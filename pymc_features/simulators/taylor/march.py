@@ -52,9 +52,9 @@ LARGEST_Z = 1e-2  # last coefficient of z: above it the series are of no use
 def group_of(series):
     """Return functions of one group: rescale, keep or bring back the state, begin and take a step."""
     _, record, entries, _ = layout_of(series)
-    first, expand, kinks = orders_from(series, 0), series_of(series, True), series.branch is not None
+    first, expand, kinks = orders_from(series, 0), series_of(series, False), series.branch is not None
     if kinks:
-        turn, apply = turn_of(series), feedback_of(series)[0]
+        turn, apply = turn_of(series), feedback_of(series)
 
     @jit
     def rescale(group, ratio):

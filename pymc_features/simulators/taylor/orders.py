@@ -118,15 +118,18 @@ def orders_from(series, k):
 
 
 @cache
-def finish_of(series):
-    """Return the function that sums the series up at the end of a step."""
+def finish_of(series, moves):
+    """Return the function that sums the series up at the end of a step, all of them or those of H v and z."""
     length, record, entries, _ = layout_of(series)
     order, kinks = series.order, series.branch is not None
     z_first = (1 + Z) * length
 
     @jit
     def finish(address, n, high, size):
-        """Advance u, H v and z of a block of springs; keep the largest last coefficient of each chain."""
+        """Advance H v and z of a block of springs, and where it `moves` u.
+
+        Then the largest last coefficients of each chain are kept as well.
+        """
         largest = largest_z = total = splat(0.0)
         for i in range(high - size + 1, high + 1):
             here = i * record
@@ -139,7 +142,8 @@ def finish_of(series):
                 u = u + c * (1.0 / (k + 1))
             total = total + v  # a maximum forgets what is not finite
             at = here + entries
-            write_lanes(address, at + U, read_lanes(address, at + U) + u)
+            if moves:
+                write_lanes(address, at + U, read_lanes(address, at + U) + u)
             write_lanes(address, at + V_END, v)
             if kinks:
                 z = read_lanes(address, here + z_first + order)
@@ -147,10 +151,11 @@ def finish_of(series):
                 for k in range(order - 1, -1, -1):
                     z = z + read_lanes(address, here + z_first + k)
                 write_lanes(address, at + Z_END, z)
-        largest = where_less(magnitude(total), splat(HUGE), largest, splat(np.inf))
-        last = (n + 1) * record + LAST
-        write_lanes(address, last, larger(read_lanes(address, last), largest))
-        if kinks:
+        if moves:
+            largest = where_less(magnitude(total), splat(HUGE), largest, splat(np.inf))
+            last = (n + 1) * record + LAST
+            write_lanes(address, last, larger(read_lanes(address, last), largest))
+        if moves and kinks:
             last = (n + 1) * record + LAST_Z
             write_lanes(address, last, larger(read_lanes(address, last), largest_z))
 

@@ -77,6 +77,13 @@ def width_of(series) -> int:
     return 2 if series.branch is None else 4
 
 
+@jit
+def signs_of(signs):
+    """Signs of drift rate and z, from what is kept of them."""
+    rate_sign = where_less(signs, splat(0.0), splat(-1.0), splat(1.0))
+    return rate_sign, signs - 2.0 * rate_sign
+
+
 @cache
 def tape_of(series):
     """Return the functions that keep a state, bring one back, and note the steps that were accepted."""
@@ -99,21 +106,19 @@ def tape_of(series):
             to += width
 
     @jit
-    def restore(group, states, slot):
-        """Make a kept state the present one."""
-        address, n = group.address, group.n
-        to = slot * n * width
-        for i in range(1, n + 1):
+    def restore(group, state, high, size):
+        """Make a kept state that of a block of springs."""
+        address = group.address
+        for i in range(high - size + 1, high + 1):
+            to = (i - 1) * width
             at = i * record + entries
-            write_lanes(address, at + V_END, read_lanes(states, to))
-            write_lanes(address, at + U, read_lanes(states, to + 1))
+            write_lanes(address, at + V_END, read_lanes(state, to))
+            write_lanes(address, at + U, read_lanes(state, to + 1))
             if kinks:
-                signs = read_lanes(states, to + 3)
-                rate_sign = where_less(signs, splat(0.0), splat(-1.0), splat(1.0))
-                write_lanes(address, at + Z_END, read_lanes(states, to + 2))
+                rate_sign, z_sign = signs_of(read_lanes(state, to + 3))
+                write_lanes(address, at + Z_END, read_lanes(state, to + 2))
                 write_lanes(address, at + RATE_SIGN, rate_sign)
-                write_lanes(address, at + Z_SIGN, signs - 2.0 * rate_sign)
-            to += width
+                write_lanes(address, at + Z_SIGN, z_sign)
 
     @jit
     def accept(group, tape, fine, count):

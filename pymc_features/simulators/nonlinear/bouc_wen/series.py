@@ -4,7 +4,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import splat, where_less
-from pymc_features.simulators.taylor.adjoint.series import Adjoint, add_coefficient, add_constant, correlation
+from pymc_features.simulators.taylor.adjoint.series import Adjoint, add_constant, correlation
 from pymc_features.simulators.taylor.powers import (
     COEFFICIENTS,
     DEGREE,
@@ -37,7 +37,7 @@ SHARPEST = 6.0  # n of springs that take Taylor steps
 # Taylor series, for n = 1 and 2: z' = d' (1 - w) / d_y with w = loss |z|^n = a z + b z^2
 ORDER = 6
 LOSSES = 2  # series of w
-ELASTIC, HYSTERETIC, PER_YIELD, LOADING, UNLOADING, POWER, BY_Z, BY_SQUARE = range(8)
+ELASTIC, HYSTERETIC, PER_YIELD, LOADING, UNLOADING, POWER, BY_Z, BY_SQUARE, YIELD = range(9)
 
 
 def constants(stiffness, values):
@@ -71,6 +71,12 @@ def tangents(spring, losses):
 loss_of, advance, tangents = jit(loss_of), jit(advance), jit(tangents)
 
 
+def constants_of_squares(stiffness, values):
+    """Those above, a and b of a branch, and d_y."""
+    usual = constants(stiffness, values)
+    return [*usual, 0.0 * stiffness, 0.0 * stiffness, values[YIELD_DISPLACEMENT]]
+
+
 def branch(spring, loading, sign):
     """a and b of a branch."""
     loss, is_linear = loss_of(spring, loading), 2.0 - constant_of(spring, POWER)
@@ -90,36 +96,61 @@ def tangent(spring, z):
     return tangents(spring, z * (constant_of(spring, BY_Z) + constant_of(spring, BY_SQUARE) * z))
 
 
-CHANGES, LOSSES_BAR = 2, 3  # series of bars: of (k + 1) z_k+1, and of w_k
+LOSSES_BAR, SQUARES_BAR, FORCES = 2, 3, 4  # series of bars: of w_k and of (z^2)_k / b, then of the force
 
 
-def reverse(spring, bars, k, drift, rate, force):
+def reverse(spring, bars, k, force):
     """z' = d' (1 - w) / d_y and w = a z + b z^2, transposed."""
-    z = coefficient(spring, Z, k)
-    change = coefficient(bars, Z, k + 1) * splat(1.0 / (k + 1))
-    write_coefficient(bars, CHANGES, k, change)
-    net = change - correlation(bars, CHANGES, spring, LOSSES, k)
-    losses = constant_of(spring, PER_YIELD) * (0.0 - correlation(bars, CHANGES, spring, RATE, k))
+    change, per_yield = coefficient(bars, Z, k + 1), constant_of(spring, PER_YIELD)
+    net = change - correlation(bars, Z, spring, LOSSES, k, 1)
+    losses = per_yield * (0.0 - correlation(bars, Z, spring, RATE, k, 1))
     write_coefficient(bars, LOSSES_BAR, k, losses)
     squares = correlation(bars, LOSSES_BAR, spring, Z, k)
+    write_coefficient(bars, SQUARES_BAR, k, squares)
     of_z = constant_of(spring, BY_Z) * losses + 2.0 * (constant_of(spring, BY_SQUARE) * squares)
-    add_coefficient(bars, Z, k, of_z + constant_of(spring, HYSTERETIC) * force)
-    add_constant(bars, ELASTIC, force * drift)
-    add_constant(bars, HYSTERETIC, force * z)
-    add_constant(bars, PER_YIELD, rate * net)
-    add_constant(bars, BY_Z, losses * z)
-    add_constant(bars, BY_SQUARE, squares * z)
-    return constant_of(spring, ELASTIC) * force, constant_of(spring, PER_YIELD) * net
+    return (
+        constant_of(spring, ELASTIC) * force,
+        per_yield * net,
+        of_z + constant_of(spring, HYSTERETIC) * force,
+    )
+
+
+@jit
+def add_losses(spring, bars, loading, sign, by_z, by_square):
+    """Add to the bar of the loss of a branch, from those of a and b."""
+    zero, is_linear = splat(0.0), 2.0 - constant_of(spring, POWER)
+    loss = is_linear * (sign * by_z) + (1.0 - is_linear) * by_square
+    add_constant(bars, LOADING, where_less(zero, loading, loss, zero))
+    add_constant(bars, UNLOADING, where_less(zero, loading, zero, loss))
+
+
+def reverse_sums(spring, bars, drift, loading, sign):
+    """Bars of the constants from those of the series: dL/d(1/d_y) = d_y sum_k zbar_k z_k, k > 0."""
+    elastic = hysteretic = per_yield = by_z = by_square = splat(0.0)
+    for k in range(ORDER):
+        z = coefficient(spring, Z, k)
+        by_z = by_z + coefficient(bars, LOSSES_BAR, k) * z
+        by_square = by_square + coefficient(bars, SQUARES_BAR, k) * z
+        per_yield = per_yield + (k + 1.0) * coefficient(bars, Z, k + 1) * coefficient(spring, Z, k + 1)
+        if drift is not None:
+            force = coefficient(bars, FORCES, k)
+            hysteretic = hysteretic + force * z
+            if k > 0:
+                elastic = elastic + (1.0 / k) * force * coefficient(spring, RATE, k - 1)
+            else:
+                elastic = elastic + force * drift
+    add_constant(bars, PER_YIELD, constant_of(spring, YIELD) * per_yield)
+    add_losses(spring, bars, loading, sign, by_z, by_square)
+    if drift is not None:
+        add_constant(bars, ELASTIC, elastic)
+        add_constant(bars, HYSTERETIC, hysteretic)
 
 
 def reverse_branch(spring, bars, loading, sign):
     """To the loss of the branch, from a and b."""
-    zero, is_linear = splat(0.0), 2.0 - constant_of(spring, POWER)
-    loss = is_linear * (sign * constant_of(bars, BY_Z)) + (1.0 - is_linear) * constant_of(bars, BY_SQUARE)
-    add_constant(bars, LOADING, where_less(zero, loading, loss, zero))
-    add_constant(bars, UNLOADING, where_less(zero, loading, zero, loss))
-    write_constant(bars, BY_Z, zero)
-    write_constant(bars, BY_SQUARE, zero)
+    add_losses(spring, bars, loading, sign, constant_of(bars, BY_Z), constant_of(bars, BY_SQUARE))
+    write_constant(bars, BY_Z, splat(0.0))
+    write_constant(bars, BY_SQUARE, splat(0.0))
 
 
 def reverse_tangent(spring, bars, z, of_drift, z_of_drift, of_z):
@@ -235,13 +266,15 @@ SQUARES = Series(
     order=ORDER,
     tolerance=4e-7,
     n_series=3,
-    n_constants=8,
+    n_constants=9,
     serves=serves,
-    constants=constants,
+    constants=constants_of_squares,
     expand=expand,
     branch=branch,
     tangent=tangent,
-    adjoint=Adjoint(4, reverse, reverse_branch, reverse_tangent, fixed=((SHARPNESS, (1.0, 2.0)),)),
+    adjoint=Adjoint(
+        FORCES, reverse, reverse_sums, reverse_branch, reverse_tangent, fixed=((SHARPNESS, (1.0, 2.0)),)
+    ),
 )
 POWERS = Series(
     order=ORDER,

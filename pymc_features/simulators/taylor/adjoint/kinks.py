@@ -37,7 +37,7 @@ from pymc_features.simulators.taylor.kinks import (
     trace_size,
 )
 from pymc_features.simulators.taylor.layout import CHANGE, N_MOMENTS, Z_END, add_lanes, layout_of
-from pymc_features.simulators.taylor.series import RATE, Spring, Z, coefficient
+from pymc_features.simulators.taylor.series import RATE, Spring, Z, coefficient, write_coefficient
 
 TINY = 1e-14  # what is left of a step behind a kink at its end
 
@@ -52,14 +52,19 @@ def bars_size(series) -> int:
 def expansion_adjoint(series, k):
     """Return the function that carries bars of z back through an expansion, from order k down."""
     expand, rest = unrolled(series.adjoint.expand), expansion_adjoint(series, k - 1) if k > 0 else None
+    sums, begins, order = jit(series.adjoint.sums), k == series.order - 1, series.order
 
     @jit
-    def expansion(spring, bars):
-        zero = splat(0.0)
-        rate_bar = expand(spring, bars, k, zero, coefficient(spring, RATE, k), zero)[1]
+    def expansion(spring, bars, loading, sign):
+        if begins:
+            write_coefficient(bars, Z, order, coefficient(bars, Z, order) * splat(1.0 / order))
+        _, rate_bar, z_bar = expand(spring, bars, k, splat(0.0))
         add_coefficient(bars, RATE, k, rate_bar)
+        write_coefficient(bars, Z, k, (coefficient(bars, Z, k) + z_bar) * splat(1.0 / max(k, 1)))
         if rest is not None:
-            rest(spring, bars)
+            rest(spring, bars, loading, sign)
+        else:
+            sums(spring, bars, None, loading, sign)
 
     return expansion
 
@@ -100,7 +105,8 @@ def turns_adjoint(series):
                 to, value = (there + rates + k) * LANES + own, read_number(batch, (rates + k) * LANES + lane)
                 write_number(bars, to, read_number(bars, to) + value)
                 to, value = (there + zs + k) * LANES + own, read_number(batch, (zs + k) * LANES + lane)
-                write_number(bars, to, read_number(bars, to) + value + of_end)
+                value = value + of_end if k < order else (value + of_end) / order  # as the law wants it
+                write_number(bars, to, read_number(bars, to) + value)
             for c in range(own_constants, own_record):
                 to = (there + c) * LANES + own
                 write_number(bars, to, read_number(bars, to) + read_number(batch, c * LANES + lane))
@@ -198,9 +204,9 @@ def turns_adjoint(series):
             add_lanes(batch, done_at, splat(0.0) - of_left)
             spring = Spring(at, length, length, constants)
             of_spring = Spring(batch, length, length, own_constants)
-            unexpand(spring, of_spring)
             z_sign = read_lanes(at, size + Z_SIGN_BEHIND)
             loading = read_lanes(at, size + RATE_SIGN_BEHIND) * z_sign
+            unexpand(spring, of_spring, loading, z_sign)
             if is_last:
                 z_end = read_lanes(at, entries + Z_END)
                 zero, of_by_z = splat(0.0), read_lanes(batch, by_z_at)

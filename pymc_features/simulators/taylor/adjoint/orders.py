@@ -6,18 +6,23 @@ law gives the bars of drift and drift rate, Dbar_i and Rbar_i, and
     Vbar_i,k   +=  Rbar_i - Rbar_i+1 + beta k_i / H (fbar_i - fbar_i+1) - alpha H Vbar_i,k+1 / (k + 1),
     Vbar_i,k-1 += (Dbar_i - Dbar_i+1) / k;    for k = 0 the displacements instead.
 
-Bars of masses are those by ln(H^2/m_i), of dashpots by beta k_i / H, of `DRAG` by alpha H.
+Both ends of a step have bars of u, H v and z: in the entries `U`, `V_END` and `Z_END` of a record. At the end
+H v and z are the sums of their coefficients, and u has grown by sum V_k / (k + 1): with these shares the bars
+of the coefficients begin, each where it is first added to. What masses and springs get is summed up over all
+orders where order 0 is reached: by ln(H^2/m_i), of dashpots by beta k_i / H, of `DRAG` by alpha H.
 """
 
 from functools import cache
 
 from pymc_features.simulators.compiled.jit import jit, unrolled
-from pymc_features.simulators.compiled.vector import splat
-from pymc_features.simulators.compiled.vector_memory import prefetch, read_lanes, write_lanes
+from pymc_features.simulators.compiled.vector import LANES, splat
+from pymc_features.simulators.compiled.vector_memory import prefetch, read_lanes, read_number, write_lanes
 from pymc_features.simulators.taylor.layout import (
     DASHPOT,
     DRAG,
+    HAS_KINK,
     MOBILITY,
+    N_CHAIN_ENTRIES,
     RATE_SIGN,
     V_END,
     Z_END,
@@ -31,14 +36,15 @@ from pymc_features.simulators.taylor.tape import width_of
 
 
 def bars_of(series):
-    """The recurrence with the series that its bars have, for their layout."""
-    return series._replace(n_series=series.adjoint.n_series)
+    """The recurrence with the series that its bars have, those of the forces last, for their layout."""
+    return series._replace(n_series=series.adjoint.n_series + 1)
 
 
 @cache
 def damping_adjoint(series, k):
     """Return the function that adds to the bars of coefficients k what comes through modal ratios."""
-    own, share = layout_of(bars_of(series)).record, -1.0 / (k + 1)
+    _, own, entries, _ = layout_of(bars_of(series))
+    share, to = -1.0 / (k + 1), entries + V_END if k == 0 else k
 
     @jit
     def undamp(bars, modal, n):
@@ -46,7 +52,7 @@ def damping_adjoint(series, k):
             total = splat(0.0)
             for i in range(n):
                 total = total + read_lanes(modal, i * n + j) * read_lanes(bars, (i + 1) * own + k + 1)
-            add_lanes(bars, (j + 1) * own + k, share * total)
+            add_lanes(bars, (j + 1) * own + to, share * total)
 
     return undamp
 
@@ -72,103 +78,121 @@ def damping_bars(series):
 
 @cache
 def reverse_from(series, k):
-    """Return the function that carries bars back over order k; for k > 1 over those below it as well, to 1.
+    """Return the function that carries bars of a block back over order k; for k > 1 over those below, to 1.
 
-    `push` is that of order 0 or 1; `ahead` is the address of the state that is restored next, which has most
-    often left the caches.
+    Order k stays one spring behind order k + 1, as in `taylor/orders.py`. `ahead` is the address of the state
+    that is restored next, which has most often left the caches.
     """
     length, record, entries, constants = layout_of(series)
     _, own, own_entries, own_constants = layout_of(bars_of(series))
     expand, share, last = unrolled(series.adjoint.expand), 1.0 / (k + 1), 1.0 / max(k, 1)
     rest = reverse_from(series, k - 1) if k > 1 else None
     kinks, undamp, width = series.branch is not None, damping_adjoint(series, k), width_of(series)
+    is_last, left, forces = k == series.order - 1, N_CHAIN_ENTRIES + 2 * k, own_entries - length
+    rates, zs = (1 + RATE) * length + k, (1 + Z) * length + k
 
     @jit
-    def order(address, bars, modal, n, push, ahead):
+    def begin(bars, there):
+        """Vbar_k+1 / (k + 1)."""
+        if not is_last:
+            return share * read_lanes(bars, there + k + 1)
+        v, u = read_lanes(bars, there + own_entries + V_END), read_lanes(bars, there + own_entries + U)
+        bar = v + splat(1.0 / (k + 2)) * u
+        write_lanes(bars, there + k + 1, bar)
+        return share * bar
+
+    @jit
+    def order(address, bars, modal, n, ahead, high, size):
+        end, here, there = (n + 1) * own, high * record, high * own
         drag = read_lanes(address, (n + 1) * record + DRAG)
-        here, there = n * record, n * own
-        bar = read_lanes(bars, there + k + 1) * share
+        bar = begin(bars, there)
         pull = read_lanes(address, here + entries + MOBILITY) * bar
-        v, load = read_lanes(address, here + k), splat(push if k <= 1 else 0.0)
-        upper_rate = upper_drift = drag_bar = splat(0.0)
-        for i in range(n, 0, -1):
+        upper_rate = upper_drift = splat(0.0)
+        if high < n:
+            upper_rate, upper_drift = read_lanes(bars, end + left), read_lanes(bars, end + left + 1)
+        for i in range(high, high - size, -1):
             if 0 < k <= width:
                 prefetch(ahead, (i - 1) * width + k - 1)
-            lower = here - record
-            v_lower = read_lanes(address, lower + k)
-            bar_lower = read_lanes(bars, there - own + k + 1) * share
+            lower, under = here - record, there - own
+            bar_lower = begin(bars, under)
             pull_lower = read_lanes(address, lower + entries + MOBILITY) * bar_lower
-            if k == 0:
-                drift = read_lanes(address, here + entries + U) - read_lanes(address, lower + entries + U)
-            else:
-                drift = (read_lanes(address, here + k - 1) - read_lanes(address, lower + k - 1)) * last
-            rate, force = v - v_lower, pull_lower - pull
+            force = pull_lower - pull
+            write_lanes(bars, there + forces + k, force)
             spring = Spring(address, here + length, length, here + constants)
             of_spring = Spring(bars, there + length, length, there + own_constants)
-            drift_bar, rate_bar = expand(spring, of_spring, k, drift, rate, force)
+            if kinks:
+                has_kink = read_number(address, (here + entries + HAS_KINK) * LANES) > 0.0
+                if is_last and not has_kink:
+                    z_bar = read_lanes(bars, there + own_entries + Z_END)
+                    write_lanes(bars, there + zs + 1, z_bar * share)
+            drift_bar, rate_bar, z_bar = expand(spring, of_spring, k, force)
             rate_bar = rate_bar + read_lanes(address, here + entries + DASHPOT) * force
             if kinks:
-                rate_bar = rate_bar + read_lanes(bars, there + length + RATE * length + k)
-            drag_bar = drag_bar - bar * v
-            by_mobility = bar * ((k + 1.0) * read_lanes(address, here + k + 1) + drag * v + load)
-            add_lanes(bars, there + own_entries + MOBILITY, by_mobility)
-            add_lanes(bars, there + own_entries + DASHPOT, force * rate)
-            add_lanes(bars, there + k, rate_bar - upper_rate - drag * bar)
+                of_rate, of_z = (there + rates, there + zs) if has_kink else (0, there + own_entries + Z_END)
+                rate_bar = rate_bar + read_lanes(bars, of_rate)
+                z_bar = (z_bar + read_lanes(bars, of_z)) * last
+                write_lanes(bars, there + (own_entries + Z_END if k == 0 else zs), z_bar)
+            v, u = read_lanes(bars, there + own_entries + V_END), read_lanes(bars, there + own_entries + U)
+            own_v = v + share * u if is_last else read_lanes(bars, there + k)
+            own_v = own_v + (rate_bar - upper_rate - drag * bar)
+            below = (drift_bar - upper_drift) * last
             if k == 0:
-                add_lanes(bars, there + own_entries + U, drift_bar - upper_drift)
+                write_lanes(bars, there + own_entries + V_END, own_v)
+                write_lanes(bars, there + own_entries + U, u + below)
             else:
-                add_lanes(bars, there + k - 1, (drift_bar - upper_drift) * last)
+                write_lanes(bars, there + k, own_v)
+                write_lanes(bars, there + k - 1, v + last * u + below)
             upper_rate, upper_drift = rate_bar, drift_bar
-            v, bar, pull, here, there = v_lower, bar_lower, pull_lower, lower, there - own
-        add_lanes(bars, (n + 1) * own + DRAG, drag_bar)
+            bar, pull, here, there = bar_lower, pull_lower, lower, under
+        write_lanes(bars, end + left, upper_rate)
+        write_lanes(bars, end + left + 1, upper_drift)
         if modal != 0:
             undamp(bars, modal, n)
         if rest is not None:
-            rest(address, bars, modal, n, push, ahead)
+            top = high + 1 if high < n else n
+            rest(address, bars, modal, n, ahead, top, size - 1 + top - high if size < high else top)
 
     return order
 
 
 @cache
-def spread_of(series):
-    """Return the functions that begin and end the reverse of a step.
-
-    Both ends of a step have bars of u, H v and z: in the entries `U`, `V_END` and `Z_END` of a record.
-    """
-    length, order, kinks = series.order + 1, series.order, series.branch is not None
-    _, record, chain_entries, chain_constants = layout_of(series)
-    _, own, entries, constants = layout_of(bars_of(series))
-    z_first, rates = (1 + Z) * length, (1 + RATE) * length
-    unbranch = jit(series.adjoint.branch) if kinks else None
+def sums_of(series):
+    """Return the function that adds to the bars of masses and springs what they get from all orders."""
+    length, record, entries, constants = layout_of(series)
+    _, own, own_entries, own_constants = layout_of(bars_of(series))
+    order, sums, forces = series.order, unrolled(series.adjoint.sums), own_entries - length
+    kinks, rates = series.branch is not None, (1 + RATE) * length
 
     @jit
-    def spread(bars, n):
-        """Give bars to all coefficients: H v and z end with their sums, u grows by sum V_k / (k + 1)."""
-        for i in range(1, n + 1):
-            here = i * own
-            v, u = read_lanes(bars, here + entries + V_END), read_lanes(bars, here + entries + U)
-            for k in range(order + 1):
-                write_lanes(bars, here + k, v + u * (1.0 / (k + 1)))
+    def add_sums(address, bars, n, loads, high, size):
+        """`loads` are H^2 times the ground acceleration at the beginning of the step, and its change."""
+        drag, total = read_lanes(address, (n + 1) * record + DRAG), splat(0.0)
+        load, push = splat(loads[0]), splat(0.5 * loads[1])
+        for i in range(high - size + 1, high + 1):
+            here, there = i * record, i * own
+            lower = here - record
+            v = read_lanes(address, here)
+            by_mass = by_drag = by_dashpot = splat(0.0)
+            for k in range(order):
+                bar, force = read_lanes(bars, there + k + 1), read_lanes(bars, there + forces + k)
+                rate = read_lanes(address, here + rates + k) if kinks else v - read_lanes(address, lower + k)
+                by_dashpot = by_dashpot + force * rate
+                by_drag = by_drag + (1.0 / (k + 1)) * bar * v
+                v = read_lanes(address, here + k + 1)
+                by_mass = by_mass + bar * v
+            first, second = read_lanes(bars, there + 1), read_lanes(bars, there + 2)
+            by_mass = by_mass + drag * by_drag + (first * load + second * push)
+            total = total - by_drag
+            drift = read_lanes(address, here + entries + U) - read_lanes(address, lower + entries + U)
+            spring = Spring(address, here + length, length, here + constants)
+            of_spring = Spring(bars, there + length, length, there + own_constants)
+            loading = sign = splat(0.0)
             if kinks:
-                z = read_lanes(bars, here + entries + Z_END)
-                for k in range(order + 1):
-                    write_lanes(bars, here + z_first + k, z)
-                    write_lanes(bars, here + rates + k, splat(0.0))
+                sign = read_lanes(address, here + entries + Z_SIGN)
+                loading = read_lanes(address, here + entries + RATE_SIGN) * sign
+            sums(spring, of_spring, drift, loading, sign)
+            add_lanes(bars, there + own_entries + MOBILITY, by_mass)
+            add_lanes(bars, there + own_entries + DASHPOT, by_dashpot)
+        add_lanes(bars, (n + 1) * own + DRAG, total)
 
-    @jit
-    def collect(address, bars, n):
-        """Take the bars of coefficients 0 for those of the state at the beginning."""
-        for i in range(1, n + 1):
-            here = i * own
-            if kinks:
-                at = i * record
-                rate_sign = read_lanes(address, at + chain_entries + RATE_SIGN)
-                z_sign = read_lanes(address, at + chain_entries + Z_SIGN)
-                spring = Spring(address, at + length, length, at + chain_constants)
-                of_spring = Spring(bars, here + length, length, here + constants)
-                unbranch(spring, of_spring, rate_sign * z_sign, z_sign)
-            write_lanes(bars, here + entries + V_END, read_lanes(bars, here))
-            if kinks:
-                write_lanes(bars, here + entries + Z_END, read_lanes(bars, here + z_first))
-
-    return spread, collect
+    return add_sums

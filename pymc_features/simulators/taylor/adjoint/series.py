@@ -29,11 +29,15 @@ class Adjoint(NamedTuple):
     Attributes
     ----------
     n_series : int
-        Series of bars of each spring.
+        Series of bars of each spring, before that of the forces.
     expand : callable
-        (spring, bars, k, drift, rate, force) -> bars of coefficients k of drift and drift rate, from that of
-        the `force`. It takes the bar of coefficient k + 1 of z, and adds to that of coefficient k and to
-        those of the constants.
+        (spring, bars, k, force) -> bars of coefficients k of drift and drift rate, and what is added to that
+        of z, from that of the `force`, which is in its series already. In laws with kinks coefficient k + 1
+        of series `Z` is the bar of (k + 1) z_k+1.
+    sums : callable
+        (spring, bars, drift, loading, sign): add to the bars of the constants what they get from all orders,
+        after those; `drift` is that at the beginning of the step, or None where the bars of the forces are
+        zero. The last two are those of the branch.
     branch : callable, optional
         (spring, bars, loading, sign) for laws with kinks: move the bars of the constants that `Series.branch`
         writes to those from which it does.
@@ -46,17 +50,18 @@ class Adjoint(NamedTuple):
 
     n_series: int
     expand: Callable
+    sums: Callable
     branch: Callable | None = None
     tangent: Callable | None = None
     fixed: tuple[tuple[int, tuple[float, ...]], ...] = ()
 
 
 @unrolled
-def correlation(bars, by, spring, of, k):
-    """Sum of coefficient j of series `by` of the bars times coefficient j - k of series `of`, for j >= k."""
+def correlation(bars, by, spring, of, k, shift=0):
+    """Sum of coefficient j + `shift` of series `by` of the bars times j - k of series `of`, for j >= k."""
     total = splat(0.0)
     for j in range(k, bars.length - 1):
-        total = total + coefficient(bars, by, j) * coefficient(spring, of, j - k)
+        total = total + coefficient(bars, by, j + shift) * coefficient(spring, of, j - k)
     return total
 
 

@@ -15,20 +15,17 @@ from pymc_features.simulators.compiled.vector_memory import (
     read_lanes,
     read_number,
     write_lanes,
-    write_number,
 )
 from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_DISPLACEMENT,
     RELATIVE_VELOCITY,
     ground_at,
 )
-from pymc_features.simulators.taylor.adjoint.feedback import feedback_adjoint
-from pymc_features.simulators.taylor.adjoint.kinks import bars_size, turns_adjoint
-from pymc_features.simulators.taylor.adjoint.orders import bars_of, damping_bars, reverse_from, spread_of
+from pymc_features.simulators.taylor.adjoint.kinks import bars_size
+from pymc_features.simulators.taylor.adjoint.orders import bars_of
 from pymc_features.simulators.taylor.adjoint.parameters import ChainBars
-from pymc_features.simulators.taylor.blocks import series_of
-from pymc_features.simulators.taylor.feedback import feedback_of
-from pymc_features.simulators.taylor.kinks import trace_size, turn_of
+from pymc_features.simulators.taylor.adjoint.step import step_adjoint
+from pymc_features.simulators.taylor.kinks import trace_size
 from pymc_features.simulators.taylor.layout import (
     DASHPOT,
     DRAG,
@@ -49,7 +46,7 @@ class Bars(NamedTuple):
     Attributes
     ----------
     bars : address of vectors
-        Bars of the group, in the layout of `orders_adjoint.bars_of`.
+        Bars of the group, in the layout of `adjoint.orders.bars_of`.
     modal : address
         Bars of H M^-1 C (n, n), 0 without damping by modal ratios.
     batch, kinks, trace, before : addresses
@@ -67,54 +64,6 @@ class Bars(NamedTuple):
     before: int
     weights: int
     n_statistics: int
-
-
-@cache
-def step_adjoint(series):
-    """Return functions that repeat a step and carry bars back over it, but for order 0, and over that."""
-    width, kinks = width_of(series), series.branch is not None
-    expand = series_of(series, kinks)
-    reverse, reverse_first = reverse_from(series, series.order - 1), reverse_from(series, 0)
-    spread, collect = spread_of(series)
-    add_damping, restore = damping_bars(series), tape_of(series)[1]
-    if kinks:
-        turn, unturn = turn_of(series), turns_adjoint(series)
-        apply, choose_branches = feedback_of(series)
-        unapply = feedback_adjoint(series)
-
-    @jit
-    def reverse_step(group, memory, states, slot, step, ground, rise):
-        """Repeat the step that begins in a slot, and carry bars back from its end to order 1."""
-        address, _, modal, n = group
-        restore(group, states, slot)
-        if kinks:
-            write_number(memory.trace, 0, 0.0)
-        load, push = step * step * ground, step * step * rise
-        count = expand(group, load, push, False, memory.batch, memory.trace)
-        if kinks:
-            if count > 0:
-                turn(memory.batch, count, memory.trace)
-            apply(address, n, memory.before)
-            unapply(address, memory.bars, n, memory.before)
-            spread(memory.bars, n)
-            unturn(memory.bars, memory.kinks, memory.trace)
-            restore(group, states, slot)
-            choose_branches(address, n)
-        else:
-            spread(memory.bars, n)
-        ahead = states + 8 * LANES * (max(slot - 1, 0) * n * width)
-        reverse(address, memory.bars, modal, n, push, ahead)
-
-    @jit
-    def reverse_start(group, memory, step, ground):
-        """Carry bars back over order 0 of a step."""
-        address, _, modal, n = group
-        reverse_first(address, memory.bars, modal, n, step * step * ground, 0)
-        collect(address, memory.bars, n)
-        if modal != 0:
-            add_damping(address, memory.bars, memory.modal, n)
-
-    return reverse_step, reverse_start, spread
 
 
 @cache
@@ -158,8 +107,8 @@ def sweep_of(series):
     """Return the function that takes bars from the end of a march to its beginning."""
     rescale, _, _, advance = group_of(series)
     _, own, entries, _ = layout_of(bars_of(series))
-    keep, restore, _, _ = tape_of(series)
-    reverse_step, reverse_start, spread = step_adjoint(series)
+    (keep, restore, _, _), width = tape_of(series), width_of(series)
+    reverse_step, reverse_start = step_adjoint(series)
     weigh = misfits_of(series)
 
     @jit
@@ -190,7 +139,8 @@ def sweep_of(series):
             rescale(group, count / count_of(tape, fine))
             count = count_of(tape, fine)
             if fine == first:
-                restore(group, tape.starts, segment)
+                start = tape.starts + 8 * LANES * (segment * group.n * width)
+                restore(group, start, group.n, group.n)
             ground, step = ground_at(acceleration, fine, substeps), dt / substeps / count
             rise = ground_at(acceleration, fine + 1, substeps) - ground
             for part in range(count):
@@ -208,9 +158,8 @@ def sweep_of(series):
         count = count_of_bars = int(read_number(tape.numbers, COUNT))
         step = length / count
         ground = ground_at(acceleration, n_fine, substeps)
-        spread(memory.bars, group.n)
         weigh(memory, tape, total - 1, step, wanted, observed)
-        reverse_start(group, memory, step, ground)
+        reverse_start(group, memory, (step * step * ground, 0.0))
         last, slot = n_fine - 1, int(read_number(tape.numbers, STEPS))
         for segment in range(int(read_number(tape.numbers, SEGMENTS)) - 1, -1, -1):
             first = int(read_number(tape.numbers, COUNTS + n_fine + segment))
@@ -231,10 +180,12 @@ def sweep_of(series):
                 for part in range(count - 1, -1, -1):
                     slot -= 1
                     now_ground = ground + rise * part / count
-                    reverse_step(group, memory, tape.states, slot, step, now_ground, rise / count)
-                    if part == 0 and fine % stride == 0:
+                    loads = step * step * now_ground, step * step * rise / count
+                    is_sample = part == 0 and fine % stride == 0
+                    reverse_step(group, memory, tape.states, slot, loads, not is_sample)
+                    if is_sample:
                         weigh(memory, tape, fine // stride, step, wanted, observed)
-                    reverse_start(group, memory, step, now_ground)
+                        reverse_start(group, memory, loads)
             last = first - 1
         return count_of_bars
 

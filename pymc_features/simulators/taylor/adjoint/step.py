@@ -1,0 +1,107 @@
+"""A step of a group of chains in reverse: it is repeated, and bars of its end become those of its beginning."""
+
+from functools import cache
+
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector import LANES, splat
+from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes, write_number
+from pymc_features.simulators.taylor.adjoint.blocks import reverse_of
+from pymc_features.simulators.taylor.adjoint.feedback import feedback_adjoint
+from pymc_features.simulators.taylor.adjoint.kinks import turns_adjoint
+from pymc_features.simulators.taylor.adjoint.orders import bars_of, damping_bars
+from pymc_features.simulators.taylor.blocks import series_of
+from pymc_features.simulators.taylor.feedback import feedback_of
+from pymc_features.simulators.taylor.kinks import turn_of
+from pymc_features.simulators.taylor.layout import HAS_KINK, RATE_SIGN, Z_END, Z_SIGN, layout_of
+from pymc_features.simulators.taylor.series import RATE, Spring, Z
+from pymc_features.simulators.taylor.tape import signs_of, width_of
+
+
+@cache
+def branches_of(series):
+    """Return the functions that begin the reverse of a step with kinks, and bring back its branches."""
+    length, record, entries, constants = layout_of(series)
+    _, own, own_entries, _ = layout_of(bars_of(series))
+    order, width = series.order, width_of(series)
+    rates, zs = (1 + RATE) * length, (1 + Z) * length
+    branch = jit(series.branch)
+
+    @jit
+    def has_kink(address, i):
+        return read_number(address, (i * record + entries + HAS_KINK) * LANES) > 0.0
+
+    @jit
+    def spread(address, bars, n):
+        """Give the coefficients of springs with kinks the bars that those of others begin with."""
+        for i in range(1, n + 1):
+            if has_kink(address, i):
+                here = i * own
+                z = read_lanes(bars, here + own_entries + Z_END)
+                write_lanes(bars, here + zs + order, z * splat(1.0 / order))
+                for k in range(order):
+                    write_lanes(bars, here + zs + k, z)
+                    write_lanes(bars, here + rates + k, splat(0.0))
+                write_lanes(bars, here + rates + order, splat(0.0))
+
+    @jit
+    def restore_branches(group, state):
+        """Bring back the branches of springs that had kinks, or kinks beside them."""
+        address, n = group.address, group.n
+        below, now = False, has_kink(address, 1)
+        for i in range(1, n + 1):
+            above = i < n and has_kink(address, i + 1)
+            at = i * record + entries
+            if now:
+                rate_sign, z_sign = signs_of(read_lanes(state, (i - 1) * width + 3))
+                write_lanes(address, at + RATE_SIGN, rate_sign)
+                write_lanes(address, at + Z_SIGN, z_sign)
+            if below or now or above:
+                spring = Spring(address, i * record + length, length, i * record + constants)
+                z_sign = read_lanes(address, at + Z_SIGN)
+                branch(spring, read_lanes(address, at + RATE_SIGN) * z_sign, z_sign)
+            below, now = now, above
+
+    return spread, restore_branches
+
+
+@cache
+def step_adjoint(series):
+    """Return functions that repeat a step and carry bars back over it, and over order 0 alone."""
+    width, kinks = width_of(series), series.branch is not None
+    expand, reverse, add_damping = series_of(series, True), reverse_of(series), damping_bars(series)
+    if kinks:
+        turn, unturn, apply = turn_of(series), turns_adjoint(series), feedback_of(series)
+        unapply = feedback_adjoint(series)
+        spread, restore_branches = branches_of(series)
+
+    @jit
+    def reverse_step(group, memory, states, slot, loads, to_first):
+        """Repeat the step that begins in a slot, and carry bars back over it, but for order 0 if so asked."""
+        address, _, modal, n = group
+        bars = memory.bars
+        if kinks:
+            write_number(memory.trace, 0, 0.0)
+        state = states + 8 * LANES * (slot * n * width)
+        count = expand(group, loads[0], loads[1], state, memory.batch, memory.trace)
+        if kinks:
+            if count > 0:
+                turn(memory.batch, count, memory.trace)
+            apply(address, n, memory.before)
+            unapply(address, bars, n, memory.before)
+            spread(address, bars, n)
+            unturn(bars, memory.kinks, memory.trace)
+            restore_branches(group, state)
+        ahead = states + 8 * LANES * (max(slot - 1, 0) * n * width)
+        reverse(address, bars, modal, n, loads, ahead, False, to_first)
+        if to_first and modal != 0:
+            add_damping(address, bars, memory.modal, n)
+
+    @jit
+    def reverse_start(group, memory, loads):
+        """Carry bars back over order 0 of a step."""
+        address, _, modal, n = group
+        reverse(address, memory.bars, modal, n, loads, 0, True, True)
+        if modal != 0:
+            add_damping(address, memory.bars, memory.modal, n)
+
+    return reverse_step, reverse_start
