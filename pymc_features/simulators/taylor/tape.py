@@ -6,6 +6,7 @@ through it once more. Kept are also the number of steps to each step of the recu
 sensors.
 """
 
+from contextlib import suppress
 from functools import cache
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ from pymc_features.simulators.taylor.layout import RATE_SIGN, V_END, Z_END, Z_SI
 
 MAX_STEPS = 64  # of a step of the recursion
 ROOM = 1 << 28  # bytes of the steps of a tape: some 1,500 samples of 100 masses
+KEPT_ROOM = 1 << 26  # bytes of the steps that are kept for the next gradient
 # Numbers: segments so far, steps of the last one, steps to one of the recursion at the end; then those to
 # each step of the recursion, then the first such step of each segment
 SEGMENTS, STEPS, COUNT, COUNTS = range(4)
@@ -51,14 +53,17 @@ class Tape(NamedTuple):
 
 
 NO_TAPE = Tape(0, 0, 0, 0, 0, 0)
+_KEPT: list = []  # the memory of the last gradient
 
 
 class TapeMemory:
-    """Memory of a tape for a group of chains with n springs; pages that are never written cost nothing."""
+    """Memory of a tape for a group of chains, `size` vectors in each state.
 
-    def __init__(self, series, n, n_fine, n_sensors, n_samples):
-        size = width_of(series) * n
-        capacity = max(min(n_fine * MAX_STEPS, ROOM // (8 * LANES * size)), 2 * MAX_STEPS)
+    Pages that are never written cost nothing, new ones more than what is written there.
+    """
+
+    def __init__(self, size, capacity, n_fine, n_sensors, n_samples):
+        self.sizes, self.state_bytes = (size, capacity, n_fine, n_sensors, n_samples), 8 * LANES * size
         segments = n_fine * MAX_STEPS // (capacity - MAX_STEPS) + 1
         self.states = aligned(capacity * size * LANES)
         self.starts = aligned(segments * size * LANES)
@@ -70,6 +75,23 @@ class TapeMemory:
     def clear(self):
         """Begin a march."""
         self.numbers[:COUNTS] = 0.0
+
+    def keep(self):
+        """Let the next gradient have it, unless it is large."""
+        if self.numbers[STEPS] * self.state_bytes <= KEPT_ROOM:
+            _KEPT[:] = [self]
+
+
+def tape_memory(series, n, n_fine, n_sensors, n_samples) -> TapeMemory:
+    """Return memory for chains with n springs: that of the last gradient, if it was of the same kind."""
+    size = width_of(series) * n
+    capacity = max(min(n_fine * MAX_STEPS, ROOM // (8 * LANES * size)), 2 * MAX_STEPS)
+    sizes = size, capacity, n_fine, n_sensors, n_samples
+    with suppress(IndexError):
+        known = _KEPT.pop()  # no other thread takes it as well
+        if known.sizes == sizes:
+            return known
+    return TapeMemory(*sizes)
 
 
 def width_of(series) -> int:

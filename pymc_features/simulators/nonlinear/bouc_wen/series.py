@@ -146,15 +146,9 @@ def reverse_sums(spring, bars, drift, loading, sign):
         add_constant(bars, HYSTERETIC, hysteretic)
 
 
-def reverse_branch(spring, bars, loading, sign):
-    """To the loss of the branch, from a and b."""
-    add_losses(spring, bars, loading, sign, constant_of(bars, BY_Z), constant_of(bars, BY_SQUARE))
-    write_constant(bars, BY_Z, splat(0.0))
-    write_constant(bars, BY_SQUARE, splat(0.0))
-
-
-def reverse_tangent(spring, bars, z, of_drift, z_of_drift, of_z):
+def reverse_tangent(spring, bars, z, of_tangents, loading, sign):
     """df/dd = a k + (1 - a) k d_y dz/dd, with dz/dd = (1 - w) / d_y."""
+    of_drift, z_of_drift, of_z = of_tangents
     a, b = constant_of(spring, BY_Z), constant_of(spring, BY_SQUARE)
     net = 1.0 - z * (a + b * z)
     total = z_of_drift + constant_of(spring, HYSTERETIC) * of_drift
@@ -162,8 +156,7 @@ def reverse_tangent(spring, bars, z, of_drift, z_of_drift, of_z):
     add_constant(bars, ELASTIC, of_drift)
     add_constant(bars, HYSTERETIC, of_drift * constant_of(spring, PER_YIELD) * net + of_z)
     add_constant(bars, PER_YIELD, net * total)
-    add_constant(bars, BY_Z, losses * z)
-    add_constant(bars, BY_SQUARE, losses * z * z)
+    add_losses(spring, bars, loading, sign, losses * z, losses * z * z)
     return losses * (a + 2.0 * (b * z))
 
 
@@ -272,9 +265,7 @@ SQUARES = Series(
     expand=expand,
     branch=branch,
     tangent=tangent,
-    adjoint=Adjoint(
-        FORCES, reverse, reverse_sums, reverse_branch, reverse_tangent, fixed=((SHARPNESS, (1.0, 2.0)),)
-    ),
+    adjoint=Adjoint(FORCES, reverse, reverse_sums, reverse_tangent, fixed=((SHARPNESS, (1.0, 2.0)),)),
 )
 POWERS = Series(
     order=ORDER,

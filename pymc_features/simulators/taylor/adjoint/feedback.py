@@ -29,7 +29,7 @@ def feedback_adjoint(series):
     length, record, entries, constants = layout_of(series)
     _, own, own_entries, own_constants = layout_of(bars_of(series))
     branch, tangent = jit(series.branch), jit(series.tangent)
-    unbranch, untangent = jit(series.adjoint.branch), jit(series.adjoint.tangent)
+    untangent = jit(series.adjoint.tangent)
 
     @jit
     def unpush(address, bars, i, force_1, force_2):
@@ -69,8 +69,8 @@ def feedback_adjoint(series):
         add_lanes(bars, of_kink + 3, of_1 * stiffness + of_2 * dashpot)
         add_lanes(bars, of_kink + 4, of_2 * stiffness)
         of_stiffness = of_1 * j3 + of_2 * j4
-        of_z = untangent(spring, of_spring, z, of_stiffness, z_bar * share * j2, splat(0.0))
-        unbranch(spring, of_spring, rate_sign * z_sign, z_sign)
+        of_tangents = of_stiffness, z_bar * share * j2, splat(0.0)
+        of_z = untangent(spring, of_spring, z, of_tangents, rate_sign * z_sign, z_sign)
         write_lanes(bars, there + own_entries + Z_END, z_bar + of_z)
         return of_share
 

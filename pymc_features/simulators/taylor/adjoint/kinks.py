@@ -78,13 +78,18 @@ def turns_adjoint(series):
     rates, zs, old, more = length * (1 + RATE), length * (1 + Z), record, record + length
     shifted, done_at, by_z_at = own_record, own_record + length, own_record + length + 1
     unexpand, tangent = expansion_adjoint(series, order - 1), jit(series.tangent)
-    unbranch, untangent = jit(series.adjoint.branch), jit(series.adjoint.tangent)
+    untangent = jit(series.adjoint.tangent)
 
     @jit
     def gather(at, batch, bars, count):
         """Begin a batch with the bars of what its pairs changed."""
-        for c in range(own_record + length + 2):
+        for c in range(length):
+            write_lanes(batch, rates + c, splat(0.0))
+            write_lanes(batch, zs + c, splat(0.0))
+            write_lanes(batch, shifted + c, splat(0.0))
+        for c in range(own_entries + CHANGE, own_record):
             write_lanes(batch, c, splat(0.0))
+        write_lanes(batch, done_at, splat(0.0))
         for lane in range(count):
             place = int(read_number(at, (more + PLACE) * LANES + lane))
             there = place // record * own_record
@@ -210,9 +215,8 @@ def turns_adjoint(series):
             if is_last:
                 z_end = read_lanes(at, entries + Z_END)
                 zero, of_by_z = splat(0.0), read_lanes(batch, by_z_at)
-                of_end = untangent(spring, of_spring, z_end, zero, zero, of_by_z)
+                of_end = untangent(spring, of_spring, z_end, (zero, zero, of_by_z), loading, z_sign)
                 write_lanes(batch, by_z_at, of_end)
-            unbranch(spring, of_spring, loading, z_sign)
             reverse_shift(at, batch, (x, left, hit, turns))
             is_last = read_number(at, (size + IS_FIRST) * LANES) > 0.0
             if is_last:  # the next one is the last of another batch

@@ -6,7 +6,7 @@ from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.taylor.adjoint.parameters import ChainBars, parameter_gradients
 from pymc_features.simulators.taylor.adjoint.sweep import GradientLanes
 from pymc_features.simulators.taylor.population import groups_of, rows_of
-from pymc_features.simulators.taylor.tape import TapeMemory
+from pymc_features.simulators.taylor.tape import tape_memory
 
 
 def add_gradients(kernels, lanes, parameters, members, problem, weights, gradients):
@@ -26,7 +26,7 @@ def add_gradients(kernels, lanes, parameters, members, problem, weights, gradien
     march, sweep = kernels
     excitation, wanted, observed = problem
     n_fine = (observed.shape[1] - 1) * excitation.stride
-    tape = TapeMemory(lanes.series, lanes.n, n_fine, *observed.shape)
+    tape = tape_memory(lanes.series, lanes.n, n_fine, *observed.shape)
     memory = GradientLanes(lanes, len(observed), weights.shape[2])
     lost, done, bars = [], [], []
     for own in groups_of(members):
@@ -41,6 +41,7 @@ def add_gradients(kernels, lanes, parameters, members, problem, weights, gradien
         step = excitation.dt / excitation.substeps / count
         bars.append(ChainBars(*(x[: len(own)] for x in memory.take(step))))
         done.append(own)
+    tape.keep()
     if done:
         done = np.concatenate(done)
         bars = ChainBars(*map(np.concatenate, zip(*bars, strict=True)))

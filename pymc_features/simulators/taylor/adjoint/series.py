@@ -37,13 +37,10 @@ class Adjoint(NamedTuple):
     sums : callable
         (spring, bars, drift, loading, sign): add to the bars of the constants what they get from all orders,
         after those; `drift` is that at the beginning of the step, or None where the bars of the forces are
-        zero. The last two are those of the branch.
-    branch : callable, optional
-        (spring, bars, loading, sign) for laws with kinks: move the bars of the constants that `Series.branch`
-        writes to those from which it does.
+        zero. The last two are those of the branch; its own constants need no bars.
     tangent : callable, optional
-        (spring, bars, z, of_drift, z_of_drift, of_z) -> bar of z, from those of what `Series.tangent`
-        returns; adds to the bars of the constants.
+        (spring, bars, z, of_tangents, loading, sign) -> bar of z for laws with kinks, from those of the three
+        that `Series.tangent` returns; adds to the bars of the constants.
     fixed : tuple of pairs
         Parameters of the law, by number, and the values that they can only have: their derivatives are NaN.
     """
@@ -51,7 +48,6 @@ class Adjoint(NamedTuple):
     n_series: int
     expand: Callable
     sums: Callable
-    branch: Callable | None = None
     tangent: Callable | None = None
     fixed: tuple[tuple[int, tuple[float, ...]], ...] = ()
 

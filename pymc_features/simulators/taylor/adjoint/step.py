@@ -1,4 +1,4 @@
-"""A step of a group of chains in reverse: it is repeated, and bars of its end become those of its beginning."""
+"""A step of a group of chains in reverse: it is repeated, and bars at its end become those at its start."""
 
 from functools import cache
 
