@@ -42,9 +42,14 @@ from pymc_features.simulators.taylor.series import RATE, Spring, Z, coefficient,
 TINY = 1e-14  # what is left of a step behind a kink at its end
 
 
+def batch_bars_of(series):
+    """The recurrence with all series of bars of the pairs in a batch, for their layout."""
+    return series._replace(n_series=series.adjoint.n_series + 1)
+
+
 def bars_size(series) -> int:
     """Vectors of the bars of a batch: a record, the bars of the shifted series of z, and two more."""
-    layout = layout_of(bars_of(series))
+    layout = layout_of(batch_bars_of(series))
     return layout.record + layout.length + 2
 
 
@@ -73,7 +78,8 @@ def expansion_adjoint(series, k):
 def turns_adjoint(series):
     """Return the function that carries bars back through all entries of a trace."""
     length, record, entries, constants = layout_of(series)
-    _, own_record, own_entries, own_constants = layout_of(bars_of(series))
+    _, own_record, own_entries, own_constants = layout_of(batch_bars_of(series))
+    _, kept_record, kept_entries, kept_constants = layout_of(bars_of(series))
     order, size, turn_size = series.order, batch_size(series), trace_size(series, 0)
     rates, zs, old, more = length * (1 + RATE), length * (1 + Z), record, record + length
     shifted, done_at, by_z_at = own_record, own_record + length, own_record + length + 1
@@ -92,10 +98,11 @@ def turns_adjoint(series):
         write_lanes(batch, done_at, splat(0.0))
         for lane in range(count):
             place = int(read_number(at, (more + PLACE) * LANES + lane))
-            there = place // record * own_record
+            there = place // record * kept_record
             own = int(read_number(at, (more + LANE) * LANES + lane))
-            for c in range(own_entries + CHANGE, own_entries + CHANGE + 1 + N_MOMENTS):
-                write_number(batch, c * LANES + lane, read_number(bars, (there + c) * LANES + own))
+            for c in range(CHANGE, CHANGE + 1 + N_MOMENTS):
+                change = read_number(bars, (there + kept_entries + c) * LANES + own)
+                write_number(batch, (own_entries + c) * LANES + lane, change)
 
     @jit
     def scatter(at, batch, bars, count, z_end):
@@ -103,18 +110,17 @@ def turns_adjoint(series):
         write_lanes(batch, done_at, z_end)
         for lane in range(count):
             place = int(read_number(at, (more + PLACE) * LANES + lane))
-            there = place // record * own_record
+            there = place // record * kept_record
             own = int(read_number(at, (more + LANE) * LANES + lane))
             of_end = read_number(batch, done_at * LANES + lane)
             for k in range(length):
                 to, value = (there + rates + k) * LANES + own, read_number(batch, (rates + k) * LANES + lane)
                 write_number(bars, to, read_number(bars, to) + value)
                 to, value = (there + zs + k) * LANES + own, read_number(batch, (zs + k) * LANES + lane)
-                value = value + of_end if k < order else (value + of_end) / order  # as the law wants it
-                write_number(bars, to, read_number(bars, to) + value)
-            for c in range(own_constants, own_record):
-                to = (there + c) * LANES + own
-                write_number(bars, to, read_number(bars, to) + read_number(batch, c * LANES + lane))
+                write_number(bars, to, read_number(bars, to) + value + of_end)
+            for c in range(own_record - own_constants):
+                to, value = (there + kept_constants + c) * LANES + own, (own_constants + c) * LANES + lane
+                write_number(bars, to, read_number(bars, to) + read_number(batch, value))
 
     @jit
     def reverse_moments(at, batch, hit, left, is_last):

@@ -22,7 +22,7 @@ def branches_of(series):
     """Return the functions that begin the reverse of a step with kinks, and bring back its branches."""
     length, record, entries, constants = layout_of(series)
     _, own, own_entries, _ = layout_of(bars_of(series))
-    order, width = series.order, width_of(series)
+    width = width_of(series)
     rates, zs = (1 + RATE) * length, (1 + Z) * length
     branch = jit(series.branch)
 
@@ -37,11 +37,9 @@ def branches_of(series):
             if has_kink(address, i):
                 here = i * own
                 z = read_lanes(bars, here + own_entries + Z_END)
-                write_lanes(bars, here + zs + order, z * splat(1.0 / order))
-                for k in range(order):
+                for k in range(length):
                     write_lanes(bars, here + zs + k, z)
                     write_lanes(bars, here + rates + k, splat(0.0))
-                write_lanes(bars, here + rates + order, splat(0.0))
 
     @jit
     def restore_branches(group, state):
@@ -66,7 +64,7 @@ def branches_of(series):
 
 @cache
 def step_adjoint(series):
-    """Return functions that repeat a step and carry bars back over it, and over order 0 alone."""
+    """Return functions that carry bars back over a step that is repeated, or over one that is not taken."""
     width, kinks = width_of(series), series.branch is not None
     expand, reverse, add_damping = series_of(series, True), reverse_of(series), damping_bars(series)
     if kinks:
@@ -75,8 +73,8 @@ def step_adjoint(series):
         spread, restore_branches = branches_of(series)
 
     @jit
-    def reverse_step(group, memory, states, slot, loads, to_first):
-        """Repeat the step that begins in a slot, and carry bars back over it, but for order 0 if so asked."""
+    def reverse_step(group, memory, states, slot, loads):
+        """Repeat the step that begins in a slot, and carry bars back over it."""
         address, _, modal, n = group
         bars = memory.bars
         if kinks:
@@ -92,16 +90,16 @@ def step_adjoint(series):
             unturn(bars, memory.kinks, memory.trace)
             restore_branches(group, state)
         ahead = states + 8 * LANES * (max(slot - 1, 0) * n * width)
-        reverse(address, bars, modal, n, loads, ahead, False, to_first)
-        if to_first and modal != 0:
+        reverse(address, bars, modal, n, loads, ahead)
+        if modal != 0:
             add_damping(address, bars, memory.modal, n)
 
     @jit
-    def reverse_start(group, memory, loads):
-        """Carry bars back over order 0 of a step."""
+    def reverse_end(group, memory, loads):
+        """Carry bars back over the first order of a step behind the end of the march."""
         address, _, modal, n = group
-        reverse(address, memory.bars, modal, n, loads, 0, True, True)
+        reverse(address, memory.bars, modal, n, loads, address)
         if modal != 0:
             add_damping(address, memory.bars, memory.modal, n)
 
-    return reverse_step, reverse_start
+    return reverse_step, reverse_end

@@ -22,7 +22,7 @@ from pymc_features.simulators.oscillators.arguments import (
     ground_at,
 )
 from pymc_features.simulators.taylor.adjoint.kinks import bars_size
-from pymc_features.simulators.taylor.adjoint.orders import bars_of
+from pymc_features.simulators.taylor.adjoint.orders import OF_U, bars_of, passing_size
 from pymc_features.simulators.taylor.adjoint.parameters import ChainBars
 from pymc_features.simulators.taylor.adjoint.step import step_adjoint
 from pymc_features.simulators.taylor.kinks import trace_size
@@ -31,7 +31,6 @@ from pymc_features.simulators.taylor.layout import (
     DRAG,
     MOBILITY,
     V_END,
-    U,
     add_lanes,
     group_size,
     layout_of,
@@ -68,8 +67,8 @@ class Bars(NamedTuple):
 
 @cache
 def misfits_of(series):
-    """Return the function that adds the bars of a sample's misfits to those of the series."""
-    _, own, entries, _ = layout_of(bars_of(series))
+    """Return the function that adds the bars of a sample's misfits, and the one that forgets them."""
+    own = layout_of(bars_of(series)).record
 
     @jit
     def weigh(memory, tape, sample, step, wanted, observed):
@@ -93,13 +92,19 @@ def misfits_of(series):
                     bar = bar + read_lanes(weights, 3)
                 bar = bar + share * read_lanes(weights, 1) * change
             if wanted.quantity == RELATIVE_DISPLACEMENT:
-                add_lanes(memory.bars, here + entries + U, 0.0 - bar)
+                add_lanes(memory.bars, here + OF_U, 0.0 - bar)
             elif wanted.quantity == RELATIVE_VELOCITY:
                 add_lanes(memory.bars, here, bar * splat(-1.0 / step))
             else:
                 add_lanes(memory.bars, here + 1, bar * splat(-1.0 / (step * step)))
 
-    return weigh
+    @jit
+    def forget(memory, wanted):
+        for j in range(wanted.sensors.size):
+            for c in range(OF_U + 1):
+                write_lanes(memory.bars, (wanted.sensors[j] + 1) * own + c, splat(0.0))
+
+    return weigh, forget
 
 
 @cache
@@ -108,8 +113,8 @@ def sweep_of(series):
     rescale, _, _, advance = group_of(series)
     _, own, entries, _ = layout_of(bars_of(series))
     (keep, restore, _, _), width = tape_of(series), width_of(series)
-    reverse_step, reverse_start = step_adjoint(series)
-    weigh = misfits_of(series)
+    reverse_step, reverse_end = step_adjoint(series)
+    weigh, forget = misfits_of(series)
 
     @jit
     def rescale_bars(group, memory, ratio):
@@ -159,7 +164,8 @@ def sweep_of(series):
         step = length / count
         ground = ground_at(acceleration, n_fine, substeps)
         weigh(memory, tape, total - 1, step, wanted, observed)
-        reverse_start(group, memory, (step * step * ground, 0.0))
+        reverse_end(group, memory, (step * step * ground, 0.0))
+        forget(memory, wanted)
         last, slot = n_fine - 1, int(read_number(tape.numbers, STEPS))
         for segment in range(int(read_number(tape.numbers, SEGMENTS)) - 1, -1, -1):
             first = int(read_number(tape.numbers, COUNTS + n_fine + segment))
@@ -182,10 +188,11 @@ def sweep_of(series):
                     now_ground = ground + rise * part / count
                     loads = step * step * now_ground, step * step * rise / count
                     is_sample = part == 0 and fine % stride == 0
-                    reverse_step(group, memory, tape.states, slot, loads, not is_sample)
                     if is_sample:
                         weigh(memory, tape, fine // stride, step, wanted, observed)
-                        reverse_start(group, memory, loads)
+                    reverse_step(group, memory, tape.states, slot, loads)
+                    if is_sample:
+                        forget(memory, wanted)
             last = first - 1
         return count_of_bars
 
@@ -200,7 +207,8 @@ class GradientLanes:
         n = self.n
         own = bars_of(series)
         self.layout = layout_of(own)
-        self.bars = aligned(group_size(own, n) * LANES).reshape(-1, LANES)
+        size = group_size(own, n) + passing_size(series, n, lanes.modal.size > 0)
+        self.bars = aligned(size * LANES).reshape(-1, LANES)
         self.modal = aligned(lanes.modal.size)
         kinks = series.branch is not None
         self.batch = aligned(bars_size(series) * LANES if kinks else 0)
