@@ -48,8 +48,6 @@ def feedback_of(series):
         j3, j4 = read_lanes(address, kink + CHANGE + 3), read_lanes(address, kink + CHANGE + 4)
         spring = Spring(address, here + length, length, here + constants)
         z = read_lanes(address, at + Z_END)
-        rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
-        branch(spring, rate_sign * z_sign, z_sign)
         stiffness, z_by_drift, _ = tangent(spring, z)
         if before is None:
             dashpot = read_lanes(address, at + DASHPOT)
@@ -66,6 +64,12 @@ def feedback_of(series):
         there, three vectors for each kink.
         """
         drag = read_lanes(address, (n + 1) * record + DRAG)
+        for i in range(1, n + 1):
+            here = i * record
+            at = here + entries
+            if read_number(address, (at + HAS_KINK) * LANES) > 0.0:  # the branch behind its kinks
+                rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
+                branch(Spring(address, here + length, length, here + constants), rate_sign * z_sign, z_sign)
         for i in range(1, n + 1):
             here = i * record
             at = here + entries

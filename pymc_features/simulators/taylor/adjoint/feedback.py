@@ -28,8 +28,7 @@ def feedback_adjoint(series):
     """Return the function that carries bars back through the changes of all kinks of a step."""
     length, record, entries, constants = layout_of(series)
     _, own, own_entries, own_constants = layout_of(bars_of(series))
-    branch, tangent = jit(series.branch), jit(series.tangent)
-    untangent = jit(series.adjoint.tangent)
+    tangent, untangent = jit(series.tangent), jit(series.adjoint.tangent)
 
     @jit
     def unpush(address, bars, i, force_1, force_2):
@@ -56,7 +55,6 @@ def feedback_adjoint(series):
         spring = Spring(address, here + length, length, here + constants)
         of_spring = Spring(bars, there + length, length, there + own_constants)
         rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
-        branch(spring, rate_sign * z_sign, z_sign)
         stiffness, z_by_drift, _ = tangent(spring, z)
         dashpot = read_lanes(address, at + DASHPOT)
         z_bar = read_lanes(bars, there + own_entries + Z_END)

@@ -43,21 +43,15 @@ def branches_of(series):
 
     @jit
     def restore_branches(group, state):
-        """Bring back the branches of springs that had kinks, or kinks beside them."""
+        """Bring back the branches of springs that had kinks."""
         address, n = group.address, group.n
-        below, now = False, has_kink(address, 1)
         for i in range(1, n + 1):
-            above = i < n and has_kink(address, i + 1)
-            at = i * record + entries
-            if now:
+            if has_kink(address, i):
+                here = i * record
                 rate_sign, z_sign = signs_of(read_lanes(state, (i - 1) * width + 3))
-                write_lanes(address, at + RATE_SIGN, rate_sign)
-                write_lanes(address, at + Z_SIGN, z_sign)
-            if below or now or above:
-                spring = Spring(address, i * record + length, length, i * record + constants)
-                z_sign = read_lanes(address, at + Z_SIGN)
-                branch(spring, read_lanes(address, at + RATE_SIGN) * z_sign, z_sign)
-            below, now = now, above
+                write_lanes(address, here + entries + RATE_SIGN, rate_sign)
+                write_lanes(address, here + entries + Z_SIGN, z_sign)
+                branch(Spring(address, here + length, length, here + constants), rate_sign * z_sign, z_sign)
 
     return spread, restore_branches
 
