@@ -51,6 +51,21 @@ def test_a_reference_that_misses_a_part_is_not_good():
     assert good_ones(1e-12) == 40
 
 
+def test_parameters_between_two_bounds_are_known():
+    """Those sampled as logits, entry by entry; one bound makes a logarithm."""
+    with pm.Model() as model:
+        pm.Uniform("uniform", 0.0, 2.0, shape=2)
+        pm.HalfNormal("positive")
+        pm.Beta("beta", 2.0, 2.0)
+        pm.Normal("free", shape=2)
+        pm.Truncated("above", pm.Normal.dist(), lower=0.0)
+        pm.TruncatedNormal("between", lower=-1.0, upper=2.0)
+        kernel = PersistentSMC(100, model=model)
+    kernel._initialize_kernel()
+    assert kernel.bounded.tolist() == [True, True, False, True, False, False, False, True]
+    assert kernel.moves.bounded is kernel.bounded
+
+
 def test_heavy_draws_in_many_dimensions_do_not_replace_a_good_reference_by_a_fit(monkeypatch):
     """Parts are put around them, beside those of the reference; the evidence is right to four errors."""
     monkeypatch.setattr(last_draws, "LARGEST_K", -np.inf)  # all draws are taken for heavy

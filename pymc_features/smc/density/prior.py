@@ -5,6 +5,7 @@ from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
 from pymc.initial_point import make_initial_point_expression
+from pymc.logprob.transforms import IntervalTransform, LogOddsTransform
 from pymc.pytensorf import compile as compile_function
 from pymc.pytensorf import reseed_rngs
 
@@ -86,3 +87,15 @@ def prior_points(model, n: int, rng: np.random.Generator) -> np.ndarray:
     names = [model.rvs_to_values[rv].name for rv in model.free_RVs]
     columns = dict(zip(names, prior_draws(model, True)(n, rng), strict=True))
     return np.hstack([np.reshape(columns[v.name], (n, -1)) for v in model.value_vars])
+
+
+def are_logits(model) -> list[bool]:
+    """Whether each value variable is the logit of a parameter between two bounds."""
+    flags = []
+    for value in model.value_vars:
+        rv = model.values_to_rvs[value]
+        transform = model.rvs_to_transforms[rv]
+        interval = isinstance(transform, IntervalTransform)
+        bounded = interval and None not in transform.args_fn(*rv.owner.inputs)
+        flags.append(bounded or isinstance(transform, LogOddsTransform))
+    return flags

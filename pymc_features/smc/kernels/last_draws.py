@@ -55,7 +55,7 @@ class LastDraws:
                     points, shares = self.fitting_points(), sample.normalised(sample.log_weights(1.0))
                     # draws in many dimensions, a few of them heavy, are too few for a fit to be as good
                     bent = not self.needs_fit and self.n_parameters >= MANY
-                    fit = self.reference.mixture if bent else fit_to(points, self.rng)
+                    fit = self.reference.mixture if bent else fit_to(points, self.rng, self.bounded)
                     pool.add_proposal(patched(fit, points, sample.particles, shares))
                     source, n, limit, drawn = len(pool.betas) - 1, first, max(used, first), 0
             n = int(np.clip(n, 0.1 * self.draws, 2.0 * self.draws + used))

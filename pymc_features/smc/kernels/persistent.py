@@ -6,8 +6,9 @@ import numpy as np
 import pymc as pm
 from pymc.util import RandomState
 
-from pymc_features._checks import check_flag, message, shown
+from pymc_features._checks import check_flag, check_model, message, shown
 from pymc_features.keywords import check_keywords
+from pymc_features.smc.density.prior import are_logits
 from pymc_features.smc.kernels.base import KernelOptions, PopulationKernel
 from pymc_features.smc.kernels.chains import Chains
 from pymc_features.smc.kernels.last_draws import LastDraws
@@ -112,10 +113,11 @@ class PersistentSMC(LastDraws, PopulationKernel):
         self.stage_draws = GROUPS * -(-stage_draws // GROUPS)
         self.n_chains = GROUPS * max(2, self.stage_draws // (KEPT_STEPS * GROUPS))
         self.given_reference = reference
+        self.bounded = np.repeat(are_logits(check_model(model)), [size for _, size in self.var_info.values()])
 
     def _initialize_kernel(self):
         """Begin with draws from the reference, if there is a good one, or else from the prior."""
-        self.moves, self.reference = FittedMoves(), self.given_reference
+        self.moves, self.reference = FittedMoves(self.bounded), self.given_reference
         self.accept_rate = self.steps_per_draw = self.standard_error = np.nan
         self.ess = self.pareto_k = self.largest_share = np.nan
         self.reference_efficiency, self.hamiltonian_share, self.fit_efficiency = 0.0, 0.0, 1.0

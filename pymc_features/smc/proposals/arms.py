@@ -33,6 +33,11 @@ class FittedMoves:
     Trajectories, each as dear as many values, are drawn only where no other kind moves the chains further for
     that.
 
+    Parameters
+    ----------
+    bounded : array of bool (d,), optional
+        Parameters of which the logits are given.
+
     Attributes
     ----------
     proposal : FittedProposal
@@ -41,13 +46,14 @@ class FittedMoves:
         Probabilities of `ARMS`.
     """
 
-    def __init__(self):
+    def __init__(self, bounded=None):
+        self.bounded = bounded
         self.shares = np.array(FIRST_SHARES)
         self.hamiltonian, self.remembered = Hamiltonian(), BEST_OF_GRADIENTS
 
     def fit(self, points, rng: np.random.Generator) -> None:
         """Fit to equally weighted points (n, d), which may hold the same one many times."""
-        self.proposal = fit_to(points, rng)
+        self.proposal = fit_to(points, rng, self.bounded)
         self.hamiltonian.fit(points)
         self.points = points
         self.unbent = self.coordinates(points)

@@ -10,7 +10,7 @@ from pymc_features.smc.proposals.transport import Transport
 from pymc_features.smc.proposals.unbending import UnbendingMap
 
 HEAVIEST = 6.0  # degrees of freedom at most, so that a proposal's tails do not end before the target's
-WIDER = 1.1  # the part that is drawn from as a safeguard, over the fitted mixture
+WIDER = 1.1  # what is drawn from, over a mixture fitted behind a map, and the safeguard
 SAFEGUARD = 0.2  # its share
 HELD_OUT = 0.25  # share of the points that decide between the two kinds
 SMALLEST = -300.0  # log-density that a held-out point has at least in that decision
@@ -51,9 +51,9 @@ class Unbent(NamedTuple):
         return np.where(stay[:, None], x, moved)
 
 
-def fit_unbent(x, weights, rng, rotated=True) -> Unbent:
-    """Fit a map, and a mixture behind it, to points as of `fit_mixture`; `rotated` as of `UnbendingMap`."""
-    unbending = UnbendingMap(x, weights, rotated)
+def fit_unbent(x, weights, rng, rotated=True, bounded=None) -> Unbent:
+    """Fit a map as of `UnbendingMap`, and a mixture behind it, to points as of `fit_mixture`."""
+    unbending = UnbendingMap(x, weights, rotated, bounded)
     return Unbent(unbending, fit_mixture(unbending.forward(x)[0], weights, rng))
 
 
@@ -74,9 +74,10 @@ def heavy_tailed(mixture: StudentMixture, wider: float = 1.0) -> StudentMixture:
     return StudentMixture(components, mixture.weights)
 
 
-def fit_proposal(x, weights, rng: np.random.Generator) -> FittedProposal:
+def fit_proposal(x, weights, rng: np.random.Generator, bounded=None) -> FittedProposal:
     """Fit to distinct points (n, d) with weights (n,): how often each counts.
 
+    Of those parameters that are `bounded`, flags (d,), the logits are given; none by default.
     Of a plain mixture and two behind unbending maps, along the principal axes and along the parameters, that
     with the highest density at points that it was not fitted to. A safeguard of the plain mixture, wider and
     with heavy tails, has a fifth of the draws.
@@ -94,13 +95,14 @@ def fit_proposal(x, weights, rng: np.random.Generator) -> FittedProposal:
         return weights[held] @ np.maximum(density, SMALLEST)
 
     plain = fit_mixture(x, weights, rng)
-    best = max((fit_mixture, fit_unbent, partial(fit_unbent, rotated=False)), key=score)
+    bent = [partial(fit_unbent, bounded=bounded, rotated=rotated) for rotated in (True, False)]
+    best = max((fit_mixture, *bent), key=score)
     first = plain if best is fit_mixture else best(x, weights, rng)
     if first is not plain:
-        first = first._replace(mixture=heavy_tailed(first.mixture))
+        first = first._replace(mixture=heavy_tailed(first.mixture, WIDER))
     return FittedProposal([first, heavy_tailed(plain, WIDER)], np.array([1.0 - SAFEGUARD, SAFEGUARD]))
 
 
-def fit_to(points, rng: np.random.Generator) -> FittedProposal:
+def fit_to(points, rng: np.random.Generator, bounded=None) -> FittedProposal:
     """Fit to equally weighted points (n, d), which may hold the same one many times."""
-    return fit_proposal(*distinct(points), rng)
+    return fit_proposal(*distinct(points), rng, bounded)

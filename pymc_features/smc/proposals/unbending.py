@@ -1,6 +1,6 @@
 """An invertible map that makes a bent posterior nearly Gaussian, fitted in closed form.
 
-Three steps, each with an explicit inverse and Jacobian:
+Three steps, each with an explicit inverse and Jacobian, after bounded parameters have become `NormalScores`:
 
 1. every coordinate by itself, u = sinh(delta asinh((x - m) / s) - epsilon): skewness and tails (Jones &
    Pewsey, Biometrika 96, 2009), matched to quantiles;
@@ -27,6 +27,7 @@ from pymc_features.smc.proposals.polynomials import (
     affordable,
     monomials,
 )
+from pymc_features.smc.proposals.scores import NormalScores
 
 BATCH = 256  # points whose monomials are taken at a time
 SMALLEST_SQUARE = 1e-6  # beside the mean square, where a logarithm is taken
@@ -48,7 +49,7 @@ class Margins(NamedTuple):
         """u (n, d), and ln |du/dx| (n,)."""
         v = (x - self.location) / self.scale
         u = np.sinh(self.delta * np.arcsinh(v) - self.epsilon)
-        slopes = 0.5 * np.log((1.0 + u**2) / (1.0 + v**2))  # cosh(asinh(u)) over cosh(asinh(v))
+        slopes = 0.5 * (np.log1p(u**2) - np.log1p(v**2))  # cosh(asinh(u)) over cosh(asinh(v))
         return u, slopes.sum(axis=1) + np.log(self.delta / self.scale).sum()
 
     def inverse(self, u):
@@ -68,11 +69,15 @@ class UnbendingMap:
     rotated : bool
         Whether step 2 turns to the principal axes. Without, the parameters stay as they are, without step 1
         as well, and those come first on which scale and place of others depend.
+    bounded : array of bool (d,), optional
+        Parameters that are sampled as logits; none by default.
     """
 
-    def __init__(self, x, weights, rotated=True):
+    def __init__(self, x, weights, rotated=True, bounded=None):
         n_points = weights.sum()
         w = weights / n_points
+        self.scores = NormalScores(np.zeros(x.shape[1], dtype=bool) if bounded is None else bounded)
+        x, _ = self.scores.forward(x)
         self.margins = fit_margins(x, w, n_points) if rotated else no_change(x.shape[1])
         u, _ = self.margins.forward(x)
         self.mean = w @ u
@@ -92,11 +97,12 @@ class UnbendingMap:
         """z (n, d), and ln |dz/dx| (n,)."""
         z, log_jacobian = np.empty_like(x), np.empty(len(x))
         for rows in batches(len(x)):
-            u, slopes = self.margins.forward(x[rows])
+            scores, of_scores = self.scores.forward(x[rows])
+            u, slopes = self.margins.forward(scores)
             t = ((u - self.mean) @ self.vectors / self.deviations).T
             shift, log_scale = self.polynomials.of_all(t)
             z[rows] = ((t - shift) * np.exp(-log_scale)).T
-            log_jacobian[rows] = slopes - log_scale.sum(axis=0)
+            log_jacobian[rows] = of_scores + slopes - log_scale.sum(axis=0)
         return z, log_jacobian - np.log(self.deviations).sum()
 
     def inverse(self, z):
@@ -105,7 +111,8 @@ class UnbendingMap:
         with np.errstate(over="ignore"):
             for rows in batches(len(z)):
                 t = self.polynomials.solved(np.ascontiguousarray(z[rows].T)).T
-                x[rows] = self.margins.inverse(self.mean + (t * self.deviations) @ self.vectors.T)
+                u = self.mean + (t * self.deviations) @ self.vectors.T
+                x[rows] = self.scores.inverse(self.margins.inverse(u))
         return x
 
 
