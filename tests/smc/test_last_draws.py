@@ -51,6 +51,18 @@ def test_a_reference_that_misses_a_part_is_not_good():
     assert good_ones(1e-12) == 40
 
 
+def test_fits_follow_each_other_before_chains_go_on():
+    """A poor fit is mended by its own draws more cheaply than by chains: they go on after three in a row."""
+    with model_with_lump() as model:
+        for efficiencies, n_advances in (((0.01, 0.2), 0), ((0.01, 0.01, 0.2), 0), ((0.01,) * 5 + (0.2,), 1)):
+            kernel = PersistentSMC(200, model=model, random_seed=1)
+            kernel._initialize_kernel()
+            kernel.beta, advances, left = 1.0, [], list(efficiencies)
+            kernel.try_fit, kernel.advance = lambda left=left: left.pop(0), advances.append
+            kernel.advance_until_a_fit_is_usable()
+            assert (len(advances), left) == (n_advances, [])
+
+
 def test_parameters_between_two_bounds_are_known():
     """Those sampled as logits, entry by entry; one bound makes a logarithm."""
     with pm.Model() as model:

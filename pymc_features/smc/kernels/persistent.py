@@ -24,6 +24,7 @@ LEAST_ACCEPTANCE, MAX_REPEATS = 0.01, 5  # chains that move less repeat their st
 GOOD_FIT = 0.3  # effective share of its draws, of a fit of a stage that needs no chains
 # the same of the last stage, below which chains go on; how often; their share of trajectories then
 USABLE_FIT, MOST_ROUNDS, OF_TRAJECTORIES = 0.03, 6, 0.7
+TRIALS = 3  # of fits that follow each other, before chains go on
 WORTH_A_TRIAL = 0.2  # of the last fit, below which the next is not tried
 FIRST_OF_REFERENCE = (400, 30)  # draws of the reference: at least, and for each parameter
 USABLE_REFERENCE = 0.05  # effective share of its draws, to begin with
@@ -253,13 +254,16 @@ class PersistentSMC(LastDraws, PopulationKernel):
     def advance_until_a_fit_is_usable(self) -> None:
         """At a temperature of one, let chains go on while draws from fits to them are worth hardly anything.
 
-        Points of the stages before may be too few to show how the posterior is bent.
+        Points of the stages before may be too few to show how the posterior is bent. The next fit, to the
+        draws of the one before as well, costs little beside chains.
         """
-        for _ in range(MOST_ROUNDS):
+        for trial in range(MOST_ROUNDS * TRIALS):
             self.weights = self.pool.normalised(self.pool.log_weights(1.0))
             self.moves.fit(self.fitting_points(), self.rng)
             if self.try_fit() > USABLE_FIT:
                 break
+            if (trial + 1) % TRIALS:
+                continue
             self.weights = self.pool.normalised(self.pool.log_weights(1.0))
             self.resample()
             self.advance(OF_TRAJECTORIES)
