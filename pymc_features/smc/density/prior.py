@@ -4,8 +4,8 @@ import uuid
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
+from pymc.distributions.transforms import Interval, logodds
 from pymc.initial_point import make_initial_point_expression
-from pymc.logprob.transforms import IntervalTransform, LogOddsTransform
 from pymc.pytensorf import compile as compile_function
 from pymc.pytensorf import reseed_rngs
 
@@ -95,7 +95,7 @@ def are_logits(model) -> list[bool]:
     for value in model.value_vars:
         rv = model.values_to_rvs[value]
         transform = model.rvs_to_transforms[rv]
-        interval = isinstance(transform, IntervalTransform)
+        interval = isinstance(transform, Interval)
         bounded = interval and None not in transform.args_fn(*rv.owner.inputs)
-        flags.append(bounded or isinstance(transform, LogOddsTransform))
+        flags.append(bounded or isinstance(transform, type(logodds)))
     return flags
