@@ -12,7 +12,7 @@ MOST_STRUCTURES = 4  # of which bases are kept; the one not asked for longest go
 MOST_COLUMNS = 400
 LARGE = 8  # degrees of freedom for each mode kept from which a basis is worth while
 FEWEST = 8  # structures asked for before a basis is begun
-FRUITLESS = 16  # structures that bring nothing new although they were not found: rounding is above the limit
+FRUITLESS = 8  # structures that bring nothing new although they were not found: rounding is above the limit
 GUARDS = 3  # one mode more for so many is learnt, since the highest ones change places with those above
 ARRAYS = "stiffness", "mass", "damping", "influence", "rows", "starts"
 
