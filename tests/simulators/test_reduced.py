@@ -221,7 +221,10 @@ def test_rounding_above_the_limit_ends_the_search(stiff, is_given_up):
 
 
 def test_the_same_structure_again_and_again():
-    """Its modes are in the basis, what their derivatives need is not: the search for that alone ends."""
+    """Its modes are in the basis, what their derivatives need is not: the search for that alone ends.
+
+    It goes on when the modes of other structures have joined.
+    """
     parameters = population(membrane(), np.repeat(NEAR[:1], 40, axis=0))
     weights = Cotangent(np.ones((40, M)), np.zeros((40, M, 3)), np.zeros((40, M)))
     linear.linear_population_modes(parameters, WANTED)
@@ -230,6 +233,8 @@ def test_the_same_structure_again_and_again():
     assert known.searches[True].is_given_up and known.solved <= 20
     assert KNOWN.of(known.given, M, 40, left_out=True) is None
     assert KNOWN.of(known.given, M, 40) is known and known.searches[False].found > 30
+    linear.linear_population_modes(population(membrane(), NEAR), WANTED)
+    assert KNOWN.of(known.given, M, 40, left_out=True) is known
 
 
 @pytest.mark.parametrize("softer", [-0.9999, -1.01], ids=["a mode that no other has", "no structure"])

@@ -81,9 +81,9 @@ def reverse_sums(spring, bars, drift, loading, sign):
     """kbar = sum_k fbar_k d_k, cbar = sum_jk fbar_j (d^2)_j-k d_k."""
     by_stiffness = by_coefficient = splat(0.0)
     for k in range(ORDER):
-        drift = coefficient(spring, DRIFTS, k)
-        by_stiffness = by_stiffness + coefficient(bars, FORCES, k) * drift
-        by_coefficient = by_coefficient + coefficient(bars, CUBES_BAR, k) * drift
+        own = coefficient(spring, DRIFTS, k)
+        by_stiffness = by_stiffness + coefficient(bars, FORCES, k) * own
+        by_coefficient = by_coefficient + coefficient(bars, CUBES_BAR, k) * own
     add_constant(bars, STIFFNESS, by_stiffness)
     add_constant(bars, COEFFICIENT, by_coefficient)
 

@@ -12,7 +12,8 @@ MOST_STRUCTURES = 4  # of which bases are kept; the one not asked for longest go
 MOST_COLUMNS = 400
 LARGE = 8  # degrees of freedom for each mode kept from which a basis is worth while
 FEWEST = 8  # structures asked for before a basis is begun
-FRUITLESS = 8  # structures that bring nothing new although they were not found: rounding is above the limit
+# structures that bring nothing new although they were not found: they are the same, or rounding hides all
+FRUITLESS = 8
 GUARDS = 3  # one mode more for so many is learnt, since the highest ones change places with those above
 ARRAYS = "stiffness", "mass", "damping", "influence", "rows", "starts"
 
@@ -34,8 +35,14 @@ class Search:
         self.begin()
 
     def begin(self):
-        """Begin in a new basis."""
+        """Begin in another basis."""
         self.tried = self.found = self.fruitless = 0
+
+    def begin_again_if_in_vain(self):
+        """The basis has grown: it may hold now what it did not."""
+        if self.fruitless >= FRUITLESS:
+            self.is_given_up = False
+            self.begin()
 
 
 class Known:
@@ -130,7 +137,10 @@ class Known:
             self.terms = new_terms(self.given, matrices, modes)
             self.basis = new_basis(self.terms)
         grown = joined(self.terms, self.basis, shapes)
-        search.fruitless += grown.size == self.basis.size
+        if grown.size > self.basis.size:
+            self.searches[not left_out].begin_again_if_in_vain()
+        else:
+            search.fruitless += 1
         is_full = grown.size > self.most
         if is_full or search.fruitless >= FRUITLESS:
             search.is_given_up = 2 * search.found < search.tried
