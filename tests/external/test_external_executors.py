@@ -3,7 +3,6 @@
 import logging
 import os
 import signal
-import time
 
 import numpy as np
 import pymc as pm
@@ -13,7 +12,7 @@ import pytest
 from pymc_features import ExternalSimulator, PopulationIMH, TruncNormalFeature, sample_smc
 from pymc_features.exceptions import NoWorkersError
 from support import external_functions as functions
-from support.external_functions import DATA, SHAPE, Counted, beam, lives, wait_until
+from support.external_functions import DATA, SHAPE, Counted, Timed, beam, lives, wait_until
 from support.sampling import QUIET
 
 distributed = pytest.importorskip("distributed")
@@ -65,17 +64,24 @@ def test_the_same_particles_as_here(cluster, tmp_path):
     np.testing.assert_array_equal(draws[0], draws[1])
 
 
-def test_two_workers_are_nearly_twice_as_fast(cluster, client):
+def test_two_workers_run_at_the_same_time(cluster, client, tmp_path):
+    """Where either may, calls of both overlap; where only one may (the negative control), none do."""
     first, _ = client.scheduler_info(n_workers=-1)["workers"]
-    rates, k = [], np.linspace(1.0, 2.0, 16)
+    shares = []
     with client.get_executor(workers=[first], pure=False) as one:
         for executor in (one, cluster.scheduler_address):
-            with on(executor, functions.slow) as simulator:
-                simulator.responses(k[:6] + 2.0)  # starts the processes
-                start = time.perf_counter()
-                simulator.responses(k)
-                rates.append(len(k) / (time.perf_counter() - start))
-    assert rates[1] > 1.7 * rates[0]
+            function = Timed(tmp_path / f"calls{len(shares)}", seconds=0.1)
+            with on(executor, function) as simulator:
+                simulator.responses(np.linspace(1.0, 2.0, 16))
+            calls = function.calls()
+            processes = {pid for pid, _, _ in calls}
+            together = sum(
+                any(a < other_b and other_a < b for other, other_a, other_b in calls if other != pid)
+                for pid, a, b in calls
+            )
+            shares.append((len(calls), len(processes), together / len(calls)))
+    assert shares[0] == (16, 1, 0.0)
+    assert shares[1][:2] == (16, 2) and shares[1][2] > 0.5
 
 
 def test_a_killed_worker_costs_only_its_own_calls(client, tmp_path):

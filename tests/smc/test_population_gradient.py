@@ -29,7 +29,6 @@ from pymc_features.ops import PopulationGradient, StructuralResponse
 from pymc_features.smc import KERNELS, population_logp
 from pymc_features.smc.density import evaluation, rows
 from support import external_functions as functions
-from support.commands import run_python
 from support.families import CASES, measured
 from support.graphs import our_ops_of
 from support.reference import richardson
@@ -195,16 +194,6 @@ def test_against_differences(build):
     both = [richardson(lambda x: np.ravel(logp(x[None])[:2]), row, unit) for unit in units]
     for slope, expected in zip((by_prior[0], by_likelihood[0]), np.transpose(both), strict=True):
         np.testing.assert_allclose(slope, expected, rtol=0, atol=1e-6 * abs(expected).max())
-
-
-@pytest.mark.slow
-def test_machine_code():
-    """Others, and of a changed response, at the end of this file."""
-    model = structural("chain")
-    particles = prior_particles(model, spread=0.05)
-    expected = evaluation_of(model, mode="FAST_COMPILE").gradient(particles)
-    for got, exact in zip(evaluation_of(model, mode="NUMBA").gradient(particles), expected, strict=True):
-        np.testing.assert_allclose(got, exact, rtol=1e-9, atol=1e-9 * abs(exact).max())
 
 
 # --------------------------------------------------------------------------- particles that cannot be
@@ -546,44 +535,3 @@ def test_values_are_no_gradients(tmp_path):
     with pytest.raises(CheckpointError, match="must be intact, got a wrong sum"):
         again.evaluate(particles)
     again.journal.close()
-
-
-# --------------------------------------------------------------------------- memory
-
-GROWTH = """
-    import numpy as np, pymc as pm
-    from pymc_features import CorrelatedNormal, paper, response, synthetic_earthquake
-    from pymc_features.smc import population_logp
-    from support.memory import growth
-
-    def evaluations(change):
-        with pm.Model() as model:
-            mu = change(response(paper.chain(pm.Normal("theta", 1.0)), record))
-            CorrelatedNormal("y", mu, 1.0, 0.1, record.dt, observed=change(data))
-        start = model.initial_point()
-        return [population_logp(model, start, {"mode": mode}) for mode in ("NUMBA", "FAST_COMPILE")]
-
-    record = synthetic_earthquake(31.18, 0.002, random_seed=1)
-    data = np.random.default_rng(0).normal(size=(10, record.n_times))
-    particles = np.linspace(0.5, 1.5, 64)[:, None]
-    grown = []
-    for change, share in ((lambda mu: mu, 64), (lambda mu: mu[::-1], 16)):
-        logp, plain = evaluations(change)
-        found = logp.gradient(particles[:2])
-        grown.append(growth(lambda: logp.gradient(particles[:share]))[0])
-        for got, exact in zip(found, plain.gradient(particles[:2]), strict=True):
-            np.testing.assert_allclose(got, exact, rtol=1e-9, atol=1e-9 * abs(exact).max())
-    print(*(size / data.nbytes for size in grown))
-"""
-
-
-@pytest.mark.processes
-def test_no_memory_for_histories(tmp_path):
-    """64 particles of 10 x 15590: growth of the peak over the size of one response, and from responses.
-
-    Both in machine code, whose gradients are those of the kernels that Python calls.
-    """
-    pytest.importorskip("resource")
-    fused, unfused = map(float, run_python(GROWTH, tmp_path).split())
-    assert fused < 1.0
-    assert unfused > 16.0, "the negative control"

@@ -91,6 +91,21 @@ class Counted:
         return [(int(pid), float(k)) for pid, k in map(str.split, lines)]
 
 
+class Timed(Counted):
+    """`beam`, that writes down each call: process (id), begin and end by the clock of the machine [s]."""
+
+    def __call__(self, k):
+        begin = time.monotonic()
+        time.sleep(self.seconds)
+        note(self.path, f"{os.getpid()} {begin!r} {time.monotonic()!r}")
+        return beam(k)
+
+    def calls(self):
+        """Processes, begins and ends so far."""
+        lines = map(str.split, Path(self.path).read_text().splitlines())
+        return [(int(pid), float(begin), float(end)) for pid, begin, end in lines]
+
+
 class Hanging:
     """Writes down its process and one that it started, and does not end."""
 
@@ -171,12 +186,6 @@ def curious(k):
     result = np.zeros(SHAPE)
     result[0, 0], result[0, 1] = found, Path.cwd().name.startswith("simulation-")
     return result
-
-
-def slow(k):
-    """`beam` after a fifth of a second."""
-    time.sleep(0.2)
-    return beam(k)
 
 
 def chain_response(theta, acceleration, dt):
