@@ -23,7 +23,6 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import (
-    LANES,
     highest,
     load,
     magnitude,
@@ -33,6 +32,7 @@ from pymc_features.simulators.compiled.vector import (
     where_less,
 )
 from pymc_features.simulators.compiled.vector_math import larger
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.pair_numbers import over, times
 
 PANEL = 2
@@ -81,15 +81,15 @@ class ComplexLanes(NamedTuple):
 def new_complex(n_modes, n_sensors):
     """Room for structures of m modes."""
     return ComplexLanes(
-        is_good=np.zeros((1, LANES)),
-        damping=np.zeros((n_modes * n_modes, LANES)),
-        omega=np.zeros((n_modes, LANES)),
-        participation=np.zeros((n_modes, LANES)),
-        seen=np.zeros((n_sensors * n_modes, LANES)),
-        vectors=np.zeros((2 * PANEL * n_modes, LANES)),
-        products=np.zeros((2 * PANEL * n_modes, LANES)),
-        poles=np.zeros((3 * PANEL, LANES)),
-        sums=np.zeros((3 * n_sensors, LANES)),
+        is_good=new_vectors(1),
+        damping=new_vectors(n_modes * n_modes),
+        omega=new_vectors(n_modes),
+        participation=new_vectors(n_modes),
+        seen=new_vectors(n_sensors * n_modes),
+        vectors=new_vectors(2 * PANEL * n_modes),
+        products=new_vectors(2 * PANEL * n_modes),
+        poles=new_vectors(3 * PANEL),
+        sums=new_vectors(3 * n_sensors),
     )
 
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, splat, store
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.complex_modes import (
     CANCELLING,
     PANEL,
@@ -21,8 +22,9 @@ from pymc_features.simulators.eigen.coupled import (
     write_sensors,
 )
 from pymc_features.simulators.eigen.matrices import all_diagonal, assemble_lanes
-from pymc_features.simulators.eigen.pairs import new_pair_lanes, write_share
+from pymc_features.simulators.eigen.pairs import write_share
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
+from pymc_features.simulators.oscillators.lanes import new_lanes
 
 
 @jit
@@ -78,14 +80,14 @@ def fill_systems(systems, parameters, excitation, wanted, observed):
     theta, (n_sensors, n), m = parameters.theta, wanted.sensors.shape, wanted.n_modes
     count, step = theta.shape[0], excitation.dt / excitation.substeps
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
-    lanes, modes = new_pair_lanes(observed[:, :1].copy(), m, 1), new_complex(m, n_sensors)
+    lanes, modes = new_lanes(observed[:, :1].copy(), m, 1, True), new_complex(m, n_sensors)
     structures = new_structures(n, theta.shape[1], columns[0].shape[1])
     damping, products, room = (
-        np.zeros((n * n, LANES)),
-        np.zeros((m * (n + 2), LANES)),
-        np.zeros((m * n, LANES)),
+        new_vectors(n * n),
+        new_vectors(m * (n + 2)),
+        new_vectors(m * n),
     )
-    order, kept = np.empty(n, dtype=np.int64), (np.zeros((m, LANES)), np.zeros((m, LANES)))
+    order, kept = np.empty(n, dtype=np.int64), (new_vectors(m), new_vectors(m))
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
     systems.valid[:], systems.omega[:] = True, np.nan
     for first in range(0, count, LANES):

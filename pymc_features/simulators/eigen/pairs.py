@@ -6,10 +6,8 @@ and q' again and of the input. The recursion is that of `recursion`, with y = x 
 six products for a pair and step, and two columns for each sensor.
 """
 
-import numpy as np
-
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, load, magnitude, splat, store, where_less
+from pymc_features.simulators.compiled.vector import load, magnitude, splat, store, where_less
 from pymc_features.simulators.eigen.complex_modes import (
     CANCELLING,
     PANEL,
@@ -22,25 +20,7 @@ from pymc_features.simulators.eigen.complex_modes import (
 from pymc_features.simulators.eigen.filling import hold_lanes
 from pymc_features.simulators.eigen.pair_numbers import times
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
-from pymc_features.simulators.oscillators.lanes import N_OF_PAIR, SAMPLES, Lanes, has_gaps
-
-
-@jit
-def new_pair_lanes(observed, n_pairs, stride):
-    """Lanes for oscillators of which displacement and velocity are seen, for data (sensors, time)."""
-    n_sensors = observed.shape[0]
-    s, m = n_sensors + n_sensors % 2, n_pairs + n_pairs % 2
-    return Lanes(
-        coefficients=np.zeros((N_OF_PAIR * m, LANES)),
-        states=np.zeros((2 * m, LANES)),
-        shapes=np.zeros((2 * s * m, LANES)),
-        feed=np.zeros((s, LANES)),
-        outputs=np.empty((2 * SAMPLES * m, LANES)),
-        ground=np.empty(SAMPLES * stride),
-        data=np.empty((n_sensors, SAMPLES)),
-        has_gaps=has_gaps(observed),
-        squares=np.empty((s, LANES)),
-    )
+from pymc_features.simulators.oscillators.lanes import N_OF_PAIR
 
 
 @jit
@@ -50,7 +30,7 @@ def fill_pairs(lanes, modes, n_sensors, step, quantity, start):
     Parameters
     ----------
     lanes : Lanes
-        From `new_pair_lanes`, with the feed-through, to which is added what stands before a[k] in the states.
+        Of pairs, with the feed-through, to which is added what stands before a[k] in the states.
     modes : ComplexLanes
         Whose `is_good` tells, afterwards, which lanes came out right.
     n_sensors : int

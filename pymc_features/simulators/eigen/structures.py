@@ -12,6 +12,7 @@ import numpy as np
 from pymc_features.algebra.eigen import ROUNDING
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, highest, load, magnitude, splat, store, where_less
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.matrices import (
     assemble_lanes,
     divide_columns,
@@ -77,28 +78,28 @@ class StructureLanes(NamedTuple):
 def new_structures(n, n_theta, width):
     """Room for structures of n degrees of freedom and products with `width` vectors."""
     room = (
-        np.zeros((n, LANES)),
-        np.zeros((n, LANES)),
-        np.zeros((n, LANES)),
-        np.zeros((n, LANES)),
-        np.zeros((n, LANES)),
-        np.zeros((width, LANES)),
+        new_vectors(n),
+        new_vectors(n),
+        new_vectors(n),
+        new_vectors(n),
+        new_vectors(n),
+        new_vectors(width),
     )
     return StructureLanes(
         is_good=np.zeros(LANES, dtype=np.bool_),
-        theta=np.zeros((n_theta, LANES)),
-        stiffness=np.zeros((n * n, LANES)),
-        factor=np.zeros((n * n, LANES)),
-        reduced=np.zeros((n * n, LANES)),
-        diagonal=np.zeros((n, LANES)),
-        off_diagonal=np.zeros((n, LANES)),
-        values=np.zeros((n, LANES)),
-        work=np.zeros((n, LANES)),
-        vectors=np.zeros((n * width, LANES)),
-        pivots=np.zeros((2 * n, LANES)),
-        shape=np.zeros((n, LANES)),
-        rows=np.zeros((n * n if width >= n else 0, LANES)),
-        turned=np.zeros((n * width if width >= n else 0, LANES)),
+        theta=new_vectors(n_theta),
+        stiffness=new_vectors(n * n),
+        factor=new_vectors(n * n),
+        reduced=new_vectors(n * n),
+        diagonal=new_vectors(n),
+        off_diagonal=new_vectors(n),
+        values=new_vectors(n),
+        work=new_vectors(n),
+        vectors=new_vectors(n * width),
+        pivots=new_vectors(2 * n),
+        shape=new_vectors(n),
+        rows=new_vectors(n * n if width >= n else 0),
+        turned=new_vectors(n * width if width >= n else 0),
         room=room,
     )
 
