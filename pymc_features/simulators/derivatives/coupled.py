@@ -16,13 +16,7 @@ from pymc_features.simulators.derivatives.pair_differences import (
 )
 from pymc_features.simulators.derivatives.pair_lanes import sum_pairs, write_pair
 from pymc_features.simulators.derivatives.pair_memory import new_pairs
-from pymc_features.simulators.eigen.complex_modes import (
-    PANEL,
-    check_sums,
-    new_complex,
-    settle_panel,
-    start_panel,
-)
+from pymc_features.simulators.eigen.complex_modes import PANEL, new_complex, settle_panel, start_panel
 from pymc_features.simulators.eigen.coupled import (
     all_columns,
     check_damping,
@@ -31,6 +25,7 @@ from pymc_features.simulators.eigen.coupled import (
     write_sensors,
 )
 from pymc_features.simulators.eigen.matrices import all_diagonal, assemble_lanes, multiply_lanes, store_four
+from pymc_features.simulators.eigen.residues import check_sums
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
 from pymc_features.simulators.oscillators.arguments import single_input
 from pymc_features.simulators.oscillators.lanes import new_lanes

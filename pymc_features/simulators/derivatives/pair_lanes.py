@@ -19,9 +19,9 @@ from pymc_features.simulators.compiled.vector import load, splat, store, where_l
 from pymc_features.simulators.compiled.vector_memory import read_number
 from pymc_features.simulators.derivatives.filters import hold_functions
 from pymc_features.simulators.derivatives.pair_memory import put_number
-from pymc_features.simulators.eigen.complex_modes import at_sensor, input_factor, norm
+from pymc_features.simulators.eigen.complex_modes import mode_places, pole_of
 from pymc_features.simulators.eigen.pair_numbers import times
-from pymc_features.simulators.eigen.pairs import add_to_sums
+from pymc_features.simulators.eigen.residues import add_to_sums, at_sensor, input_factor, norm
 from pymc_features.simulators.oscillators.arguments import (
     ABSOLUTE_ACCELERATION,
     RELATIVE_ACCELERATION,
@@ -53,15 +53,15 @@ def write_pair(lanes, pairs, modes, r, p, request):
 
     `request` has the step [s], the quantity, the number of sensors and the first sample of the input.
     """
-    step, quantity, n_sensors, start = request
-    a, b, square = load(modes.poles, 3 * p), load(modes.poles, 3 * p + 1), load(modes.poles, 3 * p + 2)
+    (step, quantity, n_sensors, start), at = request, mode_places(modes)
+    (a, b), square = pole_of(at, p)
     m, is_good, zero = modes.omega.shape[0], load(modes.is_good, 0), splat(0.0)
     a, b = where_less(zero, is_good, a, zero), where_less(zero, is_good, b, zero)
     store(pairs.poles, 3 * r, a)
     store(pairs.poles, 3 * r + 1, b)
     store(pairs.poles, 3 * r + 2, square)
-    put_number(pairs.left, r, norm(modes, p))
-    factor = input_factor(modes, p)
+    put_number(pairs.left, r, norm(at, p))
+    factor = input_factor(at, p)
     put_number(pairs.right, r, factor)
     after = write_step(lanes, pairs, r, (a, b, square), step)
     store(lanes.states, 2 * r, 0.0 - after[0] * start)
@@ -70,9 +70,9 @@ def write_pair(lanes, pairs, modes, r, p, request):
     store(pairs.before, 4 * r + 3, 0.0 - load(pairs.slopes, 4 * r + 3) * start)
     even_modes = lanes.states.shape[0] // 2
     for j in range(n_sensors):
-        seen = at_sensor(modes, j, p)
+        seen = at_sensor(at, j, p)
         residue = times(seen, factor, square)
-        add_to_sums(modes, j, (a, b, square), residue)
+        add_to_sums(at, j, (a, b, square), residue)
         put_number(pairs.seen, j * m + r, seen)
         for _ in range(order_of(quantity)):
             residue = times((a, b), residue, square)

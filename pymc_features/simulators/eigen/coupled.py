@@ -96,14 +96,17 @@ def sort_modes(structures, modes, room):
     """
     (products, order), m = room, modes.omega.shape[0]
     width = products.shape[0] // m
+    for i in range(m * width):  # of the lanes that are in order, as nearly all are
+        store(products, i, load(structures.vectors, i))
     for lane in range(LANES):
         if modes.is_good[0, lane] == 0.0:
             continue
         positions(structures.values, lane, order)
         for r in range(m):
             modes.omega[r, lane] = np.sqrt(structures.values[order[r], lane])
-            for c in range(width):
-                products[r * width + c, lane] = structures.vectors[order[r] * width + c, lane]
+            if order[r] != r:
+                for c in range(width):
+                    products[r * width + c, lane] = structures.vectors[order[r] * width + c, lane]
 
 
 @jit

@@ -3,14 +3,13 @@
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, load, splat, store
+from pymc_features.simulators.compiled.vector import LANES, splat, store
 from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.complex_modes import (
-    CANCELLING,
     PANEL,
-    check_sums,
-    input_factor,
+    mode_places,
     new_complex,
+    pole_of,
     settle_panel,
     start_panel,
 )
@@ -22,7 +21,8 @@ from pymc_features.simulators.eigen.coupled import (
     write_sensors,
 )
 from pymc_features.simulators.eigen.matrices import all_diagonal, assemble_lanes
-from pymc_features.simulators.eigen.pairs import write_share
+from pymc_features.simulators.eigen.pairs import write_shares
+from pymc_features.simulators.eigen.residues import CANCELLING, check_sums
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
 from pymc_features.simulators.oscillators.lanes import new_lanes
 
@@ -34,22 +34,17 @@ def write_pairs(lanes, modes, kept, n_sensors, quantity):
     `kept` are two arrays (m, LANES); the shapes are those of displacements and velocities in SI units.
     """
     (stiffness, drag), m, zero = kept, modes.omega.shape[0], splat(0.0)
+    at = mode_places(modes)
     for i in range(3 * n_sensors):
         store(modes.sums, i, zero)
     for first in range(0, m, PANEL):
         start_panel(modes, first)
         settle_panel(modes, first)
         for p in range(min(PANEL, m - first)):
-            a, b, square = (
-                load(modes.poles, 3 * p),
-                load(modes.poles, 3 * p + 1),
-                load(modes.poles, 3 * p + 2),
-            )
+            (a, b), square = pole_of(at, p)
             store(stiffness, first + p, a * a - square * (b * b))
             store(drag, first + p, 0.0 - 2.0 * a)
-            found = input_factor(modes, p), (zero, zero)
-            for j in range(n_sensors):
-                write_share(lanes, modes, (first + p, p, j), found, 1.0, quantity)
+            write_shares(lanes, at, (first + p, p), (zero, zero), 1.0, quantity)
     check_sums(modes, n_sensors, CANCELLING)
 
 
