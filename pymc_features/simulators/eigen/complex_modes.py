@@ -269,8 +269,8 @@ def sweep_panel(at, first, live):
 def settle_panel(modes, first):
     """Iterate a panel until all its modes have settled; lanes where one does not are no longer good.
 
-    Where changes shrink fast, what is left behind the last one follows from it and the larger of the last two
-    rates: near a coalescence every other change is small.
+    Near a coalescence every other change is small. So it is the larger of the last two that tells, or, where
+    they shrink fast, what follows from the last one and the larger of the last two rates.
     """
     zero, one = splat(0.0), splat(1.0)
     at = mode_places(modes)
@@ -284,7 +284,7 @@ def settle_panel(modes, first):
         store(modes.is_good, 0, load(modes.is_good, 0) - lost)
         rate = larger(moved / before, last_rate)
         is_foreseen = where_less(moved, splat(NEARLY), where_less(rate, splat(SHRINKING), one, zero), zero)
-        left = where_less(zero, is_foreseen, moved * rate, moved)
+        left = where_less(zero, is_foreseen, moved * rate, larger(moved, before))
         slowly = splat(SETTLED if iteration < 2 * EARLY else STALLED)
         enough = where_less(zero, is_foreseen, splat(FORESEEN), slowly)
         live = where_less(zero, lost, zero, where_less(left, enough, zero, live))
