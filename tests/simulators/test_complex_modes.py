@@ -6,6 +6,7 @@ import pytest
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear import population
+from pymc_features.simulators.oscillators.lanes import COLUMNS
 from support.kernels import linear_misfit, linear_population_discrepancy, linear_population_misfit
 from support.linear import meeting, noise, random_structure, spring_chain
 from support.reference import first_order_hold, interpolated
@@ -76,6 +77,12 @@ def dashpot_on_chain(n):
 def test_dashpot_against_matrix_exponential(n, quantity, alone):
     """From none to one that takes half of a wave's energy: 1e-9 of the peak, all of it in lanes."""
     assert dashpot_on_chain(n).worst([0.0, 0.1, 2.0, 8.0], quantity) < 1e-9
+    assert alone == []
+
+
+def test_more_pairs_than_march_together(alone):
+    """Pairs of modes in two chunks."""
+    assert dashpot_on_chain(COLUMNS // 2 + 3).worst([0.1, 2.0], 0) < 1e-9
     assert alone == []
 
 
