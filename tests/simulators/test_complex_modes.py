@@ -6,6 +6,7 @@ import pytest
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear import population
+from pymc_features.simulators.oscillators.lanes import COLUMNS
 from support.kernels import linear_misfit, linear_population_discrepancy, linear_population_misfit
 from support.linear import meeting, noise, random_structure, spring_chain
 from support.reference import first_order_hold, interpolated
@@ -79,6 +80,12 @@ def test_dashpot_against_matrix_exponential(n, quantity, alone):
     assert alone == []
 
 
+def test_more_pairs_than_march_together(alone):
+    """Pairs of modes in two chunks."""
+    assert dashpot_on_chain(COLUMNS // 2 + 3).worst([0.1, 2.0], 0) < 1e-9
+    assert alone == []
+
+
 @pytest.mark.parametrize("damping", [1e-3, 0.1, 30.0])
 @pytest.mark.parametrize(("grid", "n_modes"), [((1, 1), None), ((3, 1), None), ((1, 4), None)])
 def test_full_matrices(grid, n_modes, damping):
@@ -99,18 +106,29 @@ def test_overdamped_modes_are_pairs_of_real_ones(alone):
     assert alone == []
 
 
+def two_that_meet():
+    """Two masses whose complex modes meet, and the theta at which they do."""
+    omega = np.array([20.0, 20.4])
+    base, both = 0.02 * np.diag(omega), np.ones((2, 2))
+    return Dashpots(np.eye(2), [base, both], np.diag(omega**2)), meeting(omega, base, both)
+
+
 def test_through_a_coalescence_of_modes(alone):
     """Two masses whose complex modes meet: far from there in lanes, next to it alone, 1e-9 everywhere."""
-    gap, coupling = 0.4, 1.0
-    omega = np.array([20.0, 20.0 + gap])
-    stiffness, base = np.diag(omega**2), 0.02 * np.diag(omega)
-    case = Dashpots(np.eye(2), [base, coupling * np.array([[1.0, 1.0], [1.0, 1.0]])], stiffness)
-    thetas = meeting(omega, base, case.damping[1]) + np.array(
-        [-0.3, -1e-2, -1e-5, -1e-9, 0.0, 1e-9, 1e-5, 1e-2]
-    )
+    case, met = two_that_meet()
+    thetas = met + np.array([-0.3, -1e-2, -1e-5, -1e-9, 0.0, 1e-9, 1e-5, 1e-2])
     for quantity in range(4):
         assert case.worst(thetas, quantity) < 1e-9
     assert 0 < len(alone) < 4 * thetas.size
+
+
+@pytest.mark.parametrize("before", [0.3, 0.2, 0.1])
+def test_modes_of_which_every_other_change_is_small(before, alone):
+    """On the way to a coalescence one small change does not show that they have settled: 1e-12 in lanes."""
+    case, met = two_that_meet()
+    for quantity in range(4):
+        assert case.worst([met - before], quantity) < 1e-12
+    assert alone == []
 
 
 def test_neighbours_do_not_matter():

@@ -9,6 +9,7 @@ from pymc_features import ModalDamping, Record, SpringMassChain, mean_square_dis
 from pymc_features.ops import PopulationDiscrepancy
 from pymc_features.simulators import QUANTITIES, request
 from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.oscillators.lanes import COLUMNS
 from support.graphs import PLAIN, our_ops
 from support.kernels import chain_discrepancy, population_discrepancy
 from support.reference import first_order_hold
@@ -53,6 +54,16 @@ def test_agrees_with_the_kernel_of_one_particle(ground, quantity, ratio, n_dof, 
     for observed in (data, 0.0 * data):  # zero data: all of the mean square is the response's
         together, alone = both(*population(rng, LANES + 3, n_dof), *common, observed)
         np.testing.assert_allclose(together, alone, rtol=1e-12)
+
+
+@pytest.mark.parametrize("n_sensors", range(1, 9))
+def test_more_modes_than_go_together(ground, n_sensors):
+    """Modes in two chunks, sensors in threes and twos, and a block with a gap."""
+    rng, n = np.random.default_rng(6), COLUMNS + 5
+    data = rng.normal(size=(n_sensors, ground.size))
+    data[0, 20:25] = np.nan
+    common = (ground, DT, 1, 1, rng.permutation(n)[:n_sensors], n, 0, data)
+    np.testing.assert_allclose(*both(*population(rng, LANES + 1, n), *common), rtol=1e-10)
 
 
 @pytest.mark.parametrize("n_times", [1, 2, 15, 16, 17, 32, 33])

@@ -10,6 +10,7 @@ from pymc_features.simulators.chain.response import check_history, check_sizes
 from pymc_features.simulators.chain.sensor_modes import new_sensor_modes, solve_at_sensors
 from pymc_features.simulators.compiled.jit import inline, jit
 from pymc_features.simulators.compiled.vector import LANES, load, store
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.filling import empty_modes, fill_lanes, take_lane
 from pymc_features.simulators.eigen.tridiagonal import are_apart, diagonalise_lanes, whole_vectors
 from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
@@ -55,9 +56,9 @@ def check_population(parameters, excitation, wanted, observed):
 @jit
 def new_modes(n):
     """Room for the eigenproblems of chains of n masses."""
-    mass, stiffness, frequencies = np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n, LANES))
-    participation, off_diagonal = np.empty((n, LANES)), np.empty((n, LANES))
-    valid, vectors = np.empty(LANES, dtype=np.bool_), np.empty((n * n, LANES))
+    mass, stiffness, frequencies = new_vectors(n), new_vectors(n), new_vectors(n)
+    participation, off_diagonal = new_vectors(n), new_vectors(n)
+    valid, vectors = np.empty(LANES, dtype=np.bool_), new_vectors(n * n)
     return ModeLanes(valid, mass, stiffness, frequencies, participation, off_diagonal, vectors)
 
 
@@ -80,7 +81,7 @@ def solve_modes(modes, parameters, first, count):
 def find_vectors(modes):
     """Overwrite the diagonals by eigenvalues, and write the vectors; False if that fails."""
     n, vectors = modes.frequencies.shape[0], modes.vectors
-    values, work = np.empty((n, LANES)), np.empty((n, LANES))
+    values, work = new_vectors(n), new_vectors(n)
     for turn in range(2):  # without vectors first: they are found one by one where no eigenvalues are close
         for i in range(n):
             store(values, i, load(modes.frequencies, i))
@@ -88,7 +89,7 @@ def find_vectors(modes):
         if not diagonalise_lanes(values, work, vectors if turn == 1 else vectors[:0]):
             return False
         if turn == 0 and are_apart(values):
-            pivots = np.empty((2 * n, LANES))
+            pivots = new_vectors(2 * n)
             whole_vectors(modes.frequencies, modes.off_diagonal, values, pivots, work, vectors)
             break
     for i in range(n):
@@ -135,8 +136,8 @@ def march_population(parameters, excitation, wanted, observed, increments):
     n, sensors, quantity = parameters.mass.shape[1], wanted.sensors, wanted.quantity
     step, m = excitation.dt / excitation.substeps, wanted.n_modes
     result = np.empty((n_particles, sensors.size, 1 if increments is None else 4))
-    lanes, modes = new_lanes(observed, m, excitation.stride), new_sensor_modes(n, sensors.size)
-    kept, order = (np.zeros((m, LANES)), np.zeros((m, LANES))), np.empty(n, dtype=np.int64)
+    lanes, modes = new_lanes(observed, m, excitation.stride, False), new_sensor_modes(n, sensors.size)
+    kept, order = (new_vectors(m), new_vectors(m)), np.empty(n, dtype=np.int64)
     for first in range(0, n_particles, LANES):
         count = min(LANES, n_particles - first)
         solve_at_sensors(modes, parameters, sensors, first, count)

@@ -7,6 +7,7 @@ from pymc_features.simulators.chain.population import check_population
 from pymc_features.simulators.chain.sensor_modes import new_sensor_modes, solve_at_sensors
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.filling import take_lane
 from pymc_features.simulators.mean_squares.systems import new_systems, put_lane
 from pymc_features.simulators.oscillators.modal_system import DampingLaw
@@ -25,7 +26,7 @@ def chain_systems(parameters, excitation, wanted, observed):
     sensors, m, quantity = wanted
     n, step = parameters.mass.shape[1], excitation.dt / excitation.substeps
     systems, modes = new_systems(n_particles, sensors.size, m, 1, False), new_sensor_modes(n, sensors.size)
-    kept, order = (np.zeros((m, LANES)), np.zeros((m, LANES))), np.empty(n, dtype=np.int64)
+    kept, order = (new_vectors(m), new_vectors(m)), np.empty(n, dtype=np.int64)
     motion = np.ones(sensors.size)
     for first in range(0, n_particles, LANES):
         count = min(LANES, n_particles - first)

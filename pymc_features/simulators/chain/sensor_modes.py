@@ -21,6 +21,7 @@ from pymc_features.simulators.compiled.vector import (
     store,
     where_less,
 )
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.tridiagonal import (
     REACH,
     ROUNDS,
@@ -68,13 +69,13 @@ def new_sensor_modes(n, n_sensors):
         valid=np.empty(LANES, dtype=np.bool_),
         mass=np.ones((n, LANES)),
         stiffness=np.ones((n, LANES)),
-        diagonal=np.zeros((n, LANES)),
-        off_diagonal=np.zeros((n, LANES)),
-        values=np.zeros((n, LANES)),
-        work=np.zeros((n, LANES)),
-        vectors=np.zeros((n * (n_sensors + 1), LANES)),
-        pivots=np.zeros((2 * n, LANES)),
-        shape=np.zeros((n, LANES)),
+        diagonal=new_vectors(n),
+        off_diagonal=new_vectors(n),
+        values=new_vectors(n),
+        work=new_vectors(n),
+        vectors=new_vectors(n * (n_sensors + 1)),
+        pivots=new_vectors(2 * n),
+        shape=new_vectors(n),
     )
 
 

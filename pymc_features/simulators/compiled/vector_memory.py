@@ -6,6 +6,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, LANES_TYPE, VECTOR
 
 _LONG, _SHORT = ir.IntType(64), ir.IntType(32)
@@ -24,6 +25,14 @@ def aligned(size: int) -> np.ndarray:
     whole = np.zeros(size + LINE // 8)
     first = -whole.ctypes.data % LINE // 8
     return whole[first : first + size]
+
+
+@jit
+def new_vectors(rows):
+    """Zeros (rows, LANES) that begin with a line of the cache, for `load` and `store` in compiled code."""
+    whole = np.zeros(rows * LANES + LINE // 8)
+    first = -whole.ctypes.data % LINE // 8
+    return whole[first : first + rows * LANES].reshape((rows, LANES))
 
 
 def _pointer(builder, address, index, kind, size):

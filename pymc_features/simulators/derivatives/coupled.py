@@ -4,6 +4,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, splat, store
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.derivatives.pair_differences import (
     add_mass_terms,
     complete_sums,
@@ -15,13 +16,7 @@ from pymc_features.simulators.derivatives.pair_differences import (
 )
 from pymc_features.simulators.derivatives.pair_lanes import sum_pairs, write_pair
 from pymc_features.simulators.derivatives.pair_memory import new_pairs
-from pymc_features.simulators.eigen.complex_modes import (
-    PANEL,
-    check_sums,
-    new_complex,
-    settle_panel,
-    start_panel,
-)
+from pymc_features.simulators.eigen.complex_modes import PANEL, new_complex, settle_panel, start_panel
 from pymc_features.simulators.eigen.coupled import (
     all_columns,
     check_damping,
@@ -30,10 +25,10 @@ from pymc_features.simulators.eigen.coupled import (
     write_sensors,
 )
 from pymc_features.simulators.eigen.matrices import all_diagonal, assemble_lanes, multiply_lanes, store_four
-from pymc_features.simulators.eigen.pairs import new_pair_lanes
+from pymc_features.simulators.eigen.residues import check_sums
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
 from pymc_features.simulators.oscillators.arguments import single_input
-from pymc_features.simulators.oscillators.lanes import new_increments
+from pymc_features.simulators.oscillators.lanes import new_lanes
 
 # Residues above that many times the classical ones: the derivatives lose digits by the third power of it
 CANCELLING = 100.0
@@ -67,14 +62,14 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
     step, n_times = excitation.dt / excitation.substeps, observed.shape[1]
     is_done, motion = np.zeros(count, dtype=np.bool_), single_input(excitation)
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
-    lanes, modes = new_pair_lanes(observed, n, excitation.stride), new_complex(n, n_sensors)
+    lanes, modes = new_lanes(observed, n, excitation.stride, True), new_complex(n, n_sensors)
     structures, pairs = new_structures(n, theta.shape[1], n + 2), new_pairs(n, n, n_sensors)
     damping, products, room = (
-        np.zeros((n * n, LANES)),
-        np.zeros((n * (n + 2), LANES)),
-        np.zeros((n * n, LANES)),
+        new_vectors(n * n),
+        new_vectors(n * (n + 2)),
+        new_vectors(n * n),
     )
-    misfits, by_theta = new_increments(n_sensors).misfits, np.zeros((theta.shape[1], LANES))
+    by_theta = new_vectors(theta.shape[1])
     order, matrices = np.empty(n, dtype=np.int64), new_matrices(n, n_sensors)
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
     request = step, wanted.quantity, n_sensors, excitation.acceleration[0, 0]
@@ -96,7 +91,7 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
         store(
             modes.is_good, 0, load(modes.is_good, 0) * poles_apart(pairs, n_times * excitation.stride * step)
         )
-        sum_pairs(lanes, pairs, motion, observed, misfits)
+        sum_pairs(lanes, pairs, motion, observed)
         complete_sums(pairs, n_sensors, step, wanted.quantity)
         by_theta.fill(0.0)
         spread_to_theta(parameters, pairs, modes, products, matrices, (n_sensors, wanted.quantity), by_theta)
@@ -111,15 +106,15 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
 def new_matrices(n, n_sensors):
     """Room for `spread_to_theta`: matrices (n 2n), the differences, entries, sensors and vectors."""
     return (
-        np.zeros((2 * n * n, LANES)),
-        np.zeros((2 * n * n, LANES)),
-        np.zeros((2 * n * n, LANES)),
-        np.zeros((4 * n * n, LANES)),
-        np.zeros((n * n, LANES)),
-        np.zeros((n_sensors * n, LANES)),
-        np.zeros((4 * n, LANES)),
-        np.zeros((n, LANES)),
-        np.zeros((n, LANES)),
+        new_vectors(2 * n * n),
+        new_vectors(2 * n * n),
+        new_vectors(2 * n * n),
+        new_vectors(4 * n * n),
+        new_vectors(n * n),
+        new_vectors(n_sensors * n),
+        new_vectors(4 * n),
+        new_vectors(n),
+        new_vectors(n),
     )
 
 

@@ -1,10 +1,8 @@
 """From the derivatives by the modes of dense structures, one in each lane, to those by what theta changes."""
 
-import numpy as np
-
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, load, splat, store
-from pymc_features.simulators.compiled.vector_memory import read_lanes
+from pymc_features.simulators.compiled.vector import load, splat, store
+from pymc_features.simulators.compiled.vector_memory import new_vectors, read_lanes
 from pymc_features.simulators.derivatives.coupled import add_load_terms, add_terms, write_entries
 from pymc_features.simulators.derivatives.memory import get
 from pymc_features.simulators.eigen.matrices import multiply_lanes
@@ -13,7 +11,7 @@ from pymc_features.simulators.eigen.matrices import multiply_lanes
 @jit
 def new_spread(n, m):
     """Room for `spread_lanes`: derivatives in modes (n m), left factors and entries, and a vector."""
-    return np.zeros((n * m, LANES)), np.zeros((n * m, LANES)), np.zeros((n * n, LANES)), np.zeros((n, LANES))
+    return new_vectors(n * m), new_vectors(n * m), new_vectors(n * n), new_vectors(n)
 
 
 @jit

@@ -16,19 +16,27 @@ All coefficients are functions of z = lambda h that are a + b z, with a and b th
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import load, splat, store, where_less
+from pymc_features.simulators.compiled.vector_memory import read_number
 from pymc_features.simulators.derivatives.filters import hold_functions
 from pymc_features.simulators.derivatives.pair_memory import put_number
-from pymc_features.simulators.eigen.complex_modes import at_sensor, input_factor, norm
+from pymc_features.simulators.eigen.complex_modes import mode_places, pole_of
 from pymc_features.simulators.eigen.pair_numbers import times
-from pymc_features.simulators.eigen.pairs import add_to_sums
+from pymc_features.simulators.eigen.residues import add_to_sums, at_sensor, input_factor, norm
 from pymc_features.simulators.oscillators.arguments import (
     ABSOLUTE_ACCELERATION,
     RELATIVE_ACCELERATION,
     RELATIVE_VELOCITY,
-    interpolate,
 )
+from pymc_features.simulators.oscillators.blocks import march_block
 from pymc_features.simulators.oscillators.lanes import N_OF_PAIR, SAMPLES
-from pymc_features.simulators.oscillators.population import add_squares, advance_pairs
+from pymc_features.simulators.oscillators.places import (
+    block_of,
+    copy_block,
+    has_own_data,
+    has_own_ground,
+    places_of,
+    source_of,
+)
 
 
 @jit
@@ -45,15 +53,15 @@ def write_pair(lanes, pairs, modes, r, p, request):
 
     `request` has the step [s], the quantity, the number of sensors and the first sample of the input.
     """
-    step, quantity, n_sensors, start = request
-    a, b, square = load(modes.poles, 3 * p), load(modes.poles, 3 * p + 1), load(modes.poles, 3 * p + 2)
+    (step, quantity, n_sensors, start), at = request, mode_places(modes)
+    (a, b), square = pole_of(at, p)
     m, is_good, zero = modes.omega.shape[0], load(modes.is_good, 0), splat(0.0)
     a, b = where_less(zero, is_good, a, zero), where_less(zero, is_good, b, zero)
     store(pairs.poles, 3 * r, a)
     store(pairs.poles, 3 * r + 1, b)
     store(pairs.poles, 3 * r + 2, square)
-    put_number(pairs.left, r, norm(modes, p))
-    factor = input_factor(modes, p)
+    put_number(pairs.left, r, norm(at, p))
+    factor = input_factor(at, p)
     put_number(pairs.right, r, factor)
     after = write_step(lanes, pairs, r, (a, b, square), step)
     store(lanes.states, 2 * r, 0.0 - after[0] * start)
@@ -62,9 +70,9 @@ def write_pair(lanes, pairs, modes, r, p, request):
     store(pairs.before, 4 * r + 3, 0.0 - load(pairs.slopes, 4 * r + 3) * start)
     even_modes = lanes.states.shape[0] // 2
     for j in range(n_sensors):
-        seen = at_sensor(modes, j, p)
+        seen = at_sensor(at, j, p)
         residue = times(seen, factor, square)
-        add_to_sums(modes, j, (a, b, square), residue)
+        add_to_sums(at, j, (a, b, square), residue)
         put_number(pairs.seen, j * m + r, seen)
         for _ in range(order_of(quantity)):
             residue = times((a, b), residue, square)
@@ -121,7 +129,7 @@ def write_step(lanes, pairs, r, pole, step):
 
 
 @jit
-def carry_mode(lanes, pairs, r, ground, first, stride):
+def carry_mode(lanes, pairs, r, block):
     """Write y and V of mode r at the samples of a block, and carry V on."""
     row, k = N_OF_PAIR * r, 4 * r
     e, f, c = (
@@ -138,8 +146,8 @@ def carry_mode(lanes, pairs, r, ground, first, stride):
         store(pairs.history, 4 * sample + 1, y_i)
         store(pairs.history, 4 * sample + 2, v)
         store(pairs.history, 4 * sample + 3, v_i)
-        for step in range(first + sample * stride, first + (sample + 1) * stride):
-            a = splat(ground[step])
+        for step in range(sample * block.stride, (sample + 1) * block.stride):
+            a = splat(read_number(block.ground, step))
             v, v_i = v + y, v_i + y_i
             v, v_i = e * v + (f * v_i + slope * a), g * v + (e * v_i + slope_i * a)
             y, y_i = e * y + (f * y_i + c * a), g * y + (e * y_i + d * a)
@@ -182,9 +190,9 @@ def sum_mode(pairs, r, misfits):
 
 
 @jit
-def weigh_misfits(lanes, pairs, misfits, observed, first, ground, step, stride):
+def weigh_misfits(lanes, pairs, observed, first, block):
     """Turn the misfits of a block into dL/dy, zero where nothing was measured; add them times the input."""
-    n_sensors, total = observed.shape
+    (n_sensors, total), misfits = observed.shape, lanes.misfits
     for j in range(n_sensors):
         factor, of_ground = load(pairs.factors, j), load(pairs.of_ground, j)
         for b in range(SAMPLES):
@@ -192,48 +200,27 @@ def weigh_misfits(lanes, pairs, misfits, observed, first, ground, step, stride):
             is_there = first + b < total and observed[j, first + b] == observed[j, first + b]
             weighted = factor * load(misfits, row) if is_there else splat(0.0)
             store(misfits, row, weighted)
-            of_ground = of_ground + weighted * splat(ground[step + b * stride])
+            of_ground = of_ground + weighted * splat(read_number(block.ground, b * block.stride))
         store(pairs.of_ground, j, of_ground)
     for row in range(SAMPLES * n_sensors, misfits.shape[0]):  # the sensor that fills up an odd number
         store(misfits, row, splat(0.0))
 
 
 @jit
-def copy_block(lanes, observed, first):
-    """Write a block of data into the lanes, zeros where nothing was measured."""
-    own_data, total = lanes.data, observed.shape[1]
-    for j in range(observed.shape[0]):
-        for b in range(SAMPLES):
-            value = observed[j, first + b] if first + b < total else 0.0
-            own_data[j, b] = value if value == value else 0.0
-
-
-@jit
-def sum_pairs(lanes, pairs, excitation, observed, misfits):
-    """Take the structures in the lanes through a record of one input (t,), compared with data (s, u).
-
-    `misfits` (s SAMPLES, LANES) is overwritten.
-    """
-    acceleration, _, substeps, stride = excitation
-    own_ground, n_times, m = lanes.ground, observed.shape[1], pairs.poles.shape[0] // 3
+def sum_pairs(lanes, pairs, excitation, observed):
+    """Take the structures in the lanes through a record of one input (t,), compared with data (s, u)."""
+    at, source, m = places_of(lanes), source_of(lanes, excitation, observed), pairs.poles.shape[0] // 3
     pairs.sums.fill(0.0)
     pairs.of_ground.fill(0.0)
-    lanes.squares.fill(0.0)
-    for first in range(0, n_times, SAMPLES):
-        step, sample = first * stride, first
-        ground, data = acceleration, observed
-        if substeps > 1 or step + own_ground.size > acceleration.size:
-            interpolate(acceleration, substeps, step, own_ground)
-            ground, step = own_ground, 0
-        if lanes.has_gaps or first + SAMPLES > n_times:
-            copy_block(lanes, observed, first)
-            data, sample = lanes.data, 0
+    for first in range(0, observed.shape[1], SAMPLES):
+        if has_own_ground(source, first) or has_own_data(source, first):
+            copy_block(lanes, excitation, observed, first)
+        block = block_of(source, first)
         for r in range(m):
             store(pairs.before, 4 * r, load(lanes.states, 2 * r))
             store(pairs.before, 4 * r + 1, load(lanes.states, 2 * r + 1))
-        advance_pairs(lanes.coefficients, lanes.states, ground, step, stride, lanes.outputs)
-        add_squares(lanes, data, sample, ground, step, stride, misfits)
-        weigh_misfits(lanes, pairs, misfits, observed, first, ground, step, stride)
+        march_block(at, block, True)
+        weigh_misfits(lanes, pairs, observed, first, block)
         for r in range(m):
-            carry_mode(lanes, pairs, r, ground, step, stride)
-            sum_mode(pairs, r, misfits)
+            carry_mode(lanes, pairs, r, block)
+            sum_mode(pairs, r, lanes.misfits)

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, load, store
+from pymc_features.simulators.compiled.vector import load, store
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.oscillators.lanes import SAMPLES
 
 
@@ -55,18 +56,18 @@ def new_pairs(n, m, n_sensors):
     """Room for structures of n degrees of freedom and m pairs of modes."""
     s = n_sensors + n_sensors % 2
     return PairLanes(
-        poles=np.zeros((3 * m, LANES)),
-        left=np.zeros((2 * m, LANES)),
-        right=np.zeros((2 * m, LANES)),
-        seen=np.zeros((2 * s * m, LANES)),
-        vectors=np.zeros((2 * m * n, LANES)),
-        slopes=np.zeros((4 * m, LANES)),
-        before=np.zeros((4 * m, LANES)),
-        after=np.zeros((2 * m, LANES)),
-        sums=np.zeros((4 * s * m, LANES)),
-        of_ground=np.zeros((s, LANES)),
-        history=np.zeros((4 * SAMPLES, LANES)),
-        factors=np.zeros((s, LANES)),
+        poles=new_vectors(3 * m),
+        left=new_vectors(2 * m),
+        right=new_vectors(2 * m),
+        seen=new_vectors(2 * s * m),
+        vectors=new_vectors(2 * m * n),
+        slopes=new_vectors(4 * m),
+        before=new_vectors(4 * m),
+        after=new_vectors(2 * m),
+        sums=new_vectors(4 * s * m),
+        of_ground=new_vectors(s),
+        history=new_vectors(4 * SAMPLES),
+        factors=new_vectors(s),
     )
 
 

@@ -4,17 +4,15 @@ In classical modes q" + D q' + Omega^2 q = -Gamma a, D symmetric. A complex mode
 
     (lambda^2 + omega_s^2) x_s + lambda (D x)_s = 0   for all s.
 
-Starting from classical mode r, x_r = 1, the equations s != r are solved for x_s, with the newest values on
-the right, and equation r is a Newton step for lambda, until nothing moves. Modes go in panels of two, whose
-vectors stay in the first-level cache.
+Starting from classical mode r, x_r = 1, what is left of the equations s != r, with the newest values of the
+others, is divided by lambda^2 + d_s lambda + omega_s^2, which gives a step of x_s, and equation r is a Newton
+step for lambda, until nothing moves. That divisor need not be exact: it is computed anew while vectors still
+move much. Modes go in panels of two, whose vectors stay in the first-level cache.
 
 Each mode stands for a pair: lambda = a + i b and a - i b, with i^2 = -1, or two real ones where the mode is
 overdamped, then with i^2 = +1, which changes nothing but a sign in products. A pair marches as one oscillator
 with the frequency and damping of its product and sum, lambda_1 lambda_2 and -(lambda_1 + lambda_2), and its
 residues u_j x'Gamma / (x' (2 lambda + D) x) give what the sensors see of its displacement and velocity.
-
-That all pairs are found, and none twice, shows in the sums of the residues: of all pairs they are zero, and
-times lambda S Phi Gamma.
 """
 
 from typing import NamedTuple
@@ -23,7 +21,6 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import (
-    LANES,
     highest,
     load,
     magnitude,
@@ -33,16 +30,17 @@ from pymc_features.simulators.compiled.vector import (
     where_less,
 )
 from pymc_features.simulators.compiled.vector_math import larger
-from pymc_features.simulators.eigen.pair_numbers import over, times
+from pymc_features.simulators.compiled.vector_memory import new_vectors, read_lanes, write_lanes
+from pymc_features.simulators.eigen.pair_numbers import impedance, over, times
 
 PANEL = 2
 MAX_ITERATIONS = 80
 EARLY, LARGE = 12, 0.02  # a vector that moves that much after so many iterations will not settle
-SETTLED = 1e-14  # error of a vector whose own entry is one
-NEARLY, SHRINKING = 1e-11, 0.1  # changes below and shares of the one before, at which they foretell the rest
+RENEWED = 1e-6  # a vector that moves less needs no new inverses
+SETTLED = 1e-14  # change of a vector whose own entry is one, all entries together
+NEARLY, SHRINKING = 1e-10, 0.1  # changes and their rates, below which they foretell the rest
+FORESEEN = 5e-13  # what may be left then: no modes are close, and errors not magnified
 STALLED = 1e-12  # change that is taken for rounding after twice as many iterations
-COMPLETE = 1e-11  # error of the sums of residues beside the sum of their classical absolute values
-CANCELLING = 1e5  # residues above that many times the classical ones: two modes, or both of a pair, coalesce
 
 
 class ComplexLanes(NamedTuple):
@@ -60,6 +58,8 @@ class ComplexLanes(NamedTuple):
         Gamma, and the classical shapes at the sensors.
     vectors, products : array (2 PANEL m, LANES)
         x and D x of one panel: of entry s, real and imaginary part of each mode.
+    inverses : array (2 PANEL m, LANES)
+        1 / (lambda^2 + d_s lambda + omega_s^2), in the same order, of poles that were near enough.
     poles : array (3 PANEL, LANES)
         a, b and i^2.
     sums : array (3 s, LANES)
@@ -73,6 +73,7 @@ class ComplexLanes(NamedTuple):
     seen: np.ndarray
     vectors: np.ndarray
     products: np.ndarray
+    inverses: np.ndarray
     poles: np.ndarray
     sums: np.ndarray
 
@@ -81,15 +82,48 @@ class ComplexLanes(NamedTuple):
 def new_complex(n_modes, n_sensors):
     """Room for structures of m modes."""
     return ComplexLanes(
-        is_good=np.zeros((1, LANES)),
-        damping=np.zeros((n_modes * n_modes, LANES)),
-        omega=np.zeros((n_modes, LANES)),
-        participation=np.zeros((n_modes, LANES)),
-        seen=np.zeros((n_sensors * n_modes, LANES)),
-        vectors=np.zeros((2 * PANEL * n_modes, LANES)),
-        products=np.zeros((2 * PANEL * n_modes, LANES)),
-        poles=np.zeros((3 * PANEL, LANES)),
-        sums=np.zeros((3 * n_sensors, LANES)),
+        is_good=new_vectors(1),
+        damping=new_vectors(n_modes * n_modes),
+        omega=new_vectors(n_modes),
+        participation=new_vectors(n_modes),
+        seen=new_vectors(n_sensors * n_modes),
+        vectors=new_vectors(2 * PANEL * n_modes),
+        products=new_vectors(2 * PANEL * n_modes),
+        inverses=new_vectors(2 * PANEL * n_modes),
+        poles=new_vectors(3 * PANEL),
+        sums=new_vectors(3 * n_sensors),
+    )
+
+
+class ModePlaces(NamedTuple):
+    """Number of modes, and addresses of the arrays of `ComplexLanes`."""
+
+    m: int
+    damping: int
+    omega: int
+    participation: int
+    seen: int
+    vectors: int
+    products: int
+    inverses: int
+    poles: int
+    sums: int
+
+
+@jit
+def mode_places(modes):
+    """Where the arrays are, see `compiled.vector_memory.aligned`."""
+    return ModePlaces(
+        modes.omega.shape[0],
+        modes.damping.ctypes.data,
+        modes.omega.ctypes.data,
+        modes.participation.ctypes.data,
+        modes.seen.ctypes.data,
+        modes.vectors.ctypes.data,
+        modes.products.ctypes.data,
+        modes.inverses.ctypes.data,
+        modes.poles.ctypes.data,
+        modes.sums.ctypes.data,
     )
 
 
@@ -99,112 +133,135 @@ def start_panel(modes, first):
 
     The poles are classical, the vectors what one step makes of classical ones.
     """
-    m, zero, one = modes.omega.shape[0], splat(0.0), splat(1.0)
+    at, zero, one = mode_places(modes), splat(0.0), splat(1.0)
+    m = at.m
     for p in range(PANEL):
         r = min(first + p, m - 1)
-        half, omega = splat(0.5) * load(modes.damping, r * m + r), load(modes.omega, r)
+        half, omega = splat(0.5) * read_lanes(at.damping, r * m + r), read_lanes(at.omega, r)
         gap = (half - omega) * (half + omega)
         square = where_less(gap, zero, zero - one, one)
         pole = zero - half, square_root(magnitude(gap))
-        store(modes.poles, 3 * p, pole[0])
-        store(modes.poles, 3 * p + 1, pole[1])
-        store(modes.poles, 3 * p + 2, square)
+        write_lanes(at.poles, 3 * p, pole[0])
+        write_lanes(at.poles, 3 * p + 1, pole[1])
+        write_lanes(at.poles, 3 * p + 2, square)
+    write_inverses(at, first, one)
+    for p in range(PANEL):
+        r = min(first + p, m - 1)
+        pole, square = pole_of(at, p)
         for s in range(m):
-            row, d = 2 * (PANEL * s + p), load(modes.damping, s * m + s)
-            stiffness = impedance(pole, square, load(modes.omega, s), d)
-            coupling = zero - load(modes.damping, s * m + r)
-            x = over((pole[0] * coupling, pole[1] * coupling), stiffness, square)
-            store(modes.vectors, row, one if s == r else x[0])
-            store(modes.vectors, row + 1, zero if s == r else x[1])
+            row, coupling = 2 * (PANEL * s + p), zero - read_lanes(at.damping, s * m + r)
+            inverse = read_lanes(at.inverses, row), read_lanes(at.inverses, row + 1)
+            x = times((pole[0] * coupling, pole[1] * coupling), inverse, square)
+            write_lanes(at.vectors, row, one if s == r else x[0])
+            write_lanes(at.vectors, row + 1, zero if s == r else x[1])
 
 
 @jit
-def impedance(pole, square, omega, d):
-    """lambda^2 + d lambda + omega^2."""
-    own = times(pole, pole, square)
-    return own[0] + omega * omega + d * pole[0], own[1] + d * pole[1]
+def pole_of(at, p):
+    """Pole of mode p of the panel, and i^2."""
+    a, b = read_lanes(at.poles, 3 * p), read_lanes(at.poles, 3 * p + 1)
+    return (a, b), read_lanes(at.poles, 3 * p + 2)
 
 
 @jit
-def multiply_rows(modes, s, live):
+def write_inverses(at, first, where):
+    """Write 1 / (lambda^2 + d_s lambda + omega_s^2) of a panel in the lanes where `where` is positive."""
+    m, zero, one = at.m, splat(0.0), splat(1.0)
+    for p in range(PANEL):
+        r = min(first + p, m - 1)
+        pole, square = pole_of(at, p)
+        for s in range(m):
+            if s != r:
+                row, d = 2 * (PANEL * s + p), read_lanes(at.damping, s * m + s)
+                old = read_lanes(at.inverses, row), read_lanes(at.inverses, row + 1)
+                new = over((one, zero), impedance(pole, square, read_lanes(at.omega, s), d), square)
+                write_lanes(at.inverses, row, where_less(zero, where, new[0], old[0]))
+                write_lanes(at.inverses, row + 1, where_less(zero, where, new[1], old[1]))
+
+
+@jit
+def multiply_rows(at, s, live):
     """Write entries s ... s + 3 of D x of the panel in the lanes that are `live`.
 
     What stands behind the last entry repeats it.
     """
-    m, x = modes.omega.shape[0], modes.vectors
+    m, x = at.m, at.vectors
     s1, s2, s3 = min(s + 1, m - 1), min(s + 2, m - 1), min(s + 3, m - 1)
     a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = splat(0.0)
     c0 = c1 = c2 = c3 = e0 = e1 = e2 = e3 = splat(0.0)
     for t in range(m):
         k = 2 * PANEL * t
-        x0, x1, x2, x3 = load(x, k), load(x, k + 1), load(x, k + 2), load(x, k + 3)
-        d0, d1 = load(modes.damping, s * m + t), load(modes.damping, s1 * m + t)
-        d2, d3 = load(modes.damping, s2 * m + t), load(modes.damping, s3 * m + t)
+        x0, x1, x2, x3 = read_lanes(x, k), read_lanes(x, k + 1), read_lanes(x, k + 2), read_lanes(x, k + 3)
+        d0, d1 = read_lanes(at.damping, s * m + t), read_lanes(at.damping, s1 * m + t)
+        d2, d3 = read_lanes(at.damping, s2 * m + t), read_lanes(at.damping, s3 * m + t)
         a0, a1, a2, a3 = a0 + d0 * x0, a1 + d0 * x1, a2 + d0 * x2, a3 + d0 * x3
         b0, b1, b2, b3 = b0 + d1 * x0, b1 + d1 * x1, b2 + d1 * x2, b3 + d1 * x3
         c0, c1, c2, c3 = c0 + d2 * x0, c1 + d2 * x1, c2 + d2 * x2, c3 + d2 * x3
         e0, e1, e2, e3 = e0 + d3 * x0, e1 + d3 * x1, e2 + d3 * x2, e3 + d3 * x3
-    write_four(modes.products, 2 * PANEL * s, (a0, a1, a2, a3), live)
-    write_four(modes.products, 2 * PANEL * s1, (b0, b1, b2, b3), live)
-    write_four(modes.products, 2 * PANEL * s2, (c0, c1, c2, c3), live)
-    write_four(modes.products, 2 * PANEL * s3, (e0, e1, e2, e3), live)
+    write_four(at.products, 2 * PANEL * s, (a0, a1, a2, a3), live)
+    write_four(at.products, 2 * PANEL * s1, (b0, b1, b2, b3), live)
+    write_four(at.products, 2 * PANEL * s2, (c0, c1, c2, c3), live)
+    write_four(at.products, 2 * PANEL * s3, (e0, e1, e2, e3), live)
 
 
 @jit
-def write_four(matrix, row, vectors, live):
+def write_four(address, row, vectors, live):
     """Write four vectors, one after the other, in the lanes that are `live`."""
     zero = splat(0.0)
-    store(matrix, row, where_less(zero, live, vectors[0], load(matrix, row)))
-    store(matrix, row + 1, where_less(zero, live, vectors[1], load(matrix, row + 1)))
-    store(matrix, row + 2, where_less(zero, live, vectors[2], load(matrix, row + 2)))
-    store(matrix, row + 3, where_less(zero, live, vectors[3], load(matrix, row + 3)))
+    write_lanes(address, row, where_less(zero, live, vectors[0], read_lanes(address, row)))
+    write_lanes(address, row + 1, where_less(zero, live, vectors[1], read_lanes(address, row + 1)))
+    write_lanes(address, row + 2, where_less(zero, live, vectors[2], read_lanes(address, row + 2)))
+    write_lanes(address, row + 3, where_less(zero, live, vectors[3], read_lanes(address, row + 3)))
 
 
 @jit
-def improve_pole(modes, r, p, live):
+def improve_pole(at, r, p, live):
     """One Newton step for the pole of mode p of the panel, number r; returns by how much it moved."""
-    row, omega = 2 * (PANEL * r + p), load(modes.omega, r)
-    pole, square = (load(modes.poles, 3 * p), load(modes.poles, 3 * p + 1)), load(modes.poles, 3 * p + 2)
-    y = load(modes.products, row), load(modes.products, row + 1)
+    row, omega = 2 * (PANEL * r + p), read_lanes(at.omega, r)
+    pole, square = pole_of(at, p)
+    y = read_lanes(at.products, row), read_lanes(at.products, row + 1)
     own_square, drag = times(pole, pole, square), times(pole, y, square)
     left = own_square[0] + omega * omega + drag[0], own_square[1] + drag[1]
     step = over(left, (2.0 * pole[0] + y[0], 2.0 * pole[1] + y[1]), square)
     real, imaginary = pole[0] - step[0], pole[1] - step[1]
-    store(modes.poles, 3 * p, where_less(splat(0.0), live, real, pole[0]))
-    store(modes.poles, 3 * p + 1, where_less(splat(0.0), live, imaginary, pole[1]))
+    write_lanes(at.poles, 3 * p, where_less(splat(0.0), live, real, pole[0]))
+    write_lanes(at.poles, 3 * p + 1, where_less(splat(0.0), live, imaginary, pole[1]))
     return (magnitude(step[0]) + magnitude(step[1])) / (magnitude(real) + magnitude(imaginary))
 
 
 @jit
-def improve_entry(modes, s, p, live):
-    """One step for entry s of mode p of the panel; returns by how much it moved."""
-    row, m = 2 * (PANEL * s + p), modes.omega.shape[0]
-    pole, square = (load(modes.poles, 3 * p), load(modes.poles, 3 * p + 1)), load(modes.poles, 3 * p + 2)
-    y, omega = (load(modes.products, row), load(modes.products, row + 1)), load(modes.omega, s)
-    d, x = load(modes.damping, s * m + s), (load(modes.vectors, row), load(modes.vectors, row + 1))
-    pull = times(pole, (d * x[0] - y[0], d * x[1] - y[1]), square)
-    new = over(pull, impedance(pole, square, omega, d), square)
-    store(modes.vectors, row, where_less(splat(0.0), live, new[0], x[0]))
-    store(modes.vectors, row + 1, where_less(splat(0.0), live, new[1], x[1]))
-    return magnitude(new[0] - x[0]) + magnitude(new[1] - x[1])
+def improve_rows(at, rows, first, live, moved):
+    """One step for some entries of the panel, from row to row; adds to `moved` by how much they moved."""
+    m, zero = at.m, splat(0.0)
+    for p in range(PANEL):
+        r, (pole, square) = min(first + p, m - 1), pole_of(at, p)
+        own_square = times(pole, pole, square)
+        for s in range(rows[0], rows[1]):
+            if s == r:
+                moved = moved + improve_pole(at, r, p, live)
+                pole, square = pole_of(at, p)
+                own_square = times(pole, pole, square)
+                continue
+            row, omega = 2 * (PANEL * s + p), read_lanes(at.omega, s)
+            y = read_lanes(at.products, row), read_lanes(at.products, row + 1)
+            x = read_lanes(at.vectors, row), read_lanes(at.vectors, row + 1)
+            stiff = times((own_square[0] + omega * omega, own_square[1]), x, square)
+            drag = times(pole, y, square)
+            inverse = read_lanes(at.inverses, row), read_lanes(at.inverses, row + 1)
+            step = times((stiff[0] + drag[0], stiff[1] + drag[1]), inverse, square)
+            write_lanes(at.vectors, row, where_less(zero, live, x[0] - step[0], x[0]))
+            write_lanes(at.vectors, row + 1, where_less(zero, live, x[1] - step[1], x[1]))
+            moved = moved + (magnitude(step[0]) + magnitude(step[1]))
+    return moved
 
 
 @jit
-def sweep_panel(modes, first, live):
-    """Improve all entries and poles of a panel once; returns by how much they moved at most."""
-    m, moved = modes.omega.shape[0], splat(0.0)
+def sweep_panel(at, first, live):
+    """Improve all entries and poles of a panel once; returns by how much they moved, NaN included."""
+    m, moved = at.m, splat(0.0)
     for s in range(0, m, 4):
-        multiply_rows(modes, s, live)
-        for row in range(s, min(s + 4, m)):
-            for p in range(PANEL):
-                if row == min(first + p, m - 1):
-                    change = improve_pole(modes, row, p, live)
-                else:
-                    change = improve_entry(modes, row, p, live)
-                # NaN counts as a large change
-                moved = where_less(
-                    change, splat(1e300), where_less(moved, change, change, moved), splat(1e300)
-                )
+        multiply_rows(at, s, live)
+        moved = improve_rows(at, (s, min(s + 4, m)), first, live, moved)
     return moved
 
 
@@ -212,85 +269,27 @@ def sweep_panel(modes, first, live):
 def settle_panel(modes, first):
     """Iterate a panel until all its modes have settled; lanes where one does not are no longer good.
 
-    Changes shrink by a constant factor: what is left behind the last one follows from it and the one before.
+    Near a coalescence every other change is small. So it is the larger of the last two that tells, or, where
+    they shrink fast, what follows from the last one and the larger of the last two rates.
     """
     zero, one = splat(0.0), splat(1.0)
-    live, before = load(modes.is_good, 0), splat(1e100)
+    at = mode_places(modes)
+    live, before, last_rate, renewed = load(modes.is_good, 0), splat(1e100), one, zero
     for iteration in range(MAX_ITERATIONS):
-        moved = sweep_panel(modes, first, live)
+        if highest(renewed) > 0.0:
+            write_inverses(at, first, renewed)
+        moved = sweep_panel(at, first, live)
         limit = splat(LARGE if iteration >= EARLY else 1e100)
         lost = where_less(zero, live, where_less(moved, limit, zero, one), zero)
         store(modes.is_good, 0, load(modes.is_good, 0) - lost)
-        shrinks = where_less(moved, splat(SHRINKING) * before, moved * moved / before, moved)
-        left = where_less(moved, splat(NEARLY), shrinks, moved)
-        enough = splat(SETTLED if iteration < 2 * EARLY else STALLED)
+        rate = larger(moved / before, last_rate)
+        is_foreseen = where_less(moved, splat(NEARLY), where_less(rate, splat(SHRINKING), one, zero), zero)
+        left = where_less(zero, is_foreseen, moved * rate, larger(moved, before))
+        slowly = splat(SETTLED if iteration < 2 * EARLY else STALLED)
+        enough = where_less(zero, is_foreseen, splat(FORESEEN), slowly)
         live = where_less(zero, lost, zero, where_less(left, enough, zero, live))
-        before = moved
+        before, last_rate = moved, moved / before
+        renewed = where_less(splat(RENEWED), moved, live, zero)
         if not highest(live) > 0.0:
             return
     store(modes.is_good, 0, load(modes.is_good, 0) - live)
-
-
-@jit
-def at_sensor(modes, j, p):
-    """Mode p of the panel at sensor j, as (real, imaginary)."""
-    m, x = modes.omega.shape[0], modes.vectors
-    real = imaginary = splat(0.0)
-    for s in range(m):
-        row, weight = 2 * (PANEL * s + p), load(modes.seen, j * m + s)
-        real, imaginary = real + weight * load(x, row), imaginary + weight * load(x, row + 1)
-    return real, imaginary
-
-
-@jit
-def norm(modes, p):
-    """1 / x' (2 lambda + D) x of mode p of the panel."""
-    m, x, zero = modes.omega.shape[0], modes.vectors, splat(0.0)
-    square = load(modes.poles, 3 * p + 2)
-    pole = 2.0 * load(modes.poles, 3 * p), 2.0 * load(modes.poles, 3 * p + 1)
-    real = imaginary = zero
-    for s in range(m):
-        row = 2 * (PANEL * s + p)
-        entry, y = (
-            (load(x, row), load(x, row + 1)),
-            (load(modes.products, row), load(modes.products, row + 1)),
-        )
-        twice = times(pole, entry, square)
-        term = times(entry, (twice[0] + y[0], twice[1] + y[1]), square)
-        real, imaginary = real + term[0], imaginary + term[1]
-    return over((splat(1.0), zero), (real, imaginary), square)
-
-
-@jit
-def input_factor(modes, p):
-    """x'Gamma / x' (2 lambda + D) x of mode p of the panel."""
-    real = imaginary = splat(0.0)
-    for s in range(modes.omega.shape[0]):
-        row, weight = 2 * (PANEL * s + p), load(modes.participation, s)
-        real = real + weight * load(modes.vectors, row)
-        imaginary = imaginary + weight * load(modes.vectors, row + 1)
-    return times((real, imaginary), norm(modes, p), load(modes.poles, 3 * p + 2))
-
-
-@jit
-def check_sums(modes, n_sensors, cancelling):
-    """Take the lanes out of the good ones where modes are missing, or residues cancel.
-
-    `cancelling` is how many times larger than the classical ones the residues may be.
-    """
-    m, zero, one = modes.omega.shape[0], splat(0.0), splat(1.0)
-    scale = wrong = left = whole = fastest = zero
-    for r in range(m):
-        fastest = larger(fastest, load(modes.omega, r))
-    for j in range(n_sensors):
-        total = size = zero
-        for s in range(m):
-            share = load(modes.seen, j * m + s) * load(modes.participation, s)
-            total, size = total + share, size + magnitude(share)
-        left = larger(left, magnitude(load(modes.sums, 3 * j)) * fastest)
-        wrong = larger(wrong, magnitude(load(modes.sums, 3 * j + 1) - total))
-        whole, scale = larger(whole, load(modes.sums, 3 * j + 2)), larger(scale, size)
-    passed = where_less(left, COMPLETE * scale, one, zero)
-    passed = where_less(wrong, COMPLETE * scale, passed, zero)
-    passed = where_less(whole, cancelling * scale, passed, zero)
-    store(modes.is_good, 0, load(modes.is_good, 0) * passed)

@@ -6,6 +6,7 @@ from pymc_features.algebra.factorisation import ZERO_STIFFNESS
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, magnitude, splat, store, where_less
 from pymc_features.simulators.compiled.vector_math import larger
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.complex_modes import new_complex
 from pymc_features.simulators.eigen.filling import positions
 from pymc_features.simulators.eigen.matrices import (
@@ -14,9 +15,10 @@ from pymc_features.simulators.eigen.matrices import (
     factorise_lanes,
     multiply_lanes,
 )
-from pymc_features.simulators.eigen.pairs import fill_pairs, new_pair_lanes
+from pymc_features.simulators.eigen.pairs import fill_pairs
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION
+from pymc_features.simulators.oscillators.lanes import new_lanes
 from pymc_features.simulators.oscillators.population import lane_statistics
 from pymc_features.simulators.oscillators.recursion import STIFFEST
 
@@ -48,12 +50,12 @@ def march_coupled(parameters, excitation, wanted, observed, increments):
     result = np.full((count, n_sensors, 1 if increments is None else 4), np.nan)
     is_written = np.zeros(count, dtype=np.bool_)
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
-    lanes, modes = new_pair_lanes(observed, m, excitation.stride), new_complex(m, n_sensors)
+    lanes, modes = new_lanes(observed, m, excitation.stride, True), new_complex(m, n_sensors)
     structures = new_structures(n, theta.shape[1], columns[0].shape[1])
     damping, products, room = (
-        np.zeros((n * n, LANES)),
-        np.zeros((m * (n + 2), LANES)),
-        np.zeros((m * n, LANES)),
+        new_vectors(n * n),
+        new_vectors(m * (n + 2)),
+        new_vectors(m * n),
     )
     order, start = np.empty(n, dtype=np.int64), excitation.acceleration[0, 0]
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
@@ -94,14 +96,17 @@ def sort_modes(structures, modes, room):
     """
     (products, order), m = room, modes.omega.shape[0]
     width = products.shape[0] // m
+    for i in range(m * width):  # of the lanes that are in order, as nearly all are
+        store(products, i, load(structures.vectors, i))
     for lane in range(LANES):
         if modes.is_good[0, lane] == 0.0:
             continue
         positions(structures.values, lane, order)
         for r in range(m):
             modes.omega[r, lane] = np.sqrt(structures.values[order[r], lane])
-            for c in range(width):
-                products[r * width + c, lane] = structures.vectors[order[r] * width + c, lane]
+            if order[r] != r:
+                for c in range(width):
+                    products[r * width + c, lane] = structures.vectors[order[r] * width + c, lane]
 
 
 @jit

@@ -3,13 +3,13 @@
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, load, splat, store
+from pymc_features.simulators.compiled.vector import LANES, splat, store
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.complex_modes import (
-    CANCELLING,
     PANEL,
-    check_sums,
-    input_factor,
+    mode_places,
     new_complex,
+    pole_of,
     settle_panel,
     start_panel,
 )
@@ -21,8 +21,10 @@ from pymc_features.simulators.eigen.coupled import (
     write_sensors,
 )
 from pymc_features.simulators.eigen.matrices import all_diagonal, assemble_lanes
-from pymc_features.simulators.eigen.pairs import new_pair_lanes, write_share
+from pymc_features.simulators.eigen.pairs import write_shares
+from pymc_features.simulators.eigen.residues import CANCELLING, check_sums
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
+from pymc_features.simulators.oscillators.lanes import new_lanes
 
 
 @jit
@@ -32,22 +34,17 @@ def write_pairs(lanes, modes, kept, n_sensors, quantity):
     `kept` are two arrays (m, LANES); the shapes are those of displacements and velocities in SI units.
     """
     (stiffness, drag), m, zero = kept, modes.omega.shape[0], splat(0.0)
+    at = mode_places(modes)
     for i in range(3 * n_sensors):
         store(modes.sums, i, zero)
     for first in range(0, m, PANEL):
         start_panel(modes, first)
         settle_panel(modes, first)
         for p in range(min(PANEL, m - first)):
-            a, b, square = (
-                load(modes.poles, 3 * p),
-                load(modes.poles, 3 * p + 1),
-                load(modes.poles, 3 * p + 2),
-            )
+            (a, b), square = pole_of(at, p)
             store(stiffness, first + p, a * a - square * (b * b))
             store(drag, first + p, 0.0 - 2.0 * a)
-            found = input_factor(modes, p), (zero, zero)
-            for j in range(n_sensors):
-                write_share(lanes, modes, (first + p, p, j), found, 1.0, quantity)
+            write_shares(lanes, at, (first + p, p), (zero, zero), 1.0, quantity)
     check_sums(modes, n_sensors, CANCELLING)
 
 
@@ -78,14 +75,14 @@ def fill_systems(systems, parameters, excitation, wanted, observed):
     theta, (n_sensors, n), m = parameters.theta, wanted.sensors.shape, wanted.n_modes
     count, step = theta.shape[0], excitation.dt / excitation.substeps
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
-    lanes, modes = new_pair_lanes(observed[:, :1].copy(), m, 1), new_complex(m, n_sensors)
+    lanes, modes = new_lanes(observed[:, :1].copy(), m, 1, True), new_complex(m, n_sensors)
     structures = new_structures(n, theta.shape[1], columns[0].shape[1])
     damping, products, room = (
-        np.zeros((n * n, LANES)),
-        np.zeros((m * (n + 2), LANES)),
-        np.zeros((m * n, LANES)),
+        new_vectors(n * n),
+        new_vectors(m * (n + 2)),
+        new_vectors(m * n),
     )
-    order, kept = np.empty(n, dtype=np.int64), (np.zeros((m, LANES)), np.zeros((m, LANES)))
+    order, kept = np.empty(n, dtype=np.int64), (new_vectors(m), new_vectors(m))
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
     systems.valid[:], systems.omega[:] = True, np.nan
     for first in range(0, count, LANES):

@@ -7,6 +7,7 @@ root. Matrices (n n, LANES) have their entries in C order, of which the lower ha
 from pymc_features.algebra.massless import MASSLESS
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import load, splat, square_root, store, where_less
+from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
 
 
 @jit
@@ -53,17 +54,37 @@ def root(pivot, whole):
 @jit
 def factorise_lanes(matrix, n, is_diagonal):
     """Overwrite matrices by their Cholesky factors; NaN in the lanes where one is not positive definite."""
-    for i in range(n):
-        for j in range(0 if not is_diagonal else i, i + 1):
-            total = load(matrix, i * n + j)
-            whole = total
-            if not is_diagonal:
-                for k in range(j):
-                    total = total - load(matrix, i * n + k) * load(matrix, j * n + k)
-            if j < i:
-                store(matrix, i * n + j, total / load(matrix, j * n + j))
-            else:
-                store(matrix, i * n + i, root(total, whole))
+    entries = matrix.ctypes.data
+    for j in range(n):
+        whole = read_lanes(entries, j * n + j)
+        pivot = whole
+        for k in range(0 if not is_diagonal else j, j):
+            entry = read_lanes(entries, j * n + k)
+            pivot = pivot - entry * entry
+        pivot = root(pivot, whole)
+        write_lanes(entries, j * n + j, pivot)
+        for i in range(j + 1, n if not is_diagonal else j, 4):
+            divide_four(entries, n, (i, j), splat(1.0) / pivot)
+
+
+@jit
+def divide_four(entries, n, place, inverse):
+    """Finish entries i ... i + 3 of column j of a Cholesky factor; what stands behind the last repeats it.
+
+    `entries` is the address of the matrix, `inverse` that of the pivot.
+    """
+    i, j = place
+    a, b, c, d = n * i, n * min(i + 1, n - 1), n * min(i + 2, n - 1), n * min(i + 3, n - 1)
+    of_a, of_b = read_lanes(entries, a + j), read_lanes(entries, b + j)
+    of_c, of_d = read_lanes(entries, c + j), read_lanes(entries, d + j)
+    for k in range(j):
+        factor = read_lanes(entries, n * j + k)
+        of_a, of_b = of_a - factor * read_lanes(entries, a + k), of_b - factor * read_lanes(entries, b + k)
+        of_c, of_d = of_c - factor * read_lanes(entries, c + k), of_d - factor * read_lanes(entries, d + k)
+    write_lanes(entries, a + j, of_a * inverse)
+    write_lanes(entries, b + j, of_b * inverse)
+    write_lanes(entries, c + j, of_c * inverse)
+    write_lanes(entries, d + j, of_d * inverse)
 
 
 @jit
@@ -113,6 +134,19 @@ def divide_transposed(factor, n, is_diagonal, vectors):
             for k in range(i + 1, n if not is_diagonal else i + 1):
                 entry = entry - load(factor, k * n + i) * load(vectors, k * width + c)
             store(vectors, i * width + c, entry * inverse)
+
+
+@jit
+def divide_rows(factor, n, is_diagonal, vectors):
+    """Overwrite n vectors, each a row of `vectors` (n n, LANES), by F^-T times them."""
+    f, rows = factor.ctypes.data, vectors.ctypes.data
+    for i in range(n - 1, -1, -1):
+        inverse = splat(1.0) / read_lanes(f, i * n + i)
+        for r in range(0, n * n, n):
+            entry = read_lanes(rows, r + i)
+            for k in range(i + 1, n if not is_diagonal else i + 1):
+                entry = entry - read_lanes(f, k * n + i) * read_lanes(rows, r + k)
+            write_lanes(rows, r + i, entry * inverse)
 
 
 @jit

@@ -16,3 +16,10 @@ def over(x, y, square):
     size = splat(1.0) / (y[0] * y[0] - square * (y[1] * y[1]))
     real, imaginary = times(x, (y[0], 0.0 - y[1]), square)
     return real * size, imaginary * size
+
+
+@jit
+def impedance(pole, square, omega, d):
+    """lambda^2 + d lambda + omega^2."""
+    own = times(pole, pole, square)
+    return own[0] + omega * omega + d * pole[0], own[1] + d * pole[1]

@@ -6,41 +6,27 @@ and q' again and of the input. The recursion is that of `recursion`, with y = x 
 six products for a pair and step, and two columns for each sensor.
 """
 
-import numpy as np
-
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, load, magnitude, splat, store, where_less
+from pymc_features.simulators.compiled.vector import load, splat, store, where_less
+from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
 from pymc_features.simulators.eigen.complex_modes import (
-    CANCELLING,
     PANEL,
-    at_sensor,
-    check_sums,
-    input_factor,
+    mode_places,
+    pole_of,
     settle_panel,
     start_panel,
 )
 from pymc_features.simulators.eigen.filling import hold_lanes
 from pymc_features.simulators.eigen.pair_numbers import times
+from pymc_features.simulators.eigen.residues import (
+    CANCELLING,
+    add_to_sums,
+    at_sensor,
+    check_sums,
+    input_factor,
+)
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
-from pymc_features.simulators.oscillators.lanes import N_OF_PAIR, SAMPLES, Lanes, has_gaps
-
-
-@jit
-def new_pair_lanes(observed, n_pairs, stride):
-    """Lanes for oscillators of which displacement and velocity are seen, for data (sensors, time)."""
-    n_sensors = observed.shape[0]
-    s, m = n_sensors + n_sensors % 2, n_pairs + n_pairs % 2
-    return Lanes(
-        coefficients=np.zeros((N_OF_PAIR * m, LANES)),
-        states=np.zeros((2 * m, LANES)),
-        shapes=np.zeros((2 * s * m, LANES)),
-        feed=np.zeros((s, LANES)),
-        outputs=np.empty((2 * SAMPLES * m, LANES)),
-        ground=np.empty(SAMPLES * stride),
-        data=np.empty((n_sensors, SAMPLES)),
-        has_gaps=has_gaps(observed),
-        squares=np.empty((s, LANES)),
-    )
+from pymc_features.simulators.oscillators.lanes import N_OF_PAIR
 
 
 @jit
@@ -50,14 +36,14 @@ def fill_pairs(lanes, modes, n_sensors, step, quantity, start):
     Parameters
     ----------
     lanes : Lanes
-        From `new_pair_lanes`, with the feed-through, to which is added what stands before a[k] in the states.
+        Of pairs, with the feed-through, to which is added what stands before a[k] in the states.
     modes : ComplexLanes
         Whose `is_good` tells, afterwards, which lanes came out right.
     n_sensors : int
     step, quantity, start
         As in `filling.fill_lanes`.
     """
-    m = modes.omega.shape[0]
+    at, m = mode_places(modes), modes.omega.shape[0]
     for i in range(3 * n_sensors):
         store(modes.sums, i, splat(0.0))
     for first in range(0, m, PANEL):
@@ -65,9 +51,7 @@ def fill_pairs(lanes, modes, n_sensors, step, quantity, start):
         settle_panel(modes, first)
         for p in range(min(PANEL, m - first)):
             after = write_recursion(lanes, modes, first + p, p, step, start)
-            factor = input_factor(modes, p)
-            for j in range(n_sensors):
-                write_share(lanes, modes, (first + p, p, j), (factor, after), step, quantity)
+            write_shares(lanes, at, (first + p, p), after, step, quantity)
     check_sums(modes, n_sensors, CANCELLING)
 
 
@@ -92,41 +76,32 @@ def write_recursion(lanes, modes, r, p, step, start):
 
 
 @jit
-def add_to_sums(modes, j, pole, residue):
-    """Add the residue of a pair at sensor j to the sums that are checked; `pole` is a, b and i^2."""
-    a, b, square = pole
-    speed, rate = 2.0 * residue[0], 2.0 * (a * residue[0] + square * (b * residue[1]))
-    whole = magnitude(a * residue[0]) + magnitude(b * residue[1]) + magnitude(a * residue[1])
-    store(modes.sums, 3 * j, load(modes.sums, 3 * j) + speed)
-    store(modes.sums, 3 * j + 1, load(modes.sums, 3 * j + 1) + rate)
-    store(modes.sums, 3 * j + 2, load(modes.sums, 3 * j + 2) + whole + magnitude(b * residue[0]))
-
-
-@jit
-def write_share(lanes, modes, place, found, step, quantity):
-    """Write what sensor j sees of a pair, and add it to the sums that are checked.
+def write_shares(lanes, at, place, after, step, quantity):
+    """Write what the sensors see of a pair, and add it to the sums that are checked.
 
     Parameters
     ----------
+    at : ModePlaces
+        Of the complex modes.
     place : tuple of int
-        Number of the pair, its place in the panel, j.
-    found : tuple
-        From `input_factor` and `write_recursion`.
+        Number of the pair, its place in the panel.
+    after : tuple
+        From `write_recursion`.
     """
-    (r, p, j), (factor, after) = place, found
-    a, b, square = load(modes.poles, 3 * p), load(modes.poles, 3 * p + 1), load(modes.poles, 3 * p + 2)
-    stiffness, drag = a * a - square * (b * b), 0.0 - 2.0 * a
-    residue = times(at_sensor(modes, j, p), factor, square)
-    speed, size = 2.0 * residue[0], 2.0 * (a * residue[0] - square * (b * residue[1]))
-    by_q, by_v = 0.0 - size, speed
-    rate = by_q - drag * by_v  # of q' in the velocity, and of the input in the acceleration
-    add_to_sums(modes, j, (a, b, square), residue)
-    if quantity != RELATIVE_DISPLACEMENT:
-        by_q, by_v = 0.0 - stiffness * by_v, rate
-        if quantity != RELATIVE_VELOCITY:
-            by_q, by_v = 0.0 - stiffness * by_v, by_q - drag * by_v
-    by_q, by_v = by_q * (step * step), by_v * step
-    row = 2 * (j * (lanes.states.shape[0] // 2) + r)
-    store(lanes.shapes, row, by_q)
-    store(lanes.shapes, row + 1, by_v)
-    store(lanes.feed, j, load(lanes.feed, j) + by_q * after[0] + by_v * after[1])
+    (r, p), ((a, b), square), even_modes = place, pole_of(at, place[1]), lanes.states.shape[0] // 2
+    shapes, feeds = lanes.shapes.ctypes.data, lanes.feed.ctypes.data
+    stiffness, drag, factor = a * a - square * (b * b), 0.0 - 2.0 * a, input_factor(at, p)
+    for j in range(lanes.data.shape[0]):
+        residue = times(at_sensor(at, j, p), factor, square)
+        speed, size = 2.0 * residue[0], 2.0 * (a * residue[0] - square * (b * residue[1]))
+        by_q, by_v = 0.0 - size, speed
+        rate = by_q - drag * by_v  # of q' in the velocity, and of the input in the acceleration
+        add_to_sums(at, j, (a, b, square), residue)
+        if quantity != RELATIVE_DISPLACEMENT:
+            by_q, by_v = 0.0 - stiffness * by_v, rate
+            if quantity != RELATIVE_VELOCITY:
+                by_q, by_v = 0.0 - stiffness * by_v, by_q - drag * by_v
+        by_q, by_v = by_q * (step * step), by_v * step
+        write_lanes(shapes, 2 * (j * even_modes + r), by_q)
+        write_lanes(shapes, 2 * (j * even_modes + r) + 1, by_v)
+        write_lanes(feeds, j, read_lanes(feeds, j) + by_q * after[0] + by_v * after[1])

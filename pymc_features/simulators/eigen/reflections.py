@@ -6,6 +6,7 @@ of the updated matrix with the next v go through memory together, which is what 
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import load, splat, square_root, store, where_less
+from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
 
 
 @jit
@@ -160,3 +161,27 @@ def reflect_back(matrix, betas, vector):
         along = along * load(betas, k)
         for i in range(k + 1, n):
             store(vector, i, load(vector, i) - along * load(matrix, i * n + k))
+
+
+@jit
+def reflect_rows(matrix, betas, vectors):
+    """As `reflect_back`, of n vectors, each a row of `vectors` (n n, LANES), four at a time."""
+    n, rows, v, beta = betas.shape[0], vectors.ctypes.data, matrix.ctypes.data, betas.ctypes.data
+    for r in range(0, n, 4):  # what stands behind the last row repeats it
+        a, b, c, d = n * r, n * min(r + 1, n - 1), n * min(r + 2, n - 1), n * min(r + 3, n - 1)
+        for k in range(n - 3, -1, -1):
+            of_a = of_b = of_c = of_d = splat(0.0)
+            for i in range(k + 1, n):
+                entry = read_lanes(v, i * n + k)
+                of_a, of_b = of_a + entry * read_lanes(rows, a + i), of_b + entry * read_lanes(rows, b + i)
+                of_c, of_d = of_c + entry * read_lanes(rows, c + i), of_d + entry * read_lanes(rows, d + i)
+            factor = read_lanes(beta, k)
+            of_a, of_b, of_c, of_d = factor * of_a, factor * of_b, factor * of_c, factor * of_d
+            for i in range(k + 1, n):
+                entry = read_lanes(v, i * n + k)
+                new_a, new_b = read_lanes(rows, a + i) - of_a * entry, read_lanes(rows, b + i) - of_b * entry
+                new_c, new_d = read_lanes(rows, c + i) - of_c * entry, read_lanes(rows, d + i) - of_d * entry
+                write_lanes(rows, a + i, new_a)
+                write_lanes(rows, b + i, new_b)
+                write_lanes(rows, c + i, new_c)
+                write_lanes(rows, d + i, new_d)

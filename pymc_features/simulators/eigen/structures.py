@@ -12,16 +12,17 @@ import numpy as np
 from pymc_features.algebra.eigen import ROUNDING
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, highest, load, magnitude, splat, store, where_less
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.matrices import (
     assemble_lanes,
     divide_columns,
+    divide_rows,
     divide_transposed,
     energy_lanes,
     factorise_lanes,
-    multiply_lanes,
     standard_lanes,
 )
-from pymc_features.simulators.eigen.reflections import reflect_back, tridiagonalise
+from pymc_features.simulators.eigen.reflections import reflect_back, reflect_rows, tridiagonalise
 from pymc_features.simulators.eigen.tridiagonal import (
     REACH,
     ROUNDS,
@@ -50,8 +51,8 @@ class StructureLanes(NamedTuple):
     vectors : array (n w, LANES)
         Products of mode i with w vectors, in rows i w ...
     pivots, shape : array (2 n, LANES), (n, LANES)
-    rows, turned : array (n n, LANES), (n w, LANES)
-        Eigenvectors of the tridiagonal matrix, and a copy of the vectors, where w is at least n.
+    rows : array (n n, LANES)
+        Mode shapes, where w is at least n: all are found then, and multiplied.
     room : tuple of arrays
         See `reflections.tridiagonalise`.
     """
@@ -69,7 +70,6 @@ class StructureLanes(NamedTuple):
     pivots: np.ndarray
     shape: np.ndarray
     rows: np.ndarray
-    turned: np.ndarray
     room: tuple
 
 
@@ -77,28 +77,27 @@ class StructureLanes(NamedTuple):
 def new_structures(n, n_theta, width):
     """Room for structures of n degrees of freedom and products with `width` vectors."""
     room = (
-        np.zeros((n, LANES)),
-        np.zeros((n, LANES)),
-        np.zeros((n, LANES)),
-        np.zeros((n, LANES)),
-        np.zeros((n, LANES)),
-        np.zeros((width, LANES)),
+        new_vectors(n),
+        new_vectors(n),
+        new_vectors(n),
+        new_vectors(n),
+        new_vectors(n),
+        new_vectors(width),
     )
     return StructureLanes(
         is_good=np.zeros(LANES, dtype=np.bool_),
-        theta=np.zeros((n_theta, LANES)),
-        stiffness=np.zeros((n * n, LANES)),
-        factor=np.zeros((n * n, LANES)),
-        reduced=np.zeros((n * n, LANES)),
-        diagonal=np.zeros((n, LANES)),
-        off_diagonal=np.zeros((n, LANES)),
-        values=np.zeros((n, LANES)),
-        work=np.zeros((n, LANES)),
-        vectors=np.zeros((n * width, LANES)),
-        pivots=np.zeros((2 * n, LANES)),
-        shape=np.zeros((n, LANES)),
-        rows=np.zeros((n * n if width >= n else 0, LANES)),
-        turned=np.zeros((n * width if width >= n else 0, LANES)),
+        theta=new_vectors(n_theta),
+        stiffness=new_vectors(n * n),
+        factor=new_vectors(n * n),
+        reduced=new_vectors(n * n),
+        diagonal=new_vectors(n),
+        off_diagonal=new_vectors(n),
+        values=new_vectors(n),
+        work=new_vectors(n),
+        vectors=new_vectors(n * width),
+        pivots=new_vectors(2 * n),
+        shape=new_vectors(n),
+        rows=new_vectors(n * n if width >= n else 0),
         room=room,
     )
 
@@ -118,29 +117,19 @@ def solve_structures(lanes, stacks, is_diagonal, columns):
     columns : tuple of arrays (n, w), (n,)
         The vectors, and influences; column w - 1 takes M influence besides.
     """
-    n = lanes.diagonal.shape[0]
-    (fixed, influence), (mass, stiffness) = columns, stacks
-    width = fixed.shape[1]
+    n, width, (mass, stiffness) = lanes.diagonal.shape[0], columns[0].shape[1], stacks
     assemble_lanes(mass, lanes.theta, n, False, lanes.factor)
     assemble_lanes(stiffness, lanes.theta, n, False, lanes.stiffness)
     factorise_lanes(lanes.factor, n, is_diagonal)
-    for i in range(n):
-        for c in range(width):
-            store(lanes.vectors, i * width + c, splat(fixed[i, c]))
-    divide_columns(lanes.factor, n, is_diagonal, lanes.vectors)
-    for i in range(n):  # F^-1 M influence = F' influence
-        total = load(lanes.vectors, i * width + width - 1)
-        for k in range(i, i + 1 if is_diagonal else n):
-            total = total + load(lanes.factor, k * n + i) * influence[k]
-        store(lanes.vectors, i * width + width - 1, total)
     standard_lanes(lanes.stiffness, lanes.factor, n, is_diagonal, lanes.reduced)
-    tridiagonalise(lanes.reduced, lanes.diagonal, lanes.off_diagonal, lanes.vectors, lanes.room)
-    converged = diagonalise(lanes, lanes.vectors if width < n else lanes.vectors[:0])
+    forward = lanes.vectors if width < n else lanes.vectors[:0]
+    if width < n:
+        start_products(lanes, columns, is_diagonal)
+    tridiagonalise(lanes.reduced, lanes.diagonal, lanes.off_diagonal, forward, lanes.room)
+    converged = diagonalise(lanes, forward)
     if width >= n and converged:
-        if are_apart(lanes.values):
-            turn_whole(lanes, width)
-        else:
-            converged = diagonalise(lanes, lanes.vectors)
+        converged = find_shapes(lanes)
+        multiply_shapes(lanes, columns, is_diagonal)
     largest = largest_values(lanes.values)
     for r in range(n):
         if highest(has_lost(load(lanes.values, r), largest)) > 0.0:
@@ -161,13 +150,74 @@ def diagonalise(lanes, vectors):
 
 
 @jit
-def turn_whole(lanes, width):
-    """Turn vectors, at least n of them, by eigenvectors that are found one by one: QL takes longer."""
-    n, turned = lanes.diagonal.shape[0], lanes.turned
-    whole_vectors(lanes.diagonal, lanes.off_diagonal, lanes.values, lanes.pivots, lanes.shape, lanes.rows)
-    for i in range(turned.shape[0]):
-        store(turned, i, load(lanes.vectors, i))
-    multiply_lanes((lanes.rows, n, 1), (turned, width, 1), (n, n, width), lanes.vectors)
+def start_products(lanes, columns, is_diagonal):
+    """Write F^-1 times the vectors, for reflections and QL to turn."""
+    (fixed, influence), n = columns, lanes.diagonal.shape[0]
+    width = fixed.shape[1]
+    for i in range(n):
+        for c in range(width):
+            store(lanes.vectors, i * width + c, splat(fixed[i, c]))
+    divide_columns(lanes.factor, n, is_diagonal, lanes.vectors)
+    for i in range(n):
+        row = i * width + width - 1
+        store(lanes.vectors, row, load(lanes.vectors, row) + moved_mass(lanes, i, influence, is_diagonal))
+
+
+@jit
+def moved_mass(lanes, i, influence, is_diagonal):
+    """Entry i of F^-1 M influence = F' influence."""
+    total, n = splat(0.0), lanes.diagonal.shape[0]
+    for k in range(i, i + 1 if is_diagonal else n):
+        total = total + load(lanes.factor, k * n + i) * influence[k]
+    return total
+
+
+@jit
+def find_shapes(lanes):
+    """Write the eigenvectors of A into `lanes.rows`, one by one: QL takes longer; False if that fails."""
+    n, rows, converged = lanes.diagonal.shape[0], lanes.rows, True
+    sort_lanes(lanes.values)
+    if are_apart(lanes.values):
+        whole_vectors(lanes.diagonal, lanes.off_diagonal, lanes.values, lanes.pivots, lanes.shape, rows)
+    else:
+        for i in range(n * n):
+            store(rows, i, splat(1.0 if i % (n + 1) == 0 else 0.0))
+        converged = diagonalise(lanes, rows)
+    reflect_rows(lanes.reduced, lanes.room[0], rows)
+    return converged
+
+
+@jit
+def sort_lanes(values):
+    """Sort the numbers (n, LANES) of each lane."""
+    for lane in range(LANES):
+        for i in range(1, values.shape[0]):
+            value, k = values[i, lane], i
+            while k > 0 and values[k - 1, lane] > value:
+                values[k, lane] = values[k - 1, lane]
+                k -= 1
+            values[k, lane] = value
+
+
+@jit
+def multiply_shapes(lanes, columns, is_diagonal):
+    """Turn the eigenvectors of A into mode shapes, and write their products with the vectors."""
+    (fixed, influence), n, rows, vectors = columns, lanes.diagonal.shape[0], lanes.rows, lanes.vectors
+    width = fixed.shape[1]
+    for i in range(n * width):
+        store(vectors, i, splat(0.0))
+    for i in range(n):
+        share = moved_mass(lanes, i, influence, is_diagonal)
+        for r in range(n):
+            row = r * width + width - 1
+            store(vectors, row, load(vectors, row) + load(rows, r * n + i) * share)
+    divide_rows(lanes.factor, n, is_diagonal, rows)
+    for i in range(n):
+        for c in range(width):
+            if fixed[i, c] != 0.0:
+                for r in range(n):
+                    row = r * width + c
+                    store(vectors, row, load(vectors, row) + load(rows, r * n + i) * fixed[i, c])
 
 
 @jit

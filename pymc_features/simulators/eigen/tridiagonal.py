@@ -127,31 +127,37 @@ def twisted_vector(diagonal, off_diagonal, value, pivots, vector):
     n = diagonal.shape[0]
     zero, one = splat(0.0), splat(1.0)
     tiny = splat(TINY)
-    down, up = zero, zero
+    from_above, from_below = zero, zero  # inverse pivots
     before, behind = zero, zero  # entries beside the diagonal of the rows that the factors come from
     for i in range(n):
         k = n - 1 - i
-        down = load(diagonal, i) - value - (before * before / down if i > 0 else zero)
-        down = where_less(magnitude(down), tiny, tiny, down)
-        up = load(diagonal, k) - value - (behind * behind / up if i > 0 else zero)
-        up = where_less(magnitude(up), tiny, tiny, up)
-        store(pivots, i, down)
-        store(pivots, n + k, up)
+        down = load(diagonal, i) - value - before * before * from_above
+        from_above = one / where_less(magnitude(down), tiny, tiny, down)
+        up = load(diagonal, k) - value - behind * behind * from_below
+        from_below = one / where_less(magnitude(up), tiny, tiny, up)
+        store(pivots, i, from_above)
+        store(pivots, n + k, from_below)
         before = load(off_diagonal, i)
         behind = load(off_diagonal, k - 1) if k > 0 else zero
-    place, least = zero, splat(1e308)
+    place, least, before = zero, splat(1e308), zero
     for i in range(n):
-        left = magnitude(load(pivots, i) + load(pivots, n + i) - (load(diagonal, i) - value))
+        left, behind = load(diagonal, i) - value - before, zero
+        if i < n - 1:
+            behind = load(off_diagonal, i) * load(off_diagonal, i)
+            left = left - behind * load(pivots, n + i + 1)
+        before = behind * load(pivots, i)
+        left = magnitude(left)
         place = where_less(left, least, splat(float(i)), place)
         least = where_less(left, least, left, least)
     entry = zero
     for i in range(n - 1, -1, -1):
-        below = zero - load(off_diagonal, i) * entry / load(pivots, i)
+        below = entry * (zero - load(off_diagonal, i) * load(pivots, i))
         entry = where_less(splat(i + 0.5), place, below, where_less(splat(i - 0.5), place, one, zero))
         store(vector, i, entry)
     for i in range(1, n):
-        above = zero - load(off_diagonal, i - 1) * load(vector, i - 1) / load(pivots, n + i)
-        store(vector, i, where_less(place, splat(i - 0.5), above, load(vector, i)))
+        above = entry * (zero - load(off_diagonal, i - 1) * load(pivots, n + i))
+        entry = where_less(place, splat(i - 0.5), above, load(vector, i))
+        store(vector, i, entry)
 
 
 @jit

@@ -9,6 +9,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, store
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.derivatives.dense import add_damping, new_spread, spread_lanes
 from pymc_features.simulators.derivatives.history import sum_history
 from pymc_features.simulators.derivatives.memory import clear, new_gradient_lanes, put, room_of_lanes
@@ -155,12 +156,12 @@ def new_group(parameters, m):
         new_structures(n, n_theta, n + 2),
         all_diagonal(parameters.mass, n),
         all_columns(parameters),
-        (np.zeros((m, LANES)), np.zeros((m, LANES))),
+        (new_vectors(m), new_vectors(m)),
         np.empty(n, dtype=np.int64),
-        (np.zeros((n, LANES)), np.zeros((n * (n + 2), LANES))),
+        (new_vectors(n), new_vectors(n * (n + 2))),
         np.empty(LANES, dtype=np.bool_),
         new_spread(n, m),
-        np.zeros((n_theta, LANES)),
+        new_vectors(n_theta),
     )
 
 
@@ -201,7 +202,7 @@ def add_groups(room, parameters, excitation, wanted, observed, weights, gradient
     if quantity != ABSOLUTE_ACCELERATION:
         feed[:] = 0.0
     lanes, group = new_gradient_lanes(room, feed, m, excitation.stride), new_group(parameters, m)
-    apart = np.empty((1, LANES))
+    apart = new_vectors(1)
     for first in range(0, count, LANES):
         fill_lanes(lanes, group, parameters, gradients, wanted, (first, count, step))
         for lane in range(LANES):

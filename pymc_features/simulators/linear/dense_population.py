@@ -4,6 +4,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.filling import empty_modes, fill_lanes, take_lane
 from pymc_features.simulators.eigen.matrices import all_diagonal
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
@@ -183,10 +184,10 @@ def march_dense(parameters, excitation, wanted, observed, increments):
     result = np.full((count, n_sensors, 1 if increments is None else 4), np.nan)
     columns, stacks = wanted_columns(parameters, wanted), (parameters.mass, parameters.stiffness)
     lanes, modes = (
-        new_lanes(observed, m, excitation.stride),
+        new_lanes(observed, m, excitation.stride, False),
         new_structures(n, theta.shape[1], columns[0].shape[1]),
     )
-    kept, order = (np.zeros((m, LANES)), np.zeros((m, LANES))), np.empty(n, dtype=np.int64)
+    kept, order = (new_vectors(m), new_vectors(m)), np.empty(n, dtype=np.int64)
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
     is_there, alone = np.empty(LANES, dtype=np.bool_), np.empty(count, dtype=np.int64)
     n_alone, start = 0, excitation.acceleration[0, 0]
@@ -254,7 +255,7 @@ def dense_systems(parameters, excitation, wanted, count):
     if n_inputs == 1:
         columns, stacks = wanted_columns(parameters, wanted), (parameters.mass, parameters.stiffness)
         modes = new_structures(n, parameters.theta.shape[1], columns[0].shape[1])
-        kept, order = (np.zeros((m, LANES)), np.zeros((m, LANES))), np.empty(n, dtype=np.int64)
+        kept, order = (new_vectors(m), new_vectors(m)), np.empty(n, dtype=np.int64)
         is_diagonal, motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
         for first in range(0, count, LANES):
             bring(modes, parameters, first, count, is_there)

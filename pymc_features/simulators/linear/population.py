@@ -46,7 +46,7 @@ def march_population(a: Arguments, observed, with_increments):
         kernel = a.parameters.for_kernel()
         result, is_written = march_coupled(kernel, a.inputs, a.outputs, observed, increments)
         result, is_written = np.resize(result, (count, *result.shape[1:])), np.resize(is_written, count)
-    lanes, places = new_lanes(observed, a.wanted.n_modes, a.excitation.stride), []
+    lanes, places = new_lanes(observed, a.wanted.n_modes, a.excitation.stride, False), []
     waiting = np.flatnonzero(~is_written.astype(bool))
     for p, own, system in solved(a, waiting):
         if system is None:

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import fft
 
 from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.compiled.vector_memory import aligned
 from pymc_features.simulators.mean_squares.correlations import Correlations
 from pymc_features.simulators.mean_squares.stencil import OVERSAMPLING, coefficients, window
 
@@ -116,7 +117,7 @@ class Table:
             high = np.where(needed, highest + MARGIN, 0)
             sizes, missing = np.maximum(high - low + 1, 0) * self.node, needed
         begins = (np.cumsum(sizes) - sizes.ravel()).reshape(sizes.shape)
-        values = np.empty((int(sizes.sum()), LANES))
+        values = aligned(int(sizes.sum()) * LANES).reshape(-1, LANES)
         for level, row in zip(*np.nonzero(sizes), strict=True):
             at = slice(begins[level, row], begins[level, row] + sizes[level, row])
             if missing[level, row]:

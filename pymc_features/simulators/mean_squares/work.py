@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.mean_squares.stencil import TAPS
 
 TURNS = np.exp(1j * np.pi / 3.0 * np.arange(6))  # exp(i omega c) at the nodes, c the centre of time
@@ -60,24 +60,24 @@ def new_work(n_poles, n_sensors, n_inputs, vectors):
     """Memory for structures of one size."""
     pairs = 2 * n_poles * n_inputs
     return Work(
-        np.zeros((8 * n_poles, LANES)),
-        np.zeros((n_poles * n_sensors, LANES)),
-        np.zeros((n_poles * n_inputs, LANES)),
-        np.zeros((n_sensors * n_inputs, LANES)),
-        np.empty((2 * TAPS, LANES)),
-        np.empty((4 * n_inputs + 2, LANES)),
-        np.empty((2 * n_poles, LANES)),
-        np.empty((2 * n_poles, LANES)),
-        np.empty((pairs, LANES)),
-        np.empty((pairs, LANES)),
-        np.empty((pairs, LANES)),
-        np.empty((pairs, LANES)),
-        np.empty((2 * vectors, LANES)),
-        np.empty((n_sensors + 2 * n_inputs + 2, LANES)),
-        np.empty((n_sensors, LANES)),
-        np.empty((n_sensors, LANES)),
-        np.empty((n_sensors, LANES)),
-        np.empty((n_sensors, LANES)),
+        new_vectors(8 * n_poles),
+        new_vectors(n_poles * n_sensors),
+        new_vectors(n_poles * n_inputs),
+        new_vectors(n_sensors * n_inputs),
+        new_vectors(2 * TAPS),
+        new_vectors(4 * n_inputs + 2),
+        new_vectors(2 * n_poles),
+        new_vectors(2 * n_poles),
+        new_vectors(pairs),
+        new_vectors(pairs),
+        new_vectors(pairs),
+        new_vectors(pairs),
+        new_vectors(2 * vectors),
+        new_vectors(n_sensors + 2 * n_inputs + 2),
+        new_vectors(n_sensors),
+        new_vectors(n_sensors),
+        new_vectors(n_sensors),
+        new_vectors(n_sensors),
     )
 
 

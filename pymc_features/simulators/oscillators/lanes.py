@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 
 SAMPLES = 16  # outputs handled at a time; a multiple of four
+COLUMNS = 32  # outputs of modes that stay in the first-level cache, with their shapes, for a block of samples
 N_COEFFICIENTS = 5  # of a mode
 N_OF_PAIR = 6  # of a mode of which displacement and velocity are seen
 
@@ -15,20 +16,25 @@ N_OF_PAIR = 6  # of a mode of which displacement and velocity are seen
 class Lanes(NamedTuple):
     """Structures, one in each lane, with what they need on their way through a record.
 
-    Sensors and modes are filled up to even numbers. Modes of which displacement and velocity are seen,
-    `eigen.pairs`, have six coefficients and two outputs, each with its shapes.
+    Modes are filled up to an even number, and there is room for one sensor more, of no consequence. Modes of
+    which displacement and velocity are seen, `eigen.pairs`, have six coefficients and two outputs, each with
+    its shapes.
 
     Attributes
     ----------
     coefficients, states : array (5 m, LANES), (2 m, LANES)
         Of the recursion.
-    shapes, feed : array (s m, LANES), (s, LANES)
+    shapes, feed : array ((s + 1) m, LANES), (s + 1, LANES)
         Output of each mode at the sensors, and feed-through.
-    outputs, ground, data : array (m SAMPLES, LANES), (SAMPLES stride,), (sensors, SAMPLES)
-        One block: modal outputs, excitation, data.
+    outputs : array (COLUMNS SAMPLES, LANES)
+        Of some modes in one block.
+    misfits : array ((s + 1) SAMPLES, LANES)
+        Of one block.
+    ground, data : array (SAMPLES stride,), (s, SAMPLES)
+        Excitation and data of one block.
     has_gaps : bool
         Whether data are missing.
-    squares : array (s, LANES)
+    squares : array (s + 1, LANES)
         Sums of squared misfits.
     """
 
@@ -37,6 +43,7 @@ class Lanes(NamedTuple):
     shapes: np.ndarray
     feed: np.ndarray
     outputs: np.ndarray
+    misfits: np.ndarray
     ground: np.ndarray
     data: np.ndarray
     has_gaps: bool
@@ -48,13 +55,10 @@ class Increments(NamedTuple):
 
     Attributes
     ----------
-    misfits : array (s SAMPLES, LANES)
-        Of one block.
     squares, first, last : array (s, LANES)
         Sums of squared increments, first and last misfits.
     """
 
-    misfits: np.ndarray
     squares: np.ndarray
     first: np.ndarray
     last: np.ndarray
@@ -71,29 +75,27 @@ def has_gaps(observed):
 
 
 @jit
-def new_lanes(observed, n_modes, stride):
-    """Lanes without structures, for data (sensors, time)."""
-    n_sensors = observed.shape[0]
-    s, m = n_sensors + n_sensors % 2, n_modes + n_modes % 2
+def new_lanes(observed, n_modes, stride, is_pair):
+    """Lanes without structures, for data (sensors, time); of pairs, displacement and velocity are seen."""
+    s, m = observed.shape[0], n_modes + n_modes % 2
     return Lanes(
-        coefficients=np.zeros((N_COEFFICIENTS * m, LANES)),
-        states=np.zeros((2 * m, LANES)),
-        shapes=np.zeros((s * m, LANES)),
-        feed=np.zeros((s, LANES)),
-        outputs=np.empty((SAMPLES * m, LANES)),
+        coefficients=new_vectors((N_OF_PAIR if is_pair else N_COEFFICIENTS) * m),
+        states=new_vectors(2 * m),
+        shapes=new_vectors((s + 1) * m * (2 if is_pair else 1)),
+        feed=new_vectors(s + 1),
+        outputs=new_vectors(COLUMNS * SAMPLES),
+        misfits=new_vectors((s + 1) * SAMPLES),
         ground=np.empty(SAMPLES * stride),
-        data=np.empty((n_sensors, SAMPLES)),
+        data=np.empty((s, SAMPLES)),
         has_gaps=has_gaps(observed),
-        squares=np.empty((s, LANES)),
+        squares=new_vectors(s + 1),
     )
 
 
 @jit
 def new_increments(n_sensors):
     """Room for the increments of the misfit."""
-    s = n_sensors + n_sensors % 2
-    squares, first, last = np.empty((s, LANES)), np.empty((s, LANES)), np.empty((s, LANES))
-    return Increments(np.empty((s * SAMPLES, LANES)), squares, first, last)
+    return Increments(new_vectors(n_sensors), new_vectors(n_sensors), new_vectors(n_sensors))
 
 
 @jit
@@ -106,9 +108,9 @@ def clear(lanes):
 
 
 @jit
-def copy_data(lanes, observed, first, count):
-    """Write a block of data, from sample `first` on, into `lanes.data`; zeros behind `count` samples."""
+def copy_data(lanes, observed, first):
+    """Write a block of data, from sample `first` on, into `lanes.data`; zeros behind their end."""
     own_data = lanes.data
     for j in range(observed.shape[0]):
         for b in range(SAMPLES):
-            own_data[j, b] = observed[j, first + b] if b < count else 0.0
+            own_data[j, b] = observed[j, first + b] if first + b < observed.shape[1] else 0.0

@@ -1,0 +1,149 @@
+"""Where the memory of `lanes`, the excitation and the data are: compiled code reaches them by address.
+
+An array among the arguments of a function costs two atomic operations, see `compiled.vector_memory.aligned`;
+a block of samples is over before a dozen arrays have been counted.
+"""
+
+from typing import NamedTuple
+
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.oscillators.arguments import interpolate
+from pymc_features.simulators.oscillators.lanes import SAMPLES, copy_data
+
+NUMBER = 8  # bytes
+
+
+class Places(NamedTuple):
+    """Sizes of `Lanes`, and the addresses of its arrays.
+
+    Attributes
+    ----------
+    m, n_sensors, width : int
+        Modes, an even number, sensors, and columns of the shapes.
+    is_pair : bool
+    coefficients, states, shapes, feed, outputs, misfits, squares : int
+    """
+
+    m: int
+    n_sensors: int
+    width: int
+    is_pair: bool
+    coefficients: int
+    states: int
+    shapes: int
+    feed: int
+    outputs: int
+    misfits: int
+    squares: int
+
+
+class Source(NamedTuple):
+    """Where excitation and data of the blocks are.
+
+    Attributes
+    ----------
+    ground, n_ground, own_ground : int
+        Address of the excitation, how many entries it has, and address of `Lanes.ground`.
+    substeps, stride : int
+    data, n_times, length, own_data : int
+        Address of the data, samples of a sensor, from one sensor to the next, and address of `Lanes.data`.
+    is_plain : bool
+        Whether the samples of a sensor stand one after the other.
+    """
+
+    ground: int
+    n_ground: int
+    own_ground: int
+    substeps: int
+    stride: int
+    data: int
+    n_times: int
+    length: int
+    own_data: int
+    is_plain: bool
+
+
+class Block(NamedTuple):
+    """What all structures are subjected to, and compared with, in one block of samples.
+
+    Attributes
+    ----------
+    ground, stride : int
+        Address of the excitation at the first sample, and how many entries behind it the next one is.
+    data, length : int
+        Address of the first sample of the first sensor, and how many entries behind it the next one is.
+    """
+
+    ground: int
+    stride: int
+    data: int
+    length: int
+
+
+@jit
+def places_of(lanes):
+    """Where the arrays of `lanes` are."""
+    m, width = lanes.states.shape[0] // 2, lanes.shapes.shape[0] // lanes.feed.shape[0]
+    return Places(
+        m,
+        lanes.data.shape[0],
+        width,
+        width == 2 * m,
+        lanes.coefficients.ctypes.data,
+        lanes.states.ctypes.data,
+        lanes.shapes.ctypes.data,
+        lanes.feed.ctypes.data,
+        lanes.outputs.ctypes.data,
+        lanes.misfits.ctypes.data,
+        lanes.squares.ctypes.data,
+    )
+
+
+@jit
+def source_of(lanes, excitation, observed):
+    """Where the excitation by one input (t,) and the data (s, u) are."""
+    acceleration = excitation.acceleration
+    return Source(
+        acceleration.ctypes.data,
+        acceleration.size,
+        lanes.ground.ctypes.data,
+        excitation.substeps,
+        excitation.stride,
+        observed.ctypes.data,
+        observed.shape[1],
+        observed.strides[0] // NUMBER,
+        lanes.data.ctypes.data,
+        observed.strides[1] == NUMBER,
+    )
+
+
+@jit
+def has_own_ground(source, first):
+    """Whether the excitation of the block from sample `first` on is interpolated, or ends."""
+    return source.substeps > 1 or (first + SAMPLES) * source.stride > source.n_ground
+
+
+@jit
+def has_own_data(source, first):
+    """Whether the data of the block from sample `first` on end, or are strided."""
+    return first + SAMPLES > source.n_times or not source.is_plain
+
+
+@jit
+def copy_block(lanes, excitation, observed, first):
+    """Write excitation and data of the block from sample `first` on into the lanes, zeros behind the end."""
+    interpolate(excitation.acceleration, excitation.substeps, first * excitation.stride, lanes.ground)
+    copy_data(lanes, observed, first)
+
+
+@jit
+def block_of(source, first):
+    """The block from sample `first` on, which is in the lanes where it has to be."""
+    ground, data = source.ground + NUMBER * first * source.stride, source.data + NUMBER * first
+    is_own = has_own_data(source, first)
+    return Block(
+        source.own_ground if has_own_ground(source, first) else ground,
+        source.stride,
+        source.own_data if is_own else data,
+        SAMPLES if is_own else source.length,
+    )
