@@ -4,7 +4,8 @@ All chains of a march take the same steps, so many to a step of the recursion as
 with the largest, |V_P|, and the largest acceleration A of its mass so far, a step is accurate where
 |V_P| / (H^2 A) is below the tolerance of the recurrence. The ratio grows as H^(P - 1). Where it has been
 exceeded by far the steps are taken once more, shorter. Their number falls by a third at most at a time: while
-a spring flows the coefficients are small, but long steps would not be stable. A chain that asks for more than
+a spring flows the coefficients are small, but long steps would not be stable. It falls from two to one where
+that is enough, with kinks where it is by far. A chain that asks for more than
 `MAX_STEPS` is lost: NaN, and left to others.
 """
 
@@ -118,6 +119,7 @@ def march_of(series):
     rescale, copy, begin, advance = group_of(series)
     keep, _, accept, first_free = tape_of(series)
     order, tolerance = series.order, series.tolerance
+    enough = 1.0 if series.branch is None else 0.25  # kinks of neighbours want to be apart
 
     @jit
     def needed(group, step, most):
@@ -196,8 +198,10 @@ def march_of(series):
                         begun = False
                     steps += count
                     ratio = needed(group, step, HUGE if count < MAX_STEPS else TOO_FAR)
-                    asked = np.ceil(count * max(ratio, 1e-12) ** (1.0 / (order - 1)))
-                    better = max(int(min(asked, MAX_STEPS)), (2 * count + 2) // 3)
+                    asked = count * max(ratio, 1e-12) ** (1.0 / (order - 1))
+                    better = max(int(min(np.ceil(asked), MAX_STEPS)), (2 * count + 2) // 3)
+                    if count == 2 and asked < enough:
+                        better = 1
                     repeat = ratio > TOO_FAR and better > count
                     if repeat:
                         copy(group, True)
