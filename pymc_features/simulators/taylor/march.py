@@ -213,6 +213,7 @@ def march_of(series):
                         step = length / count
                     if not repeat:
                         break
+                    copy(group, False)  # in terms of the new step
                 fine += 1
                 ground = ground_at(acceleration, fine, substeps)
         if tape.capacity > 0:
