@@ -28,6 +28,7 @@ from pymc_features.simulators.taylor.feedback import feedback_of
 from pymc_features.simulators.taylor.kinks import turn_of
 from pymc_features.simulators.taylor.layout import (
     DASHPOT,
+    DOUBT,
     DRAG,
     FIRST,
     LAST,
@@ -47,6 +48,7 @@ from pymc_features.simulators.taylor.tape import COUNT, MAX_STEPS, tape_of
 
 TOO_FAR = 10.0  # above the tolerance: steps are repeated
 LARGEST_Z = 1e-2  # last coefficient of z: above it the series are of no use
+LARGEST_DOUBT = 3e-6  # of z behind kinks of neighbours in one step: above it steps are repeated
 
 
 @cache
@@ -119,7 +121,8 @@ def march_of(series):
     rescale, copy, begin, advance = group_of(series)
     keep, _, accept, first_free = tape_of(series)
     order, tolerance = series.order, series.tolerance
-    enough = 1.0 if series.branch is None else 0.25  # kinks of neighbours want to be apart
+    kinks = series.branch is not None
+    enough = 0.25 if kinks else 1.0  # kinks of neighbours want to be apart
 
     @jit
     def needed(group, step, most):
@@ -131,6 +134,10 @@ def march_of(series):
         scale = splat(tolerance * step * step) * peak + 1e-300
         ratio = read_lanes(address, end + LAST) / scale
         ratio = larger(ratio, read_lanes(address, end + LAST_Z) * splat(1.0 / LARGEST_Z))
+        if kinks:
+            doubt = read_lanes(address, end + DOUBT) * splat(TOO_FAR / LARGEST_DOUBT)
+            ratio = larger(ratio, where_less(splat(TOO_FAR), doubt, doubt, splat(0.0)))
+            write_lanes(address, end + DOUBT, splat(0.0))
         ratio = where_less(ratio, splat(HUGE), ratio, splat(0.5 * HUGE))  # steps not finite are repeated too
         lost = where_less(ratio, splat(most), read_lanes(address, end + LOST), splat(1.0))
         write_lanes(address, end + LOST, lost)
