@@ -55,7 +55,7 @@ def has_kinks(law):
     return False
 
 
-ORDER = 10
+ORDER = 9
 STIFFNESS, COEFFICIENT = range(2)  # constants
 DRIFTS, SQUARES = range(2)  # series
 CUBES_BAR, FORCES = range(2)  # series of bars: of (d^3)_k / c, then of the force
@@ -94,7 +94,7 @@ class CubicGroup(Group):
 
 SERIES = Series(
     order=ORDER,
-    tolerance=2.5e-7,
+    tolerance=6e-8,
     n_series=2,
     n_constants=2,
     serves=lambda values: (values[0] >= 0.0) & (values[0] < np.inf),

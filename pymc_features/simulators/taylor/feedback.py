@@ -1,13 +1,20 @@
-"""What the kinks of a step change in the chain: the masses they push, and the springs beside them."""
+"""What the kinks of a step change in the chain: the masses they push, and the springs beside them.
+
+These follow on the branch behind their own last kink. Where most of that was before it, z is wrong by a part
+of what it follows; the less so the smaller z, for the branches part as |z|^n does. Steps with such a doubt
+beyond `LARGEST_DOUBT` are taken once more, shorter (`march.py`).
+"""
 
 from functools import cache
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, splat
+from pymc_features.simulators.compiled.vector import LANES, magnitude, splat, where_less
+from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes
 from pymc_features.simulators.taylor.layout import (
     CHANGE,
     DASHPOT,
+    DOUBT,
     DRAG,
     HAS_KINK,
     MOBILITY,
@@ -38,7 +45,15 @@ def feedback_of(series):
         add_lanes(address, at + U - record, down * force_2)
 
     @jit
-    def respond(address, here, share, kink, before):
+    def question(address, at, n, effect):
+        """Keep what a spring with a kink of its own follows, times z, if it is the largest of its chain."""
+        if read_number(address, (at + HAS_KINK) * LANES) > 0.0:
+            doubt, own = (n + 1) * record + DOUBT, magnitude(read_lanes(address, at + CHANGE))
+            effect = where_less(splat(0.0), own, magnitude(effect), splat(0.0))
+            write_lanes(address, doubt, larger(read_lanes(address, doubt), effect))
+
+    @jit
+    def respond(address, n, here, share, kink, before):
         """Let a spring follow a drift that is `share` times the force of a kink, integrated twice.
 
         Returns z before that.
@@ -53,7 +68,10 @@ def feedback_of(series):
             dashpot = read_lanes(address, at + DASHPOT)
             force_1, force_2 = stiffness * j3 + dashpot * j2, stiffness * j4 + dashpot * j3
             push(address, at, share * force_1, share * force_2)
-        write_lanes(address, at + Z_END, z + z_by_drift * share * j2)
+        change = z_by_drift * share * j2
+        write_lanes(address, at + Z_END, z + change)
+        if before is None and at != kink:
+            question(address, at, n, change * z)
         return z
 
     @jit
@@ -81,10 +99,10 @@ def feedback_of(series):
                     push(address, at, j1 - drag * j2, j2)
                 below = above = splat(0.0)
                 if i > 1:
-                    below = respond(address, here - record, down, at, before)
-                own = respond(address, here, 0.0 - (up + down), at, before)
+                    below = respond(address, n, here - record, down, at, before)
+                own = respond(address, n, here, 0.0 - (up + down), at, before)
                 if i < n:
-                    above = respond(address, here + record, up, at, before)
+                    above = respond(address, n, here + record, up, at, before)
                 if before is not None:
                     write_lanes(before, 3 * i, below)
                     write_lanes(before, 3 * i + 1, own)

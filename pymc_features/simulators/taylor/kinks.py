@@ -21,7 +21,8 @@ batch as well: their z is expanded anew at the beginning of the step, and wherev
 from functools import cache
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, splat, where_less
+from pymc_features.simulators.compiled.vector import LANES, magnitude, splat, where_less
+from pymc_features.simulators.compiled.vector_math import exponential, logarithm
 from pymc_features.simulators.compiled.vector_memory import (
     any_less,
     read_lanes,
@@ -43,6 +44,8 @@ from pymc_features.simulators.taylor.series import RATE, Spring, Z, constant_of,
 
 MAX_KINKS = 4  # of one spring in one step
 MAX_PIECES = 24  # and where a series is put together of several
+LARGEST_TERM = 1e-6  # of the last power of z in a piece: there it ends
+LONG = 2.0  # in steps: longer than any
 # Entries of a batch behind its record: drift rate at the end, address and record of each pair, and its lane
 RATE_END, OWNER, PLACE, LANE = range(4)
 N_BATCH_ENTRIES = 4
@@ -102,9 +105,16 @@ def turn_of(series):
     most = MAX_KINKS if pieces is None else MAX_PIECES
 
     @jit
-    def until(spring):
-        """Until when the series of a spring is good."""
-        return splat(2.0) if pieces is None else constant_of(spring, pieces.hold)
+    def until(batch, spring, left):
+        """Until when the series of z is good: where its last term becomes too large at the latest."""
+        ends, last = constant_of(spring, pieces.hold), magnitude(read_lanes(batch, zs + order))
+        for _ in range(order):
+            last = last * left
+        if any_less(splat(LARGEST_TERM), last):
+            good = left * exponential(logarithm(splat(LARGEST_TERM) / last) * (1.0 / order))
+            good = where_less(splat(LARGEST_TERM), last, good, ends)
+            ends = where_less(good, ends, good, ends)
+        return ends
 
     @jit
     def add_moments(batch, hit, left):
@@ -140,14 +150,12 @@ def turn_of(series):
         expand_again(spring)
 
     @jit
-    def reached(batch, spring, left):
-        """z where its series ceases to be good, or at the end, and when that is."""
-        ends = until(spring)
-        ends = where_less(ends, left, ends, left)
+    def value_at(batch, x):
+        """z at a time."""
         z = read_lanes(batch, zs + order)
         for k in range(order - 1, -1, -1):
-            z = z * ends + read_lanes(batch, zs + k)
-        return z, ends
+            z = z * x + read_lanes(batch, zs + k)
+        return z
 
     @jit
     def keep_turn(batch, trace, given):
@@ -172,7 +180,7 @@ def turn_of(series):
         z_end, rate_end = read_lanes(batch, entries + Z_END), read_lanes(batch, more + RATE_END)
         rate_sign, z_sign = read_lanes(batch, entries + RATE_SIGN), read_lanes(batch, entries + Z_SIGN)
         spring = Spring(batch, length, length, constants)
-        done, reach, low, z_now, reach_z = zero, one, rate_end, z_end, one
+        done, reach, low, z_now, reach_z, ends = zero, one, rate_end, z_end, one, splat(LONG)
         back = where_less(rate_end * rate_sign, zero, one, zero)
         cross = where_less(z_end * z_sign, zero, one, zero)
         start = read_lanes(batch, rates) + read_lanes(batch, rates + 1)
@@ -186,14 +194,15 @@ def turn_of(series):
         hit = where_less(zero, back + cross, one, zero)
         if pieces is not None:
             write_constant(spring, pieces.whole, zero)
-            again = where_less(until(spring), one, one, zero)
+            again = where_less(constant_of(spring, pieces.hold), one, one, zero)
             if any_less(zero, again):
                 renew(batch, spring, one)
                 add_moments(batch, again, one)
-                z_now, reach_z = reached(batch, spring, one)
+                ends = where_less(zero, again, until(batch, spring, one), ends)
+                reach_z = where_less(ends, one, ends, one)
+                z_now = value_at(batch, reach_z)
                 cross = where_less(z_now * z_sign, zero, one, zero)
-                ends = again * where_less(until(spring), one, one, zero)
-                hit = where_less(zero, back + cross + ends, one, zero)
+                hit = where_less(zero, back + cross + where_less(ends, one, one, zero), one, zero)
         for number in range(most):
             if not any_less(zero, hit):
                 break
@@ -211,7 +220,6 @@ def turn_of(series):
                 turns = turns * (one - first)
             kink = hit
             if pieces is not None:
-                ends = until(spring)
                 kink = where_less(ends, x, zero, hit)
                 x = where_less(ends, x, ends, x)
             x = where_less(zero, hit, x, zero)
@@ -228,13 +236,18 @@ def turn_of(series):
                 keep_turn(batch, trace, given)
             add_moments(batch, hit, left)
             z_now, reach_z = z_end + read_lanes(batch, entries + CHANGE), left
+            short, still = zero, zero
             if pieces is not None:
-                z_now, reach_z = reached(batch, spring, left)
-            dips, low = zero, rate_end
-            back = hit * where_less(rate_end * rate_sign, zero, one, zero)
+                ends = until(batch, spring, left)
+                reach_z = where_less(ends, left, ends, left)
+                z_now = value_at(batch, reach_z)
+                short = hit * where_less(ends, left, one, zero)
+                still = hit - kink  # a piece may end before the dip
+            dips = dips * still
+            low = where_less(zero, dips, low, rate_end)
+            back = hit * where_less(low * rate_sign, zero, one, zero)
             cross = hit * where_less(z_now * z_sign, zero, one, zero)
-            ends = hit * where_less(until(spring), left, one, zero)
-            hit = where_less(zero, back + cross + ends, one, zero)
+            hit = where_less(zero, back + cross + short, one, zero)
         write_lanes(batch, entries + RATE_SIGN, rate_sign)
         write_lanes(batch, entries + Z_SIGN, z_sign)
         by_z = tangent(spring, z_end)[2]

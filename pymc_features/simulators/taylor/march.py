@@ -4,7 +4,8 @@ All chains of a march take the same steps, so many to a step of the recursion as
 with the largest, |V_P|, and the largest acceleration A of its mass so far, a step is accurate where
 |V_P| / (H^2 A) is below the tolerance of the recurrence. The ratio grows as H^(P - 1). Where it has been
 exceeded by far the steps are taken once more, shorter. Their number falls by a third at most at a time: while
-a spring flows the coefficients are small, but long steps would not be stable. A chain that asks for more than
+a spring flows the coefficients are small, but long steps would not be stable. It falls from two to one where
+that is enough, with kinks where it is by far. A chain that asks for more than
 `MAX_STEPS` is lost: NaN, and left to others.
 """
 
@@ -27,6 +28,7 @@ from pymc_features.simulators.taylor.feedback import feedback_of
 from pymc_features.simulators.taylor.kinks import turn_of
 from pymc_features.simulators.taylor.layout import (
     DASHPOT,
+    DOUBT,
     DRAG,
     FIRST,
     LAST,
@@ -46,6 +48,7 @@ from pymc_features.simulators.taylor.tape import COUNT, MAX_STEPS, tape_of
 
 TOO_FAR = 10.0  # above the tolerance: steps are repeated
 LARGEST_Z = 1e-2  # last coefficient of z: above it the series are of no use
+LARGEST_DOUBT = 3e-6  # of z behind kinks of neighbours in one step: above it steps are repeated
 
 
 @cache
@@ -118,6 +121,8 @@ def march_of(series):
     rescale, copy, begin, advance = group_of(series)
     keep, _, accept, first_free = tape_of(series)
     order, tolerance = series.order, series.tolerance
+    kinks = series.branch is not None
+    enough = 0.25 if kinks else 1.0  # kinks of neighbours want to be apart
 
     @jit
     def needed(group, step, most):
@@ -129,6 +134,10 @@ def march_of(series):
         scale = splat(tolerance * step * step) * peak + 1e-300
         ratio = read_lanes(address, end + LAST) / scale
         ratio = larger(ratio, read_lanes(address, end + LAST_Z) * splat(1.0 / LARGEST_Z))
+        if kinks:
+            doubt = read_lanes(address, end + DOUBT) * splat(TOO_FAR / LARGEST_DOUBT)
+            ratio = larger(ratio, where_less(splat(TOO_FAR), doubt, doubt, splat(0.0)))
+            write_lanes(address, end + DOUBT, splat(0.0))
         ratio = where_less(ratio, splat(HUGE), ratio, splat(0.5 * HUGE))  # steps not finite are repeated too
         lost = where_less(ratio, splat(most), read_lanes(address, end + LOST), splat(1.0))
         write_lanes(address, end + LOST, lost)
@@ -196,8 +205,10 @@ def march_of(series):
                         begun = False
                     steps += count
                     ratio = needed(group, step, HUGE if count < MAX_STEPS else TOO_FAR)
-                    asked = np.ceil(count * max(ratio, 1e-12) ** (1.0 / (order - 1)))
-                    better = max(int(min(asked, MAX_STEPS)), (2 * count + 2) // 3)
+                    asked = count * max(ratio, 1e-12) ** (1.0 / (order - 1))
+                    better = max(int(min(np.ceil(asked), MAX_STEPS)), (2 * count + 2) // 3)
+                    if count == 2 and asked < enough:
+                        better = 1
                     repeat = ratio > TOO_FAR and better > count
                     if repeat:
                         copy(group, True)
@@ -209,6 +220,7 @@ def march_of(series):
                         step = length / count
                     if not repeat:
                         break
+                    copy(group, False)  # in terms of the new step
                 fine += 1
                 ground = ground_at(acceleration, fine, substeps)
         if tape.capacity > 0:

@@ -208,9 +208,12 @@ def choose_polynomial(spring, first, size, slope, rates):
     if is_march:
         drift = rate + 0.5 * rate_slope
     s, change = slope * (rate * left), slope * drift
-    turns = 0.5 * magnitude(s) - magnitude(change)  # positive: z comes back
-    change = where_less(zero, turns, 0.5 * s, change)
     if is_march:
+        turns = 0.5 * magnitude(s) - magnitude(change)  # positive: z comes back
+        change = where_less(zero, turns, 0.5 * s, change)
         choose_for_march(spring, first, size, size + change)
-    else:
-        choose_for_piece(spring, first, Expected(size, size + change, s, change - s))
+    else:  # where z comes back, the piece ends at the turn, with half the time: s t + q t^2
+        q = change - s
+        turns = 0.0 - (s + 2.0 * q) * s
+        change = where_less(zero, turns, 0.25 * s * s / (0.0 - q), change)
+        choose_for_piece(spring, first, Expected(size, size + change, s, q))

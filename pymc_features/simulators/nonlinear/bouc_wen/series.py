@@ -269,7 +269,7 @@ SQUARES = Series(
 )
 POWERS = Series(
     order=ORDER,
-    tolerance=4e-7,
+    tolerance=1e-7,
     n_series=5,
     n_constants=POWER_OF_Z + N_CONSTANTS,
     serves=serves_any,
