@@ -31,6 +31,7 @@ from pymc_features.simulators.oscillators.arguments import Excitation, Outputs, 
 from pymc_features.simulators.oscillators.misfit import measured_difference, weigh_history
 from pymc_features.simulators.taylor.adjoint.population import add_gradients
 from pymc_features.simulators.taylor.population import Lanes, is_linear_chain, march_population, rows_of
+from pymc_features.simulators.taylor.spans import ground_of
 
 PARTICLES = Counter()  # evaluated in populations by Taylor steps, by Runge-Kutta steps, and by both
 
@@ -152,7 +153,7 @@ def population_statistics(law, problem, observed) -> np.ndarray:
     parameters, count = problem.parameters, n_particles(problem.parameters)
     result = np.empty((count, problem.wanted.sensors.size, 4))
     left = np.ones(count, dtype=bool)
-    given = problem.excitation, problem.wanted, observed
+    given = ground_of(problem.excitation), problem.wanted, observed
     for lanes, members in taylor_groups(law, problem):
         lost = march_population(march_kernel, lanes, parameters, members, given, result)
         left[members] = False
@@ -171,7 +172,7 @@ def add_taylor_gradients(law, problem, observed, weights, gradients) -> np.ndarr
     """Add the gradients of particles by Taylor steps; return the particles that are left to others."""
     parameters, count = problem.parameters, n_particles(problem.parameters)
     left = np.ones(count, dtype=bool)
-    given = problem.excitation, problem.wanted, observed
+    given = ground_of(problem.excitation), problem.wanted, observed
     for lanes, members in taylor_groups(law, problem):
         adjoint = lanes.series.adjoint
         # a parameter that has other values in other particles is sought, and its derivative is wanted

@@ -2,8 +2,9 @@
 
 Every spring, with the mass above it, has a record of vectors: the coefficients of the mass's velocity H v,
 the series of the spring (`series.py`), the entries below, and the constants of the law. Record 0 is the base,
-all zeros; springs are numbered from 1. Behind the last record stand entries of whole chains, and what a
-block of springs leaves to the one below it (`blocks.py`). H is the step.
+all zeros; springs are numbered from 1. Behind the last record stand entries of whole chains, what a block of
+springs leaves to the one below it (`blocks.py`), and the load: H^2 times the coefficients of the ground
+acceleration. H is the step.
 """
 
 from typing import NamedTuple
@@ -24,6 +25,11 @@ N_ENTRIES = Z_SIGN + 1
 DRAG, PEAK, FIRST, LAST, LAST_Z, DOUBT, LOST = range(7)
 N_CHAIN_ENTRIES = 8  # one is not used: with seven gradients of ten masses were measured to take 7 % longer
 N_LEFT = 2  # vectors for each order that a block leaves
+DEGREE = 5  # of the ground acceleration in a step
+# Behind the coefficients of the load: what of the last one, in one of a velocity, is no error; and a
+# number above zero where the load is not linear
+HARMLESS, CURVED = range(DEGREE + 1, DEGREE + 3)
+N_LOADS = DEGREE + 3
 
 
 class Layout(NamedTuple):
@@ -43,9 +49,14 @@ def layout_of(series) -> Layout:
     return Layout(length, constants + series.n_constants, entries, constants)
 
 
+def load_of(series) -> int:
+    """Where the load of a chain begins, behind its last record."""
+    return N_CHAIN_ENTRIES + N_LEFT * series.order
+
+
 def group_size(series, n: int) -> int:
     """Vectors of a group of chains with n springs."""
-    return (n + 1) * layout_of(series).record + N_CHAIN_ENTRIES + N_LEFT * series.order
+    return (n + 1) * layout_of(series).record + load_of(series) + N_LOADS
 
 
 @jit
