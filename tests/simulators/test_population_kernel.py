@@ -79,24 +79,23 @@ def test_every_length_and_number(ground, n_times, n_particles):
 
 
 def views(data):
-    """The same data as rows of a larger array, every other sample, columns, and a field of records."""
+    """The same data as part of the rows, or columns, of a larger array, and as a field of records."""
     n_sensors, n_times = data.shape
-    wide, twice = np.full((n_sensors, n_times + 3), np.nan), np.full((n_sensors, 2 * n_times), np.nan)
+    larger = np.full((n_times + 3, n_times + 3), np.nan)
     records = np.zeros(n_sensors, dtype=[("is_valid", "u1"), ("samples", "f8", (n_times,))])
-    for view in (wide[:, 1:-2], twice[:, ::2], np.asfortranarray(data), records["samples"]):
+    for view in (larger[:n_sensors, 1:-2], larger.T[:n_sensors, 1:-2], records["samples"]):
         view[:] = data
         yield view
 
 
 def test_data_that_are_views(ground):
-    """Compiled code reaches data by address: no sample is taken from between them."""
-    rng = np.random.default_rng(7)
+    """Compiled code reaches data by address: it takes the samples, not what stands between them."""
+    rng, chain = np.random.default_rng(7), FAMILIES["chain"]
     structures, data = population(rng, 2, 3), rng.normal(size=(3, ground.size))
-    given = [*structures, ground, DT, 1, 1, np.arange(3), 3]
-    chain = FAMILIES["chain"]
+    given = chain.assemble([*structures, ground, DT, 1, 1, np.arange(3), 3], 0)
+    kernel = chain.kernels["population_discrepancy"]
     for view in views(data):
-        found = chain.kernels["population_discrepancy"](*chain.assemble(given, 0), view)
-        np.testing.assert_allclose(found, population_discrepancy(*given, 0, data), rtol=1e-12)
+        np.testing.assert_allclose(kernel(*given, view), kernel(*given, data), rtol=1e-12)
 
 
 def test_addresses_are_whole_numbers(ground):

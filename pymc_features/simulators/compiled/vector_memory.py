@@ -29,10 +29,10 @@ def aligned(size: int) -> np.ndarray:
 
 @inline
 def address(array):
-    """Where the entries of an array begin, as a signed integer, as places in arrays are.
+    """Address of the first entry of an array, as a signed integer.
 
-    Numba's own address is unsigned: whether it or its sum with a signed integer is used, by a condition, would
-    be decided between floats.
+    `ctypes.data` is unsigned in compiled code. Where a condition picks it or a signed address, Numba makes
+    floats of both.
     """
     return np.int64(array.ctypes.data)
 
