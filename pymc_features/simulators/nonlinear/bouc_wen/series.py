@@ -159,8 +159,8 @@ def reverse_sums(spring, bars, drift, loading, sign):
         z = coefficient(spring, Z, k)
         by_z = by_z + coefficient(bars, LOSSES_BAR, k) * z
         by_square = by_square + coefficient(bars, SQUARES_BAR, k) * z
-    add_losses(spring, bars, loading, sign, by_z, by_square)
     add_stiffnesses(spring, bars, drift, FORCES, constant_of(spring, YIELD))
+    add_losses(spring, bars, loading, sign, by_z, by_square)
 
 
 def reverse_tangent(spring, bars, z, of_tangents, loading, sign):
