@@ -20,7 +20,8 @@ try:
     from benchmarks.known import structural
     from benchmarks.known.exact import bridge, estimates
     from benchmarks.known.saved import entries
-    from benchmarks.samplers import Run
+    from benchmarks.samplers import Run, of_idata
+    from benchmarks.samplers.run import tree
 finally:
     sys.path.pop(0)
 
@@ -146,6 +147,17 @@ def test_accuracy_of_independent_draws():
     worse = accuracy(shifted, [1.0] * 100, problem, gradient_cost=5.0)
     assert worse.effective < 0.5 * found.effective and np.isnan(worse.evidence_bias)
     assert np.sqrt((worse.error_in_se**2).mean()) > 5.0
+
+
+def test_draws_and_cost_of_a_sampler_without_pymc():
+    """By name, in the order of the problem's labels; what is not known is NaN."""
+    problem = known.problem("ridge-2")
+    parameters = {rv.name: np.full(5, float(i)) for i, rv in enumerate(problem.model.free_RVs)}
+    backwards = dict(reversed(parameters.items()))
+    run = of_idata(lambda model, seed: tree(backwards, 70 + seed, -3.0))(problem, 7)
+    np.testing.assert_array_equal(run.draws, np.tile(np.arange(float(len(parameters))), (5, 1)))
+    assert (run.values, run.gradients, run.log_evidence) == (77.0, 0.0, -3.0)
+    assert np.isnan(run.log_evidence_se)
 
 
 @pytest.mark.parametrize("like", ["NORM", "TN", "EXP"])

@@ -4,7 +4,7 @@ Another one is one line: `SAMPLERS["mine"] = of_idata(lambda model, seed: ...)`,
 a DataTree.
 """
 
-from benchmarks.samplers import automatic, nuts, smc, smc_nuts
+from benchmarks.samplers import automatic, blackjax_smc, nested, nuts, smc, smc_nuts
 from benchmarks.samplers.run import Run, of_idata
 
 SAMPLERS = {
@@ -14,6 +14,9 @@ SAMPLERS = {
     "PyMC NUTS": of_idata(nuts.by("pymc")),
     "nutpie": of_idata(nuts.by("nutpie")),
     "NumPyro NUTS": of_idata(nuts.by("numpyro")),
+    "BlackJAX SMC": of_idata(blackjax_smc.sample),
+    "dynesty": of_idata(nested.dynesty),
+    "UltraNest": of_idata(nested.ultranest),
 }
 
 __all__ = ["SAMPLERS", "Run", "of_idata"]

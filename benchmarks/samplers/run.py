@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import xarray as xr
 
 from benchmarks.known import flat_draws
 
@@ -61,6 +62,18 @@ def evidence(idata):
         errors = errors[np.isfinite(errors)]
         error = np.sqrt((errors**2).mean() / len(errors)) if len(errors) else np.nan
     return (float(of_chains.mean()) if len(of_chains) else np.nan), float(error)
+
+
+def tree(parameters, evaluations, log_evidence, log_evidence_se=np.nan):
+    """What samplers of PyMC models return, of one chain: its draws by name, and what they cost."""
+    draws = {
+        name: (("chain", "draw", *(f"{name}_dim_{i}" for i in range(np.ndim(x) - 1))), np.asarray(x)[None])
+        for name, x in parameters.items()
+    }
+    found = {"log_marginal_likelihood": log_evidence, "log_marginal_likelihood_se": log_evidence_se}
+    stats = {name: ("chain", [float(value)]) for name, value in found.items()}
+    stats["evaluations"] = ("chain", [float(evaluations)])
+    return xr.DataTree.from_dict({"posterior": xr.Dataset(draws), "sample_stats": xr.Dataset(stats)})
 
 
 def of_idata(sample):

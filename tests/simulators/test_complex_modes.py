@@ -5,6 +5,8 @@ import pytest
 
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.eigen.complex_modes import new_complex
+from pymc_features.simulators.eigen.residues import CANCELLING, check_sums
 from pymc_features.simulators.linear import population
 from pymc_features.simulators.oscillators.lanes import COLUMNS
 from support.kernels import linear_misfit, linear_population_discrepancy, linear_population_misfit
@@ -129,6 +131,17 @@ def test_modes_of_which_every_other_change_is_small(before, alone):
     for quantity in range(4):
         assert case.worst([met - before], quantity) < 1e-12
     assert alone == []
+
+
+def test_residues_that_are_no_numbers_are_seen():
+    """At one of three sensors; lanes whose sums are in order stay."""
+    modes = new_complex(1, 3)
+    for array in (modes.is_good, modes.omega, modes.participation, modes.seen):
+        array.fill(1.0)
+    modes.sums[1::3] = modes.sums[2::3] = 1.0
+    modes.sums[3:6, 0] = np.nan
+    check_sums(modes, 3, CANCELLING)
+    np.testing.assert_array_equal(modes.is_good[0], np.arange(LANES) > 0)
 
 
 def test_neighbours_do_not_matter():

@@ -3,13 +3,16 @@
 import numpy as np
 import pytensor.tensor as pt
 import pytest
+from numba import njit
 from pytensor.graph.replace import vectorize_graph
 
 from pymc_features import ModalDamping, Record, SpringMassChain, mean_square_discrepancy, paper, response
 from pymc_features.ops import PopulationDiscrepancy
-from pymc_features.simulators import QUANTITIES, request
+from pymc_features.simulators import FAMILIES, QUANTITIES, request
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.oscillators.lanes import COLUMNS
+from pymc_features.simulators.oscillators.arguments import Excitation
+from pymc_features.simulators.oscillators.lanes import COLUMNS, new_lanes
+from pymc_features.simulators.oscillators.places import block_of, source_of
 from support.graphs import PLAIN, our_ops
 from support.kernels import chain_discrepancy, population_discrepancy
 from support.reference import first_order_hold
@@ -73,6 +76,38 @@ def test_every_length_and_number(ground, n_times, n_particles):
     rng = np.random.default_rng(2)
     common = (ground[:n_times], DT, 1, 1, np.arange(3), 3, 0, rng.normal(size=(3, n_times)))
     np.testing.assert_allclose(*both(*population(rng, n_particles, 3), *common), rtol=1e-12)
+
+
+def views(data):
+    """The same data as part of the rows, or columns, of a larger array, and as a field of records."""
+    n_sensors, n_times = data.shape
+    larger = np.full((n_times + 3, n_times + 3), np.nan)
+    records = np.zeros(n_sensors, dtype=[("is_valid", "u1"), ("samples", "f8", (n_times,))])
+    for view in (larger[:n_sensors, 1:-2], larger.T[:n_sensors, 1:-2], records["samples"]):
+        view[:] = data
+        yield view
+
+
+def test_data_that_are_views(ground):
+    """Compiled code reaches data by address: it takes the samples, not what stands between them."""
+    rng, chain = np.random.default_rng(7), FAMILIES["chain"]
+    structures, data = population(rng, 2, 3), rng.normal(size=(3, ground.size))
+    given = chain.assemble([*structures, ground, DT, 1, 1, np.arange(3), 3], 0)
+    kernel = chain.kernels["population_discrepancy"]
+    for view in views(data):
+        np.testing.assert_allclose(kernel(*given, view), kernel(*given, data), rtol=1e-12)
+
+
+def test_addresses_are_whole_numbers(ground):
+    """Numba makes floats of signed integers beside unsigned ones: exact below 2^53 only."""
+    data, motion = np.zeros((1, ground.size)), Excitation(ground, DT, 1, 1)
+
+    @njit
+    def first_block(lanes, motion, data):
+        return block_of(source_of(lanes, motion, data), 0)
+
+    block = first_block(new_lanes(data, 2, 1, False), motion, data)
+    assert [type(number) for number in block] == [int] * len(block)
 
 
 def test_matrix_exponential():

@@ -6,7 +6,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.jit import inline, jit
 from pymc_features.simulators.compiled.vector import LANES, LANES_TYPE, VECTOR
 
 _LONG, _SHORT = ir.IntType(64), ir.IntType(32)
@@ -25,6 +25,16 @@ def aligned(size: int) -> np.ndarray:
     whole = np.zeros(size + LINE // 8)
     first = -whole.ctypes.data % LINE // 8
     return whole[first : first + size]
+
+
+@inline
+def address(array):
+    """Address of the first entry of an array, as a signed integer.
+
+    `ctypes.data` is unsigned in compiled code. Where a condition picks it or a signed address, Numba makes
+    floats of both.
+    """
+    return np.int64(array.ctypes.data)
 
 
 @jit

@@ -73,7 +73,7 @@ def check_sums(modes, n_sensors, cancelling):
     `cancelling` is how many times larger than the classical ones the residues may be.
     """
     m, zero, one = modes.omega.shape[0], splat(0.0), splat(1.0)
-    scale = wrong = left = whole = fastest = zero
+    scale = wrong = left = whole = fastest = not_numbers = zero
     for r in range(m):
         fastest = larger(fastest, load(modes.omega, r))
     for j in range(n_sensors):
@@ -84,7 +84,9 @@ def check_sums(modes, n_sensors, cancelling):
         left = larger(left, magnitude(load(modes.sums, 3 * j)) * fastest)
         wrong = larger(wrong, magnitude(load(modes.sums, 3 * j + 1) - total))
         whole, scale = larger(whole, load(modes.sums, 3 * j + 2)), larger(scale, size)
+        not_numbers = not_numbers + zero * load(modes.sums, 3 * j + 2)  # NaN is passed over by `larger`
     passed = where_less(left, COMPLETE * scale, one, zero)
     passed = where_less(wrong, COMPLETE * scale, passed, zero)
     passed = where_less(whole, cancelling * scale, passed, zero)
+    passed = where_less(not_numbers, one, passed, zero)
     store(modes.is_good, 0, load(modes.is_good, 0) * passed)

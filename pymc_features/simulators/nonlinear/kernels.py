@@ -132,11 +132,21 @@ def one_by_one(problem, parameters, observed) -> np.ndarray:
     return result
 
 
-def taylor_groups(law, problem):
-    """Recurrences of a law and the particles that each of them serves; what serves none is left to others."""
+def has_reverse(series, parameters):
+    """Whether a recurrence has all derivatives that are wanted.
+
+    A parameter that has other values in other particles is sought, and its derivative is wanted.
+    """
+    if series.adjoint is None:
+        return False
+    return all(np.isin(parameters.law[:, row], values).all() for row, values in series.adjoint.fixed)
+
+
+def taylor_groups(problem, recurrences):
+    """Recurrences and the particles that each of them serves; what none of them serves is left to others."""
     parameters = problem.parameters
     left = np.ones(n_particles(parameters), dtype=bool) & is_linear_chain(parameters)
-    for group, series in LAWS[law].series.items():
+    for group, series in recurrences:
         members = left & series.serves(parameters.law.swapaxes(0, 1)).all(axis=-1)
         if members.any():
             has_modal_damping = bool(parameters.ratios.any())
@@ -154,7 +164,7 @@ def population_statistics(law, problem, observed) -> np.ndarray:
     result = np.empty((count, problem.wanted.sensors.size, 4))
     left = np.ones(count, dtype=bool)
     given = ground_of(problem.excitation), problem.wanted, observed
-    for lanes, members in taylor_groups(law, problem):
+    for lanes, members in taylor_groups(problem, LAWS[law].series.items()):
         lost = march_population(march_kernel, lanes, parameters, members, given, result)
         left[members] = False
         left[lost] = True
@@ -173,14 +183,9 @@ def add_taylor_gradients(law, problem, observed, weights, gradients) -> np.ndarr
     parameters, count = problem.parameters, n_particles(problem.parameters)
     left = np.ones(count, dtype=bool)
     given = ground_of(problem.excitation), problem.wanted, observed
-    for lanes, members in taylor_groups(law, problem):
-        adjoint = lanes.series.adjoint
-        # a parameter that has other values in other particles is sought, and its derivative is wanted
-        if adjoint is None or not all(
-            np.isin(parameters.law[:, row], values).all() for row, values in adjoint.fixed
-        ):
-            continue
-        kernels = march_kernel, sweep_kernel
+    kernels = march_kernel, sweep_kernel
+    reversible = [pair for pair in LAWS[law].series.items() if has_reverse(pair[1], parameters)]
+    for lanes, members in taylor_groups(problem, reversible):
         lost = add_gradients(kernels, lanes, parameters, members, given, weights, gradients)
         left[members] = False
         left[lost] = True

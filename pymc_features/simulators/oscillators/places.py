@@ -7,6 +7,7 @@ a block of samples is over before a dozen arrays have been counted.
 from typing import NamedTuple
 
 from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector_memory import address
 from pymc_features.simulators.oscillators.arguments import interpolate
 from pymc_features.simulators.oscillators.lanes import SAMPLES, copy_data
 
@@ -48,7 +49,7 @@ class Source(NamedTuple):
     data, n_times, length, own_data : int
         Address of the data, samples of a sensor, from one sensor to the next, and address of `Lanes.data`.
     is_plain : bool
-        Whether the samples of a sensor stand one after the other.
+        Whether the samples of a sensor stand one after the other, and sensors whole numbers apart.
     """
 
     ground: int
@@ -89,13 +90,13 @@ def places_of(lanes):
         lanes.data.shape[0],
         width,
         width == 2 * m,
-        lanes.coefficients.ctypes.data,
-        lanes.states.ctypes.data,
-        lanes.shapes.ctypes.data,
-        lanes.feed.ctypes.data,
-        lanes.outputs.ctypes.data,
-        lanes.misfits.ctypes.data,
-        lanes.squares.ctypes.data,
+        address(lanes.coefficients),
+        address(lanes.states),
+        address(lanes.shapes),
+        address(lanes.feed),
+        address(lanes.outputs),
+        address(lanes.misfits),
+        address(lanes.squares),
     )
 
 
@@ -104,16 +105,16 @@ def source_of(lanes, excitation, observed):
     """Where the excitation by one input (t,) and the data (s, u) are."""
     acceleration = excitation.acceleration
     return Source(
-        acceleration.ctypes.data,
+        address(acceleration),
         acceleration.size,
-        lanes.ground.ctypes.data,
+        address(lanes.ground),
         excitation.substeps,
         excitation.stride,
-        observed.ctypes.data,
+        address(observed),
         observed.shape[1],
         observed.strides[0] // NUMBER,
-        lanes.data.ctypes.data,
-        observed.strides[1] == NUMBER,
+        address(lanes.data),
+        observed.strides[1] == NUMBER and observed.strides[0] % NUMBER == 0,
     )
 
 

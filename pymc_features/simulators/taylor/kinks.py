@@ -14,7 +14,7 @@ J1 ... J4, the masses i and i - 1 have the changes of velocity and displacement
 and these change the forces of springs i - 1, i and i + 1 through their tangents, which gives J3 and J4. What
 is left is of the order of the sixth power of the step, as is the error of the series.
 
-Of some laws the series of z is not always good over a whole step (`powers.py`). Such springs go into the
+Of some laws the series of z is not always good over a whole step (`ranges.py`). Such springs go into the
 batch as well: their z is expanded anew at the beginning of the step, and wherever a series ceases to be good.
 """
 
@@ -50,10 +50,10 @@ LONG = 2.0  # in steps: longer than any
 RATE_END, OWNER, PLACE, LANE = range(4)
 N_BATCH_ENTRIES = 4
 # Entries of a trace behind each copy of a batch: where the kink is, from the kink before, and what is left
-# of the step behind it; 1 in lanes with a kink, and where the drift rate is zero there; the signs behind it;
-# whether it is the first of the batch, and the number of pairs
-WHERE, LEFT, HIT, TURNS, RATE_SIGN_BEHIND, Z_SIGN_BEHIND, IS_FIRST, N_PAIRS = range(8)
-N_TRACE_ENTRIES = 8
+# of the step behind it; 1 in lanes whose z is expanded anew there, where that is at a kink, and where the
+# drift rate is zero there; the signs behind it; whether it is the first of the batch, and the number of pairs
+WHERE, LEFT, HIT, KINK, TURNS, RATE_SIGN_BEHIND, Z_SIGN_BEHIND, IS_FIRST, N_PAIRS = range(9)
+N_TRACE_ENTRIES = 9
 TRACE_HEADER = 1  # the number of copies
 
 
@@ -66,7 +66,8 @@ def batch_size(series) -> int:
 def trace_size(series, n: int) -> int:
     """Vectors of the trace of a step of n springs; n = 0: of one kink of the pairs in a batch."""
     size = batch_size(series) + N_TRACE_ENTRIES
-    return size if n == 0 else TRACE_HEADER + (n + 1) * MAX_KINKS * size
+    most = MAX_KINKS if series.pieces is None else MAX_PIECES + 1
+    return size if n == 0 else TRACE_HEADER + (n + 1) * most * size
 
 
 @cache
@@ -191,19 +192,24 @@ def turn_of(series):
             reach = where_less(zero, dips, where, one)
             low = where_less(zero, dips, value, low)
             back = back + dips
-        hit = where_less(zero, back + cross, one, zero)
+        hit, is_first = where_less(zero, back + cross, one, zero), one
         if pieces is not None:
             write_constant(spring, pieces.whole, zero)
             again = where_less(constant_of(spring, pieces.hold), one, one, zero)
             if any_less(zero, again):
                 renew(batch, spring, one)
+                if trace is not None:
+                    pairs = splat(float(count))
+                    given = zero, one, again, zero, zero, rate_sign, z_sign, one, pairs
+                    keep_turn(batch, trace, given)
                 add_moments(batch, again, one)
                 ends = where_less(zero, again, until(batch, spring, one), ends)
                 reach_z = where_less(ends, one, ends, one)
                 z_now = value_at(batch, reach_z)
                 cross = where_less(z_now * z_sign, zero, one, zero)
                 hit = where_less(zero, back + cross + where_less(ends, one, one, zero), one, zero)
-        for number in range(most):
+                is_first = zero
+        for _ in range(most):
             if not any_less(zero, hit):
                 break
             left = one - done
@@ -231,9 +237,10 @@ def turn_of(series):
             branch(spring, rate_sign * z_sign, z_sign)
             renew(batch, spring, left)
             if trace is not None:
-                is_first = splat(1.0 if number == 0 else 0.0)
-                given = x, left, hit, turns, rate_sign, z_sign, is_first, splat(float(count))
+                pairs = splat(float(count))
+                given = x, left, hit, kink, turns, rate_sign, z_sign, is_first, pairs
                 keep_turn(batch, trace, given)
+                is_first = zero
             add_moments(batch, hit, left)
             z_now, reach_z = z_end + read_lanes(batch, entries + CHANGE), left
             short, still = zero, zero

@@ -43,7 +43,7 @@ class Spring(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """Constants of springs whose series may be good for a part of a step only: see `powers.py`.
+    """Constants of springs whose series may be good for a part of a step only: see `ranges.py`.
 
     The time to the end of the step; 1 in a march and 0 in a batch of kinks; until when the series is good, 0
     where it is not; the middle of the range of |z|, how far from it |z| may be at the end, and the sign of z.

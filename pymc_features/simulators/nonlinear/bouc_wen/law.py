@@ -15,13 +15,15 @@ import numpy as np
 
 from pymc_features.simulators.compiled.vector import magnitude, splat, square_root, where_less
 from pymc_features.simulators.compiled.vector_math import logarithm, power
+from pymc_features.simulators.nonlinear.bouc_wen.any_sharpness import POWERS, AnySharpness
 from pymc_features.simulators.nonlinear.bouc_wen.series import (
     BETA,
     GAMMA,
     RATIO,
-    SERIES,
     SHARPNESS,
+    SQUARES,
     YIELD_DISPLACEMENT,
+    OneOrTwo,
 )
 from pymc_features.simulators.nonlinear.law import Functions, parameter, register, single
 
@@ -96,4 +98,5 @@ def has_kinks(law):
     return True
 
 
+SERIES = {OneOrTwo: SQUARES, AnySharpness: POWERS}
 register(BoucWen, Functions(5, spring, partials, step_rate, is_admissible, has_kinks, SERIES))

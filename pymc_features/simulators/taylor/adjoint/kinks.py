@@ -7,6 +7,9 @@ expansion on the new branch, and the moments
     change_q = sum_k c_k left^(k+q) k! / (k+q)!,    d change_q / d left = change_q-1
 
 of the difference c of the new and the old series of z.
+
+Where z is expanded anew for the sake of its polynomial alone, both series are solutions of one equation, to
+the error of the polynomials: that place is taken to be fixed.
 """
 
 from functools import cache
@@ -24,6 +27,7 @@ from pymc_features.simulators.taylor.adjoint.series import add_coefficient
 from pymc_features.simulators.taylor.kinks import (
     HIT,
     IS_FIRST,
+    KINK,
     LANE,
     LEFT,
     N_PAIRS,
@@ -175,7 +179,7 @@ def turns_adjoint(series):
     @jit
     def reverse_shift(at, batch, given):
         """Carry the bars of both shifted series back to those before, and through the kink's place."""
-        x, left, hit, turns = given
+        x, left, kink, turns = given
         zero, of_x = splat(0.0), read_lanes(batch, done_at)
         write_lanes(batch, shifted, read_lanes(batch, zs))
         for k in range(order):
@@ -189,8 +193,8 @@ def turns_adjoint(series):
                 d = read_lanes(batch, shifted + j + 1) + x * d
                 write_lanes(batch, rates + j + 1, c)
                 write_lanes(batch, shifted + j + 1, d)
-        inside = hit * where_less(splat(TINY), left, splat(1.0), zero)
-        at_end = hit - inside  # x = 1 - what has been done
+        inside = kink * where_less(splat(TINY), left, splat(1.0), zero)
+        at_end = kink - inside  # x = 1 - what has been done
         write_lanes(batch, done_at, read_lanes(batch, done_at) - at_end * of_x)
         slope = where_less(zero, turns, read_lanes(at, rates + 1), read_lanes(at, old + 1))
         root = where_less(splat(1e-200), magnitude(slope), inside * of_x / slope, zero)
@@ -207,7 +211,8 @@ def turns_adjoint(series):
         for number in range(int(read_number(trace, 0)) - 1, -1, -1):
             at = trace + 8 * LANES * (TRACE_HEADER + number * turn_size)
             x, left = read_lanes(at, size + WHERE), read_lanes(at, size + LEFT)
-            hit, turns = read_lanes(at, size + HIT), read_lanes(at, size + TURNS)
+            hit, kink = read_lanes(at, size + HIT), read_lanes(at, size + KINK)
+            turns = kink * read_lanes(at, size + TURNS)
             count = int(read_number(at, (size + N_PAIRS) * LANES))
             if is_last:
                 gather(at, batch, bars, count)
@@ -223,7 +228,7 @@ def turns_adjoint(series):
                 zero, of_by_z = splat(0.0), read_lanes(batch, by_z_at)
                 of_end = untangent(spring, of_spring, z_end, (zero, zero, of_by_z), loading, z_sign)
                 write_lanes(batch, by_z_at, of_end)
-            reverse_shift(at, batch, (x, left, hit, turns))
+            reverse_shift(at, batch, (x, left, kink, turns))
             is_last = read_number(at, (size + IS_FIRST) * LANES) > 0.0
             if is_last:  # the next one is the last of another batch
                 scatter(at, batch, bars, count, read_lanes(batch, by_z_at))

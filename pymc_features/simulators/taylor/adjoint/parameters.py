@@ -12,14 +12,14 @@ STEP = 1e-100  # of the complex step, which has no rounding error
 def constants_gradient(series, stiffness, values, bars):
     """Derivatives by stiffness (p, n) and the law's parameters (p, rows, n), from `bars` (p, n, constants).
 
-    By complex steps through `Series.constants`, which does nothing but arithmetic.
+    By complex steps through `Series.constants`, or those of the adjoint, which do nothing but arithmetic.
     """
-    rows = [stiffness, *values.swapaxes(0, 1)]
+    rows, constants = [stiffness, *values.swapaxes(0, 1)], series.adjoint.constants or series.constants
     found = []
     for k in range(len(rows)):
-        moved = [row + 1j * STEP * (i == k) for i, row in enumerate(rows)]
-        constants = series.constants(moved[0], np.array(moved[1:]))
-        found.append(sum(bars[..., c] * x.imag / STEP for c, x in enumerate(constants)))
+        moved = [row + 1j * STEP if i == k else row for i, row in enumerate(rows)]
+        changes = ((c, x) for c, x in enumerate(constants(moved[0], moved[1:])) if np.iscomplexobj(x))
+        found.append(sum((bars[..., c] * x.imag / STEP for c, x in changes), np.zeros_like(stiffness)))
     for row, _ in series.adjoint.fixed:
         found[1 + row] = np.full_like(stiffness, np.nan)
     return found[0], np.stack(found[1:], axis=1)

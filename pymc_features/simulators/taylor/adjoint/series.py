@@ -41,6 +41,9 @@ class Adjoint(NamedTuple):
     tangent : callable, optional
         (spring, bars, z, of_tangents, loading, sign) -> bar of z for laws with kinks, from those of the three
         that `Series.tangent` returns; adds to the bars of the constants.
+    constants : callable, optional
+        As `Series.constants`, where those that have bars are functions of the parameters by arithmetic alone;
+        any behind them may be left out.
     fixed : tuple of pairs
         Parameters of the law, by number, and the values that they can only have: their derivatives are NaN.
     """
@@ -49,6 +52,7 @@ class Adjoint(NamedTuple):
     expand: Callable
     sums: Callable
     tangent: Callable | None = None
+    constants: Callable | None = None
     fixed: tuple[tuple[int, tuple[float, ...]], ...] = ()
 
 
