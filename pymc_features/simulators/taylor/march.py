@@ -28,9 +28,9 @@ from pymc_features.simulators.taylor.feedback import feedback_of
 from pymc_features.simulators.taylor.kinks import turn_of
 from pymc_features.simulators.taylor.layout import (
     DASHPOT,
-    DOUBT,
     DRAG,
     FIRST,
+    KINK_ERROR,
     LAST,
     LAST_Z,
     LOST,
@@ -48,7 +48,7 @@ from pymc_features.simulators.taylor.tape import COUNT, MAX_STEPS, tape_of
 
 TOO_FAR = 10.0  # above the tolerance: steps are repeated
 LARGEST_Z = 1e-2  # last coefficient of z: above it the series are of no use
-LARGEST_DOUBT = 3e-6  # of z behind kinks of neighbours in one step: above it steps are repeated
+LARGEST_KINK_ERROR = 3e-6  # of z behind kinks of neighbours in one step: above it steps are repeated
 
 
 @cache
@@ -135,9 +135,9 @@ def march_of(series):
         ratio = read_lanes(address, end + LAST) / scale
         ratio = larger(ratio, read_lanes(address, end + LAST_Z) * splat(1.0 / LARGEST_Z))
         if kinks:
-            doubt = read_lanes(address, end + DOUBT) * splat(TOO_FAR / LARGEST_DOUBT)
-            ratio = larger(ratio, where_less(splat(TOO_FAR), doubt, doubt, splat(0.0)))
-            write_lanes(address, end + DOUBT, splat(0.0))
+            error = read_lanes(address, end + KINK_ERROR) * splat(TOO_FAR / LARGEST_KINK_ERROR)
+            ratio = larger(ratio, where_less(splat(TOO_FAR), error, error, splat(0.0)))
+            write_lanes(address, end + KINK_ERROR, splat(0.0))
         ratio = where_less(ratio, splat(HUGE), ratio, splat(0.5 * HUGE))  # steps not finite are repeated too
         lost = where_less(ratio, splat(most), read_lanes(address, end + LOST), splat(1.0))
         write_lanes(address, end + LOST, lost)
