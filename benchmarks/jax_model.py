@@ -48,7 +48,7 @@ def log_likelihood(problem):
     """TN log-likelihood of `benchmarks.problem` as a JAX function of (theta, sigma)."""
     nominal = jnp.asarray(problem.parameters[1])
     ground, observed = jnp.asarray(problem.record.acceleration), jnp.asarray(problem.measured)
-    sensors, step = problem.sensors, problem.record.dt
+    sensors, step = problem.settings[1].sensors, problem.record.dt
 
     def function(theta, sigma):
         stiffness = nominal.at[:3].multiply(theta)

@@ -72,6 +72,18 @@ def test_routes_agree(benchmarks, case):
 
 
 @pytest.mark.slow
+def test_jax_has_the_likelihood_of_the_posteriors(benchmarks):
+    """That of the samplers by JAX is the package's own."""
+    from benchmarks.jax_model import log_likelihood
+    from benchmarks.problem import Problem
+
+    problem = Problem()
+    for theta, sigma in ((1.0, 0.1), (0.8, 0.3)):
+        value = float(log_likelihood(problem)(theta, sigma))
+        assert abs(value - problem.log_likelihood(theta, sigma)) < 1e-9 * abs(value)
+
+
+@pytest.mark.slow
 def test_other_tools_agree(benchmarks):
     """Those that are installed compute the e_j of the same structures, and not of others."""
     from benchmarks.case import build, record_of_length

@@ -7,7 +7,6 @@ import pymc as pm
 
 from pymc_features.smc import PersistentSMC
 from pymc_features.smc.kernels import last_draws
-from pymc_features.smc.proposals.pool import Pool
 from pymc_features.smc.proposals.reference import Mode, Reference
 
 PRIOR_SD = 10.0
@@ -97,32 +96,3 @@ def test_heavy_draws_in_many_dimensions_do_not_replace_a_good_reference_by_a_fit
         assert proposal.components[: len(of_reference) - 1] == of_reference[:-1]
     exact = -8.0 * np.log(1.0 + PRIOR_SD**2)
     assert abs(kernel.log_marginal_likelihood - exact) < 4.0 * kernel.standard_error < 0.3
-
-
-def test_draws_that_decide_when_there_are_enough_do_not_count_where_weights_are_heavy(monkeypatch):
-    """They are taken anew, a fifth more of them; where weights are light, all of them count."""
-    marks, mark = [], Pool.mark
-
-    def noted(pool):
-        marks.append(len(pool.visits))
-        return mark(pool)
-
-    monkeypatch.setattr(Pool, "mark", noted)
-    monkeypatch.setattr(last_draws, "LARGEST_K", -np.inf)  # so that there is a fit
-    monkeypatch.setattr(last_draws, "LARGEST_SHARE", 0.0)
-    for heavy in (True, False):
-        monkeypatch.setattr(last_draws, "HEAVY_K", -np.inf if heavy else np.inf)
-        with model_with_lump() as model:
-            pm.set_data({"share": 0.05})
-            kernel = PersistentSMC(200, reference=reference_of_bulk(), model=model, random_seed=1)
-            kernel._initialize_kernel()
-            kernel.beta, kernel.last_stage = 1.0, 1
-            kernel.tune()
-            kernel.mutate()
-        before = kernel.pool.particles[: marks[0]]
-        is_old = (kernel.tempered_posterior[:, None] == before).all(axis=2).any(axis=1)
-        assert kernel.pool.proposals and kernel.ess >= 200
-        assert is_old.any() != heavy
-        if heavy:
-            assert len(kernel.pool.visits) >= marks[0] + last_draws.AGAIN * 200
-    assert len(marks) == 1

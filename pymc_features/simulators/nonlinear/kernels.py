@@ -30,8 +30,8 @@ from pymc_features.simulators.nonlinear.tape import Tape, record_size, tape_memo
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs, n_outputs
 from pymc_features.simulators.oscillators.misfit import measured_difference, weigh_history
 from pymc_features.simulators.taylor.adjoint.population import add_gradients
+from pymc_features.simulators.taylor.ground.spans import ground_of
 from pymc_features.simulators.taylor.population import Lanes, is_linear_chain, march_population, rows_of
-from pymc_features.simulators.taylor.spans import ground_of
 
 PARTICLES = Counter()  # evaluated in populations by Taylor steps, by Runge-Kutta steps, and by both
 

@@ -1,8 +1,8 @@
 """What the kinks of a step change in the chain: the masses they push, and the springs beside them.
 
 These follow on the branch behind their own last kink. Where most of that was before it, z is wrong by a part
-of what it follows; the less so the smaller z, for the branches part as |z|^n does. Steps with such a doubt
-beyond `LARGEST_DOUBT` are taken once more, shorter (`march.py`).
+of what it follows; the less so the smaller z, for the branches part as |z|^n does. Steps with such an error
+beyond `LARGEST_KINK_ERROR` are taken once more, shorter (`march.py`).
 """
 
 from functools import cache
@@ -14,9 +14,9 @@ from pymc_features.simulators.compiled.vector_memory import read_lanes, read_num
 from pymc_features.simulators.taylor.layout import (
     CHANGE,
     DASHPOT,
-    DOUBT,
     DRAG,
     HAS_KINK,
+    KINK_ERROR,
     MOBILITY,
     RATE_SIGN,
     V_END,
@@ -45,12 +45,12 @@ def feedback_of(series):
         add_lanes(address, at + U - record, down * force_2)
 
     @jit
-    def question(address, at, n, effect):
+    def estimate_error(address, at, n, effect):
         """Keep what a spring with a kink of its own follows, times z, if it is the largest of its chain."""
         if read_number(address, (at + HAS_KINK) * LANES) > 0.0:
-            doubt, own = (n + 1) * record + DOUBT, magnitude(read_lanes(address, at + CHANGE))
+            error, own = (n + 1) * record + KINK_ERROR, magnitude(read_lanes(address, at + CHANGE))
             effect = where_less(splat(0.0), own, magnitude(effect), splat(0.0))
-            write_lanes(address, doubt, larger(read_lanes(address, doubt), effect))
+            write_lanes(address, error, larger(read_lanes(address, error), effect))
 
     @jit
     def respond(address, n, here, share, kink, before):
@@ -71,7 +71,7 @@ def feedback_of(series):
         change = z_by_drift * share * j2
         write_lanes(address, at + Z_END, z + change)
         if before is None and at != kink:
-            question(address, at, n, change * z)
+            estimate_error(address, at, n, change * z)
         return z
 
     @jit

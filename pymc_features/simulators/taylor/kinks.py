@@ -40,12 +40,11 @@ from pymc_features.simulators.taylor.layout import (
     layout_of,
 )
 from pymc_features.simulators.taylor.polynomials import polynomials_of
-from pymc_features.simulators.taylor.series import RATE, Spring, Z, constant_of, write_constant
+from pymc_features.simulators.taylor.series import LONG, RATE, Spring, Z, constant_of, write_constant
 
 MAX_KINKS = 4  # of one spring in one step
 MAX_PIECES = 24  # and where a series is put together of several
 LARGEST_TERM = 1e-6  # of the last power of z in a piece: there it ends
-LONG = 2.0  # in steps: longer than any
 # Entries of a batch behind its record: drift rate at the end, address and record of each pair, and its lane
 RATE_END, OWNER, PLACE, LANE = range(4)
 N_BATCH_ENTRIES = 4

@@ -20,10 +20,10 @@ N_MOMENTS = 4
 Z_END, RATE_SIGN, Z_SIGN = range(CHANGE + 1 + N_MOMENTS, CHANGE + 1 + N_MOMENTS + 3)
 N_ENTRIES = Z_SIGN + 1
 # Entries of a chain: alpha H, largest acceleration so far [m/s^2], the largest first and last coefficients of
-# H v and last ones of z since they were looked at, the largest doubt about kinks (`feedback.py`), and 1 where
+# H v and last ones of z since they were looked at, the largest error by kinks (`feedback.py`), and 1 where
 # the chain is given up
-DRAG, PEAK, FIRST, LAST, LAST_Z, DOUBT, LOST = range(7)
-N_CHAIN_ENTRIES = 8  # one is not used: with seven gradients of ten masses were measured to take 7 % longer
+DRAG, PEAK, FIRST, LAST, LAST_Z, KINK_ERROR, LOST = range(7)
+N_CHAIN_ENTRIES = 8  # one is not used: gradients of ten masses were measured to take 7 % longer with seven
 N_LEFT = 2  # vectors for each order that a block leaves
 DEGREE = 5  # of the ground acceleration in a step
 # Behind the coefficients of the load: what of the last one, in one of a velocity, is no error; and a

@@ -1,6 +1,6 @@
 """Groups of chains through a record by Taylor steps, and the statistics of their misfits.
 
-All chains of a march take the same steps, so many to a span of the record (`spans.py`) as the last
+All chains of a march take the same steps, so many to a span of the record (`ground/spans.py`) as the last
 coefficients say: with the largest, |V_P|, and the largest acceleration A of its mass so far, a step is
 accurate where |V_P| / (H^2 A) is below the tolerance of the recurrence. The ratio grows as H^(P - 1). Where
 it has been exceeded by far the steps are taken once more, shorter. Their number falls by a third at most at a
@@ -24,15 +24,16 @@ from pymc_features.simulators.oscillators.arguments import (
 )
 from pymc_features.simulators.taylor.blocks import series_of
 from pymc_features.simulators.taylor.feedback import feedback_of
+from pymc_features.simulators.taylor.ground.spans import SHARE
 from pymc_features.simulators.taylor.kinks import turn_of
 from pymc_features.simulators.taylor.layout import (
     CURVED,
     DASHPOT,
     DEGREE,
-    DOUBT,
     DRAG,
     FIRST,
     HARMLESS,
+    KINK_ERROR,
     LAST,
     LAST_Z,
     LOST,
@@ -48,12 +49,11 @@ from pymc_features.simulators.taylor.layout import (
     load_of,
 )
 from pymc_features.simulators.taylor.orders import HUGE, orders_from
-from pymc_features.simulators.taylor.spans import SHARE
 from pymc_features.simulators.taylor.tape import COUNT, MAX_STEPS, tape_of
 
 TOO_FAR = 10.0  # above the tolerance: steps are repeated
 LARGEST_Z = 1e-2  # last coefficient of z: above it the series are of no use
-LARGEST_DOUBT = 3e-6  # of z behind kinks of neighbours in one step: above it steps are repeated
+LARGEST_KINK_ERROR = 3e-6  # of z behind kinks of neighbours in one step: above it steps are repeated
 
 
 @cache
@@ -162,9 +162,9 @@ def march_of(series):
         ratio = read_lanes(address, end + LAST) / scale
         ratio = larger(ratio, read_lanes(address, end + LAST_Z) * splat(1.0 / LARGEST_Z))
         if kinks:
-            doubt = read_lanes(address, end + DOUBT) * splat(TOO_FAR / LARGEST_DOUBT)
-            ratio = larger(ratio, where_less(splat(TOO_FAR), doubt, doubt, splat(0.0)))
-            write_lanes(address, end + DOUBT, splat(0.0))
+            error = read_lanes(address, end + KINK_ERROR) * splat(TOO_FAR / LARGEST_KINK_ERROR)
+            ratio = larger(ratio, where_less(splat(TOO_FAR), error, error, splat(0.0)))
+            write_lanes(address, end + KINK_ERROR, splat(0.0))
         ratio = where_less(ratio, splat(HUGE), ratio, splat(0.5 * HUGE))  # steps not finite are repeated too
         lost = where_less(ratio, splat(most), read_lanes(address, end + LOST), splat(1.0))
         write_lanes(address, end + LOST, lost)

@@ -4,6 +4,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_memory import aligned
+from pymc_features.simulators.taylor.ground.spans import Spans
 from pymc_features.simulators.taylor.kinks import batch_size
 from pymc_features.simulators.taylor.layout import (
     DASHPOT,
@@ -16,7 +17,6 @@ from pymc_features.simulators.taylor.layout import (
     group_size,
     layout_of,
 )
-from pymc_features.simulators.taylor.spans import Spans
 from pymc_features.simulators.taylor.tape import MAX_STEPS, NO_TAPE
 
 LARGEST = 1e100  # of a parameter: none overflows on its way

@@ -27,13 +27,12 @@ from pymc_features.simulators.taylor.powers import (
     replace_polynomial,
     write_polynomial,
 )
-from pymc_features.simulators.taylor.series import constant_of, write_constant
+from pymc_features.simulators.taylor.series import LONG, constant_of, write_constant
 
 NEAR = 5.0  # end over beginning of a range that is near zero
 BEYOND = 1.1  # reach of the quartic from zero, beside the range expected
 SMALLEST = 1e-3, 1e-7  # end of a range in a march, where the change of z is a guess, and in a batch
 WIDEST = 0.66  # half of a range over its middle
-LONG = 2.0  # in steps: longer than any
 
 
 class Expected(NamedTuple):

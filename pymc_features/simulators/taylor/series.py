@@ -19,6 +19,7 @@ from pymc_features.simulators.compiled.vector import splat
 from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
 
 RATE, Z = range(2)  # series of laws with kinks
+LONG = 2.0  # in steps: longer than any
 
 
 class Group(NamedTuple):

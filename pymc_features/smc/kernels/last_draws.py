@@ -14,8 +14,6 @@ from pymc_features.smc.proposals.reference import MANY, good_share
 FIT_POINTS = FIRST_DRAWS = 200  # of a fit, and from the first fit of the last stage, for each parameter
 MAX_EVALUATIONS = 500  # of the last stage, for each draw
 FOR_TAILS = 8  # and of more fits where a few draws outweigh the rest
-HEAVY_K = 0.3  # Pareto shape of the weights above which their tails decide when there are enough draws
-AGAIN = 1.2  # draws that are taken anew then, over those that were enough
 TOO_FEW = "PersistentSMC ended with draws worth {:.0f} of {}. Increase `stage_draws`, or narrow the priors."
 
 
@@ -28,7 +26,7 @@ class LastDraws:
         return self.pool.particles[equal_draws(self.weights, n, self.rng)]
 
     def complete(self) -> None:
-        """Draw from the reference, or fits that follow each other, until that is worth `draws`; see `finish`.
+        """Draw from the reference, or fits that follow each other, until that is worth `draws`.
 
         Only draws of the last fit count, which no draws have shaped. If few show that more is missing than
         were drawn in all, it draws as many, and another one follows. So it does where a few draws outweigh
@@ -63,36 +61,12 @@ class LastDraws:
             n = int(np.clip(n, 0.1 * self.draws, 2.0 * self.draws + used))
             self.draw_more(n, source)
             used, drawn = used + n, drawn + n
-        if sample.proposals and worth >= self.draws and sample.pareto_k() > HEAVY_K:
-            sample, worth = self.drawn_again(sample, max(source, self.last_stage))
         if worth < self.draws:
             warnings.warn(TOO_FEW.format(worth, self.draws), SamplingWarning, stacklevel=2)
             whole = float(pool.effective_of_quantiles(pool.log_weights(1.0)).min())
             sample = pool if self.hamiltonian_share > 0.0 and whole > worth else sample  # chains got about
         self.ess = worth
         self.finish(sample)
-
-    def drawn_again(self, sample: Pool, since: int) -> tuple[Pool, float]:
-        """As many draws and more of the same densities, alone, and what they are worth.
-
-        Draws seem enough the sooner, and a fit the better, the fewer of them have fallen where weights are
-        heavy. Those that have decided it therefore make tails too light: of the standard deviation between
-        eight schools the 95 % quantile was 4 % of the 5-95 % width too small.
-        """
-        pool, mark = self.pool, self.pool.mark()
-        counts = dict(zip(pool.known(since), AGAIN * sample.counts, strict=True))
-        used, limit = 0, MAX_EVALUATIONS * self.draws
-        while True:
-            for source, n in counts.items():
-                if n >= 1.0:
-                    self.draw_more(int(n), source)
-            used += sum(counts.values())
-            again = pool.independent(since, mark)
-            worth = float(again.effective_of_quantiles(again.log_weights(1.0)).min())
-            if worth >= self.draws or used >= limit:
-                return again, worth
-            share = min(max(self.draws / max(worth, 1.0) - 1.0, 0.1), 1.0)
-            counts = {source: share * n for source, n in counts.items()}
 
     def draw_more(self, n: int, source: int) -> None:
         """Independent draws from the reference or prior, or from a fit."""

@@ -28,9 +28,9 @@ ELASTIC, HYSTERETIC, PER_YIELD, LOADING, UNLOADING, POWER, BY_Z, BY_SQUARE, YIEL
 
 def constants(stiffness, values):
     """a k, (1 - a) k d_y, 1 / d_y, the losses of both branches, and n."""
-    reach, ratio, sharpness, beta, gamma = values
-    elastic, hysteretic = ratio * stiffness, (1.0 - ratio) * stiffness * reach
-    return [elastic, hysteretic, 1.0 / reach, gamma + beta, gamma - beta, sharpness]
+    d_y, ratio, sharpness, beta, gamma = values
+    elastic, hysteretic = ratio * stiffness, (1.0 - ratio) * stiffness * d_y
+    return [elastic, hysteretic, 1.0 / d_y, gamma + beta, gamma - beta, sharpness]
 
 
 def loss_of(spring, loading):
@@ -117,10 +117,10 @@ def add_losses(spring, bars, loading, sign, by_z, by_square):
 
 
 @unrolled
-def add_stiffnesses(spring, bars, drift, forces, reach):
+def add_stiffnesses(spring, bars, drift, forces, d_y):
     """Add to the bars of the first three constants: dL/d(1/d_y) = d_y sum_k zbar_k z_k, k > 0.
 
-    `forces` is the series of their bars, and `reach` is d_y.
+    `forces` is the series of their bars, and `d_y` the yield displacement.
     """
     elastic = hysteretic = per_yield = splat(0.0)
     for k in range(ORDER):
@@ -132,7 +132,7 @@ def add_stiffnesses(spring, bars, drift, forces, reach):
                 elastic = elastic + (1.0 / k) * force * coefficient(spring, RATE, k - 1)
             else:
                 elastic = elastic + force * drift
-    add_constant(bars, PER_YIELD, reach * per_yield)
+    add_constant(bars, PER_YIELD, d_y * per_yield)
     if drift is not None:
         add_constant(bars, ELASTIC, elastic)
         add_constant(bars, HYSTERETIC, hysteretic)
@@ -173,8 +173,8 @@ def reverse_tangent(spring, bars, z, of_tangents, loading, sign):
 
 def in_range(values):
     """Whether all but n lie in their ranges."""
-    reach, ratio, _, beta, gamma = values
-    springs = (reach > 0.0) & (reach < np.inf) & (ratio >= 0.0) & (ratio <= 1.0)
+    d_y, ratio, _, beta, gamma = values
+    springs = (d_y > 0.0) & (d_y < np.inf) & (ratio >= 0.0) & (ratio <= 1.0)
     loops = (beta > 0.0) & (beta < np.inf) & (gamma >= 0.0) & (gamma <= beta)
     return springs & loops
 
