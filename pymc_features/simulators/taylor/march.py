@@ -16,7 +16,7 @@ import numpy as np
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, highest, splat, where_less
 from pymc_features.simulators.compiled.vector_math import larger
-from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes, write_number
+from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes, write_number
 from pymc_features.simulators.oscillators.arguments import (
     ABSOLUTE_ACCELERATION,
     RELATIVE_DISPLACEMENT,
@@ -110,8 +110,9 @@ def group_of(series):
             rise = spans.loads[span, 1] * inverse
             write_lanes(address, at, splat(step * step * (spans.loads[span, 0] + part * rise)))
             write_lanes(address, at + 1, splat(step * step * rise))
-            write_lanes(address, at + HARMLESS, splat(0.0))
-            write_number(address, (at + CURVED) * LANES, 0.0)
+            if read_number(address, (at + CURVED) * LANES) > 0.0:
+                write_lanes(address, at + HARMLESS, splat(0.0))
+                write_number(address, (at + CURVED) * LANES, 0.0)
             return
         share = step * step
         for k in range(DEGREE + 1):
@@ -241,7 +242,8 @@ def march_of(series):
                     for part in range(count):
                         if tape.capacity > 0:
                             keep(group, tape.states, slot + part)
-                        put_load(group, spans, span, part, count)
+                        if not begun:  # otherwise it has been put on
+                            put_load(group, spans, span, part, count)
                         advance(group, begun, batch)
                         begun = False
                     steps += count

@@ -6,9 +6,9 @@ those of the drift,
     V_i,k+1 = [ H^2/m_i (f_i+1,k - f_i,k) - alpha H V_i,k - H^2 g_k ] / (k + 1),
 
 where f includes the dashpot, (beta k_i / H) R_i,k, and g_k are the coefficients of the ground acceleration
-over the step (`ground/spans.py`). One function is compiled for each k, a closure, so that its sums are written out.
-Each takes a block of `size` springs, from spring `high` down, and the next order stays one spring behind
-(`blocks.py`).
+over the step (`ground/spans.py`). One function is compiled for each k, a closure, so that its sums are
+written out. Each takes a block of `size` springs, from spring `high` down, and the next order stays one
+spring behind (`blocks.py`).
 """
 
 from functools import cache

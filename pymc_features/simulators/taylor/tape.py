@@ -2,8 +2,8 @@
 
 A tape has room for `capacity` steps. Where a march takes more of them the tape is begun anew, as often as
 needed; the state at the beginning of every such segment is kept as well, so that the gradient can march
-through it once more. Kept are also the number of steps to each span of the record (`ground/spans.py`), and the
-misfits of the sensors.
+through it once more. Kept are also the number of steps to each span of the record (`ground/spans.py`), and
+the misfits of the sensors.
 """
 
 from contextlib import suppress
