@@ -7,9 +7,8 @@ from scipy.integrate import cumulative_simpson
 from pymc_features.simulators.nonlinear.law import SERIES
 from pymc_features.simulators.oscillators.arguments import Excitation
 from pymc_features.simulators.taylor.ground import spans
-from pymc_features.simulators.taylor.ground.projection import projection
+from pymc_features.simulators.taylor.ground.projection import DEGREE, projection
 from pymc_features.simulators.taylor.ground.spans import Ground
-from pymc_features.simulators.taylor.layout import DEGREE
 from simulators.test_taylor import FAMILIES, KERNELS, history, population, shaken
 
 RATE = 50.0  # [rad/s], about that of the chains

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
+from pymc_features.simulators.taylor.ground.projection import DEGREE
 
 # Entries of a record: displacement [m], H^2 / m [s^2/kg], beta k / H [N/m]; H v [m] where a step ends and the
 # next begins; and with kinks: whether a lane has one; their change of z, and of the force integrated 1 ... 4
@@ -25,7 +26,6 @@ N_ENTRIES = Z_SIGN + 1
 DRAG, PEAK, FIRST, LAST, LAST_Z, KINK_ERROR, LOST = range(7)
 N_CHAIN_ENTRIES = 8  # one is not used: gradients of ten masses were measured to take 7 % longer with seven
 N_LEFT = 2  # vectors for each order that a block leaves
-DEGREE = 5  # of the ground acceleration in a step
 # Behind the coefficients of the load: what of the last one, in one of a velocity, is no error; and a
 # number above zero where the load is not linear
 HARMLESS, CURVED = range(DEGREE + 1, DEGREE + 3)

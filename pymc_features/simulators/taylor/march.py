@@ -24,12 +24,12 @@ from pymc_features.simulators.oscillators.arguments import (
 )
 from pymc_features.simulators.taylor.blocks import series_of
 from pymc_features.simulators.taylor.feedback import feedback_of
+from pymc_features.simulators.taylor.ground.projection import DEGREE
 from pymc_features.simulators.taylor.ground.spans import SHARE
 from pymc_features.simulators.taylor.kinks import turn_of
 from pymc_features.simulators.taylor.layout import (
     CURVED,
     DASHPOT,
-    DEGREE,
     DRAG,
     FIRST,
     HARMLESS,

@@ -5,8 +5,7 @@ from functools import cache
 import numpy as np
 from numpy.polynomial import Polynomial, legendre
 
-from pymc_features.simulators.taylor.layout import DEGREE
-
+DEGREE = 5  # of the ground acceleration in a step
 POINTS = 2  # to a sample, where the second integral is looked at
 
 

@@ -24,8 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.oscillators.arguments import Excitation, n_outputs
-from pymc_features.simulators.taylor.ground.projection import projection
-from pymc_features.simulators.taylor.layout import DEGREE
+from pymc_features.simulators.taylor.ground.projection import DEGREE, projection
 
 TOLERANCE = 5e-6  # of the peak of the ground acceleration
 EXCESS = 30.0  # of the estimate over the last coefficients that are met: with it times were least
