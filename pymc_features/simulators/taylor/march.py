@@ -137,7 +137,7 @@ def group_of(series):
         if kinks:
             if count > 0:
                 turn(batch, count, None)
-            apply(group.address, group.n, None)
+            apply(group.address, group.modal, group.n, None)
 
     return rescale, copy, put_load, begin, advance
 

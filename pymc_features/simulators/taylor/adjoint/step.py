@@ -78,8 +78,8 @@ def step_adjoint(series):
         if kinks:
             if count > 0:
                 turn(memory.batch, count, memory.trace)
-            apply(address, n, memory.before)
-            unapply(address, bars, n, memory.before)
+            apply(address, modal, n, memory.before)
+            unapply(address, bars, (modal, memory.modal), n, memory.before)
             spread(address, bars, n)
             unturn(bars, memory.kinks, memory.trace)
             restore_branches(group, state)
