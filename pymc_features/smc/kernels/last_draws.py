@@ -6,7 +6,7 @@ import numpy as np
 
 from pymc_features.exceptions import SamplingWarning
 from pymc_features.smc.proposals.fitted import fit_to
-from pymc_features.smc.proposals.mixture import equal_draws
+from pymc_features.smc.proposals.mixture import equal_draws, log_sum
 from pymc_features.smc.proposals.patches import patched
 from pymc_features.smc.proposals.pool import LARGEST_K, LARGEST_SHARE, Pool
 from pymc_features.smc.proposals.reference import MANY, good_share
@@ -14,6 +14,10 @@ from pymc_features.smc.proposals.reference import MANY, good_share
 FIT_POINTS = FIRST_DRAWS = 200  # of a fit, and from the first fit of the last stage, for each parameter
 MAX_EVALUATIONS = 500  # of the last stage, for each draw
 FOR_TAILS = 8  # and of more fits where a few draws outweigh the rest
+HEAVY_K = 0.3  # Pareto shape of weights above which draws do not decide themselves how many are enough
+SHOWN_BY, MORE = 0.25, 1.1  # worth, of `draws`, of those that decide then; what is drawn, over what they show
+TOPPED, SURPRISE = 0.2, 0.2  # what is added if that is worth less; worth below which another fit follows
+LESS = 0.5 ** np.arange(5)  # shares of the reference in what is drawn, over that in the trial
 TOO_FEW = "PersistentSMC ended with draws worth {:.0f} of {}. Increase `stage_draws`, or narrow the priors."
 
 
@@ -31,42 +35,77 @@ class LastDraws:
         Only draws of the last fit count, which no draws have shaped. If few show that more is missing than
         were drawn in all, it draws as many, and another one follows. So it does where a few draws outweigh
         the rest, with a part around each of these. A good reference that is bent stands in for the fit.
+        Where weights are heavy, see `drawn_anew`.
         """
         pool, used, limit, drawn, before_tails = self.pool, 0, 0, 0, None
         source = self.last_stage if self.last_stage in pool.proposals else 0  # drawn from in place of chains
-        first = max(FIRST_DRAWS * self.n_parameters, self.draws // 4)
+        first, most = max(FIRST_DRAWS * self.n_parameters, self.draws // 4), MAX_EVALUATIONS * self.draws
         while True:
-            sample = pool.independent(max(source, self.last_stage))
-            n_sample = sample.counts.sum()
-            worth = float(sample.effective_of_quantiles(sample.log_weights(1.0)).min())
-            missing = max(self.draws - worth, 0.0)
+            since = max(source, self.last_stage)
+            sample = pool.independent(since)
+            n_sample, worth = sample.counts.sum(), sample.worth()
+            heavy = bool(sample.proposals) and sample.pareto_k() > HEAVY_K
+            missing = max((SHOWN_BY if heavy else 1.0) * self.draws - worth, 0.0)
             if not missing and before_tails is None:
                 before_tails = used
-            for_tails = not missing and used - before_tails + n_sample < FOR_TAILS * self.draws
-            for_tails = for_tails and sample.pareto_k() > LARGEST_K and sample.largest_share() > LARGEST_SHARE
-            if not (missing or for_tails) or used >= MAX_EVALUATIONS * self.draws:
+            refit = not missing and used - before_tails + n_sample < FOR_TAILS * self.draws
+            refit = refit and sample.pareto_k() > LARGEST_K and sample.largest_share() > LARGEST_SHARE
+            if not (missing or refit) and heavy and used < most:
+                sample, worth, n = self.drawn_anew(sample, since)
+                used, refit = used + n, worth < SURPRISE * self.draws
+            if not (missing or refit) or used >= most:
                 break
             n = 1.1 * missing * max(1.0, n_sample / max(worth, 1.0))
             poor = worth < good_share(self.n_parameters) * n_sample
-            if for_tails or (poor and n > max(used, first)):
-                n = 0 if for_tails else limit - drawn
+            if refit or (poor and n > max(used, first)):
+                n = 0 if refit else limit - drawn
                 if n <= 0:
-                    self.weights = pool.normalised(pool.log_weights(1.0))
-                    points, shares = self.fitting_points(), sample.normalised(sample.log_weights(1.0))
-                    # draws in many dimensions, a few of them heavy, are too few for a fit to be as good
-                    bent = not self.needs_fit and self.n_parameters >= MANY
-                    fit = self.reference.mixture if bent else fit_to(points, self.rng, self.bounded)
-                    pool.add_proposal(patched(fit, points, sample.particles, shares))
-                    source, n, limit, drawn = len(pool.betas) - 1, first, max(used, first), 0
+                    source, n, limit, drawn = self.fit_again(sample), first, max(used, first), 0
             n = int(np.clip(n, 0.1 * self.draws, 2.0 * self.draws + used))
             self.draw_more(n, source)
             used, drawn = used + n, drawn + n
         if worth < self.draws:
             warnings.warn(TOO_FEW.format(worth, self.draws), SamplingWarning, stacklevel=2)
-            whole = float(pool.effective_of_quantiles(pool.log_weights(1.0)).min())
+            whole = pool.worth()
             sample = pool if self.hamiltonian_share > 0.0 and whole > worth else sample  # chains got about
         self.ess = worth
         self.finish(sample)
+
+    def fit_again(self, sample: Pool) -> int:
+        """Fit to the whole pool, with a part around each heavy draw of the sample; the number of the fit."""
+        pool = self.pool
+        self.weights = pool.normalised(pool.log_weights(1.0))
+        points, shares = self.fitting_points(), sample.normalised(sample.log_weights(1.0))
+        # draws in many dimensions, a few of them heavy, are too few for a fit to be as good
+        bent = not self.needs_fit and self.n_parameters >= MANY
+        fit = self.reference.mixture if bent else fit_to(points, self.rng, self.bounded)
+        pool.add_proposal(patched(fit, points, sample.particles, shares))
+        return len(pool.betas) - 1
+
+    def drawn_anew(self, sample: Pool, since: int) -> tuple[Pool, float, int]:
+        """Draws of the same densities, without those that have shown how many it takes.
+
+        Draws seem enough the sooner, and a fit the better, the fewer of them have fallen where weights are
+        heavy. Draws that decide make tails too light: of the deviation between eight schools the 95 %
+        quantile was too small by 4 % of the 5-95 % width.
+
+        Returns the draws, what they are worth, and their number.
+        """
+        pool, mark, used = self.pool, self.pool.mark(), 0
+        shares, gain = most_even(sample)
+        n = MORE * sample.counts.sum() * self.draws / sample.worth() / gain
+        counts = first = np.ceil(n * shares).astype(int)
+        while True:
+            for source, n in zip(pool.known(since), counts, strict=True):
+                if n:
+                    self.draw_more(n, source)
+            used += int(counts.sum())
+            anew = pool.independent(since, mark)
+            worth = anew.worth()
+            enough = worth >= self.draws or worth < SURPRISE * self.draws
+            if enough or used >= MAX_EVALUATIONS * self.draws:
+                return anew, worth, used
+            counts = np.ceil(TOPPED * first).astype(int)
 
     def draw_more(self, n: int, source: int) -> None:
         """Independent draws from the reference or prior, or from a fit."""
@@ -86,3 +125,19 @@ class LastDraws:
         log_weights = sample.log_weights(1.0)
         chosen = equal_draws(sample.normalised(log_weights), self.draws, self.rng)
         self.tempered_posterior = sample.particles[chosen]
+
+
+def most_even(sample: Pool) -> tuple[np.ndarray, float]:
+    """Shares (s,) of the densities, fewer of the reference, with the most even weights; and their gain.
+
+    The gain: over the shares as they are, in effective draws of the same number, as the sample foretells it.
+    """
+    shares, log_mixture = sample.counts / sample.counts.sum(), sample.log_mixture()
+    ratio, terms = sample.log_ratio - sample.log_ratio.max(), sample.terms()
+    moments = []
+    for of_reference in shares[0] * LESS:
+        trial = np.append(of_reference, shares[1:] * (1.0 - of_reference) / (1.0 - shares[0]))
+        log_trial = log_sum(terms[trial > 0] + np.log(trial[trial > 0])[:, None])
+        moments.append((sample.mass @ np.exp(2.0 * ratio - log_mixture - log_trial), trial))
+    least, best = min(moments, key=lambda moment: moment[0])
+    return best, moments[0][0] / least

@@ -170,7 +170,7 @@ class PersistentSMC(LastDraws, PopulationKernel):
         if (missing := self.draws - self.pool.counts[0]) > 0:
             self.draw_more(int(missing), 0)
             self.reference_efficiency = self.pool.efficiency(0)
-        worth = self.pool.effective_of_quantiles(self.pool.log_weights(1.0)).min() / self.pool.counts[0]
+        worth = self.pool.worth() / self.pool.counts[0]
         good = self.reference_efficiency > share and worth > WORST_QUANTILE * share
         return good and self.pool.pareto_k() <= LARGEST_K
 

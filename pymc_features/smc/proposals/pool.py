@@ -95,15 +95,32 @@ class Pool:
         possible = np.bincount(self.source, self.mass, minlength=len(self.betas))
         return possible + np.sum(self.impossible, axis=1)
 
-    def independent(self, since: int = 1) -> "Pool":
+    def known(self, since: int = 1) -> np.ndarray:
+        """Numbers of the densities whose evidence is known: the reference, and proposals from `since` on."""
+        known = np.isnan(self.betas) & (np.arange(len(self.betas)) >= since)
+        known[0] = True
+        return np.flatnonzero(known)
+
+    def mark(self) -> tuple[int, list]:
+        """How far the pool has come: its points, and the impossible draws of each density."""
+        return self._size, [impossible.copy() for impossible in self.impossible]
+
+    def independent(self, since: int = 1, mark: tuple[int, list] | None = None) -> "Pool":
         """The independent draws alone: of the reference, and of proposals from number `since` on.
 
         Their evidence is known. Markov chains that have not been everywhere yet make the weights of points
         where they should have been too small, and so do draws of proposals to which later ones are fitted.
+        With a `mark`, no draws from before it.
         """
-        known = np.isnan(self.betas) & (np.arange(len(self.betas)) >= since)
-        known[0] = True
-        return self.part(np.flatnonzero(known), known[self.source])
+        numbers = self.known(since)
+        rows = np.isin(self.source, numbers)
+        if mark is None:
+            return self.part(numbers, rows)
+        size, before = mark
+        part = self.part(numbers, rows & (np.arange(self._size) >= size))
+        part.impossible = [self.impossible[s] - before[s] for s in numbers]
+        part._before = {new: (0, np.zeros(GROUPS)) for new in part.proposals}
+        return part
 
     def unseen(self) -> "Pool":
         """The same without draws of the reference that the last proposal was fitted to.
@@ -199,6 +216,10 @@ class Pool:
             variances = (1.0 - QUANTILES) ** 2 * upto + QUANTILES**2 * (spread[-1] - upto)
             numbers.append(1.0 / np.mean(variances / (QUANTILES * (1.0 - QUANTILES))))
         return np.array(numbers)
+
+    def worth(self) -> float:
+        """Effective number of points behind the quantiles of the worst parameter, at a temperature of one."""
+        return float(self.effective_of_quantiles(self.log_weights(1.0)).min())
 
     def largest_share(self) -> float:
         """Share of the posterior that the heaviest point stands for."""
