@@ -180,9 +180,10 @@ def test_linear_limit(family, modal):
         assert (np.abs(a - b) < 2e-6 * np.abs(b).max(axis=-1, keepdims=True)).all()
 
 
-def test_a_short_tape(monkeypatch):
+@pytest.mark.parametrize("case", ["acceleration", "fine record"])
+def test_a_short_tape(case, monkeypatch):
     """The march is repeated for what the tape has no room for: the same numbers."""
-    parameters, where = population("hysteretic"), shaken()
+    parameters, where = population("hysteretic"), shaken(**CASES[case][1])
     observed = noisy("hysteretic", parameters, where)
     weights = np.ones((LANES + 3, len(observed), 1))
     whole = gradient("hysteretic", parameters, where, observed, weights)

@@ -30,6 +30,7 @@ from pymc_features.simulators.nonlinear.tape import Tape, record_size, tape_memo
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs, n_outputs
 from pymc_features.simulators.oscillators.misfit import measured_difference, weigh_history
 from pymc_features.simulators.taylor.adjoint.population import add_gradients
+from pymc_features.simulators.taylor.ground.spans import ground_of
 from pymc_features.simulators.taylor.population import Lanes, is_linear_chain, march_population, rows_of
 
 PARTICLES = Counter()  # evaluated in populations by Taylor steps, by Runge-Kutta steps, and by both
@@ -162,7 +163,7 @@ def population_statistics(law, problem, observed) -> np.ndarray:
     parameters, count = problem.parameters, n_particles(problem.parameters)
     result = np.empty((count, problem.wanted.sensors.size, 4))
     left = np.ones(count, dtype=bool)
-    given = problem.excitation, problem.wanted, observed
+    given = ground_of(problem.excitation), problem.wanted, observed
     for lanes, members in taylor_groups(problem, LAWS[law].series.items()):
         lost = march_population(march_kernel, lanes, parameters, members, given, result)
         left[members] = False
@@ -181,7 +182,7 @@ def add_taylor_gradients(law, problem, observed, weights, gradients) -> np.ndarr
     """Add the gradients of particles by Taylor steps; return the particles that are left to others."""
     parameters, count = problem.parameters, n_particles(problem.parameters)
     left = np.ones(count, dtype=bool)
-    given = problem.excitation, problem.wanted, observed
+    given = ground_of(problem.excitation), problem.wanted, observed
     kernels = march_kernel, sweep_kernel
     reversible = [pair for pair in LAWS[law].series.items() if has_reverse(pair[1], parameters)]
     for lanes, members in taylor_groups(problem, reversible):

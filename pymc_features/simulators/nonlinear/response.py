@@ -162,41 +162,41 @@ def misfit_kernel(law, parameters, excitation, wanted, observed, result):
         march_misfit(law, particle(parameters, k), excitation, wanted, observed, result[k])
 
 
-def march(group, batch, sums, start, excitation, wanted, observed, tape):
+def march(group, batch, sums, start, spans, wanted, observed, tape):
     """March a group by the recurrence of its type; see `taylor.march`."""
 
 
 @overload(march, inline="always")
-def _march(group, batch, sums, start, excitation, wanted, observed, tape):
+def _march(group, batch, sums, start, spans, wanted, observed, tape):
     own = march_of(SERIES[group.instance_class])
 
-    def of_type(group, batch, sums, start, excitation, wanted, observed, tape):
-        return own(group, batch, sums, start, excitation, wanted, observed, tape)
+    def of_type(group, batch, sums, start, spans, wanted, observed, tape):
+        return own(group, batch, sums, start, spans, wanted, observed, tape)
 
     return of_type
 
 
 @jit
-def march_kernel(group, batch, sums, start, excitation, wanted, observed, tape):
+def march_kernel(group, batch, sums, start, spans, wanted, observed, tape):
     """`march` as Python calls it: Taylor steps of a chain in each lane."""
-    return march(group, batch, sums, start, excitation, wanted, observed, tape)
+    return march(group, batch, sums, start, spans, wanted, observed, tape)
 
 
-def sweep(group, memory, tape, excitation, wanted, observed):
+def sweep(group, memory, tape, spans, wanted, observed):
     """Take a group back through its march by the recurrence of its type; see `taylor.adjoint.sweep`."""
 
 
 @overload(sweep, inline="always")
-def _sweep(group, memory, tape, excitation, wanted, observed):
+def _sweep(group, memory, tape, spans, wanted, observed):
     own = sweep_of(SERIES[group.instance_class])
 
-    def of_type(group, memory, tape, excitation, wanted, observed):
-        return own(group, memory, tape, excitation, wanted, observed)
+    def of_type(group, memory, tape, spans, wanted, observed):
+        return own(group, memory, tape, spans, wanted, observed)
 
     return of_type
 
 
 @jit
-def sweep_kernel(group, memory, tape, excitation, wanted, observed):
+def sweep_kernel(group, memory, tape, spans, wanted, observed):
     """`sweep` as Python calls it: the march of a chain in each lane, in reverse."""
-    return sweep(group, memory, tape, excitation, wanted, observed)
+    return sweep(group, memory, tape, spans, wanted, observed)

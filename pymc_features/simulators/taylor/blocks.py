@@ -31,11 +31,8 @@ def series_of(series, repeats):
     search = search_of(series) if kinks else None
 
     @jit
-    def expand(group, load, push, begun, batch, trace):
-        """`load` and `push` are H^2 times the ground acceleration at the beginning, and its change.
-
-        `begun` tells whether order 0 is done; in a step that is repeated it is the address of its beginning.
-        """
+    def expand(group, begun, batch, trace):
+        """`begun` tells whether order 0 is done; in a step that is repeated: the address of its beginning."""
         address, _, modal, n = group
         largest = n if modal != 0 or n <= SHORT else BLOCK
         high, count = n, 0
@@ -45,9 +42,9 @@ def series_of(series, repeats):
                 top = high if high == n else high - 1
                 restore(group, begun, top, size + top - high + (1 if size < high else 0))
             if repeats or not begun:
-                first(address, modal, n, load, high, size)
+                first(address, modal, n, high, size)
             top = high + 1 if high + 1 < n else n
-            others(address, modal, n, push, top, size - 1 + top - high if size < high else top)
+            others(address, modal, n, top, size - 1 + top - high if size < high else top)
             if kinks or not repeats:
                 top = high + order if high + order < n else n
                 finish(address, n, top, size - order + top - high if size < high else top)

@@ -29,6 +29,20 @@ from pymc_features.simulators.taylor.layout import (
 from pymc_features.simulators.taylor.series import Spring
 
 
+@jit
+def damping_share(modal, n, j, i, up, down):
+    """What damping by modal ratios gives back of the velocity that a force in spring i takes from mass j.
+
+    Per force, integrated once more: -(H M^-1 C)_ji (-up) - (H M^-1 C)_j,i-1 down.
+    """
+    share = splat(0.0)
+    if modal != 0 and j > 0:
+        share = read_lanes(modal, (j - 1) * n + i - 1) * up
+        if i > 1:
+            share = share - read_lanes(modal, (j - 1) * n + i - 2) * down
+    return share
+
+
 @cache
 def feedback_of(series):
     """Return the function that applies the changes."""
@@ -53,11 +67,22 @@ def feedback_of(series):
             write_lanes(address, error, larger(read_lanes(address, error), effect))
 
     @jit
-    def respond(address, n, here, share, kink, before):
-        """Let a spring follow a drift that is `share` times the force of a kink, integrated twice.
+    def damp(address, modal, n, i, up, down):
+        """Damp what the force of the kink of spring i moves, in all masses."""
+        kink = i * record + entries + CHANGE
+        j2, j3 = read_lanes(address, kink + 2), read_lanes(address, kink + 3)
+        for j in range(1, n + 1):
+            share, at = damping_share(modal, n, j, i, up, down), j * record + entries
+            add_lanes(address, at + V_END, share * j2)
+            add_lanes(address, at + U, share * j3)
+
+    @jit
+    def respond(address, n, here, shares, kink, before):
+        """Let a spring follow a drift: shares of the force of a kink, integrated twice and three times.
 
         Returns z before that.
         """
+        share, damped = shares
         at = here + entries
         j2 = read_lanes(address, kink + CHANGE + 2)
         j3, j4 = read_lanes(address, kink + CHANGE + 3), read_lanes(address, kink + CHANGE + 4)
@@ -68,14 +93,14 @@ def feedback_of(series):
             dashpot = read_lanes(address, at + DASHPOT)
             force_1, force_2 = stiffness * j3 + dashpot * j2, stiffness * j4 + dashpot * j3
             push(address, at, share * force_1, share * force_2)
-        change = z_by_drift * share * j2
+        change = z_by_drift * (share * j2 + damped * j3)
         write_lanes(address, at + Z_END, z + change)
         if before is None and at != kink:
             estimate_error(address, at, n, change * z)
         return z
 
     @jit
-    def apply(address, n, before):
+    def apply(address, modal, n, before):
         """Add the changes of all kinks of the step.
 
         Unless `before` is None z alone changes, and what that of the springs that follow was is written
@@ -97,12 +122,19 @@ def feedback_of(series):
                 add_lanes(address, at + Z_END, read_lanes(address, at + CHANGE))
                 if before is None:
                     push(address, at, j1 - drag * j2, j2)
+                    if modal != 0:
+                        damp(address, modal, n, i, up, down)
                 below = above = splat(0.0)
+                damped = damping_share(modal, n, i - 1, i, up, down)
+                damped_above = damping_share(modal, n, i, i, up, down)
                 if i > 1:
-                    below = respond(address, n, here - record, down, at, before)
-                own = respond(address, n, here, 0.0 - (up + down), at, before)
+                    shares = down, damped - damping_share(modal, n, i - 2, i, up, down)
+                    below = respond(address, n, here - record, shares, at, before)
+                shares = 0.0 - (up + down), damped_above - damped
+                own = respond(address, n, here, shares, at, before)
                 if i < n:
-                    above = respond(address, n, here + record, up, at, before)
+                    shares = up, damping_share(modal, n, i + 1, i, up, down) - damped_above
+                    above = respond(address, n, here + record, shares, at, before)
                 if before is not None:
                     write_lanes(before, 3 * i, below)
                     write_lanes(before, 3 * i + 1, own)

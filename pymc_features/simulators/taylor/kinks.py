@@ -11,8 +11,9 @@ J1 ... J4, the masses i and i - 1 have the changes of velocity and displacement
 
     dV_i = -H^2/m_i J1,    dU_i = -H^2/m_i J2,    dV_i-1 = H^2/m_i-1 J1,    dU_i-1 = H^2/m_i-1 J2,
 
-and these change the forces of springs i - 1, i and i + 1 through their tangents, which gives J3 and J4. What
-is left is of the order of the sixth power of the step, as is the error of the series.
+and these change the forces of springs i - 1, i and i + 1 through their tangents, which gives J3 and J4, and
+that of damping by modal ratios, which gives J2 and J3 once more. What is left is of the order of the sixth
+power of the step.
 
 Of some laws the series of z is not always good over a whole step (`ranges.py`). Such springs go into the
 batch as well: their z is expanded anew at the beginning of the step, and wherever a series ceases to be good.

@@ -2,14 +2,16 @@
 
 Every spring, with the mass above it, has a record of vectors: the coefficients of the mass's velocity H v,
 the series of the spring (`series.py`), the entries below, and the constants of the law. Record 0 is the base,
-all zeros; springs are numbered from 1. Behind the last record stand entries of whole chains, and what a
-block of springs leaves to the one below it (`blocks.py`). H is the step.
+all zeros; springs are numbered from 1. Behind the last record stand entries of whole chains, what a block of
+springs leaves to the one below it (`blocks.py`), and the load: H^2 times the coefficients of the ground
+acceleration. H is the step.
 """
 
 from typing import NamedTuple
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
+from pymc_features.simulators.taylor.ground.projection import DEGREE
 
 # Entries of a record: displacement [m], H^2 / m [s^2/kg], beta k / H [N/m]; H v [m] where a step ends and the
 # next begins; and with kinks: whether a lane has one; their change of z, and of the force integrated 1 ... 4
@@ -24,6 +26,10 @@ N_ENTRIES = Z_SIGN + 1
 DRAG, PEAK, FIRST, LAST, LAST_Z, KINK_ERROR, LOST = range(7)
 N_CHAIN_ENTRIES = 8  # one is not used: gradients of ten masses were measured to take 7 % longer with seven
 N_LEFT = 2  # vectors for each order that a block leaves
+# Behind the coefficients of the load: what of the last one, in one of a velocity, is no error; and a
+# number above zero where the load is not linear
+HARMLESS, CURVED = range(DEGREE + 1, DEGREE + 3)
+N_LOADS = DEGREE + 3
 
 
 class Layout(NamedTuple):
@@ -43,9 +49,14 @@ def layout_of(series) -> Layout:
     return Layout(length, constants + series.n_constants, entries, constants)
 
 
+def load_of(series) -> int:
+    """Where the load of a chain begins, behind its last record."""
+    return N_CHAIN_ENTRIES + N_LEFT * series.order
+
+
 def group_size(series, n: int) -> int:
     """Vectors of a group of chains with n springs."""
-    return (n + 1) * layout_of(series).record + N_CHAIN_ENTRIES + N_LEFT * series.order
+    return (n + 1) * layout_of(series).record + load_of(series) + N_LOADS
 
 
 @jit

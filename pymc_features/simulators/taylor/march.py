@@ -1,12 +1,12 @@
 """Groups of chains through a record by Taylor steps, and the statistics of their misfits.
 
-All chains of a march take the same steps, so many to a step of the recursion as the last coefficients say:
-with the largest, |V_P|, and the largest acceleration A of its mass so far, a step is accurate where
-|V_P| / (H^2 A) is below the tolerance of the recurrence. The ratio grows as H^(P - 1). Where it has been
-exceeded by far the steps are taken once more, shorter. Their number falls by a third at most at a time: while
-a spring flows the coefficients are small, but long steps would not be stable. It falls from two to one where
-that is enough, with kinks where it is by far. A chain that asks for more than
-`MAX_STEPS` is lost: NaN, and left to others.
+All chains of a march take the same steps, so many to a span of the record (`ground/spans.py`) as the last
+coefficients say: with the largest, |V_P|, and the largest acceleration A of its mass so far, a step is
+accurate where |V_P| / (H^2 A) is below the tolerance of the recurrence. The ratio grows as H^(P - 1). Where
+it has been exceeded by far the steps are taken once more, shorter. Their number falls by a third at most at a
+time: while a spring flows the coefficients are small, but long steps would not be stable. It falls from two
+to one where that is enough, with kinks where it is by far. A chain that asks for more than `MAX_STEPS` is
+lost: NaN, and left to others.
 """
 
 from functools import cache
@@ -14,22 +14,25 @@ from functools import cache
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import highest, splat, where_less
+from pymc_features.simulators.compiled.vector import LANES, highest, splat, where_less
 from pymc_features.simulators.compiled.vector_math import larger
-from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes, write_number
+from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes, write_number
 from pymc_features.simulators.oscillators.arguments import (
     ABSOLUTE_ACCELERATION,
     RELATIVE_DISPLACEMENT,
     RELATIVE_VELOCITY,
-    ground_at,
 )
 from pymc_features.simulators.taylor.blocks import series_of
 from pymc_features.simulators.taylor.feedback import feedback_of
+from pymc_features.simulators.taylor.ground.projection import DEGREE
+from pymc_features.simulators.taylor.ground.spans import SHARE
 from pymc_features.simulators.taylor.kinks import turn_of
 from pymc_features.simulators.taylor.layout import (
+    CURVED,
     DASHPOT,
     DRAG,
     FIRST,
+    HARMLESS,
     KINK_ERROR,
     LAST,
     LAST_Z,
@@ -41,20 +44,22 @@ from pymc_features.simulators.taylor.layout import (
     Z_END,
     Z_SIGN,
     U,
+    add_lanes,
     layout_of,
+    load_of,
 )
 from pymc_features.simulators.taylor.orders import HUGE, orders_from
 from pymc_features.simulators.taylor.tape import COUNT, MAX_STEPS, tape_of
 
 TOO_FAR = 10.0  # above the tolerance: steps are repeated
 LARGEST_Z = 1e-2  # last coefficient of z: above it the series are of no use
-LARGEST_KINK_ERROR = 3e-6  # of z behind kinks of neighbours in one step: above it steps are repeated
+LARGEST_KINK_ERROR = 1e-7  # of z behind kinks of neighbours in one step: above it steps are repeated
 
 
 @cache
 def group_of(series):
-    """Return functions of one group: rescale, keep or bring back the state, begin and take a step."""
-    _, record, entries, _ = layout_of(series)
+    """Return functions of one group: rescale, keep or bring back the state, put a load on, take a step."""
+    (_, record, entries, _), load_at = layout_of(series), load_of(series)
     first, expand, kinks = orders_from(series, 0), series_of(series, False), series.branch is not None
     if kinks:
         turn, apply = turn_of(series), feedback_of(series)
@@ -97,28 +102,51 @@ def group_of(series):
                     write_lanes(kept, 5 * i + c, read_lanes(address, places[c]))
 
     @jit
-    def begin(group, step, ground):
-        """Coefficients 1 of the velocities."""
-        first(group.address, group.modal, group.n, step * step * ground, group.n, group.n)
+    def put_load(group, spans, span, part, count):
+        """Make the ground acceleration in one of `count` parts of a span the load."""
+        address, at, inverse = group.address, (group.n + 1) * record + load_at, 1.0 / count
+        step = spans.step * spans.widths[span] * inverse
+        if spans.widths[span] == 1:
+            rise = spans.loads[span, 1] * inverse
+            write_lanes(address, at, splat(step * step * (spans.loads[span, 0] + part * rise)))
+            write_lanes(address, at + 1, splat(step * step * rise))
+            if read_number(address, (at + CURVED) * LANES) > 0.0:
+                write_lanes(address, at + HARMLESS, splat(0.0))
+                write_number(address, (at + CURVED) * LANES, 0.0)
+            return
+        share = step * step
+        for k in range(DEGREE + 1):
+            write_lanes(address, at + k, splat(share * spans.loads[span, k]))
+            share *= inverse
+        for i in range(DEGREE if part > 0 else 0):
+            for k in range(DEGREE - 1, i - 1, -1):
+                add_lanes(address, at + k, part * read_lanes(address, at + k + 1))
+        harmless = (1.0 - min(SHARE * (spans.rate * step) ** 2, 1.0)) / (DEGREE + 1)
+        write_lanes(address, at + HARMLESS, harmless * read_lanes(address, at + DEGREE))
+        write_number(address, (at + CURVED) * LANES, 1.0)
 
     @jit
-    def advance(group, step, loads, has_begun, batch):
-        """Take a step; `loads` are the ground acceleration at its beginning, and the rise over it."""
-        ground, rise = loads
-        count = expand(group, step * step * ground, step * step * rise, has_begun, batch, None)
+    def begin(group):
+        """Coefficients 1 of the velocities."""
+        first(group.address, group.modal, group.n, group.n, group.n)
+
+    @jit
+    def advance(group, has_begun, batch):
+        """Take a step under the load that has been put on."""
+        count = expand(group, has_begun, batch, None)
         if kinks:
             if count > 0:
                 turn(batch, count, None)
-            apply(group.address, group.n, None)
+            apply(group.address, group.modal, group.n, None)
 
-    return rescale, copy, begin, advance
+    return rescale, copy, put_load, begin, advance
 
 
 @cache
 def march_of(series):
     """Return the function that takes groups of chains through a record."""
     _, record, entries, _ = layout_of(series)
-    rescale, copy, begin, advance = group_of(series)
+    rescale, copy, put_load, begin, advance = group_of(series)
     keep, _, accept, first_free = tape_of(series)
     order, tolerance = series.order, series.tolerance
     kinks = series.branch is not None
@@ -148,8 +176,12 @@ def march_of(series):
         return highest(where_less(lost, splat(0.5), ratio, splat(0.0)))
 
     @jit
-    def compare(group, ground, step, sample, wanted, observed, sums, tape):
-        """Add the misfits at the sensors to `sums`, four vectors for each of them."""
+    def compare(group, support, step, sample, wanted, observed, sums, tape):
+        """Add the misfits at the sensors to `sums`, four vectors for each of them.
+
+        `support` is the acceleration to add to those relative to the load: that of the load, less that of the
+        record if they are wanted relative to it.
+        """
         address = group.address
         share = splat(1.0 / observed.shape[1])
         for j in range(wanted.sensors.size):
@@ -160,8 +192,7 @@ def march_of(series):
                 value = read_lanes(address, here) * splat(1.0 / step)
             else:
                 value = read_lanes(address, here + 1) * splat(1.0 / (step * step))
-                if wanted.quantity == ABSOLUTE_ACCELERATION:
-                    value = value + ground
+                value = value + support
             misfit = observed[j, sample] - value
             if observed[j, sample] == observed[j, sample]:  # NaN is a gap
                 write_lanes(sums, 4 * j, read_lanes(sums, 4 * j) + misfit * misfit * share)
@@ -175,24 +206,35 @@ def march_of(series):
                 write_lanes(tape.misfits, sample * wanted.sensors.size + j, misfit)
 
     @jit
-    def march(group, batch, sums, start, excitation, wanted, observed, tape):
+    def divide(group, step, length):
+        """Return the number of steps to spans of another length; they are about as long as before."""
+        count = max(min(int(length / step), MAX_STEPS), 1)
+        rescale(group, length / count / step)
+        return count
+
+    @jit
+    def march(group, batch, sums, start, spans, wanted, observed, tape):
         """Write the statistics of the misfits; `start` is the number of steps to begin with."""
-        acceleration, dt, substeps, stride = excitation
-        length = dt / substeps
-        count = start
+        count, total = start, observed.shape[1]
+        length = spans.step * spans.widths[0]
         step = length / count
-        total = observed.shape[1]
         steps = slot = 0
         for sample in range(total):
-            fine = sample * stride
-            ground = ground_at(acceleration, fine, substeps)
-            begin(group, step, ground)
-            compare(group, ground, step, sample, wanted, observed, sums, tape)
+            span = spans.first[sample]
+            if spans.step * spans.widths[span] != length:
+                length = spans.step * spans.widths[span]
+                count = divide(group, step, length)
+                step = length / count
+            put_load(group, spans, span, 0, count)
+            begin(group)
+            support = spans.loads[span, 0]
+            if wanted.quantity != ABSOLUTE_ACCELERATION:
+                support -= spans.ground[sample]
+            compare(group, support, step, sample, wanted, observed, sums, tape)
             if sample == total - 1:
                 break
             begun = True
-            for _ in range(stride):
-                rise = ground_at(acceleration, fine + 1, substeps) - ground
+            while span < spans.first[sample + 1]:
                 copy(group, False)
                 if tape.capacity > 0:
                     slot = first_free(tape)
@@ -200,8 +242,9 @@ def march_of(series):
                     for part in range(count):
                         if tape.capacity > 0:
                             keep(group, tape.states, slot + part)
-                        loads = ground + rise * part / count, rise / count
-                        advance(group, step, loads, begun, batch)
+                        if not begun:  # otherwise it has been put on
+                            put_load(group, spans, span, part, count)
+                        advance(group, begun, batch)
                         begun = False
                     steps += count
                     ratio = needed(group, step, HUGE if count < MAX_STEPS else TOO_FAR)
@@ -213,7 +256,7 @@ def march_of(series):
                     if repeat:
                         copy(group, True)
                     elif tape.capacity > 0:
-                        accept(group, tape, fine, count)
+                        accept(group, tape, span, count)
                     if better != count:
                         rescale(group, count / better)
                         count = better
@@ -221,8 +264,7 @@ def march_of(series):
                     if not repeat:
                         break
                     copy(group, False)  # in terms of the new step
-                fine += 1
-                ground = ground_at(acceleration, fine, substeps)
+                span += 1
         if tape.capacity > 0:
             write_number(tape.numbers, COUNT, float(count))
         return steps

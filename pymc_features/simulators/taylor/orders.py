@@ -5,9 +5,10 @@ those of the drift,
 
     V_i,k+1 = [ H^2/m_i (f_i+1,k - f_i,k) - alpha H V_i,k - H^2 g_k ] / (k + 1),
 
-where f includes the dashpot, (beta k_i / H) R_i,k, and g_0, g_1 are the ground acceleration and its change
-over the step. One function is compiled for each k, a closure, so that its sums are written out. Each takes a
-block of `size` springs, from spring `high` down, and the next order stays one spring behind (`blocks.py`).
+where f includes the dashpot, (beta k_i / H) R_i,k, and g_k are the coefficients of the ground acceleration
+over the step (`ground/spans.py`). One function is compiled for each k, a closure, so that its sums are
+written out. Each takes a block of `size` springs, from spring `high` down, and the next order stays one
+spring behind (`blocks.py`).
 """
 
 from functools import cache
@@ -17,11 +18,14 @@ import numpy as np
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, magnitude, splat, where_less
 from pymc_features.simulators.compiled.vector_math import larger
-from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
+from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes
+from pymc_features.simulators.taylor.ground.projection import DEGREE
 from pymc_features.simulators.taylor.layout import (
+    CURVED,
     DASHPOT,
     DRAG,
     FIRST,
+    HARMLESS,
     LAST,
     LAST_Z,
     MOBILITY,
@@ -33,6 +37,7 @@ from pymc_features.simulators.taylor.layout import (
     U,
     add_lanes,
     layout_of,
+    load_of,
 )
 from pymc_features.simulators.taylor.series import Spring, Z, write_coefficient
 
@@ -62,23 +67,25 @@ def damping_of(record):
 def orders_from(series, k):
     """Return the function for coefficients k + 1 of the velocities; for k > 0 for all above as well.
 
-    Its `push` is that of k = 0 or 1. The function for k = 0 begins the step at the state in the entries.
+    The function for k = 0 begins the step at the state in the entries.
     """
     length, record, entries, constants = layout_of(series)
     expand, share, last = jit(series.expand), 1.0 / (k + 1), 1.0 / max(k, 1)
     rest = orders_from(series, k + 1) if 0 < k < series.order - 1 else None
-    loads, left = 1.0 if k <= 1 else 0.0, N_CHAIN_ENTRIES + k
+    load_at, left = load_of(series), N_CHAIN_ENTRIES + k
     starts, damp = k == 0, damping_of(record)
     begins = starts and series.branch is not None
     branch = jit(series.branch) if begins else None
     v_at = entries + V_END if starts else k
 
     @jit
-    def order(address, modal, n, push, high, size):
+    def order(address, modal, n, high, size):
         end, upper = (n + 1) * record, splat(0.0)
         if high < n:
             upper = read_lanes(address, end + left)
-        drag, load, here, largest = read_lanes(address, end + DRAG), push * loads, high * record, splat(0.0)
+        drag, here, largest, load = read_lanes(address, end + DRAG), high * record, splat(0.0), splat(0.0)
+        if k <= 1:
+            load = read_lanes(address, end + load_at + k)
         v = read_lanes(address, here + v_at)
         for _ in range(size):
             lower, at = here - record, here + entries
@@ -103,6 +110,10 @@ def orders_from(series, k):
                 largest = larger(largest, magnitude(acceleration))
             upper, v, here = force, v_lower, lower
         write_lanes(address, end + left, upper)
+        if 1 < k <= DEGREE and read_number(address, (end + load_at + CURVED) * LANES) > 0.0:
+            load = read_lanes(address, end + load_at + k) * share
+            for i in range(high - size + 1, high + 1):
+                add_lanes(address, i * record + k + 1, 0.0 - load)
         if modal != 0:
             damp(address + 8 * LANES * k, modal, n, -share)
             if starts:
@@ -112,7 +123,7 @@ def orders_from(series, k):
             write_lanes(address, end + FIRST, larger(read_lanes(address, end + FIRST), largest))
         if rest is not None:
             top = high + 1 if high < n else n
-            rest(address, modal, n, 0.0, top, size - 1 + top - high if size < high else top)
+            rest(address, modal, n, top, size - 1 + top - high if size < high else top)
 
     return order
 
@@ -122,19 +133,22 @@ def finish_of(series, moves):
     """Return the function that sums the series up at the end of a step, all of them or those of H v and z."""
     length, record, entries, _ = layout_of(series)
     order, kinks = series.order, series.branch is not None
-    z_first = (1 + Z) * length
+    z_first, load_at = (1 + Z) * length, load_of(series) + HARMLESS if order == DEGREE + 1 else 0
 
     @jit
     def finish(address, n, high, size):
         """Advance H v and z of a block of springs, and where it `moves` u.
 
-        Then the largest last coefficients of each chain are kept as well.
+        Then the largest last coefficients of each chain are kept as well, without what is no error in them.
         """
+        load = splat(0.0)
+        if load_at > 0:
+            load = read_lanes(address, (n + 1) * record + load_at)
         largest = largest_z = total = splat(0.0)
         for i in range(high - size + 1, high + 1):
             here = i * record
             v = read_lanes(address, here + order)
-            largest = larger(largest, magnitude(v))
+            largest = larger(largest, magnitude(v + load))
             u = v * (1.0 / (order + 1))
             for k in range(order - 1, -1, -1):
                 c = read_lanes(address, here + k)

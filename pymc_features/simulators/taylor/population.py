@@ -4,6 +4,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_memory import aligned
+from pymc_features.simulators.taylor.ground.spans import Spans
 from pymc_features.simulators.taylor.kinks import batch_size
 from pymc_features.simulators.taylor.layout import (
     DASHPOT,
@@ -94,14 +95,17 @@ class Lanes:
             damping = step * modal_damping(mass, stiffness, ratios)
             self.modal[:] = damping.transpose(1, 2, 0).reshape(-1, LANES)
 
-    def march(self, march, chains, problem, tape):
-        """March chains, one in each lane, through a record; see `march_population`."""
-        excitation, wanted, observed = problem
-        length = excitation.dt / excitation.substeps
-        start = int(min(max(np.ceil(length * largest_rate(*chains[:4]).max() / FIRST_PHASE), 1), MAX_STEPS))
-        self.fill(chains, length / start, LEAST_PEAK * np.abs(excitation.acceleration).max())
+    def march(self, march, chains, problem, tape) -> Spans:
+        """March chains, one in each lane, through a record; see `march_population`. Returns its spans."""
+        ground, wanted, observed = problem
+        rate = largest_rate(*chains[:4]).max()
+        spans = ground.spans(rate, self.series)
+        length = spans.step * spans.widths[0]
+        start = int(min(max(np.ceil(length * rate / FIRST_PHASE), 1), MAX_STEPS))
+        self.fill(chains, length / start, LEAST_PEAK * ground.peak)
         addresses = self.batch.ctypes.data, self.sums.ctypes.data
-        march(self.group, *addresses, start, excitation, wanted, observed, tape)
+        march(self.group, *addresses, start, spans, wanted, observed, tape)
+        return spans
 
     @property
     def lost(self):
@@ -137,7 +141,7 @@ def march_population(march, lanes, parameters, members, problem, result):
     members : integer array
         The particles, all of them structures.
     problem : tuple
-        Excitation, outputs wanted and data.
+        Ground acceleration (`spans.Ground`), outputs wanted and data.
     """
     lost = []
     for own in groups_of(members):

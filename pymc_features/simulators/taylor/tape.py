@@ -2,8 +2,8 @@
 
 A tape has room for `capacity` steps. Where a march takes more of them the tape is begun anew, as often as
 needed; the state at the beginning of every such segment is kept as well, so that the gradient can march
-through it once more. Kept are also the number of steps to each step of the recursion, and the misfits of the
-sensors.
+through it once more. Kept are also the number of steps to each span of the record (`ground/spans.py`), and
+the misfits of the sensors.
 """
 
 from contextlib import suppress
@@ -22,11 +22,11 @@ from pymc_features.simulators.compiled.vector_memory import (
 )
 from pymc_features.simulators.taylor.layout import RATE_SIGN, V_END, Z_END, Z_SIGN, U, layout_of
 
-MAX_STEPS = 64  # of a step of the recursion
+MAX_STEPS = 64  # of a span
 ROOM = 1 << 28  # bytes of the steps of a tape: some 1,500 samples of 100 masses
 KEPT_ROOM = 1 << 26  # bytes of the steps that are kept for the next gradient
-# Numbers: segments so far, steps of the last one, steps to one of the recursion at the end; then those to
-# each step of the recursion, then the first such step of each segment
+# Numbers: segments so far, steps of the last one, steps to a span at the end; then those to each span, then
+# the first span of each segment
 SEGMENTS, STEPS, COUNT, COUNTS = range(4)
 
 
@@ -40,8 +40,8 @@ class Tape(NamedTuple):
     misfits : address of vectors (time, sensor)
     numbers : address
         As listed above.
-    capacity, n_fine : int
-        Steps that there is room for; steps of the recursion.
+    capacity, n_spans : int
+        Steps and spans that there is room for.
     """
 
     states: int
@@ -49,7 +49,7 @@ class Tape(NamedTuple):
     misfits: int
     numbers: int
     capacity: int
-    n_fine: int
+    n_spans: int
 
 
 NO_TAPE = Tape(0, 0, 0, 0, 0, 0)
@@ -62,15 +62,15 @@ class TapeMemory:
     Pages that are never written cost nothing, new ones more than what is written there.
     """
 
-    def __init__(self, size, capacity, n_fine, n_sensors, n_samples):
-        self.sizes, self.state_bytes = (size, capacity, n_fine, n_sensors, n_samples), 8 * LANES * size
-        segments = n_fine * MAX_STEPS // (capacity - MAX_STEPS) + 1
+    def __init__(self, size, capacity, n_spans, n_sensors, n_samples):
+        self.sizes, self.state_bytes = (size, capacity, n_spans, n_sensors, n_samples), 8 * LANES * size
+        segments = n_spans * MAX_STEPS // (capacity - MAX_STEPS) + 1
         self.states = aligned(capacity * size * LANES)
         self.starts = aligned(segments * size * LANES)
         self.misfits = aligned(n_samples * n_sensors * LANES)
-        self.numbers = aligned(COUNTS + n_fine + segments)
+        self.numbers = aligned(COUNTS + n_spans + segments)
         memories = self.states, self.starts, self.misfits, self.numbers
-        self.tape = Tape(*(m.ctypes.data for m in memories), capacity, n_fine)
+        self.tape = Tape(*(m.ctypes.data for m in memories), capacity, n_spans)
 
     def clear(self):
         """Begin a march."""
@@ -82,11 +82,11 @@ class TapeMemory:
             _KEPT[:] = [self]
 
 
-def tape_memory(series, n, n_fine, n_sensors, n_samples) -> TapeMemory:
+def tape_memory(series, n, n_spans, n_sensors, n_samples) -> TapeMemory:
     """Return memory for chains with n springs: that of the last gradient, if it was of the same kind."""
     size = width_of(series) * n
-    capacity = max(min(n_fine * MAX_STEPS, ROOM // (8 * LANES * size)), 2 * MAX_STEPS)
-    sizes = size, capacity, n_fine, n_sensors, n_samples
+    capacity = max(min(n_spans * MAX_STEPS, ROOM // (8 * LANES * size)), 2 * MAX_STEPS)
+    sizes = size, capacity, n_spans, n_sensors, n_samples
     with suppress(IndexError):
         known = _KEPT.pop()  # no other thread takes it as well
         if known.sizes == sizes:
@@ -143,15 +143,15 @@ def tape_of(series):
                 write_lanes(address, at + Z_SIGN, z_sign)
 
     @jit
-    def accept(group, tape, fine, count):
-        """Note that `count` steps, behind those on the tape, led through step `fine` of the recursion."""
+    def accept(group, tape, span, count):
+        """Note that `count` steps, behind those on the tape, led through a span."""
         steps, segments = int(read_number(tape.numbers, STEPS)), int(read_number(tape.numbers, SEGMENTS))
-        write_number(tape.numbers, COUNTS + fine, float(count))
+        write_number(tape.numbers, COUNTS + span, float(count))
         if steps == 0:
             size = group.n * width
             for i in range(size):
                 write_lanes(tape.starts, segments * size + i, read_lanes(tape.states, i))
-            write_number(tape.numbers, COUNTS + tape.n_fine + segments, float(fine))
+            write_number(tape.numbers, COUNTS + tape.n_spans + segments, float(span))
             write_number(tape.numbers, SEGMENTS, segments + 1.0)
         write_number(tape.numbers, STEPS, float(steps + count))
 

@@ -10,7 +10,6 @@ from pymc_features.simulators.nonlinear.bouc_wen.series import (
     HYSTERETIC,
     LOSSES,
     LOSSES_BAR,
-    ORDER,
     PER_YIELD,
     POWER,
     SHARPNESS,
@@ -54,6 +53,7 @@ from pymc_features.simulators.taylor.series import (
     write_constant,
 )
 
+ORDER = 6
 SHARPEST = 6.0  # n of springs that take Taylor steps
 DISTANCES, REST = LOSSES + 1, LOSSES + 2  # series of y^2, and of c_2 + c_3 y + c_4 y^2
 LOSS, SIGN, POWER_OF_Z = range(POWER, POWER + 3)  # constants; the last of them begins those of `powers.py`
@@ -188,7 +188,7 @@ def reverse_sums_any(spring, bars, drift, loading, sign):
     shape = FROM_ZERO if drift is None else ACROSS
     add_power(spring, bars, POWER_OF_Z, loss, of_all, shape)
     add_loss(bars, loading, by_loss)
-    add_stiffnesses(spring, bars, drift, FORCES, 1.0 / constant_of(spring, PER_YIELD))
+    add_stiffnesses(spring, bars, drift, FORCES, 1.0 / constant_of(spring, PER_YIELD), ORDER)
 
 
 def reverse_tangent_any(spring, bars, z, of_tangents, loading, sign):

@@ -21,7 +21,7 @@ from pymc_features.simulators.taylor.series import (
 YIELD_DISPLACEMENT, RATIO, SHARPNESS, BETA, GAMMA = range(5)
 
 # z' = d' (1 - w) / d_y with w = loss |z|^n = a z + b z^2
-ORDER = 6
+ORDER = 7
 LOSSES = 2  # series of w
 ELASTIC, HYSTERETIC, PER_YIELD, LOADING, UNLOADING, POWER, BY_Z, BY_SQUARE, YIELD = range(9)
 
@@ -117,13 +117,13 @@ def add_losses(spring, bars, loading, sign, by_z, by_square):
 
 
 @unrolled
-def add_stiffnesses(spring, bars, drift, forces, d_y):
+def add_stiffnesses(spring, bars, drift, forces, d_y, order):
     """Add to the bars of the first three constants: dL/d(1/d_y) = d_y sum_k zbar_k z_k, k > 0.
 
-    `forces` is the series of their bars, and `d_y` the yield displacement.
+    `forces` is the series of their bars, `d_y` the yield displacement, and `order` that of the polynomials.
     """
     elastic = hysteretic = per_yield = splat(0.0)
-    for k in range(ORDER):
+    for k in range(order):
         per_yield = per_yield + (k + 1.0) * coefficient(bars, Z, k + 1) * coefficient(spring, Z, k + 1)
         if drift is not None:
             force = coefficient(bars, forces, k)
@@ -159,7 +159,7 @@ def reverse_sums(spring, bars, drift, loading, sign):
         z = coefficient(spring, Z, k)
         by_z = by_z + coefficient(bars, LOSSES_BAR, k) * z
         by_square = by_square + coefficient(bars, SQUARES_BAR, k) * z
-    add_stiffnesses(spring, bars, drift, FORCES, constant_of(spring, YIELD))
+    add_stiffnesses(spring, bars, drift, FORCES, constant_of(spring, YIELD), ORDER)
     add_losses(spring, bars, loading, sign, by_z, by_square)
 
 
@@ -190,7 +190,7 @@ class OneOrTwo(Group):
 
 SQUARES = Series(
     order=ORDER,
-    tolerance=4e-7,
+    tolerance=6e-8,
     n_series=3,
     n_constants=9,
     serves=serves,

@@ -13,8 +13,7 @@ def reverse_of(series):
     add_sums = sums_of(series)
 
     @jit
-    def reverse(address, bars, modal, n, loads, ahead):
-        """`loads` are H^2 times the ground acceleration at the beginning of the step, and its change."""
+    def reverse(address, bars, modal, n, ahead):
         largest = n if modal != 0 else BLOCK
         high = n
         while high > 0:
@@ -23,7 +22,7 @@ def reverse_of(series):
             top = high + order - 1 if high + order - 1 < n else n
             own = size - order + 1 + top - high if size < high else top
             first(address, bars, modal, n, ahead, top, own)
-            add_sums(address, bars, modal, n, loads, top, own)
+            add_sums(address, bars, modal, n, top, own)
             high -= size
 
     return reverse

@@ -20,12 +20,13 @@ from pymc_features.simulators.compiled.jit import jit, unrolled
 from pymc_features.simulators.compiled.vector import LANES, splat
 from pymc_features.simulators.compiled.vector_memory import prefetch, read_lanes, read_number, write_lanes
 from pymc_features.simulators.taylor.layout import (
+    CURVED,
     DASHPOT,
+    DEGREE,
     DRAG,
     HAS_KINK,
     MOBILITY,
     N_CHAIN_ENTRIES,
-    N_LEFT,
     RATE_SIGN,
     V_END,
     Z_END,
@@ -33,6 +34,7 @@ from pymc_features.simulators.taylor.layout import (
     U,
     add_lanes,
     layout_of,
+    load_of,
 )
 from pymc_features.simulators.taylor.series import RATE, Spring, Z
 from pymc_features.simulators.taylor.tape import width_of
@@ -72,7 +74,7 @@ def passing_size(series, n, has_modal_damping) -> int:
 def places_of(series):
     """Return the function for the beginning and the end of the ring, behind the bars that are kept."""
     own, (width, springs) = layout_of(bars_of(series)).record, ring_of(series)
-    behind = N_CHAIN_ENTRIES + N_LEFT * series.order
+    behind = load_of(series)
 
     @jit
     def places(modal, n):
@@ -217,13 +219,14 @@ def sums_of(series):
     _, own, own_entries, own_constants = layout_of(bars_of(series))
     order, sums, places = series.order, unrolled(series.adjoint.sums), places_of(series)
     row, forces = ring_of(series).width, ring_of(series).width - length
-    kinks, rates = series.branch is not None, (1 + RATE) * length
+    kinks, rates, load_at = series.branch is not None, (1 + RATE) * length, load_of(series)
 
     @jit
-    def add_sums(address, bars, modal, n, loads, high, size):
-        """`loads` are H^2 times the ground acceleration at the beginning of the step, and its change."""
-        drag, total = read_lanes(address, (n + 1) * record + DRAG), splat(0.0)
-        load, push = splat(loads[0]), splat(0.5 * loads[1])
+    def add_sums(address, bars, modal, n, high, size):
+        end, total = (n + 1) * record, splat(0.0)
+        drag, load = read_lanes(address, end + DRAG), read_lanes(address, end + load_at)
+        push = 0.5 * read_lanes(address, end + load_at + 1)
+        curved = read_number(address, (end + load_at + CURVED) * LANES) > 0.0
         first, behind = places(modal, n)
         at = first + (high - size) * row % (behind - first)
         for i in range(high - size + 1, high + 1):
@@ -239,6 +242,10 @@ def sums_of(series):
                 v = read_lanes(address, here + k + 1)
                 by_mass = by_mass + bar * v
             of_loads = read_lanes(bars, at + 1) * load + read_lanes(bars, at + 2) * push
+            if curved:
+                for k in range(2, min(order, DEGREE + 1)):
+                    share = read_lanes(address, end + load_at + k) * (1.0 / (k + 1))
+                    of_loads = of_loads + read_lanes(bars, at + k + 1) * share
             by_mass = by_mass + drag * by_drag + of_loads
             total = total - by_drag
             drift = read_lanes(address, here + entries + U) - read_lanes(address, lower + entries + U)

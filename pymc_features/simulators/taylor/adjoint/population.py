@@ -24,21 +24,19 @@ def add_gradients(kernels, lanes, parameters, members, problem, weights, gradien
         In the shapes of the parameters.
     """
     march, sweep = kernels
-    excitation, wanted, observed = problem
-    n_fine = (observed.shape[1] - 1) * excitation.stride
-    tape = tape_memory(lanes.series, lanes.n, n_fine, *observed.shape)
+    ground, wanted, observed = problem
+    tape = tape_memory(lanes.series, lanes.n, ground.n_steps, *observed.shape)
     memory = GradientLanes(lanes, len(observed), weights.shape[2])
     lost, done, bars = [], [], []
     for own in groups_of(members):
         chains = rows_of(parameters, np.resize(own, LANES))
         tape.clear()
-        lanes.march(march, chains, problem, tape.tape)
+        spans = lanes.march(march, chains, problem, tape.tape)
         if lanes.lost.any():  # the steps of its neighbours went by it
             lost.append(own)
             continue
         memory.clear(weights[np.resize(own, LANES)])
-        count = sweep(lanes.group, memory.memory, tape.tape, excitation, wanted, observed)
-        step = excitation.dt / excitation.substeps / count
+        step = sweep(lanes.group, memory.memory, tape.tape, spans, wanted, observed)
         bars.append(ChainBars(*(x[: len(own)] for x in memory.take(step))))
         done.append(own)
     tape.keep()

@@ -67,32 +67,32 @@ def step_adjoint(series):
         spread, restore_branches = branches_of(series)
 
     @jit
-    def reverse_step(group, memory, states, slot, loads):
+    def reverse_step(group, memory, states, slot):
         """Repeat the step that begins in a slot, and carry bars back over it."""
         address, _, modal, n = group
         bars = memory.bars
         if kinks:
             write_number(memory.trace, 0, 0.0)
         state = states + 8 * LANES * (slot * n * width)
-        count = expand(group, loads[0], loads[1], state, memory.batch, memory.trace)
+        count = expand(group, state, memory.batch, memory.trace)
         if kinks:
             if count > 0:
                 turn(memory.batch, count, memory.trace)
-            apply(address, n, memory.before)
-            unapply(address, bars, n, memory.before)
+            apply(address, modal, n, memory.before)
+            unapply(address, bars, (modal, memory.modal), n, memory.before)
             spread(address, bars, n)
             unturn(bars, memory.kinks, memory.trace)
             restore_branches(group, state)
         ahead = states + 8 * LANES * (max(slot - 1, 0) * n * width)
-        reverse(address, bars, modal, n, loads, ahead)
+        reverse(address, bars, modal, n, ahead)
         if modal != 0:
             add_damping(address, bars, memory.modal, n)
 
     @jit
-    def reverse_end(group, memory, loads):
+    def reverse_end(group, memory):
         """Carry bars back over the first order of a step behind the end of the march."""
         address, _, modal, n = group
-        reverse(address, memory.bars, modal, n, loads, address)
+        reverse(address, memory.bars, modal, n, address)
         if modal != 0:
             add_damping(address, memory.bars, memory.modal, n)
 

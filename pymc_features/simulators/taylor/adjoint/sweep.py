@@ -19,7 +19,6 @@ from pymc_features.simulators.compiled.vector_memory import (
 from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_DISPLACEMENT,
     RELATIVE_VELOCITY,
-    ground_at,
 )
 from pymc_features.simulators.taylor.adjoint.kinks import bars_size
 from pymc_features.simulators.taylor.adjoint.orders import OF_U, bars_of, passing_size
@@ -110,7 +109,7 @@ def misfits_of(series):
 @cache
 def sweep_of(series):
     """Return the function that takes bars from the end of a march to its beginning."""
-    rescale, _, _, advance = group_of(series)
+    rescale, _, put_load, _, advance = group_of(series)
     _, own, entries, _ = layout_of(bars_of(series))
     (keep, restore, _, _), width = tape_of(series), width_of(series)
     reverse_step, reverse_end = step_adjoint(series)
@@ -131,70 +130,68 @@ def sweep_of(series):
                 write_lanes(memory.modal, i, inverse * read_lanes(memory.modal, i))
 
     @jit
-    def count_of(tape, fine):
-        return int(read_number(tape.numbers, COUNTS + fine))
+    def count_of(tape, span):
+        return int(read_number(tape.numbers, COUNTS + span))
 
     @jit
-    def march_again(group, memory, tape, segment, last, count, excitation):
-        """March through a segment, to step `last` of the recursion, and keep its states on the tape."""
-        acceleration, dt, substeps, _ = excitation
-        first = int(read_number(tape.numbers, COUNTS + tape.n_fine + segment))
+    def step_of(spans, tape, span):
+        return spans.step * spans.widths[span] / count_of(tape, span)
+
+    @jit
+    def march_again(group, memory, tape, segment, last, step, spans):
+        """March through a segment, to span `last`, and keep its states on the tape."""
+        first = int(read_number(tape.numbers, COUNTS + tape.n_spans + segment))
         slot = 0
-        for fine in range(first, last + 1):
-            rescale(group, count / count_of(tape, fine))
-            count = count_of(tape, fine)
-            if fine == first:
+        for span in range(first, last + 1):
+            rescale(group, step_of(spans, tape, span) / step)
+            step, count = step_of(spans, tape, span), count_of(tape, span)
+            if span == first:
                 start = tape.starts + 8 * LANES * (segment * group.n * width)
                 restore(group, start, group.n, group.n)
-            ground, step = ground_at(acceleration, fine, substeps), dt / substeps / count
-            rise = ground_at(acceleration, fine + 1, substeps) - ground
             for part in range(count):
                 keep(group, tape.states, slot)
-                loads = ground + rise * part / count, rise / count
-                advance(group, step, loads, False, memory.batch)
+                put_load(group, spans, span, part, count)
+                advance(group, False, memory.batch)
                 slot += 1
         return slot
 
     @jit
-    def sweep(group, memory, tape, excitation, wanted, observed):
-        """Write the bars of a group that has just been marched; return the number of steps of its first."""
-        acceleration, dt, substeps, stride = excitation
-        length, total, n_fine = dt / substeps, observed.shape[1], tape.n_fine
-        count = count_of_bars = int(read_number(tape.numbers, COUNT))
-        step = length / count
-        ground = ground_at(acceleration, n_fine, substeps)
-        weigh(memory, tape, total - 1, step, wanted, observed)
-        reverse_end(group, memory, (step * step * ground, 0.0))
+    def sweep(group, memory, tape, spans, wanted, observed):
+        """Write the bars of a group that has just been marched; return the step [s] of its first span."""
+        sample, n_spans = observed.shape[1] - 1, spans.widths.size - 1
+        count = int(read_number(tape.numbers, COUNT))
+        step = step_of_bars = spans.step * spans.widths[n_spans] / count
+        weigh(memory, tape, sample, step, wanted, observed)
+        put_load(group, spans, n_spans, 0, count)
+        reverse_end(group, memory)
         forget(memory, wanted)
-        last, slot = n_fine - 1, int(read_number(tape.numbers, STEPS))
+        last, slot = n_spans - 1, int(read_number(tape.numbers, STEPS))
         for segment in range(int(read_number(tape.numbers, SEGMENTS)) - 1, -1, -1):
-            first = int(read_number(tape.numbers, COUNTS + n_fine + segment))
-            if last < n_fine - 1:
-                slot = march_again(group, memory, tape, segment, last, count, excitation)
-                count = count_of(tape, last)
-            for fine in range(last, first - 1, -1):
-                now = count_of(tape, fine)
-                if now != count:
-                    rescale(group, count / now)
-                    count = now
-                if now != count_of_bars:
-                    rescale_bars(group, memory, count_of_bars / now)
-                    count_of_bars = now
-                step = length / count
-                ground = ground_at(acceleration, fine, substeps)
-                rise = ground_at(acceleration, fine + 1, substeps) - ground
+            first = int(read_number(tape.numbers, COUNTS + tape.n_spans + segment))
+            if last < n_spans - 1:
+                slot = march_again(group, memory, tape, segment, last, step, spans)
+                step = step_of(spans, tape, last)
+            for span in range(last, first - 1, -1):
+                count, now = count_of(tape, span), step_of(spans, tape, span)
+                if now != step:
+                    rescale(group, now / step)
+                    step = now
+                if now != step_of_bars:
+                    rescale_bars(group, memory, now / step_of_bars)
+                    step_of_bars = now
+                if span < spans.first[sample]:
+                    sample -= 1
                 for part in range(count - 1, -1, -1):
                     slot -= 1
-                    now_ground = ground + rise * part / count
-                    loads = step * step * now_ground, step * step * rise / count
-                    is_sample = part == 0 and fine % stride == 0
+                    put_load(group, spans, span, part, count)
+                    is_sample = part == 0 and span == spans.first[sample]
                     if is_sample:
-                        weigh(memory, tape, fine // stride, step, wanted, observed)
-                    reverse_step(group, memory, tape.states, slot, loads)
+                        weigh(memory, tape, sample, step, wanted, observed)
+                    reverse_step(group, memory, tape.states, slot)
                     if is_sample:
                         forget(memory, wanted)
             last = first - 1
-        return count_of_bars
+        return step_of_bars
 
     return sweep
 
