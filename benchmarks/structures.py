@@ -47,7 +47,7 @@ def structures(case):
 def population(structure, case):
     """As many particles as the case has, whose springs differ by 10 %."""
     rng = np.random.default_rng(0)
-    parameters = [np.asarray(p)[None] for p in structure.parameters()]
+    parameters = [np.array(p)[None] for p in structure.parameters()]
     varied = 0 if structure.family == "linear" else 1  # theta, or the springs
     spread = 0.1 * rng.uniform(-1.0, 1.0, (len(case.stiffness), parameters[varied].shape[1]))
     parameters[varied] = parameters[varied] * (1.0 + spread) + (spread if varied == 0 else 0.0)
@@ -60,7 +60,7 @@ def kernels(population):
     family, record = FAMILIES[structure.family], pmf.Record(case.acceleration, case.dt)
     rows = family.rows(case.sensors, case.n_dof)
     rows = rows.toarray() if sparse.issparse(rows) else rows
-    excitation = (structure.excitation(record), case.dt, case.substeps, 1)
+    excitation = (np.array(structure.excitation(record)), case.dt, case.substeps, 1)
     inputs = (*parameters, *structure.constants(record), *excitation, rows, case.n_dof)
     arguments = family.assemble(inputs, 0)
     weights = np.ones((len(case.stiffness), case.sensors.size, 1))

@@ -1,5 +1,6 @@
 """Where tests find data, and which record they use."""
 
+import contextlib
 import gc
 import os
 import socket
@@ -73,10 +74,23 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """Look for garbage less often: what is imported stays, and graphs are made of very many objects."""
+    """Look for garbage less often: what is imported stays, and graphs are made of very many objects.
+
+    But not so seldom that those no longer lie in a cache of the processor, where they are freed faster.
+    """
     gc.freeze()
-    gc.set_threshold(1_000_000, 20, 20)
+    gc.set_threshold(30_000, 20, 40)
     gc.enable()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """Tests, and their fixtures, compile in FAST_COMPILE; examples and `default_mode` as users do."""
+    import pytensor
+
+    as_users_do = isinstance(item, pytest.DoctestItem) or item.get_closest_marker("default_mode")
+    with contextlib.nullcontext() if as_users_do else pytensor.config.change_flags(mode="FAST_COMPILE"):
+        return (yield)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -121,15 +135,6 @@ def record():
     from pymc_features import datasets
 
     return datasets.el_centro()
-
-
-@pytest.fixture(scope="module")
-def fast_compile():
-    """Compile for small examples."""
-    import pytensor
-
-    with pytensor.config.change_flags(mode="FAST_COMPILE"):
-        yield
 
 
 @pytest.fixture(autouse=True)

@@ -10,6 +10,7 @@ from pymc.smc.kernels import SMC_KERNEL
 from support.hooks import CHECKS
 from support.private_names import PACKAGE, listed_hooks, used_hooks
 
+pytestmark = pytest.mark.default_mode
 HOOKS = listed_hooks()
 
 

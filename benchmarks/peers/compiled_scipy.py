@@ -36,8 +36,8 @@ def prepare(population):
                 rtol=TOLERANCE,
                 atol=1e-2 * TOLERANCE,
                 max_step=case.step,
-            ).y
-            own = [at(t, y, *given)[n : 2 * n] + g for t, y, g in zip(times, found.T, ground, strict=True)]
+            ).y.T.copy()  # rows, for which `at` is compiled
+            own = [at(t, y, *given)[n : 2 * n] + g for t, y, g in zip(times, found, ground, strict=True)]
             yield np.array(own).T[case.sensors]
 
     return lambda: mean_squares(list(histories()), case)

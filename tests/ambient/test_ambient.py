@@ -13,7 +13,6 @@ import pymc_features as pmf
 from pymc_features.simulators.spectra import Lines, SpectralParameters, spectral_gradient, spectral_logp
 from pymc_features.smc import population_logp
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
 M, S, R, B, K = 3, 5, 4, 2, 40
 STARTS = np.array([0, 16, 40])
 F = np.concatenate([np.linspace(0.8, 1.2, 16), np.linspace(2.0, 3.0, 24)])

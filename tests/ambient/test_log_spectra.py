@@ -10,7 +10,6 @@ import pymc_features as pmf
 from pymc_features.ambient.log_spectra import LogSpectra, LogSpectraGradient
 from pymc_features.smc import population_logp
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
 DT, N = 0.05, 12_000
 BANDS = [[1.0, 2.5], [4.0, 6.0]]
 STIFFNESS = 900.0

@@ -98,6 +98,7 @@ def test_log_likelihood_of_each_sensor(updated, pulse, measured):
             np.testing.assert_allclose(values.values[c, d], expected, rtol=1e-10)
 
 
+@pytest.mark.default_mode
 def test_model_log_probability(updated, pulse, measured):
     """`compile_logp` by Numba: the equation, and -inf, not an exception, where nothing is valid."""
     likelihood, model, _ = updated
@@ -172,6 +173,7 @@ def test_posterior_predictive_has_the_law_of_the_feature(likelihood, pulse):
     assert stats.kstest(rms.ravel(), RMS_LAW[OTHER[likelihood]].cdf).pvalue < 1e-9
 
 
+@pytest.mark.default_mode
 @pytest.mark.slow
 @EVERY_FEATURE
 def test_draws_by_numba(likelihood):

@@ -1,5 +1,6 @@
 """Each notebook asks a question, runs, and its assertions hold."""
 
+import gc
 import multiprocessing
 import os
 import re
@@ -47,6 +48,8 @@ def run_cells(sources, folder, errors):
     from IPython.core.interactiveshell import InteractiveShell
 
     os.chdir(folder)
+    gc.freeze()  # what is imported stays
+    gc.set_threshold(30_000, 20, 40)
     pytensor.config.mode = "FAST_COMPILE"
     shell = InteractiveShell.instance()
     for source in sources:

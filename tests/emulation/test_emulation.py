@@ -21,7 +21,6 @@ from pymc_features.emulation.replacement import replaced
 from pymc_features.exceptions import SamplingWarning
 from support.external_models import AtOnce
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
 TIME = np.linspace(0.0, 3.0, 40)
 LENGTHS = np.array([0.7, 1.3])
 

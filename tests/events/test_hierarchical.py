@@ -45,6 +45,7 @@ def population(scatter=None, shape=()):
     return hyper
 
 
+@pytest.mark.default_mode
 @pytest.mark.slow
 def test_eight_schools(monkeypatch):
     """Mean, scatter, evidence and the next school, by quadrature; without a compilation of ten seconds.

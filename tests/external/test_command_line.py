@@ -13,7 +13,6 @@ from pymc_features.external import checks
 from pymc_features.external.evaluator import EvaluationOptions, Evaluator
 from support.external_functions import DATA, SHAPE, beam, lives, wait_until
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
 PYTHON = [sys.executable, "-S"]
 SUM = (
     "a, b = map(float, open('in.txt').read().split()); open('out.csv', 'w').write(f'0,{a},{b}\\n1,{b!r},{a}')"

@@ -24,8 +24,6 @@ from support.external_functions import DATA, SHAPE, beam
 from support.external_models import LIKELIHOODS, BrokenElsewhere, model_of
 from support.sampling import QUIET
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 
 def test_responses_and_discrepancies(simulator):
     s = simulator(executor=2)

@@ -28,7 +28,6 @@ from support.commands import run_python
 from support.external_functions import DATA, Counted, beam
 from support.sampling import QUIET
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
 # --------------------------------------------------------------------------- identity
 
 

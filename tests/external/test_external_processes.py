@@ -23,7 +23,7 @@ from support.external_functions import DATA, SECONDS, SHAPE, Counted, Hanging, b
 from support.external_models import BrokenElsewhere, model_of
 from support.sampling import QUIET
 
-pytestmark = [pytest.mark.usefixtures("fast_compile"), pytest.mark.processes]
+pytestmark = pytest.mark.processes
 
 
 def test_ways_to_fail(simulator):

@@ -9,8 +9,6 @@ from scipy import stats
 
 import pymc_features as pmf
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 
 @pytest.fixture(scope="module")
 def hierarchy():

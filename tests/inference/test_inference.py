@@ -22,7 +22,6 @@ from pymc_features.study.models import declare
 LIKELIHOODS = ["NORM", "TN", "EXP"]
 QUIET = {"progressbar": False, "random_seed": 1}
 ONE = {"cores": 1}  # a process for each chain takes longer to start than its chain
-pytestmark = pytest.mark.usefixtures("fast_compile")  # all but NUTS, which evaluates most often
 
 
 class Example:

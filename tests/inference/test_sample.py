@@ -14,8 +14,6 @@ from pymc_features.inference import beside
 from pymc_features.inference import sample as function_of_package
 from pymc_features.smc.density.evaluation import PopulationLogp
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 QUIET = {"progressbar": False, "random_seed": 1, "cores": 1}
 ATTRIBUTES = {
     *("max_r_hat", "log_evidence", "log_evidence_se", "ess", "pareto_k", "heavy_share", "n_modes"),

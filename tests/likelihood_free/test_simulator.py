@@ -239,6 +239,7 @@ def exact_interval(rho, epsilon):
     return brentq(gap, first - step, first), brentq(gap, last, last + step)
 
 
+@pytest.mark.default_mode
 @pytest.mark.statistical
 def test_stock_smc_fills_the_exact_interval(pulse, measured, rho):
     """ABC posterior under a flat prior: uniform on {theta: rho <= epsilon}.

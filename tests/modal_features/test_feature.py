@@ -19,8 +19,6 @@ from pymc_features.modal_features.assignment import Assignment
 from pymc_features.modal_features.identified import identified
 from support.graphs import LIGHT, PLAIN, REWRITTEN
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 UNDAMPED = ModalDamping(0.0)
 
 

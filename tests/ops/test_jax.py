@@ -416,6 +416,7 @@ def one_stiffness():
     return model, mean, np.sqrt(probability @ (middle - mean) ** 2)
 
 
+@pytest.mark.default_mode
 @pytest.mark.statistical
 @pytest.mark.parametrize("sampler", SAMPLERS)
 def test_samplers_find_the_posterior(sampler, one_stiffness, quick_compilation):

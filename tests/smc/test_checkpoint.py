@@ -29,7 +29,6 @@ from support.external_functions import DATA, SHAPE, Counted, beam, note
 from support.sampling import QUIET
 
 DRAWS = 80
-pytestmark = pytest.mark.usefixtures("fast_compile")
 
 
 class Interrupted(BaseException):

@@ -15,6 +15,7 @@ from pymc_features import ExpFeature, ModalDamping, SpringMassChain, response, s
 from pymc_features.smc import population_logp
 from pymc_features.smc.density.compilation import has_python_loops, with_mode
 
+pytestmark = pytest.mark.default_mode
 RECORD = synthetic_earthquake(2.0, 0.02, random_seed=1)
 
 

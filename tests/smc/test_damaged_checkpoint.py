@@ -26,7 +26,6 @@ OTHER_JSON = [
     '{"random_seed": [], "chains": 1}',
     "[" * 10**5,
 ]
-pytestmark = pytest.mark.usefixtures("fast_compile")
 
 
 def model_of(data=0.5):

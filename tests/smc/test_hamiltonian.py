@@ -24,9 +24,6 @@ from pymc_features.smc.proposals.reference import Mode, Reference
 from support.reference import richardson
 from support.sampling import QUIET, mean_within_errors, run_chain
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
-
 # --------------------------------------------------------------------------- targets with exact quantiles
 
 

@@ -108,7 +108,6 @@ def structure():
     return model
 
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
 MODELS = (gaussian, many_variables, discrete, potential, data, structure)
 
 

@@ -33,7 +33,6 @@ from support.families import CASES, measured
 from support.graphs import our_ops_of
 from support.reference import richardson
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
 CLOSE = {"rtol": 1e-9, "atol": 1e-9}
 
 

@@ -9,8 +9,6 @@ from pymc_features.smc.proposals import proposal
 from pymc_features.smc.proposals.proposal import StudentMixture, StudentT, fit_mixture
 from support.sampling import mean_within_errors
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 
 def draws_from(mixture, n, rng):
     """Independent draws by the definition of a mixture of Student-t distributions."""

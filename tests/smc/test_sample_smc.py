@@ -27,8 +27,6 @@ from pymc_features.exceptions import PopulationWarning
 from pymc_features.smc import KERNELS
 from support.sampling import SERIAL
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 
 def regression():
     """Named axes, a positive parameter and a deterministic one."""

@@ -15,7 +15,7 @@ from pymc_features import TMCMC, PersistentSMC, PopulationIMH, PopulationMH
 from pymc_features.smc import KERNELS
 from support.sampling import mean_within_errors, run_chain
 
-pytestmark = [pytest.mark.usefixtures("fast_compile"), pytest.mark.statistical]
+pytestmark = pytest.mark.statistical
 
 
 SEEDS = range(12)

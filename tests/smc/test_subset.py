@@ -29,9 +29,6 @@ from support.sampling import QUIET, mean_within_errors
 from support.structures import noise_record, with_noise
 from support.subset import Banana, ball, batched, cube, identity, itself, own, run, sample, stock, twice
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
-
 # --------------------------------------------------------------------------- what a run reports
 
 

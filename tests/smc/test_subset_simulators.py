@@ -10,8 +10,6 @@ from pymc_features.exceptions import SimulationWarning, SubsetSimulationWarning
 from support.refusals import refusals
 from support.subset import batched, identity, itself, own, sample, stock, twice
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 
 def raising(error):
     def function(x):

@@ -14,7 +14,7 @@ from pymc_features import DiscrepancySimulator, SubsetSimulation
 from support.sampling import mean_within_errors
 from support.subset import Banana, TwoModes, ball, batched, cube, radius, run
 
-pytestmark = [pytest.mark.usefixtures("fast_compile"), pytest.mark.statistical]
+pytestmark = pytest.mark.statistical
 
 
 # --------------------------------------------------------------------------- exact volumes

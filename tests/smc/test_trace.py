@@ -15,8 +15,6 @@ from pymc_features import PopulationIMH, TruncNormalFeature, paper, response, sa
 from pymc_features.smc.trace import all_draws_at_once
 from support.structures import noise_record
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 
 def transforms():
     with pm.Model(coords={"place": range(2)}) as model:

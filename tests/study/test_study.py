@@ -23,7 +23,7 @@ from pymc_features.study import sampling_rate as study_module
 from pymc_features.study.settings import Study
 from pymc_features.study.structures import find_structure
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("fast_compile")]
+pytestmark = pytest.mark.slow
 
 KINDS = ("NORM", "TN", "EXP")
 ALL_KINDS = (*KINDS, "ABC", "CN", "CN-SIGMA", "CN-TAU", "CAL")

@@ -16,7 +16,7 @@ from pymc_features.study.sampling_rate import SamplingOptions
 from pymc_features.study.settings import Study
 from pymc_features.study.structures import DEFAULT
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("fast_compile")]
+pytestmark = pytest.mark.slow
 
 KINDS = ("NORM", "TN", "EXP", "ABC")
 QUANTILES = ["q05", "q50", "q95"]

@@ -9,7 +9,7 @@ from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve, Exponen
 from pymc_features.study import sampling_rate as study_module
 from pymc_features.study.settings import Study
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("fast_compile")]
+pytestmark = pytest.mark.slow
 
 STEPS = (0.2, 1.0)  # over that of the record
 

@@ -16,7 +16,7 @@ from pymc_features.umbridge.client import checked_shape
 from pymc_features.umbridge.server import models_of
 from support.external_models import AtOnce
 
-pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("fast_compile")]
+pytestmark = pytest.mark.processes
 SERVER = """
 import sys
 from test_umbridge_model import declare

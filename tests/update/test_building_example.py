@@ -10,6 +10,7 @@ from pymc_features import cli, datasets, simulate
 from pymc_features.update import read_problem, write_example
 from update.test_update import replaced
 
+pytestmark = pytest.mark.default_mode
 QUICK = [
     ('kinds = ["CAL", "NORM"]', 'kinds = ["CAL"]'),
     ("draws = 1000", "draws = 300"),

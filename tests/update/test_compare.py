@@ -12,8 +12,6 @@ from pymc_features.update import read_problem, run_update, write_example
 from pymc_features.update.problem.model import declare
 from update.test_update import replaced
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 KINDS = 'kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]'
 TAU = 'tau = { distribution = "HalfNormal", sigma = 0.1 }\n'
 TRIM = "# trim = [0.0, 10.0]"

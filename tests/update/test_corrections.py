@@ -12,8 +12,6 @@ from pymc_features.signals.correct import earlier
 from pymc_features.update import read_problem, write_example
 from update.test_update import replaced
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 SENSORS = ("base", "floor1", "floor2", "floor3")
 LATE = 0.0125  # s, one and a half samples
 

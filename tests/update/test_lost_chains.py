@@ -14,8 +14,6 @@ from pymc_features.update import write_example
 from pymc_features.update.chains import without_lost_chains
 from update.test_update import replaced
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 PLACES = np.array([20.0, 20.0, -20.0, 20.0])  # of the chains
 
 

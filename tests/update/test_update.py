@@ -281,6 +281,7 @@ def finished(example):
     return out
 
 
+@pytest.mark.default_mode
 @pytest.mark.processes
 def test_update_on_two_processes(example, finished, tmp_path, capsys, monkeypatch):
     """The draws of one; what is no executor is refused before anything is sampled."""

@@ -19,8 +19,6 @@ from pymc_features.update.problem.model import declare
 from pymc_features.update.report.findings import findings
 from support.linear import as_linear
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 STEP, N = 0.02, 20_000  # s, samples
 MASS, DRAWN = 1e5, np.array([1.2e8, 1e8])  # kg, N/m
 TRUE = {"k1": 0.8, "k2": 1.1, "zeta": 0.02, "wind": 1e6, "noise": 1e-6}

@@ -13,7 +13,7 @@ from pymc_features.update.report.summary import supported
 from pymc_features.update.sequence import Running
 from update.test_update import replaced, table_of, variant
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("fast_compile")]
+pytestmark = pytest.mark.slow
 
 SMALL = [
     ('kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]', 'kinds = ["GAMMA", "CAL"]'),

@@ -11,8 +11,6 @@ from pymc_features.update.report.findings import findings
 from pymc_features.update.report.outputs import write_outputs
 from support.refusals import refusals
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 TRUE = {"k": 2e7, "d_y": 0.008, "slip": 0.7}
 TEXT = """
 [cyclic]

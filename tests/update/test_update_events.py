@@ -18,7 +18,7 @@ from pymc_features.update.problem.model import declare
 from pymc_features.update.report.verdict import foretold
 from pymc_features.update.run import seed_of
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("fast_compile")]
+pytestmark = pytest.mark.slow
 
 SOUND, DAMAGED = (400.0, 400.0, 400.0), (400.0, 300.0, 400.0)
 NOISE = 0.5  # m/s^2

@@ -13,8 +13,6 @@ from pymc_features.update.report.findings import findings
 from pymc_features.update.sequence import Running
 from update.test_update import replaced
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 KINDS = 'kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]'
 QUICK = [
     (KINDS, 'kinds = ["CAL", "NORM", "EXP"]'),

@@ -15,8 +15,6 @@ from pymc_features.update import read_problem, run, run_update
 from pymc_features.update.problem.model import declare
 from pymc_features.update.report.modes import ModeRow, modes_verdict
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 MASS, DRAWN, TRUE = 1.6e5, np.array([3.4e8, 3.0e8, 2.5e8]), {"k1": 0.8, "k2": 1.0, "k3": 1.1}
 NAMES = ["floor 1", "floor 2", "roof"]
 MODAL = """

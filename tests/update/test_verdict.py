@@ -22,8 +22,6 @@ from pymc_features.update.report.summary import overlap_of
 from pymc_features.update.report.verdict import foretold, verdict
 from update.test_update import replaced
 
-pytestmark = pytest.mark.usefixtures("fast_compile")
-
 MASS, STIFFNESS = [0.1601, 0.1601, 0.1421], [385.0, 420.0, 600.0]
 BUILDING = SpringMassChain(MASS, STIFFNESS, ModalDamping(0.01))
 SHAKING = synthetic_earthquake(12.0, 0.01, random_seed=7, pga=3.0)
