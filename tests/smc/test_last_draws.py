@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 import pymc as pm
+import pytest
 
 from pymc_features.smc import PersistentSMC
 from pymc_features.smc.kernels import last_draws
@@ -41,6 +42,7 @@ def good_ones(share, seeds=40):
     return good
 
 
+@pytest.mark.statistical
 def test_a_reference_that_misses_a_part_is_not_good():
     """Two of a thousand draws of it stand for 5 % of the posterior, and often none of the first 400.
 
