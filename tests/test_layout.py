@@ -302,6 +302,7 @@ def test_the_command_imports_little_before_it_answers_to_ctrl_c():
     assert run(sys.executable, "-c", code).strip() == "[]"
 
 
+@pytest.mark.processes
 def test_names_are_imported_when_they_are_asked_for():
     code = """if True:
         import sys, pymc_features as pmf

@@ -70,6 +70,7 @@ def test_every_hook_has_a_check():
     assert len(HOOKS) - len(IN_THIS_PROCESS) < 6  # attributes of objects, and JAX's
 
 
+@pytest.mark.slow
 def test_every_hook_in_use_is_listed():
     listed = {(name, file) for hook in HOOKS for file in hook.files for name in (hook.name, hook.last)}
     unlisted = used_hooks() - listed

@@ -50,6 +50,7 @@ def test_mean_of_a_process_of_first_order(model):
     np.testing.assert_allclose(again["n_eff"], m, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_white_noise_gives_the_conventional_likelihood(model):
     """m is about the number of samples (15 % in each sensor), the posterior of a, by quadrature, NORM's."""
     errors = 0.5 * np.random.default_rng(4).standard_normal((N_SENSORS, N_TIMES))

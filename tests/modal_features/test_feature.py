@@ -292,6 +292,7 @@ def test_the_order_of_the_measured_modes_means_nothing():
 # --------------------------------------------------------------------------- draws
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("kind", [float, complex])
 def test_draws_have_the_laws_of_the_features(kind):
     """Kolmogorov-Smirnov on ln f and 1 - MAC; each fails once in 10,000, and rejects a law with another m."""

@@ -44,6 +44,7 @@ def good_ones(share, seeds=40):
     return good
 
 
+@pytest.mark.statistical
 def test_a_reference_that_misses_a_part_is_not_good():
     """Two of a thousand draws of it stand for 5 % of the posterior, and often none of the first 400.
 

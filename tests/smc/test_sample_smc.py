@@ -90,6 +90,7 @@ def test_netcdf(saved, tmp_path):
         xr.testing.assert_equal(loaded.load(), idata)
 
 
+@pytest.mark.slow
 def test_zarr(saved, tmp_path):
     pytest.importorskip("zarr")
     _, idata = saved

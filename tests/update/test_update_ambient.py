@@ -260,6 +260,7 @@ def test_check_says_the_bands_and_draws(path, capfd):
     assert path.with_name("wind-check-modes.png").stat().st_size > 5_000
 
 
+@pytest.mark.slow
 def test_a_machine_is_told(tmp_path):
     """A sine of the roof between two modes, in a band of its own."""
     values = shaken(1)
