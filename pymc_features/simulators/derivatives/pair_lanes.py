@@ -214,7 +214,7 @@ def sum_pairs(lanes, pairs, excitation, observed):
     pairs.of_ground.fill(0.0)
     for first in range(0, observed.shape[1], SAMPLES):
         if has_own_ground(source, first) or has_own_data(source, first):
-            copy_block(lanes, excitation, observed, first)
+            copy_block(lanes, source, excitation, observed, first)
         block = block_of(source, first)
         for r in range(m):
             store(pairs.before, 4 * r, load(lanes.states, 2 * r))

@@ -131,10 +131,12 @@ def has_own_data(source, first):
 
 
 @jit
-def copy_block(lanes, excitation, observed, first):
-    """Write excitation and data of the block from sample `first` on into the lanes, zeros behind the end."""
-    interpolate(excitation.acceleration, excitation.substeps, first * excitation.stride, lanes.ground)
-    copy_data(lanes, observed, first)
+def copy_block(lanes, source, excitation, observed, first):
+    """Write what `block_of` reads in the lanes, excitation or data or both; zeros behind the end."""
+    if has_own_ground(source, first):
+        interpolate(excitation.acceleration, excitation.substeps, first * excitation.stride, lanes.ground)
+    if has_own_data(source, first):
+        copy_data(lanes, observed, first)
 
 
 @jit

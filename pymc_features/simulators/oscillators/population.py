@@ -155,7 +155,7 @@ def march(lanes, excitation, observed, increments):
     for first in range(0, n_times, SAMPLES):
         count = min(SAMPLES, n_times - first)
         if has_own_ground(source, first) or has_own_data(source, first):
-            copy_block(lanes, excitation, observed, first)
+            copy_block(lanes, source, excitation, observed, first)
         block = block_of(source, first)
         if increments is not None:
             march_block(at, block, True)
