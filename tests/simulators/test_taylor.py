@@ -163,6 +163,16 @@ def test_neighbours_reverse_within_a_step(k):
     assert max(errors_alone(parameters, shaken(), k, range(33, 41))) < 5e-6
 
 
+@pytest.mark.parametrize(("sharpness", "k"), [(1.0, 19), (2.0, 17), (2.0, 21)])
+def test_a_stiff_spring_reverses_alone_in_a_long_step(sharpness, k):
+    """Errors were 6e-6 to 8e-6 where a spring that had flowed turned back, and steps were still long."""
+    mass, stiffness, rayleigh, ratios, values = population("hysteretic", n=10, p=40, sharpness=(sharpness,))
+    values[:, 0] /= 64.0  # yield displacement
+    parameters = mass, 80.0 * stiffness, 0.1 * rayleigh, ratios, values
+    where = shaken(10, n_times=201, dt=0.01, band=5.0)
+    assert max(errors_alone(parameters, where, k, range(60, 202, 20))) < 1e-6
+
+
 @pytest.mark.parametrize("k", [11, 18, 35])
 def test_damping_by_modal_ratios_of_what_kinks_push(k):
     """Errors were 3e-6 to 5e-6 where the masses that a kink moves were damped from the next step on only."""

@@ -1,8 +1,15 @@
 """What the kinks of a step change in the chain: the masses they push, and the springs beside them.
 
 These follow on the branch behind their own last kink. Where most of that was before it, z is wrong by a part
-of what it follows; the less so the smaller z, for the branches part as |z|^n does. Steps with such an error
-beyond `LARGEST_KINK_ERROR` are taken once more, shorter (`march.py`).
+of what it follows; the less so the smaller z, for the branches part as |z|^n does.
+
+The spring with the kink follows it once. What it would follow of the force of that is left out: with the sum
+s of the mobilities of its ends, its tangent k and its dashpot c,
+
+    dz = dz/dd s^2 (k J4 + c J3),
+
+small but for stiff springs that have flowed in long steps. Steps with errors of either kind beyond
+`LARGEST_KINK_ERROR` are taken once more, shorter (`march.py`).
 """
 
 from functools import cache
@@ -27,6 +34,8 @@ from pymc_features.simulators.taylor.layout import (
     layout_of,
 )
 from pymc_features.simulators.taylor.series import Spring
+
+LEFT_OUT = 0.1  # weight of what a spring does not follow of its own kink: it is known, the others are bounds
 
 
 @jit
@@ -80,24 +89,25 @@ def feedback_of(series):
     def respond(address, n, here, shares, kink, before):
         """Let a spring follow a drift: shares of the force of a kink, integrated twice and three times.
 
-        Returns z before that.
+        Returns z before that, and what it would follow of its own push.
         """
         share, damped = shares
         at = here + entries
         j2 = read_lanes(address, kink + CHANGE + 2)
         j3, j4 = read_lanes(address, kink + CHANGE + 3), read_lanes(address, kink + CHANGE + 4)
         spring = Spring(address, here + length, length, here + constants)
-        z = read_lanes(address, at + Z_END)
+        z, rest = read_lanes(address, at + Z_END), splat(0.0)
         stiffness, z_by_drift, _ = tangent(spring, z)
         if before is None:
             dashpot = read_lanes(address, at + DASHPOT)
             force_1, force_2 = stiffness * j3 + dashpot * j2, stiffness * j4 + dashpot * j3
             push(address, at, share * force_1, share * force_2)
+            rest = z_by_drift * (share * share) * force_2
         change = z_by_drift * (share * j2 + damped * j3)
         write_lanes(address, at + Z_END, z + change)
         if before is None and at != kink:
             estimate_error(address, at, n, change * z)
-        return z
+        return z, rest
 
     @jit
     def apply(address, modal, n, before):
@@ -106,7 +116,7 @@ def feedback_of(series):
         Unless `before` is None z alone changes, and what that of the springs that follow was is written
         there, three vectors for each kink.
         """
-        drag = read_lanes(address, (n + 1) * record + DRAG)
+        drag, worst = read_lanes(address, (n + 1) * record + DRAG), splat(0.0)
         for i in range(1, n + 1):
             here = i * record
             at = here + entries
@@ -129,15 +139,19 @@ def feedback_of(series):
                 damped_above = damping_share(modal, n, i, i, up, down)
                 if i > 1:
                     shares = down, damped - damping_share(modal, n, i - 2, i, up, down)
-                    below = respond(address, n, here - record, shares, at, before)
+                    below, _ = respond(address, n, here - record, shares, at, before)
                 shares = 0.0 - (up + down), damped_above - damped
-                own = respond(address, n, here, shares, at, before)
+                own, rest = respond(address, n, here, shares, at, before)
+                worst = larger(worst, magnitude(rest))
                 if i < n:
                     shares = up, damping_share(modal, n, i + 1, i, up, down) - damped_above
-                    above = respond(address, n, here + record, shares, at, before)
+                    above, _ = respond(address, n, here + record, shares, at, before)
                 if before is not None:
                     write_lanes(before, 3 * i, below)
                     write_lanes(before, 3 * i + 1, own)
                     write_lanes(before, 3 * i + 2, above)
+        if before is None:
+            error = (n + 1) * record + KINK_ERROR
+            write_lanes(address, error, larger(read_lanes(address, error), LEFT_OUT * worst))
 
     return apply

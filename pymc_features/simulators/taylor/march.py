@@ -53,7 +53,7 @@ from pymc_features.simulators.taylor.tape import COUNT, MAX_STEPS, tape_of
 
 TOO_FAR = 10.0  # above the tolerance: steps are repeated
 LARGEST_Z = 1e-2  # last coefficient of z: above it the series are of no use
-LARGEST_KINK_ERROR = 1e-7  # of z behind kinks of neighbours in one step: above it steps are repeated
+LARGEST_KINK_ERROR = 1e-7  # of z behind kinks (`feedback.py`): above it steps are repeated
 
 
 @cache
