@@ -13,6 +13,7 @@ from pymc_features.simulators.compiled.vector import LANES, load, store
 from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.filling import empty_modes, fill_lanes, take_lane
 from pymc_features.simulators.eigen.tridiagonal import are_apart, diagonalise_lanes, whole_vectors
+from pymc_features.simulators.oscillators.arguments import at_every_step
 from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
 from pymc_features.simulators.oscillators.modal_system import DampingLaw, feed_through
 from pymc_features.simulators.oscillators.population import lane_statistics
@@ -134,7 +135,8 @@ def march_population(parameters, excitation, wanted, observed, increments):
     """
     n_particles = check_population(parameters, excitation, wanted, observed)
     n, sensors, quantity = parameters.mass.shape[1], wanted.sensors, wanted.quantity
-    step, m = excitation.dt / excitation.substeps, wanted.n_modes
+    motion, m = at_every_step(excitation), wanted.n_modes
+    step, start = motion.dt, motion.acceleration[0]
     result = np.empty((n_particles, sensors.size, 1 if increments is None else 4))
     lanes, modes = new_lanes(observed, m, excitation.stride, False), new_sensor_modes(n, sensors.size)
     kept, order = (new_vectors(m), new_vectors(m)), np.empty(n, dtype=np.int64)
@@ -150,8 +152,8 @@ def march_population(parameters, excitation, wanted, observed, increments):
                 write_outputs(lanes, lane, modes.vectors, order, m, quantity)
             else:
                 empty_modes(kept, lane)
-        fill_lanes(lanes, kept, step, quantity, excitation.acceleration[0])
-        found = lane_statistics(lanes, excitation, observed, increments)
+        fill_lanes(lanes, kept, step, quantity, start)
+        found = lane_statistics(lanes, motion, observed, increments)
         for lane in range(count):  # Numba takes three seconds to compile a copy of a slice
             for j in range(sensors.size):
                 for i in range(result.shape[2]):

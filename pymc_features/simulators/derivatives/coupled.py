@@ -27,7 +27,7 @@ from pymc_features.simulators.eigen.coupled import (
 from pymc_features.simulators.eigen.matrices import all_diagonal, assemble_lanes, multiply_lanes, store_four
 from pymc_features.simulators.eigen.residues import check_sums
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
-from pymc_features.simulators.oscillators.arguments import single_input
+from pymc_features.simulators.oscillators.arguments import at_every_step
 from pymc_features.simulators.oscillators.lanes import new_lanes
 
 # Residues above that many times the classical ones: the derivatives lose digits by the third power of it
@@ -60,7 +60,7 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
     """
     theta, (n_sensors, n), count = parameters.theta, wanted.sensors.shape, weights.shape[0]
     step, n_times = excitation.dt / excitation.substeps, observed.shape[1]
-    is_done, motion = np.zeros(count, dtype=np.bool_), single_input(excitation)
+    is_done, motion = np.zeros(count, dtype=np.bool_), at_every_step(excitation)
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
     lanes, modes = new_lanes(observed, n, excitation.stride, True), new_complex(n, n_sensors)
     structures, pairs = new_structures(n, theta.shape[1], n + 2), new_pairs(n, n, n_sensors)

@@ -17,7 +17,11 @@ from pymc_features.simulators.eigen.matrices import (
 )
 from pymc_features.simulators.eigen.pairs import fill_pairs
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
-from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION
+from pymc_features.simulators.oscillators.arguments import (
+    ABSOLUTE_ACCELERATION,
+    RELATIVE_ACCELERATION,
+    at_every_step,
+)
 from pymc_features.simulators.oscillators.lanes import new_lanes
 from pymc_features.simulators.oscillators.population import lane_statistics
 from pymc_features.simulators.oscillators.recursion import STIFFEST
@@ -46,7 +50,7 @@ def march_coupled(parameters, excitation, wanted, observed, increments):
         Whether they are written. The others may be invalid, lack mass, or have modes that coalesce.
     """
     theta, (n_sensors, n), m = parameters.theta, wanted.sensors.shape, wanted.n_modes
-    count, step = theta.shape[0], excitation.dt / excitation.substeps
+    count, motion = theta.shape[0], at_every_step(excitation)
     result = np.full((count, n_sensors, 1 if increments is None else 4), np.nan)
     is_written = np.zeros(count, dtype=np.bool_)
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
@@ -57,7 +61,7 @@ def march_coupled(parameters, excitation, wanted, observed, increments):
         new_vectors(m * (n + 2)),
         new_vectors(m * n),
     )
-    order, start = np.empty(n, dtype=np.int64), excitation.acceleration[0, 0]
+    order, step, start = np.empty(n, dtype=np.int64), motion.dt, motion.acceleration[0]
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
     for first in range(0, count, LANES):
         for lane in range(LANES):
@@ -71,7 +75,7 @@ def march_coupled(parameters, excitation, wanted, observed, increments):
         check_damping(modes, structures.factor, damping, step, n)
         write_sensors(modes, lanes, products, wanted, support_motion)
         fill_pairs(lanes, modes, n_sensors, step, wanted.quantity, start)
-        found = lane_statistics(lanes, excitation, observed, increments)
+        found = lane_statistics(lanes, motion, observed, increments)
         for lane in range(LANES):
             if modes.is_good[0, lane] > 0.0:
                 result[first + lane], is_written[first + lane] = found[lane], True

@@ -10,6 +10,7 @@ from pymc_features.simulators.eigen.matrices import all_diagonal
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
 from pymc_features.simulators.linear.dense import assemble_dense, dense_modes, is_finite
 from pymc_features.simulators.mean_squares.systems import new_systems, put_lane, put_modes
+from pymc_features.simulators.oscillators.arguments import at_every_step
 from pymc_features.simulators.oscillators.lanes import new_lanes
 from pymc_features.simulators.oscillators.modal_system import (
     DampingLaw,
@@ -179,7 +180,7 @@ def march_dense(parameters, excitation, wanted, observed, increments):
         NaN in the rows whose parameters describe no structure.
     """
     theta, rayleigh, ratios = parameters.theta, parameters.rayleigh, parameters.ratios
-    (n_sensors, n), step, m = wanted.sensors.shape, excitation.dt / excitation.substeps, wanted.n_modes
+    (n_sensors, n), motion, m = wanted.sensors.shape, at_every_step(excitation), wanted.n_modes
     count = max(theta.shape[0], rayleigh.shape[0], ratios.shape[0])
     result = np.full((count, n_sensors, 1 if increments is None else 4), np.nan)
     columns, stacks = wanted_columns(parameters, wanted), (parameters.mass, parameters.stiffness)
@@ -190,7 +191,7 @@ def march_dense(parameters, excitation, wanted, observed, increments):
     kept, order = (new_vectors(m), new_vectors(m)), np.empty(n, dtype=np.int64)
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
     is_there, alone = np.empty(LANES, dtype=np.bool_), np.empty(count, dtype=np.int64)
-    n_alone, start = 0, excitation.acceleration[0, 0]
+    n_alone, step, start = 0, motion.dt, motion.acceleration[0]
     for first in range(0, count, LANES):
         bring(modes, parameters, first, count, is_there)
         solve_structures(modes, stacks, is_diagonal, columns)
@@ -208,20 +209,22 @@ def march_dense(parameters, excitation, wanted, observed, increments):
             else:
                 empty_modes(kept, lane)
         fill_lanes(lanes, kept, step, wanted.quantity, start)
-        found = lane_statistics(lanes, excitation, observed, increments)
+        found = lane_statistics(lanes, motion, observed, increments)
         for lane in range(LANES):
             if is_there[lane]:
                 result[first + lane] = found[lane]
-    march_alone(parameters, excitation, wanted, lanes, alone[:n_alone], (observed, increments, result))
+    march_alone(parameters, motion, wanted, lanes, alone[:n_alone], (observed, increments, result))
     return result
 
 
 @jit
-def march_alone(parameters, excitation, wanted, lanes, places, data):
+def march_alone(parameters, motion, wanted, lanes, places, data):
     """Write the misfits of some particles, whose modes are found one by one.
 
     Parameters
     ----------
+    motion : Excitation
+        See `at_every_step`.
     lanes : Lanes
         Empty.
     places : integer array
@@ -233,13 +236,13 @@ def march_alone(parameters, excitation, wanted, lanes, places, data):
     at = np.empty(LANES, dtype=np.int64)
     for i in range(places.size):
         own = own_values(parameters, places[i])
-        valid, system, feed = dense_system(parameters, own, wanted, excitation.dt / excitation.substeps)
+        valid, system, feed = dense_system(parameters, own, wanted, motion.dt)
         if valid:
-            put_system(lanes, waiting, system, feed[:, 0].copy(), excitation, wanted.quantity)
+            put_system(lanes, waiting, system, feed[:, 0].copy(), motion, wanted.quantity)
             at[waiting] = places[i]
             waiting += 1
         if waiting == LANES or (waiting > 0 and i == places.size - 1):
-            found = lane_statistics(lanes, excitation, observed, increments)
+            found = lane_statistics(lanes, motion, observed, increments)
             for lane in range(waiting):
                 result[at[lane]] = found[lane]
             waiting = 0

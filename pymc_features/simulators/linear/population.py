@@ -16,6 +16,7 @@ from pymc_features.simulators.linear.dense_population import dense_systems, marc
 from pymc_features.simulators.linear.response import evaluate
 from pymc_features.simulators.linear.system import is_coupled, observe, solved
 from pymc_features.simulators.mean_squares.systems import Systems, new_systems, put_modes
+from pymc_features.simulators.oscillators.arguments import at_every_step
 from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
 from pymc_features.simulators.oscillators.population import lane_statistics, put_system
 
@@ -46,6 +47,7 @@ def march_population(a: Arguments, observed, with_increments):
         kernel = a.parameters.for_kernel()
         result, is_written = march_coupled(kernel, a.inputs, a.outputs, observed, increments)
         result, is_written = np.resize(result, (count, *result.shape[1:])), np.resize(is_written, count)
+    motion = at_every_step(a.inputs) if one_input else None
     lanes, places = new_lanes(observed, a.wanted.n_modes, a.excitation.stride, False), []
     waiting = np.flatnonzero(~is_written.astype(bool))
     for p, own, system in solved(a, waiting):
@@ -53,15 +55,15 @@ def march_population(a: Arguments, observed, with_increments):
             continue
         if one_input and not is_coupled(system.modal_damping):
             modes, feed = observe(own, system)
-            put_system(lanes, len(places), modes, feed[:, 0].copy(), a.inputs, a.wanted.quantity)
+            put_system(lanes, len(places), modes, feed[:, 0].copy(), motion, a.wanted.quantity)
             places.append(p)
         else:
             result[p] = evaluate(own, system, observed)[:, : result.shape[2]]
         if len(places) == LANES:
-            result[places] = lane_statistics(lanes, a.inputs, observed, increments)
+            result[places] = lane_statistics(lanes, motion, observed, increments)
             places = []
     if places:
-        result[places] = lane_statistics(lanes, a.inputs, observed, increments)[: len(places)]
+        result[places] = lane_statistics(lanes, motion, observed, increments)[: len(places)]
     return result
 
 

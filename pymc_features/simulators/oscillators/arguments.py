@@ -69,6 +69,15 @@ def single_input(excitation):
 
 
 @jit
+def at_every_step(excitation):
+    """The excitation by one input with a sample at each step of the recursion, as (t,)."""
+    acceleration, dt, substeps, stride = single_input(excitation)
+    every = np.empty((acceleration.size - 1) * substeps + 1)
+    interpolate(acceleration, substeps, 0, every)
+    return Excitation(every, dt / substeps, 1, stride)
+
+
+@jit
 def ground_at(acceleration, fine, substeps):
     """Excitation after `fine` steps of the recursion, `substeps` to a sample; zero behind the record."""
     i = fine // substeps

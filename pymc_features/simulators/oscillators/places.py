@@ -45,7 +45,7 @@ class Source(NamedTuple):
     ----------
     ground, n_ground, own_ground : int
         Address of the excitation, how many entries it has, and address of `Lanes.ground`.
-    substeps, stride : int
+    stride : int
     data, n_times, length, own_data : int
         Address of the data, samples of a sensor, from one sensor to the next, and address of `Lanes.data`.
     is_plain : bool
@@ -55,7 +55,6 @@ class Source(NamedTuple):
     ground: int
     n_ground: int
     own_ground: int
-    substeps: int
     stride: int
     data: int
     n_times: int
@@ -102,13 +101,12 @@ def places_of(lanes):
 
 @jit
 def source_of(lanes, excitation, observed):
-    """Where the excitation by one input (t,) and the data (s, u) are."""
+    """Where the excitation, as of `at_every_step`, and the data (s, u) are."""
     acceleration = excitation.acceleration
     return Source(
         address(acceleration),
         acceleration.size,
         address(lanes.ground),
-        excitation.substeps,
         excitation.stride,
         address(observed),
         observed.shape[1],
@@ -120,8 +118,8 @@ def source_of(lanes, excitation, observed):
 
 @jit
 def has_own_ground(source, first):
-    """Whether the excitation of the block from sample `first` on is interpolated, or ends."""
-    return source.substeps > 1 or (first + SAMPLES) * source.stride > source.n_ground
+    """Whether the excitation of the block from sample `first` on ends."""
+    return (first + SAMPLES) * source.stride > source.n_ground
 
 
 @jit
@@ -134,7 +132,7 @@ def has_own_data(source, first):
 def copy_block(lanes, source, excitation, observed, first):
     """Write what `block_of` reads in the lanes, excitation or data or both; zeros behind the end."""
     if has_own_ground(source, first):
-        interpolate(excitation.acceleration, excitation.substeps, first * excitation.stride, lanes.ground)
+        interpolate(excitation.acceleration, 1, first * excitation.stride, lanes.ground)
     if has_own_data(source, first):
         copy_data(lanes, observed, first)
 

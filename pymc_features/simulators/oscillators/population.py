@@ -16,7 +16,6 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, store
-from pymc_features.simulators.oscillators.arguments import single_input
 from pymc_features.simulators.oscillators.blocks import march_block
 from pymc_features.simulators.oscillators.lanes import N_COEFFICIENTS, SAMPLES, clear
 from pymc_features.simulators.oscillators.places import (
@@ -154,7 +153,7 @@ def march(lanes, excitation, observed, increments):
         increments.squares.fill(0.0)
     for first in range(0, n_times, SAMPLES):
         count = min(SAMPLES, n_times - first)
-        if has_own_ground(source, first) or has_own_data(source, first):
+        if has_own_ground(source, first) or has_own_data(source, first):  # asked here: a third faster
             copy_block(lanes, source, excitation, observed, first)
         block = block_of(source, first)
         if increments is not None:
@@ -174,13 +173,13 @@ def lane_statistics(lanes, excitation, observed, increments):
     Parameters
     ----------
     excitation : Excitation
-        One input, (t,) or (1, t).
+        One input with a sample at each step, see `at_every_step`.
     observed : array (s, u)
         Data.
     increments : Increments or None
         None if only e_j is asked for.
     """
-    march(lanes, single_input(excitation), observed, increments)
+    march(lanes, excitation, observed, increments)
     n_sensors, n_times = observed.shape
     result = np.empty((LANES, n_sensors, 1 if increments is None else 4))
     for lane in range(LANES):
@@ -195,8 +194,8 @@ def lane_statistics(lanes, excitation, observed, increments):
 
 
 @jit
-def put_system(lanes, lane, system, feed, excitation, quantity):
-    """Write a `ModalSystem` under one input into a lane; `feed` (s,) is overwritten."""
+def put_system(lanes, lane, system, feed, motion, quantity):
+    """Write a `ModalSystem` under a motion as of `at_every_step` into a lane; `feed` (s,) is overwritten."""
     table = np.empty((N_ROWS, system.omega.size))
-    write_table(system.omega, system.damping, excitation.dt / excitation.substeps, quantity, table)
-    fill_lane(lanes, lane, table, system, feed, single_input(excitation).acceleration[0])
+    write_table(system.omega, system.damping, motion.dt, quantity, table)
+    fill_lane(lanes, lane, table, system, feed, motion.acceleration[0])
