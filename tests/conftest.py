@@ -74,12 +74,11 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """Look for garbage less often: what is imported stays, and graphs are made of very many objects.
+    """Look for garbage less often, and not at all in what is imported, which stays."""
+    from support.commands import GARBAGE
 
-    But not so seldom that those no longer lie in a cache of the processor, where they are freed faster.
-    """
     gc.freeze()
-    gc.set_threshold(30_000, 20, 40)
+    gc.set_threshold(*GARBAGE)
     gc.enable()
 
 

@@ -10,7 +10,7 @@ import nbformat
 import pytest
 
 import pymc_features
-from support.commands import ROOT
+from support.commands import GARBAGE, ROOT
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
@@ -49,7 +49,7 @@ def run_cells(sources, folder, errors):
 
     os.chdir(folder)
     gc.freeze()  # what is imported stays
-    gc.set_threshold(30_000, 20, 40)
+    gc.set_threshold(*GARBAGE)
     pytensor.config.mode = "FAST_COMPILE"
     shell = InteractiveShell.instance()
     for source in sources:

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 import pymc_features
-from support.commands import ROOT, run
+from support.commands import GARBAGE, ROOT, run
 from support.pages import PAGES, README, blocks, script
 
 
@@ -29,7 +29,7 @@ def test_code_of_readme_and_pages_runs():
     pages = {path.name: script(path) for path in (README, *PAGES)}
     assert sum(bool(code) for code in pages.values()) >= 5
     code = (
-        "import gc; gc.set_threshold(30_000, 20, 40)\n"
+        f"import gc; gc.set_threshold(*{GARBAGE})\n"
         "import json, sys; pages = json.load(sys.stdin); readme = {}; exec(pages.pop('README.md'), readme)\n"
         "import pytensor; pytensor.config.mode = 'FAST_COMPILE'\n"
         "for name, page in pages.items(): exec(compile(page, name, 'exec'), dict(readme))"

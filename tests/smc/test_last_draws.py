@@ -186,13 +186,13 @@ def test_the_evidence_is_unbiased_by_the_rule_that_ends_the_draws(normal_fit, mo
 def test_what_is_added_does_not_become_less(normal_fit, monkeypatch):
     """Where more draws are needed than were foreseen, as many are added each time, until there are enough."""
     monkeypatch.setattr(last_draws, "HEAVY_K", -np.inf)
-    monkeypatch.setattr(last_draws, "MORE", 0.4)
+    monkeypatch.setattr(last_draws, "MARGIN", 0.4)
     end = LastStage(1, 30)
     end.complete()
     numbers = [n for n, source in end.looks if source]
     foreseen, *added = numbers[1:]
     assert end.ess >= end.draws
-    assert len(added) >= 2 and set(added) == {int(np.ceil(last_draws.TOPPED * foreseen))}
+    assert len(added) >= 2 and set(added) == {int(np.ceil(last_draws.ADDITION * foreseen))}
 
 
 def test_another_fit_follows_where_draws_are_worth_much_less_than_foreseen(normal_fit, monkeypatch):

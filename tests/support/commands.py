@@ -6,6 +6,8 @@ import sys
 import textwrap
 from pathlib import Path
 
+# Thresholds of `gc`: very many objects of graphs are freed faster while a cache of the processor holds them
+GARBAGE = 30_000, 20, 40
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -15,9 +15,10 @@ FIT_POINTS = FIRST_DRAWS = 200  # of a fit, and from the first fit of the last s
 MAX_EVALUATIONS = 500  # of the last stage, for each draw
 FOR_TAILS = 8  # and of more fits where a few draws outweigh the rest
 HEAVY_K = 0.3  # Pareto shape of weights above which draws do not decide themselves how many are enough
-SHOWN_BY, MORE = 0.25, 1.1  # worth, of `draws`, of those that decide then; what is drawn, over what they show
-TOPPED, SURPRISE = 0.2, 0.2  # what is added if that is worth less; worth below which another fit follows
-LESS = 0.5 ** np.arange(5)  # shares of the reference in what is drawn, over that in the trial
+TRIAL = 0.25  # worth, of `draws`, of those that decide then
+MARGIN, ADDITION = 1.1, 0.2  # numbers that are drawn and, if they are worth too little, added: over the need
+REFIT = 0.2  # worth, of `draws`, of what has been drawn, below which another fit follows
+REFERENCE_SHARES = 0.5 ** np.arange(5)  # of the reference in what is drawn, over that in the trial
 TOO_FEW = "PersistentSMC ended with draws worth {:.0f} of {}. Increase `stage_draws`, or narrow the priors."
 
 
@@ -44,15 +45,16 @@ class LastDraws:
             since = max(source, self.last_stage)
             sample = pool.independent(since)
             n_sample, worth = sample.counts.sum(), sample.worth()
-            heavy = bool(sample.proposals) and sample.pareto_k() > HEAVY_K
-            missing = max((SHOWN_BY if heavy else 1.0) * self.draws - worth, 0.0)
+            k = sample.pareto_k()
+            heavy = bool(sample.proposals) and k > HEAVY_K
+            missing = max((TRIAL if heavy else 1.0) * self.draws - worth, 0.0)
             if not missing and before_tails is None:
                 before_tails = used
             refit = not missing and used - before_tails + n_sample < FOR_TAILS * self.draws
-            refit = refit and sample.pareto_k() > LARGEST_K and sample.largest_share() > LARGEST_SHARE
+            refit = refit and k > LARGEST_K and sample.largest_share() > LARGEST_SHARE
             if not (missing or refit) and heavy and used < most:
                 sample, worth, n = self.drawn_anew(sample, since)
-                used, refit = used + n, worth < SURPRISE * self.draws
+                used, refit = used + n, worth < REFIT * self.draws
             if not (missing or refit) or used >= most:
                 break
             n = 1.1 * missing * max(1.0, n_sample / max(worth, 1.0))
@@ -83,17 +85,18 @@ class LastDraws:
         return len(pool.betas) - 1
 
     def drawn_anew(self, sample: Pool, since: int) -> tuple[Pool, float, int]:
-        """Draws of the same densities, without those that have shown how many it takes.
+        """Draws of the same densities, alone, as many as the sample, which is the trial, shows to be enough.
 
         Draws seem enough the sooner, and a fit the better, the fewer of them have fallen where weights are
         heavy. Draws that decide make tails too light: of the deviation between eight schools the 95 %
         quantile was too small by 4 % of the 5-95 % width.
 
-        Returns the draws, what they are worth, and their number.
+        Returns the draws, what they are worth, and their number. They are worth less than `draws` where there
+        are `MAX_EVALUATIONS` of them for each, and less than `REFIT` of it where the trial was wrong.
         """
         pool, mark, used = self.pool, self.pool.mark(), 0
         shares, gain = most_even(sample)
-        n = MORE * sample.counts.sum() * self.draws / sample.worth() / gain
+        n = MARGIN * sample.counts.sum() * self.draws / sample.worth() / gain
         counts = first = np.ceil(n * shares).astype(int)
         while True:
             for source, n in zip(pool.known(since), counts, strict=True):
@@ -102,10 +105,10 @@ class LastDraws:
             used += int(counts.sum())
             anew = pool.independent(since, mark)
             worth = anew.worth()
-            enough = worth >= self.draws or worth < SURPRISE * self.draws
+            enough = worth >= self.draws or worth < REFIT * self.draws
             if enough or used >= MAX_EVALUATIONS * self.draws:
                 return anew, worth, used
-            counts = np.ceil(TOPPED * first).astype(int)
+            counts = np.ceil(ADDITION * first).astype(int)
 
     def draw_more(self, n: int, source: int) -> None:
         """Independent draws from the reference or prior, or from a fit."""
@@ -135,7 +138,7 @@ def most_even(sample: Pool) -> tuple[np.ndarray, float]:
     shares, log_mixture = sample.counts / sample.counts.sum(), sample.log_mixture()
     ratio, terms = sample.log_ratio - sample.log_ratio.max(), sample.terms()
     moments = []
-    for of_reference in shares[0] * LESS:
+    for of_reference in shares[0] * REFERENCE_SHARES:
         trial = np.append(of_reference, shares[1:] * (1.0 - of_reference) / (1.0 - shares[0]))
         log_trial = log_sum(terms[trial > 0] + np.log(trial[trial > 0])[:, None])
         moments.append((sample.mass @ np.exp(2.0 * ratio - log_mixture - log_trial), trial))

@@ -44,6 +44,7 @@ class PersistentSMC(LastDraws, PopulationKernel):
     they started, and then all of them do (waste-free SMC, Dau & Chopin 2022), with the number of steps that
     make an independent one. At the end, fits to the pool are drawn from until the quantiles of each parameter
     are worth `draws` independent draws; those of the last fit alone give the posterior and the evidence.
+    Where weights are heavy, some draws show how many it takes, and only those that follow count.
 
     Parameters
     ----------

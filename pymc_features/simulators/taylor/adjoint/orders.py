@@ -19,10 +19,10 @@ from typing import NamedTuple
 from pymc_features.simulators.compiled.jit import jit, unrolled
 from pymc_features.simulators.compiled.vector import LANES, splat
 from pymc_features.simulators.compiled.vector_memory import prefetch, read_lanes, read_number, write_lanes
+from pymc_features.simulators.taylor.ground.projection import DEGREE
 from pymc_features.simulators.taylor.layout import (
     CURVED,
     DASHPOT,
-    DEGREE,
     DRAG,
     HAS_KINK,
     MOBILITY,

@@ -8,8 +8,7 @@ the span it moves the chain by its second integral, so that the acceleration is 
 
     omega^2 max(1, omega T) max |integral of the integral of r|,
 
-and after a reversal within the span it may stay so. That must be below `TOLERANCE` of the peak of the record;
-the errors were measured to be below a fifteenth of it.
+and after a reversal within the span it may stay so. That must be below `TOLERANCE` of the peak of the record.
 
 Polynomials with large coefficients want many steps. Their number is estimated by what the load alone gives
 to the last coefficients of the velocities: that of g_k, k! / P! (omega H)^(P - 1 - k) H^2 g_k, with an even
