@@ -231,7 +231,7 @@ SIMULATOR_ROOMS = {
     "taylor": {"compiled", "oscillators"},
     "nonlinear": {"compiled", "oscillators", "chain", "taylor"},
     "cyclic": {"compiled", "oscillators"},
-    "modal": {"compiled", "oscillators", "chain", "linear"},
+    "modal": {"compiled", "oscillators", "eigen", "chain", "linear"},
 }
 
 

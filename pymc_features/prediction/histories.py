@@ -10,7 +10,8 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.arguments import Excitation, interpolate, n_outputs
-from pymc_features.simulators.oscillators.recursion import BLOCK, add_feed, advance
+from pymc_features.simulators.oscillators.recursion import BLOCK, add_feed
+from pymc_features.simulators.oscillators.table import advance, new_outputs
 
 MEMORY = 16 * 2**20  # of a block of responses [bytes]
 
@@ -20,8 +21,8 @@ class Recursions(NamedTuple):
 
     Attributes
     ----------
-    tables : array (n, d, 11, m)
-        Recursion and output coefficients of each input, see `recursion.advance`.
+    tables : array (n, d, 11, >= m)
+        Recursion and output coefficients of each input, as `table.advance` takes them.
     shapes : array (n, row, m)
         Mode shapes at the rows.
     direct : array (n, row, d)
@@ -44,8 +45,8 @@ def response_blocks(recursions: Recursions, excitation: Excitation, size: int):
     The responses are in a buffer that the next block overwrites; whoever receives them may do so as well.
     A block has `size` samples, the last as many as are left; the excitation has inputs (d, t).
     """
-    n, n_rows, n_modes = recursions.shapes.shape
-    states = np.zeros((2, n, recursions.tables.shape[1], n_modes))
+    n, n_rows, _ = recursions.shapes.shape
+    states = np.zeros((*recursions.tables.shape[:2], 2, recursions.tables.shape[3]))
     buffer = np.empty((n_rows, size, n))
     total = n_outputs(excitation.acceleration.shape[1], excitation.substeps, excitation.stride)
     for first in range(0, total, size):
@@ -62,23 +63,22 @@ def advance_all(recursions, excitation, states, first, count, responses):
     ----------
     recursions : Recursions
     excitation : Excitation
-    states : array (2, n, d, m)
+    states : array (n, d, 2, >= m)
         Modal displacements and velocities, scaled as in `advance`; overwritten.
     responses : array (row, >= count, n)
         Written.
     """
     tables, shapes, direct = recursions
     inputs, _, substeps, stride = excitation
-    q, p = states
     n, n_rows, n_modes = shapes.shape
     size = responses.shape[1]
-    modal, block = np.empty((size, n_modes)), np.empty((n_rows, size))
+    modal, block = new_outputs(size, n_modes), np.empty((n_rows, size))
     ground = np.empty((inputs.shape[0], size * stride + 1))
     for k in range(inputs.shape[0]):
         interpolate(inputs[k], substeps, first * stride, ground[k])
     for i in range(n):
         for k in range(inputs.shape[0]):
-            advance(tables[i, k], k == 0, q[i, k], p[i, k], ground[k], stride, count, modal)
+            advance(tables[i, k], k == 0, states[i, k], ground[k], stride, count, modal)
         np.dot(shapes[i], modal.T, block)
         add_feed(direct[i], ground, stride, count, block)
         for j in range(n_rows):

@@ -13,7 +13,7 @@ from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.system import observe, solve_system, uncoupled
 from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation, Outputs
-from pymc_features.simulators.oscillators.recursion import N_ROWS, scale_input, write_table
+from pymc_features.simulators.oscillators.table import N_ROWS, scale_input, whole_vectors, write_table
 from pymc_features.simulators.quantities import HISTORIES, force_share
 
 
@@ -76,7 +76,7 @@ class Chains(Marched):
         complete, found = request.n_modes == first.n_dof, []
         for _, parameters in self.kept:
             _, system, _, _ = modes_of(parameters, self.steps[k], wanted)
-            table = np.empty((1, N_ROWS, request.n_modes))
+            table = np.zeros((1, N_ROWS, whole_vectors(request.n_modes)))
             write_table(system.omega, system.damping, self.steps[k], wanted.quantity, table[0])
             # with the participation in the shapes a response is that of `simulate` to the last bit
             found.append(
@@ -161,7 +161,7 @@ class Oscillators(Marched):
         """Recursions for record `k` and a quantity."""
         load, code = self.loads[k], QUANTITIES.index(HISTORIES[name].source)
         n_inputs, n_modes = self.kept[0].participation[load].shape
-        tables = np.empty((len(self), n_inputs, N_ROWS, n_modes))
+        tables = np.zeros((len(self), n_inputs, N_ROWS, whole_vectors(n_modes)))
         for modes, of_inputs in zip(self.kept, tables, strict=True):
             for table, participation in zip(of_inputs, modes.participation[load], strict=True):
                 write_table(modes.omega, modes.modal_damping, self.steps[k], code, table)

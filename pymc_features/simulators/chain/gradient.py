@@ -14,10 +14,10 @@ from pymc_features.simulators.chain.response import (
     modes_of,
 )
 from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.eigen.outside import outside_span
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, n_outputs
 from pymc_features.simulators.oscillators.gradient import modal_gradient
 from pymc_features.simulators.oscillators.modal_system import DampingLaw
-from pymc_features.simulators.oscillators.outside import outside_span
 from pymc_features.simulators.oscillators.recursion import modal_damping
 from pymc_features.simulators.oscillators.tangent import ModalChange, march_change
 

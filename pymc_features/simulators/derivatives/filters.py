@@ -30,7 +30,7 @@ from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_DISPLACEMENT,
 )
 from pymc_features.simulators.oscillators.hold import TAYLOR_TERMS
-from pymc_features.simulators.oscillators.recursion import SMALLEST
+from pymc_features.simulators.oscillators.table import SMALLEST
 
 # Rows of a mode's coefficients: sigma e^-d, kappa, sigma, c_w, c_e, c_a, c_w', c_e', and the derivatives of
 # kappa, c_w, c_e, c_a, c_w' and c_e' with respect to s, then with respect to d

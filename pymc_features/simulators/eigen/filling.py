@@ -9,7 +9,8 @@ from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT
 from pymc_features.simulators.oscillators.hold import LARGEST, doubled, hold_coefficients, series
 from pymc_features.simulators.oscillators.lanes import N_COEFFICIENTS
 from pymc_features.simulators.oscillators.population import turned
-from pymc_features.simulators.oscillators.recursion import SMALLEST, STIFFEST, modal_damping
+from pymc_features.simulators.oscillators.recursion import STIFFEST, modal_damping
+from pymc_features.simulators.oscillators.table import SMALLEST
 
 
 @jit
@@ -102,7 +103,7 @@ def fill_lanes(lanes, modes, step, quantity, start):
     modes : tuple of arrays (m, LANES)
         omega and D.
     step, quantity
-        As in `recursion.write_table`.
+        As in `table.write_table`.
     start : float
         First sample of the excitation.
     """

@@ -17,12 +17,12 @@ from pymc_features.simulators.derivatives.pairs import derive_modes, derive_pair
 from pymc_features.simulators.eigen.coupled import all_columns
 from pymc_features.simulators.eigen.filling import take_lane
 from pymc_features.simulators.eigen.matrices import all_diagonal
+from pymc_features.simulators.eigen.outside import outside_span
 from pymc_features.simulators.eigen.structures import StructureLanes, new_structures, solve_structures
 from pymc_features.simulators.linear.dense_population import bring, solve_dense
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, single_input
 from pymc_features.simulators.oscillators.gradient import modal_gradient
 from pymc_features.simulators.oscillators.modal_system import DampingLaw, ModalSystem
-from pymc_features.simulators.oscillators.outside import outside_span
 
 
 @jit

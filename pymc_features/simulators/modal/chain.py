@@ -7,13 +7,13 @@ from pymc_features.simulators.chain.modes import chain_modes
 from pymc_features.simulators.chain.parameters import ChainParameters, own_rows
 from pymc_features.simulators.chain.response import check_sizes
 from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.eigen.outside import outside_span
 from pymc_features.simulators.modal.perturbation import (
     Cotangent,
     by_eigenvalues,
     reduced_cotangents,
     write_modes,
 )
-from pymc_features.simulators.oscillators.outside import outside_span
 from pymc_features.simulators.oscillators.recursion import write_damping
 
 

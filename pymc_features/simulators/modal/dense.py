@@ -3,6 +3,7 @@
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.eigen.outside import outside_span
 from pymc_features.simulators.linear.dense_population import solve_dense
 from pymc_features.simulators.modal.perturbation import (
     Cotangent,
@@ -10,7 +11,6 @@ from pymc_features.simulators.modal.perturbation import (
     reduced_cotangents,
     write_modes,
 )
-from pymc_features.simulators.oscillators.outside import outside_span
 
 
 @jit

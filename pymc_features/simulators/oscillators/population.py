@@ -26,7 +26,7 @@ from pymc_features.simulators.oscillators.places import (
     places_of,
     source_of,
 )
-from pymc_features.simulators.oscillators.recursion import (
+from pymc_features.simulators.oscillators.table import (
     N_ROWS,
     OUT_P,
     OUT_Q,
@@ -50,7 +50,7 @@ def fill_lane(lanes, lane, table, system, feed, start):
     Parameters
     ----------
     table : array (11, m)
-        From `recursion.write_table`.
+        From `table.write_table`.
     system : ModalSystem
     feed : array (s,)
         Feed-through; overwritten.

@@ -13,21 +13,18 @@ with phi0 = exp, phi1(z) = (e^z - 1)/z, phi2(z) = (e^z - 1 - z)/z^2, from `hold`
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.oscillators.arguments import (
-    RELATIVE_DISPLACEMENT,
-    RELATIVE_VELOCITY,
-    interpolate,
+from pymc_features.simulators.oscillators.arguments import interpolate
+from pymc_features.simulators.oscillators.table import (
+    N_ROWS,
+    advance,
+    new_outputs,
+    scale_input,
+    whole_vectors,
+    write_table,
 )
-from pymc_features.simulators.oscillators.hold import first_order_hold
 
 BLOCK = 128  # output samples handled at a time: the working set stays in the first-level cache
 STIFFEST = 1e6  # omega h and D h of a mode that can be stepped
-
-SMALLEST = 1e-100  # replaces omega h = 0: its square is lost beside anything else
-
-# Rows of the recursion table: state transition, excitation at both ends of the step, output, omega h
-Q_Q, Q_P, P_Q, P_P, Q_NOW, P_NOW, Q_NEXT, P_NEXT, OUT_Q, OUT_P, W = range(11)
-N_ROWS = 11
 
 
 @jit
@@ -44,84 +41,6 @@ def write_damping(omega, rayleigh, ratios, step, damping):
         if not (damping[r] >= 0.0 and max(omega[r], damping[r]) * step < STIFFEST):  # NaN too
             return False
     return True
-
-
-@jit
-def write_table(omega, damping, step, quantity, table):
-    """Write the recursion and the output of each mode, Eq. (24), from its state (q, q').
-
-    Parameters
-    ----------
-    omega, damping : array (m,)
-        [rad/s] and D [1/s], not negative.
-    step : float
-        Of the recursion [s].
-    quantity : int
-        Position in `QUANTITIES`.
-    table : array (11, m)
-    """
-    for r in range(omega.size):
-        w, d = max(omega[r] * step, SMALLEST), damping[r] * step
-        hold = first_order_hold(w * w, d)
-        for i in range(8):
-            table[i, r] = hold[i]
-        if quantity == RELATIVE_DISPLACEMENT:
-            table[OUT_Q, r], table[OUT_P, r] = step * step, 0.0
-        elif quantity == RELATIVE_VELOCITY:
-            table[OUT_Q, r], table[OUT_P, r] = 0.0, step
-        else:
-            table[OUT_Q, r], table[OUT_P, r] = -w * w, -d
-        table[W, r] = w
-
-
-@jit
-def scale_input(table, participation):
-    """Multiply the excitation of a recursion table (11, m) by Gamma (m,) of an input."""
-    for row in range(Q_NOW, P_NEXT + 1):
-        for r in range(participation.size):
-            table[row, r] *= participation[r]
-
-
-@jit
-def advance(table, is_first, q, p, ground, stride, count, outputs):
-    """Write `count` outputs of every mode, or add them, and carry the states to the sample behind them.
-
-    Parameters
-    ----------
-    table : array (11, m)
-        From `write_table`, after `scale_input`.
-    is_first : bool
-        Whether the outputs are written; those of other inputs are added.
-    q, p : array (m,)
-        Modal states at the first of these samples, at rest at the beginning; overwritten.
-    ground : array (> count stride,)
-        Excitation at the steps of the recursion.
-    stride : int
-        Every `stride`-th state is an output.
-    outputs : array (>= count, m)
-        Updated.
-    """
-    for b in range(count):
-        if is_first:
-            for r in range(q.size):
-                outputs[b, r] = table[OUT_Q, r] * q[r] + table[OUT_P, r] * p[r]
-        else:
-            for r in range(q.size):
-                outputs[b, r] += table[OUT_Q, r] * q[r] + table[OUT_P, r] * p[r]
-        for step in range(b * stride, (b + 1) * stride):
-            now, after = ground[step], ground[step + 1]
-            for r in range(q.size):
-                q_r = (
-                    table[Q_Q, r] * q[r]
-                    + table[Q_P, r] * p[r]
-                    + (table[Q_NOW, r] * now + table[Q_NEXT, r] * after)
-                )
-                p[r] = (
-                    table[P_Q, r] * q[r]
-                    + table[P_P, r] * p[r]
-                    + (table[P_NOW, r] * now + table[P_NEXT, r] * after)
-                )
-                q[r] = q_r
 
 
 @jit
@@ -157,17 +76,18 @@ def march_modes(system, feed, excitation, quantity, observed, history, sums):
     inputs, dt, substeps, stride = excitation
     n_sensors, n_modes = system.shapes.shape
     n_inputs, total = inputs.shape[0], max(history.shape[1], observed.shape[1])
-    tables = np.empty((n_inputs, N_ROWS, n_modes))
+    width = whole_vectors(n_modes)
+    tables, states = np.zeros((n_inputs, N_ROWS, width)), np.zeros((n_inputs, 2, width))
     for i in range(n_inputs):
         write_table(system.omega, system.damping, dt / substeps, quantity, tables[i])
         scale_input(tables[i], system.participation[:, i])
-    ground, outputs = np.empty((n_inputs, BLOCK * stride + 1)), np.zeros((BLOCK, n_modes))
-    q, p, block = np.zeros((n_inputs, n_modes)), np.zeros((n_inputs, n_modes)), np.empty((n_sensors, BLOCK))
+    ground, block = np.empty((n_inputs, BLOCK * stride + 1)), np.empty((n_sensors, BLOCK))
+    outputs = new_outputs(BLOCK, n_modes)
     for first in range(0, total, BLOCK):
         count = min(BLOCK, total - first)
         for i in range(n_inputs):
             interpolate(inputs[i], substeps, first * stride, ground[i])
-            advance(tables[i], i == 0, q[i], p[i], ground[i], stride, count, outputs)
+            advance(tables[i], i == 0, states[i], ground[i], stride, count, outputs)
         np.dot(system.shapes, outputs.T, block)
         add_feed(feed, ground, stride, count, block)
         take_block(block, first, count, observed, history, sums)

@@ -22,7 +22,8 @@ from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_DISPLACEMENT,
 )
 from pymc_features.simulators.oscillators.hold import first_order_hold
-from pymc_features.simulators.oscillators.recursion import BLOCK, SMALLEST
+from pymc_features.simulators.oscillators.recursion import BLOCK
+from pymc_features.simulators.oscillators.table import SMALLEST
 
 # Coefficients of a mode: eight of the step, their derivatives with respect to s, and outputs
 N_STEP = 8
