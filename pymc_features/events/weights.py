@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pymc_features.smc.proposals.mixture import pareto_shape
+from pymc_features.smc.proposals.mixture import pareto_k
 from pymc_features.smc.proposals.pool import LARGEST_K
 
 __all__ = ["LARGEST_K", "drawn_by", "normalised", "pareto_k"]
@@ -12,19 +12,6 @@ def normalised(log_weights: np.ndarray) -> np.ndarray:
     """Weights (..., draw) whose sum along the last axis is one."""
     weights = np.exp(log_weights - log_weights.max(axis=-1, keepdims=True))
     return weights / weights.sum(axis=-1, keepdims=True)
-
-
-def pareto_k(log_weights: np.ndarray) -> float:
-    """Shape of the largest weights (draw,); above 0.7 they mislead.
-
-    Vehtari, Simpson, Gelman, Yao & Gabry, Pareto smoothed importance sampling, JMLR 25 (2024).
-    """
-    ordered = np.sort(log_weights)
-    n = int(min(0.2 * len(ordered), 3.0 * np.sqrt(len(ordered))))
-    if n < 5 or not ordered[-1] > -np.inf:
-        return np.inf
-    tail = np.exp(ordered[-n - 1 :] - ordered[-1])
-    return pareto_shape(tail[1:] - tail[0])
 
 
 def drawn_by(weights: np.ndarray, rng: np.random.Generator) -> np.ndarray:

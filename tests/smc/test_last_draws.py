@@ -86,7 +86,7 @@ def test_heavy_draws_in_many_dimensions_do_not_replace_a_good_reference_by_a_fit
     """Parts are put around them, beside those of the reference; the evidence is right to four errors."""
     monkeypatch.setattr(last_draws, "LARGEST_K", -np.inf)  # all draws are taken for heavy
     monkeypatch.setattr(last_draws, "LARGEST_SHARE", 0.0)
-    monkeypatch.setattr(last_draws, "fit_to", None)
+    monkeypatch.setattr(last_draws, "fit_twice_to", None)
     with model_with_lump(16) as model:
         pm.set_data({"share": 1e-12})
         kernel = PersistentSMC(200, reference=reference_of_bulk(16), model=model, random_seed=1)
@@ -140,7 +140,7 @@ class LastStage(last_draws.LastDraws):
 
 @pytest.fixture
 def normal_fit(monkeypatch):
-    monkeypatch.setattr(last_draws, "fit_to", lambda *_: NormalFit())
+    monkeypatch.setattr(last_draws, "fit_twice_to", lambda *_: NormalFit())
     monkeypatch.setattr(last_draws, "patched", lambda fit, *_: fit)
 
 
@@ -181,6 +181,41 @@ def test_the_evidence_is_unbiased_by_the_rule_that_ends_the_draws(normal_fit, mo
 
     assert abs(bias(0.3)) < 0.02
     assert bias(np.inf) < -0.02
+
+
+def test_other_fits_follow_as_long_as_they_become_better():
+    """Not of a fit that is good, not without end; each half as good again as the one before."""
+    end = LastStage(1)
+    good = last_draws.good_share(end.n_parameters)
+    for rates, again in (
+        ((0.02,), True),
+        ((good,), False),
+        ((0.02, 0.025), False),
+        ((0.02, 0.035), True),
+        ((0.001, 0.002, 0.004, 0.008), True),
+        ((0.001, 0.002, 0.004, 0.008, 0.016), False),
+    ):
+        trials = [last_draws.Trial(rate, fit) for fit, rate in enumerate(rates, start=1)]
+        assert end.pays_to_fit_again(trials) == again
+
+
+def test_the_two_best_fits_are_drawn_from(normal_fit):
+    """Half of what is no draw of the reference from each; as many as their mean rate says."""
+    end = LastStage(1, 30)
+    fits = [end.fit_again(end.pool) for _ in range(3)]
+    for fit in fits:
+        end.draw_more(300, fit)
+    end.looks.clear()
+    rates = 0.3, 0.1, 0.5
+    sample = end.pool.independent(end.pool.known(fits[-1]))
+    shares, gain = last_draws.most_even(sample)
+    anew, n = end.drawn_anew(sample, [last_draws.Trial(*pair) for pair in zip(rates, fits, strict=True)])
+    wanted = last_draws.MARGIN * end.draws / 0.4 / gain
+    of_reference, first, last = end.looks[:3]
+    assert [source for _, source in end.looks[:3]] == [0, fits[0], fits[2]]
+    assert first[0] == last[0] == int(np.ceil(0.5 * wanted * (1.0 - shares[0])))
+    assert of_reference[0] == int(np.ceil(wanted * shares[0]))
+    assert n == anew.counts.sum() == sum(n for n, _ in end.looks)
 
 
 def test_what_is_added_does_not_become_less(normal_fit, monkeypatch):

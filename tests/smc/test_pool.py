@@ -6,8 +6,8 @@ from arviz_stats.base import array_stats
 from scipy import stats
 from scipy.special import logsumexp
 
-from pymc_features.smc.proposals.mixture import equal_draws, pareto_shape
-from pymc_features.smc.proposals.pool import LARGEST_SHARE, QUANTILES, Pool, next_beta
+from pymc_features.smc.proposals.mixture import equal_draws, next_beta, pareto_k, pareto_smoothed
+from pymc_features.smc.proposals.pool import LARGEST_SHARE, QUANTILES, Pool
 
 
 class Normal:
@@ -88,7 +88,7 @@ def test_bennett_is_the_fixed_point():
 def test_independent_draws_alone():
     """The part of known densities: a mixture of two, with the impossible draws of both."""
     pool = pool_of(np.random.default_rng(2))
-    part = pool.independent()
+    part = pool.independent(pool.known())
     rows = np.isin(pool.source, (0, 3))
     np.testing.assert_array_equal(part.particles, pool.particles[rows])
     np.testing.assert_allclose(part.counts, [200.0, 100.0])
@@ -101,7 +101,7 @@ def test_draws_that_shaped_the_last_fit_are_left_out():
     pool = pool_of(np.random.default_rng(2))
     x = np.linspace(-1.0, 1.0, 50)[:, None] * np.ones(2)
     pool.add_draws(x, log_prior(x), np.where(x[:, 0] < 0.0, -np.inf, -1.0))
-    for whole in (pool, pool.independent()):
+    for whole in (pool, pool.independent(pool.known())):
         part = whole.unseen()
         rows = (whole.source > 0) | (np.arange(len(whole.mass)) >= len(whole.mass) - 25)
         np.testing.assert_array_equal(part.particles, whole.particles[rows])
@@ -194,7 +194,7 @@ def test_standard_error_of_the_evidence():
     """Spread of 200 log evidences over the mean error reported, within 15 %: three standard errors."""
     pools = [importance_sample(np.random.default_rng(seed)) for seed in range(200)]
     spread = np.std([pool.log_evidence(pool.log_weights(1.0)) for pool in pools])
-    assert np.mean([pool.standard_error() for pool in pools]) == pytest.approx(spread, rel=0.15)
+    assert np.mean([pool.jackknife() for pool in pools]) == pytest.approx(spread, rel=0.15)
 
 
 def test_share_of_the_heaviest_draw():
@@ -210,14 +210,48 @@ def test_share_of_the_heaviest_draw():
 
 
 @pytest.mark.parametrize("width", [2.0, 0.6])
-def test_pareto_shape_is_arvizs(width):
+def test_pareto_smoothing_is_arvizs(width):
     """Of weights that are fine, and of those of a proposal too narrow, whose variance is infinite."""
     pool = importance_sample(np.random.default_rng(3), width=width)
     log_weights = pool.log_weights(1.0)
-    _, expected = array_stats.psislw(-log_weights)
-    assert pool.pareto_k() == pytest.approx(float(expected), abs=0.05)
+    expected, shape = array_stats.psislw(-log_weights)
+    assert pool.pareto_k() == pytest.approx(float(shape), abs=0.05)
     assert (pool.pareto_k() > 0.5) == (width < 1.0)
-    assert pareto_shape(np.zeros(50)) == 0.0, "equal weights"
+    smoothed = pool.posterior_log_weights()
+    np.testing.assert_allclose(smoothed - logsumexp(smoothed), expected - logsumexp(expected), atol=0.02)
+    assert (np.abs(smoothed - log_weights).max() > 0.1) == (width < 1.0)
+
+
+def test_weights_that_are_not_smoothed():
+    """Equal ones, too few, and those of points that Markov chains have been at."""
+    assert pareto_k(np.zeros(50)) == 0.0 and (pareto_smoothed(np.zeros(50)) == 0.0).all()
+    few = np.arange(20.0)
+    assert pareto_k(few) == np.inf and (pareto_smoothed(few) == few).all()
+    chains = pool_of(np.random.default_rng(0))
+    np.testing.assert_array_equal(chains.posterior_log_weights(), chains.log_weights(1.0))
+
+
+@pytest.mark.statistical
+def test_smoothing_makes_the_evidence_steadier_and_its_error_right():
+    """Of a proposal whose weights have no variance, 300 samples of 1,000 draws.
+
+    Error 0.049 and 0.052 in two sets, 0.064 and 0.065 without smoothing. The jackknife of the median sample
+    gives 0.036 for a standard deviation of 0.041 and 0.042, and without smoothing 0.039 for 0.064.
+    """
+    errors, said = [], []
+    for seed in range(300):
+        pool = importance_sample(np.random.default_rng(seed), width=0.6, n=1000)
+        log_z, error = pool.evidence()
+        plain = pool.log_evidence(pool.log_weights(1.0))
+        jackknife = pool.jackknife()
+        assert error == pytest.approx(np.hypot(jackknife, log_z - plain))
+        errors.append((log_z, plain))
+        said.append(jackknife)
+    smoothed, plain = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert smoothed < 0.87 * plain
+    deviation, without = np.std(errors, axis=0)
+    assert 0.75 < np.median(said) / deviation < 1.1
+    assert np.median(said) / without < 0.7
 
 
 def test_equal_draws_are_systematic():

@@ -13,8 +13,8 @@ from pymc_features.smc.kernels.base import KernelOptions, PopulationKernel
 from pymc_features.smc.kernels.chains import Chains
 from pymc_features.smc.kernels.last_draws import LastDraws
 from pymc_features.smc.proposals.arms import FittedMoves
-from pymc_features.smc.proposals.mixture import equal_draws
-from pymc_features.smc.proposals.pool import GROUPS, LARGEST_K, Pool, next_beta
+from pymc_features.smc.proposals.mixture import equal_draws, next_beta
+from pymc_features.smc.proposals.pool import GROUPS, LARGEST_K, Pool
 from pymc_features.smc.proposals.reference import Reference, good_share
 
 MORE_PRIOR = 50  # the prior is drawn from at most this many times, in search of possible points

@@ -12,6 +12,7 @@ from pymc_features.smc.proposals.unbending import UnbendingMap
 HEAVIEST = 6.0  # degrees of freedom at most, so that a proposal's tails do not end before the target's
 WIDER = 1.1  # what is drawn from, over a mixture fitted behind a map, and the safeguard
 SAFEGUARD = 0.2  # its share
+SHARES_OF_TWO = 0.45, 0.4, 0.15  # of two maps, and of the safeguard beside them
 HELD_OUT = 0.25  # share of the points that decide between the two kinds
 SMALLEST = -300.0  # log-density that a held-out point has at least in that decision
 
@@ -51,9 +52,9 @@ class Unbent(NamedTuple):
         return np.where(stay[:, None], x, moved)
 
 
-def fit_unbent(x, weights, rng, rotated=True, bounded=None) -> Unbent:
+def fit_unbent(x, weights, rng, rotated=True, bounded=None, powers=True) -> Unbent:
     """Fit a map as of `UnbendingMap`, and a mixture behind it, to points as of `fit_mixture`."""
-    unbending = UnbendingMap(x, weights, rotated, bounded)
+    unbending = UnbendingMap(x, weights, rotated, bounded, powers)
     return Unbent(unbending, fit_mixture(unbending.forward(x)[0], weights, rng))
 
 
@@ -106,3 +107,18 @@ def fit_proposal(x, weights, rng: np.random.Generator, bounded=None) -> FittedPr
 def fit_to(points, rng: np.random.Generator, bounded=None) -> FittedProposal:
     """Fit to equally weighted points (n, d), which may hold the same one many times."""
     return fit_proposal(*distinct(points), rng, bounded)
+
+
+def fit_twice_to(points, rng: np.random.Generator, bounded=None) -> FittedProposal:
+    """As `fit_to`, and where the map has cubes and fourth powers with a second one beside it that has none.
+
+    Where one of them has too few draws the other seldom has, so that weights are lighter.
+    """
+    x, weights = distinct(points)
+    fit = fit_proposal(x, weights, rng, bounded)
+    if fit.map is None or not fit.map.polynomials.powers:
+        return fit
+    first, safeguard = fit.components
+    other = fit_unbent(x, weights, rng, fit.map.rotated, bounded, powers=False)
+    other = other._replace(mixture=heavy_tailed(other.mixture, WIDER))
+    return FittedProposal([first, other, safeguard], np.array(SHARES_OF_TWO))

@@ -18,7 +18,9 @@ well. All masses of a chain are divided by the number of its steps that make one
 """
 
 import numpy as np
+from scipy.optimize import brentq
 
+SMALLEST_BETA = 1e-300
 TOLERANCE = 1e-7  # of the log evidences
 MAX_ITERATIONS = 50
 
@@ -29,23 +31,65 @@ def log_sum(terms: np.ndarray) -> np.ndarray:
     return top + np.log(np.exp(terms - top).sum(axis=0))
 
 
-def pareto_shape(excesses) -> float:
-    """Shape of a generalised Pareto distribution of sorted values (n,).
+def pareto_tail(excesses) -> tuple[float, float]:
+    """Shape and scale of a generalised Pareto distribution of sorted values (n,).
 
     Zhang & Stephens, Technometrics 51 (2009), with the prior of Vehtari et al. (2024), worth ten points at a
-    shape of one half.
+    shape of one half. Both are zero where all large weights are equal.
     """
     x = excesses[excesses > 0.0]
     n = len(x)
     if n < 5:
-        return 0.0  # all large weights are equal
+        return 0.0, 0.0
     m = 30 + int(np.sqrt(n))
     b = (1.0 - np.sqrt(m / (np.arange(1, m + 1) - 0.5))) / (3.0 * x[int(n / 4 + 0.5) - 1]) + 1.0 / x[-1]
     k = np.log1p(-b[:, None] * x).mean(axis=1)
     profile = n * (np.log(-b / k) - k - 1.0)
     weights = 1.0 / np.exp(profile - profile[:, None]).sum(axis=1)
     best = (b * weights).sum() / weights.sum()
-    return float((n * np.log1p(-best * x).mean() + 5.0) / (n + 10.0))
+    shape = np.log1p(-best * x).mean()
+    return float((n * shape + 5.0) / (n + 10.0)), float(-shape / best)
+
+
+def largest_weights(log_weights) -> tuple[np.ndarray, np.ndarray, float]:
+    """Positions of the largest of weights (n,), ascending, their excesses over the next one, and that.
+
+    In units of the largest. No positions where they would be fewer than five.
+    """
+    n = len(log_weights)
+    n_tail = int(min(0.2 * n, 3.0 * np.sqrt(n)))
+    if n_tail < 5:
+        return np.empty(0, dtype=int), np.empty(0), 0.0
+    tail = np.argpartition(log_weights, n - n_tail - 1)[n - n_tail - 1 :]
+    tail = tail[np.argsort(log_weights[tail])]
+    weights = np.exp(log_weights[tail] - log_weights[tail[-1]])
+    return tail[1:], weights[1:] - weights[0], float(weights[0])
+
+
+def pareto_k(log_weights) -> float:
+    """Shape of the largest of weights (n,); above 0.7 they mislead. Infinite where they are fewer than five.
+
+    Vehtari, Simpson, Gelman, Yao & Gabry, Pareto smoothed importance sampling, JMLR 25 (2024).
+    """
+    tail, excesses, _ = largest_weights(log_weights)
+    return pareto_tail(excesses)[0] if len(tail) and log_weights[tail[-1]] > -np.inf else np.inf
+
+
+def pareto_smoothed(log_weights) -> np.ndarray:
+    """Log weights (n,), the largest of which are replaced by what the distribution fitted to them expects.
+
+    Heavy draws that happen to be there count for less then, and stand for those that are not (Vehtari et al.,
+    2024). No weight becomes larger than the largest.
+    """
+    tail, excesses, least = largest_weights(log_weights)
+    shape, scale = pareto_tail(excesses)
+    if not (scale > 0.0 and np.isfinite(shape)):
+        return log_weights
+    levels = (np.arange(len(tail)) + 0.5) / len(tail)
+    expected = least + scale * np.expm1(-shape * np.log1p(-levels)) / shape
+    smoothed = np.array(log_weights)
+    smoothed[tail] = log_weights[tail[-1]] + np.log(np.minimum(expected, 1.0))
+    return smoothed
 
 
 def origins(terms, log_z, counts):
@@ -97,3 +141,29 @@ def equal_draws(weights, n: int, rng: np.random.Generator) -> np.ndarray:
     chosen = np.searchsorted(np.cumsum(weights), uniform).clip(max=len(weights) - 1)
     rng.shuffle(chosen)
     return chosen
+
+
+def next_beta(pool, beta: float, target: float) -> float:
+    """Largest temperature up to 1 whose weights keep the effective number `target`, found on a log scale.
+
+    Where even a vanishing increase leaves fewer, as with likelihoods that are zero over most of the prior,
+    nine tenths of what is left are kept; a likelihood that is constant where it is not zero leads to 1 at
+    once.
+    """
+    log_mixture = pool.log_mixture()
+
+    def effective(b):
+        return pool.effective(pool.log_weights(b, log_mixture))
+
+    target = min(target, 0.9 * effective(max(beta, SMALLEST_BETA)))
+    if effective(1.0) >= target:
+        return 1.0
+    spread = np.ptp(pool.log_ratio)
+    if spread == 0.0:
+        return 1.0
+    low = np.log(1e-3 / spread)  # increases smaller than this change no weight by more than 0.1 %
+    high = np.log1p(-beta) if beta > 0 else 0.0
+    if effective(beta + np.exp(low)) < target:
+        return beta + np.exp(low)
+    increase = brentq(lambda x: effective(beta + np.exp(x)) - target, low, high, xtol=1e-3)
+    return float(beta + np.exp(increase))

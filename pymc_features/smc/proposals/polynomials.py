@@ -28,11 +28,14 @@ def monomials(t, kind: str):
     return np.hstack(columns)
 
 
-def affordable(k: int, n_points: float) -> str:
-    """Polynomial of k coordinates with as many terms as so many effective points can tell."""
+def affordable(k: int, n_points: float, powers: bool = True) -> str:
+    """Polynomial of k coordinates with as many terms as so many effective points can tell.
+
+    No `POWERS` unless these are wanted.
+    """
     n_products = (k + 1) * (k + 2) // 2
     for kind, n_terms in ((POWERS, n_products + 2 * k), (PRODUCTS, n_products), (SQUARES, 2 * k + 1)):
-        if n_terms <= TERMS_PER_POINT * n_points:
+        if n_terms <= TERMS_PER_POINT * n_points and (powers or kind != POWERS):
             return kind
     return LINEAR
 

@@ -1,11 +1,16 @@
 """What a sampler has evaluated, from whichever density, weighed for any temperature; see `mixture.py`."""
 
 import numpy as np
-from scipy.optimize import brentq
 
-from pymc_features.smc.proposals.mixture import bennett, log_sum, newton_step, origins, pareto_shape
+from pymc_features.smc.proposals.mixture import (
+    bennett,
+    log_sum,
+    newton_step,
+    origins,
+    pareto_k,
+    pareto_smoothed,
+)
 
-SMALLEST_BETA = 1e-300
 QUANTILES = np.array([0.05, 0.5, 0.95])
 LARGEST_K = 0.7  # Pareto shape of weights that can be trusted
 LARGEST_SHARE = 0.005  # of one draw, which moves a tail quantile by about 1.5 % of the width
@@ -105,14 +110,13 @@ class Pool:
         """How far the pool has come: its points, and the impossible draws of each density."""
         return self._size, [impossible.copy() for impossible in self.impossible]
 
-    def independent(self, since: int = 1, mark: tuple[int, list] | None = None) -> "Pool":
-        """The independent draws alone: of the reference, and of proposals from number `since` on.
+    def independent(self, numbers: np.ndarray, mark: tuple[int, list] | None = None) -> "Pool":
+        """The independent draws alone, of the densities with these `numbers`, as of `known`.
 
         Their evidence is known. Markov chains that have not been everywhere yet make the weights of points
         where they should have been too small, and so do draws of proposals to which later ones are fitted.
         With a `mark`, no draws from before it.
         """
-        numbers = self.known(since)
         rows = np.isin(self.source, numbers)
         if mark is None:
             return self.part(numbers, rows)
@@ -180,6 +184,16 @@ class Pool:
         """ln w_i(beta), shape (n,)."""
         return beta * self.log_ratio - (self.log_mixture() if log_mixture is None else log_mixture)
 
+    @property
+    def is_independent(self) -> bool:
+        """Whether all points are independent draws."""
+        return bool((self.mass == 1.0).all())
+
+    def posterior_log_weights(self) -> np.ndarray:
+        """ln w_i(1), shape (n,), Pareto smoothed where all points are independent draws."""
+        log_weights = self.log_weights(1.0)
+        return pareto_smoothed(log_weights) if self.is_independent else log_weights
+
     def scaled(self, log_weights) -> tuple[np.ndarray, float]:
         """Weights (n,) over the largest of a point that counts, and the logarithm of that."""
         top = float(log_weights[self.visits > 0.0].max())
@@ -219,23 +233,15 @@ class Pool:
 
     def worth(self) -> float:
         """Effective number of points behind the quantiles of the worst parameter, at a temperature of one."""
-        return float(self.effective_of_quantiles(self.log_weights(1.0)).min())
+        return float(self.effective_of_quantiles(self.posterior_log_weights()).min())
 
     def largest_share(self) -> float:
         """Share of the posterior that the heaviest point stands for."""
         return float(self.normalised(self.log_weights(1.0)).max())
 
     def pareto_k(self) -> float:
-        """Shape of the largest weights of independent draws at a temperature of one; above 0.7 they mislead.
-
-        Vehtari, Simpson, Gelman, Yao & Gabry, Pareto smoothed importance sampling, JMLR 25 (2024).
-        """
-        log_weights = np.sort(self.log_weights(1.0)[self.mass > 0.0])
-        n_tail = int(min(0.2 * len(log_weights), 3.0 * np.sqrt(len(log_weights))))
-        if n_tail < 5:
-            return np.inf
-        tail = np.exp(log_weights[-n_tail:] - log_weights[-1])
-        return pareto_shape(tail - np.exp(log_weights[-n_tail - 1] - log_weights[-1]))
+        """Shape of the largest weights at a temperature of one, see `mixture.pareto_k`."""
+        return pareto_k(self.log_weights(1.0)[self.mass > 0.0])
 
     def solve(self):
         """Make the evidences of all temperatures agree with each other."""
@@ -245,14 +251,23 @@ class Pool:
         log_z[used] = bennett(self.terms()[used], log_z[used], counts[used], self.mass, free)
         self.log_z = list(log_z)
 
-    def standard_error(self) -> float:
-        """Standard error of ln Z at a temperature of one: jackknife over groups of whole Markov chains."""
+    def evidence(self) -> tuple[float, float]:
+        """ln Z at a temperature of one, and its standard error, part of which is what smoothing changes."""
+        log_z = self.log_evidence(self.posterior_log_weights())
+        change = log_z - self.log_evidence(self.log_weights(1.0))
+        return log_z, float(np.hypot(self.jackknife(), change))
+
+    def jackknife(self) -> float:
+        """Standard error of ln Z at a temperature of one, by leaving out groups of whole Markov chains.
+
+        Independent draws are smoothed anew without each group.
+        """
         counts, log_z, mass, terms = self.counts, np.array(self.log_z), self.mass, self.terms()
         used = counts > 0
         free = np.nan_to_num(np.array(self.betas)[used]) > 0
         impossible = np.sum(self.impossible, axis=0)
         p, log_total = origins(terms[used], log_z[used], counts[used])
-        values = []
+        values, is_independent = [], self.is_independent
         for group in range(GROUPS):  # without a group, one step of Newton's method away
             kept = self.group % GROUPS != group
             removed = mass[~kept].sum() + impossible[group]
@@ -260,34 +275,9 @@ class Pool:
             step = newton_step(p[:, kept], mass[kept], counts_kept, free)
             shift = step @ p[:, kept]  # first-order change of ln sum_s n_s p_s / Z_s
             log_w = self.log_ratio[kept] - log_total[kept] - shift
+            log_w = pareto_smoothed(log_w) if is_independent else log_w
             top = log_w.max()
             values.append(
                 top + np.log(mass[kept] @ np.exp(log_w - top)) - np.log(1.0 - removed / counts.sum())
             )
         return float(np.sqrt((GROUPS - 1) * np.var(values)))
-
-
-def next_beta(pool: Pool, beta: float, target: float) -> float:
-    """Largest temperature up to 1 whose weights keep the effective number `target`, found on a log scale.
-
-    Where even a vanishing increase leaves fewer, as with likelihoods that are zero over most of the prior,
-    nine tenths of what is left are kept; a likelihood that is constant where it is not zero leads to 1 at
-    once.
-    """
-    log_mixture = pool.log_mixture()
-
-    def effective(b):
-        return pool.effective(pool.log_weights(b, log_mixture))
-
-    target = min(target, 0.9 * effective(max(beta, SMALLEST_BETA)))
-    if effective(1.0) >= target:
-        return 1.0
-    spread = np.ptp(pool.log_ratio)
-    if spread == 0.0:
-        return 1.0
-    low = np.log(1e-3 / spread)  # increases smaller than this change no weight by more than 0.1 %
-    high = np.log1p(-beta) if beta > 0 else 0.0
-    if effective(beta + np.exp(low)) < target:
-        return beta + np.exp(low)
-    increase = brentq(lambda x: effective(beta + np.exp(x)) - target, low, high, xtol=1e-3)
-    return float(beta + np.exp(increase))

@@ -30,6 +30,7 @@ from pymc_features.smc.proposals.polynomials import (
 from pymc_features.smc.proposals.scores import NormalScores
 
 BATCH = 256  # points whose monomials are taken at a time
+LEAST_VARIANCE = 1e-12  # of a principal axis, over the largest
 SMALLEST_SQUARE = 1e-6  # beside the mean square, where a logarithm is taken
 ENOUGH = 1000  # points to tell which coordinates others follow
 CHANCE = 5.0  # nats times points that a fit gains by chance
@@ -71,10 +72,12 @@ class UnbendingMap:
         as well, and those come first on which scale and place of others depend.
     bounded : array of bool (d,), optional
         Parameters that are sampled as logits; none by default.
+    powers : bool
+        Whether the polynomials of step 3 may be of the kind `POWERS`.
     """
 
-    def __init__(self, x, weights, rotated=True, bounded=None):
-        n_points = weights.sum()
+    def __init__(self, x, weights, rotated=True, bounded=None, powers=True):
+        n_points, self.rotated = weights.sum(), rotated
         w = weights / n_points
         self.scores = NormalScores(np.zeros(x.shape[1], dtype=bool) if bounded is None else bounded)
         x, _ = self.scores.forward(x)
@@ -85,12 +88,16 @@ class UnbendingMap:
         scatter = (w[:, None] * centred).T @ centred
         if rotated:
             variances, vectors = np.linalg.eigh(scatter + 1e-10 * np.diag(np.diag(scatter)))
+            variances = np.maximum(
+                variances, LEAST_VARIANCE * variances[-1]
+            )  # rounding can make them negative
             self.vectors, self.deviations = vectors[:, ::-1], np.sqrt(variances[::-1])
         else:
             order = np.argsort(-influence(centred / np.sqrt(np.diag(scatter)), w, n_points))
             self.vectors, self.deviations = np.eye(len(order))[:, order], np.sqrt(np.diag(scatter))[order]
         t = centred @ self.vectors / self.deviations
-        self.axes = [fit_axis(t[:, :k], t[:, k], w, n_points) for k in range(x.shape[1])]
+        kinds = [affordable(k, n_points, powers) for k in range(x.shape[1])]
+        self.axes = [fit_axis(t[:, :k], t[:, k], w, n_points, kind) for k, kind in enumerate(kinds)]
         self.polynomials = Polynomials(self.axes)
 
     def forward(self, x):
@@ -140,9 +147,8 @@ def entropies(wider, t, w, n_points) -> np.ndarray:
     return 0.5 * np.log(w @ (rest * np.exp(-log_scale)) ** 2) + w @ log_scale
 
 
-def fit_axis(wider, t, w, n_points) -> Axis:
+def fit_axis(wider, t, w, n_points, kind) -> Axis:
     """Regress one axis (n,) on the wider ones (n, k); weights w sum up to one."""
-    kind = affordable(wider.shape[1], n_points)
     shift, slope, rest, log_scale = conditional(wider, t[:, None], w, n_points, kind)
     level = 0.5 * np.log(w @ (rest * np.exp(-log_scale)) ** 2)
     return Axis(kind, shift[:, 0], slope[:, 0], float(level[0]))
