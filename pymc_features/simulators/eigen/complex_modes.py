@@ -36,10 +36,10 @@ from pymc_features.simulators.eigen.pair_numbers import impedance, over, times
 
 MAX_ITERATIONS = 80
 EARLY, LARGE = 12, 0.02  # a vector that moves that much after so many iterations will not settle
-RENEWED = 1e-6  # a vector that moves less needs no new inverses
+RENEWED = 1e-4  # a vector that moves less needs no new inverses
 SETTLED = 1e-14  # change of a vector whose own entry is one, all entries together
-NEARLY, SHRINKING = 1e-10, 0.1  # changes and their rates, below which they foretell the rest
-FORESEEN = 5e-13  # what may be left then: no modes are close, and errors not magnified
+NEARLY, SHRINKING = 2e-9, 0.1  # changes and their rates, below which they foretell the rest
+FORESEEN = 3e-11  # what may be left then: no modes are close, and errors not magnified
 STALLED = 1e-12  # change that is taken for rounding after twice as many iterations
 
 
