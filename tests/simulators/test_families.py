@@ -81,6 +81,8 @@ def test_fused_is_unfused_and_batch_is_loop(name):
         rtol, atol = 1e-10, 1e-12
         if name in ("hysteretic", "duffing"):  # populations take other steps, right to 1e-6 of the peak
             rtol, atol = 2e-6, 1e-6
+        elif name == "coupled damping":  # complex modes that settle in lanes, right to 2e-11 of the peak
+            rtol, atol = 1e-9, 2e-11
         for a, b in ((batched[0][i], fused[0]), (batched[1][i], fused[1])):
             np.testing.assert_allclose(a, b, rtol=rtol, atol=atol * abs(data).max() ** 2)
     assert np.isnan(batched[0][4]).all()

@@ -24,7 +24,13 @@ from pymc_features.simulators.eigen.coupled import (
     sort_modes,
     write_sensors,
 )
-from pymc_features.simulators.eigen.matrices import all_diagonal, assemble_lanes, multiply_lanes, store_four
+from pymc_features.simulators.eigen.damping_matrices import filled_places, is_never_negative
+from pymc_features.simulators.eigen.matrices import (
+    all_diagonal,
+    assemble_lanes,
+    multiply_lanes,
+    store_four,
+)
 from pymc_features.simulators.eigen.residues import check_sums
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
 from pymc_features.simulators.oscillators.arguments import at_every_step
@@ -64,11 +70,9 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
     lanes, modes = new_lanes(observed, n, excitation.stride, True), new_complex(n, n_sensors)
     structures, pairs = new_structures(n, theta.shape[1], n + 2), new_pairs(n, n, n_sensors)
-    damping, products, room = (
-        new_vectors(n * n),
-        new_vectors(n * (n + 2)),
-        new_vectors(n * n),
-    )
+    damping, room = new_vectors(n * n), new_vectors(n * n)
+    places = filled_places(parameters.damping, n)
+    is_safe = is_never_negative(parameters.damping, n)
     by_theta = new_vectors(theta.shape[1])
     order, matrices = np.empty(n, dtype=np.int64), new_matrices(n, n_sensors)
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
@@ -82,10 +86,10 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
         solve_structures(structures, stacks, is_diagonal, columns)
         for lane in range(LANES):
             modes.is_good[0, lane] = 1.0 if structures.is_good[lane] and first + lane < count else 0.0
-        sort_modes(structures, modes, (products, order))
+        products = sort_modes(structures, modes, order)
         assemble_lanes(parameters.damping, structures.theta, n, True, damping)
-        project(modes, damping, products, n, room)
-        check_damping(modes, structures.factor, damping, step, n)
+        project(modes, damping, places, products, room)
+        check_damping(modes, structures.factor, damping, step, is_safe)
         write_sensors(modes, lanes, products, wanted, support_motion)
         fill_gradient_pairs(lanes, pairs, modes, products, request)
         store(
@@ -170,7 +174,7 @@ def spread_to_theta(parameters, pairs, modes, products, matrices, request, by_th
     for k in range(n):
         put_number(own, k, write_differences(pairs, k, n_sensors, differences))
     width = 2 * n
-    multiply_lanes((right, width, 1), (differences, 1, width), (n, width, width), partners)
+    multiply_lanes((right, width, 1), (differences, 1, width), (n, width, width), partners, True)
     multiply_left(pairs, False, left)
     if parameters.stiffness.shape[0] > 1:
         write_entries((left, width, 1), (partners, width, 1), width, parameters.stiffness, entries)
@@ -212,7 +216,7 @@ def write_entries(left, right, inner, stack, entries):
                 count += 1
                 break
     if count > FEW * size:
-        multiply_lanes(left, (y, y_along, y_down), (n, inner, n), entries)
+        multiply_lanes(left, (y, y_along, y_down), (n, inner, n), entries, True)
         return
     for e in places[:count]:
         a, b = (e // n) * x_down, (e % n) * y_down

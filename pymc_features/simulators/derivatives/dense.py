@@ -63,7 +63,7 @@ def spread_lanes(parameters, sensors, lanes, rows, matrices, by_theta):
         if stack.shape[0] == 1:
             continue
         write_reduced(lanes, sensors, rows, of_mass, reduced)
-        multiply_lanes((vectors, 1, width), (reduced, m, 1), (n, n, m), left)
+        multiply_lanes((vectors, 1, width), (reduced, m, 1), (n, n, m), left, True)
         write_entries((left, m, 1), (vectors, 1, width), m, stack, entries)
         if of_mass:
             for i in range(n):

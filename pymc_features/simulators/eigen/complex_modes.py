@@ -31,15 +31,15 @@ from pymc_features.simulators.compiled.vector import (
 )
 from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.compiled.vector_memory import new_vectors, read_lanes, write_lanes
+from pymc_features.simulators.eigen.damping_matrices import PANEL, multiply_rows, multiply_two_rows
 from pymc_features.simulators.eigen.pair_numbers import impedance, over, times
 
-PANEL = 2
 MAX_ITERATIONS = 80
 EARLY, LARGE = 12, 0.02  # a vector that moves that much after so many iterations will not settle
-RENEWED = 1e-6  # a vector that moves less needs no new inverses
+RENEWED = 1e-4  # a vector that moves less needs no new inverses
 SETTLED = 1e-14  # change of a vector whose own entry is one, all entries together
-NEARLY, SHRINKING = 1e-10, 0.1  # changes and their rates, below which they foretell the rest
-FORESEEN = 5e-13  # what may be left then: no modes are close, and errors not magnified
+NEARLY, SHRINKING = 2e-9, 0.1  # changes and their rates, below which they foretell the rest
+FORESEEN = 3e-11  # what may be left then: no modes are close, and errors not magnified
 STALLED = 1e-12  # change that is taken for rounding after twice as many iterations
 
 
@@ -180,41 +180,6 @@ def write_inverses(at, first, where):
 
 
 @jit
-def multiply_rows(at, s, live):
-    """Write entries s ... s + 3 of D x of the panel in the lanes that are `live`.
-
-    What stands behind the last entry repeats it.
-    """
-    m, x = at.m, at.vectors
-    s1, s2, s3 = min(s + 1, m - 1), min(s + 2, m - 1), min(s + 3, m - 1)
-    a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = splat(0.0)
-    c0 = c1 = c2 = c3 = e0 = e1 = e2 = e3 = splat(0.0)
-    for t in range(m):
-        k = 2 * PANEL * t
-        x0, x1, x2, x3 = read_lanes(x, k), read_lanes(x, k + 1), read_lanes(x, k + 2), read_lanes(x, k + 3)
-        d0, d1 = read_lanes(at.damping, s * m + t), read_lanes(at.damping, s1 * m + t)
-        d2, d3 = read_lanes(at.damping, s2 * m + t), read_lanes(at.damping, s3 * m + t)
-        a0, a1, a2, a3 = a0 + d0 * x0, a1 + d0 * x1, a2 + d0 * x2, a3 + d0 * x3
-        b0, b1, b2, b3 = b0 + d1 * x0, b1 + d1 * x1, b2 + d1 * x2, b3 + d1 * x3
-        c0, c1, c2, c3 = c0 + d2 * x0, c1 + d2 * x1, c2 + d2 * x2, c3 + d2 * x3
-        e0, e1, e2, e3 = e0 + d3 * x0, e1 + d3 * x1, e2 + d3 * x2, e3 + d3 * x3
-    write_four(at.products, 2 * PANEL * s, (a0, a1, a2, a3), live)
-    write_four(at.products, 2 * PANEL * s1, (b0, b1, b2, b3), live)
-    write_four(at.products, 2 * PANEL * s2, (c0, c1, c2, c3), live)
-    write_four(at.products, 2 * PANEL * s3, (e0, e1, e2, e3), live)
-
-
-@jit
-def write_four(address, row, vectors, live):
-    """Write four vectors, one after the other, in the lanes that are `live`."""
-    zero = splat(0.0)
-    write_lanes(address, row, where_less(zero, live, vectors[0], read_lanes(address, row)))
-    write_lanes(address, row + 1, where_less(zero, live, vectors[1], read_lanes(address, row + 1)))
-    write_lanes(address, row + 2, where_less(zero, live, vectors[2], read_lanes(address, row + 2)))
-    write_lanes(address, row + 3, where_less(zero, live, vectors[3], read_lanes(address, row + 3)))
-
-
-@jit
 def improve_pole(at, r, p, live):
     """One Newton step for the pole of mode p of the panel, number r; returns by how much it moved."""
     row, omega = 2 * (PANEL * r + p), read_lanes(at.omega, r)
@@ -236,19 +201,22 @@ def improve_rows(at, rows, first, live, moved):
     for p in range(PANEL):
         r, (pole, square) = min(first + p, m - 1), pole_of(at, p)
         own_square = times(pole, pole, square)
+        turned = square * own_square[1], square * pole[1]
         for s in range(rows[0], rows[1]):
             if s == r:
                 moved = moved + improve_pole(at, r, p, live)
                 pole, square = pole_of(at, p)
                 own_square = times(pole, pole, square)
+                turned = square * own_square[1], square * pole[1]
                 continue
             row, omega = 2 * (PANEL * s + p), read_lanes(at.omega, s)
             y = read_lanes(at.products, row), read_lanes(at.products, row + 1)
             x = read_lanes(at.vectors, row), read_lanes(at.vectors, row + 1)
-            stiff = times((own_square[0] + omega * omega, own_square[1]), x, square)
-            drag = times(pole, y, square)
+            own = own_square[0] + omega * omega
+            left = own * x[0] + turned[0] * x[1] + pole[0] * y[0] + turned[1] * y[1]
+            beside = own * x[1] + own_square[1] * x[0] + pole[0] * y[1] + pole[1] * y[0]
             inverse = read_lanes(at.inverses, row), read_lanes(at.inverses, row + 1)
-            step = times((stiff[0] + drag[0], stiff[1] + drag[1]), inverse, square)
+            step = times((left, beside), inverse, square)
             write_lanes(at.vectors, row, where_less(zero, live, x[0] - step[0], x[0]))
             write_lanes(at.vectors, row + 1, where_less(zero, live, x[1] - step[1], x[1]))
             moved = moved + (magnitude(step[0]) + magnitude(step[1]))
@@ -260,7 +228,10 @@ def sweep_panel(at, first, live):
     """Improve all entries and poles of a panel once; returns by how much they moved, NaN included."""
     m, moved = at.m, splat(0.0)
     for s in range(0, m, 4):
-        multiply_rows(at, s, live)
+        if m - s > 2:
+            multiply_rows(at, s, live)
+        else:
+            multiply_two_rows(at, s, live)
         moved = improve_rows(at, (s, min(s + 4, m)), first, live, moved)
     return moved
 

@@ -8,6 +8,7 @@ from pymc_features.simulators.compiled.vector import LANES, load, magnitude, spl
 from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.complex_modes import new_complex
+from pymc_features.simulators.eigen.damping_matrices import filled_places, is_never_negative, multiply_sparse
 from pymc_features.simulators.eigen.filling import positions
 from pymc_features.simulators.eigen.matrices import (
     all_diagonal,
@@ -25,6 +26,8 @@ from pymc_features.simulators.oscillators.arguments import (
 from pymc_features.simulators.oscillators.lanes import new_lanes
 from pymc_features.simulators.oscillators.population import lane_statistics
 from pymc_features.simulators.oscillators.recursion import STIFFEST
+
+FEW = 0.3  # share of the entries of C below which those that are zero are passed over
 
 
 @jit
@@ -56,11 +59,9 @@ def march_coupled(parameters, excitation, wanted, observed, increments):
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
     lanes, modes = new_lanes(observed, m, excitation.stride, True), new_complex(m, n_sensors)
     structures = new_structures(n, theta.shape[1], columns[0].shape[1])
-    damping, products, room = (
-        new_vectors(n * n),
-        new_vectors(m * (n + 2)),
-        new_vectors(m * n),
-    )
+    damping, room = new_vectors(n * n), new_vectors(m * n)
+    places = filled_places(parameters.damping, n)
+    is_safe = is_never_negative(parameters.damping, n)
     order, step, start = np.empty(n, dtype=np.int64), motion.dt, motion.acceleration[0]
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
     for first in range(0, count, LANES):
@@ -69,10 +70,10 @@ def march_coupled(parameters, excitation, wanted, observed, increments):
         solve_structures(structures, stacks, is_diagonal, columns)
         for lane in range(LANES):
             modes.is_good[0, lane] = 1.0 if structures.is_good[lane] and first + lane < count else 0.0
-        sort_modes(structures, modes, (products, order))
+        products = sort_modes(structures, modes, order)
         assemble_lanes(parameters.damping, structures.theta, n, True, damping)
-        project(modes, damping, products, n, room)
-        check_damping(modes, structures.factor, damping, step, n)
+        project(modes, damping, places, products, room)
+        check_damping(modes, structures.factor, damping, step, is_safe)
         write_sensors(modes, lanes, products, wanted, support_motion)
         fill_pairs(lanes, modes, n_sensors, step, wanted.quantity, start)
         found = lane_statistics(lanes, motion, observed, increments)
@@ -93,48 +94,72 @@ def all_columns(parameters):
 
 
 @jit
-def sort_modes(structures, modes, room):
-    """Write omega of the lowest modes, and their products with the columns in the same order.
+def sort_modes(structures, modes, order):
+    """Write omega of the lowest modes, and return their products with the columns, (m w, LANES), in order.
 
-    `room` is a matrix (m w, LANES), the products, and the order (n,).
+    The products are those of `structures`, whose lanes are in order nearly always. `order` (n,) is
+    overwritten.
     """
-    (products, order), m = room, modes.omega.shape[0]
-    width = products.shape[0] // m
-    for i in range(m * width):  # of the lanes that are in order, as nearly all are
-        store(products, i, load(structures.vectors, i))
+    n, m = order.size, modes.omega.shape[0]
+    width = structures.vectors.shape[0] // n
     for lane in range(LANES):
         if modes.is_good[0, lane] == 0.0:
             continue
         positions(structures.values, lane, order)
+        is_in_order = True
         for r in range(m):
             modes.omega[r, lane] = np.sqrt(structures.values[order[r], lane])
-            if order[r] != r:
-                for c in range(width):
-                    products[r * width + c, lane] = structures.vectors[order[r] * width + c, lane]
+            is_in_order &= order[r] == r
+        if not is_in_order:
+            found = structures.vectors[:, lane].copy().reshape((n, width))
+            structures.vectors[:, lane] = found[order].ravel()
+    return structures.vectors[: m * width]
 
 
 @jit
-def project(modes, damping, products, n, room):
+def project(modes, damping, places, products, room):
     """Write D = Phi'C Phi and Gamma.
 
-    `damping` are matrices C (n n, LANES), `products` those of `sort_modes`, `room` a matrix (m n, LANES).
+    `damping` are matrices C (n n, LANES), zero but at `filled_places`, `products` those of `sort_modes`, and
+    `room` a matrix (m n, LANES).
     """
-    m = modes.omega.shape[0]
+    m, n = modes.omega.shape[0], places[0].size - 1
     width = products.shape[0] // m
     for r in range(m):
         store(modes.participation, r, load(products, r * width + width - 1))
-    multiply_lanes((products, width, 1), (damping, n, 1), (m, n, n), room)
-    multiply_lanes((room, n, 1), (products, 1, width), (m, n, m), modes.damping)
+    left, is_sparse = (products, width, 1), places[1].size < FEW * n * n
+    if is_sparse:
+        multiply_sparse(left, damping, places, (m, n), room)
+    else:
+        multiply_lanes(left, (damping, n, 1), (m, n, n), room, True)
+    multiply_lanes((room, n, 1), (products, 1, width), (m, n, m), modes.damping, False)
 
 
 @jit
-def check_damping(modes, factor, damping, step, n):
+def check_damping(modes, factor, damping, step, is_safe):
     """Take the lanes out of the good ones where D has a negative eigenvalue, or is too stiff to be stepped.
 
-    `factor` is that of M, (n n, LANES), and `damping` C, which is overwritten.
+    `factor` is that of M, (n n, LANES), `damping` C, which is overwritten, and `is_safe` tells whether no
+    eigenvalue can be negative, see `is_never_negative`.
     """
-    m, zero = modes.omega.shape[0], splat(0.0)
-    inertia = drag = stiffest = zero
+    stiffest = splat(0.0)
+    for r in range(modes.omega.shape[0]):
+        own = load(modes.damping, r * modes.omega.shape[0] + r)
+        stiffest = larger(stiffest, larger(load(modes.omega, r), own))
+    if not is_safe:
+        check_sign(modes, factor, damping)
+    store(
+        modes.is_good,
+        0,
+        where_less(stiffest * step, splat(STIFFEST), load(modes.is_good, 0), splat(0.0)),
+    )
+
+
+@jit
+def check_sign(modes, factor, damping):
+    """Take the lanes out of the good ones where D has a negative eigenvalue."""
+    m, n, zero = modes.omega.shape[0], int(np.sqrt(damping.shape[0])), splat(0.0)
+    inertia = drag = zero
     for i in range(n):
         drag = drag + load(damping, i * n + i)
         for k in range(i + 1):
@@ -143,12 +168,10 @@ def check_damping(modes, factor, damping, step, n):
     ratio = magnitude(drag) / inertia
     shift = ZERO_STIFFNESS * where_less(zero, ratio, ratio, splat(1.0))
     for r in range(m):
-        stiffest = larger(stiffest, larger(load(modes.omega, r), load(modes.damping, r * m + r)))
         for s in range(r + 1):
             store(damping, r * m + s, load(modes.damping, r * m + s) + (shift if r == s else zero))
     factorise_lanes(damping, m, False)
-    passed = where_less(zero, load(damping, m * m - 1), load(modes.is_good, 0), zero)
-    store(modes.is_good, 0, where_less(stiffest * step, splat(STIFFEST), passed, zero))
+    store(modes.is_good, 0, where_less(zero, load(damping, m * m - 1), load(modes.is_good, 0), zero))
 
 
 @jit
@@ -159,11 +182,15 @@ def write_sensors(modes, lanes, products, wanted, support_motion):
     is_absolute = wanted.quantity == ABSOLUTE_ACCELERATION
     for j in range(n_sensors):
         by_modes = by_forces = splat(0.0)
+        first, last = 0, n
+        while first < last and wanted.sensors[j, first] == 0.0:
+            first += 1
+        while last > first and wanted.sensors[j, last - 1] == 0.0:
+            last -= 1
         for s in range(m):
             seen = splat(0.0)
-            for c in range(n):
-                if wanted.sensors[j, c] != 0.0:
-                    seen = seen + load(products, s * width + c) * wanted.sensors[j, c]
+            for c in range(first, last):
+                seen = seen + load(products, s * width + c) * wanted.sensors[j, c]
             store(modes.seen, j * m + s, seen)
             by_modes = by_modes + seen * load(products, s * width + n + 1)
             by_forces = by_forces + seen * load(products, s * width + n)

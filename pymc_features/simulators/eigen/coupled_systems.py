@@ -20,6 +20,7 @@ from pymc_features.simulators.eigen.coupled import (
     sort_modes,
     write_sensors,
 )
+from pymc_features.simulators.eigen.damping_matrices import filled_places, is_never_negative
 from pymc_features.simulators.eigen.matrices import all_diagonal, assemble_lanes
 from pymc_features.simulators.eigen.pairs import write_shares
 from pymc_features.simulators.eigen.residues import CANCELLING, check_sums
@@ -77,11 +78,9 @@ def fill_systems(systems, parameters, excitation, wanted, observed):
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
     lanes, modes = new_lanes(observed[:, :1].copy(), m, 1, True), new_complex(m, n_sensors)
     structures = new_structures(n, theta.shape[1], columns[0].shape[1])
-    damping, products, room = (
-        new_vectors(n * n),
-        new_vectors(m * (n + 2)),
-        new_vectors(m * n),
-    )
+    damping, room = new_vectors(n * n), new_vectors(m * n)
+    places = filled_places(parameters.damping, n)
+    is_safe = is_never_negative(parameters.damping, n)
     order, kept = np.empty(n, dtype=np.int64), (new_vectors(m), new_vectors(m))
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
     systems.valid[:], systems.omega[:] = True, np.nan
@@ -91,10 +90,10 @@ def fill_systems(systems, parameters, excitation, wanted, observed):
         solve_structures(structures, stacks, is_diagonal, columns)
         for lane in range(LANES):
             modes.is_good[0, lane] = 1.0 if structures.is_good[lane] and first + lane < count else 0.0
-        sort_modes(structures, modes, (products, order))
+        products = sort_modes(structures, modes, order)
         assemble_lanes(parameters.damping, structures.theta, n, True, damping)
-        project(modes, damping, products, n, room)
-        check_damping(modes, structures.factor, damping, step, n)
+        project(modes, damping, places, products, room)
+        check_damping(modes, structures.factor, damping, step, is_safe)
         write_sensors(modes, lanes, products, wanted, support_motion)
         write_pairs(lanes, modes, kept, n_sensors, wanted.quantity)
         for lane in range(LANES):

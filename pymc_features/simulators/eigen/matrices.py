@@ -137,14 +137,14 @@ def divide_transposed(factor, n, is_diagonal, vectors):
 
 
 @jit
-def divide_rows(factor, n, is_diagonal, vectors):
+def divide_rows(factor, n, vectors):
     """Overwrite n vectors, each a row of `vectors` (n n, LANES), by F^-T times them."""
     f, rows = factor.ctypes.data, vectors.ctypes.data
     for i in range(n - 1, -1, -1):
         inverse = splat(1.0) / read_lanes(f, i * n + i)
         for r in range(0, n * n, n):
             entry = read_lanes(rows, r + i)
-            for k in range(i + 1, n if not is_diagonal else i + 1):
+            for k in range(i + 1, n):
                 entry = entry - read_lanes(f, k * n + i) * read_lanes(rows, r + k)
             write_lanes(rows, r + i, entry * inverse)
 
@@ -171,7 +171,7 @@ def energy_lanes(stiffness, shape):
 
 
 @jit
-def multiply_lanes(left, right, sizes, out):
+def multiply_lanes(left, right, sizes, out, whole):
     """Write a product of two matrices, in blocks of four rows and columns.
 
     Parameters
@@ -182,11 +182,13 @@ def multiply_lanes(left, right, sizes, out):
         Rows of the left matrix, its columns, and columns of the right one.
     out : array (.., LANES)
         Written in C order.
+    whole : bool
+        False of a product that is symmetric: its upper half is then copied from the lower one.
     """
     (x, x_down, x_along), (y, y_down, y_along), (n, inner, m) = left, right, sizes
     for r in range(0, n, 4):  # what stands behind the last row or column repeats it
         r1, r2, r3 = min(r + 1, n - 1), min(r + 2, n - 1), min(r + 3, n - 1)
-        for s in range(0, m, 4):
+        for s in range(0, m if whole else min(r + 4, m), 4):
             s1, s2, s3 = min(s + 1, m - 1), min(s + 2, m - 1), min(s + 3, m - 1)
             a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = splat(0.0)
             c0 = c1 = c2 = c3 = d0 = d1 = d2 = d3 = splat(0.0)
@@ -207,6 +209,9 @@ def multiply_lanes(left, right, sizes, out):
             store_four(out, r1 * m, places, (b0, b1, b2, b3))
             store_four(out, r2 * m, places, (c0, c1, c2, c3))
             store_four(out, r3 * m, places, (d0, d1, d2, d3))
+    for r in range(0 if whole else n):
+        for s in range(r):
+            store(out, s * m + r, load(out, r * m + s))
 
 
 @jit

@@ -164,24 +164,70 @@ def reflect_back(matrix, betas, vector):
 
 
 @jit
+def reflect_four(rows, places, v, beta, size):
+    """Multiply four vectors by reflections k and k - 1, or by k alone where it is zero.
+
+    Parameters
+    ----------
+    rows, v, beta : int
+        Addresses of the vectors, of the matrix whose columns are v, and of beta.
+    places : tuple of int
+        Where each of the four begins.
+    size : tuple of int
+        k and n.
+    """
+    (a, b, c, d), (k, n) = places, size
+    e0 = e1 = e2 = e3 = f0 = f1 = f2 = f3 = both = splat(0.0)  # v_k'x, v_(k-1)'x, v_k'v_(k-1)
+    low, is_single = max(k - 1, 0), k == 0
+    for i in range(k + 1, n):
+        first, second = read_lanes(v, i * n + k), read_lanes(v, i * n + low)
+        x0, x1, x2, x3 = read_four(rows, (a + i, b + i, c + i, d + i))
+        e0, e1, e2, e3 = e0 + first * x0, e1 + first * x1, e2 + first * x2, e3 + first * x3
+        f0, f1, f2, f3 = f0 + second * x0, f1 + second * x1, f2 + second * x2, f3 + second * x3
+        both = both + first * second
+    factor = read_lanes(beta, k)
+    e0, e1, e2, e3 = factor * e0, factor * e1, factor * e2, factor * e3
+    factor, start = splat(0.0) if is_single else read_lanes(beta, low), read_lanes(v, k * n + low)
+    x0, x1, x2, x3 = read_four(rows, (a + k, b + k, c + k, d + k))
+    f0, f1 = factor * (f0 + start * x0 - both * e0), factor * (f1 + start * x1 - both * e1)
+    f2, f3 = factor * (f2 + start * x2 - both * e2), factor * (f3 + start * x3 - both * e3)
+    write_four(
+        rows,
+        (a + k, b + k, c + k, d + k),
+        (x0 - f0 * start, x1 - f1 * start, x2 - f2 * start, x3 - f3 * start),
+    )
+    for i in range(k + 1, n):
+        first, second = read_lanes(v, i * n + k), read_lanes(v, i * n + low)
+        x0, x1, x2, x3 = read_four(rows, (a + i, b + i, c + i, d + i))
+        x0, x1 = x0 - e0 * first - f0 * second, x1 - e1 * first - f1 * second
+        x2, x3 = x2 - e2 * first - f2 * second, x3 - e3 * first - f3 * second
+        write_four(rows, (a + i, b + i, c + i, d + i), (x0, x1, x2, x3))
+
+
+@jit
+def read_four(address, places):
+    """Four vectors."""
+    a, b, c, d = places
+    return read_lanes(address, a), read_lanes(address, b), read_lanes(address, c), read_lanes(address, d)
+
+
+@jit
+def write_four(address, places, vectors):
+    """Write four vectors."""
+    write_lanes(address, places[0], vectors[0])
+    write_lanes(address, places[1], vectors[1])
+    write_lanes(address, places[2], vectors[2])
+    write_lanes(address, places[3], vectors[3])
+
+
+@jit
 def reflect_rows(matrix, betas, vectors):
-    """As `reflect_back`, of n vectors, each a row of `vectors` (n n, LANES), four at a time."""
+    """As `reflect_back`, of n vectors, each a row of `vectors` (n n, LANES), four at a time.
+
+    Reflections k and k - 1 go through memory together; what would follow the last one is none.
+    """
     n, rows, v, beta = betas.shape[0], vectors.ctypes.data, matrix.ctypes.data, betas.ctypes.data
     for r in range(0, n, 4):  # what stands behind the last row repeats it
         a, b, c, d = n * r, n * min(r + 1, n - 1), n * min(r + 2, n - 1), n * min(r + 3, n - 1)
-        for k in range(n - 3, -1, -1):
-            of_a = of_b = of_c = of_d = splat(0.0)
-            for i in range(k + 1, n):
-                entry = read_lanes(v, i * n + k)
-                of_a, of_b = of_a + entry * read_lanes(rows, a + i), of_b + entry * read_lanes(rows, b + i)
-                of_c, of_d = of_c + entry * read_lanes(rows, c + i), of_d + entry * read_lanes(rows, d + i)
-            factor = read_lanes(beta, k)
-            of_a, of_b, of_c, of_d = factor * of_a, factor * of_b, factor * of_c, factor * of_d
-            for i in range(k + 1, n):
-                entry = read_lanes(v, i * n + k)
-                new_a, new_b = read_lanes(rows, a + i) - of_a * entry, read_lanes(rows, b + i) - of_b * entry
-                new_c, new_d = read_lanes(rows, c + i) - of_c * entry, read_lanes(rows, d + i) - of_d * entry
-                write_lanes(rows, a + i, new_a)
-                write_lanes(rows, b + i, new_b)
-                write_lanes(rows, c + i, new_c)
-                write_lanes(rows, d + i, new_d)
+        for k in range(n - 3, -1, -2):
+            reflect_four(rows, (a, b, c, d), v, beta, (k, n))

@@ -11,7 +11,7 @@ from pymc_features.simulators.compiled.vector_memory import read_lanes, write_la
 from pymc_features.simulators.eigen.complex_modes import PANEL, pole_of
 from pymc_features.simulators.eigen.pair_numbers import over, times
 
-COMPLETE = 1e-11  # error of the sums of residues beside the sum of their classical absolute values
+COMPLETE = 1e-9  # error of the sums of residues beside the sum of their classical absolute values
 CANCELLING = 1e5  # residues above that many times the classical ones: two modes, or both of a pair, coalesce
 
 

@@ -23,6 +23,7 @@ from pymc_features.simulators.eigen.matrices import (
     standard_lanes,
 )
 from pymc_features.simulators.eigen.reflections import reflect_back, reflect_rows, tridiagonalise
+from pymc_features.simulators.eigen.root_free import values_of_lanes
 from pymc_features.simulators.eigen.tridiagonal import (
     REACH,
     ROUNDS,
@@ -126,7 +127,7 @@ def solve_structures(lanes, stacks, is_diagonal, columns):
     if width < n:
         start_products(lanes, columns, is_diagonal)
     tridiagonalise(lanes.reduced, lanes.diagonal, lanes.off_diagonal, forward, lanes.room)
-    converged = diagonalise(lanes, forward)
+    converged = diagonalise(lanes, forward) if width < n else find_values(lanes)
     if width >= n and converged:
         converged = find_shapes(lanes)
         multiply_shapes(lanes, columns, is_diagonal)
@@ -147,6 +148,16 @@ def diagonalise(lanes, vectors):
         store(lanes.values, i, load(lanes.diagonal, i))
         store(lanes.work, i, load(lanes.off_diagonal, i))
     return diagonalise_lanes(lanes.values, lanes.work, vectors)
+
+
+@jit
+def find_values(lanes):
+    """Write omega^2 of the tridiagonal matrices; False if that fails."""
+    for i in range(lanes.diagonal.shape[0]):
+        entry = load(lanes.off_diagonal, i)
+        store(lanes.values, i, load(lanes.diagonal, i))
+        store(lanes.work, i, entry * entry)
+    return values_of_lanes(lanes.values, lanes.work)
 
 
 @jit
@@ -203,21 +214,31 @@ def sort_lanes(values):
 def multiply_shapes(lanes, columns, is_diagonal):
     """Turn the eigenvectors of A into mode shapes, and write their products with the vectors."""
     (fixed, influence), n, rows, vectors = columns, lanes.diagonal.shape[0], lanes.rows, lanes.vectors
-    width = fixed.shape[1]
-    for i in range(n * width):
-        store(vectors, i, splat(0.0))
+    width, inverses = fixed.shape[1], lanes.shape
     for i in range(n):
-        share = moved_mass(lanes, i, influence, is_diagonal)
-        for r in range(n):
-            row = r * width + width - 1
-            store(vectors, row, load(vectors, row) + load(rows, r * n + i) * share)
-    divide_rows(lanes.factor, n, is_diagonal, rows)
+        store(lanes.pivots, i, moved_mass(lanes, i, influence, is_diagonal))
+        store(inverses, i, splat(1.0) / load(lanes.factor, i * n + i))
+    for r in range(n):
+        share = splat(0.0)
+        for i in range(n):
+            entry = load(rows, r * n + i)
+            share = share + entry * load(lanes.pivots, i)
+            if is_diagonal:
+                store(rows, r * n + i, entry * load(inverses, i))
+        for c in range(width):
+            store(vectors, r * width + c, share if c == width - 1 else splat(0.0))
+    if not is_diagonal:
+        divide_rows(lanes.factor, n, rows)
+    places, count = np.empty((n * width, 2), dtype=np.int64), 0
     for i in range(n):
         for c in range(width):
             if fixed[i, c] != 0.0:
-                for r in range(n):
-                    row = r * width + c
-                    store(vectors, row, load(vectors, row) + load(rows, r * n + i) * fixed[i, c])
+                places[count, 0], places[count, 1], count = i, c, count + 1
+    for r in range(n):
+        for place in range(count):
+            i, c = places[place]
+            row = r * width + c
+            store(vectors, row, load(vectors, row) + load(rows, r * n + i) * fixed[i, c])
 
 
 @jit

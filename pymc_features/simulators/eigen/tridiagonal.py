@@ -21,6 +21,7 @@ from pymc_features.simulators.compiled.vector import (
 )
 
 MAX_SWEEPS = 60  # for each eigenvalue; two or three are typical
+SPLIT = 2.3e-16  # entries beside the diagonal, of its two, that are taken for zero
 TINY = 1e-300  # keeps quotients of zeros from becoming NaN
 LOSS = 1e-3  # eigenvalues below this share of the largest have lost digits that a quotient brings back
 ROUNDS = 3  # of inverse iteration and quotient; one does in all but strongly graded matrices
@@ -36,7 +37,7 @@ def splits(diagonal, off_diagonal, low):
     split, at_split = splat(float(n - 1)), load(diagonal, n - 1)
     for k in range(n - 2, low - 1, -1):
         entry = load(diagonal, k)
-        scale = splat(2.3e-16) * (magnitude(entry) + magnitude(load(diagonal, k + 1)))
+        scale = splat(SPLIT) * (magnitude(entry) + magnitude(load(diagonal, k + 1)))
         off = magnitude(load(off_diagonal, k))
         split = where_less(scale, off, split, splat(float(k)))
         at_split = where_less(scale, off, at_split, entry)
