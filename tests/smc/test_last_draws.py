@@ -168,8 +168,8 @@ def test_draws_that_decide_do_not_count_where_weights_are_heavy(normal_fit, monk
 def test_the_evidence_is_unbiased_by_the_rule_that_ends_the_draws(normal_fit, monkeypatch):
     """Where weights have no variance, a rule that looks at the draws that count ends too early.
 
-    150 runs: mean log evidence within 0.02 of zero, the truth, five standard errors of a rule without bias;
-    by more where draws decide themselves (-0.035, and 0.005 the standard error).
+    150 runs: the mean log evidence is off by 0.010 (standard error 0.002; 150 others 0.005), and by 0.023
+    (0.003) where draws decide themselves.
     """
 
     def bias(heavy):
@@ -179,8 +179,8 @@ def test_the_evidence_is_unbiased_by_the_rule_that_ends_the_draws(normal_fit, mo
             end.complete()
         return np.mean([end.log_marginal_likelihood for end in ends])
 
-    assert abs(bias(0.3)) < 0.02
-    assert bias(np.inf) < -0.02
+    assert abs(bias(0.3)) < 0.015
+    assert bias(np.inf) < -0.018
 
 
 def test_other_fits_follow_as_long_as_they_become_better():
@@ -195,7 +195,7 @@ def test_other_fits_follow_as_long_as_they_become_better():
         ((0.001, 0.002, 0.004, 0.008), True),
         ((0.001, 0.002, 0.004, 0.008, 0.016), False),
     ):
-        trials = [last_draws.Trial(rate, fit) for fit, rate in enumerate(rates, start=1)]
+        trials = [last_draws.Trial(rate, fit, 0.1) for fit, rate in enumerate(rates, start=1)]
         assert end.pays_to_fit_again(trials) == again
 
 
@@ -203,19 +203,36 @@ def test_the_two_best_fits_are_drawn_from(normal_fit):
     """Half of what is no draw of the reference from each; as many as their mean rate says."""
     end = LastStage(1, 30)
     fits = [end.fit_again(end.pool) for _ in range(3)]
-    for fit in fits:
-        end.draw_more(300, fit)
-    end.looks.clear()
-    rates = 0.3, 0.1, 0.5
-    sample = end.pool.independent(end.pool.known(fits[-1]))
-    shares, gain = last_draws.most_even(sample)
-    anew, n = end.drawn_anew(sample, [last_draws.Trial(*pair) for pair in zip(rates, fits, strict=True)])
-    wanted = last_draws.MARGIN * end.draws / 0.4 / gain
+    trials = [last_draws.Trial(*row) for row in zip((0.3, 0.1, 0.5), fits, (0.05, 0.5, 0.15), strict=True)]
+    anew, n = end.drawn_anew(trials)
+    wanted = last_draws.MARGIN * end.draws / 0.4
     of_reference, first, last = end.looks[:3]
     assert [source for _, source in end.looks[:3]] == [0, fits[0], fits[2]]
-    assert first[0] == last[0] == int(np.ceil(0.5 * wanted * (1.0 - shares[0])))
-    assert of_reference[0] == int(np.ceil(wanted * shares[0]))
+    assert first[0] == last[0] == int(np.ceil(0.45 * wanted))
+    assert of_reference[0] == int(np.ceil(0.1 * wanted))
     assert n == anew.counts.sum() == sum(n for n, _ in end.looks)
+
+
+def test_fits_follow_a_trial_until_they_are_good(monkeypatch):
+    """One of four times the posterior's deviation, then one of it; both are drawn from at the end."""
+    left = [4.0, 1.0]
+    monkeypatch.setattr(last_draws, "fit_twice_to", lambda *_: NormalFit(left.pop(0)))
+    monkeypatch.setattr(last_draws, "patched", lambda fit, *_: fit)
+    monkeypatch.setattr(last_draws, "HEAVY_K", -np.inf)
+    end, trials = LastStage(1, 30), []
+    drawn_anew = end.drawn_anew
+
+    def noted(found):
+        trials.extend(found)
+        end.looks.clear()
+        return drawn_anew(found)
+
+    end.drawn_anew = noted
+    end.complete()
+    assert [end.pool.proposals[trial.fit].sd for trial in trials] == [4.0, 1.0] and not left
+    assert trials[-1].rate >= last_draws.good_share(2) > trials[-2].rate
+    assert {source for _, source in end.looks} == {0, trials[-2].fit, trials[-1].fit}
+    assert end.ess >= end.draws
 
 
 def test_what_is_added_does_not_become_less(normal_fit, monkeypatch):

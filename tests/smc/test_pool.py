@@ -6,6 +6,7 @@ from arviz_stats.base import array_stats
 from scipy import stats
 from scipy.special import logsumexp
 
+from pymc_features.smc.proposals import pool as pool_module
 from pymc_features.smc.proposals.mixture import equal_draws, next_beta, pareto_k, pareto_smoothed
 from pymc_features.smc.proposals.pool import LARGEST_SHARE, QUANTILES, Pool
 
@@ -193,7 +194,7 @@ def test_what_quantiles_are_worth():
 def test_standard_error_of_the_evidence():
     """Spread of 200 log evidences over the mean error reported, within 15 %: three standard errors."""
     pools = [importance_sample(np.random.default_rng(seed)) for seed in range(200)]
-    spread = np.std([pool.log_evidence(pool.log_weights(1.0)) for pool in pools])
+    spread = np.std([pool.evidence()[0] for pool in pools])
     assert np.mean([pool.jackknife() for pool in pools]) == pytest.approx(spread, rel=0.15)
 
 
@@ -227,31 +228,40 @@ def test_weights_that_are_not_smoothed():
     assert pareto_k(np.zeros(50)) == 0.0 and (pareto_smoothed(np.zeros(50)) == 0.0).all()
     few = np.arange(20.0)
     assert pareto_k(few) == np.inf and (pareto_smoothed(few) == few).all()
+    no_mean = 10.0 * np.arange(1000.0)
+    few_larger = np.append(np.zeros(1000), np.arange(5.0))
+    zero, nearly_zero = np.full(100, -np.inf), np.full(1000, -np.inf)
+    nearly_zero[:8] = np.arange(8.0)
+    for weights in (no_mean, zero, nearly_zero, few_larger):
+        changed = pareto_smoothed(weights)
+        assert ((changed > -np.inf) == (weights > -np.inf)).all()
+        assert abs(logsumexp(changed) - logsumexp(weights)) < 0.1 if weights is not zero else True
+    assert pareto_k(zero) == np.inf
     chains = pool_of(np.random.default_rng(0))
     np.testing.assert_array_equal(chains.posterior_log_weights(), chains.log_weights(1.0))
 
 
 @pytest.mark.statistical
-def test_smoothing_makes_the_evidence_steadier_and_its_error_right():
-    """Of a proposal whose weights have no variance, 300 samples of 1,000 draws.
+def test_error_of_the_evidence_where_weights_have_no_variance(monkeypatch):
+    """Of a proposal that is too narrow, 300 samples of 1,000 draws, and 300 others.
 
-    Error 0.049 and 0.052 in two sets, 0.064 and 0.065 without smoothing. The jackknife of the median sample
-    gives 0.036 for a standard deviation of 0.041 and 0.042, and without smoothing 0.039 for 0.064.
+    Deviation 0.063 and 0.064, reported 0.060 (root mean square) in the first; by a jackknife of the weights
+    as they are 0.039 in the median sample. Smoothed weights have a bias of -0.026 and -0.029, these of -0.009
+    and -0.012.
     """
-    errors, said = [], []
+    log_z, errors, plain, smoothed = [], [], [], []
     for seed in range(300):
         pool = importance_sample(np.random.default_rng(seed), width=0.6, n=1000)
-        log_z, error = pool.evidence()
-        plain = pool.log_evidence(pool.log_weights(1.0))
-        jackknife = pool.jackknife()
-        assert error == pytest.approx(np.hypot(jackknife, log_z - plain))
-        errors.append((log_z, plain))
-        said.append(jackknife)
-    smoothed, plain = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert smoothed < 0.87 * plain
-    deviation, without = np.std(errors, axis=0)
-    assert 0.75 < np.median(said) / deviation < 1.1
-    assert np.median(said) / without < 0.7
+        found, error = pool.evidence()
+        log_z.append(found)
+        errors.append(error)
+        smoothed.append(pool.log_evidence(pool.posterior_log_weights()))
+        with monkeypatch.context() as patch:
+            patch.setattr(pool_module, "pareto_smoothed", lambda log_weights: log_weights)
+            plain.append(pool.jackknife())
+    assert 0.7 < np.sqrt(np.mean(np.square(errors))) / np.std(log_z) < 1.3
+    assert np.median(plain) / np.std(log_z) < 0.7
+    assert np.mean(smoothed) < -0.02 < np.mean(log_z) < 0.0
 
 
 def test_equal_draws_are_systematic():

@@ -25,18 +25,21 @@ TOO_FEW = "PersistentSMC ended with draws worth {:.0f} of {}. Increase `stage_dr
 
 
 class Trial(NamedTuple):
-    """What draws of a fit, with some of the reference, have shown.
+    """What draws of a fit have shown, with those of the reference.
 
     Attributes
     ----------
     rate : float
-        What they are worth, over their number.
+        What as many draws would be worth, over their number, with the best share of the reference.
     fit : int
         Number of the density.
+    of_reference : float
+        That share.
     """
 
     rate: float
     fit: int
+    of_reference: float
 
 
 class LastDraws:
@@ -50,7 +53,7 @@ class LastDraws:
     def complete(self) -> None:
         """Draw from the reference, or fits that follow each other, until that is worth `draws`.
 
-        Only draws of the last fit count, which no draws have shaped. If few show that more is missing than
+        Only draws count that have shaped no fit: of the last one. If few show that more is missing than
         were drawn in all, it draws as many, and another one follows. So it does where a few draws outweigh
         the rest, with a part around each of these. A good reference that is bent stands in for the fit.
         Where weights are heavy, draws of a fit are a trial only: other fits follow, to these draws as well,
@@ -69,10 +72,11 @@ class LastDraws:
             refit = not missing and used - before_tails + n_sample < FOR_TAILS * self.draws
             refit = refit and k > LARGEST_K and sample.largest_share() > LARGEST_SHARE
             if not (missing or refit) and heavy and used < most:
-                trials.append(Trial(worth / n_sample, pool.known()[-1]))
+                shares, gain = most_even(sample)
+                trials.append(Trial(worth * gain / n_sample, pool.known()[-1], shares[0]))
                 again = self.pays_to_fit_again(trials)
                 if not again:
-                    sample, n = self.drawn_anew(sample, trials)
+                    sample, n = self.drawn_anew(trials)
                     used, worth, trials = used + n, sample.worth(), []
                     refit = worth < REFIT * self.draws
             refit = refit or again
@@ -111,7 +115,7 @@ class LastDraws:
         pool.add_proposal(patched(fit, points, sample.particles, shares))
         return len(pool.betas) - 1
 
-    def drawn_anew(self, sample: Pool, trials: list[Trial]) -> tuple[Pool, int]:
+    def drawn_anew(self, trials: list[Trial]) -> tuple[Pool, int]:
         """Draws of the two best fits and the reference, alone, as many as the trials show to be enough.
 
         Draws seem enough the sooner, and a fit the better, the fewer of them have fallen where weights are
@@ -122,10 +126,10 @@ class LastDraws:
         of them for each, and less than `REFIT` of it where the trials were wrong.
         """
         pool, mark, used, best = self.pool, self.pool.mark(), 0, sorted(trials)[-2:]
-        shares, gain = most_even(sample)
         numbers = np.array([0, *sorted(trial.fit for trial in best)])
-        shares = np.append(shares[0], np.full(len(best), (1.0 - shares[0]) / len(best)))
-        n = MARGIN * self.draws / np.mean([trial.rate for trial in best]) / gain
+        rate, _, of_reference = np.mean(best, axis=0)
+        shares = np.append(of_reference, np.full(len(best), (1.0 - of_reference) / len(best)))
+        n = min(MARGIN / rate, MAX_EVALUATIONS) * self.draws
         counts = first = np.ceil(n * shares).astype(int)
         while True:
             for source, n in zip(numbers, counts, strict=True):

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features.smc.proposals.polynomials import POWERS
 from pymc_features.smc.proposals.proposal import Mixture, StudentMixture, StudentT, distinct, fit_mixture
 from pymc_features.smc.proposals.transport import Transport
 from pymc_features.smc.proposals.unbending import UnbendingMap
@@ -116,9 +117,12 @@ def fit_twice_to(points, rng: np.random.Generator, bounded=None) -> FittedPropos
     """
     x, weights = distinct(points)
     fit = fit_proposal(x, weights, rng, bounded)
-    if fit.map is None or not fit.map.polynomials.powers:
+    if fit.map is None or all(axis.kind != POWERS for axis in fit.map.axes[1:]):  # the first follows none
         return fit
     first, safeguard = fit.components
-    other = fit_unbent(x, weights, rng, fit.map.rotated, bounded, powers=False)
+    try:
+        other = fit_unbent(x, weights, rng, fit.map.rotated, bounded, powers=False)
+    except (np.linalg.LinAlgError, ValueError):
+        return fit
     other = other._replace(mixture=heavy_tailed(other.mixture, WIDER))
     return FittedProposal([first, other, safeguard], np.array(SHARES_OF_TWO))

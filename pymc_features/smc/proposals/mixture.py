@@ -35,7 +35,7 @@ def pareto_tail(excesses) -> tuple[float, float]:
     """Shape and scale of a generalised Pareto distribution of sorted values (n,).
 
     Zhang & Stephens, Technometrics 51 (2009), with the prior of Vehtari et al. (2024), worth ten points at a
-    shape of one half. Both are zero where all large weights are equal.
+    shape of one half. Both are zero where fewer than five are positive, as where all large weights are equal.
     """
     x = excesses[excesses > 0.0]
     n = len(x)
@@ -54,11 +54,11 @@ def pareto_tail(excesses) -> tuple[float, float]:
 def largest_weights(log_weights) -> tuple[np.ndarray, np.ndarray, float]:
     """Positions of the largest of weights (n,), ascending, their excesses over the next one, and that.
 
-    In units of the largest. No positions where they would be fewer than five.
+    In units of the largest. No positions where they would be fewer than five, or all weights are zero.
     """
     n = len(log_weights)
     n_tail = int(min(0.2 * n, 3.0 * np.sqrt(n)))
-    if n_tail < 5:
+    if n_tail < 5 or not log_weights.max() > -np.inf:
         return np.empty(0, dtype=int), np.empty(0), 0.0
     tail = np.argpartition(log_weights, n - n_tail - 1)[n - n_tail - 1 :]
     tail = tail[np.argsort(log_weights[tail])]
@@ -72,19 +72,20 @@ def pareto_k(log_weights) -> float:
     Vehtari, Simpson, Gelman, Yao & Gabry, Pareto smoothed importance sampling, JMLR 25 (2024).
     """
     tail, excesses, _ = largest_weights(log_weights)
-    return pareto_tail(excesses)[0] if len(tail) and log_weights[tail[-1]] > -np.inf else np.inf
+    return pareto_tail(excesses)[0] if len(tail) else np.inf
 
 
 def pareto_smoothed(log_weights) -> np.ndarray:
     """Log weights (n,), the largest of which are replaced by what the distribution fitted to them expects.
 
     Heavy draws that happen to be there count for less then, and stand for those that are not (Vehtari et al.,
-    2024). No weight becomes larger than the largest.
+    2024). No weight becomes larger than the largest. Weights whose distribution has no mean stay as they are.
     """
     tail, excesses, least = largest_weights(log_weights)
     shape, scale = pareto_tail(excesses)
-    if not (scale > 0.0 and np.isfinite(shape)):
+    if not (scale > 0.0 and shape < 1.0):
         return log_weights
+    tail = tail[excesses > 0.0]
     levels = (np.arange(len(tail)) + 0.5) / len(tail)
     expected = least + scale * np.expm1(-shape * np.log1p(-levels)) / shape
     smoothed = np.array(log_weights)

@@ -252,9 +252,13 @@ class Pool:
         self.log_z = list(log_z)
 
     def evidence(self) -> tuple[float, float]:
-        """ln Z at a temperature of one, and its standard error, part of which is what smoothing changes."""
-        log_z = self.log_evidence(self.posterior_log_weights())
-        change = log_z - self.log_evidence(self.log_weights(1.0))
+        """ln Z at a temperature of one, and its standard error.
+
+        Smoothed weights would make it a little too small. Their jackknife and what they change make up the
+        error: a jackknife of the weights as they are misses the heavy draws that might have been there.
+        """
+        log_z = self.log_evidence(self.log_weights(1.0))
+        change = self.log_evidence(self.posterior_log_weights()) - log_z
         return log_z, float(np.hypot(self.jackknife(), change))
 
     def jackknife(self) -> float:
