@@ -43,9 +43,9 @@ class PersistentSMC(LastDraws, PopulationKernel):
     enough, chains start from points of the pool. Their states count once they have measurably forgotten where
     they started, and then all of them do (waste-free SMC, Dau & Chopin 2022), with the number of steps that
     make an independent one. At the end, fits to the pool are drawn from until the quantiles of each parameter
-    are worth `draws` independent draws; those of the last fit alone give the posterior and the evidence, with
-    Pareto smoothed weights. Where these are heavy, fits are tried by some draws first, as long as they become
-    better, and draws of the two best fits that follow count alone.
+    are worth `draws` independent draws; those of the last fit alone give the posterior, with Pareto smoothed
+    weights, and the evidence. Where weights are heavy, fits are tried by some draws first, as long as they
+    become better, and draws of the two best fits that follow count alone.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class PersistentSMC(LastDraws, PopulationKernel):
     that were trajectories), `steps_per_draw` (of the chains, for one independent draw), `effective`
     (independent points behind the stage's weights), `reference_efficiency` (effective share of the
     reference's draws; 0 without one) and, at the end, `log_marginal_likelihood_se` (standard error, by a
-    jackknife and what smoothing has changed), `ess` (independent draws that the quantiles of the worst
+    jackknife, and what smoothing would change), `ess` (independent draws that the quantiles of the worst
     parameter are worth), `pareto_k` (of the final weights: above 0.7 they mislead if draws are heavy) and
     `largest_share` (of the posterior, that the heaviest draw stands for before weights are smoothed). A
     constant added to the log-likelihood changes nothing but the evidence.
