@@ -115,7 +115,7 @@ def el_centro() -> Record:
     https://github.com/insane-group/interpretable-structural-dynamics (Apache-2.0), data/elcentro.dat.
     """
     acceleration = np.loadtxt(_EL_CENTRO, usecols=1, max_rows=1559)
-    return Record(_GRAVITY * acceleration, dt=0.02, name="El Centro 1940 NS")
+    return Record(_GRAVITY * acceleration, dt=0.02, name="El Centro 1940 NS", interpolation="linear")
 
 
 def mini_shake_table(event: str) -> xr.DataArray:

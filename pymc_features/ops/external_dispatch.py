@@ -1,9 +1,10 @@
-"""How Numba-compiled graphs run external simulators: in Python, as is meant, and without a warning."""
+"""How Numba-compiled graphs run external simulators and records: in Python, without a warning."""
 
 import warnings
 
 from pytensor.link.numba.dispatch.basic import generate_fallback_impl, register_funcify_and_cache_key
 
+from pymc_features.ops.excitation import OwnValues
 from pymc_features.ops.external import (
     ExternalDiscrepancy,
     ExternalDiscrepancyGradient,
@@ -19,5 +20,5 @@ def funcify(op, node=None, **kwargs):
         return generate_fallback_impl(op, node=node, **kwargs), None
 
 
-for _op in (ExternalResponse, ExternalDiscrepancy, ExternalGradient, ExternalDiscrepancyGradient):
+for _op in (ExternalResponse, ExternalDiscrepancy, ExternalGradient, ExternalDiscrepancyGradient, OwnValues):
     register_funcify_and_cache_key(_op)(funcify)

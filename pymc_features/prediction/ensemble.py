@@ -14,6 +14,7 @@ from pymc_features.prediction.histories import block_size
 from pymc_features.prediction.history_file import HistoryFile
 from pymc_features.prediction.marched import Chains, Oscillators
 from pymc_features.prediction.simulated import Simulated
+from pymc_features.simulators.excitation import refined_request
 from pymc_features.simulators.linear.system import is_coupled
 from pymc_features.simulators.quantities import HISTORIES, Rows, checked_request, rows_of
 from pymc_features.simulators.request import Request
@@ -44,7 +45,7 @@ def checked_responses(structure, records, names, settings) -> WantedResponses:
     for record in records:
         check_arguments(structure, record)
         request, outputs = [checked_request(structure, record, name, **settings) for name in names][0]
-        requests.append(request)
+        requests.append(refined_request(structure, record, request))
         # two samples: whether the record fits the structure; a base shear has no sensors
         without = {"sensors": None} if HISTORIES[names[0]].dim == "support" else {}
         simulate(structure, record.first(2), quantity=names[0], **(settings | without))

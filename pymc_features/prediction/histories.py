@@ -9,7 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.oscillators.arguments import Excitation, interpolate, n_outputs
+from pymc_features.simulators.oscillators.arguments import (
+    Excitation,
+    interpolate,
+    n_outputs,
+    write_own,
+)
 from pymc_features.simulators.oscillators.recursion import BLOCK, add_feed
 from pymc_features.simulators.oscillators.table import advance, new_outputs
 
@@ -69,18 +74,20 @@ def advance_all(recursions, excitation, states, first, count, responses):
         Written.
     """
     tables, shapes, direct = recursions
-    inputs, _, substeps, stride = excitation
+    inputs, _, substeps, stride, _ = excitation
     n, n_rows, n_modes = shapes.shape
     size = responses.shape[1]
     modal, block = new_outputs(size, n_modes), np.empty((n_rows, size))
     ground = np.empty((inputs.shape[0], size * stride + 1))
     for k in range(inputs.shape[0]):
         interpolate(inputs[k], substeps, first * stride, ground[k])
+    own = np.empty((inputs.shape[0], count))
+    write_own(excitation, ground, first, count, own)
     for i in range(n):
         for k in range(inputs.shape[0]):
             advance(tables[i, k], k == 0, states[i, k], ground[k], stride, count, modal)
         np.dot(shapes[i], modal.T, block)
-        add_feed(direct[i], ground, stride, count, block)
+        add_feed(direct[i], own, count, block)
         for j in range(n_rows):
             for b in range(count):
                 responses[j, b, i] = block[j, b]

@@ -8,11 +8,11 @@ from pymc_features.prediction.histories import Recursions, response_blocks
 from pymc_features.prediction.simulated import largest
 from pymc_features.simulators.chain.parameters import ChainParameters
 from pymc_features.simulators.chain.response import chain_feed, modes_of
-from pymc_features.simulators.compiled.arrays import writable
+from pymc_features.simulators.excitation import excitation_of
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.system import observe, solve_system, uncoupled
-from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation, Outputs
+from pymc_features.simulators.oscillators.arguments import QUANTITIES, Outputs
 from pymc_features.simulators.oscillators.table import N_ROWS, scale_input, whole_vectors, write_table
 from pymc_features.simulators.quantities import HISTORIES, force_share
 
@@ -32,15 +32,17 @@ class Marched:
     def __init__(self, wanted):
         self.wanted, self.kept = wanted, []
         pairs = zip(wanted.records, wanted.requests, strict=True)
-        self.steps = [record.dt / request.substeps for record, request in pairs]
+        excitations = [excitation_of(record.inputs, record, request) for record, request in pairs]
+        self.steps = [given.dt / given.substeps for given in excitations]
 
     def __len__(self):
         return len(self.kept)
 
     def blocks(self, k: int, name: str, size: int):
         """Yield (first sample, responses (row, time, structure)) of one block after another."""
-        record, request = self.wanted.records[k], self.wanted.requests[k]
-        excitation = Excitation(writable(record.inputs), record.dt, request.substeps, request.stride)
+        excitation = excitation_of(
+            self.wanted.records[k].inputs, self.wanted.records[k], self.wanted.requests[k]
+        )
         return response_blocks(self.recursions(k, name), excitation, size)
 
     def peaks(self, k: int, name: str, size: int) -> np.ndarray:
@@ -132,7 +134,9 @@ class Oscillators(Marched):
         participation, output_shapes, direct = {}, {}, {}
         for load, k in self.examples.items():
             record, request = self.wanted.records[k], self.wanted.requests[k]
-            inputs = family.inputs_of(structure, record, request, np.empty((0, structure.n_dof)))
+            excitation = excitation_of(structure.excitation(record), record, request)
+            rows = np.empty((0, structure.n_dof))
+            inputs = family.inputs_of(structure, record, excitation, rows, request.n_modes)
             a = Arguments(*family.assemble(inputs, request.quantity_code))
             system = solve_system(a, known=known)
             if system is None:

@@ -3,9 +3,10 @@
 import numpy as np
 
 from pymc_features.prediction.history_file import HistoryFile
+from pymc_features.simulators.excitation import excitation_of
 from pymc_features.simulators.families import NONLINEAR
 from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
-from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation
+from pymc_features.simulators.oscillators.arguments import QUANTITIES
 from pymc_features.simulators.quantities import HISTORIES
 from pymc_features.simulators.simulate import simulate
 
@@ -49,7 +50,7 @@ class Simulated:
         values = nonlinear_histories(
             NONLINEAR[structure.family],
             structure.parameters(),
-            Excitation(record.acceleration, record.dt, request.substeps, request.stride),
+            excitation_of(record.acceleration, record, request),
             np.arange(structure.n_dof),
             [QUANTITIES.index(source) for source in sources],
         )

@@ -112,7 +112,7 @@ class Family(NamedTuple):
         return (
             self.parameters
             | self.constants
-            | {"acceleration": self.excitation, "dt": "", "substeps": "", "stride": ""}
+            | {"acceleration": self.excitation, "dt": "", "substeps": "", "stride": "", "direct": "o,i,v"}
             | {"sensors": self.sensors, "n_modes": ""}
         )
 
@@ -121,8 +121,8 @@ class Family(NamedTuple):
         n = len(self.arguments._fields)
         return (
             self.arguments(*inputs[:n]),
-            Excitation(*inputs[n : n + 4]),
-            Outputs(*inputs[n + 4 :], quantity),
+            Excitation(*inputs[n : n + 5]),
+            Outputs(*inputs[n + 5 :], quantity),
         )
 
     def dtype(self, name: str) -> str:
@@ -136,14 +136,14 @@ class Family(NamedTuple):
         """Whether the kernels take combinations of degrees of freedom, S (s, n)."""
         return count(self.sensors) == 2
 
-    def inputs_of(self, structure, record, asked, rows) -> list:
-        """Inputs in the order of `inputs`, for a request, and rows as from `rows`.
+    def inputs_of(self, structure, record, excitation, rows, n_modes: int) -> list:
+        """Inputs in the order of `inputs`, for an excitation, and rows as from `rows`.
 
         Arrays that may not be written are copied: Numba would compile the kernels for these once more.
         """
-        arrays = *structure.parameters(), *structure.constants(record), structure.excitation(record)
+        arrays = *structure.parameters(), *structure.constants(record)
         arrays = [np.require(x, requirements="W") if isinstance(x, np.ndarray) else x for x in arrays]
-        return [*arrays, record.dt, asked.substeps, asked.stride, rows, asked.n_modes]
+        return [*arrays, *excitation, rows, n_modes]
 
     def rows(self, picked: np.ndarray, n_dof: int):
         """Degrees of freedom (s,) as the kernels take them; sparse where that is a matrix (s, n)."""

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features import band_limited
 from pymc_features._checks import check_choice, shown
 from pymc_features.simulators.oscillators.arguments import QUANTITIES
 from pymc_features.simulators.request import (
@@ -149,7 +150,10 @@ def force_share(structure, record, quantity: str) -> np.ndarray | None:
     return record.applied(-structure.influence.reshape(structure.n_dof, -1).T)
 
 
-def at_outputs(values, asked: Request) -> np.ndarray:
-    """Inputs (d, t) at the output samples, (d, u)."""
+def at_outputs(record, asked: Request) -> np.ndarray:
+    """Inputs of a record at the output samples, (d, u)."""
+    values = record.inputs
+    if record.interpolation == "band-limited":
+        return band_limited.evaluated(values, record.dt, asked.substeps, asked.stride)[0]
     places = np.arange(asked.n_outputs(values.shape[1])) * (asked.stride / asked.substeps)
     return np.array([np.interp(places, np.arange(values.shape[1]), row) for row in values])

@@ -31,7 +31,8 @@ CODES = {name: code for code, name in enumerate(QUANTITIES)} | {RESTORING_FORCE:
 class Request(NamedTuple):
     """A checked request: the response of `sensors` at every `stride`-th of `substeps` per step.
 
-    `labels` are the names by which rows were asked for, None if by numbers.
+    `labels` are the names by which rows were asked for, None if by numbers; a band-limited record is refined
+    by `factor` before it is marched.
     """
 
     substeps: int
@@ -40,6 +41,7 @@ class Request(NamedTuple):
     n_modes: int
     quantity: str
     labels: np.ndarray | None = None
+    factor: int = 1
 
     @property
     def quantity_code(self) -> int:

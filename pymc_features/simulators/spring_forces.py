@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING
 
 import xarray as xr
 
+from pymc_features.simulators.excitation import excitation_of, refined_request
 from pymc_features.simulators.families import NONLINEAR
 from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
 from pymc_features.simulators.nonlinear.response import DRIFT, INTERNAL_VARIABLE, SPRING_FORCE
-from pymc_features.simulators.oscillators.arguments import Excitation
 from pymc_features.simulators.request import request
 from pymc_features.simulators.simulate import check_arguments
 
@@ -89,11 +89,11 @@ def _histories(structure, record, codes, *, dt=None, refine=1):
             f"`structure` must be a nonlinear chain, got {type(structure).__name__}. Use `simulate`, which "
             "of a linear structure is exact."
         )
-    asked = request(structure.n_dof, record.dt, dt=dt)
+    asked = refined_request(structure, record, request(structure.n_dof, record.dt, dt=dt))
     values = nonlinear_histories(
         NONLINEAR[structure.family],
         structure.parameters(),
-        Excitation(structure.excitation(record), record.dt, asked.substeps, asked.stride),
+        excitation_of(structure.excitation(record), record, asked),
         asked.sensors,
         codes,
         refine,

@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve
 from pymc_features.simulators import FAMILIES, request
+from pymc_features.simulators.excitation import excitation_of
 from pymc_features.structures import Structure
 from pymc_features.study import paper
 
@@ -43,7 +44,9 @@ def computed_sums(at: Callable[[float], Structure], record, data, dt: float) -> 
     def sums(theta):
         structure = at(theta)
         family = FAMILIES[structure.family]
-        inputs = family.inputs_of(structure, record, asked, family.rows(asked.sensors, structure.n_dof))
+        excitation = excitation_of(structure.excitation(record), record, asked)
+        rows = family.rows(asked.sensors, structure.n_dof)
+        inputs = family.inputs_of(structure, record, excitation, rows, asked.n_modes)
         arguments = family.assemble(inputs, asked.quantity_code)
         squares, increments, first, last = family.kernels["misfit"](*arguments, data).T
         return np.array([squares.sum(), increments.sum(), first @ first, last @ last])

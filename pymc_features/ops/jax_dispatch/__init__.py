@@ -52,8 +52,10 @@ def static_settings(node) -> tuple[int, int, int]:
 
 def split(op, inputs):
     """Parameters; record, its step and sensors; and what follows the family's inputs."""
-    settings = (inputs[op.at(name)] for name in ("acceleration", "dt", "sensors"))
-    return tuple(inputs[: op.n_parameters]), tuple(settings), inputs[op.n_common :]
+    acceleration, direct, dt, sensors = (
+        inputs[op.at(name)] for name in ("acceleration", "direct", "dt", "sensors")
+    )
+    return tuple(inputs[: op.n_parameters]), ((acceleration, direct), dt, sensors), inputs[op.n_common :]
 
 
 def on_one_particle(kernel):

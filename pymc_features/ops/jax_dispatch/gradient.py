@@ -15,11 +15,11 @@ from pymc_features.ops.jax_dispatch.history import (
 from pymc_features.ops.jax_dispatch.modes import Modes
 
 
-def gradient(op, static, parameters, acceleration, dt, sensors, history, weights):
+def gradient(op, static, parameters, record, dt, sensors, history, weights):
     """Gradients of sum W y, W the history (s, u) or, if there are weights (s,), of their sum with e."""
     substeps, stride, n_modes = static
     modes = Modes(op, parameters, dt / substeps, n_modes)
-    sampling = Sampling(acceleration, dt, substeps, stride)
+    sampling = Sampling(record, dt, substeps, stride)
     shapes, output = modes.shapes[sensors], sensor_output(op, modes, sensors)
     n = shapes.shape[1]
 
@@ -82,35 +82,33 @@ def to_parameters(modes, products, slopes, grad_damping, close):
     )
 
 
-def response_gradient(op, static, parameters, acceleration, dt, sensors, cotangent):
+def response_gradient(op, static, parameters, record, dt, sensors, cotangent):
     """Gradients of sum W y."""
-    return gradient(op, static, parameters, acceleration, dt, sensors, cotangent, None)
+    return gradient(op, static, parameters, record, dt, sensors, cotangent, None)
 
 
-def misfit_gradient(op, static, parameters, acceleration, dt, sensors, observed, weights):
+def misfit_gradient(op, static, parameters, record, dt, sensors, observed, weights):
     """Gradients of the sum of weights (s, 1) or (s, 4) times the statistics of the misfit."""
-    common = (parameters, acceleration, dt, sensors)
+    common = (parameters, record, dt, sensors)
     if weights.shape[1] == 1:
         return gradient(op, static, *common, observed, weights[:, 0])
     _, transpose = jax.vjp(statistics, observed - response(op, static, *common))
     return gradient(op, static, *common, -transpose(weights)[0], None)
 
 
-def response_tangent(op, static, parameters, acceleration, dt, sensors, *directions):
+def response_tangent(op, static, parameters, record, dt, sensors, *directions):
     """Derivative of the response: the transpose of its gradient."""
-    total = Sampling(acceleration, dt, *static[:2]).total
+    total = Sampling(record, dt, *static[:2]).total
     zeros = jnp.zeros((sensors.shape[0], total))
-    _, transpose = jax.vjp(
-        lambda w: gradient(op, static, parameters, acceleration, dt, sensors, w, None), zeros
-    )
+    _, transpose = jax.vjp(lambda w: gradient(op, static, parameters, record, dt, sensors, w, None), zeros)
     return valid_only(op, static, parameters, dt, transpose(directions)[0])
 
 
-def discrepancy_tangent(op, static, parameters, acceleration, dt, sensors, observed, *directions):
+def discrepancy_tangent(op, static, parameters, record, dt, sensors, observed, *directions):
     """Derivative of the discrepancy: the transpose of its gradient."""
     zeros = jnp.zeros(sensors.shape[0])
     _, transpose = jax.vjp(
-        lambda c: gradient(op, static, parameters, acceleration, dt, sensors, observed, c), zeros
+        lambda c: gradient(op, static, parameters, record, dt, sensors, observed, c), zeros
     )
     return valid_only(op, static, parameters, dt, transpose(directions)[0])
 

@@ -12,11 +12,14 @@ BLOCK = 64  # samples whose modes are kept at a time, for matrix products instea
 class Sampling:
     """The ground acceleration at the steps of the recursion, in blocks of samples, zero behind the end.
 
+    `record` are the prepared acceleration and its own values, as of `Excitation`.
+
     `now` and `after` (blocks, BLOCK, stride): at the beginning and the end of the steps behind each sample;
     `at` (blocks, BLOCK) at the sample; `there` (blocks, BLOCK, 1) is 1 where there is one, 0 behind the end.
     """
 
-    def __init__(self, acceleration, dt, substeps, stride):
+    def __init__(self, record, dt, substeps, stride):
+        acceleration, direct = record
         n = acceleration.shape[0]
         self.total = ((n - 1) * substeps) // stride + 1
         i, part = np.divmod(np.arange((self.total - 1) * stride + 1), substeps)
@@ -24,7 +27,7 @@ class Sampling:
         fine = acceleration[i] + part / substeps * (acceleration[ahead] - acceleration[i])
         self.now = self.blocks(fine[:-1].reshape(-1, stride))
         self.after = self.blocks(fine[1:].reshape(-1, stride))
-        self.at = self.blocks(fine[::stride])
+        self.at = self.blocks(direct[0, 0] if direct.size else fine[::stride])
         self.there = self.blocks(np.ones((self.total, 1)))
         self.duration = self.total * stride * dt / substeps
 
@@ -87,11 +90,11 @@ def sensor_output(op, modes, sensors):
     return lambda states, ground: modes.outputs(*states[:2], ground) @ shapes.T + feed * ground
 
 
-def response(op, static, parameters, acceleration, dt, sensors):
+def response(op, static, parameters, record, dt, sensors):
     """y (s, u), Eqs. (17)-(24)."""
     substeps, stride, n_modes = static
     modes = Modes(op, parameters, dt / substeps, n_modes)
-    sampling = Sampling(acceleration, dt, substeps, stride)
+    sampling = Sampling(record, dt, substeps, stride)
     output = sensor_output(op, modes, sensors)
     nothing = jnp.zeros((sampling.total, 1))
     _, history = march(
@@ -107,9 +110,9 @@ def march_misfit(inputs, begin, add):
     `inputs` are those of `discrepancy`; `begin(first)` makes the sums of none from the first misfit (s,), and
     `add(sums, misfit, there, data)` adds a block (BLOCK, s), `there` (BLOCK, 1) being 0 behind the end.
     """
-    op, (substeps, stride, n_modes), parameters, acceleration, dt, sensors, observed = inputs
+    op, (substeps, stride, n_modes), parameters, record, dt, sensors, observed = inputs
     modes = Modes(op, parameters, dt / substeps, n_modes)
-    sampling = Sampling(acceleration, dt, substeps, stride)
+    sampling = Sampling(record, dt, substeps, stride)
     output = sensor_output(op, modes, sensors)
     if observed.shape != (sensors.shape[0], sampling.total):
         raise ValueError("`observed` must have the shape (sensor, time) of the response")

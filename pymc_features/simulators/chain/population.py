@@ -6,7 +6,7 @@ import numpy as np
 
 from pymc_features.simulators.chain.parameters import own_rows
 from pymc_features.simulators.chain.population_modes import fill_matrix, normalise_lanes
-from pymc_features.simulators.chain.response import check_history, check_sizes
+from pymc_features.simulators.chain.response import check_history, check_sizes, compare
 from pymc_features.simulators.chain.sensor_modes import new_sensor_modes, solve_at_sensors
 from pymc_features.simulators.compiled.jit import inline, jit
 from pymc_features.simulators.compiled.vector import LANES, load, store
@@ -14,6 +14,7 @@ from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.filling import empty_modes, fill_lanes, take_lane
 from pymc_features.simulators.eigen.tridiagonal import are_apart, diagonalise_lanes, whole_vectors
 from pymc_features.simulators.oscillators.arguments import at_every_step
+from pymc_features.simulators.oscillators.fast_modes import highest_step
 from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
 from pymc_features.simulators.oscillators.modal_system import DampingLaw, feed_through
 from pymc_features.simulators.oscillators.population import lane_statistics
@@ -113,7 +114,8 @@ def write_outputs(lanes, lane, vectors, order, n_modes, quantity):
             share = vectors[row + j, lane] * vectors[row + width - 1, lane]
             lanes.shapes[j * even_modes + r, lane] = share
             by_modes += share
-        lanes.feed[j, lane] = feed_through(1.0, 0.0, by_modes, quantity, n_modes == n)
+        feed = feed_through(1.0, 0.0, by_modes, quantity, n_modes == n)
+        lanes.feed[j, lane], lanes.direct[j, lane] = feed, feed
 
 
 @inline
@@ -136,9 +138,9 @@ def march_population(parameters, excitation, wanted, observed, increments):
     n_particles = check_population(parameters, excitation, wanted, observed)
     n, sensors, quantity = parameters.mass.shape[1], wanted.sensors, wanted.quantity
     motion, m = at_every_step(excitation), wanted.n_modes
-    step, start = motion.dt, motion.acceleration[0]
+    steps, start = (motion.dt, highest_step(excitation)), motion.acceleration[0]
     result = np.empty((n_particles, sensors.size, 1 if increments is None else 4))
-    lanes, modes = new_lanes(observed, m, excitation.stride, False), new_sensor_modes(n, sensors.size)
+    lanes, modes = new_lanes(observed, m, motion, False), new_sensor_modes(n, sensors.size)
     kept, order = (new_vectors(m), new_vectors(m)), np.empty(n, dtype=np.int64)
     for first in range(0, n_particles, LANES):
         count = min(LANES, n_particles - first)
@@ -147,17 +149,21 @@ def march_population(parameters, excitation, wanted, observed, increments):
             if modes.valid[lane]:
                 own = own_rows(parameters, first + lane)
                 law = DampingLaw(own.rayleigh, own.ratios)
-                modes.valid[lane] = take_lane(kept, lane, modes.values, law, step, order)
+                modes.valid[lane] = take_lane(kept, lane, modes.values, law, steps, order)
             if modes.valid[lane]:
                 write_outputs(lanes, lane, modes.vectors, order, m, quantity)
             else:
                 empty_modes(kept, lane)
-        fill_lanes(lanes, kept, step, quantity, start)
+        fill_lanes(lanes, kept, motion.dt, quantity, start)
         found = lane_statistics(lanes, motion, observed, increments)
         for lane in range(count):  # Numba takes three seconds to compile a copy of a slice
+            one = found[lane]
+            if not modes.valid[lane]:  # no structure, or one with modes that follow
+                own = own_rows(parameters, first + lane)
+                one = compare(own, excitation, wanted, observed, result.shape[2])
             for j in range(sensors.size):
                 for i in range(result.shape[2]):
-                    result[first + lane, j, i] = found[lane, j, i] if modes.valid[lane] else np.nan
+                    result[first + lane, j, i] = one[j, i]
     return result
 
 

@@ -28,6 +28,12 @@ from pymc_features.simulators.derivatives.pairs import (
     take_gradient,
     take_sums,
 )
+from pymc_features.simulators.oscillators.arguments import (
+    ABSOLUTE_ACCELERATION,
+    RELATIVE_ACCELERATION,
+    seen_data,
+)
+from pymc_features.simulators.oscillators.fast_modes import highest_step, is_fast
 from pymc_features.simulators.oscillators.recursion import write_damping
 
 
@@ -103,8 +109,12 @@ def fill_lane(lanes, lane, own, wanted, omega, damping, participation, rows):
 
 
 @jit
-def fill_lanes(lanes, chains, modes, parameters, wanted, step, first):
-    """Write the chains from particle `first` on into the lanes, their modes in ascending order."""
+def fill_lanes(lanes, chains, modes, parameters, wanted, steps, first):
+    """Write the chains from particle `first` on into the lanes, their modes in ascending order.
+
+    `steps` as in `take_lane`.
+    """
+    step, highest = steps
     n, m = chains.n, wanted.n_modes
     omega, participation, rows, damping = np.empty(n), np.empty(n), np.empty((n, n)), np.empty(m)
     for lane in range(LANES):
@@ -114,6 +124,8 @@ def fill_lanes(lanes, chains, modes, parameters, wanted, step, first):
         own = own_rows(parameters, first + lane)
         take_modes(modes, lane, omega, participation, rows)
         modes.valid[lane] = write_damping(omega[:m], own.rayleigh, own.ratios, step, damping)
+        for r in range(m):
+            modes.valid[lane] &= not is_fast(omega[r] * step, damping[r] * step, highest)
         if modes.valid[lane]:
             fill_lane(lanes, lane, own, wanted, omega, damping, participation, rows)
             for r in range(n):
@@ -168,18 +180,21 @@ def add_groups(rooms, parameters, excitation, wanted, observed, weights, gradien
     """
     n, n_sensors, start = parameters.mass.shape[1], wanted.sensors.size, excitation.acceleration[0]
     step, n_times = excitation.dt / excitation.substeps, observed.shape[1]
+    seen = observed
+    if wanted.quantity == RELATIVE_ACCELERATION:
+        seen = seen_data(excitation, observed, np.ones(n_sensors))
     feed, modes = relative_feed(wanted)[:, 0].copy(), new_modes(n)
     lanes = new_gradient_lanes(rooms[0], feed, wanted.n_modes, excitation.stride)
     chains = new_chain_lanes(rooms[1], n)
     for first in range(0, weights.shape[0], LANES):
         count = min(LANES, weights.shape[0] - first)
         solve_modes(modes, parameters, first, count)
-        fill_lanes(lanes, chains, modes, parameters, wanted, step, first)
+        fill_lanes(lanes, chains, modes, parameters, wanted, (step, highest_step(excitation)), first)
         for lane in range(count):
             for j in range(n_sensors):
                 put(lanes.factors, j, lane, 2.0 * weights[first + lane, j, 0] / n_times)
         write_lanes(chains.apart, 0, modes_apart(lanes, n_times * excitation.stride * step))
-        sum_history(lanes, rooms[0], excitation, wanted.quantity, observed)
+        sum_history(lanes, rooms[0], excitation, wanted.quantity, seen)
         derive_modes(lanes, step, start)
         derive_pairs(lanes)
         if wanted.n_modes == n:
@@ -200,7 +215,9 @@ def population_gradient(parameters, excitation, wanted, observed, weights):
     the shapes of the parameters.
     """
     gradients, n = zeros_like(parameters), parameters.mass.shape[1]
-    if weights.shape[2] == 1 and weights.shape[0] > 2:
+    is_acceleration = wanted.quantity in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION)
+    is_known = excitation.direct.size == 0 or wanted.n_modes == n or not is_acceleration
+    if weights.shape[2] == 1 and weights.shape[0] > 2 and is_known:
         check_population(parameters, excitation, wanted, observed)
         rooms = room_of_lanes(wanted.sensors.size, wanted.n_modes, excitation.stride), room_of_chains(n)
         add_groups(rooms, parameters, excitation, wanted, observed, weights, gradients)
@@ -220,7 +237,7 @@ def spread_groups(rooms, parameters, excitation, wanted, sums, gradients):
     for first in range(0, n_particles, LANES):
         count = min(LANES, n_particles - first)
         solve_modes(modes, parameters, first, count)
-        fill_lanes(lanes, chains, modes, parameters, wanted, step, first)
+        fill_lanes(lanes, chains, modes, parameters, wanted, (step, highest_step(excitation)), first)
         take_sums(lanes, sums, first, count)
         derive_pairs(lanes)
         if m == n:

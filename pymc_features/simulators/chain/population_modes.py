@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pymc_features.simulators.chain.modes import is_chain
+from pymc_features.simulators.chain.modes import is_chain, is_graded
 from pymc_features.simulators.compiled.arrays import ascending
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import load, splat, square_root, store, where_less
@@ -24,7 +24,7 @@ def write_chain(chains, lane, mass, stiffness):
         False, and the matrix is zero, where the parameters do not describe a chain.
     """
     masses, springs, diagonal, off_diagonal = chains
-    n, possible = mass.size, is_chain(mass, stiffness)
+    n, possible = mass.size, is_chain(mass, stiffness) and not is_graded(stiffness)
     for i in range(n):
         masses[i, lane], springs[i, lane] = mass[i], stiffness[i]
         above = stiffness[i + 1] if i + 1 < n else 0.0

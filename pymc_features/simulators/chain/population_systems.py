@@ -10,6 +10,7 @@ from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.filling import take_lane
 from pymc_features.simulators.mean_squares.systems import new_systems, put_lane
+from pymc_features.simulators.oscillators.fast_modes import highest_step
 from pymc_features.simulators.oscillators.modal_system import DampingLaw
 
 
@@ -24,7 +25,7 @@ def chain_systems(parameters, excitation, wanted, observed):
     """
     n_particles = check_population(parameters, excitation, wanted, observed)
     sensors, m, quantity = wanted
-    n, step = parameters.mass.shape[1], excitation.dt / excitation.substeps
+    n, steps = parameters.mass.shape[1], (excitation.dt / excitation.substeps, highest_step(excitation))
     systems, modes = new_systems(n_particles, sensors.size, m, 1, False), new_sensor_modes(n, sensors.size)
     kept, order = (new_vectors(m), new_vectors(m)), np.empty(n, dtype=np.int64)
     motion = np.ones(sensors.size)
@@ -34,7 +35,7 @@ def chain_systems(parameters, excitation, wanted, observed):
         for lane in range(count):
             own = own_rows(parameters, first + lane)
             law = DampingLaw(own.rayleigh, own.ratios)
-            if modes.valid[lane] and take_lane(kept, lane, modes.values, law, step, order):
+            if modes.valid[lane] and take_lane(kept, lane, modes.values, law, steps, order):
                 shapes = modes.vectors, order, lane
                 put_lane(systems, first + lane, kept, shapes, (motion, quantity))
     return systems

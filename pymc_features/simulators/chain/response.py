@@ -34,8 +34,8 @@ def check_history(history, excitation, wanted):
 @jit
 def ground_motion(excitation):
     """The excitation with its acceleration as one input (1, t)."""
-    acceleration, dt, substeps, stride = excitation
-    return Excitation(acceleration.reshape(1, acceleration.size), dt, substeps, stride)
+    acceleration, dt, substeps, stride, direct = excitation
+    return Excitation(acceleration.reshape(1, acceleration.size), dt, substeps, stride, direct)
 
 
 @jit

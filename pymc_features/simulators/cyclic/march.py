@@ -200,7 +200,7 @@ def march(law, excitation, force, gradient):
     force, gradient : array (u,), (14, u) or (0, u)
         Written; NaN where the parameters describe no specimen, or the integration fails.
     """
-    displacement, _, substeps, stride = excitation
+    displacement, _, substeps, stride, _ = excitation
     columns = gradient.shape[0]
     state, change, step_change = np.zeros(3), np.zeros((3, columns)), np.zeros(columns)
     work = (

@@ -34,6 +34,7 @@ from pymc_features.simulators.eigen.matrices import (
 from pymc_features.simulators.eigen.residues import check_sums
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
 from pymc_features.simulators.oscillators.arguments import at_every_step
+from pymc_features.simulators.oscillators.fast_modes import highest_coupled_step
 from pymc_features.simulators.oscillators.lanes import new_lanes
 
 # Residues above that many times the classical ones: the derivatives lose digits by the third power of it
@@ -68,7 +69,7 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
     step, n_times = excitation.dt / excitation.substeps, observed.shape[1]
     is_done, motion = np.zeros(count, dtype=np.bool_), at_every_step(excitation)
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
-    lanes, modes = new_lanes(observed, n, excitation.stride, True), new_complex(n, n_sensors)
+    lanes, modes = new_lanes(observed, n, motion, True), new_complex(n, n_sensors)
     structures, pairs = new_structures(n, theta.shape[1], n + 2), new_pairs(n, n, n_sensors)
     damping, room = new_vectors(n * n), new_vectors(n * n)
     places = filled_places(parameters.damping, n)
@@ -89,7 +90,7 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
         products = sort_modes(structures, modes, order)
         assemble_lanes(parameters.damping, structures.theta, n, True, damping)
         project(modes, damping, places, products, room)
-        check_damping(modes, structures.factor, damping, step, is_safe)
+        check_damping(modes, structures.factor, damping, highest_coupled_step(excitation) / step, is_safe)
         write_sensors(modes, lanes, products, wanted, support_motion)
         fill_gradient_pairs(lanes, pairs, modes, products, request)
         store(

@@ -249,7 +249,7 @@ def copy_data(lanes, observed, first):
 @jit
 def sum_history(lanes, room, excitation, quantity, observed):
     """Take the structures in the lanes through a record of one input (t,), compared with data (s, u)."""
-    acceleration, dt, substeps, stride = excitation
+    acceleration, dt, substeps, stride, _ = excitation
     n_sensors, n_times = observed.shape
     start, own_ground, gaps = acceleration[0], ground_of(lanes, room), has_gaps(observed)
     prepare(lanes, dt / substeps, quantity)

@@ -23,9 +23,9 @@ from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_ACCELERATION,
     at_every_step,
 )
+from pymc_features.simulators.oscillators.fast_modes import highest_coupled_step
 from pymc_features.simulators.oscillators.lanes import new_lanes
 from pymc_features.simulators.oscillators.population import lane_statistics
-from pymc_features.simulators.oscillators.recursion import STIFFEST
 
 FEW = 0.3  # share of the entries of C below which those that are zero are passed over
 
@@ -57,12 +57,13 @@ def march_coupled(parameters, excitation, wanted, observed, increments):
     result = np.full((count, n_sensors, 1 if increments is None else 4), np.nan)
     is_written = np.zeros(count, dtype=np.bool_)
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
-    lanes, modes = new_lanes(observed, m, excitation.stride, True), new_complex(m, n_sensors)
+    lanes, modes = new_lanes(observed, m, motion, True), new_complex(m, n_sensors)
     structures = new_structures(n, theta.shape[1], columns[0].shape[1])
     damping, room = new_vectors(n * n), new_vectors(m * n)
     places = filled_places(parameters.damping, n)
     is_safe = is_never_negative(parameters.damping, n)
     order, step, start = np.empty(n, dtype=np.int64), motion.dt, motion.acceleration[0]
+    highest = highest_coupled_step(excitation) / step
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
     for first in range(0, count, LANES):
         for lane in range(LANES):
@@ -73,7 +74,7 @@ def march_coupled(parameters, excitation, wanted, observed, increments):
         products = sort_modes(structures, modes, order)
         assemble_lanes(parameters.damping, structures.theta, n, True, damping)
         project(modes, damping, places, products, room)
-        check_damping(modes, structures.factor, damping, step, is_safe)
+        check_damping(modes, structures.factor, damping, highest, is_safe)
         write_sensors(modes, lanes, products, wanted, support_motion)
         fill_pairs(lanes, modes, n_sensors, step, wanted.quantity, start)
         found = lane_statistics(lanes, motion, observed, increments)
@@ -136,11 +137,12 @@ def project(modes, damping, places, products, room):
 
 
 @jit
-def check_damping(modes, factor, damping, step, is_safe):
-    """Take the lanes out of the good ones where D has a negative eigenvalue, or is too stiff to be stepped.
+def check_damping(modes, factor, damping, highest, is_safe):
+    """Take the lanes out of the good ones where D has a negative eigenvalue, or a mode is too fast.
 
-    `factor` is that of M, (n n, LANES), `damping` C, which is overwritten, and `is_safe` tells whether no
-    eigenvalue can be negative, see `is_never_negative`.
+    `factor` is that of M, (n n, LANES), `damping` C, which is overwritten, `highest` the largest omega and D
+    [1/s] that can be stepped, and `is_safe` tells whether no eigenvalue can be negative, see
+    `is_never_negative`.
     """
     stiffest = splat(0.0)
     for r in range(modes.omega.shape[0]):
@@ -151,7 +153,7 @@ def check_damping(modes, factor, damping, step, is_safe):
     store(
         modes.is_good,
         0,
-        where_less(stiffest * step, splat(STIFFEST), load(modes.is_good, 0), splat(0.0)),
+        where_less(stiffest, splat(highest), load(modes.is_good, 0), splat(0.0)),
     )
 
 
@@ -199,4 +201,6 @@ def write_sensors(modes, lanes, products, wanted, support_motion):
             by_modes = motion - by_forces
         feed = motion - by_modes if is_absolute else splat(0.0) - by_modes
         is_acceleration = is_absolute or wanted.quantity == RELATIVE_ACCELERATION
-        store(lanes.feed, j, feed if is_acceleration else splat(0.0))
+        feed = feed if is_acceleration else splat(0.0)
+        store(lanes.feed, j, feed)
+        store(lanes.direct, j, feed)

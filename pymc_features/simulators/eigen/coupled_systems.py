@@ -25,6 +25,8 @@ from pymc_features.simulators.eigen.matrices import all_diagonal, assemble_lanes
 from pymc_features.simulators.eigen.pairs import write_shares
 from pymc_features.simulators.eigen.residues import CANCELLING, check_sums
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
+from pymc_features.simulators.oscillators.arguments import at_every_step
+from pymc_features.simulators.oscillators.fast_modes import highest_coupled_step
 from pymc_features.simulators.oscillators.lanes import new_lanes
 
 
@@ -74,9 +76,12 @@ def fill_systems(systems, parameters, excitation, wanted, observed):
     Parameters as in `march_coupled`, and `systems` with twice as many modes as are wanted.
     """
     theta, (n_sensors, n), m = parameters.theta, wanted.sensors.shape, wanted.n_modes
-    count, step = theta.shape[0], excitation.dt / excitation.substeps
+    count, highest = theta.shape[0], highest_coupled_step(excitation) * excitation.substeps / excitation.dt
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
-    lanes, modes = new_lanes(observed[:, :1].copy(), m, 1, True), new_complex(m, n_sensors)
+    lanes, modes = (
+        new_lanes(observed[:, :1].copy(), m, at_every_step(excitation), True),
+        new_complex(m, n_sensors),
+    )
     structures = new_structures(n, theta.shape[1], columns[0].shape[1])
     damping, room = new_vectors(n * n), new_vectors(m * n)
     places = filled_places(parameters.damping, n)
@@ -93,7 +98,7 @@ def fill_systems(systems, parameters, excitation, wanted, observed):
         products = sort_modes(structures, modes, order)
         assemble_lanes(parameters.damping, structures.theta, n, True, damping)
         project(modes, damping, places, products, room)
-        check_damping(modes, structures.factor, damping, step, is_safe)
+        check_damping(modes, structures.factor, damping, highest, is_safe)
         write_sensors(modes, lanes, products, wanted, support_motion)
         write_pairs(lanes, modes, kept, n_sensors, wanted.quantity)
         for lane in range(LANES):

@@ -6,10 +6,11 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import highest, load, splat, store, where_less
 from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
+from pymc_features.simulators.oscillators.fast_modes import is_fast
 from pymc_features.simulators.oscillators.hold import LARGEST, doubled, hold_coefficients, series
 from pymc_features.simulators.oscillators.lanes import N_COEFFICIENTS
 from pymc_features.simulators.oscillators.population import turned
-from pymc_features.simulators.oscillators.recursion import STIFFEST, modal_damping
+from pymc_features.simulators.oscillators.recursion import can_be_damped, modal_damping
 from pymc_features.simulators.oscillators.table import SMALLEST
 
 
@@ -51,7 +52,7 @@ def positions(values, lane, order):
 
 
 @jit
-def take_lane(modes, lane, values, law, step, order):
+def take_lane(modes, lane, values, law, steps, order):
     """Write frequencies and damping of the lowest modes of one lane.
 
     Parameters
@@ -61,24 +62,25 @@ def take_lane(modes, lane, values, law, step, order):
     values : array (n, LANES)
         omega^2, in any order.
     law : DampingLaw
-    step : float
-        Of the recursion [s].
+    steps : tuple of float
+        Step of the recursion [s], and omega h of modes that can be stepped, see `fast_modes.highest_step`.
     order : integer array (n,)
         Written: the positions of the modes.
 
     Returns
     -------
     bool
-        False where a damping is negative, or a mode too stiff to be stepped, see `recursion.write_damping`.
+        False where a damping is negative, see `recursion.write_damping`, or a mode too fast to be stepped.
     """
-    omega, damping = modes
+    (omega, damping), (step, highest) = modes, steps
     positions(values, lane, order)
     possible = True
     for r in range(omega.shape[0]):
         omega[r, lane] = np.sqrt(values[order[r], lane])
         damping[r, lane] = modal_damping(omega[r, lane], law.rayleigh, law.ratios[r])
-        stiffest = max(omega[r, lane], damping[r, lane]) * step
-        possible &= damping[r, lane] >= 0.0 and stiffest < STIFFEST
+        w = omega[r, lane] * step
+        d = damping[r, lane] * step
+        possible &= not is_fast(w, d, highest) and can_be_damped(w, d)
     if not possible:
         empty_modes(modes, lane)
     return possible

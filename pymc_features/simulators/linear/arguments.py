@@ -117,14 +117,14 @@ class Arguments(NamedTuple):
     @property
     def shape(self) -> tuple[int, int]:
         """Shape (s, u) of the response."""
-        acceleration, _, substeps, stride = self.excitation
+        acceleration, _, substeps, stride, _ = self.excitation
         return self.wanted.sensors.shape[0], n_outputs(acceleration.shape[1], substeps, stride)
 
     @property
     def inputs(self) -> Excitation:
         """The excitation in arrays that compiled code takes."""
-        acceleration, *grid = self.excitation
-        return Excitation(writable(acceleration), *grid)
+        acceleration, *grid, direct = self.excitation
+        return Excitation(writable(acceleration), *grid, writable(direct))
 
     @property
     def outputs(self) -> Outputs:

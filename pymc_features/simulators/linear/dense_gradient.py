@@ -20,7 +20,13 @@ from pymc_features.simulators.eigen.matrices import all_diagonal
 from pymc_features.simulators.eigen.outside import outside_span
 from pymc_features.simulators.eigen.structures import StructureLanes, new_structures, solve_structures
 from pymc_features.simulators.linear.dense_population import bring, solve_dense
-from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, single_input
+from pymc_features.simulators.oscillators.arguments import (
+    ABSOLUTE_ACCELERATION,
+    RELATIVE_ACCELERATION,
+    seen_data,
+    single_input,
+)
+from pymc_features.simulators.oscillators.fast_modes import highest_step
 from pymc_features.simulators.oscillators.gradient import modal_gradient
 from pymc_features.simulators.oscillators.modal_system import DampingLaw, ModalSystem
 
@@ -169,9 +175,9 @@ def new_group(parameters, m):
 def fill_lanes(lanes, group, parameters, gradients, wanted, place):
     """Solve the structures from the first on, and write those into the lanes that are there and have a place.
 
-    `place` is the first structure, their number, and the time step.
+    `place` is the first structure, their number, and `steps` of `take_lane`.
     """
-    first, count, step = place
+    first, count, steps = place
     structures, stacks = group.structures, (parameters.mass, parameters.stiffness)
     bring(structures, parameters, first, count, group.is_there)
     solve_structures(structures, stacks, group.is_diagonal, group.columns)
@@ -182,7 +188,7 @@ def fill_lanes(lanes, group, parameters, gradients, wanted, place):
             own, _ = own_arrays(parameters, gradients, first + lane)
             law = DampingLaw(own[1], own[2])
             values = structures.values
-            group.is_there[lane] = take_lane(group.kept, lane, values, law, step, group.order)
+            group.is_there[lane] = take_lane(group.kept, lane, values, law, steps, group.order)
         if group.is_there[lane]:
             solved = group.kept, structures.vectors, group.order
             fill_lane(lanes, lane, own, solved, wanted)
@@ -198,19 +204,22 @@ def add_groups(room, parameters, excitation, wanted, observed, weights, gradient
     """
     (sensors, m, quantity), n_times, count = wanted, observed.shape[1], weights.shape[0]
     step, motion = excitation.dt / excitation.substeps, single_input(excitation)
-    feed = np.dot(sensors, parameters.influence)[:, 0].copy()
+    feed, seen = np.dot(sensors, parameters.influence)[:, 0].copy(), observed
+    if quantity == RELATIVE_ACCELERATION:
+        seen = seen_data(motion, observed, feed)
     if quantity != ABSOLUTE_ACCELERATION:
         feed[:] = 0.0
     lanes, group = new_gradient_lanes(room, feed, m, excitation.stride), new_group(parameters, m)
+    steps = step, highest_step(excitation)
     apart = new_vectors(1)
     for first in range(0, count, LANES):
-        fill_lanes(lanes, group, parameters, gradients, wanted, (first, count, step))
+        fill_lanes(lanes, group, parameters, gradients, wanted, (first, count, steps))
         for lane in range(LANES):
             if group.is_there[lane]:
                 for j in range(feed.size):
                     put(lanes.factors, j, lane, 2.0 * weights[first + lane, j, 0] / n_times)
         store(apart, 0, modes_apart(lanes, n_times * excitation.stride * step))
-        sum_history(lanes, room, motion, quantity, observed)
+        sum_history(lanes, room, motion, quantity, seen)
         derive_modes(lanes, step, motion.acceleration[0])
         derive_pairs(lanes)
         group.by_theta.fill(0.0)
@@ -232,9 +241,10 @@ def spread_groups(room, parameters, excitation, wanted, sums, gradients):
     No two modes of a structure may be close; `room` and `gradients` as in `add_groups`.
     """
     (count, n_sensors, m), step = sums[0].shape, excitation.dt / excitation.substeps
+    steps = step, highest_step(excitation)
     lanes, group = new_gradient_lanes(room, np.zeros(n_sensors), m, 1), new_group(parameters, m)
     for first in range(0, count, LANES):
-        fill_lanes(lanes, group, parameters, gradients, wanted, (first, count, step))
+        fill_lanes(lanes, group, parameters, gradients, wanted, (first, count, steps))
         take_sums(lanes, sums, first, min(LANES, count - first))
         derive_pairs(lanes)
         group.by_theta.fill(0.0)
@@ -257,13 +267,22 @@ def spread_population(parameters, excitation, wanted, sums, gradients):
 
 
 @jit
+def is_share_known(parameters, wanted):
+    """Whether what stands before the inputs in the response is the same for all parameters."""
+    is_acceleration = wanted.quantity in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION)
+    is_moved = wanted.n_modes == parameters.influence.shape[0] and not np.any(parameters.forces != 0.0)
+    return is_moved or not is_acceleration
+
+
+@jit
 def add_population_gradient(parameters, excitation, wanted, observed, weights, gradients):
     """Add the gradients of all particles; what they share, in one row, gets the sum.
 
     theta, rayleigh and ratios, and `gradients` of their shapes, have one more axis in front; `weights` are
     (p, s, 1) or (p, s, 4).
     """
-    if weights.shape[2] == 1 and weights.shape[0] > 2 and excitation.acceleration.shape[0] == 1:
+    goes_in_lanes = weights.shape[2] == 1 and weights.shape[0] > 2 and excitation.acceleration.shape[0] == 1
+    if goes_in_lanes and (excitation.direct.size == 0 or is_share_known(parameters, wanted)):
         room = room_of_lanes(wanted.sensors.shape[0], wanted.n_modes, excitation.stride)
         add_groups(room, parameters, excitation, wanted, observed, weights, gradients)
         return

@@ -11,6 +11,7 @@ from pymc_features.simulators.eigen.structures import new_structures, solve_stru
 from pymc_features.simulators.linear.dense import assemble_dense, dense_modes, is_finite
 from pymc_features.simulators.mean_squares.systems import new_systems, put_lane, put_modes
 from pymc_features.simulators.oscillators.arguments import at_every_step
+from pymc_features.simulators.oscillators.fast_modes import has_fast, highest_step
 from pymc_features.simulators.oscillators.lanes import new_lanes
 from pymc_features.simulators.oscillators.modal_system import (
     DampingLaw,
@@ -139,7 +140,8 @@ def write_outputs(lanes, lane, vectors, order, wanted, support_motion):
             if width > n_sensors + 1:
                 by_forces += vectors[row + j, lane] * vectors[row + n_sensors, lane]
         motion = support_motion[j]
-        lanes.feed[j, lane] = feed_through(motion, by_forces, by_modes, wanted.quantity, m == n)
+        feed = feed_through(motion, by_forces, by_modes, wanted.quantity, m == n)
+        lanes.feed[j, lane], lanes.direct[j, lane] = feed, feed
 
 
 @jit
@@ -185,13 +187,13 @@ def march_dense(parameters, excitation, wanted, observed, increments):
     result = np.full((count, n_sensors, 1 if increments is None else 4), np.nan)
     columns, stacks = wanted_columns(parameters, wanted), (parameters.mass, parameters.stiffness)
     lanes, modes = (
-        new_lanes(observed, m, excitation.stride, False),
+        new_lanes(observed, m, motion, False),
         new_structures(n, theta.shape[1], columns[0].shape[1]),
     )
     kept, order = (new_vectors(m), new_vectors(m)), np.empty(n, dtype=np.int64)
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
     is_there, alone = np.empty(LANES, dtype=np.bool_), np.empty(count, dtype=np.int64)
-    n_alone, step, start = 0, motion.dt, motion.acceleration[0]
+    n_alone, steps, start = 0, (motion.dt, highest_step(excitation)), motion.acceleration[0]
     for first in range(0, count, LANES):
         bring(modes, parameters, first, count, is_there)
         solve_structures(modes, stacks, is_diagonal, columns)
@@ -203,28 +205,31 @@ def march_dense(parameters, excitation, wanted, observed, increments):
             if is_there[lane]:
                 _, pair, own_ratios = own_values(parameters, first + lane)
                 law = DampingLaw(pair, own_ratios)
-                is_there[lane] = take_lane(kept, lane, modes.values, law, step, order)
+                is_there[lane] = take_lane(kept, lane, modes.values, law, steps, order)
+                if not is_there[lane]:  # no structure, or one with modes that follow
+                    alone[n_alone] = first + lane
+                    n_alone += 1
             if is_there[lane]:
                 write_outputs(lanes, lane, modes.vectors, order, wanted, support_motion)
             else:
                 empty_modes(kept, lane)
-        fill_lanes(lanes, kept, step, wanted.quantity, start)
+        fill_lanes(lanes, kept, motion.dt, wanted.quantity, start)
         found = lane_statistics(lanes, motion, observed, increments)
         for lane in range(LANES):
             if is_there[lane]:
                 result[first + lane] = found[lane]
-    march_alone(parameters, motion, wanted, lanes, alone[:n_alone], (observed, increments, result))
+    march_alone(parameters, excitation, wanted, lanes, alone[:n_alone], (observed, increments, result))
     return result
 
 
 @jit
-def march_alone(parameters, motion, wanted, lanes, places, data):
+def march_alone(parameters, excitation, wanted, lanes, places, data):
     """Write the misfits of some particles, whose modes are found one by one.
 
     Parameters
     ----------
-    motion : Excitation
-        See `at_every_step`.
+    excitation : Excitation
+        With one input (1, t).
     lanes : Lanes
         Empty.
     places : integer array
@@ -233,11 +238,15 @@ def march_alone(parameters, motion, wanted, lanes, places, data):
         Data (s, u), `Increments` or None, and the array that is written.
     """
     (observed, increments, result), waiting = data, 0
-    at = np.empty(LANES, dtype=np.int64)
+    at, motion, highest = np.empty(LANES, dtype=np.int64), at_every_step(excitation), highest_step(excitation)
     for i in range(places.size):
         own = own_values(parameters, places[i])
         valid, system, feed = dense_system(parameters, own, wanted, motion.dt)
-        if valid:
+        if valid and has_fast(system, motion.dt, highest):
+            sums = np.zeros((1 if increments is None else 4, observed.shape[0]))
+            march_modes(system, feed, excitation, wanted.quantity, observed, np.empty((0, 0)), sums)
+            result[places[i]] = statistics(sums, observed.shape[1])
+        elif valid:
             put_system(lanes, waiting, system, feed[:, 0].copy(), motion, wanted.quantity)
             at[waiting] = places[i]
             waiting += 1
@@ -252,6 +261,7 @@ def march_alone(parameters, motion, wanted, lanes, places, data):
 def dense_systems(parameters, excitation, wanted, count):
     """`Systems` of dense structures with classical damping, as `march_dense` has them; of any inputs."""
     (n_sensors, n), step = wanted.sensors.shape, excitation.dt / excitation.substeps
+    highest = highest_step(excitation)
     n_inputs, m = parameters.influence.shape[1], wanted.n_modes
     systems = new_systems(count, n_sensors, m, n_inputs, False)
     is_there, is_alone = np.empty(LANES, dtype=np.bool_), np.ones(count, dtype=np.bool_)
@@ -267,12 +277,12 @@ def dense_systems(parameters, excitation, wanted, count):
                 is_alone[first + lane] = is_there[lane] and not modes.is_good[lane]
                 _, pair, ratios = own_values(parameters, first + lane)
                 law, is_kept = DampingLaw(pair, ratios), is_there[lane] and modes.is_good[lane]
-                if is_kept and take_lane(kept, lane, modes.values, law, step, order):
+                if is_kept and take_lane(kept, lane, modes.values, law, (step, highest), order):
                     shapes = modes.vectors, order, lane
                     put_lane(systems, first + lane, kept, shapes, (motion, wanted.quantity))
     for p in range(count):
         if is_alone[p]:
             valid, system, feed = dense_system(parameters, own_values(parameters, p), wanted, step)
-            if valid:
+            if valid and not has_fast(system, step, highest):
                 put_modes(systems, p, system, feed)
     return systems

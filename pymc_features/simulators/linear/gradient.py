@@ -13,6 +13,7 @@ from pymc_features.simulators.linear.arguments import Arguments, is_symmetric, n
 from pymc_features.simulators.linear.dense_gradient import (
     add_gradient,
     add_population_gradient,
+    is_share_known,
     spread_population,
 )
 from pymc_features.simulators.linear.projection import to_parameters
@@ -92,7 +93,8 @@ def in_complex_modes(a, weights) -> bool:
     given = a.parameters
     is_simple = given.is_dense and not given.is_classical and a.excitation.acceleration.shape[0] == 1
     is_whole = a.wanted.n_modes == given.n_dof and weights.shape[-1] == 1
-    return is_simple and is_whole and is_symmetric(given.damping, given.n_dof)
+    is_known = a.excitation.direct.size == 0 or is_share_known(given, a.wanted)
+    return is_simple and is_whole and is_known and is_symmetric(given.damping, given.n_dof)
 
 
 def gradient(a, history, weights):

@@ -17,6 +17,7 @@ from pymc_features.simulators.linear.response import evaluate
 from pymc_features.simulators.linear.system import is_coupled, observe, solved
 from pymc_features.simulators.mean_squares.systems import Systems, new_systems, put_modes
 from pymc_features.simulators.oscillators.arguments import at_every_step
+from pymc_features.simulators.oscillators.fast_modes import has_fast, highest_step
 from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
 from pymc_features.simulators.oscillators.population import lane_statistics, put_system
 
@@ -48,13 +49,15 @@ def march_population(a: Arguments, observed, with_increments):
         result, is_written = march_coupled(kernel, a.inputs, a.outputs, observed, increments)
         result, is_written = np.resize(result, (count, *result.shape[1:])), np.resize(is_written, count)
     motion = at_every_step(a.inputs) if one_input else None
-    lanes, places = new_lanes(observed, a.wanted.n_modes, a.excitation.stride, False), []
+    lanes, places = new_lanes(observed, a.wanted.n_modes, motion, False) if one_input else None, []
+    highest = highest_step(a.inputs)
     waiting = np.flatnonzero(~is_written.astype(bool))
     for p, own, system in solved(a, waiting):
         if system is None:
             continue
-        if one_input and not is_coupled(system.modal_damping):
-            modes, feed = observe(own, system)
+        is_modal = one_input and not is_coupled(system.modal_damping)
+        modes, feed = observe(own, system) if is_modal else (None, None)
+        if is_modal and not has_fast(modes, a.step, highest):
             put_system(lanes, len(places), modes, feed[:, 0].copy(), motion, a.wanted.quantity)
             places.append(p)
         else:
@@ -85,8 +88,9 @@ def linear_systems(parameters, excitation, wanted, observed) -> Systems | None:
         return dense_systems(parameters.for_kernel(), a.inputs, a.outputs, count)
     systems = new_systems(count, a.shape[0], wanted.n_modes, n_inputs, False)
     for p, own, system in solved(a, np.arange(count)):
-        if system is not None:
-            put_modes(systems, p, *observe(own, system))
+        modes = None if system is None else observe(own, system)
+        if modes and not has_fast(modes[0], a.step, highest_step(a.inputs)):
+            put_modes(systems, p, *modes)
     return systems
 
 

@@ -26,7 +26,11 @@ from pymc_features.simulators.linear.state_space import (
     march_state,
     state_matrices,
 )
-from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
+from pymc_features.simulators.oscillators.arguments import (
+    RELATIVE_DISPLACEMENT,
+    RELATIVE_VELOCITY,
+    write_own,
+)
 from pymc_features.simulators.oscillators.misfit import measured_difference, weigh_history
 
 NO_SUMS = np.empty((1, 0))  # of a comparison with data, where there is none
@@ -51,7 +55,7 @@ def matrix_gradients(matrices, excitation, starts, weighted):
     adjoints, backward = np.zeros((samples * stride + 1, size)), np.ascontiguousarray(matrices.transition.T)
     grad_transition, grad_output = np.zeros((size, size)), np.zeros(matrices.output.shape)
     grad_now, grad_after = np.zeros((size, n_inputs)), np.zeros((size, n_inputs))
-    grad_direct = np.zeros(matrices.direct.shape)
+    grad_direct, at_samples = np.zeros(matrices.direct.shape), np.empty((n_inputs, samples))
     for block in range(starts.shape[0] - 1, -1, -1):
         first = block * samples
         count = min(samples, total - first)
@@ -61,7 +65,8 @@ def matrix_gradients(matrices, excitation, starts, weighted):
         advance_state(matrices, excitation, first * stride, steps, states, ground)
         own = np.ascontiguousarray(weighted[:, first : first + count])
         grad_output += np.dot(own, np.ascontiguousarray(states[: count * stride : stride]))
-        grad_direct += np.dot(own, np.ascontiguousarray(ground[:, : count * stride : stride].T))
+        write_own(excitation, ground, first, count, at_samples)
+        grad_direct += np.dot(own, np.ascontiguousarray(at_samples[:, :count].T))
         loads = np.dot(own.T, matrices.output)  # O' w
         # the adjoint of the state at the block's end is the first of the block behind it
         adjoints[steps] = loads[count - 1] if is_last else adjoints[0]

@@ -28,6 +28,7 @@ from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_VELOCITY,
     interpolate,
     n_outputs,
+    write_own,
 )
 from pymc_features.simulators.oscillators.recursion import BLOCK, take_block
 
@@ -171,7 +172,7 @@ def march_state(matrices, excitation, observed, history, sums):
     total = n_outputs(excitation.acceleration.shape[1], excitation.substeps, stride)
     samples = block_samples(stride)
     states, ground = np.zeros((samples * stride + 1, size)), np.zeros((n_inputs, samples * stride + 1))
-    starts = np.zeros(((total + samples - 1) // samples, size))
+    starts, own = np.zeros(((total + samples - 1) // samples, size)), np.empty((n_inputs, samples))
     for block in range(starts.shape[0]):
         first = block * samples
         count = min(samples, total - first)
@@ -179,7 +180,8 @@ def march_state(matrices, excitation, observed, history, sums):
         advance_state(matrices, excitation, first * stride, steps, states, ground)
         starts[block] = states[0]
         at_samples = np.ascontiguousarray(states[: count * stride : stride].T)
-        inputs = np.ascontiguousarray(ground[:, : count * stride : stride])
+        write_own(excitation, ground, first, count, own)
+        inputs = np.ascontiguousarray(own[:, :count])
         outputs = np.dot(matrices.output, at_samples) + np.dot(matrices.direct, inputs)
         take_block(outputs, first, count, observed, history, sums)
         states[0] = states[steps]

@@ -10,8 +10,9 @@ from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.dense import dense_modes
+from pymc_features.simulators.oscillators.fast_modes import STIFFEST, highest_coupled_step
 from pymc_features.simulators.oscillators.modal_system import ModalSystem, write_feed
-from pymc_features.simulators.oscillators.recursion import STIFFEST, write_damping
+from pymc_features.simulators.oscillators.recursion import write_damping
 from pymc_features.simulators.reduced.known import KNOWN
 
 COUPLING = 1e-12  # off-diagonal entries of D below this times the largest are rounding
@@ -74,11 +75,17 @@ def solve_system(a: Arguments, *, left_out=False, known=None) -> System | None:
         factor, *known = admissible_modes(mass, stiffness, given.n_dof if every else m)
         if not known:
             return None
-        others = (known[0][m:], known[1][:, m:]) if every else None
+        left_out &= given.is_dense and len(known[0]) == given.n_dof
+    else:
+        left_out = False
+    if not given.is_classical:  # the ground takes along what is too fast to be stepped
+        m = int(np.searchsorted(known[0][:m] * a.step, highest_coupled_step(a.excitation), side="right"))
+    if left_out and m < given.n_dof:
+        others = known[0][m:], known[1][:, m:]
     omega, shapes = known[0][:m], np.ascontiguousarray(known[1][:, :m])
     damping = None if given.is_classical else given.assemble(given.damping)
     modal_damping = project_damping(a, mass, damping, omega, shapes)
-    if modal_damping is None or not max(omega.max(), abs(modal_damping).max()) * a.step < STIFFEST:
+    if modal_damping is None or not given.is_classical and not abs(modal_damping).max() * a.step < STIFFEST:
         return None
     load = mass @ given.influence - given.forces
     participation = shapes.T @ load
@@ -132,7 +139,7 @@ def solved_in_basis(a, known, particles, left_out, signed) -> tuple:
 
     These are all others where nothing is learnt from them, otherwise the worst, before all is asked again.
     """
-    given, m = a.parameters, a.wanted.n_modes
+    given = a.parameters
     theta = np.stack([given.theta[p % given.theta.shape[0]] for p in particles])
     basis, found, errors = known.modes(theta, left_out=left_out, signed=signed)
     result = {}
@@ -143,7 +150,8 @@ def solved_in_basis(a, known, particles, left_out, signed) -> tuple:
         own = a._replace(parameters=a.parameters.one_of(particles[i]))
         system = solve_system(own, known=(omega, vectors))
         if system is not None and left_out:
-            system = system._replace(others=(omega[m:], vectors[:, m:]))
+            kept = system.omega.size
+            system = system._replace(others=(omega[kept:], vectors[:, kept:]))
         result[particles[i]] = own, system
     others = sorted((i for i in range(len(particles)) if i not in found), key=lambda i: -errors[i])
     return result, [particles[i] for i in (others if known.is_fixed else others[:1])]
@@ -230,5 +238,5 @@ def observe(a: Arguments, system: System) -> tuple[ModalSystem, np.ndarray]:
     modal_forces = writable(system.shapes.T @ given.forces)
     support_motion = writable(a.wanted.sensors @ given.influence)
     feed = np.empty(support_motion.shape)
-    write_feed(modes, modal_forces, support_motion, a.wanted.quantity, a.wanted.n_modes == given.n_dof, feed)
+    write_feed(modes, modal_forces, support_motion, a.wanted.quantity, system.omega.size == given.n_dof, feed)
     return modes, feed

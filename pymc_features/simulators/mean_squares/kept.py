@@ -32,7 +32,7 @@ class Data:
 
     def __init__(self, observed, acceleration, excitation):
         self.observed, self.acceleration = observed.copy(), acceleration.copy()
-        self.grid, self.until_check, self.made = excitation[1:], {}, {}
+        self.grid, self.until_check, self.made = excitation[1:4], {}, {}
         self.has_tables = bool(np.isfinite(observed).all() and np.isfinite(acceleration).all())
 
     def tables(self, n_statistics):
@@ -71,7 +71,7 @@ class Kept:
     def of(self, observed, excitation) -> Data:
         """Data (s, N) under inputs (t,) or (d, t), known or new."""
         acceleration = np.atleast_2d(excitation.acceleration)
-        memory = (place(observed), place(acceleration), *map(float, excitation[1:]))
+        memory = (place(observed), place(acceleration), *map(float, excitation[1:4]))
         found = self.by_memory.get(memory)
         if found is not None:
             owners, probes, data = found
@@ -90,7 +90,7 @@ class Kept:
 
     def by_hash(self, observed, acceleration, excitation):
         """Data with this content."""
-        digest = hashlib.sha256(repr((observed.shape, acceleration.shape, *excitation[1:])).encode())
+        digest = hashlib.sha256(repr((observed.shape, acceleration.shape, *excitation[1:4])).encode())
         digest.update(np.ascontiguousarray(observed))
         digest.update(np.ascontiguousarray(acceleration))
         key = digest.digest()

@@ -82,7 +82,7 @@ def from_tables(data, tables, systems, poles):
         evaluate(table.mesh, table.of.sums, systems, poles, e, sizes, ends)
         is_sure &= are_sure(e, sizes, n_times)
         squares.append((e / n_times, ends))
-    is_sure |= ~systems.valid
+    is_sure &= systems.valid  # else no structure, or one with modes that follow: the march tells
     if len(tables) == 1:
         return squares[0][0], is_sure
     (mean_square, ends), (increment, _) = squares

@@ -27,7 +27,13 @@ from pymc_features.simulators.nonlinear.response import (
     sweep_kernel,
 )
 from pymc_features.simulators.nonlinear.tape import Tape, record_size, tape_memory
-from pymc_features.simulators.oscillators.arguments import Excitation, Outputs, n_outputs
+from pymc_features.simulators.oscillators.arguments import (
+    RELATIVE_ACCELERATION,
+    Excitation,
+    Outputs,
+    excess_of,
+    n_outputs,
+)
 from pymc_features.simulators.oscillators.misfit import measured_difference, weigh_history
 from pymc_features.simulators.taylor.adjoint.population import add_gradients
 from pymc_features.simulators.taylor.ground.spans import ground_of
@@ -58,14 +64,17 @@ class Problem:
     """
 
     def __init__(self, law, parameters, excitation, wanted):
-        acceleration, dt, substeps, stride = excitation
+        acceleration, dt, substeps, stride, direct = excitation
         sensors, n_modes, quantity = wanted
         self.parameters = NonlinearParameters(*map(numbers, parameters))
-        self.excitation = Excitation(numbers(acceleration), float(dt), int(substeps), int(stride))
+        grid = float(dt), int(substeps), int(stride)
+        self.excitation = Excitation(numbers(acceleration), *grid, numbers(direct))
         self.wanted = Outputs(np.array(sensors, dtype=np.int64), int(n_modes), int(quantity))
         check_parameters(law, self.parameters, self.wanted)
         self.n = self.parameters.mass.shape[-1]
         self.n_outputs = n_outputs(len(self.excitation.acceleration), substeps, stride)
+        excess = excess_of(self.excitation, self.n_outputs)
+        self.excess = excess if excess.size else np.zeros(self.n_outputs)
         self.memory = chain_memory(self.n)  # as long as the address below is used
         self.chain = law(self.memory.ctypes.data, padded(self.n) // LANES, self.n)
 
@@ -73,15 +82,19 @@ class Problem:
         """Data or a cotangent, checked to have the shape of the response."""
         return check_history(numbers(history), (self.wanted.sensors.size, self.n_outputs))
 
+    def data(self, observed) -> np.ndarray:
+        """Data (s, u) as the kernels take them, which know the prepared record only."""
+        is_relative = self.wanted.quantity == RELATIVE_ACCELERATION
+        return observed + self.excess if is_relative else observed
+
     def response(self, parameters, quantities, refine=1, keep_states=False):
         """Histories (quantity, sensor, time) of a chain, and its states (time, 3 p) if they are kept."""
         codes = np.array(quantities, dtype=np.int64)
         states = np.empty((self.n_outputs, 3 * padded(self.n)) if keep_states else (0, 0))
         sensors, refine = self.wanted.sensors, float(refine)
-        return (
-            history_kernel(self.chain, parameters, self.excitation, sensors, codes, refine, states),
-            states,
-        )
+        found = history_kernel(self.chain, parameters, self.excitation, sensors, codes, refine, states)
+        found[codes == RELATIVE_ACCELERATION] -= self.excess
+        return found, states
 
     @cached_property
     def adjoint_memory(self):
@@ -205,11 +218,11 @@ def nonlinear_kernels(law) -> dict:
 
     def population_misfit(parameters, excitation, wanted, observed):
         problem = Problem(law, parameters, excitation, wanted)
-        return population_statistics(law, problem, problem.history(observed))
+        return population_statistics(law, problem, problem.data(problem.history(observed)))
 
     def misfit(parameters, excitation, wanted, observed):
         problem = Problem(law, one_particle(parameters), excitation, wanted)
-        return one_by_one(problem, problem.parameters, problem.history(observed))[0]
+        return one_by_one(problem, problem.parameters, problem.data(problem.history(observed)))[0]
 
     def response_gradient(parameters, excitation, wanted, cotangent):
         problem = Problem(law, parameters, excitation, wanted)
@@ -228,7 +241,7 @@ def nonlinear_kernels(law) -> dict:
         gradients = NonlinearParameters(*(np.zeros(p.shape) for p in problem.parameters))
         others = range(1)
         if len(weights) > 1:
-            others = add_taylor_gradients(law, problem, observed, weights, gradients)
+            others = add_taylor_gradients(law, problem, problem.data(observed), weights, gradients)
         for k in others:
 
             def cotangent_of(response, c=weights[k]):

@@ -48,7 +48,7 @@ def next_sample(law, excitation, sample, tape):
     Depends on nothing but the state, so that it can be repeated from one. Steps are recorded on the tape,
     unless it is None.
     """
-    acceleration, dt, substeps, stride = excitation
+    acceleration, dt, substeps, stride, _ = excitation
     length = dt / substeps
     start = ground_at(acceleration, sample * stride, substeps)
     for fine in range(sample * stride, (sample + 1) * stride):
@@ -103,7 +103,7 @@ def history_kernel(law, parameters, excitation, sensors, quantities, refine, sta
     `states` (u, 3 p), unless it is empty. All NaN where the parameters describe no structure or the
     integration fails.
     """
-    acceleration, _, substeps, stride = excitation
+    acceleration, _, substeps, stride, _ = excitation
     total = n_outputs(acceleration.size, substeps, stride)
     history = np.empty((quantities.size, sensors.size, total))
     outputs = np.empty(sensors.size)

@@ -16,8 +16,14 @@ QUANTITIES = (
 ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION, RELATIVE_VELOCITY, RELATIVE_DISPLACEMENT = range(4)
 
 
+NO_DIRECT = np.empty((0, 0, 0))  # of inputs that are straight lines
+
+
 class Excitation(NamedTuple):
     """An input that is linear between its samples, and the steps in which a structure is taken through it.
+
+    A band-limited record comes prepared, see `simulators.excitation`: its states are right under the straight
+    lines, and what stands before the inputs in a response takes their own values.
 
     Attributes
     ----------
@@ -29,12 +35,16 @@ class Excitation(NamedTuple):
         Steps of the recursion between two samples.
     stride : int
         Steps of the recursion between two outputs.
+    direct : array (5, d, u) or (0, 0, 0)
+        The inputs' own values and their first four derivatives at the outputs; empty where the straight lines
+        are the inputs.
     """
 
     acceleration: np.ndarray
     dt: float
     substeps: int
     stride: int
+    direct: np.ndarray = NO_DIRECT
 
 
 class Outputs(NamedTuple):
@@ -64,17 +74,17 @@ def n_outputs(n_times, substeps, stride):
 @jit
 def single_input(excitation):
     """The excitation with its only input as (t,)."""
-    acceleration, dt, substeps, stride = excitation
-    return Excitation(acceleration.reshape(acceleration.size), dt, substeps, stride)
+    acceleration, dt, substeps, stride, direct = excitation
+    return Excitation(acceleration.reshape(acceleration.size), dt, substeps, stride, direct)
 
 
 @jit
 def at_every_step(excitation):
     """The excitation by one input with a sample at each step of the recursion, as (t,)."""
-    acceleration, dt, substeps, stride = single_input(excitation)
+    acceleration, dt, substeps, stride, direct = single_input(excitation)
     every = np.empty((acceleration.size - 1) * substeps + 1)
     interpolate(acceleration, substeps, 0, every)
-    return Excitation(every, dt / substeps, 1, stride)
+    return Excitation(every, dt / substeps, 1, stride, direct)
 
 
 @jit
@@ -96,3 +106,47 @@ def interpolate(acceleration, substeps, first, ground):
         return
     for k in range(ground.size):  # Numba takes three seconds to compile a copy of a slice
         ground[k] = acceleration[first + k] if first + k < acceleration.size else 0.0
+
+
+@jit
+def write_own(excitation, ground, first, count, own):
+    """Write the inputs' own values (d, >= count) at `count` outputs from `first` on; zero behind the last.
+
+    `ground` (d, > count stride) are the inputs at the steps of the recursion from there on.
+    """
+    direct, stride = excitation.direct, excitation.stride
+    for i in range(own.shape[0]):
+        for b in range(count):
+            if direct.size == 0:
+                own[i, b] = ground[i, b * stride]
+            else:
+                own[i, b] = direct[0, i, first + b] if first + b < direct.shape[2] else 0.0
+
+
+@jit
+def excess_of(motion, length):
+    """By how much the own values of one input (t,) are larger than the prepared ones, at the outputs.
+
+    Zeros up to the length; empty where they are the same.
+    """
+    direct, acceleration = motion.direct, motion.acceleration
+    excess = np.zeros(0 if direct.size == 0 else length)
+    for k in range(min(excess.size, direct.shape[2])):
+        excess[k] = direct[0, 0, k] - ground_at(acceleration, k * motion.stride, motion.substeps)
+    return excess
+
+
+@jit
+def seen_data(motion, observed, support_motion):
+    """Data (s, u) with what stands before one prepared input (t,) too much in relative accelerations.
+
+    With all modes that is S iota, `support_motion` (s,), which no parameter changes.
+    """
+    excess = excess_of(motion, observed.shape[1])
+    if excess.size == 0:
+        return observed
+    seen = observed.copy()
+    for j in range(observed.shape[0]):
+        for k in range(observed.shape[1]):
+            seen[j, k] += support_motion[j] * excess[k]
+    return seen

@@ -159,12 +159,22 @@ def start(at, block, j, row, t):
     """Data of a row less the feed-through of sensor j, at four samples from t on."""
     ground, data, feed = block.ground, block.data, read_lanes(at.feed, j)
     k, i, stride = t * block.stride, row * block.length + t, block.stride
-    return (
+    misfit = (
         splat(read_number(data, i)) - feed * splat(read_number(ground, k)),
         splat(read_number(data, i + 1)) - feed * splat(read_number(ground, k + stride)),
         splat(read_number(data, i + 2)) - feed * splat(read_number(ground, k + 2 * stride)),
         splat(read_number(data, i + 3)) - feed * splat(read_number(ground, k + 3 * stride)),
     )
+    if block.excess:
+        excess = block.excess
+        more = (
+            splat(read_number(excess, t)),
+            splat(read_number(excess, t + 1)),
+            splat(read_number(excess, t + 2)),
+            splat(read_number(excess, t + 3)),
+        )
+        misfit = less(misfit, read_lanes(at.direct, j), more)
+    return misfit
 
 
 @jit

@@ -16,8 +16,20 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.oscillators.arguments import interpolate
+from pymc_features.simulators.oscillators.arguments import (
+    ABSOLUTE_ACCELERATION,
+    RELATIVE_ACCELERATION,
+    interpolate,
+    write_own,
+)
 from pymc_features.simulators.oscillators.close_modes import close_modes
+from pymc_features.simulators.oscillators.fast_modes import (
+    N_ORDERS,
+    STIFFEST,
+    follow,
+    highest_step,
+    write_following,
+)
 from pymc_features.simulators.oscillators.misfit import copy_block, weigh_misfit
 from pymc_features.simulators.oscillators.recursion import BLOCK, add_feed
 from pymc_features.simulators.oscillators.sensitivity import (
@@ -65,6 +77,14 @@ class Histories(NamedTuple):
         The same values, as `advance_modes` writes them.
     outputs : array (d, s, padded)
         S phi_r Gamma_ri, zero beyond the modes.
+    own : array (d, BLOCK)
+        The inputs' own values at the samples.
+    is_relative : bool
+        Whether outputs have the inputs' own values in them, with -1.
+    fast : integer array (f,)
+        Modes that follow their input.
+    factors : array (f, 3, 5)
+        Of `fast_modes.follow`.
     """
 
     coefficients: np.ndarray
@@ -73,6 +93,10 @@ class Histories(NamedTuple):
     values: np.ndarray
     lanes: np.ndarray
     outputs: np.ndarray
+    own: np.ndarray
+    is_relative: bool
+    fast: np.ndarray
+    factors: np.ndarray
 
 
 @jit
@@ -80,7 +104,17 @@ def new_histories(system, law, excitation, quantity):
     """The modes at rest before a record."""
     step, stride = excitation.dt / excitation.substeps, excitation.stride
     (n_modes, n_inputs), n_sensors = system.participation.shape, system.shapes.shape[0]
-    coefficients = sensitivity_coefficients(system, law, step, quantity)
+    highest = highest_step(excitation)
+    fast = np.flatnonzero((system.omega * step > highest) | (system.damping * step >= STIFFEST))
+    coefficients, factors = (
+        sensitivity_coefficients(system, law, step, quantity),
+        np.empty((fast.size, 3, N_ORDERS)),
+    )
+    for n in range(fast.size):
+        omega, damping = system.omega[fast[n]], system.damping[fast[n]]
+        slope = law.rayleigh[1] + law.ratios[fast[n]] / omega
+        write_following(omega, damping, slope, quantity, factors[n])
+        factors[n, 2] /= step
     groups = coefficients.shape[0] // N_COEFFICIENTS
     outputs = np.zeros((n_inputs, n_sensors, groups * LANES))
     for i in range(n_inputs):
@@ -91,13 +125,14 @@ def new_histories(system, law, excitation, quantity):
     values = np.empty((3, n_inputs, BLOCK + 1, groups * LANES))
     values[:, :, BLOCK] = 0.0
     lanes = values.reshape(3, n_inputs, (BLOCK + 1) * groups, LANES)
-    return Histories(coefficients, states, ground, values, lanes, outputs)
+    own, is_relative = np.empty((n_inputs, BLOCK)), quantity in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION)
+    return Histories(coefficients, states, ground, values, lanes, outputs, own, is_relative, fast, factors)
 
 
 @jit
 def advance_histories(modes, excitation, first):
     """Write a block of values of all modes under each input, from sample `first` on."""
-    inputs, _, substeps, stride = excitation
+    inputs, _, substeps, stride, direct = excitation
     for i in range(inputs.shape[0]):
         for k in range(3):
             own = modes.values[k, i]
@@ -107,17 +142,27 @@ def advance_histories(modes, excitation, first):
         f, f_lambda, f_damping = modes.lanes[0, i], modes.lanes[1, i], modes.lanes[2, i]
         interpolate(inputs[i], substeps, first * stride, ground)
         advance_modes(modes.coefficients, states, ground, stride, f, f_lambda, f_damping)
+    write_own(excitation, modes.ground, first, BLOCK, modes.own)
+    if direct.size and modes.is_relative:
+        for i in range(inputs.shape[0]):
+            own = modes.values[0, i]
+            for b in range(BLOCK):
+                excess = modes.own[i, b] - modes.ground[i, b * stride]
+                for r in range(own.shape[1]):
+                    own[b + 1, r] -= excess
+    if modes.fast.size:
+        follow(modes.fast, modes.factors, excitation, modes.ground, first, modes.values)
 
 
 @jit
-def write_response(modes, feed, stride, part, response):
+def write_response(modes, feed, part, response):
     """Write one block of the response (s, BLOCK); `part` (s, BLOCK) is overwritten."""
     for i in range(modes.outputs.shape[0]):
         target = response if i == 0 else part
         np.dot(modes.outputs[i], modes.values[0, i, 1:].T, target)
         if i > 0:
             response += part
-    add_feed(feed, modes.ground, stride, BLOCK, response)
+    add_feed(feed, modes.own, BLOCK, response)
 
 
 @jit
@@ -153,7 +198,7 @@ def sum_histories(modes, system, feed, excitation, history, weights, some_are_cl
     for first in range(0, total, BLOCK):
         advance_histories(modes, excitation, first)
         if weights.size:
-            write_response(modes, feed, excitation.stride, part, response)
+            write_response(modes, feed, part, response)
             weigh_misfit(response, history, first, weights, misfits, weighted)
         else:
             copy_block(history, first, weighted)

@@ -6,6 +6,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector_memory import new_vectors
+from pymc_features.simulators.oscillators.arguments import excess_of
 
 SAMPLES = 16  # outputs handled at a time; a multiple of four
 COLUMNS = 32  # outputs of modes that stay in the first-level cache, with their shapes, for a block of samples
@@ -24,14 +25,16 @@ class Lanes(NamedTuple):
     ----------
     coefficients, states : array (5 m, LANES), (2 m, LANES)
         Of the recursion.
-    shapes, feed : array ((s + 1) m, LANES), (s + 1, LANES)
-        Output of each mode at the sensors, and feed-through.
+    shapes, feed, direct : array ((s + 1) m, LANES), (s + 1, LANES), (s + 1, LANES)
+        Output of each mode at the sensors, feed-through, and what of it is the input's own.
     outputs : array (COLUMNS SAMPLES, LANES)
         Of some modes in one block.
     misfits : array ((s + 1) SAMPLES, LANES)
         Of one block.
     ground, data : array (SAMPLES stride,), (s, SAMPLES)
         Excitation and data of one block.
+    excess : array (>= u,)
+        By how much the input's own values are larger than the prepared ones; empty where they are the same.
     has_gaps : bool
         Whether data are missing.
     squares : array (s + 1, LANES)
@@ -42,10 +45,12 @@ class Lanes(NamedTuple):
     states: np.ndarray
     shapes: np.ndarray
     feed: np.ndarray
+    direct: np.ndarray
     outputs: np.ndarray
     misfits: np.ndarray
     ground: np.ndarray
     data: np.ndarray
+    excess: np.ndarray
     has_gaps: bool
     squares: np.ndarray
 
@@ -75,18 +80,23 @@ def has_gaps(observed):
 
 
 @jit
-def new_lanes(observed, n_modes, stride, is_pair):
-    """Lanes without structures, for data (sensors, time); of pairs, displacement and velocity are seen."""
+def new_lanes(observed, n_modes, motion, is_pair):
+    """Lanes without structures, for data (sensors, time) and a motion as of `at_every_step`.
+
+    Of pairs, displacement and velocity are seen.
+    """
     s, m = observed.shape[0], n_modes + n_modes % 2
     return Lanes(
         coefficients=new_vectors((N_OF_PAIR if is_pair else N_COEFFICIENTS) * m),
         states=new_vectors(2 * m),
         shapes=new_vectors((s + 1) * m * (2 if is_pair else 1)),
         feed=new_vectors(s + 1),
+        direct=new_vectors(s + 1),
         outputs=new_vectors(COLUMNS * SAMPLES),
         misfits=new_vectors((s + 1) * SAMPLES),
-        ground=np.empty(SAMPLES * stride),
+        ground=np.empty(SAMPLES * motion.stride),
         data=np.empty((s, SAMPLES)),
+        excess=excess_of(motion, -(-observed.shape[1] // SAMPLES) * SAMPLES),
         has_gaps=has_gaps(observed),
         squares=new_vectors(s + 1),
     )
@@ -105,6 +115,7 @@ def clear(lanes):
     lanes.states.fill(0.0)
     lanes.shapes.fill(0.0)
     lanes.feed.fill(0.0)
+    lanes.direct.fill(0.0)
 
 
 @jit

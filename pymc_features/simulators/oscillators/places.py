@@ -22,7 +22,7 @@ class Places(NamedTuple):
     m, n_sensors, width : int
         Modes, an even number, sensors, and columns of the shapes.
     is_pair : bool
-    coefficients, states, shapes, feed, outputs, misfits, squares : int
+    coefficients, states, shapes, feed, direct, outputs, misfits, squares : int
     """
 
     m: int
@@ -33,6 +33,7 @@ class Places(NamedTuple):
     states: int
     shapes: int
     feed: int
+    direct: int
     outputs: int
     misfits: int
     squares: int
@@ -48,6 +49,8 @@ class Source(NamedTuple):
     stride : int
     data, n_times, length, own_data : int
         Address of the data, samples of a sensor, from one sensor to the next, and address of `Lanes.data`.
+    excess : int
+        Address of `Lanes.excess`; zero where there is none.
     is_plain : bool
         Whether the samples of a sensor stand one after the other, and sensors whole numbers apart.
     """
@@ -60,6 +63,7 @@ class Source(NamedTuple):
     n_times: int
     length: int
     own_data: int
+    excess: int
     is_plain: bool
 
 
@@ -72,12 +76,15 @@ class Block(NamedTuple):
         Address of the excitation at the first sample, and how many entries behind it the next one is.
     data, length : int
         Address of the first sample of the first sensor, and how many entries behind it the next one is.
+    excess : int
+        Address of the first value of `Lanes.excess`; zero where there is none.
     """
 
     ground: int
     stride: int
     data: int
     length: int
+    excess: int
 
 
 @jit
@@ -93,6 +100,7 @@ def places_of(lanes):
         address(lanes.states),
         address(lanes.shapes),
         address(lanes.feed),
+        address(lanes.direct),
         address(lanes.outputs),
         address(lanes.misfits),
         address(lanes.squares),
@@ -112,6 +120,7 @@ def source_of(lanes, excitation, observed):
         observed.shape[1],
         observed.strides[0] // NUMBER,
         address(lanes.data),
+        address(lanes.excess) if lanes.excess.size else 0,
         observed.strides[1] == NUMBER and observed.strides[0] % NUMBER == 0,
     )
 
@@ -147,4 +156,5 @@ def block_of(source, first):
         source.stride,
         source.own_data if is_own else data,
         SAMPLES if is_own else source.length,
+        source.excess + NUMBER * first if source.excess else 0,
     )

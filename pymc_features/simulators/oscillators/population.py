@@ -58,6 +58,8 @@ def fill_lane(lanes, lane, table, system, feed, start):
         First sample of the ground acceleration [m/s^2].
     """
     even_modes = lanes.states.shape[0] // 2
+    for j in range(feed.size):
+        lanes.direct[j, lane] = feed[j]
     for r in range(table.shape[1]):
         after = turn_to_output(table, r, start, lanes.coefficients, lanes.states, lane)
         for j in range(feed.size):

@@ -13,7 +13,14 @@ with phi0 = exp, phi1(z) = (e^z - 1)/z, phi2(z) = (e^z - 1 - z)/z^2, from `hold`
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.oscillators.arguments import interpolate
+from pymc_features.simulators.oscillators.arguments import interpolate, write_own
+from pymc_features.simulators.oscillators.fast_modes import (
+    STIFFEST,
+    add_following,
+    has_fast,
+    highest_step,
+    is_fast,
+)
 from pymc_features.simulators.oscillators.table import (
     N_ROWS,
     advance,
@@ -24,7 +31,6 @@ from pymc_features.simulators.oscillators.table import (
 )
 
 BLOCK = 128  # output samples handled at a time: the working set stays in the first-level cache
-STIFFEST = 1e6  # omega h and D h of a mode that can be stepped
 
 
 @jit
@@ -35,26 +41,42 @@ def modal_damping(omega, rayleigh, ratio):
 
 @jit
 def write_damping(omega, rayleigh, ratios, step, damping):
-    """Write D of all modes (m,); False if one is negative, or too stiff to be stepped."""
+    """Write D of all modes (m,); False if one is negative, or too large to be stepped at such a frequency."""
     for r in range(omega.size):
         damping[r] = modal_damping(omega[r], rayleigh, ratios[r])
-        if not (damping[r] >= 0.0 and max(omega[r], damping[r]) * step < STIFFEST):  # NaN too
+        if not can_be_damped(omega[r] * step, damping[r] * step):
             return False
     return True
 
 
 @jit
-def add_feed(feed, ground, stride, count, block):
-    """Add what the inputs do to the response directly, to `count` samples of a block (s, >= count)."""
-    at_samples = np.empty(count)
-    for i in range(ground.shape[0]):
-        for b in range(count):
-            at_samples[b] = ground[i, b * stride]
+def can_be_damped(w, d):
+    """Whether a mode of omega h and D h has a response; NaN has none.
+
+    One that cannot be stepped must relax within a step, D / omega^2 < h, to follow its input.
+    """
+    return d >= 0.0 and d < np.inf and (d < STIFFEST or d < w * w)
+
+
+@jit
+def add_feed(feed, own, count, block):
+    """Add what inputs (d, >= count) do to the response directly, to `count` samples of a block (s, >= count)."""
+    for i in range(own.shape[0]):
         for j in range(block.shape[0]):
             share = feed[j, i]
             if share != 0.0:
                 for b in range(count):
-                    block[j, b] += share * at_samples[b]
+                    block[j, b] += share * own[i, b]
+
+
+@jit
+def add_shares(shares, excitation, ground, first, count, block):
+    """Add what the inputs and their derivatives do directly, by `shares` (k, s, d); else as `add_feed`."""
+    own = np.empty((ground.shape[0], count))
+    write_own(excitation, ground, first, count, own)
+    add_feed(shares[0], own, count, block)
+    for k in range(1, shares.shape[0]):
+        add_feed(shares[k], excitation.direct[k, :, first : first + count], count, block)
 
 
 @jit
@@ -73,7 +95,7 @@ def march_modes(system, feed, excitation, quantity, observed, history, sums):
     observed, history, sums
         See `take_block`.
     """
-    inputs, dt, substeps, stride = excitation
+    inputs, dt, substeps, stride, _ = excitation
     n_sensors, n_modes = system.shapes.shape
     n_inputs, total = inputs.shape[0], max(history.shape[1], observed.shape[1])
     width = whole_vectors(n_modes)
@@ -81,6 +103,16 @@ def march_modes(system, feed, excitation, quantity, observed, history, sums):
     for i in range(n_inputs):
         write_table(system.omega, system.damping, dt / substeps, quantity, tables[i])
         scale_input(tables[i], system.participation[:, i])
+    shares, step, highest = np.zeros((1, *feed.shape)), dt / substeps, highest_step(excitation)
+    if has_fast(system, step, highest):
+        follows = np.empty(n_modes, dtype=np.bool_)
+        for r in range(n_modes):
+            follows[r] = is_fast(system.omega[r] * step, system.damping[r] * step, highest)
+            if follows[r]:
+                tables[:, :, r] = 0.0
+        shares = np.zeros((max(excitation.direct.shape[0], 1), *feed.shape))
+        add_following(system, follows, quantity, shares)
+    shares[0] += feed
     ground, block = np.empty((n_inputs, BLOCK * stride + 1)), np.empty((n_sensors, BLOCK))
     outputs = new_outputs(BLOCK, n_modes)
     for first in range(0, total, BLOCK):
@@ -89,7 +121,7 @@ def march_modes(system, feed, excitation, quantity, observed, history, sums):
             interpolate(inputs[i], substeps, first * stride, ground[i])
             advance(tables[i], i == 0, states[i], ground[i], stride, count, outputs)
         np.dot(system.shapes, outputs.T, block)
-        add_feed(feed, ground, stride, count, block)
+        add_shares(shares, excitation, ground, first, count, block)
         take_block(block, first, count, observed, history, sums)
 
 

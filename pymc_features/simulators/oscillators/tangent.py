@@ -110,6 +110,6 @@ def march_change(system, law, feed, excitation, quantity, change, observed, hist
                 np.dot(combination[k, i], modes.values[k, i, 1:].T, part)
                 change_block += part
         if not history.size:
-            write_response(modes, feed, stride, part, response)
+            write_response(modes, feed, part, response)
         take_change(response, change_block, first, observed, history, sums)
     return sums

@@ -67,14 +67,14 @@ def ground_from(samples, dt, substeps, stride):
 
 def ground_of(excitation):
     """The ground acceleration of an excitation; it is kept, for populations are evaluated many times."""
-    return ground_from(excitation.acceleration.tobytes(), *excitation[1:])
+    return ground_from(excitation.acceleration.tobytes(), *excitation[1:4])
 
 
 class Ground:
     """The ground acceleration of an excitation, to be cut into spans."""
 
     def __init__(self, excitation):
-        acceleration, dt, substeps, stride = excitation
+        acceleration, dt, substeps, stride, _ = excitation
         self.step, self.stride = dt / substeps, stride
         self.intervals = n_outputs(acceleration.size, substeps, stride) - 1
         sample, part = np.divmod(np.arange(self.n_steps + 1), substeps)

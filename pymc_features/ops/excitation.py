@@ -1,0 +1,82 @@
+"""The excitation of a model: how finely its record is marched, and its values at outputs that may change."""
+
+import numpy as np
+import pymc as pm
+import pytensor.tensor as pt
+from pytensor.compile.mode import Mode
+from pytensor.compile.sharedvalue import SharedVariable
+from pytensor.graph.basic import Apply, Variable
+from pytensor.graph.op import Op
+
+from pymc_features import band_limited
+from pymc_features.simulators.excitation import excitation_of, frequencies_of, refined_request, refinement
+from pymc_features.simulators.oscillators.arguments import NO_DIRECT, Excitation
+
+N_DRAWS, N_SPARSE = 20, 4  # structures of the prior whose modes are looked at; of sparse ones modes cost more
+STARTS = 4  # place of the pattern's starts among the constants of linear structures
+UNKNOWN = 4  # refinement where the prior cannot be drawn from
+IN_PYTHON = Mode(linker="py", optimizer=None)  # nothing is compiled for twenty draws
+
+
+def request_in_model(structure, record, asked):
+    """A request with the refinement that structures drawn from the prior need."""
+    if not structure.is_symbolic:
+        return refined_request(structure, record, asked)
+    if record.interpolation == "linear":
+        return asked
+    parameters = structure.parameters()
+    symbolic = [x for x in parameters if isinstance(x, Variable)]
+    constants = structure.constants(record)
+    is_sparse = structure.family == "linear" and constants[STARTS].size > 0
+    try:
+        drawn = iter(pm.draw(symbolic, N_SPARSE if is_sparse else N_DRAWS, random_seed=0, mode=IN_PYTHON))
+    except Exception:  # noqa: BLE001  flat priors, inputs that are no random variables, Ops of users
+        return asked._replace(factor=UNKNOWN)
+    numbers = [next(drawn) if isinstance(x, Variable) else np.asarray(x)[None] for x in parameters]
+    frequencies = frequencies_of(structure, numbers, constants, asked.n_modes)
+    return asked._replace(factor=refinement(frequencies, record.dt))
+
+
+def excitation_in_model(structure, record, dt, asked) -> Excitation:
+    """As `excitation_of`; where `dt` is data, the outputs are variables."""
+    values = structure.excitation(record)
+    if not isinstance(dt, SharedVariable):
+        return excitation_of(values, record, asked)
+    ratio = dt / record.dt
+    substeps, stride = (pt.round(pt.maximum(r, 1.0)).astype("int64") for r in (1.0 / ratio, ratio))
+    if record.interpolation == "linear":
+        return Excitation(values, record.dt, substeps, stride, NO_DIRECT)
+    prepared = excitation_of(values, record, asked)
+    direct = OwnValues(record.dt)(np.atleast_2d(values), substeps, stride)
+    return Excitation(prepared.acceleration, prepared.dt, substeps, stride * asked.factor, direct)
+
+
+class OwnValues(Op):
+    """A band-limited record and its derivatives at the outputs, (5, d, u); see `band_limited.evaluated`.
+
+    Parameters
+    ----------
+    dt : float
+        Sampling interval of the record [s].
+    """
+
+    __props__ = ("dt",)
+
+    def __init__(self, dt):
+        self.dt = float(dt)
+
+    def make_node(self, values, substeps, stride):
+        values, substeps, stride = map(pt.as_tensor_variable, (values, substeps, stride))
+        return Apply(self, [values, substeps, stride], [pt.tensor(dtype="float64", shape=(None, None, None))])
+
+    def perform(self, node, inputs, output_storage):
+        values, substeps, stride = inputs
+        output_storage[0][0] = band_limited.evaluated(values, self.dt, int(substeps), int(stride))
+
+    def connection_pattern(self, node):
+        """No parameter changes it."""
+        return [[False]] * 3
+
+    def pullback(self, inputs, outputs, cotangents):
+        """Nothing to differentiate by."""
+        return [pt.zeros_like(x).astype("float64") for x in inputs]
