@@ -80,7 +80,7 @@ AT = np.array([1.1, 0.9])
 
 
 def with_data(case, quantity):
-    """The structure, the record and arguments of a case, the response of other parameters, and a model's mu."""
+    """The parameters and the response of a model, the response expected, and that of other parameters."""
     structure, record, settings = CASES[case]
     settings = settings | {"quantity": quantity, "sensors": [0, 2]}
     expected = pmf.simulate(structure(AT), record, **settings).values

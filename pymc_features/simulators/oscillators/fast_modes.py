@@ -94,7 +94,7 @@ def add_following(system, follows, quantity, shares):
     There the absolute acceleration of a mode is a + q".
     """
     factors = np.empty((3, N_ORDERS))
-    is_acceleration = quantity == ABSOLUTE_ACCELERATION or quantity == RELATIVE_ACCELERATION
+    is_acceleration = quantity in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION)
     for r in range(system.omega.size):
         if follows[r]:
             write_following(system.omega[r], system.damping[r], 0.0, quantity, factors)

@@ -60,7 +60,7 @@ def can_be_damped(w, d):
 
 @jit
 def add_feed(feed, own, count, block):
-    """Add what inputs (d, >= count) do to the response directly, to `count` samples of a block (s, >= count)."""
+    """Add what inputs (d, >= count) do directly to `count` samples of a block (s, >= count)."""
     for i in range(own.shape[0]):
         for j in range(block.shape[0]):
             share = feed[j, i]
