@@ -6,6 +6,7 @@ by a factor of ten.
 """
 
 import functools
+from itertools import product
 
 import numpy as np
 import pytest
@@ -122,8 +123,7 @@ def test_straight_lines_miss_a_mode_below_the_rate():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rate", RATES)
-@pytest.mark.parametrize("name", [*LINEAR, "HystereticChain"])
+@pytest.mark.parametrize(("name", "rate"), [*product(LINEAR, RATES), ("HystereticChain", 100.0)], ids=str)
 def test_records_that_begin_and_end_in_motion(name, rate):
     """The structure is at rest at the first sample, under a base that already moves."""
     case, moved, expected, _ = of(name, rate, 0.15, "moving")
