@@ -5,13 +5,14 @@ from collections import defaultdict
 
 import numpy as np
 
+from benchmarks import truth
 from benchmarks.coverage.chain import (
     N_FACTORS,
     N_STOREYS,
     PRIOR_WIDTH,
     RATES,
     declare,
-    structure,
+    matrices,
     true_response,
     unconstrained,
 )
@@ -22,8 +23,7 @@ from benchmarks.tables import table
 from pymc_features.calibration.fit import Predictions, events_at
 from pymc_features.smc import population_logp
 
-FULL, QUICK = 1000, 20  # data sets
-OTHERS = 200  # of them, for all likelihoods but CAL
+FULL, FULL_TEN, QUICK = 1000, 400, 20  # data sets
 POOL = 16_000
 KINDS = ("NORM", "CN", "TN", "EXP", "ABC", "CAL")
 
@@ -33,13 +33,14 @@ def run_errors(quick=False, kinds=None):
     for rate in RATES:
         covariance = covariance_of_tn(Predictions(declare("NORM", rate)), rate)
         pool = pool_of(covariance, POOL // (10 if quick else 1), np.random.default_rng(1))
-        run_table(quick, kinds or ERRORS, Problem(rate, N_FACTORS), KINDS, pool)
+        run_table(QUICK if quick else FULL, kinds or ERRORS, Problem(rate, N_FACTORS), KINDS, pool)
 
 
 def run_ten(quick=False):
     """The same of ten factors; the pool of responses behind TN, EXP and ABC would miss their posteriors."""
     for rate in RATES:
-        run_table(quick, ERRORS, Problem(rate, N_STOREYS), ("NORM", "CN", "CAL"), None)
+        n_sets = QUICK if quick else FULL_TEN
+        run_table(n_sets, ERRORS, Problem(rate, N_STOREYS), ("NORM", "CN", "CAL"), None)
 
 
 class Problem:
@@ -58,14 +59,13 @@ class Problem:
         return {name: population_logp(m, m.initial_point(), {}) for name, m in self.models.items()}
 
 
-def run_table(quick, kinds, problem, likelihoods, pool):
+def run_table(n_sets, kinds, problem, likelihoods, pool):
     """Print a row for each kind of error as it is finished, and all of them."""
-    n_sets = QUICK if quick else FULL
     print(
         f"\n{problem.rate:g} Hz: 90 % intervals of {problem.n_springs} stiffness factors and that of the "
-        f"damping, {n_sets} data sets (of them {min(n_sets, OTHERS)} for others than CAL), errors of "
-        f"{LEVEL:.0%} of the response. How many of 100 contain the truth (mean of the factors; of CAL also "
-        "the lowest of a factor), and how wide they are, in % of the factor.\n"
+        f"damping, {n_sets} data sets, errors of {LEVEL:.0%} of the response. How many of 100 contain the "
+        "truth (mean of the factors; of CAL also the lowest of a factor), and how wide they are, in % of the "
+        "factor.\n"
     )
     rows, fewest = [], dict.fromkeys(likelihoods, np.inf)
     headers = ["errors", *likelihoods, "CAL, lowest", "N_eff"]
@@ -101,14 +101,14 @@ def covariance_of_tn(predictions, rate):
 def coverage(kind, n_sets, problem, pool):
     """Intervals of every data set by likelihood, and N_eff of each."""
     response, dt = true_response(problem.rate), 1.0 / problem.rate
-    frequency = structure(np.ones(N_FACTORS)).modes().natural_frequencies[0]
+    frequency = truth.modes(matrices().mass, matrices().stiffness)[0][0] / (2.0 * np.pi)
+    data = np.stack([measurements(kind, response, dt, frequency, seed) for seed in range(n_sets)])
+    s = None if pool is None else sums(pool[0], data, problem.rate)
     found, n_eff, started = defaultdict(list), [], time.perf_counter()
-    data = [measurements(kind, response, dt, frequency, seed) for seed in range(n_sets)]
-    s = None if pool is None else sums(pool[0], np.stack(data[:OTHERS]), problem.rate)
     for i, one in enumerate(data):
         rng = np.random.default_rng([7, i])
-        wide = {} if pool is None or i >= OTHERS else wide_intervals(*pool, s[:, i], len(one), rng)
-        narrow, n = narrow_intervals(one, problem, rng, ("NORM", "CN", "CAL") if i < OTHERS else ("CAL",))
+        wide = {} if pool is None else wide_intervals(*pool, s[:, i], len(one), rng)
+        narrow, n = narrow_intervals(one, problem, rng)
         n_eff.append(n)
         for name, x in {**wide, **narrow}.items():
             found[name].append(x)
@@ -116,8 +116,8 @@ def coverage(kind, n_sets, problem, pool):
     return found, n_eff
 
 
-def narrow_intervals(data, problem, rng, likelihoods):
-    """Of NORM, CN and CAL, those asked for, and N_eff."""
+def narrow_intervals(data, problem, rng):
+    """Of NORM, CN and CAL, and N_eff."""
     logp, n = problem.log_densities(data), problem.n_parameters
     residual = data - true_response(problem.rate)
     sigma = np.sqrt(np.mean(residual**2))
@@ -128,12 +128,12 @@ def narrow_intervals(data, problem, rng, likelihoods):
     factor = np.eye(len(longer))
     factor[:-1, :-1] = cal.claimed_factor
     calibrated_density = cal.density(lambda z: logp["NORM"](z)[0], lambda z: logp["NORM"](z)[1])
-    start = {
-        "NORM": (posterior(logp["NORM"]), cal.point, cal.claimed_factor),
-        "CN": (posterior(logp["CN"]), longer, factor),
-        "CAL": (calibrated_density, cal.point, cal.factor),
+    result = {
+        "NORM": of_density(posterior(logp["NORM"]), cal.point, cal.claimed_factor, n, rng),
+        "CN": of_density(posterior(logp["CN"]), longer, factor, n, rng),
+        "CAL": of_density(calibrated_density, cal.point, cal.factor, n, rng),
     }
-    return {name: of_density(*start[name], n, rng) for name in likelihoods}, cal.n_eff
+    return result, cal.n_eff
 
 
 def posterior(logp):
