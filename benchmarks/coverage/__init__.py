@@ -1,6 +1,7 @@
 """How often 90 % intervals contain the truth, and how wide they are, by likelihood and kind of error.
 
-Three stiffness factors of the source's ten-storey chain under El Centro, all floors measured, and all ten.
+Three stiffness factors and the damping of the source's ten-storey chain, all floors measured; and all ten.
+The data are responses to a band-limited motion by a simulator of its own, `benchmarks.truth`.
 """
 
 from benchmarks.coverage.ambient import run_ambient

@@ -1,6 +1,6 @@
 """Wrong models: what the intervals of single events, and of several together, contain.
 
-The chain with errors is fitted to simulated records of a structure that it cannot be: its springs yield, or
+The chain is fitted to records, with errors, of a structure that it cannot be: its springs yield, or
 its damping is another. The value sought is the one that fits all the events best, by the sum of their
 maximised log-likelihoods.
 """
@@ -12,7 +12,8 @@ import xarray as xr
 from scipy.optimize import minimize
 
 import pymc_features as pmf
-from benchmarks.coverage.chain import N_FACTORS, structure
+from benchmarks import truth
+from benchmarks.coverage.chain import N_STOREYS, RATES, matrices, record_of
 from benchmarks.coverage.errors import LEVEL
 from benchmarks.coverage.simulated import Target, norm_and_cal, start_of
 from benchmarks.tables import table
@@ -21,35 +22,26 @@ from pymc_features.study import paper
 EVENTS, QUICK_EVENTS = 200, 12
 TOGETHER = 3  # events in one check
 SHUFFLES = 3  # of all events into groups
-DURATION, DT, PGA = 20.0, 0.02, 3.0
-YIELD_DISPLACEMENT = 0.03  # m; drifts reach about twice as much
+DURATION, RATE = 20.0, RATES[0]  # s, Hz
+YIELD_DISPLACEMENT, POST_YIELD_RATIO = 0.007, 0.1  # m; drifts reach about twice as much
 WRONG_DAMPING = 1.5  # times that of the fitted chain
 
 
-def yielding():
-    """The chain with springs that yield."""
-    chain = paper.chain()
-    return pmf.HystereticChain(
-        chain.mass,
-        chain.stiffness,
-        chain.damping,
-        yield_displacement=YIELD_DISPLACEMENT,
-        post_yield_ratio=0.1,
-        sharpness=2.0,
-    )
+def right(moved):
+    """Floor accelerations (sensor, time) of the fitted chain itself."""
+    return truth.response(matrices(), moved)["absolute_acceleration"]
 
 
-def damped():
-    """The chain with more damping."""
-    chain = paper.chain()
-    alpha, beta = chain.damping.alpha, chain.damping.beta
-    damping = pmf.RayleighDamping(WRONG_DAMPING * alpha, WRONG_DAMPING * beta)
-    return pmf.SpringMassChain(chain.mass, chain.stiffness, damping)
+def yielding(moved):
+    """Of the chain with springs that yield."""
+    springs = truth.Springs(np.full(N_STOREYS, paper.STIFFNESS), YIELD_DISPLACEMENT, POST_YIELD_RATIO)
+    mass, damping = np.full(N_STOREYS, paper.MASS), matrices().damping
+    return truth.spring_response(mass, damping, springs, moved, rtol=1e-7)["absolute_acceleration"]
 
 
-def right():
-    """The fitted chain itself."""
-    return structure(np.ones(N_FACTORS))
+def damped(moved):
+    """Of the chain with more damping."""
+    return truth.response(matrices(WRONG_DAMPING), moved)["absolute_acceleration"]
 
 
 TRUTHS = {"right model": right, "springs yield": yielding, "damping 1.5 times as large": damped}
@@ -58,13 +50,11 @@ TRUTHS = {"right model": right, "springs yield": yielding, "damping 1.5 times as
 def run_events(quick=False):
     """Print coverage of one event and of three together."""
     n = QUICK_EVENTS if quick else EVENTS
-    print(
-        f"\n{n} simulated earthquakes, 90 % intervals: share that contain the best value, and their width.\n"
-    )
+    print(f"\n{n} simulated motions, 90 % intervals: share that contain the best value, and their width.\n")
     rows = []
-    for name, truth in TRUTHS.items():
+    for name, respond in TRUTHS.items():
         started = time.perf_counter()
-        events = [event_of(truth(), seed) for seed in range(n)]
+        events = [event_of(respond, seed) for seed in range(n)]
         best = common_value(events)
         single = {kind: [e[kind] for e in events] for kind in ("NORM", "CAL")}
         cells = [cell([x.ends for x in v], best) for v in single.values()]
@@ -75,14 +65,14 @@ def run_events(quick=False):
     print("\n" + table(headers, rows), flush=True)
 
 
-def event_of(truth, seed):
-    """Data of one earthquake, the intervals of NORM and CAL, and draws of CAL."""
-    record = pmf.synthetic_earthquake(DURATION, DT, random_seed=seed, pga=PGA)
-    response = pmf.simulate(truth, record).values
+def event_of(respond, seed):
+    """Data of one motion, the intervals of NORM and CAL, and draws of CAL."""
+    moved = truth.motion(RATE, DURATION, seed)
+    record, response, dt = record_of(moved), respond(moved), 1.0 / RATE
     rng = np.random.default_rng([5, seed])
     data = response + LEVEL * np.sqrt(np.mean(response**2)) * rng.standard_normal(response.shape)
-    found, theta = norm_and_cal(record, data, DT, start_of(record, data, DT), rng)
-    return {"target": Target(record, data, DT), "theta": theta, **found}
+    found, theta = norm_and_cal(record, data, dt, start_of(record, data, dt), rng)
+    return {"target": Target(record, data, dt), "theta": theta, **found}
 
 
 def common_value(events):

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-import pymc_features as pmf
-from benchmarks.coverage.chain import N_FACTORS, record, structure
+from benchmarks import truth
+from benchmarks.coverage.chain import N_FACTORS, RATES, matrices, moved, record
 from benchmarks.coverage.errors import LEVEL, first_order
 from benchmarks.coverage.simulated import Predictions, start_of
 from benchmarks.tables import table
@@ -12,6 +12,7 @@ from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.sandwich import sandwich
 from pymc_features.study.paper import MULTIPLIERS
 
+RATE = RATES[0]  # of the record [Hz]
 SETS, QUICK_SETS = 20, 3
 TIME_CONSTANT = 0.2  # s
 
@@ -34,8 +35,9 @@ KINDS = {
 
 def run_steps(quick=False):
     """Print the standard deviations of a factor by NORM and CAL at each step, over those at the record's."""
-    finest = record().dt * min(MULTIPLIERS)
-    response = pmf.simulate(structure(np.ones(N_FACTORS)), record(), dt=finest).values
+    finest = min(MULTIPLIERS) / RATE
+    fine = round(1.0 / min(MULTIPLIERS))
+    response = truth.response(matrices(), moved(RATE), fine=fine)["absolute_acceleration"]
     size = LEVEL * np.sqrt(np.mean(response**2))
     print("\nStandard deviation over that of NORM at the record's step, mean of the factors and data sets.\n")
     rows = []
@@ -47,7 +49,7 @@ def run_steps(quick=False):
         found /= found[0, list(MULTIPLIERS).index(1.0)]
         for name, row in zip(("NORM", "CAL"), found, strict=True):
             rows.append([f"{name}, {kind}", *(f"{x:.3f}" for x in row)])
-    steps = [f"{record().dt * m:g} s" for m in MULTIPLIERS]
+    steps = [f"{m / RATE:g} s" for m in MULTIPLIERS]
     print(table(["errors", *steps], rows), flush=True)
 
 
@@ -56,7 +58,7 @@ def widths(data, finest, multiplier):
     stride = round(multiplier / min(MULTIPLIERS))
     dt = finest * stride
     some = np.ascontiguousarray(data[:, ::stride])
-    predictions = Predictions(record(), some, dt)
-    fit = climb_likelihood(predictions, start_of(record(), some, dt))
+    predictions = Predictions(record(RATE), some, dt)
+    fit = climb_likelihood(predictions, start_of(record(RATE), some, dt))
     result = curved(predictions, fit, sandwich(fit.events, fit.information))
     return [np.sqrt(np.diag(m)[:N_FACTORS]).mean() for m in (result.claims, result.covariance)]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import gammaincc, loggamma
 
 import pymc_features as pmf
-from benchmarks.coverage.chain import LARGEST_SIGMA, N_FACTORS, PRIOR_WIDTH, record, structure
+from benchmarks.coverage.chain import LARGEST_SIGMA, PRIOR_WIDTH, record, structure
 from benchmarks.coverage.intervals import Intervals, intervals, quantiles, student_draws
 from pymc_features.smc.proposals.proposal import StudentMixture, StudentT
 
@@ -18,12 +18,16 @@ CLAIMS = {"TN": 1, "EXP": 2}
 
 
 def pool_of(covariance, size, rng):
-    """Factors (size, 3) around the truth, and the log ratio of their prior and their density (size,)."""
-    components = [StudentT(np.ones(N_FACTORS), s * np.linalg.cholesky(covariance), 4.0) for s in (1.0, 2.5)]
-    components.append(StudentT(np.ones(N_FACTORS), PRIOR_WIDTH * np.eye(N_FACTORS), 50.0))
+    """Factors (size, 4) around the truth, and the log ratio of their prior and their density (size,).
+
+    Of the springs and the damping.
+    """
+    n = len(covariance)
+    components = [StudentT(np.ones(n), s * np.linalg.cholesky(covariance), 4.0) for s in (1.0, 2.5)]
+    components.append(StudentT(np.ones(n), PRIOR_WIDTH * np.eye(n), 50.0))
     mixture = StudentMixture(components, np.array([0.45, 0.35, 0.2]))
     which = rng.choice(3, size=size, p=mixture.weights)
-    draws = np.empty((size, N_FACTORS))
+    draws = np.empty((size, n))
     for i, component in enumerate(components):
         mine = which == i
         draws[mine] = student_draws(component, mine.sum(), rng)
@@ -32,17 +36,22 @@ def pool_of(covariance, size, rng):
     return draws, log_prior - mixture.log_density(draws)
 
 
-def sums(draws, data):
-    """S (draw, set) of data (set, sensor, time)."""
+def sums(draws, data, rate):
+    """S (draw, set) of data (set, sensor, time) sampled at a rate [Hz]."""
     n_sets, n_sensors, n_times = data.shape
     flat = data.reshape(n_sets, -1)
     result = np.empty((len(draws), n_sets))
     for first in range(0, len(draws), CHUNK):
         some = draws[first : first + CHUNK]
-        g = np.stack([pmf.simulate(structure(x), record()).values.ravel() for x in some])
+        g = np.stack([respond(x, rate).ravel() for x in some])
         products = np.sum(g**2, axis=1)[:, None] - 2.0 * g @ flat.T + np.sum(flat**2, axis=1)
         result[first : first + CHUNK] = products / n_times
     return result
+
+
+def respond(factors, rate):
+    """The package's response (sensor, time) to the record."""
+    return pmf.simulate(structure(factors[:-1], factors[-1]), record(rate), dt=1.0 / rate).values
 
 
 def log_marginal(s, power):
