@@ -7,6 +7,7 @@ import atexit
 import os
 import signal
 import sys
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -256,13 +257,11 @@ def init(options, console):
 
 def strong_part(record, seconds: float):
     """The record until some seconds after its peak, with a name that says so."""
-    from pymc_features import Record
-
     end = record.time[abs(record.acceleration).argmax()] + seconds
     kept = record.acceleration[record.time <= end]
     if kept.size == record.n_times:
         return record
-    return Record(kept, record.dt, name=f"{record.name}, first {kept.size * record.dt:.3g} s")
+    return replace(record, acceleration=kept, name=f"{record.name}, first {kept.size * record.dt:.3g} s")
 
 
 def default_folder(options) -> str:

@@ -2,15 +2,18 @@
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field, replace
+from math import ceil, floor
 
 import numpy as np
 import xarray as xr
 
+from pymc_features import band_limited
 from pymc_features._checks import (
     as_numbers,
     check_choice,
     check_finite,
     check_integer,
+    check_number,
     check_step,
     check_title,
     is_among,
@@ -21,6 +24,7 @@ from pymc_features.dynamic_load import INTERPOLATIONS, DynamicLoad, Interpolatio
 from pymc_features.signals import sampling_step
 
 FILL = "Fill or cut the gap first."
+EVEN = 1e-6  # of a step: differences of times below this are rounding
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,7 +82,12 @@ class Record(DynamicLoad):
 
     @classmethod
     def from_channel(
-        cls, channels: "xr.DataArray", sensor: Hashable | None = None, name: str | None = None
+        cls,
+        channels: "xr.DataArray",
+        sensor: Hashable | None = None,
+        name: str | None = None,
+        *,
+        interpolation: Interpolation = "band-limited",
     ) -> "Record":
         """Make a record of a measured channel, such as the base of a shaking table.
 
@@ -90,6 +99,8 @@ class Record(DynamicLoad):
             Label of the channel; to be left out if there is only one.
         name : str, optional
             Of the record, that of the sensor by default.
+        interpolation : str
+            Of the record.
 
         Raises
         ------
@@ -108,7 +119,8 @@ class Record(DynamicLoad):
                 "Convert them, and say so there."
             )
         label = channel.coords["sensor"].item() if "sensor" in channel.coords else ""
-        return cls(channel.values, sampling_step(channel), str(label) if name is None else name)
+        name = str(label) if name is None else name
+        return cls(channel.values, sampling_step(channel), name, interpolation=interpolation)
 
     def __repr__(self):
         label = f"{self.name!r}, " if self.name else ""
@@ -128,6 +140,42 @@ class Record(DynamicLoad):
     def first(self, n_times: int) -> "Record":
         """The same, cut to its first samples."""
         return replace(self, acceleration=self.acceleration[: check_integer(n_times, "n_times", least=2)])
+
+    def resampled(self, dt: float, *, delay: float = 0.0) -> "Record":
+        """The same motion at another sampling interval.
+
+        Parameters
+        ----------
+        dt : float
+            Sampling interval [s], in any ratio to the present one.
+        delay : float
+            Time of the record's first sample [s], positive or negative; the result has the samples from 0 on
+            at which there is a record, the first at or after `delay`.
+
+        Returns
+        -------
+        Record
+            Band-limited records keep their spectrum up to half of the lower sampling rate, to 1e-5 of the
+            peak; linear ones are read off their straight lines.
+
+        Raises
+        ------
+        ValueError
+            If fewer than two samples are left.
+        """
+        dt, delay = check_step(dt), check_number(delay, "delay", "Pass seconds.")
+        first, last = ceil(max(delay, 0.0) / dt - EVEN), floor((delay + self.duration) / dt + EVEN)
+        if last - first < 1:
+            raise ValueError(
+                f"`delay` must leave two samples of {self.duration:g} s at an interval of {dt:g} s, "
+                f"got {delay:g} s. Give the time of the record's first sample."
+            )
+        times = np.clip(np.arange(first, last + 1) * dt - delay, 0.0, self.duration)
+        if self.interpolation == "linear":
+            values = np.interp(times, self.time, self.acceleration)
+        else:
+            values = band_limited.at_times(self.inputs, self.dt, times, dt)[0]
+        return replace(self, acceleration=values, dt=dt)
 
     @property
     def pga(self) -> float:

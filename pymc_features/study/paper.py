@@ -5,6 +5,7 @@ coefficients (2 % in modes 1 and 5), which follow from 1800 N/m; that is the def
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -76,7 +77,7 @@ def measurements(
     Parameters
     ----------
     record : Record
-        Ground acceleration.
+        Ground acceleration, taken as linear between its samples, as in the source.
     theta, stiffness : float
         The true structure.
     noise : float
@@ -100,10 +101,15 @@ def measurements(
         raise TypeError(message("record", "a Record", shown(record), "Use read_record(path)."))
     check_callable(structure, "structure", "Pass for example paper.chain.")
     rng = np.random.default_rng(check_seed(random_seed, states=True))
-    dt = min(checked_multipliers(multipliers)) * record.dt
+    record, dt = with_straight_lines(record), min(checked_multipliers(multipliers)) * record.dt
     exact = simulate(structure(theta, stiffness=stiffness), record, dt=dt)
     scale = noise_scale(exact, noise)[:, None]
     return exact + scale * persistent(rng.standard_normal(exact.shape), dt, noise_time)
+
+
+def with_straight_lines(record: Record) -> Record:
+    """A record as the source takes it, linear between its samples."""
+    return replace(record, interpolation="linear")
 
 
 def checked_multipliers(multipliers: Sequence[float]) -> np.ndarray:

@@ -70,7 +70,7 @@ def sampling_rate_study(
     Parameters
     ----------
     record : Record
-        Ground acceleration.
+        Ground acceleration, taken as linear between its samples, as in the source.
     structure : {"linear", "bouc-wen"} or StudyStructure
         The chain of the source, or the same with springs that yield (study/bouc_wen.py); with another nominal
         stiffness of the springs, `study.find_structure("linear", stiffness=1000.0)`.

@@ -40,6 +40,7 @@ class Study:
     def __post_init__(self):
         if not isinstance(self.record, Record):
             raise TypeError(f"`record` must be a Record, got {type(self.record).__name__}.")
+        self._set("record", paper.with_straight_lines(self.record))
         if not isinstance(self.structure, StudyStructure):
             self._set("structure", find_structure(self.structure))
         for name in ("likelihoods", "draws", "chains"):

@@ -20,7 +20,6 @@ from pymc_features import (
     ExpFeature,
     GammaFeature,
     ModalDamping,
-    Record,
     SpringMassChain,
     TruncNormalFeature,
     mean_square_discrepancy,
@@ -36,6 +35,7 @@ from support.families import CASES, measured
 from support.graphs import LIGHT, PLAIN, our_ops
 from support.likelihoods import EVERY_FEATURE, MORE, declare, equation, evaluate, random_data
 from support.reference import richardson
+from support.straight import Record
 
 X = np.array([[1.05, 0.9], [0.8, 1.2], [1.0, 1.0]])
 DIRECTION = np.array([0.7, -0.4])

@@ -20,6 +20,7 @@ from pymc_features.likelihoods.exact import quadrature
 from pymc_features.ops import OPS
 from pymc_features.ops.base import count
 from pymc_features.simulators import FAMILIES
+from pymc_features.simulators.oscillators.arguments import NO_DIRECT
 from support.commands import run_python
 from support.graphs import PLAIN
 from support.kernels import DAMPINGS
@@ -63,8 +64,8 @@ def graph(quantity, substeps, stride, n_modes):
     common = [
         pt.TensorType(CHAIN.dtype(name), (None,) * count(dims))(name) for name, dims in CHAIN.inputs.items()
     ]
-    given = [*common[:6], common[8]]
-    common[6], common[7], common[9] = substeps, stride, n_modes
+    given = [*common[:6], common[9]]
+    common[6:9], common[10] = (substeps, stride, NO_DIRECT), n_modes
     rows, d = [pt.matrix() for _ in range(4)], [pt.vector() for _ in range(4)]
     weights, data, c, many_c = pt.matrix("weights"), pt.matrix("data"), pt.vector("c"), pt.matrix("many_c")
     batch = [*rows, *common[4:], data]
@@ -437,7 +438,8 @@ def test_samplers_find_the_posterior(sampler, one_stiffness, quick_compilation):
 LATE = """
     import sys
     import numpy as np
-    from pymc_features import ModalDamping, Record, SpringMassChain, response
+    from pymc_features import ModalDamping, SpringMassChain, response
+    from support.straight import Record
     import pytensor, pytensor.tensor as pt
     k = pt.dscalar("k")
     y = response(SpringMassChain([1.0, 2.0], k, ModalDamping(0.1)), Record([0.0, 1.0, 0.0], 0.1))

@@ -7,10 +7,9 @@ from support.commands import run_python
 PEAK_GROWTH = """
     import numpy as np, pymc as pm, pytensor, pytensor.tensor as pt
     from pytensor.graph.replace import vectorize_graph
-    from pymc_features import (
-        CorrelatedNormal, ModalDamping, Record, SpringMassChain, mean_square_discrepancy, paper, response,
-        synthetic_earthquake,
-    )
+    from pymc_features import CorrelatedNormal, ModalDamping, SpringMassChain, mean_square_discrepancy
+    from pymc_features import paper, response, synthetic_earthquake
+    from support.straight import Record
     from pymc_features.ops import misfit_statistics, numba_dispatch
     from pymc_features.simulators import FAMILIES
     from pymc_features.smc.density.evaluation import population_logp

@@ -17,7 +17,6 @@ from pymc_features import (
     CorrelatedNormal,
     DiscrepancySimulator,
     ExpFeature,
-    Record,
     TruncNormalFeature,
     mean_square_discrepancy,
     response,
@@ -34,8 +33,10 @@ from pymc_features.ops import (
 )
 from pymc_features.ops.base import count
 from pymc_features.simulators import FAMILIES, QUANTITIES, n_outputs
+from pymc_features.simulators.oscillators.arguments import NO_DIRECT
 from support.graphs import PLAIN, REWRITTEN, our_ops, our_ops_of
 from support.kernels import chain_discrepancy, chain_response
+from support.straight import Record
 from support.structures import noise_record, three_storeys, with_first_spring, with_noise
 
 CORE_OPS = (StructuralResponse, StructuralDiscrepancy, StructuralMisfit)  # of one set of parameters
@@ -76,6 +77,7 @@ def numeric_inputs(seed, substeps=1, stride=1, sensors=(0, 1, 2), n_modes=3, n_t
         0.02,
         substeps,
         stride,
+        NO_DIRECT,
         np.array(sensors),
         n_modes,
     ]

@@ -12,7 +12,6 @@ from pymc_features import (
     LinearStructure,
     ModalDamping,
     Pinching,
-    Record,
     integration_error,
     modes,
     response,
@@ -23,6 +22,7 @@ from pymc_features.simulators.cyclic.law import NAMES
 from pymc_features.simulators.oscillators.arguments import Excitation
 from support.reference import richardson
 from support.refusals import refusals
+from support.straight import Record
 
 
 def reference(law, displacement):

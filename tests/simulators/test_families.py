@@ -14,7 +14,6 @@ from pymc_features import (
     AffineStructure,
     DiscrepancySimulator,
     LinearStructure,
-    Loading,
     TruncNormalFeature,
     fisher_information,
     mean_square_discrepancy,
@@ -32,6 +31,7 @@ from support.families import CASES, CYCLIC, MAIN, RAYLEIGH, TRUTH, K, measured, 
 from support.graphs import PLAIN, our_ops
 from support.reference import richardson
 from support.sampling import SERIAL
+from support.straight import Loading
 
 
 def test_every_structure_is_in_a_family_and_here():

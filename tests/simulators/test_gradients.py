@@ -32,6 +32,7 @@ from pymc_features.ops import (
 )
 from pymc_features.ops.base import count
 from pymc_features.simulators import FAMILIES, QUANTITIES
+from pymc_features.simulators.oscillators.arguments import NO_DIRECT
 from support.graphs import PLAIN, our_ops
 from support.kernels import (
     DAMPINGS,
@@ -142,6 +143,7 @@ def random_chain(n, damping="rayleigh", quantity=0, **changes):
         "dt": 0.02,
         "substeps": 1,
         "stride": 1,
+        "direct": NO_DIRECT,
         "sensors": np.arange(n),
         "n_modes": n,
     }
@@ -607,7 +609,7 @@ def test_shapes_are_known_without_computing(op):
 def test_wrong_extra_inputs_are_refused(op):
     inputs = derivative_ops()[op]
     for wrong in (inputs[:-1], [*inputs, pt.vector()], [*inputs[:-1], pt.tensor4()]):
-        with pytest.raises(ValueError, match=f"{op.__name__} takes {len(inputs) - 10} more inputs of"):
+        with pytest.raises(ValueError, match=f"{op.__name__} takes {len(inputs) - 11} more inputs of"):
             op()(*wrong)
 
 
@@ -615,7 +617,7 @@ def test_settings_are_disconnected():
     """Record, step and sensors have no gradient, and the derivative Ops have none by them either."""
     step, ground = pt.scalar("dt"), pt.vector("acceleration")
     arguments = random_chain(3)
-    settings = [ground, step, *arguments[6:10]]
+    settings = [ground, step, *arguments[6:11]]
     for y in (
         StructuralResponse()(*arguments[:4], *settings),
         StructuralDiscrepancy()(*arguments[:4], *settings, np.zeros((3, 150))),

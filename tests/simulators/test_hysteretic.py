@@ -6,13 +6,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipkinc
 
-import pymc_features as pmf
 from pymc_features import (
     DuffingChain,
     HystereticChain,
     ModalDamping,
     RayleighDamping,
-    Record,
     SpringMassChain,
     integration_error,
     simulate,
@@ -21,9 +19,11 @@ from pymc_features import (
 from pymc_features.simulators import QUANTITIES, Excitation
 from pymc_features.simulators.families import NONLINEAR
 from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
+from support import straight
 from support import structures as records
 from support.kernels import flat_kernels
 from support.refusals import refusals
+from support.straight import Record
 from support.structures import peak_error
 
 RAYLEIGH = RayleighDamping(0.2, 1e-3)
@@ -470,7 +470,7 @@ def test_refusals_of_the_functions(chain):
         spring_forces(chain, [1.0])
     for function in (spring_forces, integration_error):
         with pytest.raises(TypeError, match="`record` must be a Record for a .*Chain, got Loading"):
-            function(chain, pmf.Loading([[0.0, 1.0]], 0.02))
+            function(chain, straight.Loading([[0.0, 1.0]], 0.02))
     symbolic = chain.scale_stiffness(pt.scalar("f"), [0])
     with pytest.raises(TypeError, match="got PyTensor variables. Use `response"):
         simulate(symbolic, record)

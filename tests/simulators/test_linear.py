@@ -5,7 +5,7 @@ import pytest
 from scipy import sparse
 from scipy.linalg import eigh
 
-from pymc_features import LinearStructure, Loading, ModalDamping, RayleighDamping, simulate
+from pymc_features import LinearStructure, ModalDamping, RayleighDamping, simulate
 from pymc_features.algebra.factorisation import count_below, eliminate
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear.state_space import StateMatrices, march_state, modal_equations
@@ -15,6 +15,7 @@ from pymc_features.simulators.oscillators.modal_system import ModalSystem
 from pymc_features.simulators.oscillators.recursion import march_modes
 from support.linear import UNDAMPED, as_linear, noise, of_matrices, random_structure, spring_chain
 from support.reference import first_order_hold, interpolated
+from support.straight import Loading
 from support.structures import noise_record, peak_error, random_chain
 
 # --------------------------------------------------------------------------- independent routes

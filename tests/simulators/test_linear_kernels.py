@@ -8,10 +8,8 @@ from scipy.linalg import eigh, eigh_tridiagonal
 from pymc_features import (
     AffineStructure,
     LinearStructure,
-    Loading,
     ModalDamping,
     RayleighDamping,
-    Record,
     SpringMassChain,
     simulate,
 )
@@ -40,6 +38,7 @@ from support.kernels import (
     linear_response_tangent,
 )
 from support.reference import first_order_hold, interpolated, misfit_statistics
+from support.straight import Loading, Record
 from support.structures import peak_error
 
 N_PARAMETERS, LINEAR = 3, FAMILIES["linear"]

@@ -15,7 +15,6 @@ from pymc_features import (
     AffineStructure,
     DiscrepancySimulator,
     LinearStructure,
-    Loading,
     ModalDamping,
     RayleighDamping,
     SpringMassChain,
@@ -28,6 +27,7 @@ from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear.dense import dense_modes
 from support.linear import UNDAMPED, affine, as_linear, noise, of_matrices, random_structure, spring_chain
 from support.refusals import refusals
+from support.straight import Loading
 from support.structures import noise_record, peak_error, random_chain
 
 # --------------------------------------------------------------------------- loads and outputs

@@ -7,14 +7,7 @@ import pytest
 from scipy import sparse
 from scipy.io import loadmat
 
-from pymc_features import (
-    AffineStructure,
-    LinearStructure,
-    Loading,
-    ModalDamping,
-    RayleighDamping,
-    simulate,
-)
+from pymc_features import AffineStructure, LinearStructure, ModalDamping, RayleighDamping, simulate
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear.dense import dense_modes
 from support.kernels import (
@@ -27,6 +20,7 @@ from support.kernels import (
 )
 from support.massless import KINDS, RAYLEIGH, Cantilever
 from support.reference import richardson
+from support.straight import Loading
 from support.structures import noise_record, peak_error
 
 RECORD = noise_record(120, 0.05, seed=4)

@@ -10,10 +10,8 @@ from scipy import sparse
 from pymc_features import (
     AffineStructure,
     HystereticChain,
-    Loading,
     ModalDamping,
     RayleighDamping,
-    Record,
     SpringMassChain,
     TruncNormalFeature,
     response,
@@ -22,9 +20,11 @@ from pymc_features.exceptions import PopulationWarning
 from pymc_features.ops.population import PopulationDiscrepancy
 from pymc_features.simulators import FAMILIES, QUANTITIES, request
 from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.excitation import excitation_of
 from pymc_features.simulators.mean_squares import asked, kept, population, stencil, table
 from pymc_features.smc.density.evaluation import population_logp
 from support.reference import first_order_hold
+from support.straight import Loading, Record
 
 # what the march would put right, and warn of, is a failure here
 pytestmark = pytest.mark.filterwarnings("error:.*differ from those of the march")
@@ -86,7 +86,8 @@ class Case:
         wanted = request(n, DT, dt=dt, sensors=list(sensors), quantity=QUANTITIES[quantity], n_modes=n_modes)
         rows = self.family.rows(wanted.sensors, n)
         rows = rows.toarray() if sparse.issparse(rows) else rows
-        inputs = self.family.inputs_of(structure, self.record, wanted, rows)
+        excitation = excitation_of(structure.excitation(self.record), self.record, wanted)
+        inputs = self.family.inputs_of(structure, self.record, excitation, rows, n_modes or n)
         base = self.family.assemble(inputs, quantity)
         true = self.family.kernels["response"](*base)
         self.observed = true + part * np.sqrt((true**2).mean(axis=1))[:, None] * noise(true.shape, 1)

@@ -6,7 +6,7 @@ import pytest
 from numba import njit
 from pytensor.graph.replace import vectorize_graph
 
-from pymc_features import ModalDamping, Record, SpringMassChain, mean_square_discrepancy, paper, response
+from pymc_features import ModalDamping, SpringMassChain, mean_square_discrepancy, paper, response
 from pymc_features.ops import PopulationDiscrepancy
 from pymc_features.simulators import FAMILIES, QUANTITIES, request
 from pymc_features.simulators.compiled.vector import LANES
@@ -16,6 +16,7 @@ from pymc_features.simulators.oscillators.places import block_of, source_of
 from support.graphs import PLAIN, our_ops
 from support.kernels import chain_discrepancy, population_discrepancy
 from support.reference import first_order_hold
+from support.straight import Record
 
 DT = 0.02
 

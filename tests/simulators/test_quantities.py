@@ -8,7 +8,6 @@ from pymc_features import (
     DuffingChain,
     HystereticChain,
     LinearStructure,
-    Loading,
     ModalDamping,
     RayleighDamping,
     SpringMassChain,
@@ -17,6 +16,7 @@ from pymc_features import (
 )
 from pymc_features.simulators import HISTORIES
 from support.refusals import refusals
+from support.straight import Loading
 from support.structures import noise_record, peak_error
 
 MASS = np.array([3.0, 2.0, 1.0, 2.5])

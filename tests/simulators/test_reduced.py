@@ -5,7 +5,7 @@ import pytest
 from scipy import sparse
 from scipy.linalg import eigh
 
-from pymc_features import AffineStructure, Loading, ModalDamping
+from pymc_features import AffineStructure, ModalDamping
 from pymc_features.modal_features.quantities import AT_REST
 from pymc_features.simulators import FAMILIES, Outputs
 from pymc_features.simulators.linear.arguments import LinearParameters
@@ -13,6 +13,7 @@ from pymc_features.simulators.modal import linear
 from pymc_features.simulators.modal.perturbation import Cotangent
 from pymc_features.simulators.reduced.eigenproblem import lowest
 from pymc_features.simulators.reduced.known import KNOWN, Known
+from support.straight import Loading
 
 SIDES = 20, 15  # of a membrane on springs
 APPENDAGE = 100  # a degree of freedom that hangs on one spring

@@ -7,12 +7,13 @@ import pytest
 import xarray as xr
 from scipy.linalg import expm
 
-from pymc_features import ModalDamping, RayleighDamping, Record, SpringMassChain, paper, simulate
+from pymc_features import ModalDamping, RayleighDamping, SpringMassChain, paper, simulate
 from pymc_features.simulators import QUANTITIES, UNITS
 from pymc_features.simulators.oscillators.hold import first_order_hold as step_coefficients
 from support.kernels import chain_discrepancy, chain_response
 from support.newmark import newmark
 from support.reference import first_order_hold, interpolated
+from support.straight import Record
 from support.structures import DAMPINGS, noise_record, random_chain
 
 # --------------------------------------------------------------------------- independent routes

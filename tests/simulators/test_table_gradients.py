@@ -4,14 +4,7 @@ import numpy as np
 import pymc as pm
 import pytest
 
-from pymc_features import (
-    AffineStructure,
-    CorrelatedNormal,
-    Loading,
-    ModalDamping,
-    TruncNormalFeature,
-    response,
-)
+from pymc_features import AffineStructure, CorrelatedNormal, ModalDamping, TruncNormalFeature, response
 from pymc_features.exceptions import PopulationWarning
 from pymc_features.ops.population import PopulationGradient
 from pymc_features.simulators import QUANTITIES
@@ -19,6 +12,7 @@ from pymc_features.simulators.mean_squares import kept, population, stencil
 from pymc_features.simulators.mean_squares.gradient import population as gradients
 from pymc_features.smc.density.evaluation import population_logp
 from simulators.test_mean_squares import DT, FROM_REST, LIGHT, N_TIMES, PARTICLES, Case, chain, dense, noise
+from support.straight import Loading
 
 # what the march would put right, and warn of, is a failure here
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("error:.*differ from those of the march")]

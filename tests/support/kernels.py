@@ -3,6 +3,7 @@
 import numpy as np
 
 from pymc_features.simulators import FAMILIES
+from pymc_features.simulators.oscillators.arguments import NO_DIRECT
 
 DAMPINGS = {  # alpha and beta, ratios of n modes
     "none": lambda n: ((0.0, 0.0), np.zeros(n)),
@@ -19,13 +20,21 @@ DAMPINGS = {  # alpha and beta, ratios of n modes
 def flat(family: str, name: str):
     """A kernel that takes the family's inputs, the code of the quantity, and what follows, in their order.
 
+    The inputs are straight lines between their samples: `direct` is not among them.
+
     Arrays are made such as the package passes, else the kernels would be compiled for others as well.
     """
     spec = FAMILIES[family]
-    n, of_discrepancy = len(spec.inputs), name in ("discrepancy_gradient", "population_gradient")
+    at, n, of_discrepancy = (
+        list(spec.inputs).index("direct"),
+        len(spec.inputs),
+        name in ("discrepancy_gradient", "population_gradient"),
+    )
     run = spec.kernels["misfit_gradient" if name == "discrepancy_gradient" else name]
 
     def kernel(*given):
+        if np.ndim(given[at]) != np.ndim(NO_DIRECT):
+            given = [*given[:at], NO_DIRECT, *given[at:]]
         given = [np.require(x, requirements=["C", "W"]) if isinstance(x, np.ndarray) else x for x in given]
         more = given[n + 1 :]
         if of_discrepancy:  # weights (s,) or (p, s) of e_j alone

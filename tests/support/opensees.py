@@ -14,7 +14,7 @@ from types import ModuleType
 
 import numpy as np
 
-from pymc_features import Record
+from support.straight import Record
 
 STORED = Path(__file__).with_name("opensees_answers.json.gz")
 ANSWERS = {"printA", "printB", "systemSize", "getNodeTags", "nodeDOFs", "nodeCoord", "getNDF"} | {

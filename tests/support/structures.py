@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from pymc_features import ModalDamping, RayleighDamping, Record, SpringMassChain
+from pymc_features import ModalDamping, RayleighDamping, SpringMassChain
+from support.straight import Record
 
 
 def noise_record(n_times, dt=0.02, *, seed=0, scale=1.0):

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validator
 
 from pymc_features._checks import is_number
+from pymc_features.dynamic_load import INTERPOLATIONS, Interpolation
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.config.entries import Vector, priors_in
 from pymc_features.update.config.messages import shown
@@ -69,6 +70,9 @@ class Data(Section):
     clock_units: str | float | None = key('"s", "ms", "us", "ns", or seconds per count', None)
     skip: int = key("the number of rows to leave out at the start, not negative", 0, ge=0)
     wrapped: bool | None = key("true if one series runs along the lines of a text file, else false", None)
+    interpolation: Interpolation = key(
+        '"band-limited" or "linear", of the base between its samples', INTERPOLATIONS[0]
+    )
     rows: Rows | None = key("the first row and the one after the last, [from, to]", None)
     gaps: Literal["refuse", "leave_out"] = key('"refuse" or "leave_out"', "refuse")
     base: str | None = key("the sensor that measured the motion of the base", None)
@@ -110,6 +114,8 @@ class RecordFile(Section):
     dt: float | None = key("the sampling interval in seconds, positive", None, gt=0)
     column: int | str | None = key("a column, by index from 0 or header name", None)
     wrapped: bool | None = key("true if one series runs along the lines of a text file, else false", None)
+    interpolation: Interpolation = key('"band-limited" or "linear", between the samples', INTERPOLATIONS[0])
+    delay: float = key("the time in seconds of the first sample on the clock of the channels", 0.0)
 
 
 class Detrend(Section):

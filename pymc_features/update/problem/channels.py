@@ -2,7 +2,8 @@
 
 import warnings
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import ceil
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from pymc_features import datasets, signals
 from pymc_features.cyclic_test import CyclicTest
 from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 from pymc_features.io import read_channels, read_channels_with_gaps, read_record
-from pymc_features.records import Record
+from pymc_features.records import EVEN, Record
 from pymc_features.signals.channels import check_window
 from pymc_features.update.config.document import Config
 from pymc_features.update.config.messages import shown
@@ -114,7 +115,8 @@ def read_measured(config: Config, folder: Path, first_frequency: float) -> Measu
         motion = None
     else:
         with named_key("record"):
-            motion = read_motion(config, folder, signals.sampling_step(channels))
+            motion, first = read_motion(config, folder, signals.sampling_step(channels))
+            channels = channels.isel(time=slice(first, None))
             common = min(motion.sizes["time"], channels.sizes["time"])
             channels = xr.concat(
                 [motion.isel(time=slice(common)), channels.isel(time=slice(common)).drop_attrs()],
@@ -125,7 +127,9 @@ def read_measured(config: Config, folder: Path, first_frequency: float) -> Measu
     channels, checked = processed(channels, config, first_frequency)
     base, floors = channels.isel(sensor=0), channels.isel(sensor=slice(1, None))
     name = source if config.record is None else Path(config.record.path).name
-    record = Record.from_channel(base, name=f"{config.data.base or 'ground motion'}, {name}")
+    title = f"{config.data.base or 'ground motion'}, {name}"
+    section = config.data if config.record is None else config.record
+    record = Record.from_channel(base, name=title, interpolation=section.interpolation)
     factor = config.processing.decimate
     with named_key("processing.decimate"):
         floors = signals.decimate(floors, factor)
@@ -225,21 +229,21 @@ def has_gaps_alone(paths, settings) -> bool:
         return False
 
 
-def read_motion(config, folder, step) -> xr.DataArray:
-    """The ground motion of a file as a channel beside the others."""
+def read_motion(config, folder, step) -> tuple[xr.DataArray, int]:
+    """The ground motion of a file as a channel at the step of the others [s], and its first sample."""
     section = config.record
     keys = ("units", "dt", "column", "wrapped")
     record = read_record(folder / section.path, **{key: getattr(section, key) for key in keys})
-    if not np.isclose(record.dt, step, rtol=1e-4, atol=0.0):
-        raise ConfigError(
-            f"`record.dt` must be that of the channels, {step:g} s, got {record.dt:g} s. Resample one."
-        )
-    return xr.DataArray(
+    record = replace(record, interpolation=section.interpolation)
+    if section.delay or not np.isclose(record.dt, step, rtol=1e-4, atol=0.0):
+        record = record.resampled(step, delay=section.delay)
+    motion = xr.DataArray(
         record.acceleration[None],
         dims=("sensor", "time"),
         coords={"sensor": ["ground motion"], "time": ("time", step * np.arange(record.n_times))},
         name="acceleration",
     )
+    return motion, ceil(max(section.delay, 0.0) / step - EVEN)
 
 
 def detrended(channels, asked) -> xr.DataArray:

@@ -167,6 +167,7 @@ def prints_of(measured: Measured) -> dict[str, str]:
     """What measured responses are recognised by."""
     return {
         "base_sha256": fingerprint(measured.record.inputs[0]),
+        "base_interpolation": measured.record.interpolation,
         "channels_sha256": fingerprint(np.ascontiguousarray(measured.channels.values)),
     }
 
