@@ -11,7 +11,8 @@ import pymc as pm
 from scipy import signal
 
 import pymc_features as pmf
-from benchmarks.coverage.chain import N_FACTORS, structure
+from benchmarks import truth
+from benchmarks.coverage.chain import N_FACTORS, N_STOREYS, matrices, structure
 from benchmarks.tables import table
 
 RUNS, QUICK_RUNS = 200, 10
@@ -25,10 +26,13 @@ LEVELS = [0.05, 0.95]
 
 def simulated(seed):
     """Accelerations (sensor, time) at the finest step."""
-    rng, n = np.random.default_rng(seed), int(DURATION / FINEST)
-    chain = pmf.LinearStructure(**structure(np.ones(N_FACTORS)).matrices()._asdict())
-    forces = np.sqrt(0.5 * FORCE / FINEST) * rng.standard_normal((10, n))
-    values = pmf.simulate(chain, pmf.Loading(forces, FINEST, kind="force"), sensors=SENSORS).values
+    rng, n = np.random.default_rng(seed), N_STOREYS
+    forces = truth.motion(
+        1.0 / FINEST, DURATION - FINEST, seed, top=0.5, ends="moving", rolloff=np.inf, n_inputs=n
+    )
+    size = np.sqrt(0.5 * FORCE / FINEST) / forces.values().std(axis=1, keepdims=True)
+    forces = forces._replace(coefficients=forces.coefficients * size)
+    values = truth.response(matrices()._replace(places=np.eye(n)), forces)["absolute_acceleration"][SENSORS]
     return values + np.sqrt(0.5 * ERROR / FINEST) * rng.standard_normal(values.shape)
 
 
