@@ -14,9 +14,9 @@ import pytest
 import pymc_features as pmf
 from benchmarks import truth
 from benchmarks.band_limited import (
-    DURATION,
     OUTPUTS,
     RATES,
+    SHORTER,
     SINGLE,
     cases,
     error,
@@ -37,7 +37,7 @@ def of(name, rate, share, ends="quiet"):
     highest = share * rate
     chosen = cases(highest)
     if name not in chosen:
-        chosen = yielding(highest, truth.motion(rate, DURATION, 1, ends=ends))
+        chosen = yielding(highest, truth.motion(rate, SHORTER, 1, ends=ends))
     case = chosen[name]
     moved = case.motion(rate, ends)
     fine = case.exact(moved, FINER)
