@@ -28,6 +28,10 @@ def __getattr__(name: str):
 
     So the command can answer to Ctrl-C before seconds of imports begin.
     """
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return globals().setdefault(name, version("pymc-features"))
     if name != "__all__":
         if name.startswith("__"):
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -2,6 +2,8 @@
 
 import argparse
 
+import pymc_features
+
 FORCE = "start anew: delete the finished parts in the output folder first"
 EXECUTOR = (
     "spread populations over this number of processes, or over the Dask cluster whose scheduler has this "
@@ -15,6 +17,8 @@ def make_parser() -> argparse.ArgumentParser:
         prog="pymc-features",
         description="Bayesian updating of structural models from measured vibration.",
     )
+    version = f"pymc-features {pymc_features.__version__}"
+    parser.add_argument("--version", action="version", version=version, help="print the version and exit")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     study = commands.add_parser(
         "reproduce",

@@ -31,7 +31,7 @@ if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
     sys.dont_write_bytecode = False
 
 
-NOT_QUICK = {"notebook", "statistical", "processes", "slow"}
+NOT_QUICK = {"neighbours", "notebook", "statistical", "processes", "slow"}
 RUNS = {"finished", "updated"}  # fixtures that wait for a whole run, which takes seconds
 
 # in this order after all others: JAX starts threads, and others fork; the rest run in their own processes,

@@ -16,6 +16,8 @@ from packaging.metadata import Metadata
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
+import pymc_features
+from pymc_features import cli
 from support.commands import ROOT, run
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -92,6 +94,13 @@ def test_metadata_of_the_wheel(wheel):
     assert (metadata.license_expression, metadata.license_files) == ("Apache-2.0", ["LICENSE"])
     assert metadata.description == (ROOT / "README.md").read_text()
     assert "pymc-features = pymc_features.cli:command" in scripts.splitlines()
+
+
+def test_the_version_is_that_of_the_distribution(capsys):
+    assert pymc_features.__version__ == PROJECT["version"]
+    with pytest.raises(SystemExit, match="^0$"):
+        cli.main(["--version"])
+    assert capsys.readouterr().out == f"pymc-features {PROJECT['version']}\n"
 
 
 def test_classifiers_name_the_versions_of_python_that_are_allowed():

@@ -21,7 +21,7 @@ from pymc_features.ambient.density import AmbientResponseRV
 from pymc_features.ambient.forces import in_bands, modal_factor
 from pymc_features.ambient.spectral import MEASURED, SpectralResponse, spectral
 from pymc_features.ambient.warn import warn_at_start
-from pymc_features.ops import as_tensor, known_dims
+from pymc_features.ops import as_tensor, by_labels, known_dims
 
 
 class AmbientResponse(Continuous):
@@ -98,7 +98,7 @@ class AmbientResponse(Continuous):
         check_name(name)
         if not isinstance(response, SpectralResponse):
             raise TypeError(message("response", "what `spectral_response` returned", shown(response)))
-        data = checked_channels(observed)
+        data = checked_channels(by_labels(observed, dims))
         if (s := response.shapes.type.shape[1]) not in (None, len(data)):
             advice = "Name the degrees of freedom of the channels by `sensors`."
             raise ValueError(message("observed", f"({s}, time), a row for each sensor", data.shape, advice))

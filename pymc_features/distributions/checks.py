@@ -18,7 +18,7 @@ from pytensor.tensor.random.op import RandomVariable
 
 from pymc_features._checks import as_numbers, masked_as_nan, message
 from pymc_features.exceptions import FeatureLikelihoodWarning
-from pymc_features.ops import as_tensor, check_shape, mean_square_discrepancy, response_step
+from pymc_features.ops import as_tensor, by_labels, check_shape, mean_square_discrepancy, response_step
 
 LARGE_CONSTANT = 10**6  # bytes; beyond it Numba cannot keep a compiled graph on disk
 LIBRARIES = (str(Path(__file__).parents[1]), str(Path(pm.__file__).parent))  # not the user's lines
@@ -96,13 +96,13 @@ def _check_sensors(name, tensor, mu):
     return tensor
 
 
-def prepare_observed(mu, observed, name, *, gaps=False):
+def prepare_observed(mu, observed, name, dims=None, *, gaps=False):
     """Return the data, checked against `mu`.
 
     With `gaps` they may have NaN, or be masked. As a shared variable they reach the density as they are: NaN
     in an array PyMC would impute silently, as free variables.
     """
-    mu = as_response(mu)
+    mu, observed = as_response(mu), by_labels(observed, dims)
     if isinstance(observed, Variable):
         as_tensor(observed, "observed")
         _check_dimensions(mu, shape_of(observed))

@@ -211,7 +211,7 @@ class CorrelatedNormal(Continuous):
     ) -> TensorVariable:
         check_name(name)
         if observed is not None:
-            observed = prepare_observed(mu, observed, name)
+            observed = prepare_observed(mu, observed, name, dims)
             dims = check_dims(dims, observed.ndim)
             check_one_set(mu, sigma=sigma, correlation_time=correlation_time)
         dt = check_dt(dt, mu)

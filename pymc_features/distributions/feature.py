@@ -176,7 +176,7 @@ class FeatureLikelihood(Continuous):
     ) -> TensorVariable:
         check_name(name)
         if observed is not None:
-            observed = prepare_observed(mu, observed, name, gaps=True)
+            observed = prepare_observed(mu, observed, name, dims, gaps=True)
             dims = check_dims(dims, observed.ndim)
             m = kwargs.get("m", cls.rv_types["feature"].degrees_of_freedom)
             check_one_set(mu, sigma=sigma, m=m)

@@ -28,7 +28,14 @@ from pymc_features.likelihood_free.modal import ModesSimulator, node_of
 from pymc_features.modal_features import SymbolicModes
 from pymc_features.modal_features.feature import add_coordinates
 from pymc_features.modal_features.identified import identified
-from pymc_features.ops import as_tensor, check_dims, check_shape, name_the_time_axis, response_node
+from pymc_features.ops import (
+    as_tensor,
+    by_labels,
+    check_dims,
+    check_shape,
+    name_the_time_axis,
+    response_node,
+)
 
 ADVICE_ON_EPSILON = (
     "Pass a tolerance on the sum of mean squares, for example `abc_tolerance(sigma, n_sensors)`."
@@ -132,7 +139,7 @@ def DiscrepancySimulator(
                 "parameters of their own, and identified ones no noise of samples."
             )
         return modes_node(name, mu, identified(observed), epsilon, Distance(kernel), dims)
-    data = _checked_data(observed)
+    data = _checked_data(by_labels(observed, dims))
     dims = check_dims(dims, data.ndim)
     name_the_time_axis(dims, mu if isinstance(mu, Variable) else data, data)
     shape = data.shape if isinstance(data, np.ndarray) else data.get_value(borrow=True).shape

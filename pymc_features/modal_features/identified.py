@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import as_array, as_list, as_numbers, is_number, message, shown
+from pymc_features.ops import by_labels
 
 FIELDS = ("frequencies", "shapes", "frequency_sd")
 
@@ -96,7 +97,7 @@ def identified(observed, labels=None) -> Identified:
         raise ValueError(
             message("frequencies", "a list of positive numbers", np.array2string(frequencies), "Pass Hz.")
         )
-    shapes, known = _shapes(shapes, frequencies.size)
+    shapes, known = _shapes(by_labels(shapes, axes=("mode", "sensor")), frequencies.size)
     owner, names = _labels(labels, frequencies.size)
     groups = (owner == np.arange(len(names))[:, None]).astype(np.float64)
     return Identified(frequencies, _sd(sd, frequencies) / frequencies, shapes, known, names, groups)

@@ -13,6 +13,7 @@ from pymc_features.ops.comparison import (
 )
 from pymc_features.ops.external import ExternalDiscrepancy, ExternalGradient, ExternalResponse
 from pymc_features.ops.gradient import ResponseGradient, ResponseTangent
+from pymc_features.ops.labels import by_labels
 from pymc_features.ops.no_gradient import NoGradient
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradient, PopulationMisfit
 from pymc_features.ops.response import StructuralResponse, response, response_node, response_step
@@ -38,6 +39,7 @@ __all__ = [
     "PopulationGradient",
     "PopulationMisfit",
     "as_tensor",
+    "by_labels",
     "check_dims",
     "check_shape",
     "jax_loader",

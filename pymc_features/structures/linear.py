@@ -20,6 +20,7 @@ from pymc_features.structures.matrices import (
     check_static_damping,
     check_static_forces,
     check_stiffness,
+    warn_of_lost_digits,
 )
 from pymc_features.structures.names import Named
 
@@ -272,6 +273,7 @@ class LinearStructure(Named, Structure):
         """
         n_modes = self._check_n_modes(n_modes)
         omega, shapes = self._natural(n_modes)
+        warn_of_lost_digits(self.mass, self.stiffness, omega)
         damping = self.modal_damping(n_modes)
         damping = damping if damping.ndim == 1 else np.diagonal(damping)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -10,6 +10,7 @@ from pytensor.graph.basic import Variable
 from scipy.linalg import eigh_tridiagonal
 
 from pymc_features._checks import as_array, shown
+from pymc_features.simulators.chain.graded import LOSS, eigenvalue_of, write_shape
 from pymc_features.structures.base import Matrices, Modes, Structure, Values, as_vector, spread, static_length
 from pymc_features.structures.damping import Damping
 from pymc_features.structures.inputs import DAMPING, vector
@@ -145,7 +146,8 @@ class Chain(Structure):
         """Natural frequencies, shapes, participation factors and damping ratios, see `Modes`.
 
         The eigenvalues are refined by Rayleigh quotients written as sums of spring energies; those
-        of a uniform chain agree with the closed form to 1e-14 (tests/structures/test_structures.py).
+        of a uniform chain agree with the closed form to 1e-14 (tests/structures/test_structures.py). So do
+        those of springs and masses of any ratio (tests/structures/test_graded_chains.py).
         """
         mass, stiffness, rayleigh, ratios = self._numbers()
         root = np.sqrt(mass)
@@ -157,11 +159,15 @@ class Chain(Structure):
                 "`stiffness` over `mass` must be finite numbers, got stiffnesses up to "
                 f"{stiffness.max():.3g} N/m and masses from {mass.min():.3g} kg. Check their units."
             )
-        _, vectors = eigh_tridiagonal(*bands)
+        values, vectors = eigh_tridiagonal(*bands)
         shapes = vectors / root[:, None]
         drifts = np.diff(shapes, axis=0, prepend=0.0)
         inertia = (mass[:, None] * shapes**2).sum(axis=0)
         omega = np.sqrt((stiffness[:, None] * drifts**2).sum(axis=0) / inertia)
+        for r in np.flatnonzero(values < LOSS * values[-1]):
+            value = eigenvalue_of(mass, stiffness, r)
+            write_shape(mass, stiffness, value, shapes[:, r])
+            omega[r], inertia[r] = np.sqrt(value), mass @ shapes[:, r] ** 2
         shapes = shapes * np.where(shapes[-1] < 0, -1.0, 1.0) / np.sqrt(inertia)
         zeta = 0.5 * (rayleigh[0] / omega + rayleigh[1] * omega) + ratios
         return Modes(omega, shapes, mass @ shapes, zeta)

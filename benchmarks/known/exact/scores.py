@@ -87,7 +87,7 @@ class NormalScores:
         self.d = len(self.priors)
         self.values = self.gradients = 0
         self._value = population_logp(model, point, {})
-        one = joined_graph(model, point, (model.varlogp, model.datalogp))
+        one = joined_graph(model, point, [model.varlogp, model.datalogp], model.value_vars)
         particles = pt.matrix("particles")
         likelihood = vectorize_graph(one.outputs[1], {one.joined: particles})
         gradient = pt.grad(likelihood.sum(), particles)

@@ -5,11 +5,13 @@ tridiagonal matrix. It is solved by the implicit QL iteration (Bowdler, Martin, 
 Numer. Math. 11, 293-306, 1968), which for a handful of storeys costs a few microseconds and compiles in
 a fraction of the time of a general eigen-solver. The eigenvalues are then replaced by the Rayleigh
 quotients of their vectors, written as sums of non-negative spring energies: the error of a quotient
-is the square of the vector's, so that even the lowest frequency is right to the last digits.
+is the square of the vector's, so that even the lowest frequency is right to the last digits. Where
+eigenvalues differ by more than a million, the lower ones are found by `graded` instead.
 """
 
 import numpy as np
 
+from pymc_features.simulators.chain.graded import LOSS, eigenvalue_of, write_shape
 from pymc_features.simulators.compiled.arrays import ascending
 from pymc_features.simulators.compiled.jit import jit
 
@@ -207,8 +209,15 @@ def chain_modes(mass, stiffness, angular_frequencies, mode_shapes, participation
     if not diagonalise(values, off_diagonal, vectors):
         return False
     order = ascending(values)
+    largest = values[order[n - 1]]
     for r in range(n):
         shape = mode_shapes[r]
+        if values[order[r]] < LOSS * largest:
+            value = eigenvalue_of(mass, stiffness, r)
+            write_shape(mass, stiffness, value, shape)
+            participation[r] = normalise(mass, stiffness, shape)[1]
+            angular_frequencies[r] = np.sqrt(value)
+            continue
         for i in range(n):
             shape[i] = vectors[order[r], i] / np.sqrt(mass[i])
         angular_frequencies[r], participation[r] = normalise(mass, stiffness, shape)

@@ -15,6 +15,7 @@ from pymc_features.smc.density.graph import density_graph
 from pymc_features.smc.density.nodes import core_op, inner_nodes, is_random, simulators_inside
 from pymc_features.smc.density.prior import prior_points
 from pymc_features.smc.density.rows import RowFunction
+from pymc_features.smc.density.support import inside_support
 
 PRIOR_POINTS = 1024  # at most, from which bases are made
 
@@ -49,7 +50,9 @@ class PopulationLogp:
     def __init__(self, model, point, compile_kwargs, terms=None):
         self.token = uuid.uuid4().hex
         self.compile_kwargs = dict(compile_kwargs)
-        self.graph = density_graph(model, point, terms or (model.varlogp, model.datalogp))
+        self.graph = density_graph(
+            model, point, *inside_support(model, point, terms or (model.varlogp, model.datalogp))
+        )
         self.counts_simulations = self.graph.counts_simulations
         if self.graph.why_not_batched:
             warnings.warn(

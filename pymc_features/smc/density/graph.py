@@ -12,7 +12,7 @@ from pytensor.compile import optdb
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant, Variable
 from pytensor.graph.fg import FunctionGraph
-from pytensor.graph.replace import clone_replace, vectorize_graph
+from pytensor.graph.replace import vectorize_graph
 from pytensor.graph.rewriting.basic import dfs_rewriter
 from pytensor.graph.rewriting.db import RewriteDatabaseQuery
 from pytensor.graph.traversal import ancestors, io_toposort
@@ -62,10 +62,10 @@ class DensityGraph(NamedTuple):
         return len(self.one.outputs) > 2
 
 
-def density_graph(model, point, terms) -> DensityGraph:
-    """The graph of two scalar `terms` in the model's value variables; `point` has their shapes."""
+def density_graph(model, point, outputs: list, inputs: list) -> DensityGraph:
+    """The graph of scalars in `inputs`: the model's value variables, or what stands for them."""
     discrete = tuple(v.name for v in model.value_vars if v.dtype in discrete_types)
-    return batched_graph(joined_graph(model, point, terms), discrete)
+    return batched_graph(joined_graph(model, point, outputs, inputs), discrete)
 
 
 def batched_graph(one: Outputs, discrete: tuple[str, ...] = ()) -> DensityGraph:
@@ -82,24 +82,12 @@ def batched_graph(one: Outputs, discrete: tuple[str, ...] = ()) -> DensityGraph:
     return DensityGraph(one, Outputs(particles, outputs), "", discrete)
 
 
-def joined_graph(model, point, terms) -> Outputs:
+def joined_graph(model, point, outputs: list, inputs: list) -> Outputs:
     """Log prior, log-likelihood and, if simulators are inside, whether one failed, of one vector.
 
     Parameter checks become -inf here, before any vectorisation: afterwards one particle outside would take
     all with it.
     """
-    outputs = list(terms)
-    inputs = model.value_vars
-    if any(v.dtype in discrete_types for v in inputs):
-        rounded = {}
-        floats = []
-        for v in inputs:
-            if v.dtype in discrete_types:
-                float_v = pt.tensor(v.name, dtype="floatX", shape=v.type.shape)
-                rounded[v] = pt.round(float_v).astype(v.dtype)
-                v = float_v
-            floats.append(v)
-        outputs, inputs = clone_replace(outputs, rounded, rebuild_strict=False), floats
     graph = FunctionGraph(outputs=outputs, clone=True, copy_inputs=False)
     optdb.query(RewriteDatabaseQuery(include=["fuse_likelihood"])).rewrite(graph)
     check = local_check_parameter_to_ninf_switch if model.check_bounds else local_remove_check_parameter
