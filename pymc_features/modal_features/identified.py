@@ -6,6 +6,13 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import as_array, as_list, as_numbers, is_number, message, shown
+from pymc_features.modal_features.repeated import (
+    by_label,
+    frequency_scatter,
+    in_one_sense,
+    rows_by_label,
+    shape_scatter,
+)
 
 FIELDS = ("frequencies", "shapes", "frequency_sd")
 
@@ -20,7 +27,8 @@ class Identified(NamedTuple):
     sd : array (i,)
         Standard deviation of ln f^ [-], zero where none was identified.
     shapes : array (i, s)
-        phi^, real or complex, of any scale and sign; zero where an entry is missing. s = 0 without shapes.
+        phi^, real or complex, of any scale, and of one sense where a mode has several; zero where an entry is
+        missing. s = 0 without shapes.
     known : array (i, s)
         1 where an entry is known, 0 where it is missing, and throughout a shape that says nothing.
     labels : array (g,)
@@ -58,13 +66,32 @@ class Identified(NamedTuple):
 
     @property
     def of(self) -> list[str]:
-        """What each identification is called: its mode's label, with a number where there are several."""
-        owner, names = self.groups.argmax(axis=0), []
-        for i, g in enumerate(owner):
-            earlier = int((owner[:i] == g).sum())
-            alone = (owner == g).sum() == 1
-            names.append(f"{self.labels[g]}" if alone else f"{self.labels[g]}.{earlier}")
-        return names
+        """What each identification is called."""
+        return identification_names(self.labels, self.groups.argmax(axis=0))
+
+    @property
+    def by_label(self) -> np.ndarray:
+        """`values` with a row for each mode, (g, k (1 + s)): those of its identifications, then zeros."""
+        return by_label(self.values, self.groups).reshape(len(self.groups), -1)
+
+    @property
+    def known_by_label(self) -> np.ndarray:
+        """1 where an entry of `by_label` is known, else 0."""
+        parts = [np.ones((len(self.known), 1)), *[self.known] * (2 if self.is_complex else 1)]
+        return by_label(np.hstack(parts), self.groups).reshape(len(self.groups), -1)
+
+    @property
+    def entries_by_label(self) -> list[str]:
+        """What the columns of `by_label` are."""
+        k = rows_by_label(self.groups).shape[1]
+        return self.entries if k == 1 else [f"{entry}.{j}" for j in range(k) for entry in self.entries]
+
+    @property
+    def scatter(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of ln f^ its standard deviation, and of shapes of length one their mean square, both (g, k)."""
+        of_f = frequency_scatter(self.frequencies, self.sd, self.groups)
+        of_shapes = shape_scatter(self.shapes, self.known, self.groups)
+        return by_label(of_f, self.groups, 1.0), by_label(of_shapes, self.groups)
 
 
 def identified(observed, labels=None) -> Identified:
@@ -99,7 +126,17 @@ def identified(observed, labels=None) -> Identified:
     shapes, known = _shapes(shapes, frequencies.size)
     owner, names = _labels(labels, frequencies.size)
     groups = (owner == np.arange(len(names))[:, None]).astype(np.float64)
+    shapes = in_one_sense(shapes, groups)
     return Identified(frequencies, _sd(sd, frequencies) / frequencies, shapes, known, names, groups)
+
+
+def identification_names(labels, owner) -> list[str]:
+    """What identifications are called: the label of each one's mode, with a number where it has several."""
+    owner = list(owner)
+    return [
+        f"{labels[g]}" if owner.count(g) == 1 else f"{labels[g]}.{owner[:i].count(g)}"
+        for i, g in enumerate(owner)
+    ]
 
 
 def _real(value, name):
