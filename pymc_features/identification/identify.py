@@ -72,8 +72,8 @@ def identify_modes(
     Warns
     -----
     AmbientWarning
-        If a band has no mode; a machine at constant speed was taken off; a mode lies at the edge of its band, is
-        as narrow as a machine, or the record is too short for its damping.
+        If a band has no mode; a machine at constant speed was taken off; a mode lies at the edge of its band,
+        is as narrow as a machine, or the record is too short for its damping.
 
     Notes
     -----
@@ -216,7 +216,7 @@ def rows_of(posterior: Posterior) -> list[tuple]:
 
 
 def is_hidden(modes: FreeModes, whole) -> np.ndarray:
-    """Whether each is wider than one of the `whole` ones by far, and below the others at its own frequency."""
+    """Whether each is far wider than one of the `whole` ones, and below the others at its own frequency."""
     wider = (modes.ratios[:, None] > ALIKE * modes.ratios) & whole
     power = np.abs(transfer_functions(modes.natural, modes.ratios, modes.natural)) ** 2
     power *= (np.abs(modes.factor) ** 2).sum(axis=1)

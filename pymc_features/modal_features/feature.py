@@ -67,7 +67,8 @@ class ModalFeature(Continuous):
     Warns
     -----
     ModalMatchWarning
-        If at the initial point of the model an identified shape has no partner, see `match_modes`.
+        If at the initial point of the model an identified shape has no partner, see `match_modes`; without
+        `labels`, if a mode was identified twice: both are then of one mode.
 
     Notes
     -----

@@ -1,13 +1,17 @@
 """Identified modes as the likelihood takes them: checked, in one array without missing values."""
 
+import warnings
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from pymc_features._checks import as_array, as_list, as_numbers, is_number, message, shown
+from pymc_features.distributions.checks import LIBRARIES
+from pymc_features.exceptions import ModalMatchWarning
 from pymc_features.modal_features.repeated import (
     by_label,
+    doubles,
     frequency_scatter,
     in_one_sense,
     rows_by_label,
@@ -103,7 +107,8 @@ def identified(observed, labels=None) -> Identified:
         Frequencies [Hz] (i,), shapes (i, s) or None, standard deviations (i,) [Hz] or None; an array is
         frequencies alone.
     labels : sequence (i,), optional
-        Which mode each identification is of; by default each is of a mode of its own.
+        Which mode each identification is of; by default each is of a mode of its own, but those that were
+        found twice.
     """
     if isinstance(observed, Mapping):
         unknown = sorted(set(observed) - set(FIELDS))
@@ -112,6 +117,7 @@ def identified(observed, labels=None) -> Identified:
         frequencies, shapes, sd = (observed.get(name) for name in FIELDS)
     elif hasattr(observed, "frequencies"):
         frequencies, shapes, sd = (getattr(observed, name, None) for name in FIELDS)
+        labels = getattr(observed, "labels", None) if labels is None else labels
     else:
         frequencies, shapes, sd = observed, None, None
     frequencies = _real(frequencies, "frequencies")
@@ -124,10 +130,13 @@ def identified(observed, labels=None) -> Identified:
             message("frequencies", "a list of positive numbers", np.array2string(frequencies), "Pass Hz.")
         )
     shapes, known = _shapes(shapes, frequencies.size)
+    sd = _sd(sd, frequencies) / frequencies
+    if labels is None:
+        labels = _numbers(doubles(np.log(frequencies), sd, shapes, known))
     owner, names = _labels(labels, frequencies.size)
     groups = (owner == np.arange(len(names))[:, None]).astype(np.float64)
     shapes = in_one_sense(shapes, groups)
-    return Identified(frequencies, _sd(sd, frequencies) / frequencies, shapes, known, names, groups)
+    return Identified(frequencies, sd, shapes, known, names, groups)
 
 
 def identification_names(labels, owner) -> list[str]:
@@ -191,10 +200,22 @@ def _shapes(shapes, n):
     return shapes.astype(kind), known.astype(np.float64)
 
 
+def _numbers(owner):
+    """A number for each mode; says which are taken for one that was found twice."""
+    twice = [f"{i} and {first}" for i, first in enumerate(owner) if first != i]
+    if twice:
+        warnings.warn(
+            f"the identified modes {', '.join(twice)} (0 the first) are taken for one that was found twice: "
+            "their frequencies are closer than their standard deviations, and their shapes agree. Leave one "
+            "out, or pass `labels` that differ if they are two.",
+            ModalMatchWarning,
+            skip_file_prefixes=LIBRARIES,
+        )
+    return owner.tolist()
+
+
 def _labels(labels, n):
     """The mode of each identification, and what the modes are called, in the order of their first."""
-    if labels is None:
-        return np.arange(n), np.arange(n)
     given, labels = as_list(labels), as_array(labels)
     if given is None or labels.shape != (n,):
         what = f"{n} labels, one for each identification"

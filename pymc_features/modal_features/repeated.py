@@ -2,6 +2,7 @@
 
 import numpy as np
 
+SAME = 0.9  # MAC of a mode that an identification found twice
 LEAST = 1e-4  # standard deviation of ln f and of a shape of length one: three digits of a table are no more
 
 
@@ -70,3 +71,25 @@ def shape_scatter(shapes, known, groups) -> np.ndarray:
     has_shape = known.any(axis=1)
     repeated = (groups @ has_shape) @ groups > 1
     return np.where(has_shape & repeated, each * known.sum(axis=1), 0.0)
+
+
+def doubles(ln_f, sd, shapes, known) -> np.ndarray:
+    """Number (i,) of the first identification that each is the same as, its own if there is none before it.
+
+    The same are those whose frequencies are closer than their standard deviations and whose shapes agree, at
+    three channels or more.
+    """
+    owner = np.arange(len(ln_f))
+    for i in range(len(ln_f)):
+        for j in range(i):
+            both = known[i] * known[j]
+            x, y = shapes[i] * both, shapes[j] * both
+            norms = np.linalg.norm(x) * np.linalg.norm(y)
+            if (
+                both.sum() > 2
+                and abs(ln_f[i] - ln_f[j]) < sd[i] + sd[j]
+                and abs(x @ y.conj()) ** 2 > SAME * norms**2
+            ):
+                owner[i] = owner[j]
+                break
+    return owner

@@ -279,6 +279,17 @@ def test_proposed_bands_hold_the_modes():
     assert (np.abs(found.frequencies - exact) < 4.5 * found.frequency_sd).all()
 
 
+def test_bands_do_not_begin_in_the_drift():
+    """A mode at 0.1 Hz beside a random walk; without it the band begins far lower."""
+    measured = channels([0.1], [0.01], [[1.0, 2.0]], 3000.0, 3, dt=1.0, noise=0.01)
+    walk = np.cumsum(np.random.default_rng(2).standard_normal(measured.shape), axis=1)
+    drifting = measured + 0.1 * float(measured.std()) * walk
+    [quiet], [band] = pmf.propose_bands(measured), pmf.propose_bands(drifting)
+    assert quiet[0] < band[0] < 0.1 < band[1]
+    found = pmf.identify_modes(drifting)
+    assert found.frequencies.size == 1 and abs(found.frequencies - 0.1) < 4.0 * found.frequency_sd
+
+
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [

@@ -10,6 +10,7 @@ from scipy import integrate, stats
 from scipy.special import gammaln
 
 from pymc_features import ModalDamping, ModalFeature, SpringMassChain, mac, match_modes, modes
+from pymc_features.exceptions import ModalMatchWarning
 from pymc_features.modal_features.feature import checked_parameters
 from pymc_features.modal_features.identified import identified
 from pymc_features.modal_features.repeated import LEAST
@@ -273,3 +274,20 @@ def test_one_scale_for_each_mode():
         ValueError, match="`sigma_f` must be one value or one for each of the 3 modes, got .6,"
     ):
         log_likelihoods(data, sigma_f=[0.02] * 6)
+
+
+def test_a_mode_that_was_found_twice_has_one_partner():
+    """Without labels; else the double would take the next mode of the model."""
+    shapes = np.random.default_rng(4).normal(size=(2, 4))
+    data = {"frequencies": [1.0, 1.001, 1.5], "frequency_sd": [0.002, 0.002, 0.002]}
+    data["shapes"] = np.vstack([shapes[0], -1.02 * shapes[0], shapes[1]])
+    found = np.array([1.0, 1.5, 1.6]), np.vstack([shapes, shapes[0] + shapes[1]])
+    with pytest.warns(ModalMatchWarning, match="modes 1 and 0 .* found twice: .* pass `labels` that"):
+        assert list(identified(data).groups.argmax(axis=0)) == [0, 0, 1]
+    with pm.Model(), pytest.warns(ModalMatchWarning):
+        ModalFeature("y", found, observed=data, sigma_f=pm.HalfNormal("sigma_f", 0.02), sigma_phi=0.1)
+        np.testing.assert_array_equal(match_modes()["model_mode"], [0, 0, 1])
+    apart = identified(data, ["a", "b", "c"])
+    assert len(apart.labels) == 3
+    for change in ({"frequencies": [1.0, 1.005, 1.5]}, {"frequency_sd": None}, {"shapes": None}):
+        assert len(identified(data | change).labels) == 3
