@@ -8,6 +8,7 @@ from benchmarks.coverage.ambient import run_ambient
 from benchmarks.coverage.errors import ERRORS
 from benchmarks.coverage.events import run_events
 from benchmarks.coverage.identified import run_identified
+from benchmarks.coverage.modes import run_modes
 from benchmarks.coverage.steps import run_steps
 from benchmarks.coverage.table import run_errors, run_ten
 
@@ -17,6 +18,7 @@ PARTS = {
     "events": run_events,
     "steps": run_steps,
     "identified": run_identified,
+    "modes": run_modes,
     "ambient": run_ambient,
 }
 NAMES = (*PARTS, *ERRORS)

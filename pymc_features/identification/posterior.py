@@ -167,7 +167,7 @@ class Posterior:
             jac=True,
             hess=self.information,
             method="trust-exact",
-            options={"gtol": TOLERANCE * self.data.used.size, "maxiter": 100, "initial_trust_radius": 0.5},
+            options={"gtol": TOLERANCE * self.data.used.size, "maxiter": 60, "initial_trust_radius": 0.5},
         )
         return Posterior(self.data, self.modes(done.x))
 

@@ -17,7 +17,8 @@ def propose_bands(channels: xr.DataArray, *, highest: float | None = None) -> np
     """Bands around the peaks of the first singular value of the spectra, to begin with.
 
     Spectra are averaged over twenty parts of the record (Welch); a peak stands 6 dB above the valleys on both
-    of its sides. Look at the bands in the spectra: a machine is a peak as well.
+    of its sides. The lowest band does not begin below the valley beside a drift. Look at the bands in the
+    spectra: a machine is a peak as well.
 
     Parameters
     ----------
@@ -56,6 +57,9 @@ def propose_bands(channels: xr.DataArray, *, highest: float | None = None) -> np
         )
     half = np.maximum(HALF_WIDTH * f[peaks], FEWEST * (f[1] - f[0]))
     bands = np.column_stack([np.maximum(f[peaks] - half, 0.5 * f[0]), np.minimum(f[peaks] + half, 0.49 / dt)])
+    valley = int(level[: peaks[0]].argmin())
+    if np.interp(bands[0, 0], f, level) > level[valley] + PROMINENCE:  # in the drift
+        bands[0, 0] = f[valley]
     joined = [bands[0]]
     for low, high in bands[1:]:
         if low <= joined[-1][1]:

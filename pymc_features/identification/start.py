@@ -8,15 +8,22 @@ from pymc_features.ambient.transfer import transfer_functions
 from pymc_features.identification.posterior import BandData, FreeModes, Posterior
 
 RATIOS = (0.005, 0.02)  # damping ratios that are tried
-STARTS = 3  # from which the posterior is climbed, the likeliest first, until there is a maximum
+BESIDE = 0.05  # damping ratio of what comes in from beside the band, at first
+STARTS = (
+    3  # from which the posterior is climbed, the likeliest first, until there is a maximum; one of `fewer`
+)
 SMALLEST = 1e-3  # force or error, over the mean of the band
 
 
-def best_posterior(data: BandData, m: int) -> Posterior | None:
-    """The posterior of m modes, centred at a maximum uphill from the best guess; None if there is none."""
-    starts = [Posterior(data, modes) for modes in first_guesses(data, m)]
+def best_posterior(data: BandData, m: int, fewer: FreeModes | None = None) -> Posterior | None:
+    """The posterior of m modes, centred at a maximum uphill from the best guess; None if there is none.
+
+    `fewer` are the modes that were found before, one less, to which guesses add another.
+    """
+    guesses = [*first_guesses(data, m), *([] if fewer is None else one_more(data, fewer))]
+    starts = [Posterior(data, modes) for modes in guesses]
     ordered = sorted(starts, key=lambda one: -one.value())
-    for start in ordered[:STARTS]:
+    for start in ordered[: STARTS if fewer is None else 1]:
         found = start.climbed() if np.isfinite(start.value()) else start
         if np.isfinite(found.value()) and found.covariance is not None:
             return found
@@ -41,6 +48,21 @@ def first_guesses(data: BandData, m: int) -> Iterator[FreeModes]:
     for natural in sets:
         for ratio in RATIOS:
             yield fitted(data, natural, np.full(m, ratio))
+
+
+def one_more(data: BandData, fewer: FreeModes) -> Iterator[FreeModes]:
+    """Modes with another one: where the spectrum stands highest above them, or what comes in from beside."""
+    spectra, f = data.used, data.frequencies
+    gains = data.lines.gains[data.lines.weights > 0.0]
+    transfer = gains[:, None] * transfer_functions(fewer.natural, fewer.ratios, f)
+    roots = np.einsum("ms,km,mr->ksr", fewer.shapes, transfer, fewer.factor)
+    expected = (np.abs(roots) ** 2).sum(axis=(1, 2)) + len(spectra) * fewer.error
+    width = max(3, f.size // 25)
+    ratio = np.convolve((np.abs(spectra) ** 2).sum(axis=0) / expected, np.ones(width) / width, "same")
+    low, high = data.limits
+    additions = [(f[ratio.argmax()], ratio_of_mode) for ratio_of_mode in RATIOS]
+    for natural, damping in [*additions, (0.97 * low, BESIDE), (1.03 * high, BESIDE)]:
+        yield fitted(data, np.append(fewer.natural, natural), np.append(fewer.ratios, damping))
 
 
 def fitted(data: BandData, natural, ratios) -> FreeModes:

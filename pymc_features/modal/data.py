@@ -43,6 +43,8 @@ class ModalData:
         Standard deviations of the entries, in the scale of `shapes`, at least 0; NaN where it is not known.
     name : str
         What messages call the modes.
+    labels : sequence of str (m,), optional
+        Which mode of the structure each is of, equal for several identifications of one.
 
     Raises
     ------
@@ -68,6 +70,7 @@ class ModalData:
     damping_sd: np.ndarray | None = None
     shape_sd: np.ndarray | None = None
     name: str = ""
+    labels: np.ndarray | None = None
 
     def __post_init__(self):
         self._set("frequencies", self._checked_frequencies())
@@ -80,6 +83,10 @@ class ModalData:
                 self._set(name, self._checked_per_mode(name))
         if self.shape_sd is not None:
             self._set("shape_sd", self._checked_shape_sd())
+        if self.labels is not None:
+            if len(self.labels) != len(self):
+                raise ValueError(message("labels", f"{len(self)} texts, one for each mode", len(self.labels)))
+            self._set("labels", np.array([check_title(label) for label in self.labels]))
 
     def _set(self, name, value):
         object.__setattr__(self, name, value)
@@ -120,7 +127,7 @@ class ModalData:
         return names
 
     def _checked_shapes(self):
-        values = _entries(self.shapes, "shapes")
+        values = as_numbers(self.shapes, "shapes", allow_complex=True)
         shape = self.frequencies.size, len(self.channels)
         if values.shape != shape or 0 in shape:
             turned = values.shape == shape[::-1]
@@ -279,11 +286,6 @@ def _index(mode, n_modes: int) -> int:
     if not isinstance(mode, int | np.integer) or isinstance(mode, bool) or not 0 <= mode < n_modes:
         raise ValueError(f"`modes` must be indices from 0 to {n_modes - 1}, got {mode!r}.")
     return int(mode)
-
-
-def _entries(values, name: str) -> np.ndarray:
-    """A read-only array of numbers, complex if one of them is."""
-    return as_numbers(values, name, allow_complex=True)
 
 
 def _check_sd(values: np.ndarray, name: str) -> None:

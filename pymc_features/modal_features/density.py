@@ -11,18 +11,16 @@ from pytensor.graph.basic import Variable
 from pytensor.tensor import TensorVariable
 from pytensor.tensor.random.utils import normalize_size_param
 
-from pymc_features.distributions.gamma import GammaFeatureRV
 from pymc_features.modal_features.assignment import Assignment
-from pymc_features.modal_features.mac import one_minus_mac
 
 UNMATCHED = -1e30  # stands for a log-density of -inf in sums of which the largest is wanted
 
 
 class ModalFeatureRV(SymbolicRandomVariable):
-    """Identified modes, one in each row: the frequency, then the entries of the shape."""
+    """Identified modes, one in each row: of each of its identifications the frequency, then the shape."""
 
     name = "ModalFeature"
-    extended_signature = "[rng],[size],(m),(m,s),(),(),(),(k),(g,i),(m)->[rng],(c)"
+    extended_signature = "[rng],[size],(m),(m,s),(),(),(),(k),(k),(c),(m)->[rng],(c)"
     _print_name = ("ModalFeature", "\\operatorname{ModalFeature}")
 
     @classmethod
@@ -31,49 +29,86 @@ class ModalFeatureRV(SymbolicRandomVariable):
     ) -> TensorVariable:
         """Build draws: ln f normal; shapes at a distance by the feature's law, in any direction alike.
 
+        Where a mode has several identifications, the error of the model is drawn once for all of them.
+
         Parameters
         ----------
         frequencies, shapes : tensor (m,), (m, s)
             Of the model.
-        sd, sigma, degrees : tensor (i,)
-            Standard deviation of ln f^; sigma_phi and degrees of freedom of 1 - MAC.
-        known : tensor (i, k)
-            1 where an entry of `Identified.values` behind the frequency is known.
-        groups : tensor (g, i)
-        match : tensor (i, m)
-            Which mode of the model is drawn for each identification.
+        sigma_f, sigma_phi, degrees : tensor (g,)
+            Error of the model: standard deviation of ln f, scale and degrees of freedom of 1 - MAC.
+        sd, scatter : tensor (g, k)
+            As `Identified.scatter`.
+        known : tensor (g, c)
+            1 where an entry of `Identified.by_label` is known.
+        match : tensor (g, m)
+            Which mode of the model is drawn for each.
         """
         parameters = [pt.as_tensor_variable(x) for x in parameters]
-        frequencies, shapes, sd, sigma, degrees, known, _, match = parameters
+        frequencies, shapes, *errors, known, match = parameters
+        degrees, k = errors[2], errors[3].type.shape[-1]
         rng, size = normalize_rng_param(rng), normalize_size_param(size)
-        full_size = tuple(sd.shape) if rv_size_is_none(size) else tuple(size)
-        rng_1, z = pt.random.normal(0.0, 1.0, size=full_size, rng=rng, return_next_rng=True)
+        full_size = tuple(degrees.shape) if rv_size_is_none(size) else tuple(size)
+        there, mask = masks(known, k, shapes)
+        of_f, of_shapes = variances(*errors, there)
+        rng_1, z = pt.random.normal(size=(*full_size, 1 + k), rng=rng, return_next_rng=True)
         rng_2, chi_square = pt.random.gamma(
-            0.5 * degrees, scale=2.0, size=full_size, rng=rng_1, return_next_rng=True
+            0.5 * degrees[..., None], scale=2.0, size=(*full_size, 1 + k), rng=rng_1, return_next_rng=True
         )
-        k = known.shape[-1]
-        next_rng, normal = pt.random.normal(0.0, 1.0, size=(*full_size, k), rng=rng_2, return_next_rng=True)
-        drawn = [(pt.dot(match, frequencies) * pt.exp(sd * z))[..., None]]
-        if known.type.shape[-1]:
-            unit = normalised(pt.dot(match, shapes) * mask_of(known, shapes))
-            parts, s = n_parts(known, shapes), shapes.type.shape[-1]
-            noise = [(normal * known)[..., i * s : (i + 1) * s] for i in range(parts)]
-            other = normalised(pt.concatenate([across(x, unit) for x in noise], axis=-1))
-            e = pt.minimum(pt.sqr(sigma) * chi_square, 1.0)[..., None]
-            unit = pt.concatenate([unit, *(pt.zeros_like(unit) for _ in range(parts - 1))], axis=-1)
-            drawn.append(pt.sqrt(1.0 - e) * unit + pt.sqrt(e) * other)
+        s = shapes.type.shape[-1]
+        p = known.type.shape[-1] // k - 1
+        next_rng, normal = pt.random.normal(size=(*full_size, 1 + k, p), rng=rng_2, return_next_rng=True)
+        f = pt.dot(match, frequencies)[..., None] * pt.exp(shared_and_each(z, *of_f))
+        drawn = [pt.switch(there > 0.0, f, 0.0)[..., None]]
+        if p:
+            unit = normalised(pt.dot(match, shapes)[..., None, :] * mask)
+            noise = [normal[..., i * s : (i + 1) * s] for i in range(p // s)]
+            directions = [
+                normalised(pt.concatenate([across(x[..., part, :] * mask, unit) for x in noise], axis=-1))
+                for part in (slice(0, 1), slice(1, None))
+            ]
+            shared, each = (pt.sqrt(v)[..., None] for v in of_shapes)
+            length = pt.sqrt(chi_square)[..., None]
+            off = shared * length[..., :1, :] * directions[0] + each * length[..., 1:, :] * directions[1]
+            e = pt.sum(pt.sqr(off), axis=-1, keepdims=True)
+            unit = pt.concatenate([unit, *(pt.zeros_like(unit) for _ in noise[1:])], axis=-1)
+            drawn.append(pt.sqrt(1.0 - pt.minimum(e, 1.0)) * unit + off / pt.sqrt(pt.maximum(e, 1.0)))
+        value = pt.concatenate(drawn, axis=-1).reshape((*full_size, k * (1 + p)))
         inputs = [rng, size, *parameters]
-        return cls(inputs=inputs, outputs=[next_rng, pt.concatenate(drawn, axis=-1)])(*inputs)
+        return cls(inputs=inputs, outputs=[next_rng, value])(*inputs)
 
 
-def n_parts(known, shapes) -> int:
-    """1 for real shapes, 2 for complex ones."""
-    return known.type.shape[-1] // shapes.type.shape[-1]
+def by_identification(rows, k, n):
+    """Rows (..., k n) of modes as (..., k, n), an axis for their identifications."""
+    return rows.reshape((*rows.shape[:-1], k, n))
 
 
-def mask_of(known, shapes):
-    """Where channels are known, (i, s)."""
-    return known[..., : shapes.type.shape[-1]]
+def masks(known, k, shapes):
+    """Ones where there is an identification (..., k), and where a channel of it is known (..., k, s)."""
+    known = by_identification(known, k, known.type.shape[-1] // k)
+    return known[..., 0], known[..., 1 : 1 + shapes.type.shape[-1]]
+
+
+def variances(sigma_f, sigma_phi, degrees, sd, scatter, there):
+    """Shared (..., 1) and own (..., k) variances of ln f^; the same, for each degree of freedom, of shapes.
+
+    The error of the model is shared by the identifications of a mode. Where there is one, it is its own.
+    """
+    of_f, of_shapes = pt.sqr(sigma_f)[..., None], pt.sqr(sigma_phi)[..., None]
+    several = pt.sum(there, axis=-1, keepdims=True) > 1.0
+    with_shapes = pt.any(scatter > 0.0, axis=-1, keepdims=True)
+    return (
+        (pt.switch(several, of_f, 0.0), pt.sqr(sd) + pt.switch(several, 0.0, of_f)),
+        (
+            pt.switch(with_shapes, of_shapes, 0.0),
+            pt.switch(scatter > 0.0, scatter / degrees[..., None], of_shapes),
+        ),
+    )
+
+
+def shared_and_each(z, shared, each):
+    """Normal errors (..., k) of standard normal numbers (..., 1 + k)."""
+    return pt.sqrt(shared) * z[..., :1] + pt.sqrt(each) * z[..., 1:]
 
 
 def normalised(rows):
@@ -87,38 +122,91 @@ def across(rows, unit):
     return rows - pt.sum(rows * unit, axis=-1, keepdims=True) * unit
 
 
-def log_densities(value, frequencies, shapes, sd, sigma, degrees, known):
-    """Log-density (..., i, m) of each identification, were it of each mode of the model."""
-    there = pt.gt(frequencies, 0.0)  # neither NaN nor a rigid body
-    z = pt.log(value[..., 0])[..., None] - pt.log(pt.switch(there, frequencies, 1.0))[..., None, :]
-    density = -0.5 * pt.sqr(z / sd[..., None]) - pt.log(sd)[..., None] - 0.5 * np.log(2.0 * np.pi)
-    if known.type.shape[-1]:
-        s, mask = shapes.type.shape[-1], mask_of(known, shapes)
-        parts = [value[..., 1 + i * s : 1 + (i + 1) * s] for i in range(n_parts(known, shapes))]
-        e = one_minus_mac(shapes, parts, mask)
-        of_shape = GammaFeatureRV.feature_logp(e, sigma[..., None], degrees[..., None])
-        density = density + pt.switch(pt.any(mask > 0.0, axis=-1)[..., None], of_shape, 0.0)
-    return pt.switch(there[..., None, :] & ~pt.isnan(density), density, -np.inf)
+def log_densities(value, frequencies, shapes, *errors, known):
+    """Log-density (..., g, m) of the identifications of each mode, were they of each mode of the model."""
+    k = errors[3].type.shape[-1]
+    there, mask = masks(known, k, shapes)
+    of_f, of_shapes = variances(*errors, there)
+    n = known.type.shape[-1] // k
+    value = by_identification(value, k, n)
+    exists = pt.gt(frequencies, 0.0)  # neither NaN nor a rigid body
+    ln_f = pt.log(pt.switch(exists, frequencies, 1.0))
+    x = pt.log(pt.switch(there > 0.0, value[..., 0], 1.0))[..., None, :] - ln_f[..., None, :, None]
+    shared, each = (v[..., None, :] for v in of_f)
+    there = there[..., None, :]
+    squares, common = compound_symmetric(x, shared, each, there, axis=-1)
+    own = pt.sum(there * pt.log(2.0 * np.pi * each), axis=-1)
+    density = -0.5 * (squares + own + pt.log(common))
+    if mask.type.shape[-1]:
+        s = mask.type.shape[-1]
+        parts = [value[..., 1 + i : 1 + i + s] for i in range(0, n - 1, s)]
+        density = density + log_density_of_shapes(parts, shapes, mask, errors[2], of_shapes)
+    return pt.switch(exists[..., None, :] & ~pt.isnan(density), density, -np.inf)
 
 
-def matched(density, groups):
-    """Ones (..., i, m) where an identification takes a mode, from its log-densities (..., i, m).
+def log_density_of_shapes(parts, shapes, mask, degrees, variances):
+    """Log-density (..., g, m) of measured shapes, real and perhaps imaginary parts (..., g, k, s).
 
-    Those of one mode take the same, those of different modes different ones: such that the sum is largest.
+    Channel by channel normal with a compound-symmetric covariance; all channels of an identification count
+    as its degrees of freedom.
     """
-    score = pt.matmul(groups, pt.switch(pt.isinf(density), UNMATCHED, density))
-    return pt.matmul(groups.T, Assignment()(score))
+    mask, model = mask[..., None, :, :], shapes[..., None, :, None, :]
+    shared, each = (v[..., None, :, None] for v in variances)
+    own = sum(pt.sum(pt.sqr(x), axis=-1, keepdims=True) for x in parts)[..., None, :, :]
+    length = pt.sqrt(pt.switch(own > 0.0, own, 1.0))
+    norms = pt.sum(mask * pt.sqr(model), axis=-1, keepdims=True)
+    squares = 0.0
+    for part in parts:
+        x = part[..., None, :, :]
+        scale = pt.sum(x * model, axis=-1, keepdims=True) / pt.switch(norms > 0.0, norms, 1.0)
+        off = mask * (x - scale * model) / length
+        of_part, common = compound_symmetric(off, shared, each, mask, axis=-2)
+        squares = squares + pt.sum(of_part, axis=-1)
+    channels = pt.sum(mask, axis=-1, keepdims=True)
+    has_shape = pt.gt(channels, 0.0)
+    of_channel = mask / pt.switch(has_shape, channels, 1.0)
+    share = pt.sum(of_channel, axis=-2) / pt.maximum(pt.sum(mask, axis=-2), 1.0)
+    log_size = pt.sum(pt.switch(has_shape, pt.log(each), 0.0), axis=(-2, -1))
+    log_size = log_size + pt.sum(share * pt.log(common), axis=-1)
+    m = degrees[..., None]
+    constant = -0.5 * m * np.log(2.0) - pt.gammaln(0.5 * m + 1.0)
+    return pt.sum(has_shape, axis=(-2, -1)) * constant - 0.5 * (m * log_size + squares)
+
+
+def compound_symmetric(x, shared, each, there, axis):
+    """x' C^-1 x and |C| / prod(each) of C = shared 1 1' + diag(each), along an axis.
+
+    By Sherman and Morrison about the weighted mean, where nothing cancels; `there` has zeros for entries that
+    do not count.
+    """
+    if each.type.shape[axis] == 1:  # nobody to share with
+        return pt.squeeze(there * pt.sqr(x) / each, axis=axis), pt.ones_like(pt.squeeze(there, axis=axis))
+    weights = there / each
+    total = pt.sum(weights, axis=axis, keepdims=True)
+    mean = pt.sum(weights * x, axis=axis, keepdims=True) / pt.switch(total > 0.0, total, 1.0)
+    common = 1.0 + shared * total
+    squares = pt.sum(weights * pt.sqr(x - mean), axis=axis, keepdims=True) + pt.sqr(mean) * total / common
+    return pt.squeeze(squares, axis=axis), pt.squeeze(common, axis=axis)
+
+
+def matched(density):
+    """Ones (..., g, m) where a measured mode takes one of the model, from log-densities (..., g, m).
+
+    Different ones take different modes: such that the sum is largest.
+    """
+    return Assignment()(pt.switch(pt.isinf(density), UNMATCHED, density))
 
 
 @_logprob.register(ModalFeatureRV)
 def modal_logprob(op, values, *inputs, **kwargs):
-    """Log-likelihood of each identification, matched such that their sum is largest."""
+    """Log-likelihood of each measured mode, matched such that their sum is largest."""
     [value] = values
-    _, size, *parameters, groups, _ = inputs
-    density = log_densities(value, *parameters)
-    logp = pt.sum(pt.switch(matched(density, groups) > 0.5, density, 0.0), axis=-1)
-    _, _, sd, sigma, degrees, _ = parameters
+    _, size, *parameters, known, _ = inputs
+    density = log_densities(value, *parameters, known=known)
+    logp = pt.sum(pt.switch(matched(density) > 0.5, density, 0.0), axis=-1)
+    _, _, sigma_f, sigma_phi, degrees, sd, _ = parameters
+    positive = pt.sqr(sigma_f)[..., None] + pt.sqr(sd) > 0
     logp = check_parameters(
-        logp, sd > 0, sigma > 0, degrees > 0, msg="sigma_f > 0, sigma_phi > 0, density > 0"
+        logp, positive, sigma_phi > 0, degrees > 0, msg="sigma_f > 0, sigma_phi > 0, density > 0"
     )
     return maybe_resize(logp, size)

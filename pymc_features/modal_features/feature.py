@@ -44,17 +44,18 @@ class ModalFeature(Continuous):
         Identified modes: `frequencies` (i,) [Hz]; `shapes` (i, s) or None, real or complex, of any scale and
         sign, NaN where an entry is missing; `frequency_sd` (i,) [Hz] or None. An array stands for frequencies
         alone. Shapes with fewer than two entries say nothing and are left out.
-    sigma_f : tensor_like () or (i,)
-        Standard deviation of ln f that is not in `frequency_sd` [-]: the error of the model. Positive, or
-        zero where each frequency has a standard deviation.
-    sigma_phi : tensor_like () or (i,), optional
+    sigma_f : tensor_like () or (g,)
+        Standard deviation of ln f that is not in `frequency_sd` [-]: the error of the model, one or one for
+        each mode. Positive, or zero where each frequency has a standard deviation.
+    sigma_phi : tensor_like () or (g,), optional
         Scale of the root of 1 - MAC [-], positive; needed with shapes. The law of 1 - MAC is not cut off at
         1: it should be well below 0.5.
-    density : {"EXP", "TN"} or tensor_like () or (i,)
+    density : {"EXP", "TN"} or tensor_like () or (g,)
         Law of 1 - MAC, or its degrees of freedom m, positive.
     labels : sequence (i,), optional
         Which mode each identification is of, where there are several of one: those of equal labels take the
-        same mode of the model. By default each is of a mode of its own.
+        same mode of the model, and share its error. By default those of the data, as `read_modal` finds
+        them, else each is of a mode of its own.
     dims : tuple of str, optional
         Names of the two axes of the data. By default `{name}_mode`, with the labels, and `{name}_entry`.
 
@@ -66,7 +67,8 @@ class ModalFeature(Continuous):
     Warns
     -----
     ModalMatchWarning
-        If at the initial point of the model an identified shape has no partner, see `match_modes`.
+        If at the initial point of the model an identified shape has no partner, see `match_modes`; without
+        `labels`, if a mode was identified twice: both are then of one mode.
 
     Notes
     -----
@@ -76,8 +78,24 @@ class ModalFeature(Continuous):
     over assignments: where modes are closer than the data can tell apart, it counts the better of two
     explanations, not the mean of both. A poor match is a match: ask `match_modes`.
 
-    One log-likelihood value for each identification. A draw has a frequency and a shape of length one for
-    each of them, of the mode that the data are matched with; missing entries are zero.
+    **Several identifications of one mode** are as wrong as its model, all in the same way: their errors
+    are dependent, and a hundred tests do not average the error of the model away. With d_i the part of a
+    measured shape of length one that is across phi_r, channel by channel,
+
+    .. math::
+
+        \ln \hat f_i = \ln f_r + b + n_i, \quad b \sim \mathcal{N}(0, \sigma_f^2), \quad
+        n_i \sim \mathcal{N}(0, s_i^2), \qquad
+        C = \sigma_\phi^2 \, 1 1^T + \tau^2 I, \quad
+        \ln p = -\tfrac{1}{2} [\, m \ln |C| + \mathrm{tr}(C^{-1} D) \,], \quad D_{ij} = d_i \cdot d_j
+
+    with b integrated out in closed form. The scatter is `frequency_sd`, or where there is none the deviation
+    from the mean of each mode, pooled over modes; that of shapes is pooled likewise (at least 1e-4, as
+    numbers of a table are rounded). Tests that scatter more than `frequency_sd` says should come without it.
+
+    One log-likelihood value for each mode, however many identifications it has, so that LOO leaves out a mode
+    with all its tests. A draw has a frequency and a shape of length one for each identification, of the mode
+    that the data are matched with, and along `{name}_entry` one after another; missing entries are zero.
 
     References
     ----------
@@ -105,7 +123,7 @@ class ModalFeature(Continuous):
         if dims is None:
             dims = add_coordinates(name, data)
         parameters = checked_parameters(modes, data, sigma_f, sigma_phi, density)
-        rv = super().__new__(cls, name, *parameters, observed=data.values, dims=dims)
+        rv = super().__new__(cls, name, *parameters, observed=data.by_label, dims=dims)
         warn_at_start(rv)
         return rv
 
@@ -117,7 +135,7 @@ class ModalFeature(Continuous):
 
 def add_coordinates(name, data: Identified) -> tuple[str, str]:
     """Names of the axes of the data, known to the model with what stands along them."""
-    coords = {f"{name}_mode": data.of, f"{name}_entry": data.entries}
+    coords = {f"{name}_mode": [str(label) for label in data.labels], f"{name}_entry": data.entries_by_label}
     pm.modelcontext(None).add_coords(coords)
     return tuple(coords)
 
@@ -134,8 +152,7 @@ def checked_parameters(modes, data: Identified, sigma_f, sigma_phi, density) -> 
             "`modes` must be frequencies (m,) and shapes (m, s), got "
             f"{frequencies.ndim} and {shapes.ndim} dimensions. Pass what `modes` returned."
         )
-    g, i = data.groups.shape
-    s = data.shapes.shape[1]
+    g, s = len(data.labels), data.shapes.shape[1]
     if frequencies.type.shape[0] is not None and frequencies.type.shape[0] < g:
         raise ValueError(
             f"`modes` must have at least as many modes as were identified, {g}, got "
@@ -156,27 +173,27 @@ def checked_parameters(modes, data: Identified, sigma_f, sigma_phi, density) -> 
             message("density", f"one of {', '.join(DENSITIES)} or degrees of freedom", shown(density))
         )
     degrees = DENSITIES[density] if isinstance(density, str) else density
-    sigma_f = scale("sigma_f", sigma_f, i, allow_zero=bool((data.sd > 0).all()))
-    known = np.hstack([data.known] * (2 if data.is_complex else 1))
     parameters = [
         frequencies,
         shapes,
-        pt.sqrt(pt.sqr(sigma_f) + data.sd**2),
-        scale("sigma_phi", 1.0 if sigma_phi is None else sigma_phi, i),
-        scale("density", degrees, i),
-        pt.as_tensor_variable(known),
+        scale("sigma_f", sigma_f, g, allow_zero=bool((data.sd > 0).all())),
+        scale("sigma_phi", 1.0 if sigma_phi is None else sigma_phi, g),
+        scale("density", degrees, g),
+        *map(pt.as_tensor_variable, data.scatter),
     ]
-    groups = pt.as_tensor_variable(data.groups)
-    return [*parameters, groups, matched(log_densities(data.values, *parameters), groups)]
+    known = pt.as_tensor_variable(data.known_by_label)
+    return [
+        *parameters,
+        known,
+        matched(log_densities(pt.as_tensor_variable(data.by_label), *parameters, known=known)),
+    ]
 
 
 def scale(name, value, n, *, allow_zero=False):
     """A tensor (n,); numbers are refused where they are not positive."""
     tensor = as_tensor(value, name)
     if tensor.ndim > 1 or (tensor.ndim == 1 and tensor.type.shape[0] not in (None, 1, n)):
-        raise ValueError(
-            message(name, f"one value or one for each of the {n} identifications", tensor.type.shape)
-        )
+        raise ValueError(message(name, f"one value or one for each of the {n} modes", tensor.type.shape))
     if isinstance(tensor, Constant):
         legal = np.isfinite(tensor.data) & ((tensor.data > 0) | (allow_zero & (tensor.data == 0)))
         if not legal.all():

@@ -1,11 +1,22 @@
 """Identified modes as the likelihood takes them: checked, in one array without missing values."""
 
+import warnings
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from pymc_features._checks import as_array, as_list, as_numbers, is_number, message, shown
+from pymc_features.distributions.checks import LIBRARIES
+from pymc_features.exceptions import ModalMatchWarning
+from pymc_features.modal_features.repeated import (
+    by_label,
+    doubles,
+    frequency_scatter,
+    in_one_sense,
+    rows_by_label,
+    shape_scatter,
+)
 from pymc_features.ops import by_labels
 
 FIELDS = ("frequencies", "shapes", "frequency_sd")
@@ -21,7 +32,8 @@ class Identified(NamedTuple):
     sd : array (i,)
         Standard deviation of ln f^ [-], zero where none was identified.
     shapes : array (i, s)
-        phi^, real or complex, of any scale and sign; zero where an entry is missing. s = 0 without shapes.
+        phi^, real or complex, of any scale, and of one sense where a mode has several; zero where an entry is
+        missing. s = 0 without shapes.
     known : array (i, s)
         1 where an entry is known, 0 where it is missing, and throughout a shape that says nothing.
     labels : array (g,)
@@ -59,13 +71,32 @@ class Identified(NamedTuple):
 
     @property
     def of(self) -> list[str]:
-        """What each identification is called: its mode's label, with a number where there are several."""
-        owner, names = self.groups.argmax(axis=0), []
-        for i, g in enumerate(owner):
-            earlier = int((owner[:i] == g).sum())
-            alone = (owner == g).sum() == 1
-            names.append(f"{self.labels[g]}" if alone else f"{self.labels[g]}.{earlier}")
-        return names
+        """What each identification is called."""
+        return identification_names(self.labels, self.groups.argmax(axis=0))
+
+    @property
+    def by_label(self) -> np.ndarray:
+        """`values` with a row for each mode, (g, k (1 + s)): those of its identifications, then zeros."""
+        return by_label(self.values, self.groups).reshape(len(self.groups), -1)
+
+    @property
+    def known_by_label(self) -> np.ndarray:
+        """1 where an entry of `by_label` is known, else 0."""
+        parts = [np.ones((len(self.known), 1)), *[self.known] * (2 if self.is_complex else 1)]
+        return by_label(np.hstack(parts), self.groups).reshape(len(self.groups), -1)
+
+    @property
+    def entries_by_label(self) -> list[str]:
+        """What the columns of `by_label` are."""
+        k = rows_by_label(self.groups).shape[1]
+        return self.entries if k == 1 else [f"{entry}.{j}" for j in range(k) for entry in self.entries]
+
+    @property
+    def scatter(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of ln f^ its standard deviation, and of shapes of length one their mean square, both (g, k)."""
+        of_f = frequency_scatter(self.frequencies, self.sd, self.groups)
+        of_shapes = shape_scatter(self.shapes, self.known, self.groups)
+        return by_label(of_f, self.groups, 1.0), by_label(of_shapes, self.groups)
 
 
 def identified(observed, labels=None) -> Identified:
@@ -77,7 +108,8 @@ def identified(observed, labels=None) -> Identified:
         Frequencies [Hz] (i,), shapes (i, s) or None, standard deviations (i,) [Hz] or None; an array is
         frequencies alone.
     labels : sequence (i,), optional
-        Which mode each identification is of; by default each is of a mode of its own.
+        Which mode each identification is of; by default each is of a mode of its own, but those that were
+        found twice.
     """
     if isinstance(observed, Mapping):
         unknown = sorted(set(observed) - set(FIELDS))
@@ -86,6 +118,7 @@ def identified(observed, labels=None) -> Identified:
         frequencies, shapes, sd = (observed.get(name) for name in FIELDS)
     elif hasattr(observed, "frequencies"):
         frequencies, shapes, sd = (getattr(observed, name, None) for name in FIELDS)
+        labels = getattr(observed, "labels", None) if labels is None else labels
     else:
         frequencies, shapes, sd = observed, None, None
     frequencies = _real(frequencies, "frequencies")
@@ -98,9 +131,22 @@ def identified(observed, labels=None) -> Identified:
             message("frequencies", "a list of positive numbers", np.array2string(frequencies), "Pass Hz.")
         )
     shapes, known = _shapes(by_labels(shapes, axes=("mode", "sensor")), frequencies.size)
+    sd = _sd(sd, frequencies) / frequencies
+    if labels is None:
+        labels = _numbers(doubles(np.log(frequencies), sd, shapes, known))
     owner, names = _labels(labels, frequencies.size)
     groups = (owner == np.arange(len(names))[:, None]).astype(np.float64)
-    return Identified(frequencies, _sd(sd, frequencies) / frequencies, shapes, known, names, groups)
+    shapes = in_one_sense(shapes, groups)
+    return Identified(frequencies, sd, shapes, known, names, groups)
+
+
+def identification_names(labels, owner) -> list[str]:
+    """What identifications are called: the label of each one's mode, with a number where it has several."""
+    owner = list(owner)
+    return [
+        f"{labels[g]}" if owner.count(g) == 1 else f"{labels[g]}.{owner[:i].count(g)}"
+        for i, g in enumerate(owner)
+    ]
 
 
 def _real(value, name):
@@ -155,10 +201,22 @@ def _shapes(shapes, n):
     return shapes.astype(kind), known.astype(np.float64)
 
 
+def _numbers(owner):
+    """A number for each mode; says which are taken for one that was found twice."""
+    twice = [f"{i} and {first}" for i, first in enumerate(owner) if first != i]
+    if twice:
+        warnings.warn(
+            f"the identified modes {', '.join(twice)} (0 the first) are taken for one that was found twice: "
+            "their frequencies are closer than their standard deviations, and their shapes agree. Leave one "
+            "out, or pass `labels` that differ if they are two.",
+            ModalMatchWarning,
+            skip_file_prefixes=LIBRARIES,
+        )
+    return owner.tolist()
+
+
 def _labels(labels, n):
     """The mode of each identification, and what the modes are called, in the order of their first."""
-    if labels is None:
-        return np.arange(n), np.arange(n)
     given, labels = as_list(labels), as_array(labels)
     if given is None or labels.shape != (n,):
         what = f"{n} labels, one for each identification"

@@ -17,7 +17,14 @@ from pytensor.tensor import TensorVariable
 from pymc_features._checks import check_group, check_model, check_number, check_text, message, shown
 from pymc_features.distributions.checks import LIBRARIES
 from pymc_features.exceptions import ModalMatchWarning
-from pymc_features.modal_features.density import ModalFeatureRV, log_densities, mask_of, matched, n_parts
+from pymc_features.modal_features.density import (
+    ModalFeatureRV,
+    log_densities,
+    masks,
+    matched,
+    variances,
+)
+from pymc_features.modal_features.identified import identification_names
 from pymc_features.modal_features.mac import one_minus_mac
 
 ONCE = Mode(linker="py", optimizer=None)
@@ -49,17 +56,34 @@ class Match(NamedTuple):
 def match_of(rv) -> Match:
     """Partners under the parameters of a `ModalFeature`."""
     value = pm.modelcontext(None).rvs_to_values[rv]
-    _, _, *parameters, groups, _ = rv.owner.inputs
-    frequencies, shapes, sd, _, _, known = parameters
-    chosen = matched(log_densities(value, *parameters), groups)
+    _, _, *parameters, known, _ = rv.owner.inputs
+    frequencies, shapes, *errors = parameters
+    k = errors[3].type.shape[-1]
+    n = known.type.shape[-1] // k
+    chosen = matched(log_densities(value, *parameters, known=known))
+    there, mask = masks(known, k, shapes)
+    (shared, each), _ = variances(*errors, there)
+    rows = np.flatnonzero(there.eval(mode=ONCE))
+    value = value.reshape((-1, n))[rows]
+    chosen = chosen[rows // k]
     frequency = pt.dot(chosen, frequencies)
     mac = pt.full_like(frequency, np.nan)
-    if known.type.shape[-1]:
-        s, mask = shapes.type.shape[-1], mask_of(known, shapes)
-        parts = [value[..., 1 + i * s : 1 + (i + 1) * s] for i in range(n_parts(known, shapes))]
+    if s := mask.type.shape[-1]:
+        mask = mask.reshape((-1, s))[rows]
+        parts = [value[:, 1 + i : 1 + i + s] for i in range(0, n - 1, s)]
         e = pt.sum(chosen * one_minus_mac(shapes, parts, mask), axis=-1)
         mac = pt.switch(pt.any(mask > 0.0, axis=-1), 1.0 - e, np.nan)
-    return Match(pt.argmax(chosen, axis=-1), frequency, (pt.log(value[..., 0]) - pt.log(frequency)) / sd, mac)
+    sd = pt.sqrt(shared + each).flatten()[rows]
+    return Match(pt.argmax(chosen, axis=-1), frequency, (pt.log(value[:, 0]) - pt.log(frequency)) / sd, mac)
+
+
+def names_of(rv, model) -> list[str]:
+    """What each identification is called, in the order of `match_of`."""
+    *_, scatter, known, _ = rv.owner.inputs
+    there, _ = masks(known, scatter.type.shape[-1], rv.owner.inputs[3])
+    there = there.eval(mode=ONCE)
+    dim, *_ = model.named_vars_to_dims.get(rv.name, (None,))
+    return identification_names(model.coords.get(dim) or range(len(there)), np.nonzero(there)[0])
 
 
 def match_modes(
@@ -89,9 +113,9 @@ def match_modes(
     Returns
     -------
     Dataset
-        With dimensions `mode` (identification), and chain and draw of a posterior: `model_mode`, 0 the
-        lowest; `frequency` of that mode [Hz]; `deviation` (ln f^ - ln f) / s; `mac`, NaN without a shape;
-        `has_partner`.
+        With dimensions `mode` (each identification, those of one mode together), and chain and draw of a
+        posterior: `model_mode`, 0 the lowest; `frequency` of that mode [Hz]; `deviation` (ln f^ - ln f) / s;
+        `mac`, NaN without a shape; `has_partner`.
 
     Warns
     -----
@@ -132,10 +156,8 @@ def match_modes(
         dims = ("chain", "draw")
         coords = {dim: draws[dim].values for dim in dims}
         values = evaluate_draws(model, match, draws)
-    owner, *_ = model.named_vars_to_dims.get(rv.name, (None,))
-    labels = model.coords.get(owner) or range(rv.type.shape[0])
     fields = {"model_mode" if k == "mode" else k: ((*dims, "mode"), v) for k, v in values._asdict().items()}
-    table = xr.Dataset(fields, coords | {"mode": list(labels)})
+    table = xr.Dataset(fields, coords | {"mode": names_of(rv, model)})
     partner = abs(table["deviation"]) <= deviations
     table["has_partner"] = partner & ((table["mac"] >= least_mac) | np.isnan(table["mac"]))
     warn_of_strangers(rv.name, table, dims)
@@ -210,8 +232,7 @@ def warn_at_start(rv):
         return
     strangers = np.flatnonzero(found.mac < 0.5)
     if strangers.size:
-        owner, *_ = model.named_vars_to_dims.get(rv.name, (None,))
-        labels = model.coords.get(owner) or range(len(found.mac))
+        labels = names_of(rv, model)
         listed = ", ".join(
             f"{labels[i]} (MAC {found.mac[i]:.2f} at {found.frequency[i]:.4g} Hz)" for i in strangers
         )

@@ -32,7 +32,8 @@ def matched(problem, posterior: xr.Dataset, **limits) -> xr.Dataset:
     """
     model = declare(problem.of_modes, MODAL.name)
     found = match_modes(thinned(posterior, MATCHED_DRAWS), name="modal", model=model, **limits)
-    found = found.rename(mode="identified").assign_coords(identified=problem.modal.numbers)
+    found = found.rename(mode="identified").assign_coords(identified=problem.modal.by_label)
+    found = found.sel(identified=problem.modal.numbers)
     return found.assign(has_partner=found["has_partner"].astype(np.int8))
 
 

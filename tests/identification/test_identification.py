@@ -1,6 +1,8 @@
 """`identify_modes`: against simulated modes, uncertainty laws, coverage; what it warns of and refuses."""
 
+import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pymc as pm
@@ -12,8 +14,16 @@ import pymc_features as pmf
 from pymc_features.ambient.bands import checked_bands
 from pymc_features.ambient.transforms import band_transform
 from pymc_features.exceptions import AmbientWarning
+from pymc_features.identification.identify import each_once
 from pymc_features.identification.posterior import BandData, FreeModes, Posterior
+from pymc_features.identification.tones import without_tones
 from pymc_features.simulators.spectra import Lines
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+try:
+    from benchmarks.coverage import modes
+finally:
+    sys.path.pop(0)
 
 FINER = 4  # steps of the simulation in one sample
 TWO = np.array([1.0, 1.04]), np.array([0.01, 0.015]), np.array([[1.0, 2.0, 3.0], [1.0, 1.0, -1.0]])
@@ -107,8 +117,7 @@ def test_three_close_modes():
     assert (np.abs(found.shapes - shapes) < 4.5 * found.shape_sd).all()
     with pm.Model():  # what it says can be compared with a structure's modes
         natural = pm.LogNormal("f", np.log(f), 0.1, shape=3)
-        modes = (natural, shapes)
-        pmf.ModalFeature("y", modes, observed=found, sigma_f=0.01, sigma_phi=0.1)
+        pmf.ModalFeature("y", (natural, shapes), observed=found, sigma_f=0.01, sigma_phi=0.1)
 
 
 @pytest.mark.statistical
@@ -182,12 +191,77 @@ def test_a_short_record():
 
 
 def test_a_machine_is_no_mode():
+    """In a band of its own, and beside a mode: taken off, and said."""
+    mode = channels([2.0], [0.01], [[1.0, 2.0]], 600.0, 8, noise=0.1)
+    for f in (1.0003, 2.08):
+        measured = mode + float(mode.std()) * np.sin(2.0 * np.pi * f * mode["time"])
+        with pytest.warns(
+            AmbientWarning, match=f"move at {f:.4g} Hz as by a machine at constant speed, no wider"
+        ):
+            found = pmf.identify_modes(measured, [[0.9, 1.1], [1.8, 2.2]])
+        expected = pmf.identify_modes(mode, [1.8, 2.2])
+        assert abs(found.frequencies - expected.frequencies) < 0.3 * expected.frequency_sd
+        assert abs(found.damping_ratios - expected.damping_ratios) < 0.3 * expected.damping_sd
+
+
+def test_a_machine_that_hardly_shows_is_no_mode_either():
+    """Too low to be taken off: as narrow as a single frequency, and left out unless `n_modes` says so."""
     measured = channels([2.0], [0.01], [[1.0, 2.0]], 600.0, 8, noise=0.1)
-    measured = measured + 0.5 * np.sin(2.0 * np.pi * 1.0003 * measured["time"])
+    measured = measured + 0.03 * np.sin(2.0 * np.pi * 1.0003 * measured["time"])
+    bands = [[0.9, 1.1], [1.8, 2.2]]
+    match = "the mode at 0.9998 Hz is no wider .*a longer record"
+    with pytest.warns(AmbientWarning, match=match + ". It is left out; say by `n_modes` that it is one.$"):
+        assert pmf.identify_modes(measured, bands).frequencies.size == 1
+    noise = 0.1 * np.random.default_rng(1).standard_normal(measured.shape)
+    alone = measured.copy(data=noise + 0.014 * np.sin(2.0 * np.pi * 1.0003 * measured["time"].values))
+    with pytest.warns(AmbientWarning, match="no wider .* take a longer record.$"):
+        assert pmf.identify_modes(alone, bands[0], n_modes=1).frequencies.size == 1
+
+
+def test_what_comes_in_from_beside_is_no_wide_mode():
+    """The tail of the mode at 2 Hz looks as one of 14 % damping in the band below."""
+    measured = channels([2.0], [0.01], [[1.0, 2.0]], 600.0, 8, noise=0.1)
     with pytest.warns(
-        AmbientWarning, match="the mode at 1 Hz is no wider .*is it a machine at constant speed"
+        AmbientWarning, match="the band 0.9 to 1.1 Hz has no mode: .* what comes in from beside"
     ):
-        pmf.identify_modes(measured, [[0.9, 1.1], [1.8, 2.2]], n_modes=1)
+        assert pmf.identify_modes(measured, [[0.9, 1.1], [1.8, 2.2]]).frequencies.size == 1
+    assert pmf.identify_modes(measured, [[0.9, 1.1]], n_modes=1).damping_ratios > 0.1
+
+
+def test_tones_are_taken_off_and_modes_are_not():
+    """Frequencies to a hundredth of one over the duration; what is left is the channels without them."""
+    rng, t = np.random.default_rng(4), 0.1 * np.arange(6000)
+    quiet = rng.standard_normal((3, t.size))
+    tones = np.array([0.71234, 2.5])
+    sines = sum(rng.normal(size=(3, 1)) * np.sin(2.0 * np.pi * f * t + 1.0) for f in tones)
+    left, found = without_tones(quiet + 2.0 * sines, 0.1)
+    np.testing.assert_allclose(found, tones, atol=0.01 * 1.0 / 600.0)
+    assert np.abs(left - quiet + quiet.mean(axis=1, keepdims=True)).max() < 0.1
+    for seed in range(5):
+        narrow = channels([0.5], [0.005], [[1.0, 2.0]], 1000.0, seed, noise=0.01).values
+        assert without_tones(narrow, 0.1)[1].size == 0
+
+
+def test_a_mode_that_was_found_twice_is_one():
+    """The frequency that is known better stays; close modes of other shapes or damping are two."""
+    first = (1.0, 0.010, np.array([0.6, 0.8]), 0.002)
+    again = (1.002, 0.012, np.array([-0.61, -0.79]) / np.hypot(0.61, 0.79), 0.003)
+    assert each_once([again, first]) == [first]
+    for other in (
+        (1.002, 0.012, np.array([0.8, -0.6]), 0.003),
+        (1.01, *again[1:]),
+        (1.002, 0.06, *again[2:]),
+    ):
+        assert each_once([other, first]) == [first, other]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_every_mode_is_found_once(seed):
+    """One record of each kind of `benchmarks.coverage.modes`: nothing missed, nothing too many."""
+    found = modes.outcome(modes.KINDS[seed], seed)
+    assert (found.missed, found.too_many) == (0, 0)
+    assert (np.abs(found.deviations) < 4.5).all()
 
 
 def test_proposed_bands_hold_the_modes():
@@ -203,6 +277,17 @@ def test_proposed_bands_hold_the_modes():
     found = pmf.identify_modes(floors)
     np.testing.assert_allclose(found.frequencies, exact, rtol=0.01)
     assert (np.abs(found.frequencies - exact) < 4.5 * found.frequency_sd).all()
+
+
+def test_bands_do_not_begin_in_the_drift():
+    """A mode at 0.1 Hz beside a random walk; without it the band begins far lower."""
+    measured = channels([0.1], [0.01], [[1.0, 2.0]], 3000.0, 3, dt=1.0, noise=0.01)
+    walk = np.cumsum(np.random.default_rng(2).standard_normal(measured.shape), axis=1)
+    drifting = measured + 0.1 * float(measured.std()) * walk
+    [quiet], [band] = pmf.propose_bands(measured), pmf.propose_bands(drifting)
+    assert quiet[0] < band[0] < 0.1 < band[1]
+    found = pmf.identify_modes(drifting)
+    assert found.frequencies.size == 1 and abs(found.frequencies - 0.1) < 4.0 * found.frequency_sd
 
 
 @pytest.mark.parametrize(

@@ -271,12 +271,40 @@ REFUSED = {  # what is said: what is changed, into what
     ),
     "`data.files` must be given where events are folders": ('folder = "events"', 'files = ["events"]'),
     "`events` must be left out with `data.dataset`, got both": ("[data]", f"[data]\n{DATASET}"),
-    "`events` must be left out without .data. or with .modal.": ("[data]", f"{MODES}[data]"),
+    r"`events` must be left out without \[data\], got it. .* rows of one table.": (
+        '[data]\nbase = "base"\nsensors = ["floor1", "floor2", "floor3"]\n',
+        MODES,
+    ),
     "`data` must have one of the keys `files` and `dataset`, got neither. Or name several events": (
         '[events]\nfolder = "events"\nchange = 0.01',
         "",
     ),
 }
+
+
+def test_identified_modes_count_once(made, tmp_path):
+    """With the first event; the posterior after all is narrower by what they say, and the report lists them."""
+    path = copied(made, tmp_path, ("change = 0.01", 'pattern = "event-[89].csv"'))
+    exact = structures.SpringMassChain([0.15] * 3, SOUND, structures.ModalDamping(0.02)).modes()
+    f = exact.natural_frequencies[:2, None] * [0.999, 1.001]
+    rows = "\n".join(f"{a:.6f},{b:.6f}" for a, b in f.T)
+    (path.parent / "modes.csv").write_text(f"f1 [Hz],f2 [Hz]\n{rows}\n")
+    path.write_text(path.read_text() + MODES.replace("0.01", "1e-4"))
+    problem = read_problem(path)
+    observed = [[v.name for v in declare(problem.at(one), "NORM").observed_RVs] for one in problem.events]
+    assert observed == [["y", "modal"], ["y"]]
+    tree = run_update(path, cores=1)["NORM"]
+    assert tree["matched_modes" if "matched_modes" in tree else "matched"].sizes["identified"] == 4
+    found = modes_of_springs(tree["posterior"])
+    assert (found.std(axis=0) < 2e-4 * f.mean(axis=1)).all()
+
+
+def modes_of_springs(posterior):
+    """Two natural frequencies [Hz] of each draw."""
+    springs = np.column_stack([posterior[k].values.ravel() for k in ("k1", "k2")])
+    damping = structures.ModalDamping(0.02)
+    chains = [structures.SpringMassChain([0.15] * 3, [*k, 400.0], damping) for k in springs]
+    return np.array([chain.modes().natural_frequencies[:2] for chain in chains])
 
 
 @pytest.mark.parametrize("match", REFUSED)

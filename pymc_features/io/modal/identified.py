@@ -25,6 +25,8 @@ class Identified(NamedTuple):
     shapes, shape_sd : ndarray (m, s) or None
     channels : list of str or None
         Names, None where the source has none.
+    labels : list of str or None
+        Which mode each is of, where some are of the same.
     """
 
     source: str
@@ -35,6 +37,7 @@ class Identified(NamedTuple):
     shapes: np.ndarray | None = None
     shape_sd: np.ndarray | None = None
     channels: list[str] | None = None
+    labels: list[str] | None = None
 
 
 def modal_data(found: Identified, channels, real: bool) -> ModalData:
@@ -58,6 +61,7 @@ def modal_data(found: Identified, channels, real: bool) -> ModalData:
             damping_ratios=found.damping,
             damping_sd=found.damping_sd,
             shape_sd=shape_sd,
+            labels=found.labels,
         )
     except (ValueError, TypeError) as error:
         raise type(error)(f"{found.source}: {error}") from None

@@ -4,6 +4,9 @@
     1.21,0.01,0.012,0.33,0.71,1.0
     3.47,0.02,0.010,0.88,0.41,-0.9
 
+A column `mode` that names a mode in several rows makes them identifications of one. A table with a row for
+each test has a column for each mode in place of `frequency`: f1 [Hz], f2 [Hz]; other columns are not read.
+
 Columns that are no quantity are channels; `roof_sd` beside `roof` is the standard deviation of its entries.
 An empty cell, or nan, is an entry that was not measured. Complex entries are written as 0.3-0.1j.
 """
@@ -23,6 +26,7 @@ from pymc_features.modal.data import find_channels, listed
 
 SEPARATORS = ("\t", ";", ",")
 COMMENTS = ("#", "%", "//")
+_OF_MODE = re.compile(r"(?:f|freq|frequency|mode)[ _]?(\d+)(?:[ _]?(?:\[hz\]|\(hz\)|hz))?", re.IGNORECASE)
 _COMPLEX = re.compile(r"([-+]?[^-+ij]+(?:[eE][-+]?\d+)?)([-+][^-+ij]+(?:[eE][-+]?\d+)?)[ij]", re.ASCII)
 
 
@@ -52,6 +56,9 @@ def read_table(path: Path, names: dict[str, str], wanted: list | None) -> Identi
     separator = next((mark for mark in SEPARATORS if mark in first[1]), ",")
     header = _cells(first[1], separator, f"{path.name}, line {first[0]}")
     _check_header(path.name, header, rows, separator)
+    of_modes = {k: match[1] for k, label in enumerate(header) if (match := _OF_MODE.fullmatch(label))}
+    if len(of_modes) > 1 and not names:
+        return _tests(path.name, header, of_modes, rows, separator)
     places = labelled_quantities(header, names, path.name)
     whole = sorted({"shapes", "shape_sd", "shapes_imaginary", "channels"} & places.keys())
     if whole:
@@ -67,6 +74,7 @@ def read_table(path: Path, names: dict[str, str], wanted: list | None) -> Identi
     ]
     columns = {place: [] for place in used}
     entries = set(channels.values())
+    labels = []
     for number, line in rows:
         where = f"{path.name}, line {number}"
         cells = _cells(line, separator, where)
@@ -75,6 +83,7 @@ def read_table(path: Path, names: dict[str, str], wanted: list | None) -> Identi
                 f"{where}: rows must have {len(header)} cells like the header, got {len(cells)}. Complete or "
                 "cut the row; a decimal comma must be a point."
             )
+        labels.append(cells[places["mode"]] if "mode" in places else "")
         for place in columns:
             columns[place].append(_number(cells[place], header[place], where, place in entries))
     if not columns[used[0]]:
@@ -90,7 +99,27 @@ def read_table(path: Path, names: dict[str, str], wanted: list | None) -> Identi
         shapes=_matrix(columns, channels),
         shape_sd=_matrix(columns, {name: spreads.get(name) for name in channels}) if spreads else None,
         channels=list(channels) or None,
+        labels=labels if len(set(labels)) < len(labels) and "" not in labels else None,
     )
+
+
+def _tests(file: str, header, of_modes: dict[int, str], rows, separator: str) -> Identified:
+    """The modes of a table with a row for each test, its frequencies [Hz] in columns with these labels."""
+    found = []
+    for number, line in rows:
+        where = f"{file}, line {number}"
+        cells = _cells(line, separator, where)
+        if len(cells) != len(header):
+            raise ValueError(
+                f"{where}: rows must have {len(header)} cells like the header, got {len(cells)}. "
+                "Complete the row."
+            )
+        values = {label: _number(cells[k], header[k], where, False) for k, label in of_modes.items()}
+        found += [(value, label) for label, value in values.items() if not np.isnan(value)]
+    if not found:
+        raise ValueError(f"{file} must hold modes, there is none below its header. Add a row for each test.")
+    frequencies, labels = zip(*found, strict=True)
+    return Identified(file, np.array(frequencies), labels=list(labels))
 
 
 def _cells(line: str, separator: str, where: str) -> list[str]:

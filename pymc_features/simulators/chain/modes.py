@@ -16,9 +16,7 @@ from pymc_features.simulators.compiled.arrays import ascending
 from pymc_features.simulators.compiled.jit import jit
 
 MAX_ITERATIONS = 60  # QL sweeps per eigenvalue; two or three are typical
-GRADED = 1e6  # ratio of two springs from where QL loses digits of the shapes, 2e-10 at this one
-MAX_SWEEPS = 40  # of rotations; six are typical
-ORTHOGONAL = 1e-15  # cosine of two rows that need no rotation
+GRADED = 1e6  # ratio of two springs from where QL in lanes loses digits of the shapes, 2e-10 at this one
 
 
 @jit
@@ -118,62 +116,6 @@ def is_graded(stiffness):
 
 
 @jit
-def orthogonalise(rows):
-    """Rotate the rows of a matrix (n, n) until they are orthogonal; False if they do not become so.
-
-    One-sided Jacobi: of rows of whatever sizes all lengths, the singular values, are right to the last digits
-    (J. Demmel & K. Veselic, SIAM J. Matrix Anal. Appl. 13, 1204-1245, 1992).
-    """
-    n = rows.shape[0]
-    for _ in range(MAX_SWEEPS):
-        is_done = True
-        for i in range(n):
-            for j in range(i + 1, n):
-                a, b, c = np.dot(rows[i], rows[i]), np.dot(rows[j], rows[j]), np.dot(rows[i], rows[j])
-                if abs(c) <= ORTHOGONAL * np.sqrt(a) * np.sqrt(b):
-                    continue
-                is_done = False
-                ratio = 0.5 * (b - a) / c
-                t = 1.0 / (abs(ratio) + np.sqrt(1.0 + ratio * ratio))
-                t = t if ratio >= 0.0 else -t
-                cosine = 1.0 / np.sqrt(1.0 + t * t)
-                for k in range(n):
-                    x, y = rows[i, k], rows[j, k]
-                    rows[i, k], rows[j, k] = cosine * (x - t * y), cosine * (t * x + y)
-        if is_done:
-            return True
-    return False
-
-
-@jit
-def graded_modes(mass, stiffness, angular_frequencies, mode_shapes, participation):
-    """As `chain_modes`, of springs that differ by many powers of ten.
-
-    K = B' diag(k) B with the drifts B, so that the rows of diag(k)^1/2 B M^-1/2, made orthogonal by rotations
-    from the left, have the frequencies for lengths and the directions M^1/2 phi.
-    """
-    n = mass.size
-    rows = np.zeros((n, n))
-    for i in range(n):
-        rows[i, i] = np.sqrt(stiffness[i] / mass[i])
-        if i > 0:
-            rows[i, i - 1] = -np.sqrt(stiffness[i] / mass[i - 1])
-    if not orthogonalise(rows):
-        return False
-    values = np.empty(n)
-    for i in range(n):
-        values[i] = np.sqrt(np.dot(rows[i], rows[i]))
-    order = ascending(values)
-    for r in range(n):
-        shape = mode_shapes[r]
-        for i in range(n):
-            shape[i] = rows[order[r], i] / np.sqrt(mass[i])
-        _, participation[r] = normalise(mass, stiffness, shape)
-        angular_frequencies[r] = values[order[r]]
-    return True
-
-
-@jit
 def chain_modes(mass, stiffness, angular_frequencies, mode_shapes, participation):
     """Modes of the fixed-base chain, Eqs. (17)-(20), in ascending order of frequency.
 
@@ -195,8 +137,6 @@ def chain_modes(mass, stiffness, angular_frequencies, mode_shapes, participation
     n = mass.size
     if not is_chain(mass, stiffness):
         return False
-    if is_graded(stiffness):
-        return graded_modes(mass, stiffness, angular_frequencies, mode_shapes, participation)
     values = np.empty(n)
     off_diagonal = np.zeros(n)
     vectors = np.zeros((n, n))

@@ -48,9 +48,10 @@ def check_events(config) -> None:
     ConfigError
         If one does; the message names the key.
     """
-    if config.data is None or config.modal is not None:
+    if config.data is None:
         raise ConfigError(
-            "`events` must be left out without [data] or with [modal], got it. Events are measured responses."
+            "`events` must be left out without [data], got it. Events are measured responses; several tests of "
+            "modes are rows of one table."
         )
     if config.data.dataset is not None:
         raise ConfigError(

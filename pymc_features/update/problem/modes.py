@@ -9,6 +9,7 @@ from pymc_features._checks import listed
 from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_modal
 from pymc_features.modal import ModalData, merge_setups
+from pymc_features.modal_features.identified import identified
 from pymc_features.update.config.messages import shown
 from pymc_features.update.problem.channels import named_key
 from pymc_features.update.problem.nodes import Points, read_nodes
@@ -54,6 +55,13 @@ class MeasuredModes:
         return [f"{number} ({label})" for number, label in zip(self.numbers, self.labels, strict=True)]
 
     @property
+    def by_label(self) -> list[int]:
+        """`numbers` mode by mode, as `match_modes` lists several identifications of one."""
+        labels = list(map(str, self.labels))
+        order = sorted(range(len(labels)), key=lambda k: labels.index(labels[k]))
+        return [self.numbers[k] for k in order]
+
+    @property
     def sentence(self) -> str:
         """What they are, and where they come from."""
         n, s = len(self.data), len(self.dofs)
@@ -84,12 +92,17 @@ def read_modes(section, folder: Path, structure) -> MeasuredModes:
         )
     data = data.select([number - 1 for number in numbers])
     labels = numbers if section.labels is None else section.labels
+    if section.labels is None and data.labels is not None:
+        labels = list(data.labels)
     if len(labels) != len(data):
         raise ConfigError(
             f"`modal.labels` must have a name for each of the {len(data)} modes, got {len(labels)}."
         )
     data, dofs = at_channels(section, data, structure, source)
-    check_scales(section, data, source)
+    if labels is numbers:  # but for modes that were found twice
+        found = identified(data)
+        labels = [numbers[found.labels[g]] for g in found.groups.argmax(axis=0)]
+    check_scales(section, data, source, len(dict.fromkeys(map(str, labels))))
     points = points_of(section, data, dofs, folder, structure)
     n_modes = modes_to_choose_from(section, len(dict.fromkeys(map(str, labels))), structure)
     return MeasuredModes(data, numbers, labels, dofs, n_modes, points, source)
@@ -113,7 +126,8 @@ def at_channels(section, data, structure, source) -> tuple[ModalData, list[int]]
                 raise ConfigError(
                     f"`modal.{name}` must be left out without shapes, got it. {source} has frequencies alone."
                 )
-        known = {name: getattr(data, name) for name in ("frequency_sd", "damping_ratios", "damping_sd")}
+        names = "frequency_sd", "damping_ratios", "damping_sd", "labels"
+        known = {name: getattr(data, name) for name in names}
         return ModalData(data.frequencies, **known), []
     n = structure.n_dof
     if section.channels is None:
@@ -149,12 +163,13 @@ def in_their_sense(data, scale) -> ModalData:
             )
     factors = np.array([scale.get(name, 1.0) for name in data.channels])
     sd = None if data.shape_sd is None else data.shape_sd * np.abs(factors)
-    kept = {name: getattr(data, name) for name in ("frequency_sd", "damping_ratios", "damping_sd", "name")}
+    names = "frequency_sd", "damping_ratios", "damping_sd", "labels", "name"
+    kept = {name: getattr(data, name) for name in names}
     return ModalData(data.frequencies, data.shapes * factors, data.channels, shape_sd=sd, **kept)
 
 
-def check_scales(section, data, source) -> None:
-    """One positive value, or one for each mode; zero where the data have standard deviations of their own."""
+def check_scales(section, data, source, n) -> None:
+    """One positive value, or one for each of n modes; zero where frequencies have standard deviations."""
     if data.shapes is not None and section.sigma_phi is None:
         raise ConfigError(
             f"`modal.sigma_phi` must be given with the shapes of {source}, got none. Pass the scale of the "
@@ -162,10 +177,9 @@ def check_scales(section, data, source) -> None:
         )
     for name in ("sigma_f", "sigma_phi"):
         given = getattr(section, name)
-        if isinstance(given, list) and len(given) != len(data):
+        if isinstance(given, list) and len(given) != n:
             raise ConfigError(
-                f"`modal.{name}` must be one value or one for each of the {len(data)} modes, got "
-                f"{len(given)}."
+                f"`modal.{name}` must be one value or one for each of the {n} modes, got {len(given)}."
             )
         least = "at least zero" if name == "sigma_f" and data.frequency_sd is not None else "positive"
         for value in given if isinstance(given, list) else [given]:

@@ -59,10 +59,8 @@ class Problem:
         Names to `Prior`, in the order of the file.
     dofs : list of int
         Degree of freedom of each sensor.
-    given_modes : MeasuredModes or None
-        Identified modes of [modal].
-    ambient : MeasuredAmbient or None
-        Response to forces that nobody measured.
+    given_modes, ambient : MeasuredModes or None, MeasuredAmbient or None
+        Identified modes of [modal]; response to forces that nobody measured.
     events : tuple of Event
         In their order; empty if there is one only, without [events].
     """
@@ -85,8 +83,9 @@ class Problem:
         return self.config.cyclic is not None
 
     def at(self, event: Event) -> "Problem":
-        """The problem of one event alone."""
-        return replace(self, measured=event.measured, events=())
+        """The problem of one event alone; identified modes count once, with the first."""
+        modes = self.given_modes if event is self.events[0] else None
+        return replace(self, measured=event.measured, events=(), given_modes=modes)
 
     @property
     def modal(self) -> MeasuredModes | None:
