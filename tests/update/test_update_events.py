@@ -283,7 +283,7 @@ REFUSED = {  # what is said: what is changed, into what
 
 
 def test_identified_modes_count_once(made, tmp_path):
-    """With the first event; the posterior after all is narrower by what they say, and the report lists them."""
+    """With the first event: the posterior is narrower by what they say, and the report lists them."""
     path = copied(made, tmp_path, ("change = 0.01", 'pattern = "event-[89].csv"'))
     exact = structures.SpringMassChain([0.15] * 3, SOUND, structures.ModalDamping(0.02)).modes()
     f = exact.natural_frequencies[:2, None] * [0.999, 1.001]
