@@ -11,6 +11,7 @@ from pymc_features.prediction import posterior_response
 from pymc_features.storage import write_atomically
 from pymc_features.update.predict_modes import expected, matched, shapes
 from pymc_features.update.problem.channels import base_and_sensors
+from pymc_features.update.report.coarseness import coarseness
 from pymc_features.update.report.modes import draw_mac, draw_shapes, mode_rows, modes_verdict
 from pymc_features.update.report.spectra import draw_spectra
 from pymc_features.update.report.terminal import gains_table, modes_table
@@ -20,10 +21,11 @@ DRAWS = 200
 
 
 def check_data(problem, path) -> list:
-    """Draw the channels into a file; return the tables to print."""
+    """Draw the channels into a file; return what to print: gains, and how coarse the base is sampled."""
     write_figure(plots.plot_channels(base_and_sensors(problem.measured)), path)
     gains = problem.measured.checked.gains
-    return [] if gains is None else [gains_table(gains)]
+    middle = {name: float(np.median(problem.priors[name].draw(DRAWS, 0))) for name in problem.structure.names}
+    return [*([] if gains is None else [gains_table(gains)]), coarseness(problem, middle).sentence]
 
 
 def check_loops(problem, path) -> str:

@@ -24,7 +24,7 @@ from pymc_features.update.predict import bands, frequencies, measured_gain
 from pymc_features.update.predict_modes import identified_modes, matched, shapes
 from pymc_features.update.predict_spectra import fitted_spectra
 from pymc_features.update.problem.kinds import KINDS
-from pymc_features.update.problem.model import declare, names_for
+from pymc_features.update.problem.model import declare, names_for, request_of
 from pymc_features.update.problem.read import Problem
 from pymc_features.update.sequence import Running, sample_events
 
@@ -286,7 +286,12 @@ def data_of(problem) -> xr.Dataset:
             "peak_frequency": ("peak", peaks, {"units": "Hz"}),
         },
         coords={"record_time": measured.record.time},
-        attrs={"record": measured.record.name, "source": measured.source},
+        attrs={
+            "record": measured.record.name,
+            "source": measured.source,
+            "interpolation": measured.record.interpolation,
+            "refinement": request_of(problem).factor,
+        },
     )
     if given is not None:
         data["given_frequency"] = ("given", np.array(given, dtype=np.float64), {"units": "Hz"})

@@ -9,6 +9,8 @@ from pymc_features.modal_features import ModalFeature, modes
 from pymc_features.modal_features.feature import checked_parameters
 from pymc_features.modal_features.identified import identified
 from pymc_features.ops import response
+from pymc_features.ops.excitation import request_in_model
+from pymc_features.simulators.quantities import checked_request
 from pymc_features.update.config.entries import evaluated, priors_in
 from pymc_features.update.problem.channels import named_key
 from pymc_features.update.problem.kinds import AMBIENT, KINDS, MODAL
@@ -83,6 +85,23 @@ def compare_responses(problem, kind, structure, values, tolerance) -> None:
         errors["dt"] = pt.constant(measured.step)  # which likelihoods no longer see
     given = Comparison(mu, observed.values, epsilon=tolerance, density=asked.density, **errors)
     KINDS[kind].declare(given)
+
+
+def request_of(problem: Problem):
+    """The request of the model's response, with the refinement that its priors need."""
+    record = problem.measured.record
+    with pm.Model():
+        values = {name: problem.priors[name].declare(name) for name in problem.structure.names}
+        structure = problem.structure(**values)
+        asked, _ = checked_request(
+            structure,
+            record,
+            "absolute_acceleration",
+            dt=problem.measured.step,
+            sensors=problem.dofs,
+            n_modes=problem.structure.n_modes,
+        )
+        return request_in_model(structure, record, asked)
 
 
 def compare_spectra(problem, structure, values) -> None:

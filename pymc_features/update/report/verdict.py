@@ -6,6 +6,7 @@ import numpy as np
 
 from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.read import Problem
+from pymc_features.update.report.coarseness import coarse_sampling
 from pymc_features.update.report.judgement import Verdict
 from pymc_features.update.report.loops import verdict_of_loops
 from pymc_features.update.report.modes import ModeRow, modes_verdict
@@ -104,7 +105,8 @@ def verdict_of_responses(problem: Problem, result) -> Verdict:
         sentences += missing_modes(found, peaks, frequencies, problem.band)
     sentences += extrapolated(frequencies, problem.band)
     sentences += odd_damping(ratios)
-    return Verdict(sentences, not bad.any())
+    of_sampling, is_fine = coarse_sampling(problem, part, sensors)
+    return Verdict([*sentences, *of_sampling], not bad.any() and is_fine)
 
 
 def residuals_of(problem, part, frequencies) -> Residuals:

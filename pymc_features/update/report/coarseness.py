@@ -1,0 +1,79 @@
+"""How coarse the sampling of the base is for the modes that a fit uses."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features.simulators.simulate import respond
+from pymc_features.update.problem.model import request_of
+from pymc_features.update.problem.read import Problem
+
+FINEST = 8  # refinement beside which that of the model is judged
+TOO_COARSE = 1.0  # difference over the half-width of the 90 % bands that is more than the fit may claim
+
+
+class Coarseness(NamedTuple):
+    """What a refinement by eight changes of the responses to the base.
+
+    Attributes
+    ----------
+    share : float
+        Highest natural frequency that the record excites, over the sampling rate of the base [-].
+    factor : int
+        Refinement in the model.
+    change : array (sensor,)
+        Root mean square of the difference [m/s^2].
+    size : array (sensor,)
+        Root mean square of the response [m/s^2].
+    """
+
+    share: float
+    factor: int
+    change: np.ndarray
+    size: np.ndarray
+
+    @property
+    def sentence(self) -> str:
+        """One sentence on the sampling of the base."""
+        return (
+            f"The base is sampled {1.0 / self.share:.3g} times in a period of the highest mode used; "
+            f"refining it {FINEST} times changes responses by {100.0 * max(self.change / self.size):.2g} %."
+        )
+
+
+def coarseness(problem: Problem, values: dict[str, float]) -> Coarseness:
+    """What the sampling of the base does to the responses at some values of the priors.
+
+    A record that is taken as straight lines is compared with one that is band-limited.
+    """
+    structure, record = problem.structure(**values), problem.measured.record
+    asked = request_of(problem)
+    used = respond(structure, record, asked, asked.sensors)
+    smooth = replace(record, interpolation="band-limited")
+    fine = respond(structure, smooth, asked._replace(factor=FINEST), asked.sensors)
+    shares = structure.modes().natural_frequencies * record.dt
+    change = np.sqrt(((used - fine)[:, problem.measured.compared] ** 2).mean(axis=1))
+    size = np.sqrt((fine[:, problem.measured.compared] ** 2).mean(axis=1))
+    return Coarseness(float(shares[shares <= 1.0].max(initial=shares[0])), asked.factor, change, size)
+
+
+def coarse_sampling(problem: Problem, part, sensors) -> tuple[list[str], bool]:
+    """Sentences on the sampling of the base, and whether the bands of a likelihood may be trusted."""
+    posterior = part["posterior"].to_dataset()
+    values = {name: float(posterior[name].mean()) for name in problem.structure.names}
+    found = coarseness(problem, values)
+    bands = part["bands"]["response"]
+    half = 0.5 * (bands.sel(quantile=0.95) - bands.sel(quantile=0.05)).transpose("sensor", "time").values
+    ratios = found.change / np.sqrt((half**2).mean(axis=1))
+    worst = int(ratios.argmax())
+    if ratios[worst] <= TOO_COARSE:
+        return [found.sentence], True
+    advice = 'Set interpolation = "band-limited".'
+    if problem.measured.record.interpolation != "linear":
+        advice = "Measure the base at a higher rate."
+    return [
+        f"The base is sampled too coarsely: refining it {FINEST} times changes the response of "
+        f"{sensors[worst]} by {ratios[worst]:.2g} times the half-width of its 90 % bands. Do not use these "
+        f"results. {advice}"
+    ], False
