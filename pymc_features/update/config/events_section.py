@@ -50,8 +50,8 @@ def check_events(config) -> None:
     """
     if config.data is None:
         raise ConfigError(
-            "`events` must be left out without [data], got it. Events are measured responses; several tests of "
-            "modes are rows of one table."
+            "`events` must be left out without [data], got it. Events are measured responses; several tests "
+            "of modes are rows of one table."
         )
     if config.data.dataset is not None:
         raise ConfigError(
