@@ -78,8 +78,8 @@ def identify_modes(
     Notes
     -----
     A sine that stands 60 times above its neighbours in the spectrum is a machine and taken off all channels
-    first. Over 200 records of 20 minutes, some with a drift and a machine or with two close modes, every mode
-    was found once (`python -m benchmarks --only coverage --names modes`).
+    first. Modes missed and too many are counted by `python -m benchmarks --only coverage --names modes`, and
+    for one record of each kind in tests/identification.
 
     Forces act on the structure. Where the base moves as well, its motion is in all channels: take it off.
 

@@ -6,6 +6,7 @@ import xarray as xr
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.prediction import posterior_response
+from pymc_features.update.coarseness import coarse_sampling
 from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.structure import modes_of
 
@@ -31,7 +32,8 @@ def bands(problem, kind, model, idata) -> xr.Dataset:
         `response` (quantile, sensor, time), of the parameters' uncertainty alone; `predictive`, the same
         of draws of the likelihood, errors included (ABC has none); `normalised_error` (sensor), rms of
         measured less median response over rms measured; `coverage` (sensor), share of the samples in the
-        predictive band, both without the gaps in what was measured. Peaks of other responses
+        predictive band, both without the gaps in what was measured; `coarseness` (sensor), see
+        `coarse_sampling`. Peaks of other responses
         (`<quantity>_peak`) if the report asks for them.
     """
     measured = problem.measured
@@ -48,6 +50,9 @@ def bands(problem, kind, model, idata) -> xr.Dataset:
     found = xr.Dataset({"response": (dims, compared)}, coords=coords)
     if problem.is_cyclic:
         found = found.assign_coords(displacement=("time", measured.record.displacement))
+    if not problem.is_cyclic:
+        ratios = coarse_sampling(problem, idata["posterior"], found["response"])
+        found["coarseness"] = "sensor", ratios
     off = observed - found["response"].sel(quantile=0.5, drop=True)
     with np.errstate(divide="ignore", invalid="ignore"):  # of a channel of zeros
         found["normalised_error"] = np.sqrt((off**2).mean("time") / (observed**2).mean("time"))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from pymc_features import read_modal
+from pymc_features import ModalData, read_modal
 from pymc_features.exceptions import ModalDataWarning
 from support import modal_files as files
 from support.modal_files import DAMPING, FREQUENCIES, IMAGINARY, SHAPES
@@ -508,3 +508,30 @@ def test_eighteen_storeys(reference_dir, tmp_path):
         ValueError, match="must hold named arrays, got objects inside: edefense_18storey, gatech"
     ):
         read_modal(whole)
+
+
+def test_a_table_with_a_row_for_each_test(tmp_path):
+    """A column for each mode, empty where a test missed it; other columns are not read."""
+    path = tmp_path / "tests.csv"
+    path.write_text("test,date,f1 [Hz],f2 [Hz]\na,3 May,1.20,3.40\nb,4 May,1.22,\n")
+    modal = read_modal(path)
+    np.testing.assert_array_equal(modal.frequencies, [1.2, 3.4, 1.22])
+    assert list(modal.labels) == ["1", "2", "1"] and list(modal.select([2, 1]).labels) == ["1", "2"]
+    path.write_text("f1,f2\n1.2\n")
+    with pytest.raises(
+        ValueError, match="line 2: rows must have 2 cells like the header, got 1. Complete the row"
+    ):
+        read_modal(path)
+    path.write_text("f1,f2\n,\n")
+    with pytest.raises(ValueError, match="must hold modes, there is none below .* Add a row for each test"):
+        read_modal(path)
+
+
+def test_a_mode_in_several_rows_is_a_label(tmp_path):
+    path = tmp_path / "modes.csv"
+    path.write_text("mode,frequency [Hz],roof,floor\nfirst,1.2,1,0.5\nsecond,3.4,1,-1\nfirst,1.22,1,0.6\n")
+    assert list(read_modal(path).labels) == ["first", "second", "first"]
+    path.write_text("mode,frequency [Hz]\n1,1.2\n2,3.4\n")
+    assert read_modal(path).labels is None
+    with pytest.raises(ValueError, match="`labels` must be 2 texts, one for each mode, got 1"):
+        ModalData([1.0, 2.0], labels=["a"])

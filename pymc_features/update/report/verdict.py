@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features.update.coarseness import too_coarse
 from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.read import Problem
-from pymc_features.update.report.coarseness import coarse_sampling
 from pymc_features.update.report.judgement import Verdict
 from pymc_features.update.report.loops import verdict_of_loops
 from pymc_features.update.report.modes import ModeRow, modes_verdict
@@ -105,8 +105,11 @@ def verdict_of_responses(problem: Problem, result) -> Verdict:
         sentences += missing_modes(found, peaks, frequencies, problem.band)
     sentences += extrapolated(frequencies, problem.band)
     sentences += odd_damping(ratios)
-    of_sampling, is_fine = coarse_sampling(problem, part, sensors)
-    return Verdict([*sentences, *of_sampling], not bad.any() and is_fine)
+    of_sampling = []
+    if "coarseness" in part["bands"]:
+        ratios = part["bands"]["coarseness"].values
+        of_sampling = too_coarse(ratios, sensors, problem.measured.record.interpolation)
+    return Verdict([*sentences, *of_sampling], not bad.any() and not of_sampling)
 
 
 def residuals_of(problem, part, frequencies) -> Residuals:

@@ -58,22 +58,28 @@ def coarseness(problem: Problem, values: dict[str, float]) -> Coarseness:
     return Coarseness(float(shares[shares <= 1.0].max(initial=shares[0])), asked.factor, change, size)
 
 
-def coarse_sampling(problem: Problem, part, sensors) -> tuple[list[str], bool]:
-    """Sentences on the sampling of the base, and whether the bands of a likelihood may be trusted."""
-    posterior = part["posterior"].to_dataset()
+def coarse_sampling(problem: Problem, posterior, response) -> np.ndarray:
+    """That change at the posterior's mean over the half-width of the 90 % bands of responses, (sensor,).
+
+    `response` (quantile, sensor, time) has the quantiles 0.05 and 0.95.
+    """
     values = {name: float(posterior[name].mean()) for name in problem.structure.names}
-    found = coarseness(problem, values)
-    bands = part["bands"]["response"]
-    half = 0.5 * (bands.sel(quantile=0.95) - bands.sel(quantile=0.05)).transpose("sensor", "time").values
-    ratios = found.change / np.sqrt((half**2).mean(axis=1))
-    worst = int(ratios.argmax())
-    if ratios[worst] <= TOO_COARSE:
-        return [found.sentence], True
-    advice = 'Set interpolation = "band-limited".'
-    if problem.measured.record.interpolation != "linear":
-        advice = "Measure the base at a higher rate."
+    half = (
+        0.5 * (response.sel(quantile=0.95) - response.sel(quantile=0.05)).transpose("sensor", "time").values
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return coarseness(problem, values).change / (0.5 * np.sqrt(((high - low) ** 2).mean(axis=1)))
+
+
+def too_coarse(ratios, sensors, interpolation: str) -> list[str]:
+    """Sentences where the sampling of the base changes a response by more than its bands are wide."""
+    worst = int(np.nan_to_num(ratios).argmax())
+    if not ratios[worst] > TOO_COARSE:
+        return []
+    is_linear = interpolation == "linear"
+    advice = 'Set interpolation = "band-limited".' if is_linear else "Measure the base at a higher rate."
     return [
         f"The base is sampled too coarsely: refining it {FINEST} times changes the response of "
         f"{sensors[worst]} by {ratios[worst]:.2g} times the half-width of its 90 % bands. Do not use these "
         f"results. {advice}"
-    ], False
+    ]
