@@ -183,6 +183,10 @@ def updated(component, x, share) -> StudentT:
     return StudentT(location, factor, best_degrees(weights, u, component.degrees, d))
 
 
+class NoSpreadError(ValueError):
+    """All points of a fit are the same in a parameter: too few of a stage were inside the posterior."""
+
+
 def moments(x, weights, scatter_weights):
     """Location (d,) and the Cholesky factor of the scatter (d, d), kept positive definite."""
     location = scatter_weights @ x / scatter_weights.sum()
@@ -190,7 +194,7 @@ def moments(x, weights, scatter_weights):
     scatter = (scatter_weights[:, None] * centred).T @ centred / weights.sum()
     variances = np.diag(scatter).copy()
     if not (np.isfinite(variances).all() and (variances > 0).all()):
-        raise ValueError(
+        raise NoSpreadError(
             "the particles of a stage must differ in every parameter, got a variance of "
             f"{variances.min():g}. Increase `draws` or `stage_draws`: too few were inside the posterior."
         )
