@@ -24,7 +24,7 @@ ALLOWED = {
     "records": {"signals"},
     "cyclic_test": {"records"},
     "algebra": set(),
-    "structures": {"algebra", "records"},
+    "structures": {"algebra", "records", "simulators"},  # of these the modes of chains
     "simulators": {"algebra", "records"},
     "signals": set(),
     "modal": set(),

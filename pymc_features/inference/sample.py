@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import pymc as pm
 import xarray as xr
-from pymc.sampling.parallel import ParallelSamplingError
 from pymc.util import RandomState
 
 from pymc_features._checks import check_mapping, check_model, check_path, check_seed
-from pymc_features.exceptions import SamplingWarning
+from pymc_features.exceptions import NoSpreadError, SamplingWarning
 from pymc_features.inference.beside import closeness, distance_to_modes, undetermined
 from pymc_features.inference.parameters import Unconstrained, coordinate_names, to_unconstrained
 from pymc_features.processes.threads import one_thread_each
@@ -31,7 +30,6 @@ from pymc_features.smc import (
 )
 from pymc_features.smc.kernels.checkpoint import Journal, model_fingerprint, remembered
 from pymc_features.smc.proposals.pool import LARGEST_K, LARGEST_SHARE
-from pymc_features.smc.proposals.proposal import NoSpreadError
 
 AGREEMENT = 1.01  # largest R-hat of runs that agree
 # modes, and the share of climbs that each end alone, above which there are others that none has found
@@ -180,9 +178,8 @@ def sample_again(space, *, draws, stage_draws=None, **settings) -> xr.DataTree:
     for more in RESTARTS:
         try:
             return sample_smc(draws, stage_draws=stage_draws, **settings)
-        except (NoSpreadError, ParallelSamplingError) as error:
-            fell = isinstance(error, NoSpreadError) or isinstance(error.__cause__, NoSpreadError)
-            if not fell or more is None or settings.get("checkpoint") is not None:
+        except NoSpreadError:
+            if more is None or settings.get("checkpoint") is not None:
                 raise
             least = max(int(0.4 * draws), 50 * space.join(space.point).size, 200)  # as PersistentSMC has it
             stage_draws = more * (stage_draws or least)

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import digamma, gammaln
 
+from pymc_features.exceptions import NoSpreadError
 from pymc_features.smc.proposals.mixture import log_sum
 
 RELATIVE_JITTER = 1e-9
@@ -181,10 +182,6 @@ def updated(component, x, share) -> StudentT:
     u = (component.degrees + d) / (component.degrees + component.squared_distance(x))
     location, factor = moments(x, weights, weights * u)
     return StudentT(location, factor, best_degrees(weights, u, component.degrees, d))
-
-
-class NoSpreadError(ValueError):
-    """All points of a fit are the same in a parameter: too few of a stage were inside the posterior."""
 
 
 def moments(x, weights, scatter_weights):
