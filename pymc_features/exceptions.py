@@ -18,6 +18,7 @@ __all__ = [
     "LaplaceWarning",
     "ModalDataWarning",
     "ModalMatchWarning",
+    "NoSpreadError",
     "NoWorkersError",
     "NotDifferentiableError",
     "PopulationWarning",
@@ -102,6 +103,10 @@ class LaplaceWarning(UserWarning):
 
 class PredictionWarning(UserWarning):
     """Draws of a posterior that describe no structure are left out of a prediction."""
+
+
+class NoSpreadError(ValueError):
+    """All particles of a stage are the same in a parameter: too few were inside the posterior."""
 
 
 class ToleranceNotReachedError(RuntimeError):

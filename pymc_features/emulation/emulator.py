@@ -186,6 +186,7 @@ class Emulator:
             )
         return known
 
+    @np.errstate(over="ignore", invalid="ignore")  # far out in a prior, where no density will be finite
     def discrepancies(self, z, variances, observed):
         """Expected e_j (n, sensor) of components with these means and variances (n, component)."""
         if not self.of_histories:

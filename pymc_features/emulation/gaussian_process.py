@@ -229,9 +229,11 @@ class GaussianProcess:
         """k (n, point), L^-1 k (n, point), and what the trend leaves open (n, p)."""
         cross = self.correlation(x, self.x)
         known = cross @ self.inverse.T
-        open_ = solve_triangular(self.r, (trend(x, self.degree) - cross @ self.by_trend).T, trans=1).T
+        rest = (trend(x, self.degree) - cross @ self.by_trend).T
+        open_ = solve_triangular(self.r, rest, trans=1, check_finite=False).T
         return cross, known, open_
 
+    @np.errstate(over="ignore", invalid="ignore")  # far out in a prior, where no density will be finite
     def predict(self, x):
         """Means (n, output), and the variance (n,) for s_c^2 = 1."""
         cross, known, open_ = self.features(x)

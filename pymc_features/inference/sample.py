@@ -12,7 +12,7 @@ import xarray as xr
 from pymc.util import RandomState
 
 from pymc_features._checks import check_mapping, check_model, check_path, check_seed
-from pymc_features.exceptions import SamplingWarning
+from pymc_features.exceptions import NoSpreadError, SamplingWarning
 from pymc_features.inference.beside import closeness, distance_to_modes, undetermined
 from pymc_features.inference.parameters import Unconstrained, coordinate_names, to_unconstrained
 from pymc_features.processes.threads import one_thread_each
@@ -35,6 +35,7 @@ AGREEMENT = 1.01  # largest R-hat of runs that agree
 # modes, and the share of climbs that each end alone, above which there are others that none has found
 FEW_MODES, MANY_SINGLE = 4, 0.3
 APART = 5.0  # standard errors between log evidences of runs that disagree
+RESTARTS = 4, 4, None  # by how much stages grow where one fell on a point; then the error is told
 N_POSTERIOR = 500  # draws of each chain that are compared with the prior and with the modes
 
 
@@ -159,7 +160,7 @@ def sample_from(found: "Search", model, space, **settings) -> xr.DataTree:
     settings = {"compute_convergence_checks": False, "gradients": not found.no_gradient} | settings
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "PersistentSMC ended", SamplingWarning)  # `advice` says it
-        idata = sample_smc(kernel=PersistentSMC, reference=found.reference, model=model, **settings)
+        idata = sample_again(space, kernel=PersistentSMC, reference=found.reference, model=model, **settings)
     modes = [] if found.reference is None else found.reference.modes
     is_maximum = np.array([mode.is_maximum for mode in modes], dtype=bool)
     if is_maximum.any():
@@ -170,6 +171,18 @@ def sample_from(found: "Search", model, space, **settings) -> xr.DataTree:
     del summary["reference"]
     idata["sample_stats"].attrs |= summary
     return idata
+
+
+def sample_again(space, *, draws, stage_draws=None, **settings) -> xr.DataTree:
+    """`sample_smc`; where all particles of a stage fell on one point, again with larger stages."""
+    for more in RESTARTS:
+        try:
+            return sample_smc(draws, stage_draws=stage_draws, **settings)
+        except NoSpreadError:
+            if more is None or settings.get("checkpoint") is not None:
+                raise
+            least = max(int(0.4 * draws), 50 * space.join(space.point).size, 200)  # as PersistentSMC has it
+            stage_draws = more * (stage_draws or least)
 
 
 class Search(NamedTuple):

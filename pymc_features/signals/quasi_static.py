@@ -2,6 +2,7 @@
 
 import numpy as np
 import xarray as xr
+from numpy.lib.stride_tricks import sliding_window_view
 
 from pymc_features._checks import is_among, shown, single
 from pymc_features.signals.channels import check_array, check_frequency, check_pair, sampling_step
@@ -132,21 +133,21 @@ def _compare(x, y, step, band, size) -> tuple[float, float, float, float, float]
     shift, sign = _whole_lag(x, y, step, band)
     x, y = (x[: x.size - shift], y[shift:]) if shift >= 0 else (x[-shift:], y[:shift])
     size = min(size, x.size)
-    settings = {"fs": 1.0 / step, "nperseg": size}
-    frequencies, cross = signal.csd(x, y, **settings)
+    frequencies = np.fft.rfftfreq(size, step)
     inside = (frequencies >= band[0]) & (frequencies <= band[1])
-    power_x, power_y = (signal.welch(z, **settings)[1][inside] for z in (x, y))
-    cross, omega = sign * cross[inside], 2.0 * np.pi * frequencies[inside]
-    coherence = np.abs(cross) ** 2 / np.maximum(power_x * power_y, np.finfo(float).tiny)
-    scatter = np.maximum(1.0 - coherence, 0.0) / np.maximum(
-        2.0 * coherence * x.size / size, 1e-12
-    )  # variance of a phase
-    weights = omega**2 / (scatter + 1e-12)
-    rest = -(weights * np.angle(cross) / omega).sum() / weights.sum()
+    window, omega = signal.windows.hann(size, sym=False), 2.0 * np.pi * frequencies[inside]
+    parts = [sliding_window_view(z, size)[:: size - size // 2] for z in (x, y)]
+    at_x, at_y = (np.fft.rfft(window * signal.detrend(z, type="constant"))[:, inside] for z in parts)
+    terms = sign * np.conj(at_x) * at_y, np.abs(at_x) ** 2, np.abs(at_y) ** 2
+    cross, power_x, power_y = (z.sum(axis=0) for z in terms)
+    rest, weights, scatter, coherence = _lag(cross, power_x, power_y, omega, x.size / size)
     gain = (cross * np.exp(1j * omega * rest)).real.sum() / power_x.sum()
     # neighbours of a Hann window are correlated: two thirds as many independent ones
     lag_variance = 1.5 * (weights**2 * scatter / omega**2).sum() / weights.sum() ** 2
     gain_variance = 1.5 * (power_x**2 * scatter).sum() / power_x.sum() ** 2
+    # coherence tells neither of power that comes from other frequencies nor of one part that holds most of it
+    left_out = _lag(*(z.sum(axis=0) - z for z in terms), omega, x.size / size)[0]
+    lag_variance += (len(at_x) - 1) * left_out.var()
     return (
         float(sign * gain),
         float(abs(gain) * np.sqrt(gain_variance)),
@@ -154,6 +155,15 @@ def _compare(x, y, step, band, size) -> tuple[float, float, float, float, float]
         float(np.sqrt(lag_variance)),
         float((coherence * power_x).sum() / power_x.sum()),
     )
+
+
+def _lag(cross, power_x, power_y, omega, n) -> tuple[np.ndarray, ...]:
+    """Lag [s] by the phases of spectra (..., frequency); their weights, variances, and the coherence."""
+    coherence = np.abs(cross) ** 2 / np.maximum(power_x * power_y, np.finfo(float).tiny)
+    scatter = np.maximum(1.0 - coherence, 0.0) / np.maximum(2.0 * coherence * n, 1e-12)  # of a phase
+    weights = omega**2 / (scatter + 1e-12)
+    lag = -(weights * np.angle(cross) / omega).sum(axis=-1) / weights.sum(axis=-1)
+    return lag, weights, scatter, coherence
 
 
 def _whole_lag(x, y, step, band) -> tuple[int, float]:

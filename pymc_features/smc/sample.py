@@ -20,7 +20,7 @@ from pymc_features._checks import (
     message,
     shown,
 )
-from pymc_features.exceptions import CheckpointError, ToleranceNotReachedError
+from pymc_features.exceptions import CheckpointError, NoSpreadError, ToleranceNotReachedError
 from pymc_features.processes.threads import one_thread_each
 from pymc_features.smc.kernels.base import PopulationKernel
 from pymc_features.smc.kernels.checkpoint import remembered
@@ -138,7 +138,7 @@ def sample_smc(
         idata = savable(found)
     except ParallelSamplingError as error:
         # the same with one process and with many
-        if isinstance(error.__cause__, ToleranceNotReachedError | CheckpointError):
+        if isinstance(error.__cause__, ToleranceNotReachedError | CheckpointError | NoSpreadError):
             raise error.__cause__ from None
         raise
     except (EOFError, ConnectionResetError) as error:

@@ -64,9 +64,7 @@ def coarse_sampling(problem: Problem, posterior, response) -> np.ndarray:
     `response` (quantile, sensor, time) has the quantiles 0.05 and 0.95.
     """
     values = {name: float(posterior[name].mean()) for name in problem.structure.names}
-    half = (
-        0.5 * (response.sel(quantile=0.95) - response.sel(quantile=0.05)).transpose("sensor", "time").values
-    )
+    low, high = (response.sel(quantile=q).transpose("sensor", "time").values for q in (0.05, 0.95))
     with np.errstate(divide="ignore", invalid="ignore"):
         return coarseness(problem, values).change / (0.5 * np.sqrt(((high - low) ** 2).mean(axis=1)))
 

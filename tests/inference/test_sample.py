@@ -2,6 +2,7 @@
 
 import functools
 import warnings
+from importlib import import_module
 
 import numpy as np
 import pymc as pm
@@ -10,10 +11,12 @@ import xarray as xr
 from scipy import stats
 
 import pymc_features as pmf
+from pymc_features.exceptions import NoSpreadError
 from pymc_features.inference import beside
 from pymc_features.inference import sample as function_of_package
 from pymc_features.smc.density.evaluation import PopulationLogp
 
+module = import_module("pymc_features.inference.sample")
 QUIET = {"progressbar": False, "random_seed": 1, "cores": 1}
 ATTRIBUTES = {
     *("max_r_hat", "log_evidence", "log_evidence_se", "ess", "pareto_k", "heavy_share", "n_modes"),
@@ -264,3 +267,29 @@ def test_far_from_laplace_is_said():
     assert found["laplace_error"] == pytest.approx(error, abs=0.05)
     assert found["close_to_laplace"].startswith("no: ")
     assert found["close_to_laplace"].endswith("(scale)")
+
+
+@pytest.mark.slow
+def test_it_starts_again_with_larger_stages_where_all_particles_fell_on_one(monkeypatch):
+    asked, run = [], module.sample_smc
+
+    def fails_twice(*args, **settings):
+        asked.append(settings["stage_draws"])
+        if len(asked) < 3:
+            raise NoSpreadError("the particles of a stage must differ in every parameter")
+        return run(*args, **settings)
+
+    monkeypatch.setattr(module, "sample_smc", fails_twice)
+    idata = pmf.sample(100, model=discrete(), chains=2, **QUIET)
+    assert asked == [None, 800, 3200]
+    assert idata["posterior"].sizes["draw"] == 100
+
+
+@pytest.mark.slow
+def test_it_gives_up_after_three_starts(monkeypatch):
+    def fails(*args, **settings):
+        raise NoSpreadError("the particles of a stage must differ in every parameter, got a variance of 0.")
+
+    monkeypatch.setattr(module, "sample_smc", fails)
+    with pytest.raises(ValueError, match="must differ in every parameter, got a variance of 0"):
+        pmf.sample(100, model=discrete(), chains=2, **QUIET)

@@ -119,7 +119,7 @@ def split(row):
 
 def complex_steps(arguments, steps, by_modes=False):
     """Response (sensor, time), and its derivative (direction, sensor, time) along each direction."""
-    *parameters, acceleration, dt, substeps, stride, sensors, n_modes, quantity = arguments
+    *parameters, acceleration, dt, substeps, stride, _, sensors, n_modes, quantity = arguments
     stepped = np.concatenate(parameters) + 1j * TINY * steps
     systems = [state_space(*split(row), n_modes, by_modes) for row in stepped]
     [ground] = interpolated(acceleration[None], substeps)

@@ -23,6 +23,7 @@ from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.oscillators import pull_back
 from pymc_features.simulators.linear.projection import to_parameters
 from pymc_features.simulators.linear.system import is_coupled, solve_system
+from pymc_features.simulators.oscillators.arguments import NO_DIRECT
 from support import kernels
 from support.kernels import (
     linear_discrepancy,
@@ -82,7 +83,7 @@ class Case:
             stacks = [np.array(a).reshape(len(a), n * n) for a in lists]
         return (
             *(*stacks, *pattern, self.influence, self.forces, self.inputs, self.dt),
-            *(self.substeps, self.stride, self.sensors, self.n_modes, self.quantity),
+            *(self.substeps, self.stride, NO_DIRECT, self.sensors, self.n_modes, self.quantity),
         )
 
     @property

@@ -15,6 +15,7 @@ from pymc_features.simulators import simulate
 from pymc_features.update import read_problem, run_update
 from pymc_features.update.problem.events import by_numbers
 from pymc_features.update.problem.model import declare
+from pymc_features.update.report.events import event_rows
 from pymc_features.update.report.verdict import foretold
 from pymc_features.update.run import seed_of
 
@@ -326,3 +327,20 @@ def test_events_without_a_likelihood(made, tmp_path):
     path.write_text(kept)
     with pytest.raises(ConfigError, match=r"`likelihood` must be given with \[events\]: a table"):
         read_problem(path)
+
+
+def test_a_score_of_which_no_draw_tells_is_not_told():
+    """The error of e^19 that a single draw leaves is no error."""
+    values = {
+        "name": ["first", "second", "third"],
+        "log_score": [-1.5, -400.0, np.nan],
+        "log_score_se": [0.04, 229205921.53, np.nan],
+        "log_score_fresh": [-1.5, -2.0, -3.0],
+        "probability_changed": [0.0, 1.0, 0.0],
+        "alarm": [0, 1, 0],
+    }
+    record = xr.Dataset({name: ("event", value) for name, value in values.items()})
+    rows = event_rows(xr.DataTree.from_dict({"sequence": record}))
+    assert rows[0] == ("first", "-1.50", "0.04", "-1.50", "0.000", "")
+    assert rows[1] == ("second", "cannot be told", "cannot be told", "-2.00", "1.000", "alarm")
+    assert rows[2][1:3] == ("nan", "nan")

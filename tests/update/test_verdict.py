@@ -1,5 +1,6 @@
 """What is said of a fit: of right models nothing bad, of wrong ones what is wrong."""
 
+import warnings
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,7 +20,7 @@ from pymc_features.update.predict import measured_gain
 from pymc_features.update.problem.channels import Measured
 from pymc_features.update.problem.read import Problem
 from pymc_features.update.report.summary import overlap_of
-from pymc_features.update.report.verdict import foretold, verdict
+from pymc_features.update.report.verdict import foretold, residuals_of, verdict
 from update.test_update import replaced
 
 MASS, STIFFNESS = [0.1601, 0.1601, 0.1421], [385.0, 420.0, 600.0]
@@ -179,3 +180,18 @@ def test_overlap_against_the_closed_form():
     for distance in (0.0, 0.5, 2.0):
         found = overlap_of(prior, distance + rng.standard_normal(40_000))
         assert found == pytest.approx(2.0 * stats.norm.cdf(-distance / 2.0), abs=0.02)
+
+
+@pytest.mark.parametrize("size", [40, 600])
+def test_short_records_and_still_bases_raise_no_warning(size):
+    rng = np.random.default_rng(0)
+    values = rng.standard_normal((2, size))
+    base = np.zeros(size) if size == 600 else rng.standard_normal(size)
+    problem = SimpleNamespace(measured=SimpleNamespace(step=0.01, base=base), band=(1.0, 20.0))
+    bands = xr.DataArray(0.9 * values[None], {"quantile": [0.5]}, ("quantile", "sensor", "time"))
+    part = {"observed_data": {"y": xr.DataArray(values)}, "bands": {"response": bands}}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = residuals_of(problem, part, np.array([3.0, 9.0]))
+    np.testing.assert_allclose(found.relative, 0.1)
+    assert np.isfinite(found.coherence).all()

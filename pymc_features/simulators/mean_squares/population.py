@@ -3,11 +3,8 @@
 A structure's numbers do not depend on the others of its population, nor on what the tables were asked before.
 """
 
-import warnings
-
 import numpy as np
 
-from pymc_features.exceptions import PopulationWarning
 from pymc_features.simulators.mean_squares.asked import Asked
 from pymc_features.simulators.mean_squares.evaluate import evaluate
 from pymc_features.simulators.mean_squares.kept import KEPT
@@ -105,15 +102,4 @@ def agree(found, marched) -> bool:
     if marched.ndim == 3:  # the first and the last misfit may be zero
         limits = limits + np.sqrt(marched[:, :, :1]) * np.array([0.0, 0.0, 1.0, 1.0])
     is_same = (abs(found - marched) <= AGREEMENT * limits) | (np.isnan(found) & np.isnan(marched))
-    return bool(is_same.all()) or warn_of("mean squares")
-
-
-def warn_of(what) -> bool:
-    """Warn of a table that does not agree with the march; False."""
-    warnings.warn(
-        f"{what} from a table differ from those of the march through the record, which is taken from "
-        "now on. Please report the model.",
-        PopulationWarning,
-        stacklevel=2,
-    )
-    return False
+    return bool(is_same.all())

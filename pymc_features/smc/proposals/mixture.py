@@ -19,6 +19,7 @@ well. All masses of a chain are divided by the number of its steps that make one
 
 import numpy as np
 from scipy.optimize import brentq
+from scipy.special import softmax
 
 SMALLEST_BETA = 1e-300
 TOLERANCE = 1e-7  # of the log evidences
@@ -45,8 +46,7 @@ def pareto_tail(excesses) -> tuple[float, float]:
     b = (1.0 - np.sqrt(m / (np.arange(1, m + 1) - 0.5))) / (3.0 * x[int(n / 4 + 0.5) - 1]) + 1.0 / x[-1]
     k = np.log1p(-b[:, None] * x).mean(axis=1)
     profile = n * (np.log(-b / k) - k - 1.0)
-    weights = 1.0 / np.exp(profile - profile[:, None]).sum(axis=1)
-    best = (b * weights).sum() / weights.sum()
+    best = (b * softmax(profile)).sum()
     shape = np.log1p(-best * x).mean()
     return float((n * shape + 5.0) / (n + 10.0)), float(-shape / best)
 

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import digamma, gammaln
 
+from pymc_features.exceptions import NoSpreadError
 from pymc_features.smc.proposals.mixture import log_sum
 
 RELATIVE_JITTER = 1e-9
@@ -190,7 +191,7 @@ def moments(x, weights, scatter_weights):
     scatter = (scatter_weights[:, None] * centred).T @ centred / weights.sum()
     variances = np.diag(scatter).copy()
     if not (np.isfinite(variances).all() and (variances > 0).all()):
-        raise ValueError(
+        raise NoSpreadError(
             "the particles of a stage must differ in every parameter, got a variance of "
             f"{variances.min():g}. Increase `draws` or `stage_draws`: too few were inside the posterior."
         )

@@ -12,11 +12,14 @@ COLUMNS = (
     "probability of a change",
     "",
 )
+UNTOLD = 10.0  # standard error of a log score from which on its draws are too few to tell it
+CANNOT_BE_TOLD = "cannot be told"
 MEANING = (
     "Log score: ln of the density that the events before predicted for the measurements of this one; beside "
     "it the same of a structure of which only the priors are known. Where that is the larger one by far, the "
     "structure has changed before the event, or something was wrong with its measurement; the posterior is "
-    "then that of this event and those after it."
+    "then that of this event and those after it. A score cannot be told where hardly any draw of the "
+    "events before explains the event: increase `draws` in [sampler]."
 )
 
 
@@ -26,9 +29,12 @@ def event_rows(part) -> list[tuple[str, ...]]:
         return []
     record = part["sequence"].to_dataset()
     numbers = ("log_score", "log_score_se", "log_score_fresh")
+    scores = np.array([[f"{value:.2f}" for value in record[name].values] for name in numbers], dtype=object)
+    is_told = record["log_score_se"].values < UNTOLD
+    scores[:2, ~is_told & np.isfinite(record["log_score"].values)] = CANNOT_BE_TOLD
     cells = [
         record["name"].values.astype(str),
-        *([f"{value:.2f}" for value in record[name].values] for name in numbers),
+        *scores,
         [f"{value:.3f}" for value in record["probability_changed"].values],
         ["alarm" if raised else "" for raised in record["alarm"].values],
     ]

@@ -9,9 +9,9 @@ import numpy as np
 from pymc_features._checks import listed
 from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.read import Problem
+from pymc_features.update.report.events import CANNOT_BE_TOLD, UNTOLD, event_rows
 from pymc_features.update.report.events import COLUMNS as EVENT_COLUMNS
 from pymc_features.update.report.events import MEANING as EVENT_MEANING
-from pymc_features.update.report.events import event_rows
 from pymc_features.update.report.findings import Findings
 from pymc_features.update.report.loops import loops_section
 from pymc_features.update.report.modes import COLUMNS as MODE_COLUMNS
@@ -225,7 +225,11 @@ def run_sentences(part) -> list[str]:
     if "sequence" in part.children:
         record = part["sequence"].to_dataset()
         total, error = (float(record[name].sum()) for name in ("log_score", "log_score_se"))
-        told.append(f"log evidence of all events {total:.2f}, standard error at most {error:.2g}")
+        told.append(
+            f"log evidence of all events {total:.2f}, standard error at most {error:.2g}"
+            if error < UNTOLD
+            else f"log evidence of all events: {CANNOT_BE_TOLD}"
+        )
     if "advice" in getattr(stats, "attrs", {}):
         return told + sentences_of_sample(stats.attrs, is_calibrated=bool(base))
     if "log_marginal_likelihood" in stats:

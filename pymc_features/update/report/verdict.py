@@ -125,9 +125,10 @@ def residuals_of(problem, part, frequencies) -> Residuals:
     if not error.any():  # a response without any error has no spectrum of it
         error = np.finfo(float).eps * measured
     fs = 1.0 / problem.measured.step
-    rough = {"fs": fs, "nperseg": max(16, size // SEGMENTS)}
-    frequency, coherence = signal.coherence(problem.measured.base[:size], error, **rough)
-    fine = max(64, size // 3)
+    rough = {"fs": fs, "nperseg": min(size, max(16, size // SEGMENTS))}
+    with np.errstate(divide="ignore", invalid="ignore"):  # of frequencies without any motion
+        frequency, coherence = signal.coherence(problem.measured.base[:size], error, **rough)
+    fine = min(size, max(64, size // 3))
     at, power = signal.welch(error, fs=fs, nperseg=fine, nfft=4 * fine)
     close = np.maximum(BESIDE * frequencies, 2.0 * fs / fine)[:, None]
     beside = np.abs(at - frequencies[:, None]) < close
