@@ -6,19 +6,7 @@ import numpy as np
 import pymc as pm
 import pytest
 
-<<<<<<< HEAD
 from pymc_features import AffineStructure, CorrelatedNormal, ModalDamping, TruncNormalFeature, response
-from pymc_features.exceptions import PopulationWarning
-=======
-from pymc_features import (
-    AffineStructure,
-    CorrelatedNormal,
-    Loading,
-    ModalDamping,
-    TruncNormalFeature,
-    response,
-)
->>>>>>> work-b
 from pymc_features.ops.population import PopulationGradient
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.mean_squares import kept, population, stencil
