@@ -9,9 +9,9 @@ from pymc_features import plots
 from pymc_features.exceptions import ModalMatchWarning, PredictionWarning
 from pymc_features.prediction import posterior_response
 from pymc_features.storage import write_atomically
-from pymc_features.update.coarseness import coarseness
 from pymc_features.update.predict_modes import expected, matched, shapes
 from pymc_features.update.problem.channels import base_and_sensors
+from pymc_features.update.problem.coarseness import coarseness
 from pymc_features.update.report.modes import draw_mac, draw_shapes, mode_rows, modes_verdict
 from pymc_features.update.report.spectra import draw_spectra
 from pymc_features.update.report.terminal import gains_table, modes_table

@@ -6,7 +6,7 @@ import xarray as xr
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.prediction import posterior_response
-from pymc_features.update.coarseness import coarse_sampling
+from pymc_features.update.problem.coarseness import coarse_sampling
 from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.structure import modes_of
 

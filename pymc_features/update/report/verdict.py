@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.update.coarseness import too_coarse
+from pymc_features.update.problem.coarseness import too_coarse
 from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.read import Problem
 from pymc_features.update.report.judgement import Verdict
