@@ -120,7 +120,7 @@ def interpreted():
 def test_numba_python_and_kernels_agree(compiled, interpreted, case):
     inputs = numeric_inputs(case, **SETTINGS[case])
     observed = np.random.default_rng(9).normal(
-        size=(inputs[8].size, n_outputs(inputs[4].size, inputs[6], inputs[7]))
+        size=(inputs[9].size, n_outputs(inputs[4].size, inputs[6], inputs[7]))
     )
     slow = interpreted(*inputs, observed)
     for code in range(len(QUANTITIES)):

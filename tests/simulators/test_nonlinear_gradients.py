@@ -15,6 +15,7 @@ from pymc_features.simulators.compiled.vector_memory import aligned, read_lanes,
 from pymc_features.simulators.families import FAMILIES, NONLINEAR
 from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
 from pymc_features.simulators.nonlinear.tape import CAPACITY
+from pymc_features.simulators.oscillators.arguments import NO_DIRECT
 from support.graphs import PLAIN
 from support.kernels import discrepancy_gradient, flat_kernels, response_gradient
 from support.reference import misfit_statistics
@@ -139,8 +140,8 @@ def test_fused_sums(case):
 
 def population_gradient(family, population, where, observed, weights):
     """With weights (p, s, q) of the statistics."""
-    *settings, quantity = where
-    given = FAMILIES[family].assemble([*population, *settings], quantity)
+    *record, sensors, n_modes, quantity = where
+    given = FAMILIES[family].assemble([*population, *record, NO_DIRECT, sensors, n_modes], quantity)
     return FAMILIES[family].kernels["population_gradient"](*given, observed, weights)
 
 

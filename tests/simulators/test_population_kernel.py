@@ -10,7 +10,7 @@ from pymc_features import ModalDamping, SpringMassChain, mean_square_discrepancy
 from pymc_features.ops import PopulationDiscrepancy
 from pymc_features.simulators import FAMILIES, QUANTITIES, request
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.oscillators.arguments import Excitation
+from pymc_features.simulators.oscillators.arguments import NO_DIRECT, Excitation
 from pymc_features.simulators.oscillators.lanes import COLUMNS, new_lanes
 from pymc_features.simulators.oscillators.places import block_of, source_of
 from support.graphs import PLAIN, our_ops
@@ -93,7 +93,7 @@ def test_data_that_are_views(ground):
     """Compiled code reaches data by address: it takes the samples, not what stands between them."""
     rng, chain = np.random.default_rng(7), FAMILIES["chain"]
     structures, data = population(rng, 2, 3), rng.normal(size=(3, ground.size))
-    given = chain.assemble([*structures, ground, DT, 1, 1, np.arange(3), 3], 0)
+    given = chain.assemble([*structures, ground, DT, 1, 1, NO_DIRECT, np.arange(3), 3], 0)
     kernel = chain.kernels["population_discrepancy"]
     for view in views(data):
         np.testing.assert_allclose(kernel(*given, view), kernel(*given, data), rtol=1e-12)
@@ -107,7 +107,7 @@ def test_addresses_are_whole_numbers(ground):
     def first_block(lanes, motion, data):
         return block_of(source_of(lanes, motion, data), 0)
 
-    block = first_block(new_lanes(data, 2, 1, False), motion, data)
+    block = first_block(new_lanes(data, 2, motion, False), motion, data)
     assert [type(number) for number in block] == [int] * len(block)
 
 

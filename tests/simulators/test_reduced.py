@@ -11,6 +11,7 @@ from pymc_features.simulators import FAMILIES, Outputs
 from pymc_features.simulators.linear.arguments import LinearParameters
 from pymc_features.simulators.modal import linear
 from pymc_features.simulators.modal.perturbation import Cotangent
+from pymc_features.simulators.oscillators.arguments import NO_DIRECT
 from pymc_features.simulators.reduced.eigenproblem import lowest
 from pymc_features.simulators.reduced.known import KNOWN, Known
 from support.straight import Loading
@@ -126,7 +127,7 @@ def responses(structure, thetas, quantity=0):
     _, rayleigh, ratios = structure.parameters()
     rows = family.rows(np.array([5, 77, 200]), n).toarray()
     inputs = thetas, rayleigh[None], ratios[None], *structure.constants(loads), structure.excitation(loads)
-    given = family.assemble((*inputs, 0.02, 1, 1, rows, M), quantity)
+    given = family.assemble((*inputs, 0.02, 1, 1, NO_DIRECT, rows, M), quantity)
     return given, 1e-4 * rng.standard_normal((3, 200)), family.kernels
 
 

@@ -6,6 +6,7 @@ import pytest
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.nonlinear import kernels
+from pymc_features.simulators.oscillators.arguments import NO_DIRECT
 from pymc_features.simulators.taylor import tape
 from simulators.test_taylor import CASES as MARCHES
 from simulators.test_taylor import FAMILIES as NAMES
@@ -21,8 +22,8 @@ CASES = {name: case for name, case in MARCHES.items() if "sharpness" not in case
 
 
 def gradient(family, parameters, where, observed, weights):
-    *settings, quantity = where
-    given = FAMILIES[family].assemble([*parameters, *settings], quantity)
+    *record, sensors, n_modes, quantity = where
+    given = FAMILIES[family].assemble([*parameters, *record, NO_DIRECT, sensors, n_modes], quantity)
     return FAMILIES[family].kernels["population_gradient"](*given, observed, weights)
 
 

@@ -12,14 +12,13 @@ from pymc_features import (
     DuffingChain,
     HystereticChain,
     HystereticSpecimen,
-    Loading,
     ModalDamping,
     Pinching,
     RayleighDamping,
-    Record,
     SpringMassChain,
     simulate,
 )
+from support.straight import Loading, Record
 
 RAYLEIGH = RayleighDamping(0.4, 2e-3)
 K = np.array([[250.0, -150.0, 0.0], [-150.0, 270.0, -120.0], [0.0, -120.0, 120.0]])
