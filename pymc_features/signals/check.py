@@ -72,7 +72,7 @@ def check_channels(
 
     No false alarm in 240 shaken chains of random stiffness, with noise of 0.3 % of the peak, over 20 and 60 s
     (a part of them in tests/signals/test_signals.py). Of 2,000 events of 30 s, strong ones and others
-    hardly above the noise, two were told of a lag that is none (tests/signals/test_lag_alarms.py).
+    hardly above the noise, eight were told of a lag that is none (tests/signals/test_lag_alarms.py).
     """
     check_array(channels, sensors=True)
     damping_ratio = check_share(damping_ratio, "damping_ratio", "0.02 is 2 %.")

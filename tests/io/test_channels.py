@@ -570,7 +570,6 @@ def copies(folder, table):
     return files
 
 
-LATE = r"Channel 'floor3' comes 2.\d+ ms \(0.\d+ samples\) after 'base'"
 BAND = (0.5, 1.8)
 
 
@@ -578,10 +577,9 @@ def test_real_channels(tmp_path, table):
     files = copies(tmp_path, table)
     channels = read(files)
     assert channels.shape == (4, 6000)
-    [late] = messages(lambda: check_channels(channels, BAND))
-    assert re.match(LATE, late)
-    found = check_channels(channels.isel(sensor=[0, 1, 2]), BAND)
-    assert (np.abs(found["lag"]) < 1e-3).all()
+    found = check_channels(channels, BAND)
+    assert (np.abs(found["lag"][:3]) < 1e-3).all()
+    assert 2e-3 < found["lag"][3] < 4.0 * found["lag_error"][3]  # which is no more than chance may bring
     assert ((found["gain"] > 0.99) & (found["gain"] < 1.25)).all()
 
 

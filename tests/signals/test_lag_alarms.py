@@ -1,8 +1,8 @@
 """How often a lag is told of channels that have none, and found where there is one: 30 s at 200 Hz.
 
 Events by transfer functions, from strong motions with noise of 0.1 % to weak ones with 3 % of the peak. Of
-2,000 without a lag two were told of one; 25 before leaving out parts of the record counted in the error of a
-lag.
+2,000 without a lag eight were told of one; 25 before leaving out parts of the record counted in the error of
+a lag.
 """
 
 import warnings
