@@ -18,6 +18,7 @@ from benchmarks.routes import filters
 from benchmarks.tables import significant, table
 from benchmarks.timing import best_of_rounds, fitted_exponent
 from pymc_features.simulators import FAMILIES
+from pymc_features.simulators.oscillators.arguments import NO_DIRECT
 from pymc_features.simulators.reduced.known import KNOWN
 
 SIZES = (3, 10, 30, 100)
@@ -60,7 +61,7 @@ def kernels(population):
     family, record = FAMILIES[structure.family], pmf.Record(case.acceleration, case.dt)
     rows = family.rows(case.sensors, case.n_dof)
     rows = rows.toarray() if sparse.issparse(rows) else rows
-    excitation = (np.array(structure.excitation(record)), case.dt, case.substeps, 1)
+    excitation = (np.array(structure.excitation(record)), case.dt, case.substeps, 1, NO_DIRECT)
     inputs = (*parameters, *structure.constants(record), *excitation, rows, case.n_dof)
     arguments = family.assemble(inputs, 0)
     weights = np.ones((len(case.stiffness), case.sensors.size, 1))
@@ -186,7 +187,7 @@ def value_and_gradient(structure, record):
     sensors = np.linspace(n // 4, n - 1, 4).astype(int)
     rows = family.rows(sensors, n).toarray()
     _, *rest = *structure.parameters(), *structure.constants(record)
-    excitation = (structure.excitation(record), record.dt, 1, 1)
+    excitation = (structure.excitation(record), record.dt, 1, 1, NO_DIRECT)
 
     def arguments(theta):
         return family.assemble((np.array(theta), *rest, *excitation, rows, N_MODES), 0)
@@ -206,7 +207,7 @@ def population_in_a_basis(structure, record, particles):
     theta, *rest = structure.parameters()
     spread = np.random.default_rng(0).uniform(-0.2, 0.2, (particles, theta.size))
     parameters = theta * (1.0 + spread), *(x[None] for x in rest)
-    excitation = (structure.excitation(record), record.dt, 1, 1)
+    excitation = (structure.excitation(record), record.dt, 1, 1, NO_DIRECT)
     inputs = (*parameters, *structure.constants(record), *excitation, rows, N_MODES)
     arguments, data = family.assemble(inputs, 0), np.zeros((4, record.acceleration.size))
     weights, kernels = np.ones((particles, 4, 1)), family.kernels

@@ -164,6 +164,7 @@ class Record(DynamicLoad):
             If fewer than two samples are left.
         """
         dt, delay = check_step(dt), check_number(delay, "delay", "Pass seconds.")
+        check_finite(delay, "delay", "Pass seconds.")
         first, last = ceil(max(delay, 0.0) / dt - EVEN), floor((delay + self.duration) / dt + EVEN)
         if last - first < 1:
             raise ValueError(

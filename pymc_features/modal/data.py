@@ -84,9 +84,7 @@ class ModalData:
         if self.shape_sd is not None:
             self._set("shape_sd", self._checked_shape_sd())
         if self.labels is not None:
-            if len(self.labels) != len(self):
-                raise ValueError(message("labels", f"{len(self)} texts, one for each mode", len(self.labels)))
-            self._set("labels", np.array([check_title(label) for label in self.labels]))
+            self._set("labels", self._checked_labels())
 
     def _set(self, name, value):
         object.__setattr__(self, name, value)
@@ -106,6 +104,15 @@ class ModalData:
                 "rigid body."
             )
         return values
+
+    def _checked_labels(self):
+        what = f"{len(self)} names, one for each mode"
+        given = as_list(self.labels)
+        if given is None or not all(isinstance(label, str) or is_number(label) for label in given):
+            raise TypeError(message("labels", what, shown(self.labels)))
+        if len(given) != len(self):
+            raise ValueError(message("labels", what, len(given)))
+        return np.array([label if isinstance(label, str) else check_title(label) for label in given])
 
     def _checked_channels(self):
         given = as_list(self.channels)

@@ -40,9 +40,8 @@ def decimate(channels: xr.DataArray, factor: int) -> xr.DataArray:
     (tests/signals/test_signals.py). The
     straight line through first and last sample bypasses it; expect errors within 20 new samples of the ends.
 
-    Models of this package take the ground acceleration as linear between its samples, which acts as another
-    low-pass, by (sin(x)/x)^2 with x = pi f dt: 3 % at a tenth of the sampling rate. Decimate measured floors
-    as far as you like, the base with care; `response(..., dt=)` has a step of its own.
+    Decimate measured floors as far as you like; the base keeps its step, for `response(..., dt=)` has one of
+    its own. Modes above half the new rate are not excited by a base that was decimated.
     """
     from scipy import signal  # a second to import
 

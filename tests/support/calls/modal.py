@@ -91,6 +91,7 @@ CALLS = {
             "damping_ratios": None,
             "damping_sd": None,
             "shape_sd": None,
+            "labels": None,
             "name": "",
         },
         {
@@ -101,6 +102,7 @@ CALLS = {
             "damping_ratios": {"None"},
             "damping_sd": {"None", "array with nan", *PAIR},
             "shape_sd": {"None"},
+            "labels": {"None"},
             "name": TEXTS | NUMBERS,
         },
         {"shapes": ["channels"], "channels": ["shapes"]},

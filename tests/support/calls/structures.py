@@ -83,7 +83,7 @@ TAKEN = {
 CALLS = {
     "Record": Call(
         pmf.Record,
-        {"acceleration": [0.0, 1.0], "dt": 0.1, "name": ""},
+        {"acceleration": [0.0, 1.0], "dt": 0.1, "name": "", "interpolation": "linear"},
         {
             "acceleration": PAIR | {"negative array"},
             "dt": POSITIVE,
@@ -93,13 +93,20 @@ CALLS = {
     "Record.first": Call(RECORD.first, {"n_times": 2}, {"n_times": {"NumPy's 2"}}),
     "Record.from_channel": Call(
         pmf.Record.from_channel,
-        {"channels": CHANNELS, "sensor": "base", "name": None},
+        {"channels": CHANNELS, "sensor": "base", "name": None, "interpolation": "linear"},
         {"name": {"None", *TEXTS, *NUMBERS}},
         {"channels": ["sensor"]},
     ),
     "Loading": Call(
         pmf.Loading,
-        {"values": [0.0, 1.0], "dt": 0.1, "kind": "force", "matrix": None, "name": ""},
+        {
+            "values": [0.0, 1.0],
+            "dt": 0.1,
+            "kind": "force",
+            "matrix": None,
+            "name": "",
+            "interpolation": "linear",
+        },
         {
             "values": PAIR | {"negative array", "matrix in Fortran's order"},
             "dt": POSITIVE,
