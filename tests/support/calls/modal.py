@@ -102,7 +102,7 @@ CALLS = {
             "damping_ratios": {"None"},
             "damping_sd": {"None", "array with nan", *PAIR},
             "shape_sd": {"None"},
-            "labels": {"None"},
+            "labels": {"None", "list of texts", "array of texts"} | LABELS | (PAIR - {"DataArray"}),
             "name": TEXTS | NUMBERS,
         },
         {"shapes": ["channels"], "channels": ["shapes"]},
