@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from benchmarks import truth
 from pymc_features import (
     HystereticChain,
     ModalDamping,
@@ -195,3 +196,19 @@ def test_short_records_and_still_bases_raise_no_warning(size):
         found = residuals_of(problem, part, np.array([3.0, 9.0]))
     np.testing.assert_allclose(found.relative, 0.1)
     assert np.isfinite(found.coherence).all()
+
+
+@pytest.mark.slow
+def test_a_base_taken_as_straight_lines(tmp_path):
+    """Modes up to 16 Hz at 100 Hz: straight lines lack 8 % there, and the fit is refused."""
+    motion = truth.motion(100.0, 12.0, 11, top=0.4)
+    parts = BUILDING.matrices()._asdict()
+    exact = truth.response(truth.Linear(**parts, influence=np.ones((3, 1))), motion)
+    record, floors = Record(motion.values()[0], 0.01), exact["absolute_acceleration"]
+    sensors = 'sensors = ["floor1", "floor2", "floor3"]'
+    for name, keys in (("band-limited", sensors), ("linear", f'{sensors}\ninterpolation = "linear"')):
+        folder = tmp_path / name
+        folder.mkdir()
+        found = fitted(folder, record, floors, (sensors, keys))
+        is_refused = any('Set interpolation = "band-limited".' in sentence for sentence in found.sentences)
+        assert is_refused == (name == "linear") == (not found.explains), found.sentences
