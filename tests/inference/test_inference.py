@@ -18,6 +18,7 @@ from pymc_features.inference import parameters
 from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve, exact_posterior
 from pymc_features.study import paper
 from pymc_features.study.models import declare
+from support import straight
 
 LIKELIHOODS = ["NORM", "TN", "EXP"]
 QUIET = {"progressbar": False, "random_seed": 1}
@@ -55,7 +56,7 @@ class Example:
 @pytest.fixture(scope="module")
 def record(record):
     """The first 4 s: an eighth of the work of each step of NUTS."""
-    return pmf.Record(record.acceleration[:201], record.dt)
+    return straight.Record(record.acceleration[:201], record.dt)
 
 
 @pytest.fixture(scope="module")
@@ -491,7 +492,7 @@ def test_fisher_names_what_cannot_be_identified(record):
 
 def test_fisher_of_correlated_errors_is_that_of_the_dense_covariance(record):
     """J' C^-1 J for the stiffness and tr(C^-1 C_i C^-1 C_j) / 2 for sigma and the correlation time."""
-    short = pmf.Record(record.acceleration[:61], record.dt)
+    short = straight.Record(record.acceleration[:61], record.dt)
     at = {"theta": 1.1, "sigma": 0.3, "tau": 0.07}
     with pm.Model() as model:
         theta, sigma, tau = pm.Uniform("theta", 0.5, 1.5), pm.HalfNormal("sigma"), pm.HalfNormal("tau")

@@ -46,7 +46,7 @@ def test_one_kernel_serves_python_and_graphs():
     """And arrays that may not be written, and views."""
     op, mass, springs = StructuralDiscrepancy(), np.ones(4), np.full(4, 50.0)
     rest = np.zeros(2), np.full(4, 0.1), np.sin(np.arange(9.0)), *map(np.asarray, (0.02, 1, 1))
-    rest = *rest, np.arange(4), np.asarray(4), np.ones((4, 9))
+    rest = *rest, np.empty((0, 0, 0)), np.arange(4), np.asarray(4), np.ones((4, 9))
     [expected] = op.run([mass, springs, *rest])
     compiled = set(op.kernel.overloads)
     assert numba_dispatch.kernel_types(op) in compiled
@@ -112,7 +112,7 @@ ONE = """
     from pymc_features.ops import StructuralDiscrepancy
     mass, one = pt.vector("mass"), np.ones(1)
     e = StructuralDiscrepancy()(mass, 50 * one, 0 * np.ones(2), 0.1 * one, np.arange(3.0), 0.02, 1, 1,
-                           np.arange(1), 1, np.ones((1, 3)))
+                           np.empty((0, 0, 0)), np.arange(1), 1, np.ones((1, 3)))
     print(pymc_features.__file__, float(pytensor.function([mass], e[0], mode="NUMBA")(one)))
 """
 

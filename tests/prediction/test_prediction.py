@@ -191,10 +191,10 @@ def test_result_saves(idata, tmp_path):
 
 
 def test_impossible_draws_are_left_out_and_counted():
-    """A negative stiffness is refused by the structure; one of 1e30 has no response."""
+    """A negative stiffness is refused by the structure; one of 1e300 has no response."""
     k = np.ones((2, 4)) * [[1.0], [1.2]]
     possible = pmf.posterior_response(posterior(k=k), three_storeys, SHAKE, "base_shear")
-    k = np.concatenate([k, [[-1.0], [1e30]]], axis=1)
+    k = np.concatenate([k, [[-1.0], [1e300]]], axis=1)
     k[0, 1] = np.nan
     with pytest.warns(
         pmf.exceptions.PredictionWarning, match=r"3 of 10 draws have no response .*out: `stiffness` must"
@@ -212,8 +212,8 @@ def test_impossible_draws_are_left_out_and_counted():
     with pytest.warns(
         pmf.exceptions.PredictionWarning, match="1 of 2 draws .* frequencies or damping are not finite"
     ):
-        pmf.posterior_response(posterior(k=[[1.0, 1e30]]), three_storeys, SHAKE)
-    for bad, why in ((-1.0, "none of 2: `stiffness` must be positive"), (1e30, "none of 2. Their freq")):
+        pmf.posterior_response(posterior(k=[[1.0, 1e300]]), three_storeys, SHAKE)
+    for bad, why in ((-1.0, "none of 2: `stiffness` must be positive"), (1e300, "none of 2. Their freq")):
         with pytest.raises(ValueError, match=f"`structure` must have a response for some draws, got {why}"):
             pmf.posterior_response(posterior(k=[[bad, bad]]), three_storeys, SHAKE)
 
@@ -376,7 +376,7 @@ def test_bands_cover_the_true_unmeasured_response():
         shares.append([((found[a] < drift) & (drift < found[3 - a])).mean() for a in (0, 1)])
     wide, narrow = np.transpose(shares)
     error = wide.std(ddof=1) / np.sqrt(len(wide))
-    assert error < 0.04
+    assert error < 0.05
     assert abs(wide.mean() - 0.9) < 4.5 * error
     assert abs(narrow.mean() - 0.9) > 4.5 * error
     assert abs(narrow.mean() - 0.3) < 4.5 * narrow.std(ddof=1) / np.sqrt(len(narrow))

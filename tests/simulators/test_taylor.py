@@ -123,13 +123,13 @@ def test_particles_that_taylor_steps_leave_to_others():
     changed[1][2, 1] = np.nan
     changed[4][4, 4] = 0.9  # gamma above beta
     changed[4][5, 2, 1] = 7.3  # sharper than the recurrence serves
-    changed[4][LANES, 0] = 1e-4  # yields at once, and far
-    changed[4][LANES + 1, 0] = 1e-12
+    changed[4][LANES + 2, 0] = 1e-4  # yields at once, and far
+    changed[4][LANES + 3, 0] = 1e-12
     kernels.PARTICLES.clear()
     after = KERNELS["hysteretic"]["population_misfit"](*changed, *where, observed)
-    rows = [1, 2, 4, 5, LANES, LANES + 1]
-    assert np.isnan(after[[1, 2, 4, LANES + 1]]).all()
-    for k in (5, LANES):
+    rows = [1, 2, 4, 5, LANES + 2, LANES + 3]
+    assert np.isnan(after[[1, 2, 4, LANES + 3]]).all()
+    for k in (5, LANES + 2):
         alone = KERNELS["hysteretic"]["misfit"](*particle(changed, k), *where, observed)
         np.testing.assert_allclose(after[k], alone, rtol=2e-6)
     kept, unchanged = (np.delete(sums, rows, axis=0) for sums in (after, before))

@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 from scipy import integrate, stats
 
-from pymc_features import Record, abc_tolerance, cli, sampling_rate_study
+from pymc_features import abc_tolerance, cli, sampling_rate_study
 from pymc_features.exceptions import StudyMismatchError
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve, exact_posterior, tolerance_interval
@@ -22,6 +22,7 @@ from pymc_features.study import STRUCTURES, as_csv, as_markdown, paper
 from pymc_features.study import sampling_rate as study_module
 from pymc_features.study.settings import Study
 from pymc_features.study.structures import find_structure
+from support.straight import Record
 
 pytestmark = pytest.mark.slow
 

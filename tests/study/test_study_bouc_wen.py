@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pymc_features import Record, cli, sampling_rate_study, simulate
+from pymc_features import cli, sampling_rate_study, simulate
 from pymc_features.arguments import make_parser
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.study import STRUCTURES, as_markdown, bouc_wen, find_structure, paper, yielding
@@ -15,6 +15,7 @@ from pymc_features.study.misfits import computed_sums
 from pymc_features.study.sampling_rate import SamplingOptions
 from pymc_features.study.settings import Study
 from pymc_features.study.structures import DEFAULT
+from support.straight import Record
 
 pytestmark = pytest.mark.slow
 

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from pymc_features import Record, sampling_rate_study
+from pymc_features import sampling_rate_study
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve, Exponents, Stretch, exact_posterior
 from pymc_features.study import sampling_rate as study_module
 from pymc_features.study.settings import Study
+from support.straight import Record
 
 pytestmark = pytest.mark.slow
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, linalg, stats
 
-from pymc_features import Record, simulate
+from pymc_features import simulate
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.likelihoods.exact.correlated import (
     correlated_exponents,
@@ -17,6 +17,7 @@ from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve
 from pymc_features.study import paper
 from pymc_features.study.findings import verdict
 from pymc_features.study.settings import Study
+from support.straight import Record
 
 pytestmark = pytest.mark.slow
 
