@@ -27,7 +27,8 @@ class Problem:
     """Record, data, likelihood, and the exact posterior."""
 
     def __init__(self):
-        self.record = pmf.synthetic_earthquake(19.98, 0.02, random_seed=1, pga=2.0)
+        record = pmf.synthetic_earthquake(19.98, 0.02, random_seed=1, pga=2.0)
+        self.record = pmf.paper.with_straight_lines(record)
         self.measured = pmf.paper.measurements(self.record, multipliers=(1.0,), random_seed=2).values
         self.parameters = [np.array(p) for p in pmf.paper.chain().parameters()]
         self.settings = (

@@ -33,7 +33,7 @@ NAMES = tuple(f"{like}-{d}-{prior}" for d in DIMENSIONS for like in LIKELIHOODS 
 @cache
 def record():
     """The ground motion."""
-    return pmf.synthetic_earthquake(10.0, 0.02, random_seed=1, pga=3.0)
+    return pmf.paper.with_straight_lines(pmf.synthetic_earthquake(10.0, 0.02, random_seed=1, pga=3.0))
 
 
 def storeys(d):

@@ -13,7 +13,6 @@ from pymc_features import (
     DiscrepancySimulator,
     ExternalSimulator,
     RayleighDamping,
-    Record,
     SpringMassChain,
     response,
 )
@@ -23,6 +22,7 @@ from support import external_functions as functions
 from support.external_functions import DATA, SHAPE, beam
 from support.external_models import LIKELIHOODS, BrokenElsewhere, model_of
 from support.sampling import QUIET
+from support.straight import Record
 
 
 def test_responses_and_discrepancies(simulator):
