@@ -85,9 +85,10 @@ def first_passage_probability(
 
     >>> from pymc_features import ModalDamping, Record, SpringMassChain
     >>> posterior = xr.Dataset({"m": (("chain", "draw"), [[0.8, 0.9, 1.1, 1.2]])})
+    >>> record = Record([0.0, 1.0], dt=1.0, interpolation="linear")
     >>> found = first_passage_probability(
-    ...     posterior, lambda m: SpringMassChain([m], 1e6, ModalDamping(0.1)), Record([0.0, 1.0], dt=1.0),
-    ...     limit=1.0, quantity="base_shear")
+    ...     posterior, lambda m: SpringMassChain([m], 1e6, ModalDamping(0.1)), record, limit=1.0,
+    ...     quantity="base_shear")
     >>> float(found["probability"])
     0.5
     """

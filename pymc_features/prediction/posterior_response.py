@@ -95,8 +95,9 @@ def posterior_response(
 
     >>> from pymc_features import ModalDamping, Record, SpringMassChain
     >>> posterior = xr.Dataset({"k": (("chain", "draw"), [[1e-6, 1e-6]])})
+    >>> record = Record([0.0, 0.6], dt=1.0, interpolation="linear")
     >>> found = posterior_response(
-    ...     posterior, lambda k: SpringMassChain([2.0], k, ModalDamping(0.0)), Record([0.0, 0.6], dt=1.0),
+    ...     posterior, lambda k: SpringMassChain([2.0], k, ModalDamping(0.0)), record,
     ...     "relative_displacement")
     >>> found["relative_displacement"].sel(time=1.0).values.ravel().round(6)
     array([-0.1, -0.1, -0.1])
