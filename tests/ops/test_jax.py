@@ -173,7 +173,6 @@ def test_all_ops_agree_at_repeated_frequencies(case, damping, quick_compilation)
     [
         ("none", [1e4, 1e6, 1e8]),  # omega h from 1 to 300
         ("overdamped", [1e3, 1e5, 1e7]),
-        ("none", [1e4, 1e9, 1e19]),  # beyond 1e6: NaN
         ("unequal", [1e3, 1e-2, 500.0]),  # equal frequencies, each with a damping of its own
     ],
 )
@@ -181,8 +180,6 @@ def test_all_ops_agree_at_the_edges(damping, stiffness, quick_compilation):
     """Steps far longer than a period, and modes that are close but not to be taken for one: 2e-10."""
     values = values_of("3 masses", damping, [1.0] * 3, stiffness)
     got, expected = (results(mode, "3 masses", values) for mode in ("JAX", PLAIN))
-    if max(stiffness) > 1e18:
-        assert all(np.isnan(expected.pop(tangent)[0]).all() for tangent in TANGENTS)  # see below
     found = errors(got, expected, values)
     assert max(found.values()) < 10 * LIMIT, found
 

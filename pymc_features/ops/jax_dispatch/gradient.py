@@ -121,12 +121,13 @@ def valid_only(op, static, parameters, dt, tangent):
 
 def without_gradient(*values):
     """Cotangents of the settings, which have none."""
-    return tuple(
-        jnp.zeros_like(x)
-        if jnp.issubdtype(jnp.result_type(x), jnp.floating)
-        else np.zeros(np.shape(x), jax.dtypes.float0)
-        for x in values
-    )
+
+    def of(x):
+        if jnp.issubdtype(jnp.result_type(x), jnp.floating):
+            return jnp.zeros_like(x)
+        return np.zeros(np.shape(x), jax.dtypes.float0)
+
+    return jax.tree.map(of, values)
 
 
 def with_exact_derivative(function, backward):
