@@ -533,5 +533,5 @@ def test_a_mode_in_several_rows_is_a_label(tmp_path):
     assert list(read_modal(path).labels) == ["first", "second", "first"]
     path.write_text("mode,frequency [Hz]\n1,1.2\n2,3.4\n")
     assert read_modal(path).labels is None
-    with pytest.raises(ValueError, match="`labels` must be 2 texts, one for each mode, got 1"):
+    with pytest.raises(ValueError, match="`labels` must be 2 names, one for each mode, got 1"):
         ModalData([1.0, 2.0], labels=["a"])
