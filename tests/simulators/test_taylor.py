@@ -17,8 +17,10 @@ FAMILIES = ("hysteretic", "duffing")
 
 KERNELS = {family: flat_kernels(family) for family in FAMILIES}
 
+PARTICLES = 11  # a vector of any width and a part of one; the same numbers whatever the width
 
-def population(family, n=3, p=LANES + 3, *, modal=False, sharpness=(1.0, 2.0), seed=0):
+
+def population(family, n=3, p=PARTICLES, *, modal=False, sharpness=(1.0, 2.0), seed=0):
     """Chains of different springs that yield, or harden several times, under the records below."""
     rng = np.random.default_rng(seed)
     values = np.full((p, 1, n), 1e6)

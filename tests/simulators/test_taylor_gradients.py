@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.nonlinear import kernels
 from pymc_features.simulators.oscillators.arguments import NO_DIRECT
 from pymc_features.simulators.taylor import tape
 from simulators.test_taylor import CASES as MARCHES
 from simulators.test_taylor import FAMILIES as NAMES
-from simulators.test_taylor import KERNELS, history, particle, population, shaken
+from simulators.test_taylor import KERNELS, PARTICLES, history, particle, population, shaken
 from support.kernels import population_gradient as chain_gradient
 
 pytestmark = pytest.mark.slow  # each family has kernels of its own
@@ -93,7 +92,7 @@ def test_gradient_is_that_of_the_march(family, case):
     if not several:
         observed[0, 4:9] = np.nan
     parameters[1][1] *= 4.0  # stays almost linear
-    weights = np.random.default_rng(5).normal(size=(LANES + 3, len(observed), 4 if several else 1))
+    weights = np.random.default_rng(5).normal(size=(PARTICLES, len(observed), 4 if several else 1))
     before = kernels.PARTICLES["taylor gradients"]
     errors = errors_of_gradient(family, parameters, where, observed, weights)
     assert kernels.PARTICLES["taylor gradients"] == before + len(weights)
@@ -151,7 +150,7 @@ def test_any_sharpness(sharpness, median, most, factor):
     chains[1][1] *= 4.0  # stays almost linear
     where = shaken()
     observed = noisy("hysteretic", chains, where)
-    weights = np.random.default_rng(5).normal(size=(LANES + 3, len(observed), 1))
+    weights = np.random.default_rng(5).normal(size=(PARTICLES, len(observed), 1))
     before = kernels.PARTICLES["taylor gradients"]
     errors = errors_of_gradient("hysteretic", chains, where, observed, weights)
     assert kernels.PARTICLES["taylor gradients"] == before + len(weights)
@@ -173,7 +172,7 @@ def test_linear_limit(family, modal):
     values[:, 1 if family == "hysteretic" else 0] = float(family == "hysteretic")
     where = shaken(4, n_times=200)
     data = 0.5 * history(family, (*linear, values), where, 0)
-    weights = np.random.default_rng(6).normal(size=(LANES + 3, len(data)))
+    weights = np.random.default_rng(6).normal(size=(PARTICLES, len(data)))
     ours = gradient(family, (*linear, values), where, data, weights[..., None])
     exact = chain_gradient(*linear, *where, data, weights)
     for a, b in list(zip(ours[:4], exact, strict=True))[: 3 + modal]:
@@ -186,7 +185,7 @@ def test_a_short_tape(case, monkeypatch):
     """The march is repeated for what the tape has no room for: the same numbers."""
     parameters, where = population("hysteretic"), shaken(**CASES[case][1])
     observed = noisy("hysteretic", parameters, where)
-    weights = np.ones((LANES + 3, len(observed), 1))
+    weights = np.ones((PARTICLES, len(observed), 1))
     whole = gradient("hysteretic", parameters, where, observed, weights)
     monkeypatch.setattr(tape, "ROOM", 1)
     in_parts = gradient("hysteretic", parameters, where, observed, weights)
