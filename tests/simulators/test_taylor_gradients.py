@@ -141,8 +141,8 @@ def differences(parameters, where, ours, observed, weights):
 def test_any_sharpness(sharpness, median, most, factor):
     """Of n as well; where |z|^n is not smooth at zero, what the choice of polynomials adds is left out.
 
-    The bounds are for central differences of the same march, three and ten times that beside Runge-Kutta
-    steps, whose gradient has an error of its own. Those by the dashpots' coefficients are looked at beside
+    The bounds are for central differences of the same march. Beside Runge-Kutta steps, whose gradient has an
+    error of its own, up to 1e-5 with vectors of four, they are 2e-5 and ten times those. Those by the dashpots' coefficients are looked at beside
     these steps alone: they may nearly vanish in a particle, whose error is then up to 1e-3 of them.
     """
     chains = inside("hysteretic", population("hysteretic", sharpness=(sharpness,)))
@@ -160,7 +160,7 @@ def test_any_sharpness(sharpness, median, most, factor):
     assert max(e.max() for e in errors.values()) < most, errors
     ours = gradient("hysteretic", chains, where, observed, weights)
     others = np.array(list(differences(chains, where, ours, observed, weights)))
-    assert np.median(others, axis=0).max() < max(3.0 * median, 1e-6), others
+    assert np.median(others, axis=0).max() < max(3.0 * median, 2e-5), others
     assert np.median(others.max(axis=1)) < 10.0 * most, others
 
 
