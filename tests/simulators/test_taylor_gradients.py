@@ -142,8 +142,9 @@ def test_any_sharpness(sharpness, median, most, factor):
     """Of n as well; where |z|^n is not smooth at zero, what the choice of polynomials adds is left out.
 
     The bounds are for central differences of the same march. Beside Runge-Kutta steps, whose gradient has an
-    error of its own, up to 1e-5 with vectors of four, they are 2e-5 and ten times those. Those by the dashpots' coefficients are looked at beside
-    these steps alone: they may nearly vanish in a particle, whose error is then up to 1e-3 of them.
+    error of its own, up to 1e-5 with vectors of four, they are 2e-5 and ten times those. Those by the
+    dashpots' coefficients are looked at beside these steps alone: they may nearly vanish in a particle, whose
+    error is then up to 1e-3 of them.
     """
     chains = inside("hysteretic", population("hysteretic", sharpness=(sharpness,)))
     chains[4][:, 0] *= factor
