@@ -204,7 +204,7 @@ def test_what_is_no_structure_is_alone(name):
     """Its density is -inf, its gradient zero, and those around it do not notice.
 
     They are as beside copies of one of them: yielding chains that march together take the steps that the
-    most demanding of them needs.
+    most demanding of them needs, so that these differ where others share their vector.
     """
     model = structural(name, prior=lambda: pm.Normal("x", 1.0, 0.1, shape=2))
     logp = evaluation_of(model)
@@ -218,7 +218,9 @@ def test_what_is_no_structure_is_alone(name):
     np.testing.assert_array_equal(failed, bad)
     assert (likelihood[bad] == -np.inf).all() and np.isfinite(prior[[0, 8]]).all() and prior[4] == -np.inf
     for got, exact in zip((prior, likelihood, failed, *slopes), expected, strict=True):
-        np.testing.assert_allclose(got[~bad], exact[~bad], rtol=1e-10)
+        np.testing.assert_allclose(
+            got[~bad], exact[~bad], rtol=1e-7 if name in ("duffing", "hysteretic") else 1e-10
+        )
     assert not any(slope[bad].any() for slope in slopes) and all(s[~bad].all() for s in slopes)
 
 
