@@ -10,6 +10,7 @@ import pymc as pm
 import pytensor
 import pytensor.tensor as pt
 import pytest
+from packaging.version import Version
 from pymc.sampling.mcmc import assign_step_methods
 from pytensor.graph.replace import vectorize_graph
 
@@ -467,10 +468,13 @@ def test_the_advice_of_the_refusal_works(pulse, measured):
             draws=20, chains=2, step=pm.DEMetropolisZ(), compute_convergence_checks=False, **quiet
         )
         assert idata.posterior["theta"].shape == (2, 20)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", FutureWarning)
-            mode = pm.find_MAP(method="powell", progressbar=False)
-        assert 0.5 < mode["theta"] < 1.5
+        if Version(pm.__version__) >= Version(
+            "6.4"
+        ):  # which no longer asks for a gradient that it does not use
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", FutureWarning)
+                mode = pm.find_MAP(method="powell", progressbar=False)
+            assert 0.5 < mode["theta"] < 1.5
 
 
 # --------------------------------------------------------------------------- the graph of a likelihood
