@@ -41,7 +41,7 @@ def test_one_call_for_each_record(shared):
     alone = np.zeros(5)
     for i in range(3):
         with pm.Model() as one:
-            sigma, factor = pm.HalfNormal("sigma", 1.0), pm.Flat("factor")
+            sigma, factor = pm.HalfNormal("sigma", 1.0), pm.Normal("factor", 1.0, 0.1)
             likelihood("y", factor, sigma, i)
         columns = points[:, [0, 1 if shared else 2 + i]]
         alone += population_logp(one, one.initial_point(), {})(columns)[1]
