@@ -12,14 +12,13 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
-from scipy.interpolate import CubicSpline
 
 MARGIN = 400  # samples by which both ends are continued
 ORDER = 100  # of the prediction: first second 6e-4 of the peak, 3e-3 by reflection through the last sample
 LEARNT = 20 * ORDER  # samples next to an end from which it is predicted
 TRUNCATION = 1e-6  # singular values of the prediction below this, relative to the largest, are noise
 N_ORDERS = 5  # the signal and four derivatives
-FINER = 16  # samples through which a cubic spline is right to 1e-5
+FINER = 16  # samples through which a cubic spline is laid
 
 
 def refined(samples: np.ndarray, factor: int) -> np.ndarray:
@@ -120,8 +119,10 @@ def at_times(samples: np.ndarray, dt: float, times: np.ndarray, step: float) -> 
     Returns
     -------
     array (d, u)
-        To 1e-5 of the peak: a cubic spline through samples 16 times finer than the shortest period needs.
+        To 1e-4 of the peak (tests/test_resampled_records.py): a cubic spline through samples 16 times finer.
     """
+    from scipy.interpolate import CubicSpline  # slow to import, and seldom needed
+
     spectrum, total = _spectrum(np.ascontiguousarray(samples, dtype=float).tobytes(), len(samples))
     spectrum = np.where(rfftfreq(total, dt) <= 0.5 / step, spectrum, 0.0)
     fine = _finer(spectrum, total, samples.shape[1], FINER)

@@ -155,7 +155,7 @@ class Record(DynamicLoad):
         Returns
         -------
         Record
-            Band-limited records keep their spectrum up to half of the lower sampling rate, to 1e-5 of the
+            Band-limited records keep their spectrum up to half of the lower sampling rate, to 1e-4 of the
             peak; linear ones are read off their straight lines.
 
         Raises
