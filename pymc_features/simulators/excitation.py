@@ -2,9 +2,9 @@
 
 A march joins samples by straight lines. Of a band-limited record it gets finer samples whose straight lines
 have the record's spectrum (`band_limited`), under which the *states* of a structure are right: errors over
-the peak, of content up to 0.45 of the sampling rate, are 1e-4 for modes up to 0.15 of it where it is refined
-by two, and up to the rate where it is refined by four (tests/simulators/test_band_limited.py). What stands
-before the inputs in a response directly takes the record's own samples, `Excitation.direct`.
+the peak, of content up to 0.45 of the sampling rate, are below 1e-4 for modes up to 0.3 of it, and 3e-4 for
+one at 0.8 (`python -m benchmarks.band_limited`). What stands before the inputs in a response directly takes
+the record's own samples, `Excitation.direct`.
 """
 
 from math import gcd
