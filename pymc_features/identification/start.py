@@ -9,9 +9,7 @@ from pymc_features.identification.posterior import BandData, FreeModes, Posterio
 
 RATIOS = (0.005, 0.02)  # damping ratios that are tried
 BESIDE = 0.05  # damping ratio of what comes in from beside the band, at first
-STARTS = (
-    3  # from which the posterior is climbed, the likeliest first, until there is a maximum; one of `fewer`
-)
+STARTS = 3  # from which the posterior is climbed, the likeliest first, until there is a maximum
 SMALLEST = 1e-3  # force or error, over the mean of the band
 
 
