@@ -290,7 +290,7 @@ def data_of(problem) -> xr.Dataset:
             "record": measured.record.name,
             "source": measured.source,
             "interpolation": measured.record.interpolation,
-            "refinement": request_of(problem).factor,
+            "refinement": request_of(problem)[0].factor,
         },
     )
     if given is not None:

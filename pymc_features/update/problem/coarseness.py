@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features.simulators.quantities import rows_of
 from pymc_features.simulators.simulate import respond
 from pymc_features.update.problem.model import request_of
 from pymc_features.update.problem.read import Problem
@@ -48,11 +49,13 @@ def coarseness(problem: Problem, values: dict[str, float]) -> Coarseness:
     A record that is taken as straight lines is compared with one that is band-limited.
     """
     structure, record = problem.structure(**values), problem.measured.record
-    asked = request_of(problem)
-    used = respond(structure, record, asked, asked.sensors)
+    asked, outputs = request_of(problem)
+    rows = rows_of(structure, asked.quantity, asked, outputs).picked
+    used = respond(structure, record, asked, rows)
     smooth = replace(record, interpolation="band-limited")
-    fine = respond(structure, smooth, asked._replace(factor=FINEST), asked.sensors)
-    shares = structure.modes().natural_frequencies * record.dt
+    fine = respond(structure, smooth, asked._replace(factor=FINEST), rows)
+    modes = structure.modes(asked.n_modes) if structure.family == "linear" else structure.modes()
+    shares = modes.natural_frequencies * record.dt
     change = np.sqrt(((used - fine)[:, problem.measured.compared] ** 2).mean(axis=1))
     size = np.sqrt((fine[:, problem.measured.compared] ** 2).mean(axis=1))
     return Coarseness(float(shares[shares <= 1.0].max(initial=shares[0])), asked.factor, change, size)

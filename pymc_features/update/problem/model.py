@@ -88,12 +88,12 @@ def compare_responses(problem, kind, structure, values, tolerance) -> None:
 
 
 def request_of(problem: Problem):
-    """The request of the model's response, with the refinement that its priors need."""
+    """The request of the model's response, with the refinement that its priors need, and its outputs."""
     record = problem.measured.record
     with pm.Model():
         values = {name: problem.priors[name].declare(name) for name in problem.structure.names}
         structure = problem.structure(**values)
-        asked, _ = checked_request(
+        asked, outputs = checked_request(
             structure,
             record,
             "absolute_acceleration",
@@ -101,7 +101,7 @@ def request_of(problem: Problem):
             sensors=problem.dofs,
             n_modes=problem.structure.n_modes,
         )
-        return request_in_model(structure, record, asked)
+        return request_in_model(structure, record, asked), outputs
 
 
 def compare_spectra(problem, structure, values) -> None:
