@@ -1,7 +1,5 @@
 """Ops that take statistics of misfits, and their gradients, from tables where the record is long."""
 
-import numpy as np
-
 from pymc_features.ops.base import prepared
 from pymc_features.simulators.mean_squares.gradient.population import misfit_gradient
 from pymc_features.simulators.mean_squares.population import is_long_alone, misfits
@@ -21,23 +19,11 @@ def uncopied(op, inputs):
     return op.spec.assemble(common, op.quantity_code), inputs[op.n_common :]
 
 
-def takes_tables(op, inputs) -> bool:
-    """Whether the response has nothing of the record but by its states, which is all that tables know."""
-    if inputs[op.at("direct")].size == 0 or op.quantity in ("relative_velocity", "relative_displacement"):
-        return True
-    is_forced = "forces" in op.names and np.any(inputs[op.at("forces")])
-    n_dof = inputs[op.at("influence") if "influence" in op.names else 0].shape
-    n_dof = n_dof[0] if "influence" in op.names else n_dof[-1]
-    is_whole = inputs[op.at("n_modes")] == n_dof
-    return op.quantity == "absolute_acceleration" and not is_forced and bool(is_whole)
-
-
 def has_tables(op, inputs) -> bool:
     """Whether tables are faster for one structure by itself."""
-    if not takes_tables(op, inputs):
-        return False
-    stride, n_modes, observed = inputs[op.at("stride")], inputs[op.at("n_modes")], inputs[op.n_common]
-    return "gradient_of_sums" in op.spec.kernels and is_long_alone(stride, observed, n_modes)
+    return "gradient_of_sums" in op.spec.kernels and is_long_alone(
+        inputs[op.n_common], inputs[op.at("n_modes")]
+    )
 
 
 class StatisticsFromTables:

@@ -14,7 +14,7 @@ from pymc_features.ops.comparison import (
     StructuralDiscrepancy,
     StructuralMisfit,
 )
-from pymc_features.ops.long_records import takes_tables, uncopied
+from pymc_features.ops.long_records import uncopied
 from pymc_features.simulators.mean_squares.gradient.population import is_long as has_long_gradient
 from pymc_features.simulators.mean_squares.gradient.population import misfit_gradient
 from pymc_features.simulators.mean_squares.population import is_long, misfits
@@ -35,8 +35,7 @@ class PopulationComparison(StructuralOp):
 
     def run(self, inputs):
         """From tables, where the record is long and the structure has modes."""
-        is_whole = "population_systems" in self.spec.kernels and takes_tables(self, inputs)
-        if is_whole and is_long(inputs[self.at("stride")], inputs[-1]):
+        if "population_systems" in self.spec.kernels and is_long(inputs[-1]):
             arguments, [observed] = uncopied(self, inputs)
             return (misfits(self.spec, arguments, observed, self.kernel_name),)
         return super().run(inputs)
@@ -94,8 +93,7 @@ class PopulationGradient(MisfitGradient):
     def run(self, inputs):
         """From tables, as in `PopulationComparison`."""
         *_, observed, weights = inputs
-        has_tables = "gradient_of_sums" in self.spec.kernels and takes_tables(self, inputs)
-        if has_tables and has_long_gradient(inputs[self.at("stride")], observed):
+        if "gradient_of_sums" in self.spec.kernels and has_long_gradient(observed):
             arguments, _ = uncopied(self, inputs)
             return misfit_gradient(self.spec, arguments, observed, weights)
         return StructuralOp.run(self, inputs)

@@ -15,6 +15,7 @@ from pymc_features import (
     RayleighDamping,
     SpringMassChain,
     TruncNormalFeature,
+    records,
     response,
 )
 from pymc_features.ops.population import PopulationDiscrepancy
@@ -32,6 +33,15 @@ LIGHT = RayleighDamping(0.2, 1e-3)
 
 
 FROM_REST = Record(np.append(0.0, np.random.default_rng(6).normal(size=N_TIMES - 1)), DT)  # no function more
+BAND_LIMITED = records.Record(np.random.default_rng(8).normal(size=N_TIMES), DT)
+ASKED = {  # outputs at each step or fewer; own values of the record beside those marched
+    "all": {},
+    "modes": {"record": FROM_REST, "n_modes": 3},
+    "fine": {"dt": DT / 2},
+    "coarse": {"dt": 3 * DT, "n_times": 3 * N_TIMES},
+    "refined": {"record": BAND_LIMITED, "factor": 2},
+    "finer": {"record": BAND_LIMITED, "factor": 4, "n_modes": 3},
+}
 
 
 @pytest.fixture(autouse=True)
@@ -74,6 +84,7 @@ class Case:
         quantity=0,
         n_modes=None,
         dt=DT,
+        factor=1,
         n_times=N_TIMES,
         record=None,
         part=0.3,
@@ -83,6 +94,7 @@ class Case:
         self.family = FAMILIES[structure.family]
         self.record = Record(noise(n_times), DT) if record is None else record
         wanted = request(n, DT, dt=dt, sensors=list(sensors), quantity=QUANTITIES[quantity], n_modes=n_modes)
+        wanted = wanted._replace(factor=factor)
         rows = self.family.rows(wanted.sensors, n)
         rows = rows.toarray() if sparse.issparse(rows) else rows
         excitation = excitation_of(structure.excitation(self.record), self.record, wanted)
@@ -139,22 +151,21 @@ def test_matrix_exponential(tables):
 
 @pytest.mark.parametrize("structure", [chain(), dense()], ids=["chain", "linear"])
 @pytest.mark.parametrize("quantity", range(4), ids=QUANTITIES)
-@pytest.mark.parametrize(
-    "asked", [{}, {"record": FROM_REST, "n_modes": 3}, {"dt": DT / 2}], ids=["", "modes", "fine"]
-)
+@pytest.mark.parametrize("asked", ASKED.values(), ids=ASKED)
 def test_agrees_with_the_march(tables, structure, quantity, asked):
     case = Case(structure, quantity=quantity, **asked)
     np.testing.assert_allclose(case.by_table(), case.marched(), rtol=1e-9)
     assert tables[0][1].all()
 
 
+@pytest.mark.parametrize("factor", [1, 2], ids=["lines", "refined"])
 @pytest.mark.parametrize("from_rest", [False, True])
-def test_several_inputs(tables, from_rest):
+def test_several_inputs(tables, from_rest, factor):
     """Two forces, so that modes have two inputs in different parts."""
-    values = noise((2, N_TIMES))
+    values, kind = noise((2, N_TIMES)), Loading if factor == 1 else records.Loading
     values[:, 0] *= not from_rest
-    forces = Loading(values, DT, kind="force", matrix=noise((4, 2), 7))
-    case = Case(dense(), record=forces, quantity=1)
+    forces = kind(values, DT, kind="force", matrix=noise((4, 2), 7))
+    case = Case(dense(), record=forces, quantity=1, factor=factor)
     np.testing.assert_allclose(case.by_table(), case.marched(), rtol=1e-9)
     assert tables[0][1].all()
 
@@ -170,7 +181,9 @@ def test_strong_damping(tables, damping):
 
 
 @pytest.mark.parametrize("quantity", range(4), ids=QUANTITIES)
-@pytest.mark.parametrize("asked", [{}, {"record": FROM_REST, "n_modes": 3}], ids=["", "modes"])
+@pytest.mark.parametrize(
+    "asked", [ASKED["all"], ASKED["modes"], ASKED["refined"]], ids=["", "modes", "refined"]
+)
 def test_complex_modes(tables, quantity, asked):
     """A dashpot at the base couples the modes; one particle is no structure."""
     mass, damping, stiffness = chain().matrices()
@@ -304,7 +317,7 @@ def test_each_particle_counts_towards_the_next_check():
 
 @pytest.mark.parametrize("as_data", [False, True], ids=["constant", "pm.Data"])
 def test_likelihoods_of_long_records(tables, monkeypatch, as_data):
-    case = Case(chain())
+    case = Case(chain(), record=BAND_LIMITED)
     with pm.Model() as model:
         theta, sigma = pm.Uniform("theta", 0.5, 1.5), pm.Uniform("sigma", 0.0, 5.0)
         mu = response(chain().scale_stiffness(theta, springs=[0]), case.record, sensors=[3, 0, 1])
@@ -322,15 +335,12 @@ def test_likelihoods_of_long_records(tables, monkeypatch, as_data):
 
 
 def test_short_records_and_yielding_springs_are_marched(tables):
-    """And outputs coarser than the record."""
-    short = Case(chain(), n_times=population.FEWEST_SAMPLES - 1)
-    coarse = Case(chain(), n_times=2 * N_TIMES, dt=2 * DT)
-    for case in (short, coarse):
-        op = PopulationDiscrepancy()
-        parameters, excitation, wanted = case.arguments
-        inputs = [*parameters, *excitation, wanted.sensors, wanted.n_modes, case.observed]
-        [found] = op.run([np.asarray(x) for x in inputs])
-        np.testing.assert_array_equal(found, case.marched())
+    case = Case(chain(), n_times=population.FEWEST_SAMPLES - 1)
+    op = PopulationDiscrepancy()
+    parameters, excitation, wanted = case.arguments
+    inputs = [*parameters, *excitation, wanted.sensors, wanted.n_modes, case.observed]
+    [found] = op.run([np.asarray(x) for x in inputs])
+    np.testing.assert_array_equal(found, case.marched())
     assert tables == []
     assert "population_systems" not in FAMILIES[HystereticChain.family].kernels
 

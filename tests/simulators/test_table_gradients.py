@@ -6,13 +6,31 @@ import numpy as np
 import pymc as pm
 import pytest
 
-from pymc_features import AffineStructure, CorrelatedNormal, ModalDamping, TruncNormalFeature, response
+from pymc_features import (
+    AffineStructure,
+    CorrelatedNormal,
+    ModalDamping,
+    TruncNormalFeature,
+    records,
+    response,
+)
 from pymc_features.ops.population import PopulationGradient
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.mean_squares import kept, population, stencil
 from pymc_features.simulators.mean_squares.gradient import population as gradients
 from pymc_features.smc.density.evaluation import population_logp
-from simulators.test_mean_squares import DT, FROM_REST, LIGHT, N_TIMES, PARTICLES, Case, chain, dense, noise
+from simulators.test_mean_squares import (
+    ASKED,
+    BAND_LIMITED,
+    DT,
+    LIGHT,
+    N_TIMES,
+    PARTICLES,
+    Case,
+    chain,
+    dense,
+    noise,
+)
 from support.straight import Loading
 
 # what the march would put right, and warn of, is a failure here
@@ -98,9 +116,7 @@ def test_differences_of_the_march(structure):
 @pytest.mark.parametrize("structure", CLASSICAL, ids=["chain", "linear"])
 @pytest.mark.parametrize("n_statistics", [1, 4])
 @pytest.mark.parametrize("quantity", range(4), ids=QUANTITIES)
-@pytest.mark.parametrize(
-    "asked", [{}, {"record": FROM_REST, "n_modes": 3}, {"dt": DT / 2}], ids=["", "modes", "fine"]
-)
+@pytest.mark.parametrize("asked", ASKED.values(), ids=ASKED)
 def test_agrees_with_the_march(tables, structure, n_statistics, quantity, asked):
     case, weights = Case(structure, quantity=quantity, **asked), weights_of(n_statistics)
     assert errors(by_table(case, weights), marched(case, weights)).max() < 1e-10
@@ -108,7 +124,7 @@ def test_agrees_with_the_march(tables, structure, n_statistics, quantity, asked)
 
 
 @pytest.mark.parametrize("quantity", range(4), ids=QUANTITIES)
-@pytest.mark.parametrize("asked", [{}, {"record": FROM_REST, "n_modes": 3}], ids=["", "modes"])
+@pytest.mark.parametrize("asked", ASKED.values(), ids=ASKED)
 def test_statistics_of_increments(tables, quantity, asked):
     case = Case(chain(), quantity=quantity, **asked)
     found = population.misfits(case.family, case.arguments, case.observed, "population_misfit")
@@ -213,7 +229,7 @@ def declared(case, likelihood, as_data):
 
 @pytest.mark.parametrize("likelihood", [TruncNormalFeature, CorrelatedNormal])
 def test_gradients_of_a_population_of_a_model(tables, monkeypatch, likelihood):
-    model = declared(Case(chain()), likelihood, False)
+    model = declared(Case(chain(), record=BAND_LIMITED), likelihood, False)
     logp = population_logp(model, model.initial_point(), {})
     particles = np.random.default_rng(4).uniform(-1.0, 1.0, (PARTICLES, 2))
     *_, slope = found = logp.gradient(particles)
@@ -234,7 +250,8 @@ def test_gradients_of_a_population_of_a_model(tables, monkeypatch, likelihood):
 )
 def test_a_lone_chain(tables, monkeypatch, likelihood, as_data):
     """Value and gradient as NUTS has them; constants, whose memory has no owner, are known again."""
-    case, point = Case(chain(), n_times=4003), np.array([0.3, -0.2])
+    record = records.Record(noise(4003), DT)
+    case, point = Case(chain(), record=record), np.array([0.3, -0.2])
     model = declared(case, likelihood, as_data)
     logp = model.logp_dlogp_function(ravel_inputs=True)
     logp.set_extra_values({})

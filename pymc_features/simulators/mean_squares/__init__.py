@@ -15,4 +15,8 @@ recursion times itself (`pairs`),
 
 with rho = phi1 - phi2, X = v[N-1], Q = a'v, U = E (Q - X a[N-1]), the first a'a without the last sample of
 the record and the other one without the first.
+
+Where there is an output at every c-th step only, as of a record that is refined c times, the recursion from
+one to the next has E^c for E and the inputs' phases a[c n + p], p = 0 ... c - 1, as so many inputs: E^(c-1)
+rho stands before phase zero, E^(c-1-p) phi1^2 before the others, and phi2 before a[c n + c].
 """

@@ -37,26 +37,38 @@ def prepare_pole(own, r):
     turn_re, turn_im = product(*centre_turn(nu_re, nu_im), *load_pair(own.numbers, row + 6))
     write_weights(own.even, own.odd, 1.0, nu_re, nu_im, own.weights)
     grown_re, grown_im, one_re, one_im, two_re, two_im = hold(sigma, omega, own.step)
-    store_pair(own.grown, 2 * r, grown_re, grown_im)
     rho_re, rho_im = one_re - two_re, one_im - two_im
     e_re = grown_re + 1.0
     size = 1.0 / (e_re * e_re + grown_im * grown_im)
     back_re, back_im = e_re * size, (0.0 - grown_im) * size
-    base_re, base_im = product(*product(one_re, one_im, one_re, one_im), back_re, back_im)
-    base_re, base_im = product(base_re, base_im, turn_re, turn_im)
+    square_re, square_im = product(one_re, one_im, one_re, one_im)
+    base_re, base_im = product(*product(square_re, square_im, back_re, back_im), turn_re, turn_im)
     back_re, back_im = product(rho_re, rho_im, back_re, back_im)
+    # each phase p, from the last: E^(c-1-p) phi1^2, or rho for phi1^2; E^(c-p) - 1
+    square_re, square_im = product(square_re, square_im, gain_re, gain_im)
+    whole_re, whole_im = grown_re, grown_im
+    for p in range(own.stride - 1, 0, -1):
+        for i in range(n_inputs):
+            share = read_lanes(own.participation, r * n_inputs + i)
+            at = 2 * ((r * n_inputs + i) * own.stride + p)
+            store_pair(own.ahead, at, share * square_re, share * square_im)
+        square_re, square_im = product(square_re, square_im, e_re, grown_im)
+        gain_re, gain_im = product(gain_re, gain_im, e_re, grown_im)
+        more_re, more_im = product(whole_re, whole_im, grown_re, grown_im)
+        whole_re, whole_im = whole_re + grown_re + more_re, whole_im + grown_im + more_im
+    store_pair(own.grown, 2 * r, whole_re, whole_im)
     rho_re, rho_im = product(rho_re, rho_im, gain_re, gain_im)
+    gain_re, gain_im = load_pair(own.numbers, row + 2)
     start_re, start_im = product(two_re, two_im, turn_re, turn_im)
     two_re, two_im = product(two_re, two_im, gain_re, gain_im)
     start = splat(0.0)
     for i in range(n_inputs):
         share = read_lanes(own.participation, r * n_inputs + i)
-        at = 2 * (r * n_inputs + i)
-        store_pair(own.ahead, at, share * rho_re, share * rho_im)
-        store_pair(own.now, at, share * two_re, share * two_im)
+        store_pair(own.ahead, 2 * (r * n_inputs + i) * own.stride, share * rho_re, share * rho_im)
+        store_pair(own.now, 2 * (r * n_inputs + i), share * two_re, share * two_im)
         store_pair(own.factors, 4 * i, share * base_re, share * base_im)
         store_pair(own.factors, 4 * i + 2, 0.0 - share * back_re, 0.0 - share * back_im)
-        start = start - share * read_number(own.first, i)
+        start = start - share * read_number(own.first, i * own.stride)
     store_pair(own.factors, 4 * n_inputs, start * start_re, start * start_im)
 
 
@@ -104,7 +116,7 @@ def take_functions(own, r, lane, entry):
     for j in range(own.n_sensors):
         found = read_number(own.found, 2 * LANES * (j // LANES) + j % LANES)
         write_number(own.products, j * LANES + lane, 2.0 * found)
-    for i in range(own.n_inputs + 1):
+    for i in range(own.n_functions):
         f, to = own.n_sensors + i, (own.n_sensors + 2 * i) * LANES + lane
         at = 2 * LANES * (f // LANES) + f % LANES
         write_number(own.products, to, read_number(own.found, at))
@@ -114,33 +126,41 @@ def take_functions(own, r, lane, entry):
 @jit
 def finish_pole(own, r):
     """Add g'o of pole r to the sums, and write what its products with other poles need."""
-    n_sensors, n_inputs = own.n_sensors, own.n_inputs
+    n_sensors, n_inputs, stride = own.n_sensors, own.n_inputs, own.stride
+    n_phases = n_inputs * stride
     e_re, e_im = read_lanes(own.grown, 2 * r) + 1.0, read_lanes(own.grown, 2 * r + 1)
-    last_re, last_im = load_pair(own.products, n_sensors + 2 * n_inputs)
+    last_re, last_im = load_pair(own.products, n_sensors + 2 * n_phases)
     kick_re = kick_im = splat(0.0)  # v[1]
+    for i in range(n_phases):
+        at, first = 2 * (r * n_phases + i), read_number(own.first, i)
+        kick_re = kick_re + first * read_lanes(own.ahead, at)
+        kick_im = kick_im + first * read_lanes(own.ahead, at + 1)
     for i in range(n_inputs):
-        at, first, second = 2 * (r * n_inputs + i), read_number(own.first, i), read_number(own.second, i)
-        kick_re = kick_re + (first * read_lanes(own.ahead, at) + second * read_lanes(own.now, at))
-        kick_im = kick_im + (first * read_lanes(own.ahead, at + 1) + second * read_lanes(own.now, at + 1))
-    for i in range(n_inputs):
+        at, second = 2 * (r * n_inputs + i), read_number(own.second, i)
+        kick_re = kick_re + second * read_lanes(own.now, at)
+        kick_im = kick_im + second * read_lanes(own.now, at + 1)
+    for i in range(n_phases):
         q_re, q_im = load_pair(own.products, n_sensors + 2 * i)
-        final, kick = read_number(own.final, i), read_number(own.kick, i)
+        final = read_number(own.final, i)
         u_re, u_im = product(q_re - last_re * final, q_im - last_im * final, e_re, e_im)
+        for k in range(n_phases):
+            early = 0.5 * read_number(own.early, i * n_phases + k)
+            ahead_re, ahead_im = load_pair(own.ahead, 2 * (r * n_phases + k))
+            u_re, u_im = u_re + early * ahead_re, u_im + early * ahead_im
+        store_pair(own.before, 2 * (r * n_phases + i), u_re, u_im)
+    for i in range(n_inputs):
+        passed = read_lanes(own.products, n_sensors + 2 * (own.own + i * own.own_step))
         for j in range(n_sensors):
             share = read_lanes(own.feed, j * n_inputs + i) * read_lanes(own.shapes, r * n_sensors + j)
-            write_lanes(own.squares, j, read_lanes(own.squares, j) + 4.0 * share * q_re)
+            write_lanes(own.squares, j, read_lanes(own.squares, j) + 4.0 * share * passed)
+        q_re, q_im = load_pair(own.products, n_sensors + 2 * i * stride)
+        kick = read_number(own.kick, i)
         q_re, q_im = q_re + kick * kick_re, q_im + kick * kick_im
         for k in range(n_inputs):
-            at = 2 * (r * n_inputs + k)
-            early = 0.5 * read_number(own.early, i * n_inputs + k)
             late = 0.5 * read_number(own.late, i * n_inputs + k)
-            rho_re, rho_im = load_pair(own.ahead, at)
-            two_re, two_im = load_pair(own.now, at)
-            u_re, u_im = u_re + early * rho_re, u_im + early * rho_im
+            two_re, two_im = load_pair(own.now, 2 * (r * n_inputs + k))
             q_re, q_im = q_re - late * two_re, q_im - late * two_im
-        at = 2 * (r * n_inputs + i)
-        store_pair(own.before, at, u_re, u_im)
-        store_pair(own.here, at, q_re, q_im)
+        store_pair(own.here, 2 * (r * n_inputs + i), q_re, q_im)
     store_pair(own.last, 2 * r, *product(last_re, last_im, e_re, e_im))
     for j in range(n_sensors):
         shape = read_lanes(own.shapes, r * n_sensors + j)
@@ -178,7 +198,7 @@ def evaluate(mesh: Mesh, sums: Sums, systems: Systems, poles: Poles, result, siz
     """
     n_sensors, n_inputs = sums.products.shape
     n_poles = poles.numbers.shape[1]
-    work = new_work(n_poles, n_sensors, n_inputs, mesh.lag_zero.shape[0] // n_inputs)
+    work = new_work(n_poles, n_sensors, (n_inputs, sums.first.size), mesh.lag_zero.shape[0] // n_inputs)
     reach, served = addresses(mesh, sums, work), np.flatnonzero(poles.served)
     entries = np.empty(poles.rows.shape, dtype=np.int64)
     write_entries(poles, mesh, reach.node, entries)

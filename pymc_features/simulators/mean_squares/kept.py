@@ -32,7 +32,7 @@ class Data:
 
     def __init__(self, observed, acceleration, excitation):
         self.observed, self.acceleration = observed.copy(), acceleration.copy()
-        self.grid, self.until_check, self.made = excitation[1:4], {}, {}
+        self.excitation, self.until_check, self.made = excitation, {}, {}
         self.has_tables = bool(np.isfinite(observed).all() and np.isfinite(acceleration).all())
 
     def tables(self, n_statistics):
@@ -44,12 +44,14 @@ class Data:
     def table(self, of_increments):
         """The table of the misfit or of its increments, made when it is first asked for."""
         if of_increments not in self.made:
-            dt, substeps, _ = self.grid
-            ground = np.empty((len(self.acceleration), self.observed.shape[1]))
+            _, dt, substeps, stride, direct = self.excitation
+            n_times = self.observed.shape[1]
+            ground = np.empty((len(self.acceleration), stride * (n_times - 1) + 1))
             for i, row in enumerate(ground):
                 interpolate(self.acceleration[i], substeps, 0, row)
+            own = direct[0][:, :n_times] if direct.size else np.empty((0, n_times))
             self.made[of_increments] = Table(
-                correlations(self.observed, ground, dt / substeps, of_increments)
+                correlations(self.observed, ground, own, dt / substeps, of_increments)
             )
         return self.made[of_increments]
 
@@ -71,7 +73,7 @@ class Kept:
     def of(self, observed, excitation) -> Data:
         """Data (s, N) under inputs (t,) or (d, t), known or new."""
         acceleration = np.atleast_2d(excitation.acceleration)
-        memory = (place(observed), place(acceleration), *map(float, excitation[1:4]))
+        memory = (place(observed), place(acceleration), *map(float, excitation[1:4]), excitation.direct.shape)
         found = self.by_memory.get(memory)
         if found is not None:
             owners, probes, data = found
@@ -93,6 +95,7 @@ class Kept:
         digest = hashlib.sha256(repr((observed.shape, acceleration.shape, *excitation[1:4])).encode())
         digest.update(np.ascontiguousarray(observed))
         digest.update(np.ascontiguousarray(acceleration))
+        digest.update(np.ascontiguousarray(excitation.direct[:1]))
         key = digest.digest()
         data = self.by_content.pop(key, None) or Data(observed, acceleration, excitation)
         self.by_content[key] = data  # the last one asked for comes last

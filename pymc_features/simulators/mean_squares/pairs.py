@@ -27,10 +27,11 @@ def pair_product(own, r, q):
     y_re, y_im = load_pair(own.last, 2 * q)
     zero = splat(0.0)
     sums = (zero - x_re * y_re, zero - x_im * y_im, zero - x_re * y_im, zero - x_im * y_re)
+    n_phases = own.n_inputs * own.stride
+    for i in range(n_phases):
+        sums = cross_terms(sums, own.ahead, own.before, 2 * (r * n_phases + i), 2 * (q * n_phases + i))
     for i in range(own.n_inputs):
-        at, to = 2 * (r * own.n_inputs + i), 2 * (q * own.n_inputs + i)
-        sums = cross_terms(sums, own.ahead, own.before, at, to)
-        sums = cross_terms(sums, own.now, own.here, at, to)
+        sums = cross_terms(sums, own.now, own.here, 2 * (r * own.n_inputs + i), 2 * (q * own.n_inputs + i))
     ac, bd, ad, bc = sums
     a, b = load_pair(own.grown, 2 * r)
     c, d = load_pair(own.grown, 2 * q)
@@ -50,9 +51,11 @@ def own_size(own, r):
     """Root of a bound on the terms of o_r'o_r: what its rounding errors are relative to."""
     x_re, x_im = load_pair(own.last, 2 * r)
     total = x_re * x_re + x_im * x_im
-    for i in range(own.n_inputs):
-        at = 2 * (r * own.n_inputs + i)
-        for a, b in ((own.ahead, own.before), (own.now, own.here)):
+    for a, b, n in (
+        (own.ahead, own.before, own.n_inputs * own.stride),
+        (own.now, own.here, own.n_inputs),
+    ):
+        for at in range(2 * r * n, 2 * (r + 1) * n, 2):
             a_size = magnitude(read_lanes(a, at)) + magnitude(read_lanes(a, at + 1))
             b_size = magnitude(read_lanes(b, at)) + magnitude(read_lanes(b, at + 1))
             total = total + 2.0 * a_size * b_size

@@ -9,7 +9,7 @@ from pymc_features.simulators.mean_squares.asked import Asked
 from pymc_features.simulators.mean_squares.evaluate import evaluate
 from pymc_features.simulators.mean_squares.kept import KEPT
 
-FEWEST_SAMPLES = 2000  # below, the march is as fast
+FEWEST_SAMPLES = 2000  # of the recursion; below, the march is as fast
 FEWEST_ALONE, LEAST_ALONE = 4000, 80_000  # of one structure: samples, and samples times modes
 ROUNDING = 5e-15  # errors of a sum, relative to what `evaluate` calls sizes: ten times what was found
 SURE = 1e-8  # error of e_j that makes no difference to TN and EXP
@@ -17,15 +17,15 @@ NATS = 1e-3  # error of the log-likelihood of independent samples, whose varianc
 AGREEMENT = 1e-6  # with the march
 
 
-def is_long(stride, observed) -> bool:
-    """Whether tables are faster: many samples, one for each step of the recursion."""
-    return stride == 1 and observed.shape[-1] >= FEWEST_SAMPLES
+def is_long(observed) -> bool:
+    """Whether tables are faster."""
+    return observed.shape[-1] >= FEWEST_SAMPLES
 
 
-def is_long_alone(stride, observed, n_modes) -> bool:
+def is_long_alone(observed, n_modes) -> bool:
     """Whether tables are faster for one structure, whose modes do not fill the lanes of a vector."""
     n_times = observed.shape[-1]
-    return stride == 1 and n_times >= FEWEST_ALONE and n_times * n_modes >= LEAST_ALONE
+    return n_times >= FEWEST_ALONE and n_times * n_modes >= LEAST_ALONE
 
 
 def mean_squares(family, arguments, observed) -> np.ndarray:
@@ -84,8 +84,8 @@ def from_tables(data, tables, systems, poles):
         return squares[0][0], is_sure
     (mean_square, ends), (increment, _) = squares
     sums, observed = tables[0].of.sums, data.observed
-    first = observed[:, 0] - systems.feed @ sums.first
-    last = observed[:, -1] - systems.feed @ sums.last - ends
+    first = observed[:, 0] - systems.feed @ sums.own_first
+    last = observed[:, -1] - systems.feed @ sums.own_last - ends
     first[~systems.valid] = np.nan
     return np.stack([mean_square, increment, first, last], axis=-1), is_sure
 

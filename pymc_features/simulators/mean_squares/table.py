@@ -1,9 +1,9 @@
 """Values of the entire functions on a mesh in the plane of the poles, filled where particles come by.
 
 At lambda = -sigma + i omega what lies behind e^(-sigma t) = 1e-16 counts for nothing. Level k of the mesh
-takes the first N / 2^k lags and serves 37 <= sigma T / 2^k < 74, level 0 all sigma below. Its spacing in both
-directions is 2 pi / (L h), three times as fine as the N / 2^k lags need, and one real FFT of length L gives
-a function along a whole row of nodes.
+takes the first N / 2^k of N lags, steps of the recursion, and serves 37 <= sigma T / 2^k < 74, level 0 all
+sigma below. Its spacing in both directions is 2 pi / (L h), three times as fine as so many lags need, and one
+real FFT of length L gives a function along a whole row of nodes.
 """
 
 from typing import NamedTuple
@@ -76,8 +76,8 @@ class Table:
         levels = max(1, int(np.log2(n_times / SHORTEST)) + 1)
         self.lengths = [n_times >> k for k in range(levels)]
         self.periods = [2 * OVERSAMPLING * fft.next_fast_len(-(-(n + 1) // 2)) for n in self.lengths]
-        lag_zero = np.zeros((len(of.sums.first), self.vectors * LANES))
-        lag_zero[:, :n_functions] = of.lags[: len(of.sums.first), :, 0]
+        lag_zero = np.zeros((len(of.sums.second), self.vectors * LANES))
+        lag_zero[:, :n_functions] = of.lags[: len(lag_zero), :, 0]
         empty = np.zeros((levels, N_ROWS), dtype=np.int64)
         self.mesh = Mesh(
             n_times * of.step,

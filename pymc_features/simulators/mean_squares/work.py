@@ -12,7 +12,9 @@ TURNS = np.exp(1j * np.pi / 3.0 * np.arange(6))  # exp(i omega c) at the nodes, 
 
 
 class Work(NamedTuple):
-    """Memory for the structures in the lanes; S poles, s sensors, d inputs, complex numbers as two rows.
+    """Memory for the structures in the lanes.
+
+    S poles, s sensors, d inputs with d c phases, complex numbers as two rows.
 
     Attributes
     ----------
@@ -24,13 +26,15 @@ class Work(NamedTuple):
     factors : array (4 d + 2, LANES)
         What stands before the interpolated functions and before R[0], of one pole; complex.
     grown, last : array (2 S, LANES)
-        E - 1, and C E X.
-    ahead, now, before, here : array (2 S d, LANES)
-        C times rho and phi2, by the participation, and C times U and Q.
+        E - 1 from output to output, and C E X.
+    ahead, before : array (2 S d c, LANES)
+        C times what stands before the phases, by the participation, and C times U.
+    now, here : array (2 S d, LANES)
+        C times phi2, by the participation, and C times Q.
     found : array (2 vectors, LANES)
         The functions of one pole of one structure.
-    products : array (s + 2 d + 2, LANES)
-        g'o, and C times Q and X, of one pole.
+    products : array (s + 2 (functions - s), LANES)
+        g'o, and C times Q, X and what own values give, of one pole.
     cross, squares, spread, ends : array (s, LANES)
         sum_r S_jr g_j'o_r, sum_rs S_jr S_js o_r'o_s, sum_r |S_jr| |o_r|, sum_r S_jr o_r[N-1].
     """
@@ -56,9 +60,9 @@ class Work(NamedTuple):
 
 
 @jit
-def new_work(n_poles, n_sensors, n_inputs, vectors):
-    """Memory for structures of one size."""
-    pairs = 2 * n_poles * n_inputs
+def new_work(n_poles, n_sensors, sizes, vectors):
+    """Memory for structures of one size; `sizes` are d and d c."""
+    n_inputs, n_phases = sizes
     return Work(
         new_vectors(8 * n_poles),
         new_vectors(n_poles * n_sensors),
@@ -68,12 +72,12 @@ def new_work(n_poles, n_sensors, n_inputs, vectors):
         new_vectors(4 * n_inputs + 2),
         new_vectors(2 * n_poles),
         new_vectors(2 * n_poles),
-        new_vectors(pairs),
-        new_vectors(pairs),
-        new_vectors(pairs),
-        new_vectors(pairs),
+        new_vectors(2 * n_poles * n_phases),
+        new_vectors(2 * n_poles * n_inputs),
+        new_vectors(2 * n_poles * n_phases),
+        new_vectors(2 * n_poles * n_inputs),
         new_vectors(2 * vectors),
-        new_vectors(n_sensors + 2 * n_inputs + 2),
+        new_vectors(n_sensors + 2 * (n_phases + n_inputs + 1)),
         new_vectors(n_sensors),
         new_vectors(n_sensors),
         new_vectors(n_sensors),
@@ -97,7 +101,10 @@ class Addresses(NamedTuple):
         Of the memory.
     step : float
         h [s].
-    n_sensors, n_inputs : int
+    n_sensors, n_inputs, stride, n_functions : int
+        s, d, c, and functions behind those of data.
+    own, own_step : int
+        Which of them is that of own values of the first input, and how many lie to the next.
     vectors : int
         For the functions of one input.
     blocks : int
@@ -140,6 +147,10 @@ class Addresses(NamedTuple):
     step: float
     n_sensors: int
     n_inputs: int
+    stride: int
+    n_functions: int
+    own: int
+    own_step: int
     vectors: int
     blocks: int
     node: int
@@ -148,11 +159,12 @@ class Addresses(NamedTuple):
 @jit
 def addresses(mesh, sums, work):
     """Addresses of arrays that the caller keeps."""
-    n_sensors, n_inputs = sums.products.shape
-    vectors, blocks = mesh.lag_zero.shape[0] // n_inputs, n_inputs
+    (n_sensors, n_inputs), n_phases = sums.products.shape, sums.first.size
+    vectors, blocks, stride = mesh.lag_zero.shape[0] // n_inputs, n_inputs, n_phases // n_inputs
     for i in range(n_inputs):
-        if sums.first[i] != 0.0:
+        if sums.first[i * stride] != 0.0:
             blocks = n_inputs + 1
+    n_own, own_step = (n_inputs, 1) if sums.own_at else (0, stride)
     return Addresses(
         mesh.values.ctypes.data,
         mesh.even.ctypes.data,
@@ -188,6 +200,10 @@ def addresses(mesh, sums, work):
         mesh.step,
         n_sensors,
         n_inputs,
+        stride,
+        n_phases + 1 + n_own,
+        sums.own_at,
+        own_step,
         vectors,
         blocks,
         2 * blocks * vectors,

@@ -10,7 +10,6 @@ from pymc_features.simulators.compiled.vector_memory import read_lanes, read_num
 from pymc_features.simulators.mean_squares.gradient.memory import (
     END,
     N_NUMBERS,
-    N_ROWS,
     OF_INPUT,
     SIZE,
     SLOPE,
@@ -29,7 +28,7 @@ from pymc_features.simulators.mean_squares.gradient.poles import (
     times,
 )
 from pymc_features.simulators.mean_squares.poles import write_entries
-from pymc_features.simulators.mean_squares.table import N_ROWS as ROWS_OF_LEVEL
+from pymc_features.simulators.mean_squares.table import N_ROWS
 from pymc_features.simulators.mean_squares.waves import load_pair
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
 
@@ -72,7 +71,7 @@ def derive_pole(own, r, quantity):
     With lambda = -D/2 + i omega_d, omega_d^2 = omega^2 - D^2/4, and C ~ lambda^q / omega_d.
     """
     sigma, omega = load_pair(own.numbers, N_NUMBERS * r)
-    total, slope = load_pair(own.modes, N_ROWS * r + TOTAL), load_pair(own.modes, N_ROWS * r + SLOPE)
+    total, slope = load_pair(own.modes, own.n_rows * r + TOTAL), load_pair(own.modes, own.n_rows * r + SLOPE)
     order = 2.0
     if quantity == RELATIVE_DISPLACEMENT:
         order = 0.0
@@ -99,21 +98,22 @@ def write_lane_sums(own, quantity, found, places, count):
         spread = splat(np.sqrt(read_number(own.data_squares, j))) + np.sqrt(own.square) * magnitude(feed)
         of_input = own.square * feed - with_input
         for r in range(m):
-            share, q = read_lanes(own.scaled, j * m + r), 2.0 * read_lanes(own.modes, N_ROWS * r + OF_INPUT)
+            share = read_lanes(own.scaled, j * m + r)
+            q = 2.0 * read_lanes(own.modes, own.n_rows * r + OF_INPUT)
             product = read_lanes(own.products, j * m + r)
             squares = squares + share * (product + 2.0 * (feed * q - read_lanes(own.data, j * m + r)))
-            spread = spread + magnitude(share) * read_lanes(own.modes, N_ROWS * r + SIZE)
+            spread = spread + magnitude(share) * read_lanes(own.modes, own.n_rows * r + SIZE)
             of_input = of_input + share * q
-        of_input = factor * of_input - end * own.last - read_lanes(own.starts, j) * own.first
+        of_input = factor * of_input - end * own.own_last - read_lanes(own.starts, j) * own.own_first
         write_lanes(both, 0, squares)
         write_lanes(both, 1, spread * spread)
         for lane in range(count):
             found.squares[places[lane], j] = lanes_of[0, lane]
             found.sizes[places[lane], j] = lanes_of[1, lane]
         for r in range(m):
-            q = 2.0 * read_lanes(own.modes, N_ROWS * r + OF_INPUT)
+            q = 2.0 * read_lanes(own.modes, own.n_rows * r + OF_INPUT)
             product = read_lanes(own.products, j * m + r) + feed * q - read_lanes(own.data, j * m + r)
-            product = factor * product - end * (2.0 * read_lanes(own.modes, N_ROWS * r + END))
+            product = factor * product - end * (2.0 * read_lanes(own.modes, own.n_rows * r + END))
             write_lanes(address, 0, product - of_input if relative else product)
             for lane in range(count):
                 found.outputs[places[lane], j, r] += outputs[0, lane]
@@ -148,8 +148,8 @@ def derive(table, systems, poles, weights, quantity, room, found):
     """
     mesh, sums, slopes = table
     n_modes, served = systems.omega.shape[1], np.flatnonzero(poles.served)
-    own = new_workspace(room, mesh, sums, slopes, n_modes, 2 if sums.first[0] != 0.0 else 1)
-    spacing = np.repeat(mesh.spacing, ROWS_OF_LEVEL)
+    own = new_workspace(room, mesh, sums, slopes, n_modes)
+    spacing = np.repeat(mesh.spacing, N_ROWS)
     entries = np.empty(poles.rows.shape, dtype=np.int64)
     write_entries(poles, mesh, own.node, entries)
     zero = splat(0.0)
@@ -165,7 +165,7 @@ def derive(table, systems, poles, weights, quantity, room, found):
                 take_functions(own, lane, entries[places[lane], r])
             finish(own, r)
         for r in range(n_modes):
-            write_lanes(own.modes, N_ROWS * r + SIZE, own_size(own, r))
+            write_lanes(own.modes, own.n_rows * r + SIZE, own_size(own, r))
             for q in range(r + 1):
                 take_pair(own, r, q)
         write_lane_sums(own, quantity, found, places, places.size)

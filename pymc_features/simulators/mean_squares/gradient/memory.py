@@ -12,12 +12,14 @@ from pymc_features.simulators.mean_squares.work import TURNS
 
 VECTOR = 8 * LANES  # bytes
 N_NUMBERS, N_FACTORS = 9, 16  # vectors for a pole
-# Rows of a pole, complex numbers as two: C times E X, rho, phi2, U and Q, as they stand in products of two
-# modes, and the same of their derivatives by lambda; E - 1; sums of w times C v and C v'; C times a'v and
-# v[N-1]; and a number, of `pairs.own_size`
-LAST, AHEAD, NOW, BEFORE, HERE, DERIVATIVES = 0, 2, 4, 6, 8, 10
-GROWN, TOTAL, SLOPE, OF_INPUT, END, SIZE = 20, 22, 24, 26, 28, 30
-N_ROWS = 31
+# Rows of a pole, complex numbers as two: E - 1 from output to output; sums of w times C v and C v'; C times
+# what own values give, and v[N-1]; a number, of `pairs.own_size`; and then, as they stand in products of two
+# modes, C times E X, phi2 and Q, and for each phase what stands before it and U. Their derivatives by lambda
+# follow in the same order.
+GROWN, TOTAL, SLOPE, OF_INPUT, END, SIZE, PRODUCTS = 0, 2, 4, 6, 8, 10, 11
+LAST, NOW, HERE, PHASES = PRODUCTS, PRODUCTS + 2, PRODUCTS + 4, PRODUCTS + 6
+AHEAD, BEFORE = 0, 2  # in a phase
+OF_PHASE = 4  # rows
 
 
 class Workspace(NamedTuple):
@@ -35,22 +37,24 @@ class Workspace(NamedTuple):
         Of the stencil, for one pole: of the functions and of their derivatives.
     found : (4 vectors)
         Interpolated functions of one pole of one structure.
-    raw : (4 (s + 2) blocks)
+    raw : (4 functions blocks)
         The same of one pole of all lanes: real and imaginary parts of function and derivative.
     given : (16)
         Factors of these, of one pole, see `poles.prepare`.
-    modes : (N_ROWS m)
+    modes : (n_rows m)
         See above.
     data, products : (s m)
         g_j'o_r, and sum_s S_js Gamma_s o_s'o_r.
-    of_input : (s)
-        dL/dy_j times the input, summed over time.
-    spread : (s)
-        As in `Work`.
-    lag_zero : (s + 2) numbers
+    lag_zero : numbers
         R[0] of all functions.
     values, even, odd, slope_even, slope_odd : numbers
         Of mesh and stencil.
+    early, first, last : numbers
+        Of the sums.
+    n_rows, derivatives : int
+        Rows of a pole, and from a number of a product to its derivative.
+    of_input : int
+        Function of the own values of the input.
     """
 
     numbers: int
@@ -67,8 +71,6 @@ class Workspace(NamedTuple):
     modes: int
     data: int
     products: int
-    of_input: int
-    spread: int
     lag_zero: int
     values: int
     even: int
@@ -77,32 +79,49 @@ class Workspace(NamedTuple):
     slope_odd: int
     data_squares: int
     data_products: int
+    early: int
+    first: int
+    last: int
     step: float
     n_modes: int
     n_sensors: int
+    stride: int
+    n_functions: int
+    of_input: int
+    n_rows: int
+    derivatives: int
     vectors: int
     blocks: int
     node: int
     square: float
-    early: float
     late: float
-    first: float
-    last: float
     second: float
     kick: float
+    own_first: float
+    own_last: float
 
 
-def room_of(n_modes: int, n_sensors: int, vectors: int, blocks: int) -> np.ndarray:
+def room_of(n_modes: int, n_sensors: int, table) -> np.ndarray:
     """Memory for `new_workspace`."""
-    of_modes = (N_NUMBERS + N_ROWS + 3 * n_sensors) * n_modes
-    rows = of_modes + 6 * n_sensors + 4 * TAPS + 4 * vectors + 4 * (n_sensors + 2) * blocks + N_FACTORS
+    stride, (blocks, n_functions, _) = table.of.sums.first.size, table.of.lags.shape
+    of_modes = (N_NUMBERS + rows_of(stride) + 3 * n_sensors) * n_modes
+    of_functions = 4 * table.vectors + 4 * n_functions * blocks
+    rows = of_modes + 4 * n_sensors + 4 * TAPS + of_functions + N_FACTORS
     return np.zeros((rows + 1) * LANES)
 
 
 @jit
-def new_workspace(room, mesh, sums, slopes, n_modes, blocks):
+def rows_of(stride):
+    """Rows of a pole."""
+    return PRODUCTS + 2 * (PHASES - PRODUCTS + OF_PHASE * stride)
+
+
+@jit
+def new_workspace(room, mesh, sums, slopes, n_modes):
     """Workspace in a memory from `room_of`, of arrays that the caller keeps; `slopes` are two arrays."""
-    n_sensors, vectors = sums.squares.size, mesh.lag_zero.shape[0]
+    n_sensors, vectors, stride = sums.squares.size, mesh.lag_zero.shape[0], sums.first.size
+    n_functions = n_sensors + stride + (2 if sums.own_at else 1)
+    blocks, n_rows = 2 if sums.first[0] != 0.0 else 1, rows_of(stride)
     numbers = (room.ctypes.data + VECTOR - 1) // VECTOR * VECTOR
     scaled = numbers + N_NUMBERS * n_modes * VECTOR
     of_shapes, of_sensors = n_sensors * n_modes * VECTOR, n_sensors * VECTOR
@@ -110,10 +129,9 @@ def new_workspace(room, mesh, sums, slopes, n_modes, blocks):
     weights = feed + 4 * of_sensors
     found = weights + 4 * TAPS * VECTOR
     raw = found + 4 * vectors * VECTOR
-    given = raw + 4 * (n_sensors + 2) * blocks * VECTOR
+    given = raw + 4 * n_functions * blocks * VECTOR
     modes = given + N_FACTORS * VECTOR
-    data = modes + N_ROWS * n_modes * VECTOR
-    of_input = data + 2 * of_shapes
+    data = modes + n_rows * n_modes * VECTOR
     return Workspace(
         numbers,
         scaled,
@@ -129,8 +147,6 @@ def new_workspace(room, mesh, sums, slopes, n_modes, blocks):
         modes,
         data,
         data + of_shapes,
-        of_input,
-        of_input + of_sensors,
         mesh.lag_zero.ctypes.data,
         mesh.values.ctypes.data,
         mesh.even.ctypes.data,
@@ -139,19 +155,26 @@ def new_workspace(room, mesh, sums, slopes, n_modes, blocks):
         slopes[1].ctypes.data,
         sums.squares.ctypes.data,
         sums.products.ctypes.data,
+        sums.early.ctypes.data,
+        sums.first.ctypes.data,
+        sums.last.ctypes.data,
         mesh.step,
         n_modes,
         n_sensors,
+        stride,
+        n_functions,
+        n_sensors + sums.own_at,
+        n_rows,
+        PHASES - PRODUCTS + OF_PHASE * stride,
         vectors,
         blocks,
         2 * blocks * vectors,
         sums.inputs[0, 0],
-        sums.early[0, 0],
         sums.late[0, 0],
-        sums.first[0],
-        sums.last[0],
         sums.second[0],
         sums.kick[0],
+        sums.own_first[0],
+        sums.own_last[0],
     )
 
 

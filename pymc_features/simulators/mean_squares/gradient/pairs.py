@@ -6,12 +6,12 @@ from pymc_features.simulators.compiled.vector_memory import read_lanes, write_la
 from pymc_features.simulators.mean_squares.gradient.memory import (
     AHEAD,
     BEFORE,
-    DERIVATIVES,
     GROWN,
     HERE,
     LAST,
-    N_ROWS,
     NOW,
+    OF_PHASE,
+    PHASES,
     SLOPE,
     TOTAL,
 )
@@ -26,12 +26,14 @@ def add_products(sums, a, b):
 
 
 @jit
-def numerators(modes, at, to):
+def numerators(modes, at, to, stride):
     """N of rows from `at` on with those from `to` on, and with their conjugates."""
     x, y, zero = load_pair(modes, at + LAST), load_pair(modes, to + LAST), splat(0.0)
     sums = add_products((zero, zero, zero, zero), (zero - x[0], zero - x[1]), y)
-    sums = add_products(sums, load_pair(modes, at + AHEAD), load_pair(modes, to + BEFORE))
-    sums = add_products(sums, load_pair(modes, at + BEFORE), load_pair(modes, to + AHEAD))
+    for phase in range(PHASES, PHASES + OF_PHASE * stride, OF_PHASE):
+        ahead, before = phase + AHEAD, phase + BEFORE
+        sums = add_products(sums, load_pair(modes, at + ahead), load_pair(modes, to + before))
+        sums = add_products(sums, load_pair(modes, at + before), load_pair(modes, to + ahead))
     sums = add_products(sums, load_pair(modes, at + NOW), load_pair(modes, to + HERE))
     ac, bd, ad, bc = add_products(sums, load_pair(modes, at + HERE), load_pair(modes, to + NOW))
     return (ac - bd, ad + bc), (ac + bd, bc - ad)
@@ -47,10 +49,11 @@ def add_to(address, row, number):
 @jit
 def take_pair(own, r, q):
     """Add the products of o_r and o_q, and of their derivatives, to the sums of w times the outputs."""
-    m, modes, at, to, zero, h = own.n_modes, own.modes, N_ROWS * r, N_ROWS * q, splat(0.0), own.step
-    plain, conjugate = numerators(modes, at, to)
-    left, left_conjugate = numerators(modes, at + DERIVATIVES, to)
-    right, right_conjugate = numerators(modes, at, to + DERIVATIVES)
+    m, modes, at, to, zero = own.n_modes, own.modes, own.n_rows * r, own.n_rows * q, splat(0.0)
+    stride, h = own.stride, own.step * own.stride
+    plain, conjugate = numerators(modes, at, to, stride)
+    left, left_conjugate = numerators(modes, at + own.derivatives, to, stride)
+    right, right_conjugate = numerators(modes, at, to + own.derivatives, stride)
     (a, b), (c, d) = load_pair(modes, at + GROWN), load_pair(modes, to + GROWN)
     # E_r E_q - 1 and E_r conj(E_q) - 1, from E - 1
     whole = a + c + a * c
@@ -88,12 +91,13 @@ def take_pair(own, r, q):
 @jit
 def own_size(own, r):
     """As `mean_squares.pairs.own_size`."""
-    at, modes = N_ROWS * r, own.modes
+    at, modes, phases = own.n_rows * r, own.modes, OF_PHASE * own.stride
     x_re, x_im = load_pair(modes, at + LAST)
     total = x_re * x_re + x_im * x_im
-    for a, b in ((AHEAD, BEFORE), (NOW, HERE)):
-        a_size = magnitude(read_lanes(modes, at + a)) + magnitude(read_lanes(modes, at + a + 1))
-        b_size = magnitude(read_lanes(modes, at + b)) + magnitude(read_lanes(modes, at + b + 1))
-        total = total + 2.0 * a_size * b_size
+    for first, other, end in ((PHASES + AHEAD, BEFORE - AHEAD, phases), (NOW, HERE - NOW, 1)):
+        for a in range(at + first, at + first + end, OF_PHASE):
+            a_size = magnitude(read_lanes(modes, a)) + magnitude(read_lanes(modes, a + 1))
+            b_size = magnitude(read_lanes(modes, a + other)) + magnitude(read_lanes(modes, a + other + 1))
+            total = total + 2.0 * a_size * b_size
     a, b = load_pair(modes, at + GROWN)
     return 2.0 * square_root(total / magnitude(2.0 * a + a * a + b * b))

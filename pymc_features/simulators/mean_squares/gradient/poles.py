@@ -6,15 +6,15 @@ from pymc_features.simulators.compiled.vector_memory import read_lanes, read_num
 from pymc_features.simulators.mean_squares.gradient.memory import (
     AHEAD,
     BEFORE,
-    DERIVATIVES,
     END,
     GROWN,
     HERE,
     LAST,
     N_NUMBERS,
-    N_ROWS,
     NOW,
     OF_INPUT,
+    OF_PHASE,
+    PHASES,
     SLOPE,
     TOTAL,
 )
@@ -67,7 +67,7 @@ def scaled(factor, a):
 @jit
 def prepare(own, r):
     """Write what pole r of all lanes needs before its functions are interpolated."""
-    row, to, h = N_NUMBERS * r, N_ROWS * r, own.step
+    row, to, h = N_NUMBERS * r, own.n_rows * r, own.step
     sigma, omega = load_pair(own.numbers, row)
     gain, nu = load_pair(own.numbers, row + 2), load_pair(own.numbers, row + 4)
     fineness = read_lanes(own.numbers, row + 8)
@@ -86,8 +86,9 @@ def prepare(own, r):
     ahead, now = times(gain, minus(one, two)), times(gain, two)
     ahead_slope, now_slope = times(gain, minus(one_slope, two_slope)), times(gain, two_slope)
     back_slope = minus(times(ahead_slope, back), scaled(h, times(ahead, back)))
-    start = scaled(0.0 - own.first, times(two, turn))
-    start_slope = plus(scaled(0.0 - own.first, times(two_slope, turn)), scaled(lag, start))
+    first = 0.0 - read_number(own.first, 0)
+    start = scaled(first, times(two, turn))
+    start_slope = plus(scaled(first, times(two_slope, turn)), scaled(lag, start))
     for at, number in (
         (BASE, base),
         (BASE_SLOPE, base_slope),
@@ -99,11 +100,22 @@ def prepare(own, r):
         (START_NU, (fineness * start[1], 0.0 - fineness * start[0])),
     ):
         store_pair(own.given, at, *number)
-    store_pair(own.modes, to + GROWN, *grown)
-    for at, number in ((AHEAD, ahead), (NOW, now)):
-        store_pair(own.modes, to + at, *number)
-    for at, number in ((AHEAD, ahead_slope), (NOW, now_slope)):
-        store_pair(own.modes, to + DERIVATIVES + at, *number)
+    store_pair(own.modes, to + NOW, *now)
+    store_pair(own.modes, to + own.derivatives + NOW, *now_slope)
+    # each phase p, from the last: E^(c-1-p) phi1^2, or rho for phi1^2; E^(c-p) - 1
+    square, square_slope = times(times(one, one), gain), times(scaled(2.0, one), times(one_slope, gain))
+    whole = grown
+    for p in range(own.stride - 1, 0, -1):
+        at = to + PHASES + OF_PHASE * p + AHEAD
+        store_pair(own.modes, at, *square)
+        store_pair(own.modes, at + own.derivatives, *square_slope)
+        square_slope = times(e, plus(square_slope, scaled(h, square)))
+        ahead_slope = times(e, plus(ahead_slope, scaled(h, ahead)))
+        square, ahead = times(e, square), times(e, ahead)
+        whole = plus(plus(whole, grown), times(whole, grown))
+    store_pair(own.modes, to + GROWN, *whole)
+    store_pair(own.modes, to + PHASES + AHEAD, *ahead)
+    store_pair(own.modes, to + own.derivatives + PHASES + AHEAD, *ahead_slope)
 
 
 @jit
@@ -130,7 +142,7 @@ def interpolate(own, entry, lane):
 @jit
 def take_functions(own, lane, entry):
     """Interpolate the functions of a pole of one lane into `raw`; `entry` as in `evaluate`."""
-    n_functions = own.n_sensors + 2
+    n_functions = own.n_functions
     for i in range(own.blocks):
         for v in range(own.vectors):
             re, im, d_re, d_im = interpolate(own, entry + 2 * i * own.vectors + v, lane)
@@ -155,7 +167,7 @@ def function_of(own, f):
     derived = plus(times(load_pair(given, BASE_SLOPE), raw), times(load_pair(given, BASE_NU), slope))
     derived = minus(derived, scaled(at_zero, load_pair(given, BACK_SLOPE)))
     if own.blocks > 1:
-        at = 4 * (own.n_sensors + 2 + f)
+        at = 4 * (own.n_functions + f)
         raw, slope = load_pair(own.raw, at), load_pair(own.raw, at + 2)
         found = plus(found, times(load_pair(given, START), raw))
         derived = plus(derived, times(load_pair(given, START_SLOPE), raw))
@@ -166,7 +178,7 @@ def function_of(own, f):
 @jit
 def finish(own, r):
     """Write what the products of pole r with others need, and begin the sums of w times its output."""
-    m, n_sensors, to, h, zero = own.n_modes, own.n_sensors, N_ROWS * r, own.step, splat(0.0)
+    m, n_sensors, stride, to, zero = own.n_modes, own.n_sensors, own.stride, own.n_rows * r, splat(0.0)
     total, slope, through, at_end = (zero, zero), (zero, zero), zero, zero
     for j in range(n_sensors):
         found, derived = function_of(own, j)
@@ -176,8 +188,8 @@ def finish(own, r):
         slope = minus(slope, scaled(share * factor, derived))
         through = through + share * factor * read_lanes(own.feed, j)
         at_end = at_end - share * read_lanes(own.ends, j)
-    q, q_slope = function_of(own, n_sensors)
-    x, x_slope = function_of(own, n_sensors + 1)
+    q, q_slope = function_of(own, own.of_input)
+    x, x_slope = function_of(own, n_sensors + stride)
     total = plus(total, plus(scaled(through, q), scaled(at_end, x)))
     slope = plus(slope, plus(scaled(through, q_slope), scaled(at_end, x_slope)))
     modes = own.modes
@@ -185,29 +197,30 @@ def finish(own, r):
     store_pair(modes, to + SLOPE, *slope)
     store_pair(modes, to + OF_INPUT, *q)
     store_pair(modes, to + END, *x)
-    e_re, e_im = load_pair(modes, to + GROWN)
+    h, derivatives, (e_re, e_im) = own.step * stride, own.derivatives, load_pair(modes, to + GROWN)
     e = e_re + 1.0, e_im
-    ahead, now = load_pair(modes, to + AHEAD), load_pair(modes, to + NOW)
-    ahead_slope, now_slope = (
-        load_pair(modes, to + DERIVATIVES + AHEAD),
-        load_pair(modes, to + DERIVATIVES + NOW),
-    )
-    rest = minus(q, scaled(own.last, x))
-    before = times(e, rest)
-    before_slope = plus(scaled(h, before), times(e, minus(q_slope, scaled(own.last, x_slope))))
-    before, before_slope = (
-        plus(before, scaled(0.5 * own.early, ahead)),
-        plus(before_slope, scaled(0.5 * own.early, ahead_slope)),
-    )
-    by_ahead, by_now = own.kick * own.first, own.kick * own.second - 0.5 * own.late
-    here = plus(q, plus(scaled(by_ahead, ahead), scaled(by_now, now)))
-    here_slope = plus(q_slope, plus(scaled(by_ahead, ahead_slope), scaled(by_now, now_slope)))
+    now, now_slope = load_pair(modes, to + NOW), load_pair(modes, to + derivatives + NOW)
+    kick, kick_slope = scaled(own.second, now), scaled(own.second, now_slope)  # v[1]
+    for p in range(stride):
+        at, first = to + PHASES + OF_PHASE * p + AHEAD, read_number(own.first, p)
+        kick = plus(kick, scaled(first, load_pair(modes, at)))
+        kick_slope = plus(kick_slope, scaled(first, load_pair(modes, at + derivatives)))
+    for p in range(stride):
+        q, q_slope = function_of(own, n_sensors + p)
+        final, at = read_number(own.last, p), to + PHASES + OF_PHASE * p + BEFORE
+        before = times(e, minus(q, scaled(final, x)))
+        before_slope = plus(scaled(h, before), times(e, minus(q_slope, scaled(final, x_slope))))
+        for k in range(stride):
+            early, ahead = 0.5 * read_number(own.early, p * stride + k), to + PHASES + OF_PHASE * k + AHEAD
+            before = plus(before, scaled(early, load_pair(modes, ahead)))
+            before_slope = plus(before_slope, scaled(early, load_pair(modes, ahead + derivatives)))
+        store_pair(modes, at, *before)
+        store_pair(modes, at + derivatives, *before_slope)
+    q, q_slope = function_of(own, n_sensors)
+    here = plus(q, plus(scaled(own.kick, kick), scaled(-0.5 * own.late, now)))
+    here_slope = plus(q_slope, plus(scaled(own.kick, kick_slope), scaled(-0.5 * own.late, now_slope)))
     last = times(e, x)
     last_slope = plus(scaled(h, last), times(e, x_slope))
-    for at, number, derived in (
-        (LAST, last, last_slope),
-        (BEFORE, before, before_slope),
-        (HERE, here, here_slope),
-    ):
+    for at, number, derived in ((LAST, last, last_slope), (HERE, here, here_slope)):
         store_pair(modes, to + at, *number)
-        store_pair(modes, to + DERIVATIVES + at, *derived)
+        store_pair(modes, to + derivatives + at, *derived)

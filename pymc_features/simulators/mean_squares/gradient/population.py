@@ -15,9 +15,9 @@ HEAVY = 1.98  # D over omega from which a pole and its conjugate come too near e
 KERNEL = "population_gradient"
 
 
-def is_long(stride, observed) -> bool:
+def is_long(observed) -> bool:
     """Whether tables are faster for a population; `mean_squares.population` knows it for one structure."""
-    return stride == 1 and observed.shape[-1] >= FEWEST_SAMPLES
+    return observed.shape[-1] >= FEWEST_SAMPLES
 
 
 def misfit_gradient(family, arguments, observed, weights, is_alone=False) -> tuple:
@@ -78,7 +78,7 @@ def sums_over_time(asked, tables, systems, poles, weights):
     """Three arrays that `derivatives.pairs.take_sums` goes on from, and whether they are sure, (p,)."""
     count, (n_sensors, n_times), m = len(systems.valid), asked.data.observed.shape, systems.omega.shape[1]
     is_sure = systems.valid & (systems.damping < HEAVY * systems.omega).all(axis=1)
-    is_sure &= modes_apart(systems, n_times * tables[0].mesh.step)
+    is_sure &= modes_apart(systems, tables[0].mesh.duration)
     poles = poles._replace(served=poles.served & is_sure)
     found = new_derivatives(count, n_sensors, m)
     by_misfit = np.zeros((count, n_sensors, 3))
@@ -92,7 +92,7 @@ def sums_over_time(asked, tables, systems, poles, weights):
         own = new_derivatives(count, n_sensors, 0) if i > 0 else found
         into = Derivatives(own.squares, own.sizes, *found[2:])
         given = table.mesh, table.of.sums, coefficients(1)
-        room = room_of(m, n_sensors, table.vectors, len(table.of.lags))
+        room = room_of(m, n_sensors, table)
         derive(given, systems, poles, by_misfit, asked.wanted.quantity, room, into)
         is_sure &= are_sure(into.squares, into.sizes, n_times)
     return found[2:], is_sure
