@@ -50,13 +50,14 @@ class Problem:
         self.rate, self.n_springs = rate, n_springs
         self.n_parameters = n_springs + 1  # and the damping
         self.models = {kind: declare(kind, rate, n_springs) for kind in ("NORM", "CN")}
+        self.starts = {kind: model.initial_point() for kind, model in self.models.items()}
         self.predictions = Predictions(self.models["NORM"])
 
     def log_densities(self, data):
         """Functions of flat points (n, d) for log-prior and log-likelihood of data, by model."""
         for model in self.models.values():
             model["measured"].set_value(data)
-        return {name: population_logp(m, m.initial_point(), {}) for name, m in self.models.items()}
+        return {name: population_logp(m, self.starts[name], {}) for name, m in self.models.items()}
 
 
 def run_table(n_sets, kinds, problem, likelihoods, pool):

@@ -9,7 +9,7 @@ from pymc_features.simulators.mean_squares.asked import Asked
 from pymc_features.simulators.mean_squares.evaluate import evaluate
 from pymc_features.simulators.mean_squares.kept import KEPT
 
-FEWEST_SAMPLES = 2000  # of the recursion; below, the march is as fast
+FEWEST_SAMPLES = 2000  # below, the march is as fast
 FEWEST_ALONE, LEAST_ALONE = 4000, 80_000  # of one structure: samples, and samples times modes
 ROUNDING = 5e-15  # errors of a sum, relative to what `evaluate` calls sizes: ten times what was found
 SURE = 1e-8  # error of e_j that makes no difference to TN and EXP
