@@ -9,7 +9,8 @@ from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.op import Op
 
 from pymc_features import band_limited
-from pymc_features.simulators.excitation import excitation_of, frequencies_of, refined_request, refinement
+from pymc_features.simulators.excitation import excitation_of, refined_request, request_of_family
+from pymc_features.simulators.families import NONLINEAR
 from pymc_features.simulators.oscillators.arguments import NO_DIRECT, Excitation
 
 N_DRAWS, N_SPARSE = 20, 4  # structures of the prior whose modes are looked at; of sparse ones modes cost more
@@ -22,7 +23,7 @@ def request_in_model(structure, record, asked):
     """A request with the refinement that structures drawn from the prior need."""
     if not structure.is_symbolic:
         return refined_request(structure, record, asked)
-    if record.interpolation == "linear":
+    if record.interpolation == "linear" and structure.family not in NONLINEAR:
         return asked
     parameters = structure.parameters()
     symbolic = [x for x in parameters if isinstance(x, Variable)]
@@ -31,10 +32,9 @@ def request_in_model(structure, record, asked):
     try:
         drawn = iter(pm.draw(symbolic, N_SPARSE if is_sparse else N_DRAWS, random_seed=0, mode=IN_PYTHON))
     except Exception:  # noqa: BLE001  flat priors, inputs that are no random variables, Ops of users
-        return asked._replace(factor=UNKNOWN)
+        return asked if record.interpolation == "linear" else asked._replace(factor=UNKNOWN)
     numbers = [next(drawn) if isinstance(x, Variable) else np.asarray(x)[None] for x in parameters]
-    frequencies = frequencies_of(structure, numbers, constants, asked.n_modes)
-    return asked._replace(factor=refinement(frequencies, record.dt))
+    return request_of_family(structure, numbers, record, asked)
 
 
 def excitation_in_model(structure, record, dt, asked) -> Excitation:

@@ -12,12 +12,13 @@ from math import gcd
 import numpy as np
 
 from pymc_features import band_limited
-from pymc_features.simulators.families import FAMILIES
+from pymc_features.simulators.families import FAMILIES, NONLINEAR
 from pymc_features.simulators.oscillators.arguments import NO_DIRECT, Excitation, Outputs
 from pymc_features.simulators.request import Request
 
 FINE, MIDDLE, HIGHEST = 0.03, 0.15, 1.0  # of the sampling rate: frequencies from where factors change
 SHARE = 0.95  # of the structures whose highest frequency counts
+STIFFEST = 500.0  # rate of a yielding chain, times the marched step, up to which steps through one are found
 
 
 def excitation_of(values: np.ndarray, record, asked: Request) -> Excitation:
@@ -61,14 +62,35 @@ def frequencies_of(structure, parameters, constants, n_modes: int) -> np.ndarray
 
 def refined_request(structure, record, asked: Request) -> Request:
     """The same request with the refinement that the modes of a structure of numbers need."""
-    if record.interpolation == "linear":
-        return asked
-    if structure.family == "linear":
+    if structure.family == "linear" and record.interpolation != "linear":
         try:
             frequencies = structure.modes(asked.n_modes).natural_frequencies[None]
         except ValueError:  # no structure, whose response is NaN
             return asked
-    else:
-        parameters = [np.asarray(x)[None] for x in structure.parameters()]
-        frequencies = frequencies_of(structure, parameters, structure.constants(record), asked.n_modes)
-    return asked._replace(factor=refinement(frequencies, record.dt))
+        return asked._replace(factor=refinement(frequencies, record.dt))
+    if record.interpolation == "linear" and structure.family not in NONLINEAR:
+        return asked
+    parameters = [np.asarray(x)[None] for x in structure.parameters()]
+    return request_of_family(structure, parameters, record, asked)
+
+
+def request_of_family(structure, parameters, record, asked: Request) -> Request:
+    """The same request with the refinement that structures of parameters (structure, ...) need.
+
+    Yielding chains that no step is small enough for are refused.
+    """
+    frequencies = frequencies_of(structure, parameters, structure.constants(record), asked.n_modes)
+    if record.interpolation != "linear":
+        asked = asked._replace(factor=refinement(frequencies, record.dt))
+    if structure.family in NONLINEAR and np.isfinite(frequencies).any():
+        given = dict(zip(FAMILIES[structure.family].parameters, parameters, strict=True))
+        omega = 2.0 * np.pi * np.nanmax(frequencies, axis=-1)
+        rates = np.fmax(omega, given["rayleigh"][..., 1] * omega**2)
+        if np.nanmin(rates) * record.dt / asked.factor > STIFFEST:
+            i = int(np.argmax(given["stiffness"][0]))
+            raise ValueError(
+                f"Spring {i} ({given['stiffness'][0, i]:.4g} N/m) is too stiff for a yielding chain, whose "
+                f"fastest mode, of {omega.min() / (2.0 * np.pi):.4g} Hz, is followed step by step. Give the "
+                "masses beside it as one, or make it 1,000 times stiffer than its neighbours, no more."
+            )
+    return asked

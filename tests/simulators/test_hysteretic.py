@@ -1,6 +1,7 @@
 """Hysteretic and Duffing chains: a tight ODE solution, closed forms, linear limits, energy, and refusals."""
 
 import numpy as np
+import pymc as pm
 import pytensor.tensor as pt
 import pytest
 from scipy.integrate import solve_ivp
@@ -13,6 +14,7 @@ from pymc_features import (
     RayleighDamping,
     SpringMassChain,
     integration_error,
+    response,
     simulate,
     spring_forces,
 )
@@ -416,12 +418,31 @@ def test_what_is_no_chain_gives_nan(linear):
 
 
 def test_absurd_draws_are_no_exception():
-    rng = np.random.default_rng(0)
+    rng, kernel = np.random.default_rng(0), flat_kernels("hysteretic")["response"]
     for _ in range(200):
         mass, stiffness, dy = 10.0 ** rng.uniform(-6, 6, (3, 2))
         chain = HystereticChain(mass, stiffness, RAYLEIGH, yield_displacement=dy, post_yield_ratio=0.1)
-        values = simulate(chain, Record([0.0, 1.0, -1.0], 0.02)).values
+        values = kernel(*chain.parameters(), np.array([0.0, 1.0, -1.0]), 0.02, 1, 1, np.arange(2), 2, 0)
         assert np.isfinite(values).all() or np.isnan(values).all()
+
+
+@pytest.mark.parametrize("interpolation", ["band-limited", "linear"])
+@pytest.mark.parametrize("law", [{}, {"cubic": 0.0}], ids=["hysteretic", "duffing"])
+def test_springs_too_stiff_to_step(law, interpolation):
+    """Named where they are declared; a thousand times stiffer than others they are like rigid ones."""
+    record = Record(smooth_record().acceleration, 0.02, interpolation=interpolation)
+
+    def of(stiffness):
+        law_of_springs = law or {"yield_displacement": 10.0, "post_yield_ratio": 0.1}
+        kind = DuffingChain if law else HystereticChain
+        return kind(np.ones(2), [400.0, stiffness], RayleighDamping(0.2, 0.0), **law_of_springs)
+
+    rigid = simulate(SpringMassChain([2.0], [400.0], RayleighDamping(0.2, 0.0)), record).values
+    assert peak_error(simulate(of(4e5), record, sensors=[1]).values, rigid) < 2e-3
+    with pytest.raises(ValueError, match=r"Spring 1 \(1e\+20 N/m\) is too stiff for a yielding chain.*Give"):
+        simulate(of(1e20), record)
+    with pm.Model(), pytest.raises(ValueError, match=r"Spring 1 \(1e\+20 N/m\) is too stiff"):
+        response(of(1e20).scale_stiffness(pm.LogNormal("theta", 0.0, 0.1), [0]), record)
 
 
 REFUSALS_OF_THE_HYSTERETIC_CHAIN_VALUES = {  # what is said: what is given
