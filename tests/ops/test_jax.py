@@ -457,3 +457,21 @@ LATE = """
 def test_dispatch_is_registered_when_a_graph_is_compiled_for_jax(tmp_path):
     """Not with the package; in double precision also if JAX was in use, in single precision, before."""
     assert run_python(LATE, tmp_path) == "done"
+
+
+@pytest.mark.parametrize("stiff", [3e5, 1e11])
+@pytest.mark.parametrize("quantity", ["absolute_acceleration", "relative_velocity"])
+def test_modes_that_follow_their_input(quantity, stiff):
+    """A spring so stiff that its mode is not stepped: response and gradient as by the kernels."""
+    record = pmf.Record(noise_record(N_TIMES).acceleration, 0.02)
+    theta = pt.vector("theta")
+    chain = pmf.SpringMassChain(
+        [1.0, 2.0, 1.5], theta[:3] * np.array([1e3, stiff, 800.0]), pmf.RayleighDamping(0.2, 1e-4 * theta[3])
+    )
+    mu = response(chain, record, quantity=quantity)
+    weights = np.random.default_rng(0).normal(size=(3, N_TIMES))
+    outputs = [mu, pt.grad((weights * mu).sum(), theta)]
+    at = np.array([1.1, 0.9, 1.0, 1.2])
+    found, expected = (pytensor.function([theta], outputs, mode=m)(at) for m in ("JAX", PLAIN))
+    for own, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(own, other, rtol=1e-6, atol=1e-8 * np.abs(other).max())

@@ -18,7 +18,7 @@ from pymc_features.ops.jax_dispatch.modes import Modes
 def gradient(op, static, parameters, record, dt, sensors, history, weights):
     """Gradients of sum W y, W the history (s, u) or, if there are weights (s,), of their sum with e."""
     substeps, stride, n_modes = static
-    modes = Modes(op, parameters, dt / substeps, n_modes)
+    modes = Modes(op, parameters, dt / substeps, n_modes, record[1])
     sampling = Sampling(record, dt, substeps, stride)
     shapes, output = modes.shapes[sensors], sensor_output(op, modes, sensors)
     n = shapes.shape[1]
@@ -30,7 +30,7 @@ def gradient(op, static, parameters, record, dt, sensors, history, weights):
             off = jnp.where(jnp.isnan(data), 0.0, output(states, at) - data)
             weighted = 2.0 / sampling.total * weights * there * off
         modal = weighted @ shapes
-        f_lambda, f_damping = modes.slopes(*states)
+        f_lambda, f_damping = modes.slopes(*states, at)
         return (
             products + modal.T @ modes.outputs(*states[:2], at),
             slopes + modal.T @ f_lambda,
@@ -101,7 +101,7 @@ def response_tangent(op, static, parameters, record, dt, sensors, *directions):
     total = Sampling(record, dt, *static[:2]).total
     zeros = jnp.zeros((sensors.shape[0], total))
     _, transpose = jax.vjp(lambda w: gradient(op, static, parameters, record, dt, sensors, w, None), zeros)
-    return valid_only(op, static, parameters, dt, transpose(directions)[0])
+    return valid_only(op, static, parameters, record, dt, transpose(directions)[0])
 
 
 def discrepancy_tangent(op, static, parameters, record, dt, sensors, observed, *directions):
@@ -110,13 +110,13 @@ def discrepancy_tangent(op, static, parameters, record, dt, sensors, observed, *
     _, transpose = jax.vjp(
         lambda c: gradient(op, static, parameters, record, dt, sensors, observed, c), zeros
     )
-    return valid_only(op, static, parameters, dt, transpose(directions)[0])
+    return valid_only(op, static, parameters, record, dt, transpose(directions)[0])
 
 
-def valid_only(op, static, parameters, dt, tangent):
+def valid_only(op, static, parameters, record, dt, tangent):
     """The tangent, or NaN where the parameters describe no structure: a transpose does not see that."""
     substeps, _, n_modes = static
-    return jnp.where(Modes(op, parameters, dt / substeps, n_modes).valid, tangent, jnp.nan)
+    return jnp.where(Modes(op, parameters, dt / substeps, n_modes, record[1]).valid, tangent, jnp.nan)
 
 
 def without_gradient(*values):

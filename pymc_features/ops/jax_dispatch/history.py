@@ -5,6 +5,7 @@ import numpy as np
 from jax import lax
 
 from pymc_features.ops.jax_dispatch.modes import Modes
+from pymc_features.simulators.oscillators.fast_modes import N_ORDERS
 
 BLOCK = 64  # samples whose modes are kept at a time, for matrix products instead of one product each
 
@@ -15,7 +16,8 @@ class Sampling:
     `record` are the prepared acceleration and its own values, as of `Excitation`.
 
     `now` and `after` (blocks, BLOCK, stride): at the beginning and the end of the steps behind each sample;
-    `at` (blocks, BLOCK) at the sample; `there` (blocks, BLOCK, 1) is 1 where there is one, 0 behind the end.
+    `at` (blocks, BLOCK, 5) at the sample, with four derivatives, zero of straight lines; `there` (blocks,
+    BLOCK, 1) is 1 where there is one, 0 behind the end.
     """
 
     def __init__(self, record, dt, substeps, stride):
@@ -27,7 +29,8 @@ class Sampling:
         fine = acceleration[i] + part / substeps * (acceleration[ahead] - acceleration[i])
         self.now = self.blocks(fine[:-1].reshape(-1, stride))
         self.after = self.blocks(fine[1:].reshape(-1, stride))
-        self.at = self.blocks(direct[0, 0] if direct.size else fine[::stride])
+        lines = jnp.zeros((self.total, N_ORDERS)).at[:, 0].set(fine[::stride])
+        self.at = self.blocks(direct[:, 0].T if direct.size else lines)
         self.there = self.blocks(np.ones((self.total, 1)))
         self.duration = self.total * stride * dt / substeps
 
@@ -74,7 +77,7 @@ def march(modes, sampling, visit, carry, data, derivatives=False):
         carry, state = both
         at, there, now, after, datum = x
         state, states = lax.scan(sample, state, (now, after))
-        carry, kept = visit(carry, states, at[:, None], there, datum)
+        carry, kept = visit(carry, states, at, there, datum)
         return (carry, state), kept
 
     xs = (sampling.at, sampling.there, sampling.now, sampling.after, sampling.blocks(data))
@@ -83,17 +86,17 @@ def march(modes, sampling, visit, carry, data, derivatives=False):
 
 
 def sensor_output(op, modes, sensors):
-    """Function of (states, ground (BLOCK, 1)): the response (BLOCK, s) at the sensors."""
+    """Function of (states, ground (BLOCK, 5)): the response (BLOCK, s) at the sensors."""
     m = modes.n_modes
     shapes = modes.shapes[sensors][:, :m] * modes.participation[:m]
     feed = 1.0 if op.quantity == "absolute_acceleration" else 0.0
-    return lambda states, ground: modes.outputs(*states[:2], ground) @ shapes.T + feed * ground
+    return lambda states, ground: modes.outputs(*states[:2], ground) @ shapes.T + feed * ground[:, :1]
 
 
 def response(op, static, parameters, record, dt, sensors):
     """y (s, u), Eqs. (17)-(24)."""
     substeps, stride, n_modes = static
-    modes = Modes(op, parameters, dt / substeps, n_modes)
+    modes = Modes(op, parameters, dt / substeps, n_modes, record[1])
     sampling = Sampling(record, dt, substeps, stride)
     output = sensor_output(op, modes, sensors)
     nothing = jnp.zeros((sampling.total, 1))
@@ -111,7 +114,7 @@ def march_misfit(inputs, begin, add):
     `add(sums, misfit, there, data)` adds a block (BLOCK, s), `there` (BLOCK, 1) being 0 behind the end.
     """
     op, (substeps, stride, n_modes), parameters, record, dt, sensors, observed = inputs
-    modes = Modes(op, parameters, dt / substeps, n_modes)
+    modes = Modes(op, parameters, dt / substeps, n_modes, record[1])
     sampling = Sampling(record, dt, substeps, stride)
     output = sensor_output(op, modes, sensors)
     if observed.shape != (sensors.shape[0], sampling.total):
@@ -121,7 +124,7 @@ def march_misfit(inputs, begin, add):
         return add(sums, data - output(states, at), there, data), None
 
     rest = jnp.zeros((1, n_modes))
-    first = observed[:, 0] - output((rest, rest), sampling.at[0, :1, None])[0]
+    first = observed[:, 0] - output((rest, rest), sampling.at[0, :1])[0]
     sums, _ = march(modes, sampling, visit, begin(first), observed.T)
     return sums, sampling.total, modes.valid
 

@@ -5,9 +5,12 @@ import jax.numpy as jnp
 from jax import lax
 
 from pymc_features.simulators.oscillators.close_modes import CLOSE
+from pymc_features.simulators.oscillators.fast_modes import FAST, N_ORDERS, STIFFEST
 from pymc_features.simulators.oscillators.hold import TAYLOR_TERMS
 
 MAX_HALVINGS = 24  # of the largest admissible frequency
+MOST_GRADED = 1e10  # ratio of squared frequencies up to which they are right
+STATIC = 1e-12  # (omega h)^2 of a mode that does not move in any record
 ACCELERATIONS = ("absolute_acceleration", "relative_acceleration")
 
 
@@ -38,10 +41,19 @@ def step_coefficients(s, d):
     return jnp.stack([a0, b0, -s * b0, a0 - d * b0, b2 - b1, a2 - a1 - d * (b2 - b1), -b2, d * b2 - a2])
 
 
+def following(square, damping, order):
+    """What stands before a, a', ... (5, m) in the output of modes that follow; see `fast_modes`."""
+    c = [1.0 / square]
+    c.append(-damping * c[0] / square)
+    for k in range(2, N_ORDERS - order):
+        c.append((-damping * c[k - 1] - c[k - 2]) / square)
+    return jnp.stack([jnp.zeros_like(square)] * order + [-x for x in c[: N_ORDERS - order]])
+
+
 class Modes:
     """Modes of one chain, and the coefficients of their recursion."""
 
-    def __init__(self, op, parameters, step, n_modes):
+    def __init__(self, op, parameters, step, n_modes, direct):
         mass, stiffness, rayleigh, ratios = parameters
         possible = jnp.all((mass > 0) & (mass < jnp.inf) & (stiffness > 0) & (stiffness < jnp.inf))
         mass, stiffness = jnp.where(possible, mass, 1.0), jnp.where(possible, stiffness, 1.0)
@@ -60,9 +72,21 @@ class Modes:
         omega, ratios = self.omega[:n_modes], ratios[:n_modes]
         damping = rayleigh[0] + rayleigh[1] * omega**2 + 2.0 * ratios * omega  # 2 zeta omega
         s, d = (omega * step) ** 2, damping * step
-        self.valid = possible & jnp.all((s < 1e12) & (d >= 0.0) & (d < 2e6))
-        s, d = jnp.where(self.valid, s, 1.0), jnp.where(self.valid, d, 0.0)
+        self.valid = possible & jnp.all((s < jnp.inf) & (d >= 0.0) & (d < jnp.inf))
+        self.valid &= s.max() <= MOST_GRADED * jnp.where(s > STATIC, s, jnp.inf).min()
         self.slope = rayleigh[1] + ratios / omega
+        order = 2 if op.quantity in ACCELERATIONS else int(op.quantity == "relative_velocity")
+        self.is_fast = (s > (FAST if direct.size else STIFFEST) ** 2) | (d >= STIFFEST)
+        square, damping_of = jnp.where(self.is_fast, omega**2, 1.0), jnp.where(self.is_fast, damping, 0.0)
+        one, none = jnp.ones_like(s), jnp.zeros_like(s)
+        self.following, self.by_square = jax.jvp(
+            lambda square, damping: following(square, damping, order),
+            (square, damping_of),
+            (one, self.slope),
+        )
+        self.by_damping = jax.jvp(lambda x: following(square, x, order), (damping_of,), (one,))[1]
+        is_stepped = self.valid & ~self.is_fast
+        s, d = jnp.where(is_stepped, s, one), jnp.where(is_stepped, d, none)
         self.hold, self.hold_derivative = jax.jvp(
             lambda s: step_coefficients(s, d), (s,), (jnp.ones_like(s),)
         )
@@ -70,12 +94,17 @@ class Modes:
         self.quantity = op.quantity
 
     def outputs(self, q, p, ground):
-        """Modal outputs; accelerations are relative to the ground."""
-        if self.quantity in ACCELERATIONS:
-            return -self.s * q - self.d * p - ground
-        return self.step * p if self.quantity == "relative_velocity" else self.step**2 * q
+        """Modal outputs of states (u, m), and of the ground's values and derivatives (u, 5).
 
-    def slopes(self, q, p, y, z):
+        Accelerations are relative to the ground.
+        """
+        if self.quantity in ACCELERATIONS:
+            stepped = -self.s * q - self.d * p - ground[:, :1]
+        else:
+            stepped = self.step * p if self.quantity == "relative_velocity" else self.step**2 * q
+        return jnp.where(self.is_fast, ground @ self.following, stepped)
+
+    def slopes(self, q, p, y, z, ground):
         """Derivatives of the outputs with respect to the eigenvalue, in total, and to d."""
         a = -q - self.d * z - self.s * y
         if self.quantity in ACCELERATIONS:
@@ -84,7 +113,11 @@ class Modes:
             by_s, by_d = self.step * z, self.step * a
         else:
             by_s, by_d = self.step**2 * y, self.step**2 * z
-        return self.step**2 * by_s + self.step * self.slope * by_d, by_d
+        in_total = self.step**2 * by_s + self.step * self.slope * by_d
+        return (
+            jnp.where(self.is_fast, ground @ self.by_square, in_total),
+            jnp.where(self.is_fast, ground @ self.by_damping / self.step, by_d),
+        )
 
     def close(self, duration):
         """Pairs of kept modes that take the derivative; see `simulators.pairs`."""
