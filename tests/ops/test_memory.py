@@ -95,8 +95,9 @@ def test_peaks_do_not_grow_with_histories_and_particles(tmp_path):
 
     Of gradients, where forward mode, which returns a history, is the negative control; of a discrepancy,
     whose unfused graph is it; of 100 particles of 10 x 15590, with the histories of all as control. Two
-    tables of the data take a few histories there, whatever the number of particles. Of gradients of 64 by
-    machine code, which are those of the kernels that Python calls and of the control, which has 16.
+    tables of the data under a record refined twice take a few histories there, whatever the number of
+    particles. Of gradients of 64 by machine code, which are those of the kernels that Python calls and of the
+    control, which has 16.
     """
     pytest.importorskip("resource")
     gradients, discrepancy, populations, slopes = run_python(PEAK_GROWTH, tmp_path).splitlines()
@@ -105,6 +106,6 @@ def test_peaks_do_not_grow_with_histories_and_particles(tmp_path):
     fused, unfused = map(float, discrepancy.split())
     assert fused < 0.1 and unfused > 0.9
     fused, gradient, unfused = map(float, populations.split())
-    assert max(fused, gradient) < 8.0 and unfused > 30.0
+    assert max(fused, gradient) < 12.0 and unfused > 30.0
     fused, unfused = map(float, slopes.split())
     assert fused < 1.0 and unfused > 16.0
