@@ -35,7 +35,7 @@ class PopulationComparison(StructuralOp):
 
     def run(self, inputs):
         """From tables, where the record is long and the structure has modes."""
-        if "population_systems" in self.spec.kernels and is_long(inputs[-1]):
+        if "population_systems" in self.spec.kernels and is_long(inputs[self.at("stride")], inputs[-1]):
             arguments, [observed] = uncopied(self, inputs)
             return (misfits(self.spec, arguments, observed, self.kernel_name),)
         return super().run(inputs)
@@ -93,7 +93,7 @@ class PopulationGradient(MisfitGradient):
     def run(self, inputs):
         """From tables, as in `PopulationComparison`."""
         *_, observed, weights = inputs
-        if "gradient_of_sums" in self.spec.kernels and has_long_gradient(observed):
+        if "gradient_of_sums" in self.spec.kernels and has_long_gradient(inputs[self.at("stride")], observed):
             arguments, _ = uncopied(self, inputs)
             return misfit_gradient(self.spec, arguments, observed, weights)
         return StructuralOp.run(self, inputs)

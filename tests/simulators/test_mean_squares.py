@@ -327,7 +327,7 @@ def test_likelihoods_of_long_records(tables, monkeypatch, as_data):
     particles = np.random.default_rng(4).uniform(-1.0, 1.0, (PARTICLES, 2))
     _, found, _ = logp(particles)
     assert len(tables) > 0
-    monkeypatch.setattr(population, "FEWEST_SAMPLES", N_TIMES + 1)
+    monkeypatch.setattr(population, "FEWEST_STEPS", 5 * N_TIMES)
     count = len(tables)
     _, expected, _ = logp(particles)
     assert len(tables) == count
@@ -335,7 +335,7 @@ def test_likelihoods_of_long_records(tables, monkeypatch, as_data):
 
 
 def test_short_records_and_yielding_springs_are_marched(tables):
-    case = Case(chain(), n_times=population.FEWEST_SAMPLES - 1)
+    case = Case(chain(), n_times=population.FEWEST_STEPS - 1)
     op = PopulationDiscrepancy()
     parameters, excitation, wanted = case.arguments
     inputs = [*parameters, *excitation, wanted.sensors, wanted.n_modes, case.observed]

@@ -209,7 +209,7 @@ def test_the_op_takes_short_records_by_the_march(tables, monkeypatch):
     found = PopulationGradient().run(inputs)
     assert len(tables) > 0
     tables.clear()
-    monkeypatch.setattr(gradients, "FEWEST_SAMPLES", N_TIMES + 1)
+    monkeypatch.setattr(gradients, "FEWEST_STEPS", 5 * N_TIMES)
     assert errors(found, PopulationGradient().run(inputs)).max() < 1e-10
     assert tables == []
 
@@ -235,7 +235,7 @@ def test_gradients_of_a_population_of_a_model(tables, monkeypatch, likelihood):
     *_, slope = found = logp.gradient(particles)
     assert len(tables) > 0 and all(sure.all() for sure in tables)
     for module in (population, gradients):
-        monkeypatch.setattr(module, "FEWEST_SAMPLES", N_TIMES + 1)
+        monkeypatch.setattr(module, "FEWEST_STEPS", 5 * N_TIMES)
     tables.clear()
     *_, expected_slope = expected = logp.gradient(particles)
     assert tables == []

@@ -9,7 +9,7 @@ from pymc_features.simulators.mean_squares.asked import Asked
 from pymc_features.simulators.mean_squares.evaluate import evaluate
 from pymc_features.simulators.mean_squares.kept import KEPT
 
-FEWEST_SAMPLES = 2000  # below, the march is as fast
+FEWEST_STEPS = 2000  # of the recursion; below, the march is as fast
 FEWEST_ALONE, LEAST_ALONE = 4000, 80_000  # of one structure: samples, and samples times modes
 ROUNDING = 5e-15  # errors of a sum, relative to what `evaluate` calls sizes: ten times what was found
 SURE = 1e-8  # error of e_j that makes no difference to TN and EXP
@@ -17,9 +17,9 @@ NATS = 1e-3  # error of the log-likelihood of independent samples, whose varianc
 AGREEMENT = 1e-6  # with the march
 
 
-def is_long(observed) -> bool:
+def is_long(stride, observed) -> bool:
     """Whether tables are faster."""
-    return observed.shape[-1] >= FEWEST_SAMPLES
+    return stride * observed.shape[-1] >= FEWEST_STEPS
 
 
 def is_long_alone(observed, n_modes) -> bool:

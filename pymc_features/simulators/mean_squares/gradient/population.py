@@ -10,14 +10,14 @@ from pymc_features.simulators.mean_squares.population import AGREEMENT, are_sure
 from pymc_features.simulators.mean_squares.stencil import coefficients
 from pymc_features.simulators.oscillators.close_modes import CLOSE
 
-FEWEST_SAMPLES = 1000  # below, the march is as fast
+FEWEST_STEPS = 1000  # of the recursion; below, the march is as fast
 HEAVY = 1.98  # D over omega from which a pole and its conjugate come too near each other
 KERNEL = "population_gradient"
 
 
-def is_long(observed) -> bool:
+def is_long(stride, observed) -> bool:
     """Whether tables are faster for a population; `mean_squares.population` knows it for one structure."""
-    return observed.shape[-1] >= FEWEST_SAMPLES
+    return stride * observed.shape[-1] >= FEWEST_STEPS
 
 
 def misfit_gradient(family, arguments, observed, weights, is_alone=False) -> tuple:
