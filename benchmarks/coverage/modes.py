@@ -16,7 +16,7 @@ from scipy import linalg, signal
 import pymc_features as pmf
 from benchmarks.tables import table
 
-RUNS, QUICK_RUNS = 2000, 40
+RUNS, QUICK_RUNS, REPORTED = 2000, 40, 100
 KINDS = ("plain", "drift and machine", "plain", "close")
 DURATION, DT, FINER = 1200.0, 0.04, 4  # s, s, steps of the simulation in one sample
 RATIO, NOISE = 0.01, 0.1  # damping; rms of the noise over that of the signal, in each channel
@@ -113,8 +113,15 @@ def outcome(kind, seed) -> Outcome:
 
 def run_modes(quick=False):
     """Print misses, modes too many and coverage by kind."""
-    n, start, rows = QUICK_RUNS if quick else RUNS, time.perf_counter(), []
-    outcomes = [(KINDS[seed % 4], outcome(KINDS[seed % 4], seed)) for seed in range(n)]
+    n, start, rows, outcomes = QUICK_RUNS if quick else RUNS, time.perf_counter(), [], []
+    for seed in range(n):
+        outcomes.append((KINDS[seed % 4], outcome(KINDS[seed % 4], seed)))
+        if len(outcomes) % REPORTED == 0:
+            counts = [sum(getattr(one, name) > 0 for _, one in outcomes) for name in ("missed", "too_many")]
+            print(
+                f"{len(outcomes)} records: {counts[0]} with a mode missed, {counts[1]} with one too many",
+                flush=True,
+            )
     seconds = time.perf_counter() - start
     print(f"## Lists of modes from {DURATION / 60:g} minutes: {n} records, {seconds:.0f} s\n")
     for kind in (*dict.fromkeys(KINDS), "all"):
