@@ -28,6 +28,7 @@ __all__ = [
     "StudyMismatchError",
     "SubsetSimulationWarning",
     "ToleranceNotReachedError",
+    "TooStiffError",
     "UnknownIdentityError",
     "UnusableSimulatorError",
 ]
@@ -65,6 +66,10 @@ class ModalMatchWarning(UserWarning):
 
 class SimulationWarning(UserWarning):
     """A simulator function raised an exception or returned a wrong shape; the parameters count as failed."""
+
+
+class TooStiffError(ValueError):
+    """A yielding chain has a mode that no step is small enough for."""
 
 
 class NotDifferentiableError(RuntimeError):

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pymc_features.exceptions import TooStiffError
 from pymc_features.prediction.histories import block_size
 from pymc_features.prediction.history_file import HistoryFile
 from pymc_features.prediction.marched import Chains, Oscillators
@@ -80,8 +81,11 @@ class Ensemble:
     def add(self, structure) -> bool:
         """Keep a structure; False, and it is left out, where it has no response to one of the records."""
         if structure.family not in self._families:
+            try:
+                wanted = checked_responses(structure, *self._given)
+            except TooStiffError:
+                return False
             self._families.add(structure.family)
-            wanted = checked_responses(structure, *self._given)
             if self.wanted is None:
                 self.wanted = wanted
                 self.rows = {name: wanted.rows(structure, name) for name in wanted.names}

@@ -12,6 +12,7 @@ from math import gcd
 import numpy as np
 
 from pymc_features import band_limited
+from pymc_features.exceptions import TooStiffError
 from pymc_features.simulators.families import FAMILIES, NONLINEAR
 from pymc_features.simulators.oscillators.arguments import NO_DIRECT, Excitation, Outputs
 from pymc_features.simulators.request import Request
@@ -88,7 +89,7 @@ def request_of_family(structure, parameters, record, asked: Request) -> Request:
         rates = np.fmax(omega, given["rayleigh"][..., 1] * omega**2)
         if np.nanmin(rates) * record.dt / asked.factor > STIFFEST:
             i = int(np.argmax(given["stiffness"][0]))
-            raise ValueError(
+            raise TooStiffError(
                 f"Spring {i} ({given['stiffness'][0, i]:.4g} N/m) is too stiff for a yielding chain, whose "
                 f"fastest mode, of {omega.min() / (2.0 * np.pi):.4g} Hz, is followed step by step. Give the "
                 "masses beside it as one, or make it 1,000 times stiffer than its neighbours, no more."
