@@ -95,7 +95,7 @@ def of_density(log_density, z, factor, n_parameters, rng) -> Intervals:
         result = intervals(draws[:, :n_parameters], log_weights)
         if result.effective > ENOUGH * DRAWS:
             break
-        proposal = fitted(draws, log_weights)
+        proposal = fitted(draws, log_weights, proposal)
     return result
 
 
@@ -106,14 +106,17 @@ def student_draws(proposal, size, rng):
     return proposal.location + np.sqrt(mixing) * normal @ proposal.factor.T
 
 
-def fitted(draws, log_weights) -> StudentT:
-    """The Student distribution of weighted draws (n, d), of weights raised to a power if few count."""
+def fitted(draws, log_weights, proposal) -> StudentT:
+    """The Student distribution of weighted draws (n, d), of weights raised to a power if few count.
+
+    It is nowhere a hundredth as wide as the `proposal` that the draws are of, or less.
+    """
     for power in (1.0, 0.5, 0.2, 0.1):
         weights = np.exp(power * (log_weights - log_weights.max()))
         weights /= weights.sum()
         if 1.0 / np.sum(weights**2) > 20.0 * draws.shape[1]:
             break
-    covariance = np.cov(draws.T, aweights=weights)
+    covariance = np.cov(draws.T, aweights=weights) + 1e-4 * proposal.factor @ proposal.factor.T
     return StudentT(weights @ draws, WIDER * np.linalg.cholesky(covariance), DEGREES)
 
 
