@@ -109,7 +109,7 @@ def student_draws(proposal, size, rng):
 def fitted(draws, log_weights, proposal) -> StudentT:
     """The Student distribution of weighted draws (n, d), of weights raised to a power if few count.
 
-    It is nowhere a hundredth as wide as the `proposal` that the draws are of, or less.
+    In every direction it stays at least a hundredth as wide as `proposal`, of which the draws are.
     """
     for power in (1.0, 0.5, 0.2, 0.1):
         weights = np.exp(power * (log_weights - log_weights.max()))

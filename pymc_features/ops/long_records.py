@@ -21,9 +21,8 @@ def uncopied(op, inputs):
 
 def has_tables(op, inputs) -> bool:
     """Whether tables are faster for one structure by itself."""
-    return "gradient_of_sums" in op.spec.kernels and is_long_alone(
-        inputs[op.n_common], inputs[op.at("n_modes")]
-    )
+    stride, n_modes, observed = inputs[op.at("stride")], inputs[op.at("n_modes")], inputs[op.n_common]
+    return "gradient_of_sums" in op.spec.kernels and is_long_alone(stride, observed, n_modes)
 
 
 class StatisticsFromTables:

@@ -91,7 +91,7 @@ def request_of_family(structure, parameters, record, asked: Request) -> Request:
             i = int(np.argmax(given["stiffness"][0]))
             raise TooStiffError(
                 f"Spring {i} ({given['stiffness'][0, i]:.4g} N/m) is too stiff for a yielding chain, whose "
-                f"fastest mode, of {omega.min() / (2.0 * np.pi):.4g} Hz, is followed step by step. Give the "
-                "masses beside it as one, or make it 1,000 times stiffer than its neighbours, no more."
+                f"fastest mode, of {omega.min() / (2.0 * np.pi):.4g} Hz, is followed step by step. Join the "
+                "masses beside it into one, or make it at most 1,000 times stiffer than its neighbours."
             )
     return asked

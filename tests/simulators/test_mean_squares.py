@@ -335,12 +335,15 @@ def test_likelihoods_of_long_records(tables, monkeypatch, as_data):
 
 
 def test_short_records_and_yielding_springs_are_marched(tables):
-    case = Case(chain(), n_times=population.FEWEST_STEPS - 1)
-    op = PopulationDiscrepancy()
-    parameters, excitation, wanted = case.arguments
-    inputs = [*parameters, *excitation, wanted.sensors, wanted.n_modes, case.observed]
-    [found] = op.run([np.asarray(x) for x in inputs])
-    np.testing.assert_array_equal(found, case.marched())
+    """And outputs much coarser than the record."""
+    short = Case(chain(), n_times=population.FEWEST_STEPS - 1)
+    coarse = Case(chain(), dt=2 * population.MOST_STRIDE * DT)
+    for case in (short, coarse):
+        op = PopulationDiscrepancy()
+        parameters, excitation, wanted = case.arguments
+        inputs = [*parameters, *excitation, wanted.sensors, wanted.n_modes, case.observed]
+        [found] = op.run([np.asarray(x) for x in inputs])
+        np.testing.assert_array_equal(found, case.marched())
     assert tables == []
     assert "population_systems" not in FAMILIES[HystereticChain.family].kernels
 

@@ -10,6 +10,7 @@ from pymc_features.simulators.mean_squares.evaluate import evaluate
 from pymc_features.simulators.mean_squares.kept import KEPT
 
 FEWEST_STEPS = 2000  # of the recursion; below, the march is as fast
+MOST_STRIDE = 8  # steps between outputs: what a table costs grows with their square
 FEWEST_ALONE, LEAST_ALONE = 4000, 80_000  # of one structure: samples, and samples times modes
 ROUNDING = 5e-15  # errors of a sum, relative to what `evaluate` calls sizes: ten times what was found
 SURE = 1e-8  # error of e_j that makes no difference to TN and EXP
@@ -19,13 +20,13 @@ AGREEMENT = 1e-6  # with the march
 
 def is_long(stride, observed) -> bool:
     """Whether tables are faster."""
-    return stride * observed.shape[-1] >= FEWEST_STEPS
+    return stride <= MOST_STRIDE and stride * observed.shape[-1] >= FEWEST_STEPS
 
 
-def is_long_alone(observed, n_modes) -> bool:
+def is_long_alone(stride, observed, n_modes) -> bool:
     """Whether tables are faster for one structure, whose modes do not fill the lanes of a vector."""
     n_times = observed.shape[-1]
-    return n_times >= FEWEST_ALONE and n_times * n_modes >= LEAST_ALONE
+    return stride <= MOST_STRIDE and n_times >= FEWEST_ALONE and n_times * n_modes >= LEAST_ALONE
 
 
 def mean_squares(family, arguments, observed) -> np.ndarray:

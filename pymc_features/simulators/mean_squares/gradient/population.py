@@ -6,7 +6,7 @@ from pymc_features.simulators.mean_squares.asked import Asked
 from pymc_features.simulators.mean_squares.gradient.derive import Derivatives, derive, new_derivatives
 from pymc_features.simulators.mean_squares.gradient.memory import room_of
 from pymc_features.simulators.mean_squares.kept import KEPT
-from pymc_features.simulators.mean_squares.population import AGREEMENT, are_sure
+from pymc_features.simulators.mean_squares.population import AGREEMENT, MOST_STRIDE, are_sure
 from pymc_features.simulators.mean_squares.stencil import coefficients
 from pymc_features.simulators.oscillators.close_modes import CLOSE
 
@@ -17,7 +17,7 @@ KERNEL = "population_gradient"
 
 def is_long(stride, observed) -> bool:
     """Whether tables are faster for a population; `mean_squares.population` knows it for one structure."""
-    return stride * observed.shape[-1] >= FEWEST_STEPS
+    return stride <= MOST_STRIDE and stride * observed.shape[-1] >= FEWEST_STEPS
 
 
 def misfit_gradient(family, arguments, observed, weights, is_alone=False) -> tuple:
