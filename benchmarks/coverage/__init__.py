@@ -5,6 +5,7 @@ The data are responses to a band-limited motion by a simulator of its own, `benc
 """
 
 from benchmarks.coverage.ambient import run_ambient
+from benchmarks.coverage.bounds import run_bounds
 from benchmarks.coverage.errors import ERRORS
 from benchmarks.coverage.events import run_events
 from benchmarks.coverage.identified import run_identified
@@ -20,6 +21,7 @@ PARTS = {
     "identified": run_identified,
     "modes": run_modes,
     "ambient": run_ambient,
+    "bounds": run_bounds,
 }
 NAMES = (*PARTS, *ERRORS)
 

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.calibration.adjusted import stretching
-from pymc_features.calibration.calibrate import curved
+from pymc_features.calibration.adjusted import Shape, shape_of
+from pymc_features.calibration.calibrate import curved, near_bounds
 from pymc_features.calibration.climb import climb_likelihood
+from pymc_features.calibration.coordinates import Coordinates
 from pymc_features.calibration.sandwich import sandwich
 from pymc_features.smc.proposals.proposal import StudentT
 
@@ -123,34 +124,36 @@ def fitted(draws, log_weights, proposal) -> StudentT:
 class Calibrated(NamedTuple):
     """The likelihood that `calibrate` would sample.
 
-    Power, matrix (d, d), maximum (d,), and factors (d, d) of the covariances that the residuals support and
-    that the likelihood claims.
+    Shape and coordinates, maximum (d,), and factors (d, d) of the covariances that the residuals support and
+    that the likelihood claims, in coordinates.
     """
 
-    power: float
-    matrix: np.ndarray
+    shape: Shape
+    coordinates: Coordinates
     point: np.ndarray
     factor: np.ndarray
     claimed_factor: np.ndarray
     n_eff: float
+    growth: float
 
     def density(self, log_prior, log_likelihood):
-        """Log-density of points (n, d)."""
+        """Log-density of unconstrained points (n, d), where no parameter is near a bound."""
+        power, point, origin, matrix, _, _ = self.shape
 
         def log_density(z):
-            stretched = self.point + (z - self.point) @ self.matrix.T
-            return log_prior(z) + self.power * log_likelihood(stretched)
+            return log_prior(z) + power * log_likelihood(origin + (z - point) @ matrix.T)
 
         return log_density
 
 
-def calibrated(predictions, z, n_parameters) -> Calibrated:
+def calibrated(predictions, z, n_parameters, model_error="bands") -> Calibrated:
     """The steps of `calibrate` for a likelihood with its maximum near z (d,)."""
     fit = climb_likelihood(predictions, z)
-    result = curved(predictions, fit, sandwich(fit.events, fit.information))
-    power, matrix = stretching(result.information, result.precision)
+    fit = fit.measured_from_bounds(near_bounds(fit, sandwich(fit.events, fit.information, model_error)))
+    result = curved(predictions, fit, sandwich(fit.events, fit.information, model_error))
     claims, covariance = (m[:n_parameters, :n_parameters] for m in (result.claims, result.covariance))
     ratio = np.linalg.slogdet(claims)[1] - np.linalg.slogdet(covariance)[1]
     claimed = sum(float(event.claimed.sum()) for event in fit.events)
     factors = (np.linalg.cholesky(m) for m in (result.covariance, result.claims))
-    return Calibrated(power, matrix, fit.z, *factors, claimed * np.exp(ratio / n_parameters))
+    n_eff = claimed * np.exp(ratio / n_parameters)
+    return Calibrated(shape_of(fit, result), fit.coordinates, fit.z, *factors, n_eff, result.growth)

@@ -16,6 +16,7 @@ class Predictions:
     def __init__(self, record, data, dt):
         self.record, self.data, self.dt = record, data, dt
         self.names, self.steps, self.count = ["y"], [dt], 0
+        self.sides = np.zeros(N_FACTORS + 1, dtype=int)
 
     def __call__(self, z):
         """mu, observed, scale, ln s, claimed and decay of the only likelihood, at a point (4,)."""
@@ -25,6 +26,10 @@ class Predictions:
         sensor = np.ones(n_sensors)
         scale = np.full(self.data.shape, np.exp(z[-1]))
         return [[mu, self.data, scale, z[-1] * sensor, n_times * sensor, np.inf * sensor]]
+
+    def frequencies(self, z):
+        """Natural frequencies [Hz] of the only likelihood's structure, at a point (4,)."""
+        return [structure(np.exp(z[:N_FACTORS])).modes().natural_frequencies]
 
 
 class Target:

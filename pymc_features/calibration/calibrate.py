@@ -1,28 +1,33 @@
 """`calibrate`: a posterior as wide as the residuals support, in every direction."""
 
+import json
 import warnings
 
 import numpy as np
 import pymc as pm
 import xarray as xr
 from pymc.util import RandomState
+from scipy.stats import truncnorm
 
-from pymc_features._checks import check_flag, check_integer, check_model, check_seed
-from pymc_features.calibration.adjusted import adjusted_model, stretching
+from pymc_features._checks import check_choice, check_flag, check_integer, check_model, check_seed
+from pymc_features.calibration.adjusted import adjusted_model, shape_of
+from pymc_features.calibration.bounds import deviations, free_maximum, near_bounds, warn_beyond
 from pymc_features.calibration.effective import described
-from pymc_features.calibration.fit import Predictions, hessian
+from pymc_features.calibration.fit import Predictions, hessian, residuals_of
 from pymc_features.calibration.modes import Part, distinct_fits, pooled
-from pymc_features.calibration.sandwich import Sandwich, sandwich, whitening
+from pymc_features.calibration.sandwich import Sandwich, sandwich, sentence, whitening
 from pymc_features.exceptions import CalibrationWarning, SamplingWarning
 from pymc_features.inference.parameters import Unconstrained, posterior_for
 from pymc_features.inference.sample import Search, compared_draws, sample_from
 from pymc_features.smc import Reference, open_workers, population_logp, prior_points
 from pymc_features.smc.proposals.reference import Mode
 
-CURVED = 0.2  # standard deviations over which curvature is measured
+CURVED = 0.1  # standard deviations over which curvature is measured
 PRIOR_DRAWS = 500
 # mean square of standard deviations from the maximum that is far, and the share of draws that makes a warning
 FAR, MANY = 10.0, 0.25
+CHECKED, UNEXPLAINED = 40, 2.0  # draws looked at, and residuals over their sigma that are too large
+NEAR_BOUND_DRAWS = 600  # of each stage, where a parameter is near a bound
 NO_CLIMBS = "the maximum was known"
 
 
@@ -34,6 +39,7 @@ def calibrate(
     chains: int | None = None,
     random_seed: RandomState = None,
     progressbar: bool = True,
+    model_error: str | None = "bands",
     **settings,
 ) -> xr.DataTree:
     """Posterior whose width the residuals decide, not the sampling rate or the number of sensors.
@@ -57,6 +63,9 @@ def calibrate(
         For the same draws each time.
     progressbar : bool
         Whether to show progress.
+    model_error : str, optional
+        "bands" (default) multiplies widths by how much the frequency bands of the record disagree about the
+        parameters, at most by 2, where the model has natural frequencies; None does not.
     **settings
         Of `sample`.
 
@@ -64,7 +73,9 @@ def calibrate(
     -------
     DataTree
         As from `sample`, of the calibrated posterior; `sample_stats` has the attribute `power`, and the group
-        `calibration` is what `effective_samples` returns. With several modes that group has them as a
+        `calibration` is what `effective_samples` returns, with the share of `leverage` in each standard
+        deviation: what the fit took out of the residuals. The attribute `calibration` is a table, in JSON,
+        of growth, parameters near a bound and leverage. With several modes that group has them as a
         dimension, with their `weight`, and `sample_stats` says of which `mode` a draw is; its other numbers
         are those of the heaviest. The evidence is that of the stretched likelihood, and must not be compared
         with others.
@@ -98,6 +109,8 @@ def calibrate(
             check_integer(value, name, least=least)
     check_seed(random_seed)
     check_flag(progressbar, "progressbar")
+    if model_error is not None:
+        check_choice(model_error, "model_error", ["bands"], "Or pass None.")
     model = check_model(model)
     posterior = posterior_for(model, idata, "idata")
     rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(1)[0])
@@ -108,19 +121,28 @@ def calibrate(
         "progressbar": progressbar,
     }
     predictions = Predictions(model)
+    fits = distinct_fits(predictions, idata, rng)
+    near = [near_bounds(fit, sandwich(fit.events, fit.information, model_error)) for fit in fits]
+    fits = [fit.measured_from_bounds(np.any(near, axis=0)) for fit in fits]
+    if np.any(near):  # a bell does not follow how others depend on these
+        settings.setdefault("stage_draws", NEAR_BOUND_DRAWS)
     modes = [
-        (fit, curved(predictions, fit, sandwich(fit.events, fit.information)))
-        for fit in distinct_fits(predictions, idata, rng)
+        (fit, curved(predictions, fit, sandwich(fit.events, fit.information, model_error))) for fit in fits
     ]
-    adjusted, parts = adjusted_model(model, len(modes)), []
+    adjusted, parts = adjusted_model(model, modes[0][0].coordinates, len(modes)), []
     with open_workers(settings.pop("executor", None)) as workers:
         for i, mode in enumerate(modes):
             others, own = modes[:i] + modes[i + 1 :], settings | {"executor": workers}
             part = calibrated_mode(adjusted, mode, others, own, rng)
-            part.idata["calibration"] = xr.DataTree(described(model, *mode))
-            far_away(compared_draws(model, part.idata["posterior"]), *mode)
+            found = described(predictions, *mode).assign(leverage=("parameter", leverage(*mode)))
+            warn_beyond(found)
+            part.idata["calibration"] = xr.DataTree(found)
+            draws = compared_draws(model, part.idata["posterior"])
+            far_away(draws, *mode)
+            explain_the_data(predictions, draws)
             parts.append(part)
     calibrated = pooled(parts, rng)
+    calibrated.attrs["calibration"] = json.dumps(table(calibrated["calibration"].to_dataset()))
     for group in ("observed_data", "constant_data"):
         if group in idata.children:
             calibrated[group] = idata[group].copy()
@@ -131,7 +153,8 @@ def calibrate(
 
 def far_away(draws, fit, result: Sandwich):
     """Warn if many draws (n, d) are far from the maximum at which the residuals have decided the width."""
-    off = (np.empty((0, len(fit.z))) if draws is None else draws) - fit.z
+    off = np.array([fit.coordinates.of(z) for z in ([] if draws is None else draws)]).reshape(-1, len(fit.w))
+    off = off - fit.w
     directions = np.linalg.matrix_rank(whitening(result.information))
     away = np.einsum("ni,ij,nj->n", off, result.precision, off) > FAR * directions
     if away.size and away.mean() > MANY:
@@ -144,34 +167,88 @@ def far_away(draws, fit, result: Sandwich):
         )
 
 
+def explain_the_data(predictions, draws):
+    """Refuse draws (n, d) whose residuals are larger than their own sigma allows."""
+    values = [predictions(z) for z in ([] if draws is None else draws[:: max(1, len(draws) // CHECKED)])]
+    squares = [
+        sum(np.sum(residuals_of(v) ** 2) for v in value) / sum(v[4].sum() for v in value) for value in values
+    ]
+    if squares and np.median(squares) > UNEXPLAINED**2:
+        raise ValueError(
+            "the calibrated draws must explain the data, got residuals "
+            f"{np.median(squares) ** 0.5:.3g} times as large as their own sigma. The priors exclude what the "
+            "data want: widen them, or give sigma a wider prior."
+        )
+
+
+def leverage(fit, result: Sandwich) -> np.ndarray:
+    """Share (d,) of the standard deviations that comes from what the fit took out of the residuals."""
+    without = sandwich(fit.events, fit.information, None, leverage=False)
+    without = result._replace(variability=without.variability * result.factor**2)
+    return 1.0 - deviations(without) / deviations(result)
+
+
+def table(found: xr.Dataset) -> dict:
+    """What made the intervals of the heaviest mode as wide as they are, of each parameter and of all."""
+    if "mode" in found.dims:
+        found = found.isel(mode=int(found["weight"].argmax()))
+    rows = found[["standard_deviation", "leverage", "near_bound", "bound", "room"]].to_dataframe()
+    rows = {
+        name: {k: None if v != v else v for k, v in row.items()} for name, row in rows.T.to_dict().items()
+    }
+    return {"growth": found.attrs["growth"], "sentence": sentence(found.attrs["growth"]), "parameters": rows}
+
+
 def calibrated_mode(adjusted, mode, others, settings, rng) -> Part:
     """The posterior around a maximum; each is a fit and its sandwich."""
-    model, (fit, result), d = adjusted.model, mode, len(mode[0].z)
-    power, matrix = stretching(result.information, result.precision)
-    elsewhere = np.reshape([fit.z for fit, _ in others], (-1, d))
+    model, (fit, result), d = adjusted.model, mode, len(mode[0].w)
+    shape = shape_of(fit, result)
+    elsewhere = np.reshape([fit.w for fit, _ in others], (-1, d))
     precisions = np.reshape([result.precision for _, result in others], (-1, d, d))
-    adjusted.set(power, fit.z, matrix, result.precision, elsewhere, precisions)
-    found = Search(bell(model, fit.z, result.precision, rng), 0, 0, NO_CLIMBS)
+    adjusted.set(shape, result.precision, elsewhere, precisions)
+    found = Search(bell(model, *expected(fit, result), rng), 0, 0, NO_CLIMBS)
     idata = sample_from(found, model, Unconstrained(model), **settings)
-    idata["sample_stats"].attrs |= {"power": power}
+    idata["sample_stats"].attrs |= {"power": shape.power}
     logp = population_logp(model, model.initial_point(), settings.get("compile_kwargs") or {})
-    return Part(idata, power, logp(fit.z[None])[1][0] / power)
+    return Part(idata, shape.power, logp(fit.z[None])[1][0] / shape.power)
+
+
+def expected(fit, result):
+    """Where the calibrated likelihood is expected (d,), and its precision (d, d), unconstrained.
+
+    Parameters near a bound have mean and width of the normal distribution cut off; others follow.
+    """
+    precision, mean = result.precision, free_maximum(fit, result)
+    f, b = np.flatnonzero(~fit.coordinates.near), np.flatnonzero(fit.coordinates.near)
+    sd = np.sqrt(np.diag(result.covariance)[b])
+    low, high = ((ends[b] - mean[b]) / sd for ends in fit.coordinates.limits)
+    w, (within, variance) = mean.copy(), truncnorm.stats(low, high, mean[b], sd)
+    w[b] = within
+    whiten = whitening(precision[np.ix_(f, f)])
+    follow = -whiten @ whiten.T @ precision[np.ix_(f, b)]
+    w[f] += follow @ (w[b] - mean[b])
+    precision[np.ix_(b, b)] = np.diag(1.0 / variance) - precision[np.ix_(b, f)] @ follow
+    z = fit.coordinates.unconstrained(w)
+    slopes = fit.coordinates.slopes(z)
+    return z, precision * np.outer(slopes, slopes)
 
 
 def curved(predictions, fit, result: Sandwich) -> Sandwich:
     """The sandwich with the likelihood's own curvature as A, where that is positive.
 
-    It is measured along the axes of A: where parameters are correlated, a change of one of them alone by its
-    standard deviation leads far away.
+    It is measured along the axes of A, of parameters that are not near a bound: where they are correlated, a
+    change of one of them alone by its standard deviation leads far away.
     """
-    whiten = whitening(result.information)
+    free = ~fit.coordinates.near
+    whiten = whitening(result.information * np.outer(free, free))
     widths = np.sqrt(np.diag(whiten.T @ result.variability @ whiten))
     steps = CURVED * np.minimum(widths, 1.0)
-    relative = hessian(predictions, fit.z, (whiten * steps).T) / np.outer(steps, steps)
+    relative = hessian(predictions, fit, (whiten * steps).T) / np.outer(steps, steps)
+    unwhiten = whiten.T @ (result.information * free)
+    information = result.information + unwhiten.T @ (relative - np.eye(len(steps))) @ unwhiten
     if not np.linalg.eigvalsh(relative).min(initial=np.inf) > 0:
         return result
-    unwhiten = whiten.T @ result.information
-    return result._replace(information=unwhiten.T @ relative @ unwhiten)
+    return result._replace(information=information)
 
 
 def bell(model, point, precision, rng) -> Reference:

@@ -1,12 +1,22 @@
 """Climbs to the likelihood's maximum, with few sets of derivatives."""
 
 import numpy as np
+from scipy.optimize import lsq_linear
+from scipy.special import expit
 
-from pymc_features.calibration.fit import Fit, events_at, information_of, log_likelihood, residuals_of
+from pymc_features.calibration.coordinates import Coordinates
+from pymc_features.calibration.fit import (
+    Fit,
+    events_at,
+    information_of,
+    log_likelihood,
+    residuals_of,
+    score_of,
+)
 from pymc_features.calibration.sandwich import whitening
 
 DIFFERENCE = 0.02  # standard errors of independent samples that derivatives are taken over,
-WIDEST, NARROWEST = 1e-3, 1e-7  # but no more and no less than this, on the unconstrained scale
+WIDEST, NARROWEST = 1e-3, 1e-7  # but no more and no less than this, in coordinates
 NARROW = 1e-5  # before standard errors are known
 STEPS = 100  # towards the maximum, at most
 CONVERGED, FAILED = 1e-3, 3e-3  # standard errors of independent samples that the last step, and one that
@@ -14,7 +24,8 @@ CONVERGED, FAILED = 1e-3, 3e-3  # standard errors of independent samples that th
 SHORTER = 0.3  # than the step before must one be that is taken with the derivatives of another point
 NEAR = 0.1  # of such a standard error: derivatives there are those at the maximum
 LEAST = 0.1  # of the information that the curvature is taken to have where it is less, or negative
-LONGEST = 1.0  # step, on the unconstrained scale
+LONGEST, LONGEST_SHARE = 1.0, 0.25  # step of a coordinate, and of one between two bounds
+BESIDE, MUCH = 0.05, 3.0  # share of the distance between bounds; how far on the unconstrained scale
 SINGULAR = 1e-12  # of the largest relative eigenvalue: directions that change nothing
 
 
@@ -23,26 +34,31 @@ def climb_likelihood(predictions, z) -> Fit:
 
     Derivatives, a prediction or two for each parameter, are kept for as long as steps with them become much
     shorter from one to the next. Where residuals are large their second derivatives count; these are learnt
-    from one set of derivatives to the next.
+    from one set of derivatives to the next. A parameter that a step would take out of its prior is from then
+    on measured from the bound, and stays within.
     """
-    start = predictions.count
+    count, start = predictions.count, z
     here = predictions(z)
     value, damping, last = log_likelihood(here), 1e-6, np.inf
     if value == -np.inf:
         raise ValueError("the fit must start where the likelihood is finite. Pass another `idata`.")
-    events, at, central = events_at(predictions, z, np.full(len(z), NARROW), here, [1.0]), z, False
-    score, second = score_of(events), np.zeros((len(z), len(z)))
+    coordinates, central = Coordinates.plain(predictions.sides), False
+    events = events_at(predictions, z, np.full(len(z), NARROW), here, coordinates, central)
+    coordinates, w, events, _ = bounded(Fit(coordinates, z, events, 0), start)
+    at = w
+    score, second = score_of(events), np.zeros((len(w), len(w)))
     before = score
     for _ in range(STEPS):
-        step = newton(curvature(information_of(events), second), score, damping)
-        length, moved = standard_errors(events, step), standard_errors(events, z - at)
+        step = newton(curvature(information_of(events), second), score, damping, rooms(coordinates, w))
+        length, moved = standard_errors(events, step), standard_errors(events, w - at)
         if length < CONVERGED and central and moved < NEAR:
             break
         if length < SHORTER * last and not (length < CONVERGED):
-            values = predictions(z + step)
+            new = np.clip(w + step, *coordinates.limits)
+            values = predictions(coordinates.unconstrained(new))
             trial = log_likelihood(values)
             if trial > value:
-                z, here, value, damping, last = z + step, values, trial, damping / 10.0, length
+                w, here, value, damping, last = new, values, trial, damping / 10.0, length
                 events = with_residuals(events, here)
                 score = score_of(events)
                 continue
@@ -54,23 +70,48 @@ def climb_likelihood(predictions, z) -> Fit:
         if length < CONVERGED:  # with these derivatives, and perhaps only for its damping
             damping = 1e-6
         central = length < NEAR
-        sides = [1.0, -1.0] if central else [1.0]
-        events, stale = events_at(predictions, z, differences(events), here, sides), score
-        score, last = score_of(events), np.inf
+        stale = score
+        events = events_at(predictions, w, differences(events), here, coordinates, central)
         if moved > 0.0:
-            second = learnt(second, z - at, stale - score, before - score)
-        at, before = z, score
-    return Fit(z, events, predictions.count - start)
+            second = learnt(second, w - at, stale - score_of(events), before - score_of(events))
+        before_it = coordinates
+        coordinates, w, events, _ = bounded(Fit(coordinates, w, events, 0), start)
+        if coordinates is not before_it:
+            second = np.zeros_like(second)
+        score, last = score_of(events), np.inf
+        at, before = w, score
+    frequencies = predictions.frequencies(coordinates.unconstrained(w))
+    events = [e._replace(frequencies=f) for e, f in zip(events, frequencies, strict=True)]
+    return Fit(coordinates, w, events, predictions.count - count)
+
+
+def bounded(fit: Fit, start) -> Fit:
+    """The fit, with parameters measured from the bound that they are beside and the next step would cross.
+
+    Beside an only bound is what has come much nearer to it since `start` (d,).
+    """
+    coordinates, z = fit.coordinates, fit.z
+    step = newton(fit.information, score_of(fit.events), 0.0, (-np.inf, np.inf))
+    own = coordinates.own_slopes(z) / coordinates.slopes(z) * step
+    low, high = coordinates.distance(z), expit(-z)
+    beside = np.where(coordinates.sides == 2, low < BESIDE, z < start - MUCH)
+    crosses = (coordinates.sides > 0) & beside & (own < -low)
+    crosses |= (coordinates.sides == 2) & (high < BESIDE) & (own > high)
+    if not (crosses & ~coordinates.near).any():
+        return fit
+    return fit.measured_from_bounds(coordinates.near | crosses)
+
+
+def rooms(coordinates, w):
+    """Least and largest step (d,) from a point."""
+    longest = np.where(coordinates.near & (coordinates.sides == 2), LONGEST_SHARE, LONGEST)
+    low, high = coordinates.limits
+    return np.maximum(low - w, -longest), np.minimum(high - w, longest)
 
 
 def standard_errors(events, step) -> float:
     """Length of a step (d,), in standard errors of independent samples."""
     return np.sqrt(excess(events) * max(0.0, step @ information_of(events) @ step))
-
-
-def score_of(events):
-    """Gradient of the log-likelihood (d,) of all events."""
-    return sum(event.score for event in events)
 
 
 def learnt(second, step, change, total):
@@ -116,12 +157,17 @@ def differences(events):
     return np.clip(DIFFERENCE / scale, NARROWEST, WIDEST)
 
 
-def newton(information, score, damping):
-    """A damped Newton step (d,), none along directions that change nothing."""
+def newton(information, score, damping, room):
+    """A damped Newton step (d,) within least and largest steps, none along directions that change nothing."""
     scale = np.sqrt(np.diag(information))
     scale = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     known = values > SINGULAR * values.max(initial=0.0)
     along = vectors.T @ (score / scale)
     step = vectors @ np.where(known, along / np.where(known, values + damping, 1.0), 0.0) / scale
-    return step / max(1.0, np.abs(step).max() / LONGEST)
+    low, high = room
+    if ((step > low) & (step < high)).all():
+        return step
+    roots = np.sqrt(np.where(known, values + damping, 0.0))
+    target = np.where(known, along / np.where(known, roots, 1.0), 0.0)
+    return lsq_linear((vectors * roots).T, target, (low * scale, high * scale), method="bvls").x / scale

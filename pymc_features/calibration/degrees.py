@@ -79,7 +79,7 @@ def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = Non
         sigma = rv.owner.inputs[3]
         if not isinstance(sigma, Constant):
             warn_about_variance("GammaFeature", data.get_value().ravel(), sigma)
-    return described(model, fit, sandwich(fit.events, fit.information))
+    return described(predictions, fit, sandwich(fit.events, fit.information))
 
 
 def degrees_of(model) -> dict:

@@ -7,12 +7,12 @@ import pymc as pm
 import xarray as xr
 
 from pymc_features._checks import check_group, check_model, check_seed
+from pymc_features.calibration.bounds import bounds_of, own_scale
 from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.fit import Fit, Predictions, log_likelihood
 from pymc_features.calibration.sandwich import Sandwich, known, sandwich, whitening
 from pymc_features.exceptions import CalibrationWarning
 from pymc_features.inference.parameters import (
-    Unconstrained,
     coordinate_names,
     posterior_for,
     to_unconstrained,
@@ -54,13 +54,16 @@ def effective_samples(
         Over `sensor` (name of the likelihood and index): `n_eff`, observations that its residuals support;
         `claimed`, those of the likelihood; `time_constant` [s] of the errors, the longest;
         `follows_response`, whether they grow with the response. Over `parameter` (on the unconstrained scale
-        that PyMC samples): `n_eff_parameter`, `standard_deviation` by the residuals,
-        `claimed_standard_deviation`, `point`, the maximum, and `changes_response`. Over `direction`,
-        ascending: `n_eff_direction` and `direction_vector` (direction, parameter). The matrices
-        `information` A, `variability` B and `covariance` A^-1 B A^-1 ``(parameter, parameter_)``, NaN for
-        parameters that no likelihood knows of. Attributes: `n_eff` (geometric mean of the
-        directions of the response), `claimed` (of all sensors), `n_evaluations` (predictions of the fit: each
-        set of sensitivities to d parameters takes d far from the maximum, and 2 d near it).
+        that PyMC samples, but near a bound of the prior on their own): `n_eff_parameter`,
+        `standard_deviation` by the residuals, `claimed_standard_deviation`, `point`, the maximum within the
+        prior, `near_bound`, the nearest `bound` and `room`, standard deviations from the maximum without
+        bounds to it, negative beyond; and `changes_response`. Over `direction`, ascending: `n_eff_direction`
+        and `direction_vector` (direction, parameter). The matrices `information` A, `variability` B and
+        `covariance` A^-1 B A^-1 ``(parameter, parameter_)``, NaN for parameters that no likelihood knows of.
+        Attributes: `n_eff` (geometric mean of the directions of the response), `growth` (by how much
+        frequency bands disagree about the parameters, NaN without natural frequencies; widths contain it up
+        to 2), `claimed` (of all sensors), `n_evaluations` (predictions of the fit: each set of sensitivities
+        to d parameters takes d far from the maximum, and 2 d near it).
 
     Raises
     ------
@@ -93,8 +96,9 @@ def effective_samples(
         check_group(source, "source", "posterior", "Or pass a model, for a fit without draws.")
         model = check_model(model)
         starts = starting_points(model, source, "source")
-    fit = best_fit(Predictions(model), starts, np.random.default_rng(random_seed))
-    return described(model, fit, sandwich(fit.events, fit.information))
+    predictions = Predictions(model)
+    fit = best_fit(predictions, starts, np.random.default_rng(random_seed))
+    return described(predictions, fit, sandwich(fit.events, fit.information))
 
 
 def starting_points(model, idata, name: str) -> np.ndarray:
@@ -149,6 +153,7 @@ def of_sensor(event, j) -> float:
         response=event.response[[j]],
         claimed=event.claimed[[j]],
         measured=None if event.measured is None else event.measured[[j]],
+        frequencies=None,
     )
     information = np.einsum("stp,stq->pq", alone.sensitivities, alone.sensitivities)
     squares = float((alone.residuals**2).sum())
@@ -163,9 +168,9 @@ def ratios(information, variability) -> np.ndarray:
     return np.linalg.eigvalsh(whiten.T @ variability @ whiten).clip(min=np.finfo(float).tiny)
 
 
-def described(model, fit: Fit, result: Sandwich) -> xr.Dataset:
+def described(predictions, fit: Fit, result: Sandwich) -> xr.Dataset:
     """The Dataset of `effective_samples`."""
-    names = coordinate_names(model, Unconstrained(model))
+    names = coordinate_names(predictions.model, predictions.space)
     squares = sum(float((event.residuals**2).sum()) for event in fit.events)
     claimed = sum(float(event.claimed.sum()) for event in fit.events)
     of_response = sum(
@@ -175,21 +180,24 @@ def described(model, fit: Fit, result: Sandwich) -> xr.Dataset:
     if not known(of_response).size:
         raise ValueError("`model` must have parameters that change the response, got none.")
     whiten = whitening(of_response)
-    values, vectors = np.linalg.eigh(whiten.T @ sum(m.variability for m in result.models) @ whiten)
+    of_models = result.factor**2 * sum(m.variability for m in result.models)
+    values, vectors = np.linalg.eigh(whiten.T @ of_models @ whiten)
     directions = (whiten @ vectors).T[::-1]
     n_direction = squares / values[::-1].clip(min=np.finfo(float).tiny)
     claims, covariance = covariances(result)
+    point, units = own_scale(predictions, fit)
     parameters = {
         "n_eff_parameter": claimed * np.diag(claims) / np.diag(covariance),
-        "standard_deviation": np.sqrt(np.diag(covariance)),
-        "claimed_standard_deviation": np.sqrt(np.diag(claims)),
-        "point": fit.z,
+        "standard_deviation": np.sqrt(np.diag(covariance)) * np.abs(units),
+        "claimed_standard_deviation": np.sqrt(np.diag(claims)) * np.abs(units),
+        "point": point,
         "changes_response": np.isin(np.arange(len(fit.z)), known(of_response)),
+        **bounds_of(predictions, fit, result),
     }
     matrices = {
-        "information": result.information,
-        "variability": result.variability,
-        "covariance": covariance,
+        "information": result.information / np.outer(units, units),
+        "variability": result.variability / np.outer(units, units),
+        "covariance": covariance * np.outer(units, units),
     }
     persists(fit, result)
     return xr.Dataset(
@@ -212,6 +220,7 @@ def described(model, fit: Fit, result: Sandwich) -> xr.Dataset:
             "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
             "claimed": claimed,
             "n_evaluations": fit.n_evaluations,
+            "growth": result.growth,
         },
     )
 

@@ -7,13 +7,15 @@ import pytensor.tensor as pt
 from pymc.pytensorf import compile as compile_function
 
 from pymc_features.calibration.comparison import comparison, independent
+from pymc_features.calibration.coordinates import EDGE, Coordinates, sides_of
 from pymc_features.calibration.gaps import check_gaps, mirrored, without_gaps
 from pymc_features.inference.parameters import Unconstrained
+from pymc_features.ops import frequencies_behind
 from pymc_features.smc.density.compilation import with_mode
 
 
 class Event(NamedTuple):
-    """One likelihood at a point; derivatives are those by the unconstrained parameters.
+    """One likelihood at a point; derivatives are those by coordinates w, see `Coordinates`.
 
     Attributes
     ----------
@@ -21,9 +23,9 @@ class Event(NamedTuple):
     residuals : array (sensor, time)
         r, in units of their scale; zero in gaps.
     sensitivities : array (sensor, time, parameter)
-        S = -dr / dz at constant scale; zero in gaps.
+        S = -dr / dw at constant scale; zero in gaps.
     of_scale : array (sensor, parameter)
-        d ln s / dz.
+        d ln s / dw.
     claimed : array (sensor,)
         Independent observations m that the likelihood claims.
     response : array (sensor, time)
@@ -32,6 +34,8 @@ class Event(NamedTuple):
         Sampling step [s].
     measured : bool array (sensor, time), optional
         Which samples were; None if all.
+    frequencies : array (m,), optional
+        Natural frequencies [Hz] of the structure behind the prediction; None where there is none.
     """
 
     name: str
@@ -42,6 +46,7 @@ class Event(NamedTuple):
     response: np.ndarray
     step: float
     measured: np.ndarray | None = None
+    frequencies: np.ndarray | None = None
 
     @property
     def n_samples(self) -> int:
@@ -67,25 +72,50 @@ class Event(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """The maximum of the likelihood.
+    """The maximum of the likelihood within the bounds of the prior.
 
     Attributes
     ----------
-    z : array (d,)
-        Unconstrained parameters, flat.
+    coordinates : Coordinates
+    w : array (d,)
+        Flat point in these.
     events : list of Event
     n_evaluations : int
         Predictions that it took.
     """
 
-    z: np.ndarray
+    coordinates: Coordinates
+    w: np.ndarray
     events: list[Event]
     n_evaluations: int
+
+    @property
+    def z(self) -> np.ndarray:
+        """Unconstrained parameters (d,)."""
+        return self.coordinates.unconstrained(self.w)
 
     @property
     def information(self) -> np.ndarray:
         """Of all events (d, d)."""
         return information_of(self.events)
+
+    @property
+    def pushing(self) -> np.ndarray:
+        """Score (d,) of the parameters that it pushes against a bound; zero of the others."""
+        score, (low, high) = score_of(self.events), self.coordinates.limits
+        at_low, at_high = self.w - low < EDGE, high - self.w < EDGE
+        return np.where(at_low & (score < 0) | at_high & (score > 0), score, 0.0)
+
+    def measured_from_bounds(self, near) -> "Fit":
+        """The same point in coordinates where some parameters (d,) are measured from a bound."""
+        z, old = self.z, self.coordinates
+        new = old.moved(near, z)
+        ratio = old.slopes(z) / new.slopes(z)
+        events = [
+            e._replace(sensitivities=e.sensitivities * ratio, of_scale=e.of_scale * ratio)
+            for e in self.events
+        ]
+        return Fit(new, np.clip(new.of(z), *new.limits), events, self.n_evaluations)
 
 
 class Predictions:
@@ -99,11 +129,12 @@ class Predictions:
     def __init__(self, model):
         if not model.observed_RVs:
             raise ValueError("`model` must have observed variables, got none.")
-        self.model, self.space = model, Unconstrained(model)
+        self.model, self.space, self.sides = model, Unconstrained(model), sides_of(model)
         self.names = [rv.name for rv in model.observed_RVs]
         parts = [comparison(rv.owner.op, rv, model.rvs_to_values[rv]) for rv in model.observed_RVs]
         check_gaps(model)
         self.steps = [part.step for part in parts]
+        self.modes = [modes_of(model, part.mu) for part in parts]
         tensors = [pt.as_tensor_variable(x) for part in parts for x in part.tensors]
         tensors = model.replace_rvs_by_values(tensors)
         self.function = compile_function(
@@ -116,6 +147,20 @@ class Predictions:
         self.count += 1
         flat = self.function(*self.space.split(z).values())
         return [by_sensor(*flat[i : i + 6]) for i in range(0, len(flat), 6)]
+
+    def frequencies(self, z) -> list:
+        """Natural frequencies (m,) [Hz] of each likelihood's structure, None where there is none."""
+        return [None if of is None else of(self.space.split(z)) for of in self.modes]
+
+
+def modes_of(model, mu):
+    """Natural frequencies (m,) [Hz] of the structure behind a prediction, of a point; None without one."""
+    if (behind := frequencies_behind(mu)) is None:
+        return None
+    inputs, of_values = behind
+    compiled = {"mode": "FAST_COMPILE", "on_unused_input": "ignore"}
+    function = model.compile_fn(model.replace_rvs_by_values(inputs), inputs=model.value_vars, **compiled)
+    return lambda point: of_values(function(point))
 
 
 def by_sensor(mu, observed, scale, log_scale, claimed, decay):
@@ -139,17 +184,24 @@ def residuals_of(value):
     return independent(without_gaps((observed - mu) / scale, observed), decay)
 
 
-def events_at(predictions, z, steps, here, sides=(1.0, -1.0)) -> list[Event]:
-    """Residuals and derivatives at a point (d,), by differences over some steps (d,) to one side or both.
+def events_at(predictions, w, steps, here, coordinates=None, central=True) -> list[Event]:
+    """Residuals and derivatives at a point (d,), by differences over some steps (d,) to both sides or one.
 
-    `here` are the predictions at the point.
+    `here` are the predictions at the point. Coordinates are unconstrained parameters by default; differences
+    do not leave their limits.
     """
+    coordinates = coordinates or Coordinates.plain(np.zeros(len(w), dtype=int))
+    low, high = coordinates.limits
+    up = np.minimum(w + steps, high)
+    down = np.where(central | (up == w), np.maximum(w - steps, low), w)
     ends = [
-        [predictions(z + side * step * axis) for side in sides]
-        for step, axis in zip(steps, np.eye(len(z)), strict=True)
+        [
+            here if end == w[i] else predictions(coordinates.unconstrained(np.where(axis, end, w)))
+            for end in (up[i], down[i])
+        ]
+        for i, axis in enumerate(np.eye(len(w), dtype=bool))
     ]
-    ends = [[*end, here][:2] for end in ends]
-    return from_differences(predictions, here, ends, len(sides) * steps)
+    return from_differences(predictions, here, ends, up - down)
 
 
 def from_differences(predictions, here, ends, widths) -> list[Event]:
@@ -178,25 +230,31 @@ def from_differences(predictions, here, ends, widths) -> list[Event]:
     return events
 
 
+def score_of(events):
+    """Gradient of the log-likelihood (d,) of all events."""
+    return sum(event.score for event in events)
+
+
 def information_of(events):
     """Minus the Hessian (d, d) of the log-likelihood of all events, by Gauss and Newton."""
     return sum(event.information for event in events)
 
 
-def hessian(predictions, z, axes) -> np.ndarray:
-    """Minus the second derivatives (k, k) of the log-likelihood at a point (d,) along axes (k, d).
+def hessian(predictions, fit: Fit, axes) -> np.ndarray:
+    """Minus the second derivatives (k, k) of the log-likelihood at a fit along axes (k, d).
 
     By differences over the length of the axes, and by this length.
     """
 
-    def value(x):
-        return log_likelihood(predictions(x))
+    def value(w):
+        return log_likelihood(predictions(fit.coordinates.unconstrained(w)))
 
-    here = value(z)
-    sides = np.array([[value(z + sign * axis) for sign in (1.0, -1.0)] for axis in axes])
+    w = fit.w
+    here = value(w)
+    sides = np.reshape([value(w + sign * axis) for axis in axes for sign in (1.0, -1.0)], (len(axes), 2))
     result = np.diag(2.0 * here - sides.sum(axis=1))
     for i in range(len(axes)):
         for j in range(i):
-            both = value(z + axes[i] + axes[j]) + value(z - axes[i] - axes[j])
+            both = value(w + axes[i] + axes[j]) + value(w - axes[i] - axes[j])
             result[i, j] = result[j, i] = 0.5 * (sides[i].sum() + sides[j].sum() - both) - here
     return result

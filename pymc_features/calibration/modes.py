@@ -38,8 +38,8 @@ class Peak(NamedTuple):
     sandwich: Sandwich
 
     def distance(self, z) -> float:
-        """Standard deviations between the maximum and a point (d,)."""
-        apart = z - self.fit.z
+        """Standard deviations between the maximum and an unconstrained point (d,)."""
+        apart = self.fit.coordinates.of(z) - self.fit.w
         return float(np.sqrt(apart @ self.sandwich.precision @ apart))
 
 

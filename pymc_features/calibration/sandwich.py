@@ -1,4 +1,14 @@
-"""Sensitivity A and variability B of the score, and what follows from them."""
+"""Sensitivity A and variability B of the score, and what follows from them.
+
+B grows where the frequency bands of a record disagree about the parameters. With u_b the part of the score in
+a band b, and B_b its covariance by the residuals,
+
+    growth = sqrt(max(1, chi2 / (k - p))),    chi2 = sum_b u_b' B_b^-1 u_b,
+
+of k components of the score over all bands and p parameters, is by how much intervals must grow for the bands
+to agree (Birge, Phys. Rev. 40, 1932). It is about one for errors that spectra describe, and more where the
+model is not the structure. Bands lie between the natural frequencies of the model.
+"""
 
 from typing import NamedTuple
 
@@ -7,6 +17,11 @@ import numpy as np
 from pymc_features.calibration.spectrum import ErrorModel, error_model
 
 FLAT = 1e-10  # of the largest relative eigenvalue: directions that a likelihood cannot tell
+MOST_BANDS = 5  # the last one holds all frequencies above
+HIGHEST = 0.45  # of the sampling rate: frequencies above divide no bands
+FAINT, SINGULAR = 1e-9, 1e-3  # of a parameter's variance, of the largest eigenvalue: not counted
+LARGEST = 2.0  # factor that intervals grow by
+NOTABLE = 1.5  # factor that is worth a word
 
 
 class Sandwich(NamedTuple):
@@ -20,11 +35,19 @@ class Sandwich(NamedTuple):
         B, the covariance of the score; A if the likelihood's assumptions hold.
     models : list of ErrorModel
         Of each event.
+    growth : float
+        By how much the frequency bands disagree; NaN where there are none.
     """
 
     information: np.ndarray
     variability: np.ndarray
     models: list[ErrorModel]
+    growth: float = np.nan
+
+    @property
+    def factor(self) -> float:
+        """By which the disagreement of bands makes intervals wider."""
+        return 1.0 if np.isnan(self.growth) else min(LARGEST, self.growth)
 
     @property
     def claims(self) -> np.ndarray:
@@ -40,14 +63,22 @@ class Sandwich(NamedTuple):
     @property
     def precision(self) -> np.ndarray:
         """A B^-1 A (d, d)."""
+        return self.weighed(self.information)
+
+    def weighed(self, x) -> np.ndarray:
+        """A B^-1 x of what A tells of x (d, ...)."""
         whiten = whitening(self.information)
         varies = whiten.T @ self.variability @ whiten
-        tells = self.information @ whiten
-        return tells @ np.linalg.solve(varies, tells.T)
+        return self.information @ whiten @ np.linalg.solve(varies, whiten.T @ x)
 
 
-def sandwich(events, information) -> Sandwich:
-    """A and B of independent events; `information` (d, d) is A."""
+def sandwich(events, information, model_error="bands", leverage=True) -> Sandwich:
+    """A and B of independent events; `information` (d, d) is A.
+
+    `model_error` "bands" lets the width grow where frequency bands disagree, None does not; `leverage` puts
+    back what the fit took out of the residuals.
+    """
+    whiten = whitening(sum(np.einsum("stp,stq->pq", *[e.sensitivities] * 2, optimize=True) for e in events))
     models, variability = [], 0.0
     for event in events:
         model = error_model(
@@ -55,10 +86,14 @@ def sandwich(events, information) -> Sandwich:
             event.sensitivities,
             event.whole(event.response),
             None if event.measured is None else event.whole(event.sensitivities),
+            edges_of(event),
+            whiten if leverage and whiten.size else None,
         )
         models.append(model)
         variability = variability + model.variability + of_scale(event)
-    return Sandwich(information, variability, models)
+    growth = growth_of(models, whiten.shape[1]) if model_error else np.nan
+    result = Sandwich(information, variability, models, growth)
+    return result._replace(variability=variability * result.factor**2)
 
 
 def of_scale(event) -> np.ndarray:
@@ -96,7 +131,45 @@ def whitening(information) -> np.ndarray:
     used = known(information)
     scale = np.sqrt(np.diag(information)[used])
     values, vectors = np.linalg.eigh(information[np.ix_(used, used)] / np.outer(scale, scale))
-    keep = values > FLAT * values.max()
+    keep = values > FLAT * values.max(initial=0.0)
     result = np.zeros((len(information), keep.sum()))
     result[used] = vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None]
     return result
+
+
+def edges_of(event) -> np.ndarray:
+    """Frequencies between bands, in cycles per sample."""
+    if event.frequencies is None or np.isnan(event.step):
+        return np.empty(0)
+    f = np.sort(event.frequencies * event.step)
+    f = f[f < HIGHEST]
+    return 0.5 * (f[:-1] + f[1:])[: MOST_BANDS - 1]
+
+
+def growth_of(models, p: int) -> float:
+    """The factor, not limited, by the error models of all events and p parameters; NaN without bands."""
+    if all(len(model.scores) == 1 for model in models):
+        return np.nan
+    chi2 = count = 0
+    largest = np.diag(sum(model.variability for model in models))
+    for model in models:
+        for u, b in zip(model.scores, model.variabilities, strict=True):
+            used = np.diag(b) > FAINT * largest
+            scale = np.sqrt(np.diag(b)[used])
+            values, vectors = np.linalg.eigh(b[np.ix_(used, used)] / np.outer(scale, scale))
+            known = values > SINGULAR * values.max(initial=0.0)
+            chi2 += np.sum((vectors.T @ (u[used] / scale))[known] ** 2 / values[known])
+            count += int(known.sum())
+    return float(np.sqrt(max(1.0, chi2 / (count - p)))) if count > p else np.nan
+
+
+def sentence(growth: float) -> str:
+    """What the disagreement of bands means; empty where it is no more than spectra explain."""
+    if not growth > NOTABLE:
+        return ""
+    return (
+        f"The frequency bands of this record disagree about the parameters by a factor of {growth:.2g} more "
+        "than its residuals allow: the model is not the structure, or the errors are narrow-band. "
+        f"Intervals are {min(LARGEST, growth):.2g} times wider, for the values that fit best on average over "
+        "such events."
+    )

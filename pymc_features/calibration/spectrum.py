@@ -12,6 +12,7 @@ that of the response, sensors may share errors (principal components), and each 
 autoregressive process.
 """
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,8 @@ LARGEST_ORDER = 40  # of the autoregressions, and at most a twentieth of the sam
 SMOOTHING = 12  # the spectrum of what is left is averaged over this part of the band to each side
 SURE = 3.0  # gain of log-likelihood that an amplitude that follows the response must bring
 QUIETEST = 1e-3  # least share of the mean variance
+MOST_TAKEN = 0.9  # of a direction that one line of the spectrum may decide: more is not put back
+NO_EDGES = np.empty(0)
 
 
 class ErrorModel(NamedTuple):
@@ -34,8 +37,10 @@ class ErrorModel(NamedTuple):
 
     Attributes
     ----------
-    variability : array (parameter, parameter)
-        B.
+    scores : array (band, parameter)
+        Parts of the score by frequency, from the same residuals as B.
+    variabilities : array (band, parameter, parameter)
+        Their covariances.
     n_samples : int
         Samples that represent the band.
     order : array of int (component,)
@@ -46,11 +51,17 @@ class ErrorModel(NamedTuple):
         Whether the errors of a sensor grow with its response.
     """
 
-    variability: np.ndarray
+    scores: np.ndarray
+    variabilities: np.ndarray
     n_samples: int
     order: np.ndarray
     memory: float
     follows_response: np.ndarray
+
+    @property
+    def variability(self) -> np.ndarray:
+        """B (parameter, parameter)."""
+        return self.variabilities.sum(axis=0)
 
 
 def error_model(
@@ -58,18 +69,24 @@ def error_model(
     sensitivities: np.ndarray,
     response: np.ndarray | None,
     whole: np.ndarray | None = None,
+    edges: np.ndarray = NO_EDGES,
+    whiten: np.ndarray | None = None,
 ) -> ErrorModel:
     """Estimate B from residuals (sensor, time) and sensitivities (sensor, time, parameter).
 
     `response` (sensor, time) is what the amplitude of the errors may follow; None if there is none. Where the
     sensitivities are zero in gaps, `whole` is what they are without: gaps must not hide that a score is
-    static.
+    static. `edges` are frequencies between bands, in cycles per sample. `whiten` W (parameter, k) with
+    W' (sum S'S) W = 1 over all events lets what the fit took out of the residuals be put back.
     """
     n_all = residuals.shape[1]
     n = max(samples_of_the_band(residuals, s) for s in (sensitivities, whole) if s is not None)
     r, s = resampled(residuals, n, 1), resampled(sensitivities, n, 1)
     amplitude, follows = amplitudes(r, None if response is None else resampled(response, n, 1))
-    r, s = r / amplitude, s * amplitude[..., None]
+    back = 0.0 if whiten is None else taken(r, s @ whiten * np.sqrt(n_all / n))
+    level = np.sqrt(np.mean(amplitude**2, axis=1, keepdims=True))
+    r = r / amplitude + back / np.maximum(amplitude, level)
+    s = s * amplitude[..., None]
     rotation = np.linalg.eigh(r @ r.T)[1]
     r, s = rotation.T @ r, np.einsum("st,snp->tnp", rotation, s)
     filters = autoregressions(r, max(1, min(LARGEST_ORDER, n // 20)))
@@ -78,8 +95,30 @@ def error_model(
     filters = filters[:, : longest + 1]
     white = np.stack([np.convolve(x, a, mode="valid") for a, x in zip(filters, r, strict=True)])
     spectrum = np.fft.rfft(s, 2 * n, axis=1) / np.fft.rfft(filters, 2 * n, axis=1).conj()[..., None]
-    variability = smoothed(white, spectrum, 2 * n) * (n_all / n) ** 2
-    return ErrorModel(variability, n, order, memory(filters) * n_all / n, follows)
+    starts = np.unique(np.r_[0, np.ceil(2 * n_all * edges).astype(int).clip(max=n)])
+    scores, variabilities = smoothed(white, spectrum, starts)
+    ratio = n_all / n
+    return ErrorModel(scores * ratio, variabilities * ratio**2, n, order, memory(filters) * ratio, follows)
+
+
+def taken(residuals, whitened):
+    """What the fit took out of residuals (sensor, time).
+
+    A few lines of a spectrum decide a parameter near a resonance, and there the fit makes residuals small.
+    For each line f, e_f becomes (1 - H_ff)^-1 e_f with H = S (sum S'S)^-1 S', the residual that a fit without
+    the line would leave (CR3; Bell & McCaffrey, Surv. Methodol. 28, 2002).
+
+    `whitened` (sensor, time, k) are the sensitivities times W, with W' (sum S'S) W = 1 over all events.
+    """
+    n = residuals.shape[1]
+    e, s = (np.fft.rfft(x, axis=1)[:, 1:].swapaxes(0, 1) for x in (residuals, whitened))
+    e, s = (np.concatenate([x.real, x.imag], axis=1) for x in (e, s))  # (line, part of sensor, ...)
+    values, vectors = np.linalg.eigh(2.0 / n * (s.swapaxes(1, 2) @ s))
+    rest = (1.0 - np.minimum(values, MOST_TAKEN))[..., None]
+    along = vectors @ (vectors.swapaxes(1, 2) @ (s.swapaxes(1, 2) @ e[..., None]) / rest)
+    back = 2.0 / n * (s @ along)[..., 0].T
+    real, imaginary = np.split(back, 2)
+    return np.fft.irfft(np.pad(real + 1j * imaginary, ((0, 0), (1, 0))), n, axis=1)
 
 
 def samples_of_the_band(residuals, sensitivities):
@@ -185,24 +224,32 @@ def memory(filters):
     return np.inf if radius >= 1.0 else (-1.0 / np.log(radius) if radius > 0 else 0.0)
 
 
-def smoothed(white, spectrum, length):
-    """sum_f S(f)^H Phi(f) S(f), with Phi the smoothed cross-periodogram of white (component, time).
+def smoothed(white, spectrum, starts):
+    """Parts of the score S(f)^H e(f), and of B = S(f)^H Phi(f) S(f), by band: (band, p), (band, p, p).
 
-    `spectrum` (component, frequency, parameter) is S, of `length` samples with the zeros behind.
+    Phi is the smoothed cross-periodogram of white (component, time), `spectrum` (component, frequency, p) is
+    S, of signals with as many zeros behind; bands begin at the frequencies `starts`.
     """
     from scipy.signal import fftconvolve  # slow to import
 
-    n_frequencies = length // 2 + 1
+    n_frequencies = spectrum.shape[1]
+    length = 2 * (n_frequencies - 1)
     half = max(1, min(n_frequencies - 2, n_frequencies // SMOOTHING))
     kernel = np.hanning(2 * half + 3)[1:-1]
-    r = np.fft.rfft(white, length, axis=1)
-    r = np.concatenate([r[:, half:0:-1].conj(), r, r[:, -2 : -half - 2 : -1].conj()], axis=1)
     twice = np.full(n_frequencies, 2.0)
     twice[[0, -1]] = 1.0
-    total = 0.0
+    lost = np.pad(white, ((0, 0), (length // 2 - white.shape[1], 0)))  # by the filters, at the start
+    e = np.fft.rfft(lost, length, axis=1) * twice / length
+    scores = np.add.reduceat(np.einsum("cfp,cf->fp", spectrum.conj(), e).real, starts, axis=0)
+    r = np.fft.rfft(white, length, axis=1)
+    r = np.concatenate([r[:, half:0:-1].conj(), r, r[:, -2 : -half - 2 : -1].conj()], axis=1)
+    bands = [slice(*ends) for ends in itertools.pairwise([*starts, n_frequencies])]
+    total = np.zeros((len(bands), spectrum.shape[2], spectrum.shape[2]))
     for i, (x, s) in enumerate(zip(r, spectrum, strict=True)):  # rows: no array (component, component, ...)
         cross = fftconvolve(x * r[i:].conj(), kernel[None] / kernel.sum(), mode="valid", axes=1)
         factor = np.where(np.arange(len(cross)) == 0, 1.0, 2.0)[:, None] * cross * twice
-        total = total + np.einsum("fp,kf,kfq->pq", s.conj(), factor, spectrum[i:], optimize=True).real
-    total = total / (white.shape[1] * length)
-    return 0.5 * (total + total.T)
+        for b, f in enumerate(bands):
+            part = np.einsum("fp,kf,kfq->pq", s[f].conj(), factor[:, f], spectrum[i:, f], optimize=True)
+            total[b] += part.real
+    total /= white.shape[1] * length
+    return scores, 0.5 * (total + total.transpose(0, 2, 1))

@@ -37,6 +37,7 @@ def stretched(step) -> tuple[float, Stretch, Stretch]:
         np.full(n_sensors, float(n_times)),
         response,
         step.dt,
+        frequencies=step.frequencies(theta),
     )
     curvature = norm.c * curve.curvature * (of_theta / sigma) ** 2
     information = np.diag([curvature, 2.0 * norm.m * of_sigma**2])

@@ -16,7 +16,13 @@ from pymc_features.ops.gradient import ResponseGradient, ResponseTangent
 from pymc_features.ops.labels import by_labels
 from pymc_features.ops.no_gradient import NoGradient
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradient, PopulationMisfit
-from pymc_features.ops.response import StructuralResponse, response, response_node, response_step
+from pymc_features.ops.response import (
+    StructuralResponse,
+    frequencies_behind,
+    response,
+    response_node,
+    response_step,
+)
 from pymc_features.ops.time_axis import check_dims, known_dims, name_the_time_axis
 from pymc_features.structures.variables import as_tensor
 
@@ -49,6 +55,7 @@ __all__ = [
     "misfit_statistics",
     "name_the_time_axis",
     "external_dispatch",
+    "frequencies_behind",
     "numba_dispatch",
     "response",
     "response_node",

@@ -1,6 +1,6 @@
 """The response history as a PyTensor Op, and `response`, its public function."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytensor
@@ -10,6 +10,7 @@ from pytensor.compile.ops import ViewOp
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.gradient import disconnected_type
 from pytensor.graph.basic import Apply, Variable
+from pytensor.graph.traversal import ancestors
 from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.elemwise import DimShuffle, Elemwise
 from pytensor.tensor.shape import SpecifyShape
@@ -32,6 +33,7 @@ from pymc_features.simulators import (
     quantities_of,
     rows_of,
 )
+from pymc_features.simulators.excitation import frequencies_of
 from pymc_features.structures import Structure
 
 
@@ -208,6 +210,26 @@ def response_node(variable: TensorVariable) -> Apply | None:
             return None
         variable = variable.owner.inputs[0]
     return None
+
+
+def frequencies_behind(variable: TensorVariable) -> tuple[list[Variable], Callable] | None:
+    """Natural frequencies of the first structure behind a variable; None where there is none.
+
+    What they depend on, variables, and a function of the values of these for frequencies (m,) [Hz], of small
+    motions where springs yield.
+    """
+    nodes = (v.owner for v in ancestors([variable]) if v.owner is not None)
+    node = next((node for node in nodes if isinstance(node.op, StructuralResponse)), None)
+    if node is None or not node.op.spec.modal:
+        return None
+    n = node.op.n_parameters
+
+    def of_values(values):
+        *values, n_modes = values
+        return frequencies_of(node.op, [x[None] for x in values[:n]], values[n:], int(n_modes))[0]
+
+    inputs = node.inputs[: n + len(node.op.spec.constants)]
+    return [*inputs, node.inputs[node.op.at("n_modes")]], of_values
 
 
 def response_step(variable: TensorVariable) -> float | None:

@@ -130,12 +130,17 @@ class Study:
                 sums = self.shared.sums(multiplier)
             known = paper.CORRELATION_TIME, self.scale
             priors = Priors(paper.THETA_RANGE, paper.SIGMA_RANGE, paper.TAU_RANGE, *known)
-            self.steps[multiplier] = Step(sums, data, dt, priors, partial(self.response, dt=dt))
+            response = partial(self.response, dt=dt)
+            self.steps[multiplier] = Step(sums, data, dt, priors, response, self.frequencies)
         return self.steps[multiplier]
 
     def response(self, theta: float, dt: float) -> np.ndarray:
         """Absolute accelerations at one sampling step [s], (sensor, time) [m/s^2]."""
         return simulate(self.at(theta), self.record, dt=dt).values
+
+    def frequencies(self, theta: float) -> np.ndarray:
+        """Natural frequencies of small motions [Hz]."""
+        return self.at(theta).modes().natural_frequencies
 
     @cached_property
     def shared(self) -> SharedResponses:

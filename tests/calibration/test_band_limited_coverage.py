@@ -15,6 +15,7 @@ from benchmarks.coverage.errors import LEVEL, measurements
 from benchmarks.coverage.intervals import calibrated
 from pymc_features.calibration.fit import Predictions
 
+ALARMING = ("growing with the response", "narrow-band")  # about which frequency bands disagree
 N_SETS, DURATION = 200, 12.0  # s
 MASS, SPRINGS = np.ones(3), np.full(3, 1200.0)  # up to 9.9 Hz
 CHAIN = truth.chain_matrices(MASS, SPRINGS, (0.3, 5e-4))
@@ -40,14 +41,14 @@ def declare(rate, **settings):
     return model
 
 
-def coverage(model, kind, rate, n_sets):
+def coverage(model, kind, rate, n_sets, model_error="bands"):
     """Share of the intervals of 90 % by CAL that contain the truth, by parameter (4,)."""
     response, predictions, hits = exact(rate)[1], Predictions(model), []
     frequency = truth.modes(CHAIN.mass, CHAIN.stiffness)[0][0] / (2.0 * np.pi)
     start = np.array([1.0, 1.0, 1.0, 1.0, np.log(LEVEL * np.sqrt(np.mean(response**2)))])
     for seed in range(n_sets):
         model["measured"].set_value(measurements(kind, response, 1.0 / rate, frequency, seed))
-        cal = calibrated(predictions, start, 4)
+        cal = calibrated(predictions, start, 4, model_error)
         hits.append(np.abs(cal.point[:4] - 1.0) < 1.645 * np.sqrt(np.sum(cal.factor**2, axis=1)[:4]))
     return np.mean(hits, axis=0)
 
@@ -69,14 +70,16 @@ def test_coverage_of_a_chain(kind, rate, lowest):
     """Of 200 data sets, mean of three springs and the damping.
 
     It scatters by 1.1 (parameters independent) to 2.1 % (all alike) from seed to seed, so that a false alarm
-    is one in 10 where 94 % are right, of errors that grow, and one in 100 or less elsewhere; seeds are fixed.
+    is one in 100 or less where 88 to 94 % are right; seeds are fixed. Where bands disagree about the
+    parameters although the model is right, intervals are wider than need be.
     """
-    assert lowest < coverage(declare(rate), kind, rate, N_SETS).mean() < 0.96
+    found = coverage(declare(rate), kind, rate, N_SETS).mean()
+    assert lowest < found < (0.97 if kind not in ALARMING else 1.0)
 
 
 @pytest.mark.statistical
 @pytest.mark.slow
 def test_straight_lines_exclude_the_truth():
     """Control: where they join the samples, the damping is never within its interval, springs are seldom."""
-    found = coverage(declare(50.0, interpolation="linear"), "white", 50.0, 20)
+    found = coverage(declare(50.0, interpolation="linear"), "white", 50.0, 20, None)
     assert found[3] < 0.1 and found.mean() < 0.6

@@ -36,7 +36,7 @@ class Ringing:
     That makes second derivatives count: they change the curvature by a factor up to five.
     """
 
-    names, steps = ["y"], [0.02]
+    names, steps, sides = ["y"], [0.02], np.zeros(3, dtype=int)
 
     def __init__(self, seed, claimed, mixing=None):
         self.mixing = np.eye(3) if mixing is None else mixing
@@ -44,6 +44,9 @@ class Ringing:
         beside = np.sin(2.0 * np.pi * rng.uniform(2.9, 3.1) * TIME + rng.uniform(0.0, 6.0))
         self.observed = (ringing(3.0, 0.004) + rng.uniform(0.3, 1.2) * beside)[None]
         self.claimed, self.count = claimed, 0
+
+    def frequencies(self, z):
+        return [None]
 
     def __call__(self, z):
         self.count += 1

@@ -23,13 +23,13 @@ def widths(record, kind, **settings):
 
 
 def test_of_errors_that_persist_the_width_does_not_depend_on_the_sampling_rate(record):
-    """A fifth of the step: 5 %. NORM, which does not look at its residuals, is the control.
+    """A fifth of the step: 10 %. NORM, which does not look at its residuals, is the control.
 
     What is right for these errors is CN, which knows their correlation, and weighs the data better for it.
     """
     settings = {"noise_time": 0.05}
     calibrated, norm, known = (widths(record, kind, **settings) for kind in ("CAL", "NORM", "CN"))
-    assert calibrated[0] == pytest.approx(calibrated[1], rel=0.05)
+    assert calibrated[0] == pytest.approx(calibrated[1], rel=0.1)
     assert norm[0] < 0.5 * norm[1]
     assert ((calibrated > 0.9 * known) & (calibrated < 1.5 * known)).all()
 

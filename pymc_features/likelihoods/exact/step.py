@@ -51,6 +51,8 @@ class Step:
     priors : Priors
     response : callable
         theta -> array (sensor, time), the prediction of the measurements.
+    frequencies : callable
+        theta -> array (m,), natural frequencies of the structure [Hz].
     """
 
     def __init__(
@@ -60,8 +62,10 @@ class Step:
         dt: float,
         priors: Priors,
         response: Callable[[float], np.ndarray],
+        frequencies: Callable[[float], np.ndarray],
     ):
-        self.sums, self.data, self.dt, self.priors, self.response = sums, data, dt, priors, response
+        self.sums, self.data, self.dt, self.priors = sums, data, dt, priors
+        self.response, self.frequencies = response, frequencies
         self.shape = data.shape
         self._known: dict[float, np.ndarray] = {}
 

@@ -1,0 +1,238 @@
+"""Calibrated intervals where the prior ends near to the likelihood's maximum: coverage, shape, words.
+
+Data by `benchmarks.truth`, errors persistent for 0.05 s.
+"""
+
+import json
+
+import numpy as np
+import pymc as pm
+import pytest
+from scipy.stats import kstest, truncnorm
+
+import pymc_features as pmf
+from benchmarks.coverage.bounds import (
+    LOWEST,
+    PLACES,
+    bounded,
+    coverage,
+    declare,
+    exact,
+    fitted,
+    true_sd,
+)
+from benchmarks.coverage.errors import LEVEL, measurements
+from pymc_features.calibration.bounds import free_maximum, interval, near_bounds
+from pymc_features.calibration.climb import climb_likelihood
+from pymc_features.calibration.coordinates import Coordinates, sides_of
+from pymc_features.calibration.fit import Predictions, log_likelihood
+from pymc_features.calibration.sandwich import sandwich
+from pymc_features.exceptions import CalibrationWarning
+
+N_SETS = 200
+
+
+@pytest.mark.statistical
+@pytest.mark.slow
+@pytest.mark.parametrize("place", ["at it", "1 sd within", "2 sds within", "0 to 4 sds within"])
+def test_coverage_at_a_bound(place):
+    """Of 200 data sets 84 to 98.5 % hold the truth: where 95 % do, a false alarm is one in 100."""
+    inside, _ = coverage(PLACES[place], N_SETS)
+    assert 0.84 < inside.mean() < 0.985
+
+
+@pytest.mark.slow
+def test_a_truth_outside_the_prior():
+    """The interval hugs the bound, one to five times as wide as that of NORM, at three sds outside.
+
+    Control: without bounds the interval would be wider than all of it.
+    """
+    upper = 1.0 - 3.0 * true_sd()
+    for seed in range(20):
+        found = bounded(seed, upper)
+        low, high = found.interval
+        assert high == pytest.approx(upper, abs=1e-9) and upper - low < 4.0 * true_sd()
+    _, wider = coverage(-3.0, 20)
+    assert 1.0 < np.median(wider) < 5.0
+
+
+def test_nothing_jumps_when_the_maximum_reaches_the_bound():
+    """The mean of the normal distribution behind the interval, for bounds on both sides of the maximum."""
+    fit, _ = fitted(0, 2.0)
+    maximum = LOWEST + 1.5 * fit.coordinates.distance(fit.z)[0]
+    for offset in (-0.5, -0.01, 0.01, 0.5):
+        upper = maximum + offset * true_sd()
+        fit, result = fitted(0, upper)
+        assert fit.coordinates.near[0]
+        free = LOWEST + (upper - LOWEST) * free_maximum(fit, result)[0]
+        assert free == pytest.approx(maximum, abs=0.05 * true_sd())
+        assert (fit.pushing[0] > 0) == (offset < 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("inside", [-1.0, 0.0])
+def test_calibrate_draws_what_the_bound_leaves_of_a_normal_distribution(inside):
+    """At a false-alarm rate of 1e-3, thinned. Control: one without the bound is refused."""
+    model, _ = declare()
+    upper = 1.0 + inside * true_sd()
+    fit, result = fitted(1, upper)
+    draws = {"first": 0.5 * (LOWEST + upper), "others": [1.0, 1.0], "sigma": 0.15}
+    start = {name: (("chain", "draw", "i")[: 2 + np.ndim(x)], [[x]]) for name, x in draws.items()}
+    start["first"] = (("chain", "draw"), [[upper - 1e-3]])
+    idata = pmf.calibrate(
+        posterior(start), model=model, draws=1000, chains=2, random_seed=1, progressbar=False
+    )
+    x = idata["posterior"]["first"].values[:, ::4].ravel()
+    sd = np.sqrt(result.covariance[0, 0]) * (upper - LOWEST)
+    free = LOWEST + (upper - LOWEST) * free_maximum(fit, result)[0]
+    expected = truncnorm((LOWEST - free) / sd, (upper - free) / sd, free, sd)
+    assert kstest(x, expected.cdf).pvalue > 1e-3
+    assert kstest(x, truncnorm(-9.0, 9.0, free, sd).cdf).pvalue < 1e-3
+    found = idata["calibration"].to_dataset()
+    table = json.loads(idata.attrs["calibration"])["parameters"]["first"]
+    assert table["near_bound"] and table["bound"] == upper
+    assert table["standard_deviation"] == float(found["standard_deviation"][0])
+    assert table["standard_deviation"] == pytest.approx(sd, rel=0.05)  # its curvature is measured anew
+    assert table["room"] == pytest.approx((upper - free) / sd, abs=0.2)
+    assert 0.0 < table["leverage"] < 0.3
+
+
+def posterior(variables):
+    """A DataTree with a posterior."""
+    import xarray as xr
+
+    return xr.DataTree.from_dict({"posterior": xr.Dataset(variables)})
+
+
+def storeys(measured, first, second):
+    """Two stiffness factors and the damping with priors of their own."""
+    moved, _ = exact()
+    record = pmf.Record(moved.values()[0], 0.02)
+    with pm.Model() as model:
+        damping = pm.HalfNormal("damping", 2.0)
+        theta = pm.math.stack([first(), second(), 1.0])
+        chain = pmf.SpringMassChain(
+            np.ones(3), 1200.0 * theta, pmf.RayleighDamping(0.3 * damping, 5e-4 * damping)
+        )
+        pm.Normal("y", pmf.response(chain, record), pm.HalfNormal("sigma", 1.0), observed=measured)
+    return model
+
+
+@pytest.mark.slow
+def test_two_bounds_that_the_data_are_beyond():
+    """Both factors stay at their bounds, and both are named with side and value; sigma takes the rest.
+
+    The residuals of the draws are those of the maximum, to a half.
+    """
+    response = exact()[1]
+    measured = measurements("white", response, 0.02, 1.0, 1)
+    model = storeys(
+        measured, lambda: pm.Uniform("first", 0.5, 0.998), lambda: pm.Uniform("second", 1.003, 1.5)
+    )
+    with model:
+        norm = pmf.sample(200, chains=2, random_seed=1, progressbar=False)
+        with pytest.warns(CalibrationWarning) as caught:
+            cal = pmf.calibrate(norm, random_seed=1, progressbar=False)
+    words = " ".join(str(w.message) for w in caught)
+    assert "the data want first above 0.998, the edge of its prior, by" in words
+    assert "the data want second below 1.003, the edge of its prior, by" in words
+    x = cal["posterior"].to_dataset()
+    assert float(x["first"].quantile(0.05)) > 0.99 and float(x["second"].quantile(0.95)) < 1.01
+    values = Predictions(model)
+    z = [values.space.join(model.initial_point()), climb_likelihood(values, start_of(model, x)).z]
+    assert log_likelihood(values(z[1])) > log_likelihood(values(z[0]))
+    residual = [rms_of(model, draws.to_dataset()) for draws in (cal["posterior"], norm["posterior"])]
+    assert residual[0] < 1.5 * residual[1]
+
+
+def start_of(model, draws):
+    """The unconstrained point of the last draw."""
+    from pymc_features.inference.parameters import to_unconstrained
+
+    return to_unconstrained(model, draws.isel(draw=slice(-1, None)))[0, 0]
+
+
+def rms_of(model, draws):
+    """Median rms of the residuals of some draws [m/s^2]."""
+    from pymc_features.inference.parameters import to_unconstrained
+
+    predictions = Predictions(model)
+    points = to_unconstrained(model, draws.isel(draw=slice(None, None, 20))).reshape(-1, 4)
+    return np.median([np.sqrt(np.mean((v[0][0] - v[0][1]) ** 2)) for v in map(predictions, points)])
+
+
+def test_a_positive_parameter_that_wants_to_vanish():
+    """Damping of a structure without: its maximum is at zero, on its own scale, and the climb gets there."""
+    from benchmarks import truth
+
+    undamped = truth.chain_matrices(np.ones(3), np.full(3, 1200.0), (0.0, 0.0))
+    response = truth.response(undamped, exact()[0])["absolute_acceleration"]
+    measured = measurements("white", response, 0.02, 1.0, 3)
+    model = storeys(measured, *[lambda n=n: pm.Normal(n, 1.0, 0.2) for n in ("first", "second")])
+    predictions = Predictions(model)
+    level = np.log(LEVEL * np.sqrt(np.mean(response**2)))
+    for damping in (0.03, 0.3):
+        fit = climb_likelihood(predictions, np.array([np.log(damping), 1.0, 1.0, level]))
+        fit = fit.measured_from_bounds(near_bounds(fit, sandwich(fit.events, fit.information)))
+        assert fit.coordinates.near.tolist() == [True, False, False, False]
+        own = np.exp(fit.z[0])
+        result = sandwich(fit.events, fit.information)
+        sd = np.sqrt(result.covariance[0, 0]) * np.exp(fit.coordinates.origin[0])
+        assert own < 3.0 * sd < 0.05
+        np.testing.assert_allclose(fit.w[1:3], 1.0, atol=5.0 * np.sqrt(result.covariance[1, 1]))
+
+
+def test_sides_of_priors():
+    with pm.Model() as model:
+        high = pm.HalfNormal("high")
+        pm.Uniform("two", [0.0, 1.0], [2.0, 3.0])
+        pm.TruncatedNormal("lower", 0.0, 1.0, lower=0.0)
+        pm.Beta("unit", 1.0, 2.0)
+        pm.Normal("none")
+        pm.Dirichlet("shares", np.ones(3))
+        pm.Uniform("depends", 0.0, high)
+    assert sides_of(model).tolist() == [1, 2, 2, 1, 2, 0, 0, 0, 2]
+
+
+def test_coordinates():
+    """There and back, and slopes by differences."""
+    sides = np.array([0, 1, 2, 1, 2])
+    z = np.array([0.3, -2.0, 1.5, 0.7, -4.0])
+    some = Coordinates.plain(sides).moved(np.array([True, True, True, False, True]), z + 0.1)
+    assert some.near.tolist() == [False, True, True, False, True]
+    np.testing.assert_allclose(some.unconstrained(some.of(z)), z)
+    slopes = [(some.of(z + h) - some.of(z - h)) / 2e-6 for h in 1e-6 * np.eye(5)]
+    np.testing.assert_allclose(np.diag(slopes), some.slopes(z), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("bound", "sign"), [(1.0, 1.0), (0.0, -1.0)])
+def test_the_shortest_interval_ends_at_the_bound(bound, sign):
+    """Of an exponential distribution; away from a bound it is equal-tailed."""
+    x = bound - sign * np.random.default_rng(1).exponential(0.1, size=4000)
+    low, high = interval(x, bound=bound)
+    ends = (bound, bound - sign * 0.2303)
+    np.testing.assert_allclose(sorted(ends), [low, high], atol=0.01)
+    assert bound in (low, high)
+    equal = interval(x)
+    assert bound not in equal
+    np.testing.assert_allclose(equal, np.quantile(x, [0.05, 0.95]))
+
+
+@pytest.mark.slow
+def test_draws_that_do_not_explain_the_data_are_refused():
+    """A sigma whose prior is far below what any structure of the prior leaves over."""
+    measured = measurements("white", exact()[1], 0.02, 1.0, 1)
+    moved, _ = exact()
+    with pm.Model() as model:
+        first = pm.Uniform("first", 0.5, 0.9)
+        chain = pmf.SpringMassChain(np.ones(3), 1200.0 * first * np.ones(3), pmf.RayleighDamping(0.3, 5e-4))
+        mu = pmf.response(chain, pmf.Record(moved.values()[0], 0.02))
+        pm.Normal("y", mu, pm.Uniform("sigma", 1e-3, 0.1), observed=measured)
+    start = posterior({"first": (("chain", "draw"), [[0.89]]), "sigma": (("chain", "draw"), [[0.05]])})
+    with (
+        pytest.warns(CalibrationWarning),
+        pytest.raises(
+            ValueError, match="calibrated draws must explain the data, .* times as large as their own"
+        ),
+    ):
+        pmf.calibrate(start, model=model, draws=100, chains=2, random_seed=1, progressbar=False)
