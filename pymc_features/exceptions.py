@@ -29,6 +29,7 @@ __all__ = [
     "SubsetSimulationWarning",
     "ToleranceNotReachedError",
     "TooStiffError",
+    "UncalibratedError",
     "UnknownIdentityError",
     "UnusableSimulatorError",
 ]
@@ -131,6 +132,10 @@ class StudyMismatchError(ValueError):
 
 class ConfigError(ValueError):
     """A configuration file that cannot be used; the message names the key."""
+
+
+class UncalibratedError(ConfigError):
+    """Residuals can tell no width of a posterior; the others of an update are not touched."""
 
 
 # ---- external simulators ----

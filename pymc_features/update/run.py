@@ -14,7 +14,7 @@ from pymc.sampling.parallel import ParallelSamplingError
 
 from pymc_features import inference, smc
 from pymc_features.calibration import calibrate
-from pymc_features.exceptions import ConfigError, ToleranceNotReachedError
+from pymc_features.exceptions import ConfigError, ToleranceNotReachedError, UncalibratedError
 from pymc_features.likelihood_free import abc_tolerance
 from pymc_features.smc import open_workers, sample_smc
 from pymc_features.storage import PartStore
@@ -69,7 +69,8 @@ def run_update(
         `shapes` of draws; without responses the only likelihood is MODAL, and there are neither data nor
         bands. Of ambient vibration the likelihood is AMBIENT, with `spectra`, see `fitted_spectra`, and with
         the modes that the channels have. Of several events `sequence`, and all else is the state after the
-        last of them.
+        last of them. The attribute `failed` says in JSON which calibrated posterior could not be had, and
+        why; if it was the only one asked for, that which it is made from is in its place.
 
     Raises
     ------
@@ -79,7 +80,7 @@ def run_update(
     if executor is not None and problem.config.sampler.method == "laplace":
         raise ConfigError("`sampler.method` must be one with populations for an executor, got laplace.")
     store = PartStore(out, problem.settings(), "update")
-    kinds, parts = problem.kinds, {}
+    kinds, parts, failed = problem.kinds, {}, {}
     tell = progress or (lambda part, done, total: None)
     with open_workers(executor) as workers:
         for done, kind in enumerate(kinds):
@@ -90,19 +91,26 @@ def run_update(
                 running = Running(
                     cores, workers, progressbar, out, partial(tell, done=done, total=len(kinds))
                 )
-                part = run_part(problem, kind, tolerance, base, running)
+                try:
+                    part = run_part(problem, kind, tolerance, base, running)
+                except UncalibratedError as error:
+                    failed[kind] = str(error)
+                    continue
                 store.save(kind, part)
             parts[kind] = part
     tell("report", len(kinds), len(kinds))
-    shown = {kind: parts[kind].copy() for kind in problem.reported}
+    reported = [kind for kind in problem.reported if kind in parts] or list(parts)
+    shown = {kind: parts[kind].copy() for kind in reported}
     title = problem.config.report.title.replace("/", "-")  # which would be a path in the tree
     if problem.measured is not None:
         shown["data"] = data_of(problem)
     if problem.modal is not None:
-        for kind in problem.reported:  # not kept: other nodes are no other draws
+        for kind in reported:  # not kept: other nodes are no other draws
             shown[kind]["shapes"] = xr.DataTree(shapes(problem, shown[kind]["posterior"].to_dataset()))
         shown["identified"] = identified_modes(problem)
-    return xr.DataTree.from_dict(shown, name=title)
+    result = xr.DataTree.from_dict(shown, name=title)
+    result.attrs["failed"] = json.dumps(failed)
+    return result
 
 
 def is_of(part, problem, tolerance) -> bool:
@@ -151,6 +159,8 @@ def run_part(problem, kind, tolerance, base, running: Running) -> xr.DataTree:
         "seconds": time.perf_counter() - start,
         "warnings": json.dumps(messages),
     }
+    if "calibration" in part:
+        tree.attrs["calibration"] = idata.attrs["calibration"]
     if tolerance is not None:
         tree.attrs["epsilon"] = tolerance
     if problem.events:
@@ -201,7 +211,7 @@ def calibrated(problem, kind, base, model, running: Running) -> xr.DataTree:
             progressbar=running.progressbar,
         )
     except ValueError as error:
-        raise ConfigError(
+        raise UncalibratedError(
             f"`likelihood.kinds` must have {kind} only where residuals can tell a width: {error}"
         ) from error
     found = idata["calibration"].to_dataset()

@@ -60,10 +60,11 @@ def findings(problem: Problem, result) -> Findings:
     if problem.modal is not None:
         modes = {kind: mode_rows(problem, result[f"{kind}/matched"]) for kind in kinds_of(result)}
     first = kinds_of(result)[0]
+    of_first = verdict(problem, result, next(iter(modes.values()), []))
     return Findings(
-        verdict(problem, result, next(iter(modes.values()), [])),
+        of_first,
         gaps_of(problem),
-        supported(problem, result),
+        supported(problem, result, of_first.explains),
         table,
         warnings_of(result, table),
         changed(table),

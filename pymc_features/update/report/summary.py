@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from pymc_features.calibration.bounds import SHORT, interval
 from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.read import Problem
 
@@ -51,6 +52,7 @@ def rows(problem: Problem, result: xr.DataTree) -> list[Row]:
     for kind in kinds_of(result):
         part = result[kind]
         posterior, prior = part["posterior"].to_dataset(), part["prior"].to_dataset()
+        at = bounds_of(part)
         several = posterior.sizes["chain"] >= ESTIMATED_CHAINS
         for name in prior.data_vars:
             draws = posterior[str(name)]
@@ -59,7 +61,16 @@ def rows(problem: Problem, result: xr.DataTree) -> list[Row]:
             r_hat = float(az.rhat(draws)) if several else np.nan
             unit = problem.unit(str(name))
             found.append(
-                Row(kind, str(name), unit, *moments(draws), taught, r_hat, float(az.ess(draws)), overlap)
+                Row(
+                    kind,
+                    str(name),
+                    unit,
+                    *moments(draws, at.get(name)),
+                    taught,
+                    r_hat,
+                    float(az.ess(draws)),
+                    overlap,
+                )
             )
         if problem.is_cyclic:
             continue
@@ -79,33 +90,65 @@ def overlap_of(prior, posterior) -> float:
     return float(np.minimum(shares, 1.0 / BINS).sum())
 
 
-def moments(draws) -> tuple[float, ...]:
-    """Mean, standard deviation and quantiles."""
+def moments(draws, bound=None) -> tuple[float, ...]:
+    """Mean, standard deviation, and median between the ends of the 90 % interval, see `interval`."""
     values = draws.values[np.isfinite(draws.values)]
-    return float(values.mean()), float(values.std()), *map(float, np.quantile(values, [0.05, 0.5, 0.95]))
+    low, high = interval(values, bound=bound)
+    return float(values.mean()), float(values.std()), low, float(np.median(values)), high
 
 
-def supported(problem: Problem, result: xr.DataTree) -> str:
-    """How many observations the residuals support, beside what likelihoods claim; empty without CAL."""
+def bounds_of(part) -> dict[str, float]:
+    """Parameters whose interval is the shortest, and the bound of their prior that it lies next to."""
+    if "calibration" not in part.children:
+        return {}
+    found = json.loads(part.attrs["calibration"])["parameters"]
+    return {
+        name: row["bound"]
+        for name, row in found.items()
+        if (row["room"] or 0.0) < SHORT and row["near_bound"]
+    }
+
+
+def supported(problem: Problem, result: xr.DataTree, explains: bool = True) -> str:
+    """How many observations the residuals support, beside what likelihoods claim; empty without CAL.
+
+    And what made its intervals what they are: frequency bands that disagree, bounds of priors. Where the
+    model does not explain the data, or the likelihood has several maxima, no interval comes first.
+    """
     for kind in kinds_of(result):
         base = KINDS[kind].calibrates
         if not base:
             continue
-        n_eff = float(result[f"{kind}/calibration"].attrs["n_eff"])
+        part = result[kind]
+        n_eff = float(part["calibration"].attrs["n_eff"])
         samples, m = problem.measured.samples, problem.config.likelihood.m
         claims = {name: KINDS[name].claimed(samples, m) for name in dict.fromkeys([base, *kinds_of(result)])}
         claimed = [f"{name} {n:,.0f}" for name, n in claims.items() if n is not None]
         claimed[0] = claimed[0].replace(" ", " claims ", 1)
-        return (
-            f"The residuals support {n_eff:,.0f} independent observations; {', '.join(claimed)}. "
-            f"{kind} comes first, for its intervals are as wide as the residuals support."
-        )
+        sentences = [f"The residuals support {n_eff:,.0f} independent observations; {', '.join(claimed)}."]
+        n_modes = part["calibration"].sizes.get("mode", 1)
+        if not explains:
+            sentences.append(
+                "No interval can be relied on where the model does not explain the measurements."
+            )
+        elif n_modes > 1:
+            sentences.append(
+                f"The likelihood has {n_modes} maxima, of which residuals do not tell the right one: no "
+                "interval can be relied on."
+            )
+        else:
+            sentences.append(f"{kind} comes first, for its intervals are as wide as the residuals support.")
+        sentences.append(json.loads(part.attrs["calibration"])["sentence"])
+        if at := bounds_of(part):
+            named = ", ".join(f"{name} ({bound:.4g})" for name, bound in at.items())
+            sentences.append(f"Next to a bound of its prior the 90 % interval is the shortest one: {named}.")
+        return " ".join(filter(None, sentences))
     return ""
 
 
 def warnings_of(result: xr.DataTree, table: list[Row]) -> list[str]:
     """What to doubt, from the run and from its numbers, each with the likelihood in front."""
-    found = []
+    found = [f"{kind}: {message}" for kind, message in json.loads(result.attrs.get("failed", "{}")).items()]
     for kind in kinds_of(result):
         part = result[kind]
         found += [f"{kind}: {message}" for message in json.loads(part.attrs["warnings"])]
