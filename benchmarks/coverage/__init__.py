@@ -9,6 +9,7 @@ from benchmarks.coverage.bounds import run_bounds
 from benchmarks.coverage.errors import ERRORS
 from benchmarks.coverage.events import run_events
 from benchmarks.coverage.identified import run_identified
+from benchmarks.coverage.model_errors import run_model_errors
 from benchmarks.coverage.modes import run_modes
 from benchmarks.coverage.steps import run_steps
 from benchmarks.coverage.table import run_errors, run_ten
@@ -22,6 +23,7 @@ PARTS = {
     "modes": run_modes,
     "ambient": run_ambient,
     "bounds": run_bounds,
+    "model errors": run_model_errors,
 }
 NAMES = (*PARTS, *ERRORS)
 

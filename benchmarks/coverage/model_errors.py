@@ -1,0 +1,267 @@
+"""Models that are not the structure, and noise on the base: what calibrated intervals of one event contain.
+
+Three families: three storeys with all floors measured, eight with two, and four with a brace over two
+storeys, given by matrices, with two. Each event is another motion. The value sought is the one that fits all
+events best: the mean of the maxima, weighted by their information. Truth by `benchmarks.truth`.
+"""
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+import pymc_features as pmf
+from benchmarks import truth
+from benchmarks.coverage.errors import first_order
+from benchmarks.tables import table
+from pymc_features.calibration.climb import climb_likelihood
+from pymc_features.calibration.sandwich import sandwich
+
+EVENTS, QUICK_EVENTS = 400, 12
+RATE, DURATION, LEVEL = 50.0, 20.0, 0.02  # Hz, s, noise over the rms of the response
+WIDE = 1.645  # standard deviations of 90 %
+UNUSUAL = 1.0  # ln of a factor from the median: another maximum, which does not count for the best value
+DAMPING = 0.3, 6e-4  # alpha [1/s], beta [s]
+
+
+class Family(NamedTuple):
+    """Masses [kg], springs [N/m] as (from, to, stiffness, group), -1 the base; sensors; number of groups."""
+
+    n: int
+    springs: list[tuple[int, int, float, int]]
+    sensors: list[int]
+    n_groups: int
+
+    def matrices(self, factors, damping=1.0):
+        """M, C, K (n, n) with a factor of each group of springs, and one of the damping."""
+        stiffness = np.zeros((self.n, self.n))
+        for i, j, k, group in self.springs:
+            axis = np.zeros(self.n)
+            axis[j] = 1.0
+            if i >= 0:
+                axis[i] = -1.0
+            stiffness += factors[group] * k * np.outer(axis, axis)
+        mass = np.eye(self.n)
+        return mass, damping * (DAMPING[0] * mass + DAMPING[1] * stiffness), stiffness
+
+
+def storeys(n, k, groups):
+    """Springs from floor to floor."""
+    return [(i - 1, i, k, groups[i]) for i in range(n)]
+
+
+FAMILIES = {
+    "three storeys": Family(3, storeys(3, 1200.0, [0, 1, 2]), [0, 1, 2], 3),
+    "eight storeys": Family(8, storeys(8, 2500.0, [0, 0, 0, 1, 1, 1, 2, 2]), [3, 7], 3),
+    "braced frame": Family(4, [*storeys(4, 1200.0, [0, 0, 1, 1]), (1, 3, 500.0, 2)], [1, 3], 3),
+}
+
+
+class Tested(NamedTuple):
+    """What moves, what is measured of it, and the record of the base that the model gets (time,)."""
+
+    structure: truth.Linear
+    sensors: list[int]
+    gains: np.ndarray | float = 1.0
+    clock: float = 0.0
+    base: np.ndarray | None = None
+
+
+def linear(matrices):
+    """M, C, K on a base that moves as one."""
+    mass, damping, stiffness = matrices
+    return truth.Linear(mass, damping, stiffness, np.ones((len(mass), 1)))
+
+
+def right(family, moved, rng):
+    """The model itself."""
+    return Tested(linear(family.matrices(np.ones(family.n_groups))), family.sensors)
+
+
+def other_damping(family, moved, rng):
+    """Ratios of 1, 3, 1, 3, ... % instead of Rayleigh's."""
+    mass, _, stiffness = family.matrices(np.ones(family.n_groups))
+    omega, shapes = truth.modes(mass, stiffness)
+    ratios = np.where(np.arange(family.n) % 2, 0.03, 0.01)
+    damping = mass @ (shapes * (2.0 * ratios * omega)) @ shapes.T @ mass
+    return Tested(linear((mass, damping, stiffness)), family.sensors)
+
+
+def other_masses(family, moved, rng):
+    """Between 90 and 110 % of those of the model."""
+    mass, damping, stiffness = family.matrices(np.ones(family.n_groups))
+    mass = mass * (1.0 + 0.1 * np.cos(2.4 * np.arange(family.n)))
+    return Tested(linear((mass, damping, stiffness)), family.sensors)
+
+
+def partition(family, moved, rng):
+    """A spring of 4 % of a storey between the first floor and the last but one."""
+    last = max(2, family.n - 2)
+    more = family._replace(springs=[*family.springs, (0, last, 0.04 * family.springs[0][2], 0)])
+    return right(more, moved, rng)
+
+
+def soft_ground(family, moved, rng):
+    """A foundation of the mass of a floor on a spring twenty times as stiff as a storey."""
+    matrices = family.matrices(np.ones(family.n_groups))
+    mass, damping, stiffness = (np.pad(x, ((1, 0), (1, 0))) for x in matrices)
+    from_base = -stiffness[1:, 1:].sum(axis=1)
+    stiffness[0, 1:] = stiffness[1:, 0] = from_base
+    stiffness[0, 0] = -from_base.sum() + 20.0 * family.springs[0][2]
+    mass[0, 0] = 1.0
+    damping = DAMPING[0] * mass + DAMPING[1] * stiffness
+    return Tested(linear((mass, damping, stiffness)), [s + 1 for s in family.sensors])
+
+
+def tuned_mass(family, moved, rng):
+    """0.2 % of the mass on top, at the first frequency."""
+    matrices = family.matrices(np.ones(family.n_groups))
+    mass, damping, stiffness = (np.pad(x, ((0, 1), (0, 1))) for x in matrices)
+    omega = truth.modes(mass[:-1, :-1], stiffness[:-1, :-1])[0][0]
+    small, at = 0.002 * family.n, np.array([-2, -1])
+    mass[-1, -1] = small
+    pair = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    stiffness[np.ix_(at, at)] += small * omega**2 * pair
+    damping[np.ix_(at, at)] += 0.04 * small * omega * pair
+    return Tested(linear((mass, damping, stiffness)), family.sensors)
+
+
+def wrong_gains(family, moved, rng):
+    """Sensors that read 3 % too much and too little in turn."""
+    gains = 1.0 + 0.03 * np.where(np.arange(len(family.sensors)) % 2, 1.0, -1.0)
+    return right(family, moved, rng)._replace(gains=gains[:, None])
+
+
+def lag(family, moved, rng):
+    """A base that is recorded 3 ms late."""
+    late = moved.coefficients * np.exp(-3e-3j * moved.angular_frequencies)
+    return right(family, moved, rng)._replace(base=moved._replace(coefficients=late).values()[0])
+
+
+def clock(family, moved, rng):
+    """Sensors whose clock is wrong by 3 in 10,000."""
+    return right(family, moved, rng)._replace(clock=3e-4)
+
+
+def base_noise(family, moved, rng):
+    """White noise of 5 % on the record of the base."""
+    values = moved.values()[0]
+    noise = 0.05 * np.sqrt(np.mean(values**2)) * rng.standard_normal(values.size)
+    return right(family, moved, rng)._replace(base=values + noise)
+
+
+TRUTHS: dict[str, Callable] = {
+    "right model": right,
+    "damping form": other_damping,
+    "mass distribution": other_masses,
+    "partition": partition,
+    "soft ground": soft_ground,
+    "tuned mass of 0.2 %": tuned_mass,
+    "gains of 3 %": wrong_gains,
+    "lag of 3 ms": lag,
+    "clock": clock,
+    "base noise of 5 %": base_noise,
+}
+
+
+def factors(w):
+    """Those of the groups of springs, and of the damping, at a point of their logarithms and ln sigma."""
+    return np.exp(w[:-2]), np.exp(w[-2])
+
+
+class Predictions:
+    """What `pymc_features.calibration.fit` asks of a model: NORM with ln of factors and of sigma."""
+
+    def __init__(self, family, record, data):
+        self.family, self.record, self.data = family, record, data
+        self.names, self.steps, self.count = ["y"], [1.0 / RATE], 0
+        self.sides = np.zeros(family.n_groups + 2, dtype=int)
+
+    def structure(self, w):
+        """The model at factors."""
+        mass, damping, stiffness = self.family.matrices(*factors(w))
+        return pmf.LinearStructure(mass=mass, damping=damping, stiffness=stiffness)
+
+    def frequencies(self, w):
+        """Natural frequencies [Hz]."""
+        return [truth.modes(*self.family.matrices(factors(w)[0])[::2])[0] / (2.0 * np.pi)]
+
+    def __call__(self, w):
+        """mu, observed, scale, ln s, claimed and decay of the only likelihood."""
+        self.count += 1
+        n_sensors, n_times = self.data.shape
+        mu = pmf.simulate(self.structure(w), self.record, sensors=self.family.sensors).values
+        one, scale = np.ones(n_sensors), np.full(self.data.shape, np.exp(w[-1]))
+        return [[mu, self.data, scale, w[-1] * one, n_times * one, np.inf * one]]
+
+
+class Outcome(NamedTuple):
+    """Maximum (p,), its information (p, p), standard deviations (p,) without and with corrections, growth."""
+
+    maximum: np.ndarray
+    information: np.ndarray
+    plain: np.ndarray
+    corrected: np.ndarray
+    growth: float
+
+
+def outcome(family, respond, seed) -> Outcome:
+    """What one event says of the factors (p,), the damping's among them."""
+    rng, moved = np.random.default_rng([13, seed]), truth.motion(RATE, DURATION, 1000 + seed, ends="moving")
+    what = respond(family, moved, rng)
+    fine = 8 if what.clock else 1
+    exact = truth.response(what.structure, moved, fine=fine)["absolute_acceleration"][what.sensors]
+    if what.clock:
+        t = moved.time() * (1.0 - what.clock)
+        exact = make_interp_spline(moved.time(fine), exact, k=5, axis=1)(t)
+    exact = what.gains * exact
+    level = LEVEL * np.sqrt(np.mean(exact**2))
+    data = exact + level * first_order(rng, exact.shape, 1.0 / RATE, 0.05)
+    base = moved.values()[0] if what.base is None else what.base
+    predictions = Predictions(family, pmf.Record(base, 1.0 / RATE), data)
+    fit = climb_likelihood(predictions, np.append(np.zeros(family.n_groups + 1), np.log(level)))
+    p = family.n_groups + 1
+    plain, corrected = (
+        sandwich(fit.events, fit.information, *how) for how in ((None, False), ("bands", True))
+    )
+    sd = [np.sqrt(np.diag(x.covariance))[:p] for x in (plain, corrected)]
+    return Outcome(fit.w[:p], fit.information[:p, :p], *sd, corrected.growth)
+
+
+def covers(outcomes):
+    """Shares (2, p) of intervals that contain the best value, without and with corrections."""
+    maxima = np.array([one.maximum for one in outcomes])
+    usual = np.abs(maxima - np.median(maxima, axis=0)).max(axis=1) < UNUSUAL
+    some = [one for one, is_usual in zip(outcomes, usual, strict=True) if is_usual]
+    total = sum(one.information for one in some)
+    best = np.linalg.solve(total, sum(one.information @ one.maximum for one in some))
+    off = np.abs(maxima - best)
+    return [
+        np.mean(off < WIDE * np.array([getattr(one, name) for one in outcomes]), axis=0)
+        for name in ("plain", "corrected")
+    ]
+
+
+def run_model_errors(quick=False):
+    """Print coverage of the best value without and with corrections, and widths, by error and family."""
+    n, start, rows = QUICK_EVENTS if quick else EVENTS, time.perf_counter(), []
+    for name, respond in TRUTHS.items():
+        cells = []
+        for family in FAMILIES.values():
+            outcomes = [outcome(family, respond, seed) for seed in range(n)]
+            plain, corrected = covers(outcomes)
+            wider = np.array([one.corrected / one.plain for one in outcomes])
+            cells.append(
+                f"{100 * plain.mean():.0f}, {100 * corrected.mean():.0f} ({100 * corrected.min():.0f}); "
+                f"{np.median(wider):.2f}, {wider.mean():.2f}"
+            )
+        rows.append([name, *cells])
+        print(" | ".join(rows[-1]), flush=True)
+    print(
+        f"\n## What is not in the model: {n} events each, {time.perf_counter() - start:.0f} s\n\nHow many of "
+        "100 intervals contain the best value: without corrections, with them (lowest parameter); widths "
+        "over those without, median and mean.\n"
+    )
+    print(table(("truth", *FAMILIES), rows))
