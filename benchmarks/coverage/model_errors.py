@@ -17,7 +17,8 @@ from benchmarks import truth
 from benchmarks.coverage.errors import first_order
 from benchmarks.tables import table
 from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.sandwich import sandwich
+from pymc_features.calibration.fit import of_base_noise
+from pymc_features.calibration.sandwich import sandwich, wider
 
 EVENTS, QUICK_EVENTS = 400, 12
 RATE, DURATION, LEVEL = 50.0, 20.0, 0.02  # Hz, s, noise over the rms of the response
@@ -60,13 +61,17 @@ FAMILIES = {
 
 
 class Tested(NamedTuple):
-    """What moves, what is measured of it, and the record of the base that the model gets (time,)."""
+    """What moves, what is measured of it, the record of the base that the model gets (time,), and its noise.
+
+    The noise is a standard deviation [m/s^2] where it is known.
+    """
 
     structure: truth.Linear
     sensors: list[int]
     gains: np.ndarray | float = 1.0
     clock: float = 0.0
     base: np.ndarray | None = None
+    noise: float = 0.0
 
 
 def linear(matrices):
@@ -152,6 +157,12 @@ def base_noise(family, moved, rng):
     return right(family, moved, rng)._replace(base=values + noise)
 
 
+def known_base_noise(family, moved, rng):
+    """The same, and its level is known."""
+    level = 0.05 * np.sqrt(np.mean(moved.values() ** 2))
+    return base_noise(family, moved, rng)._replace(noise=level)
+
+
 TRUTHS: dict[str, Callable] = {
     "right model": right,
     "damping form": other_damping,
@@ -163,6 +174,7 @@ TRUTHS: dict[str, Callable] = {
     "lag of 3 ms": lag,
     "clock": clock,
     "base noise of 5 %": base_noise,
+    "base noise of known level": known_base_noise,
 }
 
 
@@ -190,9 +202,18 @@ class Predictions:
 
     def __call__(self, w):
         """mu, observed, scale, ln s, claimed and decay of the only likelihood."""
+        return self.values(w, self.record)
+
+    def with_noisy_base(self, w, sd, rng):
+        """The same under the record with white noise."""
+        noise = sd * rng.standard_normal(self.record.n_times)
+        return self.values(w, pmf.Record(self.record.acceleration + noise, 1.0 / RATE))
+
+    def values(self, w, record):
+        """Those under a record."""
         self.count += 1
         n_sensors, n_times = self.data.shape
-        mu = pmf.simulate(self.structure(w), self.record, sensors=self.family.sensors).values
+        mu = pmf.simulate(self.structure(w), record, sensors=self.family.sensors).values
         one, scale = np.ones(n_sensors), np.full(self.data.shape, np.exp(w[-1]))
         return [[mu, self.data, scale, w[-1] * one, n_times * one, np.inf * one]]
 
@@ -223,9 +244,11 @@ def outcome(family, respond, seed) -> Outcome:
     predictions = Predictions(family, pmf.Record(base, 1.0 / RATE), data)
     fit = climb_likelihood(predictions, np.append(np.zeros(family.n_groups + 1), np.log(level)))
     p = family.n_groups + 1
-    plain, corrected = (
-        sandwich(fit.events, fit.information, *how) for how in ((None, False), ("bands", True))
-    )
+    plain = sandwich(fit.events, fit.information, None, leverage=False)
+    corrected = sandwich(fit.events, fit.information, None if what.noise else "bands")
+    if what.noise:
+        noise = of_base_noise(predictions, fit, what.noise)
+        corrected = corrected._replace(variability=wider(corrected.variability, noise))
     sd = [np.sqrt(np.diag(x.covariance))[:p] for x in (plain, corrected)]
     return Outcome(fit.w[:p], fit.information[:p, :p], *sd, corrected.growth)
 

@@ -9,13 +9,20 @@ import xarray as xr
 from pymc.util import RandomState
 from scipy.stats import truncnorm
 
-from pymc_features._checks import check_choice, check_flag, check_integer, check_model, check_seed
+from pymc_features._checks import (
+    check_choice,
+    check_flag,
+    check_integer,
+    check_model,
+    check_positive,
+    check_seed,
+)
 from pymc_features.calibration.adjusted import adjusted_model, shape_of
 from pymc_features.calibration.bounds import deviations, free_maximum, near_bounds, warn_beyond
 from pymc_features.calibration.effective import described
-from pymc_features.calibration.fit import Predictions, hessian, residuals_of
+from pymc_features.calibration.fit import Predictions, hessian, of_base_noise, residuals_of
 from pymc_features.calibration.modes import Part, distinct_fits, pooled
-from pymc_features.calibration.sandwich import Sandwich, sandwich, sentence, whitening
+from pymc_features.calibration.sandwich import Sandwich, sandwich, sentence, whitening, wider
 from pymc_features.exceptions import CalibrationWarning, SamplingWarning
 from pymc_features.inference.parameters import Unconstrained, posterior_for
 from pymc_features.inference.sample import Search, compared_draws, sample_from
@@ -40,6 +47,7 @@ def calibrate(
     random_seed: RandomState = None,
     progressbar: bool = True,
     model_error: str | None = "bands",
+    base_noise: float | None = None,
     **settings,
 ) -> xr.DataTree:
     """Posterior whose width the residuals decide, not the sampling rate or the number of sensors.
@@ -66,6 +74,10 @@ def calibrate(
     model_error : str, optional
         "bands" (default) multiplies widths by how much the frequency bands of the record disagree about the
         parameters, at most by 2, where the model has natural frequencies; None does not.
+    base_noise : float, optional
+        Standard deviation of white noise on the record of the base [m/s^2], where it is known: intervals are
+        as wide at least as it makes them. Frequency bands, which disagree under such noise, are not compared
+        then.
     **settings
         Of `sample`.
 
@@ -112,6 +124,8 @@ def calibrate(
     if model_error is not None:
         check_choice(model_error, "model_error", ["bands"], "Or pass None.")
     model = check_model(model)
+    if base_noise is not None:
+        base_noise, model_error = check_positive(base_noise, "base_noise", "Pass m/s^2."), None
     posterior = posterior_for(model, idata, "idata")
     rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(1)[0])
     settings |= {
@@ -126,9 +140,13 @@ def calibrate(
     fits = [fit.measured_from_bounds(np.any(near, axis=0)) for fit in fits]
     if np.any(near):  # a bell does not follow how others depend on these
         settings.setdefault("stage_draws", NEAR_BOUND_DRAWS)
-    modes = [
-        (fit, curved(predictions, fit, sandwich(fit.events, fit.information, model_error))) for fit in fits
-    ]
+    modes = []
+    for fit in fits:
+        result = curved(predictions, fit, sandwich(fit.events, fit.information, model_error))
+        if base_noise is not None:
+            noise = of_base_noise(predictions, fit, base_noise)
+            result = result._replace(variability=wider(result.variability, noise))
+        modes.append((fit, result))
     adjusted, parts = adjusted_model(model, modes[0][0].coordinates, len(modes)), []
     with open_workers(settings.pop("executor", None)) as workers:
         for i, mode in enumerate(modes):

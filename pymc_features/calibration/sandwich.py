@@ -96,6 +96,14 @@ def sandwich(events, information, model_error="bands", leverage=True) -> Sandwic
     return result._replace(variability=variability * result.factor**2)
 
 
+def wider(first, second) -> np.ndarray:
+    """In every direction the larger of two covariances (d, d) of a score."""
+    whiten = whitening(first)
+    unwhiten = whiten.T @ first
+    values, vectors = np.linalg.eigh(whiten.T @ second @ whiten)
+    return first + unwhiten.T @ (vectors * np.maximum(values - 1.0, 0.0)) @ vectors.T @ unwhiten
+
+
 def of_scale(event) -> np.ndarray:
     """Covariance (d, d) of what the scales add to the score, sum_jk (r_jk^2 - m_j / N) d ln s_j / dz.
 

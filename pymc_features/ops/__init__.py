@@ -19,9 +19,11 @@ from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradie
 from pymc_features.ops.response import (
     StructuralResponse,
     frequencies_behind,
+    noisy_base,
     response,
     response_node,
     response_step,
+    structural_node,
 )
 from pymc_features.ops.time_axis import check_dims, known_dims, name_the_time_axis
 from pymc_features.structures.variables import as_tensor
@@ -56,8 +58,10 @@ __all__ = [
     "name_the_time_axis",
     "external_dispatch",
     "frequencies_behind",
+    "noisy_base",
     "numba_dispatch",
     "response",
     "response_node",
     "response_step",
+    "structural_node",
 ]

@@ -1,6 +1,7 @@
 """The response history as a PyTensor Op, and `response`, its public function."""
 
 from collections.abc import Callable, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import pytensor
@@ -33,7 +34,7 @@ from pymc_features.simulators import (
     quantities_of,
     rows_of,
 )
-from pymc_features.simulators.excitation import frequencies_of
+from pymc_features.simulators.excitation import excitation_of, frequencies_of
 from pymc_features.structures import Structure
 
 
@@ -170,7 +171,9 @@ def respond(structure, record, dt, asked, rows) -> TensorVariable:
         if not isinstance(inputs[name], Variable):
             inputs[name] = as_data(inputs[name], name)
     inputs["acceleration"] = as_data(inputs["acceleration"], record.name or "acceleration")
-    return op(*inputs.values())
+    result = op(*inputs.values())
+    result.owner.tag.excited = structure.excitation(record), record, asked
+    return result
 
 
 def as_data(array, name):
@@ -212,14 +215,19 @@ def response_node(variable: TensorVariable) -> Apply | None:
     return None
 
 
+def structural_node(variable: TensorVariable) -> Apply | None:
+    """Return the first response of a structure among what is behind a variable; None where there is none."""
+    nodes = (v.owner for v in ancestors([variable]) if v.owner is not None)
+    return next((node for node in nodes if isinstance(node.op, StructuralResponse)), None)
+
+
 def frequencies_behind(variable: TensorVariable) -> tuple[list[Variable], Callable] | None:
     """Natural frequencies of the first structure behind a variable; None where there is none.
 
     What they depend on, variables, and a function of the values of these for frequencies (m,) [Hz], of small
     motions where springs yield.
     """
-    nodes = (v.owner for v in ancestors([variable]) if v.owner is not None)
-    node = next((node for node in nodes if isinstance(node.op, StructuralResponse)), None)
+    node = structural_node(variable)
     if node is None or not node.op.spec.modal:
         return None
     n = node.op.n_parameters
@@ -230,6 +238,28 @@ def frequencies_behind(variable: TensorVariable) -> tuple[list[Variable], Callab
 
     inputs = node.inputs[: n + len(node.op.spec.constants)]
     return [*inputs, node.inputs[node.op.at("n_modes")]], of_values
+
+
+@contextmanager
+def noisy_base(variable: TensorVariable, sd: float, rng: np.random.Generator):
+    """While it lasts, the motion behind a prediction has white noise of a standard deviation [m/s^2]."""
+    node = structural_node(variable)
+    if node is None or not isinstance(node.inputs[node.op.at("direct")], SharedVariable):
+        raise ValueError(
+            "`base_noise` must be left out of a prediction that is no response of a structure to a record "
+            "with outputs at a fixed step."
+        )
+    acceleration, direct = (node.inputs[node.op.at(name)] for name in ("acceleration", "direct"))
+    values, record, asked = node.tag.excited
+    noisy = excitation_of(values + sd * rng.standard_normal(values.shape), record, asked)
+    before = acceleration.get_value(), direct.get_value()
+    try:
+        acceleration.set_value(noisy.acceleration)
+        direct.set_value(noisy.direct)
+        yield
+    finally:
+        acceleration.set_value(before[0])
+        direct.set_value(before[1])
 
 
 def response_step(variable: TensorVariable) -> float | None:

@@ -7,8 +7,9 @@ import pytest
 import pymc_features as pmf
 from benchmarks.coverage.model_errors import FAMILIES, covers, other_masses, outcome, right
 from calibration.test_spectrum import N_TIMES, errors_of, regression
-from pymc_features.calibration.fit import Event, Predictions
-from pymc_features.calibration.sandwich import edges_of, sandwich, sentence
+from pymc_features.calibration.climb import climb_likelihood
+from pymc_features.calibration.fit import Event, Predictions, of_base_noise
+from pymc_features.calibration.sandwich import edges_of, sandwich, sentence, wider
 from pymc_features.calibration.spectrum import taken
 
 DT = 0.02
@@ -148,3 +149,50 @@ def test_other_words_are_refused():
         pm.Normal("y", pm.Normal("a") * np.ones((2, 50)), 0.1, observed=np.zeros((2, 50)))
     with pytest.raises(ValueError, match="`model_error` must be one of bands, got 'windows'. Or pass None."):
         pmf.calibrate(None, model=model, model_error="windows")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("interpolation", ["linear", "band-limited"])
+def test_noise_of_the_base(interpolation):
+    """Covariance of the score by 200 realisations, beside closed form by the response to one sample of it.
+
+    To 30 %, five standard errors. The prediction is as it was afterwards; intervals are wider with the noise.
+    """
+    n, at, rng = 400, 100, np.random.default_rng(4)
+    record = pmf.Record(rng.normal(size=n), DT, interpolation=interpolation)
+    mass, damping, springs = np.ones(3), pmf.RayleighDamping(0.3, 5e-4), np.array([900.0, 800.0, 700.0])
+    exact = pmf.simulate(pmf.SpringMassChain(mass, springs, damping), record).values
+    with pm.Model() as model:
+        theta = pm.Normal("theta", 1.0, 0.2, shape=3)
+        mu = pmf.response(pmf.SpringMassChain(mass, springs * theta, damping), record)
+        pm.Normal("y", mu, pm.HalfNormal("sigma", 1.0), observed=exact + 0.05 * rng.normal(size=exact.shape))
+    predictions = Predictions(model)
+    fit = climb_likelihood(predictions, np.array([1.0, 1.0, 1.0, np.log(0.05)]))
+    before = predictions(fit.z)[0][0]
+    found = of_base_noise(predictions, fit, 0.1)[:3, :3]
+    np.testing.assert_array_equal(predictions(fit.z)[0][0], before)
+    impulse = pmf.Record(1.0 * (np.arange(n) == at), DT, interpolation=interpolation)
+    h = pmf.simulate(pmf.SpringMassChain(mass, springs * fit.w[:3], damping), impulse).values
+    h = np.roll(np.pad(h, ((0, 0), (0, n))), -at, axis=1)
+    s = np.pad(fit.events[0].sensitivities[..., :3] / np.exp(fit.w[3]), ((0, 0), (0, n), (0, 0)))
+    h, s = np.fft.rfft(h, axis=1), np.fft.rfft(s, axis=1)
+    back = 0.1 * np.fft.irfft(np.einsum("sf,sfp->fp", h.conj(), s), 2 * n, axis=0)[:n]
+    expected = back.T @ back
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(found / scale, expected / scale, atol=0.3)
+    assert expected[0, 0] > 0.0
+    together = wider(fit.information[:3, :3], found)
+    for matrix in (fit.information[:3, :3], found):
+        assert np.linalg.eigvalsh(together - matrix).min() > -1e-9 * np.trace(together)
+
+
+def test_noise_of_a_base_needs_a_base():
+    with pm.Model() as model:
+        data = np.random.default_rng(1).normal(size=(2, 50))
+        pm.Normal("y", pm.Normal("a") * np.ones((2, 50)), 0.1, observed=data)
+    predictions = Predictions(model)
+    fit = climb_likelihood(predictions, np.zeros(1))
+    with pytest.raises(ValueError, match="`base_noise` must be left out of a prediction that is no response"):
+        of_base_noise(predictions, fit, 0.1)
+    with pytest.raises(ValueError, match="`base_noise` must be positive, got -1.0. Pass m/s.2."):
+        pmf.calibrate(None, model=model, base_noise=-1.0)
