@@ -3,10 +3,12 @@
 B grows where the frequency bands of a record disagree about the parameters. With u_b the part of the score in
 a band b, and B_b its covariance by the residuals,
 
-    growth = sqrt(max(1, chi2 / (k - p))),    chi2 = sum_b u_b' B_b^-1 u_b,
+    growth = sqrt(max(1, chi2 / (k - p))),
+    chi2 = min_d sum_b (u_b - A_b d)' B_b^-1 (u_b - A_b d),
 
 of k components of the score over all bands and p parameters, is by how much intervals must grow for the bands
-to agree (Birge, Phys. Rev. 40, 1932). It is about one for errors that spectra describe, and more where the
+to agree (Birge, Phys. Rev. 40, 1932). A_b d is how a change d of the parameters changes u_b: the fit weighs
+samples, and not bands by their errors. It is about one for errors that spectra describe, and more where the
 model is not the structure. Bands lie between the natural frequencies of the model.
 """
 
@@ -158,17 +160,23 @@ def growth_of(models, p: int) -> float:
     """The factor, not limited, by the error models of all events and p parameters; NaN without bands."""
     if all(len(model.scores) == 1 for model in models):
         return np.nan
-    chi2 = count = 0
+    left, slopes = [], []
     largest = np.diag(sum(model.variability for model in models))
+    used = np.flatnonzero(largest > 0.0)
     for model in models:
-        for u, b in zip(model.scores, model.variabilities, strict=True):
-            used = np.diag(b) > FAINT * largest
-            scale = np.sqrt(np.diag(b)[used])
-            values, vectors = np.linalg.eigh(b[np.ix_(used, used)] / np.outer(scale, scale))
-            known = values > SINGULAR * values.max(initial=0.0)
-            chi2 += np.sum((vectors.T @ (u[used] / scale))[known] ** 2 / values[known])
-            count += int(known.sum())
-    return float(np.sqrt(max(1.0, chi2 / (count - p)))) if count > p else np.nan
+        for u, b, a in zip(model.scores, model.variabilities, model.informations, strict=True):
+            known = used[np.diag(b)[used] > FAINT * largest[used]]
+            scale = np.sqrt(np.diag(b)[known])
+            values, vectors = np.linalg.eigh(b[np.ix_(known, known)] / np.outer(scale, scale))
+            told = values > SINGULAR * values.max(initial=0.0)
+            whiten = (vectors[:, told] / np.sqrt(values[told])).T / scale
+            left.append(whiten @ u[known])
+            slopes.append(whiten @ a[np.ix_(known, used)] / np.sqrt(largest[used]))
+    left, slopes = np.concatenate(left), np.concatenate(slopes)
+    if len(left) <= p:
+        return np.nan
+    left = left - slopes @ np.linalg.lstsq(slopes, left, rcond=SINGULAR)[0]
+    return float(np.sqrt(max(1.0, left @ left / (len(left) - p))))
 
 
 def sentence(growth: float) -> str:

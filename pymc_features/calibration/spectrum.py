@@ -41,6 +41,8 @@ class ErrorModel(NamedTuple):
         Parts of the score by frequency, from the same residuals as B.
     variabilities : array (band, parameter, parameter)
         Their covariances.
+    informations : array (band, parameter, parameter)
+        How they change with the parameters.
     n_samples : int
         Samples that represent the band.
     order : array of int (component,)
@@ -53,6 +55,7 @@ class ErrorModel(NamedTuple):
 
     scores: np.ndarray
     variabilities: np.ndarray
+    informations: np.ndarray
     n_samples: int
     order: np.ndarray
     memory: float
@@ -86,19 +89,22 @@ def error_model(
     back = 0.0 if whiten is None else taken(r, s @ whiten * np.sqrt(n_all / n))
     level = np.sqrt(np.mean(amplitude**2, axis=1, keepdims=True))
     r = r / amplitude + back / np.maximum(amplitude, level)
-    s = s * amplitude[..., None]
+    changes, s = s / amplitude[..., None], s * amplitude[..., None]
     rotation = np.linalg.eigh(r @ r.T)[1]
-    r, s = rotation.T @ r, np.einsum("st,snp->tnp", rotation, s)
+    r, s, changes = rotation.T @ r, *(np.einsum("st,snp->tnp", rotation, x) for x in (s, changes))
     filters = autoregressions(r, max(1, min(LARGEST_ORDER, n // 20)))
     order = filters.shape[1] - 1 - np.argmax(filters[:, ::-1] != 0.0, axis=1)
     longest = int(order.max())
     filters = filters[:, : longest + 1]
     white = np.stack([np.convolve(x, a, mode="valid") for a, x in zip(filters, r, strict=True)])
-    spectrum = np.fft.rfft(s, 2 * n, axis=1) / np.fft.rfft(filters, 2 * n, axis=1).conj()[..., None]
+    whitens = np.fft.rfft(filters, 2 * n, axis=1)[..., None]
+    spectrum = np.fft.rfft(s, 2 * n, axis=1) / whitens.conj()
+    changes = np.fft.rfft(changes, 2 * n, axis=1) * whitens
     starts = np.unique(np.r_[0, np.ceil(2 * n_all * edges).astype(int).clip(max=n)])
-    scores, variabilities = smoothed(white, spectrum, starts)
+    scores, variabilities, informations = by_band(white, spectrum, changes, starts)
     ratio = n_all / n
-    return ErrorModel(scores * ratio, variabilities * ratio**2, n, order, memory(filters) * ratio, follows)
+    parts = scores * ratio, variabilities * ratio**2, informations * ratio
+    return ErrorModel(*parts, n, order, memory(filters) * ratio, follows)
 
 
 def taken(residuals, whitened):
@@ -224,11 +230,12 @@ def memory(filters):
     return np.inf if radius >= 1.0 else (-1.0 / np.log(radius) if radius > 0 else 0.0)
 
 
-def smoothed(white, spectrum, starts):
-    """Parts of the score S(f)^H e(f), and of B = S(f)^H Phi(f) S(f), by band: (band, p), (band, p, p).
+def by_band(white, spectrum, changes, starts):
+    """Parts of the score S(f)^H e(f), of B = S(f)^H Phi(f) S(f), and of S(f)^H G(f), by band.
 
-    Phi is the smoothed cross-periodogram of white (component, time), `spectrum` (component, frequency, p) is
-    S, of signals with as many zeros behind; bands begin at the frequencies `starts`.
+    Phi is the smoothed cross-periodogram of white (component, time); `spectrum` and `changes` (component,
+    frequency, p) are S and G, minus the derivative of e, of signals with as many zeros behind. Bands begin at
+    the frequencies `starts`.
     """
     from scipy.signal import fftconvolve  # slow to import
 
@@ -239,11 +246,13 @@ def smoothed(white, spectrum, starts):
     twice = np.full(n_frequencies, 2.0)
     twice[[0, -1]] = 1.0
     lost = np.pad(white, ((0, 0), (length // 2 - white.shape[1], 0)))  # by the filters, at the start
-    e = np.fft.rfft(lost, length, axis=1) * twice / length
-    scores = np.add.reduceat(np.einsum("cfp,cf->fp", spectrum.conj(), e).real, starts, axis=0)
+    back = spectrum.conj() * (twice / length)[:, None]
+    e = np.fft.rfft(lost, length, axis=1)
+    scores = np.add.reduceat(np.einsum("cfp,cf->fp", back, e).real, starts, axis=0)
+    bands = [slice(*ends) for ends in itertools.pairwise([*starts, n_frequencies])]
+    informations = [np.einsum("cfp,cfq->pq", back[:, f], changes[:, f], optimize=True).real for f in bands]
     r = np.fft.rfft(white, length, axis=1)
     r = np.concatenate([r[:, half:0:-1].conj(), r, r[:, -2 : -half - 2 : -1].conj()], axis=1)
-    bands = [slice(*ends) for ends in itertools.pairwise([*starts, n_frequencies])]
     total = np.zeros((len(bands), spectrum.shape[2], spectrum.shape[2]))
     for i, (x, s) in enumerate(zip(r, spectrum, strict=True)):  # rows: no array (component, component, ...)
         cross = fftconvolve(x * r[i:].conj(), kernel[None] / kernel.sum(), mode="valid", axes=1)
@@ -252,4 +261,4 @@ def smoothed(white, spectrum, starts):
             part = np.einsum("fp,kf,kfq->pq", s[f].conj(), factor[:, f], spectrum[i:, f], optimize=True)
             total[b] += part.real
     total /= white.shape[1] * length
-    return scores, 0.5 * (total + total.transpose(0, 2, 1))
+    return scores, 0.5 * (total + total.transpose(0, 2, 1)), np.array(informations)
