@@ -209,7 +209,7 @@ def leverage(fit, result: Sandwich) -> np.ndarray:
 def table(found: xr.Dataset) -> dict:
     """What made the intervals of the heaviest mode as wide as they are, of each parameter and of all."""
     if "mode" in found.dims:
-        found = found.isel(mode=int(found["weight"].argmax()))
+        found = found.isel(mode=int(found["weight"].values.argmax()))
     rows = found[["standard_deviation", "leverage", "near_bound", "bound", "room"]].to_dataframe()
     rows = {
         name: {k: None if v != v else v for k, v in row.items()} for name, row in rows.T.to_dict().items()

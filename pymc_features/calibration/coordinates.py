@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytensor.tensor as pt
-from pymc.logprob.transforms import IntervalTransform, LogOddsTransform, LogTransform
+from pymc.distributions import transforms
 from scipy.special import expit, logit
 
 EDGE = 1e-9  # of these distances: as near to a bound as a climb gets
@@ -82,8 +82,8 @@ def sides_of(model) -> np.ndarray:
     point, found = model.initial_point(), []
     for rv in model.free_RVs:
         transform, shape = model.rvs_to_transforms[rv], np.shape(point[model.rvs_to_values[rv].name])
-        sides = {LogTransform: 1, LogOddsTransform: 2}.get(type(transform), 0)
-        if isinstance(transform, IntervalTransform):
+        sides = {transforms.log: 1, transforms.logodds: 2}.get(transform, 0)
+        if isinstance(transform, transforms.Interval):
             ends = [pt.as_tensor(x) for x in transform.args_fn(*rv.owner.inputs) if x is not None]
             ends = model.replace_rvs_by_values(ends)
             compiled = {"mode": "FAST_COMPILE", "on_unused_input": "ignore"}

@@ -82,4 +82,4 @@ def test_coverage_of_a_chain(kind, rate, lowest):
 def test_straight_lines_exclude_the_truth():
     """Control: where they join the samples, the damping is never within its interval, springs are seldom."""
     found = coverage(declare(50.0, interpolation="linear"), "white", 50.0, 20, None)
-    assert found[3] < 0.1 and found.mean() < 0.6
+    assert found[3] < 0.1 and found.mean() < 0.7

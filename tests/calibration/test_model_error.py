@@ -61,7 +61,9 @@ def test_a_wrong_distribution_of_masses():
 
 def test_without_bands_nothing_grows():
     """Without natural frequencies, or a step, or if it is not wanted. Control: with three bands it can."""
-    errors = errors_of("narrow", np.random.default_rng(1), regression())
+    t = DT * np.arange(N_TIMES)
+    errors = errors_of("white", np.random.default_rng(1), regression())
+    errors += 2.0 * np.sin(2.0 * np.pi * 1.03 * t + 1.0) * np.exp(-0.3 * t)
     [event], information = event_of(errors, np.array([1.0, 3.1]))
     found = sandwich([event], information)
     assert found.growth > 1.0
