@@ -33,7 +33,7 @@ CURVED = 0.1  # standard deviations over which curvature is measured
 PRIOR_DRAWS = 500
 # mean square of standard deviations from the maximum that is far, and the share of draws that makes a warning
 FAR, MANY = 10.0, 0.25
-CHECKED, UNEXPLAINED = 40, 2.0  # draws looked at, and residuals over their sigma that are too large
+CHECKED, UNEXPLAINED = 40, 3.0  # draws looked at, and residuals over their sigma that are too large
 NEAR_BOUND_DRAWS = 600  # of each stage, where a parameter is near a bound
 NO_CLIMBS = "the maximum was known"
 
@@ -157,7 +157,7 @@ def calibrate(
             part.idata["calibration"] = xr.DataTree(found)
             draws = compared_draws(model, part.idata["posterior"])
             far_away(draws, *mode)
-            explain_the_data(predictions, draws)
+            explain_the_data(predictions, draws, *mode)
             parts.append(part)
     calibrated = pooled(parts, rng)
     calibrated.attrs["calibration"] = json.dumps(table(calibrated["calibration"].to_dataset()))
@@ -185,13 +185,15 @@ def far_away(draws, fit, result: Sandwich):
         )
 
 
-def explain_the_data(predictions, draws):
-    """Refuse draws (n, d) whose residuals are larger than their own sigma allows."""
+def explain_the_data(predictions, draws, fit, result: Sandwich):
+    """Refuse draws (n, d) whose residuals are larger than their own sigma, and their width, allow."""
     values = [predictions(z) for z in ([] if draws is None else draws[:: max(1, len(draws) // CHECKED)])]
     squares = [
         sum(np.sum(residuals_of(v) ** 2) for v in value) / sum(v[4].sum() for v in value) for value in values
     ]
-    if squares and np.median(squares) > UNEXPLAINED**2:
+    left = sum(np.sum(event.residuals**2) for event in fit.events)
+    wide = 1.0 + np.trace(result.claims @ result.variability) / left
+    if squares and np.median(squares) > UNEXPLAINED**2 * wide:
         raise ValueError(
             "the calibrated draws must explain the data, got residuals "
             f"{np.median(squares) ** 0.5:.3g} times as large as their own sigma. The priors exclude what the "
