@@ -1,5 +1,7 @@
 """CAL and GAMMA in an update: what is sampled for them, kept and reported."""
 
+import json
+import shutil
 import warnings
 
 import numpy as np
@@ -7,9 +9,10 @@ import pytest
 import xarray as xr
 
 from pymc_features import cli
+from pymc_features.calibration.sandwich import sentence
 from pymc_features.exceptions import CalibrationWarning, ConfigError
 from pymc_features.update import read_problem, run, write_example
-from pymc_features.update.report.summary import supported
+from pymc_features.update.report.summary import rows, supported
 from pymc_features.update.sequence import Running
 from update.test_update import replaced, table_of, variant
 
@@ -149,3 +152,51 @@ def test_order_of_sampling_and_of_the_report(example, tmp_path):
     problem = read_problem(variant(example, tmp_path, ('["GAMMA", "CAL"]', kinds)))
     assert problem.kinds == ["GAMMA", "EXP", "NORM", "ABC", "CAL"]
     assert problem.reported == ["CAL", "GAMMA", "ABC", "EXP", "NORM"]
+
+
+def test_what_is_finished_is_reported_where_it_cannot_be_had(example, finished, tmp_path, monkeypatch):
+    """The others are shown with the reason; if it was the only one asked for, what it is made from."""
+
+    def refused(*_, **__):
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+    monkeypatch.setattr(run, "calibrate", refused)
+    alone = [('"GAMMA", "CAL"', '"CAL"'), ("m = [2.0, 3.0, 4.5]", "#")]
+    for changes, shown in (([], "GAMMA"), (alone, "NORM")):
+        path = example.with_name("changed.toml")
+        path.write_text(replaced(example.read_text(), changes))
+        out = tmp_path / f"out-{shown}"
+        if not changes:
+            shutil.copytree(finished, out)
+            (out / "parts" / "CAL.nc").unlink()
+        assert cli.main(["update", str(path), "--out", str(out), "--cores", "1"]) == 0
+        html = (out / "report.html").read_text()
+        assert "CAL only where residuals can tell a width: Eigenvalues did not converge" in html
+        assert list(dict.fromkeys(row[0] for row in table_of(html, "Posterior")[1])) == [shown]
+
+
+def test_no_interval_comes_first_of_a_model_that_does_not_explain(example, result):
+    problem = read_problem(example)
+    assert "CAL comes first, for its intervals" in supported(problem, result)
+    told = supported(problem, result, explains=False)
+    assert "comes first" not in told
+    assert "No interval can be relied on where the model does not explain the measurements." in told
+
+
+def test_intervals_at_a_bound_are_the_shortest_and_said_to_be(example, result):
+    """k1 of a run, as if its prior ended at its median; its growth, as if bands disagreed."""
+    changed, k1 = result.copy(), result["CAL/posterior"]["k1"]
+    bound = float(k1.quantile(0.999))
+    told = json.loads(result["CAL"].attrs["calibration"])
+    assert set(told["parameters"]) == {"k1", "k2", "k3", "zeta", "sigma"}
+    told["parameters"]["k1"] |= {"near_bound": True, "bound": bound, "room": 0.5}
+    told["sentence"] = sentence(2.4)
+    changed["CAL"].attrs["calibration"] = json.dumps(told)
+    problem = read_problem(example)
+    said = supported(problem, changed)
+    assert f"Next to a bound of its prior the 90 % interval is the shortest one: k1 ({bound:.4g})." in said
+    assert "disagree about the parameters by a factor of 2.4" in said
+    [row] = [r for r in rows(problem, changed) if (r.kind, r.name) == ("CAL", "k1")]
+    [before] = [r for r in rows(problem, result) if (r.kind, r.name) == ("CAL", "k1")]
+    assert row.q95 - row.q05 <= before.q95 - before.q05
+    assert row.q50 == before.q50
