@@ -43,10 +43,7 @@ def test_coverage_at_a_bound(place):
 
 @pytest.mark.slow
 def test_a_truth_outside_the_prior():
-    """The interval hugs the bound, one to five times as wide as that of NORM, at three sds outside.
-
-    Control: without bounds the interval would be wider than all of it.
-    """
+    """The interval hugs the bound, one to five times as wide as that of NORM, at three sds outside."""
     upper = 1.0 - 3.0 * true_sd()
     for seed in range(20):
         found = bounded(seed, upper)

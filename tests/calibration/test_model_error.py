@@ -28,8 +28,8 @@ def event_of(errors, frequencies):
 @pytest.mark.statistical
 @pytest.mark.slow
 def test_bands_of_a_right_model_agree():
-    """Mean of the factor that widths grow by, of 100 data sets: below 1.2. Control: waves that none of the
-    two parameters explains, alike in all sensors, make it the largest in nine of ten.
+    """Mean of the factor that widths grow by, of 100 data sets: below 1.2. Control: with waves that none of
+    the two parameters explains, alike in all sensors, bands disagree more often.
     """
     rng, bands, factors, wrong = np.random.default_rng(5), np.array([1.0, 3.1, 6.0]), [], []
     t = DT * np.arange(N_TIMES)
@@ -182,7 +182,6 @@ def test_noise_of_the_base(interpolation):
     expected = back.T @ back
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(found / scale, expected / scale, atol=0.3)
-    assert expected[0, 0] > 0.0
     together = wider(fit.information[:3, :3], found)
     for matrix in (fit.information[:3, :3], found):
         assert np.linalg.eigvalsh(together - matrix).min() > -1e-9 * np.trace(together)
