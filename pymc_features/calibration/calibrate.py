@@ -7,7 +7,6 @@ import numpy as np
 import pymc as pm
 import xarray as xr
 from pymc.util import RandomState
-from scipy.stats import truncnorm
 
 from pymc_features._checks import (
     check_choice,
@@ -17,16 +16,23 @@ from pymc_features._checks import (
     check_positive,
     check_seed,
 )
-from pymc_features.calibration.adjusted import adjusted_model, shape_of
-from pymc_features.calibration.bounds import deviations, free_maximum, near_bounds, warn_beyond
+from pymc_features.calibration.bounds import deviations, near_bounds, warn_beyond
 from pymc_features.calibration.effective import described
-from pymc_features.calibration.fit import Predictions, hessian, of_base_noise, residuals_of
-from pymc_features.calibration.modes import Part, distinct_fits, pooled
-from pymc_features.calibration.sandwich import Sandwich, sandwich, sentence, whitening, wider
+from pymc_features.calibration.fit import Predictions, of_base_noise, residuals_of
+from pymc_features.calibration.modes import Part, Peak, chosen, distinct_peaks, pooled
+from pymc_features.calibration.sandwich import sandwich, sentence, whitening, wider
+from pymc_features.calibration.stretched import (
+    Expansion,
+    Stretched,
+    StretchedSMC,
+    expanded,
+    prior_and_likelihood,
+)
 from pymc_features.exceptions import CalibrationWarning, SamplingWarning
-from pymc_features.inference.parameters import Unconstrained, posterior_for
+from pymc_features.inference.parameters import Unconstrained, posterior_for, to_unconstrained
 from pymc_features.inference.sample import Search, compared_draws, sample_from
-from pymc_features.smc import Reference, open_workers, population_logp, prior_points
+from pymc_features.smc import Reference, open_workers, prior_points
+from pymc_features.smc.proposals.mixture import equal_draws, pareto_smoothed
 from pymc_features.smc.proposals.reference import Mode
 
 CURVED = 0.1  # standard deviations over which curvature is measured
@@ -35,6 +41,7 @@ PRIOR_DRAWS = 500
 FAR, MANY = 10.0, 0.25
 CHECKED, UNEXPLAINED = 40, 3.0  # draws looked at, and residuals over their sigma that are too large
 NEAR_BOUND_DRAWS = 600  # of each stage, where a parameter is near a bound
+WORTH = 0.9  # of draws by an expansion of the likelihood, below which it is not used
 NO_CLIMBS = "the maximum was known"
 
 
@@ -135,30 +142,26 @@ def calibrate(
         "progressbar": progressbar,
     }
     predictions = Predictions(model)
-    fits = distinct_fits(predictions, idata, rng)
-    near = [near_bounds(fit, sandwich(fit.events, fit.information, model_error)) for fit in fits]
-    fits = [fit.measured_from_bounds(np.any(near, axis=0)) for fit in fits]
-    if np.any(near):  # a bell does not follow how others depend on these
+    peaks = distinct_peaks(predictions, idata, model_error, rng)
+    near = np.any([near_bounds(peak.fit, peak.sandwich) for peak in peaks], axis=0)
+    if near.any():  # a bell does not follow how others depend on these
         settings.setdefault("stage_draws", NEAR_BOUND_DRAWS)
-    modes = []
-    for fit in fits:
-        result = curved(predictions, fit, sandwich(fit.events, fit.information, model_error))
-        if base_noise is not None:
-            noise = of_base_noise(predictions, fit, base_noise)
-            result = result._replace(variability=wider(result.variability, noise))
-        modes.append((fit, result))
-    adjusted, parts = adjusted_model(model, modes[0][0].coordinates, len(modes)), []
+    found = [wide(predictions, peak, near, model_error, base_noise) for peak in peaks]
+    peaks, expansions = zip(*found, strict=True)
+    prior, likelihood = prior_and_likelihood(model, settings.get("compile_kwargs") or {})
+    parts = []
     with open_workers(settings.pop("executor", None)) as workers:
-        for i, mode in enumerate(modes):
-            others, own = modes[:i] + modes[i + 1 :], settings | {"executor": workers}
-            part = calibrated_mode(adjusted, mode, others, own, rng)
-            found = described(predictions, *mode).assign(leverage=("parameter", leverage(*mode)))
+        if workers is not None:
+            likelihood, settings["cores"] = workers.run().of(likelihood), 1
+        for i, (peak, expansion) in enumerate(zip(peaks, expansions, strict=True)):
+            target = Stretched(prior, likelihood, peak, peaks[:i] + peaks[i + 1 :])
+            found = described(predictions, peak.fit, peak.sandwich)
+            found = found.assign(leverage=("parameter", leverage(peak)))
             warn_beyond(found)
-            part.idata["calibration"] = xr.DataTree(found)
-            draws = compared_draws(model, part.idata["posterior"])
-            far_away(draws, *mode)
-            explain_the_data(predictions, draws, *mode)
-            parts.append(part)
+            sampled = calibrated_mode(model, target, expansion, settings, rng)
+            sampled["calibration"] = xr.DataTree(found)
+            check_draws(predictions, compared_draws(model, sampled["posterior"]), peak)
+            parts.append(Part(sampled, target.power, peak.height))
     calibrated = pooled(parts, rng)
     calibrated.attrs["calibration"] = json.dumps(table(calibrated["calibration"].to_dataset()))
     for group in ("observed_data", "constant_data"):
@@ -169,31 +172,98 @@ def calibrate(
     return calibrated
 
 
-def far_away(draws, fit, result: Sandwich):
-    """Warn if many draws (n, d) are far from the maximum at which the residuals have decided the width."""
-    off = np.array([fit.coordinates.of(z) for z in ([] if draws is None else draws)]).reshape(-1, len(fit.w))
-    off = off - fit.w
+def wide(predictions, peak, near, model_error, base_noise) -> tuple[Peak, Expansion | None]:
+    """A peak with the width that residuals and curvature give it, some parameters measured from bounds (d,).
+
+    The curvature is measured along the axes of A, of parameters that are not near a bound: where they are
+    correlated, a change of one of them alone by its standard deviation leads far away. It is that of the
+    likelihood where it is positive.
+    """
+    fit = peak.fit.measured_from_bounds(near)
+    result = sandwich(fit.events, fit.information, model_error)
+    free = ~fit.coordinates.near
+    whiten = whitening(result.information * np.outer(free, free))
+    widths = np.sqrt(np.diag(whiten.T @ result.variability @ whiten))
+    steps = CURVED * np.minimum(widths, 1.0)
+    relative, expansion = expanded(predictions, fit, (whiten * steps).T)
+    relative /= np.outer(steps, steps)
+    if np.linalg.eigvalsh(relative).min(initial=np.inf) > 0:
+        unwhiten = whiten.T @ (result.information * free)
+        more = unwhiten.T @ (relative - np.eye(len(steps))) @ unwhiten
+        result = result._replace(information=result.information + more)
+    if base_noise is not None:
+        noise = of_base_noise(predictions, fit, base_noise)
+        result = result._replace(variability=wider(result.variability, noise))
+    return Peak(fit, peak.height, result), expansion
+
+
+def calibrated_mode(model, target: Stretched, expansion, settings, rng) -> xr.DataTree:
+    """The posterior around a maximum: draws by the expansion of its likelihood, weighed, or else its own."""
+    found, space = Search(bell(model, target.peak, rng), 0, 0, NO_CLIMBS), Unconstrained(model)
+    own = settings | {"kernel": StretchedSMC}
+    if expansion is not None:
+        guess, unkept = target.by(expansion), {"checkpoint": None}
+        idata = sample_from(found, model, space, **own | unkept, logp=guess)
+        idata = weighed(idata, model, target, guess, rng)
+    if expansion is None or idata is None:
+        idata = sample_from(found, model, space, **own, logp=target)
+    idata["sample_stats"].attrs |= {"power": target.power}
+    return idata
+
+
+def weighed(idata, model, target: Stretched, guess: Stretched, rng) -> xr.DataTree | None:
+    """A posterior by a guess of the likelihood as that by the likelihood; None where they are not near."""
+    z = to_unconstrained(model, idata["posterior"].to_dataset())
+    (_, value, failed), (_, guessed, _) = (f(z.reshape(-1, z.shape[-1])) for f in (target, guess))
+    logs = (value - guessed).reshape(z.shape[:2])
+    if not (logs.max(axis=1) > -np.inf).all():
+        return None
+    logs = np.array([pareto_smoothed(x) for x in logs])
+    weights = np.exp(logs - logs.max(axis=1, keepdims=True))
+    mean = weights.mean(axis=1)
+    worth = mean**2 / np.mean(weights**2, axis=1)
+    if not worth.min() > WORTH:
+        return None
+    place = [equal_draws(x / x.sum(), len(x), rng) for x in weights]
+    idata["posterior"] = chosen(idata["posterior"].to_dataset(), np.sort(place, axis=1))
+    stats, first = idata["sample_stats"].to_dataset(), idata["sample_stats"]["stage"] == 0
+    evidences = stats["log_marginal_likelihood"] + logs.max(axis=1) + np.log(mean)
+    counts = {"evaluations": z.shape[1], "failed": failed.reshape(z.shape[:2]).sum(axis=1)[:, None]}
+    own = {name: (0.0 * stats[name]).where(~first, count) for name, count in counts.items()}
+    stats = stats.assign(log_marginal_likelihood=evidences, ess=stats["ess"] * worth, **own)
+    stats.attrs |= {
+        "log_evidence": float(np.logaddexp.reduce(evidences.values) - np.log(len(evidences))),
+        "ess": float(stats["ess"].sum()),
+    }
+    idata["sample_stats"] = xr.DataTree(stats)
+    return idata
+
+
+def check_draws(predictions, draws, peak: Peak):
+    """Warn if many draws (n, d) are far from the maximum at which the residuals have decided the width.
+
+    Refuse draws whose residuals are larger than their own sigma, and their width, allow.
+    """
+    if draws is None:
+        return
+    fit, result = peak.fit, peak.sandwich
     directions = np.linalg.matrix_rank(whitening(result.information))
-    away = np.einsum("ni,ij,nj->n", off, result.precision, off) > FAR * directions
-    if away.size and away.mean() > MANY:
+    away = np.mean(peak.distance(draws) ** 2 > FAR * directions)
+    if away > MANY:
         warnings.warn(
-            f"{100 * away.mean():.0f} % of the calibrated draws are far from the likelihood's maximum: the "
+            f"{100 * away:.0f} % of the calibrated draws are far from the likelihood's maximum: the "
             "priors, or a maximum that no draw was near, outweigh it, and there the residuals have decided "
             "no width. Use a longer record, several events in one model, or priors that agree with the data.",
             CalibrationWarning,
             stacklevel=3,
         )
-
-
-def explain_the_data(predictions, draws, fit, result: Sandwich):
-    """Refuse draws (n, d) whose residuals are larger than their own sigma, and their width, allow."""
-    values = [predictions(z) for z in ([] if draws is None else draws[:: max(1, len(draws) // CHECKED)])]
+    values = [predictions(z) for z in draws[:: max(1, len(draws) // CHECKED)]]
     squares = [
         sum(np.sum(residuals_of(v) ** 2) for v in value) / sum(v[4].sum() for v in value) for value in values
     ]
     left = sum(np.sum(event.residuals**2) for event in fit.events)
     wide = 1.0 + np.trace(result.claims @ result.variability) / left
-    if squares and np.median(squares) > UNEXPLAINED**2 * wide:
+    if np.median(squares) > UNEXPLAINED**2 * wide:
         raise ValueError(
             "the calibrated draws must explain the data, got residuals "
             f"{np.median(squares) ** 0.5:.3g} times as large as their own sigma. The priors exclude what the "
@@ -201,11 +271,11 @@ def explain_the_data(predictions, draws, fit, result: Sandwich):
         )
 
 
-def leverage(fit, result: Sandwich) -> np.ndarray:
+def leverage(peak: Peak) -> np.ndarray:
     """Share (d,) of the standard deviations that comes from what the fit took out of the residuals."""
-    without = sandwich(fit.events, fit.information, None, leverage=False)
-    without = result._replace(variability=without.variability * result.factor**2)
-    return 1.0 - deviations(without) / deviations(result)
+    without = sandwich(peak.fit.events, peak.fit.information, None, leverage=False)
+    without = peak.sandwich._replace(variability=without.variability * peak.sandwich.factor**2)
+    return 1.0 - deviations(without) / deviations(peak.sandwich)
 
 
 def table(found: xr.Dataset) -> dict:
@@ -219,62 +289,11 @@ def table(found: xr.Dataset) -> dict:
     return {"growth": found.attrs["growth"], "sentence": sentence(found.attrs["growth"]), "parameters": rows}
 
 
-def calibrated_mode(adjusted, mode, others, settings, rng) -> Part:
-    """The posterior around a maximum; each is a fit and its sandwich."""
-    model, (fit, result), d = adjusted.model, mode, len(mode[0].w)
-    shape = shape_of(fit, result)
-    elsewhere = np.reshape([fit.w for fit, _ in others], (-1, d))
-    precisions = np.reshape([result.precision for _, result in others], (-1, d, d))
-    adjusted.set(shape, result.precision, elsewhere, precisions)
-    found = Search(bell(model, *expected(fit, result), rng), 0, 0, NO_CLIMBS)
-    idata = sample_from(found, model, Unconstrained(model), **settings)
-    idata["sample_stats"].attrs |= {"power": shape.power}
-    logp = population_logp(model, model.initial_point(), settings.get("compile_kwargs") or {})
-    return Part(idata, shape.power, logp(fit.z[None])[1][0] / shape.power)
-
-
-def expected(fit, result):
-    """Where the calibrated likelihood is expected (d,), and its precision (d, d), unconstrained.
-
-    Parameters near a bound have mean and width of the normal distribution cut off; others follow.
-    """
-    precision, mean = result.precision, free_maximum(fit, result)
-    f, b = np.flatnonzero(~fit.coordinates.near), np.flatnonzero(fit.coordinates.near)
-    sd = np.sqrt(np.diag(result.covariance)[b])
-    low, high = ((ends[b] - mean[b]) / sd for ends in fit.coordinates.limits)
-    w, (within, variance) = mean.copy(), truncnorm.stats(low, high, mean[b], sd)
-    w[b] = within
-    whiten = whitening(precision[np.ix_(f, f)])
-    follow = -whiten @ whiten.T @ precision[np.ix_(f, b)]
-    w[f] += follow @ (w[b] - mean[b])
-    precision[np.ix_(b, b)] = np.diag(1.0 / variance) - precision[np.ix_(b, f)] @ follow
-    z = fit.coordinates.unconstrained(w)
-    slopes = fit.coordinates.slopes(z)
-    return z, precision * np.outer(slopes, slopes)
-
-
-def curved(predictions, fit, result: Sandwich) -> Sandwich:
-    """The sandwich with the likelihood's own curvature as A, where that is positive.
-
-    It is measured along the axes of A, of parameters that are not near a bound: where they are correlated, a
-    change of one of them alone by its standard deviation leads far away.
-    """
-    free = ~fit.coordinates.near
-    whiten = whitening(result.information * np.outer(free, free))
-    widths = np.sqrt(np.diag(whiten.T @ result.variability @ whiten))
-    steps = CURVED * np.minimum(widths, 1.0)
-    relative = hessian(predictions, fit, (whiten * steps).T) / np.outer(steps, steps)
-    unwhiten = whiten.T @ (result.information * free)
-    information = result.information + unwhiten.T @ (relative - np.eye(len(steps))) @ unwhiten
-    if not np.linalg.eigvalsh(relative).min(initial=np.inf) > 0:
-        return result
-    return result._replace(information=information)
-
-
-def bell(model, point, precision, rng) -> Reference:
+def bell(model, peak: Peak, rng) -> Reference:
     """What to draw from first: a bell of the likelihood's wanted width, no wider than the prior."""
     prior = prior_points(model, PRIOR_DRAWS, rng)
     centre, scale = prior.mean(axis=0), prior.std(axis=0)
-    covariance = np.linalg.inv(precision + np.diag(scale**-2.0))
+    slopes = peak.fit.coordinates.slopes(peak.fit.z)
+    covariance = np.linalg.inv(peak.sandwich.precision * np.outer(slopes, slopes) + np.diag(scale**-2.0))
     factor = np.linalg.cholesky(covariance / np.outer(scale, scale))
-    return Reference([Mode((point - centre) / scale, factor, 0.0, 1)], centre, scale)
+    return Reference([Mode((peak.fit.z - centre) / scale, factor, 0.0, 1)], centre, scale)

@@ -264,23 +264,3 @@ def of_base_noise(predictions, fit: Fit, sd: float) -> np.ndarray:
             sum(np.einsum("stp,st->p", e.sensitivities, x) for e, x in zip(fit.events, off, strict=True))
         )
     return np.einsum("np,nq->pq", scores, scores) / REALISATIONS
-
-
-def hessian(predictions, fit: Fit, axes) -> np.ndarray:
-    """Minus the second derivatives (k, k) of the log-likelihood at a fit along axes (k, d).
-
-    By differences over the length of the axes, and by this length.
-    """
-
-    def value(w):
-        return log_likelihood(predictions(fit.coordinates.unconstrained(w)))
-
-    w = fit.w
-    here = value(w)
-    sides = np.reshape([value(w + sign * axis) for axis in axes for sign in (1.0, -1.0)], (len(axes), 2))
-    result = np.diag(2.0 * here - sides.sum(axis=1))
-    for i in range(len(axes)):
-        for j in range(i):
-            both = value(w + axes[i] + axes[j]) + value(w - axes[i] - axes[j])
-            result[i, j] = result[j, i] = 0.5 * (sides[i].sum() + sides[j].sum() - both) - here
-    return result

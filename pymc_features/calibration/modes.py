@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from pymc_features.calibration.adjusted import stretching
 from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.effective import (
     best_fit,
@@ -15,19 +14,12 @@ from pymc_features.calibration.effective import (
 )
 from pymc_features.calibration.fit import Fit, log_likelihood
 from pymc_features.calibration.sandwich import Sandwich, sandwich
+from pymc_features.calibration.stretched import stretching
 
 CLIMBS = 4  # from the draws that are farthest from what has been climbed from or to
 CANDIDATES = 100  # draws that these are chosen from
 DISTINCT = 3.0  # standard deviations, by the residuals, between maxima that are not one
 LIGHTEST = 1e-3  # weight of a mode that is left out
-
-
-class Part(NamedTuple):
-    """The posterior around one maximum, its power, and the log-likelihood there."""
-
-    idata: xr.DataTree
-    power: float
-    height: float
 
 
 class Peak(NamedTuple):
@@ -37,16 +29,29 @@ class Peak(NamedTuple):
     height: float
     sandwich: Sandwich
 
-    def distance(self, z) -> float:
-        """Standard deviations between the maximum and an unconstrained point (d,)."""
+    def distance(self, z) -> np.ndarray:
+        """Standard deviations (...,) between the maximum and unconstrained points (..., d)."""
         apart = self.fit.coordinates.of(z) - self.fit.w
-        return float(np.sqrt(apart @ self.sandwich.precision @ apart))
+        return np.sqrt(np.einsum("...i,ij,...j->...", apart, self.sandwich.precision, apart))
 
 
-def distinct_fits(predictions, idata, rng) -> list[Fit]:
+class Part(NamedTuple):
+    """The posterior around one maximum, the power of its likelihood, and the log-likelihood there."""
+
+    idata: xr.DataTree
+    power: float
+    height: float
+
+
+def distinct_peaks(predictions, idata, model_error, rng) -> list[Peak]:
     """Maxima of the likelihood that draws of a posterior lead to and that may matter, the highest first."""
     model = predictions.model
-    peaks = [peak_of(predictions, best_fit(predictions, starting_points(model, idata, "idata"), rng))]
+
+    def peak_of(fit):
+        height = log_likelihood(predictions(fit.z))
+        return Peak(fit, height, sandwich(fit.events, fit.information, model_error))
+
+    peaks = [peak_of(best_fit(predictions, starting_points(model, idata, "idata"), rng))]
     draws = some_draws(model, idata["posterior"].to_dataset(), CANDIDATES)
     scale = draws.std(axis=0)
     scale[scale == 0.0] = 1.0
@@ -54,19 +59,13 @@ def distinct_fits(predictions, idata, rng) -> list[Fit]:
     for _ in range(min(CLIMBS, len(draws) - 1)):
         distances = ((draws[:, None] - np.array(known)) / scale) ** 2
         start = draws[distances.sum(axis=2).min(axis=1).argmax()]
-        fit = climb_likelihood(predictions, start)
+        fit = with_noise(climb_likelihood(predictions, start))
         known += [start, fit.z]
-        peak = peak_of(predictions, fit)
+        peak = peak_of(fit)
         if all(min(other.distance(fit.z), peak.distance(other.fit.z)) > DISTINCT for other in peaks):
             peaks.append(peak)
     peaks.sort(key=lambda peak: -peak.height)
-    return [peak.fit for peak, weight in zip(peaks, rough_weights(peaks), strict=True) if weight > LIGHTEST]
-
-
-def peak_of(predictions, fit) -> Peak:
-    """A maximum with what its residuals say."""
-    fit = with_noise(fit)
-    return Peak(fit, log_likelihood(predictions(fit.z)), sandwich(fit.events, fit.information))
+    return [peak for peak, weight in zip(peaks, rough_weights(peaks), strict=True) if weight > LIGHTEST]
 
 
 def rough_weights(peaks):
@@ -108,11 +107,15 @@ def mixed(posteriors, weights, rng):
     n_chains, n_draws = (posteriors[0].sizes[dim] for dim in ("chain", "draw"))
     mode = np.stack([shares(weights, n_draws, rng) for _ in range(n_chains)])
     place = np.stack([rng.permutation(n_draws) for _ in range(n_chains)])
-    chain = np.repeat(np.arange(n_chains)[:, None], n_draws, axis=1)
-    at = {"_part": mode, "draw": place, "chain": chain}
+    return chosen(xr.concat(posteriors, "_part", join="override"), place, _part=mode), mode
+
+
+def chosen(posterior, place, **more) -> xr.DataTree:
+    """Draws of a posterior at places (chain, draw) of their chains, and of other dimensions."""
+    at = {"draw": place, "chain": np.arange(len(place))[:, None].repeat(place.shape[1], axis=1), **more}
     at = {name: xr.DataArray(x, dims=("chain", "draw")) for name, x in at.items()}
-    chosen = xr.concat(posteriors, "_part", join="override").isel(at).transpose("chain", "draw", ...)
-    return xr.DataTree(chosen.assign_coords(posteriors[0].coords)), mode
+    draws = posterior.isel(at).transpose("chain", "draw", ...)
+    return xr.DataTree(draws.assign_coords({name: posterior[name] for name in ("chain", "draw")}))
 
 
 def mode_weights(parts) -> np.ndarray:

@@ -158,9 +158,10 @@ def sample(
 def sample_from(found: "Search", model, space, **settings) -> xr.DataTree:
     """Runs that begin with what climbs have found, and a summary of them; see `sample`."""
     settings = {"compute_convergence_checks": False, "gradients": not found.no_gradient} | settings
+    settings = {"kernel": PersistentSMC, "reference": found.reference} | settings
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "PersistentSMC ended", SamplingWarning)  # `advice` says it
-        idata = sample_again(space, kernel=PersistentSMC, reference=found.reference, model=model, **settings)
+        idata = sample_again(space, model=model, **settings)
     modes = [] if found.reference is None else found.reference.modes
     is_maximum = np.array([mode.is_maximum for mode in modes], dtype=bool)
     if is_maximum.any():

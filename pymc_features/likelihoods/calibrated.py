@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pymc_features.calibration.adjusted import stretching
+from pymc_features.calibration.stretched import stretching
 from pymc_features.calibration.fit import Event
 from pymc_features.calibration.sandwich import sandwich
 from pymc_features.likelihoods.exact.quadrature import Exponents, Stretch, exact_posterior

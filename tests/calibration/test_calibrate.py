@@ -17,7 +17,7 @@ from pymc_features import (
     calibrate,
     effective_samples,
 )
-from pymc_features.calibration.adjusted import stretching
+from pymc_features.calibration.stretched import stretching
 from pymc_features.calibration.calibrate import far_away
 from pymc_features.calibration.coordinates import Coordinates
 from pymc_features.calibration.fit import Fit
