@@ -4,7 +4,6 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.special import expit
 
-from pymc_features.calibration.coordinates import Coordinates
 from pymc_features.calibration.fit import (
     Fit,
     events_at,
@@ -42,7 +41,7 @@ def climb_likelihood(predictions, z) -> Fit:
     value, damping, last = log_likelihood(here), 1e-6, np.inf
     if value == -np.inf:
         raise ValueError("the fit must start where the likelihood is finite. Pass another `idata`.")
-    coordinates, central = Coordinates.plain(predictions.sides), False
+    coordinates, central = predictions.coordinates, False
     events = events_at(predictions, z, np.full(len(z), NARROW), here, coordinates, central)
     coordinates, w, events, _ = bounded(Fit(coordinates, z, events, 0), start)
     at = w

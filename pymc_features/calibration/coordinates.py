@@ -13,6 +13,7 @@ from pymc.distributions import transforms
 from scipy.special import expit, logit
 
 EDGE = 1e-9  # of these distances: as near to a bound as a climb gets
+LARGEST = 700.0  # logarithm of a number
 BEYOND = 800.0  # unconstrained, so far out that the bound itself is what is meant
 
 
@@ -26,7 +27,7 @@ class Coordinates(NamedTuple):
     near : bool array (d,)
         Whether it is measured from a bound.
     origin : array (d,)
-        z where the distance from an only bound is one.
+        z where the distance from an only bound is one: of the model's initial point.
     """
 
     sides: np.ndarray
@@ -34,9 +35,9 @@ class Coordinates(NamedTuple):
     origin: np.ndarray
 
     @classmethod
-    def plain(cls, sides) -> "Coordinates":
+    def plain(cls, sides, origin) -> "Coordinates":
         """Unconstrained parameters."""
-        return cls(sides, np.zeros(len(sides), dtype=bool), np.zeros(len(sides)))
+        return cls(sides, np.zeros(len(sides), dtype=bool), origin)
 
     def of(self, z) -> np.ndarray:
         """Coordinates of an unconstrained point."""
@@ -49,7 +50,8 @@ class Coordinates(NamedTuple):
 
     def distance(self, z) -> np.ndarray:
         """From the lower or only bound, of every parameter that has one."""
-        return np.where(self.sides == 2, expit(z), np.exp(np.where(self.sides == 1, z - self.origin, 0.0)))
+        one = np.where(self.sides == 1, np.minimum(z - self.origin, LARGEST), 0.0)
+        return np.where(self.sides == 2, expit(z), np.exp(one))
 
     def own_slopes(self, z) -> np.ndarray:
         """Derivatives of these distances by z."""
@@ -59,10 +61,6 @@ class Coordinates(NamedTuple):
     def slopes(self, z) -> np.ndarray:
         """Derivatives (d,) of the coordinates by z."""
         return np.where(self.near, self.own_slopes(z), 1.0)
-
-    def moved(self, near, z) -> "Coordinates":
-        """Others, with some parameters measured from their bounds, an only one in units of its distance."""
-        return Coordinates(self.sides, near & (self.sides > 0), np.where(self.sides == 1, z, 0.0))
 
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:

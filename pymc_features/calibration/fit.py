@@ -112,7 +112,7 @@ class Fit(NamedTuple):
     def measured_from_bounds(self, near) -> "Fit":
         """The same point in coordinates where some parameters (d,) are measured from a bound."""
         z, old = self.z, self.coordinates
-        new = old.moved(near, z)
+        new = old._replace(near=near & (old.sides > 0))
         ratio = old.slopes(z) / new.slopes(z)
         events = [
             e._replace(sensitivities=e.sensitivities * ratio, of_scale=e.of_scale * ratio)
@@ -132,7 +132,8 @@ class Predictions:
     def __init__(self, model):
         if not model.observed_RVs:
             raise ValueError("`model` must have observed variables, got none.")
-        self.model, self.space, self.sides = model, Unconstrained(model), sides_of(model)
+        self.model, self.space = model, Unconstrained(model)
+        self.coordinates = Coordinates.plain(sides_of(model), self.space.join(self.space.point))
         self.names = [rv.name for rv in model.observed_RVs]
         parts = [comparison(rv.owner.op, rv, model.rvs_to_values[rv]) for rv in model.observed_RVs]
         check_gaps(model)
@@ -201,7 +202,7 @@ def events_at(predictions, w, steps, here, coordinates=None, central=True) -> li
     `here` are the predictions at the point. Coordinates are unconstrained parameters by default; differences
     do not leave their limits.
     """
-    coordinates = coordinates or Coordinates.plain(np.zeros(len(w), dtype=int))
+    coordinates = coordinates or predictions.coordinates
     low, high = coordinates.limits
     up = np.minimum(w + steps, high)
     down = np.where(central | (up == w), np.maximum(w - steps, low), w)

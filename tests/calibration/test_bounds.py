@@ -195,9 +195,10 @@ def test_coordinates():
     """There and back, and slopes by differences."""
     sides = np.array([0, 1, 2, 1, 2])
     z = np.array([0.3, -2.0, 1.5, 0.7, -4.0])
-    some = Coordinates.plain(sides).moved(np.array([True, True, True, False, True]), z + 0.1)
+    some = Coordinates(sides, (sides > 0) & [True, True, True, False, True], z + 0.1)
     assert some.near.tolist() == [False, True, True, False, True]
     np.testing.assert_allclose(some.unconstrained(some.of(z)), z)
+    assert np.isfinite(some.distance(z + 2000.0)).all()
     slopes = [(some.of(z + h) - some.of(z - h)) / 2e-6 for h in 1e-6 * np.eye(5)]
     np.testing.assert_allclose(np.diag(slopes), some.slopes(z), rtol=1e-6)
 
