@@ -17,6 +17,7 @@ from benchmarks import truth
 from benchmarks.coverage.errors import first_order
 from benchmarks.tables import table
 from pymc_features.calibration.climb import climb_likelihood
+from pymc_features.calibration.coordinates import Coordinates
 from pymc_features.calibration.fit import of_base_noise
 from pymc_features.calibration.sandwich import sandwich, wider
 
@@ -189,7 +190,8 @@ class Predictions:
     def __init__(self, family, record, data):
         self.family, self.record, self.data = family, record, data
         self.names, self.steps, self.count = ["y"], [1.0 / RATE], 0
-        self.sides = np.zeros(family.n_groups + 2, dtype=int)
+        n = family.n_groups + 2
+        self.coordinates = Coordinates.plain(np.zeros(n, dtype=int), np.zeros(n))
 
     def structure(self, w):
         """The model at factors."""
