@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.calibration.adjusted import Shape, shape_of
 from pymc_features.calibration.calibrate import curved, near_bounds
 from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.coordinates import Coordinates
+from pymc_features.calibration.modes import Peak
 from pymc_features.calibration.sandwich import sandwich
+from pymc_features.calibration.stretched import Stretched
 from pymc_features.smc.proposals.proposal import StudentT
 
 PROBABILITY = 0.9
@@ -124,12 +124,11 @@ def fitted(draws, log_weights, proposal) -> StudentT:
 class Calibrated(NamedTuple):
     """The likelihood that `calibrate` would sample.
 
-    Shape and coordinates, maximum (d,), and factors (d, d) of the covariances that the residuals support and
-    that the likelihood claims, in coordinates.
+    The maximum and its sandwich, the maximum (d,), and factors (d, d) of the covariances that the residuals
+    support and that the likelihood claims.
     """
 
-    shape: Shape
-    coordinates: Coordinates
+    peak: Peak
     point: np.ndarray
     factor: np.ndarray
     claimed_factor: np.ndarray
@@ -138,22 +137,22 @@ class Calibrated(NamedTuple):
 
     def density(self, log_prior, log_likelihood):
         """Log-density of unconstrained points (n, d), where no parameter is near a bound."""
-        power, point, origin, matrix, _, _ = self.shape
-
-        def log_density(z):
-            return log_prior(z) + power * log_likelihood(origin + (z - point) @ matrix.T)
-
-        return log_density
+        stretched = Stretched(
+            lambda z: (log_prior(z),),
+            lambda z: (None, log_likelihood(z), np.zeros(len(z), dtype=bool)),
+            self.peak,
+        )
+        return lambda z: np.sum(stretched(z)[:2], axis=0)
 
 
 def calibrated(predictions, z, n_parameters, model_error="bands") -> Calibrated:
     """The steps of `calibrate` for a likelihood with its maximum near z (d,)."""
     fit = climb_likelihood(predictions, z)
     fit = fit.measured_from_bounds(near_bounds(fit, sandwich(fit.events, fit.information, model_error)))
-    result = curved(predictions, fit, sandwich(fit.events, fit.information, model_error))
+    result, _ = curved(predictions, fit, sandwich(fit.events, fit.information, model_error))
     claims, covariance = (m[:n_parameters, :n_parameters] for m in (result.claims, result.covariance))
     ratio = np.linalg.slogdet(claims)[1] - np.linalg.slogdet(covariance)[1]
     claimed = sum(float(event.claimed.sum()) for event in fit.events)
     factors = (np.linalg.cholesky(m) for m in (result.covariance, result.claims))
     n_eff = claimed * np.exp(ratio / n_parameters)
-    return Calibrated(shape_of(fit, result), fit.coordinates, fit.z, *factors, n_eff, result.growth)
+    return Calibrated(Peak(fit, 0.0, result), fit.z, *factors, n_eff, result.growth)

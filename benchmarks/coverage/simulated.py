@@ -5,6 +5,7 @@ import numpy as np
 import pymc_features as pmf
 from benchmarks.coverage.chain import N_FACTORS, PRIOR_WIDTH, structure
 from benchmarks.coverage.intervals import calibrated, of_density
+from pymc_features.calibration.coordinates import Coordinates
 from pymc_features.study.misfits import computed_sums
 
 LARGEST = 10.0  # |ln theta| that is tried
@@ -16,7 +17,7 @@ class Predictions:
     def __init__(self, record, data, dt):
         self.record, self.data, self.dt = record, data, dt
         self.names, self.steps, self.count = ["y"], [dt], 0
-        self.sides = np.zeros(N_FACTORS + 1, dtype=int)
+        self.coordinates = Coordinates.plain(np.zeros(N_FACTORS + 1, dtype=int), np.zeros(N_FACTORS + 1))
 
     def __call__(self, z):
         """mu, observed, scale, ln s, claimed and decay of the only likelihood, at a point (4,)."""

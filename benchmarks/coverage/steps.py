@@ -60,5 +60,5 @@ def widths(data, finest, multiplier):
     some = np.ascontiguousarray(data[:, ::stride])
     predictions = Predictions(record(RATE), some, dt)
     fit = climb_likelihood(predictions, start_of(record(RATE), some, dt))
-    result = curved(predictions, fit, sandwich(fit.events, fit.information))
+    result, _ = curved(predictions, fit, sandwich(fit.events, fit.information))
     return [np.sqrt(np.diag(m)[:N_FACTORS]).mean() for m in (result.claims, result.covariance)]

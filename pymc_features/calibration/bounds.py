@@ -38,18 +38,25 @@ def near_bounds(fit: Fit, result: Sandwich) -> np.ndarray:
     return (fit.pushing != 0) | (of_response & (room < NEAR))
 
 
-def bounds_of(predictions, fit: Fit, result: Sandwich) -> dict[str, np.ndarray]:
-    """Of each parameter (d,): `near_bound`; the nearest `bound`, NaN of others; `room`, how many standard
-    deviations within it the free maximum lies, negative beyond; on the parameter's own scale.
+def own_scale(predictions, fit: Fit, result: Sandwich) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """What is said of parameters (d,) near a bound, on their own scale, and the units of coordinates there.
+
+    `point`, the maximum; `near_bound`; the nearest `bound`, NaN of others; `room`, how many standard
+    deviations within it the free maximum lies, negative beyond.
     """
-    near, free, sd = fit.coordinates.near, free_maximum(fit, result), deviations(result)
-    low, high = fit.coordinates.limits
-    to_low, to_high = (free - low) / sd, (high - free) / sd
-    room = np.where(near, np.minimum(to_low, to_high), np.nan)
-    bound = np.full(len(near), np.nan)
-    for i in np.flatnonzero(near):
-        bound[i] = own_value(predictions, fit, i, -BEYOND if to_low[i] < to_high[i] else BEYOND)
-    return {"near_bound": near, "bound": bound, "room": room}
+    coordinates, near, space = fit.coordinates, fit.coordinates.near, predictions.space
+    far = np.where(coordinates.sides == 2, BEYOND, coordinates.origin)
+    values = space.variables(np.where(near, [np.full(len(far), -BEYOND), far], fit.z))
+    low, high = np.hstack([values[rv.name].reshape(2, -1) for rv in predictions.model.free_RVs])
+    free, sd, units = free_maximum(fit, result), deviations(result), np.where(near, high - low, 1.0)
+    to_low, to_high = ((free - coordinates.limits[0]) / sd, (coordinates.limits[1] - free) / sd)
+    found = {
+        "point": np.where(near, low + units * fit.w, fit.w),
+        "near_bound": near,
+        "bound": np.where(near, np.where(to_low < to_high, low, high), np.nan),
+        "room": np.where(near, np.minimum(to_low, to_high), np.nan),
+    }
+    return found, units
 
 
 def warn_beyond(found):
@@ -66,29 +73,6 @@ def warn_beyond(found):
             )
 
 
-def own_scale(predictions, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """The maximum (d,), of parameters near a bound on their own scale, and the units of coordinates there."""
-    point, units = fit.w.copy(), np.ones(len(fit.w))
-    for i in np.flatnonzero(fit.coordinates.near):
-        far = BEYOND if fit.coordinates.sides[i] == 2 else fit.coordinates.origin[i]
-        bound, there = (own_value(predictions, fit, i, z) for z in (-BEYOND, far))
-        units[i] = there - bound
-        point[i] = bound + units[i] * fit.w[i]
-    return point, units
-
-
-def own_value(predictions, fit: Fit, i, z) -> float:
-    """A parameter on its own scale, where its unconstrained value is z."""
-    space, first = predictions.space, 0
-    values = space.variables([np.where(np.arange(len(fit.w)) == i, z, fit.z)])
-    for rv in predictions.model.free_RVs:
-        size = int(np.prod(space.shapes[predictions.model.rvs_to_values[rv].name], dtype=int))
-        if i < first + size:
-            return float(np.ravel(values[rv.name])[i - first])
-        first += size
-    raise IndexError(i)
-
-
 def interval(draws, probability=0.9, bound=None) -> tuple[float, float]:
     """Equal-tailed interval of draws (n,), or, next to a bound, the shortest: an equal-tailed one never
     contains the bound.
@@ -99,8 +83,8 @@ def interval(draws, probability=0.9, bound=None) -> tuple[float, float]:
     n = int(np.ceil(probability * len(x)))
     first = int(np.argmin(x[n - 1 :] - x[: len(x) - n + 1]))
     low, high = x[first], x[first + n - 1]
-    if np.mean((x > min(high, bound)) & (x < max(high, bound))) < FEW and bound >= high:
+    if bound >= high and np.mean((x > high) & (x < bound)) < FEW:
         high = bound
-    if np.mean((x > min(low, bound)) & (x < max(low, bound))) < FEW and bound <= low:
+    if bound <= low and np.mean((x > bound) & (x < low)) < FEW:
         low = bound
     return float(low), float(high)

@@ -20,7 +20,7 @@ from pymc_features.calibration.bounds import deviations, near_bounds, warn_beyon
 from pymc_features.calibration.effective import described
 from pymc_features.calibration.fit import Predictions, of_base_noise, residuals_of
 from pymc_features.calibration.modes import Part, Peak, chosen, distinct_peaks, pooled
-from pymc_features.calibration.sandwich import sandwich, sentence, whitening, wider
+from pymc_features.calibration.sandwich import Sandwich, sandwich, sentence, whitening, wider
 from pymc_features.calibration.stretched import (
     Expansion,
     Stretched,
@@ -146,8 +146,14 @@ def calibrate(
     near = np.any([near_bounds(peak.fit, peak.sandwich) for peak in peaks], axis=0)
     if near.any():  # a bell does not follow how others depend on these
         settings.setdefault("stage_draws", NEAR_BOUND_DRAWS)
-    found = [wide(predictions, peak, near, model_error, base_noise) for peak in peaks]
-    peaks, expansions = zip(*found, strict=True)
+    expansions: list = [None] * len(peaks)
+    for i, peak in enumerate(peaks):
+        fit = peak.fit.measured_from_bounds(near)
+        result, expansion = curved(predictions, fit, sandwich(fit.events, fit.information, model_error))
+        if base_noise is not None:
+            noise = of_base_noise(predictions, fit, base_noise)
+            result = result._replace(variability=wider(result.variability, noise))
+        peaks[i], expansions[i] = Peak(fit, peak.height, result), expansion
     prior, likelihood = prior_and_likelihood(model, settings.get("compile_kwargs") or {})
     parts = []
     with open_workers(settings.pop("executor", None)) as workers:
@@ -172,29 +178,23 @@ def calibrate(
     return calibrated
 
 
-def wide(predictions, peak, near, model_error, base_noise) -> tuple[Peak, Expansion | None]:
-    """A peak with the width that residuals and curvature give it, some parameters measured from bounds (d,).
+def curved(predictions, fit, result: Sandwich) -> tuple[Sandwich, Expansion | None]:
+    """The sandwich with the likelihood's own curvature as A, where that is positive, and its expansion.
 
-    The curvature is measured along the axes of A, of parameters that are not near a bound: where they are
-    correlated, a change of one of them alone by its standard deviation leads far away. It is that of the
-    likelihood where it is positive.
+    Both are along the axes of A, of parameters that are not near a bound: where they are correlated, a change
+    of one of them alone by its standard deviation leads far away.
     """
-    fit = peak.fit.measured_from_bounds(near)
-    result = sandwich(fit.events, fit.information, model_error)
     free = ~fit.coordinates.near
     whiten = whitening(result.information * np.outer(free, free))
     widths = np.sqrt(np.diag(whiten.T @ result.variability @ whiten))
     steps = CURVED * np.minimum(widths, 1.0)
     relative, expansion = expanded(predictions, fit, (whiten * steps).T)
     relative /= np.outer(steps, steps)
-    if np.linalg.eigvalsh(relative).min(initial=np.inf) > 0:
-        unwhiten = whiten.T @ (result.information * free)
-        more = unwhiten.T @ (relative - np.eye(len(steps))) @ unwhiten
-        result = result._replace(information=result.information + more)
-    if base_noise is not None:
-        noise = of_base_noise(predictions, fit, base_noise)
-        result = result._replace(variability=wider(result.variability, noise))
-    return Peak(fit, peak.height, result), expansion
+    if not np.linalg.eigvalsh(relative).min(initial=np.inf) > 0:
+        return result, expansion
+    unwhiten = whiten.T @ (result.information * free)
+    more = unwhiten.T @ (relative - np.eye(len(steps))) @ unwhiten
+    return result._replace(information=result.information + more), expansion
 
 
 def calibrated_mode(model, target: Stretched, expansion, settings, rng) -> xr.DataTree:

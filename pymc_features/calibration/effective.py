@@ -7,7 +7,7 @@ import pymc as pm
 import xarray as xr
 
 from pymc_features._checks import check_group, check_model, check_seed
-from pymc_features.calibration.bounds import bounds_of, own_scale
+from pymc_features.calibration.bounds import own_scale
 from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.fit import Fit, Predictions, log_likelihood
 from pymc_features.calibration.sandwich import Sandwich, known, sandwich, whitening
@@ -145,21 +145,12 @@ def with_noise(fit: Fit) -> Fit:
 
 
 def of_sensor(event, j) -> float:
-    """Observations that the residuals of one sensor support."""
-    alone = event._replace(
-        residuals=event.residuals[[j]],
-        sensitivities=event.sensitivities[[j]],
-        of_scale=np.zeros_like(event.of_scale[[j]]),
-        response=event.response[[j]],
-        claimed=event.claimed[[j]],
-        measured=None if event.measured is None else event.measured[[j]],
-        frequencies=None,
-    )
-    information = np.einsum("stp,stq->pq", alone.sensitivities, alone.sensitivities)
-    squares = float((alone.residuals**2).sum())
-    if not information.any():
+    """Observations that the residuals of one sensor support; NaN where no parameter changes its response."""
+    alone = event.of_sensor(j)
+    if not (information := alone.of_response).any():
         return np.nan
-    return squares / np.exp(np.mean(np.log(ratios(information, sandwich([alone], information).variability))))
+    varies = ratios(information, sandwich([alone], information).variability)
+    return float((alone.residuals**2).sum() / np.exp(np.mean(np.log(varies))))
 
 
 def ratios(information, variability) -> np.ndarray:
@@ -170,59 +161,49 @@ def ratios(information, variability) -> np.ndarray:
 
 def described(predictions, fit: Fit, result: Sandwich) -> xr.Dataset:
     """The Dataset of `effective_samples`."""
-    names = coordinate_names(predictions.model, predictions.space)
-    squares = sum(float((event.residuals**2).sum()) for event in fit.events)
-    claimed = sum(float(event.claimed.sum()) for event in fit.events)
-    of_response = sum(
-        np.einsum("stp,stq->pq", event.sensitivities, event.sensitivities, optimize=True)
-        for event in fit.events
-    )
+    events = fit.events
+    claimed = sum(float(event.claimed.sum()) for event in events)
+    of_response = sum(event.of_response for event in events)
     if not known(of_response).size:
         raise ValueError("`model` must have parameters that change the response, got none.")
     whiten = whitening(of_response)
-    of_models = result.factor**2 * sum(m.variability for m in result.models)
+    of_models = result.factor**2 * sum(model.variability for model in result.models)
     values, vectors = np.linalg.eigh(whiten.T @ of_models @ whiten)
     directions = (whiten @ vectors).T[::-1]
+    squares = sum(float((event.residuals**2).sum()) for event in events)
     n_direction = squares / values[::-1].clip(min=np.finfo(float).tiny)
     claims, covariance = covariances(result)
-    point, units = own_scale(predictions, fit)
-    parameters = {
-        "n_eff_parameter": claimed * np.diag(claims) / np.diag(covariance),
-        "standard_deviation": np.sqrt(np.diag(covariance)) * np.abs(units),
-        "claimed_standard_deviation": np.sqrt(np.diag(claims)) * np.abs(units),
-        "point": point,
-        "changes_response": np.isin(np.arange(len(fit.z)), known(of_response)),
-        **bounds_of(predictions, fit, result),
-    }
-    matrices = {
-        "information": result.information / np.outer(units, units),
-        "variability": result.variability / np.outer(units, units),
-        "covariance": covariance * np.outer(units, units),
-    }
+    of_bounds, units = own_scale(predictions, fit, result)
+    by_sensor = [(e, m, j) for e, m in zip(events, result.models, strict=True) for j in range(len(e.claimed))]
     persists(fit, result)
-    return xr.Dataset(
-        of_sensors(fit, result)
-        | {name: ("parameter", x) for name, x in parameters.items()}
-        | {name: (("parameter", "parameter_"), x) for name, x in matrices.items()}
-        | {
-            "n_eff_direction": ("direction", n_direction),
-            "direction_vector": (
-                ("direction", "parameter"),
-                directions / np.linalg.norm(directions, axis=1, keepdims=True),
-            ),
-        },
-        coords={
-            "parameter": names,
-            "parameter_": names,
-            "sensor": [f"{event.name}[{j}]" for event in fit.events for j in range(len(event.claimed))],
-        },
-        attrs={
-            "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
-            "claimed": claimed,
-            "n_evaluations": fit.n_evaluations,
-            "growth": result.growth,
-        },
-    )
+    names, square = coordinate_names(predictions.model, predictions.space), np.outer(units, units)
+    variables = {
+        "n_eff": ("sensor", [of_sensor(event, j) for event, _, j in by_sensor]),
+        "claimed": ("sensor", [event.claimed[j] for event, _, j in by_sensor]),
+        "time_constant": ("sensor", [model.memory * event.step for event, model, _ in by_sensor]),
+        "follows_response": ("sensor", [model.follows_response[j] for _, model, j in by_sensor]),
+        "n_eff_parameter": ("parameter", claimed * np.diag(claims) / np.diag(covariance)),
+        "standard_deviation": ("parameter", np.sqrt(np.diag(covariance)) * np.abs(units)),
+        "claimed_standard_deviation": ("parameter", np.sqrt(np.diag(claims)) * np.abs(units)),
+        "changes_response": ("parameter", np.isin(np.arange(len(units)), known(of_response))),
+        **{name: ("parameter", x) for name, x in of_bounds.items()},
+        "information": (("parameter", "parameter_"), result.information / square),
+        "variability": (("parameter", "parameter_"), result.variability / square),
+        "covariance": (("parameter", "parameter_"), covariance * square),
+        "n_eff_direction": ("direction", n_direction),
+        "direction_vector": (
+            ("direction", "parameter"),
+            directions / np.linalg.norm(directions, axis=1, keepdims=True),
+        ),
+    }
+    sensors = [f"{event.name}[{j}]" for event, _, j in by_sensor]
+    attrs = {
+        "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
+        "claimed": claimed,
+        "n_evaluations": fit.n_evaluations,
+        "growth": result.growth,
+    }
+    return xr.Dataset(variables, {"parameter": names, "parameter_": names, "sensor": sensors}, attrs)
 
 
 def covariances(result: Sandwich):
@@ -232,21 +213,6 @@ def covariances(result: Sandwich):
     for matrix in (claims, covariance):
         matrix[unknown], matrix[:, unknown] = np.nan, np.nan
     return claims, covariance
-
-
-def of_sensors(fit, result) -> dict:
-    """Variables over the sensors of all events."""
-    events, models = fit.events, result.models
-    n_eff = [of_sensor(event, j) for event in events for j in range(len(event.claimed))]
-    constants = [
-        np.full(len(event.claimed), m.memory * event.step) for event, m in zip(events, models, strict=True)
-    ]
-    return {
-        "n_eff": ("sensor", np.array(n_eff)),
-        "claimed": ("sensor", np.concatenate([event.claimed for event in events])),
-        "time_constant": ("sensor", np.concatenate(constants)),
-        "follows_response": ("sensor", np.concatenate([m.follows_response for m in models])),
-    }
 
 
 def persists(fit, result):

@@ -67,11 +67,22 @@ class Event(NamedTuple):
         return np.einsum("stp,st->p", self.sensitivities, self.residuals) + excess @ self.of_scale
 
     @property
-    def information(self) -> np.ndarray:
-        """Minus its Hessian (parameter, parameter), by Gauss and Newton."""
+    def of_response(self) -> np.ndarray:
+        """Part of the information (parameter, parameter) that comes from the response: sum S S'."""
         flat = self.sensitivities.reshape(-1, self.sensitivities.shape[-1])
+        return flat.T @ flat
+
+    @property
+    def information(self) -> np.ndarray:
+        """Minus the Hessian (parameter, parameter), by Gauss and Newton."""
         squares = (self.residuals**2).sum(axis=1)
-        return flat.T @ flat + 2.0 * (self.of_scale.T * squares) @ self.of_scale
+        return self.of_response + 2.0 * (self.of_scale.T * squares) @ self.of_scale
+
+    def of_sensor(self, j) -> "Event":
+        """What one sensor alone tells of the response."""
+        names = "residuals", "sensitivities", "of_scale", "claimed", "response", "measured"
+        own = {name: None if (x := getattr(self, name)) is None else x[[j]] for name in names}
+        return self._replace(**own | {"of_scale": 0.0 * own["of_scale"], "frequencies": None})
 
 
 class Fit(NamedTuple):

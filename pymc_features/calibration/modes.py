@@ -15,6 +15,7 @@ from pymc_features.calibration.effective import (
 from pymc_features.calibration.fit import Fit, log_likelihood
 from pymc_features.calibration.sandwich import Sandwich, sandwich
 from pymc_features.calibration.stretched import stretching
+from pymc_features.smc.proposals.mixture import equal_draws
 
 CLIMBS = 4  # from the draws that are farthest from what has been climbed from or to
 CANDIDATES = 100  # draws that these are chosen from
@@ -105,7 +106,7 @@ def pooled(parts: list[Part], rng) -> xr.DataTree:
 def mixed(posteriors, weights, rng):
     """Draws of posteriors by their weights, and which they are of (chain, draw)."""
     n_chains, n_draws = (posteriors[0].sizes[dim] for dim in ("chain", "draw"))
-    mode = np.stack([shares(weights, n_draws, rng) for _ in range(n_chains)])
+    mode = np.stack([equal_draws(weights, n_draws, rng) for _ in range(n_chains)])
     place = np.stack([rng.permutation(n_draws) for _ in range(n_chains)])
     return chosen(xr.concat(posteriors, "_part", join="override"), place, _part=mode), mode
 
@@ -127,13 +128,3 @@ def mode_weights(parts) -> np.ndarray:
     ]
     weights = np.exp(np.array(logs) - max(logs))
     return weights / weights.sum()
-
-
-def shares(weights, n, rng):
-    """Modes (n,) as often as their weights say, in random order."""
-    counts = np.floor(weights * n).astype(int)
-    rest = weights * n - counts
-    missing = n - counts.sum()
-    if missing:
-        counts += np.bincount(rng.choice(len(weights), missing, p=rest / rest.sum()), minlength=len(weights))
-    return rng.permutation(np.repeat(np.arange(len(weights)), counts))

@@ -80,7 +80,7 @@ def sandwich(events, information, model_error="bands", leverage=True) -> Sandwic
     `model_error` "bands" lets the width grow where frequency bands disagree, None does not; `leverage` puts
     back what the fit took out of the residuals.
     """
-    whiten = whitening(sum(np.einsum("stp,stq->pq", *[e.sensitivities] * 2, optimize=True) for e in events))
+    whiten = whitening(sum(event.of_response for event in events))
     models, variability = [], 0.0
     for event in events:
         model = error_model(
@@ -112,21 +112,13 @@ def of_scale(event) -> np.ndarray:
     It is a sum over time, so that its covariance is that of N times the mean of a series.
     """
     used = np.flatnonzero(np.abs(event.of_scale).sum(axis=0))
-    d = event.of_scale.shape[1]
-    result = np.zeros((d, d))
-    if not used.size:
-        return result
-    if event.measured is not None:
-        kept, square = event.measured, event.residuals**2
+    result, square = np.zeros((event.of_scale.shape[1],) * 2), event.residuals**2
+    if used.size:
+        kept = np.ones(square.shape) if event.measured is None else event.measured
         series = event.whole(square) - (square.sum(axis=1) / kept.sum(axis=1))[:, None]
         whole = np.repeat(event.of_scale[:, None, used], kept.shape[1], axis=1)
         parts = error_model(series, kept[..., None] * whole, None, whole)
         result[np.ix_(used, used)] = parts.variability
-        return result
-    series = np.einsum("st,sp->pt", event.residuals**2, event.of_scale[:, used])
-    series -= series.mean(axis=1, keepdims=True)
-    constant = np.repeat(np.eye(used.size)[:, None], series.shape[1], axis=1)
-    result[np.ix_(used, used)] = error_model(series, constant, None).variability
     return result
 
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from pymc_features.calibration.stretched import stretching
 from pymc_features.calibration.fit import Event
 from pymc_features.calibration.sandwich import sandwich
+from pymc_features.calibration.stretched import stretching
 from pymc_features.likelihoods.exact.quadrature import Exponents, Stretch, exact_posterior
 from pymc_features.likelihoods.exact.step import PARAMETERS, Reference, rows
 from pymc_features.likelihoods.independent import NORM
