@@ -7,6 +7,7 @@ import numpy as np
 import pymc as pm
 import xarray as xr
 from pymc.util import RandomState
+from scipy.stats import truncnorm
 
 from pymc_features._checks import (
     check_choice,
@@ -16,7 +17,7 @@ from pymc_features._checks import (
     check_positive,
     check_seed,
 )
-from pymc_features.calibration.bounds import deviations, near_bounds, warn_beyond
+from pymc_features.calibration.bounds import deviations, free_maximum, near_bounds, warn_beyond
 from pymc_features.calibration.effective import described
 from pymc_features.calibration.fit import Predictions, of_base_noise, residuals_of
 from pymc_features.calibration.modes import Part, Peak, chosen, distinct_peaks, pooled
@@ -166,7 +167,9 @@ def calibrate(
             warn_beyond(found)
             sampled = calibrated_mode(model, target, expansion, settings, rng)
             sampled["calibration"] = xr.DataTree(found)
-            check_draws(predictions, compared_draws(model, sampled["posterior"]), peak)
+            if (some := compared_draws(model, sampled["posterior"])) is not None:
+                warn_if_far(some, peak)
+                check_explained(predictions, some, peak)
             parts.append(Part(sampled, target.power, peak.height))
     calibrated = pooled(parts, rng)
     calibrated.attrs["calibration"] = json.dumps(table(calibrated["calibration"].to_dataset()))
@@ -239,15 +242,9 @@ def weighed(idata, model, target: Stretched, guess: Stretched, rng) -> xr.DataTr
     return idata
 
 
-def check_draws(predictions, draws, peak: Peak):
-    """Warn if many draws (n, d) are far from the maximum at which the residuals have decided the width.
-
-    Refuse draws whose residuals are larger than their own sigma, and their width, allow.
-    """
-    if draws is None:
-        return
-    fit, result = peak.fit, peak.sandwich
-    directions = np.linalg.matrix_rank(whitening(result.information))
+def warn_if_far(draws, peak: Peak):
+    """Warn if many draws (n, d) are far from the maximum at which the residuals have decided the width."""
+    directions = np.linalg.matrix_rank(whitening(peak.sandwich.information))
     away = np.mean(peak.distance(draws) ** 2 > FAR * directions)
     if away > MANY:
         warnings.warn(
@@ -257,12 +254,16 @@ def check_draws(predictions, draws, peak: Peak):
             CalibrationWarning,
             stacklevel=3,
         )
+
+
+def check_explained(predictions, draws, peak: Peak):
+    """Refuse draws (n, d) whose residuals are larger than their own sigma, and their width, allow."""
     values = [predictions(z) for z in draws[:: max(1, len(draws) // CHECKED)]]
     squares = [
         sum(np.sum(residuals_of(v) ** 2) for v in value) / sum(v[4].sum() for v in value) for value in values
     ]
-    left = sum(np.sum(event.residuals**2) for event in fit.events)
-    wide = 1.0 + np.trace(result.claims @ result.variability) / left
+    left = sum(np.sum(event.residuals**2) for event in peak.fit.events)
+    wide = 1.0 + np.trace(peak.sandwich.claims @ peak.sandwich.variability) / left
     if np.median(squares) > UNEXPLAINED**2 * wide:
         raise ValueError(
             "the calibrated draws must explain the data, got residuals "
@@ -293,7 +294,25 @@ def bell(model, peak: Peak, rng) -> Reference:
     """What to draw from first: a bell of the likelihood's wanted width, no wider than the prior."""
     prior = prior_points(model, PRIOR_DRAWS, rng)
     centre, scale = prior.mean(axis=0), prior.std(axis=0)
-    slopes = peak.fit.coordinates.slopes(peak.fit.z)
-    covariance = np.linalg.inv(peak.sandwich.precision * np.outer(slopes, slopes) + np.diag(scale**-2.0))
+    point, precision = expected(peak.fit, peak.sandwich)
+    covariance = np.linalg.inv(precision + np.diag(scale**-2.0))
     factor = np.linalg.cholesky(covariance / np.outer(scale, scale))
-    return Reference([Mode((peak.fit.z - centre) / scale, factor, 0.0, 1)], centre, scale)
+    return Reference([Mode((point - centre) / scale, factor, 0.0, 1)], centre, scale)
+
+
+def expected(fit, result: Sandwich) -> tuple[np.ndarray, np.ndarray]:
+    """Where the calibrated likelihood is expected (d,), and its precision (d, d), unconstrained.
+
+    Parameters near a bound have mean and width of the normal distribution cut off; others follow.
+    """
+    coordinates, precision, mean = fit.coordinates, result.precision, free_maximum(fit, result)
+    f, b = np.flatnonzero(~coordinates.near), np.flatnonzero(coordinates.near)
+    sd = np.sqrt(np.diag(result.covariance)[b]).clip(min=np.finfo(float).tiny)
+    low, high = ((ends[b] - mean[b]) / sd for ends in coordinates.limits)
+    w, (within, variance) = mean.copy(), truncnorm.stats(low, high, mean[b], sd)
+    whiten = whitening(precision[np.ix_(f, f)])
+    follow = -whiten @ whiten.T @ precision[np.ix_(f, b)]
+    w[b], w[f] = within, w[f] + follow @ (within - mean[b])
+    precision[np.ix_(b, b)] = np.diag(1.0 / variance) - precision[np.ix_(b, f)] @ follow
+    z = coordinates.unconstrained(w)
+    return z, precision * np.outer(coordinates.slopes(z), coordinates.slopes(z))

@@ -191,7 +191,9 @@ def expanded(predictions, fit, axes) -> tuple[np.ndarray, Expansion | None]:
         return np.concatenate(found)
 
     here = value(fit.w)
-    up, down = (np.array([value(fit.w + sign * axis) for axis in axes]) for sign in (1.0, -1.0))
+    up, down = (
+        np.reshape([value(fit.w + sign * axis) for axis in axes], (k, len(here))) for sign in (1.0, -1.0)
+    )
     middle = 0.5 * (up + down) - here
     first, second = np.triu_indices(k)
     pairs = []
