@@ -1,7 +1,9 @@
 """`calibrate`: a posterior as wide as the residuals support, in every direction."""
 
+import contextlib
 import json
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pymc as pm
@@ -33,6 +35,7 @@ from pymc_features.exceptions import CalibrationWarning, SamplingWarning
 from pymc_features.inference.parameters import Unconstrained, posterior_for, to_unconstrained
 from pymc_features.inference.sample import Search, compared_draws, sample_from
 from pymc_features.smc import Reference, open_workers, prior_points
+from pymc_features.smc.kernels.checkpoint import Journal, model_fingerprint
 from pymc_features.smc.proposals.mixture import equal_draws, pareto_smoothed
 from pymc_features.smc.proposals.reference import Mode
 
@@ -41,7 +44,8 @@ PRIOR_DRAWS = 500
 # mean square of standard deviations from the maximum that is far, and the share of draws that makes a warning
 FAR, MANY = 10.0, 0.25
 CHECKED, UNEXPLAINED = 40, 3.0  # draws looked at, and residuals over their sigma that are too large
-NEAR_BOUND_DRAWS = 600  # of each stage, where a parameter is near a bound
+KEPT = 100  # draws at a time of which a checkpoint keeps the likelihood
+STAGE_DRAWS = 600  # of draws by an expansion, which cost hardly anything
 WORTH = 0.9  # of draws by an expansion of the likelihood, below which it is not used
 NO_CLIMBS = "the maximum was known"
 
@@ -145,8 +149,6 @@ def calibrate(
     predictions = Predictions(model)
     peaks = distinct_peaks(predictions, idata, model_error, rng)
     near = np.any([near_bounds(peak.fit, peak.sandwich) for peak in peaks], axis=0)
-    if near.any():  # a bell does not follow how others depend on these
-        settings.setdefault("stage_draws", NEAR_BOUND_DRAWS)
     expansions: list = [None] * len(peaks)
     for i, peak in enumerate(peaks):
         fit = peak.fit.measured_from_bounds(near)
@@ -165,7 +167,7 @@ def calibrate(
             found = described(predictions, peak.fit, peak.sandwich)
             found = found.assign(leverage=("parameter", leverage(peak)))
             warn_beyond(found)
-            sampled = calibrated_mode(model, target, expansion, settings, rng)
+            sampled = calibrated_mode(model, target, expansion, i, settings, rng)
             sampled["calibration"] = xr.DataTree(found)
             if (some := compared_draws(model, sampled["posterior"])) is not None:
                 warn_if_far(some, peak)
@@ -200,25 +202,44 @@ def curved(predictions, fit, result: Sandwich) -> tuple[Sandwich, Expansion | No
     return result._replace(information=result.information + more), expansion
 
 
-def calibrated_mode(model, target: Stretched, expansion, settings, rng) -> xr.DataTree:
-    """The posterior around a maximum: draws by the expansion of its likelihood, weighed, or else its own."""
+def calibrated_mode(model, target: Stretched, expansion, number, settings, rng) -> xr.DataTree:
+    """The posterior around a maximum: draws by the expansion of its likelihood, weighed, or else its own.
+
+    What a checkpoint keeps of it is in a file of its `number`.
+    """
     found, space = Search(bell(model, target.peak, rng), 0, 0, NO_CLIMBS), Unconstrained(model)
     own = settings | {"kernel": StretchedSMC}
     if expansion is not None:
-        guess, unkept = target.by(expansion), {"checkpoint": None}
-        idata = sample_from(found, model, space, **own | unkept, logp=guess)
-        idata = weighed(idata, model, target, guess, rng)
+        guess = target.by(expansion)
+        cheap = {"stage_draws": STAGE_DRAWS} | own | {"checkpoint": None, "logp": guess}
+        idata = sample_from(found, model, space, **cheap)
+        z = to_unconstrained(model, idata["posterior"].to_dataset())
+        shape, flat = z.shape[:2], z.reshape(-1, z.shape[-1])
+        values = *evaluated(target, flat, model, own.get("checkpoint"), number), guess(flat)[1]
+        idata = weighed(idata, *(np.reshape(x, shape) for x in values), rng)
     if expansion is None or idata is None:
         idata = sample_from(found, model, space, **own, logp=target)
     idata["sample_stats"].attrs |= {"power": target.power}
     return idata
 
 
-def weighed(idata, model, target: Stretched, guess: Stretched, rng) -> xr.DataTree | None:
-    """A posterior by a guess of the likelihood as that by the likelihood; None where they are not near."""
-    z = to_unconstrained(model, idata["posterior"].to_dataset())
-    (_, value, failed), (_, guessed, _) = (f(z.reshape(-1, z.shape[-1])) for f in (target, guess))
-    logs = (value - guessed).reshape(z.shape[:2])
+def evaluated(target: Stretched, z, model, checkpoint, number):
+    """Log-likelihood and failures (n,) of points (n, d), part by part where a checkpoint keeps them."""
+    if checkpoint is None:
+        return target(z)[1:]
+    Path(checkpoint).mkdir(parents=True, exist_ok=True)
+    journal = Journal(Path(checkpoint) / f"calibrated_{number}.record", model_fingerprint(model))
+    with contextlib.closing(journal):
+        parts = [journal.evaluate(target, x) for x in np.array_split(z, -(-len(z) // KEPT))]
+    return [np.concatenate(x) for x in list(zip(*parts, strict=True))[1:]]
+
+
+def weighed(idata, value, failed, guessed, rng) -> xr.DataTree | None:
+    """A posterior by a guess of the likelihood as that by the likelihood; None where they are not near.
+
+    Both, and failures of the latter, are those of its draws (chain, draw).
+    """
+    logs = value - guessed
     if not (logs.max(axis=1) > -np.inf).all():
         return None
     logs = np.array([pareto_smoothed(x) for x in logs])
@@ -231,7 +252,7 @@ def weighed(idata, model, target: Stretched, guess: Stretched, rng) -> xr.DataTr
     idata["posterior"] = chosen(idata["posterior"].to_dataset(), np.sort(place, axis=1))
     stats, first = idata["sample_stats"].to_dataset(), idata["sample_stats"]["stage"] == 0
     evidences = stats["log_marginal_likelihood"] + logs.max(axis=1) + np.log(mean)
-    counts = {"evaluations": z.shape[1], "failed": failed.reshape(z.shape[:2]).sum(axis=1)[:, None]}
+    counts = {"evaluations": value.shape[1], "failed": failed.sum(axis=1)[:, None]}
     own = {name: (0.0 * stats[name]).where(~first, count) for name, count in counts.items()}
     stats = stats.assign(log_marginal_likelihood=evidences, ess=stats["ess"] * worth, **own)
     stats.attrs |= {

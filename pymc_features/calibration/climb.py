@@ -12,6 +12,7 @@ from pymc_features.calibration.fit import (
     residuals_of,
     score_of,
 )
+from pymc_features.calibration.sandwich import whitening
 
 DIFFERENCE = 0.02  # standard errors of independent samples that derivatives are taken over,
 WIDEST, NARROWEST = 1e-3, 1e-7  # but no more and no less than this, in coordinates
@@ -21,6 +22,7 @@ CONVERGED, FAILED = 1e-3, 3e-3  # standard errors of independent samples that th
 # leads no higher, may be long
 SHORTER = 0.3  # than the step before must one be that is taken with the derivatives of another point
 NEAR = 0.1  # of such a standard error: derivatives there are those at the maximum
+LEAST = 0.1  # of the information that the curvature is taken to have where it is less, or negative
 LONGEST, LONGEST_SHARE = 1.0, 0.25  # step of a coordinate, and of one between two bounds
 BESIDE, MUCH = 0.05, 3.0  # share of the distance between bounds; how far on the unconstrained scale
 SINGULAR = 1e-12  # of the largest relative eigenvalue: directions that change nothing
@@ -30,8 +32,9 @@ def climb_likelihood(predictions, z) -> Fit:
     """The maximum of the likelihood near a point (d,), by Levenberg's and Marquardt's method.
 
     Derivatives, a prediction or two for each parameter, are kept for as long as steps with them become much
-    shorter from one to the next. A parameter that a step would take out of its prior is from then on measured
-    from the bound, and stays within.
+    shorter from one to the next. Where residuals are large their second derivatives count; these are learnt
+    from one set of derivatives to the next. A parameter that a step would take out of its prior is from then
+    on measured from the bound, and stays within.
     """
     count, start = predictions.count, z
     here = predictions(z)
@@ -41,9 +44,11 @@ def climb_likelihood(predictions, z) -> Fit:
     coordinates, central = predictions.coordinates, False
     events = events_at(predictions, z, np.full(len(z), NARROW), here, coordinates, central)
     coordinates, w, events, _ = bounded(Fit(coordinates, z, events, 0), start)
-    at, score = w, score_of(events)
+    at = w
+    score, second = score_of(events), np.zeros((len(w), len(w)))
+    before = score
     for _ in range(STEPS):
-        step = newton(information_of(events), score, damping, rooms(coordinates, w))
+        step = newton(curvature(information_of(events), second), score, damping, rooms(coordinates, w))
         length, moved = standard_errors(events, step), standard_errors(events, w - at)
         if length < CONVERGED and central and moved < NEAR:
             break
@@ -64,9 +69,16 @@ def climb_likelihood(predictions, z) -> Fit:
         if length < CONVERGED:  # with these derivatives, and perhaps only for its damping
             damping = 1e-6
         central = length < NEAR
+        stale = score
         events = events_at(predictions, w, differences(events), here, coordinates, central)
+        if moved > 0.0:
+            second = learnt(second, w - at, stale - score_of(events), before - score_of(events))
+        before_it = coordinates
         coordinates, w, events, _ = bounded(Fit(coordinates, w, events, 0), start)
-        at, score, last = w, score_of(events), np.inf
+        if coordinates is not before_it:
+            second = np.zeros_like(second)
+        score, last = score_of(events), np.inf
+        at, before = w, score
     frequencies = predictions.frequencies(coordinates.unconstrained(w))
     events = [e._replace(frequencies=f) for e, f in zip(events, frequencies, strict=True)]
     return Fit(coordinates, w, events, predictions.count - count)
@@ -99,6 +111,30 @@ def rooms(coordinates, w):
 def standard_errors(events, step) -> float:
     """Length of a step (d,), in standard errors of independent samples."""
     return np.sqrt(excess(events) * max(0.0, step @ information_of(events) @ step))
+
+
+def learnt(second, step, change, total):
+    """What second derivatives add to the information (d, d), after a step (d,) that it changed by `change`.
+
+    `total` is the change of the whole score (Dennis, Gay & Welsch, ACM Trans. Math. Softw. 7, 1981).
+    """
+    along, known = total @ step, step @ second @ step
+    if not along > 0:
+        return second
+    size = min(1.0, abs(step @ change / known)) if known else 1.0
+    off = change - size * (second @ step)
+    cross = np.outer(off, total) / along
+    return size * second + cross + cross.T - (off @ step) / along**2 * np.outer(total, total)
+
+
+def curvature(information, second):
+    """Their sum (d, d), but at least a part of the information in every direction."""
+    whiten = whitening(information)
+    unwhiten = whiten.T @ information
+    relative = whiten.T @ second @ whiten
+    values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
+    along = (vectors * np.maximum(values, LEAST - 1.0)) @ vectors.T
+    return information + unwhiten.T @ along @ unwhiten
 
 
 def with_residuals(events, values):

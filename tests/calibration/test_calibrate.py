@@ -1,5 +1,6 @@
 """`effective_samples` and `calibrate` on models whose answers are known: linear in their parameters."""
 
+import importlib
 import warnings
 
 import numpy as np
@@ -22,7 +23,7 @@ from pymc_features.calibration.coordinates import Coordinates
 from pymc_features.calibration.fit import Fit
 from pymc_features.calibration.modes import Peak
 from pymc_features.calibration.sandwich import Sandwich
-from pymc_features.calibration.stretched import stretching
+from pymc_features.calibration.stretched import Expansion, Stretched, stretching
 from pymc_features.exceptions import CalibrationWarning
 
 DT, TAU = 0.02, 0.3
@@ -222,6 +223,31 @@ def test_draws_far_from_the_maximum_are_warned_of():
     draws[:120, 0] += 1.0  # not far for one parameter alone
     with pytest.warns(CalibrationWarning, match="(29|30) % of the calibrated draws are far from"):
         warn_if_far(draws, Peak(fit, 0.0, narrow))
+
+
+@pytest.mark.slow
+def test_what_a_checkpoint_keeps_is_not_evaluated_again(y, tmp_path, monkeypatch):
+    """Killed after a part of the draws has been weighed, a run goes on and ends with the same draws."""
+    module = importlib.import_module("pymc_features.calibration.calibrate")
+    parts, evaluate = [], Stretched.__call__
+
+    def counted(self, z):
+        if not isinstance(self.likelihood, Expansion):
+            parts.append(len(z))
+            if len(parts) == limit:
+                raise KeyboardInterrupt
+        return evaluate(self, z)
+
+    monkeypatch.setattr(module.Stretched, "__call__", counted)
+    settings = {"draws": 200, "chains": 2, "cores": 1, "random_seed": 1, "progressbar": False}
+    model, limit = declare("NORM", y), 3
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(at(1.0, 2.0), model=model, checkpoint=tmp_path, **settings)
+    limit = None
+    again = calibrate(at(1.0, 2.0), model=model, checkpoint=tmp_path, **settings)
+    assert parts == [100] * 3 + [100] * 2
+    whole = calibrate(at(1.0, 2.0), model=model, **settings)
+    xr.testing.assert_equal(again["posterior"].to_dataset(), whole["posterior"].to_dataset())
 
 
 # --------------------------------------------------------------------------- refusals

@@ -58,9 +58,9 @@ class Ringing:
         return [[mu, self.observed, scale, np.log([sigma]), np.array([self.claimed]), np.array([np.inf])]]
 
 
-@pytest.mark.parametrize("seed", [0, 3, 6, 8, 10, 12, 13])
+@pytest.mark.parametrize("seed", [0, 3, 6, 8, 9, 10, 12, 13])
 def test_the_maximum_is_found_where_residuals_are_large(seed):
-    """From two starts, for likelihoods that claim 2 and 500 observations, the same to a twentieth of a width.
+    """From two starts, for likelihoods that claim 2 and 500 observations, the same to a hundredth of a width.
 
     Reference: no point nearby is more likely.
     """
@@ -69,9 +69,9 @@ def test_the_maximum_is_found_where_residuals_are_large(seed):
         predictions = Ringing(seed, claimed)
         fit = climb_likelihood(predictions, np.log(start))
         found.append(fit.z)
-        assert fit.n_evaluations == predictions.count < 100
+        assert fit.n_evaluations == predictions.count < 200
     width = np.sqrt(np.diag(np.linalg.inv(fit.information)))
-    np.testing.assert_allclose(found / width, np.broadcast_to(fit.z / width, (3, 3)), atol=0.05)
+    np.testing.assert_allclose(found / width, np.broadcast_to(fit.z / width, (3, 3)), atol=0.01)
     best = log_likelihood(predictions(fit.z))
     steps = 0.1 * width * np.random.default_rng(0).standard_normal((50, 3))
     assert all(log_likelihood(predictions(fit.z + step)) < best for step in steps)

@@ -225,8 +225,3 @@ def mass_matrix():
         warnings.simplefilter("ignore", UserWarning)
         potential = QuadPotentialFullAdapt(2, np.zeros(2), 4.0 * np.eye(2), initial_weight=10)
     np.testing.assert_allclose(potential.velocity(np.ones(2)), 4.0)
-
-
-@check("pymc.Model._dim_lengths")
-def lengths_of_dims():
-    assert set(small_model()._dim_lengths) == {"entry"}
