@@ -6,6 +6,7 @@ The data are responses to a band-limited motion by a simulator of its own, `benc
 
 from benchmarks.coverage.ambient import run_ambient
 from benchmarks.coverage.bounds import run_bounds
+from benchmarks.coverage.cyclic import run_cyclic
 from benchmarks.coverage.errors import ERRORS
 from benchmarks.coverage.events import run_events
 from benchmarks.coverage.identified import run_identified
@@ -24,6 +25,7 @@ PARTS = {
     "ambient": run_ambient,
     "bounds": run_bounds,
     "model errors": run_model_errors,
+    "cyclic": run_cyclic,
 }
 NAMES = (*PARTS, *ERRORS)
 

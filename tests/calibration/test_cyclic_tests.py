@@ -8,10 +8,10 @@ import pytest
 import xarray as xr
 
 import pymc_features as pmf
+from benchmarks.truth import cycles, specimen_force
 from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.fit import Predictions, residuals_of
 from pymc_features.inference.parameters import to_unconstrained
-from support.loops import cycles, reference
 
 LAW = [2e7, 0.008, 0.0, 2.0, 0.5, 0.5, 0.0, 0.0, 0.7, 1.0, 0.1, 0.3, 0.0, 0.3]  # in the order of `NAMES`
 PATHS = {
@@ -64,7 +64,7 @@ def largest_residuals(model, start):
 def test_simulated_loops_at_the_bound(path):
     """Truth by SciPy, errors that persist for five samples: the loops of all draws are those of the fit."""
     displacement = cycles(0.008, PATHS[path], 40)
-    force = reference(LAW, displacement)
+    force = specimen_force(LAW, displacement)
     rng = np.random.default_rng(1)
     errors = np.convolve(rng.standard_normal(force.size + 4), np.ones(5) / np.sqrt(5.0), mode="valid")
     model = declare(displacement, force + 0.02 * np.abs(force).max() * errors)

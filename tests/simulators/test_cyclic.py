@@ -4,6 +4,7 @@ import numpy as np
 import pytensor.tensor as pt
 import pytest
 
+from benchmarks.truth import cycles, specimen_force
 from pymc_features import (
     CyclicTest,
     Degradation,
@@ -19,7 +20,6 @@ from pymc_features import (
 from pymc_features.simulators.cyclic.kernels import forces
 from pymc_features.simulators.cyclic.law import NAMES
 from pymc_features.simulators.oscillators.arguments import Excitation
-from support.loops import cycles, reference
 from support.reference import richardson
 from support.refusals import refusals
 from support.straight import Record
@@ -45,7 +45,7 @@ def force_of(law, displacement):
 def test_force_is_that_of_a_tight_ode_solution(seed):
     law = random_law(seed)
     displacement = cycles(law[1], [1.0, -1.0, 3.0, -3.0, 4.0, -5.0, 6.0], 5)
-    expected = reference(law, displacement)
+    expected = specimen_force(law, displacement)
     np.testing.assert_allclose(force_of(law, displacement), expected, rtol=0, atol=1e-7 * abs(expected).max())
     # in a single step from peak to peak too, and on the way between given displacements
     excitation = Excitation(displacement[::5], 1.0, 5, 1)
@@ -62,7 +62,7 @@ def test_derivatives_are_those_of_the_ode_solution(seed):
     _, derivatives = forces(law, Excitation(displacement, 1.0, 1, 1), with_gradient=True)
     for i, name in enumerate(NAMES):
         step = law * (np.arange(law.size) == i)  # relative to the parameter
-        expected = richardson(lambda x: reference(x, displacement), law, step, h=8e-3)
+        expected = richardson(lambda x: specimen_force(x, displacement), law, step, h=8e-3)
         np.testing.assert_allclose(
             law[i] * derivatives[i],
             expected,
