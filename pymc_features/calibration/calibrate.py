@@ -119,6 +119,11 @@ def calibrate(
 
     Notes
     -----
+    Draws are those of the likelihood's expansion by second derivatives of residuals and scales at the maximum,
+    weighed by the likelihood itself: one prediction for each draw. Where these weights are uneven, or more
+    than 15 parameters change the response, the likelihood is sampled as by `sample`. A `checkpoint` keeps
+    the predictions of both.
+
     Modes that lie more than some standard deviations apart are calibrated each by itself. Each has the
     evidence of its stretched likelihood, but the ratio of the maxima is raised to the power of the highest,
     which decides how much one mode is likelier than another. A bias of the model, the same in every record,
