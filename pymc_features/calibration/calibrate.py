@@ -119,8 +119,8 @@ def calibrate(
 
     Notes
     -----
-    Draws are those of the likelihood's expansion by second derivatives of residuals and scales at the maximum,
-    weighed by the likelihood itself: one prediction for each draw. Where these weights are uneven, or more
+    Draws are those of the likelihood's expansion by second derivatives of residuals and scales at its
+    maximum, weighed by the likelihood itself: one prediction for each draw. Where weights are uneven, or more
     than 15 parameters change the response, the likelihood is sampled as by `sample`. A `checkpoint` keeps
     the predictions of both.
 
