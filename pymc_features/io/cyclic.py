@@ -20,17 +20,13 @@ from pymc_features._checks import (
 )
 from pymc_features.cyclic_test import CyclicTest
 from pymc_features.io.channels import check_column, check_wrapped
+from pymc_features.io.reading.labels import FORCES, LENGTHS, role_of, unit_of
 from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.tables.table import Table, check_not_wrapped, parse_table
 
-INCH, POUND = 0.0254, 4.4482216152605  # m and N, exact
-#: m and N per unit.
-LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": INCH}
-FORCES = {"N": 1.0, "kN": 1e3, "MN": 1e6, "lbf": POUND, "kip": 1e3 * POUND}
-
 
 class Kind(NamedTuple):
-    """One of the two columns: what it is called, and its units."""
+    """One of the two columns: what it is called, the units to name, and that of SI."""
 
     name: str
     units: dict[str, float]
@@ -145,38 +141,54 @@ def factor_of(unit, kind: Kind) -> float:
     choices = ", ".join(f'"{name}"' for name in kind.units)
     advice = f"Of the {kind.name} pass one of {choices}, or {kind.si} per file unit."
     if isinstance(unit, str):
-        if unit not in kind.units:
+        known = unit_of(unit)
+        if known is None or known.quantity != kind.name:
             raise ValueError(message("units", "known", shown(unit), advice))
-        return kind.units[unit]
+        return known.factor
     if not is_number(single(unit)):
         raise TypeError(message("units", "names of units or numbers", shown(unit), advice))
     return check_positive(unit, "units", advice)
 
 
 def index_of(table: Table, column, kind: Kind, place: int, usual: int) -> int:
-    """Where a column stands: as asked, or at its place in a table that has the usual number of columns."""
+    """Where a column stands: as asked, by its label, or at its place among the usual number of columns."""
     if column is not None:
         return table.find(column, "columns", kind.name)
-    if table.values.shape[1] != usual:
+    n_columns = table.values.shape[1]
+    labelled = [i for i in range(n_columns) if quantity_of(table, i) == kind.name]
+    if len(labelled) == 1:
+        return labelled[0]
+    if n_columns != usual or quantity_of(table, place) is not None or labelled:
         raise ValueError(
-            f"`columns` must be given, {table.file} has {table.values.shape[1]} columns ({table.names()}). "
+            f"`columns` must be given, {table.file} has {n_columns} columns ({table.names()}). "
             "Pass the one of the displacement and the one of the force."
         )
     return place
 
 
+def quantity_of(table: Table, index: int) -> str | None:
+    """Displacement, force or what else a column is by its unit, or by its name."""
+    stated = [unit.quantity for text in table.brackets(index) if (unit := unit_of(text)) is not None]
+    return next(iter(stated), role_of(table.name(index) or ""))
+
+
 def column_of(table: Table, index: int, kind: Kind, factor: float | None) -> np.ndarray:
-    """One column (row,) in SI units."""
-    return table.values[:, index] * (stated_factor(table, index, kind) if factor is None else factor)
-
-
-def stated_factor(table: Table, index: int, kind: Kind) -> float:
-    """m or N per unit, by the header."""
-    stated = [unit for unit in table.brackets(index) if unit in kind.units]
-    if not stated:
+    """One column (row,) in SI units, of which a given factor must be that of the header."""
+    stated = [unit for text in table.brackets(index) if (unit := unit_of(text)) is not None]
+    if stated and stated[0].quantity != kind.name:
+        raise ValueError(
+            f"`columns` must name a {kind.name}, the column {table.label(index)[-1]!r} of {table.file} is a "
+            f"{stated[0].quantity}. Pass another."
+        )
+    if factor is None and not stated:
         choices = ", ".join(f'"{name}"' for name in kind.units)
         raise ValueError(
             f"`units` must be given, {table.file} does not state that of the {kind.name}. Pass one of "
             f"{choices}, or {kind.si} per file unit."
         )
-    return kind.units[stated[0]]
+    if factor is not None and stated and not np.isclose(factor, stated[0].factor, rtol=0.01, atol=0.0):
+        raise ValueError(
+            f"`units` must be those of the file, got {factor:g} {kind.si} per unit of the {kind.name}, "
+            f"{table.file} states {table.brackets(index)[0]!r}. Leave `units` out, or correct the file."
+        )
+    return table.values[:, index] * (stated[0].factor if factor is None else factor)

@@ -373,7 +373,7 @@ REFUSED_ARGUMENTS_VALUES = {  # what is said: what is given
     "`clock` must be one of the columns of base.csv.*header name of the times": {"clock": "Time"},
     "`dt` must be given with clock=False": {"clock": False},
     "`clock_units` must be given, the clock of base.csv .column 0. has a step of 1, too": {"clock": 0},
-    "`clock_units` must be .*'hours'": {"clock_units": "hours"},
+    "`clock_units` must be .*'fortnights'": {"clock_units": "fortnights"},
     "`clock_units` must be": {"clock_units": 0.0},
 }
 REFUSED_ARGUMENTS_TYPES = {

@@ -99,8 +99,8 @@ def test_other_files_are_of_no_format(tmp_path, text):
 
 def test_units_and_step_that_contradict_the_file(tmp_path):
     path = write(tmp_path, "esm")
-    with pytest.warns(UserWarning, match="states the units 'cm/s.2'; the argument units='g' is used"):
-        assert read_record(path, units="g").pga == pytest.approx(9.81 * np.abs(MOTION[0]).max())
+    with pytest.raises(ValueError, match="`units` must be those of the file, .* states 'cm/s.2', got 'g'"):
+        read_record(path, units="g")
     with pytest.warns(UserWarning, match="states a time step of 0.005 s; the argument dt=0.01 s is used"):
         assert read_record(path, dt=0.01).dt == 0.01
 
@@ -177,7 +177,9 @@ def test_other_units_of_a_header(tmp_path):
     path = write(tmp_path, "csmip 2", files.csmip_2(named(0.001, "Up"), 0.005, unit="g"))
     np.testing.assert_allclose(read_record(path).acceleration, 9.81e-3 * MOTION[0], atol=5e-6)
     path = write(tmp_path, "esm", files.esm(MOTION[0], 0.005, units="mm/s^2"))
-    with pytest.raises(ValueError, match="`units` must be given, .* states 'mm/s.2', which is no known unit"):
+    np.testing.assert_allclose(read_record(path).acceleration, 1e-3 * MOTION[0], atol=5e-6)
+    path = write(tmp_path, "esm", files.esm(MOTION[0], 0.005, units="furlong/s^2"))
+    with pytest.raises(ValueError, match="`units` must be given, .* states 'furlong/s.2', which is no known"):
         read_record(path)
 
 

@@ -137,8 +137,8 @@ def test_name_is_the_file_stem_without_one_event_line(tmp_path):
 
 def test_arguments_win_over_the_header_with_a_warning(tmp_path):
     path = write(tmp_path, [IN_G, "NPTS= 3, DT= .02", *BODY])
-    with pytest.warns(UserWarning, match="states the units 'G'; the argument units='gal' is used"):
-        assert read_record(path, units="gal").pga == pytest.approx(0.0025)
+    with pytest.raises(ValueError, match="`units` must be those of the file, .* states 'G', got 'gal'"):
+        read_record(path, units="gal")
     with pytest.warns(UserWarning, match="a time step of 0.02 s; the argument dt=0.01 s is used"):
         assert read_record(path, dt=0.01).dt == 0.01
 
@@ -160,11 +160,11 @@ def test_agreeing_arguments_do_not_warn(tmp_path):
 @pytest.mark.parametrize(
     ("lines", "arguments", "message"),
     [
-        ([PEER, "NPTS= 3, DT= .02", *BODY], {}, '`units` must be given, .* Pass one of "g", "m/s'),
+        ([PEER, "NPTS= 3, DT= .02", *BODY], {}, '`units` must be given, .* Pass one of "g", "mg", "m/s'),
         (
             ["VELOCITY TIME SERIES IN UNITS OF CM/S", "NPTS= 3, DT= .02", *BODY],
             {},
-            "`units` must be given, motion.AT2 states 'CM/S', which is no known unit of acc",
+            "motion.AT2 must hold accelerations, it states 'CM/S', a unit of velocity",
         ),
         ([IN_G, "NPTS= 4, DT= .02", *BODY], {}, "must hold the NPTS = 4 values .* got 3"),
         ([IN_G, "NPTS= 2, DT= .02", *BODY], {}, "must hold the NPTS = 2 values .* got 3"),

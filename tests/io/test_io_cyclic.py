@@ -18,6 +18,7 @@ def folder(tmp_path):
     (tmp_path / "bare.txt").write_text("".join(f"{d} {f}\n" for d, f in zip(D, F, strict=True)))
     (tmp_path / "disp.csv").write_text("\n".join(map(str, D)))
     (tmp_path / "force.csv").write_text(",".join(map(str, F)))
+    (tmp_path / "three.txt").write_text(TABLE.partition("\n")[2])
     (tmp_path / "short.csv").write_text("1\n2\n3\n")
     return tmp_path
 
@@ -46,7 +47,7 @@ def test_inches_and_kips(folder):
 
 
 VALUES = {
-    "`columns` must be given, wall.csv has 3 columns": ("wall.csv", {}),
+    "`columns` must be given, three.txt has 3 columns": ("three.txt", {"wrapped": False}),
     "`units` must be given, bare.txt does not state that of the displacement": ("bare.txt", {}),
     "`units` must be known, got 'g'. Of the force pass one of": ("bare.txt", {"units": ("m", "g")}),
     "`columns` must be one of the columns of wall.csv": ("wall.csv", {"columns": ("drift", "nothing")}),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from pymc_features.io import read_record
+from pymc_features.io import read_channels, read_record
 from support.refusals import refusals
 
 ACCELERATION = np.array([0.0, 0.1, -0.25, 0.05])
@@ -146,7 +146,7 @@ def test_hdf5_file_reads_no_other_file(tmp_path):
 
 def test_arguments_win_over_the_file_with_a_warning(save):
     path = save(ag=ACCELERATION, dt=0.02, units="g")
-    with pytest.warns(UserWarning, match="motion.mat states the units 'g'; the argument units='gal'"):
+    with pytest.raises(ValueError, match="those of the file, motion.mat states 'g', got 'gal'"):
         read_record(path, units="gal")
     with pytest.warns(UserWarning, match="motion.mat states a time step of 0.02 s; the argument dt="):
         assert read_record(path, dt=0.01).dt == 0.01
@@ -155,7 +155,8 @@ def test_arguments_win_over_the_file_with_a_warning(save):
 ERROR_MESSAGES = {  # what is said: what is given
     "`units` must be given, motion.mat does not state them": {"ag": ACCELERATION, "dt": 0.02},
     "`dt` must be given, motion.mat does not state the": {"ag": ACCELERATION, "units": "mg"},
-    "`units` must be given, .* states 'mg'": {"ag": ACCELERATION, "dt": 0.02, "units": "mg"},
+    "`units` must be given, .* states 'V/V'": {"ag": ACCELERATION, "dt": 0.02, "units": "V/V"},
+    "must hold accelerations, it states 'mm/s', a unit of": {"ag": ACCELERATION, "dt": 0.02, "units": "mm/s"},
     "`dt` must be given, motion.mat does not state the time": {"ag": ACCELERATION, "dt": 0.0},
     "states a time step of 20, too long for seconds": {"ag": ACCELERATION, "dt": 20.0},
     r"contradicts itself \(dt: 0.02 s, fs: 0.01": {"ag": ACCELERATION, "dt": 0.02, "fs": 100.0},
@@ -203,3 +204,32 @@ def test_round_trip_of_random_series(save):
         record = read_record(save(a=values, fs=120.0), units=2.0)
         np.testing.assert_array_equal(record.acceleration, 2.0 * values)
         assert record.dt == 1 / 120
+
+
+RATES = {  # what the file states: step [s] or what is said
+    "a text": ({"Fs": "100 Hz"}, 0.01),
+    "kilohertz": ({"fs": "0.1 kHz"}, 0.01),
+    "a step in ms": ({"dt": "10 ms"}, 0.01),
+    "another name": ({"SampleRate": 100.0}, 0.01),
+    "both agree": ({"fs": 100.0, "dt": 0.01}, 0.01),
+    "both differ": (
+        {"fs": 100.0, "dt": 0.02},
+        r"motion.mat contradicts itself \(.*0.01 s.*0.02 s|0.02 s.*0.01",
+    ),
+    "no unit of time": ({"Fs": "100 Nm"}, "motion.mat, `Fs`: a step or rate must be a number and a unit"),
+    "no number": ({"Fs": "fast"}, "motion.mat, `Fs`: a step or rate must be a number and a unit, got 'fast'"),
+}
+
+
+@pytest.mark.parametrize("name", RATES)
+@pytest.mark.parametrize("reader", ["record", "channels"])
+def test_rates_and_steps_of_a_file(save, name, reader):
+    stated, expected = RATES[name]
+    path = save(ag=ACCELERATION, **stated)
+    if isinstance(expected, str):
+        with pytest.raises(ValueError, match=expected):
+            read_record(path, units="g") if reader == "record" else read_channels(path, units="g")
+    elif reader == "record":
+        assert read_record(path, units="g").dt == pytest.approx(expected, rel=1e-12)
+    else:
+        assert float(read_channels(path, units="g")["time"][1]) == pytest.approx(expected, rel=1e-12)

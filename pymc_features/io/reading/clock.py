@@ -6,11 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pymc_features._checks import is_number, listed, shown, single, to_float
+from pymc_features.io.reading.labels import unit_of
 from pymc_features.io.reading.units import time_step
 from pymc_features.signals.channels import warn_channel
-
-#: Seconds per unit of a clock.
-SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "usec": 1e-6, "ns": 1e-9}
 
 _SIMULTANEOUS = 0.05  # of a sample; what clocks may differ by without a word
 _DRIFT = 0.5  # of a sample, from the first to the last sample in common
@@ -66,13 +64,13 @@ class Request:
 
 
 def clock_seconds(units) -> float:
-    """Seconds per unit of a clock: "s", "ms", "us", "ns" or a positive number."""
-    if isinstance(units, str) and units.lower() in SECONDS:
-        return SECONDS[units.lower()]
+    """Seconds per unit of a clock: "s", "ms", "us", "ns", "min", "h" or a positive number."""
+    if isinstance(units, str) and (known := unit_of(units)) is not None and known.quantity == "time":
+        return known.factor
     if is_number(single(units)) and 0.0 < to_float(single(units)) < np.inf:
         return to_float(single(units))
     raise ValueError(
-        '`clock_units` must be "s", "ms", "us", "ns" or a positive number of seconds per count, got '
+        '`clock_units` must be "s", "ms", "us", "ns", "min", "h" or a positive number of seconds, got '
         f"{shown(units)}."
     )
 

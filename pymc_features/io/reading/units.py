@@ -7,24 +7,15 @@ from collections.abc import Callable
 import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, check_positive, is_number, shown, single
+from pymc_features.io.reading.labels import unit_of
 
-#: Acceleration of gravity [m/s^2] behind the unit "g". The reference results that records of this
-#: field are compared with use 9.81; who wants 9.80665 passes that number as `units`.
-G = 9.81
-
-#: m/s^2 per unit.
-FACTORS = {"g": G, "m/s^2": 1.0, "cm/s^2": 0.01, "gal": 0.01}
-
-CHOICES = ", ".join(f'"{unit}"' for unit in FACTORS) + " or a number in m/s^2 per file unit"
+CHOICES = '"g", "mg", "m/s^2", "cm/s^2", "gal", or a number in m/s^2 per file unit'
 
 
 def known_factor(unit: str) -> float | None:
-    """Acceleration [m/s^2] of one `unit`, or None where the spelling is not recognised."""
-    text = "".join(unit.lower().split()).replace("sec", "s")
-    text = text.replace("²", "^2").replace("**", "^").replace("/s/s", "/s^2")
-    if text.endswith("/s2"):
-        text = text[:-1] + "^2"
-    return FACTORS.get(text)
+    """Acceleration [m/s^2] of one `unit`, or None where it is none of acceleration."""
+    found = unit_of(unit)
+    return found.factor if found is not None and found.quantity == "acceleration" else None
 
 
 def unit_factor(units) -> float:
@@ -33,8 +24,8 @@ def unit_factor(units) -> float:
     Parameters
     ----------
     units : str or float
-        "g", "m/s^2", "cm/s^2" or "gal" in any case and usual spelling ("m/s2", "cm/sec/sec"), or
-        the factor itself [m/s^2 per file unit], positive.
+        "g", "mg", "m/s^2", "cm/s^2", "mm/s^2", "gal", "in/s^2", "ft/s^2" in any case and usual spelling
+        ("m/s2", "cm/sec/sec"), or the factor itself [m/s^2 per file unit], positive.
 
     Returns
     -------
@@ -67,24 +58,28 @@ def warn_user(message: str) -> None:
 
 
 def resolve_units(units, stated: str | None, source: str) -> float:
-    """Factor [m/s^2 per file unit]: the argument wins, the file's statement is the fallback.
+    """Factor [m/s^2 per file unit] by the file, or by the argument where the file does not say it.
 
     A number within 1 % of what the file states (9.80665 for "g") is no contradiction.
     """
-    stated_factor = None if stated is None else known_factor(stated)
+    known = None if stated is None else unit_of(stated)
+    if known is not None and known.quantity != "acceleration":
+        raise ValueError(
+            f"{source} must hold accelerations, it states {stated!r}, a unit of {known.quantity}. Pass the "
+            "columns that are accelerations."
+        )
     if units is None:
-        if stated is None:
-            raise ValueError(f"`units` must be given, {source} does not state them. Pass one of {CHOICES}.")
-        if stated_factor is None:
-            raise ValueError(
-                f"`units` must be given, {source} states {stated!r}, which is no known unit of "
-                f"acceleration. Pass one of {CHOICES}."
-            )
-        return stated_factor
+        if known is None:
+            said = "does not state them" if stated is None else f"states {stated!r}, which is no known unit"
+            raise ValueError(f"`units` must be given, {source} {said}. Pass one of {CHOICES}.")
+        return known.factor
     factor = unit_factor(units)
-    if stated is not None and (
-        stated_factor is None or not np.isclose(factor, stated_factor, rtol=0.01, atol=0.0)
-    ):
+    if known is not None and not np.isclose(factor, known.factor, rtol=0.01, atol=0.0):
+        raise ValueError(
+            f"`units` must be those of the file, {source} states {stated!r}, got {shown(units)}. Leave "
+            "`units` out, or correct the file."
+        )
+    if known is None and stated is not None:
         warn_user(f"{source} states the units {stated!r}; the argument units={units!r} is used.")
     return factor
 

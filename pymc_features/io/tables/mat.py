@@ -13,14 +13,16 @@ from scipy.io import loadmat, whosmat
 
 from pymc_features._checks import listed
 from pymc_features.io.reading.clock import Request
-from pymc_features.io.reading.lines import shortened
+from pymc_features.io.reading.labels import Unit, unit_of
+from pymc_features.io.reading.lines import shortened, to_number
 from pymc_features.io.reading.promise import check_promise
 from pymc_features.io.reading.units import resolve_dt, resolve_units, time_step
 from pymc_features.io.tables.mat_layout import check_layout
 from pymc_features.records import Record
 
 TIMES = ("t", "time")
-SCALARS = ("dt", "fs")
+#: Quantity and SI units of numbers that state the step.
+SCALARS = {"dt": ("time", 1.0)} | dict.fromkeys(("fs", "sampling_rate", "samplerate"), ("frequency", 1.0))
 
 
 def read_mat(path: Path, request: Request) -> Record:
@@ -35,7 +37,7 @@ def read_mat(path: Path, request: Request) -> Record:
         stated[f"column 0 of {name}"] = _even(times, name, path.name, dt)
         values = values[:, 1]
     stated |= _stated_steps(variables, values.size, path.name, dt)
-    step = resolve_dt(dt, _agreed(stated, path.name, dt), path.name)
+    step = resolve_dt(dt, agreed(stated, path.name, dt), path.name)
     factor = resolve_units(request.units, stated_units(variables), path.name)
     if not np.isfinite(values).all():
         bad = int(np.argmin(np.isfinite(values)))
@@ -171,7 +173,9 @@ def _pick(variables: dict[str, np.ndarray], column, file: str) -> str:
             )
         return column
     candidates = [
-        name for name, value in variables.items() if _is_series(value) and name.lower() not in TIMES + SCALARS
+        name
+        for name, value in variables.items()
+        if _is_series(value) and name.lower() not in (*TIMES, *SCALARS)
     ]
     if len(candidates) != 1:
         raise ValueError(
@@ -194,20 +198,36 @@ def _even(times: np.ndarray, name: str, file: str, dt: float | None) -> float | 
 
 
 def _stated_steps(variables, n_times: int, file: str, dt: float | None) -> dict[str, float | None]:
-    """Step [s] by every variable that states one: dt, fs and a time vector of the same length."""
-    steps = {}
+    """Step [s] by every variable that states one: a rate, a step and a time vector of the same length."""
+    steps = scalar_steps(variables, file)
     for name, value in variables.items():
-        if value.dtype.kind == "U":
-            continue
-        if name.lower() in SCALARS and value.size == 1 and float(value.item()) > 0.0:
-            number = float(value.item())
-            steps[name] = number if name.lower() == "dt" else 1.0 / number
-        elif name.lower() in TIMES and _shape(value) == (n_times,):
+        if value.dtype.kind != "U" and name.lower() in TIMES and _shape(value) == (n_times,):
             steps[name] = _even(np.squeeze(value), name, file, dt)
     return steps
 
 
-def _agreed(stated: dict[str, float | None], file: str, dt: float | None) -> float | None:
+def scalar_steps(variables, file: str) -> dict[str, float | None]:
+    """Step [s] by every number that is a step or a rate, with its unit as a text too, such as "100 Hz"."""
+    steps = {}
+    for name, value in variables.items():
+        if name.lower() not in SCALARS or value.size != 1:
+            continue
+        number, unit = value.item(), Unit(*SCALARS[name.lower()])
+        if isinstance(number, str):
+            text, _, word = number.strip().partition(" ")
+            number, unit = to_number(text), unit_of(word) if word else unit
+            if number is None or unit is None or unit.quantity not in ("time", "frequency"):
+                raise ValueError(
+                    f"{file}, `{name}`: a step or rate must be a number and a unit, got {value.item()!r}. "
+                    "Correct it, or remove it and pass `dt`."
+                )
+        if number > 0.0:
+            in_si = float(number) * unit.factor
+            steps[name] = in_si if unit.quantity == "time" else 1.0 / in_si
+    return steps
+
+
+def agreed(stated: dict[str, float | None], file: str, dt: float | None) -> float | None:
     """The one step [s] a file states, None if it is silent; an error if it contradicts itself."""
     steps = {name: step for name, step in stated.items() if step is not None}
     if not steps:

@@ -6,7 +6,7 @@ import numpy as np
 
 from pymc_features.io.reading.clock import Clock, MeasuredFile, Request, at_samples, even_clock
 from pymc_features.io.reading.units import resolve_dt, resolve_units
-from pymc_features.io.tables.mat import SCALARS, TIMES, describe, load_variables, stated_units
+from pymc_features.io.tables.mat import TIMES, agreed, describe, load_variables, scalar_steps, stated_units
 
 
 def read_mat_channels(path: Path, request: Request) -> MeasuredFile:
@@ -83,12 +83,8 @@ def _by_time(array: np.ndarray, name: str, file: str) -> np.ndarray:
 
 def _clock(file, n_times, times, timer, variables, request) -> tuple[Clock, np.ndarray]:
     """The clock, and the numbers of the samples (row,)."""
-    stated = {}
-    for name in variables:
-        if name.lower() in SCALARS and variables[name].size == 1 and float(variables[name].item()) > 0.0:
-            number = float(variables[name].item())
-            stated[name] = number if name.lower() == "dt" else 1.0 / number
-    step = next(iter(stated.values()), None)
+    stated = scalar_steps(variables, file)
+    step = agreed(stated, file, request.dt)
     if times is None:
         return Clock(file, n_times, resolve_dt(request.dt, step, file)), np.arange(n_times)
     scale = request.clock_units or 1.0

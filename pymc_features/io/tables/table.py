@@ -2,14 +2,17 @@
 
 import re
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain, pairwise
 from pathlib import Path
 
 import numpy as np
 
 from pymc_features._checks import listed, shown
+from pymc_features.io.reading.labels import role_of, unit_of
 from pymc_features.io.reading.lines import Lines, not_a_number, to_number
+from pymc_features.io.reading.stamps import CONVERSIONS
 from pymc_features.io.reading.units import known_factor
 from pymc_features.io.tables.brackets import labels_with_brackets, texts_in_brackets, without_brackets
 from pymc_features.io.tables.first_row import refuse_spoilt_first
@@ -31,6 +34,7 @@ class Table:
     body: "Body"
     separator: str
     rows_in_line: int = 1
+    stamped: bool = False  # whether the first column was time stamps: seconds of its year
 
     def where(self, row: int) -> str:
         """How a message calls the place of a row."""
@@ -50,10 +54,25 @@ class Table:
         return [found[0] for text in self.label(index) if (found := texts_in_brackets(text))]
 
     def stated_unit(self, index: int) -> str | None:
-        """Acceleration unit in brackets above the column, or anywhere in an unlabelled header."""
+        """The unit in brackets above a column, one of acceleration anywhere in an unlabelled header.
+
+        Without a known one the text that stands where it should.
+        """
         texts = self.label(index) if self.labels else self.header
-        units = [unit for text in texts for unit in texts_in_brackets(text)]
-        return next((unit for unit in units if known_factor(unit) is not None), None)
+        found = [text for line in texts for text in texts_in_brackets(line)]
+        known = [text for text in found if unit_of(text) is not None]
+        if not self.labels:
+            known, found = [text for text in known if known_factor(text) is not None], []
+        return next(iter([*known, *found]), None)
+
+    def unit_of(self, index: int, quantity: str) -> float | None:
+        """SI units per unit of a column that a bracket above it states, if that is of a quantity."""
+        units = [unit for text in self.brackets(index) if (unit := unit_of(text)) is not None]
+        return next((unit.factor for unit in units if unit.quantity == quantity), None)
+
+    def role(self, index: int) -> str | None:
+        """What a column is by its label, see `role_of`."""
+        return role_of(self.name(index) or "")
 
     def quantum(self, index: int) -> float:
         """Resolution of a printed column, from its decimals and its significant digits."""
@@ -103,6 +122,7 @@ class Body:
 
     lines: Lines
     first: int  # line number
+    convert: Callable[[str], str]  # of time stamps and decimal commas to numbers
     skip: int = 0  # lines left out at the start
 
     def __iter__(self) -> Iterator[tuple[int, str]]:
@@ -110,7 +130,7 @@ class Body:
         for number, line in self.lines:
             if number >= self.first and not line.startswith(_COMMENTS):
                 if skipped >= self.skip:
-                    yield number, line
+                    yield number, self.convert(line)
                 skipped += 1
 
 
@@ -128,20 +148,30 @@ def parse_table(path: Path, skip: int = 0, wrapped: bool | None = None, gaps: bo
         If there are no rows of numbers, a row is spoilt, or fewer than two are left.
     """
     lines = Lines(path)
-    header, bare, first, separator = _header(lines)
-    body = Body(lines, first, skip)
-    n_columns = len(_split(next(line for _, line in Body(lines, first)), separator))
+    header, bare, first, separator, kind = _header(lines)
+    stamped, convert = CONVERSIONS[kind]
+    body = Body(lines, first, convert, skip)
+    n_columns = len(_split(next(line for _, line in Body(lines, first, convert)), separator))
     above = [(number, _split(line, separator)) for number, line in bare]
     refuse_spoilt_first(path.name, above, first, n_columns)
     if wrapped:
-        values, n_columns = _series(path.name, Body(lines, first), separator)
+        values, n_columns = _series(path.name, Body(lines, first, convert), separator)
         values = _at_least_two(path.name, values[skip:])
         return Table(
-            path.name, header, [], values, Body(lines, first), separator, n_columns // values.shape[1]
+            path.name,
+            header,
+            [],
+            values,
+            Body(lines, first, convert),
+            separator,
+            n_columns // values.shape[1],
         )
-    values = _numbers(path.name, Body(lines, first), separator, n_columns, gaps)[skip:]
+    values = _numbers(path.name, Body(lines, first, convert), separator, n_columns, gaps)[skip:]
     labels = [found for line in header if (found := _labels(line, n_columns))]
-    return Table(path.name, header, labels, _at_least_two(path.name, values), body, separator)
+    if stamped and not labels:  # of date and time, which are one column now
+        labels = [found[1:] for line in header if (found := _labels(line, n_columns + 1))]
+    values = _at_least_two(path.name, values)
+    return Table(path.name, header, labels, values, body, separator, stamped=stamped)
 
 
 def _at_least_two(file: str, values: np.ndarray) -> np.ndarray:
@@ -150,15 +180,18 @@ def _at_least_two(file: str, values: np.ndarray) -> np.ndarray:
     return values
 
 
-def _header(lines: Lines) -> tuple[list[str], list[tuple[int, str]], int, str]:
-    """Lines above the numbers, those without a comment sign, the first line of numbers, its separator."""
+def _header(lines: Lines) -> tuple[list[str], list[tuple[int, str]], int, str, int]:
+    """Lines above the numbers, those without a comment sign, the first line of numbers, its separator.
+
+    And which of `CONVERSIONS` makes numbers of it.
+    """
     header, bare, seen = [], [], 0
-    for number, line in lines:
+    for (number, line), (_, after) in pairwise(chain(lines, [(0, "")])):
         seen += 1
         if line.startswith(_COMMENTS):
             header.append(line.lstrip("#%/ \t"))
-        elif (separator := _separator(line)) is not None:
-            return header, bare, number, separator
+        elif (found := _separator_of(line)) is not None and (found[1] == 0 or _separator_of(after) == found):
+            return header, bare, number, *found
         else:
             header.append(line)
             bare.append((number, line))
@@ -169,7 +202,7 @@ def _header(lines: Lines) -> tuple[list[str], list[tuple[int, str]], int, str]:
     raise ValueError(
         f"{lines.file} must hold rows of numbers, none was found in its "
         f"{'first ' * (seen == MOST_HEADER_LINES)}{seen} lines. "
-        "Use a decimal point, and a comma, semicolon, tab or blank between columns."
+        "A row is numbers, or a time stamp and numbers, with a comma, semicolon, tab or blank between."
     )
 
 
@@ -183,10 +216,20 @@ def _cell(line: str, separator: str, index: int) -> str:
     return re.split(separator, line.strip(), maxsplit=index + 1)[index].strip().strip('"')
 
 
+def _separator_of(line: str) -> tuple[str, int] | None:
+    """The separator that turns a line into numbers, and the conversion before that; None if none does."""
+    for kind, (stamped, convert) in enumerate(CONVERSIONS):
+        separator = _separator(converted := convert(line)) if kind == 0 or convert(line) != line else None
+        if separator is not None and not (stamped and len(_split(converted, separator)) < 2):
+            return separator, kind
+    return None
+
+
 def _separator(line: str) -> str | None:
     """The separator that turns a line into numbers, None if none does."""
     for separator in _SEPARATORS:
-        if all(to_number(cell) is not None for cell in _split(line, separator)):
+        first = to_number(_cell(line, separator, 0)) is not None  # most lines of a header end here
+        if first and all(to_number(cell) is not None for cell in _split(line, separator)):
             return separator
     return None
 

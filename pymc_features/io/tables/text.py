@@ -7,9 +7,8 @@ import numpy as np
 from pymc_features.io.reading.clock import Request
 from pymc_features.io.reading.units import resolve_dt, resolve_units, time_step, warn_user
 from pymc_features.io.tables.table import Table, check_not_wrapped, parse_table
+from pymc_features.io.tables.text_channels import clock_scale, refuse_no_history
 from pymc_features.records import Record
-
-_TIME_SCALES = {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6}
 
 
 def read_text(path: Path, request: Request) -> Record:
@@ -41,13 +40,14 @@ def _step(table: Table, index: int, dt: float | None, column) -> float:
     """Sampling interval [s] from the first column, unless that is the acceleration, or `dt`."""
     stated = None
     if index > 0:
-        unit = next(iter(table.brackets(0)), "s")
-        scale = _TIME_SCALES.get(unit.lower(), 1.0)
+        refuse_no_history(table)
+        forward = bool((np.diff(table.values[:, 0]) > 0.0).all())
+        scale = (clock_scale(table, 0) if forward or table.role(0) == "time" else None) or 1.0
         times = scale * table.values[:, 0]
         try:
             stated = time_step(times, table.where, scale * table.quantum(0))
         except ValueError as error:
-            if column is None or (np.diff(times) > 0.0).all():  # it is meant as time
+            if column is None or forward:  # it is meant as time
                 if dt is None:
                     raise
                 warn_user(f"{error} The argument dt={dt:g} s is used.")

@@ -5,19 +5,18 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features.io.reading.clock import (
-    SECONDS,
     Clock,
     MeasuredFile,
     Request,
     at_samples,
     even_clock,
 )
+from pymc_features.io.reading.labels import NO_HISTORY
 from pymc_features.io.reading.units import resolve_dt, resolve_units
 from pymc_features.io.tables.table import Table, check_not_wrapped, parse_table
 
-#: Seconds per count of columns that are clocks by their labels (lower case). "SampleTimeFine" is the
-#: microsecond counter in exports of Movella (Xsens) DOT sensors.
-CLOCKS = {"t": 1.0, "time": 1.0, "timestamp": 1.0, "sampletimefine": 1e-6}
+#: Seconds per count of the microsecond counter in exports of Movella (Xsens) DOT sensors, by its label.
+COUNTERS = {"sampletimefine": 1e-6}
 
 
 def read_text_channels(path: Path, request: Request) -> MeasuredFile:
@@ -49,11 +48,45 @@ def _clock_column(table: Table, clock) -> int | None:
     if clock is not None:
         return table.find(clock, "clock", "times")
     n_columns = table.values.shape[1]
-    labelled = [i for i in range(n_columns) if (table.name(i) or "").lower() in CLOCKS]
-    if labelled:
+    if table.stamped:
+        return 0
+    refuse_no_history(table)
+    if labelled := [i for i in range(n_columns) if table.role(i) == "time"]:
         return labelled[0]
-    forward = n_columns > 1 and (np.diff(table.values[:, 0]) > 0.0).mean() > 0.9
+    is_other = table.unit_of(0, "time") is None and (table.role(0) or "number") != "number"
+    forward = n_columns > 1 and not is_other and (np.diff(table.values[:, 0]) > 0.0).mean() > 0.9
     return 0 if forward else None
+
+
+def refuse_no_history(table: Table) -> None:
+    """Refuse a table over something else than time."""
+    for index in range(table.values.shape[1]):
+        role = table.role(index)
+        if role in NO_HISTORY and (index == 0 or role == "spectral"):
+            raise ValueError(
+                f"{table.file} must be a history over time, got a column {table.label(index)[-1]!r}. If it "
+                "is one, pass clock=False with `dt` and `columns`, or `clock`, the column with the times."
+            )
+
+
+def clock_scale(table: Table, timer: int) -> float | None:
+    """Seconds per unit of a clock by its label; None where that does not say it.
+
+    Raises
+    ------
+    ValueError
+        If its label has a unit that is not understood.
+    """
+    if table.stamped and timer == 0:
+        return 1.0
+    if (stated := table.unit_of(timer, "time")) is not None:
+        return stated
+    if table.brackets(timer):
+        raise ValueError(
+            f"`clock_units` must be given, {table.file} states {table.brackets(timer)[-1]!r} of its clock, "
+            'which is no known unit of time. Pass "s", "ms", "us" or the seconds per count.'
+        )
+    return COUNTERS.get((table.name(timer) or "").lower())
 
 
 def _clock(table: Table, timer: int | None, request: Request) -> tuple[Clock, np.ndarray]:
@@ -66,15 +99,11 @@ def _clock(table: Table, timer: int | None, request: Request) -> tuple[Clock, np
         raise ValueError(
             f"{table.where(int(without[0]))}: the clock must have a time in every row, got none. Cut the row."
         )
-    stated = [SECONDS[unit.lower()] for unit in table.brackets(timer) if unit.lower() in SECONDS]
-    known = CLOCKS.get((table.name(timer) or "").lower(), 1.0)
-    scale = request.clock_units or next(iter(stated), known)
-    quantum = table.quantum(timer)
+    stated = clock_scale(table, timer) if request.clock_units is None else request.clock_units
+    scale, quantum = 1.0 if stated is None else stated, table.quantum(timer)
     times = scale * table.values[:, timer]
     step, numbers = even_clock(times, table.where, scale * quantum, request.gaps)
-    if (
-        step >= 1.0 and request.clock_units is None and not stated and known == 1.0
-    ):  # a counter, or other units
+    if step >= 1.0 and stated is None:  # a counter, or other units
         if request.dt is None:
             raise ValueError(
                 f"`clock_units` must be given, the clock of {table.file} (column {timer}) has a step of "

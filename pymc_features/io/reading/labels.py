@@ -1,0 +1,89 @@
+"""What the label of a column says: its unit, the quantity of that, and what the column is."""
+
+import re
+from functools import lru_cache
+from typing import NamedTuple
+
+#: Acceleration of gravity [m/s^2] behind the unit "g". The reference results that records of this
+#: field are compared with use 9.81; who wants 9.80665 passes that number as `units`.
+G = 9.81
+INCH, FOOT, POUND = 0.0254, 0.3048, 4.4482216152605  # m, m, N, exact
+
+LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "in": INCH, "ft": FOOT}
+FORCES = {"N": 1.0, "kN": 1e3, "MN": 1e6, "lbf": POUND, "kip": 1e3 * POUND}
+#: SI units per unit, by quantity. Capitals count where "mN" and "MN" differ, and nowhere else.
+UNITS = {
+    "acceleration": {f"{name}/s2": factor for name, factor in LENGTHS.items()}
+    | {"g": G, "gn": G, "mg": 1e-3 * G, "ug": 1e-6 * G, "gal": 0.01, "mgal": 1e-5},
+    "velocity": {f"{name}/s": factor for name, factor in LENGTHS.items()} | {"kine": 0.01},
+    "displacement": LENGTHS | {"micron": 1e-6, "meter": 1.0, "inch": INCH},
+    "strain": {"m/m": 1.0, "mm/m": 1e-3} | dict.fromkeys(("um/m", "ue", "ustrain", "microstrain"), 1e-6),
+    "force": FORCES | {"mN": 1e-3},
+    "pressure": {"Pa": 1.0, "hPa": 100.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 100.0},
+    "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+    | dict.fromkeys(("min", "minute"), 60.0)
+    | dict.fromkeys(("h", "hr", "hour"), 3600.0),
+    "frequency": {"Hz": 1.0, "kHz": 1e3, "1/s": 1.0},
+    "temperature": {"degC": 1.0, "°C": 1.0},
+    "angle": {"deg": 1.0, "°": 1.0, "rad": 1.0, "mrad": 1e-3},
+}
+#: Words of a label, in lower case, by what they say that a column is.
+ROLES = {
+    "time": "t time timestamp timestamps date datetime clock elapsed seconds sampletimefine zeit temps",
+    "number": "sample samples index count counter frame no n",
+    "period": "period periods",
+    "frequency": "frequency frequencies freq",
+    "depth": "depth",
+    "spectral": "sa psa psv",
+    "displacement": "displacement disp drift deflection stroke lvdt",
+    "force": "force load",
+}
+OF_WORD = {word: role for role, words in ROLES.items() for word in words.split()}
+NO_HISTORY = "period", "frequency", "depth", "spectral"  # of tables over something else than time
+
+_PLAIN = str.maketrans("µμε²¹⁻·*", "uue21-  ", "^")
+_SECOND = re.compile(r"sec(?:ond)?s?(?![a-z])", re.IGNORECASE)
+_PER_SECOND = re.compile(r"[ .]?s-([12])$", re.IGNORECASE)  # m s-2
+
+
+class Unit(NamedTuple):
+    """A unit: the quantity that it is of, and SI units in it."""
+
+    quantity: str
+    factor: float
+
+
+EXACT = {name: Unit(kind, factor) for kind, names in UNITS.items() for name, factor in names.items()}
+LOWER = {name.lower(): unit for name, unit in reversed(EXACT.items()) if name not in ("mN", "MN", "MPa")}
+
+
+@lru_cache(1024)
+def unit_of(text: str) -> Unit | None:
+    """The unit that a text is, in any usual spelling; None where it is none that is known.
+
+    Examples
+    --------
+    >>> unit_of("cm/sec/sec"), unit_of("kN").quantity, unit_of("m s-2").factor, unit_of("N-S")
+    (Unit(quantity='acceleration', factor=0.01), 'force', 1.0, None)
+    """
+    text = _SECOND.sub("s", text.replace("**", "").translate(_PLAIN).strip())
+    text = re.sub("/s/s$", "/s2", text, flags=re.IGNORECASE)
+    if (inverse := _PER_SECOND.search(text)) and text[: inverse.start()].strip().lower() in LENGTHS:
+        text = text[: inverse.start()] + ("/s2" if inverse[1] == "2" else "/s")
+    text = text.replace(" ", "")
+    one = text[:-1] if len(text) > 2 and text.endswith("s") else text  # minutes, kips
+    ways = (text, EXACT), (one, EXACT), (text.lower(), LOWER), (one.lower(), LOWER)
+    return next((known[way] for way, known in ways if way in known), None)
+
+
+def role_of(label: str) -> str | None:
+    """What a column is by the words of its label, without brackets; None where they do not say.
+
+    Examples
+    --------
+    >>> role_of("Time"), role_of("Period"), role_of("a_roof")
+    ('time', 'period', None)
+    """
+    words = re.split(r"[^a-zA-Z]+", label)
+    return next((OF_WORD[word.lower()] for word in words if word.lower() in OF_WORD), None)
