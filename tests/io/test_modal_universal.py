@@ -342,12 +342,6 @@ def test_other_functions(tmp_path, more, match):
         read_record(write_58(tmp_path, history(0, **more)))
 
 
-def test_histories_that_do_not_begin_together(tmp_path):
-    path = write_58(tmp_path, history(0), history(1, x=1.0 + STEP * np.arange(200)))
-    with pytest.raises(ValueError, match="must hold histories that begin together, got 0 s to 1 s"):
-        read_channels(path)
-
-
 def test_files_that_are_cut(tmp_path):
     path = write_58(tmp_path, history(0), history(1))
     text = path.read_text()

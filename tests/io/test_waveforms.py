@@ -10,7 +10,7 @@ import obspy
 import pytest
 from obspy.io.nied import knet as nied
 
-from pymc_features import read_channels, read_record
+from pymc_features import read_channels, read_channels_with_gaps, read_record
 from pymc_features.io import FORMATS
 from pymc_features.io.formats import TEXT
 from pymc_features.io.formats.waveforms import EXTRA, KINDS, WAVEFORMS
@@ -85,10 +85,47 @@ def test_what_follows_without_a_gap_is_joined(tmp_path):
     np.testing.assert_array_equal(read_record(path, units=1.0).acceleration, COUNTS[0])
     parts[1].stats.starttime = later + 0.05
     path = save(tmp_path, "MSEED", parts)
-    with pytest.raises(
-        ValueError, match="no samples may be missing, NZ.WTMC..HNE has a gap after 2016-11-13T11"
-    ):
+    with pytest.raises(ValueError, match="HNE: no samples may be missing, 10 are, the first after 0.5 s"):
         read_record(path, units=1.0)
+    found = read_channels_with_gaps(path, units=1.0).values[0]
+    assert np.flatnonzero(np.isnan(found)).tolist() == list(range(100, 110))
+    np.testing.assert_array_equal(found[110:], COUNTS[0, 100:])
+    parts[1] = trace(COUNTS[0, 90:], "HNE", START + 0.005 * 90)  # overlaps and agrees
+    path = save(tmp_path, "MSEED", parts)
+    np.testing.assert_array_equal(read_record(path, units=1.0).acceleration, COUNTS[0])
+
+
+def test_channels_that_start_at_different_times(tmp_path):
+    """Cut to what they have in common, by whole samples."""
+    parts = [trace(COUNTS[0], "HNE"), trace(COUNTS[1], "HNN", START + 0.015)]
+    found = read_channels(save(tmp_path, "MSEED", parts), units=1.0)
+    np.testing.assert_array_equal(found.values, [COUNTS[0, 3:], COUNTS[1, :-3]])
+    assert found.attrs["start"] == pytest.approx(START.timestamp + 0.015, abs=1e-6)
+
+
+@pytest.mark.parametrize("rate", [100.0, 128.0, 200.0, 250.0, 500.0, 1024.0])
+def test_rates_of_sac_in_single_precision(tmp_path, rate):
+    one = trace(COUNTS[0].astype(np.float32), "HNE")
+    one.stats.delta = 1.0 / rate
+    assert read_record(save(tmp_path, "SAC", [one]), units=1.0).dt == pytest.approx(1.0 / rate, rel=1e-6)
+
+
+RUNAWAYS = [(4e-3, 40, True), (-1e-3, 40, True), (0.0, 40, False), (4e-3, 2, False)]
+
+
+@pytest.mark.parametrize(("off", "n", "told"), RUNAWAYS)
+def test_a_clock_that_runs_away(tmp_path, off, n, told):
+    """By the times of a file's records, three or more, if they are off by half a sample at the end."""
+    path = tmp_path / "drift.mseed"
+    with path.open("wb") as file:
+        for k in range(n):
+            part = trace(COUNTS[0, :100], "HNE", START + 100 * k * 0.005 * (1.0 + off))
+            obspy.Stream([part]).write(file, format="MSEED", reclen=512)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        step = read_record(path, units=1.0).dt
+    assert any(f"of its {n} records" in str(w.message) for w in caught) == told
+    assert step == pytest.approx(0.005 * (1.0 + off * told), rel=1e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -8,12 +8,14 @@ Corporation, Universal File Dataset 58.
 """
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pymc_features._checks import listed
 from pymc_features.io.reading.format import Channel, Opening, RecordedFormat, even_or_times
+from pymc_features.io.reading.labels import Unit, unit_of
 from pymc_features.io.reading.lines import shortened
 from pymc_features.io.reading.universal import AXES, FUNCTIONS, NAME, is_universal
 
@@ -21,6 +23,8 @@ EXTRA = 'python -m pip install "pymc-features[modal]"'
 TIME_RESPONSE = 1  # type of function
 BYTE_ORDERS, IEEE = (1, 2), 2  # the least byte first, or last
 SINGLE = (2, 5)  # types of numbers in four bytes
+PER_LINE = 6  # numbers of a line, at most
+UNLABELLED = "", "none"
 ACCELERATION = (0, 1, 12)  # types of data: unknown, general, acceleration
 
 
@@ -61,13 +65,11 @@ def read(path: Path) -> tuple[list[Channel], None]:
         )
     channels = [_channel(path.name, found) for found in sets]
     for channel, found in zip(channels, sets, strict=True):
-        _check_end(path.name, channel, found, raw)
-    begins = {float(found["x"][0]) for found in sets}
-    if len(begins) > 1:
-        raise ValueError(
-            f"{path.name} ({NAME}) must hold histories that begin together, got {min(begins):g} s to "
-            f"{max(begins):g} s. Cut them to one window first."
-        )
+        if not channel.problem:
+            _check_end(path.name, channel, found, raw)
+    begins = {channel.start for channel in channels if not channel.problem}
+    if len(begins) < 2:
+        channels = [replace(channel, start=None) for channel in channels]
     return channels, None
 
 
@@ -76,34 +78,45 @@ def _channel(file: str, found: dict) -> Channel:
     direction = found["rsp_dir"]
     axis = AXES[abs(direction) - 1] if 1 <= abs(direction) <= len(AXES) else ""
     name = f"{found['rsp_node']}{'-' if direction < 0 else ''}{axis}"
+    where, nothing = f"{file} ({NAME}), {name}", np.zeros(0)
     if found["func_type"] != TIME_RESPONSE or np.iscomplexobj(found["data"]):
-        raise ValueError(
-            f"{file} ({NAME}), {name}: functions must be time histories, type 1, got type "
-            f"{found['func_type']}. Identify the modes from frequency response functions first."
+        return Channel(
+            name,
+            nothing,
+            problem=f"{where}: functions must be time histories, type 1, got type {found['func_type']}. "
+            "Identify the modes from frequency response functions first.",
         )
     if found["ordinate_spec_data_type"] not in ACCELERATION:
-        raise ValueError(
-            f"{file} ({NAME}), {name}: histories must be accelerations, type 12, got type "
-            f"{found['ordinate_spec_data_type']}. Export accelerations."
+        return Channel(
+            name,
+            nothing,
+            problem=f"{where}: histories must be accelerations, type 12, got type "
+            f"{found['ordinate_spec_data_type']}. Name the columns that are accelerations.",
         )
     values, times = np.asarray(found["data"], dtype=np.float64), np.asarray(found["x"], dtype=np.float64)
-    if values.size != found["num_pts"] or times.size != values.size or values.size < 2:
+    n = found["num_pts"]
+    if n < values.size < n + PER_LINE and not values[n:].any():  # the last line is filled up with zeros
+        values, times = values[:n], times[:n]
+    if values.size != n or times.size != values.size or values.size < 2:
         raise ValueError(
-            f"{file} ({NAME}), {name}: the {found['num_pts']} samples of the header must be there, at least "
-            f"2, got {values.size}. Fetch the file again."
+            f"{where}: the {n} samples of the header must be there, at least 2, got {values.size}. Fetch the "
+            "file again."
         )
     if not np.isfinite(times).all():
-        raise ValueError(
-            f"{file} ({NAME}), {name}: times must be finite numbers, got others. Fetch it again."
-        )
+        raise ValueError(f"{where}: times must be finite numbers, got others. Fetch it again.")
+    label = found.get("abscissa_axis_units_lab", "").strip()
+    clock = Unit("time", 1.0) if label.lower() in UNLABELLED else unit_of(label)
+    if clock is None or clock.quantity != "time":
+        raise ValueError(f"{where}: times must be in a unit of time, got {label!r}. Export seconds.")
+    times = clock.factor * times
     unit = found.get("ordinate_axis_units_lab", "").strip()
     quantum = 1e-5 * float(np.abs(times).max())  # six digits are printed
-    where = f"{file} ({NAME}), {name}"
     return Channel(
         name,
         values,
-        None if unit.lower() in ("", "none") else unit,
+        None if unit.lower() in UNLABELLED else unit,
         **even_or_times(times, quantum, lambda row: f"{where}, sample {row}"),
+        start=float(times[0]),
     )
 
 

@@ -17,10 +17,12 @@ import numpy as np
 
 from pymc_features.io.reading.format import Channel, Opening, RecordedFormat
 from pymc_features.io.reading.lines import shortened, to_count, to_number
+from pymc_features.io.reading.units import warn_user
 
 NAME = "seismogram"
 EXTRA = 'python -m pip install "pymc-features[seismic]"'
 VERSIONS = (6, 7)  # of the SAC header
+FEWEST_STAMPS = 3  # by which the step is told
 SAC_HEADER, SAC_VERSION, SAC_COUNT, SAC_FLOATS = 632, 304, 316, 70  # bytes, bytes, bytes, numbers
 
 
@@ -76,7 +78,7 @@ def kind_of(opening: Opening) -> str | None:
 
 
 def read(path: Path) -> tuple[list[Channel], None]:
-    """All channels of a file, which must have no gaps."""
+    """All channels of a file; NaN in gaps."""
     opening, size = Opening.of(path), path.stat().st_size
     kind = kind_of(opening)
     _check_promise(path, kind, opening, size)
@@ -91,15 +93,47 @@ def read(path: Path) -> tuple[list[Channel], None]:
         with warnings.catch_warnings(), path.open("rb") as raw:
             warnings.simplefilter("error")  # ObsPy warns of damaged records and goes on
             warnings.simplefilter("ignore", DeprecationWarning)
+            warnings.filterwarnings("ignore", "Sample spacing read from SAC")  # 0.004 s in single precision
             stream = obspy.read(raw, format=kind, check_compression=False, **options)
-            stream.merge(method=-1)  # joins what follows without a gap
+            stream.merge(method=0)  # joins what follows, and what overlaps and agrees; masks gaps
     except Exception as error:  # each damaged file fails in its own way, inside the parsers
         raise ValueError(
             f"{path.name} must be a whole {kind} file, ObsPy cannot read it ({shortened(error)}). Fetch it "
             "again."
         ) from error
     _check_count(path, kind, stream)
-    return _channels(path, kind, stream), None
+    return _channels(path, kind, stream, stamped_steps(path, stream) if kind == "MSEED" else {}), None
+
+
+def stamped_steps(path: Path, stream) -> dict[str, float]:
+    """Steps [s] by the times of a file's records, of channels whose header says another one, with a warning.
+
+    Half a sample over the length of the record is another one, and three records tell.
+    """
+    from obspy.io.mseed.util import get_record_information
+
+    records, found = {}, {}
+    with path.open("rb") as file:
+        at, size = 0, path.stat().st_size
+        while at < size:
+            info = get_record_information(file, at)
+            name = ".".join(info[key] for key in ("network", "station", "location", "channel"))
+            records.setdefault(name, []).append((float(info["starttime"].timestamp), info["npts"]))
+            at += info["record_length"]
+    for name, own in records.items():
+        begins, counts = np.array(sorted(own)).T
+        stated = next(trace.stats.delta for trace in stream if trace.id == name)
+        places = np.append(0.0, np.cumsum(counts)[:-1])
+        if len(own) < FEWEST_STAMPS or np.diff(begins).max() > 1.5 * stated * counts.max():  # a gap
+            continue
+        step = float(np.polyfit(places, begins - begins[0], 1)[0])
+        if abs(step / stated - 1.0) * counts.sum() > 0.5:
+            found[name] = step
+            warn_user(
+                f"{path.name}: the header of {name} states a step of {stated:.6g} s, the times of its "
+                f"{len(own)} records {step:.6g} s, which is used. Check the clock of the logger."
+            )
+    return found
 
 
 def _check_count(path: Path, kind: str, stream) -> None:
@@ -127,16 +161,8 @@ def _check_promise(path: Path, kind: str, opening: Opening, size: int) -> None:
         )
 
 
-def _channels(path: Path, kind: str, stream) -> list[Channel]:
-    ids = [trace.id for trace in stream]
-    if len(set(ids)) < len(ids):
-        twice = next(name for name in ids if ids.count(name) > 1)
-        ends = sorted((t.stats.starttime, t.stats.endtime) for t in stream if t.id == twice)
-        raise ValueError(
-            f"{path.name} ({kind}): no samples may be missing, {twice} has a gap after {ends[0][1]}. Cut the "
-            "file to one side, or fill the gap."
-        )
-    channels = []
+def _channels(path: Path, kind: str, stream, rates: dict[str, float]) -> list[Channel]:
+    channels, codes = [], [trace.stats.channel for trace in stream]
     for trace in stream:
         sac = trace.stats.get("sac", {})
         uneven = sac.get("leven", 1) != 1 or sac.get("iftype", 1) != 1
@@ -144,11 +170,12 @@ def _channels(path: Path, kind: str, stream) -> list[Channel]:
             raise ValueError(
                 f"{path.name} ({kind}) must hold an even series of numbers, {trace.id} is none. Resample it."
             )
-        codes = [t.stats.channel for t in stream]
         name = trace.stats.channel if trace.stats.channel and len(set(codes)) == len(codes) else trace.id
-        start = float(trace.stats.starttime.timestamp)
-        values = trace.data.astype(np.float64)
-        channels.append(Channel(name, values, None, float(trace.stats.delta), start=start))
+        values = np.ma.filled(trace.data.astype(np.float64), np.nan)
+        # of SAC in single precision; ObsPy rounds it to microseconds
+        stated = float(f"{sac['delta']:.7g}") if "delta" in sac else trace.stats.delta
+        step, start = rates.get(trace.id, stated), trace.stats.starttime.timestamp
+        channels.append(Channel(name, values, None, float(step), start=float(start)))
     return channels
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, listed, shown
-from pymc_features.io.reading.clock import Clock, MeasuredFile, Request
+from pymc_features.io.reading.clock import Clock, MeasuredFile, Request, common_window
 from pymc_features.io.reading.lines import decoded
 from pymc_features.io.reading.units import resolve_dt, resolve_units, time_step, warn_user
 from pymc_features.records import Record
@@ -67,6 +67,8 @@ class Channel:
         Times of the values [s], where they are uneven; `dt` is None then.
     start : float or None
         Time of the first sample [s], on a clock that files of this format share.
+    problem : str
+        Why its values cannot be taken, if it is asked for.
     """
 
     name: str
@@ -75,6 +77,7 @@ class Channel:
     dt: float | None = None
     times: np.ndarray | None = None
     start: float | None = None
+    problem: str = ""
 
 
 @dataclass(frozen=True)
@@ -136,8 +139,19 @@ class RecordedFormat(Format):
         if request.columns is not None:
             found = [_find(found, column, "columns", path.name) for column in request.columns]
         rows, dt = _even(found, request, path.name)
-        values = np.array(rows)[:, request.skip :]
         start = found[0].start if request.clock is not False else None
+        if start is not None and any(channel.start != start for channel in found):
+            own = zip(found, rows, strict=True)
+            clocks = [Clock(f"{path.name} ({c.name})", row.size, dt, c.start) for c, row in own]
+            window = common_window(clocks)
+            rows = [row[k : k + window.n_times] for row, k in zip(rows, window.first, strict=True)]
+            start = window.start
+        if len({row.size for row in rows}) > 1:
+            raise ValueError(
+                f"`columns` must name channels of the same number of samples, those of {path.name} have "
+                f"{listed([row.size for row in rows])}. Read them one by one."
+            )
+        values = np.array(rows)[:, request.skip :]
         start = None if start is None else start + request.skip * dt
         names = [path.stem] if len(found) == 1 and request.columns is None else [c.name for c in found]
         return MeasuredFile(names, values, Clock(path.name, values.shape[1], dt, start))
@@ -176,10 +190,12 @@ def _find(channels: Sequence[Channel], column, argument: str, file: str) -> Chan
 
 def _even(channels: Sequence[Channel], request: Request, file: str) -> tuple[list[np.ndarray], float]:
     """Histories (time,) [m/s^2] of channels at one even step [s], and the step."""
+    for problem in (channel.problem for channel in channels if channel.problem):
+        raise ValueError(problem)
     steps = {_stated_step(channel, request, file) for channel in channels}
-    if len(steps) > 1 or len({channel.start for channel in channels}) > 1:
+    if len(steps) > 1:
         raise ValueError(
-            f"`columns` must name channels with one step and start, {_listed(channels)} of {file} have "
+            f"`columns` must name channels with one step, {_listed(channels)} of {file} have "
             f"steps of {listed([f'{step} s' for step in sorted(steps, key=str)])}. Read them one by one."
         )
     dt = resolve_dt(request.dt, steps.pop(), file)
@@ -187,14 +203,15 @@ def _even(channels: Sequence[Channel], request: Request, file: str) -> tuple[lis
     for channel in channels:
         factor = resolve_units(request.units, channel.units, file)
         values = channel.values if channel.times is None else _interpolated(channel, dt, file)
-        if values.size < 2 or not np.isfinite(values).all():
+        missing = np.flatnonzero(np.isnan(values))
+        if missing.size and not request.gaps:
+            raise ValueError(
+                f"{file}, {channel.name}: no samples may be missing, {missing.size} are, the first after "
+                f"{dt * missing[0]:.6g} s. Cut the file to one side, or use `read_channels_with_gaps`."
+            )
+        if values.size < 2 or np.isinf(values).any():
             raise ValueError(f"{file}, {channel.name}: at least 2 finite samples must be there, got others.")
         rows.append(factor * values)
-    if len({row.size for row in rows}) > 1:
-        raise ValueError(
-            f"`columns` must name channels of the same number of samples, those of {file} have "
-            f"{listed([row.size for row in rows])}. Read them one by one."
-        )
     return rows, dt
 
 
