@@ -1,4 +1,4 @@
-"""Time histories in Universal Files as analysers write them: clocks, padded lines, other kinds of channels."""
+"""Time histories in Universal Files as analysers write them: clocks, padded lines, other channels."""
 
 import numpy as np
 import pytest
