@@ -109,6 +109,15 @@ def test_complex_entries(tmp_path, unit):
     assert not read_modal(save(tmp_path, text)).is_complex
 
 
+def test_indicators_are_no_channels(tmp_path):
+    """What programs of identification write beside shapes; it can be asked for."""
+    labels = ["MPC", "model order", "Mean Phase [deg]", "MSV", "Period [s]", "Quality"]
+    rows = "1.0,0.9,40,3,0.1,1.0,7,1.0,0.5\n2.0,0.8,44,4,0.2,0.5,8,-1.0,0.5\n"
+    path = save(tmp_path, ",".join(["frequency", *labels, "a", "b"]) + "\n" + rows)
+    assert read_modal(path).channels == ("a", "b")
+    assert read_modal(path, channels=["a", "MPC"]).channels == ("a", "MPC")
+
+
 def test_names_and_channels(tmp_path):
     text = "f1,comment,s,roof [mm],attic\n1.0,first,0.01,0.5,9\n2.0,second,0.02,1.0,9\n"
     path = save(tmp_path, text)

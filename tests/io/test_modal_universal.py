@@ -114,11 +114,11 @@ def test_rotations_and_single_values(tmp_path):
     assert modal.channels == ("1", "7", "12")
 
 
-def test_nodes_that_stand_still_may_be_left_out(tmp_path):
-    """Note 9: a record of zeros need not appear."""
+def test_a_node_that_a_mode_does_not_have(tmp_path):
+    """Its sensor failed: it is not known. The format lets zeros be left out, too, which is not told apart."""
     text = files.normal_55(0) + files.normal_55(1, nodes=(1, 12), values=files.in_z(SHAPES[1, [0, 2]]))
     modal = read_modal(save(tmp_path, text))
-    np.testing.assert_allclose(modal.shapes[1], [SHAPES[1, 0], 0.0, SHAPES[1, 2]], rtol=1e-6)
+    np.testing.assert_allclose(modal.shapes[1], [SHAPES[1, 0], np.nan, SHAPES[1, 2]], rtol=1e-6)
 
 
 def test_damping_that_is_not_stated(tmp_path):

@@ -7,7 +7,8 @@
 A column `mode` that names a mode in several rows makes them identifications of one. A table with a row for
 each test has a column for each mode in place of `frequency`: f1 [Hz], f2 [Hz]; other columns are not read.
 
-Columns that are no quantity are channels; `roof_sd` beside `roof` is the standard deviation of its entries.
+Columns that are no quantity are channels, but for what says how well a mode was identified: MPC, the order of
+the model, and others of `INDICATORS`. `roof_sd` beside `roof` is the standard deviation of its entries.
 An empty cell, or nan, is an entry that was not measured. Complex entries are written as 0.3-0.1j.
 """
 
@@ -26,6 +27,12 @@ from pymc_features.modal.data import find_channels, listed
 
 SEPARATORS = ("\t", ";", ",")
 COMMENTS = ("#", "%", "//")
+#: What tables of identifications have beside shapes, without blanks and brackets, in lower case.
+INDICATORS = {
+    *("mpc", "mpcw", "mpd", "mac", "emac", "msv", "mcv", "mcf", "cmi", "uml", "mif", "period", "quality"),
+    *("order", "modelorder", "phase", "meanphase", "meanphasedeviation", "phasescatter", "confidence"),
+    *("count", "clustersize", "poles", "test", "testno", "run", "setup", "date", "time", "temperature"),
+}
 _OF_MODE = re.compile(r"(?:f|freq|frequency|mode)[ _]?(\d+)(?:[ _]?(?:\[hz\]|\(hz\)|hz))?", re.IGNORECASE)
 _COMPLEX = re.compile(r"([-+]?[^-+ij]+(?:[eE][-+]?\d+)?)([-+][^-+ij]+(?:[eE][-+]?\d+)?)[ij]", re.ASCII)
 
@@ -149,6 +156,8 @@ def _check_header(file: str, header: list[str], rows, separator: str) -> None:
 def _channels(file: str, header, places, wanted) -> tuple[dict[str, int], dict[str, int]]:
     """Columns of the channels, and of the standard deviations of their entries, by name of the channel."""
     rest = [(index, label) for index, label in enumerate(header) if index not in places.values()]
+    if wanted is None:
+        rest = [(index, label) for index, label in rest if plain(label) not in INDICATORS]
     if wanted is not None:
         find_channels(wanted, [without_brackets(label) or label for _, label in rest], file)
         names = set(wanted)
@@ -174,6 +183,11 @@ def _channels(file: str, header, places, wanted) -> tuple[dict[str, int], dict[s
     taken = set(spreads.values())
     channels = {name: index for name, index in named.items() if index not in taken}
     return channels, spreads
+
+
+def plain(label: str) -> str:
+    """A label without blanks, marks and brackets, in lower case."""
+    return re.sub(r"[ _.-]", "", (without_brackets(label) or label).lower())
 
 
 def _is_wanted(label: str, wanted: set[str]) -> bool:

@@ -259,7 +259,7 @@ def _without_conjugates(modes: list[Mode]) -> list[Mode]:
 
 
 def _identified(path: Path, modes: list[Mode]) -> Identified:
-    """All modes on all nodes; directions without any motion were not measured."""
+    """All modes on all nodes, NaN where a mode has none; directions without any motion were not measured."""
     nodes = np.unique(np.concatenate([mode.nodes for mode in modes]))
     counts = {mode.values.shape[1] for mode in modes}
     if len(counts) > 1:
@@ -270,10 +270,10 @@ def _identified(path: Path, modes: list[Mode]) -> Identified:
     directions = DIRECTIONS[counts.pop()]
     kind = np.complex128 if any(mode.values.dtype.kind == "c" for mode in modes) else np.float64
     check_promise(path, [16 * len(modes) * nodes.size * len(directions)])
-    shapes = np.zeros((len(modes), nodes.size, len(directions)), dtype=kind)
+    shapes = np.full((len(modes), nodes.size, len(directions)), np.nan, dtype=kind)
     for number, mode in enumerate(modes):
         shapes[number, np.searchsorted(nodes, mode.nodes)] = mode.values
-    moving = (shapes != 0.0).any(axis=0)
+    moving = ((shapes != 0.0) & ~np.isnan(shapes)).any(axis=0)  # a node may be missing in a mode
     if not moving.any():
         raise ValueError(
             f"{path.name} ({NAME}) must hold shapes that are not zero, got zeros. Export it again."
