@@ -46,8 +46,9 @@ def read_record(
         (data sets 58), MATLAB (``.mat``, also v7.3), or text, columns of numbers separated by comma,
         semicolon, tab or blanks. One column is the acceleration, two are time [s] and acceleration.
     units : str or float, optional
-        Of the file: "g" (9.81 m/s^2), "m/s^2", "cm/s^2" or "gal", or m/s^2 per file unit, positive. Formats
-        of strong motion, text headers such as ``acc [g]`` and a MATLAB text variable ``units`` state it.
+        Of the file, where it does not state them: "g" (9.81 m/s^2), "mg", "m/s^2", "cm/s^2", "mm/s^2", "gal",
+        "in/s^2" or "ft/s^2", or m/s^2 per file unit, positive. Formats of strong motion, text headers such as
+        ``acc [g]`` and a MATLAB text variable ``units`` do; others are an error then.
     dt : float, optional
         Sampling interval [s], positive. Formats of strong motion, an evenly increasing first text column and
         the MATLAB variables ``dt``, ``fs`` [Hz], ``t`` or ``time`` state it. Films digitised at uneven times
@@ -78,7 +79,7 @@ def read_record(
     Warns
     -----
     UserWarning
-        If `units` or `dt` contradicts the file, or the peak of the values is not that of the header.
+        If `dt` contradicts the file, or the peak of the values is not that of the header.
 
     Examples
     --------

@@ -54,16 +54,18 @@ def read_channels(
         Which columns of every file are accelerations, by index from 0 or header name, or which MATLAB
         variables; a matrix there is several sensors. All but the clock by default.
     units : str or float, optional
-        "g" (9.81 m/s^2), "m/s^2", "cm/s^2" or "gal", or m/s^2 per file unit, positive. Headers such as
-        ``acc [g]`` and a MATLAB text variable ``units`` state it.
+        "g" (9.81 m/s^2), "mg", "m/s^2", "cm/s^2", "mm/s^2", "gal", "in/s^2" or "ft/s^2", or m/s^2 per file
+        unit, positive; needed where headers such as ``acc [g]``, or a MATLAB text variable ``units``, do not
+        state it.
     dt : float, optional
         Sampling interval [s], positive; stated by the clock, or by MATLAB's ``dt`` or ``fs`` [Hz].
     clock : int, str or False, optional
-        Column or variable with the times; by default one called t, time, timestamp or SampleTimeFine, else a
-        first column that runs forward. False: there is none, the files start together.
+        Column or variable with the times; by default time stamps, or one called t, time, timestamp, date,
+        elapsed or SampleTimeFine, else a first column that runs forward. False: there is none, the files
+        start together.
     clock_units : str or float, optional
-        Of the clock: "s", "ms", "us", "ns" or seconds per count. Headers such as ``time [ms]`` state it;
-        without a statement seconds, of SampleTimeFine microseconds.
+        Of the clock: "s", "ms", "us", "ns", "min", "h" or seconds per count. Headers such as ``time [ms]``
+        state it; without a statement seconds, of SampleTimeFine microseconds.
     skip : int
         Rows left out at the start of every file, such as an empty first packet.
     wrapped : bool, optional
@@ -81,9 +83,9 @@ def read_channels(
     FileNotFoundError, IsADirectoryError, OSError
         If there is no such file or it cannot be opened.
     ValueError, TypeError
-        If an argument is not admissible, a file is broken, its clock has gaps or uneven steps (see
-        `read_channels_with_gaps`), the sensors have no common clock, or a channel is constant; the message
-        names file and line.
+        If an argument is not admissible or contradicts a file, a file is broken or no history of
+        accelerations, its clock has gaps or uneven steps (see `read_channels_with_gaps`), the sensors have no
+        common clock, or a channel is constant; the message names file and line.
 
     Warns
     -----
@@ -92,7 +94,7 @@ def read_channels(
         first samples are empty, or the clocks are not simultaneous. `signals.check_channels` compares the
         sensors.
     UserWarning
-        If `units` or `dt` contradicts a file.
+        If `dt` contradicts a file, or the times of a MiniSEED file its rate.
 
     Examples
     --------
