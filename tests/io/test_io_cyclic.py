@@ -65,3 +65,37 @@ def test_refusals(folder, case, match):
     paths = folder / files if isinstance(files, str) else [folder / name for name in files]
     with pytest.raises(ValueError, match=match):
         read_cyclic_test(paths, **settings)
+
+
+LABELLED = {  # header: columns in its order, settings
+    "force,displacement": ((F, D), {"units": ("mm", "kN")}),
+    "Load [kN],Stroke [mm]": ((F, D), {}),
+    "F [kN],u [mm]": ((F, D), {}),
+    "time [s],drift (mm),load (kN)": ((np.arange(4.0), D, F), {}),
+    "load [kN],temperature [degC],LVDT [mm]": ((F, D, D), {}),
+}
+
+
+@pytest.mark.parametrize("head", LABELLED)
+def test_labels_say_which_column_is_which(tmp_path, head):
+    columns, settings = LABELLED[head]
+    np.savetxt(tmp_path / "wall.csv", np.column_stack(columns), delimiter=",", header=head, comments="")
+    test, force = read_cyclic_test(tmp_path / "wall.csv", **settings)
+    np.testing.assert_allclose(test.displacement, 1e-3 * D)
+    np.testing.assert_allclose(force.values, [1e3 * F])
+
+
+CONTRADICTIONS = {
+    "`units` must be those of the file, got 0.01 m per unit of the displacement, wall.csv states 'mm'": {
+        "units": ("cm", "kN")
+    },
+    "`columns` must name a displacement, the column 'load .kN.' of wall.csv is a force": {
+        "columns": ("load", "drift")
+    },
+}
+
+
+@refusals("settings", CONTRADICTIONS)
+def test_what_contradicts_the_label(folder, settings, match):
+    with pytest.raises(ValueError, match=match):
+        read_cyclic_test(folder / "wall.csv", **settings)
