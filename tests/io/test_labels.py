@@ -88,6 +88,10 @@ CLOCKS = {
     "quoted": lines("Timestamp,a [m/s^2]", stamps('"2024-{month}-{day} {h:02d}:{m:02d}:{s:06.3f}"')),
     "two columns": lines("Date;Time;a [m/s^2]", stamps("{day}.{month}.2024;{h:02d}:{m:02d}:{s:06.3f}"), ";"),
     "slashes": lines("Date,Time,a [m/s^2]", stamps("{month}/{day}/2024,{h:02d}:{m:02d}:{s:06.3f}")),
+    "numbers and stamps": lines(
+        "No,Time,a [m/s^2]", stamps("7,2024-{month}-{day}T{h:02d}:{m:02d}:{s:06.3f}")
+    ),
+    "half days": lines("Time,a [m/s^2]", [f"10:00:{t:06.3f} PM" for t in STEPS]),
     "commas": lines("Zeit [s];a [m/s^2]", elapsed(1.0, "{:.2f}"), ";", comma=True),
     "commas, stamps": lines(
         "Zeit;a [m/s^2]", stamps("{day}#{month}#2024 {h:02d}:{m:02d}:{s:06.3f}"), ";", comma=True
@@ -103,7 +107,7 @@ def test_clocks_as_loggers_write_them(tmp_path, name):
     found = read_channels(path)
     assert float(found["time"][1]) == pytest.approx(0.01, abs=1e-9)
     np.testing.assert_allclose(found.values[0], MOTION, atol=1e-6)
-    record = read_record(path)
+    record = read_record(path, column="a")
     assert record.dt == pytest.approx(0.01, abs=1e-9)
     np.testing.assert_allclose(record.acceleration, MOTION, atol=1e-6)
 

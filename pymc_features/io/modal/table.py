@@ -28,11 +28,10 @@ from pymc_features.modal.data import find_channels, listed
 SEPARATORS = ("\t", ";", ",")
 COMMENTS = ("#", "%", "//")
 #: What tables of identifications have beside shapes, without blanks and brackets, in lower case.
-INDICATORS = {
-    *("mpc", "mpcw", "mpd", "mac", "emac", "msv", "mcv", "mcf", "cmi", "uml", "mif", "period", "quality"),
-    *("order", "modelorder", "phase", "meanphase", "meanphasedeviation", "phasescatter", "confidence"),
-    *("count", "clustersize", "poles", "test", "testno", "run", "setup", "date", "time", "temperature"),
-}
+INDICATORS = re.compile(
+    "mpcw?|mpd|e?mac|msv|mcv|mcf|cmi|uml|mif|period|quality|(model)?order|(mean)?phase(deviation|scatter)?|"
+    "confidence|count|clustersize|poles|test(no)?|run|setup|date|time|temperature"
+)
 _OF_MODE = re.compile(r"(?:f|freq|frequency|mode)[ _]?(\d+)(?:[ _]?(?:\[hz\]|\(hz\)|hz))?", re.IGNORECASE)
 _COMPLEX = re.compile(r"([-+]?[^-+ij]+(?:[eE][-+]?\d+)?)([-+][^-+ij]+(?:[eE][-+]?\d+)?)[ij]", re.ASCII)
 
@@ -157,7 +156,7 @@ def _channels(file: str, header, places, wanted) -> tuple[dict[str, int], dict[s
     """Columns of the channels, and of the standard deviations of their entries, by name of the channel."""
     rest = [(index, label) for index, label in enumerate(header) if index not in places.values()]
     if wanted is None:
-        rest = [(index, label) for index, label in rest if plain(label) not in INDICATORS]
+        rest = [(index, label) for index, label in rest if not INDICATORS.fullmatch(plain(label))]
     if wanted is not None:
         find_channels(wanted, [without_brackets(label) or label for _, label in rest], file)
         names = set(wanted)

@@ -31,7 +31,7 @@ UNITS = {
 #: Words of a label, in lower case, by what they say that a column is.
 ROLES = {
     "time": "t time timestamp timestamps date datetime clock elapsed seconds sampletimefine zeit temps",
-    "number": "sample samples index count counter frame no n",
+    "number": "sample samples index count counter frame no",
     "period": "period periods",
     "frequency": "frequency frequencies freq",
     "depth": "depth",

@@ -2,6 +2,7 @@
 
 import re
 from datetime import datetime
+from functools import lru_cache
 
 DATES = "%Y-%m-%d", "%d.%m.%Y", "%m/%d/%Y", "%d/%m/%Y", "%Y/%m/%d"
 STAMP = re.compile(
@@ -22,8 +23,7 @@ def without_stamp(line: str) -> str:
     >>> without_stamp("2024-01-01T10:00:00.010Z,0.5"), without_stamp("02.01.2024;00:00:01;3")
     ('36000.010,0.5', '86401;3')
     """
-    found = STAMP.search(line) if ":" in line else None
-    if found is None or (found.start() and line[found.start() - 1] not in ",; \t"):
+    if (found := stamp_in(line)) is None:
         return line
     hour = int(found["hour"])
     if found["half"]:
@@ -37,6 +37,14 @@ def without_stamp(line: str) -> str:
     return f"{line[: found.start()]}{seconds}{fraction}{line[found.end() :]}"
 
 
+def stamp_in(line: str) -> re.Match | None:
+    """The first time stamp of a line that begins a cell."""
+    found = STAMP.search(line) if ":" in line else None
+    begins = found is not None and (found.start() == 0 or line[found.start() - 1] in ",; \t")
+    return found if begins else None
+
+
+@lru_cache(64)
 def day_of(date: str) -> int:
     """Number of a date in its year."""
     plain = date.replace(".", "-").replace("/", "-") if date[:4].isdigit() else date

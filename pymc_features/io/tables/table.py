@@ -12,7 +12,7 @@ import numpy as np
 from pymc_features._checks import listed, shown
 from pymc_features.io.reading.labels import role_of, unit_of
 from pymc_features.io.reading.lines import Lines, not_a_number, to_number
-from pymc_features.io.reading.stamps import CONVERSIONS
+from pymc_features.io.reading.stamps import CONVERSIONS, stamp_in
 from pymc_features.io.reading.units import known_factor
 from pymc_features.io.tables.brackets import labels_with_brackets, texts_in_brackets, without_brackets
 from pymc_features.io.tables.first_row import refuse_spoilt_first
@@ -34,7 +34,7 @@ class Table:
     body: "Body"
     separator: str
     rows_in_line: int = 1
-    stamped: bool = False  # whether the first column was time stamps: seconds of its year
+    stamp: int | None = None  # the column that was time stamps: seconds of their year
 
     def where(self, row: int) -> str:
         """How a message calls the place of a row."""
@@ -150,6 +150,8 @@ def parse_table(path: Path, skip: int = 0, wrapped: bool | None = None, gaps: bo
     lines = Lines(path)
     header, bare, first, separator, kind = _header(lines)
     stamped, convert = CONVERSIONS[kind]
+    line = next(line for number, line in lines if number == first)
+    stamp = len(_split(f"{line[: stamp_in(line).start()]}0", separator)) - 1 if stamped else None
     body = Body(lines, first, convert, skip)
     n_columns = len(_split(next(line for _, line in Body(lines, first, convert)), separator))
     above = [(number, _split(line, separator)) for number, line in bare]
@@ -167,11 +169,9 @@ def parse_table(path: Path, skip: int = 0, wrapped: bool | None = None, gaps: bo
             n_columns // values.shape[1],
         )
     values = _numbers(path.name, Body(lines, first, convert), separator, n_columns, gaps)[skip:]
-    labels = [found for line in header if (found := _labels(line, n_columns))]
-    if stamped and not labels:  # of date and time, which are one column now
-        labels = [found[1:] for line in header if (found := _labels(line, n_columns + 1))]
+    labels = [found for line in header if (found := _labels(line, n_columns, separator, stamp))]
     values = _at_least_two(path.name, values)
-    return Table(path.name, header, labels, values, body, separator, stamped=stamped)
+    return Table(path.name, header, labels, values, body, separator, stamp=stamp)
 
 
 def _at_least_two(file: str, values: np.ndarray) -> np.ndarray:
@@ -326,8 +326,13 @@ def _printed(token: str) -> tuple[int, int]:
     return max((int(exponent) if exponent else 0) - len(decimals), -300), max(len(digits), 1)
 
 
-def _labels(line: str, n_columns: int) -> list[str] | None:
-    """One label per column, blanks allowed before a bracket: "time [s] acc [g]"."""
-    ways = [_split(line, separator) for separator in _SEPARATORS]
-    ways.append(labels_with_brackets(line))
+def _labels(line: str, n_columns: int, separator: str, stamp: int | None) -> list[str] | None:
+    """One label per column, blanks allowed before a bracket: "time [s] acc [g]".
+
+    A time stamp of date and time may have two, of which the second stays.
+    """
+    own = _split(line, separator)
+    if stamp is not None and len(own) == n_columns + 1:
+        return [*own[:stamp], *own[stamp + 1 :]]
+    ways = [own, *(_split(line, other) for other in _SEPARATORS), labels_with_brackets(line)]
     return next((labels for labels in ways if len(labels) == n_columns), None)

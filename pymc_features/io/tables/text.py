@@ -37,15 +37,16 @@ def _pick(table: Table, column) -> int:
 
 
 def _step(table: Table, index: int, dt: float | None, column) -> float:
-    """Sampling interval [s] from the first column, unless that is the acceleration, or `dt`."""
-    stated = None
-    if index > 0:
+    """Sampling interval [s] from time stamps or the first column, unless it is the acceleration, or `dt`."""
+    stated, timer = None, table.stamp or 0
+    if index != timer:
         refuse_no_history(table)
-        forward = bool((np.diff(table.values[:, 0]) > 0.0).all())
-        scale = (clock_scale(table, 0) if forward or table.role(0) == "time" else None) or 1.0
-        times = scale * table.values[:, 0]
+        times = table.values[:, timer]
+        forward = bool((np.diff(times) > 0.0).all())
+        scale = (clock_scale(table, timer) if forward or table.role(timer) == "time" else None) or 1.0
+        times = scale * times
         try:
-            stated = time_step(times, table.where, scale * table.quantum(0))
+            stated = time_step(times, table.where, scale * table.quantum(timer))
         except ValueError as error:
             if column is None or forward:  # it is meant as time
                 if dt is None:

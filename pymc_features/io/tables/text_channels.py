@@ -26,7 +26,8 @@ def read_text_channels(path: Path, request: Request) -> MeasuredFile:
     named = request.columns is not None and all(isinstance(column, str) for column in request.columns)
     check_not_wrapped(table, request.wrapped, timer is not None, named)
     if request.columns is None:
-        picked = [index for index in range(table.values.shape[1]) if index != timer]
+        others = [index for index in range(table.values.shape[1]) if index != timer]
+        picked = [i for i in others if table.role(i) != "number" or table.stated_unit(i) is not None]
     else:
         picked = [table.find(column, "columns", "acceleration") for column in request.columns]
     if not picked or timer in picked:
@@ -48,8 +49,8 @@ def _clock_column(table: Table, clock) -> int | None:
     if clock is not None:
         return table.find(clock, "clock", "times")
     n_columns = table.values.shape[1]
-    if table.stamped:
-        return 0
+    if table.stamp is not None:
+        return table.stamp
     refuse_no_history(table)
     if labelled := [i for i in range(n_columns) if table.role(i) == "time"]:
         return labelled[0]
@@ -77,7 +78,7 @@ def clock_scale(table: Table, timer: int) -> float | None:
     ValueError
         If its label has a unit that is not understood.
     """
-    if table.stamped and timer == 0:
+    if timer == table.stamp:
         return 1.0
     if (stated := table.unit_of(timer, "time")) is not None:
         return stated
