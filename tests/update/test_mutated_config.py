@@ -81,7 +81,7 @@ VARIANTS = [  # sections, and what is different there
             "sensors": ["floor2"],
             "dofs": [1],
             "columns": {"base": 1, "floor2": 3},
-            "units": "g",
+            "units": "m/s^2",
             "dt": 0.01,
         }
     },
