@@ -28,7 +28,7 @@ from pymc_features.calibration.sandwich import whitening
 from pymc_features.smc import PersistentSMC, population_logp
 
 FARTHEST = 1e4  # from the maximum: unconstrained values that rounding has made infinite are there
-MOST_EXPANDED = 15  # directions in which residuals are expanded: there are 136 second derivatives of them
+MOST_EXPANDED = 15  # directions in which residuals are expanded: 136 histories are kept for each sensor
 
 
 def stretching(information: np.ndarray, precision: np.ndarray) -> tuple[float, np.ndarray]:
