@@ -1,6 +1,8 @@
 """The sentence that refuses an argument: "`name` must be ..., got .... What to do."."""
 
+import warnings
 from collections.abc import Sequence
+from pathlib import Path
 from reprlib import Repr
 
 LONGEST = 80  # characters of a value in a message
@@ -26,3 +28,8 @@ def listed(names: Sequence, most: int = MOST) -> str:
     """Names as a message lists them, the first of many."""
     more = f", ... {len(names)} in all" if len(names) > most else ""
     return ", ".join(str(name)[:40] for name in names[:most]) + more or "none"
+
+
+def warn_caller(text: str, category: type[Warning] = UserWarning) -> None:
+    """Warn at the line that called into this package from outside."""
+    warnings.warn(text, category, skip_file_prefixes=(str(Path(__file__).parents[1]),))

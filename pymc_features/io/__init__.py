@@ -1,16 +1,20 @@
 """Ground motions and measured channels of many formats; identified modes; matrices of structures."""
 
 from os import PathLike
+from pathlib import Path
 
-from pymc_features._checks import check_path, check_step
-from pymc_features.io.channels import check_column, check_wrapped, read_channels, read_channels_with_gaps
+from pymc_features.io.channels import (
+    check_column,
+    checked_request,
+    read_channels,
+    read_channels_with_gaps,
+    recording_from,
+)
 from pymc_features.io.cyclic import read_cyclic_test
-from pymc_features.io.formats import FORMATS, format_of
+from pymc_features.io.formats import FORMATS
 from pymc_features.io.matrices import read_matrices
 from pymc_features.io.modal import read_modal
-from pymc_features.io.reading.clock import Request
-from pymc_features.io.reading.lines import check_readable
-from pymc_features.io.reading.units import unit_factor
+from pymc_features.io.recording import chosen, in_si, named
 from pymc_features.records import Record
 
 __all__ = [
@@ -91,12 +95,14 @@ def read_record(
     ...     read_record(path)
     Record('pulse', 3 samples, dt=0.02 s, duration=0.04 s, pga=1.962 m/s^2)
     """
-    path = check_path(path)
-    check_readable(path)
-    check_wrapped(wrapped)
-    column = None if column is None else check_column(column, "column")
-    dt = None if dt is None else check_step(dt)
-    if units is not None:
-        unit_factor(units)
-    request = Request(None if column is None else [column], units, dt, wrapped=wrapped)
-    return format_of(path, request).record(path, request)
+    request = checked_request(units, dt, None, None, 0, wrapped)
+    columns = None if column is None else [check_column(column, "column")]
+    recording = recording_from(path, request, "path")
+    found = chosen(recording, columns, "column")
+    if len(found) > 1:
+        raise ValueError(
+            f"`column` must be given, {recording.file} has the channels "
+            f"{named(found)}. Pass the name or the index (from 0) of one."
+        )
+    values, clock = in_si(found[0], request, recording)
+    return Record(values, clock.dt, name=recording.name or Path(recording.file).stem)

@@ -1,20 +1,20 @@
-"""Measured channels of several sensors, from one file or a group of files, on their common clock."""
+"""Measured channels of several sensors, from files or from memory, on their common clock."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from numbers import Integral
 from os import PathLike
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from pymc_features._checks import (
     SAMPLING_INTERVAL,
     as_list,
     check_flag,
     check_integer,
+    check_number,
     check_path,
+    check_positive,
     check_step,
     is_number,
     listed,
@@ -22,11 +22,23 @@ from pymc_features._checks import (
     shown,
     single,
 )
+from pymc_features._checks.texts import check_choice
+from pymc_features.io.clock import Clock, clock_seconds, common_window, no_common_time
 from pymc_features.io.formats import format_of
-from pymc_features.io.reading.clock import Request, clock_seconds, common_window
-from pymc_features.io.reading.lines import check_readable
-from pymc_features.io.reading.units import unit_factor
-from pymc_features.signals.single import check_each
+from pymc_features.io.labels import SI
+from pymc_features.io.lines import check_readable
+from pymc_features.io.recording import Recording, Request, chosen, in_si
+from pymc_features.io.sources import is_source, recording_in
+from pymc_features.io.units import sensitivity_of, unit_factor
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+#: What may be said of each sensor on its own.
+OF_SENSOR = (
+    "file", "column", "units", "quantity", "sensitivity", "scale", "delay", "anchors",
+    "dt", "clock", "clock_units", "skip", "wrapped",
+)  # fmt: skip
 
 
 def read_channels(
@@ -39,7 +51,10 @@ def read_channels(
     clock_units: str | float | None = None,
     skip: int = 0,
     wrapped: bool | None = None,
-) -> xr.DataArray:
+    quantity: str = "acceleration",
+    sensitivity: str | float | None = None,
+    resample: float | None = None,
+) -> "xr.DataArray":
     """Read measured accelerations of several sensors, aligned on their common clock, in m/s^2.
 
     One file with several columns, or one file for each sensor. Files are aligned by whole samples of their
@@ -105,7 +120,8 @@ def read_channels(
     ...     read_channels(path).sel(sensor="roof").values
     array([0.   , 2.943, 0.981])
     """
-    return _read(files, columns, _request(units, dt, clock, clock_units, skip, wrapped))
+    request = checked_request(units, dt, clock, clock_units, skip, wrapped, quantity, sensitivity)
+    return _read(files, columns, request, checked_rate(resample))
 
 
 def read_channels_with_gaps(
@@ -118,7 +134,10 @@ def read_channels_with_gaps(
     clock_units: str | float | None = None,
     skip: int = 0,
     wrapped: bool | None = None,
-) -> xr.DataArray:
+    quantity: str = "acceleration",
+    sensitivity: str | float | None = None,
+    resample: float | None = None,
+) -> "xr.DataArray":
     """Read measured accelerations of several sensors of which samples are missing: NaN.
 
     Missing are cells of a text file that are empty or "nan", NaN in a MATLAB file, and rows that a clock
@@ -157,79 +176,205 @@ def read_channels_with_gaps(
     array([[ 0.1,  0. , -0.2,  nan,  0.1],
            [ 0. ,  nan,  0.1,  nan,  0.2]])
     """
-    request = _request(units, dt, clock, clock_units, skip, wrapped)
-    return _read(files, columns, replace(request, gaps=True))
+    request = checked_request(units, dt, clock, clock_units, skip, wrapped, quantity, sensitivity)
+    return _read(files, columns, request._replace(gaps=True), checked_rate(resample))
 
 
-def _request(units, dt, clock, clock_units, skip, wrapped) -> Request:
+def checked_rate(rate) -> float | None:
+    """A sampling rate [Hz], or None."""
+    return None if rate is None else check_positive(rate, "resample", "Pass the sampling rate in Hz.")
+
+
+def checked_request(units, dt, clock, clock_units, skip, wrapped, quantity="acceleration", sensitivity=None):
     """The settings of the caller, checked."""
-    request = Request(
+    quantity = check_choice(quantity, "quantity", tuple(SI))
+    if wrapped is not None:
+        check_flag(wrapped, "wrapped", "Leave it out for what the file shows.")
+    if clock is True:
+        raise TypeError("`clock` must be a column, False or None, got True.")
+    if clock is False and dt is None:
+        raise ValueError(f"`dt` must be given with clock=False. {SAMPLING_INTERVAL}")
+    if units is not None:
+        unit_factor(units, quantity if sensitivity is None else "voltage")
+    if sensitivity is not None:
+        sensitivity_of(sensitivity, quantity)
+    return Request(
         units=units,
         dt=None if dt is None else check_step(dt),
-        clock=_checked_clock(clock, dt),
+        clock=clock if clock is None or clock is False else check_column(clock, "clock"),
         clock_units=None if clock_units is None else clock_seconds(clock_units),
         skip=check_integer(skip, "skip", least=0, advice="It counts rows at the start."),
         wrapped=wrapped,
+        quantity=quantity,
+        sensitivity=sensitivity,
     )
-    check_wrapped(wrapped)
-    if units is not None:
-        unit_factor(units)
-    return request
 
 
-def _read(files, columns, request) -> xr.DataArray:
-    """The channels of all files on their common clock."""
-    paths, labels = _named_paths(files)
-    keys, picked = _named_columns(columns)
-    request, found = replace(request, columns=picked), []
-    for path in paths:
-        check_readable(path, "files")
-        found.append(format_of(path, request).channels(path, request))
-    window = common_window([file.clock for file in found])
-    values = [file.values[:, k : k + window.n_times] for file, k in zip(found, window.first, strict=True)]
-    channels = xr.DataArray(
-        np.concatenate(values),
-        dims=("sensor", "time"),
-        coords={
-            "sensor": _sensor_names(found, labels, keys, isinstance(files, Mapping)),
-            "time": ("time", window.dt * np.arange(window.n_times), {"units": "s"}),
-        },
-        name="acceleration",
-        attrs={"units": "m/s^2", "start": window.start},
-    )
-    check_each(channels)
+def recording_from(source, request: Request, name: str = "files") -> Recording:
+    """The channels of a file, or of what is in memory already."""
+    if is_source(source):
+        return recording_in(source, request)
+    path = check_path(source, name)
+    check_readable(path, name)
+    return format_of(path, request).recording(path, request)
+
+
+def _read(files, columns, request: Request, resample) -> "xr.DataArray":
+    """The channels of all files on their common clock, or band-limited at a rate [Hz]."""
+    import xarray as xr  # a second to import
+
+    from pymc_features.signals.single import check_each
+
+    kept, names, rows, clocks, quantities = {}, [], [], [], []
+    sensors = _sensors(files, columns, request)
+    for label, source, own, settings in sensors:
+        key = (id(source), own._replace(columns=None, units=None, quantity="", sensitivity=None))
+        recording = kept.setdefault(key, None) or recording_from(source, own)
+        kept[key] = recording
+        found = chosen(recording, own.columns)
+        names.append((label, [channel.name for channel in found]))
+        histories = [in_si(channel, own, recording) for channel in found]
+        starts = {clock.start for _, clock in histories}
+        for channel, (history, clock) in zip(found, histories, strict=True):
+            if len(starts) > 1:
+                clock = clock._replace(file=f"{recording.file} ({channel.name})")
+            rows.append(settings.get("scale", 1.0) * history)
+            clocks.append(_corrected(clock, settings))
+            quantities.append(own.quantity)
+    values, step, start = _resampled(rows, clocks, resample) if resample else _aligned(rows, clocks)
+    coords = {
+        "sensor": _sensor_names(names, files, columns),
+        "time": ("time", step * np.arange(values.shape[1]), {"units": "s"}),
+    }
+    attrs = {"units": SI[quantities[0]], "start": start}
+    if len(set(quantities)) > 1:
+        coords |= {"quantity": ("sensor", quantities), "units": ("sensor", [SI[q] for q in quantities])}
+        del attrs["units"]
+    channels = xr.DataArray(values, coords, ("sensor", "time"), name="measured", attrs=attrs)
+    if len(set(quantities)) == 1:
+        channels.name = quantities[0]
+    delays = {
+        str(name): settings["delay"]
+        for name, (_, _, _, settings) in zip(channels["sensor"].values, sensors, strict=False)
+        if settings.get("delay") and not resample
+    }
+    if delays:
+        from pymc_features.signals.correct import correct
+
+        channels = correct(channels, delay=delays)
+    accelerations = [quantity == "acceleration" for quantity in quantities]
+    if any(accelerations):
+        check_each(channels[accelerations])
     return channels
 
 
-def _named_paths(files) -> tuple[list[Path], list[str]]:
-    """Paths, and what each is called."""
-    if isinstance(files, str | PathLike):
+def _corrected(clock: Clock, settings: Mapping) -> Clock:
+    """A clock on the time of two readings whose true times are known."""
+    if "anchors" not in settings:
+        return clock
+    (first, at_first), (last, at_last) = settings["anchors"]
+    ratio = (at_last - at_first) / (last - first)
+    start = at_first + ratio * ((clock.start or 0.0) - first)
+    return clock._replace(dt=ratio * clock.dt, start=start)
+
+
+def _aligned(rows, clocks: list[Clock]) -> tuple[np.ndarray, float, float]:
+    """Values (sensor, time) in the common window, by whole samples; the step and the start [s]."""
+    window = common_window(clocks)
+    parts = [row[k : k + window.n_times] for row, k in zip(rows, window.first, strict=True)]
+    return np.array(parts), window.dt, window.start
+
+
+def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, float, float]:
+    """Values (sensor, time) at a common rate [Hz], each sensor moved to the same times."""
+    from pymc_features.signals.resample import at_times
+
+    bare = [clock for clock in clocks if clock.start is None]
+    if bare and len(bare) < len(clocks):
+        raise ValueError(
+            f"Sensors must have a common clock, {bare[0].file} has none and others do. Pass `clock`, the "
+            "column with the times, or clock=False and `dt` if all files start together."
+        )
+    clocks = [clock if clock.start is not None else clock._replace(start=0.0) for clock in clocks]
+    start, stop = max(clock.start for clock in clocks), min(clock.stop for clock in clocks)
+    n_times = int((stop - start) * rate * (1.0 + 1e-12)) + 1
+    if stop <= start or n_times < 2:
+        raise no_common_time(clocks)
+    times = np.arange(n_times) / rate
+    values = [
+        at_times(row, clock.dt, times + (start - clock.start))
+        for row, clock in zip(rows, clocks, strict=True)
+    ]
+    return np.array(values), 1.0 / rate, start
+
+
+def _sensors(files, columns, request: Request) -> list[tuple[str, object, Request, dict]]:
+    """Name, source, request and settings of its own of each entry of `files`."""
+    picked = _picked(columns)
+    if isinstance(files, str | PathLike) or is_source(files):
         files = [files]
-    if isinstance(files, Mapping):
-        paths, labels = [check_path(path, "files") for path in files.values()], [str(name) for name in files]
-    elif (listed := as_list(files)) is not None:
-        paths = [check_path(path, "files") for path in listed]
-        labels = [path.stem for path in paths]
+    if not isinstance(files, Mapping) and (entries := as_list(files)) is not None:
+        files = [(None, source) for source in entries]
+    elif isinstance(files, Mapping):
+        files = [(str(name), source) for name, source in files.items()]
     else:
         what = "a path, several, or a mapping of sensor names to paths"
         raise TypeError(message("files", what, shown(files)))
-    if not paths:
+    if not files:
         raise ValueError("`files` must name at least one file, got none.")
-    return paths, labels
+    found = []
+    for name, source in files:
+        own, settings = request._replace(columns=picked), {}
+        if isinstance(source, Mapping):
+            source, own, settings = _of_sensor(name, dict(source), own)
+        if name is None:
+            name = "" if is_source(source) else check_path(source, "files").stem
+        found.append((name, source, own, settings))
+    return found
 
 
-def _named_columns(columns) -> tuple[list[str] | None, list | None]:
-    """Names of the sensors where they are given, and the columns."""
+def _of_sensor(name, given: dict, request: Request) -> tuple[object, Request, dict]:
+    """The file of one sensor, the request for it, and its settings, from a mapping."""
+    unknown = [key for key in given if key not in OF_SENSOR]
+    if unknown or "file" not in given:
+        what = f"`file` and any of {', '.join(OF_SENSOR[1:])} of {name!r}"
+        raise ValueError(message("files", what, listed(unknown or list(given))))
+    settings = {}
+    for key in ("scale", "delay"):
+        if key in given:
+            settings[key] = check_number(given.pop(key), key)
+    if settings.get("scale") == 0.0:
+        raise ValueError(f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
+    if "anchors" in given:
+        settings["anchors"] = _checked_anchors(given.pop("anchors"))
+    source, column = given.pop("file"), given.pop("column", None)
+    keys = ("units", "dt", "clock", "clock_units", "skip", "wrapped", "quantity", "sensitivity")
+    own = checked_request(**{key: given.get(key, getattr(request, key)) for key in keys})
+    picked = request.columns if column is None else [check_column(column, "column")]
+    return source, own._replace(columns=picked, gaps=request.gaps), settings
+
+
+def _checked_anchors(anchors) -> list[list[float]]:
+    """Two pairs of a reading of the clock and its true time [s]."""
+    pairs = [as_list(pair) for pair in as_list(anchors) or []]
+    if len(pairs) == 2 and all(pair is not None and len(pair) == 2 for pair in pairs):
+        pairs = [[check_number(value, "anchors") for value in pair] for pair in pairs]
+        (first, at_first), (last, at_last) = pairs
+        if last > first and at_last > at_first:
+            return pairs
+    what = "two pairs of a reading of the clock and its true time in seconds, the later second"
+    raise ValueError(message("anchors", what, shown(anchors)))
+
+
+def _picked(columns) -> list | None:
+    """The columns that are asked for."""
     if columns is None:
-        return None, None
-    if isinstance(columns, Mapping):
-        names, picked = [str(name) for name in columns], list(columns.values())
-    else:
-        listed = as_list(columns)
-        names, picked = None, [columns] if listed is None else listed
+        return None
+    listed_ = list(columns.values()) if isinstance(columns, Mapping) else as_list(columns)
+    picked = [columns] if listed_ is None else listed_
     if not picked:
         raise ValueError("`columns` must name at least one column, got none.")
-    return names, [check_column(column, "columns") for column in picked]
+    return [check_column(column, "columns") for column in picked]
 
 
 def check_column(column, name: str) -> int | str:
@@ -240,29 +385,18 @@ def check_column(column, name: str) -> int | str:
     return value if isinstance(value, str) else int(value)
 
 
-def check_wrapped(wrapped) -> None:
-    """Refuse what is not True, False or None."""
-    if wrapped is not None:
-        check_flag(wrapped, "wrapped", "Leave it out for what the file shows.")
-
-
-def _checked_clock(clock, dt) -> int | str | bool | None:
-    if clock is True:
-        raise TypeError("`clock` must be a column, False or None, got True.")
-    if clock is False and dt is None:
-        raise ValueError(f"`dt` must be given with clock=False. {SAMPLING_INTERVAL}")
-    return clock if clock is None or clock is False else check_column(clock, "clock")
-
-
-def _sensor_names(found, labels, keys, named: bool) -> list[str]:
+def _sensor_names(found, files, columns) -> list[str]:
     """One name for each channel: of its file, of its column, or of both where there are several of both."""
-    names = []
-    for file, label in zip(found, labels, strict=True):
-        own = keys if keys is not None and len(keys) == len(file.names) else file.names
-        if len(own) == 1 and (keys is None or named or len(found) > 1):
+    names, named = [], isinstance(files, Mapping)
+    keys = [str(name) for name in columns] if isinstance(columns, Mapping) else None
+    for label, own in found:
+        own = keys if keys is not None and len(keys) == len(own) else own
+        if len(own) == 1 and label and (keys is None or named or len(found) > 1):
             names.append(label)
         else:
-            names += own if len(found) == 1 and not named else [f"{label} {name}" for name in own]
+            names += (
+                own if not label or (len(found) == 1 and not named) else [f"{label} {name}" for name in own]
+            )
     if len(set(names)) < len(names):
         raise ValueError(
             f"Sensors must have different names, got {listed(names)}. Pass `files` or `columns` as a "

@@ -2,38 +2,20 @@
 
 from collections.abc import Sequence
 from os import PathLike
-from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from pymc_features._checks import (
-    as_list,
-    check_integer,
-    check_path,
-    check_positive,
-    check_step,
-    is_number,
-    message,
-    shown,
-    single,
-)
+from pymc_features._checks import as_list, check_path, message, shown
 from pymc_features.cyclic_test import CyclicTest
-from pymc_features.io.channels import check_column, check_wrapped
-from pymc_features.io.reading.labels import FORCES, LENGTHS, role_of, unit_of
-from pymc_features.io.reading.lines import check_readable
-from pymc_features.io.tables.table import Table, check_not_wrapped, parse_table
+from pymc_features.io.channels import check_column, checked_request
+from pymc_features.io.columns import Columns
+from pymc_features.io.lines import check_readable
+from pymc_features.io.recording import Channel, Recording, in_si
+from pymc_features.io.text import read_columns, wrapped_question
+from pymc_features.io.units import unit_factor
 
-
-class Kind(NamedTuple):
-    """One of the two columns: what it is called, the units to name, and that of SI."""
-
-    name: str
-    units: dict[str, float]
-    si: str
-
-
-KINDS = Kind("displacement", LENGTHS, "m"), Kind("force", FORCES, "N")
+KINDS = "displacement", "force"
 
 
 def read_cyclic_test(
@@ -98,26 +80,31 @@ def read_cyclic_test(
     picked = [None, None] if columns is None else pair(columns, "columns", "an index or a name each")
     picked = [None if column is None else check_column(column, "columns") for column in picked]
     given = [None, None] if units is None else pair(units, "units", "one of length and one of force")
-    factors = [None if u is None else factor_of(u, kind) for u, kind in zip(given, KINDS, strict=True)]
-    check_wrapped(wrapped)
-    skip, dt = check_integer(skip, "skip", least=0, advice="It counts rows at the start."), check_step(dt)
+    for unit, kind in zip(given, KINDS, strict=True):
+        if unit is not None:
+            unit_factor(unit, kind)
+    request = checked_request(None, dt, None, None, skip, wrapped)
     tables = []
     for path in paths:
         check_readable(path, "files")
-        tables.append(parse_table(path, skip, wrapped))
-        check_not_wrapped(tables[-1], wrapped, clock=False, named=columns is not None)
-    tables *= 2 if is_one else 1
-    alone = (0, 1) if is_one else (0, 0)
-    displacement, force = (
-        column_of(table, index_of(table, column, kind, place, 1 + is_one), kind, factor)
-        for table, column, kind, place, factor in zip(tables, picked, KINDS, alone, factors, strict=True)
-    )
+        table, own = read_columns(path, request)
+        if question := wrapped_question(table, wrapped, own or columns is not None):
+            raise ValueError(question)
+        tables.append(table)
+    found = []
+    for kind, column, unit, place in zip(KINDS, picked, given, (0, int(is_one)), strict=True):
+        table = tables[0 if is_one else KINDS.index(kind)]
+        index = index_of(table, column, kind, place, 1 + is_one)
+        channel = Channel(table.labels[index].name, table.values[:, index], table.labels[index].unit)
+        asked = request._replace(units=unit, quantity=kind)
+        found.append(in_si(channel, asked, Recording(f"{table.file}, {kind}", [], skipped=True))[0])
+    displacement, force = found
     if displacement.size != force.size:
         raise ValueError(
             f"`files` must have as many displacements as forces, got {displacement.size} in {tables[0].file} "
-            f"and {force.size} in {tables[1].file}. Cut them to the same rows."
+            f"and {force.size} in {tables[-1].file}. Cut them to the same rows."
         )
-    test = CyclicTest(displacement, dt, name=paths[0].stem)
+    test = CyclicTest(displacement, request.dt, name=paths[0].stem)
     return test, measured_force(test, force)
 
 
@@ -131,64 +118,20 @@ def pair(value, name: str, what: str) -> list:
     """Two entries, of the displacement and of the force."""
     listed = as_list(value)
     if listed is None or isinstance(value, str) or len(listed) != 2:
-        got = shown(value)
-        raise ValueError(message(name, f"two for displacement and force ({what})", got))
+        raise ValueError(message(name, f"two for displacement and force ({what})", shown(value)))
     return listed
 
 
-def factor_of(unit, kind: Kind) -> float:
-    """m or N per unit of a file."""
-    choices = ", ".join(f'"{name}"' for name in kind.units)
-    advice = f"Of the {kind.name} pass one of {choices}, or {kind.si} per file unit."
-    if isinstance(unit, str):
-        known = unit_of(unit)
-        if known is None or known.quantity != kind.name:
-            raise ValueError(message("units", "known", shown(unit), advice))
-        return known.factor
-    if not is_number(single(unit)):
-        raise TypeError(message("units", "names of units or numbers", shown(unit), advice))
-    return check_positive(unit, "units", advice)
-
-
-def index_of(table: Table, column, kind: Kind, place: int, usual: int) -> int:
+def index_of(table: Columns, column, kind: str, place: int, usual: int) -> int:
     """Where a column stands: as asked, by its label, or at its place among the usual number of columns."""
     if column is not None:
-        return table.find(column, "columns", kind.name)
-    n_columns = table.values.shape[1]
-    labelled = [i for i in range(n_columns) if quantity_of(table, i) == kind.name]
-    if len(labelled) == 1:
-        return labelled[0]
-    if n_columns != usual or quantity_of(table, place) is not None or labelled:
+        return table.find(column, "columns", kind)
+    kinds = [label.known.quantity if label.known is not None else label.role for label in table.labels]
+    if kinds.count(kind) == 1:
+        return kinds.index(kind)
+    if len(kinds) != usual or kinds[place] is not None or kind in kinds:
         raise ValueError(
-            f"`columns` must be given, {table.file} has {n_columns} columns ({table.names()}). "
+            f"`columns` must be given, {table.file} has {len(kinds)} columns ({table.names()}). "
             "Pass the one of the displacement and the one of the force."
         )
     return place
-
-
-def quantity_of(table: Table, index: int) -> str | None:
-    """Displacement, force or what else a column is by its unit, or by its name."""
-    stated = [unit.quantity for text in table.brackets(index) if (unit := unit_of(text)) is not None]
-    return next(iter(stated), role_of(table.name(index) or ""))
-
-
-def column_of(table: Table, index: int, kind: Kind, factor: float | None) -> np.ndarray:
-    """One column (row,) in SI units, of which a given factor must be that of the header."""
-    stated = [unit for text in table.brackets(index) if (unit := unit_of(text)) is not None]
-    if stated and stated[0].quantity != kind.name:
-        raise ValueError(
-            f"`columns` must name a {kind.name}, the column {table.label(index)[-1]!r} of {table.file} is a "
-            f"{stated[0].quantity}. Pass another."
-        )
-    if factor is None and not stated:
-        choices = ", ".join(f'"{name}"' for name in kind.units)
-        raise ValueError(
-            f"`units` must be given, {table.file} does not state that of the {kind.name}. Pass one of "
-            f"{choices}, or {kind.si} per file unit."
-        )
-    if factor is not None and stated and not np.isclose(factor, stated[0].factor, rtol=0.01, atol=0.0):
-        raise ValueError(
-            f"`units` must be those of the file, got {factor:g} {kind.si} per unit of the {kind.name}, "
-            f"{table.file} states {table.brackets(index)[0]!r}. Leave `units` out, or correct the file."
-        )
-    return table.values[:, index] * (stated[0].factor if factor is None else factor)

@@ -12,7 +12,7 @@ from scipy.io import savemat
 
 from pymc_features import read_channels
 from pymc_features.exceptions import ChannelWarning
-from pymc_features.io.reading.clock import Clock, common_window, even_clock
+from pymc_features.io.clock import Clock, common_window, even_clock
 from pymc_features.signals import check_channels
 from support.refusals import refusals
 from support.warned import messages
@@ -240,28 +240,27 @@ def test_matlab_variables_by_name_and_clock(tmp_path):
 
 
 MATLAB_REFUSED = {  # what is said: what is given
-    r"same number of samples, got 2 different ones. frame.mat holds a": (
-        {"a": MOTION[0], "b": MOTION[1, :9]},
+    r"Sensors without clocks must have the same number of samples": (
+        {"a": MOTION[0], "b": MOTION[1, :9], "dt": 0.02},
         {},
     ),
-    r"`columns` must name variables that hold accel.*'x'. frame.mat holds a": (
-        {"a": MOTION[0]},
+    r"`columns` must be one of the channels of frame.mat \(a\), got 'x'": (
+        {"a": MOTION[0], "dt": 0.02},
         {"columns": "x"},
     ),
-    "`columns` must name variables": ({"a": MOTION[0]}, {"columns": 0}),
-    "`clock` must name the vector of times, got 'x'": ({"a": MOTION[0]}, {"clock": "x"}),
-    r"`clock` must have one time for each of the 80 samples, got t": (
+    "`clock` must be one of the columns of frame.mat": ({"a": MOTION[0]}, {"clock": "x"}),
+    r"`t` must have one time for each sample, got 5 beside a": (
         {"a": MOTION[0], "t": np.arange(5.0)},
         {},
     ),
     "`dt` must be given, frame.mat does not state": ({"a": MOTION[0]}, {}),
     r"time must be the longer side of a matrix, got shape \(4, 4\)": ({"a": MOTION[:4, :4], "dt": 0.1}, {}),
     "`a`, sample 0: values must be finite numbers, got nan": ({"a": MOTION[0] * np.nan, "dt": 0.1}, {}),
-    "contradicts itself, dt says a step of 0.1 s and t 0.02": (
+    "contradicts itself, it states a step of 0.1 s and its clock 0.02": (
         {"a": MOTION[0, :N], "t": TIME, "dt": 0.1},
         {},
     ),
-    "must hold at least 2 samples, got 1": ({"a": MOTION[0], "dt": 0.1}, {"skip": 79}),
+    "must hold histories of at least 2 samples": ({"a": MOTION[0], "dt": 0.1}, {"skip": 79}),
     r"`t`, sample 30: no samples may": (
         {"a": MOTION[0, :N], "t": np.delete(0.02 * np.arange(N + 2), [30, 31])},
         {},
@@ -311,11 +310,11 @@ BROKEN = {
     ),
     "repeated": (
         lambda rows: rows[:20] + rows[19:],
-        "floor2.csv, line 27: the clock must run forward, it goes from 991.17",
+        "floor2.csv, line 27: time must increase, it goes from 991.17",
     ),
     "shuffled": (
         lambda rows: [*rows[:20], rows[21], rows[20], *rows[22:]],
-        "line 28: the clock must run forward",
+        "line 28: time must increase",
     ),
     "uneven": (
         in_row_20(lambda row: retimed(row, lambda t: t + 3000)),
@@ -359,10 +358,10 @@ def test_broken_files_are_refused(tmp_path, defect):
 
 
 REFUSED_ARGUMENTS_VALUES = {  # what is said: what is given
-    r"`columns` must be one of the columns of base.csv \(Packet.*'Acc_Y'": {"columns": "Acc_Y"},
-    "`columns` must be one of the columns.* got 9": {"columns": 9},
+    r"`columns` must be one of the channels of base.csv \(Packet.*'Acc_Y'": {"columns": "Acc_Y"},
+    "`columns` must be one of the channels.* got 9": {"columns": 9},
     "`columns` must name at least one": {"columns": []},
-    r"beside its clock \(column 1\)": {"columns": "SampleTimeFine"},
+    r"`columns` must name measurements, column 1 is the clock": {"columns": "SampleTimeFine"},
     "Sensors must have different names, got base Acc_X, base Acc_X": {"columns": ["Acc_X", "Acc_X"]},
     "`units` must be given, base.csv does not state them": {"units": None},
     "`units` must be one of": {"units": "furlong"},

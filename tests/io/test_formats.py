@@ -9,7 +9,7 @@ import pytest
 from pymc_features import read_channels, read_record
 from pymc_features.io import FORMATS
 from pymc_features.io.formats import MATLAB, TEXT
-from pymc_features.io.reading.format import Opening
+from pymc_features.io.recording import Opening
 from support import record_files as files
 from support.record_examples import COUNTS, EXAMPLES, FILM, KNET_GAL, MOTION, N, named
 

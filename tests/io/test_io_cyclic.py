@@ -48,8 +48,8 @@ def test_inches_and_kips(folder):
 
 VALUES = {
     "`columns` must be given, three.txt has 3 columns": ("three.txt", {"wrapped": False}),
-    "`units` must be given, bare.txt does not state that of the displacement": ("bare.txt", {}),
-    "`units` must be known, got 'g'. Of the force pass one of": ("bare.txt", {"units": ("m", "g")}),
+    "`units` must be given, bare.txt, displacement does not state them": ("bare.txt", {}),
+    "`units` must be one of \"N\", .* got 'g'": ("bare.txt", {"units": ("m", "g")}),
     "`columns` must be one of the columns of wall.csv": ("wall.csv", {"columns": ("drift", "nothing")}),
     "`files` must have as many displacements as forces, got 3 in short.csv and 4": (
         ["short.csv", "force.csv"],
@@ -86,10 +86,10 @@ def test_labels_say_which_column_is_which(tmp_path, head):
 
 
 CONTRADICTIONS = {
-    "`units` must be those of the file, got 0.01 m per unit of the displacement, wall.csv states 'mm'": {
+    "`units` must be those of the file, wall.csv, displacement states 'mm', got 'cm'": {
         "units": ("cm", "kN")
     },
-    "`columns` must name a displacement, the column 'load .kN.' of wall.csv is a force": {
+    "wall.csv, displacement must hold displacements, it states 'kN', a unit of force": {
         "columns": ("load", "drift")
     },
 }

@@ -89,21 +89,27 @@ def hdf5_elsewhere(path):
 
 
 FILES_THAT_HOLD_SOMETHING_ELSE = {  # what is said: what is given
-    r"K.mtx must hold matrices, it cannot be read \(.*Save it": ("K.mtx", lambda p: p.write_text("hello")),
-    "cannot be read": (
+    "K.mtx must begin with %%MatrixMarket, or hold lines of 3 or 5": (
+        "K.mtx",
+        lambda p: p.write_text("hello"),
+    ),
+    "the 4 entries that it announces, got 2": (
         "K.mtx",
         lambda p: p.write_text("%%MatrixMarket matrix array real general\n2 2\n1\n2\n"),
     ),
     "K.mtx must hold matrices of real numbers, got K. Save M": ("K.mtx", lambda p: mmwrite(p, 1j * DENSE)),
     "K.mtx, `K`: entries must be finite numbers, got NaN": ("K.mtx", lambda p: mmwrite(p, DENSE * np.nan)),
-    "K.mat must hold matrices, it": ("K.mat", lambda p: p.write_bytes(b"MATLAB 5.0 MAT-file" + bytes(50))),
+    "K.mat must be a MATLAB .mat file, it": (
+        "K.mat",
+        lambda p: p.write_bytes(b"MATLAB 5.0 MAT-file" + bytes(50)),
+    ),
     "must hold matrices of real numbers, got note": ("K.mat", lambda p: savemat(p, {"note": "SI"})),
-    "K.mat must hold matrices, it cannot be read": ("K.mat", broken_hdf5_index),
-    "`/C/data` is no vector of numbers": ("K.mat", hdf5_elsewhere),
+    "K.mat must be a MATLAB .mat file, it cannot be read": ("K.mat", broken_hdf5_index),
+    "`/C` is no sparse matrix of numbers": ("K.mat", hdf5_elsewhere),
     "K.npz must hold matrices, it cannot be read": ("K.npz", lambda p: p.write_bytes(b"PK\x03\x04")),
     "must hold matrices of real numbers, got K": ("K.npz", lambda p: np.savez(p, K=np.array(["a"]))),
     "must hold matrices of real numbers, got nothing": ("K.npz", lambda p: np.savez(p)),
-    "`path` must end in .mtx, .mat, .npz, got K.npy. Export": ("K.npy", lambda p: np.save(p, DENSE)),
+    "`path` must end in .mtx, .mat, .npz, .* got K.npy. Export": ("K.npy", lambda p: np.save(p, DENSE)),
 }
 
 

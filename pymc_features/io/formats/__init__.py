@@ -10,12 +10,12 @@ from pymc_features.io.formats.geonet import GEONET
 from pymc_features.io.formats.knet import KNET
 from pymc_features.io.formats.nsmn import NSMN
 from pymc_features.io.formats.smc import SMC
-from pymc_features.io.formats.tables import MATLAB, TEXT
 from pymc_features.io.formats.unam import UNAM
 from pymc_features.io.formats.universal import UNIVERSAL
 from pymc_features.io.formats.waveforms import WAVEFORMS
-from pymc_features.io.reading.clock import Request
-from pymc_features.io.reading.format import Format, Opening
+from pymc_features.io.matlab import MATLAB
+from pymc_features.io.recording import Format, Opening, Request
+from pymc_features.io.text import TEXT
 
 #: A file is read by the first entry that recognises its first lines; the last takes every file.
 FORMATS = (MATLAB, AT2, COSMOS, CSMIP, SMC, KNET, GEONET, ESM, NSMN, UNAM, UNIVERSAL, WAVEFORMS, TEXT)

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.reading.format import Channel, Opening, RecordedFormat
-from pymc_features.io.reading.lines import Lines, not_a_number, to_number
-from pymc_features.io.reading.units import known_factor
+from pymc_features.io.lines import Lines, not_a_number, to_number
+from pymc_features.io.recording import Channel, Format, Opening, recorded
+from pymc_features.io.units import known_factor
 
 NAME = "PEER AT2"
 MOST_HEADER_LINES = 200
@@ -109,4 +109,4 @@ def _event(header: list[str]) -> str | None:
     return dated[0] if len(dated) == 1 else None
 
 
-AT2 = RecordedFormat(NAME, recognises, ".AT2", "step, number of values, units, event", read)
+AT2 = Format(NAME, recognises, ".AT2", "step, number of values, units, event", recorded(read))

@@ -6,15 +6,15 @@ Consortium of Organizations for Strong-Motion Observation Systems, COSMOS Strong
 
 from pathlib import Path
 
-from pymc_features.io.reading.format import Channel, Opening, RecordedFormat
-from pymc_features.io.reading.header import (
+from pymc_features.io.header import (
     check_peak,
     check_sections,
     column_width,
     count_before,
     number_after,
 )
-from pymc_features.io.reading.lines import Lines, to_count
+from pymc_features.io.lines import Lines, to_count
+from pymc_features.io.recording import Channel, Format, Opening, recorded
 
 NAME = "COSMOS"
 UNITS = {  # code: factor and unit; the file's own word for others
@@ -114,6 +114,10 @@ def _acceleration(lines: Lines, name: str, line: str, values, reals) -> Channel:
     return Channel(name, factor * values, unit, dt)
 
 
-COSMOS = RecordedFormat(
-    NAME, recognises, ".v0, .v1, .v2, .V1c, .V2c", "step, units, channels, peak, format of the columns", read
+COSMOS = Format(
+    NAME,
+    recognises,
+    ".v0, .v1, .v2, .V1c, .V2c",
+    "step, units, channels, peak, format of the columns",
+    recorded(read),
 )

@@ -9,8 +9,7 @@ of Mines and Geology, Report OSMS 85-03, 1985.
 
 from pathlib import Path
 
-from pymc_features.io.reading.format import Channel, Opening, RecordedFormat, even_or_times
-from pymc_features.io.reading.header import (
+from pymc_features.io.header import (
     check_peak,
     check_sections,
     column_width,
@@ -18,7 +17,8 @@ from pymc_features.io.reading.header import (
     number_after,
     unit_in,
 )
-from pymc_features.io.reading.lines import Lines, to_count
+from pymc_features.io.lines import Lines, to_count
+from pymc_features.io.recording import Channel, Format, Opening, even_or_times, recorded
 
 NAME = "CSMIP"
 UNCORRECTED, CORRECTED = "uncorrected accelerogram data", "corrected accelerogram"
@@ -121,10 +121,10 @@ def _unit(text: str) -> tuple[float, str | None]:
     return (0.1, "g") if word == "g/10" else (1.0, unit_in(word))
 
 
-CSMIP = RecordedFormat(
+CSMIP = Format(
     NAME + " and CESMD",
     recognises,
     ".v1, .v2, .raw",
     "step (times, of film), units, channels, peak; V3 files hold spectra and are refused",
-    read,
+    recorded(read),
 )

@@ -7,10 +7,10 @@ those of DYNA 1.2. The Turkish TADAS exports the same layout.
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pymc_features.io.reading.format import Channel, Opening, RecordedFormat
-from pymc_features.io.reading.header import check_peak, check_sections
-from pymc_features.io.reading.labelled import demand, labelled
-from pymc_features.io.reading.lines import Lines, to_count, to_number
+from pymc_features.io.header import check_peak, check_sections
+from pymc_features.io.labelled import demand, labelled
+from pymc_features.io.lines import Lines, to_count, to_number
+from pymc_features.io.recording import Channel, Format, Opening, recorded
 
 NAME = "ESM"
 
@@ -57,4 +57,4 @@ def _start(lines: Lines, facts: dict[str, str]) -> float | None:
     return moment.timestamp() + (to_number(f"0.{fraction}") or 0.0)
 
 
-ESM = RecordedFormat(NAME + " and ITACA", recognises, ".ASC", "step, units, component, start, peak", read)
+ESM = Format(NAME + " and ITACA", recognises, ".ASC", "step, units, component, start, peak", recorded(read))

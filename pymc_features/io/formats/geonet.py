@@ -9,9 +9,9 @@ https://www.geonet.org.nz/data/supplementary/strong_motion_file_formats.
 
 from pathlib import Path
 
-from pymc_features.io.reading.format import Channel, Opening, RecordedFormat
-from pymc_features.io.reading.header import check_peak, check_sections, number_after
-from pymc_features.io.reading.lines import Lines, to_number
+from pymc_features.io.header import check_peak, check_sections, number_after
+from pymc_features.io.lines import Lines, to_number
+from pymc_features.io.recording import Channel, Format, Opening, recorded
 
 NAME = "GeoNet"
 POINTS = 33  # integers: of accelerations, then of velocities and displacements
@@ -68,4 +68,4 @@ def _check_text(lines: Lines, text: list[str], n_times: int, dt: float) -> None:
         raise lines.error("accelerations must be in mm/s/s", repr(text[13].strip()[:60]))
 
 
-GEONET = RecordedFormat(NAME, recognises, ".V1A, .V2A", "step, mm/s^2, components, peak", read)
+GEONET = Format(NAME, recognises, ".V1A, .V2A", "step, mm/s^2, components, peak", recorded(read))

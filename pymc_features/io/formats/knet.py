@@ -11,9 +11,9 @@ https://www.kyoshin.bosai.go.jp/kyoshin/faq.html.
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pymc_features.io.reading.format import Channel, Opening, RecordedFormat
-from pymc_features.io.reading.header import check_peak, check_sections
-from pymc_features.io.reading.lines import Lines, to_count, to_number
+from pymc_features.io.header import check_peak, check_sections
+from pymc_features.io.lines import Lines, to_count, to_number
+from pymc_features.io.recording import Channel, Format, Opening, recorded
 
 NAME = "K-NET and KiK-net"
 LABELS = {  # of the lines that are used, in lower case without stops
@@ -89,10 +89,10 @@ def _start(lines: Lines, text: str) -> float:
         raise lines.error("the record time must be as 2006/01/18 23:25:46", repr(text)) from None
 
 
-KNET = RecordedFormat(
+KNET = Format(
     NAME,
     recognises,
     ".NS, .EW, .UD, .NS1, .EW1, .UD1, .NS2, .EW2, .UD2",
     "scale, step, direction, start, peak; the mean is taken off, as for the peak in the header",
-    read,
+    recorded(read),
 )

@@ -6,10 +6,10 @@ https://tadas.afad.gov.tr; the facts that are used stand by name in each file.
 
 from pathlib import Path
 
-from pymc_features.io.reading.format import Channel, Opening, RecordedFormat
-from pymc_features.io.reading.header import check_sections
-from pymc_features.io.reading.labelled import demand, labelled
-from pymc_features.io.reading.lines import Lines, to_count, to_number
+from pymc_features.io.header import check_sections
+from pymc_features.io.labelled import demand, labelled
+from pymc_features.io.lines import Lines, to_count, to_number
+from pymc_features.io.recording import Channel, Format, Opening, recorded
 
 NAME = "NSMN"
 DIRECTIONS = "N-S"  # the line with the directions begins so
@@ -35,4 +35,4 @@ def read(path: Path) -> tuple[list[Channel], None]:
     return [Channel(name, column, "gal", dt) for name, column in zip(directions, values.T, strict=True)], None
 
 
-NSMN = RecordedFormat(NAME, recognises, ".txt", "step, directions; gal", read)
+NSMN = Format(NAME, recognises, ".txt", "step, directions; gal", recorded(read))

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.reading.format import Channel, Opening, RecordedFormat, even_or_times
-from pymc_features.io.reading.header import check_peak, check_sections
-from pymc_features.io.reading.lines import Lines
+from pymc_features.io.header import check_peak, check_sections
+from pymc_features.io.lines import Lines
+from pymc_features.io.recording import Channel, Format, Opening, even_or_times, recorded
 
 NAME = "SMC"
 QUANTITIES = ("accelerogram", "velocity", "displacement", "spectra", "spectrum")
@@ -77,4 +77,4 @@ def _peak(reals: np.ndarray) -> float | None:
     return max(stated, default=None)
 
 
-SMC = RecordedFormat(NAME, recognises, ".smc", "step (times, of film), component, peak; cm/s^2", read)
+SMC = Format(NAME, recognises, ".smc", "step (times, of film), component, peak; cm/s^2", recorded(read))

@@ -6,10 +6,10 @@ aceleracion, version 2.0; the facts that are used stand by name in each file.
 
 from pathlib import Path
 
-from pymc_features.io.reading.format import Channel, Opening, RecordedFormat
-from pymc_features.io.reading.header import check_peak, check_sections, column_width
-from pymc_features.io.reading.labelled import demand, labelled
-from pymc_features.io.reading.lines import Lines, to_count, to_number
+from pymc_features.io.header import check_peak, check_sections, column_width
+from pymc_features.io.labelled import demand, labelled
+from pymc_features.io.lines import Lines, to_count, to_number
+from pymc_features.io.recording import Channel, Format, Opening, recorded
 
 NAME = "UNAM"
 
@@ -64,4 +64,4 @@ def _check_duration(lines: Lines, facts: dict[str, str], n_times: int, dt: float
             )
 
 
-UNAM = RecordedFormat(NAME, recognises, "day and number, .191", "step, units, directions, peaks", read)
+UNAM = Format(NAME, recognises, "day and number, .191", "step, units, directions, peaks", recorded(read))

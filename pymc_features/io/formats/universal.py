@@ -8,16 +8,15 @@ Corporation, Universal File Dataset 58.
 """
 
 import warnings
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pymc_features._checks import listed
-from pymc_features.io.reading.format import Channel, Opening, RecordedFormat, even_or_times
-from pymc_features.io.reading.labels import Unit, unit_of
-from pymc_features.io.reading.lines import shortened
-from pymc_features.io.reading.universal import AXES, FUNCTIONS, NAME, is_universal
+from pymc_features.io.labels import Unit, unit_of
+from pymc_features.io.lines import shortened
+from pymc_features.io.recording import Channel, Format, Opening, even_or_times, recorded
+from pymc_features.io.universal_marks import AXES, FUNCTIONS, NAME, is_universal
 
 EXTRA = 'python -m pip install "pymc-features[modal]"'
 TIME_RESPONSE = 1  # type of function
@@ -69,7 +68,7 @@ def read(path: Path) -> tuple[list[Channel], None]:
             _check_end(path.name, channel, found, raw)
     begins = {channel.start for channel in channels if not channel.problem}
     if len(begins) < 2:
-        channels = [replace(channel, start=None) for channel in channels]
+        channels = [channel._replace(start=None) for channel in channels]
     return channels, None
 
 
@@ -140,10 +139,10 @@ def _check_end(file: str, channel: Channel, found: dict, raw: bytes) -> None:
         )
 
 
-UNIVERSAL = RecordedFormat(
+UNIVERSAL = Format(
     "Universal File 58, by pyuff",
     recognises,
     ".uff, .unv",
     "step, units, channels by node and direction. Needs the extra `modal`",
-    read,
+    recorded(read),
 )

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.reading.format import Channel, Opening, RecordedFormat
-from pymc_features.io.reading.lines import shortened, to_count, to_number
-from pymc_features.io.reading.units import warn_user
+from pymc_features._checks.messages import warn_caller
+from pymc_features.io.lines import shortened, to_count, to_number
+from pymc_features.io.recording import Channel, Format, Opening, recorded
 
 NAME = "seismogram"
 EXTRA = 'python -m pip install "pymc-features[seismic]"'
@@ -102,7 +102,8 @@ def read(path: Path) -> tuple[list[Channel], None]:
             "again."
         ) from error
     _check_count(path, kind, stream)
-    return _channels(path, kind, stream, stamped_steps(path, stream) if kind == "MSEED" else {}), None
+    steps = stamped_steps(path, stream) if kind == "MSEED" else {}
+    return channels_of(stream, f"{path.name} ({kind})", steps), None
 
 
 def stamped_steps(path: Path, stream) -> dict[str, float]:
@@ -129,7 +130,7 @@ def stamped_steps(path: Path, stream) -> dict[str, float]:
         step = float(np.polyfit(places, begins - begins[0], 1)[0])
         if abs(step / stated - 1.0) * counts.sum() > 0.5:
             found[name] = step
-            warn_user(
+            warn_caller(
                 f"{path.name}: the header of {name} states a step of {stated:.6g} s, the times of its "
                 f"{len(own)} records {step:.6g} s, which is used. Check the clock of the logger."
             )
@@ -161,14 +162,15 @@ def _check_promise(path: Path, kind: str, opening: Opening, size: int) -> None:
         )
 
 
-def _channels(path: Path, kind: str, stream, rates: dict[str, float]) -> list[Channel]:
+def channels_of(stream, source: str, rates: dict[str, float]) -> list[Channel]:
+    """The traces of a stream; NaN in gaps."""
     channels, codes = [], [trace.stats.channel for trace in stream]
     for trace in stream:
         sac = trace.stats.get("sac", {})
         uneven = sac.get("leven", 1) != 1 or sac.get("iftype", 1) != 1
         if uneven or trace.data.dtype.kind not in "iuf" or not trace.stats.delta > 0.0:
             raise ValueError(
-                f"{path.name} ({kind}) must hold an even series of numbers, {trace.id} is none. Resample it."
+                f"{source} must hold an even series of numbers, {trace.id} is none. Resample it."
             )
         name = trace.stats.channel if trace.stats.channel and len(set(codes)) == len(codes) else trace.id
         values = np.ma.filled(trace.data.astype(np.float64), np.nan)
@@ -179,10 +181,10 @@ def _channels(path: Path, kind: str, stream, rates: dict[str, float]) -> list[Ch
     return channels
 
 
-WAVEFORMS = RecordedFormat(
+WAVEFORMS = Format(
     "SAC, MiniSEED, TSPAIR and SLIST, by ObsPy",
     lambda opening: kind_of(opening) is not None,
     ".sac, .mseed, .txt",
     "step, channels, start; pass `units`. Needs the extra `seismic`",
-    read,
+    recorded(read),
 )

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import message, shown
-from pymc_features.io.tables.brackets import texts_in_brackets, without_brackets
+from pymc_features.io.labels import BRACKETS, without_brackets
 from pymc_features.modal.data import listed
 
 #: Words that a label begins with -> quantity.
@@ -69,7 +69,7 @@ def quantity_of(label: str, source: str) -> str | None:
         return None
     base, rest = WORDS[start], "/".join(words[len(start) :])  # "rad s" of omega_rad_s is rad/s
     if base in UNITS:
-        brackets = "".join("".join(texts_in_brackets(label)).lower().split())
+        brackets = "".join("".join(BRACKETS.findall(label)).lower().split())
         base = UNITS[base].get(brackets or rest) if not (brackets and rest) else None
         if base is None and brackets:
             raise ValueError(

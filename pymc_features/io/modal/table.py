@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
+from pymc_features.io.labels import without_brackets
+from pymc_features.io.lines import LONGEST_NUMBER, Lines, to_number
 from pymc_features.io.modal.identified import Identified
 from pymc_features.io.modal.quantities import SPREADS, labelled_quantities, mode_values, quantity_of
-from pymc_features.io.reading.lines import LONGEST_NUMBER, Lines, to_number
-from pymc_features.io.tables.brackets import without_brackets
 from pymc_features.modal.data import find_channels, listed
 
 SEPARATORS = ("\t", ";", ",")

@@ -20,10 +20,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import listed
+from pymc_features.io.lines import Lines, to_count, to_number
 from pymc_features.io.modal.identified import Identified
-from pymc_features.io.reading.lines import Lines, to_count, to_number
-from pymc_features.io.reading.promise import check_promise
-from pymc_features.io.reading.universal import AXES, FUNCTIONS, NAME, is_mark
+from pymc_features.io.size_check import check_size
+from pymc_features.io.universal_marks import AXES, FUNCTIONS, NAME, is_mark
 
 MODES = {2: "normal", 3: "complex", 7: "complex"}  # types of analysis
 MOTION = {0: "unknown", 1: "general", 8: "displacement", 11: "velocity", 12: "acceleration"}
@@ -269,7 +269,7 @@ def _identified(path: Path, modes: list[Mode]) -> Identified:
         )
     directions = DIRECTIONS[counts.pop()]
     kind = np.complex128 if any(mode.values.dtype.kind == "c" for mode in modes) else np.float64
-    check_promise(path, [16 * len(modes) * nodes.size * len(directions)])
+    check_size(path, [16 * len(modes) * nodes.size * len(directions)])
     shapes = np.full((len(modes), nodes.size, len(directions)), np.nan, dtype=kind)
     for number, mode in enumerate(modes):
         shapes[number, np.searchsorted(nodes, mode.nodes)] = mode.values

@@ -12,14 +12,12 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-import h5py
 import numpy as np
 
+from pymc_features.io.lines import decoded, shortened
+from pymc_features.io.matlab import load_variables
 from pymc_features.io.modal.identified import Identified
 from pymc_features.io.modal.quantities import labelled_quantities, mode_values
-from pymc_features.io.reading.lines import decoded, shortened
-from pymc_features.io.reading.promise import check_promise
-from pymc_features.io.tables.mat import load_hdf5, load_mat, stored_size
 from pymc_features.modal.data import listed
 
 MOST_JSON = 64 * 2**20  # bytes
@@ -27,29 +25,7 @@ MOST_JSON = 64 * 2**20  # bytes
 
 def read_mat_modes(path: Path, names: dict[str, str]) -> Identified:
     """Modes in the variables of a .mat file of any version."""
-    try:
-        variables = _load_hdf5_all(path) if h5py.is_hdf5(path) else load_mat(path)
-    except Exception as error:  # each damaged file fails in its own way, inside the parsers
-        raise ValueError(
-            f"{path.name} must be a MATLAB .mat file, it cannot be read ({shortened(error)}). Save it again."
-        ) from error
-    arrays = {name: value for name, value in variables.items() if isinstance(value, np.ndarray)}
-    return from_variables(arrays, path.name, names)
-
-
-def _load_hdf5_all(path: Path) -> dict[str, np.ndarray]:
-    """Variables of MATLAB 7.3, complex ones too, which are pairs of real and imag there."""
-    variables, promised = load_hdf5(path), 0
-    with h5py.File(path, "r") as file:
-        for name in file:
-            item = file[name] if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
-            if not isinstance(item, h5py.Dataset) or item.external or item.is_virtual:
-                continue
-            if item.dtype.names == ("real", "imag") and "MATLAB_empty" not in item.attrs:
-                promised = check_promise(path, [promised, stored_size(item)])
-                pairs = item[()].T
-                variables[name] = pairs["real"] + 1j * pairs["imag"]
-    return variables
+    return from_variables(load_variables(path), path.name, names)
 
 
 def read_json_modes(path: Path, names: dict[str, str]) -> Identified:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.reading.promise import check_promise
+from pymc_features.io.size_check import check_size
 
 HEADER, TAG = 128, 8  # bytes
 COMPRESSED, ARRAY = 15, 14  # types of elements
@@ -65,7 +65,7 @@ def _inflated(path: Path, raw: bytes, held: int) -> bytes:
     inflate, pieces = zlib.decompressobj(), []
     while raw:
         pieces.append(inflate.decompress(raw, CHUNK))
-        held = check_promise(path, [held, len(pieces[-1])])
+        held = check_size(path, [held, len(pieces[-1])])
         raw = inflate.unconsumed_tail
     return b"".join(pieces)
 

@@ -13,8 +13,9 @@ LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "in": INCH, "ft": FOOT}
 FORCES = {"N": 1.0, "kN": 1e3, "MN": 1e6, "lbf": POUND, "kip": 1e3 * POUND}
 #: SI units per unit, by quantity. Capitals count where "mN" and "MN" differ, and nowhere else.
 UNITS = {
-    "acceleration": {f"{name}/s2": factor for name, factor in LENGTHS.items()}
-    | {"g": G, "gn": G, "mg": 1e-3 * G, "ug": 1e-6 * G, "gal": 0.01, "mgal": 1e-5},
+    "acceleration": {"g": G, "mg": 1e-3 * G, "m/s^2": 1.0, "cm/s^2": 0.01, "gal": 0.01, "mgal": 1e-5}
+    | {f"{name}/s^2": factor for name, factor in LENGTHS.items()}
+    | {"gn": G, "ug": 1e-6 * G},
     "velocity": {f"{name}/s": factor for name, factor in LENGTHS.items()} | {"kine": 0.01},
     "displacement": LENGTHS | {"micron": 1e-6, "meter": 1.0, "inch": INCH},
     "strain": {"m/m": 1.0, "mm/m": 1e-3} | dict.fromkeys(("um/m", "ue", "ustrain", "microstrain"), 1e-6),
@@ -23,10 +24,20 @@ UNITS = {
     "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
     | dict.fromkeys(("min", "minute"), 60.0)
-    | dict.fromkeys(("h", "hr", "hour"), 3600.0),
+    | dict.fromkeys(("h", "hr", "hour"), 3600.0)
+    | dict.fromkeys(("d", "day"), 86400.0),
     "frequency": {"Hz": 1.0, "kHz": 1e3, "1/s": 1.0},
     "temperature": {"degC": 1.0, "°C": 1.0},
     "angle": {"deg": 1.0, "°": 1.0, "rad": 1.0, "mrad": 1e-3},
+}
+#: The SI unit of a quantity that sensors measure.
+SI = {
+    "acceleration": "m/s^2",
+    "velocity": "m/s",
+    "displacement": "m",
+    "strain": "m/m",
+    "force": "N",
+    "pressure": "Pa",
 }
 #: Words of a label, in lower case, by what they say that a column is.
 ROLES = {
@@ -42,6 +53,8 @@ ROLES = {
 OF_WORD = {word: role for role, words in ROLES.items() for word in words.split()}
 NO_HISTORY = "period", "frequency", "depth", "spectral"  # of tables over something else than time
 
+BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
+_CELL = re.compile(r"[^\s\[\]()]+(?:\s*[\[(][^\[\]()]*[\])])?|[\[(][^\[\]()]*[\])]")
 _PLAIN = str.maketrans("µμε²¹⁻·*", "uue21-  ", "^")
 _SECOND = re.compile(r"sec(?:ond)?s?(?![a-z])", re.IGNORECASE)
 _PER_SECOND = re.compile(r"[ .]?s-([12])$", re.IGNORECASE)  # m s-2
@@ -54,7 +67,7 @@ class Unit(NamedTuple):
     factor: float
 
 
-EXACT = {name: Unit(kind, factor) for kind, names in UNITS.items() for name, factor in names.items()}
+EXACT = {n.replace("^", ""): Unit(kind, f) for kind, names in UNITS.items() for n, f in names.items()}
 LOWER = {name.lower(): unit for name, unit in reversed(EXACT.items()) if name not in ("mN", "MN", "MPa")}
 
 
@@ -87,3 +100,71 @@ def role_of(label: str) -> str | None:
     """
     words = re.split(r"[^a-zA-Z]+", label)
     return next((OF_WORD[word.lower()] for word in words if word.lower() in OF_WORD), None)
+
+
+def without_brackets(text: str) -> str:
+    """The text without brackets and what stands in them.
+
+    Examples
+    --------
+    >>> without_brackets("acc [g]")
+    'acc'
+    """
+    return BRACKETS.sub("", text).strip()
+
+
+class Label(NamedTuple):
+    """What stands above a column.
+
+    Attributes
+    ----------
+    text : str
+        As it stands in the file, without quotation marks.
+    name : str
+        Without the unit.
+    unit : str or None
+        What stands where units do: in brackets, in a row of units, or behind a name of at least two letters.
+    """
+
+    text: str
+    name: str
+    unit: str | None = None
+
+    @property
+    def known(self) -> Unit | None:
+        """The unit, if it is one that is known."""
+        return None if self.unit is None else unit_of(self.unit)
+
+    @property
+    def role(self) -> str | None:
+        """See `role_of`."""
+        return role_of(self.name)
+
+    @classmethod
+    def of(cls, text: str, unit: str | None = None) -> "Label":
+        """The label that a text is, with the unit of a row of units below it.
+
+        Examples
+        --------
+        >>> Label.of("acc [m/s^2]"), Label.of("time_ms").unit, Label.of("a_g").unit
+        (Label(text='acc [m/s^2]', name='acc', unit='m/s^2'), 'ms', None)
+        """
+        name = without_brackets(text)
+        units = [found.strip() for found in BRACKETS.findall(text)]
+        known = [found for found in units if unit_of(found) is not None]
+        if not units and unit is None and (found := re.fullmatch(r"(.*[^\W\d_]{2,}.*)[_ ]([^_ ]+)", name)):
+            kind = unit_of(found[2]) if len(found[2]) > 1 or found[2] in "gs" else None  # N is north
+            if kind is not None and (kind.quantity == "time") == (role_of(found[1]) == "time"):
+                name, units = found[1], [found[2]]
+        return cls(text, name or text, unit or next(iter([*known, *units]), None))
+
+
+def labels_with_brackets(text: str) -> list[str]:
+    """Words, each with the brackets that follow it.
+
+    Examples
+    --------
+    >>> labels_with_brackets("time [s] acc [g] x")
+    ['time [s]', 'acc [g]', 'x']
+    """
+    return _CELL.findall(text)

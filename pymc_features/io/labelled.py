@@ -1,6 +1,6 @@
 """Headers of one fact in a line, `LABEL: value`."""
 
-from pymc_features.io.reading.lines import Lines, to_number
+from pymc_features.io.lines import Lines, to_number
 
 
 def labelled(lines: Lines, end: str | None = None, most: int = 300) -> dict[str, str]:

@@ -5,6 +5,8 @@ import re
 import stat
 from array import array
 from collections.abc import Iterator
+from functools import cached_property
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +17,6 @@ _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCI
 _NOT_FINITE = re.compile(r"[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
 
 LONGEST_NUMBER = 100  # characters
-LONGEST_LINE = 200_000  # characters
-CHUNK = 2**16  # characters; as many lines are cut at a time
 
 
 def check_readable(path: Path, name: str = "path") -> None:
@@ -53,7 +53,7 @@ def decoded(raw: bytes) -> str:
 
 
 class Lines:
-    """The lines of a text file, which need not fit into memory one by one.
+    """The lines of a text file.
 
     Parameters
     ----------
@@ -76,53 +76,28 @@ class Lines:
         self.title = f"{path.name} ({format_name})" if format_name else path.name
         self.number = 0  # of the line that was taken last
         self.last = ""  # and what it says
-        self._text = decoded(raw)
-        self._next = 0  # position of the line after it
+        self.text = decoded(raw)
+
+    @cached_property
+    def _lines(self) -> list[str]:
+        return self.text.removesuffix("\n").split("\n")
 
     def __iter__(self) -> Iterator[tuple[int, str]]:
         """Number, from 1, and text of every line that is not blank, without blanks around it."""
-        start, number = 0, 0
-        while start <= len(self._text):
-            end = self._text.find("\n", min(start + CHUNK, len(self._text)))
-            end = len(self._text) if end < 0 else end
-            for line in self._text[start:end].split("\n"):
-                number += 1
-                self._check_length(len(line), number)
-                if line := line.strip():
-                    yield number, line
-            start = end + 1
-
-    def _cut(self, start: int, number: int) -> tuple[str, int]:
-        """The line that starts at a position, and the position of the next."""
-        end = self._text.find("\n", start)
-        end = len(self._text) if end < 0 else end
-        self._check_length(end - start, number)
-        return self._text[start:end], end + 1
-
-    def _check_length(self, length: int, number: int) -> None:
-        if length > LONGEST_LINE:
-            raise ValueError(
-                f"{self.file}, line {number}: lines must have at most {LONGEST_LINE} characters, got "
-                f"{length}. Break the lines of the file."
-            )
+        return ((number, line.strip()) for number, line in enumerate(self._lines, 1) if line.strip())
 
     def peek(self) -> str | None:
         """The next line that is not blank, None at the end of the file; it is not taken."""
-        start = self._next
-        while start < len(self._text):
-            line, start = self._cut(start, self.number + 1)
-            if line.strip():
-                return line
-        return None
+        return next((line for line in islice(self._lines, self.number, None) if line.strip()), None)
 
     def take(self, what: str) -> str:
         """The next line, blank or not; `what` it should be, for the message at the end of the file."""
-        if self._next >= len(self._text):
+        if self.number >= len(self._lines):
             raise ValueError(
                 f"{self.title} must hold {what}, it ends at line {self.number}. Fetch the file again."
             )
+        self.last = self._lines[self.number]
         self.number += 1
-        self.last, self._next = self._cut(self._next, self.number)
         return self.last
 
     def where(self) -> str:

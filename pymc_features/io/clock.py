@@ -1,22 +1,21 @@
-"""Measured files and their clocks: steps, gaps, and the window that several clocks have in common."""
+"""Clocks of measured channels: steps, gaps, and the window that several clocks have in common."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from pymc_features._checks import is_number, listed, shown, single, to_float
-from pymc_features.io.reading.labels import unit_of
-from pymc_features.io.reading.units import time_step
-from pymc_features.signals.channels import warn_channel
+from pymc_features._checks.messages import warn_caller
+from pymc_features.exceptions import ChannelWarning
+from pymc_features.io.labels import unit_of
 
 _SIMULTANEOUS = 0.05  # of a sample; what clocks may differ by without a word
 _DRIFT = 0.5  # of a sample, from the first to the last sample in common
 
 
-@dataclass(frozen=True)
-class Clock:
-    """When the samples of one file were taken."""
+class Clock(NamedTuple):
+    """When the samples of a channel were taken."""
 
     file: str
     n_times: int
@@ -30,62 +29,44 @@ class Clock:
         return self.start + (self.n_times - 1) * self.dt
 
 
-@dataclass(frozen=True)
-class Window:
+class UnevenStepsError(ValueError):
+    """Steps of a clock that is no even one, though no samples are missing."""
+
+
+class Window(NamedTuple):
     """Samples that several clocks have in common."""
 
     dt: float  # [s]
     start: float  # reading of the clocks at the first common sample [s], 0 without clocks
     n_times: int
-    first: tuple[int, ...]  # first common sample of every file
-
-
-@dataclass(frozen=True)
-class MeasuredFile:
-    """Channels of one file, all sampled at the same times."""
-
-    names: list[str]
-    values: np.ndarray  # (channel, time) [m/s^2], NaN where there are gaps
-    clock: Clock
-
-
-@dataclass(frozen=True)
-class Request:
-    """What the caller says about every file; None leaves it to the file."""
-
-    columns: list | None = None
-    units: str | float | None = None
-    dt: float | None = None
-    clock: str | int | bool | None = None  # False: no clock
-    clock_units: float | None = None  # [s] per count
-    skip: int = 0
-    wrapped: bool | None = None  # whether one series runs along the lines of a text file
-    gaps: bool = False  # whether samples may be missing: NaN, empty cells, rows that a clock passes over
+    first: tuple[int, ...]  # first common sample of every channel
 
 
 def clock_seconds(units) -> float:
-    """Seconds per unit of a clock: "s", "ms", "us", "ns", "min", "h" or a positive number."""
+    """Seconds per unit of a clock: "s", "ms", "us", "ns", "min", "h", "d" or a positive number."""
     if isinstance(units, str) and (known := unit_of(units)) is not None and known.quantity == "time":
         return known.factor
     if is_number(single(units)) and 0.0 < to_float(single(units)) < np.inf:
         return to_float(single(units))
     raise ValueError(
-        '`clock_units` must be "s", "ms", "us", "ns", "min", "h" or a positive number of seconds, got '
+        '`clock_units` must be "s", "ms", "us", "ns", "min", "h", "d" or a positive number of seconds, got '
         f"{shown(units)}."
     )
 
 
-def even_clock(times: np.ndarray, where: Callable[[int], str], quantum: float, gaps: bool):
+def even_clock(times: np.ndarray, where: Callable[[int], str], quantum: float = 0.0, gaps: bool = False):
     """Sampling interval [s] of a clock (time,), and the number of each of its samples, from 0 (time,).
 
     Parameters
     ----------
     times : ndarray (time,)
-        Readings [s].
+        Readings [s], at least two.
     where : callable
-        How a message calls the place of a row.
+        How a message calls the place of a row, "elcentro.csv, line 871".
     quantum : float
-        Resolution of the readings [s].
+        Resolution of the readings [s]. Up to a quarter of the step it is tolerated as rounding, unless the
+        step is a multiple of it: then rounding cannot make steps uneven. A thousandth of the step is
+        tolerated anyway.
     gaps : bool
         Whether samples may be missing; then half of them, at most.
 
@@ -93,13 +74,19 @@ def even_clock(times: np.ndarray, where: Callable[[int], str], quantum: float, g
     ------
     ValueError
         If samples are missing, repeated or uneven; the message names the first place.
+
+    Examples
+    --------
+    >>> even_clock(np.array([0.0, 0.008, 0.017, 0.025]), lambda row: f"line {row + 1}", 0.001)[0]
+    0.008333333333
     """
     steps = np.diff(times)
     if not (steps > 0.0).all():
-        row = int(np.argmax(steps <= 0.0)) + 1
+        row = int(np.argmax(~(steps > 0.0))) + 1
         raise ValueError(
-            f"{where(row)}: the clock must run forward, it goes from {times[row - 1]:.10g} s to "
-            f"{times[row]:.10g} s. Cut the file there, or pass `clock`, the column with the times."
+            f"{where(row)}: time must increase, it goes from {times[row - 1]:.10g} s to {times[row]:.10g} s. "
+            "Cut the file there; if this is no time, name the column with the times by `clock`, or the "
+            "acceleration by `column` and pass `dt`."
         )
     usual = float(steps[steps < 1.5 * np.median(steps)].mean())  # of printed times no step is exact
     missing = np.rint(steps / usual)
@@ -108,23 +95,33 @@ def even_clock(times: np.ndarray, where: Callable[[int], str], quantum: float, g
     numbers = np.arange(times.size)
     if (missing > 1.0).any() and whole:
         row = int(np.argmax(missing > 1.0)) + 1
-        if gaps and missing.sum() < 2.0 * times.size:
-            numbers = np.append(0, np.cumsum(missing.astype(np.int64)))
-            return time_step(times, where, quantum, numbers), numbers
-        raise ValueError(
-            f"{where(row)}: no samples may be missing, {int((missing - 1.0).sum())} are, in "
-            f"{int((missing > 1.0).sum())} gap(s), the first from {times[row - 1]:.10g} s to "
-            f"{times[row]:.10g} s at a step of {usual:.4g} s. Cut the file to one side, or fill the gap."
+        if not gaps or missing.sum() >= 2.0 * times.size:
+            raise ValueError(
+                f"{where(row)}: no samples may be missing, {int((missing - 1.0).sum())} are, in "
+                f"{int((missing > 1.0).sum())} gap(s), the first from {times[row - 1]:.10g} s to "
+                f"{times[row]:.10g} s at a step of {usual:.4g} s. Cut the file to one side, or fill the gap."
+            )
+        numbers = np.append(0, np.cumsum(missing.astype(np.int64)))
+    mean = (times[-1] - times[0]) / numbers[-1]
+    tolerance = 1e-3 * mean + 4.0 * np.spacing(np.abs(times).max())
+    multiple = quantum > 0.0 and abs(mean / quantum - round(mean / quantum)) < 1e-6
+    if quantum <= mean / 4.0 and not multiple:
+        tolerance += quantum
+    if np.abs(times - times[0] - mean * numbers).max() > tolerance:
+        row = int(np.argmax(np.abs(steps - np.median(steps)))) + 1
+        raise UnevenStepsError(
+            f"{where(row)}: time steps must be even, they vary from {steps.min():.4g} s to "
+            f"{steps.max():.4g} s. Resample the record first."
         )
-    return time_step(times, where, quantum), numbers
+    return float(f"{mean:.10g}"), numbers
 
 
 def at_samples(values: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Values (channel, row) at the numbers of their samples (row,), NaN where there is none."""
-    if values.shape[1] == numbers[-1] + 1:
+    """Values (..., row) at the numbers of their samples (row,), NaN where there is none."""
+    if values.shape[-1] == numbers[-1] + 1:
         return values
-    whole = np.full((values.shape[0], numbers[-1] + 1), np.nan)
-    whole[:, numbers] = values
+    whole = np.full((*values.shape[:-1], numbers[-1] + 1), np.nan)
+    whole[..., numbers] = values
     return whole
 
 
@@ -147,7 +144,7 @@ def common_window(clocks: list[Clock]) -> Window:
         if abs(clock.dt - first.dt) * (n - 1) > _DRIFT * first.dt:
             raise ValueError(
                 f"Sensors must have a common clock, the step is {first.dt:.10g} s in {first.file} and "
-                f"{clock.dt:.10g} s in {clock.file}. Resample one of them first."
+                f"{clock.dt:.10g} s in {clock.file}. Pass `resample`, the rate [Hz] of all."
             )
     if any(clock.start is None for clock in clocks):
         return _without_clocks(clocks)
@@ -159,24 +156,33 @@ def common_window(clocks: list[Clock]) -> Window:
     start = first.start + steps * dt
     n_times = min(clock.n_times - k for clock, k in zip(clocks, skipped, strict=True))
     if n_times < 2:
-        ranges = listed([f"{clock.file} {clock.start:.6g} s to {clock.stop:.6g} s" for clock in clocks])
-        raise ValueError(
-            f"Sensors must have a common clock, these have no time in common: {ranges}. Pass clock=False "
-            "and `dt` if the files start together, or one event only."
-        )
-    for clock, late in zip(clocks, starts + skipped * dt - start, strict=True):
+        raise no_common_time(clocks)
+    for clock, late in dict(zip(clocks, starts + skipped * dt - start, strict=True)).items():
         if abs(late) > _SIMULTANEOUS * dt + 2.0 * clock.quantum:
-            warn_channel(
+            warn_caller(
                 f"{clock.file}: its samples come {1e3 * abs(late):.3g} ms ({abs(late) / dt:.2g} samples) "
                 f"{'after' if late > 0.0 else 'before'} those of {first.file} by the clocks; they are taken "
-                "as simultaneous. Resample it first if that matters."
+                "as simultaneous. Pass `resample` if that matters.",
+                ChannelWarning,
             )
         if n_times < 0.5 * clock.n_times:
-            warn_channel(
+            warn_caller(
                 f"{clock.file}: only {n_times} of its {clock.n_times} samples are in the window that all "
-                "sensors have in common. Check for a file that starts late or ends early."
+                "sensors have in common. Check for a file that starts late or ends early.",
+                ChannelWarning,
             )
     return Window(dt, start, n_times, tuple(int(k) for k in skipped))
+
+
+def no_common_time(clocks: list[Clock]) -> ValueError:
+    """The error about clocks that have no samples in common."""
+    ranges = listed(
+        list(dict.fromkeys(f"{clock.file} {clock.start:.6g} s to {clock.stop:.6g} s" for clock in clocks))
+    )
+    return ValueError(
+        f"Sensors must have a common clock, these have no time in common: {ranges}. Pass clock=False "
+        "and `dt` if the files start together, or one event only."
+    )
 
 
 def _without_clocks(clocks: list[Clock]) -> Window:
@@ -186,11 +192,10 @@ def _without_clocks(clocks: list[Clock]) -> Window:
             f"Sensors must have a common clock, {bare[0].file} has none and others do. Pass `clock`, the "
             "column with the times, or clock=False and `dt` if all files start together."
         )
-    lengths = [clock.n_times for clock in clocks]
-    if len(set(lengths)) > 1:
+    if len({clock.n_times for clock in clocks}) > 1:
         sizes = listed([f"{clock.file} {clock.n_times}" for clock in clocks])
         raise ValueError(
             f"Sensors without clocks must have the same number of samples, got {sizes}. Cut them to the "
             "same window first."
         )
-    return Window(clocks[0].dt, 0.0, lengths[0], (0,) * len(clocks))
+    return Window(clocks[0].dt, 0.0, clocks[0].n_times, (0,) * len(clocks))

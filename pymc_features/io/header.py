@@ -4,8 +4,9 @@ import re
 
 import numpy as np
 
-from pymc_features.io.reading.lines import Lines, to_count, to_number
-from pymc_features.io.reading.units import known_factor, warn_user
+from pymc_features._checks.messages import warn_caller
+from pymc_features.io.lines import Lines, to_count, to_number
+from pymc_features.io.units import known_factor
 
 _WIDTH = re.compile(r"(?<!\d)\d{0,3}[FEI](\d{1,3})", re.IGNORECASE | re.ASCII)
 _PUNCTUATION = ".,;:()="
@@ -54,7 +55,7 @@ def check_peak(lines: Lines, name: str, values: np.ndarray, stated: float | None
         return
     peak, stated = float(np.abs(values).max()), abs(stated)
     if stated > 0.0 and abs(peak - stated) > 0.02 * stated + 0.005:
-        warn_user(
+        warn_caller(
             f"{lines.title}, {name}: the file states a peak of {stated:.4g}, its values have {peak:.4g}. Is "
             "it damaged?"
         )

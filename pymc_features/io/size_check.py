@@ -1,4 +1,4 @@
-"""What a file may promise: arrays much larger than itself are refused before memory is taken for them."""
+"""How much a file may hold: arrays much larger than itself are refused before memory is taken for them."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -7,7 +7,7 @@ TIMES = 20  # the size of the file
 ALWAYS = 64 * 2**20  # bytes; small files of much compressed or sparse arrays
 
 
-def check_promise(path: Path, n_bytes: Iterable[int]) -> int:
+def check_size(path: Path, n_bytes: Iterable[int]) -> int:
     """Refuse a file whose arrays would take more than twenty times its size, and more than 64 MiB.
 
     Returns

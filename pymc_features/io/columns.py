@@ -1,0 +1,182 @@
+"""Tables with a column for each sensor, of text, MATLAB or pandas: which column is the clock."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features._checks import listed, shown
+from pymc_features._checks.messages import warn_caller
+from pymc_features.io.clock import UnevenStepsError, at_samples, even_clock
+from pymc_features.io.labels import NO_HISTORY, Label
+from pymc_features.io.recording import Channel, Recording, Request
+
+#: Seconds per count of the microsecond counter in exports of Movella (Xsens) DOT sensors, by its label.
+COUNTERS = {"sampletimefine": 1e-6}
+
+
+class Columns(NamedTuple):
+    """Numbers with labels above them.
+
+    Attributes
+    ----------
+    file : str
+        What messages call it.
+    labels : list of Label
+        Of each column; without a text where the file has none.
+    values : ndarray (row, column)
+        NaN where a cell is empty.
+    where : callable
+        How a message calls the place of a row and a column.
+    resolution : callable
+        Column -> resolution of its printed or stored numbers.
+    stamp : int or None
+        The column that was time stamps: seconds since `origin`.
+    origin : float
+        Midnight of the first day [s since 1970], 0 of time stamps without dates.
+    units : str or None
+        Stated for all columns.
+    dt : float or None
+        Stated besides a clock [s].
+    """
+
+    file: str
+    labels: list[Label]
+    values: np.ndarray
+    where: Callable[[int, int], str]
+    resolution: Callable[[int], float] = lambda index: 0.0
+    stamp: int | None = None
+    origin: float = 0.0
+    units: str | None = None
+    dt: float | None = None
+
+    def names(self) -> str:
+        """The columns, as a message lists them."""
+        texts = [label.text for label in self.labels]
+        return listed(texts) if any(texts) else f"0 to {len(texts) - 1}"
+
+    def find(self, column, argument: str, what: str) -> int:
+        """Index of a column by its index or header name.
+
+        Raises
+        ------
+        ValueError
+            If there is no such column, or several; the message names `argument` and says `what` it asks for.
+        """
+        if isinstance(column, str):
+            wanted = column.strip()
+            matches = {i for i, label in enumerate(self.labels) if wanted in (label.text, label.name)}
+        else:
+            matches = {column} & set(range(len(self.labels)))
+        if len(matches) != 1:
+            raise ValueError(
+                f"`{argument}` must be one of the columns of {self.file} ({self.names()}), got "
+                f"{shown(column)}. Pass the index (from 0) or the header name of the {what}."
+            )
+        return matches.pop()
+
+
+def recording_of(columns: Columns, request: Request, question: str = "") -> Recording:
+    """The channels of a table on its clock; the clock and numbers of samples are hidden among them."""
+    timer = clock_column(columns, request.clock)
+    place, numbers = _clock(columns, timer, request)
+    channels = []
+    for index, label in enumerate(columns.labels):
+        hidden = index == timer or (label.role == "number" and label.unit is None)
+        problem = "" if index != timer else f"`columns` must name measurements, column {index} is the clock."
+        values = at_samples(columns.values[:, index], numbers)
+        name = label.name or f"column {index}"
+        unit = label.unit or columns.units
+        channels.append(
+            Channel(name, values, unit, **place, label=label.text, hidden=hidden, problem=problem)
+        )
+    return Recording(columns.file, channels, question=question, skipped=True)
+
+
+def clock_column(columns: Columns, clock) -> int | None:
+    """Index of the column with the times: as asked, by its label, or a first column that runs forward.
+
+    Raises
+    ------
+    ValueError
+        If the table is one over something else than time.
+    """
+    if clock is False:
+        return None
+    if clock is not None:
+        return columns.find(clock, "clock", "times")
+    if columns.stamp is not None:
+        return columns.stamp
+    for index, label in enumerate(columns.labels):
+        if label.role in NO_HISTORY and (index == 0 or label.role == "spectral"):
+            raise ValueError(
+                f"{columns.file} must be a history over time, got a column {label.text!r}. If it is one, "
+                "pass clock=False with `dt` and `columns`, or `clock`, the column with the times."
+            )
+    if labelled := [index for index, label in enumerate(columns.labels) if label.role == "time"]:
+        return labelled[0]
+    first = columns.labels[0]
+    is_time = first.known is not None and first.known.quantity == "time"
+    open_ = is_time or first.role in (None, "number")
+    forward = len(columns.labels) > 1 and open_ and (np.diff(columns.values[:, 0]) > 0.0).mean() > 0.9
+    return 0 if forward else None
+
+
+def clock_scale(columns: Columns, timer: int) -> float | None:
+    """Seconds per unit of a clock by its label; None where that does not say it.
+
+    Raises
+    ------
+    ValueError
+        If its label has a unit that is not understood.
+    """
+    label = columns.labels[timer]
+    if timer == columns.stamp:
+        return 1.0
+    if label.known is not None and label.known.quantity == "time":
+        return label.known.factor
+    if label.unit is not None:
+        raise ValueError(
+            f"`clock_units` must be given, {columns.file} states {label.unit!r} of its clock, "
+            'which is no known unit of time. Pass "s", "ms", "us" or the seconds per count.'
+        )
+    return COUNTERS.get(label.name.lower())
+
+
+def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict, np.ndarray]:
+    """Step, start and resolution of the clock, and the numbers of the samples (row,)."""
+    numbers = np.arange(columns.values.shape[0])
+    if timer is None:
+        return {"dt": columns.dt}, numbers
+    readings = columns.values[:, timer]
+    without = np.flatnonzero(np.isnan(readings))
+    if without.size:
+        raise ValueError(
+            f"{columns.where(int(without[0]), timer)}: the clock must have a time in every row, got none. "
+            "Cut the row."
+        )
+    stated = clock_scale(columns, timer) if request.clock_units is None else request.clock_units
+    scale = 1.0 if stated is None else stated
+    quantum = scale * columns.resolution(timer)
+    try:
+        step, numbers = even_clock(
+            scale * readings, lambda row: columns.where(row, timer), quantum, request.gaps
+        )
+    except UnevenStepsError as error:
+        if request.dt is None:
+            raise
+        warn_caller(f"{error} The argument dt={request.dt:g} s is used.")
+        return {"dt": None}, numbers
+    if step >= 1.0 and stated is None:  # a counter, or other units
+        if request.dt is None:
+            raise ValueError(
+                f"`clock_units` must be given, the clock of {columns.file} (column {timer}) has a step of "
+                f'{step:g}, too long for seconds. Pass "ms", "us" or the seconds per count, or `dt`.'
+            )
+        scale, quantum, step = request.dt / step * scale, quantum * request.dt / step, request.dt
+    if columns.dt is not None and not np.isclose(columns.dt, step, rtol=1e-3, atol=0.0):
+        raise ValueError(
+            f"{columns.file} contradicts itself, it states a step of {columns.dt:g} s and its clock "
+            f"{step:g} s. Pass `clock_units`, or clock=False and `dt`."
+        )
+    return {"dt": step, "start": columns.origin + float(scale * readings[0]), "quantum": quantum}, numbers

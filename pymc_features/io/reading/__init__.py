@@ -1,1 +1,0 @@
-"""What all readers share: lines and numbers, units and steps, clocks, and what a format is."""

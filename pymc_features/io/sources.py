@@ -1,0 +1,149 @@
+"""Channels that are in memory: pandas, xarray, ObsPy, and the dicts of SEP005."""
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+
+import numpy as np
+
+from pymc_features._checks import as_list, listed, message, shown
+from pymc_features.io.columns import Columns, recording_of
+from pymc_features.io.labels import Label, role_of
+from pymc_features.io.recording import Channel, Recording, Request
+
+SEP005 = "data", "name", "unit_str"
+
+
+def is_source(value) -> bool:
+    """Whether a value holds channels by itself, rather than being the path of a file."""
+    kind = type(value)
+    if {"DataFrame", "DataArray", "Stream"} & {base.__name__ for base in kind.__mro__}:
+        return True
+    entries = as_list(value) if isinstance(value, list | tuple) else None
+    return bool(entries) and all(isinstance(entry, Mapping) and "data" in entry for entry in entries)
+
+
+def recording_in(source, request: Request) -> Recording:
+    """The channels of a `pandas.DataFrame`, an `xarray.DataArray`, an ObsPy `Stream` or a list of SEP005.
+
+    Raises
+    ------
+    ValueError
+        If they are no numbers, or their times are none.
+    """
+    names = {base.__name__ for base in type(source).__mro__}
+    if "DataFrame" in names:
+        return _of_frame(source, request)
+    if "DataArray" in names:
+        return _of_array(source)
+    if "Stream" in names:
+        from pymc_features.io.formats.waveforms import channels_of
+
+        return Recording("the Stream", channels_of(source.copy().merge(method=0), "the Stream", {}))
+    return Recording("the list", [_of_dict(entry) for entry in source])
+
+
+def _of_frame(frame, request: Request) -> Recording:
+    """Columns by their labels; an index that is named as a time, or holds dates, is the clock."""
+    labels = [Label.of(str(name)) for name in frame.columns]
+    other = [str(name) for name, kind in frame.dtypes.items() if kind.kind not in "iufb"]
+    if other:
+        what = f"a DataFrame with {listed(other)}"
+        raise ValueError(f"`files` must hold numbers, got {what}. Drop these columns.")
+    values, stamp, origin = frame.to_numpy(dtype=np.float64), None, 0.0
+    index = frame.index
+    if index.dtype.kind in "mM":
+        origin, seconds = _seconds(index.to_numpy())
+        values, stamp = np.insert(values, 0, seconds, axis=1), 0
+        labels = [Label("time", "time"), *labels]
+    elif index.name is not None and role_of(str(index.name)) == "time":
+        values = np.insert(values, 0, index.to_numpy(dtype=np.float64), axis=1)
+        labels = [Label.of(str(index.name)), *labels]
+    columns = Columns(
+        "the DataFrame",
+        labels,
+        values[request.skip :],
+        lambda row, column: f"row {row}",
+        stamp=stamp,
+        origin=origin,
+    )
+    return recording_of(columns, request)
+
+
+def _seconds(times: np.ndarray) -> tuple[float, np.ndarray]:
+    """The first of some dates [s since 1970], or 0 of durations, and the seconds (time,) since then."""
+    nanoseconds = times.astype(f"{times.dtype.kind}8[ns]").astype(np.int64)
+    first = int(nanoseconds[0]) if times.dtype.kind == "M" else 0
+    return first * 1e-9, (nanoseconds - first) * 1e-9
+
+
+def _of_array(array) -> Recording:
+    """Sensors by the coordinate `sensor`, times [s] or dates by the coordinate `time`, `units` in `attrs`."""
+    if not set(array.dims) <= {"sensor", "time"} or "time" not in array.dims:
+        raise ValueError(
+            message("files", "a DataArray (sensor, time)", str(array.dims), "Rename and transpose it.")
+        )
+    whole = array.expand_dims("sensor") if "sensor" not in array.dims else array
+    whole = whole.transpose("sensor", "time")
+    names = whole["sensor"].values if "sensor" in array.coords else np.arange(whole.sizes["sensor"])
+    units = (
+        whole.coords["units"].values if "units" in whole.coords else [array.attrs.get("units")] * len(names)
+    )
+    place = {}
+    if "time" in array.coords:
+        times = whole["time"].values
+        dates = times.dtype.kind in "mM"
+        label = Label("time", "time", None if dates else str(whole["time"].attrs.get("units", "s")))
+        origin, seconds = _seconds(times) if dates else (0.0, times.astype(np.float64))
+        columns = Columns(
+            "the DataArray",
+            [label],
+            seconds[:, None],
+            lambda row, column: f"sample {row}",
+            stamp=0 if dates else None,
+            origin=origin,
+        )
+        [clock] = recording_of(columns, Request()).channels
+        start = float(array.attrs.get("start", 0.0)) + clock.start
+        place = {"dt": clock.dt, "start": start}
+    return Recording(
+        "the DataArray",
+        [
+            Channel(str(name), row.astype(np.float64), None if unit is None else str(unit), **place)
+            for name, row, unit in zip(names, whole.values, units, strict=True)
+        ],
+    )
+
+
+def _of_dict(entry: Mapping) -> Channel:
+    """A channel by SEP005, proposal 5 of the Structural Health Monitoring community's `sdypy`.
+
+    `data` (time,), `name`, `unit_str`, `fs` [Hz] or `time` (time,) [s], `start_timestamp` as text or date.
+    """
+    missing = [key for key in SEP005 if key not in entry]
+    if missing or not ("fs" in entry or "time" in entry):
+        raise ValueError(
+            f"`files` must be dicts with {', '.join(SEP005)} and `fs` or `time`, got one with "
+            f"{listed(list(entry))}. Complete it."
+        )
+    start = entry.get("start_timestamp")
+    if isinstance(start, str):
+        try:
+            start = datetime.fromisoformat(start)
+        except ValueError:
+            raise ValueError(message("start_timestamp", "an ISO date", shown(start))) from None
+    if isinstance(start, datetime):
+        start = (start if start.tzinfo else start.replace(tzinfo=UTC)).timestamp()
+    place = {"dt": 1.0 / float(entry["fs"]) if "fs" in entry else None, "start": start}
+    if "time" in entry:
+        columns = Columns(
+            str(entry["name"]),
+            [Label("time", "time", "s")],
+            np.asarray(entry["time"], dtype=np.float64)[:, None],
+            lambda row, column: f"{entry['name']}, sample {row}",
+            dt=place["dt"],
+        )
+        [clock] = recording_of(columns, Request()).channels
+        place = {"dt": clock.dt, "start": clock.start if start is None else start + clock.start}
+    return Channel(
+        str(entry["name"]), np.asarray(entry["data"], dtype=np.float64), str(entry["unit_str"]), **place
+    )

@@ -1,1 +1,0 @@
-"""Tables of any layout: columns of numbers in text files, variables of MATLAB files."""

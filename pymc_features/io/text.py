@@ -1,0 +1,458 @@
+"""Text files with columns of numbers: which lines are numbers, what separates them, time stamps."""
+
+import csv
+import re
+from array import array
+from functools import lru_cache
+from io import StringIO
+from itertools import chain, pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features.io.columns import Columns, clock_column, recording_of
+from pymc_features.io.labels import BRACKETS, Label, labels_with_brackets, unit_of
+from pymc_features.io.lines import Lines, not_a_number, to_number
+from pymc_features.io.recording import Format, Recording, Request
+from pymc_features.io.units import known_factor
+
+COMMENTS = ("#", "%", "//")
+SEPARATORS = ("\t", ";", ",", " ")
+MISSING = ("", "nan", "+nan", "-nan")  # cells of a gap, in lower case
+MOST_HEADER_LINES = 10_000
+FEW = 200_000  # characters that NumPy reads as fast as pandas is imported
+SAMPLED = 200  # lines whose printed digits say how fine a column is
+DATES = "%Y-%m-%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%Y.%m.%d", "%d-%m-%Y", "%m-%d-%Y"
+DATE = r"\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}"
+STAMP = re.compile(
+    rf"(?:(?P<date>{DATE})(?:T|[ ,;]\s*))?"
+    r"(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d)(?P<fraction>[.,]\d+)?)?"
+    r"(?P<half>\s?[AaPp][Mm])?(?P<zone>\s?Z|\s?[+-]\d\d:?\d\d)?",
+    re.ASCII,
+)
+
+
+class Layout(NamedTuple):
+    """How the rows of numbers are written.
+
+    Attributes
+    ----------
+    separator, decimal : str
+    count : int
+        Cells of a row.
+    stamp : tuple of int
+        Cells of a time stamp: one, or the one of the date and the one of the time.
+    """
+
+    separator: str
+    decimal: str
+    count: int
+    stamp: tuple[int, ...] = ()
+
+    def cells(self, line: str) -> list[str]:
+        """The cells of a row, time stamps in one, decimal points for commas."""
+        cells = split(line, self.separator)
+        if len(self.stamp) == 2:
+            first, second = (cells[k : k + 1] for k in self.stamp)
+            joint = "," if second and second[0].isdigit() else " "  # a fraction of a second, or the time
+            cells[self.stamp[0] : self.stamp[1] + 1] = [joint.join(first + second)]
+        if self.decimal == ",":
+            cells = [cell if ":" in cell else cell.replace(",", ".") for cell in cells]
+        return cells
+
+    @property
+    def n_columns(self) -> int:
+        """Columns of the table."""
+        return self.count - max(len(self.stamp) - 1, 0)
+
+
+def split(line: str, separator: str) -> list[str]:
+    """Cells of a line, without quotation marks, blanks around them, and an empty one at the end."""
+    if separator == " ":
+        return [cell.strip('"') for cell in line.split()]
+    cells = line.split(separator) if '"' not in line else next(csv.reader([line], delimiter=separator), [])
+    cells = [cell.strip().strip('"') for cell in cells]
+    return cells[:-1] if len(cells) > 1 and not cells[-1] else cells
+
+
+def layout_of(line: str) -> Layout | None:
+    """How a line is a row of numbers; None if it is none."""
+    for decimal in (".", ","):
+        for separator in SEPARATORS:
+            if separator == decimal or (decimal == "," and "," not in line):
+                continue
+            cells = split(line, separator)
+            stamp = _stamp(cells) if ":" in line else ()
+            rest = [cell for k, cell in enumerate(cells) if k not in stamp]
+            rest = [cell.replace(",", ".") for cell in rest] if decimal == "," else rest
+            if rest and all(to_number(cell) is not None for cell in rest):
+                return Layout(separator, decimal, len(cells), stamp)
+    return None
+
+
+def _stamp(cells: list[str]) -> tuple[int, ...]:
+    """The cells of the first time stamp, and of the date that stands beside it."""
+    for k, cell in enumerate(cells):
+        if STAMP.fullmatch(cell):
+            dated = k > 0 and re.fullmatch(DATE, cells[k - 1]) is not None
+            zoned = cells[k + 1 : k + 2] and re.fullmatch("[AaPp][Mm]", cells[k + 1])
+            first, last = k - dated, k + bool(zoned)
+            return (first,) if first == last else (first, last)
+    return ()
+
+
+def read_columns(path: Path, request: Request) -> tuple[Columns, bool]:
+    """The table of a text file, without its first `request.skip` rows, and whether it has a line of labels.
+
+    With `request.gaps` cells below the first row may be "nan" or empty: NaN. With `request.wrapped` its
+    values are one series that runs along the lines, and the table has one column, or, if they are times and
+    values in turn, two.
+
+    Raises
+    ------
+    ValueError
+        If there are no rows of numbers, a row is spoilt, or fewer than two are left.
+    """
+    lines = Lines(path)
+    header, first, layout = _header(lines)
+    _refuse_spoilt_first(path.name, header, first, layout)
+    body = lines.text.split("\n", first - 1)[first - 1]
+    found = _fast(body, layout) if not request.wrapped else None
+    origin, values = found or _cell_by_cell(lines, first, layout, request)
+    labels, own, unit = _labels([line for _, line, _ in header], layout)
+    rows_in_line = 1.0
+    if request.wrapped:
+        values = values.ravel()[~np.isnan(values.ravel())]
+        values = values.reshape(-1, 2) if is_paired(values, layout.count) else values[:, None]
+        rows_in_line = layout.count / values.shape[1]
+        labels, own = [Label("", "")] * values.shape[1], False
+    if values.shape[0] - request.skip < 2:
+        raise ValueError(
+            f"{path.name} must hold at least 2 samples, got {max(values.shape[0] - request.skip, 0)}."
+        )
+
+    def where(row: int, column: int) -> str:
+        wanted = int((row + request.skip) / rows_in_line)
+        number = next(n for k, (n, _) in enumerate(_rows(lines, first)) if k == wanted)
+        return f"{path.name}, line {number}"
+
+    def resolution(index: int) -> float:
+        return _resolution(body, layout, index, np.abs(values[:, index]).max())
+
+    stamp = layout.stamp[0] if layout.stamp else None
+    return Columns(path.name, labels, values[request.skip :], where, resolution, stamp, origin, unit), own
+
+
+def read_text(path: Path, request: Request) -> Recording:
+    """The columns of a text file on their clock."""
+    columns, own = read_columns(path, request)
+    timer = clock_column(columns, request.clock)
+    question = wrapped_question(columns, request.wrapped, timer is not None or own)
+    return recording_of(columns, request, question)
+
+
+def wrapped_question(columns: Columns, wrapped: bool | None, known: bool) -> str:
+    """What to ask of lines that may as well be one wrapped series; "" if it is `known` that they are not."""
+    n_columns = columns.values.shape[1]
+    if wrapped is not None or n_columns < 3 or (known and not is_paired(columns.values.ravel(), n_columns)):
+        return ""
+    return (
+        f"`wrapped` must be given, {columns.file} has lines of {n_columns} values without labels or clock. "
+        "Pass wrapped=True if one series runs along the lines, wrapped=False if each column is a series."
+    )
+
+
+def is_paired(values: np.ndarray, n_columns: int) -> bool:
+    """Whether every other value in reading order, from the first, is a time that runs forward."""
+    even = n_columns > 2 and n_columns % 2 == 0 and values.size % 2 == 0
+    return even and bool((np.diff(values[::2]) > 0.0).all())
+
+
+# --- above the numbers ------------------------------------------------------------------------------
+
+
+def _header(lines: Lines) -> tuple[list[tuple[int, str, bool]], int, Layout]:
+    """Number, text and whether it is a comment of each line above the numbers; the first of these; how."""
+    header, numbered = [], iter(lines)
+    for (number, line), (_, after) in pairwise(chain(numbered, [(0, "")])):
+        if line.startswith(COMMENTS):
+            header.append((number, line.lstrip("#%/ \t"), True))
+        elif (layout := layout_of(line)) is not None and _goes_on(layout, after):
+            return header, number, _with_fraction(line, after, layout)
+        else:
+            header.append((number, line, False))
+        if len(header) == MOST_HEADER_LINES:
+            break
+    if not header:
+        raise ValueError(f"{lines.file} must hold at least 2 samples, it is empty.")
+    raise ValueError(
+        f"{lines.file} must hold rows of numbers, none was found in its "
+        f"{'first ' * (len(header) == MOST_HEADER_LINES)}{len(header)} lines. "
+        "A row is numbers, or a time stamp and numbers, with a comma, semicolon, tab or blank between."
+    )
+
+
+def _goes_on(layout: Layout, after: str) -> bool:
+    """Whether a row is plain, or the line after it is written alike."""
+    if layout.decimal == "." and not layout.stamp:
+        return True
+    found = layout_of(after)
+    return found is not None and (found.separator, found.stamp) == (layout.separator, layout.stamp)
+
+
+def _with_fraction(line: str, after: str, layout: Layout) -> Layout:
+    """The layout of 10:00:00,250 between commas: seconds that stand twice go on in the cell behind them."""
+    if layout.separator == "," and len(layout.stamp) == 1:
+        [k] = layout.stamp
+        (now, fraction), (then, further) = (
+            [*split(text, ",")[k : k + 2], "", ""][:2] for text in (line, after)
+        )
+        digits = fraction.isdigit() and further.isdigit() and len(fraction) == len(further) in (3, 6)
+        if now == then and digits and now.count(":") == 2 and "." not in now and layout.count > k + 2:
+            return layout._replace(stamp=(k, k + 1))
+    return layout
+
+
+def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
+    """Refuse a row among the lines above the numbers that is one of them, but for a cell.
+
+    Its first cell is a number in as many columns; or it is illegible, and numbers with a decimal point are
+    half of the cells below the labels, or all but one right above the numbers.
+    """
+    below_labels = False
+    for number, line, comment in header:
+        if comment:
+            continue
+        cells = layout.cells(line)
+        numbers = [cell for cell in cells if to_number(cell) is not None]
+        measured = sum("." in cell for cell in numbers)
+        begins = len(cells) == layout.n_columns > 1 and to_number(cells[0]) is not None
+        illegible = not cells[0] or cells[0][0] in "0123456789.+-"
+        most = below_labels and 2 * measured >= len(cells)
+        almost_all = number == first - 1 and 1 < layout.n_columns <= measured + 1
+        if (begins or illegible) and (most or almost_all) and not (layout.stamp and _stamp(cells)):
+            raise not_a_number(f"{file}, line {number}", next(c for c in cells if to_number(c) is None))
+        below_labels |= len(cells) == layout.n_columns and not numbers
+
+
+def _labels(header: list[str], layout: Layout) -> tuple[list[Label], bool, str | None]:
+    """What stands above each column, whether it is more than a title, and the unit of all without labels."""
+    named = [cells for line in header if (cells := _named(line, layout))]
+    units = [
+        cells
+        for cells in named
+        if any(cells) and all(unit_of(cell.strip("[]()")) or cell in "-[]" for cell in cells)
+    ]
+    texts = [cells for cells in named if cells not in units]
+    if not texts:
+        found = (unit for line in header for unit in BRACKETS.findall(line))
+        unit = next((unit.strip() for unit in found if known_factor(unit) is not None), None)
+        return [Label("", "")] * layout.n_columns, bool(units), unit
+    stated = [
+        next((cells[k].strip("[]()") for cells in units if cells[k] not in "-[]"), None)
+        for k in range(layout.n_columns)
+    ]
+    labels = [Label.of(text, unit) for text, unit in zip(texts[-1], stated, strict=True)]
+    for above in reversed(texts[:-1]):  # a unit may stand in another line than the last
+        labels = [
+            label if label.unit is not None else label._replace(unit=Label.of(text).unit)
+            for label, text in zip(labels, above, strict=True)
+        ]
+    own = layout.separator != " " or any(label.unit is not None for label in labels)
+    return labels, own, None
+
+
+def _named(line: str, layout: Layout) -> list[str] | None:
+    """One label for each column, blanks allowed before a bracket: "time [s] acc [g]".
+
+    A time stamp of date and time may have two, of which the second stays.
+    """
+    own = split(line, layout.separator)
+    if len(layout.stamp) == 2 and len(own) == layout.count:
+        return [*own[: layout.stamp[0]], *own[layout.stamp[1] :]]
+    ways = [own, *(split(line, other) for other in SEPARATORS), labels_with_brackets(line)]
+    return next((labels for labels in ways if len(labels) == layout.n_columns), None)
+
+
+# --- numbers ----------------------------------------------------------------------------------------
+
+
+def _rows(lines: Lines, first: int):
+    """Number and text of the rows of numbers."""
+    return ((number, line) for number, line in lines if number >= first and not line.startswith(COMMENTS))
+
+
+def _fast(body: str, layout: Layout) -> tuple[float, np.ndarray] | None:
+    """Origin of the stamps and rows (row, column) by NumPy or pandas; None where one is not as the first."""
+    plain = layout.decimal == "." and not layout.stamp and '"' not in body[:FEW]
+    separator = None if layout.separator == " " else layout.separator
+    try:
+        if plain and len(body) < FEW:
+            origin, values = 0.0, np.loadtxt(StringIO(body), delimiter=separator, comments=None, ndmin=2)
+        else:
+            origin, values = _by_pandas(body, layout)
+    except (ValueError, OverflowError):
+        return None
+    right = values.shape[1] == layout.n_columns and np.isfinite(values).all()
+    return (origin, values) if right else None
+
+
+def _by_pandas(body: str, layout: Layout) -> tuple[float, np.ndarray]:
+    import pandas as pd  # half a second to import
+
+    old = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
+    frame = pd.read_csv(
+        StringIO(body),
+        sep=r"\s+" if layout.separator == " " else layout.separator,
+        header=None,
+        decimal=layout.decimal,
+        dtype={k: str if k in layout.stamp else np.float64 for k in range(layout.count)},
+        keep_default_na=False,
+        skipinitialspace=True,
+        **old,
+    )
+    if frame.shape[1] == layout.count + 1 and layout.separator != " " and (frame.iloc[:, -1] == "").all():
+        frame = frame.iloc[:, :-1]  # a separator at the end of each row
+    if not layout.stamp:
+        return 0.0, frame.to_numpy(dtype=np.float64)
+    texts = frame.iloc[:, list(layout.stamp)]
+    joint = "," if layout.separator == "," and texts.iloc[0, -1].isdigit() else " "
+    stamps = [joint.join(row) for row in zip(*(texts[k] for k in texts), strict=True)]
+    rest = frame.drop(columns=list(layout.stamp)).to_numpy(dtype=np.float64)
+    origin, seconds = seconds_of(stamps)
+    return origin, np.insert(rest, layout.stamp[0], seconds, axis=1)
+
+
+def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) -> tuple[float, np.ndarray]:
+    """Rows of any spelling (row, column), NaN where a cell is empty; the error names what is spoilt.
+
+    Of a series that runs along the lines only the last row may be shorter; NaN fills it.
+    """
+    values, texts, short = array("d"), [], None
+    for number, line in _rows(lines, first):
+        where, cells = f"{lines.file}, line {number}", layout.cells(line)
+        if request.gaps and len(cells) + 1 == layout.n_columns and line.endswith(layout.separator):
+            cells.append("")  # the last cell is empty
+        if request.wrapped and short is None and 0 < len(cells) < layout.n_columns:
+            short = number
+            cells += [""] * (layout.n_columns - len(cells))
+        elif short is not None:
+            raise ValueError(
+                f"{lines.file}, line {number}: only the last line of wrapped values may be shorter than the "
+                f"first, which has {layout.n_columns}. Complete the line before this one."
+            )
+        for k, cell in enumerate(cells):
+            if layout.stamp and k == layout.stamp[0] and STAMP.fullmatch(cell):
+                texts.append(cell)
+                values.append(0.0)
+            elif (request.gaps or number == short) and cell.lower() in MISSING:
+                values.append(np.nan)
+            elif (value := to_number(cell)) is None or not -np.inf < value < np.inf:
+                raise not_a_number(where, cell)
+            else:
+                values.append(value)
+        if len(cells) != layout.n_columns:
+            raise ValueError(
+                f"{where}: rows must have {layout.n_columns} values like the first, got {len(cells)}. "
+                "Complete or cut the row, or pass wrapped=True if one series runs along the lines."
+            )
+    found = np.array(values).reshape(-1, layout.n_columns)
+    origin = 0.0
+    if layout.stamp:
+        origin, found[:, layout.stamp[0]] = seconds_of(texts)
+    return origin, found
+
+
+def _resolution(body: str, layout: Layout, index: int, largest: float) -> float:
+    """Resolution of a printed column, from decimals and significant digits of its first and last cells."""
+    some = [*body[: 80 * SAMPLED].split("\n")[:-1], *body[-80 * SAMPLED :].split("\n")[1:]] or [body]
+    least, digits = 0, 1
+    for line in some:
+        cells = layout.cells(line.strip())
+        cell = cells[index] if index < len(cells) else "0"
+        if layout.stamp and index == layout.stamp[0]:
+            stamp = STAMP.fullmatch(cell)
+            cell = (stamp and stamp["fraction"] or ".").replace(",", ".")
+            least = min(least, 1 - len(cell))
+        elif to_number(cell) is not None:
+            exponent, n_digits = _printed(cell)
+            least, digits = min(least, exponent), max(digits, n_digits)
+    if layout.stamp and index == layout.stamp[0] or largest == 0.0:
+        return 10.0**least
+    return max(10.0**least, 10.0 ** (np.floor(np.log10(largest)) - digits + 1))
+
+
+def _printed(token: str) -> tuple[int, int]:
+    """Power of ten of the last printed digit of a number, at least -300, and how many digits it has."""
+    mantissa, _, exponent = token.lower().replace("d", "e").partition("e")
+    whole, _, decimals = mantissa.lstrip("+-").partition(".")
+    digits = (whole + decimals).lstrip("0")
+    return max((int(exponent) if exponent else 0) - len(decimals), -300), max(len(digits), 1)
+
+
+# --- time stamps ------------------------------------------------------------------------------------
+
+
+def seconds_of(texts: list[str]) -> tuple[float, np.ndarray]:
+    """Midnight before the first of some time stamps [s since 1970], and the seconds since then (stamp,).
+
+    Without dates they are seconds of a day, past whose end they may run. A time zone is taken into account,
+    a half of the day too.
+
+    Examples
+    --------
+    >>> seconds_of(["2024-01-01T10:00:00.5Z", "2024-01-01T11:00:00.5+01:00"])
+    (1704067200.0, array([36000.5, 36000.5]))
+    >>> seconds_of(["0:0:01 PM"])
+    (0.0, array([43201.]))
+    """
+    found = [STAMP.fullmatch(text) for text in texts]
+    if None in found:
+        raise ValueError(f"time stamps must be as the first, got {texts[found.index(None)]!r}")
+    days = days_of(tuple(dict.fromkeys(match["date"] for match in found if match["date"])))
+    origin = min(days.values(), default=0.0)
+    seconds = np.array(
+        [days.get(match["date"], origin) - origin + _of_day(*match.group(*PARTS)) for match in found]
+    )
+    if not days:
+        seconds[1:] += 86400.0 * np.cumsum(np.diff(seconds) < -43200.0)
+    return origin, seconds
+
+
+PARTS = "hour", "minute", "second", "fraction", "half", "zone"
+
+
+def _of_day(hour, minute, second, fraction, half, zone) -> float:
+    """Seconds since midnight."""
+    hour = int(hour)
+    if half:
+        hour = hour % 12 + (12 if half.strip().lower() == "pm" else 0)
+    seconds = 3600 * hour + 60 * int(minute) + int(second or 0)
+    if (zone := (zone or "Z").strip()) != "Z":
+        seconds -= (60 * int(zone[1:3]) + int(zone[-2:])) * (60 if zone[0] == "+" else -60)
+    return seconds + float((fraction or "0").replace(",", "."))
+
+
+@lru_cache(16)
+def days_of(dates: tuple[str, ...]) -> dict[str, float]:
+    """Midnights of dates that are written alike [s since 1970]; of two ways to read them the nearer dates."""
+    from datetime import UTC, datetime
+
+    ways = []
+    for form in DATES:
+        try:
+            found = [datetime.strptime(date, form).replace(tzinfo=UTC).timestamp() for date in dates]
+        except ValueError:
+            continue
+        ways.append(dict(zip(dates, found, strict=True)))
+    return min(ways, key=lambda way: max(way.values()) - min(way.values()), default={}) if dates else {}
+
+
+TEXT = Format(
+    "text",
+    lambda opening: True,
+    "any other",
+    "names and units of a header, step of a column of times; pass what is missing",
+    read_text,
+)

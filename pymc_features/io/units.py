@@ -1,0 +1,115 @@
+"""Units and time steps: what a file states, what the caller says, and which one counts."""
+
+import numpy as np
+
+from pymc_features._checks import SAMPLING_INTERVAL, check_positive, is_number, message, shown, single
+from pymc_features._checks.messages import warn_caller
+from pymc_features.io.labels import SI, UNITS, Unit, unit_of
+
+
+def choices(quantity: str) -> str:
+    """What `units` may be, as a message lists it."""
+    names = list(UNITS[quantity])[:6]
+    return ", ".join(f'"{name}"' for name in names) + f", or a number in {SI[quantity]} per file unit"
+
+
+def known_factor(unit: str) -> float | None:
+    """Acceleration [m/s^2] of one `unit`, or None where it is none of acceleration."""
+    found = unit_of(unit)
+    return found.factor if found is not None and found.quantity == "acceleration" else None
+
+
+def unit_factor(units, quantity: str = "acceleration") -> float:
+    """SI units in one file unit of a quantity.
+
+    Parameters
+    ----------
+    units : str or float
+        "g", "mg", "m/s^2", "cm/s^2", "mm/s^2", "gal", "in/s^2", "ft/s^2" of accelerations in any case and
+        usual spelling ("m/s2", "cm/sec/sec"), or the factor itself [SI per file unit], positive.
+    quantity : str
+        One of `UNITS`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the unit is unknown or of something else, or the number is not positive.
+
+    Examples
+    --------
+    >>> unit_factor("g"), unit_factor("M/S/S"), unit_factor("Gal"), unit_factor("mm", "displacement")
+    (9.81, 1.0, 0.01, 0.001)
+    """
+    if isinstance(units, str):
+        found = unit_of(units)
+        if found is None or found.quantity != quantity:
+            raise ValueError(f"`units` must be one of {choices(quantity)}, got {units!r}.")
+        return found.factor
+    if not is_number(single(units)):
+        raise TypeError(f"`units` must be one of {choices(quantity)}, got {shown(units)}.")
+    return check_positive(units, "units", f"Pass the {SI[quantity]} per file unit.")
+
+
+def sensitivity_of(sensitivity, quantity: str) -> float:
+    """Volts in one SI unit of a quantity, of a number or a text such as "100 mV/g"."""
+    if is_number(single(sensitivity)):
+        return check_positive(sensitivity, "sensitivity", f"Pass the V per {SI[quantity]}.")
+    words = sensitivity.split() if isinstance(sensitivity, str) else []
+    above, slash, below = (words[1] if len(words) == 2 else "").partition("/")
+    voltage, unit = unit_of(above), unit_of(below)
+    known = slash and voltage is not None and unit is not None
+    try:
+        number = float(words[0])
+    except (IndexError, ValueError):
+        number = 0.0
+    if not (known and number > 0.0 and (voltage.quantity, unit.quantity) == ("voltage", quantity)):
+        what = f'V per {SI[quantity]}, or a text such as "100 mV/{next(iter(UNITS[quantity]))}"'
+        raise ValueError(message("sensitivity", what, shown(sensitivity)))
+    return number * voltage.factor / unit.factor
+
+
+def resolve_units(units, stated: str | Unit | None, source: str, quantity: str = "acceleration") -> float:
+    """Factor [SI per file unit] by the file, or by the argument where the file does not say it.
+
+    A number within 1 % of what the file states (9.80665 for "g") is no contradiction.
+    """
+    known = None if stated is None else unit_of(stated)
+    if known is not None and known.quantity != quantity:
+        advice = f"Pass the columns that are {quantity}s."
+        if known.quantity == "voltage":
+            advice = 'Pass `sensitivity`, such as "100 mV/g".'
+        raise ValueError(
+            f"{source} must hold {quantity}s, it states {stated!r}, a unit of {known.quantity}. {advice}"
+        )
+    if units is None:
+        if known is None:
+            said = "does not state them" if stated is None else f"states {stated!r}, which is no known unit"
+            raise ValueError(f"`units` must be given, {source} {said}. Pass one of {choices(quantity)}.")
+        return known.factor
+    factor = unit_factor(units, quantity)
+    if known is not None and not np.isclose(factor, known.factor, rtol=0.01, atol=0.0):
+        raise ValueError(
+            f"`units` must be those of the file, {source} states {stated!r}, got {shown(units)}. Leave "
+            "`units` out, or correct the file."
+        )
+    if known is None and stated is not None:
+        warn_caller(f"{source} states the units {stated!r}; the argument units={units!r} is used.")
+    return factor
+
+
+def resolve_dt(dt: float | None, stated: float | None, source: str) -> float:
+    """Sampling interval [s]: the argument wins, the file's statement is the fallback."""
+    if dt is None:
+        if stated is None:
+            raise ValueError(
+                f"`dt` must be given, {source} does not state the time step. {SAMPLING_INTERVAL}"
+            )
+        if stated >= 1.0:  # a counter or milliseconds, silently 1000 times too slow
+            raise ValueError(
+                f"`dt` must be given, {source} states a time step of {stated:g}, too long for "
+                f"seconds. {SAMPLING_INTERVAL}"
+            )
+        return stated
+    if stated is not None and not np.isclose(dt, stated, rtol=1e-3, atol=0.0):
+        warn_caller(f"{source} states a time step of {stated:g} s; the argument dt={dt:g} s is used.")
+    return dt
