@@ -14,8 +14,9 @@ from scipy.io import loadmat
 
 from pymc_features._checks import check_choice
 from pymc_features.exceptions import DatasetUnavailableError
-from pymc_features.io import read_channels, read_modal
+from pymc_features.io import read_channels
 from pymc_features.modal import ModalData
+from pymc_features.modal.files import read_modal
 from pymc_features.records import Record
 
 __all__ = ["Footbridge", "el_centro", "footbridge", "mini_shake_table"]

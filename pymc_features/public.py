@@ -30,11 +30,11 @@ from pymc_features.io import (
     read_channels_with_gaps,
     read_cyclic_test,
     read_matrices,
-    read_modal,
     read_record,
 )
 from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
 from pymc_features.modal import ModalData, merge_setups
+from pymc_features.modal.files import read_modal
 from pymc_features.modal_features import ModalFeature, mac, match_modes, modes
 from pymc_features.ops import mean_square_discrepancy, response
 from pymc_features.placement import sensor_placement

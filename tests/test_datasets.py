@@ -14,7 +14,7 @@ from pymc_features import Record, datasets
 from pymc_features.datasets import el_centro, footbridge, mini_shake_table, rc_column
 from pymc_features.exceptions import DatasetUnavailableError
 from pymc_features.io import read_record
-from pymc_features.io.labels import G
+from pymc_features.io.reading.labels import G
 
 FOLDER = "mini_shake_table"
 FILE = f"{FOLDER}/flexible_sine1p5hz_base.csv"

@@ -29,8 +29,8 @@ ALLOWED = {
     "structures": {"algebra", "records", "simulators"},  # of these the modes of chains
     "simulators": {"algebra", "records", "band_limited"},
     "signals": set(),
-    "modal": set(),
-    "io": {"records", "cyclic_test", "signals", "modal"},
+    "modal": {"io"},
+    "io": {"records", "cyclic_test", "signals"},
     "datasets": {"records", "io", "modal"},
     "ground_motion": {"records"},
     "external": {"ops", "fingerprint", "processes"},
@@ -255,7 +255,8 @@ def mutual_imports(files: dict[Path, set[str]]) -> set[frozenset[str]]:
     modules = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in files}
     edges = set()
     for path, imported in files.items():
-        names = {name.removeprefix("pymc_features.").removesuffix(".__init__") for name in imported}
+        ours = (name for name in imported if name.startswith("pymc_features."))
+        names = {name.removeprefix("pymc_features.").removesuffix(".__init__") for name in ours}
         targets = {modules.get(name) or modules.get(f"{name}.__init__") for name in names} - {None}
         edges |= {(room_of(path), room_of(target)) for target in targets}
     return {frozenset((a, b)) for a, b in edges if a != b and (b, a) in edges}
@@ -348,7 +349,7 @@ def test_style(arguments):
     run(sys.executable, "-m", "ruff", *arguments, "--no-cache", str(ROOT.parent))
 
 
-FEW = 8
+FEW = 9
 
 
 def test_functions_have_few_parameters():

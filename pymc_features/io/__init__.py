@@ -1,4 +1,4 @@
-"""Ground motions and measured channels of many formats; identified modes; matrices of structures."""
+"""Ground motions, measured channels and cyclic tests of many formats; matrices of structures."""
 
 from os import PathLike
 from pathlib import Path
@@ -13,8 +13,7 @@ from pymc_features.io.channels import (
 from pymc_features.io.cyclic import read_cyclic_test
 from pymc_features.io.formats import FORMATS
 from pymc_features.io.matrices import read_matrices
-from pymc_features.io.modal import read_modal
-from pymc_features.io.recording import chosen, in_si, named
+from pymc_features.io.reading.recording import chosen, in_si, named
 from pymc_features.records import Record
 
 __all__ = [
@@ -23,7 +22,6 @@ __all__ = [
     "read_channels_with_gaps",
     "read_cyclic_test",
     "read_matrices",
-    "read_modal",
     "read_record",
 ]
 

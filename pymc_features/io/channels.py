@@ -23,13 +23,13 @@ from pymc_features._checks import (
     single,
 )
 from pymc_features._checks.texts import check_choice
-from pymc_features.io.clock import Clock, clock_seconds, common_window, no_common_time
 from pymc_features.io.formats import format_of
-from pymc_features.io.labels import SI
-from pymc_features.io.lines import check_readable
-from pymc_features.io.recording import Recording, Request, chosen, in_si
+from pymc_features.io.reading.clock import Clock, clock_seconds, common_window, no_common_time
+from pymc_features.io.reading.labels import SI
+from pymc_features.io.reading.lines import check_readable
+from pymc_features.io.reading.recording import Recording, Request, chosen, in_si
+from pymc_features.io.reading.units import sensitivity_of, unit_factor
 from pymc_features.io.sources import is_source, recording_in
-from pymc_features.io.units import sensitivity_of, unit_factor
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -51,8 +51,6 @@ def read_channels(
     clock_units: str | float | None = None,
     skip: int = 0,
     wrapped: bool | None = None,
-    quantity: str = "acceleration",
-    sensitivity: str | float | None = None,
     resample: float | None = None,
 ) -> "xr.DataArray":
     """Read measured accelerations of several sensors, aligned on their common clock, in m/s^2.
@@ -62,9 +60,15 @@ def read_channels(
 
     Parameters
     ----------
-    files : path, sequence of paths or mapping of sensor name to path
+    files : path, sequence of paths, or mapping of sensor name to path or to a mapping
         Text (raw exports with any lines above the numbers, CSV), MATLAB (``.mat``) or any format that
-        `read_record` recognises. List sensors from the base up.
+        `read_record` recognises; in place of a path a `pandas.DataFrame` with labels, an `xarray.DataArray`
+        (sensor, time), an ObsPy `Stream`, or a list of dicts of SEP005 (`data`, `name`, `unit_str`, `fs` or
+        `time`). List sensors from the base up. A mapping for a sensor has its `file` and any of `column`,
+        `units`, `dt`, `clock`, `clock_units`, `skip`, `wrapped`; `quantity` ("acceleration", "velocity",
+        "displacement", "strain", "force" or "pressure"); `sensitivity` of a voltage, such as "100 mV/g", or
+        in V per SI unit; `scale`, a factor; `delay`, how late it comes [s]; `anchors`, two pairs of a reading
+        of its clock and the true time [s], for a clock that drifts.
     columns : int, str, sequence of them, or mapping of sensor name to column, optional
         Which columns of every file are accelerations, by index from 0 or header name, or which MATLAB
         variables; a matrix there is several sensors. All but the clock by default.
@@ -79,19 +83,24 @@ def read_channels(
         elapsed or SampleTimeFine, else a first column that runs forward. False: there is none, the files
         start together.
     clock_units : str or float, optional
-        Of the clock: "s", "ms", "us", "ns", "min", "h" or seconds per count. Headers such as ``time [ms]``
+        Of the clock: "s", "ms", "us", "ns", "min", "h", "d" or seconds per count. Headers such as ``time [ms]``
         state it; without a statement seconds, of SampleTimeFine microseconds.
     skip : int
         Rows left out at the start of every file, such as an empty first packet.
     wrapped : bool, optional
         Text only: True if one series runs along the lines, False if each column is a series. Needed where
         neither labels nor a clock tell.
+    resample : float, optional
+        Sampling rate [Hz] of all sensors, for files of different rates: each is moved to the same times by a
+        low-pass without phase, so that a fraction of a sample between clocks is no lag. Errors within 48
+        samples of the ends.
 
     Returns
     -------
     xarray.DataArray (sensor, time)
         Accelerations [m/s^2] with coordinates `sensor`, the keys of `files` or `columns`, else file or column
-        names, and `time` [s] from 0. `attrs`: `units`, and `start`, the clock at the first sample [s].
+        names, and `time` [s] from 0. `attrs`: `units`, and `start`, the clock at the first sample [s], since
+        1970 where the file has dates. Of different quantities `quantity` and `units` are coordinates.
 
     Raises
     ------
@@ -101,6 +110,8 @@ def read_channels(
         If an argument is not admissible or contradicts a file, a file is broken or no history of
         accelerations, its clock has gaps or uneven steps (see `read_channels_with_gaps`), the sensors have no
         common clock, or a channel is constant; the message names file and line.
+    ImportError
+        If a format needs ObsPy, pyuff or npTDMS and it is not installed.
 
     Warns
     -----
@@ -120,7 +131,7 @@ def read_channels(
     ...     read_channels(path).sel(sensor="roof").values
     array([0.   , 2.943, 0.981])
     """
-    request = checked_request(units, dt, clock, clock_units, skip, wrapped, quantity, sensitivity)
+    request = checked_request(units, dt, clock, clock_units, skip, wrapped)
     return _read(files, columns, request, checked_rate(resample))
 
 
@@ -134,8 +145,6 @@ def read_channels_with_gaps(
     clock_units: str | float | None = None,
     skip: int = 0,
     wrapped: bool | None = None,
-    quantity: str = "acceleration",
-    sensitivity: str | float | None = None,
     resample: float | None = None,
 ) -> "xr.DataArray":
     """Read measured accelerations of several sensors of which samples are missing: NaN.
@@ -145,7 +154,7 @@ def read_channels_with_gaps(
 
     Parameters
     ----------
-    files, columns, units, dt, clock, clock_units, skip, wrapped
+    files, columns, units, dt, clock, clock_units, skip, wrapped, resample
         As of `read_channels`.
 
     Returns
@@ -176,7 +185,7 @@ def read_channels_with_gaps(
     array([[ 0.1,  0. , -0.2,  nan,  0.1],
            [ 0. ,  nan,  0.1,  nan,  0.2]])
     """
-    request = checked_request(units, dt, clock, clock_units, skip, wrapped, quantity, sensitivity)
+    request = checked_request(units, dt, clock, clock_units, skip, wrapped)
     return _read(files, columns, request._replace(gaps=True), checked_rate(resample))
 
 
@@ -186,7 +195,7 @@ def checked_rate(rate) -> float | None:
 
 
 def checked_request(units, dt, clock, clock_units, skip, wrapped, quantity="acceleration", sensitivity=None):
-    """The settings of the caller, checked."""
+    """What the caller says of all files, or of the file of one sensor, checked."""
     quantity = check_choice(quantity, "quantity", tuple(SI))
     if wrapped is not None:
         check_flag(wrapped, "wrapped", "Leave it out for what the file shows.")

@@ -9,11 +9,11 @@ import xarray as xr
 from pymc_features._checks import as_list, check_path, message, shown
 from pymc_features.cyclic_test import CyclicTest
 from pymc_features.io.channels import check_column, checked_request
-from pymc_features.io.columns import Columns
-from pymc_features.io.lines import check_readable
-from pymc_features.io.recording import Channel, Recording, in_si
-from pymc_features.io.text import read_columns, wrapped_question
-from pymc_features.io.units import unit_factor
+from pymc_features.io.formats.text import read_columns, wrapped_question
+from pymc_features.io.reading.columns import Columns
+from pymc_features.io.reading.lines import check_readable
+from pymc_features.io.reading.recording import Channel, Recording, in_si
+from pymc_features.io.reading.units import unit_factor
 
 KINDS = "displacement", "force"
 

@@ -12,12 +12,12 @@ import numpy as np
 from scipy import sparse
 
 from pymc_features._checks import check_path, listed
-from pymc_features.io.lines import check_readable, shortened
-from pymc_features.io.matlab import load_variables
+from pymc_features.io.formats.matlab import load_variables
+from pymc_features.io.formats.text import read_columns
 from pymc_features.io.matrix_formats import Found, read_calculix, read_harwell_boeing, read_mtx, read_nastran
-from pymc_features.io.recording import Request
-from pymc_features.io.size_check import check_size
-from pymc_features.io.text import read_columns
+from pymc_features.io.reading.lines import check_readable, shortened
+from pymc_features.io.reading.recording import Request
+from pymc_features.io.reading.size_check import check_size
 
 
 class Matrices(dict):

@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from pymc_features.io.header import column_width
-from pymc_features.io.lines import Lines, shortened, to_count
-from pymc_features.io.size_check import check_size
-from pymc_features.io.universal_marks import AXES
+from pymc_features.io.formats.header import column_width
+from pymc_features.io.formats.universal import AXES
+from pymc_features.io.reading.lines import Lines, shortened, to_count
+from pymc_features.io.reading.size_check import check_size
 
 EXTRA = 'python -m pip install "pymc-features[fe]"'
 MOST_ROWS = 10**6  # of a sparse matrix with fewer bytes in its file

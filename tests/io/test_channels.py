@@ -12,7 +12,7 @@ from scipy.io import savemat
 
 from pymc_features import read_channels
 from pymc_features.exceptions import ChannelWarning
-from pymc_features.io.clock import Clock, common_window, even_clock
+from pymc_features.io.reading.clock import Clock, common_window, even_clock
 from pymc_features.signals import check_channels
 from support.refusals import refusals
 from support.warned import messages

@@ -120,7 +120,7 @@ def test_cells_and_sparse_matrices_are_ignored(tmp_path):
 def test_workspace_of_function_handles_is_ignored(save, monkeypatch):
     contents = {"__function_workspace__": np.ones((1, 9), np.uint8), "ag": ACCELERATION}
     listed = [("__function_workspace__", (1, 9), "uint8"), ("ag", (4,), "double")]
-    monkeypatch.setattr("pymc_features.io.matlab.check_layout", lambda path: 1000)
+    monkeypatch.setattr("pymc_features.io.formats.matlab.check_layout", lambda path: 1000)
     monkeypatch.setattr("scipy.io.whosmat", lambda path: listed)
     monkeypatch.setattr("scipy.io.loadmat", lambda path, **settings: contents)
     monkeypatch.setattr(h5py, "is_hdf5", lambda path: False)

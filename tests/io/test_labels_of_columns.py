@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pymc_features.io import read_channels, read_record
-from pymc_features.io.labels import role_of, unit_of
+from pymc_features.io.reading.labels import role_of, unit_of
 from support.refusals import refusals
 
 STEPS = 0.01 * np.arange(60)

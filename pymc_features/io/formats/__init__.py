@@ -1,24 +1,17 @@
-"""Formats of record files: one format, one file, one entry in `FORMATS`."""
+"""Formats of record files: each an entry in `FORMATS`."""
 
 from pathlib import Path
 
-from pymc_features.io.formats.at2 import AT2
-from pymc_features.io.formats.cosmos import COSMOS
-from pymc_features.io.formats.csmip import CSMIP
-from pymc_features.io.formats.esm import ESM
-from pymc_features.io.formats.geonet import GEONET
-from pymc_features.io.formats.knet import KNET
-from pymc_features.io.formats.nsmn import NSMN
-from pymc_features.io.formats.smc import SMC
-from pymc_features.io.formats.unam import UNAM
+from pymc_features.io.formats.matlab import MATLAB
+from pymc_features.io.formats.strong_motion import AT2, FACTS
+from pymc_features.io.formats.strong_motion_blocks import BLOCKS
+from pymc_features.io.formats.text import TEXT
 from pymc_features.io.formats.universal import UNIVERSAL
 from pymc_features.io.formats.waveforms import WAVEFORMS
-from pymc_features.io.matlab import MATLAB
-from pymc_features.io.recording import Format, Opening, Request
-from pymc_features.io.text import TEXT
+from pymc_features.io.reading.recording import Format, Opening, Request
 
 #: A file is read by the first entry that recognises its first lines; the last takes every file.
-FORMATS = (MATLAB, AT2, COSMOS, CSMIP, SMC, KNET, GEONET, ESM, NSMN, UNAM, UNIVERSAL, WAVEFORMS, TEXT)
+FORMATS = (MATLAB, AT2, *BLOCKS, *FACTS, UNIVERSAL, WAVEFORMS, TEXT)
 
 
 def format_of(path: Path, request: Request) -> Format:

@@ -13,11 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features._checks import listed
-from pymc_features.io.labels import Unit, unit_of
-from pymc_features.io.lines import shortened
-from pymc_features.io.recording import Channel, Format, Opening, even_or_times, recorded
-from pymc_features.io.universal_marks import AXES, FUNCTIONS, NAME, is_universal
+from pymc_features.io.reading.labels import Unit, unit_of
+from pymc_features.io.reading.lines import shortened
+from pymc_features.io.reading.recording import Channel, Format, even_or_times, recorded
 
+NAME = "Universal File"
+FUNCTIONS = "58"  # the data set of measured functions
+AXES = ("X", "Y", "Z", "RX", "RY", "RZ")  # directions 1 to 6
 EXTRA = 'python -m pip install "pymc-features[modal]"'
 TIME_RESPONSE = 1  # type of function
 BYTE_ORDERS, IEEE = (1, 2), 2  # the least byte first, or last
@@ -27,9 +29,18 @@ UNLABELLED = "", "none"
 ACCELERATION = (0, 1, 12)  # types of data: unknown, general, acceleration
 
 
-def recognises(opening: Opening) -> bool:
-    """-1 in the first line, a number below it."""
-    return is_universal(opening.head)
+def is_universal(head: bytes) -> bool:
+    """Whether a file begins with -1 in columns 5 and 6, and a number that ends in column 6 below it."""
+    lines = head.lstrip(b"\r\n").splitlines()[:2]
+    if len(lines) < 2 or lines[0].rstrip() != b"    -1":
+        return False
+    number = lines[1][:6]
+    return len(number) == 6 and number.strip().isdigit() and number[-1:].isdigit()
+
+
+def is_mark(line: str) -> bool:
+    """Whether a line begins or ends a data set: -1 in columns 5 and 6."""
+    return line[:6].strip() == "-1" and not line[6:].strip()
 
 
 def read(path: Path) -> tuple[list[Channel], None]:
@@ -141,7 +152,7 @@ def _check_end(file: str, channel: Channel, found: dict, raw: bytes) -> None:
 
 UNIVERSAL = Format(
     "Universal File 58, by pyuff",
-    recognises,
+    lambda opening: is_universal(opening.head),
     ".uff, .unv",
     "step, units, channels by node and direction. Needs the extra `modal`",
     recorded(read),

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features._checks.messages import warn_caller
-from pymc_features.io.lines import shortened, to_count, to_number
-from pymc_features.io.recording import Channel, Format, Opening, recorded
+from pymc_features.io.reading.lines import shortened, to_count, to_number
+from pymc_features.io.reading.recording import Channel, Format, Opening, recorded
 
 NAME = "seismogram"
 EXTRA = 'python -m pip install "pymc-features[seismic]"'

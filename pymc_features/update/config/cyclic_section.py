@@ -6,7 +6,7 @@ from pydantic import PlainValidator
 
 from pymc_features._checks import is_number
 from pymc_features.exceptions import ConfigError
-from pymc_features.io.labels import FORCES, LENGTHS
+from pymc_features.io.reading.labels import FORCES, LENGTHS
 from pymc_features.update.config.messages import shown
 from pymc_features.update.config.sections import Section, key
 from pymc_features.update.config.structure_sections import SPECIMENS

@@ -7,8 +7,8 @@ import numpy as np
 
 from pymc_features._checks import listed
 from pymc_features.exceptions import ConfigError
-from pymc_features.io import read_modal
 from pymc_features.modal import ModalData, merge_setups
+from pymc_features.modal.files import read_modal
 from pymc_features.modal_features.identified import identified
 from pymc_features.update.config.messages import shown
 from pymc_features.update.problem.channels import named_key

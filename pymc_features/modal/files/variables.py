@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.lines import decoded, shortened
-from pymc_features.io.matlab import load_variables
-from pymc_features.io.modal.identified import Identified
-from pymc_features.io.modal.quantities import labelled_quantities, mode_values
+from pymc_features.io.formats.matlab import load_variables
+from pymc_features.io.reading.lines import decoded, shortened
 from pymc_features.modal.data import listed
+from pymc_features.modal.files.identified import Identified
+from pymc_features.modal.files.quantities import labelled_quantities, mode_values
 
 MOST_JSON = 64 * 2**20  # bytes
 

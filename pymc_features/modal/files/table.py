@@ -19,11 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.labels import without_brackets
-from pymc_features.io.lines import LONGEST_NUMBER, Lines, to_number
-from pymc_features.io.modal.identified import Identified
-from pymc_features.io.modal.quantities import SPREADS, labelled_quantities, mode_values, quantity_of
+from pymc_features.io.reading.labels import without_brackets
+from pymc_features.io.reading.lines import LONGEST_NUMBER, Lines, to_number
 from pymc_features.modal.data import find_channels, listed
+from pymc_features.modal.files.identified import Identified
+from pymc_features.modal.files.quantities import SPREADS, labelled_quantities, mode_values, quantity_of
 
 SEPARATORS = ("\t", ";", ",")
 COMMENTS = ("#", "%", "//")

@@ -14,6 +14,7 @@ import numpy as np
 from pymc_features._checks import message, shown
 
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
+_WHOLE = re.compile(r"[-+]?\d+", re.ASCII)
 _NOT_FINITE = re.compile(r"[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
 
 LONGEST_NUMBER = 100  # characters
@@ -125,21 +126,21 @@ class Lines:
             per_line = per_line or len(values)
         return self._announced(values, count, what)
 
-    def words(self, count: int, what: str) -> np.ndarray:
-        """Numbers (count,) with blanks between them, from as many lines as it takes."""
+    def words(self, count: int, what: str, whole: bool = False) -> np.ndarray:
+        """Numbers (count,) with blanks between them, from as many lines as it takes; `whole`: counts."""
         values = array("d")
         while len(values) < count:
-            values.extend(self.value(token) for token in self.take(f"{count} {what}").split())
+            values.extend(self.value(token, whole) for token in self.take(f"{count} {what}").split())
         return self._announced(values, count, what)
 
-    def rows(self, count: int, n_columns: int, what: str, finite: bool = True) -> np.ndarray:
-        """Numbers (count, n_columns), one row in a line, with blanks between; NaN only if not `finite`."""
+    def rows(self, count: int, n_columns: int, what: str) -> np.ndarray:
+        """Numbers (count, n_columns), one row in a line, with blanks between."""
         values = array("d")
         while len(values) < count * n_columns:
             tokens = self.take(f"{count} {what}").split()
             if len(tokens) != n_columns:
                 raise self.error(f"lines must hold {n_columns} values", len(tokens))
-            values.extend(self.value(token, finite) for token in tokens)
+            values.extend(self.value(token) for token in tokens)
         return self._announced(values, count * n_columns, what).reshape(count, n_columns)
 
     def _announced(self, values: array, count: int, what: str) -> np.ndarray:
@@ -147,10 +148,12 @@ class Lines:
             raise self.error(f"the file must hold the {count} {what} that it announces", len(values))
         return np.array(values)
 
-    def value(self, token: str, finite: bool = True) -> float:
+    def value(self, token: str, whole: bool = False) -> float:
         """A number of the line that was taken last."""
         number = to_number(token)
-        if number is None or (finite and not -np.inf < number < np.inf):
+        if whole and not _WHOLE.fullmatch(token):
+            raise self.error("values must be counts, whole numbers", repr(token[:60]))
+        if number is None or not -np.inf < number < np.inf:
             raise not_a_number(self.where(), token)
         return number
 

@@ -1,12 +1,14 @@
-"""Facts in the sentences of a file's header: numbers, units, widths of columns, peaks."""
+"""What headers of strong-motion records state: facts by label, numbers, units, widths of columns, peaks."""
 
 import re
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from pymc_features._checks.messages import warn_caller
-from pymc_features.io.lines import Lines, to_count, to_number
-from pymc_features.io.units import known_factor
+from pymc_features.io.reading.lines import Lines, to_count, to_number
+from pymc_features.io.reading.recording import Channel, Format, Opening, Recording
+from pymc_features.io.reading.units import known_factor
 
 _WIDTH = re.compile(r"(?<!\d)\d{0,3}[FEI](\d{1,3})", re.IGNORECASE | re.ASCII)
 _PUNCTUATION = ".,;:()="
@@ -59,3 +61,53 @@ def check_peak(lines: Lines, name: str, values: np.ndarray, stated: float | None
             f"{lines.title}, {name}: the file states a peak of {stated:.4g}, its values have {peak:.4g}. Is "
             "it damaged?"
         )
+
+
+def check_end(lines: Lines, what: str) -> None:
+    """Refuse anything but blanks below the values."""
+    if (line := lines.peek()) is not None:
+        raise lines.error(f"nothing may follow {what}", repr(line.strip()[:60]))
+
+
+def labelled(lines: Lines, end: str | None = None, most: int = 300) -> dict[str, str]:
+    """Facts by their labels, `LABEL: value`, down to a line that begins with `end` or to the first number.
+
+    A label is in capitals and stays with its first value. The line that begins with `end` is taken, a number
+    is not.
+    """
+    facts = {}
+    for _ in range(most):
+        if end is None:
+            following = (lines.peek() or "").split()
+            if following and all(to_number(word) is not None for word in following):
+                return facts
+        line = lines.take("a header and values")
+        if end is not None and line.strip().upper().startswith(end):
+            return facts
+        label, colon, value = line.partition(":")
+        if colon:
+            facts.setdefault(" ".join(label.upper().split()), value.strip())
+    raise lines.error(f"the header must end within {most} lines", "more")
+
+
+def demand(lines: Lines, facts: dict[str, str], label: str) -> str:
+    """The value of a label that must be there."""
+    if not facts.get(label):
+        raise lines.error(f"the header must state {label}", "nothing")
+    return facts[label]
+
+
+def format_of_lines(
+    name: str,
+    recognises: Callable[[Opening], bool],
+    files: str,
+    states: str,
+    read: Callable[[Lines], tuple[Sequence[Channel], str | None]],
+) -> Format:
+    """A format whose reader takes lines and gives channels and the name of the recording."""
+
+    def recording(path, request) -> Recording:
+        channels, title = read(Lines(path, name.partition(" and ")[0]))
+        return Recording(path.name, channels, title)
+
+    return Format(name, recognises, files, states, recording)

@@ -13,9 +13,9 @@ import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, listed, shown
 from pymc_features._checks.messages import warn_caller
-from pymc_features.io.clock import Clock, even_clock
-from pymc_features.io.lines import decoded
-from pymc_features.io.units import resolve_dt, resolve_units, sensitivity_of
+from pymc_features.io.reading.clock import Clock, even_clock
+from pymc_features.io.reading.lines import decoded
+from pymc_features.io.reading.units import resolve_dt, resolve_units, sensitivity_of
 
 OPENING = 16_384  # bytes
 
@@ -66,6 +66,11 @@ class Opening:
     def first(self) -> str:
         """The first line, in lower case."""
         return self.lines[0].lower() if self.lines else ""
+
+    @property
+    def second(self) -> str:
+        """The second line, in lower case."""
+        return self.lines[1].lower() if len(self.lines) > 1 else ""
 
 
 class Channel(NamedTuple):

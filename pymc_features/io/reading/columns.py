@@ -6,10 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import listed, shown
-from pymc_features._checks.messages import warn_caller
-from pymc_features.io.clock import UnevenStepsError, at_samples, even_clock
-from pymc_features.io.labels import NO_HISTORY, Label
-from pymc_features.io.recording import Channel, Recording, Request
+from pymc_features.io.reading.clock import at_samples, even_clock
+from pymc_features.io.reading.labels import NO_HISTORY, Label
+from pymc_features.io.reading.recording import Channel, Recording, Request
 
 #: Seconds per count of the microsecond counter in exports of Movella (Xsens) DOT sensors, by its label.
 COUNTERS = {"sampletimefine": 1e-6}
@@ -158,14 +157,10 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
     stated = clock_scale(columns, timer) if request.clock_units is None else request.clock_units
     scale = 1.0 if stated is None else stated
     quantum = scale * columns.resolution(timer)
-    try:
-        step, numbers = even_clock(
-            scale * readings, lambda row: columns.where(row, timer), quantum, request.gaps
-        )
-    except UnevenStepsError as error:
-        if request.dt is None:
-            raise
-        warn_caller(f"{error} The argument dt={request.dt:g} s is used.")
+    step, numbers = even_clock(
+        scale * readings, lambda row: columns.where(row, timer), quantum, request.gaps, request.dt
+    )
+    if step is None:
         return {"dt": None}, numbers
     if step >= 1.0 and stated is None:  # a counter, or other units
         if request.dt is None:

@@ -4,7 +4,7 @@ import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, check_positive, is_number, message, shown, single
 from pymc_features._checks.messages import warn_caller
-from pymc_features.io.labels import SI, UNITS, Unit, unit_of
+from pymc_features.io.reading.labels import SI, UNITS, Unit, unit_of
 
 
 def choices(quantity: str) -> str:

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pymc_features.io.modal.identified import Identified
 from pymc_features.modal.data import listed
+from pymc_features.modal.files.identified import Identified
 
 PER_MODE = {"frequency_sd": "Fn_std", "damping": "Xi", "damping_sd": "Xi_std"}
 

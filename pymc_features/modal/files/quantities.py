@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import message, shown
-from pymc_features.io.labels import BRACKETS, without_brackets
+from pymc_features.io.reading.labels import BRACKETS, without_brackets
 from pymc_features.modal.data import listed
 
 #: Words that a label begins with -> quantity.

@@ -8,7 +8,7 @@ import numpy as np
 from pymc_features._checks import is_number, listed, shown, single, to_float
 from pymc_features._checks.messages import warn_caller
 from pymc_features.exceptions import ChannelWarning
-from pymc_features.io.labels import unit_of
+from pymc_features.io.reading.labels import unit_of
 
 _SIMULTANEOUS = 0.05  # of a sample; what clocks may differ by without a word
 _DRIFT = 0.5  # of a sample, from the first to the last sample in common
@@ -27,10 +27,6 @@ class Clock(NamedTuple):
     def stop(self) -> float:
         """Reading at the last sample [s]."""
         return self.start + (self.n_times - 1) * self.dt
-
-
-class UnevenStepsError(ValueError):
-    """Steps of a clock that is no even one, though no samples are missing."""
 
 
 class Window(NamedTuple):
@@ -54,7 +50,13 @@ def clock_seconds(units) -> float:
     )
 
 
-def even_clock(times: np.ndarray, where: Callable[[int], str], quantum: float = 0.0, gaps: bool = False):
+def even_clock(
+    times: np.ndarray,
+    where: Callable[[int], str],
+    quantum: float = 0.0,
+    gaps: bool = False,
+    dt: float | None = None,
+) -> tuple[float | None, np.ndarray]:
     """Sampling interval [s] of a clock (time,), and the number of each of its samples, from 0 (time,).
 
     Parameters
@@ -69,11 +71,18 @@ def even_clock(times: np.ndarray, where: Callable[[int], str], quantum: float = 
         tolerated anyway.
     gaps : bool
         Whether samples may be missing; then half of them, at most.
+    dt : float, optional
+        The interval by the caller [s]: steps may be uneven then, with a warning, and None is returned.
 
     Raises
     ------
     ValueError
         If samples are missing, repeated or uneven; the message names the first place.
+
+    Warns
+    -----
+    UserWarning
+        If steps are uneven and `dt` is given.
 
     Examples
     --------
@@ -109,10 +118,14 @@ def even_clock(times: np.ndarray, where: Callable[[int], str], quantum: float = 
         tolerance += quantum
     if np.abs(times - times[0] - mean * numbers).max() > tolerance:
         row = int(np.argmax(np.abs(steps - np.median(steps)))) + 1
-        raise UnevenStepsError(
+        text = (
             f"{where(row)}: time steps must be even, they vary from {steps.min():.4g} s to "
-            f"{steps.max():.4g} s. Resample the record first."
+            f"{steps.max():.4g} s."
         )
+        if dt is None:
+            raise ValueError(f"{text} Resample the record first.")
+        warn_caller(f"{text} The argument dt={dt:g} s is used.")
+        return None, numbers
     return float(f"{mean:.10g}"), numbers
 
 

@@ -20,10 +20,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import listed
-from pymc_features.io.lines import Lines, to_count, to_number
-from pymc_features.io.modal.identified import Identified
-from pymc_features.io.size_check import check_size
-from pymc_features.io.universal_marks import AXES, FUNCTIONS, NAME, is_mark
+from pymc_features.io.formats.universal import AXES, FUNCTIONS, NAME, is_mark
+from pymc_features.io.reading.lines import Lines, to_count, to_number
+from pymc_features.io.reading.size_check import check_size
+from pymc_features.modal.files.identified import Identified
 
 MODES = {2: "normal", 3: "complex", 7: "complex"}  # types of analysis
 MOTION = {0: "unknown", 1: "general", 8: "displacement", 11: "velocity", 12: "acceleration"}

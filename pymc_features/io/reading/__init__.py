@@ -1,0 +1,1 @@
+"""What all readers share: lines, labels, units, clocks, and the channels of a recording."""
