@@ -23,11 +23,25 @@ if TYPE_CHECKING:
     from pymc_features.public import *  # noqa: F403
 
 
-def __getattr__(name: str):
-    """A module, or a public name, of which the first that is asked for imports all of them, and PyMC.
+#: Names that need no PyMC, and where they are.
+LIGHT = {
+    **dict.fromkeys(("Record", "Loading"), "records"),
+    **dict.fromkeys(
+        ("read_channels", "read_channels_with_gaps", "read_cyclic_test", "read_matrices", "read_record"), "io"
+    ),
+    "read_modal": "modal.files",
+}
 
-    So the command can answer to Ctrl-C before seconds of imports begin.
+
+def __getattr__(name: str):
+    """A module, or a public name, of which the first that needs PyMC imports all of them.
+
+    So a file is read in less than a second, and the command can answer to Ctrl-C before seconds of imports
+    begin.
     """
+    if name in LIGHT:
+        module = import_module(f"{__name__}.{LIGHT[name]}")
+        return globals().setdefault(name, getattr(module, name))
     if name == "__version__":
         from importlib.metadata import version
 

@@ -11,7 +11,6 @@ Records do not begin and end at zero. Both ends are continued by linear predicti
 from functools import lru_cache
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 MARGIN = 400  # samples by which both ends are continued
 ORDER = 100  # of the prediction: first second 6e-4 of the peak, 3e-3 by reflection through the last sample
@@ -55,6 +54,8 @@ def _kept(function, samples, *settings):
 @lru_cache(maxsize=32)
 def _spectrum(content: bytes, n_inputs: int):
     """Spectra (d, f) of the continued samples and their number; before them come `MARGIN` samples."""
+    from scipy.fft import next_fast_len, rfft  # slow to import, and not needed to read a record
+
     samples = np.frombuffer(content).reshape(n_inputs, -1)
     total = next_fast_len(samples.shape[1] + 2 * MARGIN, real=True)
     after = total - samples.shape[1] - MARGIN
@@ -82,6 +83,8 @@ def _onward(samples, count):
 
 def _finer(spectrum, total, n_times, factor):
     """The signal (d, factor (n_times - 1) + 1) of a spectrum of `total` samples."""
+    from scipy.fft import irfft
+
     if total % 2 == 0 and factor > 1:
         spectrum = spectrum.copy()
         spectrum[:, -1] *= 0.5
@@ -92,7 +95,7 @@ def _finer(spectrum, total, n_times, factor):
 @lru_cache(maxsize=32)
 def _refined(content, n_inputs, factor):
     spectrum, total = _spectrum(content, n_inputs)
-    lowered = np.sinc(rfftfreq(total, factor)) ** 2
+    lowered = np.sinc(np.fft.rfftfreq(total, factor)) ** 2
     return _finer(spectrum / lowered, total, len(content) // 8 // n_inputs, factor)
 
 
@@ -100,7 +103,7 @@ def _refined(content, n_inputs, factor):
 def _evaluated(content, n_inputs, dt, substeps, stride):
     samples = np.frombuffer(content).reshape(n_inputs, -1)
     spectrum, total = _spectrum(content, n_inputs)
-    rate = 2j * np.pi * rfftfreq(total, dt)
+    rate = 2j * np.pi * np.fft.rfftfreq(total, dt)
     found = [_finer(spectrum * rate**k, total, samples.shape[1], substeps) for k in range(N_ORDERS)]
     found[0][:, ::substeps] = samples
     return np.stack(found)[:, :, ::stride]
@@ -124,6 +127,6 @@ def at_times(samples: np.ndarray, dt: float, times: np.ndarray, step: float) -> 
     from scipy.interpolate import CubicSpline  # slow to import, and seldom needed
 
     spectrum, total = _spectrum(np.ascontiguousarray(samples, dtype=float).tobytes(), len(samples))
-    spectrum = np.where(rfftfreq(total, dt) <= 0.5 / step, spectrum, 0.0)
+    spectrum = np.where(np.fft.rfftfreq(total, dt) <= 0.5 / step, spectrum, 0.0)
     fine = _finer(spectrum, total, samples.shape[1], FINER)
     return CubicSpline(np.arange(fine.shape[1]) * (dt / FINER), fine, axis=1)(times)

@@ -3,9 +3,9 @@
 from collections.abc import Hashable
 from dataclasses import dataclass, field, replace
 from math import ceil, floor
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from pymc_features import band_limited
 from pymc_features._checks import (
@@ -21,7 +21,9 @@ from pymc_features._checks import (
     single,
 )
 from pymc_features.dynamic_load import INTERPOLATIONS, DynamicLoad, Interpolation
-from pymc_features.signals import sampling_step
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 FILL = "Fill or cut the gap first."
 EVEN = 1e-6  # of a step: differences of times below this are rounding
@@ -107,6 +109,10 @@ class Record(DynamicLoad):
         ValueError, TypeError
             If there is no such sensor, the units are not m/s^2, or the times are not even.
         """
+        import xarray as xr  # slow to import, and not needed to read a record
+
+        from pymc_features.signals import sampling_step
+
         if not isinstance(channels, xr.DataArray):
             raise TypeError(
                 f"`channels` must be an xarray.DataArray, got {type(channels).__name__}. "

@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from pymc_features._checks.messages import message, shown
 from pymc_features._checks.numeric import single
 
 if TYPE_CHECKING:
     import pymc as pm
+    import xarray as xr
 
 
 def check_flag(value, name: str, advice: str = "") -> bool:
@@ -31,14 +31,17 @@ def check_mapping(value, name: str, what: str, advice: str = "") -> dict:
     """A mapping with texts as keys, or None, as a new dict."""
     if value is None:
         return {}
-    plain = isinstance(value, Mapping) and not isinstance(value, xr.Dataset | xr.DataTree)
+    kinds = {kind.__name__ for kind in type(value).__mro__}
+    plain = isinstance(value, Mapping) and not kinds & {"Dataset", "DataTree"}
     if not plain or not all(isinstance(key, str) for key in value):
         raise TypeError(message(name, what, shown(value), advice))
     return dict(value)
 
 
-def check_group(tree, name: str, group: str, advice: str, *dims: str) -> xr.Dataset:
+def check_group(tree, name: str, group: str, advice: str, *dims: str) -> "xr.Dataset":
     """A group of a DataTree, with these dimensions, as a Dataset."""
+    import xarray as xr  # slow to import, and not needed to read a record
+
     if not isinstance(tree, xr.DataTree) or group not in tree.children:
         got = (
             f"one with {', '.join(tree.children) or 'none'}" if isinstance(tree, xr.DataTree) else shown(tree)

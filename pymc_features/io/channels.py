@@ -24,16 +24,17 @@ from pymc_features._checks import (
 )
 from pymc_features._checks.texts import check_choice
 from pymc_features.io.formats import format_of
+from pymc_features.io.formats.sources import is_source, recording_in
 from pymc_features.io.reading.clock import Clock, clock_seconds, common_window, no_common_time
 from pymc_features.io.reading.labels import SI
 from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.recording import Recording, Request, chosen, in_si
 from pymc_features.io.reading.units import sensitivity_of, unit_factor
-from pymc_features.io.sources import is_source, recording_in
 
 if TYPE_CHECKING:
     import xarray as xr
 
+REACH = 10  # samples by which gaps are wider once a channel is moved to other times
 #: What may be said of each sensor on its own.
 OF_SENSOR = (
     "file", "column", "units", "quantity", "sensitivity", "scale", "delay", "anchors",
@@ -83,17 +84,17 @@ def read_channels(
         elapsed or SampleTimeFine, else a first column that runs forward. False: there is none, the files
         start together.
     clock_units : str or float, optional
-        Of the clock: "s", "ms", "us", "ns", "min", "h", "d" or seconds per count. Headers such as ``time [ms]``
-        state it; without a statement seconds, of SampleTimeFine microseconds.
+        Of the clock: "s", "ms", "us", "ns", "min", "h", "d" or seconds per count. Headers such as
+        ``time [ms]`` state it; without a statement seconds, of SampleTimeFine microseconds.
     skip : int
         Rows left out at the start of every file, such as an empty first packet.
     wrapped : bool, optional
         Text only: True if one series runs along the lines, False if each column is a series. Needed where
         neither labels nor a clock tell.
     resample : float, optional
-        Sampling rate [Hz] of all sensors, for files of different rates: each is moved to the same times by a
-        low-pass without phase, so that a fraction of a sample between clocks is no lag. Errors within 48
-        samples of the ends.
+        Sampling rate [Hz] of all sensors, for files of different rates: each is moved to the same times, as
+        a band-limited history without what this rate cannot carry, so that a fraction of a sample between
+        clocks is no lag. Gaps are wider by 10 samples on each side.
 
     Returns
     -------
@@ -296,7 +297,8 @@ def _aligned(rows, clocks: list[Clock]) -> tuple[np.ndarray, float, float]:
 
 def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, float, float]:
     """Values (sensor, time) at a common rate [Hz], each sensor moved to the same times."""
-    from pymc_features.signals.resample import at_times
+    from pymc_features import band_limited
+    from pymc_features.signals.gaps import filled, widened, without
 
     bare = [clock for clock in clocks if clock.start is None]
     if bare and len(bare) < len(clocks):
@@ -310,11 +312,14 @@ def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, floa
     if stop <= start or n_times < 2:
         raise no_common_time(clocks)
     times = np.arange(n_times) / rate
-    values = [
-        at_times(row, clock.dt, times + (start - clock.start))
-        for row, clock in zip(rows, clocks, strict=True)
-    ]
-    return np.array(values), 1.0 / rate, start
+    found = []
+    for row, clock in zip(rows, clocks, strict=True):
+        whole, gaps = filled(row)
+        late = times + (start - clock.start)
+        values = band_limited.at_times(whole[None], clock.dt, late, 1.0 / rate)[0]
+        nearest = np.rint(late / clock.dt).astype(np.int64).clip(0, row.size - 1)
+        found.append(without(values, widened(gaps, REACH)[nearest]))
+    return np.array(found), 1.0 / rate, start
 
 
 def _sensors(files, columns, request: Request) -> list[tuple[str, object, Request, dict]]:

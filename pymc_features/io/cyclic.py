@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 from os import PathLike
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from pymc_features._checks import as_list, check_path, message, shown
 from pymc_features.cyclic_test import CyclicTest
@@ -14,6 +14,9 @@ from pymc_features.io.reading.columns import Columns
 from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.recording import Channel, Recording, in_si
 from pymc_features.io.reading.units import unit_factor
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 KINDS = "displacement", "force"
 
@@ -26,7 +29,7 @@ def read_cyclic_test(
     dt: float = 1.0,
     skip: int = 0,
     wrapped: bool | None = None,
-) -> tuple[CyclicTest, xr.DataArray]:
+) -> tuple[CyclicTest, "xr.DataArray"]:
     """Read displacement and force of a cyclic test from one table or two.
 
     Parameters
@@ -108,8 +111,10 @@ def read_cyclic_test(
     return test, measured_force(test, force)
 
 
-def measured_force(test: CyclicTest, force: np.ndarray) -> xr.DataArray:
+def measured_force(test: CyclicTest, force: np.ndarray) -> "xr.DataArray":
     """The force (time,) [N] of a test as the only channel (sensor, time)."""
+    import xarray as xr  # slow to import
+
     coords = {"sensor": ["force"], "time": ("time", test.time, {"units": "s"})}
     return xr.DataArray(force[None], coords, ("sensor", "time"), "restoring_force", {"units": "N"})
 

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from pymc_features.io.formats.binary import BINARY
 from pymc_features.io.formats.matlab import MATLAB
 from pymc_features.io.formats.strong_motion import AT2, FACTS
 from pymc_features.io.formats.strong_motion_blocks import BLOCKS
@@ -11,7 +12,7 @@ from pymc_features.io.formats.waveforms import WAVEFORMS
 from pymc_features.io.reading.recording import Format, Opening, Request
 
 #: A file is read by the first entry that recognises its first lines; the last takes every file.
-FORMATS = (MATLAB, AT2, *BLOCKS, *FACTS, UNIVERSAL, WAVEFORMS, TEXT)
+FORMATS = (MATLAB, *BINARY, AT2, *BLOCKS, *FACTS, UNIVERSAL, WAVEFORMS, TEXT)
 
 
 def format_of(path: Path, request: Request) -> Format:

@@ -36,14 +36,15 @@ DEEPEST = 4  # structures in one another
 
 
 def load_variables(path: Path) -> dict[str, np.ndarray]:
-    """Arrays of numbers, sparse matrices and texts of a .mat file of any version, by name."""
+    """Arrays of numbers, sparse matrices and texts of a .mat file of any version, or of HDF5, by name."""
     import h5py
 
     try:
         return _load_hdf5(path) if h5py.is_hdf5(path) else _load_mat(path)
     except Exception as error:  # each damaged file fails in its own way, inside the parsers
+        kind = "a MATLAB .mat" if path.suffix.lower() == ".mat" else "an HDF5"
         raise ValueError(
-            f"{path.name} must be a MATLAB .mat file, it cannot be read ({shortened(error)}). Save it again."
+            f"{path.name} must be {kind} file, it cannot be read ({shortened(error)}). Save it again."
         ) from error
 
 
@@ -73,12 +74,17 @@ def _flat(contents: Mapping, prefix: str, depth: int) -> Iterator[tuple[str, np.
 
 
 def _load_hdf5(path: Path) -> dict[str, np.ndarray]:
-    """Variables of version 7.3: arrays are stored transposed, text as 16-bit codes, structures as groups."""
+    """Variables of version 7.3: arrays are stored transposed, text as 16-bit codes, structures as groups.
+
+    Other HDF5 files have facts in attributes: `units` of a data set, which go to its name, `dt` and `fs`.
+    """
     import h5py
 
     variables, sizes = {}, []
 
     def read(group, prefix: str, depth: int) -> None:
+        for key in {"dt", "fs", "units"} & set(group.attrs):
+            variables[prefix + key] = np.asarray(_text(group.attrs[key]))
         for name in group:
             item = group[name] if _is_inside(group, name) and not name.startswith("#") else None
             if isinstance(item, h5py.Group) and "MATLAB_sparse" in item.attrs:
@@ -86,11 +92,19 @@ def _load_hdf5(path: Path) -> dict[str, np.ndarray]:
             elif isinstance(item, h5py.Group) and depth < DEEPEST:
                 read(item, f"{prefix}{name}.", depth + 1)
             elif isinstance(item, h5py.Dataset) and (array := _array(path, item, sizes)) is not None:
-                variables[prefix + name] = array
+                unit = _text(item.attrs.get("units", item.attrs.get("unit", "")))
+                variables[f"{prefix}{name} [{unit}]" if unit else prefix + name] = array
+                for key in {"dt", "fs"} & set(item.attrs):
+                    variables[prefix + key] = np.asarray(_text(item.attrs[key]))
 
     with h5py.File(path, "r") as file:
         read(file, "", 0)
     return variables
+
+
+def _text(value):
+    """An attribute, of which texts may be bytes."""
+    return value.decode() if isinstance(value, bytes) else value
 
 
 def _is_inside(group, name: str) -> bool:
@@ -109,8 +123,7 @@ def _array(path: Path, item, sizes: list[int]) -> np.ndarray | None:
         return None
     sizes.append(_stored_size(item))
     check_size(path, sizes)
-    kind = item.attrs.get("MATLAB_class", b"double")
-    kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+    kind = str(_text(item.attrs.get("MATLAB_class", "double")))
     if kind == "char":
         return np.array(["".join(map(chr, np.ravel(item[()])))])
     if not (kind in ("double", "single") or kind.startswith(("int", "uint"))):
@@ -157,7 +170,11 @@ def _sparse(path: Path, group):
 
 def read_matlab(path: Path, request: Request) -> Recording:
     """The vectors of a file, and the rows of its matrices, whose longer side is time; see `read_channels`."""
-    variables, file = load_variables(path), path.name
+    return recording_of_variables(load_variables(path), path.name, request)
+
+
+def recording_of_variables(variables: Mapping, file: str, request: Request) -> Recording:
+    """The vectors and matrices among some variables on their clocks."""
     groups: dict[tuple[str, int], dict[str, np.ndarray]] = {}
     for name, value in variables.items():
         if value.dtype.kind in "iuf" and value.size > 1 and value.ndim <= 2:

@@ -21,7 +21,7 @@ UNITS = {
     "strain": {"m/m": 1.0, "mm/m": 1e-3} | dict.fromkeys(("um/m", "ue", "ustrain", "microstrain"), 1e-6),
     "force": FORCES | {"mN": 1e-3},
     "pressure": {"Pa": 1.0, "hPa": 100.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 100.0},
-    "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6},
+    "voltage": {"V": 1.0, "volt": 1.0, "mV": 1e-3, "uV": 1e-6},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
     | dict.fromkeys(("min", "minute"), 60.0)
     | dict.fromkeys(("h", "hr", "hour"), 3600.0)
