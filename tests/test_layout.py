@@ -26,7 +26,7 @@ ALLOWED = {
     "records": {"signals", "band_limited", "dynamic_load"},
     "cyclic_test": {"records"},
     "algebra": set(),
-    "structures": {"algebra", "records", "simulators"},  # of these the modes of chains
+    "structures": {"algebra", "records", "simulators", "io"},  # of these the modes of chains
     "simulators": {"algebra", "records", "band_limited"},
     "signals": set(),
     "modal": {"io"},

@@ -239,8 +239,7 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     sensors = _sensors(files, columns, request)
     for label, source, own, settings in sensors:
         key = (id(source), own._replace(columns=None, units=None, quantity="", sensitivity=None))
-        recording = kept.setdefault(key, None) or recording_from(source, own)
-        kept[key] = recording
+        recording = kept[key] = kept.get(key) or recording_from(source, own)
         found = chosen(recording, own.columns)
         names.append((label, [channel.name for channel in found]))
         histories = [in_si(channel, own, recording) for channel in found]

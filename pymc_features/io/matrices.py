@@ -26,7 +26,7 @@ class Matrices(dict):
     Attributes
     ----------
     labels : dict of str to list of str
-        Degrees of freedom of the rows, as ``12Z``, of the matrices whose file names them.
+        Degrees of freedom of the rows, as ``12:z``, of the matrices whose file names them.
     """
 
     def __init__(self, matrices: dict, labels: dict[str, list[str]]):

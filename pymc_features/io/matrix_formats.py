@@ -1,7 +1,7 @@
 """Sparse matrices as text: Matrix Market, Abaqus, CalculiX, ANSYS (Harwell-Boeing); Nastran's by pyyeti.
 
 Each reader gives matrices by name, and the degrees of freedom of each where the file, or the list that the
-program writes beside it, names them: node and direction, as ``12Z``.
+program writes beside it, names them: node and direction, as ``12:z``.
 
 Boisvert, R. F., Pozo, R. and Remington, K. A. (1996), The Matrix Market Exchange Formats, NISTIR 5935. Duff,
 I. S., Grimes, R. G. and Lewis, J. G. (1992), Users' Guide for the Harwell-Boeing Sparse Matrix Collection,
@@ -17,13 +17,13 @@ import numpy as np
 from scipy import sparse
 
 from pymc_features.io.formats.header import column_width
-from pymc_features.io.formats.universal import AXES
 from pymc_features.io.reading.lines import Lines, shortened, to_count
 from pymc_features.io.reading.size_check import check_size
 
 EXTRA = 'python -m pip install "pymc-features[fe]"'
 MOST_ROWS = 10**6  # of a sparse matrix with fewer bytes in its file
 SIGNS = {"general": 0.0, "symmetric": 1.0, "skew-symmetric": -1.0}  # of the half that is not stored
+AXES = ("x", "y", "z", "rx", "ry", "rz")  # directions 1 to 6
 ANSYS = dict(zip(("UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ"), AXES, strict=True))
 
 
@@ -162,7 +162,7 @@ def _abaqus(path: Path, lines: Lines) -> Found:
 def _label(node, direction) -> str:
     """A degree of freedom by its node and its direction, 1 to 6; scalar points have none."""
     axis = int(direction)
-    return f"{int(node)}{AXES[axis - 1] if 1 <= axis <= 6 else ''}"
+    return f"{int(node)}:{AXES[axis - 1]}" if 1 <= axis <= 6 else str(int(node))
 
 
 def read_calculix(path: Path) -> Found:
@@ -192,7 +192,7 @@ def read_harwell_boeing(path: Path) -> Found:
         lines.take("the right-hand side")
     n_rows, n_columns, n_entries = sizes[:3]
     check_size(path, [8 * n_columns, 16 * n_entries])
-    widths = [column_width(formats[k : k + 20], 0) for k in (0, 16, 32)]
+    widths = [column_width(formats[slice(*place)], 0) for place in ((0, 16), (16, 32), (32, 52))]
     starts = lines.fields(n_columns + 1, widths[0], "first entries of the columns")
     rows = lines.fields(n_entries, widths[1], "rows of the entries")
     values = lines.fields(n_entries, widths[2], "entries")
@@ -210,7 +210,7 @@ def _mapping(path: Path, n_rows: int) -> list[str]:
     if not path.exists():
         return []
     rows = [line.split() for _, line in Lines(path)]
-    named = {int(row[0]): f"{row[1]}{ANSYS[row[2]]}" for row in rows if row[2:3] and row[2] in ANSYS}
+    named = {int(row[0]): f"{row[1]}:{ANSYS[row[2]]}" for row in rows if row[2:3] and row[2] in ANSYS}
     return [named.get(k, str(k)) for k in range(1, n_rows + 1)]
 
 

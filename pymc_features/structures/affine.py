@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
 from typing import Self
 
 import numpy as np
@@ -13,6 +14,7 @@ from pymc_features._checks import as_list, as_numbers, check_callable, check_tex
 from pymc_features.structures.affine_terms import affine_terms
 from pymc_features.structures.base import Values
 from pymc_features.structures.damping import Damping
+from pymc_features.structures.exported import Exports
 from pymc_features.structures.inputs import MATRICES, vector
 from pymc_features.structures.linear import LinearStructure
 from pymc_features.structures.matrices import MatrixLike, as_matrix
@@ -166,6 +168,70 @@ class AffineStructure(LinearStructure):
         )
         structure.parameter_names = tuple(found.nominal)
         return structure
+
+    @classmethod
+    def from_files(
+        cls,
+        base: str | PathLike | Mapping[str, str | PathLike | tuple],
+        terms: Mapping[str, tuple | Sequence[tuple]],
+        *,
+        damping: Damping | MatrixLike | None = None,
+        direction: str | Sequence[str] | None = None,
+        units: str | None = None,
+    ) -> Self:
+        """The structure of exported matrices, of a base and with one property changed at a time.
+
+        Parameters
+        ----------
+        base : path, or mapping of "mass", "stiffness" and, if wanted, "damping" to paths
+            One file with all matrices, or one for each; (path, name) picks a matrix of several. Formats as of
+            `read_matrices`. Names of degrees of freedom are those of the files.
+        terms : mapping of str to (path, factor), or to a sequence of them
+            For each parameter an export in which the property is `factor` times that of the base: stiffness,
+            or a file with mass and stiffness, or (mapping as `base`, factor). A second export of another
+            factor is compared with what the first one says.
+        damping : Damping or array_like (n, n), optional
+            In place of the damping matrix of the files.
+        direction : "x", "y" or "z", or a sequence of them, optional
+            Of the ground motion, by the names of the degrees of freedom; all move alike by default.
+        units : str, optional
+            Of force, length and mass in the files, such as "kN, m, t"; N, m and kg by default.
+
+        Returns
+        -------
+        AffineStructure
+            Its parameters are factors of the properties, 1 at the base, with these names. Degrees of freedom
+            without stiffness and mass, and those that a program holds by a stiffness of 1e30 or more, are
+            left out with a warning that names them.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a matrix is missing or of another size, or a second export shows that the matrices are not
+            affine in a property.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from pymc_features import ModalDamping
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     base, stiff = Path(folder) / "base.npz", Path(folder) / "stiff.npz"
+        ...     np.savez(base, M=np.eye(2), K=np.array([[3.0, -1.0], [-1.0, 1.0]]))
+        ...     np.savez(stiff, K=np.array([[4.0, -2.0], [-2.0, 2.0]]))
+        ...     frame = AffineStructure.from_files(
+        ...         base, {"upper": (stiff, 2.0)}, damping=ModalDamping(0.02))
+        >>> frame.with_parameters({"upper": 0.5}).stiffness
+        array([[ 2.5, -0.5],
+               [-0.5,  0.5]])
+        """
+        exports = Exports(base, terms, units)
+        found = cls.from_matrices(exports.build, dict.fromkeys(exports.terms, 1.0), damping=damping)
+        if direction is not None:
+            directions = check_texts(direction, "direction", "x, y, z or several of them")
+            columns = [exports.influence(one) for one in directions]
+            found.influence = columns[0] if isinstance(direction, str) else np.stack(columns, axis=1)
+        return found if exports.labels is None else found.with_names(exports.labels)
 
     @classmethod
     def from_opensees(

@@ -43,14 +43,20 @@ def is_mark(line: str) -> bool:
     return line[:6].strip() == "-1" and not line[6:].strip()
 
 
-def read(path: Path) -> tuple[list[Channel], None]:
-    """All time histories of a file, named by node and direction."""
+def pyuff_for(path: Path):
+    """The library pyuff, which an extra installs."""
     try:
         import pyuff
     except ImportError as error:
         raise ImportError(
-            f"pyuff must be installed to read {path.name}, a {NAME}, got none. Install it with: {EXTRA}."
+            f"pyuff must be installed for {path.name}, a {NAME}, got none. Install it with: {EXTRA}."
         ) from error
+    return pyuff
+
+
+def read(path: Path) -> tuple[list[Channel], None]:
+    """All time histories of a file, named by node and direction."""
+    pyuff = pyuff_for(path)
     raw = path.read_bytes()
     if not raw.rstrip().endswith(b"    -1"):
         raise ValueError(

@@ -4,7 +4,7 @@ import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, check_positive, is_number, message, shown, single
 from pymc_features._checks.messages import warn_caller
-from pymc_features.io.reading.labels import SI, UNITS, Unit, unit_of
+from pymc_features.io.reading.labels import MASSES, SI, UNITS, Unit, unit_of
 
 
 def choices(quantity: str) -> str:
@@ -66,6 +66,31 @@ def sensitivity_of(sensitivity, quantity: str) -> float:
         what = f'V per {SI[quantity]}, or a text such as "100 mV/{next(iter(UNITS[quantity]))}"'
         raise ValueError(message("sensitivity", what, shown(sensitivity)))
     return number * voltage.factor / unit.factor
+
+
+def system_of_units(text: str) -> tuple[float, float, float]:
+    """SI units in the force, length and mass of a system of units, "kN, m, t", in any order.
+
+    Raises
+    ------
+    ValueError
+        If one is missing or not known.
+
+    Examples
+    --------
+    >>> system_of_units("N, mm, t")
+    (1.0, 0.001, 1000.0)
+    """
+    what = 'a force, a length and a mass, such as "kN, m, t"'
+    words = [word.strip() for word in text.split(",")] if isinstance(text, str) else []
+    found = {}
+    for word in words:
+        unit = Unit("mass", MASSES[word]) if word in MASSES else unit_of(word)
+        if unit is not None:
+            found["length" if unit.quantity == "displacement" else unit.quantity] = unit.factor
+    if set(found) != {"force", "length", "mass"} or len(words) != 3:
+        raise ValueError(message("units", what, shown(text)))
+    return found["force"], found["length"], found["mass"]
 
 
 def resolve_units(units, stated: str | Unit | None, source: str, quantity: str = "acceleration") -> float:

@@ -1,0 +1,123 @@
+"""Channels as files that other programs read: CSV with units in its header, Universal Files."""
+
+import csv
+import re
+from os import PathLike
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pymc_features._checks import check_path, message
+from pymc_features.io.formats.universal import AXES, pyuff_for
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+EPOCH = 1e8  # [s]; clocks that read more count from 1970
+DATA_TYPES = {"m/s^2": 12, "m/s": 11, "m": 8, "N": 9, "Pa": 15, "m/m": 2}  # of data set 58, by unit
+PLACE = re.compile(rf"(\d+)(-?)({'|'.join(sorted(AXES, key=len, reverse=True))})")
+
+
+def write_channels(channels: "xr.DataArray", path: str | PathLike) -> None:
+    """Write channels to a file that `read_channels` reads back equal.
+
+    Parameters
+    ----------
+    channels : xarray.DataArray (sensor, time)
+        As from `read_channels`, in SI units.
+    path : str or path-like
+        CSV (``.csv``, ``.txt``): a column of times [s], or of time stamps where `attrs["start"]` counts from
+        1970, and one for each sensor, its unit in brackets, empty cells in gaps. Universal File (``.uff``,
+        ``.unv``, with the extra `modal`): data sets 58 in double precision, of sensors named by node and
+        direction, as ``12Z``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If these are no channels, the ending is another, or a name does not fit the format.
+    ImportError
+        If the path is a Universal File and pyuff is not installed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import pymc_features as pmf
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "roof.csv"
+    ...     _ = path.write_text("time [s],roof [g]\\n0.00,0.1\\n0.02,0.0\\n0.04,-0.2\\n")
+    ...     write_channels(pmf.read_channels(path), path)
+    ...     print(path.read_text().splitlines()[:2])
+    ['time [s],roof [m/s^2]', '0,0.98100000000000009']
+    """
+    from pymc_features.signals.channels import check_array, sampling_step
+
+    path = check_path(path)
+    check_array(channels, sensors=True)
+    step = sampling_step(channels)
+    writers = {".csv": _write_csv, ".txt": _write_csv, ".uff": _write_universal, ".unv": _write_universal}
+    if path.suffix.lower() not in writers:
+        raise ValueError(message("path", f"a file ending in {', '.join(writers)}", path.name))
+    whole = [channels.attrs.get("units", "m/s^2")] * channels.sizes["sensor"]
+    units = channels["units"].values if "units" in channels.coords else whole
+    names = [str(name) for name in channels["sensor"].values] if "sensor" in channels.coords else []
+    if len(names) < len(units) or any(re.search(r"[\[\]()\n]", name) for name in names):
+        what = "names of sensors without brackets"
+        raise ValueError(message("channels", what, ", ".join(names) or "none"))
+    writers[path.suffix.lower()](path, names, [str(unit) for unit in units], channels, step)
+
+
+def _write_csv(path, names, units, channels, step: float) -> None:
+    start, times = float(channels.attrs.get("start", 0.0)), step * np.arange(channels.sizes["time"])
+    if start > EPOCH:
+        since = np.int64(round(start * 1e6)) * 1000 + np.rint(times * 1e9).astype(np.int64)
+        clock = [f"{text}Z" for text in np.datetime_as_string(since.astype("datetime64[ns]"))]
+    else:
+        clock = [f"{time:.15g}" for time in start + times]
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(
+            [
+                "time" if start > EPOCH else "time [s]",
+                *(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)),
+            ]
+        )
+        for time, row in zip(clock, channels.values.T, strict=True):
+            rows.writerow([time, *("" if np.isnan(value) else f"{value:.17g}" for value in row)])
+
+
+def _write_universal(path, names, units, channels, step: float) -> None:
+    if channels.isnull().any():
+        raise ValueError(f"`channels` must be without gaps for {path.name}, got NaN. Write CSV.")
+    times = float(channels.attrs.get("start", 0.0)) + step * np.arange(channels.sizes["time"])
+    sets = []
+    for name, unit, values in zip(names, units, channels.values, strict=True):
+        found = PLACE.fullmatch(name)
+        if found is None:
+            what = "named by node and direction, as 12Z, for a Universal File"
+            raise ValueError(message("channels", what, name, "Rename them, or write CSV."))
+        node, sign, axis = found.groups()
+        sets.append(
+            {
+                "type": 58,
+                "binary": 1,
+                "func_type": 1,
+                "rsp_node": int(node),
+                "rsp_dir": (AXES.index(axis) + 1) * (-1 if sign else 1),
+                "ref_node": 0,
+                "ref_dir": 0,
+                "data": values.astype(np.float64),
+                "x": times,
+                "abscissa_spacing": int(float(f"{step:.5e}") == step and times[0] == 0.0),  # six digits
+                "orddenom_spec_data_type": 0,
+                "abscissa_axis_units_lab": "s",
+                "ordinate_spec_data_type": DATA_TYPES.get(unit, 0),
+                "ordinate_axis_units_lab": unit,
+                "ord_data_type": 4,
+                "id1": name,
+            }
+        )
+    path.write_bytes(b"")
+    file = pyuff_for(path).UFF(str(path))
+    for one in sets:  # the mode "overwrite" of pyuff spoils the first of several
+        file.write_sets(one, mode="add")

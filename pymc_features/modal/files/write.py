@@ -1,0 +1,148 @@
+"""Identified modes as files that other programs read: CSV, JSON, Universal Files."""
+
+import csv
+import json
+import re
+from os import PathLike
+
+import numpy as np
+
+from pymc_features._checks import check_path, message
+from pymc_features.io.formats.universal import AXES
+from pymc_features.modal.data import ModalData
+
+PLACE = re.compile(r"(\d+)([XYZ])")
+
+
+def write_modal(modal: ModalData, path: str | PathLike) -> None:
+    """Write identified modes to a file that `read_modal` reads back equal.
+
+    Parameters
+    ----------
+    modal : ModalData
+    path : str or path-like
+        CSV (``.csv``, ``.txt``): a row for each mode, complex entries as ``0.3-0.1j``, empty cells for what
+        was not measured. JSON (``.json``): named arrays. Universal File (``.uff``, ``.unv``): data sets 55,
+        which have six digits, no standard deviations, and channels named by node and direction, as ``12Z``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If `modal` is none, the ending is another, or a name does not fit the format.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from pymc_features import read_modal
+    >>> modal = ModalData([1.2, 3.5], [[0.6, 1.0], [1.0, -0.5]], ["floor 1", "roof"])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_modal(modal, Path(folder) / "modes.csv")
+    ...     again = read_modal(Path(folder) / "modes.csv")
+    >>> (again.shapes == modal.shapes).all(), again.channels
+    (np.True_, ('floor 1', 'roof'))
+    """
+    path = check_path(path)
+    if not isinstance(modal, ModalData):
+        raise TypeError(message("modal", "a ModalData", type(modal).__name__, "See `read_modal`."))
+    writers = {".csv": _write_csv, ".txt": _write_csv, ".json": _write_json}
+    writers |= {".uff": _write_universal, ".unv": _write_universal}
+    if path.suffix.lower() not in writers:
+        raise ValueError(message("path", f"a file ending in {', '.join(writers)}", path.name))
+    writers[path.suffix.lower()](modal, path)
+
+
+def _cell(value) -> str:
+    if np.isnan(value):
+        return ""
+    if isinstance(value, complex | np.complexfloating):
+        return f"{value.real:.17g}{value.imag:+.17g}j"
+    return f"{value:.17g}"
+
+
+def _per_mode(modal: ModalData) -> dict[str, np.ndarray]:
+    """Names of quantities and their numbers (m,), as `read_modal` calls them."""
+    found = {
+        "frequency": modal.frequencies,
+        "frequency_sd": modal.frequency_sd,
+        "damping": modal.damping_ratios,
+        "damping_sd": modal.damping_sd,
+    }
+    return {name: values for name, values in found.items() if values is not None}
+
+
+def _write_csv(modal: ModalData, path) -> None:
+    columns = {f"{name} [Hz]" if name == "frequency" else name: v for name, v in _per_mode(modal).items()}
+    for k, name in enumerate(modal.channels):
+        columns[name] = modal.shapes[:, k]
+        if modal.shape_sd is not None:
+            columns[f"{name}_sd"] = modal.shape_sd[:, k]
+    cells = [[_cell(value) for value in values] for values in columns.values()]
+    if modal.labels is not None:
+        columns, cells = {"mode": None, **columns}, [[str(label) for label in modal.labels], *cells]
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(columns)
+        rows.writerows(zip(*cells, strict=True))
+
+
+def _write_json(modal: ModalData, path) -> None:
+    if modal.labels is not None:
+        raise ValueError(message("path", "a table (.csv) for modes with labels", path.name))
+    arrays = _per_mode(modal)
+    if modal.shapes is not None:
+        arrays["shapes"] = modal.shapes.real.T
+        if modal.is_complex:
+            arrays["shapes_imaginary"] = modal.shapes.imag.T
+        if modal.shape_sd is not None:
+            arrays["shape_sd"] = modal.shape_sd.T
+    found = {
+        name: [_or_null(value) for value in values]
+        if values.ndim == 1
+        else [[_or_null(value) for value in row] for row in values]
+        for name, values in arrays.items()
+    }
+    if modal.channels:
+        found["channels"] = list(modal.channels)
+    path.write_text(json.dumps(found, indent=1) + "\n")
+
+
+def _or_null(value) -> float | None:
+    return None if np.isnan(value) else float(value)
+
+
+def _write_universal(modal: ModalData, path) -> None:
+    """Data sets 55: translations of each node that was measured in a mode, zero where a direction was not."""
+    places = [PLACE.fullmatch(name) for name in modal.channels]
+    if not places or None in places:
+        what = "with channels named by node and direction, as 12Z, for a Universal File"
+        raise ValueError(message("modal", what, ", ".join(modal.channels) or "none", "Write CSV."))
+    nodes = sorted({int(place[1]) for place in places})
+    entries = np.full((len(modal), len(nodes), 3), np.nan, dtype=modal.shapes.dtype)
+    for k, place in enumerate(places):
+        entries[:, nodes.index(int(place[1])), AXES.index(place[2])] = modal.shapes[:, k]
+    kind, values = (3, 5) if modal.is_complex else (2, 2)
+    lines = []
+    for number, (frequency, shape) in enumerate(zip(modal.frequencies, entries, strict=True), 1):
+        known = modal.damping_ratios is not None
+        damping = float(np.nan_to_num(modal.damping_ratios[number - 1])) if known else 0.0
+        root = 2.0 * np.pi * frequency * complex(-damping, np.sqrt(1.0 - damping**2))
+        complex_ = [root.real, root.imag, 0.0, 0.0, 0.0, 0.0]
+        reals = complex_ if modal.is_complex else [frequency, 1.0, damping, 0.0]
+        lines += ["    -1", "    55", *["NONE"] * 5, _wholes(1, kind, 2, 8, values, 3)]
+        lines += [_wholes(2, 4, 0, number), _reals(reals)]
+        for node, row in zip(nodes, shape, strict=True):
+            if not np.isnan(row).all():
+                whole = np.nan_to_num(row)
+                parts = np.column_stack([whole.real, whole.imag]).ravel() if modal.is_complex else whole
+                lines += [_wholes(node), _reals(parts)]
+        lines.append("    -1")
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _wholes(*numbers: int) -> str:
+    return "".join(f"{number:10d}" for number in numbers)
+
+
+def _reals(numbers) -> str:
+    return "".join(f"{number:13.5E}" for number in numbers)
