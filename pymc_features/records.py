@@ -119,10 +119,10 @@ class Record(DynamicLoad):
                 "Pass arrays as Record(acceleration, dt)."
             )
         channel = _picked(channels, sensor)
-        if channel.attrs.get("units") != "m/s^2":
+        units = channel.coords["units"].item() if "units" in channel.coords else channel.attrs.get("units")
+        if units != "m/s^2":
             raise ValueError(
-                f'`channels` must have attrs["units"] "m/s^2", got {channel.attrs.get("units")!r}. '
-                "Convert them, and say so there."
+                f'`channels` must have attrs["units"] "m/s^2", got {units!r}. Convert them, and say so there.'
             )
         label = channel.coords["sensor"].item() if "sensor" in channel.coords else ""
         name = str(label) if name is None else name

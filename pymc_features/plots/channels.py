@@ -34,12 +34,18 @@ def plot_channels(channels: xr.DataArray, axes: AxesLike = None) -> np.ndarray:
         )
     n = channels.sizes["sensor"]
     figsize = (9.0, min(TALLEST, 0.8 + HEIGHT * n))
-    axes = checked_axes(axes, n, "sensors", figsize=figsize, sharex=True, sharey=True)
-    for ax, name, values in zip(axes, channels["sensor"].values, channels.values, strict=True):
+    axes = checked_axes(
+        axes, n, "sensors", figsize=figsize, sharex=True, sharey="units" not in channels.coords
+    )
+    whole = [channels.attrs.get("units", "m/s^2")] * n
+    units = channels["units"].values.tolist() if "units" in channels.coords else whole
+    units = [unit.replace("^2", "²") for unit in units]
+    for ax, name, values, unit in zip(axes, channels["sensor"].values, channels.values, units, strict=True):
         peak = int(np.nanargmax(np.abs(values)))
         ax.plot(channels["time"], values, color="0.25", lw=0.6)
         ax.plot(channels["time"][peak], values[peak], "o", color="C3", ms=4)
-        set_title(ax, f"{name}, peak {abs(values[peak]):.3g} m/s²", loc="left", fontsize="medium")
+        set_title(ax, f"{name}, peak {abs(values[peak]):.3g} {unit}", loc="left", fontsize="medium")
     axes[-1].set(xlabel="time [s]", xlim=(float(channels["time"][0]), float(channels["time"][-1])))
-    axes[n // 2].set_ylabel("acceleration [m/s²]")
+    same = len(set(units)) == 1
+    axes[n // 2].set_ylabel(f"{'acceleration ' if units[0] == 'm/s²' else ''}[{units[0]}]" if same else "")
     return axes

@@ -48,6 +48,7 @@ def plot_predictive(
         bands, observed = (x.sel(time=slice(*window)) for x in (bands, observed))
         if not bands.sizes["time"]:
             raise ValueError(f"`window` must hold samples of the record, got {window} in seconds.")
+    units = observed.attrs.get("units", "m/s^2").replace("^2", "²")
     size = 9.0, 1.0 + 1.7 * len(chosen)
     axes = checked_axes(axes, len(chosen), "sensors", figsize=size, sharex=True)
     median = bands["response"].sel(quantile=0.5, sensor=chosen).transpose("sensor", "time")
@@ -57,7 +58,7 @@ def plot_predictive(
         error = 100.0 * float(bands["normalised_error"].sel(sensor=sensor))
         title = f"{sensor}: rms error of the median {error:.0f} % of the measured rms"
         set_title(ax, title, fontsize="medium")
-        ax.set_ylabel("[m/s²]")
+        ax.set_ylabel(f"[{units}]")
     axes[-1].set_xlabel("time [s]")
     handles, labels = axes[0].get_legend_handles_labels()
     axes[0].figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)

@@ -116,8 +116,8 @@ class Exports:
                 largest, off = abs(slopes[0][part]).max(), abs(other[part] - slopes[0][part]).max()
                 if off > LINEAR * largest:
                     raise ValueError(
-                        f"`{where}` must change the {part} in proportion to its factor, two exports "
-                        f"differ by {off / largest:.2g} of the change. Choose a property in which it is linear."
+                        f"`{where}` must change the {part} in proportion to its factor, two exports differ "
+                        f"by {off / largest:.2g} of the change. Choose a property in which it is linear."
                     )
         return {part: change for part, change in slopes[0].items() if abs(change).max() > 0.0}
 

@@ -37,7 +37,7 @@ def bands(problem, kind, model, idata) -> xr.Dataset:
         (`<quantity>_peak`) if the report asks for them.
     """
     measured = problem.measured
-    usual = "restoring_force" if problem.is_cyclic else "absolute_acceleration"
+    usual = problem.quantity
     settings = {"draws": DRAWS, "quantiles": QUANTILES, "random_seed": 0}
     settings |= {"dt": measured.step, "n_modes": problem.structure.n_modes}
     at_sensors = posterior_response(

@@ -143,7 +143,9 @@ def run_part(problem, kind, tolerance, base, running: Running) -> xr.DataTree:
         part = {name: idata[name].to_dataset() for name in GROUPS if name in idata.children}
         part["prior"] = prior_draws(problem, kind)
         if problem.measured is not None:
-            part["observed_data"] = xr.Dataset({"y": problem.measured.channels.drop_attrs()})
+            part["observed_data"] = xr.Dataset(
+                {"y": problem.measured.channels.drop_attrs().assign_attrs(units=problem.measured.units)}
+            )
             part["bands"] = bands(problem, kind, model, idata)
         if problem.ambient is not None:
             part["spectra"] = fitted_spectra(problem, model, idata["posterior"].to_dataset())
@@ -291,7 +293,7 @@ def data_of(problem) -> xr.Dataset:
     data = xr.Dataset(
         {
             "ground_acceleration": ("record_time", measured.record.acceleration, {"units": "m/s^2"}),
-            "measured": measured.channels.drop_attrs().assign_attrs(units="m/s^2"),
+            "measured": measured.channels.drop_attrs().assign_attrs(units=measured.units),
             "gain": gain,
             "peak_frequency": ("peak", peaks, {"units": "Hz"}),
         },

@@ -49,7 +49,7 @@ SI = {
 }
 #: Words of a label, in lower case, by what they say that a column is.
 ROLES = {
-    "time": "t time timestamp timestamps date datetime clock elapsed seconds sampletimefine zeit temps",
+    "time": "t time epoch unix timestamp timestamps date datetime clock elapsed seconds sampletimefine zeit temps",
     "number": "sample samples index count counter frame no",
     "period": "period periods",
     "frequency": "frequency frequencies freq",
@@ -160,10 +160,12 @@ class Label(NamedTuple):
         name = without_brackets(text)
         units = [found.strip() for found in BRACKETS.findall(text)]
         known = [found for found in units if unit_of(found) is not None]
-        if not units and unit is None and (found := re.fullmatch(r"(.*[^\W\d_]{2,}.*)[_ ]([^_ ]+)", name)):
-            kind = unit_of(found[2]) if len(found[2]) > 1 or found[2] in "gs" else None  # N is north
-            if kind is not None and (kind.quantity == "time") == (role_of(found[1]) == "time"):
-                name, units = found[1], [found[2]]
+        found = re.fullmatch(r"(.*[^_ ])[_ ]([^_ ]+)", name) if not units and unit is None else None
+        if found is not None and found[2] != "in":
+            base, kind = found[1], unit_of(found[2])
+            long = len(found[2]) > 1 or (found[2] in "gs" and re.search(r"[^\W\d_]{2}", base))  # a_g, acc_N
+            if long and kind is not None and (kind.quantity == "time") == (role_of(base) == "time"):
+                name, units = base, [found[2]]
         return cls(text, name or text, unit or next(iter([*known, *units]), None))
 
 

@@ -16,6 +16,8 @@ from pymc_features.update.config.messages import sentence, shown
 from pymc_features.update.config.modal_section import Modal, with_damping
 from pymc_features.update.config.sections import (
     ERRORS,
+    MEASURED,
+    SIGMA,
     Data,
     Likelihood,
     Processing,
@@ -72,7 +74,9 @@ class Config(Section):
         if self.likelihood is not None:
             asked = self.likelihood
             taken = dict(pair for kind in asked.kinds for pair in asked.parameters_of(kind))
-            units = ERRORS if self.cyclic is None else ERRORS | CYCLIC_UNITS
+            units = ERRORS | (CYCLIC_UNITS if self.cyclic is not None else {})
+            if self.data is not None:
+                units = units | {"sigma": SIGMA[MEASURED[self.data.quantity]]}
             places += [(f"likelihood.{name}", units[name], value) for name, value in taken.items()]
         if self.modal is not None:
             places += parameters_of("modal", self.modal)

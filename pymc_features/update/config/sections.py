@@ -14,6 +14,16 @@ from pymc_features.update.config.entries import Vector, priors_in
 from pymc_features.update.config.messages import shown
 
 ERRORS = {"sigma": "m/s^2", "correlation_time": "s", "m": "-"}  # parameters of the errors, with their units
+#: What sensors measure, by the quantity of the response that it is compared with.
+MEASURED = {
+    "absolute_acceleration": "acceleration",
+    "relative_acceleration": "acceleration",
+    "relative_velocity": "velocity",
+    "relative_displacement": "displacement",
+    "inter_storey_drift": "displacement",
+}
+SIGMA = {"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m"}  # unit of the errors
+ACCELERATIONS = [name for name, measured in MEASURED.items() if measured == "acceleration"]
 KERNELS = ("PersistentSMC", "PopulationIMH", "PopulationMH", "TMCMC")
 DRAWS, CHAINS = 10_000_000, 1000  # at most: more would end without memory, after hours
 
@@ -52,14 +62,38 @@ WindowOrFalse = Annotated[Any, PlainValidator(lambda value: value if value is Fa
 Names = Annotated[list[str], Field(min_length=1)]
 
 
+class SensorFile(Section):
+    """The file of one sensor, and what it does not say itself; see `read_channels`."""
+
+    file: str = key("a file")
+    column: int | str | None = key("a column, by index from 0 or header name", None)
+    units: str | float | None = key('"g", "m/s^2", "cm/s^2", "gal", or SI units per file unit', None)
+    sensitivity: str | float | None = key('a text such as "100 mV/g", or V per SI unit', None)
+    scale: float | None = key("a factor, -1.0 for an inverted sensor", None)
+    delay: float | None = key("the seconds by which it comes late", None)
+    anchors: list[list[float]] | None = key(
+        "two pairs of a reading of its clock and the true time in seconds", None
+    )
+    dt: float | None = key("the sampling interval in seconds, positive", None, gt=0)
+    clock: int | str | Literal[False] | None = key("the column with the times, or false", None)
+    clock_units: str | float | None = key('"s", "ms", "us", "ns", or seconds per count', None)
+    skip: int | None = key("the number of rows to leave out at the start, not negative", None, ge=0)
+    wrapped: bool | None = key("true if one series runs along the lines of a text file, else false", None)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What it says, by the name that `read_channels` takes."""
+        return self.model_dump(exclude_none=True)
+
+
 class Data(Section):
     """Which channels were measured, and where on the structure."""
 
     dataset: Literal["mini_shake_table"] | None = key('"mini_shake_table", or left out', None)
     event: Literal["northridge", "sine1p5"] = key('"northridge" or "sine1p5"', "northridge")
     excitation: Literal["measured", "ambient"] = key('"measured" or "ambient"', "measured")
-    files: str | list[str] | dict[str, str] | None = key(
-        "a file, a list of files, or a table of sensor names to files", None
+    files: str | list[str] | dict[str, str | SensorFile] | None = key(
+        "a file, a list of files, or a table of sensor names to files or to tables with `file`", None
     )
     columns: int | str | list[int | str] | dict[str, int | str] | None = key(
         "a column, by index from 0 or header name, a list, or a table of sensor names to columns", None
@@ -70,6 +104,8 @@ class Data(Section):
     clock_units: str | float | None = key('"s", "ms", "us", "ns", or seconds per count', None)
     skip: int = key("the number of rows to leave out at the start, not negative", 0, ge=0)
     wrapped: bool | None = key("true if one series runs along the lines of a text file, else false", None)
+    resample: float | None = key("the sampling rate in Hz that all sensors get, positive", None, gt=0)
+    quantity: Literal[tuple(MEASURED)] = key(f"one of {', '.join(MEASURED)}", "absolute_acceleration")
     interpolation: Interpolation = key(
         '"band-limited" or "linear", of the base between its samples', INTERPOLATIONS[0]
     )
@@ -99,6 +135,11 @@ class Data(Section):
             own = {"dataset", "event", "excitation", "base", "sensors", "dofs", "rows", "scale", "delay"}
             if more := sorted(self.model_fields_set - own):
                 raise ValueError(f"must have `{more[0]}` only with `files`, got it with `dataset`")
+        if self.quantity not in ACCELERATIONS and not isinstance(self.files, dict):
+            raise ValueError(
+                f"must have `files` as a table of sensors for `quantity` {self.quantity}, got "
+                f"{shown(self.files)}: the base moves by an acceleration"
+            )
         if len(set(self.sensors)) < len(self.sensors) or self.base in self.sensors:
             raise ValueError(
                 f"must name each sensor once, got base {shown(self.base)} and {shown(self.sensors)}"

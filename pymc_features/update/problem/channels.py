@@ -17,6 +17,7 @@ from pymc_features.records import EVEN, Record
 from pymc_features.signals.channels import check_window
 from pymc_features.update.config.document import Config
 from pymc_features.update.config.messages import shown
+from pymc_features.update.config.sections import MEASURED
 from pymc_features.update.problem.checks import Checked, check, warn_of_motion
 
 LONGEST = 600  # characters of a message, which may quote the name of a file
@@ -51,6 +52,12 @@ class Measured:
     first: int = 0
 
     @property
+    def units(self) -> str:
+        """Of the channels."""
+        own = self.channels.coords.get("units")
+        return "m/s^2" if own is None else str(own.values[0])
+
+    @property
     def compared(self) -> slice:
         """Samples of the response, at `step`, that are compared."""
         return slice(self.first, self.first + self.channels.sizes["time"])
@@ -81,6 +88,8 @@ def base_and_sensors(measured: Measured) -> xr.DataArray:
     values = np.vstack([measured.base, measured.channels.values])
     names = ["base", *(str(name) for name in measured.channels["sensor"].values)]
     coords = {"sensor": names, "time": measured.channels["time"].values}
+    if measured.units != "m/s^2":
+        coords["units"] = "sensor", ["m/s^2", *[measured.units] * (len(names) - 1)]
     return xr.DataArray(values, coords, ("sensor", "time"))
 
 
@@ -201,12 +210,13 @@ def read_all(config, folder) -> tuple[xr.DataArray, str]:
         return datasets.mini_shake_table(data.event), f"{data.dataset} ({data.event})"
     files = data.files
     if isinstance(files, dict):
-        paths, names = {name: folder / file for name, file in files.items()}, list(files.values())
+        paths = {name: of_sensor(file, folder, data, name) for name, file in files.items()}
+        names = [entry["file"].name for entry in paths.values()]
     elif isinstance(files, list):
         paths, names = [folder / file for file in files], files
     else:
         paths, names = folder / files, [files]
-    keys = ("columns", "units", "dt", "clock", "clock_units", "skip", "wrapped")
+    keys = ("columns", "units", "dt", "clock", "clock_units", "skip", "wrapped", "resample")
     settings = {key: getattr(data, key) for key in keys}
     source = ", ".join(Path(name).name for name in names)
     if data.gaps == "leave_out":
@@ -217,6 +227,13 @@ def read_all(config, folder) -> tuple[xr.DataArray, str]:
         if not has_gaps_alone(paths, settings):
             raise
         raise ValueError(f'{error} Or leave out what is missing by gaps = "leave_out".') from error
+
+
+def of_sensor(given, folder, data, name) -> dict:
+    """What `read_channels` is told of one sensor."""
+    settings = {"file": given} if isinstance(given, str) else given.settings
+    quantity = "acceleration" if name == data.base else MEASURED[data.quantity]
+    return settings | {"file": folder / settings["file"], "quantity": quantity}
 
 
 def has_gaps_alone(paths, settings) -> bool:

@@ -47,6 +47,10 @@ def check(channels, config: Config, first_frequency: float) -> Checked:
         What `check_channels` finds, and the lines of the file that correct it.
     """
     asked = config.processing.check_band
+    if config.data.quantity != "absolute_acceleration":
+        return Checked(
+            None, f"not checked against each other: {config.data.quantity} is no motion of the base"
+        )
     if asked is False:
         return Checked(None, "not checked against each other, as the file says")
     if asked is None:

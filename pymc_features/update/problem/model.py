@@ -75,6 +75,7 @@ def compare_responses(problem, kind, structure, values, tolerance) -> None:
             measured.record,
             dt=measured.step,
             sensors=problem.dofs,
+            quantity=problem.quantity,
             n_modes=problem.structure.n_modes,
         )
     errors = {
@@ -96,7 +97,7 @@ def request_of(problem: Problem):
         asked, outputs = checked_request(
             structure,
             record,
-            "absolute_acceleration",
+            problem.quantity,
             dt=problem.measured.step,
             sensors=problem.dofs,
             n_modes=problem.structure.n_modes,

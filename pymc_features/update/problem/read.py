@@ -82,6 +82,11 @@ class Problem:
         """Whether it is a cyclic test, which has forces and no motion."""
         return self.config.cyclic is not None
 
+    @property
+    def quantity(self) -> str:
+        """The quantity of the response that is compared."""
+        return "restoring_force" if self.is_cyclic else self.config.data.quantity
+
     def at(self, event: Event) -> "Problem":
         """The problem of one event alone; identified modes count once, with the first."""
         modes = self.given_modes if event is self.events[0] else None

@@ -7,6 +7,7 @@ import importlib.metadata
 import numpy as np
 
 from pymc_features._checks import listed
+from pymc_features.update.config.sections import MEASURED
 from pymc_features.update.problem.kinds import KINDS
 from pymc_features.update.problem.read import Problem
 from pymc_features.update.report.events import CANNOT_BE_TOLD, UNTOLD, event_rows
@@ -79,10 +80,11 @@ def used_sentence(problem) -> str:
         return f"{problem.measured.record.n_times} measured forces of a cyclic test"
     if problem.measured is not None:
         duration = problem.measured.record.duration
-        parts.append(f"{len(problem.dofs)} measured accelerations over {duration:.4g} s")
+        kind = MEASURED[problem.quantity]
+        parts.append(f"{len(problem.dofs)} measured {kind}s over {duration:.4g} s")
         if problem.events:
             durations = [f"{event.measured.record.duration:.4g}" for event in problem.events]
-            parts = [f"{len(problem.dofs)} measured accelerations in events of {listed(durations)} s"]
+            parts = [f"{len(problem.dofs)} measured {kind}s in events of {listed(durations)} s"]
     if problem.ambient is not None:
         ambient = problem.ambient
         return f"{len(problem.dofs)} channels of ambient vibration over {ambient.duration:.4g} s"
