@@ -119,5 +119,21 @@ def add_update(commands):
         "--example", metavar="NAME", default="shaking-table", help="shaking-table (default) or building"
     )
     example.add_argument("--synthetic", action="store_true", help="shaking-table: simulated data in any case")
-    for command in (run, look, example):
+    change = commands.add_parser(
+        "convert",
+        help="write the channels or modes of a file into another format",
+        description="Reads accelerations in any format that is known, or with --modes identified modes, and "
+        "writes CSV with units in its header, a Universal File, or modes as JSON, by the ending of OUT.",
+    )
+    change.add_argument("source", metavar="IN", help="file to read")
+    change.add_argument("target", metavar="OUT", help=".csv, .txt, .uff, .unv, modes also .json")
+    change.add_argument("--modes", action="store_true", help="IN holds identified modes (JSON always does)")
+    change.add_argument(
+        "--units", help="of channels, if the file is silent: g, m/s^2, gal, or m/s^2 per unit"
+    )
+    change.add_argument(
+        "--dt", type=float, metavar="S", help="step of the channels [s], if the file is silent"
+    )
+    change.add_argument("--force", action="store_true", help="replace OUT if it is there")
+    for command in (run, look, example, change):
         command.add_argument("--traceback", action="store_true", help="on an error, show where it came from")

@@ -16,7 +16,7 @@ from pymc_features.interrupt import EXIT_INTERRUPTED, CtrlC, started
 EXIT_BAD_INPUT = 2
 # what each command needs, with PyMC
 NEEDED = {name: "pymc_features.update" for name in ("update", "check", "init")}
-NEEDED["reproduce"] = "pymc_features.study"
+NEEDED |= {"reproduce": "pymc_features.study", "convert": "pymc_features.io"}
 
 
 def command() -> int:
@@ -48,7 +48,9 @@ def main(arguments=None) -> int:
     os.environ.setdefault("MPLBACKEND", "Agg")
     try:
         started()
-        run = {"reproduce": reproduce, "update": update, "check": check, "init": init}[options.command]
+        run = {"reproduce": reproduce, "update": update, "check": check, "init": init, "convert": convert}[
+            options.command
+        ]
         run(options, console)
     except KeyboardInterrupt:
         out = getattr(options, "out", None)
@@ -178,12 +180,15 @@ def read_and_tell(config, console):
     import warnings
 
     from pymc_features.update import read_problem
+    from pymc_features.update.expected import structure_sentence
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
         problem = read_problem(config)
         modes = problem.modal  # of ambient vibration they are identified now
+    if not problem.is_cyclic:
+        say(console, structure_sentence(problem))
     told = list(dict.fromkeys(str(warning.message) for warning in caught))
     for sentence in told:
         say(console, f"warning: {sentence}", "yellow")
@@ -211,7 +216,12 @@ def tell_channels(measured, console, event=""):
 
 def check(options, console):
     """Look at the data of a configuration."""
-    from pymc_features.update.expected import check_data, check_loops, check_modes, check_spectra
+    from pymc_features.update.expected import (
+        check_data,
+        check_loops,
+        check_modes,
+        check_spectra,
+    )
 
     config = Path(options.config)
     problem, told = read_and_tell(config, console)
@@ -253,6 +263,29 @@ def init(options, console):
     paths, sentence = write_example(options.config, example=options.example, synthetic=options.synthetic)
     for line in (sentence, *(f"wrote {path}" for path in paths), f"run: pymc-features update {paths[0]}"):
         say(console, line)
+
+
+def convert(options, console):
+    """Write channels or modes of one file into another."""
+    source, target = Path(options.source), Path(options.target)
+    if target.exists() and not options.force:
+        raise ValueError(f"`OUT` must be a new file, {target} is there. Pass --force to replace it.")
+    if options.modes or ".json" in (source.suffix.lower(), target.suffix.lower()):
+        from pymc_features.modal.files import read_modal
+        from pymc_features.modal.files.write import write_modal
+
+        modal = read_modal(source, real=False)
+        write_modal(modal, target)
+        say(console, f"wrote {modal} to {target}")
+        return
+    from pymc_features.io import read_channels_with_gaps
+    from pymc_features.io.write import write_channels
+
+    units = float(options.units) if _is_number(options.units or "") else options.units
+    channels = read_channels_with_gaps(source, units=units, dt=options.dt)
+    write_channels(channels, target)
+    names = ", ".join(channels["sensor"].values.tolist())
+    say(console, f"wrote {names}, {channels.sizes['time']} samples in {channels.attrs['units']}, to {target}")
 
 
 def strong_part(record, seconds: float):

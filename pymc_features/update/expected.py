@@ -12,12 +12,14 @@ from pymc_features.storage import write_atomically
 from pymc_features.update.predict_modes import expected, matched, shapes
 from pymc_features.update.problem.channels import base_and_sensors
 from pymc_features.update.problem.coarseness import coarseness
+from pymc_features.update.problem.structure import modes_of
 from pymc_features.update.report.modes import draw_mac, draw_shapes, mode_rows, modes_verdict
 from pymc_features.update.report.spectra import draw_spectra
 from pymc_features.update.report.terminal import gains_table, modes_table
 
 DPI = 120
 DRAWS = 200
+FIRST = 5  # natural frequencies
 
 
 def check_data(problem, path) -> list:
@@ -26,6 +28,24 @@ def check_data(problem, path) -> list:
     gains = problem.measured.checked.gains
     middle = {name: float(np.median(problem.priors[name].draw(DRAWS, 0))) for name in problem.structure.names}
     return [*([] if gains is None else [gains_table(gains)]), coarseness(problem, middle).sentence]
+
+
+def structure_sentence(problem) -> str:
+    """Mass and first frequencies of the structure at the medians of the priors."""
+    medians = {name: problem.priors[name].median for name in problem.structure.names}
+    at_medians = problem.structure(**medians)
+    found = modes_of(at_medians, FIRST).natural_frequencies[:FIRST]
+    influence = getattr(at_medians, "influence", None)
+    moved = np.sum(at_medians.mass if influence is None else influence * (at_medians.mass @ influence))
+    numbers = ", ".join(f"{frequency:.4g}" for frequency in found)
+    given = problem.config.report.natural_frequencies
+    beside = ""
+    if given is not None:
+        beside = f" (natural_frequencies: {', '.join(f'{frequency:.4g}' for frequency in given)} Hz)"
+    return (
+        f"structure: {at_medians.n_dof} degrees of freedom, {moved:.4g} kg that the base moves; natural "
+        f"frequencies at the medians of the priors: {numbers} Hz{beside}"
+    )
 
 
 def check_loops(problem, path) -> str:

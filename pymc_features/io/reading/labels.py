@@ -49,7 +49,8 @@ SI = {
 }
 #: Words of a label, in lower case, by what they say that a column is.
 ROLES = {
-    "time": "t time epoch unix timestamp timestamps date datetime clock elapsed seconds sampletimefine zeit temps",
+    "time": "t time epoch unix timestamp timestamps date datetime clock elapsed seconds sampletimefine zeit "
+    "temps",
     "number": "sample samples index count counter frame no",
     "period": "period periods",
     "frequency": "frequency frequencies freq",

@@ -37,6 +37,9 @@ def section_of(cls) -> type[Section]:
     if issubclass(cls, Structure) and cls.is_linear:
         words = "the number of modes kept, positive"
         fields["n_modes"] = int | None, Field(None, description=words, ge=1)
+    if any(given.kind is Kind.MATRIX for given in cls.inputs.values()):
+        words = 'a force, a length and a mass, such as "kN, m, t", in which the matrices are'
+        fields["units"] = str, Field("N, m, kg", description=words)
     return made(cls, fields)
 
 

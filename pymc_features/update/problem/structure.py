@@ -3,9 +3,12 @@
 import inspect
 from pathlib import Path
 
+import numpy as np
+
 from pymc_features import structures
 from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_matrices
+from pymc_features.io.reading.units import system_of_units
 from pymc_features.structures import AffineStructure
 from pymc_features.structures.specimens import DETERIORATIONS, SPECIMENS
 from pymc_features.update.config.document import parameters_of
@@ -42,7 +45,8 @@ class StructureOf:
         storeys = spread_over_storeys(section, self.type.inputs) if self.type.has_storeys else {}
         for name in self.type.inputs:
             value = storeys.get(name, getattr(section, name))
-            self.given[name] = loaded(value, f"structure.{name}", Path(folder))
+            value = loaded(value, f"structure.{name}", Path(folder))
+            self.given[name] = in_si(value, name, section)
         self.damping_is_constant = not any(
             True for key, _, value in parameters_of("", section) if "damping" in key for _ in priors_in(value)
         )
@@ -62,6 +66,20 @@ class StructureOf:
         if self.type is AffineStructure and self.damping_is_constant:
             self._constant = structure
         return structure
+
+
+def in_si(value, name: str, section):
+    """Matrices, and lists of them, in kg, N/m and N s/m."""
+    if not hasattr(section, "units") or name in ("influence", "theta") or isinstance(value, Section):
+        return value
+    with named_key("structure"):
+        force, length, mass = system_of_units(section.units)
+    factor = mass if name.startswith("mass") else force / length
+    if factor == 1.0 or value is None:
+        return value
+    if isinstance(value, list | tuple) and any(hasattr(item, "shape") or item is None for item in value):
+        return [None if item is None else factor * item for item in value]
+    return factor * (value if hasattr(value, "shape") else np.asarray(value, dtype=np.float64))
 
 
 def loaded(value, key, folder):
