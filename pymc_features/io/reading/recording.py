@@ -18,6 +18,8 @@ from pymc_features.io.reading.lines import decoded
 from pymc_features.io.reading.units import resolve_dt, resolve_units, sensitivity_of
 
 OPENING = 16_384  # bytes
+TINY, ALONE = 1e-60, 1e3  # over the largest value, and the largest over the second: none is measured so
+FEWEST = 10  # values among which one can be told
 
 
 class Request(NamedTuple):
@@ -257,8 +259,23 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
         )
     if values.size < 2 or np.isinf(values).any():
         raise ValueError(f"{file}, {channel.name}: at least 2 finite samples must be there, got others.")
+    _warn_of_exponents(values, file, channel.name)
     start = None if channel.start is None or request.clock is False else channel.start + skip * dt
     return factor * values, Clock(file, values.size, dt, start, channel.quantum)
+
+
+def _warn_of_exponents(values: np.ndarray, file: str, name: str) -> None:
+    """A number among others of quite another size has a digit too many or too few in its exponent."""
+    sizes = np.abs(values[values != 0.0])
+    sizes = np.sort(sizes[~np.isnan(sizes)])
+    if sizes.size < FEWEST:
+        return
+    for odd, other in ((sizes[-1], sizes[-2]), (sizes[0], sizes[-1])):
+        if odd > ALONE * other or odd < TINY * other:
+            warn_caller(
+                f"{file}, {name}: a value of {odd:.4g} is of another size than others, up to {other:.4g}. Is "
+                "its exponent spoilt?"
+            )
 
 
 def _stated_step(channel: Channel, request: Request, file: str) -> float | None:

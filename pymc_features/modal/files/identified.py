@@ -66,6 +66,7 @@ def modal_data(found: Identified, channels, real: bool) -> ModalData:
     except (ValueError, TypeError) as error:
         raise type(error)(f"{found.source}: {error}") from None
     _check_plausible(modal, found.source)
+    _refuse_copies(modal, found.source)
     if not real or not modal.is_complex:
         return modal
     _check_phases(modal, found.source)
@@ -135,6 +136,20 @@ def _check_plausible(modal: ModalData, source: str) -> None:
             f"{modal.frequencies[mode]:.4g} Hz is implausible. State standard deviations in the unit of the "
             "frequencies, not in percent."
         )
+
+
+def _refuse_copies(modal: ModalData, source: str) -> None:
+    """A mode that is there twice, to the last digit, was copied by mistake."""
+    if modal.shapes is None or modal.labels is not None:
+        return
+    rows = {}
+    for mode, (frequency, shape) in enumerate(zip(modal.frequencies, modal.shapes, strict=True)):
+        first = rows.setdefault((frequency, shape.tobytes()), mode)
+        if first != mode and np.count_nonzero(~np.isnan(shape)) > 1:
+            raise ValueError(
+                f"{source}: each mode must be there once, {first + 1} and {mode + 1} of {frequency:.4g} Hz "
+                "are identical. Leave one out, or name the mode of each identification in a column `mode`."
+            )
 
 
 def _check_phases(modal: ModalData, source: str) -> None:

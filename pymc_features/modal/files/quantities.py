@@ -18,6 +18,11 @@ WORDS = {
     ("shapes", "imaginary"): "shapes_imaginary",
     ("frequencies",): "frequency",
     ("frequency",): "frequency",
+    ("freq",): "frequency",
+    ("f",): "frequency",
+    ("fn",): "frequency",
+    ("zeta",): "damping",
+    ("xi",): "damping",
     ("omega",): "omega",
     ("eigenvalues",): "eigenvalue",
     ("eigenvalue",): "eigenvalue",
@@ -35,6 +40,7 @@ UNITS = {
     "damping": {"": "damping", "-": "damping", "%": "damping_percent", "percent": "damping_percent"},
 }
 SPREADS = ("sd", "std")
+ALIKE = 0.75  # of the letters: a misspelt quantity rather than a name of its own
 PER_MODE = ("frequency", "omega", "eigenvalue", "damping", "damping_percent")
 NAMES = (
     *PER_MODE,
@@ -70,6 +76,8 @@ def quantity_of(label: str, source: str) -> str | None:
     base, rest = WORDS[start], "/".join(words[len(start) :])  # "rad s" of omega_rad_s is rad/s
     if base in UNITS:
         brackets = "".join("".join(BRACKETS.findall(label)).lower().split())
+        if start == ("f",) and not brackets:
+            return None  # a channel may be called so
         base = UNITS[base].get(brackets or rest) if not (brackets and rest) else None
         if base is None and brackets:
             raise ValueError(

@@ -15,6 +15,7 @@ An empty cell, or nan, is an entry that was not measured. Complex entries are wr
 import csv
 import re
 from collections import Counter
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +24,21 @@ from pymc_features.io.reading.labels import without_brackets
 from pymc_features.io.reading.lines import LONGEST_NUMBER, Lines, to_number
 from pymc_features.modal.data import find_channels, listed
 from pymc_features.modal.files.identified import Identified
-from pymc_features.modal.files.quantities import SPREADS, labelled_quantities, mode_values, quantity_of
+from pymc_features.modal.files.quantities import ALIKE, SPREADS, labelled_quantities, mode_values, quantity_of
 
 SEPARATORS = ("\t", ";", ",")
+QUANTITIES = (
+    "mode",
+    "frequency",
+    "freq",
+    "damping",
+    "omega",
+    "eigenvalue",
+    "zeta",
+    "shape",
+    "shapes",
+    "order",
+)
 COMMENTS = ("#", "%", "//")
 #: What tables of identifications have beside shapes, without blanks and brackets, in lower case.
 INDICATORS = re.compile(
@@ -176,9 +189,15 @@ def _channels(file: str, header, places, wanted) -> tuple[dict[str, int], dict[s
     named = dict(zip(bare, (index for index, _ in rest), strict=True))
     spreads = {}
     for name in bare:
-        base, _, end = name.rpartition("_")
-        if end.lower() in SPREADS and base in named:
+        base, end = _of_spread(name)
+        if end and base in named:
             spreads[base] = named[name]
+        elif wanted is None and (end or (close := get_close_matches(name.lower(), QUANTITIES, 1, ALIKE))):
+            meant = f"a standard deviation of {base}, which is no column" if end else f"{close[0]}, misspelt"
+            raise ValueError(
+                f"{file}: the column {name!r} must be a channel, it looks like {meant}. Rename it, or name "
+                "those that are channels by `channels`."
+            )
     taken = set(spreads.values())
     channels = {name: index for name, index in named.items() if index not in taken}
     return channels, spreads
@@ -189,10 +208,17 @@ def plain(label: str) -> str:
     return re.sub(r"[ _.-]", "", (without_brackets(label) or label).lower())
 
 
+def _of_spread(name: str) -> tuple[str, bool]:
+    """What a column is the standard deviation of: `roof` of "roof_sd" and "roof std"; else its own name."""
+    base, _, end = re.sub(r"[ -](?=\w+$)", "_", name).rpartition("_")
+    is_spread = bool(base) and end.lower() in SPREADS
+    return (name[: len(base)], True) if is_spread else (name, False)
+
+
 def _is_wanted(label: str, wanted: set[str]) -> bool:
     name = without_brackets(label) or label
-    base, _, end = name.rpartition("_")
-    return name in wanted or (end.lower() in SPREADS and base in wanted)
+    base, is_spread = _of_spread(name)
+    return name in wanted or (is_spread and base in wanted)
 
 
 def _matrix(columns, places: dict) -> np.ndarray | None:

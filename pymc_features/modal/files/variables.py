@@ -10,6 +10,7 @@ null or NaN.
 
 import json
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.reading.lines import decoded, shortened
 from pymc_features.modal.data import listed
 from pymc_features.modal.files.identified import Identified
-from pymc_features.modal.files.quantities import labelled_quantities, mode_values
+from pymc_features.modal.files.quantities import ALIKE, NAMES, labelled_quantities, mode_values, quantity_of
 
 MOST_JSON = 64 * 2**20  # bytes
 
@@ -47,6 +48,13 @@ def read_json_modes(path: Path, names: dict[str, str]) -> Identified:
             f"{path.name} must hold one JSON object of named arrays, got a {type(found).__name__}. Give them "
             "names, frequency among them."
         )
+    for key in found:
+        close = get_close_matches(key.lower(), NAMES, 1, ALIKE)
+        if close and key not in names.values() and quantity_of(key, path.name) is None:
+            raise ValueError(
+                f"{path.name}: the key {key!r} looks like {close[0]}, misspelt. Correct it, rename it, or "
+                "say by `names` what it is."
+            )
     return from_variables(found, path.name, names)
 
 
