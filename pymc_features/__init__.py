@@ -29,7 +29,8 @@ LIGHT = {
     **dict.fromkeys(
         ("read_channels", "read_channels_with_gaps", "read_cyclic_test", "read_matrices", "read_record"), "io"
     ),
-    "read_modal": "modal.files",
+    "write_channels": "io",
+    **dict.fromkeys(("read_modal", "write_modal"), "modal.files"),
 }
 
 

@@ -31,10 +31,11 @@ from pymc_features.io import (
     read_cyclic_test,
     read_matrices,
     read_record,
+    write_channels,
 )
 from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
 from pymc_features.modal import ModalData, merge_setups
-from pymc_features.modal.files import read_modal
+from pymc_features.modal.files import read_modal, write_modal
 from pymc_features.modal_features import ModalFeature, mac, match_modes, modes
 from pymc_features.ops import mean_square_discrepancy, response
 from pymc_features.placement import sensor_placement
@@ -131,5 +132,7 @@ __all__ = [
     "spring_forces",
     "synthetic_earthquake",
     "tolerance_sweep",
+    "write_channels",
+    "write_modal",
 ]
 __all__ += plots.__all__

@@ -163,6 +163,8 @@ PUBLIC_NAMES = [
     "spring_forces",
     "synthetic_earthquake",
     "tolerance_sweep",
+    "write_channels",
+    "write_modal",
 ]
 
 

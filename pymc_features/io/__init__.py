@@ -14,6 +14,7 @@ from pymc_features.io.cyclic import read_cyclic_test
 from pymc_features.io.formats import FORMATS
 from pymc_features.io.matrices import read_matrices
 from pymc_features.io.reading.recording import chosen, in_si, named
+from pymc_features.io.write import write_channels
 from pymc_features.records import Record
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "read_cyclic_test",
     "read_matrices",
     "read_record",
+    "write_channels",
 ]
 
 

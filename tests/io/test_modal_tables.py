@@ -349,7 +349,7 @@ WRONG = {
         {"one": lists(), "two": lists()},
         {},
     ),
-    "must have .frequency. .Hz., .*, got fn, phi. Rename one": ({"fn": [1.0], "phi": [[1.0]]}, {}),
+    "must have .frequency. .Hz., .*, got wn, phi. Rename one": ({"wn": [1.0], "phi": [[1.0]]}, {}),
     "`channels` must name all 3 channels of shapes without names, got 2": (lists(), {"channels": ["a", "b"]}),
     "must be among those of the source .0 to 2, without names., got 'roof'": (
         lists(),

@@ -191,7 +191,8 @@ def recording_of_variables(variables: Mapping, file: str, request: Request) -> R
             columns = _columns(file, whole, n_times, request)._replace(
                 units=_stated_units(facts, inside, file), dt=_stated_step(facts, inside, file, request.dt)
             )
-            known = request.clock in [label.name for label in columns.labels] or request.clock is False
+            names = [text for label in columns.labels for text in (label.text, label.name)]
+            known = request.clock in names or request.clock is False
             clock = request.clock if known or len(groups) == 1 else None
             found = recording_of(columns, request._replace(clock=clock)).channels
             of = (name for name, array in whole.items() for _ in range(array.size // n_times))
@@ -227,7 +228,8 @@ def _columns(file: str, arrays: dict[str, np.ndarray], n_times: int, request: Re
         histories = histories if histories.shape[1] == n_times else histories.T
         if len(histories) == 1:
             label = Label.of(name.rpartition(".")[2])
-            labels.append(Label(name, label.name if label.role else name, label.unit))
+            inside = _inside(name)
+            labels.append(Label(name, f"{inside}.{label.name}" if inside else label.name, label.unit))
         else:
             labels += [Label(f"{name} {k}", f"{name} {k}") for k in range(len(histories))]
         rows += list(histories)

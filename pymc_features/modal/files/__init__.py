@@ -19,6 +19,9 @@ from pymc_features.modal.files.quantities import check_names
 from pymc_features.modal.files.table import read_table
 from pymc_features.modal.files.universal import read_universal
 from pymc_features.modal.files.variables import from_variables, read_json_modes, read_mat_modes
+from pymc_features.modal.files.write import write_modal
+
+__all__ = ["read_modal", "write_modal"]
 
 
 def read_modal(

@@ -77,8 +77,8 @@ def in_si(value, name: str, section):
     factor = mass if name.startswith("mass") else force / length
     if factor == 1.0 or value is None:
         return value
-    if isinstance(value, list | tuple) and any(hasattr(item, "shape") or item is None for item in value):
-        return [None if item is None else factor * item for item in value]
+    if name.endswith("_terms"):
+        return [item if item is None else in_si(item, name.removesuffix("_terms"), section) for item in value]
     return factor * (value if hasattr(value, "shape") else np.asarray(value, dtype=np.float64))
 
 

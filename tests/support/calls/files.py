@@ -97,6 +97,7 @@ def reader(function):
             "clock_units": None,
             "skip": 0,
             "wrapped": None,
+            "resample": None,
         },
         {
             "columns": {"None", "NumPy's 2"},
@@ -106,8 +107,9 @@ def reader(function):
             "clock_units": {"None", *POSITIVE} - {"1e300"},
             "skip": {"0", *ONE},
             "wrapped": {"None"},
+            "resample": {"None", *POSITIVE} - {"1e300", "1e-300"},
         },
-        {"clock_units": ["dt"], "wrapped": ["dt"]},
+        {"clock_units": ["dt"], "wrapped": ["dt"], "resample": ["files"]},
     )
 
 
@@ -143,6 +145,12 @@ CALLS = {
             "columns": {"range"},
         },
         {"columns": ["units"], "wrapped": ["columns"]},
+    ),
+    "write_channels": Call(
+        pmf.write_channels,
+        {"channels": MEASURED, "path": Path(FOLDER.name) / "written.csv"},
+        {"channels": SEVERAL - {"channels without names"}},
+        more=MORE,
     ),
     "read_matrices": Call(pmf.read_matrices, {"path": MATRICES}),
     "datasets.mini_shake_table": Call(

@@ -172,6 +172,9 @@ CALLS = {
         {"structure": CHAIN, "n_modes": None, "sensors": None, "outputs": None},
         TAKEN,
     ),
+    "write_modal": Call(
+        pmf.write_modal, {"modal": pmf.ModalData([1.0, 2.0]), "path": TABLE.with_name("written.csv")}, {}
+    ),
     "read_modal": Call(
         pmf.read_modal,
         {"source": TABLE, "names": None, "channels": None, "real": True},

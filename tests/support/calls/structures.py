@@ -1,5 +1,8 @@
 """Records, structures and their responses."""
 
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
 import numpy as np
 import xarray as xr
 
@@ -29,6 +32,10 @@ def springs_in_a_row(k):
     return np.eye(2), k * np.array([[2.0, -1.0], [-1.0, 1.0]])
 
 
+FOLDER = TemporaryDirectory()
+EXPORTS = Path(FOLDER.name)
+np.savez(EXPORTS / "base.npz", M=np.eye(2), K=springs_in_a_row(1.0)[1])
+np.savez(EXPORTS / "stiffer.npz", K=springs_in_a_row(2.0)[1])
 CHANNELS = xr.DataArray(
     np.arange(10.0).reshape(2, 5) ** 2,
     dims=("sensor", "time"),
@@ -220,6 +227,17 @@ CALLS = {
         {"build": springs_in_a_row, "parameters": {"k": 2.0}, "damping": DAMPING, "influence": None},
         {"damping": DIAGONALS | {"damping", "range"}, "influence": INFLUENCE},
         {"parameters": ["build"]},
+    ),
+    "AffineStructure.from_files": Call(
+        pmf.AffineStructure.from_files,
+        {
+            "base": EXPORTS / "base.npz",
+            "terms": {"k": (EXPORTS / "stiffer.npz", 2.0)},
+            "damping": DAMPING,
+            "direction": None,
+            "units": None,
+        },
+        {"damping": DIAGONALS | {"damping", "range"}, "direction": {"None"}, "units": {"None"}},
     ),
     "LinearStructure.with_names": Call(
         FRAME.with_names, {"names": ["a", "b"]}, {"names": {"list of texts", "array of texts"}}
