@@ -3,6 +3,9 @@
 from os import PathLike
 from pathlib import Path
 
+import numpy as np
+
+from pymc_features._checks.messages import warn_caller
 from pymc_features.io.channels import (
     check_column,
     checked_request,
@@ -13,6 +16,7 @@ from pymc_features.io.channels import (
 from pymc_features.io.cyclic import read_cyclic_test
 from pymc_features.io.formats import FORMATS
 from pymc_features.io.matrices import read_matrices
+from pymc_features.io.reading.labels import G
 from pymc_features.io.reading.recording import chosen, in_si, named
 from pymc_features.io.write import write_channels
 from pymc_features.records import Record
@@ -27,6 +31,8 @@ __all__ = [
     "write_channels",
 ]
 
+LARGEST = 5.0 * G  # [m/s^2]; the ground has not been seen to move faster
+
 
 def read_record(
     path: str | PathLike,
@@ -39,8 +45,8 @@ def read_record(
     """Read a ground acceleration from a file and convert it to m/s^2.
 
     The format is recognised by the first lines. What the file states about units and time step is used when
-    the argument is None. Where both speak and disagree, the argument wins and a warning says so; where both
-    are silent, an error.
+    the argument is None. Where both speak and disagree, it is an error, of a step a warning, and the argument
+    is used; where both are silent, an error.
 
     Parameters
     ----------
@@ -105,4 +111,10 @@ def read_record(
             f"{named(found)}. Pass the name or the index (from 0) of one."
         )
     values, clock = in_si(found[0], request, recording)
+    peak = np.abs(values).max()
+    if peak > LARGEST:
+        warn_caller(
+            f"{recording.file} has an implausible peak of {peak:.4g} m/s^2, {peak / G:.3g} g. Check `units`, "
+            "and that it is an acceleration."
+        )
     return Record(values, clock.dt, name=recording.name or Path(recording.file).stem)

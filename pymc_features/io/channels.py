@@ -10,6 +10,7 @@ import numpy as np
 from pymc_features._checks import (
     SAMPLING_INTERVAL,
     as_list,
+    check_finite,
     check_flag,
     check_integer,
     check_number,
@@ -26,7 +27,7 @@ from pymc_features._checks.texts import check_choice
 from pymc_features.io.formats import format_of
 from pymc_features.io.formats.sources import is_source, recording_in
 from pymc_features.io.reading.clock import Clock, clock_seconds, common_window, no_common_time
-from pymc_features.io.reading.labels import SI
+from pymc_features.io.reading.labels import QUANTITIES, SI
 from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.recording import Recording, Request, chosen, in_si
 from pymc_features.io.reading.units import sensitivity_of, unit_factor
@@ -197,7 +198,7 @@ def checked_rate(rate) -> float | None:
 
 def checked_request(units, dt, clock, clock_units, skip, wrapped, quantity="acceleration", sensitivity=None):
     """What the caller says of all files, or of the file of one sensor, checked."""
-    quantity = check_choice(quantity, "quantity", tuple(SI))
+    quantity = check_choice(quantity, "quantity", QUANTITIES)
     if wrapped is not None:
         check_flag(wrapped, "wrapped", "Leave it out for what the file shows.")
     if clock is True:
@@ -235,8 +236,8 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
 
     from pymc_features.signals.single import check_each
 
-    kept, names, rows, clocks, quantities = {}, [], [], [], []
-    sensors = _sensors(files, columns, request)
+    kept, names, rows, clocks, quantities, of_channels = {}, [], [], [], [], []
+    sensors = _sensors(files, columns, request, bool(resample))
     for label, source, own, settings in sensors:
         key = (id(source), own._replace(columns=None, units=None, quantity="", sensitivity=None))
         recording = kept[key] = kept.get(key) or recording_from(source, own)
@@ -250,6 +251,14 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
             rows.append(settings.get("scale", 1.0) * history)
             clocks.append(_corrected(clock, settings))
             quantities.append(own.quantity)
+            of_channels.append(settings)
+    if any("delay" in settings for *_, settings in sensors) and all(clock.start is None for clock in clocks):
+        clocks = [clock._replace(start=0.0) for clock in clocks]
+    late = [late_by(clock, settings, resample) for clock, settings in zip(clocks, of_channels, strict=True)]
+    clocks = [
+        clock if w == 0.0 else clock._replace(start=clock.start - w)
+        for clock, (w, _) in zip(clocks, late, strict=True)
+    ]
     values, step, start = _resampled(rows, clocks, resample) if resample else _aligned(rows, clocks)
     coords = {
         "sensor": _sensor_names(names, files, columns),
@@ -263,9 +272,7 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     if len(set(quantities)) == 1:
         channels.name = quantities[0]
     delays = {
-        str(name): settings["delay"]
-        for name, (_, _, _, settings) in zip(channels["sensor"].values, sensors, strict=False)
-        if settings.get("delay") and not resample
+        str(name): rest for name, (_, rest) in zip(channels["sensor"].values, late, strict=True) if rest
     }
     if delays:
         from pymc_features.signals.correct import correct
@@ -275,6 +282,14 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     if any(accelerations):
         check_each(channels[accelerations])
     return channels
+
+
+def late_by(clock: Clock, settings: Mapping, resample) -> tuple[float, float]:
+    """By how much a clock is set back for a delay [s], in whole samples unless resampled, and the rest."""
+    delay = settings.get("delay", 0.0)
+    whole = delay if resample else clock.dt * round(delay / clock.dt)
+    rest = delay - whole
+    return whole, rest if abs(rest) > 1e-9 * clock.dt else 0.0
 
 
 def _corrected(clock: Clock, settings: Mapping) -> Clock:
@@ -321,7 +336,7 @@ def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, floa
     return np.array(found), 1.0 / rate, start
 
 
-def _sensors(files, columns, request: Request) -> list[tuple[str, object, Request, dict]]:
+def _sensors(files, columns, request: Request, resampled: bool) -> list[tuple[str, object, Request, dict]]:
     """Name, source, request and settings of its own of each entry of `files`."""
     picked = _picked(columns)
     if isinstance(files, str | PathLike) or is_source(files):
@@ -339,14 +354,14 @@ def _sensors(files, columns, request: Request) -> list[tuple[str, object, Reques
     for name, source in files:
         own, settings = request._replace(columns=picked), {}
         if isinstance(source, Mapping):
-            source, own, settings = _of_sensor(name, dict(source), own)
+            source, own, settings = _of_sensor(name, dict(source), own, resampled)
         if name is None:
             name = "" if is_source(source) else check_path(source, "files").stem
         found.append((name, source, own, settings))
     return found
 
 
-def _of_sensor(name, given: dict, request: Request) -> tuple[object, Request, dict]:
+def _of_sensor(name, given: dict, request: Request, resampled: bool) -> tuple[object, Request, dict]:
     """The file of one sensor, the request for it, and its settings, from a mapping."""
     unknown = [key for key in given if key not in OF_SENSOR]
     if unknown or "file" not in given:
@@ -356,9 +371,14 @@ def _of_sensor(name, given: dict, request: Request) -> tuple[object, Request, di
     for key in ("scale", "delay"):
         if key in given:
             settings[key] = check_number(given.pop(key), key)
+            check_finite(np.float64(settings[key]), key)
     if settings.get("scale") == 0.0:
         raise ValueError(f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
     if "anchors" in given:
+        if not resampled:
+            raise ValueError(
+                f"`resample` must be given with `anchors`, got none for {name!r}. Pass a rate [Hz]."
+            )
         settings["anchors"] = _checked_anchors(given.pop("anchors"))
     source, column = given.pop("file"), given.pop("column", None)
     keys = ("units", "dt", "clock", "clock_units", "skip", "wrapped", "quantity", "sensitivity")

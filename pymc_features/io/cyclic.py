@@ -90,8 +90,8 @@ def read_cyclic_test(
     tables = []
     for path in paths:
         check_readable(path, "files")
-        table, own = read_columns(path, request)
-        if question := wrapped_question(table, wrapped, own or columns is not None):
+        table = read_columns(path, request)
+        if question := wrapped_question(table, wrapped, table.own or columns is not None):
             raise ValueError(question)
         tables.append(table)
     found = []

@@ -104,7 +104,7 @@ def _read_mat(path: Path) -> Found:
 
 def _read_table(path: Path) -> Found:
     """A table of numbers, with labels of the columns or without."""
-    columns, _ = read_columns(path, Request(wrapped=False))
+    columns = read_columns(path, Request(wrapped=False))
     labels = [label.text for label in columns.labels]
     square = columns.values.shape[0] == columns.values.shape[1]
     return Found({path.stem: columns.values}, {path.stem: labels} if square and all(labels) else {})

@@ -149,10 +149,14 @@ def test_other_rates_and_clocks(tmp_path):
         off = found.sel(sensor=name).values - 2.0 - tone(time - late)
         assert np.abs(off[inner]).max() < 1e-3, name
     with pytest.raises(ValueError, match="Sensors must have a common clock, the step is .* Pass `resample`"):
+        pmf.read_channels({"a": files["a"], "b": files["b"]})
+    with pytest.raises(ValueError, match="`resample` must be given with `anchors`, got none for 'c'"):
         pmf.read_channels(files)
     files["b"]["delay"] = 0.02
-    with pytest.raises(ValueError, match="the step is"):
-        pmf.read_channels({"a": files["a"], "b": files["b"]})
+    found = pmf.read_channels(files, resample=100.0)
+    time = found["time"].values + found.attrs["start"]
+    inner = (time > 1.0) & (time < 19.0)
+    assert np.abs(found.sel(sensor="b").values - 2.0 - tone(time))[inner].max() < 1e-3
 
 
 def test_a_delay_without_other_rates(tmp_path):
@@ -160,6 +164,17 @@ def test_a_delay_without_other_rates(tmp_path):
     late = {"file": saved(tmp_path, "b.csv", a, tone(a - 0.0123), "time [s];x [m/s^2]"), "delay": 0.0123}
     found = pmf.read_channels({"a": saved(tmp_path, "a.csv", a, tone(a), "time [s];x [m/s^2]"), "b": late})
     np.testing.assert_allclose(found.values[0, 20:-20], found.values[1, 20:-20], atol=1e-4)
+
+
+def test_a_delay_of_many_samples(tmp_path):
+    """The window is what both have, nothing is made up at an end."""
+    a = 0.005 * np.arange(4000)
+    late = {"file": saved(tmp_path, "b.csv", a, 1.0 + tone(a - 1.0), "time [s];x [m/s^2]"), "delay": 1.0}
+    found = pmf.read_channels(
+        {"a": saved(tmp_path, "a.csv", a, 1.0 + tone(a), "time [s];x [m/s^2]"), "b": late}
+    )
+    assert found.sizes["time"] == 3800
+    np.testing.assert_allclose(found.values[0], found.values[1], atol=1e-8)
 
 
 def test_aliases_are_filtered():
@@ -212,7 +227,7 @@ REFUSED = {
 @refusals("given", REFUSED)
 def test_what_is_refused_of_a_sensor(given, match):
     with pytest.raises(ValueError, match=match):
-        pmf.read_channels({"a": given})
+        pmf.read_channels({"a": given}, resample=50.0)
 
 
 def test_sources_that_are_refused():

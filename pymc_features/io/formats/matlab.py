@@ -241,6 +241,7 @@ def _columns(file: str, arrays: dict[str, np.ndarray], n_times: int, request: Re
         values,
         lambda row, column: f"{file}, `{labels[column].text}`, sample {row + request.skip}",
         lambda column: 4.0 * float(eps) * np.abs(values[:, column]).max(),
+        own=next(iter(arrays.values())).ndim == 1,
     )
 
 

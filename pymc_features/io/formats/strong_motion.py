@@ -71,6 +71,8 @@ def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
             f"{lines.title} must hold the NPTS = {int(found[0])} values its header announces, got "
             f"{len(values)}. Fetch the file again or correct the header."
         )
+    if not found[0] and "NPTS" in text.upper():
+        raise ValueError(f"{lines.title} must state NPTS as a whole number, it does not. Correct the header.")
     step = to_number(found[1]) if found[1] else None  # DT = 0 states nothing
     unit, words = _UNITS.search(text), _ACCELERATION_IN.search(text)
     if unit is None and words is not None and known_factor(words[1]) is not None:

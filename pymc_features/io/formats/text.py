@@ -5,7 +5,7 @@ import re
 from array import array
 from functools import lru_cache
 from io import StringIO
-from itertools import chain, pairwise
+from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -53,12 +53,13 @@ class Layout(NamedTuple):
     def cells(self, line: str) -> list[str]:
         """The cells of a row, time stamps in one, decimal points for commas."""
         cells = split(line, self.separator)
+        cells = without_ends(cells) if len(without_ends(cells)) == self.count else cells
         if len(self.stamp) == 2:
             first, second = (cells[k : k + 1] for k in self.stamp)
             joint = "," if second and second[0].isdigit() else " "  # a fraction of a second, or the time
             cells[self.stamp[0] : self.stamp[1] + 1] = [joint.join(first + second)]
         if self.decimal == ",":
-            cells = [cell if ":" in cell else cell.replace(",", ".") for cell in cells]
+            cells = [cell if ":" in cell else _with_point(cell) for cell in cells]
         return cells
 
     @property
@@ -76,16 +77,28 @@ def split(line: str, separator: str) -> list[str]:
     return cells[:-1] if len(cells) > 1 and not cells[-1] else cells
 
 
+def without_ends(cells: list[str]) -> list[str]:
+    """Cells without the empty ones at the end."""
+    while len(cells) > 1 and not cells[-1]:
+        cells = cells[:-1]
+    return cells
+
+
+def _with_point(cell: str) -> str:
+    """A number with a decimal point for its comma; one that has a point as well is none."""
+    return f"{cell} (a point)" if "." in cell else cell.replace(",", ".")
+
+
 def layout_of(line: str) -> Layout | None:
     """How a line is a row of numbers; None if it is none."""
     for decimal in (".", ","):
         for separator in SEPARATORS:
             if separator == decimal or (decimal == "," and "," not in line):
                 continue
-            cells = split(line, separator)
+            cells = without_ends(split(line, separator))
             stamp = _stamp(cells) if ":" in line else ()
             rest = [cell for k, cell in enumerate(cells) if k not in stamp]
-            rest = [cell.replace(",", ".") for cell in rest] if decimal == "," else rest
+            rest = [_with_point(cell) for cell in rest] if decimal == "," else rest
             if rest and all(to_number(cell) is not None for cell in rest):
                 return Layout(separator, decimal, len(cells), stamp)
     return None
@@ -102,8 +115,8 @@ def _stamp(cells: list[str]) -> tuple[int, ...]:
     return ()
 
 
-def read_columns(path: Path, request: Request) -> tuple[Columns, bool]:
-    """The table of a text file, without its first `request.skip` rows, and whether it has a line of labels.
+def read_columns(path: Path, request: Request) -> Columns:
+    """The table of a text file, without its first `request.skip` rows.
 
     With `request.gaps` cells below the first row may be "nan" or empty: NaN. With `request.wrapped` its
     values are one series that runs along the lines, and the table has one column, or, if they are times and
@@ -119,8 +132,13 @@ def read_columns(path: Path, request: Request) -> tuple[Columns, bool]:
     _refuse_spoilt_first(path.name, header, first, layout)
     body = lines.text.split("\n", first - 1)[first - 1]
     found = _fast(body, layout) if not request.wrapped else None
-    origin, values = found or _cell_by_cell(lines, first, layout, request)
-    labels, own, unit = _labels([line for _, line, _ in header], layout)
+    try:
+        origin, values = found or _cell_by_cell(lines, first, layout, request)
+    except ValueError as error:
+        if str(error).startswith(path.name):
+            raise
+        raise ValueError(f"{path.name}: {error}. Correct them.") from None
+    labels, own, unit = _labels(header, layout)
     rows_in_line = 1.0
     if request.wrapped:
         values = values.ravel()[~np.isnan(values.ravel())]
@@ -141,14 +159,14 @@ def read_columns(path: Path, request: Request) -> tuple[Columns, bool]:
         return _resolution(body, layout, index, np.abs(values[:, index]).max())
 
     stamp = layout.stamp[0] if layout.stamp else None
-    return Columns(path.name, labels, values[request.skip :], where, resolution, stamp, origin, unit), own
+    return Columns(path.name, labels, values[request.skip :], where, resolution, own, stamp, origin, unit)
 
 
 def read_text(path: Path, request: Request) -> Recording:
     """The columns of a text file on their clock."""
-    columns, own = read_columns(path, request)
+    columns = read_columns(path, request)
     timer = clock_column(columns, request.clock)
-    question = wrapped_question(columns, request.wrapped, timer is not None or own)
+    question = wrapped_question(columns, request.wrapped, timer is not None or columns.own)
     return recording_of(columns, request, question)
 
 
@@ -179,7 +197,8 @@ def _header(lines: Lines) -> tuple[list[tuple[int, str, bool]], int, Layout]:
         if line.startswith(COMMENTS):
             header.append((number, line.lstrip("#%/ \t"), True))
         elif (layout := layout_of(line)) is not None and _goes_on(layout, after):
-            return header, number, _with_fraction(line, after, layout)
+            layout = _with_fraction(line, after, layout)
+            return header, number, _one_column(lines, number, header, layout)
         else:
             header.append((number, line, False))
         if len(header) == MOST_HEADER_LINES:
@@ -199,6 +218,18 @@ def _goes_on(layout: Layout, after: str) -> bool:
         return True
     found = layout_of(after)
     return found is not None and (found.separator, found.stamp) == (layout.separator, layout.stamp)
+
+
+def _one_column(lines: Lines, first: int, header, layout: Layout) -> Layout:
+    """The layout of one column with decimal commas, 0,12: below a single label, or with zeros behind them."""
+    if layout != Layout(",", ".", 2):
+        return layout
+    rows = [split(line, ",") for number, line in islice(_rows(lines, first), SAMPLED)]
+    plain = all(len(row) == 2 and not set(".eE") & set("".join(row)) for row in rows)
+    labels = [line for _, line, comment in header if not comment]
+    single = bool(labels) and len(split(labels[-1], ",")) == 1 and len(labels_with_brackets(labels[-1])) == 1
+    zeros = any(row[1][:1] == "0" and len(row[1]) > 1 or row[0] == "-0" for row in rows if len(row) == 2)
+    return Layout(" ", ",", 1) if plain and (single or zeros) else layout
 
 
 def _with_fraction(line: str, after: str, layout: Layout) -> Layout:
@@ -224,42 +255,65 @@ def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
     for number, line, comment in header:
         if comment:
             continue
-        cells = layout.cells(line)
-        numbers = [cell for cell in cells if to_number(cell) is not None]
-        measured = sum("." in cell for cell in numbers)
+        where, cells = f"{file}, line {number}", layout.cells(line)
+        found = layout_of(line)
+        if found is not None and found[2:] == layout[2:] and found.separator == layout.separator:
+            raise ValueError(f"{where}: a row of numbers must not stand above the labels. Put these on top.")
+        stamped = bool(layout.stamp) and bool(_stamp(cells))
+        rest = [cell for cell in cells if not (stamped and STAMP.fullmatch(cell))]
+        numbers = [cell for cell in rest if to_number(cell) is not None]
+        measured, size = sum("." in cell for cell in numbers), len(rest)
         begins = len(cells) == layout.n_columns > 1 and to_number(cells[0]) is not None
-        illegible = not cells[0] or cells[0][0] in "0123456789.+-"
+        illegible = not cells[0] or cells[0][0] in "0123456789.+-" or _is_spoilt(cells[0])
         most = below_labels and 2 * measured >= len(cells)
-        almost_all = number == first - 1 and 1 < layout.n_columns <= measured + 1
-        if (begins or illegible) and (most or almost_all) and not (layout.stamp and _stamp(cells)):
-            raise not_a_number(f"{file}, line {number}", next(c for c in cells if to_number(c) is None))
+        almost_all = number == first - 1 and 1 < layout.n_columns <= measured + 1 + stamped
+        swallowed = almost_all and below_labels and measured > 1
+        if (
+            ((begins or illegible) and (most or almost_all))
+            or swallowed
+            or (stamped and 2 * measured >= size > 0)
+        ):
+            raise not_a_number(where, next((c for c in rest if to_number(c) is None), cells[0]))
         below_labels |= len(cells) == layout.n_columns and not numbers
 
 
-def _labels(header: list[str], layout: Layout) -> tuple[list[Label], bool, str | None]:
+def _is_spoilt(cell: str) -> bool:
+    """Whether a text was a number, as L0.0000."""
+    return "." in cell and sum(c.isdigit() for c in cell) > 2 * sum(c.isalpha() for c in cell)
+
+
+def _labels(header: list[tuple[int, str, bool]], layout: Layout) -> tuple[list[Label], bool, str | None]:
     """What stands above each column, whether it is more than a title, and the unit of all without labels."""
-    named = [cells for line in header if (cells := _named(line, layout))]
+    named = [cells for _, line, _ in header if (cells := _named(line, layout))]
     units = [
         cells
         for cells in named
         if any(cells) and all(unit_of(cell.strip("[]()")) or cell in "-[]" for cell in cells)
     ]
-    texts = [cells for cells in named if cells not in units]
+    texts = [
+        cells for cells in named if cells not in units and not any(to_number(c) is not None for c in cells)
+    ]
     if not texts:
-        found = (unit for line in header for unit in BRACKETS.findall(line))
+        found = (unit for _, line, _ in header for unit in BRACKETS.findall(line))
         unit = next((unit.strip() for unit in found if known_factor(unit) is not None), None)
         return [Label("", "")] * layout.n_columns, bool(units), unit
     stated = [
         next((cells[k].strip("[]()") for cells in units if cells[k] not in "-[]"), None)
         for k in range(layout.n_columns)
     ]
-    labels = [Label.of(text, unit) for text, unit in zip(texts[-1], stated, strict=True)]
-    for above in reversed(texts[:-1]):  # a unit may stand in another line than the last
+    told = [sum(Label.of(text).role is not None for text in cells) for cells in texts]
+    chosen = texts[max(range(len(texts)), key=lambda k: (told[k], k))]
+    labels = [Label.of(text, unit) for text, unit in zip(chosen, stated, strict=True)]
+    for above in reversed(texts):  # a unit may stand in another line
         labels = [
             label if label.unit is not None else label._replace(unit=Label.of(text).unit)
             for label, text in zip(labels, above, strict=True)
         ]
-    own = layout.separator != " " or any(label.unit is not None for label in labels)
+    told = any(label.unit is not None or label.role is not None for label in labels)
+    is_title = all(comment for _, line, comment in header if _named(line, layout) == chosen)
+    own = any(label.unit is not None for label in labels) or (
+        layout.separator != " " and (told or not is_title)
+    )
     return labels, own, None
 
 
@@ -312,7 +366,7 @@ def _by_pandas(body: str, layout: Layout) -> tuple[float, np.ndarray]:
         skipinitialspace=True,
         **old,
     )
-    if frame.shape[1] == layout.count + 1 and layout.separator != " " and (frame.iloc[:, -1] == "").all():
+    while frame.shape[1] > layout.count and layout.separator != " " and (frame.iloc[:, -1] == "").all():
         frame = frame.iloc[:, :-1]  # a separator at the end of each row
     if not layout.stamp:
         return 0.0, frame.to_numpy(dtype=np.float64)
@@ -410,7 +464,10 @@ def seconds_of(texts: list[str]) -> tuple[float, np.ndarray]:
     found = [STAMP.fullmatch(text) for text in texts]
     if None in found:
         raise ValueError(f"time stamps must be as the first, got {texts[found.index(None)]!r}")
-    days = days_of(tuple(dict.fromkeys(match["date"] for match in found if match["date"])))
+    dates = tuple(dict.fromkeys(match["date"] for match in found if match["date"]))
+    days = days_of(dates)
+    if dates and not days:
+        raise ValueError(f"dates must be those of a calendar, all written alike, got {', '.join(dates[:3])}")
     origin = min(days.values(), default=0.0)
     seconds = np.array(
         [days.get(match["date"], origin) - origin + _of_day(*match.group(*PARTS)) for match in found]

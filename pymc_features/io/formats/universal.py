@@ -13,12 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features._checks import listed
+from pymc_features._checks.messages import warn_caller
 from pymc_features.io.reading.labels import Unit, unit_of
 from pymc_features.io.reading.lines import shortened
 from pymc_features.io.reading.recording import Channel, Format, even_or_times, recorded
 
 NAME = "Universal File"
 FUNCTIONS = "58"  # the data set of measured functions
+#: Numbers of the data sets that are in use, by the University of Cincinnati's list.
+KNOWN = {15, 18, 27, 30, 31, 55, 56, 57, 58, 82, 151, 156, 164, 241, 250, 252, 257, 607, 666, 756, 757, 759}
+KNOWN |= {770, 771, 772, 773, 774, 775, 776, 777, 778, 779, 780, 781, 789, 790, 791, 1710, 1715, 1716, 1717}
+KNOWN |= {1802, 1807, 1808, 1809, 1858, 1860, 3062, *range(2400, 2500)}
 AXES = ("X", "Y", "Z", "RX", "RY", "RZ")  # directions 1 to 6
 EXTRA = 'python -m pip install "pymc-features[modal]"'
 TIME_RESPONSE = 1  # type of function
@@ -79,6 +84,8 @@ def read(path: Path) -> tuple[list[Channel], None]:
             f"{path.name} ({NAME}) must hold time histories in data sets 58, got the data sets {held[:200]}. "
             "Read identified modes by `read_modal`."
         )
+    if odd := [kind for kind in dict.fromkeys(kinds) if kind not in KNOWN]:
+        warn_caller(f"{path.name}: the data sets {listed(odd)} are of no known type. Is a digit of one lost?")
     channels = [_channel(path.name, found) for found in sets]
     for channel, found in zip(channels, sets, strict=True):
         if not channel.problem:

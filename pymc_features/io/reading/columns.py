@@ -29,6 +29,8 @@ class Columns(NamedTuple):
         How a message calls the place of a row and a column.
     resolution : callable
         Column -> resolution of its printed or stored numbers.
+    own : bool
+        Whether the labels are more than words of a title.
     stamp : int or None
         The column that was time stamps: seconds since `origin`.
     origin : float
@@ -44,6 +46,7 @@ class Columns(NamedTuple):
     values: np.ndarray
     where: Callable[[int, int], str]
     resolution: Callable[[int], float] = lambda index: 0.0
+    own: bool = True
     stamp: int | None = None
     origin: float = 0.0
     units: str | None = None
@@ -81,7 +84,8 @@ def recording_of(columns: Columns, request: Request, question: str = "") -> Reco
     place, numbers = _clock(columns, timer, request)
     channels = []
     for index, label in enumerate(columns.labels):
-        hidden = index == timer or (label.role == "number" and label.unit is None)
+        is_time = label.role == "time" and (label.known is None or label.known.quantity == "time")
+        hidden = index == timer or is_time or (label.role == "number" and label.unit is None)
         problem = "" if index != timer else f"`columns` must name measurements, column {index} is the clock."
         values = at_samples(columns.values[:, index], numbers)
         name = label.name or f"column {index}"
@@ -116,8 +120,13 @@ def clock_column(columns: Columns, clock) -> int | None:
         return labelled[0]
     first = columns.labels[0]
     is_time = first.known is not None and first.known.quantity == "time"
-    open_ = is_time or first.role in (None, "number")
+    open_ = is_time or not columns.own or first.role in (None, "number")
     forward = len(columns.labels) > 1 and open_ and (np.diff(columns.values[:, 0]) > 0.0).mean() > 0.9
+    if forward and first.text and first.role is None and not is_time and columns.own:
+        raise ValueError(
+            f"`clock` must be given, {columns.file} does not say whether {first.text!r}, which runs forward, "
+            "is the time. Call it time, or pass clock=False with `dt` and `columns`."
+        )
     return 0 if forward else None
 
 
@@ -154,7 +163,13 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
             f"{columns.where(int(without[0]), timer)}: the clock must have a time in every row, got none. "
             "Cut the row."
         )
-    stated = clock_scale(columns, timer) if request.clock_units is None else request.clock_units
+    asked, unit = request.clock_units, columns.labels[timer].known
+    if asked is not None and unit is not None and not np.isclose(unit.factor, asked, rtol=1e-6):
+        raise ValueError(
+            f"`clock_units` must be those of the file, {columns.file} states {columns.labels[timer].text!r}, "
+            f"got {asked:g} s. Leave it out, or correct the file."
+        )
+    stated = clock_scale(columns, timer) if asked is None else asked
     scale = 1.0 if stated is None else stated
     quantum = scale * columns.resolution(timer)
     step, numbers = even_clock(

@@ -9,7 +9,7 @@ from typing import NamedTuple
 G = 9.81
 INCH, FOOT, POUND = 0.0254, 0.3048, 4.4482216152605  # m, m, N, exact
 
-LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "in": INCH, "ft": FOOT}
+LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "in": INCH, "ft": FOOT, "nm": 1e-9}
 FORCES = {"N": 1.0, "kN": 1e3, "MN": 1e6, "lbf": POUND, "kip": 1e3 * POUND}
 MASSES = {
     "kg": 1.0,
@@ -23,12 +23,21 @@ MASSES = {
 UNITS = {
     "acceleration": {"g": G, "mg": 1e-3 * G, "m/s^2": 1.0, "cm/s^2": 0.01, "gal": 0.01, "mgal": 1e-5}
     | {f"{name}/s^2": factor for name, factor in LENGTHS.items()}
-    | {"gn": G, "ug": 1e-6 * G},
-    "velocity": {f"{name}/s": factor for name, factor in LENGTHS.items()} | {"kine": 0.01},
+    | {"gn": G, "ug": 1e-6 * G, "mps2": 1.0, "ms2": 1.0},
+    "velocity": {f"{name}/s": factor for name, factor in LENGTHS.items()}
+    | {"kine": 0.01, "km/h": 1.0 / 3.6, "mps": 1.0},
     "displacement": LENGTHS | {"micron": 1e-6, "meter": 1.0, "inch": INCH},
     "strain": {"m/m": 1.0, "mm/m": 1e-3} | dict.fromkeys(("um/m", "ue", "ustrain", "microstrain"), 1e-6),
-    "force": FORCES | {"mN": 1e-3},
-    "pressure": {"Pa": 1.0, "hPa": 100.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 100.0},
+    "force": FORCES | {"mN": 1e-3, "kgf": 9.80665, "tf": 9806.65},
+    "pressure": {
+        "psi": POUND / INCH**2,
+        "Pa": 1.0,
+        "hPa": 100.0,
+        "kPa": 1e3,
+        "MPa": 1e6,
+        "bar": 1e5,
+        "mbar": 100.0,
+    },
     "voltage": {"V": 1.0, "volt": 1.0, "mV": 1e-3, "uV": 1e-6},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
     | dict.fromkeys(("min", "minute"), 60.0)
@@ -36,6 +45,8 @@ UNITS = {
     | dict.fromkeys(("d", "day"), 86400.0),
     "frequency": {"Hz": 1.0, "kHz": 1e3, "1/s": 1.0},
     "temperature": {"degC": 1.0, "°C": 1.0},
+    "angular velocity": {"deg/s": 1.0, "°/s": 1.0, "rad/s": 1.0, "dps": 1.0},
+    "magnetic field": {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "gauss": 1e-4},
     "angle": {"deg": 1.0, "°": 1.0, "rad": 1.0, "mrad": 1e-3},
 }
 #: The SI unit of a quantity that sensors measure.
@@ -46,25 +57,35 @@ SI = {
     "strain": "m/m",
     "force": "N",
     "pressure": "Pa",
+    "voltage": "V",
 }
+QUANTITIES = tuple(name for name in SI if name != "voltage")  # what a sensor may be asked for
+DIRECTIONS = "N", "S", "E", "W", "Z", "V", "H", "U", "X", "Y", "T", "R"
 #: Words of a label, in lower case, by what they say that a column is.
 ROLES = {
+    "acceleration": "a ax ay az acc accel acceleration accelerations accelerometer",
     "time": "t time epoch unix timestamp timestamps date datetime clock elapsed seconds sampletimefine zeit "
-    "temps",
-    "number": "sample samples index count counter frame no",
-    "period": "period periods",
-    "frequency": "frequency frequencies freq",
-    "depth": "depth",
+    "temps tempo tiempo tid tijd czas",
+    "period": "period periods periode",
+    "frequency": "frequency frequencies freq frequenz",
+    "depth": "depth tiefe",
     "spectral": "sa psa psv",
-    "displacement": "displacement disp drift deflection stroke lvdt",
+    "displacement": "displacement disp drift deflection stroke lvdt weg",
+    "velocity": "velocity vel geophone",
+    "strain": "strain",
     "force": "force load",
+    "voltage": "voltage volts",
+    "temperature": "temperature temp",
+    "angular velocity": "gyro gyr",
+    "magnetic field": "magnetometer magn",
 }
 OF_WORD = {word: role for role, words in ROLES.items() for word in words.split()}
+NUMBERS = {"sample", "samples", "index", "count", "counter", "frame", "record", "no", "number", "nr", "id"}
 NO_HISTORY = "period", "frequency", "depth", "spectral"  # of tables over something else than time
 
-BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
+BRACKETS = re.compile(r"(?:\[|\((?![^)]*\[))((?:[^\[\]()]|\([^()]*\))*)[\])]")
 _CELL = re.compile(r"[^\s\[\]()]+(?:\s*[\[(][^\[\]()]*[\])])?|[\[(][^\[\]()]*[\])]")
-_PLAIN = str.maketrans("µμε²¹⁻·*", "uue21-  ", "^")
+_PLAIN = str.maketrans("µμε²¹⁻·*", "uue21-  ", "^(){}'")
 _SECOND = re.compile(r"sec(?:ond)?s?(?![a-z])", re.IGNORECASE)
 _PER_SECOND = re.compile(r"[ .]?s-([12])$", re.IGNORECASE)  # m s-2
 
@@ -105,9 +126,11 @@ def role_of(label: str) -> str | None:
     Examples
     --------
     >>> role_of("Time"), role_of("Period"), role_of("a_roof")
-    ('time', 'period', None)
+    ('time', 'period', 'acceleration')
     """
     words = re.split(r"[^a-zA-Z]+", label)
+    if not re.search(r"\d", label) and words[0] and {word.lower() for word in words if word} <= NUMBERS:
+        return "number"
     return next((OF_WORD[word.lower()] for word in words if word.lower() in OF_WORD), None)
 
 
@@ -160,6 +183,8 @@ class Label(NamedTuple):
         """
         name = without_brackets(text)
         units = [found.strip() for found in BRACKETS.findall(text)]
+        if role_of(name) == "acceleration" and units and units[0] in DIRECTIONS:
+            name, units = text, []  # acc (N) is that to the north
         known = [found for found in units if unit_of(found) is not None]
         found = re.fullmatch(r"(.*[^_ ])[_ ]([^_ ]+)", name) if not units and unit is None else None
         if found is not None and found[2] != "in":
@@ -167,7 +192,10 @@ class Label(NamedTuple):
             long = len(found[2]) > 1 or (found[2] in "gs" and re.search(r"[^\W\d_]{2}", base))  # a_g, acc_N
             if long and kind is not None and (kind.quantity == "time") == (role_of(base) == "time"):
                 name, units = base, [found[2]]
-        return cls(text, name or text, unit or next(iter([*known, *units]), None))
+        own = next(iter([*known, *units]), None)
+        if unit is not None and own is not None and unit_of(own) != unit_of(unit):
+            unit = f"{own} and {unit}"  # which is none that is known
+        return cls(text, name or text, unit or own)
 
 
 def labels_with_brackets(text: str) -> list[str]:

@@ -14,8 +14,9 @@ import numpy as np
 from pymc_features._checks import SAMPLING_INTERVAL, listed, shown
 from pymc_features._checks.messages import warn_caller
 from pymc_features.io.reading.clock import Clock, even_clock
+from pymc_features.io.reading.labels import SI, role_of
 from pymc_features.io.reading.lines import decoded
-from pymc_features.io.reading.units import resolve_dt, resolve_units, sensitivity_of
+from pymc_features.io.reading.units import plural, resolve_dt, resolve_units, sensitivity_of
 
 OPENING = 16_384  # bytes
 TINY, ALONE = 1e-60, 1e3  # over the largest value, and the largest over the second: none is measured so
@@ -244,6 +245,12 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
     if channel.problem:
         raise ValueError(channel.problem)
     file, skip = recording.file, 0 if recording.skipped else request.skip
+    role = role_of(channel.name)
+    if channel.unit is None and role in SI and role != request.quantity and request.sensitivity is None:
+        raise ValueError(
+            f"{file} must hold {plural(request.quantity)}, the label {channel.name!r} is that of a {role}. "
+            "Pass the columns that are, or rename it."
+        )
     dt = resolve_dt(request.dt, _stated_step(channel, request, file), file)
     quantity = request.quantity if request.sensitivity is None else "voltage"
     factor = resolve_units(request.units, channel.unit, file, quantity)

@@ -1,10 +1,19 @@
 """Units and time steps: what a file states, what the caller says, and which one counts."""
 
+import re
+
 import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, check_positive, is_number, message, shown, single
 from pymc_features._checks.messages import warn_caller
 from pymc_features.io.reading.labels import MASSES, SI, UNITS, Unit, unit_of
+
+_SENSITIVITY = re.compile(r"\s*(\d+\.?\d*(?:[eE][-+]?\d+)?)\s*([^\s/\d]+)\s*(?:/|per)\s*(.+?)\s*")
+
+
+def plural(quantity: str) -> str:
+    """Accelerations, velocities."""
+    return f"{quantity[:-1]}ies" if quantity.endswith("y") else f"{quantity}s"
 
 
 def choices(quantity: str) -> str:
@@ -54,15 +63,11 @@ def sensitivity_of(sensitivity, quantity: str) -> float:
     """Volts in one SI unit of a quantity, of a number or a text such as "100 mV/g"."""
     if is_number(single(sensitivity)):
         return check_positive(sensitivity, "sensitivity", f"Pass the V per {SI[quantity]}.")
-    words = sensitivity.split() if isinstance(sensitivity, str) else []
-    above, slash, below = (words[1] if len(words) == 2 else "").partition("/")
-    voltage, unit = unit_of(above), unit_of(below)
-    known = slash and voltage is not None and unit is not None
-    try:
-        number = float(words[0])
-    except (IndexError, ValueError):
-        number = 0.0
-    if not (known and number > 0.0 and (voltage.quantity, unit.quantity) == ("voltage", quantity)):
+    found = _SENSITIVITY.fullmatch(sensitivity) if isinstance(sensitivity, str) else None
+    voltage, unit = (None, None) if found is None else (unit_of(found[2]), unit_of(found[3]))
+    kinds = [one and one.quantity for one in (voltage, unit)]
+    number = 0.0 if found is None else float(found[1])
+    if number <= 0.0 or kinds != ["voltage", quantity]:
         what = f'V per {SI[quantity]}, or a text such as "100 mV/{next(iter(UNITS[quantity]))}"'
         raise ValueError(message("sensitivity", what, shown(sensitivity)))
     return number * voltage.factor / unit.factor
@@ -100,11 +105,13 @@ def resolve_units(units, stated: str | Unit | None, source: str, quantity: str =
     """
     known = None if stated is None else unit_of(stated)
     if known is not None and known.quantity != quantity:
-        advice = f"Pass the columns that are {quantity}s."
+        advice = f"Pass the columns that are {plural(quantity)}."
         if known.quantity == "voltage":
-            advice = 'Pass `sensitivity`, such as "100 mV/g".'
+            advice = f'Pass `sensitivity`, such as "100 mV/({next(iter(UNITS[quantity]))})".'
+        beside = "" if units is None else f", beside units={shown(units)}"
         raise ValueError(
-            f"{source} must hold {quantity}s, it states {stated!r}, a unit of {known.quantity}. {advice}"
+            f"{source} must hold {plural(quantity)}, it states {stated!r}, a unit of "
+            f"{known.quantity}{beside}. {advice}"
         )
     if units is None:
         if known is None:

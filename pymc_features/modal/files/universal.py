@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import listed
-from pymc_features.io.formats.universal import AXES, FUNCTIONS, NAME, is_mark
+from pymc_features.io.formats.universal import AXES, FUNCTIONS, KNOWN, NAME, is_mark
 from pymc_features.io.reading.lines import Lines, to_count, to_number
 from pymc_features.io.reading.size_check import check_size
 from pymc_features.modal.files.identified import Identified
@@ -28,10 +28,6 @@ from pymc_features.modal.shapes import warn_modes
 
 MODES = {2: "normal", 3: "complex", 7: "complex"}  # types of analysis
 MOTION = {0: "unknown", 1: "general", 8: "displacement", 11: "velocity", 12: "acceleration"}
-#: Numbers of the data sets that are in use, by the University of Cincinnati's list.
-KNOWN = {15, 18, 27, 30, 31, 55, 56, 57, 58, 82, 151, 156, 164, 241, 250, 252, 257, 607, 666, 756, 757, 759}
-KNOWN |= {770, 771, 772, 773, 774, 775, 776, 777, 778, 779, 780, 781, 789, 790, 791, 1710, 1715, 1716, 1717}
-KNOWN |= {1802, 1807, 1808, 1809, 1858, 1860, 3062, *range(2400, 2500)}
 REAL, COMPLEX = 2, 5  # types of values
 DIRECTIONS = {1: ("",), 3: AXES[:3], 6: AXES}  # by the values of a node
 PER_LINE = 6  # values
@@ -82,11 +78,11 @@ def read_universal(path: Path) -> Identified:
             _skip(lines)
     if not modes:
         raise _no_modes(path, others)
-    unknown = [kind for kind in dict.fromkeys(others) if kind.isdigit() and int(kind) not in KNOWN]
-    if unknown:
+    odd = [kind for kind in dict.fromkeys(others) if "(" in kind or int(kind) not in KNOWN]
+    if odd:
         warn_modes(
-            f"{path.name}: the data sets {listed(unknown)} are of no known type, and are not read. Is a "
-            "digit of a number lost?"
+            f"{path.name}: the data sets {listed(odd)} are not read, beside {len(modes)} modes. Is a digit "
+            "of a number lost?"
         )
     return _identified(path, _without_conjugates(modes))
 
