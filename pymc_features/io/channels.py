@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pymc_features._checks import (
+    LARGEST_COUNT,
     SAMPLING_INTERVAL,
     as_list,
     check_finite,
@@ -322,10 +323,13 @@ def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, floa
         )
     clocks = [clock if clock.start is not None else clock._replace(start=0.0) for clock in clocks]
     start, stop = max(clock.start for clock in clocks), min(clock.stop for clock in clocks)
-    n_times = int((stop - start) * rate * (1.0 + 1e-12)) + 1
-    if stop <= start or n_times < 2:
+    if stop <= start:
         raise no_common_time(clocks)
-    times = np.arange(n_times) / rate
+    n_times = (stop - start) * rate * (1.0 + 1e-12) + 1.0
+    if not 2.0 <= n_times < LARGEST_COUNT:
+        what = f"a rate that makes 2 samples or more of the {stop - start:.4g} s that all have in common"
+        raise ValueError(message("resample", what, f"{rate:g} Hz"))
+    times = np.arange(int(n_times)) / rate
     found = []
     for row, clock in zip(rows, clocks, strict=True):
         whole, gaps = filled(row)

@@ -10,7 +10,7 @@ import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
-from pymc_features._checks import as_list, as_numbers, check_callable, check_texts
+from pymc_features._checks import as_list, as_numbers, check_callable, check_texts, message
 from pymc_features.structures.affine_terms import affine_terms
 from pymc_features.structures.base import Values
 from pymc_features.structures.damping import Damping
@@ -229,6 +229,8 @@ class AffineStructure(LinearStructure):
         found = cls.from_matrices(exports.build, dict.fromkeys(exports.terms, 1.0), damping=damping)
         if direction is not None:
             directions = check_texts(direction, "direction", "x, y, z or several of them")
+            if not directions:
+                raise ValueError(message("direction", "x, y, z or several of them", "none"))
             columns = [exports.influence(one) for one in directions]
             found.influence = columns[0] if isinstance(direction, str) else np.stack(columns, axis=1)
         return found if exports.labels is None else found.with_names(exports.labels)

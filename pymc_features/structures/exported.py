@@ -9,6 +9,7 @@ from scipy import sparse
 from pymc_features._checks import as_list, check_number, check_path, listed, message, shown
 from pymc_features._checks.messages import warn_caller
 from pymc_features.io import read_matrices
+from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.units import system_of_units
 
 #: What programs call the matrices of a structure, in lower case.
@@ -81,6 +82,7 @@ class Exports:
                 what = f"a path, or a mapping of {', '.join(NAMES)} to paths or (path, name)"
                 raise TypeError(message(name, what, shown(given)))
             path = check_path(pair[0], name)
+            check_readable(path, name)
             matrices = read_matrices(path)
             for matrix, value in matrices.items():
                 usual = next((one for one, names in NAMES.items() if matrix.lower() in names), None)
@@ -101,8 +103,9 @@ class Exports:
             if as_list(pair) is None or len(pair) != 2:
                 raise TypeError(message(where, "(path, factor), or several", shown(given)))
             entry, factor = pair[0], check_number(pair[1], where)
-            if isinstance(entry, str | PathLike) and len(read_matrices(entry)) == 1:
-                entry = {"stiffness": entry}
+            if isinstance(entry, str | PathLike):
+                check_readable(check_path(entry, where), where)
+                entry = {"stiffness": entry} if len(read_matrices(entry)) == 1 else entry
             found, _ = self._read(entry, where)
             changed = {part: matrix for part, matrix in found.items() if part in whole}
             sizes = {matrix.shape[0] for matrix in [*changed.values(), *whole.values()]}

@@ -57,19 +57,18 @@ def _load_mat(path: Path) -> dict[str, np.ndarray]:
     if sum(CLASSES[kind] * math.prod(map(int, shape)) for _, shape, kind in found) > 8 * held:
         raise ValueError(f"its variables announce more than the {held} bytes that it holds")
     check_size(path, [8 * int(shape[-1]) for _, shape, kind in found if kind == "sparse"])
-    contents = loadmat(path, variable_names=[name for name, _, _ in found], struct_as_record=False)
+    contents = loadmat(path, variable_names=[name for name, _, _ in found])
     return {name: value for name, value in _flat(contents, "", 0) if not name.startswith("__")}
 
 
 def _flat(contents: Mapping, prefix: str, depth: int) -> Iterator[tuple[str, np.ndarray]]:
     """Names and arrays, of structures with the names of their fields."""
     for name, value in contents.items():
-        is_one = hasattr(value, "dtype") and value.dtype.kind == "O" and value.size == 1
-        item = value.item() if is_one else value
-        if hasattr(item, "_fieldnames") and depth < DEEPEST:
-            fields = {field: getattr(item, field) for field in item._fieldnames}
+        kind = getattr(value, "dtype", None)
+        if kind is not None and kind.names and value.size == 1 and depth < DEEPEST:
+            fields = {field: value[field].item() for field in kind.names}
             yield from _flat(fields, f"{prefix}{name}.", depth + 1)
-        elif hasattr(value, "dtype") and value.dtype.kind in "iufcbU":
+        elif kind is not None and kind.kind in "iufcbU":
             yield prefix + name, value
 
 

@@ -60,7 +60,7 @@ SI = {
     "voltage": "V",
 }
 QUANTITIES = tuple(name for name in SI if name != "voltage")  # what a sensor may be asked for
-DIRECTIONS = "N", "S", "E", "W", "Z", "V", "H", "U", "X", "Y", "T", "R"
+DIRECTIONS = "N", "S", "E", "W", "Z", "H", "U", "X", "Y", "T", "R"
 #: Words of a label, in lower case, by what they say that a column is.
 ROLES = {
     "acceleration": "a ax ay az acc accel acceleration accelerations accelerometer",
@@ -186,7 +186,8 @@ class Label(NamedTuple):
         if role_of(name) == "acceleration" and units and units[0] in DIRECTIONS:
             name, units = text, []  # acc (N) is that to the north
         known = [found for found in units if unit_of(found) is not None]
-        found = re.fullmatch(r"(.*[^_ ])[_ ]([^_ ]+)", name) if not units and unit is None else None
+        bare = not units and unit is None and name == without_brackets(name)
+        found = re.fullmatch(r"(.*[^_ ])[_ ]([^_ ]+)", name) if bare else None
         if found is not None and found[2] != "in":
             base, kind = found[1], unit_of(found[2])
             long = len(found[2]) > 1 or (found[2] in "gs" and re.search(r"[^\W\d_]{2}", base))  # a_g, acc_N

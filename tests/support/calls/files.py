@@ -1,5 +1,6 @@
 """Files, channels and synthetic earthquakes."""
 
+from contextlib import chdir
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -84,6 +85,16 @@ EARTHQUAKE = {
 }
 
 
+def elsewhere(function, folder):
+    """A function that writes, called in a folder of its own."""
+
+    def called(**arguments):
+        with chdir(folder):
+            return function(**arguments)
+
+    return called
+
+
 def reader(function):
     """A call of a function that reads channels."""
     return Call(
@@ -107,9 +118,10 @@ def reader(function):
             "clock_units": {"None", *POSITIVE} - {"1e300"},
             "skip": {"0", *ONE},
             "wrapped": {"None"},
-            "resample": {"None", *POSITIVE} - {"1e300", "1e-300"},
+            "resample": {"None", *POSITIVE}
+            - {"1e300", "1e-300", "1.0 of 16 bits", "Fraction", "array without dimensions"},
         },
-        {"clock_units": ["dt"], "wrapped": ["dt"], "resample": ["files"]},
+        {"clock_units": ["dt"], "wrapped": ["dt"], "files": ["dt"]},
     )
 
 
@@ -123,7 +135,7 @@ CALLS = {
             "column": {"NumPy's 2"},
             "wrapped": {"None"},
         },
-        {"column": ["dt"], "wrapped": ["column"]},
+        {"column": ["dt"], "wrapped": ["column"], "path": ["files", "column", "dt"]},
     ),
     "read_channels": reader(pmf.read_channels),
     "read_channels_with_gaps": reader(pmf.read_channels_with_gaps),
@@ -147,9 +159,9 @@ CALLS = {
         {"columns": ["units"], "wrapped": ["columns"]},
     ),
     "write_channels": Call(
-        pmf.write_channels,
+        elsewhere(pmf.write_channels, FOLDER.name),
         {"channels": MEASURED, "path": Path(FOLDER.name) / "written.csv"},
-        {"channels": SEVERAL - {"channels without names"}},
+        {"channels": SEVERAL - {"channels without names"}, "path": {"missing file"}},
         more=MORE,
     ),
     "read_matrices": Call(pmf.read_matrices, {"path": MATRICES}),

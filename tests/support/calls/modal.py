@@ -7,7 +7,7 @@ import pymc as pm
 
 import pymc_features as pmf
 from support.border import Call, work
-from support.calls.files import FOLDER, MEASURED, ODD_CHANNELS, SEVERAL
+from support.calls.files import FOLDER, MEASURED, ODD_CHANNELS, SEVERAL, elsewhere
 from support.calls.structures import CHAIN, SCALARS, TAKEN, VECTORS
 from support.odd_values import NUMBERS, ONE, PAIR, POSITIVE, TEXTS
 
@@ -173,7 +173,9 @@ CALLS = {
         TAKEN,
     ),
     "write_modal": Call(
-        pmf.write_modal, {"modal": pmf.ModalData([1.0, 2.0]), "path": TABLE.with_name("written.csv")}, {}
+        elsewhere(pmf.write_modal, FOLDER.name),
+        {"modal": pmf.ModalData([1.0, 2.0]), "path": TABLE.with_name("written.csv")},
+        {"path": {"missing file"}},
     ),
     "read_modal": Call(
         pmf.read_modal,

@@ -1,0 +1,160 @@
+"""What a file says twice, or says in a way that is not known: errors that name both, or questions."""
+
+import numpy as np
+import pytest
+
+import pymc_features as pmf
+from pymc_features.io.reading.labels import G, Label
+from support.refusals import refusals
+
+ROWS = [(0.01 * k, np.sin(0.7 * k), np.cos(0.4 * k)) for k in range(40)]
+A, B = np.array(ROWS).T[1:]
+
+
+def table(folder, head, form="{:.2f},{:.9f},{:.9f}", rows=ROWS, scale=1.0):
+    lines = [form.format(scale * t, *values) for t, *values in rows]
+    (folder / "a.csv").write_text("\n".join([head, *lines]) + "\n")
+    return folder / "a.csv"
+
+
+RIGHT = {  # header: SI units per unit of the two channels
+    "time [s],base [g],roof [mg]": (G, 1e-3 * G),
+    "t (s),base (Gal),roof (cm/s/s)": (0.01, 0.01),
+    "time_s,acc_x_mg,acc_y_ug": (1e-3 * G, 1e-6 * G),
+    "time,a,b\ns,m/s²,mm/s^2": (1.0, 1e-3),
+    "time,a,b\n[s],[m s-2],[in/s2]": (1.0, 0.0254),
+    "Time [s],ax [m/(s^2)],ay [ft/s^2]": (1.0, 0.3048),
+    "Zeit [s],Basis [m/s**2],Dach [µg]": (1.0, 1e-6 * G),
+    "time [s],a [m/s^{2}],b [m.s-2]": (1.0, 1.0),
+}
+
+
+@pytest.mark.parametrize("head", RIGHT)
+def test_units(tmp_path, head):
+    found = pmf.read_channels(table(tmp_path, head)).values
+    np.testing.assert_allclose(found, np.array(RIGHT[head])[:, None] * [A, B], rtol=1e-7, atol=1e-12)
+
+
+REFUSED = {  # what is said: header, settings
+    "it states 'mm/s', a unit of velocity, beside units='g'": ("time [s],v [mm/s],b [mm/s]", {"units": "g"}),
+    "it states 'mm', a unit of displacement": ("time [s],laser [mm],b [mm]", {}),
+    "it states 'um/m', a unit of strain": ("time [s],gauge [um/m],b [um/m]", {}),
+    "it states 'deg/s', a unit of angular velocity": ("time [s],a [g],gyro [deg/s]", {}),
+    "it states 'V', a unit of voltage. Pass `sensitivity`": ("time [s],a [V],b [V]", {}),
+    "states 'mm/s and g', which is no known unit": ("time,a [mm/s],b\ns,g,g", {}),
+    "states 'g and mg', which is no known unit": ("time [s],a [g],b [g]\ns,mg,mg", {}),
+    "the label 'velocity' is that of a velocity": ("time [s],velocity,b", {"units": "m/s^2"}),
+    "the label 'Force' is that of a force": ("time [s],Force,b", {"units": "m/s^2"}),
+    r"`clock_units` must be those of the file, a.csv states 'time \[ms\]'": (
+        "time [ms],a [g],b [g]",
+        {"clock_units": "s"},
+    ),
+    "does not say whether 'distance', which runs forward, is the time": ("distance,a,b", {"units": "g"}),
+    "does not say whether 'x', which runs forward, is the time": ("x,a,b", {"units": "g"}),
+    r"must be a history over time, got a column 'Frequenz'": ("Frequenz,a,b", {"units": "g"}),
+    "`dt` must be given": ("Sample No,a [g],b [g]", {"clock": False, "dt": None}),
+}
+
+
+@refusals("head settings", REFUSED)
+def test_refusals(tmp_path, head, settings, match):
+    with pytest.raises(ValueError, match=match):
+        pmf.read_channels(table(tmp_path, head), **settings)
+
+
+def test_a_direction_is_no_unit(tmp_path):
+    found = pmf.read_channels(table(tmp_path, "time [s],acc (N),acc (E)"), units="g")
+    np.testing.assert_allclose(found.values, G * np.array([A, B]), rtol=1e-7, atol=1e-12)
+    assert list(found["sensor"].values) == ["acc (N)", "acc (E)"]
+
+
+def test_second_clocks_are_no_channels(tmp_path):
+    rows = [(t, t, a) for t, a, _ in ROWS]
+    found = pmf.read_channels(table(tmp_path, "timestamp [s],elapsed [s],base [g]", rows=rows))
+    assert list(found["sensor"].values) == ["a"] and found.shape == (1, 40)
+    rows = [(t, k, a) for k, (t, a, _) in enumerate(ROWS)]
+    found = pmf.read_channels(table(tmp_path, "time [s],RECORD,base [g]", "{:.2f},{},{:.9f}", rows=rows))
+    assert found.shape == (1, 40)
+
+
+@pytest.mark.parametrize("name", ["frame 1", "channel no 3", "index-2"])
+def test_numbered_sensors_are_channels(name):
+    assert Label.of(name).role is None
+
+
+SPOILT = {  # what is said: lines
+    r"line 4: values must be finite numbers, got '12.345 \(a point\)'": (
+        "t [s];a [g]",
+        "0,01;0,5",
+        "0,02;0,7",
+        "0,03;12.345",
+    ),
+    "line 2: values must be finite numbers, got 'O.000'": (
+        "time [s],a [g],b [g]",
+        "O.000,0.1,0.2",
+        "0.01,0.1,0.2",
+        "0.02,0.3,0.1",
+    ),
+    "line 1: values must be finite numbers, got 'L0.0000'": ("L0.0000 0.156452", "0.01 0.1", "0.02 0.3"),
+    "line 1: a row of numbers must not stand above the labels": (
+        "0,00;0,1",
+        "t [s];a [g]",
+        "0,01;0,1",
+        "0,02;0,3",
+    ),
+    "dates must be those of a calendar": (
+        "time,a [g]",
+        "2024-03-65T10:00:00.00,1.0",
+        "2024-03-65T10:00:00.01,2.0",
+    ),
+}
+
+
+@pytest.mark.parametrize("match", SPOILT)
+def test_spoilt_rows(tmp_path, match):
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(SPOILT[match]) + "\n")
+    with pytest.raises(ValueError, match=match):
+        pmf.read_channels(path)
+
+
+def test_one_column_of_decimal_commas(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("acc [g]\n" + "".join(f"{x:.3f}\n".replace(".", ",") for x in A))
+    np.testing.assert_allclose(pmf.read_channels(path, dt=0.01).values[0], G * A, atol=0.006)
+    path.write_text("".join(f"{x:.3f}\n".replace(".", ",") for x in A))
+    np.testing.assert_allclose(pmf.read_record(path, units="g", dt=0.01).acceleration, G * A, atol=0.006)
+
+
+def test_separators_at_the_ends_of_rows(tmp_path):
+    path = table(tmp_path, "time [s],a [g],b [g],,", "{:.2f},{:.9f},{:.9f},,")
+    np.testing.assert_allclose(pmf.read_channels(path).values, G * np.array([A, B]), rtol=1e-7, atol=1e-12)
+
+
+def test_a_value_of_another_size(tmp_path):
+    rows = [
+        (t, a * (1e9 if k == 7 else 1.0), b * (1e-103 if k == 9 else 1.0)) for k, (t, a, b) in enumerate(ROWS)
+    ]
+    path = table(tmp_path, "time [s],a [g],b [g]", "{:.2f},{!r},{!r}", rows=rows)
+    with pytest.warns(UserWarning, match="is of another size than others") as caught:
+        pmf.read_channels(path)
+    said = [str(warning.message) for warning in caught if "another size" in str(warning.message)]
+    assert len(said) == 2 and "e-10" in said[1]
+
+
+def test_a_peak_of_a_record_that_no_ground_has(tmp_path):
+    path = table(tmp_path, "time [s],a [g],b [g]", rows=[(t, 10.0 * a, b) for t, a, b in ROWS])
+    with pytest.warns(UserWarning, match="implausible peak of .* 9.95 g. Check `units`"):
+        pmf.read_record(path, column="a")
+
+
+@pytest.mark.parametrize(
+    ("text", "volts"),
+    [("100 mV/g", 0.1 / G), ("10.2mV/(m/s^2)", 0.0102), ("1.02 V per m/s²", 1.02), ("2e1 mV/Gal", 2.0)],
+)
+def test_sensitivities(text, volts):
+    from pymc_features.io.reading.units import sensitivity_of
+
+    assert sensitivity_of(text, "acceleration") == pytest.approx(volts, rel=1e-12)
+    with pytest.raises(ValueError, match="`sensitivity` must be V per m/s"):
+        sensitivity_of(text, "velocity")
