@@ -128,6 +128,7 @@ def read_channels(
     Examples
     --------
     >>> import tempfile
+    >>> from pathlib import Path
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "frame.csv"
     ...     _ = path.write_text("time [s],base [g],roof [g]\\n0.00,0.1,0.0\\n0.02,0.0,0.3\\n0.04,-0.2,0.1\\n")
@@ -180,6 +181,7 @@ def read_channels_with_gaps(
     Examples
     --------
     >>> import tempfile
+    >>> from pathlib import Path
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "frame.csv"
     ...     rows = "0.00,0.1,0.0\\n0.02,0.0,\\n0.04,-0.2,0.1\\n0.08,0.1,0.2\\n"

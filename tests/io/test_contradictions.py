@@ -132,9 +132,8 @@ def test_separators_at_the_ends_of_rows(tmp_path):
 
 
 def test_a_value_of_another_size(tmp_path):
-    rows = [
-        (t, a * (1e9 if k == 7 else 1.0), b * (1e-103 if k == 9 else 1.0)) for k, (t, a, b) in enumerate(ROWS)
-    ]
+    rows = [list(map(float, row)) for row in ROWS]
+    rows[7][1], rows[9][2] = 1e9, 1e-103
     path = table(tmp_path, "time [s],a [g],b [g]", "{:.2f},{!r},{!r}", rows=rows)
     with pytest.warns(UserWarning, match="is of another size than others") as caught:
         pmf.read_channels(path)

@@ -458,7 +458,7 @@ def seconds_of(texts: list[str]) -> tuple[float, np.ndarray]:
     --------
     >>> seconds_of(["2024-01-01T10:00:00.5Z", "2024-01-01T11:00:00.5+01:00"])
     (1704067200.0, array([36000.5, 36000.5]))
-    >>> seconds_of(["0:0:01 PM"])
+    >>> seconds_of(["12:00:01 PM"])
     (0.0, array([43201.]))
     """
     found = [STAMP.fullmatch(text) for text in texts]
