@@ -43,12 +43,14 @@ REFUSED = {  # what is said: header, settings
     "it states 'V', a unit of voltage. Pass `sensitivity`": ("time [s],a [V],b [V]", {}),
     "states 'mm/s and g', which is no known unit": ("time,a [mm/s],b\ns,g,g", {}),
     "states 'g and mg', which is no known unit": ("time [s],a [g],b [g]\ns,mg,mg", {}),
-    "the label 'velocity' is that of a velocity": ("time [s],velocity,b", {"units": "m/s^2"}),
-    "the label 'Force' is that of a force": ("time [s],Force,b", {"units": "m/s^2"}),
+    "the label 'velocity' says velocity": ("time [s],velocity,b", {"units": "m/s^2"}),
+    "the label 'Force' says force": ("time [s],Force,b", {"units": "m/s^2"}),
     r"`clock_units` must be those of the file, a.csv states 'time \[ms\]'": (
         "time [ms],a [g],b [g]",
         {"clock_units": "s"},
     ),
+    "the label 'Temperature' says temperature": ("time [s],Temperature,b", {"units": "m/s^2"}),
+    "the label 'gyro_x' says angular velocity": ("time [s],gyro_x,b", {"units": "m/s^2"}),
     "does not say whether 'distance', which runs forward, is the time": ("distance,a,b", {"units": "g"}),
     "does not say whether 'x', which runs forward, is the time": ("x,a,b", {"units": "g"}),
     r"must be a history over time, got a column 'Frequenz'": ("Frequenz,a,b", {"units": "g"}),
@@ -75,6 +77,32 @@ def test_second_clocks_are_no_channels(tmp_path):
     rows = [(t, k, a) for k, (t, a, _) in enumerate(ROWS)]
     found = pmf.read_channels(table(tmp_path, "time [s],RECORD,base [g]", "{:.2f},{},{:.9f}", rows=rows))
     assert found.shape == (1, 40)
+
+
+def test_channels_with_clocks_of_their_own(tmp_path):
+    rows = [(t, a, 1.5 * t, b) for t, a, b in ROWS]
+    path = table(tmp_path, "time [s],a [g],time [s],b [g]", "{:.2f},{:.9f},{:.3f},{:.9f}", rows=rows)
+    with pytest.raises(ValueError, match="has 'time .s.' and 'time .s.', which run apart"):
+        pmf.read_channels(path)
+    found = pmf.read_channels(path, clock=2, columns=3)
+    assert float(found["time"][1]) == pytest.approx(0.015)
+
+
+STAMPS = "05-Mar-2024 10:20:{:05.2f}", "05.03.24 10:20:{:05.2f}", "2024-03-05T10:20:{:05.2f} UTC"
+
+
+@pytest.mark.parametrize("stamp", STAMPS)
+def test_dates(tmp_path, stamp):
+    rows = [f"{stamp.format(0.01 * k)};{a:.6f}" for k, a in enumerate(A)]
+    (tmp_path / "a.csv").write_text("\n".join(["time;a [g]", *rows]) + "\n")
+    found = pmf.read_channels(tmp_path / "a.csv")
+    assert (float(found["time"][1]), found.attrs["start"]) == (0.01, 1709634000.0)
+
+
+def test_words_among_numbers_are_named(tmp_path):
+    (tmp_path / "a.csv").write_text("time [s],a [g],status\n" + "".join(f"{t},{a},OK\n" for t, a, _ in ROWS))
+    with pytest.raises(ValueError, match="Line 2 has 'OK' among its numbers"):
+        pmf.read_channels(tmp_path / "a.csv")
 
 
 @pytest.mark.parametrize("name", ["frame 1", "channel no 3", "index-2"])

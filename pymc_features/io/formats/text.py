@@ -23,12 +23,23 @@ MISSING = ("", "nan", "+nan", "-nan")  # cells of a gap, in lower case
 MOST_HEADER_LINES = 10_000
 FEW = 200_000  # characters that NumPy reads as fast as pandas is imported
 SAMPLED = 200  # lines whose printed digits say how fine a column is
-DATES = "%Y-%m-%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%Y.%m.%d", "%d-%m-%Y", "%m-%d-%Y"
-DATE = r"\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}"
+DATES = (
+    "%Y-%m-%d",
+    "%d.%m.%Y",
+    "%d-%b-%Y",
+    "%d.%m.%y",
+    "%d/%m/%Y",
+    "%m/%d/%Y",
+    "%Y/%m/%d",
+    "%Y.%m.%d",
+    "%d-%m-%Y",
+    "%m-%d-%Y",
+)
+DATE = r"\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.](?:\d\d?|[A-Z][a-z]{2})[-/.]\d{4}|\d\d\.\d\d\.\d\d"
 STAMP = re.compile(
     rf"(?:(?P<date>{DATE})(?:T|[ ,;]\s*))?"
     r"(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d)(?P<fraction>[.,]\d+)?)?"
-    r"(?P<half>\s?[AaPp][Mm])?(?P<zone>\s?Z|\s?[+-]\d\d:?\d\d)?",
+    r"(?P<half>\s?[AaPp][Mm])?(?P<zone>\s?Z|\s?UTC|\s?GMT|\s?[+-]\d\d:?\d\d)?",
     re.ASCII,
 )
 
@@ -205,11 +216,24 @@ def _header(lines: Lines) -> tuple[list[tuple[int, str, bool]], int, Layout]:
             break
     if not header:
         raise ValueError(f"{lines.file} must hold at least 2 samples, it is empty.")
+    words = (_word_among_numbers(number, line) for number, line, comment in header if not comment)
     raise ValueError(
         f"{lines.file} must hold rows of numbers, none was found in its "
-        f"{'first ' * (len(header) == MOST_HEADER_LINES)}{len(header)} lines. "
+        f"{'first ' * (len(header) == MOST_HEADER_LINES)}{len(header)} lines. {next(filter(None, words), '')}"
         "A row is numbers, or a time stamp and numbers, with a comma, semicolon, tab or blank between."
     )
+
+
+def _word_among_numbers(number: int, line: str) -> str:
+    """What keeps a line from being a row of numbers, as a sentence; "" of lines of words."""
+    for separator in SEPARATORS:
+        cells = without_ends(split(line, separator))
+        odd = [c for c in cells if to_number(c) is None and to_number(c.replace(",", ".")) is None]
+        if len(odd) > 0 and len(cells) > 1 + len(odd):
+            return (
+                f"Line {number} has {odd[0] or 'an empty cell'!r} among its numbers: leave such columns out. "
+            )
+    return ""
 
 
 def _goes_on(layout: Layout, after: str) -> bool:
@@ -323,6 +347,7 @@ def _named(line: str, layout: Layout) -> list[str] | None:
     A time stamp of date and time may have two, of which the second stays.
     """
     own = split(line, layout.separator)
+    own = own[: layout.count] if len(without_ends(own)) <= layout.count else own
     if len(layout.stamp) == 2 and len(own) == layout.count:
         return [*own[: layout.stamp[0]], *own[layout.stamp[1] :]]
     ways = [own, *(split(line, other) for other in SEPARATORS), labels_with_brackets(line)]
@@ -486,7 +511,7 @@ def _of_day(hour, minute, second, fraction, half, zone) -> float:
     if half:
         hour = hour % 12 + (12 if half.strip().lower() == "pm" else 0)
     seconds = 3600 * hour + 60 * int(minute) + int(second or 0)
-    if (zone := (zone or "Z").strip()) != "Z":
+    if (zone := (zone or "Z").strip()) not in ("Z", "UTC", "GMT"):
         seconds -= (60 * int(zone[1:3]) + int(zone[-2:])) * (60 if zone[0] == "+" else -60)
     return seconds + float((fraction or "0").replace(",", "."))
 

@@ -81,6 +81,7 @@ class Columns(NamedTuple):
 def recording_of(columns: Columns, request: Request, question: str = "") -> Recording:
     """The channels of a table on its clock; the clock and numbers of samples are hidden among them."""
     timer = clock_column(columns, request.clock)
+    _check_other_clocks(columns, timer, request)
     place, numbers = _clock(columns, timer, request)
     channels = []
     for index, label in enumerate(columns.labels):
@@ -94,6 +95,24 @@ def recording_of(columns: Columns, request: Request, question: str = "") -> Reco
             Channel(name, values, unit, **place, label=label.text, hidden=hidden, problem=problem)
         )
     return Recording(columns.file, channels, question=question, skipped=True)
+
+
+def _check_other_clocks(columns: Columns, timer: int | None, request: Request) -> None:
+    """Refuse a table in which each channel has times of its own, unless the caller says which."""
+    if timer is None or request.clock is not None:
+        return
+    times = (clock_scale(columns, timer) or 1.0) * columns.values[:, timer]
+    for index, label in enumerate(columns.labels):
+        unit = label.known
+        if index == timer or label.role != "time" or unit is None or unit.quantity != "time":
+            continue
+        own = unit.factor * columns.values[:, index]
+        if np.nanmax(np.abs(own - own[0] - times + times[0])) > 0.5 * np.nanmedian(np.diff(times)):
+            raise ValueError(
+                f"`clock` must be given, {columns.file} has {columns.labels[timer].text!r} and "
+                f"{label.text!r}, which run apart. Read the channels of each clock by themselves, by `clock` and "
+                "`columns`."
+            )
 
 
 def clock_column(columns: Columns, clock) -> int | None:

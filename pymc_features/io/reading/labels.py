@@ -26,7 +26,7 @@ UNITS = {
     | {"gn": G, "ug": 1e-6 * G, "mps2": 1.0, "ms2": 1.0},
     "velocity": {f"{name}/s": factor for name, factor in LENGTHS.items()}
     | {"kine": 0.01, "km/h": 1.0 / 3.6, "mps": 1.0},
-    "displacement": LENGTHS | {"micron": 1e-6, "meter": 1.0, "inch": INCH},
+    "displacement": LENGTHS | {"micron": 1e-6, "meter": 1.0},
     "strain": {"m/m": 1.0, "mm/m": 1e-3} | dict.fromkeys(("um/m", "ue", "ustrain", "microstrain"), 1e-6),
     "force": FORCES | {"mN": 1e-3, "kgf": 9.80665, "tf": 9806.65},
     "pressure": {
@@ -77,9 +77,10 @@ ROLES = {
     "voltage": "voltage volts",
     "temperature": "temperature temp",
     "angular velocity": "gyro gyr",
-    "magnetic field": "magnetometer magn",
+    "magnetic field": "magnetometer magn mag",
 }
 OF_WORD = {word: role for role, words in ROLES.items() for word in words.split()}
+MEASURED = {*SI, "temperature", "angular velocity", "magnetic field"}  # roles that are quantities
 NUMBERS = {"sample", "samples", "index", "count", "counter", "frame", "record", "no", "number", "nr", "id"}
 NO_HISTORY = "period", "frequency", "depth", "spectral"  # of tables over something else than time
 
@@ -112,6 +113,7 @@ def unit_of(text: str) -> Unit | None:
     """
     text = _SECOND.sub("s", text.replace("**", "").translate(_PLAIN).strip())
     text = re.sub("/s/s$", "/s2", text, flags=re.IGNORECASE)
+    text = re.sub("^inch", "in", text, flags=re.IGNORECASE)
     if (inverse := _PER_SECOND.search(text)) and text[: inverse.start()].strip().lower() in LENGTHS:
         text = text[: inverse.start()] + ("/s2" if inverse[1] == "2" else "/s")
     text = text.replace(" ", "")

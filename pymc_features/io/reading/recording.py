@@ -14,7 +14,7 @@ import numpy as np
 from pymc_features._checks import SAMPLING_INTERVAL, listed, shown
 from pymc_features._checks.messages import warn_caller
 from pymc_features.io.reading.clock import Clock, even_clock
-from pymc_features.io.reading.labels import SI, role_of
+from pymc_features.io.reading.labels import MEASURED, role_of
 from pymc_features.io.reading.lines import decoded
 from pymc_features.io.reading.units import plural, resolve_dt, resolve_units, sensitivity_of
 
@@ -246,9 +246,9 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
         raise ValueError(channel.problem)
     file, skip = recording.file, 0 if recording.skipped else request.skip
     role = role_of(channel.name)
-    if channel.unit is None and role in SI and role != request.quantity and request.sensitivity is None:
+    if channel.unit is None and role in MEASURED and role != request.quantity and request.sensitivity is None:
         raise ValueError(
-            f"{file} must hold {plural(request.quantity)}, the label {channel.name!r} is that of a {role}. "
+            f"{file} must hold {plural(request.quantity)}, the label {channel.name!r} says {role}. "
             "Pass the columns that are, or rename it."
         )
     dt = resolve_dt(request.dt, _stated_step(channel, request, file), file)
