@@ -110,8 +110,8 @@ def _check_other_clocks(columns: Columns, timer: int | None, request: Request) -
         if np.nanmax(np.abs(own - own[0] - times + times[0])) > 0.5 * np.nanmedian(np.diff(times)):
             raise ValueError(
                 f"`clock` must be given, {columns.file} has {columns.labels[timer].text!r} and "
-                f"{label.text!r}, which run apart. Read the channels of each clock by themselves, by `clock` and "
-                "`columns`."
+                f"{label.text!r}, which run apart. Read the channels of each clock by themselves, by `clock` "
+                "and `columns`."
             )
 
 
