@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from pymc_features._checks.messages import warn_caller
 from pymc_features.io.formats.header import (
     check_end,
     check_peak,
@@ -32,7 +33,7 @@ from pymc_features.io.reading.units import known_factor
 MOST_HEADER_LINES = 200
 # of lines with single blanks; all repetitions are bounded, so that the time is proportional to the text
 _NUMBER = r"[-+]?(?:\d{1,20}(?:\.\d{0,20})?|\.\d{1,20})(?:[eEdD][-+]?\d{1,3})?"
-_NPTS = re.compile(r"\bNPTS\s?[=:]\s?(\d{1,12})(?!\d)", re.IGNORECASE | re.ASCII)
+_NPTS = re.compile(r"\bNPTS\s?[=:]\s?(\d{1,12})(?![\dA-Za-z])", re.IGNORECASE | re.ASCII)
 _DT = re.compile(rf"\bDT\s?[=:]\s?({_NUMBER})", re.IGNORECASE | re.ASCII)
 _NPTS_DT = re.compile(
     rf"(?<!\d)(\d{{1,12}})\s?,?\s({_NUMBER})\s?,?\s?NPTS\s?,?\s?DT", re.IGNORECASE | re.ASCII
@@ -73,6 +74,10 @@ def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
         )
     if not found[0] and "NPTS" in text.upper():
         raise ValueError(f"{lines.title} must state NPTS as a whole number, it does not. Correct the header.")
+    if not found[0] and found[1]:
+        warn_caller(
+            f"{lines.title} states its step, but no number of values (NPTS) to compare with. Is it whole?"
+        )
     step = to_number(found[1]) if found[1] else None  # DT = 0 states nothing
     unit, words = _UNITS.search(text), _ACCELERATION_IN.search(text)
     if unit is None and words is not None and known_factor(words[1]) is not None:

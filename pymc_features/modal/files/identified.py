@@ -10,6 +10,7 @@ from pymc_features.modal.data import find_channels, listed
 from pymc_features.modal.shapes import COLLINEAR, warn_modes
 
 DAMPED = 0.3  # a damping ratio above it is more likely a percentage
+ALONE = 30.0  # an entry of a shape this many times the second is more likely spoilt
 SPREAD = 0.5  # so is a standard deviation above this fraction of its frequency
 
 
@@ -129,6 +130,13 @@ def _check_plausible(modal: ModalData, source: str) -> None:
             f"{source}: a damping ratio of {np.nanmax(modal.damping_ratios):.3g} of critical is implausible. "
             "Name it `damping_percent` if that is a percentage."
         )
+    if modal.shapes is not None and modal.shapes.shape[1] > 3:
+        sizes = np.sort(np.nan_to_num(np.abs(modal.shapes)), axis=1)
+        for mode in np.flatnonzero(sizes[:, -1] > ALONE * sizes[:, -2]):
+            warn_modes(
+                f"{source}: an entry of {sizes[mode, -1]:.3g} in the shape of {modal.frequencies[mode]:.4g} "
+                f"Hz is of another size than the others, up to {sizes[mode, -2]:.3g}. Is its exponent spoilt?"
+            )
     if modal.frequency_sd is not None and (modal.frequency_sd > SPREAD * modal.frequencies).any():
         mode = int(np.argmax(modal.frequency_sd / modal.frequencies))
         warn_modes(
