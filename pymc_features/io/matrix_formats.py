@@ -217,7 +217,8 @@ def _mapping(path: Path, n_rows: int) -> list[str]:
 def read_nastran(path: Path) -> Found:
     """OP4, text or binary, or DMIG in a punch file, by pyyeti."""
     try:
-        from pyyeti.nastran import bulk, op4
+        with np.printoptions():  # which pyyeti changes for all when it is imported
+            from pyyeti.nastran import bulk, op4
     except ImportError as error:
         raise ImportError(
             f"pyyeti must be installed to read {path.name}, got none. Install it with: {EXTRA}."
