@@ -237,5 +237,7 @@ def test_sources_that_are_refused():
         pmf.read_channels(xr.DataArray(np.ones((2, 3)), dims=("x", "time")))
     with pytest.raises(ValueError, match="must be dicts with data, name, unit_str and `fs` or `time`"):
         pmf.read_channels([{"data": BASE, "name": "a"}])
+    with pytest.raises(ValueError, match="`dt` must be given"):
+        pmf.read_channels([sep005("a", BASE, fs=np.inf)])
     with pytest.raises(ValueError, match="`start_timestamp` must be an ISO date, got 'noon'"):
         pmf.read_channels([sep005("a", BASE, start_timestamp="noon")])

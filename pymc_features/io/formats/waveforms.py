@@ -123,9 +123,11 @@ def stamped_steps(path: Path, stream) -> dict[str, float]:
             at += info["record_length"]
     for name, own in records.items():
         begins, counts = np.array(sorted(own)).T
-        stated = next(trace.stats.delta for trace in stream if trace.id == name)
+        stated = next((trace.stats.delta for trace in stream if trace.id == name), None)
         places = np.append(0.0, np.cumsum(counts)[:-1])
-        if len(own) < FEWEST_STAMPS or np.diff(begins).max() > 1.5 * stated * counts.max():  # a gap
+        if (
+            stated is None or len(own) < FEWEST_STAMPS or np.diff(begins).max() > 1.5 * stated * counts.max()
+        ):  # a gap
             continue
         step = float(np.polyfit(places, begins - begins[0], 1)[0])
         if abs(step / stated - 1.0) * counts.sum() > 0.5:

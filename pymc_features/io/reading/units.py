@@ -131,6 +131,7 @@ def resolve_units(units, stated: str | Unit | None, source: str, quantity: str =
 
 def resolve_dt(dt: float | None, stated: float | None, source: str) -> float:
     """Sampling interval [s]: the argument wins, the file's statement is the fallback."""
+    stated = stated if stated is not None and stated > 0.0 else None  # headers with a step of 0 state none
     if dt is None:
         if stated is None:
             raise ValueError(
