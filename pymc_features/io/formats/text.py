@@ -381,12 +381,15 @@ def _by_pandas(body: str, layout: Layout) -> tuple[float, np.ndarray]:
     import pandas as pd  # half a second to import
 
     old = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
+    kinds = {k: str if k in layout.stamp else np.float64 for k in range(layout.count)}
     frame = pd.read_csv(
         StringIO(body),
         sep=r"\s+" if layout.separator == " " else layout.separator,
         header=None,
         decimal=layout.decimal,
-        dtype={k: str if k in layout.stamp else np.float64 for k in range(layout.count)},
+        dtype=kinds
+        if layout.stamp or body.partition("\n")[0].rstrip().endswith(layout.separator)
+        else np.float64,
         keep_default_na=False,
         skipinitialspace=True,
         **old,
