@@ -388,9 +388,10 @@ def _by_pandas(body: str, layout: Layout) -> tuple[float, np.ndarray]:
         header=None,
         decimal=layout.decimal,
         dtype=kinds
-        if layout.stamp or body.partition("\n")[0].rstrip().endswith(layout.separator)
+        if layout.stamp or body[: body.find("\n")].rstrip().endswith(layout.separator)
         else np.float64,
         keep_default_na=False,
+        low_memory=False,
         skipinitialspace=True,
         **old,
     )

@@ -6,6 +6,7 @@ import stat
 from array import array
 from collections.abc import Iterator
 from functools import cached_property
+from io import StringIO
 from itertools import islice
 from pathlib import Path
 
@@ -85,7 +86,8 @@ class Lines:
 
     def __iter__(self) -> Iterator[tuple[int, str]]:
         """Number, from 1, and text of every line that is not blank, without blanks around it."""
-        return ((number, line.strip()) for number, line in enumerate(self._lines, 1) if line.strip())
+        numbered = enumerate(map(str.strip, StringIO(self.text)), 1)
+        return ((number, line) for number, line in numbered if line)
 
     def peek(self) -> str | None:
         """The next line that is not blank, None at the end of the file; it is not taken."""

@@ -45,6 +45,7 @@ def report(problem: Problem, result, found: Findings, drawn) -> str:
         title=config.report.title,
         structure=config.structure.type,
         used=used_sentence(problem),
+        measures=measures_sentence(problem),
         supported=found.supported,
         verdict=found.verdict,
         sequence=found.events,
@@ -73,6 +74,16 @@ def report(problem: Problem, result, found: Findings, drawn) -> str:
     )
 
 
+def measures_sentence(problem) -> str:
+    """Which motion the measured responses are, and in which unit."""
+    if problem.measured is None or problem.is_cyclic:
+        return ""
+    relative = {"relative": "relative to the base", "inter": "those of storeys"}
+    how = relative.get(problem.quantity.split("_")[0], "absolute")
+    kind = MEASURED[problem.quantity].capitalize().replace("Velocity", "Velocitie")
+    return f"{kind}s are {how} and in {pretty(problem.measured.units)}."
+
+
 def used_sentence(problem) -> str:
     """What the structure was updated with."""
     parts = []
@@ -80,7 +91,7 @@ def used_sentence(problem) -> str:
         return f"{problem.measured.record.n_times} measured forces of a cyclic test"
     if problem.measured is not None:
         duration = problem.measured.record.duration
-        kind = MEASURED[problem.quantity]
+        kind = MEASURED[problem.quantity].replace("velocity", "velocitie")
         parts.append(f"{len(problem.dofs)} measured {kind}s over {duration:.4g} s")
         if problem.events:
             durations = [f"{event.measured.record.duration:.4g}" for event in problem.events]
