@@ -104,7 +104,7 @@ REFUSALS = {
     ),
     "`likelihood` must be given with .cyclic.": (TEXT[TEXT.index("sigma = {") : TEXT.index("[sampler]")], ""),
     "`cyclic.units` must be two units": ('["mm", "kN"]', '["mm"]'),
-    "`units` must be known, got 'g'": ('["mm", "kN"]', '["mm", "g"]'),
+    r"`units` must be one of .* got .g.": ('["mm", "kN"]', '["mm", "g"]'),
     "`structure.pinching.slip` must be a number": ('slip = "slip"', "slip = true"),
 }
 
