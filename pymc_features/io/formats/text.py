@@ -4,7 +4,7 @@ import csv
 import re
 from array import array
 from functools import lru_cache
-from io import StringIO
+from io import BytesIO, StringIO
 from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -110,7 +110,7 @@ def layout_of(line: str) -> Layout | None:
             stamp = _stamp(cells) if ":" in line else ()
             rest = [cell for k, cell in enumerate(cells) if k not in stamp]
             rest = [_with_point(cell) for cell in rest] if decimal == "," else rest
-            if rest and all(to_number(cell) is not None for cell in rest):
+            if rest and all(to_number(cell) is not None for cell in reversed(rest)):
                 return Layout(separator, decimal, len(cells), stamp)
     return None
 
@@ -280,7 +280,7 @@ def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
         if comment:
             continue
         where, cells = f"{file}, line {number}", layout.cells(line)
-        found = layout_of(line)
+        found = layout_of(line) if len(cells) == layout.n_columns else None
         if found is not None and found[2:] == layout[2:] and found.separator == layout.separator:
             raise ValueError(f"{where}: a row of numbers must not stand above the labels. Put these on top.")
         stamped = bool(layout.stamp) and bool(_stamp(cells))
@@ -382,17 +382,17 @@ def _by_pandas(body: str, layout: Layout) -> tuple[float, np.ndarray]:
 
     old = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
     kinds = {k: str if k in layout.stamp else np.float64 for k in range(layout.count)}
+    first = body[: body.find("\n")].rstrip()
+    plain = not layout.stamp and not first.endswith(layout.separator)  # no column of texts, nor an empty one
     frame = pd.read_csv(
-        StringIO(body),
+        BytesIO(body.encode()),  # a text in memory takes twice as long
         sep=r"\s+" if layout.separator == " " else layout.separator,
         header=None,
         decimal=layout.decimal,
-        dtype=kinds
-        if layout.stamp or body[: body.find("\n")].rstrip().endswith(layout.separator)
-        else np.float64,
+        dtype=np.float64 if plain else kinds,
         keep_default_na=False,
         low_memory=False,
-        skipinitialspace=True,
+        skipinitialspace=f"{layout.separator} " in first,
         **old,
     )
     while frame.shape[1] > layout.count and layout.separator != " " and (frame.iloc[:, -1] == "").all():

@@ -6,7 +6,6 @@ import stat
 from array import array
 from collections.abc import Iterator
 from functools import cached_property
-from io import StringIO
 from itertools import islice
 from pathlib import Path
 
@@ -86,8 +85,13 @@ class Lines:
 
     def __iter__(self) -> Iterator[tuple[int, str]]:
         """Number, from 1, and text of every line that is not blank, without blanks around it."""
-        numbered = enumerate(map(str.strip, StringIO(self.text)), 1)
-        return ((number, line) for number, line in numbered if line)
+        start, number = 0, 0
+        while start < len(self.text):  # a line at a time: most callers need the first ones only
+            end = self.text.find("\n", start)
+            end = len(self.text) if end < 0 else end
+            line, start, number = self.text[start:end].strip(), end + 1, number + 1
+            if line:
+                yield number, line
 
     def peek(self) -> str | None:
         """The next line that is not blank, None at the end of the file; it is not taken."""
