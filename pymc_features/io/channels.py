@@ -242,7 +242,10 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     kept, names, rows, clocks, quantities, of_channels = {}, [], [], [], [], []
     sensors = _sensors(files, columns, request, bool(resample))
     for label, source, own, settings in sensors:
-        key = (id(source), own._replace(columns=None, units=None, quantity="", sensitivity=None))
+        key = (
+            id(source) if is_source(source) else str(source),
+            own._replace(columns=None, units=None, quantity="", sensitivity=None),
+        )
         recording = kept[key] = kept.get(key) or recording_from(source, own)
         found = chosen(recording, own.columns)
         names.append((label, [channel.name for channel in found]))
@@ -259,7 +262,7 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
         clocks = [clock._replace(start=0.0) for clock in clocks]
     late = [late_by(clock, settings, resample) for clock, settings in zip(clocks, of_channels, strict=True)]
     clocks = [
-        clock if w == 0.0 else clock._replace(start=clock.start - w)
+        clock if w == 0.0 or clock.start is None else clock._replace(start=clock.start - w)
         for clock, (w, _) in zip(clocks, late, strict=True)
     ]
     values, step, start = _resampled(rows, clocks, resample) if resample else _aligned(rows, clocks)

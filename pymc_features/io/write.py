@@ -29,7 +29,7 @@ def write_channels(channels: "xr.DataArray", path: str | PathLike) -> None:
         CSV (``.csv``, ``.txt``): a column of times [s], or of time stamps where `attrs["start"]` counts from
         1970, and one for each sensor, its unit in brackets, empty cells in gaps. Universal File (``.uff``,
         ``.unv``, with the extra `modal`): data sets 58 in double precision, of sensors named by node and
-        direction, as ``12Z``.
+        direction, as ``12Z``; one start of all is read as 0.
 
     Raises
     ------

@@ -64,6 +64,13 @@ def test_refusals(tmp_path, head, settings, match):
         pmf.read_channels(table(tmp_path, head), **settings)
 
 
+def test_clock_units_of_an_unknown_unit(tmp_path):
+    path = table(tmp_path, "time [ticks],a [g],b [g]", scale=100.0)
+    with pytest.raises(ValueError, match="`clock_units` must be given, a.csv states 'ticks'"):
+        pmf.read_channels(path)
+    assert float(pmf.read_channels(path, clock_units=0.01)["time"][1]) == pytest.approx(0.01)
+
+
 def test_a_direction_is_no_unit(tmp_path):
     found = pmf.read_channels(table(tmp_path, "time [s],acc (N),acc (E)"), units="g")
     np.testing.assert_allclose(found.values, G * np.array([A, B]), rtol=1e-7, atol=1e-12)

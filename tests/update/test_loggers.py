@@ -133,6 +133,18 @@ def test_loggers(tmp_path, logger):
     assert right > wrong + 1.0
 
 
+def test_displacements_under_a_record(tmp_path):
+    """The motion of the base from a file of its own: all sensors measure displacements."""
+    text = "\n".join(line for line in by_sensor(tmp_path).splitlines() if "table" not in line) + "\n"
+    np.savetxt(tmp_path / "base.txt", np.column_stack([TIME, BASE]), fmt="%.9f")
+    text += '[record]\npath = "base.txt"\nunits = "m/s^2"\n' + TAIL.replace("SIGMA", "0.001")
+    (tmp_path / "update.toml").write_text(text)
+    measured = read_problem(tmp_path / "update.toml").measured
+    assert measured.units == "m"
+    np.testing.assert_allclose(measured.channels.values, DRIFT[1:], atol=1e-7)
+    np.testing.assert_allclose(measured.record.acceleration, BASE, atol=1e-8)
+
+
 def test_the_check_says_mass_and_frequencies(tmp_path, capsys):
     (tmp_path / "update.toml").write_text(stamps(tmp_path) + TAIL.replace("SIGMA", "0.1"))
     assert main(["check", str(tmp_path / "update.toml")]) == 0

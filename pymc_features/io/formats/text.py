@@ -273,7 +273,8 @@ def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
     """Refuse a row among the lines above the numbers that is one of them, but for a cell.
 
     Its first cell is a number in as many columns; or it is illegible, and numbers with a decimal point are
-    half of the cells below the labels, or all but one right above the numbers.
+    half of the cells below the labels, or all but one right above the numbers; or a time stamp stands in it
+    as below. A whole row of numbers above the labels is refused too.
     """
     below_labels = False
     for number, line, comment in header:

@@ -101,7 +101,8 @@ def _check_other_clocks(columns: Columns, timer: int | None, request: Request) -
     """Refuse a table in which each channel has times of its own, unless the caller says which."""
     if timer is None or request.clock is not None:
         return
-    times = (clock_scale(columns, timer) or 1.0) * columns.values[:, timer]
+    scale = request.clock_units or clock_scale(columns, timer) or 1.0
+    times = scale * columns.values[:, timer]
     for index, label in enumerate(columns.labels):
         unit = label.known
         if index == timer or label.role != "time" or unit is None or unit.quantity != "time":

@@ -98,7 +98,7 @@ def system_of_units(text: str) -> tuple[float, float, float]:
     return found["force"], found["length"], found["mass"]
 
 
-def resolve_units(units, stated: str | Unit | None, source: str, quantity: str = "acceleration") -> float:
+def resolve_units(units, stated: str | None, source: str, quantity: str = "acceleration") -> float:
     """Factor [SI per file unit] by the file, or by the argument where the file does not say it.
 
     A number within 1 % of what the file states (9.80665 for "g") is no contradiction.

@@ -13,6 +13,7 @@ from pymc_features import datasets, signals
 from pymc_features.cyclic_test import CyclicTest
 from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 from pymc_features.io import read_channels, read_channels_with_gaps, read_record
+from pymc_features.io.reading.labels import SI
 from pymc_features.records import EVEN, Record
 from pymc_features.signals.channels import check_window
 from pymc_features.update.config.document import Config
@@ -54,8 +55,7 @@ class Measured:
     @property
     def units(self) -> str:
         """Of the channels."""
-        own = self.channels.coords.get("units")
-        return "m/s^2" if own is None else str(own.values[0])
+        return self.channels.attrs.get("units", "m/s^2")
 
     @property
     def compared(self) -> slice:
@@ -134,7 +134,9 @@ def read_measured(config: Config, folder: Path, first_frequency: float) -> Measu
             ).assign_attrs(channels.attrs)
     refuse_gaps_of_the_base(channels.isel(sensor=0), config.data.base)
     channels, checked = processed(channels, config, first_frequency)
-    base, floors = channels.isel(sensor=0), channels.isel(sensor=slice(1, None))
+    channels = channels.drop_vars("units", errors="ignore")  # of which there may be two
+    base = channels.isel(sensor=0).assign_attrs(units="m/s^2")
+    floors = channels.isel(sensor=slice(1, None)).assign_attrs(units=SI[MEASURED[config.data.quantity]])
     name = source if config.record is None else Path(config.record.path).name
     title = f"{config.data.base or 'ground motion'}, {name}"
     section = config.data if config.record is None else config.record
