@@ -86,7 +86,8 @@ class Exports:
             matrices = read_matrices(path)
             for matrix, value in matrices.items():
                 usual = next((one for one, names in NAMES.items() if matrix.lower() in names), None)
-                own = part if part is not None else usual
+                alone = "stiffness" if name != "base" and len(matrices) == 1 else None
+                own = part or usual or alone
                 wanted = matrix == pair[1] if pair[1] is not None else len(matrices) == 1 or usual == own
                 if own is not None and wanted:
                     found[own] = self._factors[own] * (np.diag(value) if value.ndim == 1 else value)
@@ -103,9 +104,6 @@ class Exports:
             if as_list(pair) is None or len(pair) != 2:
                 raise TypeError(message(where, "(path, factor), or several", shown(given)))
             entry, factor = pair[0], check_number(pair[1], where)
-            if isinstance(entry, str | PathLike):
-                check_readable(check_path(entry, where), where)
-                entry = {"stiffness": entry} if len(read_matrices(entry)) == 1 else entry
             found, _ = self._read(entry, where)
             changed = {part: matrix for part, matrix in found.items() if part in whole}
             sizes = {matrix.shape[0] for matrix in [*changed.values(), *whole.values()]}
