@@ -134,12 +134,11 @@ def update(options, console):
     from pymc_features.update import run_update, write_outputs
     from pymc_features.update.report.findings import findings
     from pymc_features.update.report.terminal import summary
-    from pymc_features.update.report.verdict import foretold
 
     config = Path(options.config)
     options.out = Path(options.out or config.with_name(f"{config.stem}-output"))
     problem, told = read_and_tell(config, console)
-    for sentence in foretold(problem):
+    for sentence in problem.first.foretold(problem):
         say(console, f"note: {sentence}")
     forget_parts(options, "update", console)
     with PartProgress(console, "update") as progress:

@@ -9,7 +9,7 @@ The command `pymc-features update` does the same.
 
 from pymc_features.update.config.document import read_config
 from pymc_features.update.examples.write import write_example
-from pymc_features.update.problem.read import Problem, read_problem
+from pymc_features.update.problem import Problem, read_problem
 from pymc_features.update.report.outputs import write_outputs
 from pymc_features.update.run import run_update
 

@@ -9,13 +9,14 @@ from pymc_features import plots
 from pymc_features.exceptions import ModalMatchWarning, PredictionWarning
 from pymc_features.prediction import posterior_response
 from pymc_features.storage import write_atomically
-from pymc_features.update.predict_modes import expected, matched, shapes
-from pymc_features.update.problem.channels import base_and_sensors
-from pymc_features.update.problem.coarseness import coarseness
-from pymc_features.update.problem.structure import modes_of
-from pymc_features.update.report.modes import draw_mac, draw_shapes, mode_rows, modes_verdict
-from pymc_features.update.report.spectra import draw_spectra
+from pymc_features.update.kinds.ambient import draw_spectra
+from pymc_features.update.kinds.channels import base_and_sensors
+from pymc_features.update.kinds.coarseness import coarseness
+from pymc_features.update.kinds.modal import draw_mac, draw_shapes, modes_verdict
+from pymc_features.update.likelihoods import MODAL
+from pymc_features.update.model import MODAL_DRAWS, names_for
 from pymc_features.update.report.terminal import gains_table, modes_table
+from pymc_features.update.structure import modes_of
 
 DPI = 120
 DRAWS = 200
@@ -27,7 +28,10 @@ def check_data(problem, path) -> list:
     write_figure(plots.plot_channels(base_and_sensors(problem.measured)), path)
     gains = problem.measured.checked.gains
     middle = {name: float(np.median(problem.priors[name].draw(DRAWS, 0))) for name in problem.structure.names}
-    return [*([] if gains is None else [gains_table(gains)]), coarseness(problem, middle).sentence]
+    return [
+        *([] if gains is None else [gains_table(gains)]),
+        coarseness(problem.first, problem, middle).sentence,
+    ]
 
 
 def structure_sentence(problem) -> str:
@@ -68,7 +72,7 @@ def check_loops(problem, path) -> str:
 
 def check_spectra(problem, path) -> str:
     """Draw the spectra with the bands into a file; return the line of the file with the bands."""
-    write_figure(draw_spectra(problem), path)
+    write_figure(draw_spectra(problem.ambient), path)
     return problem.ambient.sentence
 
 
@@ -82,15 +86,16 @@ def check_modes(problem, path) -> tuple:
     Table, list of str, bool
         The table, what to think of it, and whether there was anything to draw.
     """
-    draws = expected(problem)
+    modal = problem.modal
+    draws = expected(problem.with_data(modal))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ModalMatchWarning)  # the sentences say it
-        rows = mode_rows(problem, matched(problem, draws, deviations=np.inf))
-    found = shapes(problem, draws)
+        rows = modal.rows(modal.matched(problem, draws, deviations=np.inf))
+    found = modal.shapes(problem, draws)
     is_drawn = "at_channels" in found
     if is_drawn:
         draw = draw_shapes if "at_points" in found else draw_mac
-        write_figure(draw(problem, found, rows), path)
+        write_figure(draw(modal, found, rows), path)
     sentences, _ = modes_verdict(rows)
     outside = [row for row in rows if not row.low <= row.measured <= row.high]
     if outside:
@@ -98,6 +103,15 @@ def check_modes(problem, path) -> tuple:
         sentences.append(f"Outside of what the priors expect (5 to 95 %): {named}.")
     table = modes_table(rows, "Identified modes [Hz], and the model under the priors")
     return table, sentences, is_drawn
+
+
+def expected(problem) -> xr.Dataset:
+    """Draws of the priors of what decides on modes."""
+    values = {
+        name: (("chain", "draw"), problem.priors[name].draw(MODAL_DRAWS, k)[None])
+        for k, name in enumerate(names_for(problem, MODAL.name))
+    }
+    return xr.Dataset(values, {"chain": [0], "draw": np.arange(MODAL_DRAWS)})
 
 
 def write_figure(axes, path) -> None:

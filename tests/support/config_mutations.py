@@ -3,10 +3,11 @@
 import copy
 import datetime
 
-from pymc_features.update.config import ambient_section, cyclic_section, modal_section, sections
+from pymc_features.update.config import sections
 from pymc_features.update.config.document import Config
 from pymc_features.update.config.priors import DISTRIBUTIONS, arguments_of
 from pymc_features.update.config.structure_sections import DAMPINGS, STRUCTURES
+from pymc_features.update.kinds import ambient, cyclic, modal
 from support.mutations import mutated
 
 
@@ -57,11 +58,7 @@ KINDS = ("NORM", "TN", "EXP", "ABC", "CN", "CN-SIGMA", "CN-TAU", "GAMMA", "CAL")
 def known_keys() -> list[str]:
     """All keys of the sections."""
     parts = [Config, *STRUCTURES.values(), *DAMPINGS.values()]
-    parts += [
-        value
-        for module in (sections, modal_section, ambient_section, cyclic_section)
-        for value in vars(module).values()
-    ]
+    parts += [value for module in (sections, modal, ambient, cyclic) for value in vars(module).values()]
     return sorted({name for part in parts for name in getattr(part, "model_fields", {})})
 
 

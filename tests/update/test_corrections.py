@@ -141,7 +141,7 @@ def test_a_record_too_short_for_the_check_is_said_to_be(tmp_path, data_dir):
 
 def test_command_looks_at_the_data_and_samples_nothing(tmp_path, data_dir, capsys, monkeypatch):
     path = written(tmp_path, inverted)
-    monkeypatch.setattr("pymc_features.update.run.run_part", None)
+    monkeypatch.setattr("pymc_features.update.parts.run_part", None)
     assert cli.main(["check", str(path)]) == 0
     said = capsys.readouterr().err
     assert "put into [data]: scale = { floor2 = -1.0 }; delay = { floor1 = 0.0005" in said

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from pymc_features.exceptions import ConfigError
-from pymc_features.update import read_problem, run, write_example
+from pymc_features.update import read_problem, sampling, write_example
+from pymc_features.update.model import declare
 from support.config_mutations import as_toml, mutated_config, pick
 from support.memory import peak
 
@@ -207,16 +208,15 @@ def stands(path):
     problem = read_problem(path)
     problem.settings()
     for event in problem.events:
-        assert run.declare(problem.at(event), problem.kinds[0]).free_RVs
+        assert declare(problem.first.at(problem, event), problem.kinds[0]).free_RVs
     for kind in problem.kinds:
         tolerance = (problem.config.likelihood.epsilon or 1.0) if kind == "ABC" else None
-        model = run.declare(problem, kind, tolerance)
+        model = declare(problem, kind, tolerance)
         assert model.free_RVs
-        run.method_of(problem, kind), run.seed_of(problem, kind)
-    if problem.measured is not None:
-        run.data_of(problem)
-    if problem.given_modes is not None:
-        run.identified_modes(problem)
+        sampling.method_of(problem, kind), sampling.seed_of(problem, kind)
+    for data in problem.data:
+        if data.key != "ambient":  # modes of which are identified, in seconds
+            data.shared(problem, {})
 
 
 def outcome(path) -> str:

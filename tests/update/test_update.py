@@ -17,11 +17,13 @@ from pymc_features import cli, datasets, simulate, structures, update
 from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 from pymc_features.smc.workers import workers
 from pymc_features.smc.workers.workers import Spread
-from pymc_features.update import predict, read_problem, run, write_example
+from pymc_features.update import parts, read_problem, run_update, sampling, write_example
 from pymc_features.update.config import priors, structure_sections
 from pymc_features.update.config.document import read_config
-from pymc_features.update.problem.structure import StructureOf
+from pymc_features.update.kinds.responses import measured_gain
+from pymc_features.update.model import declare, thinned
 from pymc_features.update.report import findings
+from pymc_features.update.structure import StructureOf
 
 SMALL = [
     ('kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]', 'kinds = ["EXP", "ABC"]'),
@@ -260,7 +262,7 @@ def test_priors_are_the_distributions_of_pymc():
 @pytest.fixture(scope="module")
 def finished(example):
     """A run of the example, stopped before ABC and continued."""
-    sample, out = run.sample, example.with_name("out")
+    sample, out = sampling.sample, example.with_name("out")
 
     def stopped(problem, kind, *rest):
         if kind == "ABC":
@@ -273,10 +275,10 @@ def finished(example):
 
     with pytest.MonkeyPatch.context() as patch:
         command = ["update", str(example), "--out", str(out), "--cores", "1"]
-        patch.setattr(run, "sample", stopped)
+        patch.setattr(sampling, "sample", stopped)
         assert cli.main(command) == 130
         assert [path.name for path in (out / "parts").glob("*.nc")] == ["EXP.nc"]
-        patch.setattr(run, "sample", only_abc)
+        patch.setattr(sampling, "sample", only_abc)
         assert cli.main(command) == 0
     return out
 
@@ -316,7 +318,7 @@ def test_outputs(finished):
 
 @pytest.mark.slow
 def test_other_settings_are_refused_other_reports_are_not(example, finished, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(run, "sample", None)  # nothing is sampled
+    monkeypatch.setattr(sampling, "sample", None)  # nothing is sampled
     text, table = example.read_text(), (finished / "table.csv").read_text()
     try:
         example.write_text(replaced(text, [("random_seed = 0", "random_seed = 1")]))
@@ -333,7 +335,7 @@ def test_other_settings_are_refused_other_reports_are_not(example, finished, tmp
 
 
 @pytest.mark.slow
-def test_verdict_and_rows_are_made_once(example, finished, capsys, monkeypatch):
+def test_rows_are_made_once(example, finished, capsys, monkeypatch):
     """And the terminal says what the report says."""
     calls = []
 
@@ -346,10 +348,10 @@ def test_verdict_and_rows_are_made_once(example, finished, capsys, monkeypatch):
 
         return count
 
-    for name in ("rows", "verdict", "warnings_of", "supported"):
+    for name in ("rows", "warnings_of", "supported"):
         monkeypatch.setattr(findings, name, counted(name))
     assert cli.main(["update", str(example), "--out", str(finished)]) == 0
-    assert sorted(calls) == ["rows", "supported", "verdict", "warnings_of"]
+    assert sorted(calls) == ["rows", "supported", "warnings_of"]
     told, html = capsys.readouterr().err, html_module.unescape((finished / "report.html").read_text())
     said = [line.removeprefix("warning: ") for line in told.splitlines() if line.startswith("warning: EXP")]
     assert said
@@ -362,7 +364,7 @@ def test_force_starts_anew(example, finished, tmp_path, capsys, monkeypatch):
 
     folder = tmp_path / "copy"
     shutil.copytree(finished, folder)
-    monkeypatch.setattr(run, "run_part", stopped)
+    monkeypatch.setattr(parts, "run_part", stopped)
     assert cli.main(["update", str(example), "--out", str(folder), "--force"]) == 130
     assert "deleted 2 finished parts" in capsys.readouterr().err
     assert not list((folder / "parts").iterdir())
@@ -446,7 +448,7 @@ def test_posterior_finds_the_structure_and_its_modes(example, finished):
 
 def test_gain_peaks_at_the_natural_frequencies(example, tmp_path):
     problem = read_problem(variant(example, tmp_path, ("trim = [0.0, 6.0]", "")))
-    gain, peaks = predict.measured_gain(problem)
+    gain, peaks = measured_gain(problem.measured)
     true = np.array(problem.config.report.natural_frequencies)
     resolution = 1.0 / 4.0  # Hz, of windows of a third of 12 s
     assert np.abs(peaks[:, None] - true).min(axis=0).max() < resolution
@@ -479,7 +481,7 @@ def test_bands_hold_what_they_say(finished):
 
 def test_thinned_draws_are_spread_over_the_chain():
     posterior = xr.Dataset({"x": (("chain", "draw"), np.arange(20.0).reshape(2, 10))})
-    assert predict.thinned(posterior, 6)["x"].values.tolist() == [[0, 3, 6], [10, 13, 16]]
+    assert thinned(posterior, 6)["x"].values.tolist() == [[0, 3, 6], [10, 13, 16]]
 
 
 @pytest.mark.slow
@@ -492,10 +494,10 @@ def test_tolerance_out_of_reach_keeps_the_rest(example, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_what_a_stopped_sampler_returns_is_not_kept(example, tmp_path, monkeypatch):
-    problem, sample = read_problem(example), run.sample
-    monkeypatch.setattr(run, "sample", lambda *all: sample(*all).isel(draw=slice(60)))
+    problem, sample = read_problem(example), sampling.by_sampler
+    monkeypatch.setattr(sampling, "sample", lambda *all: sample(*all).isel(draw=slice(60)))
     with pytest.raises(KeyboardInterrupt):
-        run.run_update(problem, out=tmp_path, cores=1, progressbar=False)
+        run_update(problem, out=tmp_path, cores=1, progressbar=False)
     assert not list((tmp_path / "parts").iterdir())
 
 
@@ -510,10 +512,10 @@ def test_another_tolerance_samples_abc_again(finished, example, tmp_path, monkey
         asked.append(kind)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(run, "sample", stopped)
+    monkeypatch.setattr(sampling, "sample", stopped)
     shutil.copytree(finished, tmp_path / "out")
     with pytest.raises(KeyboardInterrupt):
-        run.run_update(problem, out=tmp_path / "out")
+        run_update(problem, out=tmp_path / "out")
     assert asked == ["ABC"]
 
 
@@ -537,7 +539,7 @@ def test_decimated_sensors_keep_the_motion(example, tmp_path):
     assert problem.measured.step == pytest.approx(0.02)
     assert problem.measured.record.dt == pytest.approx(0.01)
     assert problem.measured.channels.shape == (3, 301)
-    assert run.declare(problem, "EXP")["y"].shape.eval().tolist() == [3, 301]
+    assert declare(problem, "EXP")["y"].shape.eval().tolist() == [3, 301]
 
 
 MATRICES = """
@@ -568,7 +570,7 @@ def test_matrices_come_from_files(example, tmp_path):
     np.testing.assert_allclose(stiffness, expected)
     np.testing.assert_allclose(damping, 0.1 * masses + 1e-3 * expected)
     assert "frame.npz_sha256" in problem.settings()
-    model = run.declare(problem, "ABC", 1.0)
+    model = declare(problem, "ABC", 1.0)
     assert {rv.name for rv in model.free_RVs} == {"k1", "k2", "zeta"}
     wrong = variant(example, tmp_path, (section, MATRICES.replace('"K1"', '"K9"')), (k3, ""), (drift, ""))
     with pytest.raises(ConfigError, match=r"`structure.stiffness_terms\[0\].name` must be one of the"):
@@ -657,7 +659,7 @@ def test_laplace_and_a_sigma_for_each_sensor(example, tmp_path):
         (', "base_shear"', ""),
     )
     problem = read_problem(path)
-    result = run.run_update(problem, progressbar=False)
+    result = run_update(problem, progressbar=False)
     assert result["NORM"].attrs["method"] == "Laplace"
     low, high = np.quantile(result["NORM/posterior"]["k1"], [0.001, 0.999])
     assert low < 385.0 < high
@@ -685,10 +687,10 @@ def test_errors_correlated_in_time(example, tmp_path, kind):
     path = variant(example, tmp_path, *pairs)
     inferred = {"CN": set(), "CN-SIGMA": {"sigma"}, "CN-TAU": {"sigma", "tau"}}[kind]
     problem = read_problem(path)
-    model = run.declare(problem, kind)
+    model = declare(problem, kind)
     assert model["y"].owner.op.name == "CorrelatedNormal"
     assert {rv.name for rv in model.free_RVs} == {"k1", "k2", "k3", "zeta"} | inferred
-    tree = run.run_update(problem, out=tmp_path / "out", cores=1, progressbar=False)
+    tree = run_update(problem, out=tmp_path / "out", cores=1, progressbar=False)
     posterior = tree[f"{kind}/posterior"].to_dataset()
     assert inferred <= set(posterior.data_vars)
     low, high = np.quantile(posterior["k1"], [0.005, 0.995])

@@ -14,8 +14,8 @@ from pymc_features import ModalDamping, SpringMassChain, cli
 from pymc_features.exceptions import AmbientWarning, ConfigError
 from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.update import read_problem, run_update
-from pymc_features.update.predict_spectra import fitted_spectra
-from pymc_features.update.problem.model import declare
+from pymc_features.update.kinds.ambient import fitted_spectra
+from pymc_features.update.model import declare
 from pymc_features.update.report.findings import findings
 from support.linear import as_linear
 
@@ -154,7 +154,7 @@ def test_fitted_spectra_at_the_truth(path):
     """
     problem = read_problem(path)
     truth = xr.Dataset({name: (("chain", "draw"), [[value]]) for name, value in TRUE.items()})
-    fitted = fitted_spectra(problem, declare(problem, "AMBIENT"), truth)
+    fitted = fitted_spectra(problem.ambient, declare(problem, "AMBIENT"), truth)
     total = 0.0
     for seed in range(100, 140):
         spectra = averaged_spectra(shaken(seed), STEP)
@@ -165,7 +165,9 @@ def test_fitted_spectra_at_the_truth(path):
     assert np.abs(off.mean(axis=0)).max() < 0.02 and off.std(axis=0).max() < 0.08
     z = (fitted["ratio"] - 1.0) / fitted["sd"]
     assert np.abs(z).max() < 4.0 and 0.5 < z.std() < 1.5
-    changed = fitted_spectra(problem, declare(problem, "AMBIENT"), truth.assign(k1=1.05 * truth["k1"]))
+    changed = fitted_spectra(
+        problem.ambient, declare(problem, "AMBIENT"), truth.assign(k1=1.05 * truth["k1"])
+    )
     assert ((changed["ratio"] - 1.0) / changed["sd"]).max() > 6.0
 
 
@@ -221,7 +223,7 @@ def test_bands_of_the_file_or_of_the_spectra(path, tmp_path):
     problem = read_problem(path)
     frequencies = building(TRUE["k1"], TRUE["k2"], 0.02).modes().natural_frequencies
     low, high = problem.ambient.bands.T
-    assert ((low < frequencies) & (frequencies < high)).all() and problem.band == (low[0], high[1])
+    assert ((low < frequencies) & (frequencies < high)).all() and problem.first.band == (low[0], high[1])
     text = path.read_text().replace("[ambient]", "[ambient]\nbands = [[2.6, 3.6]]")
     other = read_problem(write(tmp_path, shaken(1), text))
     assert other.ambient.bands.tolist() == [[2.6, 3.6]]

@@ -11,9 +11,10 @@ import xarray as xr
 from pymc_features import cli
 from pymc_features.calibration.sandwich import sentence
 from pymc_features.exceptions import CalibrationWarning, ConfigError
-from pymc_features.update import read_problem, run, write_example
+from pymc_features.update import read_problem, sampling, write_example
+from pymc_features.update.model import declare
 from pymc_features.update.report.summary import rows, supported
-from pymc_features.update.sequence import Running
+from pymc_features.update.sampling import Running
 from update.test_update import replaced, table_of, variant
 
 pytestmark = pytest.mark.slow
@@ -40,7 +41,7 @@ def example(tmp_path_factory):
 @pytest.fixture(scope="module")
 def finished(example):
     """A run that is stopped before CAL and continued; its errors are said to persist."""
-    out, calibrate = example.with_name("out"), run.calibrate
+    out, calibrate = example.with_name("out"), sampling.calibrate
 
     def stopped(*_, **__):
         raise KeyboardInterrupt
@@ -51,11 +52,11 @@ def finished(example):
 
     with pytest.MonkeyPatch.context() as patch:
         command = ["update", str(example), "--out", str(out), "--cores", "1"]
-        patch.setattr(run, "calibrate", stopped)
+        patch.setattr(sampling, "calibrate", stopped)
         assert cli.main(command) == 130
         assert sorted(path.name for path in (out / "parts").glob("*.nc")) == ["GAMMA.nc", "NORM.nc"]
-        patch.setattr(run, "calibrate", doubtful)
-        patch.setattr(run, "sample", None)  # nothing is sampled again
+        patch.setattr(sampling, "calibrate", doubtful)
+        patch.setattr(sampling, "sample", None)  # nothing is sampled again
         assert cli.main(command) == 0
     return out
 
@@ -127,21 +128,21 @@ def test_data_that_tell_no_width_are_refused_by_the_key(example, monkeypatch):
     def refused(*_, **__):
         raise ValueError("the residuals of y must not vanish, got none at sensor 1.")
 
-    monkeypatch.setattr(run, "calibrate", refused)
+    monkeypatch.setattr(sampling, "calibrate", refused)
     wanted = "`likelihood.kinds` must have CAL only where residuals can tell a width: the residuals of y must"
     with pytest.raises(ConfigError, match=wanted):
-        run.calibrated(read_problem(example), "CAL", None, None, Running(1, None, False, None, str))
+        sampling.calibrated(read_problem(example), "CAL", None, None, Running(1, None, False, None, str))
 
 
 def test_gamma_takes_its_observations_as_they_are_given(example, tmp_path):
     problem = read_problem(example)
-    model = run.declare(problem, "GAMMA")
+    model = declare(problem, "GAMMA")
     *_, m = model["y"].owner.inputs
     assert model["y"].owner.op.name == "GammaFeature"
     assert m.eval().tolist() == [2.0, 3.0, 4.5]
     assert {rv.name for rv in model.free_RVs} == {"k1", "k2", "k3", "zeta", "sigma"}
     one = read_problem(variant(example, tmp_path, ("[2.0, 3.0, 4.5]", "7.5"), ('"GAMMA", "CAL"', '"GAMMA"')))
-    *_, m = run.declare(one, "GAMMA")["y"].owner.inputs
+    *_, m = declare(one, "GAMMA")["y"].owner.inputs
     assert m.eval() == 7.5
     assert one.kinds == ["GAMMA"]
 
@@ -160,7 +161,7 @@ def test_what_is_finished_is_reported_where_it_cannot_be_had(example, finished, 
     def refused(*_, **__):
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
 
-    monkeypatch.setattr(run, "calibrate", refused)
+    monkeypatch.setattr(sampling, "calibrate", refused)
     alone = [('"GAMMA", "CAL"', '"CAL"'), ("m = [2.0, 3.0, 4.5]", "#")]
     for changes, shown in (([], "GAMMA"), (alone, "NORM")):
         path = example.with_name("changed.toml")

@@ -13,11 +13,9 @@ from pymc_features.exceptions import ChannelWarning, ConfigError, StudyMismatchE
 from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.simulators import simulate
 from pymc_features.update import read_problem, run_update
-from pymc_features.update.problem.events import by_numbers
-from pymc_features.update.problem.model import declare
-from pymc_features.update.report.events import event_rows
-from pymc_features.update.report.verdict import foretold
-from pymc_features.update.run import seed_of
+from pymc_features.update.kinds.events import by_numbers, event_rows
+from pymc_features.update.model import declare
+from pymc_features.update.sampling import seed_of
 
 pytestmark = pytest.mark.slow
 
@@ -127,7 +125,7 @@ def test_the_posterior_is_that_of_the_sequence(made):
     """Bit for bit, though the run was killed between events and continued."""
     problem = read_problem(made / "bridge.toml")
     assert [event.measured.step for event in problem.events] == [0.02, 0.02, 0.01]
-    models = [declare(problem.at(event), "NORM") for event in problem.events]
+    models = [declare(problem.first.at(problem, event), "NORM") for event in problem.events]
     seed = seed_of(problem, "NORM")
     expected = sample_in_sequence(
         models, draws=100, chains=2, random_seed=seed, change=0.01, progressbar=False
@@ -218,9 +216,11 @@ def test_warnings_and_errors_name_the_event(made, tmp_path):
 
 def test_observations_of_all_events_count(made, tmp_path):
     path = copied(made, tmp_path, ('["NORM"]', '["EXP"]'))
-    assert foretold(read_problem(path)) == []  # 3 events of 3 sensors, two for each: 18 for 2 parameters
+    problem = read_problem(path)
+    assert problem.first.foretold(problem) == []  # 3 events of 3 sensors, two for each: 18 for 2 parameters
     path.write_text(path.read_text().replace('"EXP"', '"TN"').replace("change = 0.01", 'pattern = "*-8.csv"'))
-    [sentence] = foretold(read_problem(path))
+    problem = read_problem(path)
+    [sentence] = problem.first.foretold(problem)
     assert sentence.startswith("TN counts 3 observations for 2 unknown") and "CAL" not in sentence
 
 
@@ -292,7 +292,10 @@ def test_identified_modes_count_once(made, tmp_path):
     (path.parent / "modes.csv").write_text(f"f1 [Hz],f2 [Hz]\n{rows}\n")
     path.write_text(path.read_text() + MODES.replace("0.01", "1e-4"))
     problem = read_problem(path)
-    observed = [[v.name for v in declare(problem.at(one), "NORM").observed_RVs] for one in problem.events]
+    observed = [
+        [v.name for v in declare(problem.first.at(problem, one), "NORM").observed_RVs]
+        for one in problem.events
+    ]
     assert observed == [["y", "modal"], ["y"]]
     tree = run_update(problem, cores=1)["NORM"]
     assert tree["matched"].sizes["identified"] == 4

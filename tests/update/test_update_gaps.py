@@ -7,10 +7,11 @@ import pytest
 
 from pymc_features import cli, datasets, signals
 from pymc_features.exceptions import ConfigError
-from pymc_features.update import read_problem, run, run_update, write_example, write_outputs
+from pymc_features.update import read_problem, run_update, sampling, write_example, write_outputs
+from pymc_features.update.model import declare
 from pymc_features.update.report import terminal
 from pymc_features.update.report.findings import findings
-from pymc_features.update.sequence import Running
+from pymc_features.update.sampling import Running
 from update.test_update import replaced
 
 KINDS = 'kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]'
@@ -217,8 +218,8 @@ def test_a_gap_in_the_shaking_table(data_dir, tmp_path):
     for name, value in (("clean", None), ("gap", np.nan), ("zeros", 0.0)):
         problem = read_problem(table(tmp_path, (21.0, 22.0), value))
         assert bool(problem.measured.left_out) == (name == "gap")
-        model = run.declare(problem, "EXP")
-        found[name] = run.sample(problem, "EXP", model, Running(1, None, False, None, str))[
+        model = declare(problem, "EXP")
+        found[name] = sampling.sample(problem, "EXP", model, Running(1, None, False, None, str))[
             "posterior"
         ].to_dataset()
     scale = found["clean"].std()

@@ -11,9 +11,9 @@ import xarray as xr
 
 from pymc_features import ModalDamping, SpringMassChain, cli, simulate, synthetic_earthquake
 from pymc_features.exceptions import ConfigError
-from pymc_features.update import read_problem, run, run_update
-from pymc_features.update.problem.model import declare
-from pymc_features.update.report.modes import ModeRow, modes_verdict
+from pymc_features.update import read_problem, run_update, sampling
+from pymc_features.update.kinds.modal import ModeRow, modes_verdict
+from pymc_features.update.model import declare
 
 MASS, DRAWN, TRUE = 1.6e5, np.array([3.4e8, 3.0e8, 2.5e8]), {"k1": 0.8, "k2": 1.0, "k3": 1.1}
 NAMES = ["floor 1", "floor 2", "roof"]
@@ -353,7 +353,7 @@ def test_outputs_of_modes_alone(finished):
 
 @pytest.mark.slow
 def test_other_nodes_sample_nothing_other_modes_are_refused(finished, folder, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(run, "sample", None)
+    monkeypatch.setattr(sampling, "sample", None)
     out = tmp_path / "copy"
     shutil.copytree(finished, out)
     (folder / "nodes.csv").write_text("name,z\n,0\nfloor 1,4\nfloor 2,8\nroof,12\n")
@@ -451,7 +451,7 @@ def test_verdict_on_modes():
 
 @pytest.mark.slow
 def test_check_draws_what_there_is(folder, capsys, monkeypatch):
-    monkeypatch.setattr(run, "sample", None)
+    monkeypatch.setattr(sampling, "sample", None)
     assert cli.main(["check", str(folder / "m.toml")]) == 0
     told = capsys.readouterr().err
     assert "modes: 3 modes at 3 channels from modes.csv" in told

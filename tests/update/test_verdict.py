@@ -17,11 +17,10 @@ from pymc_features import (
     synthetic_earthquake,
 )
 from pymc_features.update import read_problem, run_update, write_example
-from pymc_features.update.predict import measured_gain
-from pymc_features.update.problem.channels import Measured
-from pymc_features.update.problem.read import Problem
+from pymc_features.update.kinds.channels import Measured
+from pymc_features.update.kinds.residuals import residuals_of
+from pymc_features.update.kinds.responses import Responses, measured_gain
 from pymc_features.update.report.summary import overlap_of
-from pymc_features.update.report.verdict import foretold, residuals_of, verdict
 from update.test_update import replaced
 
 MASS, STIFFNESS = [0.1601, 0.1601, 0.1421], [385.0, 420.0, 600.0]
@@ -37,7 +36,7 @@ def judged(measured, response, structure, record=SHAKING, low=None, high=None):
     kept = SimpleNamespace(low=low, high=high) if low or high else None
     measurements = Measured(record, channels, 0.01, "simulated", None)
     config = SimpleNamespace(processing=SimpleNamespace(band_pass=kept), cyclic=None)
-    problem = Problem(None, "", config, {}, measurements, None, {}, [])
+    responses = Responses(config, measurements, [])
     modes = structure.modes()
     dims = ("chain", "draw", "mode")
     bands = xr.DataArray(response[None], dims=("quantile", "sensor", "time"), coords={"quantile": [0.5]})
@@ -48,9 +47,9 @@ def judged(measured, response, structure, record=SHAKING, low=None, high=None):
         "bands": xr.Dataset({"response": bands.assign_coords(sensor=sensors)}),
         "modal": xr.Dataset({name: (dims, values[None, None]) for name, values in columns.items()}),
     }
-    data = xr.Dataset({"peak_frequency": ("peak", measured_gain(problem)[1])})
+    data = xr.Dataset({"peak_frequency": ("peak", measured_gain(measurements)[1])})
     tree = {f"NORM/{name}": dataset for name, dataset in part.items()} | {"data": data}
-    return verdict(problem, xr.DataTree.from_dict(tree))
+    return responses.verdict(None, xr.DataTree.from_dict(tree), "NORM")
 
 
 @pytest.mark.slow
@@ -126,7 +125,8 @@ def fitted(folder, record, floors, *pairs):
     ]
     path.write_text(replaced(path.read_text(), [*common, *pairs]))
     problem = read_problem(path)
-    return verdict(problem, run_update(problem, progressbar=False))
+    result = run_update(problem, progressbar=False)
+    return problem.verdict(result, problem.reported[0])
 
 
 @pytest.mark.slow
@@ -165,7 +165,8 @@ def test_fits_of_right_and_wrong_models(tmp_path):
 def test_what_sensors_cannot_tell_is_said_before(tmp_path):
     path = tmp_path / "few.toml"
     write_example(path, synthetic=True)
-    told = foretold(read_problem(path))
+    problem = read_problem(path)
+    told = problem.first.foretold(problem)
     assert [sentence.split(":")[0] for sentence in told] == [
         "TN counts 3 observations for 4 unknown parameters of the structure",
         "EXP counts 6 observations for 4 unknown parameters of the structure",

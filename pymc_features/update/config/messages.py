@@ -3,11 +3,15 @@
 import difflib
 import re
 import typing
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from pymc_features.exceptions import ConfigError, DatasetUnavailableError
+
+LONGEST = 600  # characters of a message, which may quote the name of a file
 TAGS = ("union_tag_invalid", "union_tag_not_found")
 
 
@@ -137,3 +141,18 @@ def shown(value) -> str:
     """A value as the file has it, short."""
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+@contextmanager
+def named_key(key: str, **renamed: str):
+    """Errors inside get the section `key` in front, and the keys for arguments that are `renamed`."""
+    try:
+        yield
+    except (ConfigError, DatasetUnavailableError):
+        raise
+    except (ValueError, TypeError, OSError) as error:
+        text = str(error)
+        text = text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+        for argument, name in renamed.items():
+            text = text.replace(f"`{argument}`", f"`{name}`")
+        raise ConfigError(f"[{key}]: {text}") from error

@@ -39,6 +39,16 @@ def key(description, default=..., **limits):
     return Field(default, description=description, **limits)
 
 
+def parameters_of(key, section):
+    """Key, unit and value of every entry of a section that may be random."""
+    for name, field in type(section).model_fields.items():
+        value = getattr(section, name)
+        if isinstance(value, Section):
+            yield from parameters_of(f"{key}.{name}", value)
+        elif isinstance(field.json_schema_extra, dict) and "unit" in field.json_schema_extra:
+            yield f"{key}.{name}", field.json_schema_extra["unit"], value
+
+
 def window(value):
     """Two rising times [s]."""
     numbers = isinstance(value, list) and all(map(is_number, value))
@@ -227,6 +237,13 @@ class Likelihood(Section):
         names = [name for name in ERRORS if name in LIKELIHOODS[kind].takes]
         return [(name, getattr(self, name)) for name in names]
 
+    def parameters(self, config):
+        """Key, unit and value of what may be random; the unit of sigma is that of what is measured."""
+        sigma = "N" if config.cyclic is not None else SIGMA[MEASURED[config.data.quantity]]
+        units = ERRORS | {"sigma": sigma}
+        for name, value in dict(pair for kind in self.kinds for pair in self.parameters_of(kind)).items():
+            yield f"likelihood.{name}", units[name], value
+
     @staticmethod
     def check(entry, name, value):
         """A parameter is there, known or inferred as the likelihood says."""
@@ -285,3 +302,13 @@ class Report(Section):
     quantities: list[QUANTITIES] = key(
         "a list of inter_storey_drift, base_shear, relative_displacement, absolute_acceleration", []
     )
+
+
+class Candidate(Section):
+    """Another structure for the same data."""
+
+    structure: dict[str, Any] = key(
+        "a table: a whole structure with `type`, or what differs from [structure]"
+    )
+    priors: dict[str, dict[str, Any]] = key("a table of priors besides those of [priors]", {})
+    weight: float = key("a prior probability beside 1 of [structure], positive", 1.0, gt=0)

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features import plots
-from pymc_features.update.problem.read import Problem
-from pymc_features.update.report.events import draw_events
-from pymc_features.update.report.modes import draw_mac, draw_shapes
-from pymc_features.update.report.spectra import draw_spectra
+from pymc_features.update.kinds.ambient import draw_spectra
+from pymc_features.update.kinds.events import draw_events
+from pymc_features.update.kinds.modal import draw_mac, draw_shapes
+from pymc_features.update.problem import Problem
 from pymc_features.update.report.summary import kinds_of
 
 ZOOM = 4.0  # [s] around the strongest motion
@@ -65,7 +65,7 @@ def of_modes(problem, shapes, rows, kind) -> list[Figure]:
                 f"{kind}_mac",
                 f"{kind}: modal assurance criterion of the identified shapes and those of the model, median "
                 "and 5-95 % interval of the draws. Framed: the modes that are matched.",
-                lambda: draw_mac(problem, shapes, rows),
+                lambda: draw_mac(problem.modal, shapes, rows),
             )
         )
     if "at_points" in shapes:
@@ -74,7 +74,7 @@ def of_modes(problem, shapes, rows, kind) -> list[Figure]:
                 f"{kind}_shapes",
                 f"{kind}: identified shapes (dots) on those of the model they are matched with, each draw "
                 "scaled by the factor that brings it closest.",
-                lambda: draw_shapes(problem, shapes, rows),
+                lambda: draw_shapes(problem.modal, shapes, rows),
             )
         )
     return found
@@ -109,7 +109,7 @@ def of_one(problem, part, kind) -> list[Figure]:
                 f"{kind}: singular values of the spectra of the channels (black the first, grey the others), "
                 "averaged over twenty parts of the record; shaded the bands that are compared, and in red "
                 "what the model makes of them there, median and 5-95 % interval. Dotted: identified modes.",
-                lambda: draw_spectra(problem, part["spectra"].to_dataset()),
+                lambda: draw_spectra(problem.ambient, part["spectra"].to_dataset()),
             )
         )
     if has_stages(part):

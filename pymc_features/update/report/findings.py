@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
-from pymc_features.update.problem.read import Problem
-from pymc_features.update.report.events import events_verdict
-from pymc_features.update.report.modes import ModeRow, mode_rows
+from pymc_features.update.kinds.base import Verdict
+from pymc_features.update.kinds.events import events_verdict
+from pymc_features.update.kinds.modal import ModeRow
+from pymc_features.update.problem import Problem
 from pymc_features.update.report.summary import Row, changed, kinds_of, rows, supported, warnings_of
-from pymc_features.update.report.verdict import Verdict, verdict
 
 
 class Findings(NamedTuple):
@@ -58,9 +58,9 @@ def findings(problem: Problem, result) -> Findings:
     table = rows(problem, result)
     modes = {}
     if problem.modal is not None:
-        modes = {kind: mode_rows(problem, result[f"{kind}/matched"]) for kind in kinds_of(result)}
+        modes = {kind: problem.modal.rows(result[f"{kind}/matched"]) for kind in kinds_of(result)}
     first = kinds_of(result)[0]
-    of_first = verdict(problem, result, next(iter(modes.values()), []))
+    of_first = problem.verdict(result, first)
     return Findings(
         of_first,
         gaps_of(problem),

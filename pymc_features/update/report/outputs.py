@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pymc_features import plots
 from pymc_features.storage import write_atomically
-from pymc_features.update.problem.read import Problem
+from pymc_features.update.problem import Problem
 from pymc_features.update.report.figures import figures
 from pymc_features.update.report.findings import Findings, findings
 from pymc_features.update.report.page import report

@@ -6,18 +6,17 @@ import importlib.metadata
 
 import numpy as np
 
-from pymc_features._checks import listed
 from pymc_features.update.config.sections import MEASURED
-from pymc_features.update.problem.kinds import KINDS
-from pymc_features.update.problem.read import Problem
-from pymc_features.update.report.events import CANNOT_BE_TOLD, UNTOLD, event_rows
-from pymc_features.update.report.events import COLUMNS as EVENT_COLUMNS
-from pymc_features.update.report.events import MEANING as EVENT_MEANING
+from pymc_features.update.kinds.ambient import ambient_section
+from pymc_features.update.kinds.cyclic import loops_section
+from pymc_features.update.kinds.events import CANNOT_BE_TOLD, UNTOLD, event_rows
+from pymc_features.update.kinds.events import COLUMNS as EVENT_COLUMNS
+from pymc_features.update.kinds.events import MEANING as EVENT_MEANING
+from pymc_features.update.kinds.modal import COLUMNS as MODE_COLUMNS
+from pymc_features.update.kinds.modal import MEANING
+from pymc_features.update.likelihoods import KINDS
+from pymc_features.update.problem import Problem
 from pymc_features.update.report.findings import Findings
-from pymc_features.update.report.loops import loops_section
-from pymc_features.update.report.modes import COLUMNS as MODE_COLUMNS
-from pymc_features.update.report.modes import MEANING
-from pymc_features.update.report.spectra import ambient_section
 from pymc_features.update.report.summary import COLUMNS, kinds_of
 from pymc_features.update.templates import TEMPLATES
 
@@ -44,7 +43,7 @@ def report(problem: Problem, result, found: Findings, drawn) -> str:
     return TEMPLATES.get_template("report.html").render(
         title=config.report.title,
         structure=config.structure.type,
-        used=used_sentence(problem),
+        used=" and ".join(data.used for data in problem.data),
         measures=measures_sentence(problem),
         supported=found.supported,
         verdict=found.verdict,
@@ -79,30 +78,9 @@ def measures_sentence(problem) -> str:
     if problem.measured is None or problem.is_cyclic:
         return ""
     relative = {"relative": "relative to the base", "inter": "those of storeys"}
-    how = relative.get(problem.quantity.split("_")[0], "absolute")
-    kind = MEASURED[problem.quantity].capitalize().replace("Velocity", "Velocitie")
+    how = relative.get(problem.first.quantity.split("_")[0], "absolute")
+    kind = MEASURED[problem.first.quantity].capitalize().replace("Velocity", "Velocitie")
     return f"{kind}s are {how} and in {pretty(problem.measured.units)}."
-
-
-def used_sentence(problem) -> str:
-    """What the structure was updated with."""
-    parts = []
-    if problem.is_cyclic:
-        return f"{problem.measured.record.n_times} measured forces of a cyclic test"
-    if problem.measured is not None:
-        duration = problem.measured.record.duration
-        kind = MEASURED[problem.quantity].replace("velocity", "velocitie")
-        parts.append(f"{len(problem.dofs)} measured {kind}s over {duration:.4g} s")
-        if problem.events:
-            durations = [f"{event.measured.record.duration:.4g}" for event in problem.events]
-            parts = [f"{len(problem.dofs)} measured {kind}s in events of {listed(durations)} s"]
-    if problem.ambient is not None:
-        ambient = problem.ambient
-        return f"{len(problem.dofs)} channels of ambient vibration over {ambient.duration:.4g} s"
-    if problem.modal is not None:
-        n = len(problem.modal.data)
-        parts.append(f"{n} identified mode{'s' if n > 1 else ''}")
-    return " and ".join(parts)
 
 
 def data_section(problem) -> dict:

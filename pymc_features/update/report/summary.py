@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.calibration.bounds import SHORT, interval
-from pymc_features.update.problem.kinds import KINDS
-from pymc_features.update.problem.read import Problem
+from pymc_features.update.likelihoods import KINDS
+from pymc_features.update.problem import Problem
 
 R_HAT = 1.05  # of chains of SMC that agree; they are few and short
 R_HAT_NUTS = 1.01
@@ -49,6 +49,7 @@ def rows(problem: Problem, result: xr.DataTree) -> list[Row]:
     import arviz as az  # slow to import
 
     found = []
+    low, high = problem.first.band
     for kind in kinds_of(result):
         part = result[kind]
         posterior, prior = part["posterior"].to_dataset(), part["prior"].to_dataset()
@@ -77,7 +78,7 @@ def rows(problem: Problem, result: xr.DataTree) -> list[Row]:
         modal = part["modal"]["natural_frequency"]
         for mode in modal["mode"].values:
             one = modal.sel(mode=mode)
-            if mode > 1 and not problem.band[0] <= float(one.median()) <= problem.band[1]:
+            if mode > 1 and not low <= float(one.median()) <= high:
                 continue  # the data say nothing about it
             found.append(Row(kind, f"f{mode}", "Hz", *moments(one), *[np.nan] * 4))
     return found

@@ -4,8 +4,8 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
+from pymc_features.update.kinds.modal import COLUMNS as MODE_COLUMNS
 from pymc_features.update.report.findings import Findings
-from pymc_features.update.report.modes import COLUMNS as MODE_COLUMNS
 from pymc_features.update.report.page import gain_rows, posterior_row
 from pymc_features.update.report.summary import COLUMNS
 

@@ -4,14 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.update.problem.coarseness import too_coarse
-from pymc_features.update.problem.kinds import KINDS
-from pymc_features.update.problem.read import Problem
-from pymc_features.update.report.judgement import Verdict
-from pymc_features.update.report.loops import verdict_of_loops
-from pymc_features.update.report.modes import ModeRow, modes_verdict
-from pymc_features.update.report.spectra import verdict_of_spectra
-from pymc_features.update.report.summary import kinds_of
+from pymc_features.update.kinds.base import Verdict
+from pymc_features.update.kinds.coarseness import too_coarse
 
 UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation, unless it is noise
 WORSE = 0.9  # the same, of a model with which nothing is gained
@@ -54,45 +48,12 @@ class Residuals(NamedTuple):
     near: np.ndarray
 
 
-def verdict(problem: Problem, result, modes: list[ModeRow] = ()) -> Verdict:
-    """Judge the fit of the first likelihood of a result.
-
-    Parameters
-    ----------
-    problem : Problem
-        What was updated.
-    result : DataTree
-        From `run_update`.
-    modes : list of ModeRow
-        Identified modes under this likelihood.
-    """
-    sentences, explains = modes_verdict(modes) if modes else ([], True)
-    if problem.measured is not None:
-        of_first = verdict_of_responses if not problem.is_cyclic else verdict_of_force
-        of_responses = of_first(problem, result)
-        sentences = [*of_responses.sentences, *sentences]
-        explains &= of_responses.explains
-    if problem.ambient is not None:
-        sd = [] if problem.modal is None else problem.modal.data.frequency_sd
-        fitted = result[kinds_of(result)[0]]["spectra"].to_dataset()
-        of_spectra = verdict_of_spectra(fitted, modes, sd)
-        sentences = [*of_spectra.sentences, *sentences]
-        explains &= of_spectra.explains
-    return Verdict(sentences, explains)
-
-
-def verdict_of_force(problem: Problem, result) -> Verdict:
-    """Judge how the first likelihood of a result meets the force of a cyclic test."""
-    return verdict_of_loops(problem, result[kinds_of(result)[0]])
-
-
-def verdict_of_responses(problem: Problem, result) -> Verdict:
-    """Judge how the first likelihood of a result meets measured responses."""
-    kind = kinds_of(result)[0]
+def verdict_of_responses(data, result, kind: str) -> Verdict:
+    """Judge how one likelihood of a result meets measured responses."""
     part = result[kind]
     modes = part["modal"].to_dataset().median(["chain", "draw"])
     frequencies, ratios = (modes[name].values for name in ("natural_frequency", "damping_ratio"))
-    found = residuals_of(problem, part, frequencies)
+    found = residuals_of(data, part, frequencies)
     sensors = [str(name) for name in part["bands"]["sensor"].values]
     structured = found.densest > DENSE
     bad = (found.relative > UNEXPLAINED) & structured
@@ -102,17 +63,17 @@ def verdict_of_responses(problem: Problem, result) -> Verdict:
     else:
         peaks = result["data"]["peak_frequency"].values
         sentences += no_noise(sensors, found, structured & (found.relative > ROUGH), frequencies)
-        sentences += missing_modes(found, peaks, frequencies, problem.band)
-    sentences += extrapolated(frequencies, problem.band)
+        sentences += missing_modes(found, peaks, frequencies, data.band)
+    sentences += extrapolated(frequencies, data.band)
     sentences += odd_damping(ratios)
     of_sampling = []
     if "coarseness" in part["bands"]:
         ratios = part["bands"]["coarseness"].values
-        of_sampling = too_coarse(ratios, sensors, problem.measured.record.interpolation)
+        of_sampling = too_coarse(ratios, sensors, data.measured.record.interpolation)
     return Verdict([*sentences, *of_sampling], not bad.any() and not of_sampling)
 
 
-def residuals_of(problem, part, frequencies) -> Residuals:
+def residuals_of(data, part, frequencies) -> Residuals:
     """Spectra of what the median response leaves over, and of the base."""
     from scipy import signal  # a second to import
 
@@ -124,17 +85,17 @@ def residuals_of(problem, part, frequencies) -> Residuals:
     error = measured - response
     if not error.any():  # a response without any error has no spectrum of it
         error = np.finfo(float).eps * measured
-    fs = 1.0 / problem.measured.step
+    fs = 1.0 / data.measured.step
     rough = {"fs": fs, "nperseg": min(size, max(16, size // SEGMENTS))}
     with np.errstate(divide="ignore", invalid="ignore"):  # of frequencies without any motion
-        frequency, coherence = signal.coherence(problem.measured.base[:size], error, **rough)
+        frequency, coherence = signal.coherence(data.measured.base[:size], error, **rough)
     fine = min(size, max(64, size // 3))
     at, power = signal.welch(error, fs=fs, nperseg=fine, nfft=4 * fine)
     close = np.maximum(BESIDE * frequencies, 2.0 * fs / fine)[:, None]
     beside = np.abs(at - frequencies[:, None]) < close
     beside &= np.cumsum(beside, axis=0) == 1  # each frequency counts once
     spectrum = signal.welch(error, **rough)[1]
-    low, high = problem.band
+    low, high = data.band
     inside = np.sort(spectrum[:, (frequency >= low) & (frequency <= high)], axis=1)
     some = max(1, round(NARROW * inside.shape[1]))
     return Residuals(
@@ -227,21 +188,3 @@ def odd_damping(ratios) -> list[str]:
         f"The damping is beyond what structures have: {named}. It may stand for something that the model "
         "lacks."
     ]
-
-
-def foretold(problem: Problem) -> list[str]:
-    """What likelihoods that count sensors cannot tell, before anything is sampled."""
-    if problem.modal is not None or problem.ambient is not None:
-        return []  # modes are observations besides, or spectra are
-    n_unknown = len(problem.structure.names)
-    measured, m = [event.measured for event in problem.events], problem.config.likelihood.m
-    advice = "" if measured else " CAL counts what the residuals support."
-    found = []
-    for kind in problem.config.likelihood.kinds:
-        claimed = [KINDS[kind].claimed(one.samples, m) for one in measured or [problem.measured]]
-        if None not in claimed and sum(claimed) < 2 * n_unknown:
-            found.append(
-                f"{kind} counts {sum(claimed):.0f} observations for {n_unknown} unknown parameters of the "
-                f"structure: expect a posterior that is not much narrower than the prior.{advice}"
-            )
-    return found

@@ -7,8 +7,6 @@ import numpy as np
 
 from pymc_features.simulators.quantities import rows_of
 from pymc_features.simulators.simulate import respond
-from pymc_features.update.problem.model import request_of
-from pymc_features.update.problem.read import Problem
 
 FINEST = 8  # refinement beside which that of the model is judged
 TOO_COARSE = 1.0  # difference over the half-width of the 90 % bands that is more than the fit may claim
@@ -43,25 +41,25 @@ class Coarseness(NamedTuple):
         )
 
 
-def coarseness(problem: Problem, values: dict[str, float]) -> Coarseness:
+def coarseness(data, problem, values: dict[str, float]) -> Coarseness:
     """What the sampling of the base does to the responses at some values of the priors.
 
     A record that is taken as straight lines is compared with one that is band-limited.
     """
-    structure, record = problem.structure(**values), problem.measured.record
-    asked, outputs = request_of(problem)
+    structure, record = problem.structure(**values), data.measured.record
+    asked, outputs = data.request(problem)
     rows = rows_of(structure, asked.quantity, asked, outputs).picked
     used = respond(structure, record, asked, rows)
     smooth = replace(record, interpolation="band-limited")
     fine = respond(structure, smooth, asked._replace(factor=FINEST), rows)
     modes = structure.modes(asked.n_modes) if structure.family == "linear" else structure.modes()
     shares = modes.natural_frequencies * record.dt
-    change = np.sqrt(((used - fine)[:, problem.measured.compared] ** 2).mean(axis=1))
-    size = np.sqrt((fine[:, problem.measured.compared] ** 2).mean(axis=1))
+    change = np.sqrt(((used - fine)[:, data.measured.compared] ** 2).mean(axis=1))
+    size = np.sqrt((fine[:, data.measured.compared] ** 2).mean(axis=1))
     return Coarseness(float(shares[shares <= 1.0].max(initial=shares[0])), asked.factor, change, size)
 
 
-def coarse_sampling(problem: Problem, posterior, response) -> np.ndarray:
+def coarse_sampling(data, problem, posterior, response) -> np.ndarray:
     """That change at the posterior's mean over the half-width of the 90 % bands of responses, (sensor,).
 
     `response` (quantile, sensor, time) has the quantiles 0.05 and 0.95.
@@ -69,7 +67,7 @@ def coarse_sampling(problem: Problem, posterior, response) -> np.ndarray:
     values = {name: float(posterior[name].mean()) for name in problem.structure.names}
     low, high = (response.sel(quantile=q).transpose("sensor", "time").values for q in (0.05, 0.95))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return coarseness(problem, values).change / (0.5 * np.sqrt(((high - low) ** 2).mean(axis=1)))
+        return coarseness(data, problem, values).change / (0.5 * np.sqrt(((high - low) ** 2).mean(axis=1)))
 
 
 def too_coarse(ratios, sensors, interpolation: str) -> list[str]:

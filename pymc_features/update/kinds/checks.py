@@ -10,7 +10,6 @@ import xarray as xr
 
 from pymc_features import signals
 from pymc_features.exceptions import ChannelWarning, ConfigError
-from pymc_features.update.config.document import Config
 
 LOWEST, HIGHEST = 1.0 / 7.0, 0.5  # of the first natural frequency: where the floors follow the base
 COHERENT = 0.5  # of a floor with the base, where the base moves
@@ -33,7 +32,7 @@ class Checked(NamedTuple):
     sentence: str
 
 
-def check(channels, config: Config, first_frequency: float) -> Checked:
+def check(channels, config, first_frequency: float) -> Checked:
     """Check the channels, base first, in the band of the file or below an expected frequency [Hz].
 
     Raises
@@ -91,7 +90,7 @@ def refuse_offsets(gains) -> None:
         )
 
 
-def corrections(gains, config: Config) -> list[str]:
+def corrections(gains, config) -> list[str]:
     """Lines of [data] that put right what was found, with what is corrected already."""
     data, lines = config.data, []
     names = [str(name) for name in gains["sensor"].values]

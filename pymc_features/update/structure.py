@@ -1,6 +1,7 @@
 """The structure of a configuration, as a function of the values of its priors."""
 
 import inspect
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +10,11 @@ from pymc_features import structures
 from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_matrices
 from pymc_features.io.reading.units import system_of_units
-from pymc_features.structures import AffineStructure
+from pymc_features.structures import AffineStructure, Kind
 from pymc_features.structures.specimens import DETERIORATIONS, SPECIMENS
-from pymc_features.update.config.document import parameters_of
-from pymc_features.update.config.entries import Matrix, evaluated, priors_in
-from pymc_features.update.config.sections import Section
-from pymc_features.update.problem.channels import named_key
-from pymc_features.update.problem.storeys import spread_over_storeys
+from pymc_features.update.config.entries import Matrix, Taper, evaluated, priors_in
+from pymc_features.update.config.messages import named_key
+from pymc_features.update.config.sections import Section, parameters_of
 
 CATALOGUE = {cls.__name__: cls for cls in (*structures.STRUCTURES, *SPECIMENS)}
 PARTS = {cls.__name__: cls for cls in (*structures.DAMPINGS, *DETERIORATIONS)}
@@ -51,6 +50,11 @@ class StructureOf:
             True for key, _, value in parameters_of("", section) if "damping" in key for _ in priors_in(value)
         )
         self._constant = None
+
+    @property
+    def is_specimen(self) -> bool:
+        """Whether it has forces and no motion."""
+        return self.type in SPECIMENS
 
     @property
     def n_modes(self) -> int | None:
@@ -118,3 +122,55 @@ def modes_of(structure, n_modes):
     if structure.has_storeys:
         return structure.modes()
     return structure.modes(min(n_modes or MOST_MODES, structure.n_modes))
+
+
+def spread_over_storeys(section, inputs) -> dict:
+    """Values of the section that are one for each storey, or one for all, by name.
+
+    Parameters
+    ----------
+    section : Section
+        Of a structure with storeys.
+    inputs : dict
+        `inputs` of the structure.
+
+    Raises
+    ------
+    ConfigError
+        If a number of values is not `n`, or a taper has no number of storeys to go over.
+    """
+    given = {name: getattr(section, name) for name, of in inputs.items() if of.kind is Kind.VECTOR}
+    lengths = {name: length for name, value in given.items() if (length := length_of(value)) is not None}
+    n = section.n if section.n is not None else next(iter(lengths.values()), None)
+    for name, length in lengths.items():
+        if section.n is not None and length != n:
+            raise ConfigError(
+                f"`structure.{name}` must have one value or one for each of the n = {n} storeys, got "
+                f"{length}. Groups add up to n."
+            )
+    return {name: spread(name, value, n, section.n is not None) for name, value in given.items()}
+
+
+def length_of(value) -> int | None:
+    """How many storeys a value is for, None if it can be any number."""
+    if isinstance(value, Taper):
+        value = value.times
+    return len(value) if isinstance(value, list | tuple) else None
+
+
+def spread(name, value, n, every):
+    """A taper over n storeys; one value n times if `every` is to have its own; anything else as it is."""
+    if not isinstance(value, Taper):
+        return [value] * n if every and not isinstance(value, list) else value
+    if n is None:
+        raise ConfigError(
+            f"`structure.{name}` must have a number of storeys to taper over, got neither `n` nor a list of "
+            "values. Add n = 42 to [structure]."
+        )
+    if n < 2 or length_of(value) not in (None, n):
+        what = f"{n} storey" if n < 2 else f"{length_of(value)} values of `times` for {n} storeys"
+        raise ConfigError(
+            f"`structure.{name}` must taper over two storeys or more, with one value of `times` for each or "
+            f"for all, got {what}."
+        )
+    return replace(value, n=n)

@@ -1,7 +1,6 @@
 """From files to the motion of the base and the measured responses, processed alike."""
 
 import warnings
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
@@ -11,17 +10,14 @@ import xarray as xr
 
 from pymc_features import datasets, signals
 from pymc_features.cyclic_test import CyclicTest
-from pymc_features.exceptions import ConfigError, DatasetUnavailableError
+from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_channels, read_channels_with_gaps, read_record
 from pymc_features.io.reading.labels import SI
 from pymc_features.records import EVEN, Record
 from pymc_features.signals.channels import check_window
-from pymc_features.update.config.document import Config
-from pymc_features.update.config.messages import shown
+from pymc_features.update.config.messages import named_key, shown
 from pymc_features.update.config.sections import MEASURED
-from pymc_features.update.problem.checks import Checked, check, warn_of_motion
-
-LONGEST = 600  # characters of a message, which may quote the name of a file
+from pymc_features.update.kinds.checks import Checked, check, warn_of_motion
 
 
 @dataclass(frozen=True)
@@ -93,22 +89,7 @@ def base_and_sensors(measured: Measured) -> xr.DataArray:
     return xr.DataArray(values, coords, ("sensor", "time"))
 
 
-@contextmanager
-def named_key(key: str, **renamed: str):
-    """Errors inside get the section `key` in front, and the keys for arguments that are `renamed`."""
-    try:
-        yield
-    except (ConfigError, DatasetUnavailableError):
-        raise
-    except (ValueError, TypeError, OSError) as error:
-        text = str(error)
-        text = text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
-        for argument, name in renamed.items():
-            text = text.replace(f"`{argument}`", f"`{name}`")
-        raise ConfigError(f"[{key}]: {text}") from error
-
-
-def read_measured(config: Config, folder: Path, first_frequency: float) -> Measured:
+def read_measured(config, folder: Path, first_frequency: float) -> Measured:
     """Read, correct, check and process the channels of a configuration; files are relative to `folder`.
 
     The check is made below the first natural frequency that is expected [Hz].
@@ -154,7 +135,7 @@ def read_measured(config: Config, folder: Path, first_frequency: float) -> Measu
     return Measured(record, floors, factor * record.dt, source, checked, first)
 
 
-def read_corrected(config: Config, folder: Path) -> tuple[xr.DataArray, str]:
+def read_corrected(config, folder: Path) -> tuple[xr.DataArray, str]:
     """The channels that [data] names, the base first, corrected as it says; and the names of their files."""
     with named_key("data", path="files"):
         channels, source = read_all(config, folder)
@@ -288,3 +269,25 @@ def processed(channels, config, first_frequency) -> tuple[xr.DataArray, Checked]
             warn_of_motion(channels, asked.trim[0], first_frequency)
             channels = signals.trim(channels, *asked.trim)
     return channels, checked
+
+
+def checked_dofs(config, size) -> list[int]:
+    """A degree of freedom for each sensor."""
+    sensors, dofs = config.data.sensors, config.data.dofs
+    if dofs is None:
+        if len(sensors) != size:
+            raise ConfigError(
+                f"`data.sensors` must be one for each of the {size} degrees of freedom of the structure, got "
+                f"{len(sensors)}. Say by `data.dofs` where they are."
+            )
+        return list(range(size))
+    if len(dofs) != len(sensors):
+        raise ConfigError(
+            f"`data.dofs` must have one value for each of the {len(sensors)} sensors, got {len(dofs)}."
+        )
+    if len(set(dofs)) < len(dofs) or not all(0 <= dof < size for dof in dofs):
+        raise ConfigError(
+            f"`data.dofs` must be different numbers from 0 to {size - 1}, got {shown(dofs)}. 0 is next "
+            "to the base."
+        )
+    return dofs

@@ -1,0 +1,78 @@
+"""Several structures for the same data, compared by their evidence: [compare]."""
+
+from pathlib import Path
+
+import xarray as xr
+
+from pymc_features.events import compare
+from pymc_features.exceptions import ConfigError
+from pymc_features.update.config.document import validated
+from pymc_features.update.likelihoods import KINDS
+from pymc_features.update.parts import RunSettings, run_parts
+from pymc_features.update.problem import Problem, problem_of
+
+GIVEN = "as in [structure]"  # what the structure of the file is called
+LEFT_OUT = ("compare", "predict")  # sections that are those of the file alone
+
+
+def problem_with(problem: Problem, name: str) -> Problem:
+    """The problem with the structure of one candidate, and with the priors that it uses.
+
+    Raises
+    ------
+    ConfigError
+        If it is no structure, or a prior is missing; the message names the candidate.
+    """
+    asked, raw = problem.config.compare[name], problem.raw
+    own = {k: v for k, v in raw.items() if k not in LEFT_OUT}
+    own["structure"] = asked.structure if "type" in asked.structure else raw["structure"] | asked.structure
+    own["priors"] = raw["priors"] | asked.priors
+    try:
+        uses = validated(own, prune=True).uses()
+        own["priors"] = {k: v for k, v in own["priors"].items() if k in uses}
+        return problem_of(problem.path, problem.text, validated(own), own)
+    except ConfigError as error:
+        raise ConfigError(f"[compare.{name}]: {error}") from error
+
+
+def compared(problem: Problem, parts, settings: RunSettings) -> dict[str, xr.Dataset]:
+    """Evidence and probability of every candidate under each likelihood that has an evidence.
+
+    Parameters
+    ----------
+    problem : Problem
+        Perhaps with [compare].
+    parts : dict
+        Likelihoods to what was sampled with the structure of the file.
+    settings : RunSettings
+        Candidates are kept in `compare/<name>` of its folder.
+
+    Returns
+    -------
+    dict
+        `compare/<likelihood>` to the group `comparison` of `compare`, (model,).
+    """
+    asked = problem.config.compare
+    if not asked:
+        return {}
+    found = {GIVEN: parts}
+    for name in asked:
+        own = None if settings.out is None else Path(settings.out) / "compare" / name
+        found[name] = run_parts(problem_with(problem, name), settings._replace(out=own)).found
+    prior = {GIVEN: 1.0} | {name: candidate.weight for name, candidate in asked.items()}
+    kinds = [k for k in parts if not (KINDS[k].calibrates or KINDS[k].is_likelihood_free)]
+    return {
+        f"compare/{kind}": compare({name: of_kind[kind] for name, of_kind in found.items()}, prior=prior)[
+            "comparison"
+        ].to_dataset()
+        for kind in kinds
+    }
+
+
+def comparison_sentences(comparison: xr.Dataset, kind: str) -> list[str]:
+    """Which candidate the data prefer under a likelihood, and by how much."""
+    shares = ", ".join(
+        f"{name} {float(p):.3f}"
+        for name, p in zip(comparison["model"].values, comparison["probability"].values, strict=True)
+    )
+    return [f"Probabilities of the structures under {kind}: {shares}. {comparison.attrs['message']}"]

@@ -1,0 +1,489 @@
+"""Response to forces that nobody measured: [ambient], its bands, and what models make of them."""
+
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pymc as pm
+import pytensor
+import pytensor.tensor as pt
+import xarray as xr
+from pydantic import PlainValidator, model_validator
+from pytensor.graph.replace import clone_replace
+
+from pymc_features import plots, signals
+from pymc_features.ambient import AmbientResponse, spectral_response
+from pymc_features.ambient.bands import Bands, checked_bands
+from pymc_features.ambient.density import parameters_of
+from pymc_features.ambient.transfer import transfer_functions
+from pymc_features.ambient.transforms import band_transform
+from pymc_features.exceptions import AmbientWarning, ConfigError
+from pymc_features.identification import identify_modes, propose_bands
+from pymc_features.likelihoods import DIMS
+from pymc_features.modal import ModalData
+from pymc_features.signals.spectra import averaged_spectra
+from pymc_features.storage import fingerprint
+from pymc_features.structures import Structure
+from pymc_features.update.config.entries import Vector, evaluated
+from pymc_features.update.config.messages import named_key
+from pymc_features.update.config.sections import Section, key, window
+from pymc_features.update.kinds.base import KindOfData, Setting, Verdict, check_positive_priors
+from pymc_features.update.kinds.channels import checked_dofs, detrended, read_corrected
+from pymc_features.update.kinds.modal import Modal, ModalSection
+from pymc_features.update.likelihoods import AMBIENT
+from pymc_features.update.model import thinned
+
+DENSITY = "the name of a prior or a positive number in {}, one or one for each band"
+UNITS = {"dofs": "N^2/Hz", "modes": "N^2/kg/Hz"}  # of the forces
+ERROR = "m^2/s^3"  # (m/s^2)^2/Hz
+PASSED = 0.4  # of the sampling rate: what decimation leaves as it was
+PARTNER = {"sigma_f": 0.01, "sigma_phi": 0.05}  # by which modes of the model are matched
+QUANTILES = (0.05, 0.5, 0.95)
+DRAWS = 50
+LEAKS = 8  # quarters of a resolution on each side from which averaged spectra take in
+FEWEST, PARTS = 24, 8  # frequencies of a part of a band, and parts of a band
+CERTAIN = 6.0  # standard deviations of a part of a band off
+APART = 5.0  # standard deviations between an identified frequency and that of the model
+MUCH = 1.5  # factor of the power that is worth a word
+ADVICE = {
+    "base": "The motion of the base is not known, or there is none.",
+    "gaps": "Take a part of the record without gaps.",
+    "band_pass": "Choose by `ambient.bands` which frequencies are compared.",
+    "compare": "Choose by `processing.trim` what is compared.",
+    "check_band": "Channels are checked against a base.",
+    "natural_frequencies": "Those of the channels are identified and shown.",
+    "quantities": "No response is predicted.",
+}
+
+
+def pairs(value):
+    """Pairs of frequencies [Hz], or what finds them."""
+    if value == "auto":
+        return value
+    if not isinstance(value, list) or not value:
+        raise ValueError('must be "auto" or a list of pairs [from, to] in Hz')
+    return [window(item) for item in value]
+
+
+class AmbientSection(Section):
+    """Spectral densities of forces and errors, and the frequencies that are compared."""
+
+    bands: Annotated[Any, PlainValidator(pairs)] = key('"auto" or a list of pairs [from, to] in Hz', "auto")
+    force: Vector = key(DENSITY.format("N^2/Hz"))
+    error: Vector = key(DENSITY.format("(m/s^2)^2/Hz"))
+    forces: Literal["dofs", "modes"] = key('"dofs" or "modes", where they act', "dofs")
+
+    @model_validator(mode="after")
+    def one_for_each_band(self):
+        """Numbers are positive, and lists fit the bands."""
+        for name in ("force", "error"):
+            value = getattr(self, name)
+            numbers = [v for v in (value if isinstance(value, list) else [value]) if isinstance(v, float)]
+            if any(number <= 0.0 for number in numbers):
+                raise ValueError(f"must have positive spectral densities as `{name}`, got {min(numbers):g}")
+            if isinstance(value, list) and self.bands == "auto":
+                raise ValueError(f'must list `bands` where `{name}` is a list, got "auto"')
+            if isinstance(value, list) and len(value) != len(self.bands):
+                raise ValueError(
+                    f"must have one value or one for each of the {len(self.bands)} bands as `{name}`, got "
+                    f"{len(value)}"
+                )
+        return self
+
+    def parameters(self, config=None):
+        """Key, unit and value of what may be random."""
+        yield "ambient.force", UNITS[self.forces], self.force
+        yield "ambient.error", ERROR, self.error
+
+
+@dataclass(frozen=True)
+class Ambient(KindOfData):
+    """Accelerations under forces that nobody measured.
+
+    Attributes
+    ----------
+    config : Config
+        The configuration file.
+    channels : DataArray (sensor, time)
+        Measured accelerations [m/s^2] at `step`.
+    step : float
+        Sampling interval [s].
+    bands : array (band, 2)
+        Frequencies that are compared [Hz].
+    source : str
+        Where the channels come from.
+    dofs : list of int
+        Degree of freedom of each sensor.
+    structure : Structure
+        What the priors expect.
+    """
+
+    config: Any
+    channels: xr.DataArray
+    step: float
+    bands: np.ndarray
+    source: str
+    dofs: list[int]
+    structure: Structure
+
+    key = "ambient"
+    likelihoods = [AMBIENT.name]
+
+    @classmethod
+    def is_asked(cls, config):
+        """Whether the excitation is not measured."""
+        return config.data is not None and config.data.excitation == "ambient"
+
+    @classmethod
+    def check_sections(cls, config):
+        """Other sections say nothing that means nothing where the excitation was not measured."""
+        if config.ambient is None:
+            raise ConfigError(
+                '`ambient` must be given with `data.excitation = "ambient"`: a table with `force` and '
+                "`error`, the spectral densities of forces and errors."
+            )
+        for name in ("record", "likelihood", "events", "modal"):
+            if name in config.model_fields_set:
+                raise ConfigError(
+                    f'`{name}` must be left out with `data.excitation = "ambient"`, got it. The spectra of '
+                    "the channels are compared, as [ambient] says."
+                )
+        asked = config.processing
+        of_data = {
+            "base": config.data.base,
+            "gaps": None if config.data.gaps == "refuse" else config.data.gaps,
+        }
+        for section, given in (
+            ("data", of_data),
+            ("processing", {name: getattr(asked, name) for name in ("band_pass", "compare", "check_band")}),
+            ("report", {"natural_frequencies": config.report.natural_frequencies}),
+            ("report", {"quantities": config.report.quantities or None}),
+        ):
+            for name, value in given.items():
+                if value is not None:
+                    raise ConfigError(
+                        f'`{section}.{name}` must be left out with `data.excitation = "ambient"`, got it. '
+                        f"{ADVICE[name]}"
+                    )
+
+    @classmethod
+    def read(cls, given: Setting):
+        """Read, correct and process the channels, and find bands if it is asked for."""
+        config = given.config
+        dofs = checked_dofs(config, given.expected.n_dof)
+        check_positive_priors("ambient", config.ambient, ("force", "error"), given.priors)
+        channels, source = read_corrected(config, given.folder)
+        asked = config.processing
+        channels = detrended(channels, asked)
+        if asked.trim is not None:
+            with named_key("processing.trim"):
+                channels = signals.trim(channels, *asked.trim)
+        with named_key("processing.decimate"):
+            channels = signals.decimate(channels, asked.decimate)
+        with named_key("data"):
+            step = signals.sampling_step(channels)
+        bands = config.ambient.bands
+        with named_key("ambient.bands"):
+            bands = propose_bands(channels) if bands == "auto" else bands
+            bands = checked_bands(bands, channels.sizes["time"], step, 0).limits
+        if asked.decimate > 1 and bands.max() > PASSED / step:
+            raise ConfigError(
+                f"`ambient.bands` must end below {PASSED / step:.4g} Hz after `processing.decimate`, got "
+                f"{bands.max():.4g} Hz: decimation weakens what is above. Decimate less."
+            )
+        return cls(config, channels, step, bands, source, dofs, given.expected)
+
+    @cached_property
+    def modes(self) -> Modal | None:
+        """Modes identified in the bands, when they are first asked for: that takes seconds.
+
+        None if there are none, or more than the structure has.
+
+        Warns
+        -----
+        AmbientWarning
+            If a band has no mode, or a mode is too narrow, as that of a machine.
+        """
+        return identified(self.channels, self.bands, self.dofs, self.structure)
+
+    @property
+    def duration(self) -> float:
+        """Of the record [s]."""
+        return self.step * self.channels.sizes["time"]
+
+    @property
+    def sentence(self) -> str:
+        """Which bands are compared, as [ambient] has them."""
+        pairs = ", ".join(f"[{low:.4g}, {high:.4g}]" for low, high in self.bands)
+        return f"bands = [{pairs}]  # Hz"
+
+    @property
+    def used(self):
+        """How many channels, and for how long."""
+        return f"{len(self.dofs)} channels of ambient vibration over {self.duration:.4g} s"
+
+    @property
+    def band(self):
+        """From the first to the last that is compared."""
+        return float(self.bands.min()), float(self.bands.max())
+
+    def prints(self):
+        """Of the channels and the bands."""
+        arrays = {"channels": self.channels.values, "bands": self.bands}
+        return {f"{k}_sha256": fingerprint(np.ascontiguousarray(v)) for k, v in arrays.items()}
+
+    def parameters(self, likelihood):
+        """Densities of forces and errors."""
+        return [value for *_, value in self.config.ambient.parameters()]
+
+    def declare(self, problem, likelihood, structure, values, tolerance):
+        """Add the response to forces that nobody measured."""
+        asked = self.config.ambient
+        pm.modelcontext(None).add_coords({dim: self.channels[dim].values for dim in DIMS})
+        force, error = (pt.as_tensor_variable(evaluated(v, values)) for v in (asked.force, asked.error))
+        with named_key("ambient", excitation="ambient.force", error="ambient.error"):
+            found = spectral_response(
+                structure, force, forces=asked.forces, sensors=self.dofs, n_modes=problem.structure.n_modes
+            )
+            AmbientResponse(
+                "y",
+                found,
+                error=error,
+                bands=self.bands,
+                dt=self.step,
+                observed=self.channels.values,
+                dims=DIMS,
+            )
+
+    def predict(self, problem, likelihood, model, idata):
+        """The spectra of the model, and its modes beside those of the channels."""
+        found = {"spectra": fitted_spectra(self, model, idata["posterior"].to_dataset())}
+        return found if self.modes is None else found | self.modes.predict(problem, likelihood, model, idata)
+
+    def shared(self, problem, parts):
+        """The modes of the channels, and shapes of draws."""
+        return {} if self.modes is None else self.modes.shared(problem, parts)
+
+    def verdict(self, problem, result, kind):
+        """Whether the power in each part of the bands is what the model expects, and the modes are."""
+        modes = self.modes
+        rows = [] if modes is None else modes.rows(result[f"{kind}/matched"])
+        sd = [] if modes is None else modes.data.frequency_sd
+        of_spectra = verdict_of_spectra(result[f"{kind}/spectra"].to_dataset(), rows, sd)
+        if modes is None:
+            return of_spectra
+        of_modes = modes.verdict(problem, result, kind)
+        return Verdict(
+            [*of_spectra.sentences, *of_modes.sentences], of_spectra.explains and of_modes.explains
+        )
+
+
+def compared_modes(data: ModalData) -> ModalSection:
+    """A section [modal] by which the modes of a model are matched with those that channels have."""
+    if data.shapes is None:
+        return ModalSection(file="", shapes=False, sigma_f=PARTNER["sigma_f"])
+    return ModalSection(file="", **PARTNER)
+
+
+def identified(channels, bands, dofs, structure) -> Modal | None:
+    """The modes that channels have in some bands, where a model can have as many."""
+    try:
+        with named_key("ambient.bands"):
+            data = identify_modes(channels, bands)
+    except ConfigError as error:
+        warnings.warn(f"No modes were identified to compare with: {error}", AmbientWarning, stacklevel=2)
+        return None
+    if len(dofs) < 2:  # a shape of one entry says nothing
+        known = {name: getattr(data, name) for name in ("frequency_sd", "damping_ratios", "damping_sd")}
+        data, dofs = ModalData(data.frequencies, **known), []
+    section = compared_modes(data)
+    try:
+        return Modal.compared(section, data, dofs, structure, "the spectra in the bands")
+    except ConfigError:
+        warnings.warn(
+            f"The channels have {len(data)} modes in the bands, more than the structure: it cannot explain "
+            "all of them. Choose `ambient.bands` around those that it has.",
+            AmbientWarning,
+            stacklevel=2,
+        )
+        return None
+
+
+def fitted_spectra(ambient, model, posterior: xr.Dataset) -> xr.Dataset:
+    """Singular values of the spectra that a model makes, and how far the channels are from them.
+
+    Returns
+    -------
+    Dataset
+        `response` (quantile, value, frequency), singular values of the expected spectra inside the bands
+        [(m/s^2)^2/Hz], as Welch's method sees them; `ratio` (part), power of the channels over what is
+        expected, in all directions alike, F' E^-1 F / s, its mean over the draws and over the frequencies
+        between `low` and `high` [Hz], and its standard deviation `sd` if the model is right.
+    """
+    bands = checked_bands(ambient.bands, ambient.channels.sizes["time"], ambient.step, 0)
+    spectra = averaged_spectra(ambient.channels.values, ambient.step)
+    f = spectra.frequencies
+    band = np.searchsorted(ambient.bands[:, 0], f, side="right") - 1
+    inside = (band >= 0) & (f <= ambient.bands[band, 1])
+    kernel, offsets = seen_by_welch(spectra.length)
+    fine = f[inside, None] + f[1] * offsets
+    of_channels, values = transforms(ambient, bands), []
+    ratios = np.zeros(bands.bins.size)
+    own_band = np.repeat(np.arange(len(bands.limits)), np.diff(bands.starts))
+    for parameters in parts_of_draws(model, posterior):
+        expected = covariance(parameters, fine.ravel(), np.repeat(band[inside], offsets.size))
+        expected = expected.reshape(*fine.shape, *expected.shape[1:])
+        values.append(np.linalg.eigvalsh(np.einsum("o,koij->kij", kernel, expected))[:, ::-1])
+        whole = covariance(parameters, bands.frequencies, own_band)
+        solved = np.linalg.solve(whole, of_channels[..., None])[..., 0]
+        ratios += (of_channels.conj() * solved).sum(axis=1).real / of_channels.shape[1]
+    low, high, ratio, sd = by_parts(bands, ratios / len(values), of_channels.shape[1])
+    found = np.quantile(values, QUANTILES, axis=0)
+    return xr.Dataset(
+        {
+            "response": (("quantile", "frequency", "value"), found, {"units": "(m/s^2)^2/Hz"}),
+            "ratio": ("part", ratio),
+            "sd": ("part", sd),
+            "low": ("part", low, {"units": "Hz"}),
+            "high": ("part", high, {"units": "Hz"}),
+        },
+        {"quantile": list(QUANTILES), "frequency": f[inside], "value": 1 + np.arange(found.shape[-1])},
+    ).transpose("quantile", "value", "frequency", "part")
+
+
+def seen_by_welch(length: int) -> tuple[np.ndarray, np.ndarray]:
+    """Shares, and distances in resolutions, of the frequencies that an averaged spectrum takes together."""
+    from scipy import signal  # a second to import
+
+    offsets = np.arange(-LEAKS, LEAKS + 1) / 4.0
+    wave = np.exp(-2j * np.pi * np.outer(offsets, np.arange(length) / length))
+    power = np.abs(wave @ signal.get_window("hann", length)) ** 2
+    return power / power.sum(), offsets
+
+
+def transforms(ambient, bands: Bands) -> np.ndarray:
+    """Complex transforms (k, s) of the channels at the frequencies of all bands."""
+    found = band_transform(ambient.channels.values, bands.bins, bands.weights, ambient.step)
+    return (found[:, 0] + 1j * found[:, 1]).T
+
+
+def parts_of_draws(model, posterior: xr.Dataset):
+    """Frequencies, damping ratios, shapes, factors of forces and errors at some draws of the posterior."""
+    few = thinned(posterior, DRAWS)
+    names = [rv.name for rv in model.free_RVs]
+    inputs = [model[name].type(name) for name in names]
+    parts = clone_replace(
+        parameters_of(model["y"]), dict(zip((model[n] for n in names), inputs, strict=True))
+    )
+    function = pytensor.function(inputs, parts, mode="FAST_COMPILE", on_unused_input="ignore")
+    for chain, draw in np.ndindex(few.sizes["chain"], few.sizes["draw"]):
+        one = few.isel(chain=chain, draw=draw)
+        yield function(*(one[name].values for name in names))
+
+
+def covariance(parameters, frequencies, band) -> np.ndarray:
+    """E (k, s, s) of accelerations at frequencies [Hz], each in a band."""
+    natural, ratios, shapes, factor, error = parameters
+    transfer = transfer_functions(natural, ratios, np.maximum(frequencies, 1e-12))
+    forces = (factor[..., 0] + 1j * factor[..., 1])[band]
+    roots = shapes.T @ (transfer[..., None] * forces)
+    found = roots @ roots.conj().transpose(0, 2, 1)
+    diagonal = np.arange(shapes.shape[1])
+    found[:, diagonal, diagonal] += error[band]
+    return found
+
+
+def by_parts(bands: Bands, values, n_sensors: int) -> np.ndarray:
+    """First and last frequency [Hz], mean, and its standard deviation, of parts of each band (4, part)."""
+    rows = []
+    for first, last in zip(bands.starts[:-1], bands.starts[1:], strict=True):
+        used = first + np.flatnonzero(bands.weights[first:last])
+        n_parts = int(np.clip(used.size // FEWEST, 1, PARTS))
+        for part in np.array_split(used, n_parts):
+            ends = bands.frequencies[part[[0, -1]]]
+            rows.append((*ends, values[part].mean(), 1.0 / np.sqrt(part.size * n_sensors)))
+    return np.array(rows).T
+
+
+def verdict_of_spectra(fitted, modes, sd) -> Verdict:
+    """Judge how a model meets the spectra.
+
+    Parameters
+    ----------
+    fitted : Dataset
+        From `fitted_spectra`.
+    modes : list of ModeRow
+        Identified modes and those of the model.
+    sd : array
+        Standard deviations of the identified frequencies [Hz].
+    """
+    by_parts = verdict_of_parts(fitted)
+    off = [row.deviation(error) for row, error in zip(modes, sd, strict=True)]
+    beside = [(abs(z), row) for z, row in zip(off, modes, strict=True) if abs(z) > APART and row.has_partner]
+    if not beside:
+        return by_parts
+    worst, row = max(beside)
+    sentence = (
+        f"The identified mode {row.name} lies {worst:.0f} standard deviations from that of the model: the "
+        "structure cannot have these frequencies together, and the intervals, which take it for right, are "
+        "too narrow. Let more of it be uncertain."
+    )
+    return Verdict([*by_parts.sentences, sentence], False)
+
+
+def verdict_of_parts(fitted) -> Verdict:
+    """Judge the power in each part of the bands."""
+    ratio, sd = fitted["ratio"].values, fitted["sd"].values
+    more = (ratio > MUCH) & (ratio - 1.0 > CERTAIN * sd)
+    less = (ratio < 1.0 / MUCH) & (1.0 - ratio > CERTAIN * sd)
+    ends = zip(fitted["low"].values, fitted["high"].values, strict=True)
+    places, n = [f"{low:.4g} to {high:.4g} Hz" for low, high in ends], len(ratio)
+    if not (more | less).any():
+        where = f"all {n} parts of the bands" if n > 1 else "its band"
+        return Verdict([f"The power of the channels is what the model expects in {where}."], True)
+    wrong = (more | less).sum()
+    sentences = [
+        f"The power of the channels is not what the model expects in {wrong} of {n} parts of the bands."
+    ]
+    if more.any():
+        worst = int(np.argmax(np.where(more, ratio, 0.0)))
+        sentences.append(
+            f"The channels have up to {ratio[worst]:.2g} times the power that it expects, most at "
+            f"{places[worst]}: a mode, a direction or a machine may be missing, or a force that is not white."
+        )
+    if less.any():
+        worst = int(np.argmin(np.where(less, ratio, np.inf)))
+        sentences.append(
+            f"They have down to {ratio[worst]:.2g} of the power that it expects, most at {places[worst]}: "
+            "forces or errors may differ from band to band. Give them a value for each."
+        )
+    return Verdict(sentences, False)
+
+
+def draw_spectra(ambient: Ambient, fitted=None):
+    """Figure of the singular values, perhaps with those of the fitted model."""
+    identified = None if ambient.modes is None else ambient.modes.data.frequencies
+    return plots.plot_singular_values(ambient.channels, ambient.bands, frequencies=identified, fitted=fitted)
+
+
+def ambient_section(problem) -> dict:
+    """The channels, what was done to them, and the bands."""
+    ambient, asked = problem.ambient, problem.config.processing
+    steps = [f"source: {ambient.source}"]
+    if asked.detrend is not None:
+        steps.append(f"less the {asked.detrend.kind} trend")
+    if asked.trim is not None:
+        steps.append(f"window {asked.trim[0]:g} to {asked.trim[1]:g} s")
+    named = zip(ambient.channels["sensor"].values, problem.dofs, ambient.channels.values, strict=True)
+    return {
+        "steps": steps,
+        "rate": f"{ambient.channels.sizes['time']} samples at {ambient.step:.6g} s",
+        "bands": ", ".join(f"{low:.4g} to {high:.4g} Hz" for low, high in ambient.bands),
+        "proposed": problem.config.ambient.bands == "auto",
+        "sensors": [
+            (name, dof, f"{np.abs(values).max():.4g}", f"{np.sqrt((values**2).mean()):.4g}")
+            for name, dof, values in named
+        ],
+    }

@@ -1,0 +1,144 @@
+"""What every kind of data says of itself: its section, what was read, and what is made of it."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from pymc_features.exceptions import ConfigError
+from pymc_features.structures import Structure
+from pymc_features.update import sampling
+from pymc_features.update.config.entries import priors_in
+from pymc_features.update.sampling import Running
+
+
+class Verdict(NamedTuple):
+    """What to think of the fit.
+
+    Attributes
+    ----------
+    sentences : list of str
+        The first says whether the model explains the measurements; others say why not.
+    explains : bool
+        Whether it does.
+    """
+
+    sentences: list[str]
+    explains: bool
+
+
+class Setting(NamedTuple):
+    """What a kind of data is read with.
+
+    Attributes
+    ----------
+    config : Config
+        The configuration file.
+    folder : Path
+        Files are relative to it.
+    priors : dict
+        Names to `Prior`.
+    expected : Structure
+        At the medians of the priors.
+    first_frequency : float
+        The first natural frequency that it has [Hz]; NaN of a specimen.
+    """
+
+    config: Any
+    folder: Path
+    priors: dict[str, Any]
+    expected: Structure
+    first_frequency: float
+
+
+class KindOfData:
+    """One kind of data of an update; a new one is a file beside this one and a line in `KINDS_OF_DATA`.
+
+    Methods take the `Problem` that the data are part of, and the name of a likelihood.
+
+    Attributes
+    ----------
+    key : str
+        Of its section in the file.
+    likelihoods : list of str
+        That are sampled where it is the first kind of a problem; others join what is sampled.
+    dofs : list of int
+        Degree of freedom of each sensor.
+    """
+
+    key: str
+    likelihoods: list[str]
+    dofs: list[int]
+
+    @classmethod
+    def is_asked(cls, config) -> bool:
+        """Whether a file has such data."""
+        return getattr(config, cls.key) is not None
+
+    @classmethod
+    def check_sections(cls, config) -> None:
+        """Raise ConfigError if another section says what means nothing beside it."""
+
+    @classmethod
+    def read(cls, given: Setting) -> "KindOfData":
+        """Read and check what the section names; a ConfigError names the key."""
+        raise NotImplementedError
+
+    def parameters(self, likelihood: str):
+        """Values of the file that are random under a likelihood, besides those of the structure."""
+        return ()
+
+    def declare(self, problem, likelihood: str, structure, values, tolerance) -> None:
+        """Add what was measured to the PyMC model of the context; `values` are the variables by name."""
+        raise NotImplementedError
+
+    def sample(self, problem, likelihood: str, model, running: Running) -> xr.DataTree:
+        """The posterior, where it is the first kind of a problem."""
+        return sampling.sample(problem, likelihood, model, running)
+
+    def predict(self, problem, likelihood: str, model, idata) -> dict[str, xr.Dataset]:
+        """Groups of a result that say what a posterior makes of the data."""
+        return {}
+
+    def shared(self, problem, parts) -> dict[str, xr.Dataset]:
+        """Groups of the result of all likelihoods, by path."""
+        return {}
+
+    def prints(self) -> dict[str, str]:
+        """What the data are recognised by, for settings: other data are another problem."""
+        return {}
+
+    @property
+    def identity(self) -> str:
+        """What a finished part is recognised by besides; data that may be added are no other problem."""
+        return ""
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Frequencies [Hz] that the data have."""
+        return 0.0, np.inf
+
+    @property
+    def used(self) -> str:
+        """What they are, in words."""
+        raise NotImplementedError
+
+    def foretold(self, problem) -> list[str]:
+        """What likelihoods cannot tell, before anything is sampled."""
+        return []
+
+    def verdict(self, problem, result, kind: str) -> Verdict:
+        """Judge how one likelihood of a result meets the data."""
+        return Verdict([], True)
+
+
+def check_positive_priors(section: str, asked, names, priors) -> None:
+    """Scales have priors of positive numbers."""
+    for name in names:
+        for item in priors_in(getattr(asked, name)):
+            if (middle := priors[item.prior].median) <= 0.0:
+                raise ConfigError(
+                    f"`{section}.{name}` must be positive, got the prior `priors.{item.prior}` with the "
+                    f"median {middle:g}. Take a distribution of positive numbers."
+                )

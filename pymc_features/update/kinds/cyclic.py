@@ -1,0 +1,171 @@
+"""Cyclic tests: the section [cyclic], displacement and force, and whether a specimen explains them."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import xarray as xr
+from pydantic import PlainValidator
+
+from pymc_features._checks import is_number
+from pymc_features.exceptions import ConfigError
+from pymc_features.io import read_cyclic_test
+from pymc_features.io.reading.labels import FORCES, LENGTHS
+from pymc_features.update.config.messages import named_key, shown
+from pymc_features.update.config.sections import Section, key
+from pymc_features.update.config.structure_sections import SPECIMENS
+from pymc_features.update.kinds.base import Setting, Verdict
+from pymc_features.update.kinds.channels import Measured
+from pymc_features.update.kinds.checks import Checked
+from pymc_features.update.kinds.histories import Histories
+
+LENGTH_OR_FORCE = f"two units, of displacement ({', '.join(LENGTHS)}) and of force ({', '.join(FORCES)})"
+UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation
+ROUGH = 0.1  # the same, worth a word where the error persists from sample to sample
+PERSISTS = 0.5  # correlation of the error with that of the sample before
+ENERGY = 0.1  # relative error of the dissipated energy that is worth a word
+
+
+def pair_of(accepts, words):
+    """A list of two values, for displacement and force."""
+
+    def pair(value):
+        if not (isinstance(value, list) and len(value) == 2 and all(map(accepts, value))):
+            raise ValueError(f"must be {words}, got {shown(value)}")
+        return value
+
+    return Annotated[Any, PlainValidator(pair)]
+
+
+class CyclicSection(Section):
+    """A table with both, or one of each."""
+
+    files: str | list[str] = key("a file, or a list of two, of the displacement and of the force")
+    columns: (
+        pair_of(lambda v: type(v) in (int, str), "two columns, by index from 0 or header name") | None
+    ) = key("two columns, of displacement and force, by index from 0 or header name", None)
+    units: pair_of(lambda v: isinstance(v, str) or is_number(v), LENGTH_OR_FORCE) | None = key(
+        f"{LENGTH_OR_FORCE}, or m and N per file unit", None
+    )
+    skip: int = key("the number of rows to leave out at the start, not negative", 0, ge=0)
+    wrapped: bool | None = key("true if one series runs along the lines, else false", None)
+
+
+class Cyclic(Histories):
+    """Displacement and force of a cyclic test, which stand for motion of the base and responses."""
+
+    key = "cyclic"
+    quantity = "restoring_force"
+
+    @classmethod
+    def check_sections(cls, config):
+        """A specimen and a cyclic test belong together, and other sections say nothing besides."""
+        if config.structure.type not in SPECIMENS:
+            raise ConfigError(
+                f"`structure.type` must be {' or '.join(SPECIMENS)} with [cyclic], got "
+                f"{config.structure.type}. Its displacement is prescribed."
+            )
+        for name in ("data", "record", "processing", "events", "modal", "ambient"):
+            if name in config.model_fields_set:
+                raise ConfigError(
+                    f"`{name}` must be left out with [cyclic], got it. Displacement and force are all "
+                    "there is."
+                )
+        for name in ("natural_frequencies", "quantities"):
+            if name in config.report.model_fields_set:
+                raise ConfigError(
+                    f"`report.{name}` must be left out with [cyclic], got it. There is no motion."
+                )
+        if config.likelihood is None:
+            raise ConfigError("`likelihood` must be given with [cyclic]: a table.")
+
+    @classmethod
+    def measure(cls, given: Setting) -> Measured:
+        """Read displacement and force; files are relative to the folder."""
+        config, folder = given.config, given.folder
+        asked = config.cyclic
+        names = [asked.files] if isinstance(asked.files, str) else asked.files
+        paths = [folder / name for name in names]
+        with named_key("cyclic"):
+            test, force = read_cyclic_test(
+                paths[0] if isinstance(asked.files, str) else paths,
+                columns=asked.columns,
+                units=asked.units,
+                skip=asked.skip,
+                wrapped=asked.wrapped,
+            )
+        source = ", ".join(Path(name).name for name in names)
+        return Measured(test, force, test.dt, source, Checked(None, "not checked: there is one"))
+
+    @property
+    def used(self):
+        """How many forces."""
+        return f"{self.measured.record.n_times} measured forces of a cyclic test"
+
+    def bands(self, problem, likelihood, model, idata):
+        """As of histories, with the displacement beside the time."""
+        found = super().bands(problem, likelihood, model, idata)
+        return found.assign_coords(displacement=("time", self.measured.record.displacement))
+
+    def shared(self, problem, parts):
+        """Displacement and force."""
+        measured = self.measured
+        displacement = ("time", measured.record.displacement, {"units": "m"})
+        channels = measured.channels.drop_attrs().assign_attrs(units="N")
+        attrs = {"source": measured.source}
+        return {"data": xr.Dataset({"measured": channels}, {"displacement": displacement}, attrs)}
+
+    def verdict(self, problem, result, kind):
+        """Whether the median force meets the measured one."""
+        return verdict_of_loops(self.measured.record.displacement, result[kind])
+
+
+def energy(displacement, force) -> float:
+    """Work of a force along its displacement [J], by the trapezoidal rule."""
+    return float(np.trapezoid(force, displacement))
+
+
+def verdict_of_loops(displacement, part) -> Verdict:
+    """Judge how the median force of a likelihood meets the measured one."""
+    force = part["observed_data"]["y"].values[0]
+    model = part["bands"]["response"].sel(quantile=0.5).values[0]
+    error = force - model
+    relative = float(np.sqrt((error**2).sum() / (force**2).sum()))
+    share = (
+        f"it accounts for {100.0 * max(0.0, 1.0 - relative**2):.0f} % of the force (share of the mean square)"
+    )
+    explains = relative <= UNEXPLAINED
+    sentences = [
+        f"The specimen explains the loops: {share}."
+        if explains
+        else f"This specimen does not explain the loops: {share}."
+    ]
+    done, by_model = energy(displacement, force), energy(displacement, model)
+    if abs(by_model / done - 1.0) > ENERGY:
+        sentences.append(
+            f"The measured loops dissipate {done:.3g} J, those of the model {by_model:.3g} J: their shape is "
+            "not that of the law."
+        )
+    persistence = float((error[1:] * error[:-1]).sum() / (error**2).sum()) if error.any() else 0.0
+    if relative > ROUGH and persistence > PERSISTS:
+        largest = float(displacement[np.abs(error).argmax()])
+        sentences.append(
+            "The error is no noise but an error of the model, largest at a displacement of "
+            f"{largest:.3g} m. Let more of the specimen be uncertain (degradation, pinching); what is left "
+            "then is beyond its law."
+        )
+    return Verdict(sentences, explains)
+
+
+def loops_section(problem) -> dict:
+    """Where displacement and force come from, and how large they are."""
+    measured = problem.measured
+    displacement, force = measured.record.displacement, measured.channels.values[0]
+    return {
+        "source": f"source: {measured.source}; {force.size} samples",
+        "rows": [
+            (name, f"{values.min():.4g}", f"{values.max():.4g}")
+            for name, values in (("displacement [m]", displacement), ("force [N]", force))
+        ],
+        "energy": f"{energy(displacement, force):.4g}",
+    }

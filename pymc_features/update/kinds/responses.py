@@ -1,0 +1,135 @@
+"""Measured responses to a measured motion of the base: [data], [record], [processing], [likelihood]."""
+
+import numpy as np
+import xarray as xr
+
+from pymc_features.exceptions import ConfigError
+from pymc_features.update.config.sections import MEASURED
+from pymc_features.update.kinds.base import Setting
+from pymc_features.update.kinds.channels import checked_dofs, read_measured
+from pymc_features.update.kinds.coarseness import coarse_sampling
+from pymc_features.update.kinds.histories import Histories, check_errors, check_gaps
+from pymc_features.update.kinds.residuals import verdict_of_responses
+
+PROMINENCE = 2.0  # of a peak of the gain over the valleys beside it, a factor
+
+
+class Responses(Histories):
+    """Accelerations, velocities, displacements or drifts at the sensors."""
+
+    key = "data"
+
+    @classmethod
+    def is_asked(cls, config):
+        """One record, with its excitation."""
+        return config.data is not None and config.data.excitation == "measured" and config.events is None
+
+    @classmethod
+    def check_sections(cls, config):
+        """There are files, a likelihood, and one motion of the base."""
+        if config.events is None and config.data.files is None and config.data.dataset is None:
+            raise ConfigError(
+                "`data` must have one of the keys `files` and `dataset`, got neither. Or name several events "
+                "in [events]."
+            )
+        if config.likelihood is None:
+            raise ConfigError("`likelihood` must be given with [data]: a table.")
+        if config.data.base is None and config.record is None:
+            raise ConfigError(
+                "`data.base` must name the sensor on the base, got none. Or give the ground motion in "
+                "[record]."
+            )
+        if config.data.base is not None and config.record is not None:
+            raise ConfigError("`record` must be left out with `data.base`, got both. One motion of the base.")
+
+    @classmethod
+    def read(cls, given: Setting):
+        """The channels, processed, and where they are on the structure."""
+        measured = read_measured(given.config, given.folder, given.first_frequency)
+        return cls(given.config, measured, checked_sensors(given, [measured]))
+
+    @property
+    def used(self):
+        """How many histories of what, and for how long."""
+        return f"{len(self.dofs)} measured {self.plural} over {self.measured.record.duration:.4g} s"
+
+    @property
+    def plural(self) -> str:
+        """What is measured, as accelerations."""
+        return f"{MEASURED[self.quantity].replace('velocity', 'velocitie')}s"
+
+    @property
+    def band(self):
+        """What the processing leaves [Hz]."""
+        kept, nyquist = self.config.processing.band_pass, 0.5 / self.measured.step
+        if kept is None:
+            return 0.0, nyquist
+        return kept.low or 0.0, min(kept.high or nyquist, nyquist)
+
+    def bands(self, problem, likelihood, model, idata):
+        """As of histories, with how coarse the base is sampled (sensor,)."""
+        found = super().bands(problem, likelihood, model, idata)
+        ratios = coarse_sampling(self, problem, idata["posterior"], found["response"])
+        return found.assign(coarseness=("sensor", ratios))
+
+    def shared(self, problem, parts):
+        """Motion of the base, measured responses and their gain."""
+        measured = self.measured
+        gain, peaks = measured_gain(measured)
+        given = problem.config.report.natural_frequencies
+        if given is None and problem.modal is not None:
+            given = problem.modal.data.frequencies
+        data = xr.Dataset(
+            {
+                "ground_acceleration": ("record_time", measured.record.acceleration, {"units": "m/s^2"}),
+                "measured": measured.channels.drop_attrs().assign_attrs(units=measured.units),
+                "gain": gain,
+                "peak_frequency": ("peak", peaks, {"units": "Hz"}),
+            },
+            coords={"record_time": measured.record.time},
+            attrs={
+                "record": measured.record.name,
+                "source": measured.source,
+                "interpolation": measured.record.interpolation,
+                "refinement": self.request(problem)[0].factor,
+            },
+        )
+        if given is not None:
+            data["given_frequency"] = ("given", np.array(given, dtype=np.float64), {"units": "Hz"})
+        return {"data": data}
+
+    def verdict(self, problem, result, kind):
+        """Whether the median response explains what was measured."""
+        return verdict_of_responses(self, result, kind)
+
+
+def checked_sensors(given: Setting, measured) -> list[int]:
+    """A degree of freedom for each sensor, where likelihood, errors and gaps fit."""
+    dofs = checked_dofs(given.config, given.expected.n_dof)
+    check_errors(given.config, given.priors, len(dofs))
+    for one in measured:
+        check_gaps(given.config, one)
+    return dofs
+
+
+def measured_gain(measured) -> tuple[xr.DataArray, np.ndarray]:
+    """Gain of each sensor against the base (sensor, frequency) [-], and the frequencies of its peaks [Hz].
+
+    The root of S_yy / S_xx by Welch's method, half-overlapping Hann windows of a third of the record: where a
+    structure rings for longer than a window, a cross-spectrum would cancel at its natural frequencies. Peaks
+    are those of the root mean square over sensors, where the base moves and they stand out twofold.
+    """
+    from scipy import signal  # a second to import
+
+    channels, step, base = measured.channels, measured.step, measured.base
+    size = max(min(64, base.size), base.size // 3)
+    settings = {"fs": 1.0 / step, "nperseg": size, "nfft": 4 * size}
+    frequency, power = signal.welch(base, **settings)
+    answer = signal.welch(np.nan_to_num(channels.values), **settings)[1]
+    answer *= channels.sizes["time"] / measured.samples[:, None]  # gaps have no power
+    gain = np.sqrt(answer / np.maximum(power, 1e-6 * power.max()))
+    total = np.log(np.maximum(np.sqrt((gain**2).mean(axis=0)), 1e-12))
+    peaks, _ = signal.find_peaks(total, prominence=np.log(PROMINENCE))
+    peaks = peaks[(power[peaks] > 1e-4 * power.max()) & (total[peaks] > 0.0)]
+    dims, coords = ("sensor", "frequency"), {"sensor": channels["sensor"].values, "frequency": frequency}
+    return xr.DataArray(gain, coords, dims), frequency[peaks]

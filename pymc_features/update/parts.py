@@ -1,0 +1,126 @@
+"""Sampling every likelihood of a problem; what is finished is kept."""
+
+import json
+import time
+import warnings
+from collections.abc import Callable
+from concurrent.futures import Executor
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from pymc_features.exceptions import ConfigError, UncalibratedError
+from pymc_features.smc import open_workers
+from pymc_features.storage import PartStore
+from pymc_features.update.likelihoods import KINDS
+from pymc_features.update.model import declare, frequencies, names_for
+from pymc_features.update.problem import Problem
+from pymc_features.update.sampling import Running, calibrated, method_of
+
+PRIOR_DRAWS = 4000
+GROUPS = ("posterior", "sample_stats", "particles", "modes", "calibration", "sequence")
+
+
+class RunSettings(NamedTuple):
+    """How an update runs; nothing of it changes a draw. See `run_update`."""
+
+    out: Any = None
+    cores: int | None = None
+    executor: int | str | Executor | None = None
+    progress: Callable[[str, int, int], None] | None = None
+    progressbar: bool = True
+
+
+class Parts(NamedTuple):
+    """What is sampled.
+
+    Attributes
+    ----------
+    found : dict
+        Likelihoods to what was sampled and predicted.
+    failed : dict
+        Calibrated likelihoods to the reason why they could not be had.
+    """
+
+    found: dict[str, xr.DataTree]
+    failed: dict[str, str]
+
+
+def run_parts(problem: Problem, settings: RunSettings) -> Parts:
+    """Sample every likelihood that is not finished in the folder."""
+    if settings.executor is not None and problem.config.sampler.method == "laplace":
+        raise ConfigError("`sampler.method` must be one with populations for an executor, got laplace.")
+    store = PartStore(settings.out, problem.settings(), "update")
+    kinds, parts, failed = problem.kinds, {}, {}
+    tell = settings.progress or (lambda part, done, total: None)
+    with open_workers(settings.executor) as workers:
+        for done, kind in enumerate(kinds):
+            tell(kind, done, len(kinds))
+            tolerance = problem.first.tolerance(parts) if kind == "ABC" else None
+            own = {"epsilon": tolerance, "events": problem.first.identity or None}
+            part = store.load(kind)
+            if part is None or any(part.attrs.get(name) != value for name, value in own.items()):
+                base = parts.get(KINDS[kind].calibrates)
+                of_part = partial(tell, done=done, total=len(kinds))
+                running = Running(settings.cores, workers, settings.progressbar, settings.out, of_part)
+                try:
+                    part = run_part(problem, kind, own, base, running)
+                except UncalibratedError as error:
+                    failed[kind] = str(error)
+                    continue
+                store.save(kind, part)
+            parts[kind] = part
+    tell("report", len(kinds), len(kinds))
+    return Parts(parts, failed)
+
+
+def run_part(problem, kind, own, base, running: Running) -> xr.DataTree:
+    """Sample one posterior and predict with it; warnings on the way are part of the result.
+
+    `own` is what the part is recognised by besides, such as the tolerance of ABC; `base` is the part that
+    is calibrated, if the likelihood is one that is made from another.
+    """
+    start = time.perf_counter()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        model = declare(problem, kind, own["epsilon"])
+        if base is None:
+            idata = problem.first.sample(problem, kind, model, running)
+        else:
+            idata = calibrated(problem, kind, base, model, running)
+        part = {name: idata[name].to_dataset() for name in GROUPS if name in idata.children}
+        part["prior"] = prior_draws(problem, kind)
+        for data in problem.data:
+            part |= data.predict(problem, kind, model, idata)
+        if not problem.structure.is_specimen:
+            part["modal"] = frequencies(problem, part["posterior"])
+    tree = xr.DataTree.from_dict(part)
+    messages = list(dict.fromkeys(str(w.message) for w in caught if is_ours(w.category)))
+    tree.attrs = {
+        "kind": kind,
+        "method": method_of(problem, kind),
+        "seconds": time.perf_counter() - start,
+        "warnings": json.dumps(messages),
+    }
+    if "calibration" in part:
+        tree.attrs["calibration"] = idata.attrs["calibration"]
+    tree.attrs |= {name: value for name, value in own.items() if value is not None}
+    return tree
+
+
+def is_ours(category) -> bool:
+    """Warnings of this package; others speak of machinery."""
+    return category.__module__.split(".")[0] == "pymc_features"
+
+
+def prior_draws(problem, kind) -> xr.Dataset:
+    """Draws of the priors, to compare with."""
+    names = names_for(problem, kind)
+    columns = {
+        name: (("chain", "draw"), problem.priors[name].draw(PRIOR_DRAWS, k)[None])
+        for k, name in enumerate(names)
+    }
+    return xr.Dataset(columns, coords={"chain": [0], "draw": np.arange(PRIOR_DRAWS)})

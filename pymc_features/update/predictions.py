@@ -1,0 +1,153 @@
+"""Responses to other motions of the base under the posterior: [[predict]]."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from pydantic import model_validator
+
+from pymc_features.exceptions import ConfigError
+from pymc_features.io import read_record
+from pymc_features.prediction import first_passage_probability, posterior_response
+from pymc_features.records import Record
+from pymc_features.update.config.messages import named_key
+from pymc_features.update.config.sections import QUANTITIES, RecordFile, key
+
+DRAWS = 500
+QUANTILES = (0.05, 0.5, 0.95)
+LIMITS = "a table of quantities to a limit in SI units, or a list of limits, positive"
+
+
+class Predict(RecordFile):
+    """Which motion, which responses, and the limits that they are not to exceed."""
+
+    name: str | None = key("a line of text without /, by default the name of the file", None)
+    path: str | None = key("the file with the ground acceleration, or left out for that of [data]", None)
+    scale: float = key("a factor of the record, not 0", 1.0)
+    peak: float | None = key("the largest acceleration in m/s^2 to scale the record to, positive", None, gt=0)
+    quantities: list[QUANTITIES] = key(
+        "a list of inter_storey_drift, base_shear, relative_displacement, absolute_acceleration", min_length=1
+    )
+    limits: dict[str, float | list[float]] = key(LIMITS, {})
+    draws: int = key("a whole number from 10 on", DRAWS, ge=10)
+    interpolation: Literal["band-limited", "linear"] | None = key(
+        '"band-limited" or "linear", between the samples', None
+    )
+
+    @model_validator(mode="after")
+    def fits(self):
+        """Limits are those of the quantities, and one thing decides the scale."""
+        for name, values in self.limits.items():
+            if name not in self.quantities:
+                raise ValueError(f"must have `limits` of its quantities {self.quantities}, got {name!r}")
+            if not values or min(np.ravel(values)) <= 0.0:
+                raise ValueError(f"must have positive `limits`, got {values} for {name}")
+        if self.scale == 0.0 or (self.peak is not None and "scale" in self.model_fields_set):
+            raise ValueError(f"must have a `scale` that is not 0, or a `peak`, got scale {self.scale:g}")
+        if self.path is None and (
+            more := self.model_fields_set & {"units", "dt", "column", "wrapped", "delay"}
+        ):
+            raise ValueError(f"must have `{min(more)}` only with `path`, got no file")
+        return self
+
+    @property
+    def title(self) -> str:
+        """What it is called."""
+        found = self.name or ("measured motion" if self.path is None else Path(self.path).stem)
+        return found.replace("/", "-")
+
+
+def check_predictions(config, structure_type) -> None:
+    """Names differ, and structures have what is asked for.
+
+    Raises
+    ------
+    ConfigError
+        If not; the message names the key.
+    """
+    titles = [asked.title for asked in config.predict]
+    if len(set(titles)) < len(titles):
+        raise ConfigError(f"`predict` must have a `name` of its own for each, got {', '.join(titles)}.")
+    for number, asked in enumerate(config.predict):
+        at = f"predict[{number}]"
+        if config.cyclic is not None:
+            raise ConfigError("`predict` must be left out with [cyclic], got it. A specimen has no base.")
+        if asked.path is None and (config.data is None or config.data.excitation == "ambient"):
+            raise ConfigError(f"`{at}.path` must be given, the file of a ground motion: none was measured.")
+        if "inter_storey_drift" in asked.quantities and not structure_type.has_storeys:
+            raise ConfigError(
+                f"`{at}.quantities` must not have inter_storey_drift for a structure without storeys. Use "
+                "relative_displacement."
+            )
+
+
+def motion_of(asked: Predict, at: str, folder: Path, measured: Record | None) -> Record:
+    """The motion of one prediction, scaled."""
+    with named_key(at):
+        record = measured
+        if asked.path is not None:
+            given = {name: getattr(asked, name) for name in ("units", "dt", "column", "wrapped")}
+            record = read_record(folder / asked.path, **given)
+        factor = asked.scale
+        if asked.peak is not None:
+            factor = asked.peak / float(np.abs(record.acceleration).max())
+        interpolation = asked.interpolation or record.interpolation
+        return replace(record, acceleration=factor * record.acceleration, interpolation=interpolation)
+
+
+def predictions(problem, posterior: xr.Dataset) -> dict[str, xr.Dataset]:
+    """Predict every response that the file asks for.
+
+    Parameters
+    ----------
+    problem : Problem
+        Perhaps with [[predict]].
+    posterior : Dataset
+        Draws of the likelihood that comes first.
+
+    Returns
+    -------
+    dict
+        Titles to a Dataset: the motion `ground_acceleration` (record_time); of each quantity q its bands q
+        (quantile, storey or sensor, time), the peaks of draws q_peak (sample, ...), and where it has limits
+        `q_probability` (q_limit, ...) that the peak exceeds them, `q_probability_any` (q_limit) that any
+        does, and their standard errors `..._se`.
+    """
+    found, structure = {}, problem.structure
+    for number, asked in enumerate(problem.config.predict):
+        measured = None if problem.measured is None else problem.measured.record
+        record = motion_of(asked, f"predict[{number}]", problem.path.parent, measured)
+        settings = {"draws": asked.draws, "random_seed": 0, "n_modes": structure.n_modes}
+        data = posterior_response(
+            posterior, structure, record, asked.quantities, quantiles=QUANTILES, **settings
+        )
+        data = data.drop_vars(["chain", "draw"])
+        data["ground_acceleration"] = "record_time", record.acceleration, {"units": "m/s^2"}
+        for name, limits in asked.limits.items():
+            limits = np.sort(np.ravel(limits).astype(float))
+            of_limits = first_passage_probability(posterior, structure, record, limits, name, **settings)
+            for part in ("probability", "probability_se", "probability_any", "probability_any_se"):
+                data[f"{name}_{part}"] = of_limits[part].rename(limit=f"{name}_limit")
+        found[asked.title] = data.assign_coords(record_time=record.time)
+    return found
+
+
+def sentences(data: xr.Dataset, title: str) -> list[str]:
+    """What a prediction says of each quantity: its largest peak, and the probability of each limit."""
+    told = []
+    for name in [str(n).removesuffix("_peak") for n in data.data_vars if str(n).endswith("_peak")]:
+        peak, unit = data[f"{name}_peak"], data[name].attrs["units"]
+        places = [dim for dim in peak.dims if dim != "sample"]
+        largest = peak.max(places) if places else peak
+        low, middle, high = np.quantile(largest.values, QUANTILES)
+        words = name.replace("_", " ")
+        told.append(f"{title}: largest {words} {middle:.3g} {unit} (5-95 %: {low:.3g} to {high:.3g} {unit}).")
+        for limit in data.get(f"{name}_limit", xr.DataArray([])).values:
+            one = data.sel({f"{name}_limit": limit})
+            p, se = float(one[f"{name}_probability_any"]), float(one[f"{name}_probability_any_se"])
+            told.append(
+                f"{title}: the {words} exceeds {limit:g} {unit} with probability {p:.3f} (+- {se:.1g})."
+            )
+    return told

@@ -1,0 +1,218 @@
+"""A configuration with everything it refers to, checked before anything is sampled."""
+
+import hashlib
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pymc_features.exceptions import ConfigError
+from pymc_features.update.config.document import Config, read_config
+from pymc_features.update.config.entries import Matrix
+from pymc_features.update.config.messages import named_key, shown
+from pymc_features.update.config.priors import Prior
+from pymc_features.update.kinds import KINDS_OF_DATA
+from pymc_features.update.kinds.base import KindOfData, Setting, Verdict
+from pymc_features.update.kinds.modal import Modal
+from pymc_features.update.likelihoods import KINDS
+from pymc_features.update.predictions import check_predictions
+from pymc_features.update.structure import StructureOf, modes_of
+
+#: Keys that change no draw, or, as the tolerance, those of ABC alone.
+WITHOUT_EFFECT = (
+    "report",
+    "modal.nodes",
+    "likelihood.kinds",
+    "likelihood.epsilon",
+    "sampler.cores",
+    "predict",
+    "compare",
+    "events.folder",  # each event is recognised by its data
+    "events.pattern",
+    "events.files",
+)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is updated with what.
+
+    Attributes
+    ----------
+    path : Path
+        The configuration file.
+    text : str
+        What it says.
+    config : Config
+        The same, validated.
+    raw : dict
+        The same, as it was parsed.
+    structure : StructureOf
+        Values of the priors to a structure.
+    priors : dict
+        Names to `Prior`, in the order of the file.
+    data : tuple of KindOfData
+        What was measured; the first decides what is sampled.
+    """
+
+    path: Path
+    text: str
+    config: Config
+    raw: dict
+    structure: StructureOf
+    priors: dict[str, Prior]
+    data: tuple[KindOfData, ...]
+
+    @property
+    def first(self) -> KindOfData:
+        """What decides which likelihoods are sampled."""
+        return self.data[0]
+
+    @property
+    def dofs(self) -> list[int]:
+        """Degree of freedom of each sensor."""
+        return self.first.dofs
+
+    @property
+    def measured(self):
+        """Excitation and responses; None where there is none of them."""
+        return getattr(self.first, "measured", None)
+
+    @property
+    def events(self):
+        """Each with its channels; empty without [events]."""
+        return getattr(self.first, "events", ())
+
+    @property
+    def ambient(self):
+        """Response to forces that nobody measured."""
+        return self.first if self.first.key == "ambient" else None
+
+    @property
+    def is_cyclic(self) -> bool:
+        """Whether it is a cyclic test, which has forces and no motion."""
+        return self.structure.is_specimen
+
+    @property
+    def modal(self) -> Modal | None:
+        """Identified modes; of ambient vibration those that the channels have, which are only compared."""
+        found = [data for data in self.data if isinstance(data, Modal)]
+        return found[0] if found else getattr(self.first, "modes", None)
+
+    def with_data(self, *data) -> "Problem":
+        """The same structure and priors with other data."""
+        return replace(self, data=data)
+
+    @property
+    def kinds(self) -> list[str]:
+        """Likelihoods in the order they are sampled: ABC may need EXP, and CAL what it calibrates."""
+        asked = self.first.likelihoods
+        kinds = dict.fromkeys([*asked, *filter(None, (KINDS[kind].calibrates for kind in asked))])
+        return sorted(kinds, key=lambda kind: kind == "ABC" or bool(KINDS[kind].calibrates))
+
+    @property
+    def reported(self) -> list[str]:
+        """Likelihoods of the report in their order: first those whose width the residuals decide."""
+        return sorted(self.first.likelihoods, key=lambda kind: not KINDS[kind].calibrates)
+
+    def unit(self, name: str) -> str:
+        """Unit of a prior, from where it is used."""
+        return self.config.uses()[name][0][1]
+
+    def verdict(self, result, kind: str) -> Verdict:
+        """Judge how one likelihood of a result meets all data."""
+        found = [data.verdict(self, result, kind) for data in self.data]
+        return Verdict([s for one in found for s in one.sentences], all(one.explains for one in found))
+
+    def settings(self) -> dict:
+        """All that determines the draws, flat, for the folder they are kept in."""
+        kept = {k: v for k, v in flattened(self.raw) if not k.startswith(WITHOUT_EFFECT)}
+        for data in self.data:
+            kept |= data.prints()
+        for file in sorted(files_of(self.config.structure)):
+            digest = hashlib.sha256((self.path.parent / file).read_bytes())
+            kept[f"{file}_sha256"] = digest.hexdigest()
+        return json.loads(json.dumps(kept, default=str))
+
+
+def flattened(table, prefix=""):
+    """Dotted keys and values of a parsed file."""
+    for name, value in table.items():
+        if isinstance(value, dict):
+            yield from flattened(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def files_of(section) -> set[str]:
+    """Files with matrices that a section names."""
+    values = [getattr(section, name) for name in type(section).model_fields]
+    found = [v for value in values for v in (value if isinstance(value, list) else [value])]
+    return {value.file for value in found if isinstance(value, Matrix)}
+
+
+def read_problem(path) -> Problem:
+    """Read a configuration file and everything it refers to.
+
+    Parameters
+    ----------
+    path : path
+        Of the configuration; other files are relative to its folder.
+
+    Returns
+    -------
+    Problem
+
+    Raises
+    ------
+    FileNotFoundError, ConfigError, DatasetUnavailableError
+        Whatever is wrong with it; the message names the key.
+
+    Warns
+    -----
+    ChannelWarning, ModalDataWarning
+        If a channel or a mode is suspicious.
+    """
+    path = Path(path)
+    config, raw = read_config(path)
+    return problem_of(path, path.read_text(encoding="utf-8"), config, raw)
+
+
+def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
+    """A configuration with everything it refers to, as of `read_problem`."""
+    priors = {
+        name: Prior(f"priors.{name}", section.distribution, section.arguments)
+        for name, section in config.priors.items()
+    }
+    structure = StructureOf(config.structure, path.parent)
+    with named_key("structure"):
+        expected = structure(**{n: priors[n].median for n in structure.names})
+        first_frequency = np.nan if structure.is_specimen else first_frequency_of(expected)
+    given = Setting(config, path.parent, priors, expected, first_frequency)
+    data = tuple(kind.read(given) for kind in KINDS_OF_DATA if kind.is_asked(config))
+    frequencies = config.report.natural_frequencies
+    if frequencies is not None and not (frequencies and np.all(np.diff([0.0, *frequencies]) > 0.0)):
+        raise ConfigError(
+            f"`report.natural_frequencies` must be positive and rise, got {shown(frequencies)}. "
+            "Pass them in Hz."
+        )
+    if "inter_storey_drift" in config.report.quantities and not structure.type.has_storeys:
+        raise ConfigError(
+            "`report.quantities` must not have inter_storey_drift for a structure without storeys, "
+            f"{config.structure.type}. Use relative_displacement."
+        )
+    check_predictions(config, structure.type)
+    return Problem(path, text, config, raw, structure, priors, data)
+
+
+def first_frequency_of(expected) -> float:
+    """The first natural frequency of a structure [Hz]."""
+    with np.errstate(all="ignore"):  # the inverse of a tiny mass is no number
+        found = modes_of(expected, 1).natural_frequencies
+    if not (found.size and np.isfinite(found[0])):
+        raise ValueError(
+            "masses and stiffnesses must have a natural frequency at the medians of the priors, got none. "
+            "Check their units."
+        )
+    return float(found[0])
