@@ -1,10 +1,11 @@
-"""The tables of the README and of channels.md, from the catalogues: `python docs/tables.py` writes them.
+"""The tables of the README and of channels.md, and the schema of update.toml: `python docs/tables.py`.
 
 A row is a member of a catalogue, its file, and the first sentence of its docstring; or a format of files, how
 they are called, and what they state.
 """
 
 import inspect
+import json
 import re
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from pymc_features.modal_features import ModalFeature
 from pymc_features.smc import KERNELS, SIMULATOR_KERNELS
 from pymc_features.structures import DAMPINGS, STRUCTURES
 from pymc_features.structures.specimens import SPECIMENS
+from pymc_features.update.config.document import Config
+from pymc_features.update.keys import SCHEMA
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = {  # name between the markers -> heading of the first column, members
@@ -70,6 +73,13 @@ def with_formats(text: str) -> str:
     return replaced(text, "formats", formats())
 
 
+def schema() -> str:
+    """The JSON schema of a configuration file."""
+    found = Config.model_json_schema() | {"title": "Configuration of pymc-features update"}
+    return json.dumps(found, indent=1) + "\n"
+
+
 if __name__ == "__main__":
+    SCHEMA.write_text(schema())
     for page, write in ((ROOT / "README.md", with_tables), (ROOT / "docs" / "channels.md", with_formats)):
         page.write_text(write(page.read_text()))

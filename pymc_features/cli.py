@@ -15,7 +15,8 @@ from pymc_features.interrupt import EXIT_INTERRUPTED, CtrlC, started
 
 EXIT_BAD_INPUT = 2
 # what each command needs, with PyMC
-NEEDED = {name: "pymc_features.update" for name in ("update", "check", "init")}
+NEEDED = {"update": "pymc_features.update.run", "check": "pymc_features.update.expected"}
+NEEDED |= {"init": "pymc_features.update.examples.write"}
 NEEDED |= {"reproduce": "pymc_features.study", "convert": "pymc_features.io"}
 
 
@@ -40,13 +41,16 @@ def main(arguments=None) -> int:
 
     from pymc_features.arguments import make_parser
     from pymc_features.exceptions import NoWorkersError
+    from pymc_features.update.keys import parsed
 
     options = make_parser().parse_args(arguments)
-    import_module(NEEDED[options.command])
     console = Console(stderr=True)
     logging.getLogger("pymc").setLevel(logging.WARNING)
     os.environ.setdefault("MPLBACKEND", "Agg")
     try:
+        if options.command in ("update", "check"):
+            parsed(options.config)  # a typo is said before seconds of imports
+        import_module(NEEDED[options.command])
         started()
         run = {"reproduce": reproduce, "update": update, "check": check, "init": init, "convert": convert}[
             options.command
@@ -230,7 +234,7 @@ def check(options, console):
         say(console, check_loops(problem, out))
         say(console, f"wrote {out}")
     if problem.events:
-        problems = map(problem.at, problem.events)
+        problems = (problem.first.at(problem, event) for event in problem.events)
         drawn = {out.with_name(f"{out.stem}-{k}{out.suffix}"): one for k, one in enumerate(problems, 1)}
     for path, one in drawn.items():
         for shown in check_data(one, path):

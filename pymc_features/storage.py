@@ -3,10 +3,13 @@
 import hashlib
 import json
 import os
+from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 
 import xarray as xr
 
+from pymc_features._checks.messages import says_where_it_is_full
 from pymc_features.exceptions import StudyMismatchError
 
 SUM, SUMMED = ".sha256", "parts_have_sums"  # folders without this key are older, and so are their parts
@@ -99,11 +102,58 @@ class PartStore:
         path.unlink(missing_ok=True)  # a sum and a part that do not belong together are never there
 
         def write(temporary):
-            part.to_netcdf(temporary, engine="h5netcdf")
-            total = self._sum(name, temporary.read_bytes())
+            raw = netcdf_bytes(part)
+            temporary.write_bytes(raw)
+            total = self._sum(name, raw)
             write_atomically(path.with_suffix(SUM), lambda p: p.write_text(f"{total}\n"))
 
         write_atomically(path, write)
+
+
+def netcdf_bytes(tree: xr.DataTree) -> bytes:
+    """A tree as a netCDF file; made in memory, for HDF5 ends the process on a disk that is full."""
+    return bytes(tree.to_netcdf(None, engine="h5netcdf"))
+
+
+@contextmanager
+def held(folder, what: str):
+    """Keep other processes out of a folder; the system lets go of it when this one ends, however it ends.
+
+    Raises
+    ------
+    StudyMismatchError
+        If another process has it.
+    """
+    from filelock import FileLock, Timeout
+
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    about = folder / f".{what}.process"
+    lock = FileLock(folder / f".{what}.lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        known = about.read_text() if about.exists() else "another process"
+        raise StudyMismatchError(
+            f"`out` must be in use by one {what} at a time, got {folder}, which {known} is writing to. Wait "
+            "for it, or choose another folder."
+        ) from None
+    try:
+        start = datetime.now().strftime("%Y-%m-%d %H:%M:%S")
+        write_atomically(about, lambda p: p.write_text(f"process {os.getpid()}, started at {start},"))
+        yield
+    finally:
+        about.unlink(missing_ok=True)
+        lock.release()
+
+
+def moved_aside(folder: Path) -> Path:
+    """Rename a folder to the first of NAME-1, NAME-2, ... that is free, and return that."""
+    number = 1
+    while (found := folder.with_name(f"{folder.name}-{number}")).exists():
+        number += 1
+    folder.rename(found)
+    return found
 
 
 def remove_parts(folder, what: str) -> int:
@@ -144,8 +194,9 @@ def write_atomically(path: Path, write):
     """Call `write` on a temporary path beside `path`, then rename it into place."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        write(temporary)
-        os.replace(temporary, path)
+        with says_where_it_is_full(path):
+            write(temporary)
+            os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from pymc_features import plots
-from pymc_features.storage import write_atomically
+from pymc_features.storage import netcdf_bytes, write_atomically
 from pymc_features.study.table import as_csv, as_markdown
 
 FIGURES = {  # those with all their likelihoods in the study are drawn
@@ -31,7 +31,7 @@ def write_outputs(result, folder: Path) -> list[Path]:
     writers = {name: save(axes) for name, axes in figures.items()}
     writers["table.md"] = lambda path: path.write_text(as_markdown(result))
     writers["table.csv"] = lambda path: path.write_text(as_csv(result))
-    writers["study.nc"] = lambda path: result.to_netcdf(path, engine="h5netcdf")
+    writers["study.nc"] = lambda path: path.write_bytes(netcdf_bytes(result))
     for name, write in writers.items():
         write_atomically(folder / name, write)
     plots.close(axes[0] for axes in figures.values())

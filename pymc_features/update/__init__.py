@@ -7,17 +7,21 @@
 The command `pymc-features update` does the same.
 """
 
-from pymc_features.update.config.document import read_config
-from pymc_features.update.examples.write import write_example
-from pymc_features.update.problem import Problem, read_problem
-from pymc_features.update.report.outputs import write_outputs
-from pymc_features.update.run import run_update
+from importlib import import_module
 
-__all__ = [
-    "Problem",
-    "read_config",
-    "read_problem",
-    "run_update",
-    "write_example",
-    "write_outputs",
-]
+PLACES = {
+    "Problem": "problem",
+    "read_config": "config.document",
+    "read_problem": "problem",
+    "run_update": "run",
+    "write_example": "examples.write",
+    "write_outputs": "report.outputs",
+}
+__all__ = list(PLACES)
+
+
+def __getattr__(name: str):
+    """A public name, imported when it is asked for: the keys of a file are checked without PyMC."""
+    if name not in PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{PLACES[name]}"), name)

@@ -1,11 +1,14 @@
 """Sampling every likelihood of a problem; what is finished is kept."""
 
+import contextlib
 import json
+import logging
 import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,12 +16,14 @@ import xarray as xr
 
 from pymc_features.exceptions import ConfigError, UncalibratedError
 from pymc_features.smc import open_workers
-from pymc_features.storage import PartStore
+from pymc_features.storage import SUMMED, PartStore, held, moved_aside, settings_in
+from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.likelihoods import KINDS
 from pymc_features.update.model import declare, frequencies, names_for
 from pymc_features.update.problem import Problem
 from pymc_features.update.sampling import Running, calibrated, method_of
 
+LOG = logging.getLogger("pymc_features")
 PRIOR_DRAWS = 4000
 GROUPS = ("posterior", "sample_stats", "particles", "modes", "calibration", "sequence")
 
@@ -52,10 +57,14 @@ def run_parts(problem: Problem, settings: RunSettings) -> Parts:
     """Sample every likelihood that is not finished in the folder."""
     if settings.executor is not None and problem.config.sampler.method == "laplace":
         raise ConfigError("`sampler.method` must be one with populations for an executor, got laplace.")
-    store = PartStore(settings.out, problem.settings(), "update")
     kinds, parts, failed = problem.kinds, {}, {}
     tell = settings.progress or (lambda part, done, total: None)
-    with open_workers(settings.executor) as workers:
+    kept = {} if settings.out is None else kept_parts(problem, Path(settings.out))
+    alone = contextlib.nullcontext() if settings.out is None else held(settings.out, "update")
+    with alone, open_workers(settings.executor) as workers:
+        store = PartStore(settings.out, problem.settings(), "update")
+        for kind, part in kept.items():
+            store.save(kind, part)
         for done, kind in enumerate(kinds):
             tell(kind, done, len(kinds))
             tolerance = problem.first.tolerance(parts) if kind == "ABC" else None
@@ -74,6 +83,38 @@ def run_parts(problem: Problem, settings: RunSettings) -> Parts:
             parts[kind] = part
     tell("report", len(kinds), len(kinds))
     return Parts(parts, failed)
+
+
+def kept_parts(problem: Problem, out: Path) -> dict[str, xr.DataTree]:
+    """Finished likelihoods that changed settings do not touch, where a folder has others; it is renamed."""
+    with held(out, "update"):
+        known, wanted = settings_in(out, "update"), problem.settings()
+        if known is None or (known := {k: v for k, v in known.items() if k != SUMMED}) == wanted:
+            return {}
+        store = PartStore(out, known, "update")
+        same = [k for k in problem.kinds if settings_of(problem, k, known) == settings_of(problem, k, wanted)]
+        parts = {kind: part for kind in same if (part := store.load(kind)) is not None}
+    changed = sorted(key for key in known | wanted if known.get(key) != wanted.get(key))
+    LOG.info(
+        "`%s` has changed: the result of before is kept in %s%s.",
+        "`, `".join(changed[:3]) + ("`, ..." if len(changed) > 3 else ""),
+        moved_aside(out),
+        f", and {', '.join(parts)} stays as it is" if parts else "",
+    )
+    return parts
+
+
+def settings_of(problem: Problem, kind: str, flat: dict) -> dict:
+    """Of all settings those that one likelihood depends on."""
+    sources = list(filter(None, (kind, KINDS[kind].calibrates)))
+    names = {name for source in sources for name in names_for(problem, source)}
+    taken = {name for source in sources for name in KINDS[source].takes}
+
+    def is_of(key):
+        section, name = [*key.split("."), ""][:2]
+        return {"priors": name in names, "likelihood": name not in ERRORS or name in taken}.get(section, True)
+
+    return {key: value for key, value in flat.items() if is_of(key)}
 
 
 def run_part(problem, kind, own, base, running: Running) -> xr.DataTree:

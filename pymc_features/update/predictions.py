@@ -134,7 +134,7 @@ def predictions(problem, posterior: xr.Dataset) -> dict[str, xr.Dataset]:
     return found
 
 
-def sentences(data: xr.Dataset, title: str) -> list[str]:
+def prediction_sentences(data: xr.Dataset, title: str) -> list[str]:
     """What a prediction says of each quantity: its largest peak, and the probability of each limit."""
     told = []
     for name in [str(n).removesuffix("_peak") for n in data.data_vars if str(n).endswith("_peak")]:

@@ -27,6 +27,7 @@ WITHOUT_EFFECT = (
     "likelihood.epsilon",
     "sampler.cores",
     "predict",
+    "sensitivity",
     "compare",
     "events.folder",  # each event is recognised by its data
     "events.pattern",

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 import pymc_features
+from pymc_features.update.keys import SCHEMA
 from support.commands import GARBAGE, ROOT, run
 from support.pages import PAGES, README, blocks, script
 
@@ -54,6 +55,7 @@ def test_tables_of_the_readme_are_those_of_the_catalogues():
     assert text == from_docs("tables").with_tables(text), "run `python docs/tables.py`"
     page = (ROOT / "docs" / "channels.md").read_text()
     assert page == from_docs("tables").with_formats(page), "run `python docs/tables.py`"
+    assert SCHEMA.read_text() == from_docs("tables").schema(), "run `python docs/tables.py`"
 
 
 def test_the_figure_can_be_drawn_anew(tmp_path):

@@ -495,7 +495,7 @@ def test_tolerance_out_of_reach_keeps_the_rest(example, tmp_path, capsys):
 @pytest.mark.slow
 def test_what_a_stopped_sampler_returns_is_not_kept(example, tmp_path, monkeypatch):
     problem, sample = read_problem(example), sampling.by_sampler
-    monkeypatch.setattr(sampling, "sample", lambda *all: sample(*all).isel(draw=slice(60)))
+    monkeypatch.setattr(sampling, "by_sampler", lambda *all: sample(*all).isel(draw=slice(60)))
     with pytest.raises(KeyboardInterrupt):
         run_update(problem, out=tmp_path, cores=1, progressbar=False)
     assert not list((tmp_path / "parts").iterdir())

@@ -23,6 +23,7 @@ from pytensor.graph.basic import Constant
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor.random.type import RandomGeneratorType
 
+from pymc_features._checks.messages import says_where_it_is_full
 from pymc_features.exceptions import CheckpointError
 
 MAGIC = b"pymc_features journal 2\n"
@@ -129,8 +130,9 @@ class Journal:
         for array in (particles, *results):
             body.write(np.ascontiguousarray(array, dtype=np.float64).tobytes())
         body = body.getvalue()
-        self.file.write(HEAD.pack(*particles.shape, zlib.crc32(body, self.start)) + body)
-        self.file.flush()
+        with says_where_it_is_full(self.path):
+            self.file.write(HEAD.pack(*particles.shape, zlib.crc32(body, self.start)) + body)
+            self.file.flush()
 
     def close(self):
         """Close the file."""
@@ -276,8 +278,12 @@ def read_json(path):
 def write_json(path, content):
     """Write a JSON file that is there in whole or not at all, with a sum of what it holds."""
     part = path.with_suffix(f".{os.getpid()}.part")
-    part.write_text(json.dumps(content | {"crc32": checksum(content)}, indent=1, sort_keys=True))
-    os.replace(part, path)
+    try:
+        with says_where_it_is_full(path):
+            part.write_text(json.dumps(content | {"crc32": checksum(content)}, indent=1, sort_keys=True))
+            os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def checksum(content: dict) -> int:

@@ -1,7 +1,6 @@
 """The configuration file: TOML, validated, every name in it looked up."""
 
 import keyword
-import tomllib
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -18,10 +17,11 @@ from pymc_features.update.config.sections import (
     Report,
     Sampler,
     Section,
+    Sensitivity,
     parameters_of,
 )
-from pymc_features.update.config.sizes import check_sizes
 from pymc_features.update.config.structure_sections import SPECIMENS, StructureSection
+from pymc_features.update.keys import parsed
 from pymc_features.update.kinds import KINDS_OF_DATA
 from pymc_features.update.kinds.ambient import Ambient, AmbientSection
 from pymc_features.update.kinds.cyclic import CyclicSection
@@ -61,6 +61,7 @@ class Config(Section):
     sampler: Sampler = Field(Sampler(), description="a table")
     predict: list[Predict] = Field([], description="a list of tables, each [[predict]]")
     compare: dict[str, Candidate] = Field({}, description="a table of candidates, each [compare.NAME]")
+    sensitivity: Sensitivity | None = Field(None, description="a table")
     report: Report = Field(Report(), description="a table")
 
     @model_validator(mode="before")
@@ -105,20 +106,7 @@ def read_config(path) -> tuple[Config, dict]:
         If it is not TOML, a key is unknown, missing or out of its range, or a name refers to nothing.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"`CONFIG` must be an existing file, got {path}. `pymc-features init` writes an example."
-        )
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-        check_sizes(raw)
-    except ConfigError as error:
-        raise ConfigError(f"{path.name}: {error}") from error
-    except RecursionError:
-        raise ConfigError(f"{path.name} must be a TOML file: lists in it are nested too deeply.") from None
-    except ValueError as error:  # of TOML, of its encoding, or of a number with thousands of digits
-        reason = str(error).partition(";")[0].rstrip(".")
-        raise ConfigError(f"{path.name} must be a TOML file: {reason}.") from error
+    raw = parsed(path)
     try:
         return validated(raw), raw
     except ConfigError as error:

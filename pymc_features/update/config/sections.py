@@ -312,3 +312,9 @@ class Candidate(Section):
     )
     priors: dict[str, dict[str, Any]] = key("a table of priors besides those of [priors]", {})
     weight: float = key("a prior probability beside 1 of [structure], positive", 1.0, gt=0)
+
+
+class Sensitivity(Section):
+    """What `check` says about how well the sensors see each parameter."""
+
+    draws: int = key("a whole number from 3 to 1000, draws of the priors", 20, ge=3, le=1000)

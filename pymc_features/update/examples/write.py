@@ -4,6 +4,7 @@ from pathlib import Path
 
 from pymc_features.storage import write_atomically
 from pymc_features.update.examples import EXAMPLES
+from pymc_features.update.keys import SCHEMA
 from pymc_features.update.templates import TEMPLATES
 
 
@@ -24,7 +25,9 @@ def write_example(path, *, example: str = "shaking-table", synthetic: bool = Fal
     Returns
     -------
     list of Path, str
-        Files written, and a sentence that says which data they use and why.
+        Files written, the configuration first; beside it its JSON schema, by which editors complete and check
+    str
+        Which data they use, and why.
 
     Raises
     ------
@@ -40,7 +43,9 @@ def write_example(path, *, example: str = "shaking-table", synthetic: bool = Fal
     if not path.parent.is_dir():
         raise FileNotFoundError(f"`CONFIG` must be in an existing folder, got {path.parent}.")
     template, values, channels, sentence = EXAMPLES[example](measured.name, synthetic)
-    texts = {path: TEMPLATES.get_template(template).render(values)}
+    schema = path.with_name(f"{path.stem}.schema.json")
+    lines = f"#:schema ./{schema.name}\n{TEMPLATES.get_template(template).render(values)}"
+    texts = {path: lines, schema: SCHEMA.read_text(encoding="utf-8")}
     if channels:
         texts[measured] = channels
     for file in texts:

@@ -2,9 +2,11 @@
 
 from typing import NamedTuple
 
+from pymc_features.update.candidates import comparison_sentences
 from pymc_features.update.kinds.base import Verdict
 from pymc_features.update.kinds.events import events_verdict
 from pymc_features.update.kinds.modal import ModeRow
+from pymc_features.update.predictions import prediction_sentences
 from pymc_features.update.problem import Problem
 from pymc_features.update.report.summary import Row, changed, kinds_of, rows, supported, warnings_of
 
@@ -32,6 +34,8 @@ class Findings(NamedTuple):
         Whether the structure changed from event to event; empty without several.
     is_unchanged : bool
         Whether no event raised an alarm.
+    besides : list of str
+        What was predicted, and which candidate the data prefer.
     """
 
     verdict: Verdict
@@ -43,6 +47,7 @@ class Findings(NamedTuple):
     modes: dict[str, list[ModeRow]]
     events: str
     is_unchanged: bool
+    besides: list[str]
 
 
 def findings(problem: Problem, result) -> Findings:
@@ -70,7 +75,18 @@ def findings(problem: Problem, result) -> Findings:
         changed(table),
         modes,
         *events_verdict(first, result[first]),
+        besides(result),
     )
+
+
+def besides(result) -> list[str]:
+    """Sentences on the predictions and comparisons in a result."""
+    told = []
+    for kind, node in getattr(result.children.get("compare"), "children", {}).items():
+        told += comparison_sentences(node.to_dataset(), kind)
+    for name, node in getattr(result.children.get("predict"), "children", {}).items():
+        told += prediction_sentences(node.to_dataset(), name)
+    return told
 
 
 def gaps_of(problem: Problem) -> str:

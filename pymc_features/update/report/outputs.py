@@ -4,7 +4,7 @@ import io
 from pathlib import Path
 
 from pymc_features import plots
-from pymc_features.storage import write_atomically
+from pymc_features.storage import netcdf_bytes, write_atomically
 from pymc_features.update.problem import Problem
 from pymc_features.update.report.figures import figures
 from pymc_features.update.report.findings import Findings, findings
@@ -43,7 +43,7 @@ def write_outputs(
     doubts = [*(f"data: {text}" for text in channel_warnings), *found.doubts]
     drawn = [(figure, png(figure.draw())) for figure in figures(problem, result, found.modes)]
     writers = {
-        "update.nc": lambda path: result.to_netcdf(path, engine="h5netcdf"),
+        "update.nc": lambda path: path.write_bytes(netcdf_bytes(result)),
         "table.csv": lambda path: path.write_text(as_csv(found.table), encoding="utf-8"),
     }
     for figure, image in drawn:

@@ -46,6 +46,8 @@ def summary(found: Findings):
         yield found.supported, None
     first = found.table[0].kind
     yield posterior_table([row for row in found.table if row.kind == first]), None
+    for sentence in found.besides:
+        yield sentence, None
     if found.modes:
         yield modes_table(found.modes[first], f"Identified modes [Hz] under {first}"), None
         yield found.changed, None

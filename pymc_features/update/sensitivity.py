@@ -1,0 +1,105 @@
+"""What the sensors can see of each parameter before anything is measured or sampled: [sensitivity]."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features.inference.fisher import product_function
+from pymc_features.inference.parameters import initial_values
+from pymc_features.update.config.messages import named_key
+from pymc_features.update.likelihoods import KINDS
+from pymc_features.update.model import declare
+
+BLIND = 0.8  # share of a prior's standard deviation that remains: sensors hardly see the parameter
+SPREAD = 2000  # draws from which a prior's standard deviation is known to 2 %
+QUANTILES = (0.05, 0.5, 0.95)
+
+
+class Remaining(NamedTuple):
+    """What data like these leave of a parameter's prior standard deviation, over draws of the prior.
+
+    Attributes
+    ----------
+    name : str
+        Of the parameter.
+    prior : float
+        Standard deviation of its prior.
+    low, middle, high : float
+        5, 50 and 95 % of the share that remains [-]: 1 where the data tell nothing.
+    together : str
+        The parameter that is hardest to tell apart from it, where that leaves most of what remains.
+    """
+
+    name: str
+    prior: float
+    low: float
+    middle: float
+    high: float
+    together: str
+
+
+def remaining(problem) -> list[Remaining]:
+    """Judge every parameter of the structure by the Fisher information over the prior.
+
+    At each draw of the priors the posterior covariance is about (I + P)^-1, with I the Fisher information of
+    the likelihoods, see `fisher_information`, and P the inverse variances of the priors.
+
+    Raises
+    ------
+    ConfigError
+        If a likelihood has no known information; the message names the section.
+    """
+    kind = problem.reported[0]
+    kind = KINDS[kind].calibrates or kind
+    with named_key("sensitivity"):
+        model = declare(problem, kind)
+        function = product_function(model)
+    names = [rv.name for rv in model.free_RVs]
+    draws = problem.config.sensitivity.draws
+    columns = {name: problem.priors[name].draw(SPREAD, k) for k, name in enumerate(names)}
+    spread = np.array([columns[name].std() for name in names])
+    shares, alone = [], []
+    for i in range(draws):
+        values = initial_values(model, {name: column[i] for name, column in columns.items()})
+        information = np.array([function(*values.values(), row) for row in np.eye(len(names))])
+        scaled = 0.5 * (information + information.T) * np.outer(spread, spread) + np.eye(len(names))
+        if not np.isfinite(scaled).all():
+            continue
+        shares.append(np.sqrt(np.diag(np.linalg.inv(scaled))))
+        alone.append(scaled)
+    with named_key("sensitivity"):
+        if not shares:
+            raise ValueError("priors must have draws with a finite response, got none. Narrow [priors].")
+    low, middle, high = np.quantile(shares, QUANTILES, axis=0)
+    covariance = np.linalg.inv(np.mean(alone, axis=0))
+    found = []
+    for i in (names.index(name) for name in problem.structure.names):
+        found.append(
+            Remaining(names[i], spread[i], low[i], middle[i], high[i], partner(covariance, names, i))
+        )
+    return found
+
+
+def partner(covariance, names, i: int) -> str:
+    """The name of the parameter with a correlation above 0.8; empty without one."""
+    scale = np.sqrt(np.diag(covariance))
+    correlation = np.abs(covariance[i] / (scale[i] * scale))
+    correlation[i] = 0.0
+    j = int(correlation.argmax())
+    return names[j] if correlation[j] > BLIND else ""
+
+
+def sensitivity_sentences(found: list[Remaining]) -> list[str]:
+    """Which parameters these sensors hardly see, and which they cannot tell apart."""
+    blind = [f"{row.name} ({100 * row.middle:.0f} %)" for row in found if row.middle > BLIND]
+    pairs = {tuple(sorted((row.name, row.together))) for row in found if row.together}
+    told = []
+    if blind:
+        told.append(
+            f"These sensors can hardly see {', '.join(blind)}, in brackets what they leave of the prior's "
+            "standard deviation: fix them, or add sensors."
+        )
+    if pairs:
+        named = ", ".join(" and ".join(pair) for pair in sorted(pairs))
+        told.append(f"They can hardly tell apart {named}.")
+    return told or ["These sensors can see every parameter."]
