@@ -99,6 +99,18 @@ def add_update(commands):
         action="store_true",
         help=FORCE,
     )
+    run.add_argument("--json", action="store_true", help="print verdict, table and findings for scripts")
+    run.add_argument(
+        "--fail-on", choices=["verdict"], help="exit with 3 if the model does not explain the data"
+    )
+    ahead = commands.add_parser(
+        "predict",
+        help="predict other motions with the posterior of a finished update",
+        description="Reads each [[predict]] of a configuration and the result of its update, and writes "
+        "bands of responses and probabilities of exceedance into it. Nothing is sampled, no channel is read.",
+    )
+    ahead.add_argument("config", metavar="CONFIG", help="configuration file, TOML")
+    ahead.add_argument("--out", metavar="DIR", help="folder of the result (default: CONFIG-output)")
     look = commands.add_parser(
         "check",
         help="look at the data of a configuration without sampling",
@@ -135,5 +147,5 @@ def add_update(commands):
         "--dt", type=float, metavar="S", help="step of the channels [s], if the file is silent"
     )
     change.add_argument("--force", action="store_true", help="replace OUT if it is there")
-    for command in (run, look, example, change):
+    for command in (run, ahead, look, example, change):
         command.add_argument("--traceback", action="store_true", help="on an error, show where it came from")

@@ -4,6 +4,7 @@ Most of it is imported when Ctrl-C is looked after, for that takes seconds.
 """
 
 import atexit
+import logging
 import os
 import signal
 import sys
@@ -13,9 +14,10 @@ from pathlib import Path
 
 from pymc_features.interrupt import EXIT_INTERRUPTED, CtrlC, started
 
-EXIT_BAD_INPUT = 2
+EXIT_BAD_INPUT, EXIT_UNEXPLAINED = 2, 3
 # what each command needs, with PyMC
 NEEDED = {"update": "pymc_features.update.run", "check": "pymc_features.update.expected"}
+NEEDED |= {"predict": "pymc_features.update.run"}
 NEEDED |= {"init": "pymc_features.update.examples.write"}
 NEEDED |= {"reproduce": "pymc_features.study", "convert": "pymc_features.io"}
 
@@ -35,8 +37,6 @@ def command() -> int:
 
 def main(arguments=None) -> int:
     """Run the command; return its exit code."""
-    import logging
-
     from rich.console import Console
 
     from pymc_features.arguments import make_parser
@@ -48,14 +48,13 @@ def main(arguments=None) -> int:
     logging.getLogger("pymc").setLevel(logging.WARNING)
     os.environ.setdefault("MPLBACKEND", "Agg")
     try:
-        if options.command in ("update", "check"):
+        if options.command in ("update", "check", "predict"):
             parsed(options.config)  # a typo is said before seconds of imports
         import_module(NEEDED[options.command])
         started()
-        run = {"reproduce": reproduce, "update": update, "check": check, "init": init, "convert": convert}[
-            options.command
-        ]
-        run(options, console)
+        logging.getLogger("pymc_features").addHandler(Told(console))
+        logging.getLogger("pymc_features").setLevel(logging.INFO)
+        return RUNS[options.command](options, console) or 0
     except KeyboardInterrupt:
         out = getattr(options, "out", None)
         kept = f": finished parts are kept in {out}; the same command continues" if out else ""
@@ -66,7 +65,18 @@ def main(arguments=None) -> int:
             raise
         console.print(f"pymc-features: error: {error}", markup=False, soft_wrap=True)
         return EXIT_BAD_INPUT
-    return 0
+
+
+class Told(logging.Handler):
+    """What is logged, as a sentence on the console."""
+
+    def __init__(self, console):
+        super().__init__()
+        self.console = console
+
+    def emit(self, record):
+        """Say it."""
+        say(self.console, record.getMessage())
 
 
 def say(console, sentence, style=None):
@@ -136,7 +146,7 @@ def update(options, console):
     """Update a structure as a configuration says, and write the report."""
     from pymc_features.progress import PartProgress
     from pymc_features.update import run_update, write_outputs
-    from pymc_features.update.report.findings import findings
+    from pymc_features.update.report.findings import as_json, findings
     from pymc_features.update.report.terminal import summary
 
     config = Path(options.config)
@@ -163,6 +173,24 @@ def update(options, console):
     for path in write_outputs(problem, result, options.out, told, found):
         if path.parent == options.out:
             say(console, f"wrote {path}")
+    if options.json:
+        print(as_json(found))
+    return EXIT_UNEXPLAINED if options.fail_on == "verdict" and not found.verdict.explains else 0
+
+
+def predict(options, console):
+    """Predict other motions with the posterior of a finished update."""
+    from pymc_features.storage import netcdf_bytes, write_atomically
+    from pymc_features.update.report.findings import besides
+    from pymc_features.update.run import predict_stored
+
+    config = Path(options.config)
+    out = Path(options.out or config.with_name(f"{config.stem}-output"))
+    result = predict_stored(config, out / "update.nc")
+    for sentence in besides(result):
+        say(console, sentence)
+    write_atomically(out / "update.nc", lambda path: path.write_bytes(netcdf_bytes(result)))
+    say(console, f"wrote {out / 'update.nc'}")
 
 
 def forget_parts(options, what, console):
@@ -307,6 +335,15 @@ def default_folder(options) -> str:
         parts.append(options.structure)
     return "-".join([*parts, "quick"] if options.quick else parts)
 
+
+RUNS = {
+    "reproduce": reproduce,
+    "update": update,
+    "predict": predict,
+    "check": check,
+    "init": init,
+    "convert": convert,
+}
 
 if __name__ == "__main__":
     sys.exit(command())

@@ -11,7 +11,7 @@ from pymc_features.update.likelihoods import KINDS
 from pymc_features.update.parts import RunSettings, run_parts
 from pymc_features.update.problem import Problem, problem_of
 
-GIVEN = "as in [structure]"  # what the structure of the file is called
+GIVEN = "[structure]"  # what the structure of the file is called
 LEFT_OUT = ("compare", "predict")  # sections that are those of the file alone
 
 
@@ -27,12 +27,19 @@ def problem_with(problem: Problem, name: str) -> Problem:
     own = {k: v for k, v in raw.items() if k not in LEFT_OUT}
     own["structure"] = asked.structure if "type" in asked.structure else raw["structure"] | asked.structure
     own["priors"] = raw["priors"] | asked.priors
+    if "likelihood" in raw:
+        own["likelihood"] = raw["likelihood"] | {"kinds": with_evidence(problem.kinds)}
     try:
         uses = validated(own, prune=True).uses()
         own["priors"] = {k: v for k, v in own["priors"].items() if k in uses}
         return problem_of(problem.path, problem.text, validated(own), own)
     except ConfigError as error:
         raise ConfigError(f"[compare.{name}]: {error}") from error
+
+
+def with_evidence(kinds) -> list[str]:
+    """Of some likelihoods those whose posterior has an evidence."""
+    return [kind for kind in kinds if not (KINDS[kind].calibrates or KINDS[kind].is_likelihood_free)]
 
 
 def compared(problem: Problem, parts, settings: RunSettings) -> dict[str, xr.Dataset]:
@@ -60,12 +67,11 @@ def compared(problem: Problem, parts, settings: RunSettings) -> dict[str, xr.Dat
         own = None if settings.out is None else Path(settings.out) / "compare" / name
         found[name] = run_parts(problem_with(problem, name), settings._replace(out=own)).found
     prior = {GIVEN: 1.0} | {name: candidate.weight for name, candidate in asked.items()}
-    kinds = [k for k in parts if not (KINDS[k].calibrates or KINDS[k].is_likelihood_free)]
     return {
         f"compare/{kind}": compare({name: of_kind[kind] for name, of_kind in found.items()}, prior=prior)[
             "comparison"
         ].to_dataset()
-        for kind in kinds
+        for kind in with_evidence(parts)
     }
 
 

@@ -97,15 +97,23 @@ def motion_of(asked: Predict, at: str, folder: Path, measured: Record | None) ->
         return replace(record, acceleration=factor * record.acceleration, interpolation=interpolation)
 
 
-def predictions(problem, posterior: xr.Dataset) -> dict[str, xr.Dataset]:
+def predictions(
+    config, folder: Path, structure, posterior: xr.Dataset, measured: Record | None
+) -> dict[str, xr.Dataset]:
     """Predict every response that the file asks for.
 
     Parameters
     ----------
-    problem : Problem
+    config : Config
         Perhaps with [[predict]].
+    folder : Path
+        Files are relative to it.
+    structure : StructureOf
+        Values of the priors to a structure.
     posterior : Dataset
         Draws of the likelihood that comes first.
+    measured : Record or None
+        The motion that was measured.
 
     Returns
     -------
@@ -115,10 +123,9 @@ def predictions(problem, posterior: xr.Dataset) -> dict[str, xr.Dataset]:
         `q_probability` (q_limit, ...) that the peak exceeds them, `q_probability_any` (q_limit) that any
         does, and their standard errors `..._se`.
     """
-    found, structure = {}, problem.structure
-    for number, asked in enumerate(problem.config.predict):
-        measured = None if problem.measured is None else problem.measured.record
-        record = motion_of(asked, f"predict[{number}]", problem.path.parent, measured)
+    found = {}
+    for number, asked in enumerate(config.predict):
+        record = motion_of(asked, f"predict[{number}]", folder, measured)
         settings = {"draws": asked.draws, "random_seed": 0, "n_modes": structure.n_modes}
         data = posterior_response(
             posterior, structure, record, asked.quantities, quantiles=QUANTILES, **settings
@@ -147,7 +154,5 @@ def prediction_sentences(data: xr.Dataset, title: str) -> list[str]:
         for limit in data.get(f"{name}_limit", xr.DataArray([])).values:
             one = data.sel({f"{name}_limit": limit})
             p, se = float(one[f"{name}_probability_any"]), float(one[f"{name}_probability_any_se"])
-            told.append(
-                f"{title}: the {words} exceeds {limit:g} {unit} with probability {p:.3f} (+- {se:.1g})."
-            )
+            told.append(f"{title}: {words} exceeds {limit:g} {unit} with probability {p:.3f} (+- {se:.1g}).")
     return told

@@ -3,13 +3,18 @@
 import json
 from collections.abc import Callable
 from concurrent.futures import Executor
+from pathlib import Path
 
 import xarray as xr
 
+from pymc_features.exceptions import ConfigError
+from pymc_features.records import Record
 from pymc_features.update.candidates import compared
+from pymc_features.update.config.document import read_config
 from pymc_features.update.parts import RunSettings, run_parts
-from pymc_features.update.predictions import predictions
+from pymc_features.update.predictions import check_predictions, predictions
 from pymc_features.update.problem import Problem
+from pymc_features.update.structure import StructureOf
 
 
 def run_update(
@@ -69,9 +74,57 @@ def run_update(
     for data in problem.data:
         groups |= data.shared(problem, shown)
     posterior = shown[reported[0]]["posterior"].to_dataset()
-    for name, group in predictions(problem, posterior).items():
+    motion = None if problem.measured is None else problem.measured.record
+    predicted = predictions(problem.config, problem.path.parent, problem.structure, posterior, motion)
+    for name, group in predicted.items():
         groups[f"predict/{name}"] = group
     for path, group in groups.items():
         result[path] = xr.DataTree(group)
     result.attrs["failed"] = json.dumps(failed)
+    return result
+
+
+def predict_stored(config_path: Path, file: Path) -> xr.DataTree:
+    """A stored result with the predictions that its configuration asks for now, in place of those before.
+
+    Nothing is sampled, and no measured channel is read.
+
+    Parameters
+    ----------
+    config_path : Path
+        The configuration file.
+    file : Path
+        `update.nc` of a finished update.
+
+    Raises
+    ------
+    ConfigError
+        If nothing is asked for, there is no result, or it is one of another structure.
+    """
+    config, _ = read_config(config_path)
+    structure = StructureOf(config.structure, config_path.parent)
+    check_predictions(config, structure.type)
+    if not config.predict:
+        raise ConfigError("`predict` must be given, got none: a table [[predict]] for each motion.")
+    if not file.is_file():
+        raise ConfigError(
+            f"`--out` must hold the result of an update, got no {file}. Run `pymc-features update` first."
+        )
+    with xr.open_datatree(file, engine="h5netcdf") as tree:
+        result = tree.load()
+    first = next(node for node in result.children.values() if "posterior" in node.children)
+    posterior, measured = first["posterior"].to_dataset(), None
+    if missing := sorted(set(structure.names) - set(posterior.data_vars)):
+        raise ConfigError(
+            f"`structure` must be that of the result, {file} has no draws of {', '.join(missing)}. Run "
+            "`pymc-features update` again."
+        )
+    if "ground_acceleration" in result.children.get("data", {}):
+        motion = result["data/ground_acceleration"]
+        dt = float(motion["record_time"][1] - motion["record_time"][0])
+        about = result["data"].attrs
+        measured = Record(motion.values, dt, about["record"], interpolation=about["interpolation"])
+    result = result.drop_nodes("predict", errors="ignore")
+    for name, group in predictions(config, config_path.parent, structure, posterior, measured).items():
+        result[f"predict/{name}"] = xr.DataTree(group)
     return result

@@ -138,6 +138,8 @@ def check_sources(config: Config) -> None:
             "displacement and force."
         )
     asked = [kind for kind in KINDS_OF_DATA if kind.is_asked(config)]
+    if config.ambient is not None and Ambient not in asked:
+        raise ConfigError('`ambient` must be left out without `data.excitation = "ambient"`, got it.')
     for kind in asked:
         kind.check_sections(config)
     if not asked:
@@ -145,8 +147,6 @@ def check_sources(config: Config) -> None:
             "`data` must be given: a table with the files of measured responses. Or give identified modes in "
             "[modal]."
         )
-    if config.ambient is not None and Ambient not in asked:
-        raise ConfigError('`ambient` must be left out without `data.excitation = "ambient"`, got it.')
 
 
 def check_names(config: Config, prune: bool) -> None:

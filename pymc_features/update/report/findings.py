@@ -1,5 +1,7 @@
 """What is found in a result, in numbers and sentences: once, for the terminal and for the report."""
 
+import json
+import math
 from typing import NamedTuple
 
 from pymc_features.update.candidates import comparison_sentences
@@ -8,7 +10,7 @@ from pymc_features.update.kinds.events import events_verdict
 from pymc_features.update.kinds.modal import ModeRow
 from pymc_features.update.predictions import prediction_sentences
 from pymc_features.update.problem import Problem
-from pymc_features.update.report.summary import Row, changed, kinds_of, rows, supported, warnings_of
+from pymc_features.update.report.summary import Doubt, Row, changed, doubts_of, kinds_of, rows, supported
 
 
 class Findings(NamedTuple):
@@ -24,8 +26,8 @@ class Findings(NamedTuple):
         How many observations the residuals support; empty without CAL.
     table : list of Row
         The posterior under all likelihoods.
-    doubts : list of str
-        Warnings, each with its likelihood in front.
+    doubts : list of Doubt
+        What to doubt about it.
     changed : str
         Which parameters the data changed, under the first likelihood.
     modes : dict
@@ -42,7 +44,7 @@ class Findings(NamedTuple):
     left_out: str
     supported: str
     table: list[Row]
-    doubts: list[str]
+    doubts: list[Doubt]
     changed: str
     modes: dict[str, list[ModeRow]]
     events: str
@@ -71,7 +73,7 @@ def findings(problem: Problem, result) -> Findings:
         gaps_of(problem),
         supported(problem, result, of_first.explains),
         table,
-        warnings_of(result, table),
+        doubts_of(result, table),
         changed(table),
         modes,
         *events_verdict(first, result[first]),
@@ -93,3 +95,21 @@ def gaps_of(problem: Problem) -> str:
     """A sentence on what was not compared; empty without gaps."""
     left_out = "" if problem.measured is None else problem.measured.left_out
     return f"Left out as gaps: {left_out}." if left_out else ""
+
+
+def as_json(found: Findings) -> str:
+    """Findings for scripts: verdict, table in SI units, and doubts with their codes; no number is null."""
+    rows = [
+        {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row._asdict().items()}
+        for row in found.table
+    ]
+    return json.dumps(
+        {
+            "explains": found.verdict.explains,
+            "verdict": found.verdict.sentences,
+            "is_unchanged": found.is_unchanged,
+            "sentences": list(filter(None, [found.events, found.left_out, found.supported, *found.besides])),
+            "table": rows,
+            "findings": [doubt._asdict() for doubt in found.doubts],
+        }
+    )

@@ -147,52 +147,83 @@ def supported(problem: Problem, result: xr.DataTree, explains: bool = True) -> s
     return ""
 
 
-def warnings_of(result: xr.DataTree, table: list[Row]) -> list[str]:
-    """What to doubt, from the run and from its numbers, each with the likelihood in front."""
-    found = [f"{kind}: {message}" for kind, message in json.loads(result.attrs.get("failed", "{}")).items()]
+class Doubt(NamedTuple):
+    """What to doubt about a result.
+
+    Attributes
+    ----------
+    kind : str
+        The likelihood.
+    code : str
+        By which scripts know it: `data`, `run`, `failed`, or a key of `DOUBTS`.
+    text : str
+        A sentence.
+    """
+
+    kind: str
+    code: str
+    text: str
+
+    def __str__(self):
+        return f"{self.kind}: {self.text}"
+
+
+#: Codes to what is said of some names, and what to do.
+DOUBTS = {
+    "chains": ("chains disagree on", "Increase `sampler.draws`, and look at the ranks."),
+    "draws": (f"fewer than {FEWEST} effective draws of each chain for", "Increase `sampler.draws`."),
+    "prior": ("the data say little about", "Their posterior is the prior: fix them, or add sensors."),
+    "moved": (
+        "the data move, but do not narrow",
+        "The prior expects something else: ask which of the two is wrong.",
+    ),
+    "apart": (
+        "the data leave nearly as wide as the prior",
+        "What is named together they cannot tell apart: give narrower priors, or add sensors.",
+    ),
+    "edge": ("the posterior leans on the edge of the prior for", "Widen the prior, or ask why."),
+    "band": (
+        "fewer than 80 % of the samples lie in the 90 % predictive band of",
+        "The likelihood takes the errors for smaller than they are.",
+    ),
+}
+
+
+def doubts_of(result: xr.DataTree, table: list[Row]) -> list[Doubt]:
+    """What to doubt, from the run and from its numbers."""
+    failed = json.loads(result.attrs.get("failed", "{}"))
+    found = [Doubt(kind, "failed", text) for kind, text in failed.items()]
     for kind in kinds_of(result):
         part = result[kind]
-        found += [f"{kind}: {message}" for message in json.loads(part.attrs["warnings"])]
-        limit = R_HAT_NUTS if part.attrs["method"] == "NUTS" else R_HAT
-        of_kind = [row for row in table if row.kind == kind and np.isfinite(row.taught)]
-        found += listed(kind, "chains disagree on", [r.name for r in of_kind if r.r_hat > limit], CHAINS)
-        chains = part["posterior"].sizes["chain"]
-        few = [r.name for r in of_kind if r.ess < FEWEST * chains]
-        found += listed(kind, f"fewer than {FEWEST} effective draws of each chain for", few, DRAWS)
-        wide = [r for r in of_kind if r.taught < TAUGHT]
-        little = [r.name for r in wide if r.overlap > MOVED]
-        found += listed(kind, "the data say little about", little, LITTLE)
-        moved = [r.name for r in wide if r.overlap <= MOVED]
-        found += listed(kind, "the data move, but do not narrow", moved, MOVES)
-        left = [direction for direction in undetermined_in(part) if direction not in (*little, *moved)]
-        found += listed(kind, "the data leave nearly as wide as the prior", left, WIDE)
-        at_edge = [row.name for row in of_kind if leans(part, row)]
-        found += listed(kind, "the posterior leans on the edge of the prior for", at_edge, EDGE)
+        found += [Doubt(kind, "run", text) for text in json.loads(part.attrs["warnings"])]
+        for code, names in names_in_doubt(part, [row for row in table if row.kind == kind]).items():
+            sentence, advice = DOUBTS[code]
+            if names:
+                found.append(Doubt(kind, code, f"{sentence} {', '.join(names)}. {advice}"))
         stats = part["sample_stats"].to_dataset() if "sample_stats" in part.children else {}
-        if "failed" in stats and (failed := int(stats["failed"].sum())):
-            total = int(stats["evaluations"].sum())
-            found.append(f"{kind}: {failed} of {total} evaluations gave no response and count as impossible.")
-        if "bands" in part.children and "coverage" in part["bands"]:
-            low = part["bands"]["coverage"]
-            bad = [str(s) for s in low["sensor"].values if float(low.sel(sensor=s)) < 0.8]
-            found += listed(
-                kind, "fewer than 80 % of the samples lie in the 90 % predictive band of", bad, BAND
-            )
+        if "failed" in stats and (n := int(stats["failed"].sum())):
+            text = f"{n} of {int(stats['evaluations'].sum())} evaluations gave no response and count as "
+            found.append(Doubt(kind, "impossible", f"{text}impossible."))
     return found
 
 
-CHAINS = "Increase `sampler.draws`, and look at the ranks."
-DRAWS = "Increase `sampler.draws`."
-LITTLE = "Their posterior is the prior: fix them, or add sensors."
-MOVES = "The prior expects something else: ask which of the two is wrong."
-WIDE = "What is named together they cannot tell apart: give narrower priors, or add sensors."
-EDGE = "Widen the prior, or ask why."
-BAND = "The likelihood takes the errors for smaller than they are."
-
-
-def listed(kind, sentence, names, advice) -> list[str]:
-    """A sentence on some names, if there are any."""
-    return [f"{kind}: {sentence} {', '.join(names)}. {advice}"] if names else []
+def names_in_doubt(part, table: list[Row]) -> dict[str, list[str]]:
+    """Codes of `DOUBTS` to the parameters, or sensors, that they are about."""
+    limit = R_HAT_NUTS if part.attrs["method"] == "NUTS" else R_HAT
+    rows = [row for row in table if np.isfinite(row.taught)]
+    wide = [row for row in rows if row.taught < TAUGHT]
+    little = [row.name for row in wide if row.overlap > MOVED]
+    moved = [row.name for row in wide if row.overlap <= MOVED]
+    covered = part["bands"].get("coverage") if "bands" in part.children else None
+    return {
+        "chains": [row.name for row in rows if row.r_hat > limit],
+        "draws": [row.name for row in rows if row.ess < FEWEST * part["posterior"].sizes["chain"]],
+        "prior": little,
+        "moved": moved,
+        "apart": [name for name in undetermined_in(part) if name not in (*little, *moved)],
+        "edge": [row.name for row in rows if leans(part, row)],
+        "band": [] if covered is None else [str(s) for s in covered["sensor"].values[covered.values < 0.8]],
+    }
 
 
 def undetermined_in(part) -> list[str]:
