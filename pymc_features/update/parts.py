@@ -17,11 +17,12 @@ import xarray as xr
 from pymc_features.exceptions import ConfigError, UncalibratedError
 from pymc_features.smc import open_workers
 from pymc_features.storage import SUMMED, PartStore, held, moved_aside, settings_in
+from pymc_features.update import sampling
 from pymc_features.update.config.sections import ERRORS
-from pymc_features.update.likelihoods import KINDS
+from pymc_features.update.kinds import KINDS
 from pymc_features.update.model import declare, frequencies, names_for
 from pymc_features.update.problem import Problem
-from pymc_features.update.sampling import Running, calibrated, method_of
+from pymc_features.update.sampling import Running, calibrated, method_of, seed_of
 
 LOG = logging.getLogger("pymc_features")
 PRIOR_DRAWS = 4000
@@ -129,7 +130,9 @@ def run_part(problem, kind, own, base, running: Running) -> xr.DataTree:
         warnings.simplefilter("always", UserWarning)
         model = declare(problem, kind, own["epsilon"])
         if base is None:
-            idata = problem.first.sample(problem, kind, model, running)
+            idata = problem.first.sample(problem, kind, seed_of(problem, kind), running)
+            if idata is None:
+                idata = sampling.sample(problem, kind, model, running)
         else:
             idata = calibrated(problem, kind, base, model, running)
         part = {name: idata[name].to_dataset() for name in GROUPS if name in idata.children}

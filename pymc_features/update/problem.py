@@ -12,10 +12,9 @@ from pymc_features.update.config.document import Config, read_config
 from pymc_features.update.config.entries import Matrix
 from pymc_features.update.config.messages import named_key, shown
 from pymc_features.update.config.priors import Prior
-from pymc_features.update.kinds import KINDS_OF_DATA
+from pymc_features.update.kinds import KINDS, KINDS_OF_DATA
 from pymc_features.update.kinds.base import KindOfData, Setting, Verdict
 from pymc_features.update.kinds.modal import Modal
-from pymc_features.update.likelihoods import KINDS
 from pymc_features.update.predictions import check_predictions
 from pymc_features.update.structure import StructureOf, modes_of
 

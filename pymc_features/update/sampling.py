@@ -13,7 +13,7 @@ from pymc_features.calibration import calibrate
 from pymc_features.exceptions import ConfigError, ToleranceNotReachedError, UncalibratedError
 from pymc_features.smc import Workers, sample_smc
 from pymc_features.update.chains import without_lost_chains
-from pymc_features.update.likelihoods import KINDS
+from pymc_features.update.kinds import KINDS
 
 
 class Running(NamedTuple):

@@ -7,7 +7,7 @@ import numpy as np
 from pymc_features.inference.fisher import product_function
 from pymc_features.inference.parameters import initial_values
 from pymc_features.update.config.messages import named_key
-from pymc_features.update.likelihoods import KINDS
+from pymc_features.update.kinds import KINDS
 from pymc_features.update.model import declare
 
 BLIND = 0.8  # share of a prior's standard deviation that remains: sensors hardly see the parameter

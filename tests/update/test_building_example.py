@@ -24,7 +24,8 @@ def path(tmp_path_factory):
     """The example, as the command writes it."""
     path = tmp_path_factory.mktemp("building") / "tower.toml"
     assert cli.main(["init", str(path), "--example", "building"]) == 0
-    assert {file.name for file in path.parent.iterdir()} == {"tower.toml", "tower-measured.csv"}
+    wanted = {"tower.toml", "tower.schema.json", "tower-measured.csv"}
+    assert {file.name for file in path.parent.iterdir()} == wanted
     return path
 
 

@@ -3,14 +3,13 @@
 import keyword
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.entries import units_in
 from pymc_features.update.config.messages import sentence, shown
 from pymc_features.update.config.sections import (
     Candidate,
-    Data,
     Likelihood,
     Processing,
     RecordFile,
@@ -23,10 +22,8 @@ from pymc_features.update.config.sections import (
 from pymc_features.update.config.structure_sections import SPECIMENS, StructureSection
 from pymc_features.update.keys import parsed
 from pymc_features.update.kinds import KINDS_OF_DATA
-from pymc_features.update.kinds.ambient import Ambient, AmbientSection
-from pymc_features.update.kinds.cyclic import CyclicSection
-from pymc_features.update.kinds.events import EventsSection
-from pymc_features.update.kinds.modal import ModalSection, with_damping
+from pymc_features.update.kinds.ambient import Ambient
+from pymc_features.update.kinds.modal import with_damping
 from pymc_features.update.predictions import Predict
 
 OF_MODES = {"modal", "modal_mode", "modal_entry"}
@@ -45,14 +42,9 @@ class PriorSection(BaseModel):
         return dict(self.model_extra)
 
 
-class Config(Section):
-    """The whole file."""
+class File(Section):
+    """The sections that every file may have."""
 
-    data: Data | None = Field(None, description="a table")
-    events: EventsSection | None = Field(None, description="a table")
-    modal: ModalSection | None = Field(None, description="a table")
-    ambient: AmbientSection | None = Field(None, description="a table")
-    cyclic: CyclicSection | None = Field(None, description="a table")
     record: RecordFile | None = Field(None, description="a table")
     processing: Processing = Field(Processing(), description="a table")
     structure: StructureSection = Field(description="a table with `type`, the name of a structure")
@@ -73,9 +65,8 @@ class Config(Section):
     def uses(self) -> dict[str, list[tuple[str, str]]]:
         """Names of priors to (key, unit) of every place where they are used, in the order of use."""
         places = list(parameters_of("structure", self.structure))
-        for name in ("likelihood", "modal", "ambient"):
-            if (section := getattr(self, name)) is not None:
-                places += section.parameters(self)
+        for name in type(self).model_fields:
+            places += getattr(getattr(self, name), "parameters", lambda config: ())(self)
         found: dict[str, list[tuple[str, str]]] = {}
         for key, of_key, value in places:
             for name, unit in units_in(value, of_key):
@@ -85,7 +76,15 @@ class Config(Section):
         return found
 
 
-def read_config(path) -> tuple[Config, dict]:
+Config = create_model(
+    "Config",
+    __base__=File,
+    __doc__="The whole file.",
+    **{kind.key: (kind.section | None, Field(None, description="a table")) for kind in KINDS_OF_DATA},
+)
+
+
+def read_config(path) -> tuple[File, dict]:
     """Read and validate a configuration file.
 
     Parameters
@@ -113,7 +112,7 @@ def read_config(path) -> tuple[Config, dict]:
         raise ConfigError(f"{path.name}: {error}") from error
 
 
-def validated(raw: dict, *, prune: bool = False) -> Config:
+def validated(raw: dict, *, prune: bool = False) -> File:
     """The configuration of a parsed file; with `prune` priors that nothing uses are no error.
 
     Raises
@@ -130,7 +129,7 @@ def validated(raw: dict, *, prune: bool = False) -> Config:
     return config
 
 
-def check_sources(config: Config) -> None:
+def check_sources(config: File) -> None:
     """There is something to compare with, and no section that it does not need."""
     if config.structure.type in SPECIMENS and config.cyclic is None:
         raise ConfigError(
@@ -149,7 +148,7 @@ def check_sources(config: Config) -> None:
         )
 
 
-def check_names(config: Config, prune: bool) -> None:
+def check_names(config: File, prune: bool) -> None:
     """Every name of a prior refers to one, every prior is used, and can be a variable's name."""
     for name in config.priors:
         if not name.isidentifier() or keyword.iskeyword(name) or name in TAKEN:

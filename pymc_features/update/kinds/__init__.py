@@ -3,6 +3,7 @@
 A new kind is a file here with a class that has the methods of `KindOfData`, and a line in `KINDS_OF_DATA`.
 """
 
+from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.kinds.ambient import Ambient
 from pymc_features.update.kinds.cyclic import Cyclic
 from pymc_features.update.kinds.events import Events
@@ -11,3 +12,5 @@ from pymc_features.update.kinds.responses import Responses
 
 #: In the order in which they stand in a problem: the first one decides what is sampled.
 KINDS_OF_DATA = (Cyclic, Ambient, Events, Responses, Modal)
+#: All likelihoods by name. The place of one is part of its seed.
+KINDS = LIKELIHOODS | {entry.name: entry for kind in reversed(KINDS_OF_DATA) for entry in kind.own}

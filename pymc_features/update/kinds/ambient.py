@@ -21,7 +21,7 @@ from pymc_features.ambient.transfer import transfer_functions
 from pymc_features.ambient.transforms import band_transform
 from pymc_features.exceptions import AmbientWarning, ConfigError
 from pymc_features.identification import identify_modes, propose_bands
-from pymc_features.likelihoods import DIMS
+from pymc_features.likelihoods import DIMS, Likelihood
 from pymc_features.modal import ModalData
 from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.storage import fingerprint
@@ -32,9 +32,15 @@ from pymc_features.update.config.sections import Section, key, window
 from pymc_features.update.kinds.base import KindOfData, Setting, Verdict, check_positive_priors
 from pymc_features.update.kinds.channels import checked_dofs, detrended, read_corrected
 from pymc_features.update.kinds.modal import Modal, ModalSection
-from pymc_features.update.likelihoods import AMBIENT
 from pymc_features.update.model import thinned
 
+AMBIENT = Likelihood(
+    "AMBIENT",
+    "Fourier transforms of the channels complex Gaussian, forces and errors white in each band",
+    "C8",
+    lambda given: None,  # no response is compared in time
+    takes=(),
+)
 DENSITY = "the name of a prior or a positive number in {}, one or one for each band"
 UNITS = {"dofs": "N^2/Hz", "modes": "N^2/kg/Hz"}  # of the forces
 ERROR = "m^2/s^3"  # (m/s^2)^2/Hz
@@ -128,7 +134,8 @@ class Ambient(KindOfData):
     dofs: list[int]
     structure: Structure
 
-    key = "ambient"
+    key, section = "ambient", AmbientSection
+    own = (AMBIENT,)
     likelihoods = [AMBIENT.name]
 
     @classmethod

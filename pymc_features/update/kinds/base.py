@@ -7,10 +7,10 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.exceptions import ConfigError
+from pymc_features.likelihoods import Likelihood
 from pymc_features.structures import Structure
-from pymc_features.update import sampling
 from pymc_features.update.config.entries import priors_in
-from pymc_features.update.sampling import Running
+from pymc_features.update.config.sections import Section
 
 
 class Verdict(NamedTuple):
@@ -59,8 +59,10 @@ class KindOfData:
 
     Attributes
     ----------
-    key : str
-        Of its section in the file.
+    key, section : str, type
+        Name and keys of its section in the file.
+    own : tuple of Likelihood
+        That no other kind has.
     likelihoods : list of str
         That are sampled where it is the first kind of a problem; others join what is sampled.
     dofs : list of int
@@ -68,6 +70,8 @@ class KindOfData:
     """
 
     key: str
+    section: type[Section]
+    own: tuple[Likelihood, ...] = ()
     likelihoods: list[str]
     dofs: list[int]
 
@@ -93,9 +97,9 @@ class KindOfData:
         """Add what was measured to the PyMC model of the context; `values` are the variables by name."""
         raise NotImplementedError
 
-    def sample(self, problem, likelihood: str, model, running: Running) -> xr.DataTree:
-        """The posterior, where it is the first kind of a problem."""
-        return sampling.sample(problem, likelihood, model, running)
+    def sample(self, problem, likelihood: str, seed: int, running) -> xr.DataTree | None:
+        """The posterior, where it is the first kind of a problem; None: by the sampler of the file."""
+        return None
 
     def predict(self, problem, likelihood: str, model, idata) -> dict[str, xr.Dataset]:
         """Groups of a result that say what a posterior makes of the data."""

@@ -54,7 +54,7 @@ class CyclicSection(Section):
 class Cyclic(Histories):
     """Displacement and force of a cyclic test, which stand for motion of the base and responses."""
 
-    key = "cyclic"
+    key, section = "cyclic", CyclicSection
     quantity = "restoring_force"
 
     @classmethod

@@ -25,7 +25,6 @@ from pymc_features.update.kinds.channels import Measured, read_measured
 from pymc_features.update.kinds.histories import prints_of
 from pymc_features.update.kinds.responses import Responses, checked_sensors
 from pymc_features.update.model import declare
-from pymc_features.update.sampling import Running, seed_of
 
 FEWEST_DRAWS = 100  # to which a density is fitted
 FOLDER = "sequence"  # beside the parts of an update
@@ -103,7 +102,7 @@ class Events(Responses):
 
     events: tuple[Event, ...] = ()
 
-    key = "events"
+    key, section = "events", EventsSection
 
     @classmethod
     def is_asked(cls, config):
@@ -192,7 +191,7 @@ class Events(Responses):
         others = problem.data[1:] if event is self.events[0] else ()
         return problem.with_data(Responses(self.config, event.measured, self.dofs), *others)
 
-    def sample(self, problem, likelihood, model, running: Running):
+    def sample(self, problem, likelihood, seed, running):
         """The posterior after the last event; that after each one is kept in a folder for each likelihood."""
         asked, sampler = self.config.events, self.config.sampler
         models = [declare(self.at(problem, event), likelihood) for event in self.events]
@@ -202,7 +201,7 @@ class Events(Responses):
             out=None if running.out is None else Path(running.out) / FOLDER / likelihood,
             draws=sampler.draws,
             chains=sampler.chains,
-            random_seed=seed_of(problem, likelihood),
+            random_seed=seed,
             cores=running.cores or sampler.cores,
             executor=running.workers,
             progressbar=running.progressbar,

@@ -13,6 +13,7 @@ from pydantic import model_validator
 from pymc_features import plots
 from pymc_features._checks import listed
 from pymc_features.exceptions import ConfigError
+from pymc_features.likelihoods import Likelihood
 from pymc_features.modal import ModalData, merge_setups
 from pymc_features.modal.files import read_modal
 from pymc_features.modal_features import ModalFeature, match_modes, modes
@@ -25,7 +26,6 @@ from pymc_features.update.config.sections import Names, Section, key, parameters
 from pymc_features.update.config.structure_sections import STRUCTURES
 from pymc_features.update.kinds.base import KindOfData, Setting, Verdict, check_positive_priors
 from pymc_features.update.kinds.nodes import Points, read_nodes
-from pymc_features.update.likelihoods import MODAL
 from pymc_features.update.model import declare, declares_as_prior, each_draw, thinned
 from pymc_features.update.structure import modes_of
 
@@ -35,6 +35,13 @@ MEANING = (
     "how far its median is off; the MAC of the two shapes with its interval; and the number of that mode, f1 "
     "being the lowest. A partner is within three standard deviations of the frequency, and has a "
     "MAC of at least 0.5."
+)
+MODAL = Likelihood(
+    "MODAL",
+    "errors of ln f Gaussian, 1 - MAC as the feature of Eq. (3), modes matched at every evaluation",
+    "C9",
+    lambda given: None,  # no response is compared in time
+    takes=(),
 )
 SCALE = "the name of a prior or a number, one or one for each mode"
 SPARE = 3  # modes beyond those identified, among which the likelihood may choose
@@ -113,7 +120,7 @@ class Modal(KindOfData):
 
     Attributes
     ----------
-    section : ModalSection
+    asked : ModalSection
         How they are compared.
     data : ModalData
         Those that are compared, with real shapes at the channels.
@@ -131,7 +138,7 @@ class Modal(KindOfData):
         Where they come from.
     """
 
-    section: ModalSection
+    asked: ModalSection
     data: ModalData
     numbers: list[int]
     labels: list
@@ -140,7 +147,8 @@ class Modal(KindOfData):
     points: Points | None
     source: str
 
-    key = "modal"
+    key, section = "modal", ModalSection
+    own = (MODAL,)
     likelihoods = [MODAL.name]
 
     @classmethod
@@ -239,11 +247,11 @@ class Modal(KindOfData):
 
     def parameters(self, likelihood):
         """The errors of the model."""
-        return self.section.sigma_f, self.section.sigma_phi
+        return self.asked.sigma_f, self.asked.sigma_phi
 
     def declare(self, problem, likelihood, structure, values, tolerance):
         """Add the modes; where residuals of responses decide the width, as a factor of the prior."""
-        asked = self.section
+        asked = self.asked
         with named_key("modal", n_modes="modal.n_modes"):
             found = modes(structure, self.n_modes, sensors=self.dofs or None)
             scales = [

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.exceptions import ConfigError
-from pymc_features.update.config.sections import MEASURED
+from pymc_features.update.config.sections import MEASURED, Data
 from pymc_features.update.kinds.base import Setting
 from pymc_features.update.kinds.channels import checked_dofs, read_measured
 from pymc_features.update.kinds.coarseness import coarse_sampling
@@ -17,7 +17,7 @@ PROMINENCE = 2.0  # of a peak of the gain over the valleys beside it, a factor
 class Responses(Histories):
     """Accelerations, velocities, displacements or drifts at the sensors."""
 
-    key = "data"
+    key, section = "data", Data
 
     @classmethod
     def is_asked(cls, config):

@@ -7,6 +7,7 @@ import importlib.metadata
 import numpy as np
 
 from pymc_features.update.config.sections import MEASURED
+from pymc_features.update.kinds import KINDS
 from pymc_features.update.kinds.ambient import ambient_section
 from pymc_features.update.kinds.cyclic import loops_section
 from pymc_features.update.kinds.events import CANNOT_BE_TOLD, UNTOLD, event_rows
@@ -14,7 +15,6 @@ from pymc_features.update.kinds.events import COLUMNS as EVENT_COLUMNS
 from pymc_features.update.kinds.events import MEANING as EVENT_MEANING
 from pymc_features.update.kinds.modal import COLUMNS as MODE_COLUMNS
 from pymc_features.update.kinds.modal import MEANING
-from pymc_features.update.likelihoods import KINDS
 from pymc_features.update.problem import Problem
 from pymc_features.update.report.findings import Findings
 from pymc_features.update.report.summary import COLUMNS, kinds_of

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.calibration.bounds import SHORT, interval
-from pymc_features.update.likelihoods import KINDS
+from pymc_features.update.kinds import KINDS
 from pymc_features.update.problem import Problem
 
 R_HAT = 1.05  # of chains of SMC that agree; they are few and short
