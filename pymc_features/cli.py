@@ -283,6 +283,11 @@ def check(options, console):
             say(console, sentence)
         if is_drawn:
             say(console, f"wrote {path}")
+    if problem.config.sensitivity is not None:
+        from pymc_features.update.sensitivity import remaining, sensitivity_sentences
+
+        for sentence in sensitivity_sentences(remaining(problem)):
+            say(console, sentence)
     if not told:
         say(console, "nothing was found wrong")
 

@@ -1,5 +1,6 @@
 """Several structures for the same data, compared by their evidence: [compare]."""
 
+from functools import partial
 from pathlib import Path
 
 import xarray as xr
@@ -64,8 +65,11 @@ def compared(problem: Problem, parts, settings: RunSettings) -> dict[str, xr.Dat
         return {}
     found = {GIVEN: parts}
     for name in asked:
-        own = None if settings.out is None else Path(settings.out) / "compare" / name
-        found[name] = run_parts(problem_with(problem, name), settings._replace(out=own)).found
+        own = settings._replace(
+            out=None if settings.out is None else Path(settings.out) / "compare" / name,
+            progress=settings.progress and partial(told, settings.progress, name),
+        )
+        found[name] = run_parts(problem_with(problem, name), own).found
     prior = {GIVEN: 1.0} | {name: candidate.weight for name, candidate in asked.items()}
     return {
         f"compare/{kind}": compare({name: of_kind[kind] for name, of_kind in found.items()}, prior=prior)[
@@ -73,6 +77,11 @@ def compared(problem: Problem, parts, settings: RunSettings) -> dict[str, xr.Dat
         ].to_dataset()
         for kind in with_evidence(parts)
     }
+
+
+def told(progress, name: str, part: str, done: int, total: int) -> None:
+    """Progress of one candidate."""
+    progress(f"{name}: {part}", done, total)
 
 
 def comparison_sentences(comparison: xr.Dataset, kind: str) -> list[str]:
