@@ -17,10 +17,9 @@ import numpy as np
 from scipy import sparse
 
 from pymc_features.io.formats.header import column_width
-from pymc_features.io.reading.lines import Lines, shortened, to_count
+from pymc_features.io.reading.lines import Lines, by_library, shortened, to_count
 from pymc_features.io.reading.size_check import check_size
 
-EXTRA = 'python -m pip install "pymc-features[fe]"'
 MOST_ROWS = 10**6  # of a sparse matrix with fewer bytes in its file
 SIGNS = {"general": 0.0, "symmetric": 1.0, "skew-symmetric": -1.0}  # of the half that is not stored
 AXES = ("x", "y", "z", "rx", "ry", "rz")  # directions 1 to 6
@@ -216,15 +215,11 @@ def _mapping(path: Path, n_rows: int) -> list[str]:
 
 def read_nastran(path: Path) -> Found:
     """OP4, text or binary, or DMIG in a punch file, by pyyeti."""
-    try:
+    with by_library("pyyeti", "fe", path, "Nastran"):
         with np.printoptions():  # which pyyeti changes for all when it is imported
             from pyyeti.nastran import bulk, op4
-    except ImportError as error:
-        raise ImportError(
-            f"pyyeti must be installed to read {path.name}, got none. Install it with: {EXTRA}."
-        ) from error
-    if path.suffix.lower() == ".op4":
-        return Found(dict(op4.read(str(path))))
-    found = bulk.rddmig(str(path))
+        if path.suffix.lower() == ".op4":
+            return Found(dict(op4.read(str(path))))
+        found = bulk.rddmig(str(path))
     labels = {name: [_label(*pair) for pair in frame.index] for name, frame in found.items()}
     return Found({name: frame.to_numpy() for name, frame in found.items()}, labels)

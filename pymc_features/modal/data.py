@@ -270,13 +270,7 @@ class ModalData:
 
 
 def find_channels(wanted: Sequence[str], names: Sequence[str], where: str) -> list[int]:
-    """Places of channels by their names.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If a channel is not there; the message lists those that are.
-    """
+    """Places of channels by their names."""
     if isinstance(wanted, str) or not isinstance(wanted, Sequence | np.ndarray) or len(wanted) == 0:
         raise TypeError(f"`channels` must be a sequence of at least one name, got {wanted!r}.")
     places = {name: index for index, name in enumerate(names)}

@@ -15,19 +15,7 @@ _HELD = 5  # samples in a row of one value amid a motion
 
 
 def check_each(channels: xr.DataArray) -> None:
-    """Warn of suspicious channels (sensor, time) in m/s^2, gaps left out; refuse constant ones.
-
-    Raises
-    ------
-    ValueError
-        If a channel is constant, or a gap from end to end.
-
-    Warns
-    -----
-    ChannelWarning
-        If one looks clipped, interrupted or in wrong units, is a copy of another, or starts with an empty
-        sample.
-    """
+    """Warn of suspicious channels (sensor, time) in m/s^2, gaps left out; refuse constant ones."""
     names = [repr(str(name)) for name in sensor_names(channels)]
     values = np.asarray(channels.values, dtype=np.float64)
     measured = [history[~np.isnan(history)] for history in values]

@@ -372,10 +372,10 @@ def test_many_columns(tmp_path):
     """In time proportional to them, as long as a line may be."""
     names = [f"n{k}" for k in range(25_000)]
     text = "frequency," + ",".join(names) + "\n1.0," + ",".join(["1"] * len(names)) + "\n"
-    start = time.perf_counter()
+    start = time.process_time()
     modal = read_modal(save(tmp_path, text), channels=names[::-1])
     assert modal.channels == tuple(names[::-1])
-    assert time.perf_counter() - start < 2.0
+    assert time.process_time() - start < 2.0
 
 
 JSON = {

@@ -394,6 +394,8 @@ def test_without_pyuff(tmp_path, monkeypatch):
     """Modes are read all the same."""
     path = write_58(tmp_path, history(0))
     monkeypatch.setitem(sys.modules, "pyuff", None)
-    with pytest.raises(ImportError, match=r"pyuff must be installed for motion.uff.*pymc-features\[modal\]"):
+    with pytest.raises(
+        ImportError, match=r"pyuff must be installed to read motion.uff.*pymc-features\[modal\]"
+    ):
         read_record(path)
     assert len(read_modal(save(tmp_path, files.UNIVERSAL))) == 3

@@ -1,13 +1,13 @@
 """What headers of strong-motion records state: facts by label, numbers, units, widths of columns, peaks."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
 from pymc_features._checks.messages import warn_caller
 from pymc_features.io.reading.lines import Lines, to_count, to_number
-from pymc_features.io.reading.recording import Channel, Format, Opening, Recording
+from pymc_features.io.reading.recording import Format, Opening, Recording
 from pymc_features.io.reading.units import known_factor
 
 _WIDTH = re.compile(r"(?<!\d)\d{0,3}[FEI](\d{1,3})", re.IGNORECASE | re.ASCII)
@@ -98,16 +98,13 @@ def demand(lines: Lines, facts: dict[str, str], label: str) -> str:
 
 
 def format_of_lines(
-    name: str,
-    recognises: Callable[[Opening], bool],
-    files: str,
-    states: str,
-    read: Callable[[Lines], tuple[Sequence[Channel], str | None]],
+    name: str, recognises: Callable[[Opening], bool], files: str, states: str, read: Callable
 ) -> Format:
-    """A format whose reader takes lines and gives channels and the name of the recording."""
+    """A format whose reader takes `Lines` and gives channels, or these and the name of the recording."""
 
     def recording(path, request) -> Recording:
-        channels, title = read(Lines(path, name.partition(" and ")[0]))
+        found = read(Lines(path, name.partition(" and ")[0]))
+        channels, title = found if isinstance(found, tuple) else (found, None)
         return Recording(path.name, channels, title)
 
     return Format(name, recognises, files, states, recording)

@@ -274,13 +274,7 @@ def _stated_units(facts: Mapping, inside: str, file: str) -> str | None:
 
 
 def _stated_step(facts: Mapping, inside: str, file: str, dt: float | None) -> float | None:
-    """The step [s] that numbers and texts such as "100 Hz" state in a structure, or else in the file.
-
-    Raises
-    ------
-    ValueError
-        If they contradict each other and the caller does not say which.
-    """
+    """The step [s] that numbers and texts such as "100 Hz" state in a structure, or else in the file."""
     steps = {}
     for name, value in facts.items():
         key = re.sub("[_ ]", "", name.lower().rpartition(".")[2])

@@ -27,13 +27,7 @@ SIZES_4 = (8, 4, 4, 2, 2, 1)  # bytes of a number, by the tens of the type
 
 
 def check_layout(path: Path) -> int:
-    """Bytes that the arrays of a file hold, decompressed.
-
-    Raises
-    ------
-    ValueError
-        If a part is longer than what holds it, or much more comes out of a file than is in it.
-    """
+    """Bytes that the arrays of a file hold, decompressed."""
     with path.open("rb") as file:
         header = file.read(HEADER)
         if 0 in header[:4]:  # as SciPy tells version 4, whose header is no text

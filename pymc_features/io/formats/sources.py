@@ -23,13 +23,7 @@ def is_source(value) -> bool:
 
 
 def recording_in(source, request: Request) -> Recording:
-    """The channels of a `pandas.DataFrame`, an `xarray.DataArray`, an ObsPy `Stream` or a list of SEP005.
-
-    Raises
-    ------
-    ValueError
-        If they are no numbers, or their times are none.
-    """
+    """The channels of a `pandas.DataFrame`, an `xarray.DataArray`, an ObsPy `Stream` or a list of SEP005."""
     names = {base.__name__ for base in type(source).__mro__}
     if "DataFrame" in names:
         return _of_frame(source, request)

@@ -174,7 +174,7 @@ def read_knet(lines: Lines) -> tuple[list[Channel], str]:
 # --- NSMN and UNAM: columns of all directions ---------------------------------------------------------
 
 
-def read_nsmn(lines: Lines) -> tuple[list[Channel], None]:
+def read_nsmn(lines: Lines) -> list[Channel]:
     """The three components of a file [gal]."""
     lines.take("a title")
     facts = labelled(lines, "N-S")  # so begins the line with the directions
@@ -182,12 +182,15 @@ def read_nsmn(lines: Lines) -> tuple[list[Channel], None]:
     n_times = to_count(demand(lines, facts, "NUMBER OF DATA"))
     dt = to_number(demand(lines, facts, "SAMPLING INTERVAL (SEC)"))
     check_sections(lines, {"the number of data": n_times, "the sampling interval": dt})
-    values = lines.rows(n_times, len(directions), "rows, the number of data")
+    per_line = len(directions)
+    values = lines.words(n_times * per_line, "rows, the number of data", per_line=per_line).reshape(
+        -1, per_line
+    )
     check_end(lines, f"the {n_times} rows")
-    return [Channel(name, column, "gal", dt) for name, column in zip(directions, values.T, strict=True)], None
+    return [Channel(name, column, "gal", dt) for name, column in zip(directions, values.T, strict=True)]
 
 
-def read_unam(lines: Lines) -> tuple[list[Channel], None]:
+def read_unam(lines: Lines) -> list[Channel]:
     """The channels of a file."""
     facts = labelled(lines, "DATOS DE ACELERACION")
     directions = _between_slashes(facts, "ORIENTACION C1-C6", "ORIENTACION C7-C12")
@@ -216,7 +219,7 @@ def read_unam(lines: Lines) -> tuple[list[Channel], None]:
     peaks = [to_number(text) for text in _between_slashes(facts, "ACEL. MAX.(GAL)")]
     for name, column, peak in zip(directions, values.T, [*peaks, *[None] * len(directions)], strict=False):
         check_peak(lines, name, column, peak)
-    return [Channel(name, column, unit, dt) for name, column in zip(directions, values.T, strict=True)], None
+    return [Channel(name, column, unit, dt) for name, column in zip(directions, values.T, strict=True)]
 
 
 def _between_slashes(facts: dict[str, str], *labels: str) -> list[str]:

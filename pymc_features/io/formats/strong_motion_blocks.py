@@ -51,7 +51,7 @@ QUANTITIES = ("accel", "veloc", "displ", "rotat", "angul", "press", "strain", "s
 STEP, RAW_STEP, PEAK = 61, 33, 63  # reals: of the series [ms], of the recorder [s], signed
 
 
-def read_cosmos(lines: Lines) -> tuple[list[Channel], None]:
+def read_cosmos(lines: Lines) -> list[Channel]:
     """All accelerations of a file, each below headers of its own."""
     channels = []
     while (line := lines.peek()) is not None:
@@ -70,7 +70,7 @@ def read_cosmos(lines: Lines) -> tuple[list[Channel], None]:
                 raise lines.error("a comment must begin with |", "another line")
         name = " ".join(text[7].partition("(")[0].split()[2:]) if n_text > 8 else ""
         channels += _cosmos_series(lines, name or "acceleration", reals)
-    return channels, None
+    return channels
 
 
 def _announced(lines: Lines, kind: str) -> int:
@@ -132,7 +132,7 @@ TEXT_LINES, NUMBER_LINES = {1: 13, 2: 25}, {1: 14, 2: 20}  # by volume
 PAIR_WIDTH, PAIR_QUANTUM = 7, 1e-3  # characters; [s]
 
 
-def read_csmip(lines: Lines) -> tuple[list[Channel], None]:
+def read_csmip(lines: Lines) -> list[Channel]:
     """All channels of a file of either volume."""
     channels = []
     while (line := lines.peek()) is not None:
@@ -147,7 +147,7 @@ def read_csmip(lines: Lines) -> tuple[list[Channel], None]:
             raise _no_spectra(lines)
         else:
             raise lines.error("a channel or its end must follow", repr(line.strip()[:60]))
-    return channels, None
+    return channels
 
 
 def _csmip_header(lines: Lines, volume: int) -> list[str]:
@@ -216,7 +216,7 @@ POINTS = 33  # integers: of accelerations, then of velocities and displacements
 STEP_1, STEP_2 = 24, 25  # reals, of volumes 1 and 2 [s]
 
 
-def read_geonet(lines: Lines) -> tuple[list[Channel], None]:
+def read_geonet(lines: Lines) -> list[Channel]:
     """The components of a file."""
     channels = []
     while lines.peek() is not None:
@@ -235,7 +235,7 @@ def read_geonet(lines: Lines) -> tuple[list[Channel], None]:
         name = next(iter(text[12].partition("Component")[2].split()), "acceleration")
         check_peak(lines, name, values, number_after(text[13].replace("Peak", "peak"), "peak"))
         channels.append(Channel(name, 1e-3 * values, "m/s^2", dt))
-    return channels, None
+    return channels
 
 
 def _check_words(lines: Lines, text: list[str], n_times: int, dt: float) -> None:
@@ -258,7 +258,7 @@ NULL, RATE, HIGHEST, LOWEST = 0, 1, 29, 31  # of the 50 reals
 DIGITS = 5  # that are printed of every value
 
 
-def read_smc(lines: Lines) -> tuple[list[Channel], None]:
+def read_smc(lines: Lines) -> list[Channel]:
     """The acceleration of a file [cm/s^2]."""
     text = [lines.take("11 lines of text") for _ in range(11)]
     if "accelerogram" not in text[0].lower():
@@ -285,7 +285,7 @@ def read_smc(lines: Lines) -> tuple[list[Channel], None]:
         spacing = even_or_times(times, quantum, lambda row: lines.where())
     peaks = [abs(stated[k]) for k in (HIGHEST, LOWEST) if k in stated]
     check_peak(lines, name, values, max(peaks, default=None))
-    return [Channel(name, values, "cm/s^2", **spacing)], None
+    return [Channel(name, values, "cm/s^2", **spacing)]
 
 
 BLOCKS = (

@@ -132,11 +132,6 @@ def read_columns(path: Path, request: Request) -> Columns:
     With `request.gaps` cells below the first row may be "nan" or empty: NaN. With `request.wrapped` its
     values are one series that runs along the lines, and the table has one column, or, if they are times and
     values in turn, two.
-
-    Raises
-    ------
-    ValueError
-        If there are no rows of numbers, a row is spoilt, or fewer than two are left.
     """
     lines = Lines(path)
     header, first, layout = _header(lines)

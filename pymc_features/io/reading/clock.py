@@ -74,16 +74,6 @@ def even_clock(
     dt : float, optional
         The interval by the caller [s]: steps may be uneven then, with a warning, and None is returned.
 
-    Raises
-    ------
-    ValueError
-        If samples are missing, repeated or uneven; the message names the first place.
-
-    Warns
-    -----
-    UserWarning
-        If steps are uneven and `dt` is given.
-
     Examples
     --------
     >>> even_clock(np.array([0.0, 0.008, 0.017, 0.025]), lambda row: f"line {row + 1}", 0.001)[0]
@@ -139,18 +129,7 @@ def at_samples(values: np.ndarray, numbers: np.ndarray) -> np.ndarray:
 
 
 def common_window(clocks: list[Clock]) -> Window:
-    """The samples that all clocks have, aligned to whole samples.
-
-    Raises
-    ------
-    ValueError
-        If the clocks have different steps or no time in common, or some files have none.
-
-    Warns
-    -----
-    ChannelWarning
-        If clocks are not simultaneous to a twentieth of a sample, or more than half of a file is cut off.
-    """
+    """The samples that all clocks have, aligned to whole samples."""
     first = clocks[0]
     for clock in clocks[1:]:
         n = min(first.n_times, clock.n_times)

@@ -5,6 +5,7 @@ import re
 import stat
 from array import array
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -18,6 +19,7 @@ _WHOLE = re.compile(r"[-+]?\d+", re.ASCII)
 _NOT_FINITE = re.compile(r"[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
 
 LONGEST_NUMBER = 100  # characters
+SAMPLE = 400  # bytes that tell the encoding
 
 
 def check_readable(path: Path, name: str = "path") -> None:
@@ -39,38 +41,32 @@ def check_readable(path: Path, name: str = "path") -> None:
         raise OSError(message(name, "a file", got, "Copy its contents into a file."))
 
 
+def _utf_16(raw: bytes) -> str | None:
+    """The codec of a text in UTF-16, by its mark, or by the zeros in every other byte; None of another."""
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    ways = ("utf-16-be", raw[:SAMPLE:2], raw[1:SAMPLE:2]), ("utf-16-le", raw[1:SAMPLE:2], raw[:SAMPLE:2])
+    return next((name for name, high, low in ways if len(high) > 1 and not any(high) and all(low)), None)
+
+
 def decoded(raw: bytes) -> str:
     """Text of a file in UTF-8, UTF-16 or Latin-1 with any line ends (LF, CR LF, CR CR LF, CR)."""
-    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        text = raw.decode("utf-16", errors="replace")
-    else:
-        try:
-            text = raw.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = raw.decode("latin-1")
+    try:
+        name = _utf_16(raw)
+        text = raw.decode(name, errors="replace") if name else raw.removeprefix(codecs.BOM_UTF8).decode()
+    except UnicodeDecodeError:
+        text = raw.decode("latin-1")
     if "\r" in text:
         text = text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
     return text
 
 
 class Lines:
-    """The lines of a text file.
-
-    Parameters
-    ----------
-    path : Path
-    format_name : str
-        What messages call the kind of file, if it is known.
-
-    Raises
-    ------
-    ValueError
-        If the file holds binary data.
-    """
+    """The lines of a text file, which messages call by its format, if that is known; no binary data."""
 
     def __init__(self, path: Path, format_name: str = ""):
         raw = path.read_bytes()
-        if b"\0" in raw and not raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        if b"\0" in raw and not _utf_16(raw):
             raise ValueError(f"{path.name} must be a text file, it holds binary data. Export it as CSV.")
         self.file = path.name
         self.stem = path.stem
@@ -132,22 +128,15 @@ class Lines:
             per_line = per_line or len(values)
         return self._announced(values, count, what)
 
-    def words(self, count: int, what: str, whole: bool = False) -> np.ndarray:
+    def words(self, count: int, what: str, whole: bool = False, per_line: int | None = None) -> np.ndarray:
         """Numbers (count,) with blanks between them, from as many lines as it takes; `whole`: counts."""
         values = array("d")
         while len(values) < count:
-            values.extend(self.value(token, whole) for token in self.take(f"{count} {what}").split())
+            tokens = self.take(f"{count // (per_line or 1)} {what}").split()
+            if per_line and len(tokens) != per_line:
+                raise self.error(f"lines must hold {per_line} values", len(tokens))
+            values.extend(self.value(token, whole) for token in tokens)
         return self._announced(values, count, what)
-
-    def rows(self, count: int, n_columns: int, what: str) -> np.ndarray:
-        """Numbers (count, n_columns), one row in a line, with blanks between."""
-        values = array("d")
-        while len(values) < count * n_columns:
-            tokens = self.take(f"{count} {what}").split()
-            if len(tokens) != n_columns:
-                raise self.error(f"lines must hold {n_columns} values", len(tokens))
-            values.extend(self.value(token) for token in tokens)
-        return self._announced(values, count * n_columns, what).reshape(count, n_columns)
 
     def _announced(self, values: array, count: int, what: str) -> np.ndarray:
         if len(values) != count:
@@ -183,6 +172,24 @@ def not_a_number(where: str, token: str) -> ValueError:
     shown = token if len(token) <= 60 else f"{token[:60]}..."
     what = "an empty cell" if not token else repr(shown)
     return ValueError(f"{where}: values must be finite numbers, got {what}. Correct or cut it first.")
+
+
+@contextmanager
+def by_library(
+    name: str, extra: str, path: Path, kind: str, again: str = "Fetch it again."
+) -> Iterator[None]:
+    """The errors of a library in our words: that it is not installed, or cannot read a file."""
+    try:
+        yield
+    except ImportError as error:
+        raise ImportError(
+            f"{name} must be installed to read {path.name}, a {kind} file, got none. Install it with: python "
+            f'-m pip install "pymc-features[{extra}]".'
+        ) from error
+    except Exception as error:  # each damaged file fails in its own way, inside the parsers
+        raise ValueError(
+            f"{path.name} must be a whole {kind} file, {name} cannot read it ({shortened(error)}). {again}"
+        ) from error
 
 
 def shortened(error: Exception) -> str:

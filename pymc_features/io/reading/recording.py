@@ -40,18 +40,10 @@ class Request(NamedTuple):
 
 @dataclass(frozen=True)
 class Opening:
-    """The first bytes of a file, by which its format is recognised.
+    """The first bytes of a file, by which its format is recognised."""
 
-    Attributes
-    ----------
-    suffix : str
-        Of the file name, in lower case.
-    head : bytes
-        At most `OPENING` of them.
-    """
-
-    suffix: str
-    head: bytes
+    suffix: str  # of its name, in lower case
+    head: bytes  # at most `OPENING` of them
 
     @classmethod
     def of(cls, path: Path) -> "Opening":
@@ -77,90 +69,39 @@ class Opening:
 
 
 class Channel(NamedTuple):
-    """One channel of a recording, as its file states it; None where the file is silent.
+    """One channel of a recording, as its file states it; None where the file is silent."""
 
-    Attributes
-    ----------
-    name : str
-        Direction or number of the channel, label of the column.
-    values : ndarray (time,)
-        In `unit`.
-    unit : str or None
-        What the file says of them, "g" for example.
-    dt : float or None
-        Sampling interval [s].
-    times : ndarray (time,) or None
-        Times of the values [s], where they are uneven; `dt` is None then.
-    start : float or None
-        Time of the first sample [s], on a clock that files of this format share.
-    quantum : float
-        Resolution of the times [s].
-    label : str
-        What it is called besides: the header with its unit, the variable that it is a row of.
-    hidden : bool
-        Whether it is no measurement unless it is asked for: a clock, numbers of samples.
-    problem : str
-        Why its values cannot be taken, if it is asked for.
-    """
-
-    name: str
-    values: np.ndarray
-    unit: str | None = None
-    dt: float | None = None
-    times: np.ndarray | None = None
-    start: float | None = None
-    quantum: float = 0.0
-    label: str = ""
-    hidden: bool = False
-    problem: str = ""
+    name: str  # direction or number of the channel, label of the column
+    values: np.ndarray  # (time,), in `unit`
+    unit: str | None = None  # as the file says it, "g" for example
+    dt: float | None = None  # sampling interval [s]
+    times: np.ndarray | None = None  # (time,) [s], where they are uneven; `dt` is None then
+    start: float | None = None  # time of the first sample [s], on a clock that files of this format share
+    quantum: float = 0.0  # resolution of the times [s]
+    label: str = ""  # what it is called besides: the header with its unit, the variable that it is a row of
+    hidden: bool = False  # whether it is no measurement unless it is asked for: a clock, numbers of samples
+    problem: str = ""  # why its values cannot be taken, if it is asked for
 
 
 class Recording(NamedTuple):
-    """What a file holds.
+    """What a file holds."""
 
-    Attributes
-    ----------
-    file : str
-        What messages call it.
-    channels : list of Channel
-    name : str or None
-        Of the recording, by the file: event or station.
-    question : str
-        What is to be asked unless the caller names the channels.
-    skipped : bool
-        Whether the first samples are left out already, before the clock was looked at.
-    """
-
-    file: str
+    file: str  # what messages call it
     channels: Sequence[Channel]
-    name: str | None = None
-    question: str = ""
-    skipped: bool = False
+    name: str | None = None  # by the file: event or station
+    question: str = ""  # what is to be asked unless the caller names the channels
+    skipped: bool = False  # whether the first samples are left out already, before the clock was looked at
 
 
 @dataclass(frozen=True)
 class Format:
-    """A kind of files: what it is called, how it is recognised, what it states, how it is read.
+    """A kind of files: what it is called, how it is recognised, what it states, how it is read."""
 
-    Attributes
-    ----------
-    name : str
-        What messages and the table of formats call it.
-    recognises : callable
-        `Opening` -> whether the file is of this format.
-    files : str
-        Usual endings of file names, for the table of formats.
-    states : str
-        What its files say themselves, for the table of formats.
-    read : callable
-        path, `Request` -> `Recording`; it raises `ValueError` with the file's name.
-    """
-
-    name: str
+    name: str  # in messages and in the table of formats
     recognises: Callable[[Opening], bool]
-    files: str
-    states: str
-    read: Callable[[Path, Request], Recording]
+    files: str  # usual endings of file names, for the table of formats
+    states: str  # what its files say themselves, for the table of formats
+    read: Callable[[Path, Request], Recording]  # its errors have the name of the file
 
     def recording(self, path: Path, request: Request) -> Recording:
         """The channels of a file; no file leaves the library with another error than ours."""
@@ -176,24 +117,8 @@ class Format:
         return found
 
 
-def recorded(read: Callable[[Path], tuple[Sequence[Channel], str | None]]) -> Callable:
-    """The reader of a format whose files say all of themselves: path -> (channels, name of the recording)."""
-
-    def recording(path: Path, request: Request) -> Recording:
-        channels, name = read(path)
-        return Recording(path.name, channels, name)
-
-    return recording
-
-
 def chosen(recording: Recording, columns: list | None, argument: str = "columns") -> list[Channel]:
-    """The channels that the caller names by index or name, or all that are measurements.
-
-    Raises
-    ------
-    ValueError
-        If there is no such channel, or the file leaves open what it holds.
-    """
+    """The channels that the caller names by index or name, or all that are measurements."""
     channels = recording.channels
     if recording.question and not (columns and all(isinstance(column, str) for column in columns)):
         raise ValueError(recording.question)
@@ -235,13 +160,7 @@ def _find(recording: Recording, column, argument: str) -> list[Channel]:
 
 
 def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.ndarray, Clock]:
-    """History (time,) of a channel in SI units at an even step, and its clock.
-
-    Raises
-    ------
-    ValueError
-        If units or step are not known, or samples are missing and may not.
-    """
+    """History (time,) of a channel in SI units at an even step, and its clock."""
     if channel.problem:
         raise ValueError(channel.problem)
     file, skip = recording.file, 0 if recording.skipped else request.skip

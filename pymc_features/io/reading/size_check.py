@@ -14,11 +14,6 @@ def check_size(path: Path, n_bytes: Iterable[int]) -> int:
     -------
     int
         What they take.
-
-    Raises
-    ------
-    ValueError
-        With both numbers.
     """
     promised, size = 0, path.stat().st_size
     for count in n_bytes:

@@ -39,11 +39,6 @@ def unit_factor(units, quantity: str = "acceleration") -> float:
     quantity : str
         One of `UNITS`.
 
-    Raises
-    ------
-    ValueError, TypeError
-        If the unit is unknown or of something else, or the number is not positive.
-
     Examples
     --------
     >>> unit_factor("g"), unit_factor("M/S/S"), unit_factor("Gal"), unit_factor("mm", "displacement")
@@ -75,11 +70,6 @@ def sensitivity_of(sensitivity, quantity: str) -> float:
 
 def system_of_units(text: str) -> tuple[float, float, float]:
     """SI units in the force, length and mass of a system of units, "kN, m, t", in any order.
-
-    Raises
-    ------
-    ValueError
-        If one is missing or not known.
 
     Examples
     --------

@@ -42,13 +42,7 @@ class Identified(NamedTuple):
 
 
 def modal_data(found: Identified, channels, real: bool) -> ModalData:
-    """The modes with the names and channels that the caller asks for, and real shapes if they shall be.
-
-    Raises
-    ------
-    ValueError, TypeError
-        With the name of the source.
-    """
+    """The modes with the names and channels that the caller asks for, and real shapes if they shall be."""
     try:
         names, columns = _named(found, channels)
         shapes, shape_sd = (

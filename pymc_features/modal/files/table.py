@@ -59,11 +59,6 @@ def read_table(path: Path, names: dict[str, str], wanted: list | None) -> Identi
         Quantity -> what the table calls it.
     wanted : list or None
         Names of the columns that are channels; all others by default.
-
-    Raises
-    ------
-    ValueError
-        With the line.
     """
     lines = Lines(path)
     rows = ((number, line) for number, line in lines if not line.startswith(COMMENTS))

@@ -45,13 +45,7 @@ class Mode(NamedTuple):
 
 
 def read_universal(path: Path) -> Identified:
-    """All modes of a file, their channels named by node and direction.
-
-    Raises
-    ------
-    ValueError
-        With the line.
-    """
+    """All modes of a file, their channels named by node and direction."""
     if b"\0" in path.read_bytes():
         raise ValueError(
             f"{path.name} must hold text, it holds binary data sets (58b). Export the modes alone, as data "
