@@ -46,12 +46,12 @@ def test_time_is_proportional_to_the_text(tmp_path, name, suffix, body):
     """Twelve crafted lines above the numbers, which took minutes by regular expressions that go back."""
     path = tmp_path / f"crafted{suffix}"
     path.write_text("\n".join(["title", *[CRAFTED[name]] * 12]) + "\n" + body, newline="")
-    start = time.perf_counter()
+    start = time.process_time()
     try:
         read_record(path, units="g", dt=0.02)
     except ValueError as error:
         assert len(str(error)) < 500
-    assert time.perf_counter() - start < SECONDS
+    assert time.process_time() - start < SECONDS
 
 
 def peak_memory(action):

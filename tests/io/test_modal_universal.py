@@ -58,9 +58,9 @@ def test_blank_lines_between_data_sets(tmp_path):
     path = save(
         tmp_path, files.UNIVERSAL + "\n" * 200_000 + files.normal_55(0, numbers=(9.0, 1.0, 0.01, 0.0))
     )
-    start = time.perf_counter()
+    start = time.process_time()
     assert len(read_modal(path)) == 4
-    assert time.perf_counter() - start < 2.0
+    assert time.process_time() - start < 2.0
 
 
 @pytest.mark.parametrize("analysis", [3, 7])

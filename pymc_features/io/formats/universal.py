@@ -51,6 +51,8 @@ def is_mark(line: str) -> bool:
 
 def read(path: Path, request: Request) -> Recording:
     """All time histories of a file, named by node and direction."""
+    with by_library("pyuff", "modal", path, "Universal"):
+        import pyuff
     raw = path.read_bytes()
     if not raw.rstrip().endswith(b"    -1"):
         raise ValueError(
@@ -58,8 +60,6 @@ def read(path: Path, request: Request) -> Recording:
         )
     with by_library("pyuff", "modal", path, "Universal"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        import pyuff
-
         file = pyuff.UFF(str(path))
         kinds = [int(kind) for kind in file.get_set_types()]
         sets = [file.read_sets(k) for k, kind in enumerate(kinds) if str(kind) == FUNCTIONS]
