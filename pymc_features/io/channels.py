@@ -286,7 +286,7 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
         channels = correct(channels, delay=delays)
     accelerations = [quantity == "acceleration" for quantity in quantities]
     if any(accelerations):
-        check_each(channels[accelerations])
+        check_each(channels if all(accelerations) else channels[accelerations])
     return channels
 
 

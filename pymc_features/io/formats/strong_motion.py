@@ -24,7 +24,7 @@ from pymc_features.io.formats.header import (
     format_of_lines,
     labelled,
 )
-from pymc_features.io.reading.lines import Lines, not_a_number, to_count, to_number
+from pymc_features.io.reading.lines import Lines, not_a_number, to_count, to_number, warn_of_widths
 from pymc_features.io.reading.recording import Channel
 from pymc_features.io.reading.units import known_factor
 
@@ -47,6 +47,7 @@ _GLUED = re.compile(r"(?<=[\d.])([-+])", re.ASCII)
 def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
     """The single series of a file, and its event."""
     npts, header, values = next((k for k, line in lines if "NPTS" in line.upper()), 0), [], []
+    rows = []
     for number, line in lines:
         # Fortran glues a value to the one before it when both fill their fields
         tokens = _GLUED.sub(r" \1", line.replace(",", " ")).split()
@@ -58,12 +59,14 @@ def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
                 if value is None or not np.isfinite(value):
                     raise not_a_number(f"{lines.title}, line {number}", token)
                 values.append(value)
+            rows.append((number, lines.whole[number - 1]))
         elif number <= npts or len(header) < MOST_HEADER_LINES:
             header = [*header[-MOST_HEADER_LINES:], " ".join(line.split())]
     if not values:
         raise ValueError(
             f"{lines.title} must hold values below its header, none was found. Is it an AT2 file?"
         )
+    warn_of_widths(lines.title, rows)
     text = "\n".join(header)
     both = _NPTS_DT.search(text)
     found = both.groups() if both else [m and m[1] for m in (_NPTS.search(text), _DT.search(text))]

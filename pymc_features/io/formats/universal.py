@@ -15,7 +15,7 @@ import numpy as np
 from pymc_features._checks import listed
 from pymc_features._checks.messages import warn_caller
 from pymc_features.io.reading.labels import Unit, unit_of
-from pymc_features.io.reading.lines import by_library
+from pymc_features.io.reading.lines import Lines, by_library, warn_of_widths
 from pymc_features.io.reading.recording import Channel, Format, Recording, Request, even_or_times
 from pymc_features.io.reading.units import plural
 
@@ -58,6 +58,8 @@ def read(path: Path, request: Request) -> Recording:
         raise ValueError(
             f"{path.name} ({NAME}) must end with a line of -1, it does not. Fetch the file again."
         )
+    if b"\0" not in raw:
+        _check_text(path)
     with by_library("pyuff", "modal", path, "Universal"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         file = pyuff.UFF(str(path))
@@ -144,6 +146,15 @@ def _check_end(file: str, channel: Channel, found: dict, raw: bytes) -> None:
             f"{file} ({NAME}), {channel.name}: binary numbers must reach to the end of their data set, they "
             "do not. Fetch the file again."
         )
+
+
+def _check_text(path: Path) -> None:
+    """Look at the widths of the lines of numbers of data sets in text, below eleven lines of header."""
+    lines = list(enumerate(Lines(path).whole, 1))
+    marks = [k for k, (_, line) in enumerate(lines) if is_mark(line)]
+    for first, last in zip(marks[::2], marks[1::2], strict=False):
+        if lines[first + 1][1].strip() == FUNCTIONS:
+            warn_of_widths(path.name, lines[first + 13 : last])
 
 
 UNIVERSAL = Format(

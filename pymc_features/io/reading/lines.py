@@ -4,15 +4,17 @@ import codecs
 import re
 import stat
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from pymc_features._checks import message, shown
+from pymc_features._checks.messages import warn_caller
 
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
 _WHOLE = re.compile(r"[-+]?\d+", re.ASCII)
@@ -20,6 +22,7 @@ _NOT_FINITE = re.compile(r"[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
 
 LONGEST_NUMBER = 100  # characters
 SAMPLE = 400  # bytes that tell the encoding
+RARE, FEWEST_LINES = 0.02, 8  # of lines of another width than the others, and how many tell the width
 
 
 def check_readable(path: Path, name: str = "path") -> None:
@@ -74,9 +77,24 @@ class Lines:
         self.number = 0  # of the line that was taken last
         self.last = ""  # and what it says
         self.text = decoded(raw)
+        self.raw = raw if raw.isascii() and b"\r" not in raw else None  # where it has the places of the text
+
+    def at(self, number: int) -> int:
+        """The place of a line in the text."""
+        place = 0
+        for _ in range(number - 1):
+            place = self.text.find("\n", place) + 1
+        return place
+
+    def stream(self, place: int) -> BytesIO:
+        """The text from a place on, in UTF-8; large ones are not copied where that can be."""
+        stream = BytesIO(self.raw if self.raw is not None else self.text[place:].encode())
+        stream.seek(place if self.raw is not None else 0)
+        return stream
 
     @cached_property
-    def _lines(self) -> list[str]:
+    def whole(self) -> list[str]:
+        """All lines, as they are."""
         return self.text.removesuffix("\n").split("\n")
 
     def __iter__(self) -> Iterator[tuple[int, str]]:
@@ -91,15 +109,15 @@ class Lines:
 
     def peek(self) -> str | None:
         """The next line that is not blank, None at the end of the file; it is not taken."""
-        return next((line for line in islice(self._lines, self.number, None) if line.strip()), None)
+        return next((line for line in islice(self.whole, self.number, None) if line.strip()), None)
 
     def take(self, what: str) -> str:
         """The next line, blank or not; `what` it should be, for the message at the end of the file."""
-        if self.number >= len(self._lines):
+        if self.number >= len(self.whole):
             raise ValueError(
                 f"{self.title} must hold {what}, it ends at line {self.number}. Fetch the file again."
             )
-        self.last = self._lines[self.number]
+        self.last = self.whole[self.number]
         self.number += 1
         return self.last
 
@@ -151,6 +169,18 @@ class Lines:
         if number is None or not -np.inf < number < np.inf:
             raise not_a_number(self.where(), token)
         return number
+
+
+def warn_of_widths(title: str, lines: Sequence[tuple[int, str]]) -> None:
+    """Tell of a line of numbers in columns that is longer or shorter than almost all others but the last."""
+    widths = np.array([len(line.rstrip()) for _, line in lines[:-1]], dtype=np.int64)
+    usual = np.bincount(widths).argmax() if widths.size else 0
+    odd = np.flatnonzero(widths != usual)
+    if 0 < odd.size <= max(1, RARE * widths.size) and widths.size >= FEWEST_LINES:
+        warn_caller(
+            f"{title}, line {lines[odd[0]][0]}: numbers must fill their columns, the line has "
+            f"{widths[odd[0]]} characters, others {usual}. Is a digit or a sign lost?"
+        )
 
 
 def to_number(token: str) -> float | None:

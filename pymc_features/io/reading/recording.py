@@ -192,11 +192,13 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
 
 def _warn_of_exponents(values: np.ndarray, file: str, name: str) -> None:
     """A number among others of quite another size has a digit too many or too few in its exponent."""
-    sizes = np.abs(values[values != 0.0])
-    sizes = np.sort(sizes[~np.isnan(sizes)])
+    sizes = np.abs(values)
+    sizes = sizes[sizes > 0.0]
     if sizes.size < FEWEST:
         return
-    for odd, other in ((sizes[-1], sizes[-2]), (sizes[0], sizes[-1])):
+    place = np.argmax(sizes)
+    second = max(sizes[:place].max(initial=0.0), sizes[place + 1 :].max(initial=0.0))
+    for odd, other in ((sizes[place], second), (sizes.min(), sizes[place])):
         if odd > ALONE * other or odd < TINY * other:
             warn_caller(
                 f"{file}, {name}: a value of {odd:.4g} is of another size than others, up to {other:.4g}. Is "
