@@ -13,7 +13,7 @@ import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, listed, shown
 from pymc_features._checks.messages import warn_caller
-from pymc_features.io.reading.clock import Clock, even_clock
+from pymc_features.io.reading.clock import Clock, check_increasing, even_clock
 from pymc_features.io.reading.labels import MEASURED, role_of
 from pymc_features.io.reading.lines import decoded
 from pymc_features.io.reading.units import plural, resolve_dt, resolve_units, sensitivity_of
@@ -221,12 +221,7 @@ def _stated_step(channel: Channel, request: Request, file: str) -> float | None:
 
 def even_or_times(times: np.ndarray, quantum: float, where: Callable[[int], str]) -> dict:
     """The arguments `dt` or `times` of a `Channel` with printed times [s], of resolution `quantum` [s]."""
-    if not (np.diff(times) > 0.0).all():
-        row = int(np.argmax(np.diff(times) <= 0.0)) + 1
-        raise ValueError(
-            f"{where(row)}: time must increase, it goes from {times[row - 1]:g} s to {times[row]:g} s. "
-            "Fetch the file again."
-        )
+    check_increasing(times, where)
     try:
         return {"dt": even_clock(times, where, quantum)[0]}
     except ValueError:
