@@ -528,7 +528,7 @@ def test_a_table_with_a_row_for_each_test(tmp_path):
     assert list(modal.labels) == ["1", "2", "1"] and list(modal.select([2, 1]).labels) == ["1", "2"]
     path.write_text("f1,f2\n1.2\n")
     with pytest.raises(
-        ValueError, match="line 2: rows must have 2 cells like the header, got 1. Complete the row"
+        ValueError, match="line 2: rows must have 2 cells like the header, got 1. Complete or cut the row"
     ):
         read_modal(path)
     path.write_text("f1,f2\n,\n")

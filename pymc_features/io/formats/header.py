@@ -7,7 +7,7 @@ import numpy as np
 
 from pymc_features._checks.messages import warn_caller
 from pymc_features.io.reading.lines import Lines, to_count, to_number
-from pymc_features.io.reading.recording import Format, Opening, Recording
+from pymc_features.io.reading.recording import Channel, Format, Opening, Recording
 from pymc_features.io.reading.units import known_factor
 
 _WIDTH = re.compile(r"(?<!\d)\d{0,3}[FEI](\d{1,3})", re.IGNORECASE | re.ASCII)
@@ -61,6 +61,16 @@ def check_peak(lines: Lines, name: str, values: np.ndarray, stated: float | None
             f"{lines.title}, {name}: the file states a peak of {stated:.4g}, its values have {peak:.4g}. Is "
             "it damaged?"
         )
+
+
+def series(
+    lines: Lines, name: str, count: int | None, dt: float | None, width: int, unit: str | None, peak=None
+) -> Channel:
+    """The announced number of values in columns, at a stated step, with the peak that the file states."""
+    check_sections(lines, {"the number of points": count, "the step": dt})
+    values = lines.fields(count, width, "values")
+    check_peak(lines, name, values, peak)
+    return Channel(name, values, unit, dt)
 
 
 def check_end(lines: Lines, what: str) -> None:

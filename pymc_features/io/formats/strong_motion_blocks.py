@@ -20,6 +20,7 @@ from pymc_features.io.formats.header import (
     count_before,
     format_of_lines,
     number_after,
+    series,
     unit_in,
 )
 from pymc_features.io.reading.lines import Lines, to_count, to_number
@@ -160,22 +161,19 @@ def _csmip_header(lines: Lines, volume: int) -> list[str]:
 
 def _volume_2(lines: Lines) -> Channel:
     text = _csmip_header(lines, 2)
-    channel = _section(lines, "accel", text[7])
-    check_peak(lines, channel.name, channel.values, number_after(text[17], "peak acceleration"))
+    channel = _section(lines, "accel", text[7], number_after(text[17], "peak acceleration"))
     while (line := lines.peek()) is not None and "points of" in line.lower():
         _section(lines, line.lower().partition("points of")[2].split()[0], "")
     return channel
 
 
-def _section(lines: Lines, quantity: str, name: str) -> Channel:
+def _section(lines: Lines, quantity: str, name: str, peak: float | None = None) -> Channel:
     """A series below the line that says how many values there are, how far apart, and in which unit."""
     line = lines.take("the number of points").lower()
     n_times, dt = count_before(line, "points"), number_after(line, "spaced at")
     if quantity not in line:
         raise lines.error(f"the number of points of {quantity} data must stand here", repr(line.strip()[:60]))
-    check_sections(lines, {"the number of points": n_times, "the step": dt})
-    values = lines.fields(n_times, column_width(line, 10), "values")
-    return Channel(name, values, unit_in(line.partition("sec")[2]), dt)
+    return series(lines, name, n_times, dt, column_width(line, 10), unit_in(line.partition("sec")[2]), peak)
 
 
 def _volume_1(lines: Lines) -> Channel:
@@ -184,12 +182,12 @@ def _volume_1(lines: Lines) -> Channel:
         return _pairs(lines, text)
     line = lines.take("the number of points").lower()
     n_times, rate = to_count(line.split()[0]), number_after(line, "points at")
-    check_sections(lines, {"the number of points": n_times, "the samples in a second": rate})
     if "pts/sec" not in line:
         raise lines.error("the rate must be in pts/sec", repr(line.strip()[:60]))
-    values = lines.fields(n_times, column_width(line, 9), "values")
+    check_sections(lines, {"the samples in a second": rate})
     factor, unit = _film_unit(line.partition("units of")[2])
-    return Channel(text[6], factor * values, unit, 1.0 / rate)
+    channel = series(lines, text[6], n_times, 1.0 / rate, column_width(line, 9), unit)
+    return channel._replace(values=factor * channel.values)
 
 
 def _pairs(lines: Lines, text: list[str]) -> Channel:
