@@ -107,14 +107,18 @@ def demand(lines: Lines, facts: dict[str, str], label: str) -> str:
     return facts[label]
 
 
-def format_of_lines(
-    name: str, recognises: Callable[[Opening], bool], files: str, states: str, read: Callable
-) -> Format:
-    """A format whose reader takes `Lines` and gives channels, or these and the name of the recording."""
+def format_of_lines(name: str, begins: str | Callable, files: str, states: str, read: Callable) -> Format:
+    """A format whose reader takes `Lines` and gives channels, or these and the name of the recording.
+
+    It is known by how its files begin, a pattern of the first lines in lower case, or a function of them.
+    """
 
     def recording(path, request) -> Recording:
         found = read(Lines(path, name.partition(" and ")[0]))
         channels, title = found if isinstance(found, tuple) else (found, None)
         return Recording(path.name, channels, title)
 
-    return Format(name, recognises, files, states, recording)
+    def recognises(opening: Opening) -> bool:
+        return re.match(begins, "\n".join(opening.lines[:30]).lower()) is not None
+
+    return Format(name, recognises if isinstance(begins, str) else begins, files, states, recording)

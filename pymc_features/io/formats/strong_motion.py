@@ -244,31 +244,24 @@ AT2 = format_of_lines(
 FACTS = (
     format_of_lines(
         "ESM and ITACA",
-        lambda opening: (
-            opening.first.startswith("event_name:")
-            and any(line.startswith("EVENT_ID:") for line in opening.lines[:3])
-        ),
+        r"event_name:.*\n(.*\n)?event_id:",
         ".ASC",
         "step, units, component, start, peak",
         read_esm,
     ),
     format_of_lines(
         "K-NET and KiK-net",
-        lambda opening: opening.first.startswith("origin time") and opening.second.startswith("lat."),
+        r"origin time.*\nlat\.",
         ".NS, .EW, .UD, .NS1, .EW1, .UD1, .NS2, .EW2, .UD2",
         "scale, step, direction, start, peak; the mean is taken off, as for the peak in the header",
         read_knet,
     ),
     format_of_lines(
-        "NSMN",
-        lambda opening: opening.first.lstrip().startswith("strong ground motion records of turk"),
-        ".txt",
-        "step, directions; gal",
-        read_nsmn,
+        "NSMN", r"\s*strong ground motion records of turk", ".txt", "step, directions; gal", read_nsmn
     ),
     format_of_lines(
         "UNAM",
-        lambda opening: any("ARCHIVO ESTANDAR DE ACELERACION" in line.upper() for line in opening.lines[:30]),
+        r"(.*\n){0,29}.*archivo estandar de aceleracion",
         "day and number, .191",
         "step, units, directions, peaks",
         read_unam,

@@ -26,9 +26,7 @@ from pymc_features.io.formats.header import (
 from pymc_features.io.reading.lines import Lines, to_count, to_number
 from pymc_features.io.reading.recording import Channel, even_or_times
 
-
-def _no_spectra(lines: Lines) -> ValueError:
-    return lines.error("the file must hold accelerations", "spectra (V3)", "Read the V2 file.")
+NO_SPECTRA = "the file must hold accelerations", "spectra (V3)", "Read the V2 file."
 
 
 def _text(lines: Lines, count: int, what: str) -> list[str]:
@@ -60,7 +58,7 @@ def read_cosmos(lines: Lines) -> list[Channel]:
             raise lines.error("the next channel must begin with its format version", repr(line.strip()[:60]))
         first = _text(lines, 1, "a channel")[0].lower()
         if "spectr" in first:
-            raise _no_spectra(lines)
+            raise lines.error(*NO_SPECTRA)
         n_text = to_count(next(iter(first.rpartition("with")[2].split()), ""))
         check_sections(lines, {"the number of text lines": n_text})
         text = [lines.take(f"{n_text} lines of text") for _ in range(n_text - 1)]
@@ -124,11 +122,8 @@ def _cosmos_acceleration(lines: Lines, name: str, line: str, values, reals) -> C
 
 # --- CSMIP and CESMD, volumes 1 and 2, in lines of 80; film is digitised at uneven times -----------------
 
-UNCORRECTED, CORRECTED, SPECTRA = (
-    "uncorrected accelerogram data",
-    "corrected accelerogram",
-    "response and fourier",
-)
+UNCORRECTED, CORRECTED = "uncorrected accelerogram data", "corrected accelerogram"
+SPECTRA = "response and fourier"
 TEXT_LINES, NUMBER_LINES = {1: 13, 2: 25}, {1: 14, 2: 20}  # by volume
 PAIR_WIDTH, PAIR_QUANTUM = 7, 1e-3  # characters; [s]
 
@@ -145,7 +140,7 @@ def read_csmip(lines: Lines) -> list[Channel]:
         elif first.startswith(CORRECTED):
             channels.append(_volume_2(lines))
         elif first.startswith(SPECTRA):
-            raise _no_spectra(lines)
+            raise lines.error(*NO_SPECTRA)
         else:
             raise lines.error("a channel or its end must follow", repr(line.strip()[:60]))
     return channels
@@ -289,39 +284,28 @@ def read_smc(lines: Lines) -> list[Channel]:
 BLOCKS = (
     format_of_lines(
         "COSMOS",
-        lambda opening: "(format v" in opening.first and "text lines" in opening.first,
+        r"(?=.*\(format v).*text lines",
         ".v0, .v1, .v2, .V1c, .V2c",
         "step, units, channels, peak, format of the columns",
         read_cosmos,
     ),
     format_of_lines(
         "CSMIP and CESMD",
-        lambda opening: (
-            opening.first.lstrip().startswith(UNCORRECTED)
-            or (opening.first.lstrip().startswith(CORRECTED) and "uncorrected accelerogram" in opening.second)
-            or (opening.first.lstrip().startswith(SPECTRA) and CORRECTED in opening.second)
-        ),
+        rf"\s*({UNCORRECTED}|{CORRECTED}.*\n.*uncorrected accelerogram|{SPECTRA}.*\n.*{CORRECTED})",
         ".v1, .v2, .raw",
         "step (times, of film), units, channels, peak; V3 files hold spectra and are refused",
         read_csmip,
     ),
     format_of_lines(
         "SMC",
-        lambda opening: (
-            opening.first[:1].isdigit()
-            and any(word in opening.first for word in ("accelerogram", "velocity", "displacement", "spectr"))
-            and opening.second.startswith("*")
-        ),
+        r"\d.*(accelerogram|velocity|displacement|spectr).*\n\*",
         ".smc",
         "step (times, of film), component, peak; cm/s^2",
         read_smc,
     ),
     format_of_lines(
         "GeoNet",
-        lambda opening: (
-            opening.first.startswith(("uncorrected accelerogram", "corrected accelerogram"))
-            and opening.second.startswith("site ")
-        ),
+        r"(un)?corrected accelerogram.*\nsite ",
         ".V1A, .V2A",
         "step, mm/s^2, components, peak",
         read_geonet,

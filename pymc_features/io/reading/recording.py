@@ -57,16 +57,6 @@ class Opening:
         text = decoded(self.head)
         return [] if "\0" in text else [line.rstrip() for line in text.split("\n")]
 
-    @property
-    def first(self) -> str:
-        """The first line, in lower case."""
-        return self.lines[0].lower() if self.lines else ""
-
-    @property
-    def second(self) -> str:
-        """The second line, in lower case."""
-        return self.lines[1].lower() if len(self.lines) > 1 else ""
-
 
 class Channel(NamedTuple):
     """One channel of a recording, as its file states it; None where the file is silent."""
