@@ -17,8 +17,7 @@ import numpy as np
 from scipy import sparse
 
 from pymc_features.io.formats.header import column_width
-from pymc_features.io.reading.lines import Lines, by_library, shortened, to_count
-from pymc_features.io.reading.size_check import check_size
+from pymc_features.io.reading.lines import Lines, by_library, check_size, shortened, to_count
 
 MOST_ROWS = 10**6  # of a sparse matrix with fewer bytes in its file
 SIGNS = {"general": 0.0, "symmetric": 1.0, "skew-symmetric": -1.0}  # of the half that is not stored

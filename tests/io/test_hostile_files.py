@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.io import mmread, mmwrite, savemat
 
 from pymc_features import read_channels, read_matrices, read_record
-from pymc_features.io.reading.size_check import ALWAYS
+from pymc_features.io.reading.lines import ALWAYS
 from support import record_files as files
 from support.refusals import refusals
 

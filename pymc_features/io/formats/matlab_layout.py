@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.reading.size_check import check_size
+from pymc_features.io.reading.lines import check_size
 
 HEADER, TAG = 128, 8  # bytes
 COMPRESSED, ARRAY = 15, 14  # types of elements

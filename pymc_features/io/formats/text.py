@@ -51,21 +51,12 @@ STAMP = re.compile(
 
 
 class Layout(NamedTuple):
-    """How the rows of numbers are written.
-
-    Attributes
-    ----------
-    separator, decimal : str
-    count : int
-        Cells of a row.
-    stamp : tuple of int
-        Cells of a time stamp: one, or the one of the date and the one of the time.
-    """
+    """How the rows of numbers are written."""
 
     separator: str
     decimal: str
-    count: int
-    stamp: tuple[int, ...] = ()
+    count: int  # cells of a row
+    stamp: tuple[int, ...] = ()  # cells of a time stamp: one, or that of the date and that of the time
 
     def cells(self, line: str) -> list[str]:
         """The cells of a row, time stamps in one, decimal points for commas."""

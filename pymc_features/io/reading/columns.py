@@ -28,25 +28,6 @@ class Columns(NamedTuple):
     units: str | None = None  # stated for all columns
     dt: float | None = None  # stated besides a clock [s]
 
-    def names(self) -> str:
-        """The columns, as a message lists them."""
-        texts = [label.text for label in self.labels]
-        return listed(texts) if any(texts) else f"0 to {len(texts) - 1}"
-
-    def find(self, column, argument: str, what: str) -> int:
-        """Index of a column by its index or header name."""
-        if isinstance(column, str):
-            wanted = column.strip()
-            matches = {i for i, label in enumerate(self.labels) if wanted in (label.text, label.name)}
-        else:
-            matches = {column} & set(range(len(self.labels)))
-        if len(matches) != 1:
-            raise ValueError(
-                f"`{argument}` must be one of the columns of {self.file} ({self.names()}), got "
-                f"{shown(column)}. Pass the index (from 0) or the header name of the {what}."
-            )
-        return matches.pop()
-
 
 def recording_of(columns: Columns, request: Request, question: str = "") -> Recording:
     """The channels of a table on its clock; the clock and numbers of samples are hidden among them."""
@@ -91,7 +72,16 @@ def clock_column(columns: Columns, clock) -> int | None:
     if clock is False:
         return None
     if clock is not None:
-        return columns.find(clock, "clock", "times")
+        texts = [label.text for label in columns.labels]
+        asked = clock.strip() if isinstance(clock, str) else clock
+        matches = {k for k, label in enumerate(columns.labels) if asked in (k, label.text, label.name)}
+        if len(matches) != 1:
+            known = listed(texts) if any(texts) else f"0 to {len(texts) - 1}"
+            raise ValueError(
+                f"`clock` must be one of the columns of {columns.file} ({known}), got {shown(clock)}. Pass "
+                "the index (from 0) or the header name of the times."
+            )
+        return matches.pop()
     if columns.stamp is not None:
         return columns.stamp
     for index, label in enumerate(columns.labels):

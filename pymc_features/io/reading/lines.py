@@ -4,7 +4,7 @@ import codecs
 import re
 import stat
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from io import BytesIO
@@ -21,6 +21,8 @@ _WHOLE = re.compile(r"[-+]?\d+", re.ASCII)
 _NOT_FINITE = re.compile(r"[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
 
 LONGEST_NUMBER = 100  # characters
+TIMES = 20  # the size of the file
+ALWAYS = 64 * 2**20  # bytes; small files of much compressed or sparse arrays
 SAMPLE = 400  # bytes that tell the encoding
 RARE, FEWEST_LINES = 0.02, 8  # of lines of another width than the others, and how many tell the width
 
@@ -50,6 +52,20 @@ def _utf_16(raw: bytes) -> str | None:
         return "utf-16"
     ways = ("utf-16-be", raw[:SAMPLE:2], raw[1:SAMPLE:2]), ("utf-16-le", raw[1:SAMPLE:2], raw[:SAMPLE:2])
     return next((name for name, high, low in ways if len(high) > 1 and not any(high) and all(low)), None)
+
+
+def check_size(path: Path, n_bytes: Iterable[int]) -> int:
+    """What arrays take, in bytes; refuse more than twenty times the size of their file, and than 64 MiB."""
+    promised, size = 0, path.stat().st_size
+    for count in n_bytes:
+        promised += count
+        if promised > max(TIMES * size, ALWAYS):
+            raise ValueError(
+                f"{path.name} must not hold arrays of more than {TIMES} times its size and "
+                f"{ALWAYS // 2**20} MiB, got {promised:.3g} bytes in a file of {size}. Is it damaged? "
+                "If not, save it uncompressed."
+            )
+    return promised
 
 
 def decoded(raw: bytes) -> str:

@@ -29,15 +29,7 @@ def known_factor(unit: str) -> float | None:
 
 
 def unit_factor(units, quantity: str = "acceleration") -> float:
-    """SI units in one file unit of a quantity.
-
-    Parameters
-    ----------
-    units : str or float
-        "g", "mg", "m/s^2", "cm/s^2", "mm/s^2", "gal", "in/s^2", "ft/s^2" of accelerations in any case and
-        usual spelling ("m/s2", "cm/sec/sec"), or the factor itself [SI per file unit], positive.
-    quantity : str
-        One of `UNITS`.
+    """SI units in one file unit of a quantity, in any usual spelling, or the factor itself, positive.
 
     Examples
     --------
