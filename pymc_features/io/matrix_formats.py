@@ -65,11 +65,12 @@ def read_mtx(path: Path) -> Found:
 
 
 def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
-    """Rows of numbers (row, column) down to the end, between blanks or commas; without lines of * or %.
+    """Rows of numbers (row, column) down to the end, between blanks; without lines of * or %.
 
-    Without a number of columns they are those of Abaqus, which has three or five.
+    Without a number of columns they are those of Abaqus, which has three or five, between commas or blanks.
     """
-    rows = (row.replace(",", " ") for number, row in lines if number > lines.number)
+    mark = "," if n_columns is None else " "
+    rows = (row.replace(mark, " ") for number, row in lines if number > lines.number)
     rows = [row for row in rows if row[:1] not in "*%"]
     count = len(rows[0].split()) if rows else n_columns or 0
     if count not in ((3, 5) if n_columns is None else (n_columns,)):

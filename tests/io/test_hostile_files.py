@@ -177,8 +177,8 @@ def test_promises_of_terabytes(tmp_path, name, write, match):
     [
         (145, 0x08, "must have flags, dimensions, name and values"),  # complex, without an imaginary part
         (152, 11, "must have flags, dimensions, name and values, got types .6, 11,"),
-        (180, 0xFF, "a part of an array announces 255 bytes, the array ends before"),
-        (132, 0xFF, "an element announces .* bytes, the file ends before"),
+        (180, 0xFF, "a part announces 255 bytes, what holds it ends before"),
+        (132, 0xFF, "a part announces .* bytes, what holds it ends before"),
     ],
 )
 def test_matlab_arrays_that_end_the_process(tmp_path, offset, value, message):
