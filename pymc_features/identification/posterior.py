@@ -14,23 +14,12 @@ TOLERANCE = 1e-5  # of the gradient, relative to the number of data
 
 
 class BandData(NamedTuple):
-    """Transforms of all channels in one band.
+    """Transforms of all channels in one band."""
 
-    Attributes
-    ----------
-    spectra : array (s, 2, k)
-        Real and imaginary parts.
-    lines : Lines
-    limits : array (2,)
-        [Hz]
-    duration : float
-        Of the record [s].
-    """
-
-    spectra: np.ndarray
+    spectra: np.ndarray  # (s, 2, k), real and imaginary parts
     lines: Lines
-    limits: np.ndarray
-    duration: float
+    limits: np.ndarray  # (2,) [Hz]
+    duration: float  # of the record [s]
 
     @property
     def used(self) -> np.ndarray:
@@ -45,25 +34,13 @@ class BandData(NamedTuple):
 
 
 class FreeModes(NamedTuple):
-    """Parameters of the modes of one band.
+    """Parameters of the modes of one band; with the factor L, L L^* is the spectral density of the forces."""
 
-    Attributes
-    ----------
-    natural, ratios : array (m,)
-        Frequencies [Hz] and damping ratios.
-    shapes : array (m, s)
-        Of length one, the largest entry positive.
-    factor : array (m, m)
-        L, complex, lower triangular with a positive diagonal: L L^* is the spectral density of the forces.
-    error : float
-        Spectral density of the error of each channel.
-    """
-
-    natural: np.ndarray
-    ratios: np.ndarray
-    shapes: np.ndarray
-    factor: np.ndarray
-    error: float
+    natural: np.ndarray  # frequencies (m,) [Hz]
+    ratios: np.ndarray  # of damping (m,)
+    shapes: np.ndarray  # (m, s), of length one, the largest entry positive
+    factor: np.ndarray  # (m, m), complex, lower triangular with a positive diagonal
+    error: float  # spectral density of the error of each channel
 
     def normalised(self) -> "FreeModes":
         """Shapes of length one and one sign; the forces take the rest."""

@@ -11,23 +11,11 @@ LOWEST = 10  # frequencies of the record below which a peak may be a drift
 
 
 def without_tones(values: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Channels without sines, and the frequencies of these.
+    """Channels (s, n) without means and sines, and the frequencies of these [Hz], ascending.
 
     A sine looks as a record of its length makes it: it falls to 1/470 of its height, in the mean, between
-    three and eight frequencies away. A mode does so only if it is narrower than a frequency.
-
-    Parameters
-    ----------
-    values : array (s, n)
-    dt : float
-        [s]
-
-    Returns
-    -------
-    values : array (s, n)
-        Less the means, and less a sine of any amplitude and phase in each channel for each frequency.
-    frequencies : array
-        [Hz], ascending.
+    three and eight frequencies away. A mode does so only if it is narrower than a frequency. Each channel
+    loses one of an amplitude and a phase of its own.
     """
     values, found = values - values.mean(axis=1, keepdims=True), []
     while len(found) < MOST and (f := highest_tone(values, dt)) is not None:

@@ -27,7 +27,7 @@ from pymc_features._checks import (
 from pymc_features._checks.texts import check_choice
 from pymc_features.io.formats import format_of
 from pymc_features.io.formats.sources import is_source, recording_in
-from pymc_features.io.reading.clock import Clock, clock_seconds, common_window, no_common_time
+from pymc_features.io.reading.clock import Clock, clock_seconds, common_window, no_common_time, without_clocks
 from pymc_features.io.reading.labels import QUANTITIES, SI
 from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.recording import Recording, Request, chosen, in_si
@@ -239,54 +239,45 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
 
     from pymc_features.signals.single import check_each
 
-    kept, names, rows, clocks, quantities, of_channels = {}, [], [], [], [], []
+    kept, names, parts = {}, [], []
     sensors = _sensors(files, columns, request, bool(resample))
     for label, source, own, settings in sensors:
-        key = (
-            id(source) if is_source(source) else str(source),
-            own._replace(columns=None, units=None, quantity="", sensitivity=None),
-        )
+        asked = own._replace(columns=None, units=None, quantity="", sensitivity=None)
+        key = id(source) if is_source(source) else str(source), asked
         recording = kept[key] = kept.get(key) or recording_from(source, own)
         found = chosen(recording, own.columns)
         names.append((label, [channel.name for channel in found]))
         histories = [in_si(channel, own, recording) for channel in found]
-        starts = {clock.start for _, clock in histories}
+        apart = len({clock.start for _, clock in histories}) > 1
         for channel, (history, clock) in zip(found, histories, strict=True):
-            if len(starts) > 1:
-                clock = clock._replace(file=f"{recording.file} ({channel.name})")
-            rows.append(settings.get("scale", 1.0) * history)
-            clocks.append(_corrected(clock, settings))
-            quantities.append(own.quantity)
-            of_channels.append(settings)
-    if any("delay" in settings for *_, settings in sensors) and all(clock.start is None for clock in clocks):
+            clock = clock._replace(file=f"{recording.file} ({channel.name})") if apart else clock
+            history = settings["scale"] * history if "scale" in settings else history
+            parts.append((history, _corrected(clock, settings), own.quantity, settings))
+    rows, clocks, quantities, of_channels = map(list, zip(*parts, strict=True))
+    if any("delay" in settings for settings in of_channels) and all(clock.start is None for clock in clocks):
         clocks = [clock._replace(start=0.0) for clock in clocks]
     late = [late_by(clock, settings, resample) for clock, settings in zip(clocks, of_channels, strict=True)]
     clocks = [
-        clock if w == 0.0 or clock.start is None else clock._replace(start=clock.start - w)
-        for clock, (w, _) in zip(clocks, late, strict=True)
+        clock if clock.start is None else clock._replace(start=clock.start - whole)
+        for clock, (whole, _) in zip(clocks, late, strict=True)
     ]
     values, step, start = _resampled(rows, clocks, resample) if resample else _aligned(rows, clocks)
     coords = {
         "sensor": _sensor_names(names, files, columns),
         "time": ("time", step * np.arange(values.shape[1]), {"units": "s"}),
     }
-    attrs = {"units": SI[quantities[0]], "start": start}
+    name, attrs = quantities[0], {"units": SI[quantities[0]], "start": start}
     if len(set(quantities)) > 1:
         coords |= {"quantity": ("sensor", quantities), "units": ("sensor", [SI[q] for q in quantities])}
-        del attrs["units"]
-    channels = xr.DataArray(values, coords, ("sensor", "time"), name="measured", attrs=attrs)
-    if len(set(quantities)) == 1:
-        channels.name = quantities[0]
-    delays = {
-        str(name): rest for name, (_, rest) in zip(channels["sensor"].values, late, strict=True) if rest
-    }
-    if delays:
+        name, attrs = "measured", {"start": start}
+    channels = xr.DataArray(values, coords, ("sensor", "time"), name=name, attrs=attrs)
+    if delays := {name: rest for name, (_, rest) in zip(coords["sensor"], late, strict=True) if rest}:
         from pymc_features.signals.correct import correct
 
         channels = correct(channels, delay=delays)
     accelerations = [quantity == "acceleration" for quantity in quantities]
     if any(accelerations):
-        check_each(channels[accelerations])
+        check_each(channels if all(accelerations) else channels[accelerations])
     return channels
 
 
@@ -320,13 +311,8 @@ def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, floa
     from pymc_features import band_limited
     from pymc_features.signals.gaps import filled, widened, without
 
-    bare = [clock for clock in clocks if clock.start is None]
-    if bare and len(bare) < len(clocks):
-        raise ValueError(
-            f"Sensors must have a common clock, {bare[0].file} has none and others do. Pass `clock`, the "
-            "column with the times, or clock=False and `dt` if all files start together."
-        )
-    clocks = [clock if clock.start is not None else clock._replace(start=0.0) for clock in clocks]
+    if without_clocks(clocks):
+        clocks = [clock._replace(start=0.0) for clock in clocks]
     start, stop = max(clock.start for clock in clocks), min(clock.stop for clock in clocks)
     if stop <= start:
         raise no_common_time(clocks)

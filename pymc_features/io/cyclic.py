@@ -4,15 +4,11 @@ from collections.abc import Sequence
 from os import PathLike
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from pymc_features._checks import as_list, check_path, message, shown
 from pymc_features.cyclic_test import CyclicTest
-from pymc_features.io.channels import check_column, checked_request
-from pymc_features.io.formats.text import read_columns, wrapped_question
-from pymc_features.io.reading.columns import Columns
-from pymc_features.io.reading.lines import check_readable
-from pymc_features.io.reading.recording import Channel, Recording, in_si
+from pymc_features.io.channels import check_column, checked_request, recording_from
+from pymc_features.io.reading.labels import role_of, unit_of
+from pymc_features.io.reading.recording import Channel, Recording, chosen, in_si, named
 from pymc_features.io.reading.units import unit_factor
 
 if TYPE_CHECKING:
@@ -35,7 +31,7 @@ def read_cyclic_test(
     Parameters
     ----------
     files : path or sequence of two paths
-        Text or CSV, any lines above the numbers: a table with both, or that of the displacement and that of
+        Text, CSV or any format of `read_channels`: a table with both, or that of the displacement and that of
         the force, with as many rows.
     columns : sequence of two int or str, optional
         Column of the displacement and that of the force, by index from 0 or header name. By default the
@@ -78,6 +74,8 @@ def read_cyclic_test(
     >>> force.values
     array([[     0.,  35500., -34000.]])
     """
+    import xarray as xr  # slow to import
+
     is_one = isinstance(files, str | PathLike)
     paths = [check_path(path, "files") for path in ([files] if is_one else pair(files, "files", "paths"))]
     picked = [None, None] if columns is None else pair(columns, "columns", "an index or a name each")
@@ -86,37 +84,24 @@ def read_cyclic_test(
     for unit, kind in zip(given, KINDS, strict=True):
         if unit is not None:
             unit_factor(unit, kind)
-    request = checked_request(None, dt, None, None, skip, wrapped)
-    tables = []
-    for path in paths:
-        check_readable(path, "files")
-        table = read_columns(path, request)
-        if question := wrapped_question(table, wrapped, table.own or columns is not None):
-            raise ValueError(question)
-        tables.append(table)
+    wrapped = False if wrapped is None and columns is not None else wrapped
+    request = checked_request(None, dt, False, None, skip, wrapped)
+    recordings = [recording_from(path, request, "files") for path in paths]
     found = []
     for kind, column, unit, place in zip(KINDS, picked, given, (0, int(is_one)), strict=True):
-        table = tables[0 if is_one else KINDS.index(kind)]
-        index = index_of(table, column, kind, place, 1 + is_one)
-        channel = Channel(table.labels[index].name, table.values[:, index], table.labels[index].unit)
+        recording = recordings[0 if is_one else KINDS.index(kind)]
+        channel = _channel(recording, column, kind, place, 1 + is_one)
         asked = request._replace(units=unit, quantity=kind)
-        found.append(in_si(channel, asked, Recording(f"{table.file}, {kind}", [], skipped=True))[0])
+        found.append(in_si(channel, asked, recording._replace(file=f"{recording.file}, {kind}"))[0])
     displacement, force = found
     if displacement.size != force.size:
         raise ValueError(
-            f"`files` must have as many displacements as forces, got {displacement.size} in {tables[0].file} "
-            f"and {force.size} in {tables[-1].file}. Cut them to the same rows."
+            f"`files` must have as many displacements as forces, got {displacement.size} in {paths[0].name} "
+            f"and {force.size} in {paths[-1].name}. Cut them to the same rows."
         )
     test = CyclicTest(displacement, request.dt, name=paths[0].stem)
-    return test, measured_force(test, force)
-
-
-def measured_force(test: CyclicTest, force: np.ndarray) -> "xr.DataArray":
-    """The force (time,) [N] of a test as the only channel (sensor, time)."""
-    import xarray as xr  # slow to import
-
     coords = {"sensor": ["force"], "time": ("time", test.time, {"units": "s"})}
-    return xr.DataArray(force[None], coords, ("sensor", "time"), "restoring_force", {"units": "N"})
+    return test, xr.DataArray(force[None], coords, ("sensor", "time"), "restoring_force", {"units": "N"})
 
 
 def pair(value, name: str, what: str) -> list:
@@ -127,16 +112,22 @@ def pair(value, name: str, what: str) -> list:
     return listed
 
 
-def index_of(table: Columns, column, kind: str, place: int, usual: int) -> int:
-    """Where a column stands: as asked, by its label, or at its place among the usual number of columns."""
+def _channel(recording: Recording, column, kind: str, place: int, usual: int) -> Channel:
+    """A channel as asked, by its label, or at its place among the usual number of columns."""
     if column is not None:
-        return table.find(column, "columns", kind)
-    kinds = [label.known.quantity if label.known is not None else label.role for label in table.labels]
+        return chosen(recording, [column])[0]
+    if recording.question:
+        raise ValueError(recording.question)
+    units = [None if channel.unit is None else unit_of(channel.unit) for channel in recording.channels]
+    kinds = [
+        role_of(channel.name) if unit is None else unit.quantity
+        for channel, unit in zip(recording.channels, units, strict=True)
+    ]
     if kinds.count(kind) == 1:
-        return kinds.index(kind)
+        return recording.channels[kinds.index(kind)]
     if len(kinds) != usual or kinds[place] is not None or kind in kinds:
         raise ValueError(
-            f"`columns` must be given, {table.file} has {len(kinds)} columns ({table.names()}). "
-            "Pass the one of the displacement and the one of the force."
+            f"`columns` must be given, {recording.file} has {len(kinds)} columns "
+            f"({named(recording.channels)}). Pass the one of the displacement and the one of the force."
         )
-    return place
+    return recording.channels[place]

@@ -15,9 +15,8 @@ from pymc_features._checks import check_path, listed
 from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.formats.text import read_columns
 from pymc_features.io.matrix_formats import Found, read_calculix, read_harwell_boeing, read_mtx, read_nastran
-from pymc_features.io.reading.lines import check_readable, shortened
+from pymc_features.io.reading.lines import check_readable, check_size, shortened
 from pymc_features.io.reading.recording import Request
-from pymc_features.io.reading.size_check import check_size
 
 
 class Matrices(dict):

@@ -17,10 +17,8 @@ import numpy as np
 from scipy import sparse
 
 from pymc_features.io.formats.header import column_width
-from pymc_features.io.reading.lines import Lines, shortened, to_count
-from pymc_features.io.reading.size_check import check_size
+from pymc_features.io.reading.lines import Lines, by_library, check_size, shortened, to_count
 
-EXTRA = 'python -m pip install "pymc-features[fe]"'
 MOST_ROWS = 10**6  # of a sparse matrix with fewer bytes in its file
 SIGNS = {"general": 0.0, "symmetric": 1.0, "skew-symmetric": -1.0}  # of the half that is not stored
 AXES = ("x", "y", "z", "rx", "ry", "rz")  # directions 1 to 6
@@ -66,19 +64,28 @@ def read_mtx(path: Path) -> Found:
     return Found({path.stem: _dense(path, lines, body[:, 0], sizes, SIGNS[symmetry])})
 
 
-def _numbers(lines: Lines, n_columns: int) -> np.ndarray:
-    """Rows of numbers (row, column) down to the end, separated by blanks or commas with blanks."""
-    body = "\n".join(line for number, line in lines if number > lines.number)
-    body = "\n".join(row for row in body.split("\n") if row[:1] not in "*%")
+def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
+    """Rows of numbers (row, column) down to the end, between blanks; without lines of * or %.
+
+    Without a number of columns they are those of Abaqus, which has three or five, between commas or blanks.
+    """
+    mark = "," if n_columns is None else " "
+    rows = (row.replace(mark, " ") for number, row in lines if number > lines.number)
+    rows = [row for row in rows if row[:1] not in "*%"]
+    count = len(rows[0].split()) if rows else n_columns or 0
+    if count not in ((3, 5) if n_columns is None else (n_columns,)):
+        raise ValueError(
+            f"{lines.title} must hold {n_columns} numbers in a line, got {count}. Export it again."
+            if n_columns
+            else f"{lines.title} must begin with %%MatrixMarket, or hold lines of 3 or 5 numbers as Abaqus "
+            f"writes them, got {count}. Export the matrix again."
+        )
     try:
-        values = np.loadtxt(StringIO(body), ndmin=2, comments=None)
+        return np.loadtxt(StringIO("\n".join(rows)), ndmin=2, comments=None).reshape(-1, count)
     except ValueError as error:
         raise ValueError(
-            f"{lines.title} must hold {n_columns} numbers in a line ({shortened(error)}). Export it again."
+            f"{lines.title} must hold {count} numbers in a line ({shortened(error)}). Export it again."
         ) from None
-    if values.size and values.shape[1] != n_columns:
-        raise lines.error(f"lines must hold {n_columns} values", values.shape[1])
-    return values.reshape(-1, n_columns)
 
 
 def _dense(path: Path, lines: Lines, values: np.ndarray, sizes: list[int], sign: float) -> np.ndarray:
@@ -135,22 +142,8 @@ def _square(path: Path, entries: np.ndarray, size: int | None = None):
 
 def _abaqus(path: Path, lines: Lines) -> Found:
     """*MATRIX OUTPUT: lines of node, direction, node, direction and value, or of row, column and value."""
-    rows = [line for _, line in lines if not line.startswith("*")]
-    n_columns = len(rows[0].replace(",", " ").split()) if rows else 0
-    if n_columns not in (3, 5):
-        raise ValueError(
-            f"{path.name} must begin with %%MatrixMarket, or hold lines of 3 or 5 numbers as Abaqus writes "
-            f"them, got {n_columns}. Export the matrix again."
-        )
-    text = "\n".join(",".join(part.strip() for part in row.rstrip(",").split(",")) for row in rows)
-    delimiter = "," if "," in rows[0] else None
-    try:
-        entries = np.loadtxt(StringIO(text), delimiter=delimiter, ndmin=2, comments=None)
-    except ValueError as error:
-        raise ValueError(
-            f"{path.name} must hold {n_columns} numbers in a line ({shortened(error)}). Export it again."
-        ) from None
-    if n_columns == 3:
+    entries = _numbers(lines)
+    if entries.shape[1] == 3:
         return Found({path.stem: _square(path, entries)})
     pairs = np.vstack([entries[:, :2], entries[:, 2:4]])
     freedoms, numbers = np.unique(pairs.astype(np.int64), axis=0, return_inverse=True)
@@ -216,15 +209,11 @@ def _mapping(path: Path, n_rows: int) -> list[str]:
 
 def read_nastran(path: Path) -> Found:
     """OP4, text or binary, or DMIG in a punch file, by pyyeti."""
-    try:
+    with by_library("pyyeti", "fe", path, "Nastran"):
         with np.printoptions():  # which pyyeti changes for all when it is imported
             from pyyeti.nastran import bulk, op4
-    except ImportError as error:
-        raise ImportError(
-            f"pyyeti must be installed to read {path.name}, got none. Install it with: {EXTRA}."
-        ) from error
-    if path.suffix.lower() == ".op4":
-        return Found(dict(op4.read(str(path))))
-    found = bulk.rddmig(str(path))
+        if path.suffix.lower() == ".op4":
+            return Found(dict(op4.read(str(path))))
+        found = bulk.rddmig(str(path))
     labels = {name: [_label(*pair) for pair in frame.index] for name, frame in found.items()}
     return Found({name: frame.to_numpy() for name, frame in found.items()}, labels)

@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pymc_features._checks import check_path, message
-from pymc_features.io.formats.universal import AXES, pyuff_for
+from pymc_features.io.formats.universal import AXES, TYPES
+from pymc_features.io.reading.labels import SI
+from pymc_features.io.reading.lines import by_library
 
 if TYPE_CHECKING:
     import xarray as xr
 
 EPOCH = 1e8  # [s]; clocks that read more count from 1970
-DATA_TYPES = {"m/s^2": 12, "m/s": 11, "m": 8, "N": 9, "Pa": 15, "m/m": 2}  # of data set 58, by unit
+TYPE_OF_UNIT = {SI[quantity]: kind for quantity, kind in TYPES.items()}  # of data set 58
 PLACE = re.compile(rf"(\d+)(-?)({'|'.join(sorted(AXES, key=len, reverse=True))})")
 
 
@@ -111,13 +113,15 @@ def _write_universal(path, names, units, channels, step: float) -> None:
                 "abscissa_spacing": int(float(f"{step:.5e}") == step and times[0] == 0.0),  # six digits
                 "orddenom_spec_data_type": 0,
                 "abscissa_axis_units_lab": "s",
-                "ordinate_spec_data_type": DATA_TYPES.get(unit, 0),
+                "ordinate_spec_data_type": TYPE_OF_UNIT.get(unit, 0),
                 "ordinate_axis_units_lab": unit,
                 "ord_data_type": 4,
                 "id1": name,
             }
         )
+    with by_library("pyuff", "modal", path, "Universal"):
+        import pyuff
     path.write_bytes(b"")
-    file = pyuff_for(path).UFF(str(path))
+    file = pyuff.UFF(str(path))
     for one in sets:  # the mode "overwrite" of pyuff spoils the first of several
         file.write_sets(one, mode="add")

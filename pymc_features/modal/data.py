@@ -18,7 +18,19 @@ from pymc_features._checks import (
 )
 from pymc_features.modal.shapes import phase_collinearity, real_shape
 
-_PER_MODE = ("frequency_sd", "damping_ratios", "damping_sd")
+_SD = 0.0, np.inf, "at least 0, or NaN where it is not known", ". Correct it first."
+#: Numbers beside frequencies and shapes: least, below what, in words, and what to do.
+_LIMITS = {
+    "frequency_sd": (np.nextafter(0.0, 1.0), np.inf, "positive", " Hz. Leave it out if it is not known."),
+    "damping_ratios": (
+        0.0,
+        1.0,
+        "fractions from 0 to 1",
+        ". Divide a percentage by 100, and leave out modes of negative damping.",
+    ),
+    "damping_sd": _SD,
+    "shape_sd": _SD,
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,11 +90,9 @@ class ModalData:
         self._set("name", check_title(self.name))
         if self.shapes is not None:
             self._set("shapes", self._checked_shapes())
-        for name in _PER_MODE:
+        for name in _LIMITS:
             if getattr(self, name) is not None:
-                self._set(name, self._checked_per_mode(name))
-        if self.shape_sd is not None:
-            self._set("shape_sd", self._checked_shape_sd())
+                self._set(name, self._checked_numbers(name))
         if self.labels is not None:
             self._set("labels", self._checked_labels())
 
@@ -159,37 +169,20 @@ class ModalData:
             )
         return values
 
-    def _checked_per_mode(self, name):
-        values = as_numbers(getattr(self, name), name)
-        if values.shape != self.frequencies.shape:
-            raise ValueError(
-                f"`{name}` must have shape (mode,) = {self.frequencies.shape}, got {values.shape}. Pass one "
-                "for each mode."
-            )
+    def _checked_numbers(self, name):
+        values, wanted = as_numbers(getattr(self, name), name), self.frequencies.shape
+        what = f"shape (mode,) = {wanted}"
+        if name == "shape_sd":
+            wanted = None if self.shapes is None else self.shapes.shape
+            what = f"the shape of `shapes`, {wanted}"
+        if values.shape != wanted:
+            raise ValueError(f"`{name}` must have {what}, got {values.shape}. Pass one for each mode.")
         if name == "frequency_sd":
             check_finite(values, name, "Leave it out if some are not known.")
-            if not (values > 0.0).all():
-                raise ValueError(
-                    f"`frequency_sd` must be positive, got {values.min()} Hz. Leave it out if it is not "
-                    "known."
-                )
-        elif name == "damping_ratios":
-            good = (values >= 0.0) & (values < 1.0) | np.isnan(values)
-            if not good.all():
-                raise ValueError(
-                    f"`damping_ratios` must be fractions from 0 to 1, got {values[~good][0]}. Divide a "
-                    "percentage by 100, and leave out modes of negative damping."
-                )
-        else:
-            _check_sd(values, name)
-        return values
-
-    def _checked_shape_sd(self):
-        values = as_numbers(self.shape_sd, "shape_sd")
-        wanted = None if self.shapes is None else self.shapes.shape
-        if values.shape != wanted:
-            raise ValueError(f"`shape_sd` must have the shape of `shapes`, {wanted}, got {values.shape}.")
-        _check_sd(values, "shape_sd")
+        least, below, condition, advice = _LIMITS[name]
+        wrong = values[~((values >= least) & (values < below) | np.isnan(values))]
+        if wrong.size:
+            raise ValueError(f"`{name}` must be {condition}, got {wrong[0]}{advice}")
         return values
 
     def __repr__(self):
@@ -270,13 +263,7 @@ class ModalData:
 
 
 def find_channels(wanted: Sequence[str], names: Sequence[str], where: str) -> list[int]:
-    """Places of channels by their names.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If a channel is not there; the message lists those that are.
-    """
+    """Places of channels by their names."""
     if isinstance(wanted, str) or not isinstance(wanted, Sequence | np.ndarray) or len(wanted) == 0:
         raise TypeError(f"`channels` must be a sequence of at least one name, got {wanted!r}.")
     places = {name: index for index, name in enumerate(names)}
@@ -293,12 +280,3 @@ def _index(mode, n_modes: int) -> int:
     if not isinstance(mode, int | np.integer) or isinstance(mode, bool) or not 0 <= mode < n_modes:
         raise ValueError(f"`modes` must be indices from 0 to {n_modes - 1}, got {mode!r}.")
     return int(mode)
-
-
-def _check_sd(values: np.ndarray, name: str) -> None:
-    good = (values >= 0.0) & (values < np.inf) | np.isnan(values)
-    if not good.all():
-        raise ValueError(
-            f"`{name}` must be at least 0, or NaN where it is not known, got {values[~good][0]}. Correct it "
-            "first."
-        )

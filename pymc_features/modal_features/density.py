@@ -30,19 +30,9 @@ class ModalFeatureRV(SymbolicRandomVariable):
         """Build draws: ln f normal; shapes at a distance by the feature's law, in any direction alike.
 
         Where a mode has several identifications, the error of the model is drawn once for all of them.
-
-        Parameters
-        ----------
-        frequencies, shapes : tensor (m,), (m, s)
-            Of the model.
-        sigma_f, sigma_phi, degrees : tensor (g,)
-            Error of the model: standard deviation of ln f, scale and degrees of freedom of 1 - MAC.
-        sd, scatter : tensor (g, k)
-            As `Identified.scatter`.
-        known : tensor (g, c)
-            1 where an entry of `Identified.by_label` is known.
-        match : tensor (g, m)
-            Which mode of the model is drawn for each.
+        `parameters` are frequencies (m,) and shapes (m, s) of the model; its error (g,), standard deviation
+        of ln f, scale and degrees of freedom of 1 - MAC; the scatter (g, k) of `Identified`; 1 where an entry
+        of `by_label` is known (g, c); which mode of the model is drawn for each (g, m).
         """
         parameters = [pt.as_tensor_variable(x) for x in parameters]
         frequencies, shapes, *errors, known, match = parameters

@@ -25,29 +25,15 @@ FIELDS = ("frequencies", "shapes", "frequency_sd")
 class Identified(NamedTuple):
     """Identifications of modes, i of them at s channels, of g different modes.
 
-    Attributes
-    ----------
-    frequencies : array (i,)
-        f^ [Hz].
-    sd : array (i,)
-        Standard deviation of ln f^ [-], zero where none was identified.
-    shapes : array (i, s)
-        phi^, real or complex, of any scale, and of one sense where a mode has several; zero where an entry is
-        missing. s = 0 without shapes.
-    known : array (i, s)
-        1 where an entry is known, 0 where it is missing, and throughout a shape that says nothing.
-    labels : array (g,)
-        What each mode is called.
-    groups : array (g, i)
-        1 where an identification is of a mode.
+    Shapes are of any scale, of one sense where a mode has several; s = 0 without shapes.
     """
 
-    frequencies: np.ndarray
-    sd: np.ndarray
-    shapes: np.ndarray
-    known: np.ndarray
-    labels: np.ndarray
-    groups: np.ndarray
+    frequencies: np.ndarray  # (i,), f^ [Hz]
+    sd: np.ndarray  # (i,), standard deviation of ln f^ [-], zero where none was identified
+    shapes: np.ndarray  # (i, s), phi^, real or complex, zero where an entry is missing
+    known: np.ndarray  # (i, s), 1 where an entry is known, 0 throughout a shape that says nothing
+    labels: np.ndarray  # (g,), what each mode is called
+    groups: np.ndarray  # (g, i), 1 where an identification is of a mode
 
     @property
     def is_complex(self) -> bool:

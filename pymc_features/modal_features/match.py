@@ -33,24 +33,12 @@ ROWS = 256  # draws in one call
 
 
 class Match(NamedTuple):
-    """Partners of identified modes, tensors (i,).
+    """Partners of identified modes, tensors (i,)."""
 
-    Attributes
-    ----------
-    mode
-        Number of the mode of the model, 0 the lowest.
-    frequency
-        Of that mode [Hz].
-    deviation
-        (ln f^ - ln f) over its standard deviation [-].
-    mac
-        NaN without a shape.
-    """
-
-    mode: TensorVariable
-    frequency: TensorVariable
-    deviation: TensorVariable
-    mac: TensorVariable
+    mode: TensorVariable  # number of the mode of the model, 0 the lowest
+    frequency: TensorVariable  # of that mode [Hz]
+    deviation: TensorVariable  # (ln f^ - ln f) over its standard deviation [-]
+    mac: TensorVariable  # NaN without a shape
 
 
 def match_of(rv) -> Match:

@@ -15,31 +15,20 @@ _HELD = 5  # samples in a row of one value amid a motion
 
 
 def check_each(channels: xr.DataArray) -> None:
-    """Warn of suspicious channels (sensor, time) in m/s^2, gaps left out; refuse constant ones.
-
-    Raises
-    ------
-    ValueError
-        If a channel is constant, or a gap from end to end.
-
-    Warns
-    -----
-    ChannelWarning
-        If one looks clipped, interrupted or in wrong units, is a copy of another, or starts with an empty
-        sample.
-    """
+    """Warn of suspicious channels (sensor, time) in m/s^2, gaps left out; refuse constant ones."""
     names = [repr(str(name)) for name in sensor_names(channels)]
     values = np.asarray(channels.values, dtype=np.float64)
-    measured = [history[~np.isnan(history)] for history in values]
+    gaps = np.isnan(values)
+    measured = [row[~gap] if gap.any() else row for row, gap in zip(values, gaps, strict=True)]
     for name, history in zip(names, measured, strict=True):
-        if (history == history[:1]).all():
+        if not history.size or history.max() == history.min():
             raise ValueError(
                 f"Channel {name} must move, all its {history.size} samples are {history[:1].sum():g}. Leave "
                 "it out."
             )
     with np.errstate(over="ignore", invalid="ignore"):  # implausible peaks may be as large as numbers get
         for name, history in zip(names, measured, strict=True):
-            for message in (_units(history), _clipped(history), _held(history)):
+            for message in (_units(history), *_flat(history)):
                 if message:
                     warn_channel(f"Channel {name} {message}")
         _copies(names, values)
@@ -48,53 +37,52 @@ def check_each(channels: xr.DataArray) -> None:
 
 def _units(history) -> str | None:
     """Peaks that no structure sees, or gravity."""
-    peak = np.abs(history - np.median(history)).max()
-    if peak > LARGEST:
-        return (
-            f"has an implausible peak of {peak:.4g} m/s^2, {peak / GRAVITY:.3g} g. Check `units`, and that "
-            "it is an acceleration."
-        )
-    if peak < SMALLEST:
-        return f"has an implausible peak of {peak:.2g} m/s^2, {peak / GRAVITY:.1g} g. Check `units`."
+    extent = history.max() - history.min()  # the peak is half of it at least
+    if not 2.0 * SMALLEST < extent < LARGEST:
+        peak = np.abs(history - np.median(history)).max()
+        if peak > LARGEST:
+            return (
+                f"has an implausible peak of {peak:.4g} m/s^2, {peak / GRAVITY:.3g} g. Check `units`, and "
+                "that it is an acceleration."
+            )
+        if peak < SMALLEST:
+            return f"has an implausible peak of {peak:.2g} m/s^2, {peak / GRAVITY:.1g} g. Check `units`."
     if abs(abs(history.mean()) - GRAVITY) < 0.03 * GRAVITY:
         return f"has a mean of {history.mean():.4g} m/s^2, that of gravity. Is it vertical? Detrend it if so."
     return None
 
 
-def _runs(history) -> tuple[np.ndarray, np.ndarray]:
-    """First samples and lengths of the stretches of one value."""
-    starts = np.flatnonzero(np.r_[True, np.diff(history) != 0.0])
-    return starts, np.diff(np.r_[starts, history.size])
+def _flat(history) -> list[str]:
+    """What stretches of one value say: tops that are cut off, and values that are held."""
+    again = history[1:] == history[:-1]
+    if not (again[1:] & again[:-1]).any():  # never three in a row
+        return []
+    starts = np.flatnonzero(np.r_[True, ~again])
+    lengths = np.diff(np.r_[starts, history.size])
+    between = np.abs(np.diff(history)[starts[1:] - 1])
+    jumps = np.maximum(np.r_[0.0, between], np.r_[between, 0.0])  # the larger of before and after
+    found = (check(history, starts, lengths, jumps) for check in (_clipped, _held))
+    return [text for text in found if text]
 
 
-def _clipped(history) -> str | None:
+def _clipped(history, starts, lengths, jumps) -> str | None:
     """Flat tops at the largest or smallest value, entered or left by more than the resolution explains."""
-    starts, lengths = _runs(history)
-    resolution = np.diff(np.unique(history)).min()
-    jumps = _jumps(history, starts)
     for extreme, word in ((history.max(), "largest"), (history.min(), "smallest")):
-        if abs(extreme - np.median(history)) < 0.5 * history.std():
+        flat = (history[starts] == extreme) & (lengths >= _FLAT_TOP)
+        if not flat.any() or abs(extreme - np.median(history)) < 0.5 * history.std():
             continue  # the value at rest
         # a smooth peak that rounds to three equal samples has 1.5 steps of the resolution beside them
-        flat = lengths[(history[starts] == extreme) & (lengths >= _FLAT_TOP) & (jumps > 3.0 * resolution)]
-        if flat.size:
+        tops = lengths[flat & (jumps > 3.0 * np.diff(np.unique(history)).min())]
+        if tops.size:
             return (
-                f"looks clipped: {flat.sum()} samples at its {word} value {extreme:.4g} m/s^2, in "
-                f"{flat.size} flat tops. Leave it out, or use a weaker shaking."
+                f"looks clipped: {tops.sum()} samples at its {word} value {extreme:.4g} m/s^2, in "
+                f"{tops.size} flat tops. Leave it out, or use a weaker shaking."
             )
     return None
 
 
-def _jumps(history, starts) -> np.ndarray:
-    """Larger one of the steps before and after each stretch."""
-    between = np.abs(np.diff(history)[starts[1:] - 1])
-    return np.maximum(np.r_[0.0, between], np.r_[between, 0.0])
-
-
-def _held(history) -> str | None:
+def _held(history, starts, lengths, jumps) -> str | None:
     """A value held, or filled in, amid a motion: it ends, or starts, with a jump."""
-    starts, lengths = _runs(history)
-    jumps = _jumps(history, starts)
     inner = (history[starts] != history.max()) & (history[starts] != history.min())
     held = np.flatnonzero((lengths >= _HELD) & (jumps > 2.0 * np.diff(history).std()) & inner)
     if not held.size:
@@ -109,7 +97,8 @@ def _held(history) -> str | None:
 def _copies(names, values) -> None:
     for i in range(len(names)):
         for j in range(i):
-            if np.array_equal(values[i], values[j], equal_nan=True):
+            parts = ((values[i, :k], values[j, :k]) for k in (100, None))  # the first tell most apart
+            if all(np.array_equal(*part, equal_nan=True) for part in parts):
                 warn_channel(
                     f"Channels {names[j]} and {names[i]} are identical to the last bit: one sensor read "
                     "twice. Leave one out."

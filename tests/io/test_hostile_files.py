@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.io import mmread, mmwrite, savemat
 
 from pymc_features import read_channels, read_matrices, read_record
-from pymc_features.io.reading.size_check import ALWAYS
+from pymc_features.io.reading.lines import ALWAYS
 from support import record_files as files
 from support.refusals import refusals
 
@@ -46,12 +46,12 @@ def test_time_is_proportional_to_the_text(tmp_path, name, suffix, body):
     """Twelve crafted lines above the numbers, which took minutes by regular expressions that go back."""
     path = tmp_path / f"crafted{suffix}"
     path.write_text("\n".join(["title", *[CRAFTED[name]] * 12]) + "\n" + body, newline="")
-    start = time.perf_counter()
+    start = time.process_time()
     try:
         read_record(path, units="g", dt=0.02)
     except ValueError as error:
         assert len(str(error)) < 500
-    assert time.perf_counter() - start < SECONDS
+    assert time.process_time() - start < SECONDS
 
 
 def peak_memory(action):
@@ -177,8 +177,8 @@ def test_promises_of_terabytes(tmp_path, name, write, match):
     [
         (145, 0x08, "must have flags, dimensions, name and values"),  # complex, without an imaginary part
         (152, 11, "must have flags, dimensions, name and values, got types .6, 11,"),
-        (180, 0xFF, "a part of an array announces 255 bytes, the array ends before"),
-        (132, 0xFF, "an element announces .* bytes, the file ends before"),
+        (180, 0xFF, "a part announces 255 bytes, what holds it ends before"),
+        (132, 0xFF, "a part announces .* bytes, what holds it ends before"),
     ],
 )
 def test_matlab_arrays_that_end_the_process(tmp_path, offset, value, message):

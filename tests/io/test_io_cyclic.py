@@ -50,7 +50,7 @@ VALUES = {
     "`columns` must be given, three.txt has 3 columns": ("three.txt", {"wrapped": False}),
     "`units` must be given, bare.txt, displacement does not state them": ("bare.txt", {}),
     "`units` must be one of \"N\", .* got 'g'": ("bare.txt", {"units": ("m", "g")}),
-    "`columns` must be one of the columns of wall.csv": ("wall.csv", {"columns": ("drift", "nothing")}),
+    "`columns` must be one of the channels of wall.csv": ("wall.csv", {"columns": ("drift", "nothing")}),
     "`files` must have as many displacements as forces, got 3 in short.csv and 4": (
         ["short.csv", "force.csv"],
         {"units": ("m", "N"), "wrapped": True},

@@ -372,10 +372,10 @@ def test_many_columns(tmp_path):
     """In time proportional to them, as long as a line may be."""
     names = [f"n{k}" for k in range(25_000)]
     text = "frequency," + ",".join(names) + "\n1.0," + ",".join(["1"] * len(names)) + "\n"
-    start = time.perf_counter()
+    start = time.process_time()
     modal = read_modal(save(tmp_path, text), channels=names[::-1])
     assert modal.channels == tuple(names[::-1])
-    assert time.perf_counter() - start < 2.0
+    assert time.process_time() - start < 2.0
 
 
 JSON = {
@@ -528,7 +528,7 @@ def test_a_table_with_a_row_for_each_test(tmp_path):
     assert list(modal.labels) == ["1", "2", "1"] and list(modal.select([2, 1]).labels) == ["1", "2"]
     path.write_text("f1,f2\n1.2\n")
     with pytest.raises(
-        ValueError, match="line 2: rows must have 2 cells like the header, got 1. Complete the row"
+        ValueError, match="line 2: rows must have 2 cells like the header, got 1. Complete or cut the row"
     ):
         read_modal(path)
     path.write_text("f1,f2\n,\n")

@@ -58,9 +58,9 @@ def test_blank_lines_between_data_sets(tmp_path):
     path = save(
         tmp_path, files.UNIVERSAL + "\n" * 200_000 + files.normal_55(0, numbers=(9.0, 1.0, 0.01, 0.0))
     )
-    start = time.perf_counter()
+    start = time.process_time()
     assert len(read_modal(path)) == 4
-    assert time.perf_counter() - start < 2.0
+    assert time.process_time() - start < 2.0
 
 
 @pytest.mark.parametrize("analysis", [3, 7])
@@ -394,6 +394,8 @@ def test_without_pyuff(tmp_path, monkeypatch):
     """Modes are read all the same."""
     path = write_58(tmp_path, history(0))
     monkeypatch.setitem(sys.modules, "pyuff", None)
-    with pytest.raises(ImportError, match=r"pyuff must be installed for motion.uff.*pymc-features\[modal\]"):
+    with pytest.raises(
+        ImportError, match=r"pyuff must be installed to read motion.uff.*pymc-features\[modal\]"
+    ):
         read_record(path)
     assert len(read_modal(save(tmp_path, files.UNIVERSAL))) == 3

@@ -16,6 +16,7 @@ from scipy import optimize, stats
 from pymc_features import AffineStructure, ModalDamping, ModalFeature, SpringMassChain, mac, modes, sample
 from pymc_features.exceptions import ModalMatchWarning
 from pymc_features.modal_features.assignment import Assignment
+from pymc_features.modal_features.feature import checked_parameters
 from pymc_features.modal_features.identified import identified
 from support.graphs import LIGHT, PLAIN, REWRITTEN
 
@@ -271,10 +272,12 @@ def walk(coupling, n, half_width, fixed=False):
 )
 def test_density_is_continuous_where_modes_cross(coupling, half_width):
     """The largest step of a walk halves with the step length; of modes by their number it does not."""
-    coarse, fine = (abs(np.diff(walk(coupling, n, half_width))).max() for n in (100, 200))
+    whole = walk(coupling, 200, half_width)
+    coarse, fine = (abs(np.diff(values)).max() for values in (whole[::2], whole))
     assert fine == pytest.approx(0.5 * coarse, rel=0.1)
     if coupling == 0.0:
-        jumps = [abs(np.diff(walk(coupling, n, half_width, fixed=True))).max() for n in (100, 200)]
+        whole = walk(coupling, 200, half_width, fixed=True)
+        jumps = [abs(np.diff(values)).max() for values in (whole[::2], whole)]
         assert jumps[1] > 0.9 * jumps[0] > 5.0 * coarse
 
 
@@ -304,11 +307,8 @@ def test_draws_have_the_laws_of_the_features(kind):
     if kind is complex:
         data["shapes"] = data["shapes"] * np.array([[1j], [1 + 1j]])
     data["shapes"][1, 3] = np.nan
-    with pm.Model():
-        y = ModalFeature(
-            "y", (frequencies, shapes), observed=data, sigma_f=0.02, sigma_phi=0.1, density="EXP"
-        )
-    draws = pm.draw(y, 3000, random_seed=rng)
+    parameters = checked_parameters((frequencies, shapes), identified(data, None), 0.02, 0.1, "EXP")
+    draws = pm.draw(ModalFeature.dist(*parameters, size=(3000, 2)), random_seed=rng)  # all at once
     assert draws.shape == (3000, 2, 6 if kind is float else 11)
     for i, r in enumerate((2, 0)):
         sd = np.hypot(0.02, data["frequency_sd"][i] / data["frequencies"][i])

@@ -187,19 +187,20 @@ def posterior_function():
 
 @pytest.mark.statistical
 def test_intervals_of_a_thousand_laboratories_cover():
-    """90 % intervals of ln theta in 1,000 laboratories hold the truth in 86 to 94 %.
+    """90 % intervals of ln theta in 1,000 laboratories hold the truth in 86 to 94 %, by the closed form.
 
     The truth is drawn from the prior, so that 90 % is exact; four standard errors of a binomial are 3.8 %: a
     false alarm in 10,000. An error of its own in each test, the negative control, covers less than half.
-    Means and standard deviations are those of the closed form (to 5 %; they agree to 1e-6).
+    Means and standard deviations of the package are those of the closed form to 1e-6, in the first 100.
     """
     rng, posterior, inside = np.random.default_rng(5), posterior_function(), []
-    for _ in range(1000):
+    for number in range(1000):
         ln_theta = 0.5 * rng.normal()
         data = laboratory(rng, np.exp(ln_theta))
-        found, exact, independent = posterior(data), closed_form(data), closed_form(data, shared=False)
-        np.testing.assert_allclose(found, exact, rtol=1e-6, atol=1e-9)
-        inside.append([abs(ln_theta - mean) < 1.645 * sd for mean, sd in (found, independent)])
+        exact, independent = closed_form(data), closed_form(data, shared=False)
+        if number < 100:
+            np.testing.assert_allclose(posterior(data), exact, rtol=1e-6, atol=1e-9)
+        inside.append([abs(ln_theta - mean) < 1.645 * sd for mean, sd in (exact, independent)])
     share, of_independent = np.mean(inside, axis=0)
     assert 0.86 < share < 0.94
     assert of_independent < 0.5
@@ -243,9 +244,9 @@ def test_draws_share_the_error_of_the_model():
     5 sqrt(2 / 4000) of a variance, 11 %. Independent errors, the negative control, would have none.
     """
     data = measured()
-    with pm.Model():
-        y = ModalFeature("y", FOUND, observed=data, labels=LABELS, sigma_f=0.02, sigma_phi=0.1)
-    draws = pm.draw(y, 4000, random_seed=3)[:, 0].reshape(4000, 3, 6)
+    parameters = checked_parameters(FOUND, identified(data, LABELS), 0.02, 0.1, "EXP")
+    many = ModalFeature.dist(*parameters, size=(4000, 3))  # all at once
+    draws = pm.draw(many, random_seed=3)[:, 0].reshape(4000, 3, 6)
     covariance = np.cov(np.log(draws[:, :, 0]).T)
     own = (data["frequency_sd"] / data["frequencies"])[[0, 2, 3]] ** 2
     np.testing.assert_allclose(covariance, 0.02**2 + np.diag(own), rtol=0.11)

@@ -16,13 +16,7 @@ FORMATS = (MATLAB, *BINARY, AT2, *BLOCKS, *FACTS, UNIVERSAL, WAVEFORMS, TEXT)
 
 
 def format_of(path: Path, request: Request) -> Format:
-    """The format of a file, by its first lines, which must be text for what only a text file is asked for.
-
-    Raises
-    ------
-    ValueError
-        If `request.wrapped` is given for a format that says itself how its values stand.
-    """
+    """The format of a file, by its first lines, which must be text for what only a text file is asked for."""
     opening = Opening.of(path)
     found = next(entry for entry in FORMATS if entry.recognises(opening))
     if request.wrapped is not None and found is not TEXT:

@@ -10,26 +10,17 @@ import numpy as np
 
 from pymc_features.io.formats.matlab import load_variables, recording_of_variables
 from pymc_features.io.formats.sources import recording_in
-from pymc_features.io.reading.lines import shortened
+from pymc_features.io.reading.lines import by_library
 from pymc_features.io.reading.recording import Channel, Format, Recording, Request
-
-EXTRA = 'python -m pip install "pymc-features[daq]"'
 
 
 def read_tdms(path: Path, request: Request) -> Recording:
     """All channels of all groups, scaled as their properties say."""
-    try:
+    with by_library("npTDMS", "daq", path, "TDMS"):
         from nptdms import TdmsFile
-    except ImportError as error:
-        raise _missing("npTDMS", path, "TDMS") from error
-    try:
+
         groups = TdmsFile.read(path).groups()
         found = [(group, channel, np.asarray(channel[:])) for group in groups for channel in group.channels()]
-    except Exception as error:  # each damaged file fails in its own way, inside the parser
-        raise ValueError(
-            f"{path.name} must be a whole TDMS file, npTDMS cannot read it ({shortened(error)}). Fetch it "
-            "again."
-        ) from error
     channels = []
     for group, channel, values in found:
         facts = channel.properties
@@ -41,12 +32,10 @@ def read_tdms(path: Path, request: Request) -> Recording:
             start += float(facts.get("wf_start_offset", 0.0))
         else:
             start = None
-        problem = "" if values.dtype.kind in "iuf" else f"{path.name}, {name}: values must be numbers."
-        if problem or values.size < 2:
-            values, problem = (
-                np.zeros(0),
-                problem or f"{path.name}, {name}: at least 2 samples must be there.",
-            )
+        problem = ""
+        if values.dtype.kind not in "iuf" or values.size < 2:
+            problem = f"{path.name}, {name}: values must be numbers, at least 2, got {values.size} others."
+            values = np.zeros(0)
         step = float(facts.get("wf_increment", 0.0)) or None
         channels.append(Channel(name, values.astype(np.float64), unit, step, start=start, problem=problem))
     return Recording(path.name, channels)
@@ -56,27 +45,14 @@ def read_parquet(path: Path, request: Request) -> Recording:
     """The columns of a table, as of a `pandas.DataFrame`."""
     import pandas as pd
 
-    try:
+    with by_library("pyarrow", "daq", path, "Parquet", "Save it again."):
         frame = pd.read_parquet(path)
-    except ImportError as error:
-        raise _missing("pyarrow", path, "Parquet") from error
-    except Exception as error:
-        raise ValueError(
-            f"{path.name} must be a whole Parquet file, pandas cannot read it ({shortened(error)}). Save it "
-            "again."
-        ) from error
     return recording_in(frame, request)._replace(file=path.name)
 
 
 def read_hdf5(path: Path, request: Request) -> Recording:
     """Data sets of numbers, with their `units`; `dt` and `fs` as data sets or attributes."""
     return recording_of_variables(load_variables(path), path.name, request)
-
-
-def _missing(library: str, path: Path, kind: str) -> ImportError:
-    return ImportError(
-        f"{library} must be installed to read {path.name}, a {kind} file, got none. Install it with: {EXTRA}."
-    )
 
 
 BINARY = (

@@ -1,7 +1,7 @@
 """What headers of strong-motion records state: facts by label, numbers, units, widths of columns, peaks."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -63,6 +63,16 @@ def check_peak(lines: Lines, name: str, values: np.ndarray, stated: float | None
         )
 
 
+def series(
+    lines: Lines, name: str, count: int | None, dt: float | None, width: int, unit: str | None, peak=None
+) -> Channel:
+    """The announced number of values in columns, at a stated step, with the peak that the file states."""
+    check_sections(lines, {"the number of points": count, "the step": dt})
+    values = lines.fields(count, width, "values")
+    check_peak(lines, name, values, peak)
+    return Channel(name, values, unit, dt)
+
+
 def check_end(lines: Lines, what: str) -> None:
     """Refuse anything but blanks below the values."""
     if (line := lines.peek()) is not None:
@@ -97,17 +107,18 @@ def demand(lines: Lines, facts: dict[str, str], label: str) -> str:
     return facts[label]
 
 
-def format_of_lines(
-    name: str,
-    recognises: Callable[[Opening], bool],
-    files: str,
-    states: str,
-    read: Callable[[Lines], tuple[Sequence[Channel], str | None]],
-) -> Format:
-    """A format whose reader takes lines and gives channels and the name of the recording."""
+def format_of_lines(name: str, begins: str | Callable, files: str, states: str, read: Callable) -> Format:
+    """A format whose reader takes `Lines` and gives channels, or these and the name of the recording.
+
+    It is known by how its files begin, a pattern of the first lines in lower case, or a function of them.
+    """
 
     def recording(path, request) -> Recording:
-        channels, title = read(Lines(path, name.partition(" and ")[0]))
+        found = read(Lines(path, name.partition(" and ")[0]))
+        channels, title = found if isinstance(found, tuple) else (found, None)
         return Recording(path.name, channels, title)
 
-    return Format(name, recognises, files, states, recording)
+    def recognises(opening: Opening) -> bool:
+        return re.match(begins, "\n".join(opening.lines[:30]).lower()) is not None
+
+    return Format(name, recognises if isinstance(begins, str) else begins, files, states, recording)

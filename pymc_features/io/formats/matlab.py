@@ -16,9 +16,8 @@ from pymc_features._checks import listed
 from pymc_features.io.formats.matlab_layout import check_layout
 from pymc_features.io.reading.columns import Columns, recording_of
 from pymc_features.io.reading.labels import Label, Unit, unit_of
-from pymc_features.io.reading.lines import shortened, to_number
+from pymc_features.io.reading.lines import check_size, shortened, to_number
 from pymc_features.io.reading.recording import Channel, Format, Recording, Request
-from pymc_features.io.reading.size_check import check_size
 
 #: Quantity and SI units of numbers that state the step.
 SCALARS = {"dt": ("time", 1.0)} | dict.fromkeys(("fs", "samplingrate", "samplerate"), ("frequency", 1.0))
@@ -274,13 +273,7 @@ def _stated_units(facts: Mapping, inside: str, file: str) -> str | None:
 
 
 def _stated_step(facts: Mapping, inside: str, file: str, dt: float | None) -> float | None:
-    """The step [s] that numbers and texts such as "100 Hz" state in a structure, or else in the file.
-
-    Raises
-    ------
-    ValueError
-        If they contradict each other and the caller does not say which.
-    """
+    """The step [s] that numbers and texts such as "100 Hz" state in a structure, or else in the file."""
     steps = {}
     for name, value in facts.items():
         key = re.sub("[_ ]", "", name.lower().rpartition(".")[2])

@@ -7,12 +7,14 @@ The MathWorks, MAT-File Format, sections 1 and 2.
 """
 
 import math
+import struct
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.reading.size_check import check_size
+from pymc_features.io.reading.lines import check_size
 
 HEADER, TAG = 128, 8  # bytes
 COMPRESSED, ARRAY = 15, 14  # types of elements
@@ -27,104 +29,72 @@ SIZES_4 = (8, 4, 4, 2, 2, 1)  # bytes of a number, by the tens of the type
 
 
 def check_layout(path: Path) -> int:
-    """Bytes that the arrays of a file hold, decompressed.
-
-    Raises
-    ------
-    ValueError
-        If a part is longer than what holds it, or much more comes out of a file than is in it.
-    """
-    with path.open("rb") as file:
-        header = file.read(HEADER)
-        if 0 in header[:4]:  # as SciPy tells version 4, whose header is no text
-            return _check_4(path, file, header)
-        return _check_5(path, file, "little" if header[-2:] == b"IM" else "big")
-
-
-def _check_5(path: Path, file, order: str) -> int:
-    size, held = path.stat().st_size, 0
-    while len(tag := file.read(TAG)) == TAG:
-        kind, n_bytes = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)
-        if n_bytes > size - file.tell():
-            raise ValueError(f"an element announces {n_bytes} bytes, the file ends before")
-        raw = file.read(n_bytes)
+    """Bytes that the arrays of a file hold, decompressed; no part is longer than what holds it."""
+    raw, held = memoryview(path.read_bytes()), 0
+    if 0 in raw[:4]:  # as SciPy tells version 4, whose header is no text
+        return _check_4(raw)
+    order = "<" if raw[HEADER - 2 : HEADER] == b"IM" else ">"
+    for kind, part in _elements(raw[HEADER:], order, 1):
         if kind == COMPRESSED:
-            raw = _inflated(path, raw, held)
-            kind, n_bytes = int.from_bytes(raw[:4], order), int.from_bytes(raw[4:8], order)
-            raw = raw[TAG:]
-            if n_bytes > len(raw):
-                raise ValueError(f"a compressed array announces {n_bytes} bytes, {len(raw)} came out")
+            inflate, pieces, inflated = zlib.decompressobj(), [], held
+            while part:
+                pieces.append(inflate.decompress(part, CHUNK))
+                inflated = check_size(path, [inflated, len(pieces[-1])])
+                part = inflate.unconsumed_tail
+            kind, part = next(_elements(memoryview(b"".join(pieces)), order, 1), (0, b""))
         if kind == ARRAY:
-            _check_parts(raw, order)
-        held += len(raw)
+            _check_array([*_elements(part, order)], order)
+        held += len(part)
     return held
 
 
-def _inflated(path: Path, raw: bytes, held: int) -> bytes:
-    """The bytes of a compressed element."""
-    inflate, pieces = zlib.decompressobj(), []
-    while raw:
-        pieces.append(inflate.decompress(raw, CHUNK))
-        held = check_size(path, [held, len(pieces[-1])])
-        raw = inflate.unconsumed_tail
-    return b"".join(pieces)
-
-
-def _check_parts(raw: bytes, order: str) -> None:
-    """Elements of an array follow one another, from multiples of eight bytes, to its end."""
-    start, parts, types = 0, [], []
+def _elements(raw: memoryview, order: str, multiple: int = 8) -> Iterator[tuple[int, memoryview]]:
+    """Types and contents of elements that follow one another, from multiples of some bytes."""
+    start = 0
     while start + TAG <= len(raw):
-        word = int.from_bytes(raw[start : start + 4], order)
+        word, size = struct.unpack_from(f"{order}II", raw, start)
         short = word >> 16  # bytes that stand in the tag
-        n_bytes = 0 if short else int.from_bytes(raw[start + 4 : start + 8], order)
-        if start + TAG + n_bytes > len(raw) or short > 4:
-            raise ValueError(f"a part of an array announces {n_bytes or short} bytes, the array ends before")
-        first = start + 4 if short else start + TAG
-        parts.append(raw[first : first + (short or n_bytes)])
-        types.append(word & 0xFFFF)
-        start += TAG + 8 * math.ceil(n_bytes / 8)
-    flags = int.from_bytes(parts[0][:4], order) if parts else 0
-    _check_types(flags, types)
-    if flags & 0xFF == SPARSE:
-        _check_sparse(parts, order)
+        first, size = (start + 4, short) if short else (start + TAG, size)
+        if first + size > len(raw) or short > 4:
+            raise ValueError(f"a part announces {size} bytes, what holds it ends before")
+        yield word & 0xFFFF, raw[first : first + size]
+        start += TAG + (0 if short else multiple * math.ceil(size / multiple))
 
 
-def _check_types(flags: int, types: list[int]) -> None:
-    """The parts of an array of numbers or text must all be there, and of the types that belong there."""
-    kind, is_complex = flags & 0xFF, bool(flags & COMPLEX)
-    others = TEXT_TYPES if kind == TEXT else NUMBER_TYPES
+def _check_array(parts: list[tuple[int, memoryview]], order: str) -> None:
+    """The parts of an array of numbers or text must all be there, and of the types that belong there.
+
+    SciPy takes rows of the entries of a sparse matrix, and the first entry of each column, as they are.
+    """
+    types = [kind for kind, _ in parts]
+    for part in (part for kind, part in parts if kind == ARRAY):  # of a structure, or a cell
+        _check_array([*_elements(part, order)], order)
+    numbers = [np.frombuffer(part, f"{order}i4") if len(part) % 4 == 0 else None for _, part in parts[:5]]
+    flags = int(numbers[0][0]) if parts and len(parts[0][1]) >= 4 and numbers[0] is not None else 0
+    kind, others = flags & 0xFF, TEXT_TYPES if flags & 0xFF == TEXT else NUMBER_TYPES
     wanted = [*FIRST_TYPES, *[others] * (len(types) - 3)]
-    least = (6 if kind == SPARSE else 4) + is_complex
+    least = (6 if kind == SPARSE else 4) + bool(flags & COMPLEX)
     known = kind in (TEXT, SPARSE, *NUMBERS)
     if known and (len(types) < least or any(t not in w for t, w in zip(types, wanted, strict=False))):
         raise ValueError(f"an array must have flags, dimensions, name and values, got types {types[:9]}")
-
-
-def _check_sparse(parts: list[bytes], order: str) -> None:
-    """Rows of the entries, and the first entry of each column, which SciPy takes as they are."""
-    if len(parts) < 6 or any(len(part) % 4 for part in (parts[1], parts[3], parts[4])):
+    if kind != SPARSE:
+        return
+    dims, rows, starts = (numbers[k] for k in (1, 3, 4))
+    if any(places is None or not places.size for places in (dims, starts)) or rows is None:
         raise ValueError("a sparse matrix must have rows, columns and entries")
-    dims, rows, starts = (
-        np.frombuffer(parts[k], f"{'<' if order == 'little' else '>'}i4") for k in (1, 3, 4)
-    )
     whole = dims.size == 2 and starts.size == dims[1] + 1 and starts[0] == 0 and starts[-1] <= rows.size
     if not whole or (np.diff(starts) < 0).any() or (rows < 0).any() or (rows >= max(dims[0], 1)).any():
         raise ValueError("the entries of a sparse matrix must be in its rows and columns")
 
 
-def _check_4(path: Path, file, first: bytes) -> int:
+def _check_4(raw: memoryview) -> int:
     """Type, rows, columns, whether complex, and length of the name, above each matrix."""
-    size, start = path.stat().st_size, 0
-    order = "little" if int.from_bytes(first[:4], "little") <= 5000 else "big"  # of all
-    file.seek(0)
-    while len(header := file.read(20)) == 20:
-        kind, rows, columns, imaginary, n_name = (
-            int.from_bytes(header[k : k + 4], order) for k in range(0, 20, 4)
-        )
+    start, order = 0, "<" if int.from_bytes(raw[:4], "little") <= 5000 else ">"  # of all
+    while start + 20 <= len(raw):
+        kind, rows, columns, imaginary, n_name = struct.unpack_from(f"{order}5I", raw, start)
         if kind // 10 % 10 >= len(SIZES_4) or kind >= 5000 or imaginary > 1:
             raise ValueError("it is of no version that is known")
         start += 20 + n_name + rows * columns * (1 + imaginary) * SIZES_4[kind // 10 % 10]
-        if start > size:
+        if start > len(raw):
             raise ValueError(f"a matrix announces {rows} x {columns} numbers, the file ends before")
-        file.seek(start)
-    return size
+    return len(raw)

@@ -23,13 +23,7 @@ def is_source(value) -> bool:
 
 
 def recording_in(source, request: Request) -> Recording:
-    """The channels of a `pandas.DataFrame`, an `xarray.DataArray`, an ObsPy `Stream` or a list of SEP005.
-
-    Raises
-    ------
-    ValueError
-        If they are no numbers, or their times are none.
-    """
+    """The channels of a `pandas.DataFrame`, an `xarray.DataArray`, an ObsPy `Stream` or a list of SEP005."""
     names = {base.__name__ for base in type(source).__mro__}
     if "DataFrame" in names:
         return _of_frame(source, request)
@@ -92,19 +86,9 @@ def _of_array(array) -> Recording:
     if "time" in array.coords:
         times = whole["time"].values
         dates = times.dtype.kind in "mM"
-        label = Label("time", "time", None if dates else str(whole["time"].attrs.get("units", "s")))
-        origin, seconds = _seconds(times) if dates else (0.0, times.astype(np.float64))
-        columns = Columns(
-            "the DataArray",
-            [label],
-            seconds[:, None],
-            lambda row, column: f"sample {row}",
-            stamp=0 if dates else None,
-            origin=origin,
-        )
-        [clock] = recording_of(columns, Request()).channels
-        start = float(array.attrs.get("start", 0.0)) + clock.start
-        place = {"dt": clock.dt, "start": start}
+        origin, seconds = _seconds(times) if dates else (0.0, times)
+        unit = "s" if dates else str(whole["time"].attrs.get("units", "s"))
+        place = _place("the DataArray", seconds, unit, origin + float(array.attrs.get("start", 0.0)))
     return Recording(
         "the DataArray",
         [
@@ -133,17 +117,19 @@ def _of_dict(entry: Mapping) -> Channel:
             raise ValueError(message("start_timestamp", "an ISO date", shown(start))) from None
     if isinstance(start, datetime):
         start = (start if start.tzinfo else start.replace(tzinfo=UTC)).timestamp()
-    place = {"dt": 1.0 / float(entry["fs"]) if "fs" in entry else None, "start": start}
+    dt = 1.0 / float(entry["fs"]) if "fs" in entry else None
+    place = {"dt": dt, "start": start}
     if "time" in entry:
-        columns = Columns(
-            str(entry["name"]),
-            [Label("time", "time", "s")],
-            np.asarray(entry["time"], dtype=np.float64)[:, None],
-            lambda row, column: f"{entry['name']}, sample {row}",
-            dt=place["dt"],
-        )
-        [clock] = recording_of(columns, Request()).channels
-        place = {"dt": clock.dt, "start": clock.start if start is None else start + clock.start}
+        place = _place(str(entry["name"]), entry["time"], "s", start or 0.0, dt)
     return Channel(
         str(entry["name"]), np.asarray(entry["data"], dtype=np.float64), str(entry["unit_str"]), **place
     )
+
+
+def _place(source: str, times, unit: str, start: float, dt: float | None = None) -> dict:
+    """Step and start of a channel by its times (time,), in a unit, and what they count from [s]."""
+    readings = np.asarray(times, dtype=np.float64)[:, None]
+    label = Label("time", "time", unit)
+    columns = Columns(source, [label], readings, lambda row, column: f"{source}, sample {row}", dt=dt)
+    [clock] = recording_of(columns, Request()).channels
+    return {"dt": clock.dt, "start": start + clock.start}

@@ -24,7 +24,7 @@ from pymc_features.io.formats.header import (
     format_of_lines,
     labelled,
 )
-from pymc_features.io.reading.lines import Lines, not_a_number, to_count, to_number
+from pymc_features.io.reading.lines import Lines, not_a_number, to_count, to_number, warn_of_widths
 from pymc_features.io.reading.recording import Channel
 from pymc_features.io.reading.units import known_factor
 
@@ -47,6 +47,7 @@ _GLUED = re.compile(r"(?<=[\d.])([-+])", re.ASCII)
 def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
     """The single series of a file, and its event."""
     npts, header, values = next((k for k, line in lines if "NPTS" in line.upper()), 0), [], []
+    rows = []
     for number, line in lines:
         # Fortran glues a value to the one before it when both fill their fields
         tokens = _GLUED.sub(r" \1", line.replace(",", " ")).split()
@@ -58,12 +59,14 @@ def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
                 if value is None or not np.isfinite(value):
                     raise not_a_number(f"{lines.title}, line {number}", token)
                 values.append(value)
+            rows.append((number, lines.whole[number - 1]))
         elif number <= npts or len(header) < MOST_HEADER_LINES:
             header = [*header[-MOST_HEADER_LINES:], " ".join(line.split())]
     if not values:
         raise ValueError(
             f"{lines.title} must hold values below its header, none was found. Is it an AT2 file?"
         )
+    warn_of_widths(lines.title, rows)
     text = "\n".join(header)
     both = _NPTS_DT.search(text)
     found = both.groups() if both else [m and m[1] for m in (_NPTS.search(text), _DT.search(text))]
@@ -174,7 +177,7 @@ def read_knet(lines: Lines) -> tuple[list[Channel], str]:
 # --- NSMN and UNAM: columns of all directions ---------------------------------------------------------
 
 
-def read_nsmn(lines: Lines) -> tuple[list[Channel], None]:
+def read_nsmn(lines: Lines) -> list[Channel]:
     """The three components of a file [gal]."""
     lines.take("a title")
     facts = labelled(lines, "N-S")  # so begins the line with the directions
@@ -182,12 +185,15 @@ def read_nsmn(lines: Lines) -> tuple[list[Channel], None]:
     n_times = to_count(demand(lines, facts, "NUMBER OF DATA"))
     dt = to_number(demand(lines, facts, "SAMPLING INTERVAL (SEC)"))
     check_sections(lines, {"the number of data": n_times, "the sampling interval": dt})
-    values = lines.rows(n_times, len(directions), "rows, the number of data")
+    per_line = len(directions)
+    values = lines.words(n_times * per_line, "rows, the number of data", per_line=per_line).reshape(
+        -1, per_line
+    )
     check_end(lines, f"the {n_times} rows")
-    return [Channel(name, column, "gal", dt) for name, column in zip(directions, values.T, strict=True)], None
+    return [Channel(name, column, "gal", dt) for name, column in zip(directions, values.T, strict=True)]
 
 
-def read_unam(lines: Lines) -> tuple[list[Channel], None]:
+def read_unam(lines: Lines) -> list[Channel]:
     """The channels of a file."""
     facts = labelled(lines, "DATOS DE ACELERACION")
     directions = _between_slashes(facts, "ORIENTACION C1-C6", "ORIENTACION C7-C12")
@@ -216,7 +222,7 @@ def read_unam(lines: Lines) -> tuple[list[Channel], None]:
     peaks = [to_number(text) for text in _between_slashes(facts, "ACEL. MAX.(GAL)")]
     for name, column, peak in zip(directions, values.T, [*peaks, *[None] * len(directions)], strict=False):
         check_peak(lines, name, column, peak)
-    return [Channel(name, column, unit, dt) for name, column in zip(directions, values.T, strict=True)], None
+    return [Channel(name, column, unit, dt) for name, column in zip(directions, values.T, strict=True)]
 
 
 def _between_slashes(facts: dict[str, str], *labels: str) -> list[str]:
@@ -238,31 +244,24 @@ AT2 = format_of_lines(
 FACTS = (
     format_of_lines(
         "ESM and ITACA",
-        lambda opening: (
-            opening.first.startswith("event_name:")
-            and any(line.startswith("EVENT_ID:") for line in opening.lines[:3])
-        ),
+        r"event_name:.*\n(.*\n)?event_id:",
         ".ASC",
         "step, units, component, start, peak",
         read_esm,
     ),
     format_of_lines(
         "K-NET and KiK-net",
-        lambda opening: opening.first.startswith("origin time") and opening.second.startswith("lat."),
+        r"origin time.*\nlat\.",
         ".NS, .EW, .UD, .NS1, .EW1, .UD1, .NS2, .EW2, .UD2",
         "scale, step, direction, start, peak; the mean is taken off, as for the peak in the header",
         read_knet,
     ),
     format_of_lines(
-        "NSMN",
-        lambda opening: opening.first.lstrip().startswith("strong ground motion records of turk"),
-        ".txt",
-        "step, directions; gal",
-        read_nsmn,
+        "NSMN", r"\s*strong ground motion records of turk", ".txt", "step, directions; gal", read_nsmn
     ),
     format_of_lines(
         "UNAM",
-        lambda opening: any("ARCHIVO ESTANDAR DE ACELERACION" in line.upper() for line in opening.lines[:30]),
+        r"(.*\n){0,29}.*archivo estandar de aceleracion",
         "day and number, .191",
         "step, units, directions, peaks",
         read_unam,

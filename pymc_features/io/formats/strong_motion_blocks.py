@@ -20,14 +20,13 @@ from pymc_features.io.formats.header import (
     count_before,
     format_of_lines,
     number_after,
+    series,
     unit_in,
 )
 from pymc_features.io.reading.lines import Lines, to_count, to_number
 from pymc_features.io.reading.recording import Channel, even_or_times
 
-
-def _no_spectra(lines: Lines) -> ValueError:
-    return lines.error("the file must hold accelerations", "spectra (V3)", "Read the V2 file.")
+NO_SPECTRA = "the file must hold accelerations", "spectra (V3)", "Read the V2 file."
 
 
 def _text(lines: Lines, count: int, what: str) -> list[str]:
@@ -51,7 +50,7 @@ QUANTITIES = ("accel", "veloc", "displ", "rotat", "angul", "press", "strain", "s
 STEP, RAW_STEP, PEAK = 61, 33, 63  # reals: of the series [ms], of the recorder [s], signed
 
 
-def read_cosmos(lines: Lines) -> tuple[list[Channel], None]:
+def read_cosmos(lines: Lines) -> list[Channel]:
     """All accelerations of a file, each below headers of its own."""
     channels = []
     while (line := lines.peek()) is not None:
@@ -59,7 +58,7 @@ def read_cosmos(lines: Lines) -> tuple[list[Channel], None]:
             raise lines.error("the next channel must begin with its format version", repr(line.strip()[:60]))
         first = _text(lines, 1, "a channel")[0].lower()
         if "spectr" in first:
-            raise _no_spectra(lines)
+            raise lines.error(*NO_SPECTRA)
         n_text = to_count(next(iter(first.rpartition("with")[2].split()), ""))
         check_sections(lines, {"the number of text lines": n_text})
         text = [lines.take(f"{n_text} lines of text") for _ in range(n_text - 1)]
@@ -70,7 +69,7 @@ def read_cosmos(lines: Lines) -> tuple[list[Channel], None]:
                 raise lines.error("a comment must begin with |", "another line")
         name = " ".join(text[7].partition("(")[0].split()[2:]) if n_text > 8 else ""
         channels += _cosmos_series(lines, name or "acceleration", reals)
-    return channels, None
+    return channels
 
 
 def _announced(lines: Lines, kind: str) -> int:
@@ -123,16 +122,13 @@ def _cosmos_acceleration(lines: Lines, name: str, line: str, values, reals) -> C
 
 # --- CSMIP and CESMD, volumes 1 and 2, in lines of 80; film is digitised at uneven times -----------------
 
-UNCORRECTED, CORRECTED, SPECTRA = (
-    "uncorrected accelerogram data",
-    "corrected accelerogram",
-    "response and fourier",
-)
+UNCORRECTED, CORRECTED = "uncorrected accelerogram data", "corrected accelerogram"
+SPECTRA = "response and fourier"
 TEXT_LINES, NUMBER_LINES = {1: 13, 2: 25}, {1: 14, 2: 20}  # by volume
 PAIR_WIDTH, PAIR_QUANTUM = 7, 1e-3  # characters; [s]
 
 
-def read_csmip(lines: Lines) -> tuple[list[Channel], None]:
+def read_csmip(lines: Lines) -> list[Channel]:
     """All channels of a file of either volume."""
     channels = []
     while (line := lines.peek()) is not None:
@@ -144,10 +140,10 @@ def read_csmip(lines: Lines) -> tuple[list[Channel], None]:
         elif first.startswith(CORRECTED):
             channels.append(_volume_2(lines))
         elif first.startswith(SPECTRA):
-            raise _no_spectra(lines)
+            raise lines.error(*NO_SPECTRA)
         else:
             raise lines.error("a channel or its end must follow", repr(line.strip()[:60]))
-    return channels, None
+    return channels
 
 
 def _csmip_header(lines: Lines, volume: int) -> list[str]:
@@ -160,22 +156,19 @@ def _csmip_header(lines: Lines, volume: int) -> list[str]:
 
 def _volume_2(lines: Lines) -> Channel:
     text = _csmip_header(lines, 2)
-    channel = _section(lines, "accel", text[7])
-    check_peak(lines, channel.name, channel.values, number_after(text[17], "peak acceleration"))
+    channel = _section(lines, "accel", text[7], number_after(text[17], "peak acceleration"))
     while (line := lines.peek()) is not None and "points of" in line.lower():
         _section(lines, line.lower().partition("points of")[2].split()[0], "")
     return channel
 
 
-def _section(lines: Lines, quantity: str, name: str) -> Channel:
+def _section(lines: Lines, quantity: str, name: str, peak: float | None = None) -> Channel:
     """A series below the line that says how many values there are, how far apart, and in which unit."""
     line = lines.take("the number of points").lower()
     n_times, dt = count_before(line, "points"), number_after(line, "spaced at")
     if quantity not in line:
         raise lines.error(f"the number of points of {quantity} data must stand here", repr(line.strip()[:60]))
-    check_sections(lines, {"the number of points": n_times, "the step": dt})
-    values = lines.fields(n_times, column_width(line, 10), "values")
-    return Channel(name, values, unit_in(line.partition("sec")[2]), dt)
+    return series(lines, name, n_times, dt, column_width(line, 10), unit_in(line.partition("sec")[2]), peak)
 
 
 def _volume_1(lines: Lines) -> Channel:
@@ -184,12 +177,12 @@ def _volume_1(lines: Lines) -> Channel:
         return _pairs(lines, text)
     line = lines.take("the number of points").lower()
     n_times, rate = to_count(line.split()[0]), number_after(line, "points at")
-    check_sections(lines, {"the number of points": n_times, "the samples in a second": rate})
     if "pts/sec" not in line:
         raise lines.error("the rate must be in pts/sec", repr(line.strip()[:60]))
-    values = lines.fields(n_times, column_width(line, 9), "values")
+    check_sections(lines, {"the samples in a second": rate})
     factor, unit = _film_unit(line.partition("units of")[2])
-    return Channel(text[6], factor * values, unit, 1.0 / rate)
+    channel = series(lines, text[6], n_times, 1.0 / rate, column_width(line, 9), unit)
+    return channel._replace(values=factor * channel.values)
 
 
 def _pairs(lines: Lines, text: list[str]) -> Channel:
@@ -216,7 +209,7 @@ POINTS = 33  # integers: of accelerations, then of velocities and displacements
 STEP_1, STEP_2 = 24, 25  # reals, of volumes 1 and 2 [s]
 
 
-def read_geonet(lines: Lines) -> tuple[list[Channel], None]:
+def read_geonet(lines: Lines) -> list[Channel]:
     """The components of a file."""
     channels = []
     while lines.peek() is not None:
@@ -235,7 +228,7 @@ def read_geonet(lines: Lines) -> tuple[list[Channel], None]:
         name = next(iter(text[12].partition("Component")[2].split()), "acceleration")
         check_peak(lines, name, values, number_after(text[13].replace("Peak", "peak"), "peak"))
         channels.append(Channel(name, 1e-3 * values, "m/s^2", dt))
-    return channels, None
+    return channels
 
 
 def _check_words(lines: Lines, text: list[str], n_times: int, dt: float) -> None:
@@ -258,7 +251,7 @@ NULL, RATE, HIGHEST, LOWEST = 0, 1, 29, 31  # of the 50 reals
 DIGITS = 5  # that are printed of every value
 
 
-def read_smc(lines: Lines) -> tuple[list[Channel], None]:
+def read_smc(lines: Lines) -> list[Channel]:
     """The acceleration of a file [cm/s^2]."""
     text = [lines.take("11 lines of text") for _ in range(11)]
     if "accelerogram" not in text[0].lower():
@@ -285,45 +278,34 @@ def read_smc(lines: Lines) -> tuple[list[Channel], None]:
         spacing = even_or_times(times, quantum, lambda row: lines.where())
     peaks = [abs(stated[k]) for k in (HIGHEST, LOWEST) if k in stated]
     check_peak(lines, name, values, max(peaks, default=None))
-    return [Channel(name, values, "cm/s^2", **spacing)], None
+    return [Channel(name, values, "cm/s^2", **spacing)]
 
 
 BLOCKS = (
     format_of_lines(
         "COSMOS",
-        lambda opening: "(format v" in opening.first and "text lines" in opening.first,
+        r"(?=.*\(format v).*text lines",
         ".v0, .v1, .v2, .V1c, .V2c",
         "step, units, channels, peak, format of the columns",
         read_cosmos,
     ),
     format_of_lines(
         "CSMIP and CESMD",
-        lambda opening: (
-            opening.first.lstrip().startswith(UNCORRECTED)
-            or (opening.first.lstrip().startswith(CORRECTED) and "uncorrected accelerogram" in opening.second)
-            or (opening.first.lstrip().startswith(SPECTRA) and CORRECTED in opening.second)
-        ),
+        rf"\s*({UNCORRECTED}|{CORRECTED}.*\n.*uncorrected accelerogram|{SPECTRA}.*\n.*{CORRECTED})",
         ".v1, .v2, .raw",
         "step (times, of film), units, channels, peak; V3 files hold spectra and are refused",
         read_csmip,
     ),
     format_of_lines(
         "SMC",
-        lambda opening: (
-            opening.first[:1].isdigit()
-            and any(word in opening.first for word in ("accelerogram", "velocity", "displacement", "spectr"))
-            and opening.second.startswith("*")
-        ),
+        r"\d.*(accelerogram|velocity|displacement|spectr).*\n\*",
         ".smc",
         "step (times, of film), component, peak; cm/s^2",
         read_smc,
     ),
     format_of_lines(
         "GeoNet",
-        lambda opening: (
-            opening.first.startswith(("uncorrected accelerogram", "corrected accelerogram"))
-            and opening.second.startswith("site ")
-        ),
+        r"(un)?corrected accelerogram.*\nsite ",
         ".V1A, .V2A",
         "step, mm/s^2, components, peak",
         read_geonet,

@@ -4,7 +4,7 @@ import csv
 import re
 from array import array
 from functools import lru_cache
-from io import BytesIO, StringIO
+from io import StringIO
 from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -18,11 +18,17 @@ from pymc_features.io.reading.recording import Format, Recording, Request
 from pymc_features.io.reading.units import known_factor
 
 COMMENTS = ("#", "%", "//")
-SEPARATORS = ("\t", ";", ",", " ")
+SEPARATORS = ("\t", ";", "|", ",", " ")
+#: 20240131T120000, or without the T
+COMPACT = re.compile(
+    r"(?<![\d.])((?:19|20)\d\d)([01]\d)([0-3]\d)T?([0-2]\d)([0-5]\d)([0-5]\d)(?!\d)", re.ASCII
+)
+NO_UNIT = {"", "-", "[]", "TS", "RN"}  # in a row of units; the last two in tables of Campbell's loggers, TOA5
 MISSING = ("", "nan", "+nan", "-nan")  # cells of a gap, in lower case
 MOST_HEADER_LINES = 10_000
 FEW = 200_000  # characters that NumPy reads as fast as pandas is imported
 SAMPLED = 200  # lines whose printed digits say how fine a column is
+ENDS = 12  # lines that tell whether the last one is whole
 DATES = (
     "%Y-%m-%d",
     "%d.%m.%Y",
@@ -45,21 +51,12 @@ STAMP = re.compile(
 
 
 class Layout(NamedTuple):
-    """How the rows of numbers are written.
-
-    Attributes
-    ----------
-    separator, decimal : str
-    count : int
-        Cells of a row.
-    stamp : tuple of int
-        Cells of a time stamp: one, or the one of the date and the one of the time.
-    """
+    """How the rows of numbers are written."""
 
     separator: str
     decimal: str
-    count: int
-    stamp: tuple[int, ...] = ()
+    count: int  # cells of a row
+    stamp: tuple[int, ...] = ()  # cells of a time stamp: one, or that of the date and that of the time
 
     def cells(self, line: str) -> list[str]:
         """The cells of a row, time stamps in one, decimal points for commas."""
@@ -132,17 +129,15 @@ def read_columns(path: Path, request: Request) -> Columns:
     With `request.gaps` cells below the first row may be "nan" or empty: NaN. With `request.wrapped` its
     values are one series that runs along the lines, and the table has one column, or, if they are times and
     values in turn, two.
-
-    Raises
-    ------
-    ValueError
-        If there are no rows of numbers, a row is spoilt, or fewer than two are left.
     """
     lines = Lines(path)
+    if COMPACT.search(lines.text, 0, FEW):
+        lines.text, lines.raw = COMPACT.sub(r"\1-\2-\3T\4:\5:\6", lines.text), None
     header, first, layout = _header(lines)
     _refuse_spoilt_first(path.name, header, first, layout)
-    body = lines.text.split("\n", first - 1)[first - 1]
-    found = _fast(body, layout) if not request.wrapped else None
+    start = lines.at(first)
+    _refuse_cut_last(lines, start, layout)
+    found = _fast(lines, start, layout) if not request.wrapped else None
     try:
         origin, values = found or _cell_by_cell(lines, first, layout, request)
     except ValueError as error:
@@ -153,7 +148,8 @@ def read_columns(path: Path, request: Request) -> Columns:
     rows_in_line = 1.0
     if request.wrapped:
         values = values.ravel()[~np.isnan(values.ravel())]
-        values = values.reshape(-1, 2) if is_paired(values, layout.count) else values[:, None]
+        paired = values.size % 2 == 0 and is_paired(values.reshape(-1, 2), layout.count)
+        values = values.reshape(-1, 2) if paired else values[:, None]
         rows_in_line = layout.count / values.shape[1]
         labels, own = [Label("", "")] * values.shape[1], False
     if values.shape[0] - request.skip < 2:
@@ -167,7 +163,7 @@ def read_columns(path: Path, request: Request) -> Columns:
         return f"{path.name}, line {number}"
 
     def resolution(index: int) -> float:
-        return _resolution(body, layout, index, np.abs(values[:, index]).max())
+        return _resolution(lines.text, start, layout, index, np.abs(values[:, index]).max())
 
     stamp = layout.stamp[0] if layout.stamp else None
     return Columns(path.name, labels, values[request.skip :], where, resolution, own, stamp, origin, unit)
@@ -184,7 +180,7 @@ def read_text(path: Path, request: Request) -> Recording:
 def wrapped_question(columns: Columns, wrapped: bool | None, known: bool) -> str:
     """What to ask of lines that may as well be one wrapped series; "" if it is `known` that they are not."""
     n_columns = columns.values.shape[1]
-    if wrapped is not None or n_columns < 3 or (known and not is_paired(columns.values.ravel(), n_columns)):
+    if wrapped is not None or n_columns < 3 or (known and not is_paired(columns.values, n_columns)):
         return ""
     return (
         f"`wrapped` must be given, {columns.file} has lines of {n_columns} values without labels or clock. "
@@ -193,9 +189,9 @@ def wrapped_question(columns: Columns, wrapped: bool | None, known: bool) -> str
 
 
 def is_paired(values: np.ndarray, n_columns: int) -> bool:
-    """Whether every other value in reading order, from the first, is a time that runs forward."""
-    even = n_columns > 2 and n_columns % 2 == 0 and values.size % 2 == 0
-    return even and bool((np.diff(values[::2]) > 0.0).all())
+    """Whether every other value (row, column) in reading order is a time that runs forward."""
+    even = n_columns > 2 and n_columns % 2 == 0
+    return even and all((np.diff(values[:n, ::2].ravel()) > 0.0).all() for n in (100, None))
 
 
 # --- above the numbers ------------------------------------------------------------------------------
@@ -220,7 +216,7 @@ def _header(lines: Lines) -> tuple[list[tuple[int, str, bool]], int, Layout]:
     raise ValueError(
         f"{lines.file} must hold rows of numbers, none was found in its "
         f"{'first ' * (len(header) == MOST_HEADER_LINES)}{len(header)} lines. {next(filter(None, words), '')}"
-        "A row is numbers, or a time stamp and numbers, with a comma, semicolon, tab or blank between."
+        "A row is numbers, or a time stamp and numbers, with a comma, semicolon, bar, tab or blank between."
     )
 
 
@@ -289,7 +285,11 @@ def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
         numbers = [cell for cell in rest if to_number(cell) is not None]
         measured, size = sum("." in cell for cell in numbers), len(rest)
         begins = len(cells) == layout.n_columns > 1 and to_number(cells[0]) is not None
-        illegible = not cells[0] or cells[0][0] in "0123456789.+-" or _is_spoilt(cells[0])
+        odd = "".join(cell for cell in rest if to_number(cell) is None)
+        beside = len(rest) == measured + 1 > layout.n_columns and not re.search(
+            "[A-Za-z]", odd
+        )  # a mark more
+        illegible = not cells[0] or cells[0][0] in "0123456789.+-" or _is_spoilt(cells[0]) or beside
         most = below_labels and 2 * measured >= len(cells)
         almost_all = number == first - 1 and 1 < layout.n_columns <= measured + 1 + stamped
         swallowed = almost_all and below_labels and measured > 1
@@ -300,6 +300,17 @@ def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
         ):
             raise not_a_number(where, next((c for c in rest if to_number(c) is None), cells[0]))
         below_labels |= len(cells) == layout.n_columns and not numbers
+
+
+def _refuse_cut_last(lines: Lines, start: int, layout: Layout) -> None:
+    """Refuse a file that ends within a line, whose last number has fewer decimals than those above it."""
+    rows = lines.text[max(start, len(lines.text) - 80 * SAMPLED) :].split("\n")[-ENDS:]
+    decimals = [len(layout.cells(row)[-1].partition(".")[2]) for row in rows if row.strip()]
+    if rows[-1] and len(decimals) == ENDS and len(set(decimals[:-1])) == 1 and decimals[-1] < decimals[0]:
+        raise ValueError(
+            f"{lines.file}: the last line must be whole, it ends in {rows[-1][-12:]!r} with fewer decimals "
+            "than the lines above it. Fetch the file again, or cut the line."
+        )
 
 
 def _is_spoilt(cell: str) -> bool:
@@ -313,7 +324,8 @@ def _labels(header: list[tuple[int, str, bool]], layout: Layout) -> tuple[list[L
     units = [
         cells
         for cells in named
-        if any(cells) and all(unit_of(cell.strip("[]()")) or cell in "-[]" for cell in cells)
+        if cells[0] == "TS"
+        or (any(cells) and all(unit_of(cell.strip("[]()")) or cell in NO_UNIT for cell in cells))
     ]
     texts = [
         cells for cells in named if cells not in units and not any(to_number(c) is not None for c in cells)
@@ -323,7 +335,7 @@ def _labels(header: list[tuple[int, str, bool]], layout: Layout) -> tuple[list[L
         unit = next((unit.strip() for unit in found if known_factor(unit) is not None), None)
         return [Label("", "")] * layout.n_columns, bool(units), unit
     stated = [
-        next((cells[k].strip("[]()") for cells in units if cells[k] not in "-[]"), None)
+        next((cells[k].strip("[]()") for cells in units if cells[k] not in NO_UNIT), None)
         for k in range(layout.n_columns)
     ]
     told = [sum(Label.of(text).role is not None for text in cells) for cells in texts]
@@ -363,36 +375,36 @@ def _rows(lines: Lines, first: int):
     return ((number, line) for number, line in lines if number >= first and not line.startswith(COMMENTS))
 
 
-def _fast(body: str, layout: Layout) -> tuple[float, np.ndarray] | None:
+def _fast(lines: Lines, start: int, layout: Layout) -> tuple[float, np.ndarray] | None:
     """Origin of the stamps and rows (row, column) by NumPy or pandas; None where one is not as the first."""
-    plain = layout.decimal == "." and not layout.stamp and '"' not in body[:FEW]
+    body = lines.text[start : start + FEW]
+    plain = layout.decimal == "." and not layout.stamp and '"' not in body
     separator = None if layout.separator == " " else layout.separator
     try:
         if plain and len(body) < FEW:
             origin, values = 0.0, np.loadtxt(StringIO(body), delimiter=separator, comments=None, ndmin=2)
         else:
-            origin, values = _by_pandas(body, layout)
+            origin, values = _by_pandas(lines, start, layout)
     except (ValueError, OverflowError):
         return None
     right = values.shape[1] == layout.n_columns and np.isfinite(values).all()
     return (origin, values) if right else None
 
 
-def _by_pandas(body: str, layout: Layout) -> tuple[float, np.ndarray]:
+def _by_pandas(lines: Lines, start: int, layout: Layout) -> tuple[float, np.ndarray]:
     import pandas as pd  # half a second to import
 
     old = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
     kinds = {k: str if k in layout.stamp else np.float64 for k in range(layout.count)}
-    first = body[: body.find("\n")].rstrip()
+    first = lines.text[start : lines.text.find("\n", start)].rstrip()
     plain = not layout.stamp and not first.endswith(layout.separator)  # no column of texts, nor an empty one
     frame = pd.read_csv(
-        BytesIO(body.encode()),  # a text in memory takes twice as long
+        lines.stream(start),  # a text in memory takes twice as long
         sep=r"\s+" if layout.separator == " " else layout.separator,
         header=None,
         decimal=layout.decimal,
         dtype=np.float64 if plain else kinds,
         keep_default_na=False,
-        low_memory=False,
         skipinitialspace=f"{layout.separator} " in first,
         **old,
     )
@@ -448,9 +460,11 @@ def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) ->
     return origin, found
 
 
-def _resolution(body: str, layout: Layout, index: int, largest: float) -> float:
+def _resolution(text: str, start: int, layout: Layout, index: int, largest: float) -> float:
     """Resolution of a printed column, from decimals and significant digits of its first and last cells."""
-    some = [*body[: 80 * SAMPLED].split("\n")[:-1], *body[-80 * SAMPLED :].split("\n")[1:]] or [body]
+    last = max(start, len(text) - 80 * SAMPLED)
+    some = [*text[start : start + 80 * SAMPLED].split("\n")[:-1], *text[last:].split("\n")[1:]]
+    some = some or [text[start:]]
     least, digits = 0, 1
     for line in some:
         cells = layout.cells(line.strip())

@@ -15,8 +15,9 @@ import numpy as np
 from pymc_features._checks import listed
 from pymc_features._checks.messages import warn_caller
 from pymc_features.io.reading.labels import Unit, unit_of
-from pymc_features.io.reading.lines import shortened
-from pymc_features.io.reading.recording import Channel, Format, even_or_times, recorded
+from pymc_features.io.reading.lines import Lines, by_library, warn_of_widths
+from pymc_features.io.reading.recording import Channel, Format, Recording, Request, even_or_times
+from pymc_features.io.reading.units import plural
 
 NAME = "Universal File"
 FUNCTIONS = "58"  # the data set of measured functions
@@ -25,13 +26,13 @@ KNOWN = {15, 18, 27, 30, 31, 55, 56, 57, 58, 82, 151, 156, 164, 241, 250, 252, 2
 KNOWN |= {770, 771, 772, 773, 774, 775, 776, 777, 778, 779, 780, 781, 789, 790, 791, 1710, 1715, 1716, 1717}
 KNOWN |= {1802, 1807, 1808, 1809, 1858, 1860, 3062, *range(2400, 2500)}
 AXES = ("X", "Y", "Z", "RX", "RY", "RZ")  # directions 1 to 6
-EXTRA = 'python -m pip install "pymc-features[modal]"'
 TIME_RESPONSE = 1  # type of function
 BYTE_ORDERS, IEEE = (1, 2), 2  # the least byte first, or last
 SINGLE = (2, 5)  # types of numbers in four bytes
 PER_LINE = 6  # numbers of a line, at most
 UNLABELLED = "", "none"
-ACCELERATION = (0, 1, 12)  # types of data: unknown, general, acceleration
+UNKNOWN = (0, 1)  # types of data that do not say what it is
+TYPES = {"strain": 2, "displacement": 8, "force": 9, "velocity": 11, "acceleration": 12, "pressure": 15}
 
 
 def is_universal(head: bytes) -> bool:
@@ -48,36 +49,22 @@ def is_mark(line: str) -> bool:
     return line[:6].strip() == "-1" and not line[6:].strip()
 
 
-def pyuff_for(path: Path):
-    """The library pyuff, which an extra installs."""
-    try:
-        import pyuff
-    except ImportError as error:
-        raise ImportError(
-            f"pyuff must be installed for {path.name}, a {NAME}, got none. Install it with: {EXTRA}."
-        ) from error
-    return pyuff
-
-
-def read(path: Path) -> tuple[list[Channel], None]:
+def read(path: Path, request: Request) -> Recording:
     """All time histories of a file, named by node and direction."""
-    pyuff = pyuff_for(path)
+    with by_library("pyuff", "modal", path, "Universal"):
+        import pyuff
     raw = path.read_bytes()
     if not raw.rstrip().endswith(b"    -1"):
         raise ValueError(
             f"{path.name} ({NAME}) must end with a line of -1, it does not. Fetch the file again."
         )
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            file = pyuff.UFF(str(path))
-            kinds = [int(kind) for kind in file.get_set_types()]
-            sets = [file.read_sets(k) for k, kind in enumerate(kinds) if str(kind) == FUNCTIONS]
-    except Exception as error:  # each damaged file fails in its own way, inside the parser
-        raise ValueError(
-            f"{path.name} must be a whole {NAME}, pyuff cannot read it ({shortened(error)}). Fetch the file "
-            "again."
-        ) from error
+    if b"\0" not in raw:
+        _check_text(path)
+    with by_library("pyuff", "modal", path, "Universal"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        file = pyuff.UFF(str(path))
+        kinds = [int(kind) for kind in file.get_set_types()]
+        sets = [file.read_sets(k) for k, kind in enumerate(kinds) if str(kind) == FUNCTIONS]
     if not sets:
         held = listed(list(dict.fromkeys(kinds)))
         raise ValueError(
@@ -86,36 +73,34 @@ def read(path: Path) -> tuple[list[Channel], None]:
         )
     if odd := [kind for kind in dict.fromkeys(kinds) if kind not in KNOWN]:
         warn_caller(f"{path.name}: the data sets {listed(odd)} are of no known type. Is a digit of one lost?")
-    channels = [_channel(path.name, found) for found in sets]
+    channels = [_channel(path.name, found, request.quantity) for found in sets]
     for channel, found in zip(channels, sets, strict=True):
         if not channel.problem:
             _check_end(path.name, channel, found, raw)
     begins = {channel.start for channel in channels if not channel.problem}
     if len(begins) < 2:
         channels = [channel._replace(start=None) for channel in channels]
-    return channels, None
+    return Recording(path.name, channels)
 
 
-def _channel(file: str, found: dict) -> Channel:
+def _channel(file: str, found: dict, quantity: str) -> Channel:
     """A time history, as its data set describes it."""
     direction = found["rsp_dir"]
     axis = AXES[abs(direction) - 1] if 1 <= abs(direction) <= len(AXES) else ""
     name = f"{found['rsp_node']}{'-' if direction < 0 else ''}{axis}"
-    where, nothing = f"{file} ({NAME}), {name}", np.zeros(0)
+    where, problem = f"{file} ({NAME}), {name}", ""
     if found["func_type"] != TIME_RESPONSE or np.iscomplexobj(found["data"]):
-        return Channel(
-            name,
-            nothing,
-            problem=f"{where}: functions must be time histories, type 1, got type {found['func_type']}. "
-            "Identify the modes from frequency response functions first.",
+        problem = (
+            f"{where}: functions must be time histories, type 1, got type {found['func_type']}. Identify the "
+            "modes from frequency response functions first."
         )
-    if found["ordinate_spec_data_type"] not in ACCELERATION:
-        return Channel(
-            name,
-            nothing,
-            problem=f"{where}: histories must be accelerations, type 12, got type "
-            f"{found['ordinate_spec_data_type']}. Name the columns that are accelerations.",
+    elif found["ordinate_spec_data_type"] not in (*UNKNOWN, TYPES[quantity]):
+        problem = (
+            f"{where}: histories must be {plural(quantity)}, type {TYPES[quantity]}, got type "
+            f"{found['ordinate_spec_data_type']}. Name the columns that are {plural(quantity)}."
         )
+    if problem:
+        return Channel(name, np.zeros(0), problem=problem)
     values, times = np.asarray(found["data"], dtype=np.float64), np.asarray(found["x"], dtype=np.float64)
     n = found["num_pts"]
     if n < values.size < n + PER_LINE and not values[n:].any():  # the last line is filled up with zeros
@@ -163,10 +148,19 @@ def _check_end(file: str, channel: Channel, found: dict, raw: bytes) -> None:
         )
 
 
+def _check_text(path: Path) -> None:
+    """Look at the widths of the lines of numbers of data sets in text, below eleven lines of header."""
+    lines = list(enumerate(Lines(path).whole, 1))
+    marks = [k for k, (_, line) in enumerate(lines) if is_mark(line)]
+    for first, last in zip(marks[::2], marks[1::2], strict=False):
+        if lines[first + 1][1].strip() == FUNCTIONS:
+            warn_of_widths(path.name, lines[first + 13 : last])
+
+
 UNIVERSAL = Format(
     "Universal File 58, by pyuff",
     lambda opening: is_universal(opening.head),
     ".uff, .unv",
     "step, units, channels by node and direction. Needs the extra `modal`",
-    recorded(read),
+    read,
 )

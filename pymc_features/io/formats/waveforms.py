@@ -16,11 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features._checks.messages import warn_caller
-from pymc_features.io.reading.lines import shortened, to_count, to_number
-from pymc_features.io.reading.recording import Channel, Format, Opening, recorded
+from pymc_features.io.reading.lines import by_library, to_count, to_number
+from pymc_features.io.reading.recording import Channel, Format, Opening, Recording, Request
 
-NAME = "seismogram"
-EXTRA = 'python -m pip install "pymc-features[seismic]"'
 VERSIONS = (6, 7)  # of the SAC header
 FEWEST_STAMPS = 3  # by which the step is told
 SAC_HEADER, SAC_VERSION, SAC_COUNT, SAC_FLOATS = 632, 304, 316, 70  # bytes, bytes, bytes, numbers
@@ -77,33 +75,28 @@ def kind_of(opening: Opening) -> str | None:
     return next((kind for kind, begins in KINDS.items() if begins(opening)), None)
 
 
-def read(path: Path) -> tuple[list[Channel], None]:
+def read(path: Path, request: Request) -> Recording:
     """All channels of a file; NaN in gaps."""
     opening, size = Opening.of(path), path.stat().st_size
     kind = kind_of(opening)
-    _check_promise(path, kind, opening, size)
-    try:
-        import obspy
-    except ImportError as error:
-        raise ImportError(
-            f"ObsPy must be installed to read {path.name}, a {kind} file, got none. Install it with: {EXTRA}."
-        ) from error
+    if kind == "SAC" and 4 * (_sac_count(opening.head) or 0) > size:  # before memory is taken for them
+        raise ValueError(
+            f"{path.name} must be a whole {kind} file, it announces more values than its {size} bytes "
+            "can hold. Fetch the file again."
+        )
     options = {"checksize": True} if kind == "SAC" else {}
-    try:
+    with by_library("ObsPy", "seismic", path, kind):
+        import obspy
+
         with warnings.catch_warnings(), path.open("rb") as raw:
             warnings.simplefilter("error")  # ObsPy warns of damaged records and goes on
             warnings.simplefilter("ignore", DeprecationWarning)
             warnings.filterwarnings("ignore", "Sample spacing read from SAC")  # 0.004 s in single precision
             stream = obspy.read(raw, format=kind, check_compression=False, **options)
             stream.merge(method=0)  # joins what follows, and what overlaps and agrees; masks gaps
-    except Exception as error:  # each damaged file fails in its own way, inside the parsers
-        raise ValueError(
-            f"{path.name} must be a whole {kind} file, ObsPy cannot read it ({shortened(error)}). Fetch it "
-            "again."
-        ) from error
     _check_count(path, kind, stream)
     steps = stamped_steps(path, stream) if kind == "MSEED" else {}
-    return channels_of(stream, f"{path.name} ({kind})", steps), None
+    return Recording(path.name, channels_of(stream, f"{path.name} ({kind})", steps))
 
 
 def stamped_steps(path: Path, stream) -> dict[str, float]:
@@ -125,9 +118,9 @@ def stamped_steps(path: Path, stream) -> dict[str, float]:
         begins, counts = np.array(sorted(own)).T
         stated = next((trace.stats.delta for trace in stream if trace.id == name), None)
         places = np.append(0.0, np.cumsum(counts)[:-1])
-        if (
-            stated is None or len(own) < FEWEST_STAMPS or np.diff(begins).max() > 1.5 * stated * counts.max()
-        ):  # a gap
+        if stated is None or len(own) < FEWEST_STAMPS:
+            continue
+        if np.diff(begins).max() > 1.5 * stated * counts.max():  # a gap
             continue
         step = float(np.polyfit(places, begins - begins[0], 1)[0])
         if abs(step / stated - 1.0) * counts.sum() > 0.5:
@@ -155,15 +148,6 @@ def _check_count(path: Path, kind: str, stream) -> None:
         )
 
 
-def _check_promise(path: Path, kind: str, opening: Opening, size: int) -> None:
-    """Refuse a number of values that cannot be in the file, before memory is taken for them."""
-    if kind == "SAC" and 4 * (_sac_count(opening.head) or 0) > size:
-        raise ValueError(
-            f"{path.name} must be a whole {kind} file, it announces more values than its {size} bytes "
-            "can hold. Fetch the file again."
-        )
-
-
 def channels_of(stream, source: str, rates: dict[str, float]) -> list[Channel]:
     """The traces of a stream; NaN in gaps."""
     channels, codes = [], [trace.stats.channel for trace in stream]
@@ -188,5 +172,5 @@ WAVEFORMS = Format(
     lambda opening: kind_of(opening) is not None,
     ".sac, .mseed, .txt",
     "step, channels, start; pass `units`. Needs the extra `seismic`",
-    recorded(read),
+    read,
 )

@@ -59,44 +59,18 @@ def even_clock(
 ) -> tuple[float | None, np.ndarray]:
     """Sampling interval [s] of a clock (time,), and the number of each of its samples, from 0 (time,).
 
-    Parameters
-    ----------
-    times : ndarray (time,)
-        Readings [s], at least two.
-    where : callable
-        How a message calls the place of a row, "elcentro.csv, line 871".
-    quantum : float
-        Resolution of the readings [s]. Up to a quarter of the step it is tolerated as rounding, unless the
-        step is a multiple of it: then rounding cannot make steps uneven. A thousandth of the step is
-        tolerated anyway.
-    gaps : bool
-        Whether samples may be missing; then half of them, at most.
-    dt : float, optional
-        The interval by the caller [s]: steps may be uneven then, with a warning, and None is returned.
-
-    Raises
-    ------
-    ValueError
-        If samples are missing, repeated or uneven; the message names the first place.
-
-    Warns
-    -----
-    UserWarning
-        If steps are uneven and `dt` is given.
+    Of its resolution, `quantum` [s], up to a quarter of the step is tolerated as rounding, unless the step is
+    a multiple of it: then rounding cannot make steps uneven. A thousandth of the step is tolerated anyway.
+    With `gaps` half of the samples may be missing, at most. With `dt` [s], the caller's, steps may be uneven,
+    which is a warning, and None is returned. `where` is how a message calls the place of a row.
 
     Examples
     --------
     >>> even_clock(np.array([0.0, 0.008, 0.017, 0.025]), lambda row: f"line {row + 1}", 0.001)[0]
     0.008333333333
     """
+    check_increasing(times, where)
     steps = np.diff(times)
-    if not (steps > 0.0).all():
-        row = int(np.argmax(~(steps > 0.0))) + 1
-        raise ValueError(
-            f"{where(row)}: time must increase, it goes from {times[row - 1]:.10g} s to {times[row]:.10g} s. "
-            "Cut the file there; if this is no time, name the column with the times by `clock`, or the "
-            "acceleration by `column` and pass `dt`."
-        )
     usual = float(steps[steps < 1.5 * np.median(steps)].mean())  # of printed times no step is exact
     missing = np.rint(steps / usual)
     off, slack = np.abs(steps - missing * usual), 0.1 * usual + 2.0 * quantum
@@ -129,6 +103,17 @@ def even_clock(
     return float(f"{mean:.10g}"), numbers
 
 
+def check_increasing(times: np.ndarray, where: Callable[[int], str]) -> None:
+    """Refuse times (time,) [s] that stand still or go back."""
+    if not (np.diff(times) > 0.0).all():
+        row = int(np.argmax(~(np.diff(times) > 0.0))) + 1
+        raise ValueError(
+            f"{where(row)}: time must increase, it goes from {times[row - 1]:.10g} s to {times[row]:.10g} s. "
+            "Cut the file there; if this is no time, name the column with the times by `clock`, or the "
+            "acceleration by `column` and pass `dt`."
+        )
+
+
 def at_samples(values: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     """Values (..., row) at the numbers of their samples (row,), NaN where there is none."""
     if values.shape[-1] == numbers[-1] + 1:
@@ -139,18 +124,7 @@ def at_samples(values: np.ndarray, numbers: np.ndarray) -> np.ndarray:
 
 
 def common_window(clocks: list[Clock]) -> Window:
-    """The samples that all clocks have, aligned to whole samples.
-
-    Raises
-    ------
-    ValueError
-        If the clocks have different steps or no time in common, or some files have none.
-
-    Warns
-    -----
-    ChannelWarning
-        If clocks are not simultaneous to a twentieth of a sample, or more than half of a file is cut off.
-    """
+    """The samples that all clocks have, aligned to whole samples."""
     first = clocks[0]
     for clock in clocks[1:]:
         n = min(first.n_times, clock.n_times)
@@ -159,8 +133,14 @@ def common_window(clocks: list[Clock]) -> Window:
                 f"Sensors must have a common clock, the step is {first.dt:.10g} s in {first.file} and "
                 f"{clock.dt:.10g} s in {clock.file}. Pass `resample`, the rate [Hz] of all."
             )
-    if any(clock.start is None for clock in clocks):
-        return _without_clocks(clocks)
+    if without_clocks(clocks):
+        if len({clock.n_times for clock in clocks}) > 1:
+            sizes = listed([f"{clock.file} {clock.n_times}" for clock in clocks])
+            raise ValueError(
+                f"Sensors without clocks must have the same number of samples, got {sizes}. Cut them to the "
+                "same window first."
+            )
+        return Window(first.dt, 0.0, first.n_times, (0,) * len(clocks))
     dt = float(f"{np.mean([clock.dt for clock in clocks]):.10g}")
     latest = max(clock.start for clock in clocks)
     steps = int(np.rint((latest - first.start) / dt))  # of the first clock, to which the others are aligned
@@ -198,17 +178,12 @@ def no_common_time(clocks: list[Clock]) -> ValueError:
     )
 
 
-def _without_clocks(clocks: list[Clock]) -> Window:
+def without_clocks(clocks: list[Clock]) -> bool:
+    """Whether none of the files has a clock; either all have one or none."""
     bare = [clock for clock in clocks if clock.start is None]
-    if len(bare) < len(clocks):
+    if bare and len(bare) < len(clocks):
         raise ValueError(
             f"Sensors must have a common clock, {bare[0].file} has none and others do. Pass `clock`, the "
             "column with the times, or clock=False and `dt` if all files start together."
         )
-    if len({clock.n_times for clock in clocks}) > 1:
-        sizes = listed([f"{clock.file} {clock.n_times}" for clock in clocks])
-        raise ValueError(
-            f"Sensors without clocks must have the same number of samples, got {sizes}. Cut them to the "
-            "same window first."
-        )
-    return Window(clocks[0].dt, 0.0, clocks[0].n_times, (0,) * len(clocks))
+    return bool(bare)

@@ -15,67 +15,18 @@ COUNTERS = {"sampletimefine": 1e-6}
 
 
 class Columns(NamedTuple):
-    """Numbers with labels above them.
+    """Numbers with labels above them."""
 
-    Attributes
-    ----------
-    file : str
-        What messages call it.
-    labels : list of Label
-        Of each column; without a text where the file has none.
-    values : ndarray (row, column)
-        NaN where a cell is empty.
-    where : callable
-        How a message calls the place of a row and a column.
-    resolution : callable
-        Column -> resolution of its printed or stored numbers.
-    own : bool
-        Whether the labels are more than words of a title.
-    stamp : int or None
-        The column that was time stamps: seconds since `origin`.
-    origin : float
-        Midnight of the first day [s since 1970], 0 of time stamps without dates.
-    units : str or None
-        Stated for all columns.
-    dt : float or None
-        Stated besides a clock [s].
-    """
-
-    file: str
-    labels: list[Label]
-    values: np.ndarray
-    where: Callable[[int, int], str]
-    resolution: Callable[[int], float] = lambda index: 0.0
-    own: bool = True
-    stamp: int | None = None
-    origin: float = 0.0
-    units: str | None = None
-    dt: float | None = None
-
-    def names(self) -> str:
-        """The columns, as a message lists them."""
-        texts = [label.text for label in self.labels]
-        return listed(texts) if any(texts) else f"0 to {len(texts) - 1}"
-
-    def find(self, column, argument: str, what: str) -> int:
-        """Index of a column by its index or header name.
-
-        Raises
-        ------
-        ValueError
-            If there is no such column, or several; the message names `argument` and says `what` it asks for.
-        """
-        if isinstance(column, str):
-            wanted = column.strip()
-            matches = {i for i, label in enumerate(self.labels) if wanted in (label.text, label.name)}
-        else:
-            matches = {column} & set(range(len(self.labels)))
-        if len(matches) != 1:
-            raise ValueError(
-                f"`{argument}` must be one of the columns of {self.file} ({self.names()}), got "
-                f"{shown(column)}. Pass the index (from 0) or the header name of the {what}."
-            )
-        return matches.pop()
+    file: str  # what messages call it
+    labels: list[Label]  # of each column; without a text where the file has none
+    values: np.ndarray  # (row, column), NaN where a cell is empty
+    where: Callable[[int, int], str]  # how a message calls the place of a row and a column
+    resolution: Callable[[int], float] = lambda index: 0.0  # of the printed or stored numbers of a column
+    own: bool = True  # whether the labels are more than words of a title
+    stamp: int | None = None  # the column that was time stamps: seconds since `origin`
+    origin: float = 0.0  # midnight of the first day [s since 1970], 0 of time stamps without dates
+    units: str | None = None  # stated for all columns
+    dt: float | None = None  # stated besides a clock [s]
 
 
 def recording_of(columns: Columns, request: Request, question: str = "") -> Recording:
@@ -117,17 +68,20 @@ def _check_other_clocks(columns: Columns, timer: int | None, request: Request) -
 
 
 def clock_column(columns: Columns, clock) -> int | None:
-    """Index of the column with the times: as asked, by its label, or a first column that runs forward.
-
-    Raises
-    ------
-    ValueError
-        If the table is one over something else than time.
-    """
+    """Index of the column with the times: as asked, by its label, or a first column that runs forward."""
     if clock is False:
         return None
     if clock is not None:
-        return columns.find(clock, "clock", "times")
+        texts = [label.text for label in columns.labels]
+        asked = clock.strip() if isinstance(clock, str) else clock
+        matches = {k for k, label in enumerate(columns.labels) if asked in (k, label.text, label.name)}
+        if len(matches) != 1:
+            known = listed(texts) if any(texts) else f"0 to {len(texts) - 1}"
+            raise ValueError(
+                f"`clock` must be one of the columns of {columns.file} ({known}), got {shown(clock)}. Pass "
+                "the index (from 0) or the header name of the times."
+            )
+        return matches.pop()
     if columns.stamp is not None:
         return columns.stamp
     for index, label in enumerate(columns.labels):
@@ -151,13 +105,7 @@ def clock_column(columns: Columns, clock) -> int | None:
 
 
 def clock_scale(columns: Columns, timer: int) -> float | None:
-    """Seconds per unit of a clock by its label; None where that does not say it.
-
-    Raises
-    ------
-    ValueError
-        If its label has a unit that is not understood.
-    """
+    """Seconds per unit of a clock by its label; None where that does not say it."""
     label = columns.labels[timer]
     if timer == columns.stamp:
         return 1.0

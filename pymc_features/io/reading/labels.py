@@ -148,21 +148,11 @@ def without_brackets(text: str) -> str:
 
 
 class Label(NamedTuple):
-    """What stands above a column.
+    """What stands above a column."""
 
-    Attributes
-    ----------
-    text : str
-        As it stands in the file, without quotation marks.
-    name : str
-        Without the unit.
-    unit : str or None
-        What stands where units do: in brackets, in a row of units, or behind a name of at least two letters.
-    """
-
-    text: str
-    name: str
-    unit: str | None = None
+    text: str  # as it stands in the file, without quotation marks
+    name: str  # without the unit
+    unit: str | None = None  # in brackets, in a row of units, or behind a name of at least two letters
 
     @property
     def known(self) -> Unit | None:

@@ -4,20 +4,27 @@ import codecs
 import re
 import stat
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from pymc_features._checks import message, shown
+from pymc_features._checks.messages import warn_caller
 
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
 _WHOLE = re.compile(r"[-+]?\d+", re.ASCII)
 _NOT_FINITE = re.compile(r"[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
 
 LONGEST_NUMBER = 100  # characters
+TIMES = 20  # the size of the file
+ALWAYS = 64 * 2**20  # bytes; small files of much compressed or sparse arrays
+SAMPLE = 400  # bytes that tell the encoding
+RARE, FEWEST_LINES = 0.02, 8  # of lines of another width than the others, and how many tell the width
 
 
 def check_readable(path: Path, name: str = "path") -> None:
@@ -39,38 +46,46 @@ def check_readable(path: Path, name: str = "path") -> None:
         raise OSError(message(name, "a file", got, "Copy its contents into a file."))
 
 
+def _utf_16(raw: bytes) -> str | None:
+    """The codec of a text in UTF-16, by its mark, or by the zeros in every other byte; None of another."""
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    ways = ("utf-16-be", raw[:SAMPLE:2], raw[1:SAMPLE:2]), ("utf-16-le", raw[1:SAMPLE:2], raw[:SAMPLE:2])
+    return next((name for name, high, low in ways if len(high) > 1 and not any(high) and all(low)), None)
+
+
+def check_size(path: Path, n_bytes: Iterable[int]) -> int:
+    """What arrays take, in bytes; refuse more than twenty times the size of their file, and than 64 MiB."""
+    promised, size = 0, path.stat().st_size
+    for count in n_bytes:
+        promised += count
+        if promised > max(TIMES * size, ALWAYS):
+            raise ValueError(
+                f"{path.name} must not hold arrays of more than {TIMES} times its size and "
+                f"{ALWAYS // 2**20} MiB, got {promised:.3g} bytes in a file of {size}. Is it damaged? "
+                "If not, save it uncompressed."
+            )
+    return promised
+
+
 def decoded(raw: bytes) -> str:
     """Text of a file in UTF-8, UTF-16 or Latin-1 with any line ends (LF, CR LF, CR CR LF, CR)."""
-    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        text = raw.decode("utf-16", errors="replace")
-    else:
-        try:
-            text = raw.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = raw.decode("latin-1")
+    try:
+        name = _utf_16(raw)
+        text = raw.decode(name, errors="replace") if name else raw.removeprefix(codecs.BOM_UTF8).decode()
+    except UnicodeDecodeError:
+        text = raw.decode("latin-1")
     if "\r" in text:
         text = text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
     return text
 
 
 class Lines:
-    """The lines of a text file.
-
-    Parameters
-    ----------
-    path : Path
-    format_name : str
-        What messages call the kind of file, if it is known.
-
-    Raises
-    ------
-    ValueError
-        If the file holds binary data.
-    """
+    """The lines of a text file, which messages call by its format, if that is known; no binary data."""
 
     def __init__(self, path: Path, format_name: str = ""):
         raw = path.read_bytes()
-        if b"\0" in raw and not raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        if b"\0" in raw and not _utf_16(raw):
             raise ValueError(f"{path.name} must be a text file, it holds binary data. Export it as CSV.")
         self.file = path.name
         self.stem = path.stem
@@ -78,9 +93,24 @@ class Lines:
         self.number = 0  # of the line that was taken last
         self.last = ""  # and what it says
         self.text = decoded(raw)
+        self.raw = raw if raw.isascii() and b"\r" not in raw else None  # where it has the places of the text
+
+    def at(self, number: int) -> int:
+        """The place of a line in the text."""
+        place = 0
+        for _ in range(number - 1):
+            place = self.text.find("\n", place) + 1
+        return place
+
+    def stream(self, place: int) -> BytesIO:
+        """The text from a place on, in UTF-8; large ones are not copied where that can be."""
+        stream = BytesIO(self.raw if self.raw is not None else self.text[place:].encode())
+        stream.seek(place if self.raw is not None else 0)
+        return stream
 
     @cached_property
-    def _lines(self) -> list[str]:
+    def whole(self) -> list[str]:
+        """All lines, as they are."""
         return self.text.removesuffix("\n").split("\n")
 
     def __iter__(self) -> Iterator[tuple[int, str]]:
@@ -95,15 +125,15 @@ class Lines:
 
     def peek(self) -> str | None:
         """The next line that is not blank, None at the end of the file; it is not taken."""
-        return next((line for line in islice(self._lines, self.number, None) if line.strip()), None)
+        return next((line for line in islice(self.whole, self.number, None) if line.strip()), None)
 
     def take(self, what: str) -> str:
         """The next line, blank or not; `what` it should be, for the message at the end of the file."""
-        if self.number >= len(self._lines):
+        if self.number >= len(self.whole):
             raise ValueError(
                 f"{self.title} must hold {what}, it ends at line {self.number}. Fetch the file again."
             )
-        self.last = self._lines[self.number]
+        self.last = self.whole[self.number]
         self.number += 1
         return self.last
 
@@ -132,22 +162,15 @@ class Lines:
             per_line = per_line or len(values)
         return self._announced(values, count, what)
 
-    def words(self, count: int, what: str, whole: bool = False) -> np.ndarray:
+    def words(self, count: int, what: str, whole: bool = False, per_line: int | None = None) -> np.ndarray:
         """Numbers (count,) with blanks between them, from as many lines as it takes; `whole`: counts."""
         values = array("d")
         while len(values) < count:
-            values.extend(self.value(token, whole) for token in self.take(f"{count} {what}").split())
+            tokens = self.take(f"{count // (per_line or 1)} {what}").split()
+            if per_line and len(tokens) != per_line:
+                raise self.error(f"lines must hold {per_line} values", len(tokens))
+            values.extend(self.value(token, whole) for token in tokens)
         return self._announced(values, count, what)
-
-    def rows(self, count: int, n_columns: int, what: str) -> np.ndarray:
-        """Numbers (count, n_columns), one row in a line, with blanks between."""
-        values = array("d")
-        while len(values) < count * n_columns:
-            tokens = self.take(f"{count} {what}").split()
-            if len(tokens) != n_columns:
-                raise self.error(f"lines must hold {n_columns} values", len(tokens))
-            values.extend(self.value(token) for token in tokens)
-        return self._announced(values, count * n_columns, what).reshape(count, n_columns)
 
     def _announced(self, values: array, count: int, what: str) -> np.ndarray:
         if len(values) != count:
@@ -162,6 +185,18 @@ class Lines:
         if number is None or not -np.inf < number < np.inf:
             raise not_a_number(self.where(), token)
         return number
+
+
+def warn_of_widths(title: str, lines: Sequence[tuple[int, str]]) -> None:
+    """Tell of a line of numbers in columns that is longer or shorter than almost all others but the last."""
+    widths = np.array([len(line.rstrip()) for _, line in lines[:-1]], dtype=np.int64)
+    usual = np.bincount(widths).argmax() if widths.size else 0
+    odd = np.flatnonzero(widths != usual)
+    if 0 < odd.size <= max(1, RARE * widths.size) and widths.size >= FEWEST_LINES:
+        warn_caller(
+            f"{title}, line {lines[odd[0]][0]}: numbers must fill their columns, the line has "
+            f"{widths[odd[0]]} characters, others {usual}. Is a digit or a sign lost?"
+        )
 
 
 def to_number(token: str) -> float | None:
@@ -183,6 +218,24 @@ def not_a_number(where: str, token: str) -> ValueError:
     shown = token if len(token) <= 60 else f"{token[:60]}..."
     what = "an empty cell" if not token else repr(shown)
     return ValueError(f"{where}: values must be finite numbers, got {what}. Correct or cut it first.")
+
+
+@contextmanager
+def by_library(
+    name: str, extra: str, path: Path, kind: str, again: str = "Fetch it again."
+) -> Iterator[None]:
+    """The errors of a library in our words: that it is not installed, or cannot read a file."""
+    try:
+        yield
+    except ImportError as error:
+        raise ImportError(
+            f"{name} must be installed to read {path.name}, a {kind} file, got none. Install it with: python "
+            f'-m pip install "pymc-features[{extra}]".'
+        ) from error
+    except Exception as error:  # each damaged file fails in its own way, inside the parsers
+        raise ValueError(
+            f"{path.name} must be a whole {kind} file, {name} cannot read it ({shortened(error)}). {again}"
+        ) from error
 
 
 def shortened(error: Exception) -> str:

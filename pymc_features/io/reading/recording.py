@@ -13,7 +13,7 @@ import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, listed, shown
 from pymc_features._checks.messages import warn_caller
-from pymc_features.io.reading.clock import Clock, even_clock
+from pymc_features.io.reading.clock import Clock, check_increasing, even_clock
 from pymc_features.io.reading.labels import MEASURED, role_of
 from pymc_features.io.reading.lines import decoded
 from pymc_features.io.reading.units import plural, resolve_dt, resolve_units, sensitivity_of
@@ -40,18 +40,10 @@ class Request(NamedTuple):
 
 @dataclass(frozen=True)
 class Opening:
-    """The first bytes of a file, by which its format is recognised.
+    """The first bytes of a file, by which its format is recognised."""
 
-    Attributes
-    ----------
-    suffix : str
-        Of the file name, in lower case.
-    head : bytes
-        At most `OPENING` of them.
-    """
-
-    suffix: str
-    head: bytes
+    suffix: str  # of its name, in lower case
+    head: bytes  # at most `OPENING` of them
 
     @classmethod
     def of(cls, path: Path) -> "Opening":
@@ -65,102 +57,41 @@ class Opening:
         text = decoded(self.head)
         return [] if "\0" in text else [line.rstrip() for line in text.split("\n")]
 
-    @property
-    def first(self) -> str:
-        """The first line, in lower case."""
-        return self.lines[0].lower() if self.lines else ""
-
-    @property
-    def second(self) -> str:
-        """The second line, in lower case."""
-        return self.lines[1].lower() if len(self.lines) > 1 else ""
-
 
 class Channel(NamedTuple):
-    """One channel of a recording, as its file states it; None where the file is silent.
+    """One channel of a recording, as its file states it; None where the file is silent."""
 
-    Attributes
-    ----------
-    name : str
-        Direction or number of the channel, label of the column.
-    values : ndarray (time,)
-        In `unit`.
-    unit : str or None
-        What the file says of them, "g" for example.
-    dt : float or None
-        Sampling interval [s].
-    times : ndarray (time,) or None
-        Times of the values [s], where they are uneven; `dt` is None then.
-    start : float or None
-        Time of the first sample [s], on a clock that files of this format share.
-    quantum : float
-        Resolution of the times [s].
-    label : str
-        What it is called besides: the header with its unit, the variable that it is a row of.
-    hidden : bool
-        Whether it is no measurement unless it is asked for: a clock, numbers of samples.
-    problem : str
-        Why its values cannot be taken, if it is asked for.
-    """
-
-    name: str
-    values: np.ndarray
-    unit: str | None = None
-    dt: float | None = None
-    times: np.ndarray | None = None
-    start: float | None = None
-    quantum: float = 0.0
-    label: str = ""
-    hidden: bool = False
-    problem: str = ""
+    name: str  # direction or number of the channel, label of the column
+    values: np.ndarray  # (time,), in `unit`
+    unit: str | None = None  # as the file says it, "g" for example
+    dt: float | None = None  # sampling interval [s]
+    times: np.ndarray | None = None  # (time,) [s], where they are uneven; `dt` is None then
+    start: float | None = None  # time of the first sample [s], on a clock that files of this format share
+    quantum: float = 0.0  # resolution of the times [s]
+    label: str = ""  # what it is called besides: the header with its unit, the variable that it is a row of
+    hidden: bool = False  # whether it is no measurement unless it is asked for: a clock, numbers of samples
+    problem: str = ""  # why its values cannot be taken, if it is asked for
 
 
 class Recording(NamedTuple):
-    """What a file holds.
+    """What a file holds."""
 
-    Attributes
-    ----------
-    file : str
-        What messages call it.
-    channels : list of Channel
-    name : str or None
-        Of the recording, by the file: event or station.
-    question : str
-        What is to be asked unless the caller names the channels.
-    skipped : bool
-        Whether the first samples are left out already, before the clock was looked at.
-    """
-
-    file: str
+    file: str  # what messages call it
     channels: Sequence[Channel]
-    name: str | None = None
-    question: str = ""
-    skipped: bool = False
+    name: str | None = None  # by the file: event or station
+    question: str = ""  # what is to be asked unless the caller names the channels
+    skipped: bool = False  # whether the first samples are left out already, before the clock was looked at
 
 
 @dataclass(frozen=True)
 class Format:
-    """A kind of files: what it is called, how it is recognised, what it states, how it is read.
+    """A kind of files: what it is called, how it is recognised, what it states, how it is read."""
 
-    Attributes
-    ----------
-    name : str
-        What messages and the table of formats call it.
-    recognises : callable
-        `Opening` -> whether the file is of this format.
-    files : str
-        Usual endings of file names, for the table of formats.
-    states : str
-        What its files say themselves, for the table of formats.
-    read : callable
-        path, `Request` -> `Recording`; it raises `ValueError` with the file's name.
-    """
-
-    name: str
+    name: str  # in messages and in the table of formats
     recognises: Callable[[Opening], bool]
-    files: str
-    states: str
-    read: Callable[[Path, Request], Recording]
+    files: str  # usual endings of file names, for the table of formats
+    states: str  # what its files say themselves, for the table of formats
+    read: Callable[[Path, Request], Recording]  # its errors have the name of the file
 
     def recording(self, path: Path, request: Request) -> Recording:
         """The channels of a file; no file leaves the library with another error than ours."""
@@ -176,24 +107,8 @@ class Format:
         return found
 
 
-def recorded(read: Callable[[Path], tuple[Sequence[Channel], str | None]]) -> Callable:
-    """The reader of a format whose files say all of themselves: path -> (channels, name of the recording)."""
-
-    def recording(path: Path, request: Request) -> Recording:
-        channels, name = read(path)
-        return Recording(path.name, channels, name)
-
-    return recording
-
-
 def chosen(recording: Recording, columns: list | None, argument: str = "columns") -> list[Channel]:
-    """The channels that the caller names by index or name, or all that are measurements.
-
-    Raises
-    ------
-    ValueError
-        If there is no such channel, or the file leaves open what it holds.
-    """
+    """The channels that the caller names by index or name, or all that are measurements."""
     channels = recording.channels
     if recording.question and not (columns and all(isinstance(column, str) for column in columns)):
         raise ValueError(recording.question)
@@ -235,13 +150,7 @@ def _find(recording: Recording, column, argument: str) -> list[Channel]:
 
 
 def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.ndarray, Clock]:
-    """History (time,) of a channel in SI units at an even step, and its clock.
-
-    Raises
-    ------
-    ValueError
-        If units or step are not known, or samples are missing and may not.
-    """
+    """History (time,) of a channel in SI units at an even step, and its clock."""
     if channel.problem:
         raise ValueError(channel.problem)
     file, skip = recording.file, 0 if recording.skipped else request.skip
@@ -273,11 +182,13 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
 
 def _warn_of_exponents(values: np.ndarray, file: str, name: str) -> None:
     """A number among others of quite another size has a digit too many or too few in its exponent."""
-    sizes = np.abs(values[values != 0.0])
-    sizes = np.sort(sizes[~np.isnan(sizes)])
+    sizes = np.abs(values)
+    sizes = sizes[sizes > 0.0]
     if sizes.size < FEWEST:
         return
-    for odd, other in ((sizes[-1], sizes[-2]), (sizes[0], sizes[-1])):
+    place = np.argmax(sizes)
+    second = max(sizes[:place].max(initial=0.0), sizes[place + 1 :].max(initial=0.0))
+    for odd, other in ((sizes[place], second), (sizes.min(), sizes[place])):
         if odd > ALONE * other or odd < TINY * other:
             warn_caller(
                 f"{file}, {name}: a value of {odd:.4g} is of another size than others, up to {other:.4g}. Is "
@@ -300,12 +211,7 @@ def _stated_step(channel: Channel, request: Request, file: str) -> float | None:
 
 def even_or_times(times: np.ndarray, quantum: float, where: Callable[[int], str]) -> dict:
     """The arguments `dt` or `times` of a `Channel` with printed times [s], of resolution `quantum` [s]."""
-    if not (np.diff(times) > 0.0).all():
-        row = int(np.argmax(np.diff(times) <= 0.0)) + 1
-        raise ValueError(
-            f"{where(row)}: time must increase, it goes from {times[row - 1]:g} s to {times[row]:g} s. "
-            "Fetch the file again."
-        )
+    check_increasing(times, where)
     try:
         return {"dt": even_clock(times, where, quantum)[0]}
     except ValueError:

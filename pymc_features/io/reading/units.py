@@ -29,20 +29,7 @@ def known_factor(unit: str) -> float | None:
 
 
 def unit_factor(units, quantity: str = "acceleration") -> float:
-    """SI units in one file unit of a quantity.
-
-    Parameters
-    ----------
-    units : str or float
-        "g", "mg", "m/s^2", "cm/s^2", "mm/s^2", "gal", "in/s^2", "ft/s^2" of accelerations in any case and
-        usual spelling ("m/s2", "cm/sec/sec"), or the factor itself [SI per file unit], positive.
-    quantity : str
-        One of `UNITS`.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If the unit is unknown or of something else, or the number is not positive.
+    """SI units in one file unit of a quantity, in any usual spelling, or the factor itself, positive.
 
     Examples
     --------
@@ -75,11 +62,6 @@ def sensitivity_of(sensitivity, quantity: str) -> float:
 
 def system_of_units(text: str) -> tuple[float, float, float]:
     """SI units in the force, length and mass of a system of units, "kN, m, t", in any order.
-
-    Raises
-    ------
-    ValueError
-        If one is missing or not known.
 
     Examples
     --------

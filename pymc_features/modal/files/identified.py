@@ -15,40 +15,21 @@ SPREAD = 0.5  # so is a standard deviation above this fraction of its frequency
 
 
 class Identified(NamedTuple):
-    """Modes as a source states them, in Hz and fractions; None where it is silent.
+    """Modes as a source states them, in Hz and fractions; None where it is silent."""
 
-    Attributes
-    ----------
-    source : str
-        What messages call it: the name of the file.
-    frequencies : ndarray (m,)
-    frequency_sd, damping, damping_sd : ndarray (m,) or None
-    shapes, shape_sd : ndarray (m, s) or None
-    channels : list of str or None
-        Names, None where the source has none.
-    labels : list of str or None
-        Which mode each is of, where some are of the same.
-    """
-
-    source: str
-    frequencies: np.ndarray
+    source: str  # what messages call it: the name of the file
+    frequencies: np.ndarray  # (m,), as the next three
     frequency_sd: np.ndarray | None = None
     damping: np.ndarray | None = None
     damping_sd: np.ndarray | None = None
-    shapes: np.ndarray | None = None
+    shapes: np.ndarray | None = None  # (m, s), as the next
     shape_sd: np.ndarray | None = None
     channels: list[str] | None = None
-    labels: list[str] | None = None
+    labels: list[str] | None = None  # which mode each is of, where some are of the same
 
 
 def modal_data(found: Identified, channels, real: bool) -> ModalData:
-    """The modes with the names and channels that the caller asks for, and real shapes if they shall be.
-
-    Raises
-    ------
-    ValueError, TypeError
-        With the name of the source.
-    """
+    """The modes with the names and channels that the caller asks for, and real shapes if they shall be."""
     try:
         names, columns = _named(found, channels)
         shapes, shape_sd = (
@@ -130,9 +111,10 @@ def _check_plausible(modal: ModalData, source: str) -> None:
             f"{source}: a damping ratio of {np.nanmax(modal.damping_ratios):.3g} of critical is implausible. "
             "Name it `damping_percent` if that is a percentage."
         )
-    if modal.shapes is not None and modal.shapes.shape[1] > 3:
+    if modal.shapes is not None and modal.shapes.shape[1] > 2:
         sizes = np.sort(np.nan_to_num(np.abs(modal.shapes)), axis=1)
-        for mode in np.flatnonzero(sizes[:, -1] > ALONE * sizes[:, -2]):
+        alone = ALONE if modal.shapes.shape[1] > 3 else 10.0 * ALONE  # of three two may be near a node
+        for mode in np.flatnonzero(sizes[:, -1] > alone * sizes[:, -2]):
             warn_modes(
                 f"{source}: an entry of {sizes[mode, -1]:.3g} in the shape of {modal.frequencies[mode]:.4g} "
                 f"Hz is of another size than the others, up to {sizes[mode, -2]:.3g}. Is its exponent spoilt?"

@@ -30,13 +30,7 @@ def _holds_results(source) -> bool:
 
 
 def read_oma(source) -> Identified:
-    """Modes of a result, of an algorithm that has one, or of merged set-ups.
-
-    Raises
-    ------
-    ValueError
-        If the modes were not picked yet, or there are several results.
-    """
+    """Modes of a result, of an algorithm that has one, or of merged set-ups."""
     result = source if hasattr(source, "Fn") or isinstance(source, Mapping) else source.result
     name = type(source).__name__
     if isinstance(result, Mapping):

@@ -57,11 +57,6 @@ FREQUENCY_LABELS = '"frequency" [Hz], "omega" [rad/s] or "eigenvalue" [rad^2/s^2
 def quantity_of(label: str, source: str) -> str | None:
     """Which of `NAMES` a label stands for, or "mode"; None if for none of them.
 
-    Raises
-    ------
-    ValueError
-        If the unit in its brackets is none of the quantity.
-
     Examples
     --------
     >>> [quantity_of(label, "") for label in ("Frequency [Hz]", "omega_rad_s", "damping_sd (%)", "roof")]
@@ -107,13 +102,7 @@ def check_names(names) -> dict[str, str]:
 
 
 def labelled_quantities(labels: list[str], names: dict[str, str], source: str) -> dict[str, int]:
-    """Places of the quantities among labels: as the caller names them, or else by their own names.
-
-    Raises
-    ------
-    ValueError
-        If a name is not there, a quantity is there twice, or there are no frequencies.
-    """
+    """Places of the quantities among labels: as the caller names them, or else by their own names."""
     found = {}
     for quantity, name in names.items():
         places = [
@@ -158,11 +147,6 @@ def mode_values(found: dict[str, np.ndarray], source: str) -> ModeValues:
     """Frequencies [Hz] and fractions of critical damping from what a source states, by quantity.
 
     f = omega / (2 pi) = sqrt(lambda) / (2 pi), with sd(f) = sd(lambda) / (8 pi^2 f).
-
-    Raises
-    ------
-    ValueError
-        If they are no vectors of one length, or two statements of the frequency contradict each other.
     """
     values = {
         name: _vector(found[name], name, source) for name in found if name.removesuffix("_sd") in PER_MODE

@@ -15,6 +15,7 @@ An empty cell, or nan, is an entry that was not measured. Complex entries are wr
 import csv
 import re
 from collections import Counter
+from collections.abc import Iterator
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -27,7 +28,7 @@ from pymc_features.modal.files.identified import Identified
 from pymc_features.modal.files.quantities import ALIKE, SPREADS, labelled_quantities, mode_values, quantity_of
 
 SEPARATORS = ("\t", ";", ",")
-QUANTITIES = (
+QUANTITIES = [
     "mode",
     "frequency",
     "freq",
@@ -38,7 +39,7 @@ QUANTITIES = (
     "shape",
     "shapes",
     "order",
-)
+]
 COMMENTS = ("#", "%", "//")
 #: What tables of identifications have beside shapes, without blanks and brackets, in lower case.
 INDICATORS = re.compile(
@@ -50,21 +51,7 @@ _COMPLEX = re.compile(r"([-+]?[^-+ij]+(?:[eE][-+]?\d+)?)([-+][^-+ij]+(?:[eE][-+]
 
 
 def read_table(path: Path, names: dict[str, str], wanted: list | None) -> Identified:
-    """Read the modes of a table.
-
-    Parameters
-    ----------
-    path : Path
-    names : dict
-        Quantity -> what the table calls it.
-    wanted : list or None
-        Names of the columns that are channels; all others by default.
-
-    Raises
-    ------
-    ValueError
-        With the line.
-    """
+    """The modes of a table; `names` is what it calls quantities, `wanted` its channels, if not all others."""
     lines = Lines(path)
     rows = ((number, line) for number, line in lines if not line.startswith(COMMENTS))
     first = next(rows, None)
@@ -86,32 +73,19 @@ def read_table(path: Path, names: dict[str, str], wanted: list | None) -> Identi
             f"{whole[0]}. Rename it after its channel."
         )
     channels, spreads = _channels(path.name, header, places, wanted)
-    used = [
-        *(place for name, place in places.items() if name != "mode"),
-        *channels.values(),
-        *spreads.values(),
-    ]
-    columns = {place: [] for place in used}
+    quantities = {name: place for name, place in places.items() if name != "mode"}
+    columns = {place: [] for of in (quantities, channels, spreads) for place in of.values()}
     entries = set(channels.values())
     labels = []
-    for number, line in rows:
-        where = f"{path.name}, line {number}"
-        cells = _cells(line, separator, where)
-        if len(cells) != len(header):
-            raise ValueError(
-                f"{where}: rows must have {len(header)} cells like the header, got {len(cells)}. Complete or "
-                "cut the row; a decimal comma must be a point."
-            )
+    for where, cells in _rows(path.name, rows, separator, len(header)):
         labels.append(cells[places["mode"]] if "mode" in places else "")
         for place in columns:
             columns[place].append(_number(cells[place], header[place], where, place in entries))
-    if not columns[used[0]]:
+    if not labels:
         raise ValueError(
             f"{path.name} must hold modes, there is none below its header. Add a row for each mode."
         )
-    values = mode_values(
-        {name: np.array(columns[place]) for name, place in places.items() if name != "mode"}, path.name
-    )
+    values = mode_values({name: np.array(columns[place]) for name, place in quantities.items()}, path.name)
     return Identified(
         path.name,
         *values,
@@ -125,20 +99,26 @@ def read_table(path: Path, names: dict[str, str], wanted: list | None) -> Identi
 def _tests(file: str, header, of_modes: dict[int, str], rows, separator: str) -> Identified:
     """The modes of a table with a row for each test, its frequencies [Hz] in columns with these labels."""
     found = []
-    for number, line in rows:
-        where = f"{file}, line {number}"
-        cells = _cells(line, separator, where)
-        if len(cells) != len(header):
-            raise ValueError(
-                f"{where}: rows must have {len(header)} cells like the header, got {len(cells)}. "
-                "Complete the row."
-            )
+    for where, cells in _rows(file, rows, separator, len(header)):
         values = {label: _number(cells[k], header[k], where, False) for k, label in of_modes.items()}
         found += [(value, label) for label, value in values.items() if not np.isnan(value)]
     if not found:
         raise ValueError(f"{file} must hold modes, there is none below its header. Add a row for each test.")
     frequencies, labels = zip(*found, strict=True)
     return Identified(file, np.array(frequencies), labels=list(labels))
+
+
+def _rows(file: str, rows, separator: str, count: int) -> Iterator[tuple[str, list[str]]]:
+    """Place and cells of each row, as many as the header has."""
+    for number, line in rows:
+        where = f"{file}, line {number}"
+        cells = _cells(line, separator, where)
+        if len(cells) != count:
+            raise ValueError(
+                f"{where}: rows must have {count} cells like the header, got {len(cells)}. Complete or cut "
+                "the row; a decimal comma must be a point."
+            )
+        yield where, cells
 
 
 def _cells(line: str, separator: str, where: str) -> list[str]:
@@ -170,7 +150,7 @@ def _channels(file: str, header, places, wanted) -> tuple[dict[str, int], dict[s
     rest = [(index, label) for index, label in enumerate(header) if index not in places.values()]
     if wanted is None:
         rest = [(index, label) for index, label in rest if not INDICATORS.fullmatch(plain(label))]
-    if wanted is not None:
+    else:
         find_channels(wanted, [without_brackets(label) or label for _, label in rest], file)
         names = set(wanted)
         rest = [(index, label) for index, label in rest if _is_wanted(label, names)]

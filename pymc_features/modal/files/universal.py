@@ -21,8 +21,7 @@ import numpy as np
 
 from pymc_features._checks import listed
 from pymc_features.io.formats.universal import AXES, FUNCTIONS, KNOWN, NAME, is_mark
-from pymc_features.io.reading.lines import Lines, to_count, to_number
-from pymc_features.io.reading.size_check import check_size
+from pymc_features.io.reading.lines import Lines, check_size, to_count, to_number, warn_of_widths
 from pymc_features.modal.files.identified import Identified
 from pymc_features.modal.shapes import warn_modes
 
@@ -45,13 +44,7 @@ class Mode(NamedTuple):
 
 
 def read_universal(path: Path) -> Identified:
-    """All modes of a file, their channels named by node and direction.
-
-    Raises
-    ------
-    ValueError
-        With the line.
-    """
+    """All modes of a file, their channels named by node and direction."""
     if b"\0" in path.read_bytes():
         raise ValueError(
             f"{path.name} must hold text, it holds binary data sets (58b). Export the modes alone, as data "
@@ -117,15 +110,20 @@ def _read_55(lines: Lines) -> tuple[Mode | None, str]:
     layout = _layout(lines)
     if isinstance(layout, str):
         return None, layout
-    lines.take("the number of the mode")
-    return _mode(lines, layout, _reals(lines, 2)), ""
+    counts = _wholes(lines, None, "the number of the mode")
+    reals = _reals(lines, 2)
+    if len(counts) > 1 and 1 < counts[1] != reals.size:
+        raise lines.error(
+            f"the frequency must stand among {counts[1]} numbers, as the line above says", reals.size
+        )
+    return _mode(lines, layout, reals), ""
 
 
 def _read_2414(lines: Lines) -> tuple[Mode | None, str]:
     """A mode, or None and what the data set holds instead."""
     for _ in range(2):
         lines.take("label and name of the data set")
-    place = _wholes(lines, 1, "where the data are")[0]
+    [place] = _wholes(lines, 1, "where the data are")
     if place != 1:
         return None, "data on elements"
     for _ in range(5):
@@ -148,7 +146,7 @@ READERS: dict[str, Callable] = {"55": _read_55, "2414": _read_2414}
 
 def _layout(lines: Lines) -> tuple[int, int, int] | str:
     """Type of analysis, type of the values, and values per node; or what it is if these are no modes."""
-    _, analysis, _, quantity, values, count = _wholes(lines, 6, "what the data are")[:6]
+    _, analysis, _, quantity, values, count = _wholes(lines, 6, "what the data are")
     if analysis not in MODES:
         return f"analysis of type {analysis}, no modes"
     if quantity not in MOTION:
@@ -184,7 +182,7 @@ def _mode(lines: Lines, layout, numbers: np.ndarray) -> Mode:
 
 def _nodes(lines: Lines, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Numbers (node,) and values (node, count), down to the end of the data set."""
-    nodes, values, seen = array("q"), array("d"), set()
+    nodes, values, seen, rows = array("q"), array("d"), set(), []
     while not is_mark(lines.take("the number of a node, or -1 at the end of the data set")):
         if not lines.last.strip():
             raise lines.error("the number of a node must be there", "an empty line")
@@ -201,6 +199,9 @@ def _nodes(lines: Lines, count: int) -> tuple[np.ndarray, np.ndarray]:
             found = _columns(lines, min(left, PER_LINE), "the values of a node")
             values.extend(found)
             left -= len(found)
+            if len(found) == min(count, PER_LINE):
+                rows.append((lines.number, lines.last))
+    warn_of_widths(lines.title, [*rows, (0, "")])
     return np.array(nodes, dtype=np.int64), np.array(values).reshape(-1, count)
 
 
@@ -233,13 +234,15 @@ def _numbers(line: str) -> list[float]:
     return []
 
 
-def _wholes(lines: Lines, least: int, what: str) -> list[int]:
-    """The whole numbers of a line, at least so many, between blanks or in columns of 10 characters."""
+def _wholes(lines: Lines, count: int | None, what: str) -> list[int]:
+    """The whole numbers of a line, as many or any number, between blanks or in columns of 10 characters."""
     line = lines.take(what)
     for words in (line.split(), _cut(line, 10)):
-        if len(words) >= least and all(_WHOLE.fullmatch(word) for word in words):
+        if words and len(words) == (count or len(words)) and all(_WHOLE.fullmatch(word) for word in words):
             return [int(word) for word in words]
-    raise lines.error(f"{what} must be said by {least} whole numbers", _shown(lines), "Export it again.")
+    raise lines.error(
+        f"{what} must be said by {count or 'some'} whole numbers", _shown(lines), "Export it again."
+    )
 
 
 def _cut(line: str, width: int) -> list[str]:

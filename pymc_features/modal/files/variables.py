@@ -67,13 +67,7 @@ def _once(pairs: list) -> dict:
 
 
 def from_variables(variables: Mapping, source: str, names: dict[str, str]) -> Identified:
-    """Modes in a mapping of names to arrays.
-
-    Raises
-    ------
-    ValueError
-        If there are no frequencies, or their shapes do not fit.
-    """
+    """Modes in a mapping of names to arrays."""
     labels = [str(label) for label in variables]
     contents = list(variables.values())
     inside = [label for label, value in zip(labels, contents, strict=True) if isinstance(value, Mapping)]

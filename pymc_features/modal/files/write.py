@@ -130,7 +130,7 @@ def _write_universal(modal: ModalData, path) -> None:
         complex_ = [root.real, root.imag, 0.0, 0.0, 0.0, 0.0]
         reals = complex_ if modal.is_complex else [frequency, 1.0, damping, 0.0]
         lines += ["    -1", "    55", *["NONE"] * 5, _wholes(1, kind, 2, 8, values, 3)]
-        lines += [_wholes(2, 4, 0, number), _reals(reals)]
+        lines += [_wholes(2, len(reals), 0, number), _reals(reals)]
         for node, row in zip(nodes, shape, strict=True):
             if not np.isnan(row).all():
                 whole = np.nan_to_num(row)
