@@ -79,7 +79,7 @@ def outcome(name, seed):
     force = truth.specimen_force(law, displacement + slack, rtol=1e-8)
     force = force + LEVEL * first_order(rng, (1, force.size), 1.0, 5.0)[0]
     fit = climb_likelihood(Predictions(declare(displacement, force)), START)
-    sd = np.sqrt(np.diag(sandwich(fit.events, fit.information).covariance))
+    sd = np.sqrt(np.diag(sandwich(fit.events).covariance))
     growth = [growth_of([in_blocks(fit.events[0], n)], N_PARAMETERS) for n in BLOCKS]
     return fit.z[:N_PARAMETERS], sd[:N_PARAMETERS], np.fmin(np.fmax(growth, 1.0), LARGEST)
 

@@ -9,7 +9,7 @@ number of samples under NORM, 1 under TN, 2 under EXP. Errors with a known corre
 """
 
 from functools import singledispatch
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytensor.tensor as pt
@@ -22,36 +22,69 @@ from pymc_features.ops import measured_samples, response_step
 
 
 class Comparison(NamedTuple):
-    """Tensors that describe one likelihood.
+    """One likelihood: tensors that can be broadcast, or arrays at a point, see `by_sensor`.
 
     Attributes
     ----------
-    mu, observed : TensorVariable (..., time)
-        Prediction and data.
-    scale : TensorVariable (..., time)
+    mu, observed : (..., time)
+        Prediction and data, which are NaN in gaps.
+    scale : (..., time), or (..., 1) where it is constant in time
         Of the residuals: r = (observed - mu) / scale.
-    log_scale : TensorVariable (...,)
-        ln s of each sensor.
-    claimed : TensorVariable (...,)
+    claimed : (...,)
         m of each sensor.
-    decay : TensorVariable (...,)
+    decay : (...,)
         Sampling step over correlation time; infinite for errors that are taken to be independent.
     step : float
         Sampling step [s]; NaN if it is not known.
+    name : str
+        Of the random variable.
     """
 
-    mu: pt.TensorVariable
-    observed: pt.TensorVariable
-    scale: pt.TensorVariable
-    log_scale: pt.TensorVariable
-    claimed: pt.TensorVariable
-    decay: pt.TensorVariable
-    step: float
+    mu: Any
+    observed: Any
+    scale: Any
+    claimed: Any
+    decay: Any = np.inf
+    step: float = np.nan
+    name: str = "y"
 
     @property
-    def tensors(self):
-        """All but the step."""
-        return self[:-1]
+    def tensors(self) -> list:
+        """What depends on the parameters or is data."""
+        return [pt.as_tensor_variable(x) for x in self[:5]]
+
+    def by_sensor(self, mu, observed, scale, claimed, decay) -> "Comparison":
+        """The same with values of its tensors, arrays with one axis of sensors."""
+        *sensors, n = observed.shape
+        n_scale = n if np.shape(scale)[-1:] == (n,) else 1
+        shapes = (n, n, n_scale)
+        histories = [
+            np.broadcast_to(x, (*sensors, k)).reshape(-1, k)
+            for x, k in zip((mu, observed, scale), shapes, strict=True)
+        ]
+        numbers = [np.broadcast_to(x, sensors).ravel().astype(np.float64) for x in (claimed, decay)]
+        return self._replace(**dict(zip(self._fields, [*histories, *numbers], strict=False)))
+
+    def scaled(self, x) -> np.ndarray:
+        """Histories (sensor, time, ...) in units of the scale, zero in gaps, without a known correlation."""
+        along = (..., *[None] * (x.ndim - 2))
+        x, gaps = x / self.scale[along], np.isnan(self.observed)
+        return independent(np.where(gaps[along], 0.0, x) if gaps.any() else x, self.decay)
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """r (sensor, time), independent under the likelihood."""
+        return self.scaled(self.observed - self.mu)
+
+    @property
+    def log_scale(self) -> np.ndarray:
+        """ln s of each sensor."""
+        return np.log(self.scale).mean(axis=-1)
+
+    @property
+    def log_likelihood(self) -> float:
+        """Without constants."""
+        return -0.5 * np.sum(self.residuals**2) - self.claimed @ self.log_scale
 
 
 @singledispatch
@@ -67,42 +100,25 @@ def comparison(op, rv, observed) -> Comparison:
 def comparison_normal(op, rv, observed):
     """Every sample an independent observation."""
     mu, sigma = op.dist_params(rv.owner)
-    sigma = pt.broadcast_to(sigma, observed.shape)
-    log_scale = pt.log(sigma).mean(axis=-1)
-    n = pt.cast(observed.shape[-1], "float64")
-    return described(mu, observed, sigma, log_scale, pt.full_like(log_scale, 1.0) * n, np.inf)
+    return Comparison(mu, observed, sigma, observed.shape[-1], step=response_step(mu) or np.nan)
 
 
 @comparison.register(FeatureRV)
 def comparison_feature(op, rv, observed):
     """As many observations as there are degrees of freedom, each sample a part of them."""
     _, _, mu, sigma, *m = rv.owner.inputs
-    sigma = pt.broadcast_to(sigma, observed.shape[:-1])
     n_measured = measured_samples(observed)
     root = pt.sqrt(pt.cast(observed.shape[-1], "float64") if n_measured is None else n_measured)
-    scale = pt.broadcast_to((sigma * root)[..., None], observed.shape)
-    claimed = pt.broadcast_to(pt.as_tensor_variable(op.degrees(*m)), sigma.shape).astype("float64")
-    return described(mu, observed, scale, pt.log(sigma), claimed, np.inf)
+    scale = pt.as_tensor_variable(sigma * root)[..., None]
+    return Comparison(mu, observed, scale, op.degrees(*m), step=response_step(mu) or np.nan)
 
 
 @comparison.register(CorrelatedNormalRV)
 def comparison_correlated(op, rv, observed):
     """Every sample an observation, once the correlation that the likelihood assumes is taken away."""
     _, _, mu, sigma, correlation_time, dt = rv.owner.inputs
-    sigma = pt.broadcast_to(sigma, observed.shape[:-1])
-    n = pt.cast(observed.shape[-1], "float64")
-    scale = pt.broadcast_to(sigma[..., None], observed.shape)
-    return described(
-        mu, observed, scale, pt.log(sigma), pt.full_like(sigma, 1.0) * n, dt / correlation_time, dt
-    )
-
-
-def described(mu, observed, scale, log_scale, claimed, decay, dt=None):
-    """The comparison with everything a tensor."""
-    decay = pt.as_tensor_variable(np.float64(decay) if np.isscalar(decay) else decay)
     step = float(dt.data) if isinstance(dt, Constant) else response_step(mu) or np.nan
-    mu, observed = pt.broadcast_to(mu, observed.shape), pt.as_tensor_variable(observed)
-    return Comparison(mu, observed, scale, log_scale, claimed, pt.broadcast_to(decay, log_scale.shape), step)
+    return Comparison(mu, observed, sigma[..., None], observed.shape[-1], dt / correlation_time, step)
 
 
 def independent(x, decay):
@@ -110,6 +126,8 @@ def independent(x, decay):
 
     `decay` (sensor,); nothing changes where it is infinite.
     """
+    if np.isinf(decay).all():
+        return x
     shape = (len(x),) + (1,) * (x.ndim - 1)
     phi, share = np.exp(-decay).reshape(shape), -np.expm1(-2.0 * decay).reshape(shape)
     return np.concatenate([x[:, :1], (x[:, 1:] - phi * x[:, :-1]) / np.sqrt(share)], axis=1)

@@ -39,6 +39,10 @@ class Coordinates(NamedTuple):
         """Unconstrained parameters."""
         return cls(sides, np.zeros(len(sides), dtype=bool), origin)
 
+    def measured_from_bounds(self, near) -> "Coordinates":
+        """Those where some parameters (d,), of those that have one, are measured from a bound."""
+        return self._replace(near=near & (self.sides > 0))
+
     def of(self, z) -> np.ndarray:
         """Coordinates of an unconstrained point."""
         return np.where(self.near, self.distance(z), z)

@@ -7,8 +7,9 @@ from pytensor.graph.basic import Constant
 
 from pymc_features._checks import check_model, check_seed
 from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.effective import best_fit, described, of_sensor
+from pymc_features.calibration.effective import described, sensor_n_eff
 from pymc_features.calibration.fit import Predictions
+from pymc_features.calibration.peaks import Peak, best_fit
 from pymc_features.calibration.sandwich import sandwich
 from pymc_features.distributions.checks import warn_about_variance
 from pymc_features.distributions.gamma import Filled, GammaFeatureRV
@@ -79,7 +80,7 @@ def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = Non
         sigma = rv.owner.inputs[3]
         if not isinstance(sigma, Constant):
             warn_about_variance("GammaFeature", data.get_value().ravel(), sigma)
-    return described(predictions, fit, sandwich(fit.events, fit.information))
+    return described(predictions, Peak(fit, sandwich(fit.events)))
 
 
 def degrees_of(model) -> dict:
@@ -103,7 +104,7 @@ def fill(waiting, fit):
     events = {event.name: event for event in fit.events}
     for rv, data in waiting.items():
         event = events[rv.name]
-        counted = np.array([of_sensor(event, j) for j in range(len(event.claimed))])
+        counted = np.array([sensor_n_eff(event, j) for j in range(len(event.claimed))])
         if np.isnan(counted).all():
             raise ValueError(f"`model` must have parameters that change the response of {rv.name}, got none.")
         counted = np.where(np.isnan(counted), np.nanmean(counted), counted)

@@ -7,22 +7,14 @@ import pymc as pm
 import xarray as xr
 
 from pymc_features._checks import check_group, check_model, check_seed
-from pymc_features.calibration.bounds import own_scale
-from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.fit import Fit, Predictions, log_likelihood
-from pymc_features.calibration.sandwich import Sandwich, known, sandwich, whitening
+from pymc_features.calibration.fit import Event, Predictions
+from pymc_features.calibration.peaks import Peak, best_fit, starting_points
+from pymc_features.calibration.sandwich import directions, known, sandwich
 from pymc_features.exceptions import CalibrationWarning
-from pymc_features.inference.parameters import (
-    coordinate_names,
-    posterior_for,
-    to_unconstrained,
-)
-from pymc_features.inference.sample import search
-from pymc_features.smc import population_logp, prior_points
+from pymc_features.inference.parameters import coordinate_names
 
-STARTS = 20  # draws of which the most likely is climbed from
 SHORT = 5.0  # time constants of the errors that a record must be long
-ROUNDED = 1e-12  # of what a unit change of a parameter does to the response: rounding, no residuals
+TINY = np.finfo(float).tiny
 
 
 def effective_samples(
@@ -98,124 +90,79 @@ def effective_samples(
         starts = starting_points(model, source, "source")
     predictions = Predictions(model)
     fit = best_fit(predictions, starts, np.random.default_rng(random_seed))
-    return described(predictions, fit, sandwich(fit.events, fit.information))
+    return described(predictions, Peak(fit, sandwich(fit.events)))
 
 
-def starting_points(model, idata, name: str) -> np.ndarray:
-    """Unconstrained points (n, d) that a posterior offers: its modes where they are known, or some draws."""
-    posterior = posterior_for(model, idata, name)
-    if "modes" in idata.children and {rv.name for rv in model.free_RVs} <= set(idata["modes"].data_vars):
-        modes = idata["modes"].to_dataset().expand_dims("chain")
-        return to_unconstrained(model, modes)[0]
-    return some_draws(model, posterior)
-
-
-def best_fit(predictions, starts, rng) -> Fit:
-    """The maximum of the likelihood near the most likely of some points (n, d), or of a model's modes."""
-    model = predictions.model
-    if starts is None:
-        logp = population_logp(model, predictions.space.point, {})
-        found = search(model, logp, 1000, rng, None)
-        starts = prior_points(model, 10 * STARTS, rng) if found.reference is None else found.reference.peaks
-        prior, likelihood, _ = logp(starts)
-        return with_noise(climb_likelihood(predictions, starts[np.argmax(prior + likelihood)]))
-    best = np.argmax([log_likelihood(predictions(z)) for z in starts]) if len(starts) > 1 else 0
-    return with_noise(climb_likelihood(predictions, starts[best]))
-
-
-def some_draws(model, posterior, number=STARTS) -> np.ndarray:
-    """Unconstrained draws (n, d) of all chains, evenly spaced."""
-    every = max(1, posterior.sizes["chain"] * posterior.sizes["draw"] // number)
-    some = to_unconstrained(model, posterior.isel(draw=slice(None, None, every)))
-    return some.reshape(-1, some.shape[-1])
-
-
-def with_noise(fit: Fit) -> Fit:
-    """The fit, if every sensor has residuals."""
-    for event in fit.events:
-        response = (event.sensitivities**2).sum(axis=1).max(axis=-1)
-        silent = np.flatnonzero(~((event.residuals**2).sum(axis=1) > ROUNDED**2 * response))
-        if silent.size:
-            raise ValueError(
-                f"the residuals of {event.name} must not vanish, got none at sensor {silent[0]}: data "
-                "without noise support no estimate of their errors. Add the measurement noise, or leave out "
-                "the sensor."
-            )
-    return fit
-
-
-def of_sensor(event, j) -> float:
+def sensor_n_eff(event: Event, j: int) -> float:
     """Observations that the residuals of one sensor support; NaN where no parameter changes its response."""
     alone = event.of_sensor(j)
-    if not (information := alone.of_response).any():
+    if not alone.of_response.any():
         return np.nan
-    varies = ratios(information, sandwich([alone], information).variability)
-    return float((alone.residuals**2).sum() / np.exp(np.mean(np.log(varies))))
+    values, _ = directions(alone.of_response, sandwich([alone]).variability)
+    return float((alone.residuals**2).sum() / np.exp(np.mean(np.log(values.clip(min=TINY)))))
 
 
-def ratios(information, variability) -> np.ndarray:
-    """Eigenvalues of B over A, ascending, in the directions that A tells."""
-    whiten = whitening(information)
-    return np.linalg.eigvalsh(whiten.T @ variability @ whiten).clip(min=np.finfo(float).tiny)
-
-
-def described(predictions, fit: Fit, result: Sandwich) -> xr.Dataset:
+def described(predictions, peak: Peak) -> xr.Dataset:
     """The Dataset of `effective_samples`."""
-    events = fit.events
-    claimed = sum(float(event.claimed.sum()) for event in events)
-    of_response = sum(event.of_response for event in events)
+    fit, result = peak
+    of_response = sum(event.of_response for event in fit.events)
     if not known(of_response).size:
         raise ValueError("`model` must have parameters that change the response, got none.")
-    whiten = whitening(of_response)
-    of_models = result.factor**2 * sum(model.variability for model in result.models)
-    values, vectors = np.linalg.eigh(whiten.T @ of_models @ whiten)
-    directions = (whiten @ vectors).T[::-1]
-    squares = sum(float((event.residuals**2).sum()) for event in events)
-    n_direction = squares / values[::-1].clip(min=np.finfo(float).tiny)
-    claims, covariance = covariances(result)
-    of_bounds, units = own_scale(predictions, fit, result)
-    by_sensor = [(e, m, j) for e, m in zip(events, result.models, strict=True) for j in range(len(e.claimed))]
-    persists(fit, result)
-    names, square = coordinate_names(predictions.model, predictions.space), np.outer(units, units)
-    variables = {
-        "n_eff": ("sensor", [of_sensor(event, j) for event, _, j in by_sensor]),
-        "claimed": ("sensor", [event.claimed[j] for event, _, j in by_sensor]),
-        "time_constant": ("sensor", [model.memory * event.step for event, model, _ in by_sensor]),
-        "follows_response": ("sensor", [model.follows_response[j] for _, model, j in by_sensor]),
-        "n_eff_parameter": ("parameter", claimed * np.diag(claims) / np.diag(covariance)),
-        "standard_deviation": ("parameter", np.sqrt(np.diag(covariance)) * np.abs(units)),
-        "claimed_standard_deviation": ("parameter", np.sqrt(np.diag(claims)) * np.abs(units)),
-        "changes_response": ("parameter", np.isin(np.arange(len(units)), known(of_response))),
-        **{name: ("parameter", x) for name, x in of_bounds.items()},
-        "information": (("parameter", "parameter_"), result.information / square),
-        "variability": (("parameter", "parameter_"), result.variability / square),
-        "covariance": (("parameter", "parameter_"), covariance * square),
-        "n_eff_direction": ("direction", n_direction),
-        "direction_vector": (
-            ("direction", "parameter"),
-            directions / np.linalg.norm(directions, axis=1, keepdims=True),
-        ),
+    values, vectors = directions(
+        of_response, result.factor**2 * sum(model.variability for model in result.models)
+    )
+    n_direction = fit.squares / values[::-1].clip(min=TINY)
+    of_bounds, units = peak.own_scale(predictions)
+    unknown = np.setdiff1d(np.arange(len(units)), known(result.information))
+    square = np.outer(units, units)
+    claims, covariance = result.claims * square, result.covariance * square
+    for matrix in (claims, covariance):
+        matrix[unknown], matrix[:, unknown] = np.nan, np.nan
+    warn_of_short_records(fit, result)
+    pairs = zip(fit.events, result.models, strict=True)
+    of_sensors = {
+        f"{event.name}[{j}]": {
+            "n_eff": sensor_n_eff(event, j),
+            "claimed": event.claimed[j],
+            "time_constant": model.memory * event.step,
+            "follows_response": model.follows_response[j],
+        }
+        for event, model in pairs
+        for j in range(len(event.claimed))
     }
-    sensors = [f"{event.name}[{j}]" for event, _, j in by_sensor]
+    of_parameters = {
+        "n_eff_parameter": fit.claimed * np.diag(claims) / np.diag(covariance),
+        "standard_deviation": np.sqrt(np.diag(covariance)),
+        "claimed_standard_deviation": np.sqrt(np.diag(claims)),
+        "changes_response": np.isin(np.arange(len(units)), known(of_response)),
+        **of_bounds,
+    }
+    matrices = {
+        "information": result.information / square,
+        "variability": result.variability / square,
+        "covariance": covariance,
+    }
+    along = vectors.T[::-1] / np.linalg.norm(vectors.T[::-1], axis=1, keepdims=True)
+    rows = list(of_sensors.values())
+    variables = {name: ("sensor", [row[name] for row in rows]) for name in rows[0]}
+    variables |= {name: ("parameter", x) for name, x in of_parameters.items()}
+    variables |= {name: (("parameter", "parameter_"), x) for name, x in matrices.items()}
+    variables |= {
+        "n_eff_direction": ("direction", n_direction),
+        "direction_vector": (("direction", "parameter"), along),
+    }
+    names = coordinate_names(predictions.model, predictions.space)
     attrs = {
         "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
-        "claimed": claimed,
+        "claimed": fit.claimed,
         "n_evaluations": fit.n_evaluations,
         "growth": result.growth,
     }
-    return xr.Dataset(variables, {"parameter": names, "parameter_": names, "sensor": sensors}, attrs)
+    coords = {"parameter": names, "parameter_": names, "sensor": list(of_sensors)}
+    return xr.Dataset(variables, coords, attrs)
 
 
-def covariances(result: Sandwich):
-    """A^-1 and A^-1 B A^-1 (d, d), NaN for parameters that no likelihood knows of."""
-    claims, covariance = result.claims, result.covariance
-    unknown = np.setdiff1d(np.arange(len(claims)), known(result.information))
-    for matrix in (claims, covariance):
-        matrix[unknown], matrix[:, unknown] = np.nan, np.nan
-    return claims, covariance
-
-
-def persists(fit, result):
+def warn_of_short_records(fit, result):
     """Warn of records that are too short to tell how their errors vary."""
     for event, model in zip(fit.events, result.models, strict=True):
         n = event.residuals.shape[1]

@@ -1,15 +1,15 @@
 """The likelihood's maximum, and how the residuals depend on the parameters there."""
 
 from contextlib import ExitStack
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-import pytensor.tensor as pt
 from pymc.pytensorf import compile as compile_function
 
-from pymc_features.calibration.comparison import comparison, independent
+from pymc_features.calibration.comparison import Comparison, comparison
 from pymc_features.calibration.coordinates import EDGE, Coordinates, sides_of
-from pymc_features.calibration.gaps import check_gaps, mirrored, without_gaps
+from pymc_features.calibration.gaps import check_gaps, mirrored
 from pymc_features.inference.parameters import Unconstrained
 from pymc_features.ops import frequencies_behind, noisy_base
 from pymc_features.smc.density.compilation import with_mode
@@ -86,7 +86,7 @@ class Event(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """The maximum of the likelihood within the bounds of the prior.
+    """A point, and the likelihoods there; of a climb the maximum within the bounds of the prior.
 
     Attributes
     ----------
@@ -94,6 +94,8 @@ class Fit(NamedTuple):
     w : array (d,)
         Flat point in these.
     events : list of Event
+    height : float
+        Log-likelihood, without constants.
     n_evaluations : int
         Predictions that it took.
     """
@@ -101,7 +103,8 @@ class Fit(NamedTuple):
     coordinates: Coordinates
     w: np.ndarray
     events: list[Event]
-    n_evaluations: int
+    height: float = np.nan
+    n_evaluations: int = 0
 
     @property
     def z(self) -> np.ndarray:
@@ -109,27 +112,41 @@ class Fit(NamedTuple):
         return self.coordinates.unconstrained(self.w)
 
     @property
+    def score(self) -> np.ndarray:
+        """Gradient of the log-likelihood (d,)."""
+        return sum(event.score for event in self.events)
+
+    @property
     def information(self) -> np.ndarray:
-        """Of all events (d, d)."""
-        return information_of(self.events)
+        """Minus the Hessian (d, d), by Gauss and Newton."""
+        return sum(event.information for event in self.events)
+
+    @property
+    def claimed(self) -> float:
+        """Observations that the likelihoods claim."""
+        return sum(float(event.claimed.sum()) for event in self.events)
+
+    @property
+    def squares(self) -> float:
+        """Sum of squares of the residuals."""
+        return sum(float((event.residuals**2).sum()) for event in self.events)
 
     @property
     def pushing(self) -> np.ndarray:
         """Score (d,) of the parameters that it pushes against a bound; zero of the others."""
-        score, (low, high) = score_of(self.events), self.coordinates.limits
+        score, (low, high) = self.score, self.coordinates.limits
         at_low, at_high = self.w - low < EDGE, high - self.w < EDGE
         return np.where(at_low & (score < 0) | at_high & (score > 0), score, 0.0)
 
     def measured_from_bounds(self, near) -> "Fit":
         """The same point in coordinates where some parameters (d,) are measured from a bound."""
-        z, old = self.z, self.coordinates
-        new = old._replace(near=near & (old.sides > 0))
-        ratio = old.slopes(z) / new.slopes(z)
+        new, z = self.coordinates.measured_from_bounds(near), self.z
+        ratio = self.coordinates.slopes(z) / new.slopes(z)
         events = [
             e._replace(sensitivities=e.sensitivities * ratio, of_scale=e.of_scale * ratio)
             for e in self.events
         ]
-        return Fit(new, np.clip(new.of(z), *new.limits), events, self.n_evaluations)
+        return self._replace(coordinates=new, w=np.clip(new.of(z), *new.limits), events=events)
 
 
 class Predictions:
@@ -145,30 +162,29 @@ class Predictions:
             raise ValueError("`model` must have observed variables, got none.")
         self.model, self.space = model, Unconstrained(model)
         self.coordinates = Coordinates.plain(sides_of(model), self.space.join(self.space.point))
-        self.names = [rv.name for rv in model.observed_RVs]
-        parts = [comparison(rv.owner.op, rv, model.rvs_to_values[rv]) for rv in model.observed_RVs]
+        self.comparisons = [
+            comparison(rv.owner.op, rv, model.rvs_to_values[rv])._replace(name=rv.name)
+            for rv in model.observed_RVs
+        ]
         check_gaps(model)
-        self.steps = [part.step for part in parts]
-        self.responses = [part.mu for part in parts]
-        self.modes = [modes_of(model, mu) for mu in self.responses]
-        tensors = [pt.as_tensor_variable(x) for part in parts for x in part.tensors]
-        tensors = model.replace_rvs_by_values(tensors)
+        self.modes = [modes_of(model, one.mu) for one in self.comparisons]
+        tensors = model.replace_rvs_by_values([x for one in self.comparisons for x in one.tensors])
         self.function = compile_function(
             list(model.value_vars), tensors, **with_mode({"on_unused_input": "ignore"}, tensors)
         )
         self.count = 0
 
-    def __call__(self, z) -> list[list[np.ndarray]]:
-        """Values at a point (d,): mu, observed, scale, ln s, claimed, decay of each likelihood."""
+    def __call__(self, z) -> list[Comparison]:
+        """All likelihoods at a point (d,)."""
         self.count += 1
-        flat = self.function(*self.space.split(z).values())
-        return [by_sensor(*flat[i : i + 6]) for i in range(0, len(flat), 6)]
+        values = iter(self.function(*self.space.split(z).values()))
+        return [one.by_sensor(*islice(values, 5)) for one in self.comparisons]
 
-    def with_noisy_base(self, z, sd, rng) -> list[list[np.ndarray]]:
-        """Values at a point (d,), with noise of a standard deviation [m/s^2] on the motion of every base."""
+    def with_noisy_base(self, z, sd, rng) -> list[Comparison]:
+        """The same with noise of a standard deviation [m/s^2] on the motion of every base."""
         with ExitStack() as stack:
-            for mu in self.responses:
-                stack.enter_context(noisy_base(mu, sd, rng))
+            for one in self.comparisons:
+                stack.enter_context(noisy_base(one.mu, sd, rng))
             return self(z)
 
     def frequencies(self, z) -> list:
@@ -186,25 +202,10 @@ def modes_of(model, mu):
     return lambda point: of_values(function(point))
 
 
-def by_sensor(mu, observed, scale, log_scale, claimed, decay):
-    """The same with one axis of sensors."""
-    n_times = mu.shape[-1] if mu.ndim else 1
-    histories = [np.reshape(x, (-1, n_times)) for x in (mu, observed, scale)]
-    return histories + [np.reshape(x, -1).astype(np.float64) for x in (log_scale, claimed, decay)]
-
-
 def log_likelihood(values) -> float:
-    """Of all likelihoods, without constants."""
-    total = 0.0
-    for value in values:
-        total -= 0.5 * np.sum(residuals_of(value) ** 2) + value[4] @ value[3]
+    """Of all likelihoods, without constants; minus infinity where it is not finite."""
+    total = sum(value.log_likelihood for value in values)
     return total if np.isfinite(total) else -np.inf
-
-
-def residuals_of(value):
-    """Scaled residuals (sensor, time), independent under the likelihood."""
-    mu, observed, scale, _, _, decay = value
-    return independent(without_gaps((observed - mu) / scale, observed), decay)
 
 
 def events_at(predictions, w, steps, here, coordinates=None, central=True) -> list[Event]:
@@ -224,43 +225,26 @@ def events_at(predictions, w, steps, here, coordinates=None, central=True) -> li
         ]
         for i, axis in enumerate(np.eye(len(w), dtype=bool))
     ]
-    return from_differences(predictions, here, ends, up - down)
-
-
-def from_differences(predictions, here, ends, widths) -> list[Event]:
-    """Events with derivatives from predictions at both ends of an interval for each parameter."""
     events = []
-    for i, (name, step) in enumerate(zip(predictions.names, predictions.steps, strict=True)):
-        observed, scale, decay = here[i][1], here[i][2], here[i][5]
-        measured = ~np.isnan(observed)
-        slopes = [
-            independent(without_gaps((up[i][0] - down[i][0]) / (h * scale), observed), decay)
-            for (up, down), h in zip(ends, widths, strict=True)
-        ]
-        of_scale = [(up[i][3] - down[i][3]) / h for (up, down), h in zip(ends, widths, strict=True)]
+    for i, value in enumerate(here):
+        mu, log_scale = (
+            np.stack([getattr(a[i], name) - getattr(b[i], name) for a, b in ends], axis=-1) / (up - down)
+            for name in ("mu", "log_scale")
+        )
+        measured = ~np.isnan(value.observed)
         events.append(
             Event(
-                name,
-                residuals_of(here[i]),
-                np.stack(slopes, axis=-1),
-                np.stack(of_scale, axis=-1),
-                here[i][4],
-                here[i][0],
-                step,
+                value.name,
+                value.residuals,
+                value.scaled(mu),
+                log_scale,
+                value.claimed,
+                value.mu,
+                value.step,
                 None if measured.all() else measured,
             )
         )
     return events
-
-
-def score_of(events):
-    """Gradient of the log-likelihood (d,) of all events."""
-    return sum(event.score for event in events)
-
-
-def information_of(events):
-    """Minus the Hessian (d, d) of the log-likelihood of all events, by Gauss and Newton."""
-    return sum(event.information for event in events)
 
 
 def of_base_noise(predictions, fit: Fit, sd: float) -> np.ndarray:
@@ -270,9 +254,8 @@ def of_base_noise(predictions, fit: Fit, sd: float) -> np.ndarray:
     """
     rng, scores = np.random.default_rng(0), []
     for _ in range(REALISATIONS):
-        values = predictions.with_noisy_base(fit.z, sd, rng)
-        off = [residuals_of(value) - event.residuals for value, event in zip(values, fit.events, strict=True)]
+        values = zip(predictions.with_noisy_base(fit.z, sd, rng), fit.events, strict=True)
         scores.append(
-            sum(np.einsum("stp,st->p", e.sensitivities, x) for e, x in zip(fit.events, off, strict=True))
+            sum(np.einsum("stp,st->p", e.sensitivities, v.residuals - e.residuals) for v, e in values)
         )
     return np.einsum("np,nq->pq", scores, scores) / REALISATIONS

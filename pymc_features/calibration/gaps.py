@@ -35,12 +35,6 @@ def check_gaps(model) -> None:
             )
 
 
-def without_gaps(values, observed):
-    """Values (..., time) with zeros where nothing was observed."""
-    gaps = np.isnan(observed)
-    return np.where(gaps, 0.0, values) if gaps.any() else values
-
-
 def mirrored(gaps) -> np.ndarray:
     """For each sample (time,) itself or, in a gap, the one that stands in for it: beyond the nearer end."""
     n, at = gaps.size, np.arange(gaps.size)

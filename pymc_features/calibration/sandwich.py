@@ -65,45 +65,39 @@ class Sandwich(NamedTuple):
     @property
     def precision(self) -> np.ndarray:
         """A B^-1 A (d, d)."""
-        return self.weighed(self.information)
+        values, vectors = directions(self.information, self.variability)
+        along = self.information @ vectors
+        return (along / values) @ along.T
 
-    def weighed(self, x) -> np.ndarray:
-        """A B^-1 x of what A tells of x (d, ...)."""
-        whiten = whitening(self.information)
-        varies = whiten.T @ self.variability @ whiten
-        return self.information @ whiten @ np.linalg.solve(varies, whiten.T @ x)
+    def scaled(self, ratio) -> "Sandwich":
+        """The same by coordinates of which a change is `ratio` (d,) times one of the old."""
+        square = np.outer(ratio, ratio)
+        models = [model.scaled(ratio) for model in self.models]
+        return Sandwich(self.information * square, self.variability * square, models, self.growth)
 
 
-def sandwich(events, information, model_error="bands", leverage=True) -> Sandwich:
-    """A and B of independent events; `information` (d, d) is A.
+def sandwich(events, model_error="bands", leverage=True) -> Sandwich:
+    """A, by Gauss and Newton, and B of independent events.
 
     `model_error` "bands" lets the width grow where frequency bands disagree, None does not; `leverage` puts
     back what the fit took out of the residuals.
     """
     whiten = whitening(sum(event.of_response for event in events))
-    models, variability = [], 0.0
-    for event in events:
-        model = error_model(
+    models = [
+        error_model(
             event.whole(event.residuals),
             event.sensitivities,
             event.whole(event.response),
-            None if event.measured is None else event.whole(event.sensitivities),
+            event.whole(event.sensitivities),
             edges_of(event),
             whiten if leverage and whiten.size else None,
         )
-        models.append(model)
-        variability = variability + model.variability + of_scale(event)
+        for event in events
+    ]
     growth = growth_of(models, whiten.shape[1]) if model_error else np.nan
-    result = Sandwich(information, variability, models, growth)
+    result = Sandwich(sum(event.information for event in events), 0.0, models, growth)
+    variability = sum(m.variability + of_scale(e) for m, e in zip(models, events, strict=True))
     return result._replace(variability=variability * result.factor**2)
-
-
-def wider(first, second) -> np.ndarray:
-    """In every direction the larger of two covariances (d, d) of a score."""
-    whiten = whitening(first)
-    unwhiten = whiten.T @ first
-    values, vectors = np.linalg.eigh(whiten.T @ second @ whiten)
-    return first + unwhiten.T @ (vectors * np.maximum(values - 1.0, 0.0)) @ vectors.T @ unwhiten
 
 
 def of_scale(event) -> np.ndarray:
@@ -128,15 +122,35 @@ def known(matrix) -> np.ndarray:
     return np.flatnonzero(diagonal > FLAT**2 * diagonal.max(initial=0.0))
 
 
-def whitening(information) -> np.ndarray:
+def whitening(information, flat=FLAT) -> np.ndarray:
     """W (d, k) with W' A W = 1, for the k directions that A tells."""
     used = known(information)
     scale = np.sqrt(np.diag(information)[used])
     values, vectors = np.linalg.eigh(information[np.ix_(used, used)] / np.outer(scale, scale))
-    keep = values > FLAT * values.max(initial=0.0)
+    keep = values > flat * values.max(initial=0.0)
     result = np.zeros((len(information), keep.sum()))
     result[used] = vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None]
     return result
+
+
+def directions(information, other) -> tuple[np.ndarray, np.ndarray]:
+    """Values v (k,), ascending, and V (d, k) with V' A V = 1 and V' X V = diag(v), of what A tells."""
+    whiten = whitening(information)
+    relative = whiten.T @ other @ whiten
+    values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
+    return values, whiten @ vectors
+
+
+def combined(first, second, share) -> np.ndarray:
+    """First of two matrices (d, d), and of the second what a function of its values (k,) leaves of them."""
+    values, vectors = directions(first, second)
+    along = first @ vectors
+    return first + (along * share(values)) @ along.T
+
+
+def wider(first, second) -> np.ndarray:
+    """In every direction the larger of two covariances (d, d) of a score."""
+    return combined(first, second, lambda values: np.maximum(values - 1.0, 0.0))
 
 
 def edges_of(event) -> np.ndarray:
@@ -154,16 +168,13 @@ def growth_of(models, p: int) -> float:
         return np.nan
     left, slopes = [], []
     largest = np.diag(sum(model.variability for model in models))
-    used = np.flatnonzero(largest > 0.0)
+    scale = np.sqrt(np.where(largest > 0.0, largest, 1.0))
     for model in models:
         for u, b, a in zip(model.scores, model.variabilities, model.informations, strict=True):
-            known = used[np.diag(b)[used] > FAINT * largest[used]]
-            scale = np.sqrt(np.diag(b)[known])
-            values, vectors = np.linalg.eigh(b[np.ix_(known, known)] / np.outer(scale, scale))
-            told = values > SINGULAR * values.max(initial=0.0)
-            whiten = (vectors[:, told] / np.sqrt(values[told])).T / scale
-            left.append(whiten @ u[known])
-            slopes.append(whiten @ a[np.ix_(known, used)] / np.sqrt(largest[used]))
+            seen = np.diag(b) > FAINT * largest
+            whiten = whitening(b * np.outer(seen, seen), SINGULAR)
+            left.append(whiten.T @ u)
+            slopes.append(whiten.T @ a * (largest > 0.0) / scale)
     left, slopes = np.concatenate(left), np.concatenate(slopes)
     if len(left) <= p:
         return np.nan

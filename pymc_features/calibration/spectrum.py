@@ -43,12 +43,8 @@ class ErrorModel(NamedTuple):
         Their covariances.
     informations : array (band, parameter, parameter)
         How they change with the parameters.
-    n_samples : int
-        Samples that represent the band.
-    order : array of int (component,)
-        Of the autoregressions.
     memory : float
-        Longest time constant of these, in samples of the record.
+        Longest time constant of the autoregressions, in samples of the record.
     follows_response : array of bool (sensor,)
         Whether the errors of a sensor grow with its response.
     """
@@ -56,8 +52,6 @@ class ErrorModel(NamedTuple):
     scores: np.ndarray
     variabilities: np.ndarray
     informations: np.ndarray
-    n_samples: int
-    order: np.ndarray
     memory: float
     follows_response: np.ndarray
 
@@ -65,6 +59,15 @@ class ErrorModel(NamedTuple):
     def variability(self) -> np.ndarray:
         """B (parameter, parameter)."""
         return self.variabilities.sum(axis=0)
+
+    def scaled(self, ratio) -> "ErrorModel":
+        """The same by parameters of which a change is `ratio` (parameter,) times one of the old."""
+        square = np.outer(ratio, ratio)
+        return self._replace(
+            scores=self.scores * ratio,
+            variabilities=self.variabilities * square,
+            informations=self.informations * square,
+        )
 
 
 def error_model(
@@ -83,7 +86,8 @@ def error_model(
     W' (sum S'S) W = 1 over all events lets what the fit took out of the residuals be put back.
     """
     n_all = residuals.shape[1]
-    n = max(samples_of_the_band(residuals, s) for s in (sensitivities, whole) if s is not None)
+    both = [sensitivities] if whole is None or whole is sensitivities else [sensitivities, whole]
+    n = max(samples_of_the_band(residuals, s) for s in both)
     r, s = resampled(residuals, n, 1), resampled(sensitivities, n, 1)
     amplitude, follows = amplitudes(r, None if response is None else resampled(response, n, 1))
     back = 0.0 if whiten is None else taken(r, s @ whiten * np.sqrt(n_all / n))
@@ -104,7 +108,7 @@ def error_model(
     scores, variabilities, informations = by_band(white, spectrum, changes, starts)
     ratio = n_all / n
     parts = scores * ratio, variabilities * ratio**2, informations * ratio
-    return ErrorModel(*parts, n, order, memory(filters) * ratio, follows)
+    return ErrorModel(*parts, memory(filters) * ratio, follows)
 
 
 def taken(residuals, whitened):

@@ -16,19 +16,14 @@ with m(d_b) = P_ff^-1 (h_f - P_fb d_b). No likelihood is evaluated outside the p
 """
 
 import copy
-import itertools
-from typing import NamedTuple
 
 import numpy as np
 import pytensor.tensor as pt
 
-from pymc_features.calibration.coordinates import Coordinates
-from pymc_features.calibration.fit import log_likelihood, residuals_of
-from pymc_features.calibration.sandwich import whitening
+from pymc_features.calibration.sandwich import directions, whitening
 from pymc_features.smc import PersistentSMC, population_logp
 
 FARTHEST = 1e4  # from the maximum: unconstrained values that rounding has made infinite are there
-MOST_EXPANDED = 15  # directions in which residuals are expanded: 136 histories are kept for each sensor
 
 
 def stretching(information: np.ndarray, precision: np.ndarray) -> tuple[float, np.ndarray]:
@@ -36,15 +31,10 @@ def stretching(information: np.ndarray, precision: np.ndarray) -> tuple[float, n
 
     C has determinant one. It is the unit matrix along directions that the likelihood does not tell.
     """
-    whiten = whitening(information)  # W' A W = 1
-    if not whiten.size:
-        return 1.0, np.eye(len(information))
-    unwhiten = whiten.T @ information  # its inverse from the left
-    relative = whiten.T @ precision @ whiten
-    values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
-    power = float(np.exp(np.mean(np.log(values))))
-    along = (vectors * np.sqrt(values / power)) @ vectors.T
-    return power, np.eye(len(information)) + whiten @ (along - np.eye(len(values))) @ unwhiten
+    values, vectors = directions(information, precision)
+    power = float(np.exp(np.mean(np.log(values)))) if values.size else 1.0
+    along = (vectors * (np.sqrt(values / power) - 1.0)) @ vectors.T
+    return power, np.eye(len(information)) + along @ information
 
 
 class Stretched:
@@ -61,15 +51,14 @@ class Stretched:
     def __init__(self, prior, likelihood, peak, others=()):
         self.prior, self.likelihood = prior, likelihood
         self.peak, *self.others = (p._replace(fit=p.fit._replace(events=[])) for p in (peak, *others))
-        fit, result, near = peak.fit, peak.sandwich, peak.fit.coordinates.near
-        d, wanted, pushed = len(near), result.precision, result.weighed(fit.pushing)
-        f, b = np.flatnonzero(~near), np.flatnonzero(near)
-        self.power, stretch = stretching(result.information[np.ix_(f, f)], wanted[np.ix_(f, f)])
+        near, wanted, off = peak.fit.coordinates.near, peak.sandwich.precision, peak.free - peak.fit.w
+        f, b, pushed = np.flatnonzero(~near), np.flatnonzero(near), wanted @ off
         whiten = whitening(wanted[np.ix_(f, f)])
-        shift, follow = (-whiten @ whiten.T @ x for x in (-pushed[f], wanted[np.ix_(f, b)]))
-        self.origin, self.slope = fit.w.copy(), np.zeros(d)
-        self.matrix, self.bend = np.zeros((2, d, d))
-        self.origin[f] -= stretch @ shift
+        follow = -whiten @ whiten.T @ wanted[np.ix_(f, b)]
+        self.power, stretch = stretching(peak.sandwich.information[np.ix_(f, f)], wanted[np.ix_(f, f)])
+        self.origin, self.slope = peak.fit.w.copy(), np.zeros(len(near))
+        self.matrix, self.bend = np.zeros((2, len(near), len(near)))
+        self.origin[f] -= stretch @ (off[f] - follow @ off[b])
         self.matrix[np.ix_(f, f)], self.matrix[np.ix_(f, b)] = stretch, -stretch @ follow
         self.slope[b] = pushed[b] + follow.T @ pushed[f]
         self.bend[np.ix_(b, b)] = wanted[np.ix_(b, b)] + wanted[np.ix_(b, f)] @ follow
@@ -126,89 +115,3 @@ def prior_and_likelihood(model, compile_kwargs) -> tuple:
     if not potentials:
         return prior, population_logp(model, point, compile_kwargs)
     return prior, population_logp(model, point, compile_kwargs, "data", of_data)
-
-
-class Expansion(NamedTuple):
-    """A log-likelihood near its maximum, by second derivatives of residuals and scales along some axes.
-
-    Where a response is smooth, draws by it need hardly be weighed, and cost no response.
-
-    Attributes
-    ----------
-    coordinates : Coordinates
-    point : array (d,)
-        Where the expansion is made.
-    along : array (k, d)
-        How far a change of coordinates goes along each axis.
-    gram : array (sensor, c, c)
-        Of the coefficients of 1, of each axis, and of each pair of axes.
-    log_scale : array (c, sensor)
-        Coefficients of ln s.
-    claimed : array (sensor,)
-        m, see `comparison`.
-    """
-
-    coordinates: Coordinates
-    point: np.ndarray
-    along: np.ndarray
-    gram: np.ndarray
-    log_scale: np.ndarray
-    claimed: np.ndarray
-    last_error = ""
-
-    def __call__(self, z):
-        """Nothing, log-likelihood and no failures, each (n,), of unconstrained points (n, d)."""
-        a = (self.coordinates.of(z) - self.point) @ self.along.T
-        first, second = np.triu_indices(a.shape[1])
-        with np.errstate(over="ignore", invalid="ignore"):  # far away
-            terms = np.concatenate([np.ones((len(a), 1)), a, a[:, first] * a[:, second]], axis=1)
-            squares = np.stack([np.sum((terms @ gram) * terms, axis=1) for gram in self.gram], axis=1)
-            log_scale = terms @ self.log_scale
-            value = (-0.5 * np.exp(-2.0 * log_scale) * squares - log_scale * self.claimed).sum(axis=1)
-        return None, np.where(np.isfinite(value), value, -np.inf), np.zeros(len(a), dtype=bool)
-
-    def with_rng(self, rng) -> "Expansion":
-        """The same: nothing is drawn."""
-        return self
-
-
-def expanded(predictions, fit, axes) -> tuple[np.ndarray, Expansion | None]:
-    """Minus second derivatives (k, k) of the log-likelihood along axes (k, d), and its expansion.
-
-    By differences over the length of the axes, and by this length. No expansion along many axes.
-    """
-    k, at_maximum = len(axes), predictions(fit.z)
-    claimed = np.concatenate([v[4] for v in at_maximum])
-    ends = 1 + np.cumsum([0, len(claimed), *(v[0].shape[-1] for v in at_maximum for _ in v[4])])
-
-    def value(w):
-        values = predictions(fit.coordinates.unconstrained(w))
-        found = [[log_likelihood(values)]]
-        if k <= MOST_EXPANDED:
-            log_scales = [v[3] - here[3] for v, here in zip(values, at_maximum, strict=True)]
-            unscaled = [np.exp(s)[:, None] * residuals_of(v) for s, v in zip(log_scales, values, strict=True)]
-            found += log_scales + [x.ravel() for x in unscaled]
-        return np.concatenate(found)
-
-    here = value(fit.w)
-    up, down = (
-        np.reshape([value(fit.w + sign * axis) for axis in axes], (k, len(here))) for sign in (1.0, -1.0)
-    )
-    middle = 0.5 * (up + down) - here
-    first, second = np.triu_indices(k)
-    pairs = []
-    for i, j in zip(first, second, strict=True):
-        if i == j:
-            pairs.append(middle[i])
-        else:
-            both = value(fit.w + axes[i] + axes[j]) + value(fit.w - axes[i] - axes[j])
-            pairs.append(0.5 * both - here - middle[i] - middle[j])
-    columns = np.array([here, *(0.5 * (up - down)), *pairs])
-    curvature = np.zeros((k, k))
-    np.add.at(curvature, (first, second), -columns[1 + k :, 0])
-    curvature = curvature + curvature.T
-    if k > MOST_EXPANDED:
-        return curvature, None
-    log_scale, *series = (columns[:, i:j] for i, j in itertools.pairwise(ends))
-    gram = np.array([x @ x.T for x in series])
-    return curvature, Expansion(fit.coordinates, fit.w, np.linalg.pinv(axes).T, gram, log_scale, claimed)

@@ -41,7 +41,8 @@ def stretched(step) -> tuple[float, Stretch, Stretch]:
     )
     curvature = norm.c * curve.curvature * (of_theta / sigma) ** 2
     information = np.diag([curvature, 2.0 * norm.m * of_sigma**2])
-    power, matrix = stretching(information, sandwich([event], information).precision)
+    precision = sandwich([event])._replace(information=information).precision
+    power, matrix = stretching(information, precision)
     return (
         power,
         Stretch(priors.theta, theta, float(matrix[0, 0])),
