@@ -8,10 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.expansion import curved
 from pymc_features.calibration.peaks import Peak
 from pymc_features.calibration.sandwich import sandwich
-from pymc_features.calibration.stretched import Stretched
+from pymc_features.calibration.stretched import Stretched, curved
 from pymc_features.smc.proposals.proposal import StudentT
 
 PROBABILITY = 0.9

@@ -19,8 +19,8 @@ from benchmarks.tables import table
 from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.comparison import Comparison
 from pymc_features.calibration.coordinates import Coordinates
-from pymc_features.calibration.fit import of_base_noise
-from pymc_features.calibration.sandwich import sandwich, wider
+from pymc_features.calibration.peaks import Peak
+from pymc_features.calibration.sandwich import sandwich
 
 EVENTS, QUICK_EVENTS = 400, 12
 RATE, DURATION, LEVEL = 50.0, 20.0, 0.02  # Hz, s, noise over the rms of the response
@@ -216,8 +216,8 @@ class Predictions:
         """Those under a record."""
         self.count += 1
         mu = pmf.simulate(self.structure(w), record, sensors=self.family.sensors).values
-        one = Comparison(*5 * [None], step=1.0 / RATE)
-        return [one.by_sensor(mu, self.data, np.exp(w[-1]), self.data.shape[1], np.inf)]
+        n_times = self.data.shape[1]
+        return [Comparison(mu, self.data, np.exp(w[-1]), n_times, step=1.0 / RATE).by_sensor()]
 
 
 class Outcome(NamedTuple):
@@ -246,13 +246,12 @@ def outcome(family, respond, seed) -> Outcome:
     predictions = Predictions(family, pmf.Record(base, 1.0 / RATE), data)
     fit = climb_likelihood(predictions, np.append(np.zeros(family.n_groups + 1), np.log(level)))
     p = family.n_groups + 1
-    plain = sandwich(fit.events, None, leverage=False)
-    corrected = sandwich(fit.events, None if what.noise else "bands")
+    plain = Peak(fit, sandwich(fit.events, None, leverage=False))
+    corrected = Peak(fit, sandwich(fit.events, None if what.noise else "bands"))
     if what.noise:
-        noise = of_base_noise(predictions, fit, what.noise)
-        corrected = corrected._replace(variability=wider(corrected.variability, noise))
-    sd = [np.sqrt(np.diag(x.covariance))[:p] for x in (plain, corrected)]
-    return Outcome(fit.w[:p], fit.information[:p, :p], *sd, corrected.growth)
+        corrected = corrected.with_base_noise(predictions, what.noise)
+    sd = [peak.deviations[:p] for peak in (plain, corrected)]
+    return Outcome(fit.w[:p], fit.information[:p, :p], *sd, corrected.sandwich.growth)
 
 
 def covers(outcomes):

@@ -24,8 +24,8 @@ class Predictions:
         """The only likelihood, at a point (4,)."""
         self.count += 1
         mu = pmf.simulate(structure(np.exp(z[:N_FACTORS])), self.record, dt=self.dt).values
-        one = Comparison(*5 * [None], step=self.dt)
-        return [one.by_sensor(mu, self.data, np.exp(z[-1]), self.data.shape[1], np.inf)]
+        n_times = self.data.shape[1]
+        return [Comparison(mu, self.data, np.exp(z[-1]), n_times, step=self.dt).by_sensor()]
 
     def frequencies(self, z):
         """Natural frequencies [Hz] of the only likelihood's structure, at a point (4,)."""

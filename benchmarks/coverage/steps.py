@@ -8,9 +8,9 @@ from benchmarks.coverage.errors import LEVEL, first_order
 from benchmarks.coverage.simulated import Predictions, start_of
 from benchmarks.tables import table
 from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.expansion import curved
 from pymc_features.calibration.peaks import Peak
 from pymc_features.calibration.sandwich import sandwich
+from pymc_features.calibration.stretched import curved
 from pymc_features.study.paper import MULTIPLIERS
 
 RATE = RATES[0]  # of the record [Hz]

@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pymc as pm
@@ -16,15 +17,13 @@ from pymc_features._checks import (
     check_positive,
     check_seed,
 )
-from pymc_features.calibration.bell import bell
-from pymc_features.calibration.bounds import warn_beyond
+from pymc_features.calibration.bounds import bell, warn_beyond
+from pymc_features.calibration.draws import pooled, weighed
 from pymc_features.calibration.effective import described
-from pymc_features.calibration.expansion import curved, weighed
-from pymc_features.calibration.fit import Predictions, of_base_noise
-from pymc_features.calibration.modes import pooled
+from pymc_features.calibration.fit import Predictions
 from pymc_features.calibration.peaks import Peak, distinct_peaks, some_draws
-from pymc_features.calibration.sandwich import sandwich, sentence, whitening, wider
-from pymc_features.calibration.stretched import Stretched, StretchedSMC, prior_and_likelihood
+from pymc_features.calibration.sandwich import sandwich, sentence, whitening
+from pymc_features.calibration.stretched import Stretched, StretchedSMC, curved, prior_and_likelihood
 from pymc_features.exceptions import CalibrationWarning, SamplingWarning
 from pymc_features.inference.parameters import Unconstrained, posterior_for
 from pymc_features.inference.sample import Search, sample_from
@@ -145,7 +144,7 @@ def calibrate(
     curves = [curved(predictions, peak.measured_from_bounds(near)) for peak in peaks]
     peaks, expansions = map(list, zip(*curves, strict=True))
     if base_noise is not None:
-        peaks = [with_base_noise(predictions, peak, base_noise) for peak in peaks]
+        peaks = [peak.with_base_noise(predictions, base_noise) for peak in peaks]
     prior, likelihood = prior_and_likelihood(model, settings.get("compile_kwargs") or {})
     parts = []
     with open_workers(settings.pop("executor", None)) as workers:
@@ -172,25 +171,19 @@ def calibrate(
     return calibrated
 
 
-def with_base_noise(predictions, peak: Peak, sd: float) -> Peak:
-    """The peak, as wide at least as noise of a standard deviation [m/s^2] on the base makes it."""
-    noise = of_base_noise(predictions, peak.fit, sd)
-    result = peak.sandwich
-    return peak._replace(sandwich=result._replace(variability=wider(result.variability, noise)))
-
-
 def calibrated_mode(model, target: Stretched, expansion, number, settings, rng) -> xr.DataTree:
     """The posterior around a maximum: draws by the expansion of its likelihood, weighed, or else its own.
 
     What a checkpoint keeps of it is in a file of its `number`.
     """
     found, space, idata = Search(bell(model, target.peak, rng), 0, 0, NO_CLIMBS), Unconstrained(model), None
-    own = settings | {"kernel": StretchedSMC}
+    own, kept = settings | {"kernel": StretchedSMC}, settings.get("checkpoint")
     if expansion is not None:
         guess = target.by(expansion)
         cheap = {"stage_draws": STAGE_DRAWS} | own | {"checkpoint": None, "cores": 1, "logp": guess}
         idata = sample_from(found, model, space, **cheap)
-        idata = weighed(model, idata, guess, target, own.get("checkpoint"), number, rng)
+        kept = None if kept is None else Path(kept) / f"calibrated_{number}.record"
+        idata = weighed(model, idata, guess, target, kept, rng)
     if idata is None:
         idata = sample_from(found, model, space, **own, logp=target)
     idata["sample_stats"].attrs |= {"power": target.power}

@@ -4,7 +4,8 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.special import expit
 
-from pymc_features.calibration.fit import Fit, events_at, log_likelihood
+from pymc_features.calibration.comparison import log_likelihood
+from pymc_features.calibration.fit import Fit, events_at
 from pymc_features.calibration.sandwich import combined
 
 DIFFERENCE = 0.02  # standard errors of independent samples that derivatives are taken over,
@@ -33,7 +34,8 @@ def climb_likelihood(predictions, z) -> Fit:
     fit = Fit(predictions.coordinates, z, [], log_likelihood(here))
     if fit.height == -np.inf:
         raise ValueError("the fit must start where the likelihood is finite. Pass another `idata`.")
-    fit = bounded(differentiated(predictions, fit, np.full(len(z), NARROW), here, False), z)
+    events = events_at(predictions, z, np.full(len(z), NARROW), here, fit.coordinates, central=False)
+    fit = bounded(fit._replace(events=events), z)
     second, damping, last, central = np.zeros((len(z), len(z))), 1e-6, np.inf, False
     at, before = fit.w, fit.score  # where derivatives were taken
     for _ in range(STEPS):
@@ -46,7 +48,9 @@ def climb_likelihood(predictions, z) -> Fit:
             values = predictions(fit.coordinates.unconstrained(w))
             if (height := log_likelihood(values)) > fit.height:
                 here, damping, last = values, damping / 10.0, length
-                fit = fit._replace(w=w, height=height, events=with_residuals(fit.events, here))
+                pairs = zip(fit.events, here, strict=True)
+                events = [e._replace(value=v, residuals=v.residuals) for e, v in pairs]
+                fit = fit._replace(w=w, height=height, events=events)
                 continue
             if length < FAILED and central and moved < NEAR:
                 break
@@ -56,7 +60,8 @@ def climb_likelihood(predictions, z) -> Fit:
         if length < CONVERGED:  # with these derivatives, and perhaps only for its damping
             damping = 1e-6
         central = length < NEAR
-        anew = differentiated(predictions, fit, differences(fit), here, central)
+        events = events_at(predictions, fit.w, differences(fit), here, fit.coordinates, central)
+        anew = fit._replace(events=events)
         if moved > 0.0:
             second = learnt(second, fit.w - at, fit.score - anew.score, before - anew.score)
         fit = bounded(anew, z)
@@ -66,19 +71,6 @@ def climb_likelihood(predictions, z) -> Fit:
     frequencies = predictions.frequencies(fit.z)
     events = [e._replace(frequencies=f) for e, f in zip(fit.events, frequencies, strict=True)]
     return fit._replace(events=events, n_evaluations=predictions.count - count)
-
-
-def differentiated(predictions, fit: Fit, steps, here, central) -> Fit:
-    """The fit with derivatives by differences over some steps (d,), see `events_at`."""
-    return fit._replace(events=events_at(predictions, fit.w, steps, here, fit.coordinates, central))
-
-
-def with_residuals(events, values):
-    """The events with the residuals at another point, and the derivatives they had."""
-    return [
-        event._replace(residuals=value.residuals, claimed=value.claimed, response=value.mu)
-        for event, value in zip(events, values, strict=True)
-    ]
 
 
 def bounded(fit: Fit, start) -> Fit:
@@ -95,19 +87,19 @@ def bounded(fit: Fit, start) -> Fit:
     crosses |= (coordinates.sides == 2) & (high < BESIDE) & (own > high)
     if not (crosses & ~coordinates.near).any():
         return fit
-    return fit.measured_from_bounds(coordinates.near | crosses)
+    return fit.measured_from_bounds(coordinates.near | crosses)[0]
 
 
-def rooms(fit: Fit):
-    """Least and largest step (d,)."""
-    coordinates, (low, high) = fit.coordinates, fit.coordinates.limits
+def rooms(fit: Fit) -> np.ndarray:
+    """Least and largest step (2, d)."""
+    coordinates = fit.coordinates
     longest = np.where(coordinates.near & (coordinates.sides == 2), LONGEST_SHARE, LONGEST)
-    return np.maximum(low - fit.w, -longest), np.minimum(high - fit.w, longest)
+    return np.clip(coordinates.limits - fit.w, -longest, longest)
 
 
 def excess(fit: Fit) -> float:
     """Samples over the observations that the likelihood claims."""
-    return sum(event.n_samples for event in fit.events) / fit.claimed
+    return sum((~event.value.gaps).sum() for event in fit.events) / fit.claimed
 
 
 def standard_errors(fit: Fit, step) -> float:

@@ -5,15 +5,21 @@ import warnings
 import numpy as np
 import pymc as pm
 import xarray as xr
+from pytensor.graph.basic import Constant
 
 from pymc_features._checks import check_group, check_model, check_seed
+from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.fit import Event, Predictions
 from pymc_features.calibration.peaks import Peak, best_fit, starting_points
 from pymc_features.calibration.sandwich import directions, known, sandwich
+from pymc_features.distributions.checks import warn_about_variance
+from pymc_features.distributions.gamma import Filled, GammaFeatureRV
 from pymc_features.exceptions import CalibrationWarning
 from pymc_features.inference.parameters import coordinate_names
 
 SHORT = 5.0  # time constants of the errors that a record must be long
+BEYOND = 800.0  # unconstrained, so far out that the bound itself is what is meant
+FIRST = 2.0  # degrees of freedom of the first fit of `fill_degrees`: those of EXP
 TINY = np.finfo(float).tiny
 
 
@@ -93,6 +99,100 @@ def effective_samples(
     return described(predictions, Peak(fit, sandwich(fit.events)))
 
 
+def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = None) -> xr.Dataset:
+    """Take the degrees of freedom m of each ``GammaFeature(..., m="residuals")`` from the residuals.
+
+    The likelihood is maximised with m = 2; the observations that the residuals of each sensor support, as
+    `effective_samples` counts them, become its m, and a second fit from there gives those that stay. A
+    sensor whose response no parameter changes gets the mean of the others. Repeat it after `pm.set_data`
+    with other data.
+
+    Parameters
+    ----------
+    model : pymc.Model, optional
+        The model of the context by default. Its data `{name}_m` are set.
+    random_seed : int, optional
+        For the choice of points to climb from.
+
+    Returns
+    -------
+    Dataset
+        As from `effective_samples`, of the second fit; m is `n_eff`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If no likelihood waits for m, or as of `effective_samples`.
+
+    Warns
+    -----
+    CalibrationWarning
+        If errors persist for more than a fifth of the record.
+    FeatureLikelihoodWarning
+        If so few observations are left that the posterior has no finite variance.
+
+    Examples
+    --------
+    >>> from pymc_features import GammaFeature
+    >>> measured = np.random.default_rng(1).normal(3.0, 1.0, size=(1, 500))
+    >>> with pm.Model() as model:
+    ...     mu = pm.Normal("mu", 0.0, 10.0) * np.ones((1, 500))
+    ...     y = GammaFeature("y", mu, pm.HalfNormal("sigma"), m="residuals", observed=measured)
+    ...     counted = fill_degrees(random_seed=1)
+    >>> bool((model["y_m"].get_value() > 300).all())  # white noise: about all samples
+    True
+    """
+    check_seed(random_seed)
+    model = check_model(model)
+    waiting = degrees_of(model)
+    before = {rv.name: data.get_value() for rv, data in waiting.items()}
+    for data in waiting.values():
+        data.set_value(np.full(data.get_value().shape, FIRST))
+    try:
+        predictions = Predictions(model)
+        fit = best_fit(predictions, None, np.random.default_rng(random_seed))
+        fill(waiting, fit)
+        fit = climb_likelihood(predictions, fit.z)
+        fill(waiting, fit)
+    except Exception:
+        for rv, data in waiting.items():
+            data.set_value(before[rv.name])
+        raise
+    for rv, data in waiting.items():
+        sigma = rv.owner.inputs[3]
+        if not isinstance(sigma, Constant):
+            warn_about_variance("GammaFeature", data.get_value().ravel(), sigma)
+    return described(predictions, Peak(fit, sandwich(fit.events)))
+
+
+def degrees_of(model) -> dict:
+    """Data of the degrees of freedom that residuals decide, by random variable."""
+    found = {}
+    for rv in model.observed_RVs:
+        m = rv.owner.inputs[-1] if isinstance(rv.owner.op, GammaFeatureRV) else None
+        if m is not None and m.owner is not None and isinstance(m.owner.op, Filled):
+            found[rv] = m.owner.inputs[0]
+    if not found:
+        names = ", ".join(rv.name for rv in model.observed_RVs) or "no likelihood"
+        raise ValueError(
+            f"`model` must have a GammaFeature with m='residuals', got {names}. Declare it so, or use "
+            "effective_samples()."
+        )
+    return found
+
+
+def fill(waiting, fit):
+    """Set degrees of freedom to the observations that the residuals of a fit support."""
+    events = {event.value.name: event for event in fit.events}
+    for rv, data in waiting.items():
+        event = events[rv.name]
+        counted = np.array([sensor_n_eff(event, j) for j in range(len(event.value.claimed))])
+        if np.isnan(counted).all():
+            raise ValueError(f"`model` must have parameters that change the response of {rv.name}, got none.")
+        counted = np.where(np.isnan(counted), np.nanmean(counted), counted)
+        data.set_value(counted.reshape(data.get_value().shape))
+
+
 def sensor_n_eff(event: Event, j: int) -> float:
     """Observations that the residuals of one sensor support; NaN where no parameter changes its response."""
     alone = event.of_sensor(j)
@@ -112,7 +212,7 @@ def described(predictions, peak: Peak) -> xr.Dataset:
         of_response, result.factor**2 * sum(model.variability for model in result.models)
     )
     n_direction = fit.squares / values[::-1].clip(min=TINY)
-    of_bounds, units = peak.own_scale(predictions)
+    of_bounds, units = own_scale(predictions, peak)
     unknown = np.setdiff1d(np.arange(len(units)), known(result.information))
     square = np.outer(units, units)
     claims, covariance = result.claims * square, result.covariance * square
@@ -121,14 +221,14 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     warn_of_short_records(fit, result)
     pairs = zip(fit.events, result.models, strict=True)
     of_sensors = {
-        f"{event.name}[{j}]": {
+        f"{event.value.name}[{j}]": {
             "n_eff": sensor_n_eff(event, j),
-            "claimed": event.claimed[j],
-            "time_constant": model.memory * event.step,
+            "claimed": event.value.claimed[j],
+            "time_constant": model.memory * event.value.step,
             "follows_response": model.follows_response[j],
         }
         for event, model in pairs
-        for j in range(len(event.claimed))
+        for j in range(len(event.value.claimed))
     }
     of_parameters = {
         "n_eff_parameter": fit.claimed * np.diag(claims) / np.diag(covariance),
@@ -162,14 +262,32 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     return xr.Dataset(variables, coords, attrs)
 
 
+def own_scale(predictions, peak: Peak) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """What is said of parameters (d,) near a bound, on their own scale, and units of coordinates there."""
+    coordinates, near = peak.fit.coordinates, peak.fit.coordinates.near
+    far = np.where(coordinates.sides == 2, BEYOND, coordinates.origin)
+    values = predictions.space.variables(np.where(near, [np.full(len(far), -BEYOND), far], peak.fit.z))
+    low, high = np.hstack([values[rv.name].reshape(2, -1) for rv in predictions.model.free_RVs])
+    units = np.where(near, high - low, 1.0)
+    to_low, to_high = (peak.free - coordinates.limits) / peak.deviations * [[1.0], [-1.0]]
+    found = {
+        "point": np.where(near, low + units * peak.fit.w, peak.fit.w),
+        "near_bound": near,
+        "bound": np.where(near, np.where(to_low < to_high, low, high), np.nan),
+        "room": np.where(near, np.minimum(to_low, to_high), np.nan),
+    }
+    return found, units
+
+
 def warn_of_short_records(fit, result):
     """Warn of records that are too short to tell how their errors vary."""
     for event, model in zip(fit.events, result.models, strict=True):
         n = event.residuals.shape[1]
         if SHORT * model.memory > n:
-            step, unit = (1, "samples") if np.isnan(event.step) else (event.step, "s")
+            _, step, name = event.value[4:]
+            step, unit = (1, "samples") if np.isnan(step) else (step, "s")
             warnings.warn(
-                f"the errors of {event.name} persist for {model.memory * step:.3g} {unit} of a record of "
+                f"the errors of {name} persist for {model.memory * step:.3g} {unit} of a record of "
                 f"{n * step:.3g} {unit}, too short to tell how they vary: intervals may be too narrow. Use "
                 "a longer record, or several events.",
                 CalibrationWarning,

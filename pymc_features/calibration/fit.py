@@ -1,69 +1,42 @@
-"""The likelihood's maximum, and how the residuals depend on the parameters there."""
+"""A likelihood at a point, and how the residuals depend on the parameters there."""
 
 from contextlib import ExitStack
 from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
+import pytensor.tensor as pt
 from pymc.pytensorf import compile as compile_function
 
-from pymc_features.calibration.comparison import Comparison, comparison
+from pymc_features.calibration.comparison import Comparison, comparisons
 from pymc_features.calibration.coordinates import EDGE, Coordinates, sides_of
-from pymc_features.calibration.gaps import check_gaps, mirrored
 from pymc_features.inference.parameters import Unconstrained
 from pymc_features.ops import frequencies_behind, noisy_base
 from pymc_features.smc.density.compilation import with_mode
 
-REALISATIONS = 200  # of noise on a base
-
 
 class Event(NamedTuple):
-    """One likelihood at a point; derivatives are those by coordinates w, see `Coordinates`.
+    """One likelihood at a point with derivatives by coordinates w, see `Coordinates`."""
 
-    Attributes
-    ----------
-    name : str
-    residuals : array (sensor, time)
-        r, in units of their scale; zero in gaps.
-    sensitivities : array (sensor, time, parameter)
-        S = -dr / dw at constant scale; zero in gaps.
-    of_scale : array (sensor, parameter)
-        d ln s / dw.
-    claimed : array (sensor,)
-        Independent observations m that the likelihood claims.
-    response : array (sensor, time)
-        Prediction, in the units of the data.
-    step : float
-        Sampling step [s].
-    measured : bool array (sensor, time), optional
-        Which samples were; None if all.
-    frequencies : array (m,), optional
-        Natural frequencies [Hz] of the structure behind the prediction; None where there is none.
-    """
-
-    name: str
-    residuals: np.ndarray
-    sensitivities: np.ndarray
-    of_scale: np.ndarray
-    claimed: np.ndarray
-    response: np.ndarray
-    step: float
-    measured: np.ndarray | None = None
-    frequencies: np.ndarray | None = None
-
-    @property
-    def n_samples(self) -> int:
-        """Samples that were measured."""
-        return self.residuals.size if self.measured is None else int(self.measured.sum())
+    value: Comparison
+    residuals: np.ndarray  # r (sensor, time)
+    sensitivities: np.ndarray  # S = -dr / dw at constant scale (sensor, time, parameter)
+    of_scale: np.ndarray  # d ln s / dw (sensor, parameter)
+    frequencies: np.ndarray | None = None  # natural ones [Hz] of the structure behind it; None without one
 
     def whole(self, series):
-        """Series (sensor, time, ...) with what stands in for them in gaps."""
-        return series if self.measured is None else series[:, mirrored(~self.measured.all(axis=0))]
+        """Series (sensor, time, ...) with what stands in for them in gaps.
+
+        In a gap of any sensor the series of all are taken in reverse order from beside it, half from before
+        and half from behind: errors seen backwards have the same spectrum, amplitude and share in common.
+        """
+        gaps = self.value.gaps.any(axis=0)
+        return series[:, mirrored(gaps)] if gaps.any() else series
 
     @property
     def score(self) -> np.ndarray:
         """Gradient of the log-likelihood (parameter,)."""
-        excess = (self.residuals**2).sum(axis=1) - self.claimed
+        excess = (self.residuals**2).sum(axis=1) - self.value.claimed
         return np.einsum("stp,st->p", self.sensitivities, self.residuals) + excess @ self.of_scale
 
     @property
@@ -80,31 +53,32 @@ class Event(NamedTuple):
 
     def of_sensor(self, j) -> "Event":
         """What one sensor alone tells of the response."""
-        names = "residuals", "sensitivities", "of_scale", "claimed", "response", "measured"
-        own = {name: None if (x := getattr(self, name)) is None else x[[j]] for name in names}
-        return self._replace(**own | {"of_scale": 0.0 * own["of_scale"], "frequencies": None})
+        value = Comparison(*(x[[j]] for x in self.value[:5]), *self.value[5:])
+        return Event(value, self.residuals[[j]], self.sensitivities[[j]], 0.0 * self.of_scale[[j]])
+
+
+def mirrored(gaps) -> np.ndarray:
+    """For each sample (time,) itself or, in a gap, the one that stands in for it: beyond the nearer end."""
+    n, at = gaps.size, np.arange(gaps.size)
+    known = np.flatnonzero(~gaps)
+    for first, last in np.flatnonzero(np.diff(np.r_[False, gaps, False].astype(np.int8))).reshape(-1, 2):
+        for k in range(first, last):
+            ends = (2 * first - 1 - k, 2 * last - 1 - k)
+            if 2 * k >= first + last - 1:
+                ends = ends[::-1]
+            inside = [end for end in ends if 0 <= end < n and not gaps[end]]
+            at[k] = inside[0] if inside else known[np.abs(known - k).argmin()]
+    return at
 
 
 class Fit(NamedTuple):
-    """A point, and the likelihoods there; of a climb the maximum within the bounds of the prior.
-
-    Attributes
-    ----------
-    coordinates : Coordinates
-    w : array (d,)
-        Flat point in these.
-    events : list of Event
-    height : float
-        Log-likelihood, without constants.
-    n_evaluations : int
-        Predictions that it took.
-    """
+    """A point, and the likelihoods there; of a climb the maximum within the bounds of the prior."""
 
     coordinates: Coordinates
-    w: np.ndarray
+    w: np.ndarray  # (d,) in these
     events: list[Event]
-    height: float = np.nan
-    n_evaluations: int = 0
+    height: float = np.nan  # log-likelihood, without constants
+    n_evaluations: int = 0  # predictions that it took
 
     @property
     def z(self) -> np.ndarray:
@@ -124,7 +98,7 @@ class Fit(NamedTuple):
     @property
     def claimed(self) -> float:
         """Observations that the likelihoods claim."""
-        return sum(float(event.claimed.sum()) for event in self.events)
+        return sum(float(event.value.claimed.sum()) for event in self.events)
 
     @property
     def squares(self) -> float:
@@ -138,15 +112,15 @@ class Fit(NamedTuple):
         at_low, at_high = self.w - low < EDGE, high - self.w < EDGE
         return np.where(at_low & (score < 0) | at_high & (score > 0), score, 0.0)
 
-    def measured_from_bounds(self, near) -> "Fit":
-        """The same point in coordinates where some parameters (d,) are measured from a bound."""
-        new, z = self.coordinates.measured_from_bounds(near), self.z
+    def measured_from_bounds(self, near) -> tuple["Fit", np.ndarray]:
+        """The same point with some parameters (d,) measured from a bound, and old changes over new (d,)."""
+        new, z = self.coordinates._replace(near=near & (self.coordinates.sides > 0)), self.z
         ratio = self.coordinates.slopes(z) / new.slopes(z)
         events = [
             e._replace(sensitivities=e.sensitivities * ratio, of_scale=e.of_scale * ratio)
             for e in self.events
         ]
-        return self._replace(coordinates=new, w=np.clip(new.of(z), *new.limits), events=events)
+        return self._replace(coordinates=new, w=np.clip(new.of(z), *new.limits), events=events), ratio
 
 
 class Predictions:
@@ -158,17 +132,12 @@ class Predictions:
     """
 
     def __init__(self, model):
-        if not model.observed_RVs:
-            raise ValueError("`model` must have observed variables, got none.")
+        self.comparisons = comparisons(model)
         self.model, self.space = model, Unconstrained(model)
         self.coordinates = Coordinates.plain(sides_of(model), self.space.join(self.space.point))
-        self.comparisons = [
-            comparison(rv.owner.op, rv, model.rvs_to_values[rv])._replace(name=rv.name)
-            for rv in model.observed_RVs
-        ]
-        check_gaps(model)
         self.modes = [modes_of(model, one.mu) for one in self.comparisons]
-        tensors = model.replace_rvs_by_values([x for one in self.comparisons for x in one.tensors])
+        tensors = [pt.as_tensor_variable(x) for one in self.comparisons for x in one[:5]]
+        tensors = model.replace_rvs_by_values(tensors)
         self.function = compile_function(
             list(model.value_vars), tensors, **with_mode({"on_unused_input": "ignore"}, tensors)
         )
@@ -178,7 +147,7 @@ class Predictions:
         """All likelihoods at a point (d,)."""
         self.count += 1
         values = iter(self.function(*self.space.split(z).values()))
-        return [one.by_sensor(*islice(values, 5)) for one in self.comparisons]
+        return [Comparison(*islice(values, 5), *one[5:]).by_sensor() for one in self.comparisons]
 
     def with_noisy_base(self, z, sd, rng) -> list[Comparison]:
         """The same with noise of a standard deviation [m/s^2] on the motion of every base."""
@@ -200,12 +169,6 @@ def modes_of(model, mu):
     compiled = {"mode": "FAST_COMPILE", "on_unused_input": "ignore"}
     function = model.compile_fn(model.replace_rvs_by_values(inputs), inputs=model.value_vars, **compiled)
     return lambda point: of_values(function(point))
-
-
-def log_likelihood(values) -> float:
-    """Of all likelihoods, without constants; minus infinity where it is not finite."""
-    total = sum(value.log_likelihood for value in values)
-    return total if np.isfinite(total) else -np.inf
 
 
 def events_at(predictions, w, steps, here, coordinates=None, central=True) -> list[Event]:
@@ -231,31 +194,5 @@ def events_at(predictions, w, steps, here, coordinates=None, central=True) -> li
             np.stack([getattr(a[i], name) - getattr(b[i], name) for a, b in ends], axis=-1) / (up - down)
             for name in ("mu", "log_scale")
         )
-        measured = ~np.isnan(value.observed)
-        events.append(
-            Event(
-                value.name,
-                value.residuals,
-                value.scaled(mu),
-                log_scale,
-                value.claimed,
-                value.mu,
-                value.step,
-                None if measured.all() else measured,
-            )
-        )
+        events.append(Event(value, value.residuals, value.scaled(mu), log_scale))
     return events
-
-
-def of_base_noise(predictions, fit: Fit, sd: float) -> np.ndarray:
-    """Covariance (d, d) of the score by white noise of a standard deviation [m/s^2] on the base's record.
-
-    By `REALISATIONS` of the noise: good to 5 % of a standard deviation.
-    """
-    rng, scores = np.random.default_rng(0), []
-    for _ in range(REALISATIONS):
-        values = zip(predictions.with_noisy_base(fit.z, sd, rng), fit.events, strict=True)
-        scores.append(
-            sum(np.einsum("stp,st->p", e.sensitivities, v.residuals - e.residuals) for v, e in values)
-        )
-    return np.einsum("np,nq->pq", scores, scores) / REALISATIONS

@@ -27,24 +27,12 @@ NOTABLE = 1.5  # factor that is worth a word
 
 
 class Sandwich(NamedTuple):
-    """How much the likelihood claims to know, and how much its score varies.
+    """How much the likelihood claims to know, and how much its score varies."""
 
-    Attributes
-    ----------
-    information : array (d, d)
-        A, minus the Hessian of the log-likelihood.
-    variability : array (d, d)
-        B, the covariance of the score; A if the likelihood's assumptions hold.
-    models : list of ErrorModel
-        Of each event.
-    growth : float
-        By how much the frequency bands disagree; NaN where there are none.
-    """
-
-    information: np.ndarray
-    variability: np.ndarray
-    models: list[ErrorModel]
-    growth: float = np.nan
+    information: np.ndarray  # A (d, d), minus the Hessian of the log-likelihood
+    variability: np.ndarray  # B (d, d), covariance of the score; A if the likelihood's assumptions hold
+    models: list[ErrorModel]  # of each event
+    growth: float = np.nan  # by how much the frequency bands disagree; NaN where there are none
 
     @property
     def factor(self) -> float:
@@ -69,10 +57,9 @@ class Sandwich(NamedTuple):
         along = self.information @ vectors
         return (along / values) @ along.T
 
-    def scaled(self, ratio) -> "Sandwich":
+    def rescaled(self, ratio) -> "Sandwich":
         """The same by coordinates of which a change is `ratio` (d,) times one of the old."""
-        square = np.outer(ratio, ratio)
-        models = [model.scaled(ratio) for model in self.models]
+        square, models = np.outer(ratio, ratio), [model.rescaled(ratio) for model in self.models]
         return Sandwich(self.information * square, self.variability * square, models, self.growth)
 
 
@@ -87,7 +74,7 @@ def sandwich(events, model_error="bands", leverage=True) -> Sandwich:
         error_model(
             event.whole(event.residuals),
             event.sensitivities,
-            event.whole(event.response),
+            event.whole(event.value.mu),
             event.whole(event.sensitivities),
             edges_of(event),
             whiten if leverage and whiten.size else None,
@@ -108,11 +95,11 @@ def of_scale(event) -> np.ndarray:
     used = np.flatnonzero(np.abs(event.of_scale).sum(axis=0))
     result, square = np.zeros((event.of_scale.shape[1],) * 2), event.residuals**2
     if used.size:
-        kept = np.ones(square.shape) if event.measured is None else event.measured
-        series = event.whole(square) - (square.sum(axis=1) / kept.sum(axis=1))[:, None]
-        whole = np.repeat(event.of_scale[:, None, used], kept.shape[1], axis=1)
-        parts = error_model(series, kept[..., None] * whole, None, whole)
-        result[np.ix_(used, used)] = parts.variability
+        measured = ~event.value.gaps
+        series = event.whole(square) - (square.sum(axis=1) / measured.sum(axis=1))[:, None]
+        whole = np.repeat(event.of_scale[:, None, used], series.shape[1], axis=1)
+        model = error_model(series, measured[..., None] * whole, whole=whole)
+        result[np.ix_(used, used)] = model.variability
     return result
 
 
@@ -148,16 +135,20 @@ def combined(first, second, share) -> np.ndarray:
     return first + (along * share(values)) @ along.T
 
 
-def wider(first, second) -> np.ndarray:
-    """In every direction the larger of two covariances (d, d) of a score."""
-    return combined(first, second, lambda values: np.maximum(values - 1.0, 0.0))
+def stretching(information: np.ndarray, precision: np.ndarray) -> tuple[float, np.ndarray]:
+    """Power k and matrix C (d, d) with C' (k A) C = the wanted precision (d, d).
+
+    C has determinant one. It is the unit matrix along directions that the likelihood does not tell.
+    """
+    values, vectors = directions(information, precision)
+    power = float(np.exp(np.mean(np.log(values)))) if values.size else 1.0
+    along = (vectors * (np.sqrt(values / power) - 1.0)) @ vectors.T
+    return power, np.eye(len(information)) + along @ information
 
 
 def edges_of(event) -> np.ndarray:
     """Frequencies between bands, in cycles per sample."""
-    if event.frequencies is None or np.isnan(event.step):
-        return np.empty(0)
-    f = np.sort(event.frequencies * event.step)
+    f = np.sort(np.multiply([] if event.frequencies is None else event.frequencies, event.value.step))
     f = f[f < HIGHEST]
     return 0.5 * (f[:-1] + f[1:])[: MOST_BANDS - 1]
 

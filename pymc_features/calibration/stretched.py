@@ -16,25 +16,21 @@ with m(d_b) = P_ff^-1 (h_f - P_fb d_b). No likelihood is evaluated outside the p
 """
 
 import copy
+import itertools
+from typing import NamedTuple
 
 import numpy as np
 import pytensor.tensor as pt
 
-from pymc_features.calibration.sandwich import directions, whitening
+from pymc_features.calibration.comparison import log_likelihood
+from pymc_features.calibration.coordinates import Coordinates
+from pymc_features.calibration.peaks import Peak
+from pymc_features.calibration.sandwich import stretching, whitening
 from pymc_features.smc import PersistentSMC, population_logp
 
+CURVED = 0.1  # standard deviations over which curvature is measured
+MOST_EXPANDED = 15  # directions in which residuals are expanded: 136 histories are kept for each sensor
 FARTHEST = 1e4  # from the maximum: unconstrained values that rounding has made infinite are there
-
-
-def stretching(information: np.ndarray, precision: np.ndarray) -> tuple[float, np.ndarray]:
-    """Power k and matrix C (d, d) with C' (k A) C = the wanted precision (d, d).
-
-    C has determinant one. It is the unit matrix along directions that the likelihood does not tell.
-    """
-    values, vectors = directions(information, precision)
-    power = float(np.exp(np.mean(np.log(values)))) if values.size else 1.0
-    along = (vectors * (np.sqrt(values / power) - 1.0)) @ vectors.T
-    return power, np.eye(len(information)) + along @ information
 
 
 class Stretched:
@@ -103,15 +99,97 @@ class StretchedSMC(PersistentSMC):
 
 def prior_and_likelihood(model, compile_kwargs) -> tuple:
     """Evaluations whose first result is the prior, with potentials, and whose second is the likelihood."""
-    point, potentials = model.initial_point(), model.potentials
+    point = model.initial_point()
 
     def of_prior():
-        return model.logp(vars=[*model.free_RVs, *potentials]), pt.zeros(())
+        return model.logp(vars=[*model.free_RVs, *model.potentials]), pt.zeros(())
 
     def of_data():
         return pt.zeros(()), model.logp(vars=model.observed_RVs)
 
     prior = population_logp(model, point, compile_kwargs, "prior", of_prior)
-    if not potentials:
-        return prior, population_logp(model, point, compile_kwargs)
-    return prior, population_logp(model, point, compile_kwargs, "data", of_data)
+    of_model = ("data", of_data) if model.potentials else ()  # else what `sample` has compiled
+    return prior, population_logp(model, point, compile_kwargs, *of_model)
+
+
+class Expansion(NamedTuple):
+    """A log-likelihood near its maximum along some axes, by second derivatives of residuals and scales.
+
+    Where a response is smooth, draws by it need hardly be weighed, and cost no response.
+    """
+
+    coordinates: Coordinates
+    point: np.ndarray  # where the expansion is made (d,)
+    along: np.ndarray  # how far a change of coordinates goes along each axis (k, d)
+    gram: np.ndarray  # (sensor, c, c) of the coefficients of 1, of each axis, and of each pair of axes
+    log_scale: np.ndarray  # coefficients of ln s (c, sensor)
+    claimed: np.ndarray  # m (sensor,), see `comparison`
+    last_error = ""
+
+    def __call__(self, z):
+        """Nothing, log-likelihood and no failures, each (n,), of unconstrained points (n, d)."""
+        a = (self.coordinates.of(z) - self.point) @ self.along.T
+        first, second = np.triu_indices(a.shape[1])
+        with np.errstate(over="ignore", invalid="ignore"):  # far away
+            terms = np.concatenate([np.ones((len(a), 1)), a, a[:, first] * a[:, second]], axis=1)
+            squares = np.stack([np.sum((terms @ gram) * terms, axis=1) for gram in self.gram], axis=1)
+            log_scale = terms @ self.log_scale
+            value = (-0.5 * np.exp(-2.0 * log_scale) * squares - log_scale * self.claimed).sum(axis=1)
+        return None, np.where(np.isfinite(value), value, -np.inf), np.zeros(len(a), dtype=bool)
+
+    def with_rng(self, rng) -> "Expansion":
+        """The same: nothing is drawn."""
+        return self
+
+
+def curved(predictions, peak: Peak) -> tuple[Peak, Expansion | None]:
+    """The peak with the likelihood's own curvature as A, where that is positive, and its expansion.
+
+    Both are along the axes of A, of parameters that are not near a bound: where they are correlated, a change
+    of one of them alone by its standard deviation leads far away. No expansion along many axes.
+    """
+    fit, result, free = peak.fit, peak.sandwich, ~peak.fit.coordinates.near
+    whiten = whitening(result.information * np.outer(free, free))
+    widths = np.sqrt(np.diag(whiten.T @ result.variability @ whiten))
+    steps = CURVED * np.minimum(widths, 1.0)
+    axes, k, at_maximum = (whiten * steps).T, len(steps), predictions(fit.z)
+
+    def value(w):
+        values = predictions(fit.coordinates.unconstrained(w))
+        found = [[log_likelihood(values)]]
+        if k <= MOST_EXPANDED:
+            log_scales = [v.log_scale - here.log_scale for v, here in zip(values, at_maximum, strict=True)]
+            unscaled = [np.exp(s)[:, None] * v.residuals for s, v in zip(log_scales, values, strict=True)]
+            found += log_scales + [x.ravel() for x in unscaled]
+        return np.concatenate(found)
+
+    columns = second_order(value, fit.w, axes)
+    first, second = np.triu_indices(k)
+    curvature = np.zeros((k, k))
+    np.add.at(curvature, (first, second), -columns[1 + k :, 0])
+    relative = (curvature + curvature.T) / np.outer(steps, steps)
+    if np.linalg.eigvalsh(relative).min(initial=np.inf) > 0:
+        unwhiten = whiten.T @ (result.information * free)
+        more = unwhiten.T @ (relative - np.eye(k)) @ unwhiten
+        peak = peak._replace(sandwich=result._replace(information=result.information + more))
+    if k > MOST_EXPANDED:
+        return peak, None
+    claimed = np.concatenate([v.claimed for v in at_maximum])
+    ends = 1 + np.cumsum([0, len(claimed), *(v.mu.shape[-1] for v in at_maximum for _ in v.claimed)])
+    log_scale, *series = (columns[:, i:j] for i, j in itertools.pairwise(ends))
+    gram = np.array([x @ x.T for x in series])
+    return peak, Expansion(fit.coordinates, fit.w, np.linalg.pinv(axes).T, gram, log_scale, claimed)
+
+
+def second_order(value, w, axes) -> np.ndarray:
+    """Coefficients (c, n) of 1, of each axis (k, d) and of each pair, in a function of points (d,)."""
+    here = value(w)
+    ends = [np.reshape([value(w + s * axis) for axis in axes], (len(axes), len(here))) for s in (1.0, -1.0)]
+    middle, pairs = 0.5 * (ends[0] + ends[1]) - here, []
+    for i, j in zip(*np.triu_indices(len(axes)), strict=True):
+        if i == j:
+            pairs.append(middle[i])
+        else:
+            both = value(w + axes[i] + axes[j]) + value(w - axes[i] - axes[j])
+            pairs.append(0.5 * both - here - middle[i] - middle[j])
+    return np.array([here, *(0.5 * (ends[0] - ends[1])), *pairs])

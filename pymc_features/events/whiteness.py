@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.stats import chi2
 
-from pymc_features.calibration.fit import Predictions, log_likelihood
+from pymc_features.calibration.comparison import log_likelihood
+from pymc_features.calibration.fit import Predictions
 from pymc_features.calibration.peaks import some_draws
 from pymc_features.inference.parameters import posterior_for
 

@@ -24,8 +24,9 @@ from benchmarks.coverage.bounds import (
 from benchmarks.coverage.errors import LEVEL, measurements
 from pymc_features.calibration.bounds import interval
 from pymc_features.calibration.climb import climb_likelihood
+from pymc_features.calibration.comparison import log_likelihood
 from pymc_features.calibration.coordinates import Coordinates, sides_of
-from pymc_features.calibration.fit import Predictions, log_likelihood
+from pymc_features.calibration.fit import Predictions
 from pymc_features.calibration.peaks import Peak
 from pymc_features.calibration.sandwich import sandwich
 from pymc_features.exceptions import CalibrationWarning

@@ -20,11 +20,10 @@ from pymc_features import (
 )
 from pymc_features.calibration.calibrate import warn_if_far
 from pymc_features.calibration.coordinates import Coordinates
-from pymc_features.calibration.expansion import Expansion
 from pymc_features.calibration.fit import Fit
 from pymc_features.calibration.peaks import Peak
-from pymc_features.calibration.sandwich import Sandwich
-from pymc_features.calibration.stretched import Stretched, stretching
+from pymc_features.calibration.sandwich import Sandwich, stretching
+from pymc_features.calibration.stretched import Expansion, Stretched
 from pymc_features.exceptions import CalibrationWarning
 
 DT, TAU = 0.02, 0.3

@@ -16,12 +16,11 @@ from pymc_features import (
     response,
 )
 from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.comparison import Comparison, comparison
+from pymc_features.calibration.comparison import Comparison, comparison, log_likelihood
 from pymc_features.calibration.coordinates import Coordinates
-from pymc_features.calibration.expansion import curved
-from pymc_features.calibration.fit import log_likelihood
 from pymc_features.calibration.peaks import Peak
 from pymc_features.calibration.sandwich import sandwich
+from pymc_features.calibration.stretched import curved
 
 TIME = 0.02 * np.arange(500)
 
@@ -54,8 +53,8 @@ class Ringing:
         self.count += 1
         frequency, ratio, sigma = np.exp(self.mixing @ z)
         scale = sigma * np.sqrt(TIME.size / self.claimed)
-        values = ringing(frequency, ratio), self.observed, scale, self.claimed, np.inf
-        return [Comparison(*values, step=0.02).by_sensor(*values)]
+        mu = ringing(frequency, ratio)
+        return [Comparison(mu, self.observed, scale, self.claimed, step=0.02).by_sensor()]
 
 
 @pytest.mark.parametrize("seed", [0, 3, 6, 8, 9, 10, 12, 13])
