@@ -4,8 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
-from arviz_base import xarray_var_iter
-from arviz_base.labels import BaseLabeller
 from scipy.optimize import brentq
 from scipy.stats import chi2, t
 
@@ -167,6 +165,8 @@ def tells(event, name) -> bool:
 
 def by_name(posterior, i, var_names) -> dict[str, np.ndarray]:
     """Draws (draw,) of each scalar of some variables."""
+    from arviz_base import labels, xarray_var_iter  # slow to import
+
     for name in var_names:
         if name not in posterior.data_vars:
             raise ValueError(f"`var_names` must be in every posterior, got no {name} in event {i}.")
@@ -179,6 +179,6 @@ def by_name(posterior, i, var_names) -> dict[str, np.ndarray]:
     if posterior.sizes["chain"] * posterior.sizes["draw"] < FEWEST_DRAWS:
         raise ValueError(f"`events` must have at least {FEWEST_DRAWS} draws, got fewer in event {i}.")
     some = posterior[list(var_names)].transpose("chain", "draw", ...)
-    label = BaseLabeller().make_label_flat
+    label = labels.BaseLabeller().make_label_flat
     scalars = xarray_var_iter(some, skip_dims={"chain", "draw"})
     return {label(name, at, place): x.ravel() for name, at, place, x in scalars}
