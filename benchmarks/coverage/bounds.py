@@ -18,9 +18,10 @@ import pymc_features as pmf
 from benchmarks import truth
 from benchmarks.coverage.errors import LEVEL, measurements
 from benchmarks.tables import table
-from pymc_features.calibration.bounds import SHORT, deviations, free_maximum, interval, near_bounds
+from pymc_features.calibration.bounds import SHORT, interval
 from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.fit import Predictions
+from pymc_features.calibration.peaks import Peak
 from pymc_features.calibration.sandwich import sandwich
 
 FULL, QUICK = 1000, 20  # data sets
@@ -67,7 +68,7 @@ class Bounded(NamedTuple):
     free: float
 
 
-def fitted(seed, upper):
+def fitted(seed, upper) -> Peak:
     """The maximum and its sandwich for one data set."""
     model, predictions = declare()
     response = exact()[1]
@@ -76,28 +77,27 @@ def fitted(seed, upper):
     inside = (min(1.0, upper - 1e-3) - LOWEST) / (upper - LOWEST)
     start = np.array([logit(inside), 1.0, 1.0, np.log(LEVEL * np.sqrt(np.mean(response**2)))])
     fit = climb_likelihood(predictions, start)
-    result = sandwich(fit.events, fit.information)
-    fit = fit.measured_from_bounds(near_bounds(fit, result))
-    return fit, sandwich(fit.events, fit.information)
+    peak = Peak(fit, sandwich(fit.events))
+    return peak.measured_from_bounds(peak.near_bounds())
 
 
 def bounded(seed, upper) -> Bounded:
     """What is known of the first factor from one data set."""
-    fit, result = fitted(seed, upper)
-    rng, size, z = np.random.default_rng([5, seed]), upper - LOWEST, fit.z
-    coordinates = fit.coordinates
+    peak = fitted(seed, upper)
+    rng, size, z = np.random.default_rng([5, seed]), upper - LOWEST, peak.fit.z
+    coordinates = peak.fit.coordinates
     scale = size * coordinates.own_slopes(z)[0] / coordinates.slopes(z)[0]
     maximum = LOWEST + size * coordinates.distance(z)[0]
-    free = maximum + scale * (free_maximum(fit, result) - fit.w)[0]
+    free = maximum + scale * (peak.free - peak.fit.w)[0]
 
     def draws(sd):
         low, high = (np.array([LOWEST, upper]) - free) / sd
         return truncnorm.rvs(low, high, free, sd, size=2000, random_state=rng)
 
-    sd = scale * deviations(result)[0]
+    sd = scale * peak.deviations[0]
     cal = draws(sd)
     bound = upper if upper - free < SHORT * sd else None
-    return Bounded(cal, draws(scale * np.sqrt(result.claims[0, 0])), interval(cal, bound=bound), free)
+    return Bounded(cal, draws(scale * np.sqrt(peak.sandwich.claims[0, 0])), interval(cal, bound=bound), free)
 
 
 @functools.cache

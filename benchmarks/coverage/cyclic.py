@@ -58,7 +58,7 @@ def in_blocks(event, n):
     for first, last in zip(ends, ends[1:], strict=False):
         own = np.zeros_like(event.sensitivities)
         own[:, first:last] = event.sensitivities[:, first:last]
-        models.append(error_model(event.residuals, own, event.response, event.sensitivities, whiten=whiten))
+        models.append(error_model(event.residuals, own, event.value.mu, event.sensitivities, whiten=whiten))
         scores.append(np.einsum("stp,st->p", own, event.residuals))
         informations.append(np.einsum("stp,stq->pq", own, own))
     variabilities = np.array([model.variability for model in models])
@@ -79,7 +79,7 @@ def outcome(name, seed):
     force = truth.specimen_force(law, displacement + slack, rtol=1e-8)
     force = force + LEVEL * first_order(rng, (1, force.size), 1.0, 5.0)[0]
     fit = climb_likelihood(Predictions(declare(displacement, force)), START)
-    sd = np.sqrt(np.diag(sandwich(fit.events, fit.information).covariance))
+    sd = np.sqrt(np.diag(sandwich(fit.events).covariance))
     growth = [growth_of([in_blocks(fit.events[0], n)], N_PARAMETERS) for n in BLOCKS]
     return fit.z[:N_PARAMETERS], sd[:N_PARAMETERS], np.fmin(np.fmax(growth, 1.0), LARGEST)
 

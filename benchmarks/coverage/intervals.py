@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.calibration.calibrate import curved, near_bounds
 from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.modes import Peak
+from pymc_features.calibration.peaks import Peak
 from pymc_features.calibration.sandwich import sandwich
-from pymc_features.calibration.stretched import Stretched
+from pymc_features.calibration.stretched import Stretched, curved
 from pymc_features.smc.proposals.proposal import StudentT
 
 PROBABILITY = 0.9
@@ -148,11 +147,11 @@ class Calibrated(NamedTuple):
 def calibrated(predictions, z, n_parameters, model_error="bands") -> Calibrated:
     """The steps of `calibrate` for a likelihood with its maximum near z (d,)."""
     fit = climb_likelihood(predictions, z)
-    fit = fit.measured_from_bounds(near_bounds(fit, sandwich(fit.events, fit.information, model_error)))
-    result, _ = curved(predictions, fit, sandwich(fit.events, fit.information, model_error))
+    peak = Peak(fit, sandwich(fit.events, model_error))
+    peak, _ = curved(predictions, peak.measured_from_bounds(peak.near_bounds()))
+    result = peak.sandwich
     claims, covariance = (m[:n_parameters, :n_parameters] for m in (result.claims, result.covariance))
     ratio = np.linalg.slogdet(claims)[1] - np.linalg.slogdet(covariance)[1]
-    claimed = sum(float(event.claimed.sum()) for event in fit.events)
     factors = (np.linalg.cholesky(m) for m in (result.covariance, result.claims))
-    n_eff = claimed * np.exp(ratio / n_parameters)
-    return Calibrated(Peak(fit, 0.0, result), fit.z, *factors, n_eff, result.growth)
+    n_eff = fit.claimed * np.exp(ratio / n_parameters)
+    return Calibrated(peak, fit.z, *factors, n_eff, result.growth)

@@ -17,9 +17,10 @@ from benchmarks import truth
 from benchmarks.coverage.errors import first_order
 from benchmarks.tables import table
 from pymc_features.calibration.climb import climb_likelihood
+from pymc_features.calibration.comparison import Comparison
 from pymc_features.calibration.coordinates import Coordinates
-from pymc_features.calibration.fit import of_base_noise
-from pymc_features.calibration.sandwich import sandwich, wider
+from pymc_features.calibration.peaks import Peak
+from pymc_features.calibration.sandwich import sandwich
 
 EVENTS, QUICK_EVENTS = 400, 12
 RATE, DURATION, LEVEL = 50.0, 20.0, 0.02  # Hz, s, noise over the rms of the response
@@ -189,7 +190,7 @@ class Predictions:
 
     def __init__(self, family, record, data):
         self.family, self.record, self.data = family, record, data
-        self.names, self.steps, self.count = ["y"], [1.0 / RATE], 0
+        self.count = 0
         n = family.n_groups + 2
         self.coordinates = Coordinates.plain(np.zeros(n, dtype=int), np.zeros(n))
 
@@ -203,7 +204,7 @@ class Predictions:
         return [truth.modes(*self.family.matrices(factors(w)[0])[::2])[0] / (2.0 * np.pi)]
 
     def __call__(self, w):
-        """mu, observed, scale, ln s, claimed and decay of the only likelihood."""
+        """The only likelihood."""
         return self.values(w, self.record)
 
     def with_noisy_base(self, w, sd, rng):
@@ -214,10 +215,9 @@ class Predictions:
     def values(self, w, record):
         """Those under a record."""
         self.count += 1
-        n_sensors, n_times = self.data.shape
         mu = pmf.simulate(self.structure(w), record, sensors=self.family.sensors).values
-        one, scale = np.ones(n_sensors), np.full(self.data.shape, np.exp(w[-1]))
-        return [[mu, self.data, scale, w[-1] * one, n_times * one, np.inf * one]]
+        n_times = self.data.shape[1]
+        return [Comparison(mu, self.data, np.exp(w[-1]), n_times, step=1.0 / RATE).by_sensor()]
 
 
 class Outcome(NamedTuple):
@@ -246,13 +246,12 @@ def outcome(family, respond, seed) -> Outcome:
     predictions = Predictions(family, pmf.Record(base, 1.0 / RATE), data)
     fit = climb_likelihood(predictions, np.append(np.zeros(family.n_groups + 1), np.log(level)))
     p = family.n_groups + 1
-    plain = sandwich(fit.events, fit.information, None, leverage=False)
-    corrected = sandwich(fit.events, fit.information, None if what.noise else "bands")
+    plain = Peak(fit, sandwich(fit.events, None, leverage=False))
+    corrected = Peak(fit, sandwich(fit.events, None if what.noise else "bands"))
     if what.noise:
-        noise = of_base_noise(predictions, fit, what.noise)
-        corrected = corrected._replace(variability=wider(corrected.variability, noise))
-    sd = [np.sqrt(np.diag(x.covariance))[:p] for x in (plain, corrected)]
-    return Outcome(fit.w[:p], fit.information[:p, :p], *sd, corrected.growth)
+        corrected = corrected.with_base_noise(predictions, what.noise)
+    sd = [peak.deviations[:p] for peak in (plain, corrected)]
+    return Outcome(fit.w[:p], fit.information[:p, :p], *sd, corrected.sandwich.growth)
 
 
 def covers(outcomes):

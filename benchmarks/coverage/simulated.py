@@ -5,6 +5,7 @@ import numpy as np
 import pymc_features as pmf
 from benchmarks.coverage.chain import N_FACTORS, PRIOR_WIDTH, structure
 from benchmarks.coverage.intervals import calibrated, of_density
+from pymc_features.calibration.comparison import Comparison
 from pymc_features.calibration.coordinates import Coordinates
 from pymc_features.study.misfits import computed_sums
 
@@ -16,17 +17,15 @@ class Predictions:
 
     def __init__(self, record, data, dt):
         self.record, self.data, self.dt = record, data, dt
-        self.names, self.steps, self.count = ["y"], [dt], 0
+        self.count = 0
         self.coordinates = Coordinates.plain(np.zeros(N_FACTORS + 1, dtype=int), np.zeros(N_FACTORS + 1))
 
     def __call__(self, z):
-        """mu, observed, scale, ln s, claimed and decay of the only likelihood, at a point (4,)."""
+        """The only likelihood, at a point (4,)."""
         self.count += 1
-        n_sensors, n_times = self.data.shape
         mu = pmf.simulate(structure(np.exp(z[:N_FACTORS])), self.record, dt=self.dt).values
-        sensor = np.ones(n_sensors)
-        scale = np.full(self.data.shape, np.exp(z[-1]))
-        return [[mu, self.data, scale, z[-1] * sensor, n_times * sensor, np.inf * sensor]]
+        n_times = self.data.shape[1]
+        return [Comparison(mu, self.data, np.exp(z[-1]), n_times, step=self.dt).by_sensor()]
 
     def frequencies(self, z):
         """Natural frequencies [Hz] of the only likelihood's structure, at a point (4,)."""

@@ -7,9 +7,10 @@ from benchmarks.coverage.chain import N_FACTORS, RATES, matrices, moved, record
 from benchmarks.coverage.errors import LEVEL, first_order
 from benchmarks.coverage.simulated import Predictions, start_of
 from benchmarks.tables import table
-from pymc_features.calibration.calibrate import curved
 from pymc_features.calibration.climb import climb_likelihood
+from pymc_features.calibration.peaks import Peak
 from pymc_features.calibration.sandwich import sandwich
+from pymc_features.calibration.stretched import curved
 from pymc_features.study.paper import MULTIPLIERS
 
 RATE = RATES[0]  # of the record [Hz]
@@ -60,5 +61,6 @@ def widths(data, finest, multiplier):
     some = np.ascontiguousarray(data[:, ::stride])
     predictions = Predictions(record(RATE), some, dt)
     fit = climb_likelihood(predictions, start_of(record(RATE), some, dt))
-    result, _ = curved(predictions, fit, sandwich(fit.events, fit.information))
-    return [np.sqrt(np.diag(m)[:N_FACTORS]).mean() for m in (result.claims, result.covariance)]
+    peak, _ = curved(predictions, Peak(fit, sandwich(fit.events)))
+    matrices = peak.sandwich.claims, peak.sandwich.covariance
+    return [np.sqrt(np.diag(m)[:N_FACTORS]).mean() for m in matrices]

@@ -1,8 +1,7 @@
 """Intervals whose width the residuals decide: neither the sampling rate nor the number of sensors does."""
 
 from pymc_features.calibration.calibrate import calibrate
-from pymc_features.calibration.degrees import fill_degrees
-from pymc_features.calibration.effective import effective_samples
+from pymc_features.calibration.effective import effective_samples, fill_degrees
 from pymc_features.calibration.events import event_check
 
 __all__ = ["calibrate", "effective_samples", "event_check", "fill_degrees"]

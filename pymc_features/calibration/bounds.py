@@ -1,62 +1,75 @@
-"""Parameters whose prior ends near to the likelihood's maximum: which they are, and what is said of them."""
+"""Parameters whose prior ends near to the likelihood's maximum: their draws, intervals, and what is said."""
 
 import warnings
+from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import norm, truncnorm
 
-from pymc_features.calibration.coordinates import BEYOND
-from pymc_features.calibration.fit import Fit
-from pymc_features.calibration.sandwich import Sandwich
+from pymc_features.calibration.coordinates import Coordinates
+from pymc_features.calibration.peaks import Peak
 from pymc_features.exceptions import CalibrationWarning
+from pymc_features.smc import Reference, prior_points
+from pymc_features.smc.proposals.reference import Mode
 
-NEAR = 6.0  # standard deviations from a bound that count
 WANTED = 2.0  # standard deviations beyond a bound that make a warning
 SHORT = 2.0  # standard deviations from a bound within which the shortest interval is given: beyond, equal
 # tails hardly differ from it, and nearer they never contain the bound
 FEW = 0.01  # of the draws between an interval and a bound: the interval ends at the bound
+PRIOR_DRAWS = 500  # that tell the width of the prior
 
 
-def free_maximum(fit: Fit, result: Sandwich) -> np.ndarray:
-    """Coordinates (d,) where the likelihood would have its maximum without bounds, by one step beyond."""
-    return fit.w + result.claims @ fit.pushing
+class CutNormal(NamedTuple):
+    """Map between unconstrained points z (n, d) and standard normal ones u (n, d).
 
-
-def deviations(result: Sandwich) -> np.ndarray:
-    """Standard deviations (d,) of coordinates, NaN of what the likelihood does not know."""
-    sd = np.sqrt(np.diag(result.covariance))
-    return np.where(sd > 0, sd, np.nan)
-
-
-def near_bounds(fit: Fit, result: Sandwich) -> np.ndarray:
-    """Parameters (d,) whose prior ends so near to the maximum that this may shape the interval.
-
-    Those that no response depends on only where their score pushes them against it.
+    Coordinates near a bound are normal, each by itself, and cut off there; the others follow them.
     """
-    free = np.clip(free_maximum(fit, result), *fit.coordinates.limits)
-    room = fit.coordinates.rooms(fit.coordinates.unconstrained(free), deviations(result)).min(axis=0)
-    of_response = np.any([np.any(e.sensitivities, axis=(0, 1)) for e in fit.events], axis=0)
-    return (fit.pushing != 0) | (of_response & (room < NEAR))
+
+    coordinates: Coordinates
+    mean: np.ndarray  # of the normal distribution of all coordinates (d,)
+    deviations: np.ndarray  # standard deviations of those near a bound (b,)
+    follow: np.ndarray  # how the others change with those (f, b)
+    factor: np.ndarray  # Cholesky factor of the covariance of the others, given those (f, f)
+
+    @property
+    def cut(self):
+        """Distribution of the coordinates near a bound."""
+        near, limits = self.coordinates.near, self.coordinates.limits
+        low, high = ((ends - self.mean)[near] / self.deviations for ends in limits)
+        return truncnorm(low, high, self.mean[near], self.deviations)
+
+    def forward(self, z):
+        """u (n, d), and ln |du/dz| (n,)."""
+        near, w = self.coordinates.near, self.coordinates.of(z)
+        u, off = np.empty_like(w), w - self.mean
+        u[:, near] = norm.ppf(self.cut.cdf(w[:, near]))
+        u[:, ~near] = np.linalg.solve(self.factor, (off[:, ~near] - off[:, near] @ self.follow.T).T).T
+        slopes = self.cut.logpdf(w[:, near]) - norm.logpdf(u[:, near])
+        slopes += np.log(self.coordinates.slopes(z)[:, near])
+        return u, slopes.sum(axis=1) - np.log(np.diag(self.factor)).sum()
+
+    def inverse(self, u):
+        """z (n, d)."""
+        near, w = self.coordinates.near, self.mean + np.zeros_like(u)
+        w[:, near] = self.cut.ppf(norm.cdf(u[:, near]))
+        w[:, ~near] += (w - self.mean)[:, near] @ self.follow.T + u[:, ~near] @ self.factor.T
+        return self.coordinates.unconstrained(w)
 
 
-def own_scale(predictions, fit: Fit, result: Sandwich) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """What is said of parameters (d,) near a bound, on their own scale, and the units of coordinates there.
-
-    `point`, the maximum; `near_bound`; the nearest `bound`, NaN of others; `room`, how many standard
-    deviations within it the free maximum lies, negative beyond.
-    """
-    coordinates, near, space = fit.coordinates, fit.coordinates.near, predictions.space
-    far = np.where(coordinates.sides == 2, BEYOND, coordinates.origin)
-    values = space.variables(np.where(near, [np.full(len(far), -BEYOND), far], fit.z))
-    low, high = np.hstack([values[rv.name].reshape(2, -1) for rv in predictions.model.free_RVs])
-    free, sd, units = free_maximum(fit, result), deviations(result), np.where(near, high - low, 1.0)
-    to_low, to_high = ((free - coordinates.limits[0]) / sd, (coordinates.limits[1] - free) / sd)
-    found = {
-        "point": np.where(near, low + units * fit.w, fit.w),
-        "near_bound": near,
-        "bound": np.where(near, np.where(to_low < to_high, low, high), np.nan),
-        "room": np.where(near, np.minimum(to_low, to_high), np.nan),
-    }
-    return found, units
+def bell(model, peak: Peak, rng) -> Reference:
+    """The calibrated likelihood as it is expected, with the width of the prior where there is no other."""
+    prior = prior_points(model, PRIOR_DRAWS, rng)
+    centre, scale = prior.mean(axis=0), prior.std(axis=0)
+    coordinates, mean, precision = peak.fit.coordinates, peak.free, peak.sandwich.precision
+    f, b = np.flatnonzero(~coordinates.near), np.flatnonzero(coordinates.near)
+    covariance = np.linalg.inv(precision[np.ix_(f, f)] + np.diag(scale[f] ** -2.0))
+    mean[f] += covariance @ ((centre - mean)[f] / scale[f] ** 2)
+    follow = -covariance @ precision[np.ix_(f, b)]
+    bent = CutNormal(coordinates, mean, peak.deviations[b], follow, np.linalg.cholesky(covariance))
+    unit = np.eye(len(mean))
+    axes = 0.5 * (bent.inverse(unit) - bent.inverse(-unit)) / scale
+    point = (bent.inverse(np.zeros((1, len(mean))))[0] - centre) / scale
+    return Reference([Mode(point, np.linalg.cholesky(axes.T @ axes), 0.0, 1)], centre, scale, [bent])
 
 
 def warn_beyond(found):

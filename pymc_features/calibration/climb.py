@@ -4,15 +4,9 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.special import expit
 
-from pymc_features.calibration.fit import (
-    Fit,
-    events_at,
-    information_of,
-    log_likelihood,
-    residuals_of,
-    score_of,
-)
-from pymc_features.calibration.sandwich import whitening
+from pymc_features.calibration.comparison import log_likelihood
+from pymc_features.calibration.fit import Fit, events_at
+from pymc_features.calibration.sandwich import combined
 
 DIFFERENCE = 0.02  # standard errors of independent samples that derivatives are taken over,
 WIDEST, NARROWEST = 1e-3, 1e-7  # but no more and no less than this, in coordinates
@@ -36,30 +30,27 @@ def climb_likelihood(predictions, z) -> Fit:
     from one set of derivatives to the next. A parameter that a step would take out of its prior is from then
     on measured from the bound, and stays within.
     """
-    count, start = predictions.count, z
-    here = predictions(z)
-    value, damping, last = log_likelihood(here), 1e-6, np.inf
-    if value == -np.inf:
+    count, here = predictions.count, predictions(z)
+    fit = Fit(predictions.coordinates, z, [], log_likelihood(here))
+    if fit.height == -np.inf:
         raise ValueError("the fit must start where the likelihood is finite. Pass another `idata`.")
-    coordinates, central = predictions.coordinates, False
-    events = events_at(predictions, z, np.full(len(z), NARROW), here, coordinates, central)
-    coordinates, w, events, _ = bounded(Fit(coordinates, z, events, 0), start)
-    at = w
-    score, second = score_of(events), np.zeros((len(w), len(w)))
-    before = score
+    events = events_at(predictions, z, np.full(len(z), NARROW), here, fit.coordinates, central=False)
+    fit = bounded(fit._replace(events=events), z)
+    second, damping, last, central = np.zeros((len(z), len(z))), 1e-6, np.inf, False
+    at, before = fit.w, fit.score  # where derivatives were taken
     for _ in range(STEPS):
-        step = newton(curvature(information_of(events), second), score, damping, rooms(coordinates, w))
-        length, moved = standard_errors(events, step), standard_errors(events, w - at)
+        step = newton(curvature(fit.information, second), fit.score, damping, rooms(fit))
+        length, moved = standard_errors(fit, step), standard_errors(fit, fit.w - at)
         if length < CONVERGED and central and moved < NEAR:
             break
         if length < SHORTER * last and not (length < CONVERGED):
-            new = np.clip(w + step, *coordinates.limits)
-            values = predictions(coordinates.unconstrained(new))
-            trial = log_likelihood(values)
-            if trial > value:
-                w, here, value, damping, last = new, values, trial, damping / 10.0, length
-                events = with_residuals(events, here)
-                score = score_of(events)
+            w = np.clip(fit.w + step, *fit.coordinates.limits)
+            values = predictions(fit.coordinates.unconstrained(w))
+            if (height := log_likelihood(values)) > fit.height:
+                here, damping, last = values, damping / 10.0, length
+                pairs = zip(fit.events, here, strict=True)
+                events = [e._replace(value=v, residuals=v.residuals) for e, v in pairs]
+                fit = fit._replace(w=w, height=height, events=events)
                 continue
             if length < FAILED and central and moved < NEAR:
                 break
@@ -69,19 +60,17 @@ def climb_likelihood(predictions, z) -> Fit:
         if length < CONVERGED:  # with these derivatives, and perhaps only for its damping
             damping = 1e-6
         central = length < NEAR
-        stale = score
-        events = events_at(predictions, w, differences(events), here, coordinates, central)
+        events = events_at(predictions, fit.w, differences(fit), here, fit.coordinates, central)
+        anew = fit._replace(events=events)
         if moved > 0.0:
-            second = learnt(second, w - at, stale - score_of(events), before - score_of(events))
-        before_it = coordinates
-        coordinates, w, events, _ = bounded(Fit(coordinates, w, events, 0), start)
-        if coordinates is not before_it:
+            second = learnt(second, fit.w - at, fit.score - anew.score, before - anew.score)
+        fit = bounded(anew, z)
+        if fit is not anew:
             second = np.zeros_like(second)
-        score, last = score_of(events), np.inf
-        at, before = w, score
-    frequencies = predictions.frequencies(coordinates.unconstrained(w))
-    events = [e._replace(frequencies=f) for e, f in zip(events, frequencies, strict=True)]
-    return Fit(coordinates, w, events, predictions.count - count)
+        at, before, last = fit.w, fit.score, np.inf
+    frequencies = predictions.frequencies(fit.z)
+    events = [e._replace(frequencies=f) for e, f in zip(fit.events, frequencies, strict=True)]
+    return fit._replace(events=events, n_evaluations=predictions.count - count)
 
 
 def bounded(fit: Fit, start) -> Fit:
@@ -90,7 +79,7 @@ def bounded(fit: Fit, start) -> Fit:
     Beside an only bound is what has come much nearer to it since `start` (d,).
     """
     coordinates, z = fit.coordinates, fit.z
-    step = newton(fit.information, score_of(fit.events), 0.0, (-np.inf, np.inf))
+    step = newton(fit.information, fit.score, 0.0, (-np.inf, np.inf))
     own = coordinates.own_slopes(z) / coordinates.slopes(z) * step
     low, high = coordinates.distance(z), expit(-z)
     beside = np.where(coordinates.sides == 2, low < BESIDE, z < start - MUCH)
@@ -98,19 +87,30 @@ def bounded(fit: Fit, start) -> Fit:
     crosses |= (coordinates.sides == 2) & (high < BESIDE) & (own > high)
     if not (crosses & ~coordinates.near).any():
         return fit
-    return fit.measured_from_bounds(coordinates.near | crosses)
+    return fit.measured_from_bounds(coordinates.near | crosses)[0]
 
 
-def rooms(coordinates, w):
-    """Least and largest step (d,) from a point."""
+def rooms(fit: Fit) -> np.ndarray:
+    """Least and largest step (2, d)."""
+    coordinates = fit.coordinates
     longest = np.where(coordinates.near & (coordinates.sides == 2), LONGEST_SHARE, LONGEST)
-    low, high = coordinates.limits
-    return np.maximum(low - w, -longest), np.minimum(high - w, longest)
+    return np.clip(coordinates.limits - fit.w, -longest, longest)
 
 
-def standard_errors(events, step) -> float:
+def excess(fit: Fit) -> float:
+    """Samples over the observations that the likelihood claims."""
+    return sum((~event.value.gaps).sum() for event in fit.events) / fit.claimed
+
+
+def standard_errors(fit: Fit, step) -> float:
     """Length of a step (d,), in standard errors of independent samples."""
-    return np.sqrt(excess(events) * max(0.0, step @ information_of(events) @ step))
+    return np.sqrt(excess(fit) * max(0.0, step @ fit.information @ step))
+
+
+def differences(fit: Fit):
+    """Steps (d,) of central differences, a part of the standard errors of independent samples."""
+    scale = np.sqrt(excess(fit) * np.diag(fit.information)).clip(min=np.finfo(float).tiny)
+    return np.clip(DIFFERENCE / scale, NARROWEST, WIDEST)
 
 
 def learnt(second, step, change, total):
@@ -129,31 +129,7 @@ def learnt(second, step, change, total):
 
 def curvature(information, second):
     """Their sum (d, d), but at least a part of the information in every direction."""
-    whiten = whitening(information)
-    unwhiten = whiten.T @ information
-    relative = whiten.T @ second @ whiten
-    values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
-    along = (vectors * np.maximum(values, LEAST - 1.0)) @ vectors.T
-    return information + unwhiten.T @ along @ unwhiten
-
-
-def with_residuals(events, values):
-    """The events with the residuals at another point, and the derivatives they had."""
-    return [
-        event._replace(residuals=residuals_of(value), claimed=value[4], response=value[0])
-        for event, value in zip(events, values, strict=True)
-    ]
-
-
-def excess(events):
-    """Samples over the observations that the likelihood claims."""
-    return sum(event.n_samples for event in events) / sum(event.claimed.sum() for event in events)
-
-
-def differences(events):
-    """Steps (d,) of central differences, a part of the standard errors of independent samples."""
-    scale = np.sqrt(excess(events) * np.diag(information_of(events))).clip(min=np.finfo(float).tiny)
-    return np.clip(DIFFERENCE / scale, NARROWEST, WIDEST)
+    return combined(information, second, lambda values: np.maximum(values, LEAST - 1.0))
 
 
 def newton(information, score, damping, room):

@@ -14,25 +14,14 @@ from scipy.special import expit, logit
 
 EDGE = 1e-9  # of these distances: as near to a bound as a climb gets
 LARGEST = 700.0  # logarithm of a number
-BEYOND = 800.0  # unconstrained, so far out that the bound itself is what is meant
 
 
 class Coordinates(NamedTuple):
-    """How points w (d,) stand for unconstrained ones z (d,).
+    """How points w (..., d) stand for unconstrained ones z (..., d)."""
 
-    Attributes
-    ----------
-    sides : int array (d,)
-        Bounds of each parameter: 0, 1 or 2.
-    near : bool array (d,)
-        Whether it is measured from a bound.
-    origin : array (d,)
-        z where the distance from an only bound is one: of the model's initial point.
-    """
-
-    sides: np.ndarray
-    near: np.ndarray
-    origin: np.ndarray
+    sides: np.ndarray  # bounds (d,) of each parameter: 0, 1 or 2
+    near: np.ndarray  # whether it is measured from a bound (d,)
+    origin: np.ndarray  # z (d,) where the distance from an only bound is one: of the model's initial point
 
     @classmethod
     def plain(cls, sides, origin) -> "Coordinates":
@@ -59,20 +48,14 @@ class Coordinates(NamedTuple):
         return np.where(self.sides == 2, w * expit(-z), w)
 
     def slopes(self, z) -> np.ndarray:
-        """Derivatives (d,) of the coordinates by z."""
+        """Derivatives of the coordinates by z."""
         return np.where(self.near, self.own_slopes(z), 1.0)
 
     @property
-    def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest coordinates."""
+    def limits(self) -> np.ndarray:
+        """Lowest and highest coordinates (2, d)."""
         high = np.where(self.sides == 2, 1.0 - EDGE, np.inf)
-        return np.where(self.near, EDGE, -np.inf), np.where(self.near, high, np.inf)
-
-    def rooms(self, z, sd) -> np.ndarray:
-        """Standard deviations (2, d) to the lower or only bound, and to the upper; `sd` of coordinates."""
-        sd = sd * self.own_slopes(z) / self.slopes(z)
-        low = np.where(self.sides > 0, self.distance(z) / sd, np.inf)
-        return np.array([low, np.where(self.sides == 2, expit(-z) / sd, np.inf)])
+        return np.where(self.near, [np.full(len(high), EDGE), high], [[-np.inf], [np.inf]])
 
 
 def sides_of(model) -> np.ndarray:
@@ -83,9 +66,8 @@ def sides_of(model) -> np.ndarray:
         sides = {transforms.log: 1, transforms.logodds: 2}.get(transform, 0)
         if isinstance(transform, transforms.Interval):
             ends = [pt.as_tensor(x) for x in transform.args_fn(*rv.owner.inputs) if x is not None]
-            ends = model.replace_rvs_by_values(ends)
             compiled = {"mode": "FAST_COMPILE", "on_unused_input": "ignore"}
-            values = model.compile_fn(ends, inputs=model.value_vars, **compiled)(point)
-            sides = sum(np.isfinite(x).astype(int) for x in values)
+            ends = model.compile_fn(model.replace_rvs_by_values(ends), inputs=model.value_vars, **compiled)
+            sides = sum(np.isfinite(x).astype(int) for x in ends(point))
         found.append(np.broadcast_to(sides, shape).ravel())
     return np.concatenate(found)

@@ -5,24 +5,22 @@ import warnings
 import numpy as np
 import pymc as pm
 import xarray as xr
+from pytensor.graph.basic import Constant
 
 from pymc_features._checks import check_group, check_model, check_seed
-from pymc_features.calibration.bounds import own_scale
 from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.fit import Fit, Predictions, log_likelihood
-from pymc_features.calibration.sandwich import Sandwich, known, sandwich, whitening
+from pymc_features.calibration.fit import Event, Predictions
+from pymc_features.calibration.peaks import Peak, best_fit, starting_points
+from pymc_features.calibration.sandwich import directions, known, sandwich
+from pymc_features.distributions.checks import warn_about_variance
+from pymc_features.distributions.gamma import Filled, GammaFeatureRV
 from pymc_features.exceptions import CalibrationWarning
-from pymc_features.inference.parameters import (
-    coordinate_names,
-    posterior_for,
-    to_unconstrained,
-)
-from pymc_features.inference.sample import search
-from pymc_features.smc import population_logp, prior_points
+from pymc_features.inference.parameters import coordinate_names
 
-STARTS = 20  # draws of which the most likely is climbed from
 SHORT = 5.0  # time constants of the errors that a record must be long
-ROUNDED = 1e-12  # of what a unit change of a parameter does to the response: rounding, no residuals
+BEYOND = 800.0  # unconstrained, so far out that the bound itself is what is meant
+FIRST = 2.0  # degrees of freedom of the first fit of `fill_degrees`: those of EXP
+TINY = np.finfo(float).tiny
 
 
 def effective_samples(
@@ -98,131 +96,198 @@ def effective_samples(
         starts = starting_points(model, source, "source")
     predictions = Predictions(model)
     fit = best_fit(predictions, starts, np.random.default_rng(random_seed))
-    return described(predictions, fit, sandwich(fit.events, fit.information))
+    return described(predictions, Peak(fit, sandwich(fit.events)))
 
 
-def starting_points(model, idata, name: str) -> np.ndarray:
-    """Unconstrained points (n, d) that a posterior offers: its modes where they are known, or some draws."""
-    posterior = posterior_for(model, idata, name)
-    if "modes" in idata.children and {rv.name for rv in model.free_RVs} <= set(idata["modes"].data_vars):
-        modes = idata["modes"].to_dataset().expand_dims("chain")
-        return to_unconstrained(model, modes)[0]
-    return some_draws(model, posterior)
+def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = None) -> xr.Dataset:
+    """Take the degrees of freedom m of each ``GammaFeature(..., m="residuals")`` from the residuals.
+
+    The likelihood is maximised with m = 2; the observations that the residuals of each sensor support, as
+    `effective_samples` counts them, become its m, and a second fit from there gives those that stay. A
+    sensor whose response no parameter changes gets the mean of the others. Repeat it after `pm.set_data`
+    with other data.
+
+    Parameters
+    ----------
+    model : pymc.Model, optional
+        The model of the context by default. Its data `{name}_m` are set.
+    random_seed : int, optional
+        For the choice of points to climb from.
+
+    Returns
+    -------
+    Dataset
+        As from `effective_samples`, of the second fit; m is `n_eff`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If no likelihood waits for m, or as of `effective_samples`.
+
+    Warns
+    -----
+    CalibrationWarning
+        If errors persist for more than a fifth of the record.
+    FeatureLikelihoodWarning
+        If so few observations are left that the posterior has no finite variance.
+
+    Examples
+    --------
+    >>> from pymc_features import GammaFeature
+    >>> measured = np.random.default_rng(1).normal(3.0, 1.0, size=(1, 500))
+    >>> with pm.Model() as model:
+    ...     mu = pm.Normal("mu", 0.0, 10.0) * np.ones((1, 500))
+    ...     y = GammaFeature("y", mu, pm.HalfNormal("sigma"), m="residuals", observed=measured)
+    ...     counted = fill_degrees(random_seed=1)
+    >>> bool((model["y_m"].get_value() > 300).all())  # white noise: about all samples
+    True
+    """
+    check_seed(random_seed)
+    model = check_model(model)
+    waiting = degrees_of(model)
+    before = {rv.name: data.get_value() for rv, data in waiting.items()}
+    for data in waiting.values():
+        data.set_value(np.full(data.get_value().shape, FIRST))
+    try:
+        predictions = Predictions(model)
+        fit = best_fit(predictions, None, np.random.default_rng(random_seed))
+        fill(waiting, fit)
+        fit = climb_likelihood(predictions, fit.z)
+        fill(waiting, fit)
+    except Exception:
+        for rv, data in waiting.items():
+            data.set_value(before[rv.name])
+        raise
+    for rv, data in waiting.items():
+        sigma = rv.owner.inputs[3]
+        if not isinstance(sigma, Constant):
+            warn_about_variance("GammaFeature", data.get_value().ravel(), sigma)
+    return described(predictions, Peak(fit, sandwich(fit.events)))
 
 
-def best_fit(predictions, starts, rng) -> Fit:
-    """The maximum of the likelihood near the most likely of some points (n, d), or of a model's modes."""
-    model = predictions.model
-    if starts is None:
-        logp = population_logp(model, predictions.space.point, {})
-        found = search(model, logp, 1000, rng, None)
-        starts = prior_points(model, 10 * STARTS, rng) if found.reference is None else found.reference.peaks
-        prior, likelihood, _ = logp(starts)
-        return with_noise(climb_likelihood(predictions, starts[np.argmax(prior + likelihood)]))
-    best = np.argmax([log_likelihood(predictions(z)) for z in starts]) if len(starts) > 1 else 0
-    return with_noise(climb_likelihood(predictions, starts[best]))
+def degrees_of(model) -> dict:
+    """Data of the degrees of freedom that residuals decide, by random variable."""
+    found = {}
+    for rv in model.observed_RVs:
+        m = rv.owner.inputs[-1] if isinstance(rv.owner.op, GammaFeatureRV) else None
+        if m is not None and m.owner is not None and isinstance(m.owner.op, Filled):
+            found[rv] = m.owner.inputs[0]
+    if not found:
+        names = ", ".join(rv.name for rv in model.observed_RVs) or "no likelihood"
+        raise ValueError(
+            f"`model` must have a GammaFeature with m='residuals', got {names}. Declare it so, or use "
+            "effective_samples()."
+        )
+    return found
 
 
-def some_draws(model, posterior, number=STARTS) -> np.ndarray:
-    """Unconstrained draws (n, d) of all chains, evenly spaced."""
-    every = max(1, posterior.sizes["chain"] * posterior.sizes["draw"] // number)
-    some = to_unconstrained(model, posterior.isel(draw=slice(None, None, every)))
-    return some.reshape(-1, some.shape[-1])
+def fill(waiting, fit):
+    """Set degrees of freedom to the observations that the residuals of a fit support."""
+    events = {event.value.name: event for event in fit.events}
+    for rv, data in waiting.items():
+        event = events[rv.name]
+        counted = np.array([sensor_n_eff(event, j) for j in range(len(event.value.claimed))])
+        if np.isnan(counted).all():
+            raise ValueError(f"`model` must have parameters that change the response of {rv.name}, got none.")
+        counted = np.where(np.isnan(counted), np.nanmean(counted), counted)
+        data.set_value(counted.reshape(data.get_value().shape))
 
 
-def with_noise(fit: Fit) -> Fit:
-    """The fit, if every sensor has residuals."""
-    for event in fit.events:
-        response = (event.sensitivities**2).sum(axis=1).max(axis=-1)
-        silent = np.flatnonzero(~((event.residuals**2).sum(axis=1) > ROUNDED**2 * response))
-        if silent.size:
-            raise ValueError(
-                f"the residuals of {event.name} must not vanish, got none at sensor {silent[0]}: data "
-                "without noise support no estimate of their errors. Add the measurement noise, or leave out "
-                "the sensor."
-            )
-    return fit
-
-
-def of_sensor(event, j) -> float:
+def sensor_n_eff(event: Event, j: int) -> float:
     """Observations that the residuals of one sensor support; NaN where no parameter changes its response."""
     alone = event.of_sensor(j)
-    if not (information := alone.of_response).any():
+    if not alone.of_response.any():
         return np.nan
-    varies = ratios(information, sandwich([alone], information).variability)
-    return float((alone.residuals**2).sum() / np.exp(np.mean(np.log(varies))))
+    values, _ = directions(alone.of_response, sandwich([alone]).variability)
+    return float((alone.residuals**2).sum() / np.exp(np.mean(np.log(values.clip(min=TINY)))))
 
 
-def ratios(information, variability) -> np.ndarray:
-    """Eigenvalues of B over A, ascending, in the directions that A tells."""
-    whiten = whitening(information)
-    return np.linalg.eigvalsh(whiten.T @ variability @ whiten).clip(min=np.finfo(float).tiny)
-
-
-def described(predictions, fit: Fit, result: Sandwich) -> xr.Dataset:
+def described(predictions, peak: Peak) -> xr.Dataset:
     """The Dataset of `effective_samples`."""
-    events = fit.events
-    claimed = sum(float(event.claimed.sum()) for event in events)
-    of_response = sum(event.of_response for event in events)
+    fit, result = peak
+    of_response = sum(event.of_response for event in fit.events)
     if not known(of_response).size:
         raise ValueError("`model` must have parameters that change the response, got none.")
-    whiten = whitening(of_response)
-    of_models = result.factor**2 * sum(model.variability for model in result.models)
-    values, vectors = np.linalg.eigh(whiten.T @ of_models @ whiten)
-    directions = (whiten @ vectors).T[::-1]
-    squares = sum(float((event.residuals**2).sum()) for event in events)
-    n_direction = squares / values[::-1].clip(min=np.finfo(float).tiny)
-    claims, covariance = covariances(result)
-    of_bounds, units = own_scale(predictions, fit, result)
-    by_sensor = [(e, m, j) for e, m in zip(events, result.models, strict=True) for j in range(len(e.claimed))]
-    persists(fit, result)
-    names, square = coordinate_names(predictions.model, predictions.space), np.outer(units, units)
-    variables = {
-        "n_eff": ("sensor", [of_sensor(event, j) for event, _, j in by_sensor]),
-        "claimed": ("sensor", [event.claimed[j] for event, _, j in by_sensor]),
-        "time_constant": ("sensor", [model.memory * event.step for event, model, _ in by_sensor]),
-        "follows_response": ("sensor", [model.follows_response[j] for _, model, j in by_sensor]),
-        "n_eff_parameter": ("parameter", claimed * np.diag(claims) / np.diag(covariance)),
-        "standard_deviation": ("parameter", np.sqrt(np.diag(covariance)) * np.abs(units)),
-        "claimed_standard_deviation": ("parameter", np.sqrt(np.diag(claims)) * np.abs(units)),
-        "changes_response": ("parameter", np.isin(np.arange(len(units)), known(of_response))),
-        **{name: ("parameter", x) for name, x in of_bounds.items()},
-        "information": (("parameter", "parameter_"), result.information / square),
-        "variability": (("parameter", "parameter_"), result.variability / square),
-        "covariance": (("parameter", "parameter_"), covariance * square),
-        "n_eff_direction": ("direction", n_direction),
-        "direction_vector": (
-            ("direction", "parameter"),
-            directions / np.linalg.norm(directions, axis=1, keepdims=True),
-        ),
+    values, vectors = directions(
+        of_response, result.factor**2 * sum(model.variability for model in result.models)
+    )
+    n_direction = fit.squares / values[::-1].clip(min=TINY)
+    of_bounds, units = own_scale(predictions, peak)
+    unknown = np.setdiff1d(np.arange(len(units)), known(result.information))
+    square = np.outer(units, units)
+    claims, covariance = result.claims * square, result.covariance * square
+    for matrix in (claims, covariance):
+        matrix[unknown], matrix[:, unknown] = np.nan, np.nan
+    warn_of_short_records(fit, result)
+    pairs = zip(fit.events, result.models, strict=True)
+    of_sensors = {
+        f"{event.value.name}[{j}]": {
+            "n_eff": sensor_n_eff(event, j),
+            "claimed": event.value.claimed[j],
+            "time_constant": model.memory * event.value.step,
+            "follows_response": model.follows_response[j],
+        }
+        for event, model in pairs
+        for j in range(len(event.value.claimed))
     }
-    sensors = [f"{event.name}[{j}]" for event, _, j in by_sensor]
+    of_parameters = {
+        "n_eff_parameter": fit.claimed * np.diag(claims) / np.diag(covariance),
+        "standard_deviation": np.sqrt(np.diag(covariance)),
+        "claimed_standard_deviation": np.sqrt(np.diag(claims)),
+        "changes_response": np.isin(np.arange(len(units)), known(of_response)),
+        **of_bounds,
+    }
+    matrices = {
+        "information": result.information / square,
+        "variability": result.variability / square,
+        "covariance": covariance,
+    }
+    along = vectors.T[::-1] / np.linalg.norm(vectors.T[::-1], axis=1, keepdims=True)
+    rows = list(of_sensors.values())
+    variables = {name: ("sensor", [row[name] for row in rows]) for name in rows[0]}
+    variables |= {name: ("parameter", x) for name, x in of_parameters.items()}
+    variables |= {name: (("parameter", "parameter_"), x) for name, x in matrices.items()}
+    variables |= {
+        "n_eff_direction": ("direction", n_direction),
+        "direction_vector": (("direction", "parameter"), along),
+    }
+    names = coordinate_names(predictions.model, predictions.space)
     attrs = {
         "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
-        "claimed": claimed,
+        "claimed": fit.claimed,
         "n_evaluations": fit.n_evaluations,
         "growth": result.growth,
     }
-    return xr.Dataset(variables, {"parameter": names, "parameter_": names, "sensor": sensors}, attrs)
+    coords = {"parameter": names, "parameter_": names, "sensor": list(of_sensors)}
+    return xr.Dataset(variables, coords, attrs)
 
 
-def covariances(result: Sandwich):
-    """A^-1 and A^-1 B A^-1 (d, d), NaN for parameters that no likelihood knows of."""
-    claims, covariance = result.claims, result.covariance
-    unknown = np.setdiff1d(np.arange(len(claims)), known(result.information))
-    for matrix in (claims, covariance):
-        matrix[unknown], matrix[:, unknown] = np.nan, np.nan
-    return claims, covariance
+def own_scale(predictions, peak: Peak) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """What is said of parameters (d,) near a bound, on their own scale, and units of coordinates there."""
+    coordinates, near = peak.fit.coordinates, peak.fit.coordinates.near
+    far = np.where(coordinates.sides == 2, BEYOND, coordinates.origin)
+    values = predictions.space.variables(np.where(near, [np.full(len(far), -BEYOND), far], peak.fit.z))
+    low, high = np.hstack([values[rv.name].reshape(2, -1) for rv in predictions.model.free_RVs])
+    units = np.where(near, high - low, 1.0)
+    to_low, to_high = (peak.free - coordinates.limits) / peak.deviations * [[1.0], [-1.0]]
+    found = {
+        "point": np.where(near, low + units * peak.fit.w, peak.fit.w),
+        "near_bound": near,
+        "bound": np.where(near, np.where(to_low < to_high, low, high), np.nan),
+        "room": np.where(near, np.minimum(to_low, to_high), np.nan),
+    }
+    return found, units
 
 
-def persists(fit, result):
+def warn_of_short_records(fit, result):
     """Warn of records that are too short to tell how their errors vary."""
     for event, model in zip(fit.events, result.models, strict=True):
         n = event.residuals.shape[1]
         if SHORT * model.memory > n:
-            step, unit = (1, "samples") if np.isnan(event.step) else (event.step, "s")
+            _, step, name = event.value[4:]
+            step, unit = (1, "samples") if np.isnan(step) else (step, "s")
             warnings.warn(
-                f"the errors of {event.name} persist for {model.memory * step:.3g} {unit} of a record of "
+                f"the errors of {name} persist for {model.memory * step:.3g} {unit} of a record of "
                 f"{n * step:.3g} {unit}, too short to tell how they vary: intervals may be too narrow. Use "
                 "a longer record, or several events.",
                 CalibrationWarning,

@@ -64,28 +64,34 @@ def event_check(
     """
     probability = check_share(probability, "probability", "Use for example 0.9.")
     draws = common_draws(events, var_names)
-    names = list(draws[0])
-    columns = [np.stack([event[name] for name in names], axis=1) for event in draws]
+    names, n = list(draws[0]), len(draws)
+    columns = [np.stack(list(event.values()), axis=1) for event in draws]
     means = np.stack([x.mean(axis=0) for x in columns])
-    covariances = np.stack([np.cov(x, rowvar=False).reshape(len(names), len(names)) for x in columns])
+    covariances = np.stack([np.cov(x, rowvar=False).reshape(len(names), -1) for x in columns])
     variances = np.diagonal(covariances, axis1=1, axis2=2)
     apart = [between(x, v, probability) for x, v in zip(means.T, variances.T, strict=True)]
-    result = xr.Dataset(
-        {
-            "mean": (("event", "parameter"), means),
-            "standard_deviation": (("event", "parameter"), variances**0.5),
-        }
-        | {name: ("parameter", np.array([one[name] for one in apart])) for name in apart[0]},
-        coords={"event": np.arange(len(events)), "parameter": names},
-    )
-    degrees = len(names) * (len(events) - 1)
-    q = joint_q(means, covariances)
+    q, degrees = joint_q(means, covariances), len(names) * (n - 1)
     p_value, growth = float(chi2.sf(q, degrees)), max(1.0, float(np.sqrt(q / degrees)))
-    return result.assign_attrs(
-        p_value=p_value,
-        growth=growth,
-        compatible=int(p_value >= IMPROBABLE),
-        message=sentence(result, p_value, growth),
+    message = f"The {n} events agree (p-value {p_value:.2g}): their intervals need not grow."
+    if p_value < IMPROBABLE:
+        worst = max(range(len(names)), key=lambda i: apart[i]["growth"])
+        message = (
+            f"The {n} events do not agree (p-value {p_value:.1g}): their intervals must grow {growth:.3g} "
+            f"times, that of {names[worst]} {apart[worst]['growth']:.3g} times, so that one structure "
+            "explains all. The model errs in the same way all along a record, or the structure changed: use "
+            "the interval of the events together (`lower`, `upper`), or give each event its own parameters."
+        )
+    moments = {"mean": means, "standard_deviation": variances**0.5}
+    return xr.Dataset(
+        {name: (("event", "parameter"), x) for name, x in moments.items()}
+        | {name: ("parameter", np.array([one[name] for one in apart])) for name in apart[0]},
+        coords={"event": np.arange(n), "parameter": names},
+        attrs={
+            "p_value": p_value,
+            "growth": growth,
+            "compatible": int(p_value >= IMPROBABLE),
+            "message": message,
+        },
     )
 
 
@@ -117,24 +123,9 @@ def between(x, v, probability) -> dict:
 def joint_q(means, covariances) -> float:
     """Q of all parameters (event, parameter), with their covariances (event, parameter, parameter)."""
     precisions = np.linalg.pinv(covariances, hermitian=True)
-    centre = np.linalg.pinv(precisions.sum(axis=0), hermitian=True) @ np.einsum(
-        "epq,eq->p", precisions, means
-    )
-    return float(np.einsum("ep,epq,eq->", means - centre, precisions, means - centre))
-
-
-def sentence(result, p_value, growth) -> str:
-    """The answer in words."""
-    n = result.sizes["event"]
-    if p_value >= IMPROBABLE:
-        return f"The {n} events agree (p-value {p_value:.2g}): their intervals need not grow."
-    worst = result["growth"].idxmax().item()
-    return (
-        f"The {n} events do not agree (p-value {p_value:.1g}): their intervals must grow {growth:.3g} times, "
-        f"that of {worst} {float(result['growth'].max()):.3g} times, so that one structure explains all. "
-        "The model errs in the same way all along a record, or the structure changed: use the interval of "
-        "the events together (`lower`, `upper`), or give each event its own parameters."
-    )
+    total = np.einsum("epq,eq->p", precisions, means)
+    off = means - np.linalg.pinv(precisions.sum(axis=0), hermitian=True) @ total
+    return float(np.einsum("ep,epq,eq->", off, precisions, off))
 
 
 def common_draws(events, var_names) -> list[dict[str, np.ndarray]]:
@@ -151,10 +142,10 @@ def common_draws(events, var_names) -> list[dict[str, np.ndarray]]:
                 f"`events` must have posteriors, got none in event {i}. Pass what `sample` returned."
             )
         check_group(event, "events", "posterior", "Pass what `sample` returned.", "chain", "draw")
-    if var_names is not None:
-        var_names = check_texts(var_names, "var_names", "names of variables")
     if var_names is None:
         var_names = [name for name in events[0]["posterior"].data_vars if all(tells(e, name) for e in events)]
+    else:
+        var_names = check_texts(var_names, "var_names", "names of variables")
     draws = [by_name(event["posterior"].to_dataset(), i, var_names) for i, event in enumerate(events)]
     if not draws[0] or any(list(x) != list(draws[0]) for x in draws):
         raise ValueError(
@@ -166,18 +157,16 @@ def common_draws(events, var_names) -> list[dict[str, np.ndarray]]:
 
 def tells(event, name) -> bool:
     """Whether a posterior has a variable, and, as far as is known, its response depends on it."""
-    if name not in event["posterior"].data_vars:
-        return False
-    if "calibration" not in event.children:
-        return True
+    if name not in event["posterior"].data_vars or "calibration" not in event.children:
+        return name in event["posterior"].data_vars
     known = event["calibration"]["changes_response"]
-    mine = [str(x).split("[")[0] == name for x in known["parameter"].values]
-    return bool(known.isel(parameter=mine).any())
+    return bool(known.isel(parameter=[str(x).split("[")[0] == name for x in known["parameter"].values]).any())
 
 
 def by_name(posterior, i, var_names) -> dict[str, np.ndarray]:
     """Draws (draw,) of each scalar of some variables."""
-    result = {}
+    from arviz_base import labels, xarray_var_iter  # slow to import
+
     for name in var_names:
         if name not in posterior.data_vars:
             raise ValueError(f"`var_names` must be in every posterior, got no {name} in event {i}.")
@@ -187,12 +176,9 @@ def by_name(posterior, i, var_names) -> dict[str, np.ndarray]:
                 f"{posterior[name].dtype} along {', '.join(map(str, posterior[name].dims))} in event {i}."
             )
         check_finite(posterior[name].values, "var_names", f"Those are draws of {name} in event {i}.")
-        x = posterior[name].transpose("chain", "draw", ...)
-        dims = x.dims[2:]
-        for index in np.ndindex(x.shape[2:]):
-            labels = [x[dim].values[k] if dim in x.coords else k for dim, k in zip(dims, index, strict=True)]
-            label = f"[{', '.join(map(str, labels))}]" if labels else ""
-            result[name + label] = x.values[(..., *index)].ravel()
-    if result and next(iter(result.values())).size < FEWEST_DRAWS:
+    if posterior.sizes["chain"] * posterior.sizes["draw"] < FEWEST_DRAWS:
         raise ValueError(f"`events` must have at least {FEWEST_DRAWS} draws, got fewer in event {i}.")
-    return result
+    some = posterior[list(var_names)].transpose("chain", "draw", ...)
+    label = labels.BaseLabeller().make_label_flat
+    scalars = xarray_var_iter(some, skip_dims={"chain", "draw"})
+    return {label(name, at, place): x.ravel() for name, at, place, x in scalars}

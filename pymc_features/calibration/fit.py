@@ -1,69 +1,42 @@
-"""The likelihood's maximum, and how the residuals depend on the parameters there."""
+"""A likelihood at a point, and how the residuals depend on the parameters there."""
 
 from contextlib import ExitStack
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 import pytensor.tensor as pt
 from pymc.pytensorf import compile as compile_function
 
-from pymc_features.calibration.comparison import comparison, independent
+from pymc_features.calibration.comparison import Comparison, comparisons
 from pymc_features.calibration.coordinates import EDGE, Coordinates, sides_of
-from pymc_features.calibration.gaps import check_gaps, mirrored, without_gaps
 from pymc_features.inference.parameters import Unconstrained
 from pymc_features.ops import frequencies_behind, noisy_base
 from pymc_features.smc.density.compilation import with_mode
 
-REALISATIONS = 200  # of noise on a base
-
 
 class Event(NamedTuple):
-    """One likelihood at a point; derivatives are those by coordinates w, see `Coordinates`.
+    """One likelihood at a point with derivatives by coordinates w, see `Coordinates`."""
 
-    Attributes
-    ----------
-    name : str
-    residuals : array (sensor, time)
-        r, in units of their scale; zero in gaps.
-    sensitivities : array (sensor, time, parameter)
-        S = -dr / dw at constant scale; zero in gaps.
-    of_scale : array (sensor, parameter)
-        d ln s / dw.
-    claimed : array (sensor,)
-        Independent observations m that the likelihood claims.
-    response : array (sensor, time)
-        Prediction, in the units of the data.
-    step : float
-        Sampling step [s].
-    measured : bool array (sensor, time), optional
-        Which samples were; None if all.
-    frequencies : array (m,), optional
-        Natural frequencies [Hz] of the structure behind the prediction; None where there is none.
-    """
-
-    name: str
-    residuals: np.ndarray
-    sensitivities: np.ndarray
-    of_scale: np.ndarray
-    claimed: np.ndarray
-    response: np.ndarray
-    step: float
-    measured: np.ndarray | None = None
-    frequencies: np.ndarray | None = None
-
-    @property
-    def n_samples(self) -> int:
-        """Samples that were measured."""
-        return self.residuals.size if self.measured is None else int(self.measured.sum())
+    value: Comparison
+    residuals: np.ndarray  # r (sensor, time)
+    sensitivities: np.ndarray  # S = -dr / dw at constant scale (sensor, time, parameter)
+    of_scale: np.ndarray  # d ln s / dw (sensor, parameter)
+    frequencies: np.ndarray | None = None  # natural ones [Hz] of the structure behind it; None without one
 
     def whole(self, series):
-        """Series (sensor, time, ...) with what stands in for them in gaps."""
-        return series if self.measured is None else series[:, mirrored(~self.measured.all(axis=0))]
+        """Series (sensor, time, ...) with what stands in for them in gaps.
+
+        In a gap of any sensor the series of all are taken in reverse order from beside it, half from before
+        and half from behind: errors seen backwards have the same spectrum, amplitude and share in common.
+        """
+        gaps = self.value.gaps.any(axis=0)
+        return series[:, mirrored(gaps)] if gaps.any() else series
 
     @property
     def score(self) -> np.ndarray:
         """Gradient of the log-likelihood (parameter,)."""
-        excess = (self.residuals**2).sum(axis=1) - self.claimed
+        excess = (self.residuals**2).sum(axis=1) - self.value.claimed
         return np.einsum("stp,st->p", self.sensitivities, self.residuals) + excess @ self.of_scale
 
     @property
@@ -80,28 +53,32 @@ class Event(NamedTuple):
 
     def of_sensor(self, j) -> "Event":
         """What one sensor alone tells of the response."""
-        names = "residuals", "sensitivities", "of_scale", "claimed", "response", "measured"
-        own = {name: None if (x := getattr(self, name)) is None else x[[j]] for name in names}
-        return self._replace(**own | {"of_scale": 0.0 * own["of_scale"], "frequencies": None})
+        value = Comparison(*(x[[j]] for x in self.value[:5]), *self.value[5:])
+        return Event(value, self.residuals[[j]], self.sensitivities[[j]], 0.0 * self.of_scale[[j]])
+
+
+def mirrored(gaps) -> np.ndarray:
+    """For each sample (time,) itself or, in a gap, the one that stands in for it: beyond the nearer end."""
+    n, at = gaps.size, np.arange(gaps.size)
+    known = np.flatnonzero(~gaps)
+    for first, last in np.flatnonzero(np.diff(np.r_[False, gaps, False].astype(np.int8))).reshape(-1, 2):
+        for k in range(first, last):
+            ends = (2 * first - 1 - k, 2 * last - 1 - k)
+            if 2 * k >= first + last - 1:
+                ends = ends[::-1]
+            inside = [end for end in ends if 0 <= end < n and not gaps[end]]
+            at[k] = inside[0] if inside else known[np.abs(known - k).argmin()]
+    return at
 
 
 class Fit(NamedTuple):
-    """The maximum of the likelihood within the bounds of the prior.
-
-    Attributes
-    ----------
-    coordinates : Coordinates
-    w : array (d,)
-        Flat point in these.
-    events : list of Event
-    n_evaluations : int
-        Predictions that it took.
-    """
+    """A point, and the likelihoods there; of a climb the maximum within the bounds of the prior."""
 
     coordinates: Coordinates
-    w: np.ndarray
+    w: np.ndarray  # (d,) in these
     events: list[Event]
-    n_evaluations: int
+    height: float = np.nan  # log-likelihood, without constants
+    n_evaluations: int = 0  # predictions that it took
 
     @property
     def z(self) -> np.ndarray:
@@ -109,27 +86,41 @@ class Fit(NamedTuple):
         return self.coordinates.unconstrained(self.w)
 
     @property
+    def score(self) -> np.ndarray:
+        """Gradient of the log-likelihood (d,)."""
+        return sum(event.score for event in self.events)
+
+    @property
     def information(self) -> np.ndarray:
-        """Of all events (d, d)."""
-        return information_of(self.events)
+        """Minus the Hessian (d, d), by Gauss and Newton."""
+        return sum(event.information for event in self.events)
+
+    @property
+    def claimed(self) -> float:
+        """Observations that the likelihoods claim."""
+        return sum(float(event.value.claimed.sum()) for event in self.events)
+
+    @property
+    def squares(self) -> float:
+        """Sum of squares of the residuals."""
+        return sum(float((event.residuals**2).sum()) for event in self.events)
 
     @property
     def pushing(self) -> np.ndarray:
         """Score (d,) of the parameters that it pushes against a bound; zero of the others."""
-        score, (low, high) = score_of(self.events), self.coordinates.limits
+        score, (low, high) = self.score, self.coordinates.limits
         at_low, at_high = self.w - low < EDGE, high - self.w < EDGE
         return np.where(at_low & (score < 0) | at_high & (score > 0), score, 0.0)
 
-    def measured_from_bounds(self, near) -> "Fit":
-        """The same point in coordinates where some parameters (d,) are measured from a bound."""
-        z, old = self.z, self.coordinates
-        new = old._replace(near=near & (old.sides > 0))
-        ratio = old.slopes(z) / new.slopes(z)
+    def measured_from_bounds(self, near) -> tuple["Fit", np.ndarray]:
+        """The same point with some parameters (d,) measured from a bound, and old changes over new (d,)."""
+        new, z = self.coordinates._replace(near=near & (self.coordinates.sides > 0)), self.z
+        ratio = self.coordinates.slopes(z) / new.slopes(z)
         events = [
             e._replace(sensitivities=e.sensitivities * ratio, of_scale=e.of_scale * ratio)
             for e in self.events
         ]
-        return Fit(new, np.clip(new.of(z), *new.limits), events, self.n_evaluations)
+        return self._replace(coordinates=new, w=np.clip(new.of(z), *new.limits), events=events), ratio
 
 
 class Predictions:
@@ -141,34 +132,28 @@ class Predictions:
     """
 
     def __init__(self, model):
-        if not model.observed_RVs:
-            raise ValueError("`model` must have observed variables, got none.")
+        self.comparisons = comparisons(model)
         self.model, self.space = model, Unconstrained(model)
         self.coordinates = Coordinates.plain(sides_of(model), self.space.join(self.space.point))
-        self.names = [rv.name for rv in model.observed_RVs]
-        parts = [comparison(rv.owner.op, rv, model.rvs_to_values[rv]) for rv in model.observed_RVs]
-        check_gaps(model)
-        self.steps = [part.step for part in parts]
-        self.responses = [part.mu for part in parts]
-        self.modes = [modes_of(model, mu) for mu in self.responses]
-        tensors = [pt.as_tensor_variable(x) for part in parts for x in part.tensors]
+        self.modes = [modes_of(model, one.mu) for one in self.comparisons]
+        tensors = [pt.as_tensor_variable(x) for one in self.comparisons for x in one[:5]]
         tensors = model.replace_rvs_by_values(tensors)
         self.function = compile_function(
             list(model.value_vars), tensors, **with_mode({"on_unused_input": "ignore"}, tensors)
         )
         self.count = 0
 
-    def __call__(self, z) -> list[list[np.ndarray]]:
-        """Values at a point (d,): mu, observed, scale, ln s, claimed, decay of each likelihood."""
+    def __call__(self, z) -> list[Comparison]:
+        """All likelihoods at a point (d,)."""
         self.count += 1
-        flat = self.function(*self.space.split(z).values())
-        return [by_sensor(*flat[i : i + 6]) for i in range(0, len(flat), 6)]
+        values = iter(self.function(*self.space.split(z).values()))
+        return [Comparison(*islice(values, 5), *one[5:]).by_sensor() for one in self.comparisons]
 
-    def with_noisy_base(self, z, sd, rng) -> list[list[np.ndarray]]:
-        """Values at a point (d,), with noise of a standard deviation [m/s^2] on the motion of every base."""
+    def with_noisy_base(self, z, sd, rng) -> list[Comparison]:
+        """The same with noise of a standard deviation [m/s^2] on the motion of every base."""
         with ExitStack() as stack:
-            for mu in self.responses:
-                stack.enter_context(noisy_base(mu, sd, rng))
+            for one in self.comparisons:
+                stack.enter_context(noisy_base(one.mu, sd, rng))
             return self(z)
 
     def frequencies(self, z) -> list:
@@ -184,27 +169,6 @@ def modes_of(model, mu):
     compiled = {"mode": "FAST_COMPILE", "on_unused_input": "ignore"}
     function = model.compile_fn(model.replace_rvs_by_values(inputs), inputs=model.value_vars, **compiled)
     return lambda point: of_values(function(point))
-
-
-def by_sensor(mu, observed, scale, log_scale, claimed, decay):
-    """The same with one axis of sensors."""
-    n_times = mu.shape[-1] if mu.ndim else 1
-    histories = [np.reshape(x, (-1, n_times)) for x in (mu, observed, scale)]
-    return histories + [np.reshape(x, -1).astype(np.float64) for x in (log_scale, claimed, decay)]
-
-
-def log_likelihood(values) -> float:
-    """Of all likelihoods, without constants."""
-    total = 0.0
-    for value in values:
-        total -= 0.5 * np.sum(residuals_of(value) ** 2) + value[4] @ value[3]
-    return total if np.isfinite(total) else -np.inf
-
-
-def residuals_of(value):
-    """Scaled residuals (sensor, time), independent under the likelihood."""
-    mu, observed, scale, _, _, decay = value
-    return independent(without_gaps((observed - mu) / scale, observed), decay)
 
 
 def events_at(predictions, w, steps, here, coordinates=None, central=True) -> list[Event]:
@@ -224,55 +188,11 @@ def events_at(predictions, w, steps, here, coordinates=None, central=True) -> li
         ]
         for i, axis in enumerate(np.eye(len(w), dtype=bool))
     ]
-    return from_differences(predictions, here, ends, up - down)
-
-
-def from_differences(predictions, here, ends, widths) -> list[Event]:
-    """Events with derivatives from predictions at both ends of an interval for each parameter."""
     events = []
-    for i, (name, step) in enumerate(zip(predictions.names, predictions.steps, strict=True)):
-        observed, scale, decay = here[i][1], here[i][2], here[i][5]
-        measured = ~np.isnan(observed)
-        slopes = [
-            independent(without_gaps((up[i][0] - down[i][0]) / (h * scale), observed), decay)
-            for (up, down), h in zip(ends, widths, strict=True)
-        ]
-        of_scale = [(up[i][3] - down[i][3]) / h for (up, down), h in zip(ends, widths, strict=True)]
-        events.append(
-            Event(
-                name,
-                residuals_of(here[i]),
-                np.stack(slopes, axis=-1),
-                np.stack(of_scale, axis=-1),
-                here[i][4],
-                here[i][0],
-                step,
-                None if measured.all() else measured,
-            )
+    for i, value in enumerate(here):
+        mu, log_scale = (
+            np.stack([getattr(a[i], name) - getattr(b[i], name) for a, b in ends], axis=-1) / (up - down)
+            for name in ("mu", "log_scale")
         )
+        events.append(Event(value, value.residuals, value.scaled(mu), log_scale))
     return events
-
-
-def score_of(events):
-    """Gradient of the log-likelihood (d,) of all events."""
-    return sum(event.score for event in events)
-
-
-def information_of(events):
-    """Minus the Hessian (d, d) of the log-likelihood of all events, by Gauss and Newton."""
-    return sum(event.information for event in events)
-
-
-def of_base_noise(predictions, fit: Fit, sd: float) -> np.ndarray:
-    """Covariance (d, d) of the score by white noise of a standard deviation [m/s^2] on the base's record.
-
-    By `REALISATIONS` of the noise: good to 5 % of a standard deviation.
-    """
-    rng, scores = np.random.default_rng(0), []
-    for _ in range(REALISATIONS):
-        values = predictions.with_noisy_base(fit.z, sd, rng)
-        off = [residuals_of(value) - event.residuals for value, event in zip(values, fit.events, strict=True)]
-        scores.append(
-            sum(np.einsum("stp,st->p", e.sensitivities, x) for e, x in zip(fit.events, off, strict=True))
-        )
-    return np.einsum("np,nq->pq", scores, scores) / REALISATIONS

@@ -27,24 +27,12 @@ NOTABLE = 1.5  # factor that is worth a word
 
 
 class Sandwich(NamedTuple):
-    """How much the likelihood claims to know, and how much its score varies.
+    """How much the likelihood claims to know, and how much its score varies."""
 
-    Attributes
-    ----------
-    information : array (d, d)
-        A, minus the Hessian of the log-likelihood.
-    variability : array (d, d)
-        B, the covariance of the score; A if the likelihood's assumptions hold.
-    models : list of ErrorModel
-        Of each event.
-    growth : float
-        By how much the frequency bands disagree; NaN where there are none.
-    """
-
-    information: np.ndarray
-    variability: np.ndarray
-    models: list[ErrorModel]
-    growth: float = np.nan
+    information: np.ndarray  # A (d, d), minus the Hessian of the log-likelihood
+    variability: np.ndarray  # B (d, d), covariance of the score; A if the likelihood's assumptions hold
+    models: list[ErrorModel]  # of each event
+    growth: float = np.nan  # by how much the frequency bands disagree; NaN where there are none
 
     @property
     def factor(self) -> float:
@@ -65,45 +53,38 @@ class Sandwich(NamedTuple):
     @property
     def precision(self) -> np.ndarray:
         """A B^-1 A (d, d)."""
-        return self.weighed(self.information)
+        values, vectors = directions(self.information, self.variability)
+        along = self.information @ vectors
+        return (along / values) @ along.T
 
-    def weighed(self, x) -> np.ndarray:
-        """A B^-1 x of what A tells of x (d, ...)."""
-        whiten = whitening(self.information)
-        varies = whiten.T @ self.variability @ whiten
-        return self.information @ whiten @ np.linalg.solve(varies, whiten.T @ x)
+    def rescaled(self, ratio) -> "Sandwich":
+        """The same by coordinates of which a change is `ratio` (d,) times one of the old."""
+        square, models = np.outer(ratio, ratio), [model.rescaled(ratio) for model in self.models]
+        return Sandwich(self.information * square, self.variability * square, models, self.growth)
 
 
-def sandwich(events, information, model_error="bands", leverage=True) -> Sandwich:
-    """A and B of independent events; `information` (d, d) is A.
+def sandwich(events, model_error="bands", leverage=True) -> Sandwich:
+    """A, by Gauss and Newton, and B of independent events.
 
     `model_error` "bands" lets the width grow where frequency bands disagree, None does not; `leverage` puts
     back what the fit took out of the residuals.
     """
     whiten = whitening(sum(event.of_response for event in events))
-    models, variability = [], 0.0
-    for event in events:
-        model = error_model(
+    models = [
+        error_model(
             event.whole(event.residuals),
             event.sensitivities,
-            event.whole(event.response),
-            None if event.measured is None else event.whole(event.sensitivities),
+            event.whole(event.value.mu),
+            event.whole(event.sensitivities),
             edges_of(event),
             whiten if leverage and whiten.size else None,
         )
-        models.append(model)
-        variability = variability + model.variability + of_scale(event)
+        for event in events
+    ]
     growth = growth_of(models, whiten.shape[1]) if model_error else np.nan
-    result = Sandwich(information, variability, models, growth)
+    result = Sandwich(sum(event.information for event in events), 0.0, models, growth)
+    variability = sum(m.variability + of_scale(e) for m, e in zip(models, events, strict=True))
     return result._replace(variability=variability * result.factor**2)
-
-
-def wider(first, second) -> np.ndarray:
-    """In every direction the larger of two covariances (d, d) of a score."""
-    whiten = whitening(first)
-    unwhiten = whiten.T @ first
-    values, vectors = np.linalg.eigh(whiten.T @ second @ whiten)
-    return first + unwhiten.T @ (vectors * np.maximum(values - 1.0, 0.0)) @ vectors.T @ unwhiten
 
 
 def of_scale(event) -> np.ndarray:
@@ -114,11 +95,11 @@ def of_scale(event) -> np.ndarray:
     used = np.flatnonzero(np.abs(event.of_scale).sum(axis=0))
     result, square = np.zeros((event.of_scale.shape[1],) * 2), event.residuals**2
     if used.size:
-        kept = np.ones(square.shape) if event.measured is None else event.measured
-        series = event.whole(square) - (square.sum(axis=1) / kept.sum(axis=1))[:, None]
-        whole = np.repeat(event.of_scale[:, None, used], kept.shape[1], axis=1)
-        parts = error_model(series, kept[..., None] * whole, None, whole)
-        result[np.ix_(used, used)] = parts.variability
+        measured = ~event.value.gaps
+        series = event.whole(square) - (square.sum(axis=1) / measured.sum(axis=1))[:, None]
+        whole = np.repeat(event.of_scale[:, None, used], series.shape[1], axis=1)
+        model = error_model(series, measured[..., None] * whole, whole=whole)
+        result[np.ix_(used, used)] = model.variability
     return result
 
 
@@ -128,22 +109,46 @@ def known(matrix) -> np.ndarray:
     return np.flatnonzero(diagonal > FLAT**2 * diagonal.max(initial=0.0))
 
 
-def whitening(information) -> np.ndarray:
+def whitening(information, flat=FLAT) -> np.ndarray:
     """W (d, k) with W' A W = 1, for the k directions that A tells."""
     used = known(information)
     scale = np.sqrt(np.diag(information)[used])
     values, vectors = np.linalg.eigh(information[np.ix_(used, used)] / np.outer(scale, scale))
-    keep = values > FLAT * values.max(initial=0.0)
+    keep = values > flat * values.max(initial=0.0)
     result = np.zeros((len(information), keep.sum()))
     result[used] = vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None]
     return result
 
 
+def directions(information, other) -> tuple[np.ndarray, np.ndarray]:
+    """Values v (k,), ascending, and V (d, k) with V' A V = 1 and V' X V = diag(v), of what A tells."""
+    whiten = whitening(information)
+    relative = whiten.T @ other @ whiten
+    values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
+    return values, whiten @ vectors
+
+
+def combined(first, second, share) -> np.ndarray:
+    """First of two matrices (d, d), and of the second what a function of its values (k,) leaves of them."""
+    values, vectors = directions(first, second)
+    along = first @ vectors
+    return first + (along * share(values)) @ along.T
+
+
+def stretching(information: np.ndarray, precision: np.ndarray) -> tuple[float, np.ndarray]:
+    """Power k and matrix C (d, d) with C' (k A) C = the wanted precision (d, d).
+
+    C has determinant one. It is the unit matrix along directions that the likelihood does not tell.
+    """
+    values, vectors = directions(information, precision)
+    power = float(np.exp(np.mean(np.log(values)))) if values.size else 1.0
+    along = (vectors * (np.sqrt(values / power) - 1.0)) @ vectors.T
+    return power, np.eye(len(information)) + along @ information
+
+
 def edges_of(event) -> np.ndarray:
     """Frequencies between bands, in cycles per sample."""
-    if event.frequencies is None or np.isnan(event.step):
-        return np.empty(0)
-    f = np.sort(event.frequencies * event.step)
+    f = np.sort(np.multiply([] if event.frequencies is None else event.frequencies, event.value.step))
     f = f[f < HIGHEST]
     return 0.5 * (f[:-1] + f[1:])[: MOST_BANDS - 1]
 
@@ -154,16 +159,13 @@ def growth_of(models, p: int) -> float:
         return np.nan
     left, slopes = [], []
     largest = np.diag(sum(model.variability for model in models))
-    used = np.flatnonzero(largest > 0.0)
+    scale = np.sqrt(np.where(largest > 0.0, largest, 1.0))
     for model in models:
         for u, b, a in zip(model.scores, model.variabilities, model.informations, strict=True):
-            known = used[np.diag(b)[used] > FAINT * largest[used]]
-            scale = np.sqrt(np.diag(b)[known])
-            values, vectors = np.linalg.eigh(b[np.ix_(known, known)] / np.outer(scale, scale))
-            told = values > SINGULAR * values.max(initial=0.0)
-            whiten = (vectors[:, told] / np.sqrt(values[told])).T / scale
-            left.append(whiten @ u[known])
-            slopes.append(whiten @ a[np.ix_(known, used)] / np.sqrt(largest[used]))
+            seen = np.diag(b) > FAINT * largest
+            whiten = whitening(b * np.outer(seen, seen), SINGULAR)
+            left.append(whiten.T @ u)
+            slopes.append(whiten.T @ a * (largest > 0.0) / scale)
     left, slopes = np.concatenate(left), np.concatenate(slopes)
     if len(left) <= p:
         return np.nan

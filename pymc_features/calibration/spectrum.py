@@ -29,63 +29,43 @@ SMOOTHING = 12  # the spectrum of what is left is averaged over this part of the
 SURE = 3.0  # gain of log-likelihood that an amplitude that follows the response must bring
 QUIETEST = 1e-3  # least share of the mean variance
 MOST_TAKEN = 0.9  # of a direction that one line of the spectrum may decide: more is not put back
-NO_EDGES = np.empty(0)
+TINY = np.finfo(float).tiny
 
 
 class ErrorModel(NamedTuple):
-    """What the residuals say of the errors, in the band of the sensitivities.
+    """What the residuals say of the errors, in the band of the sensitivities."""
 
-    Attributes
-    ----------
-    scores : array (band, parameter)
-        Parts of the score by frequency, from the same residuals as B.
-    variabilities : array (band, parameter, parameter)
-        Their covariances.
-    informations : array (band, parameter, parameter)
-        How they change with the parameters.
-    n_samples : int
-        Samples that represent the band.
-    order : array of int (component,)
-        Of the autoregressions.
-    memory : float
-        Longest time constant of these, in samples of the record.
-    follows_response : array of bool (sensor,)
-        Whether the errors of a sensor grow with its response.
-    """
-
-    scores: np.ndarray
-    variabilities: np.ndarray
-    informations: np.ndarray
-    n_samples: int
-    order: np.ndarray
-    memory: float
-    follows_response: np.ndarray
+    scores: np.ndarray  # parts of the score by frequency (band, p), from the same residuals as B
+    variabilities: np.ndarray  # their covariances (band, p, p)
+    informations: np.ndarray  # how they change with the parameters (band, p, p)
+    memory: float  # longest time constant of the autoregressions, in samples of the record
+    follows_response: np.ndarray  # whether the errors of a sensor grow with its response (sensor,)
 
     @property
     def variability(self) -> np.ndarray:
-        """B (parameter, parameter)."""
+        """B (p, p)."""
         return self.variabilities.sum(axis=0)
 
+    def rescaled(self, ratio) -> "ErrorModel":
+        """The same by parameters of which a change is `ratio` (p,) times one of the old."""
+        square = np.outer(ratio, ratio)
+        parts = self.scores * ratio, self.variabilities * square, self.informations * square
+        return ErrorModel(*parts, *self[3:])
 
-def error_model(
-    residuals: np.ndarray,
-    sensitivities: np.ndarray,
-    response: np.ndarray | None,
-    whole: np.ndarray | None = None,
-    edges: np.ndarray = NO_EDGES,
-    whiten: np.ndarray | None = None,
-) -> ErrorModel:
-    """Estimate B from residuals (sensor, time) and sensitivities (sensor, time, parameter).
+
+def error_model(residuals, sensitivities, response=None, whole=None, edges=(), whiten=None) -> ErrorModel:
+    """Estimate B from residuals (sensor, time) and sensitivities (sensor, time, p).
 
     `response` (sensor, time) is what the amplitude of the errors may follow; None if there is none. Where the
     sensitivities are zero in gaps, `whole` is what they are without: gaps must not hide that a score is
-    static. `edges` are frequencies between bands, in cycles per sample. `whiten` W (parameter, k) with
+    static. `edges` are frequencies between bands, in cycles per sample. `whiten` W (p, k) with
     W' (sum S'S) W = 1 over all events lets what the fit took out of the residuals be put back.
     """
     n_all = residuals.shape[1]
-    n = max(samples_of_the_band(residuals, s) for s in (sensitivities, whole) if s is not None)
-    r, s = resampled(residuals, n, 1), resampled(sensitivities, n, 1)
-    amplitude, follows = amplitudes(r, None if response is None else resampled(response, n, 1))
+    both = [sensitivities] if whole is None or whole is sensitivities else [sensitivities, whole]
+    n = max(samples_of_the_band(residuals, s) for s in both)
+    r, s = resampled(residuals, n), resampled(sensitivities, n)
+    amplitude, follows = amplitudes(r, None if response is None else resampled(response, n))
     back = 0.0 if whiten is None else taken(r, s @ whiten * np.sqrt(n_all / n))
     level = np.sqrt(np.mean(amplitude**2, axis=1, keepdims=True))
     r = r / amplitude + back / np.maximum(amplitude, level)
@@ -93,18 +73,15 @@ def error_model(
     rotation = np.linalg.eigh(r @ r.T)[1]
     r, s, changes = rotation.T @ r, *(np.einsum("st,snp->tnp", rotation, x) for x in (s, changes))
     filters = autoregressions(r, max(1, min(LARGEST_ORDER, n // 20)))
-    order = filters.shape[1] - 1 - np.argmax(filters[:, ::-1] != 0.0, axis=1)
-    longest = int(order.max())
-    filters = filters[:, : longest + 1]
     white = np.stack([np.convolve(x, a, mode="valid") for a, x in zip(filters, r, strict=True)])
     whitens = np.fft.rfft(filters, 2 * n, axis=1)[..., None]
     spectrum = np.fft.rfft(s, 2 * n, axis=1) / whitens.conj()
     changes = np.fft.rfft(changes, 2 * n, axis=1) * whitens
-    starts = np.unique(np.r_[0, np.ceil(2 * n_all * edges).astype(int).clip(max=n)])
-    scores, variabilities, informations = by_band(white, spectrum, changes, starts)
+    starts = np.unique(np.r_[0, np.ceil(2 * n_all * np.asarray(edges)).astype(int).clip(max=n)])
     ratio = n_all / n
-    parts = scores * ratio, variabilities * ratio**2, informations * ratio
-    return ErrorModel(*parts, n, order, memory(filters) * ratio, follows)
+    parts = by_band(white, spectrum, changes, starts)
+    parts = (x * power for x, power in zip(parts, (ratio, ratio**2, ratio), strict=True))
+    return ErrorModel(*parts, memory(filters) * ratio, follows)
 
 
 def taken(residuals, whitened):
@@ -133,7 +110,7 @@ def samples_of_the_band(residuals, sensitivities):
     if n <= FEWEST:
         return n
     power = dct(sensitivities, axis=1, norm="ortho") ** 2
-    power = (power / power.sum(axis=(0, 1), keepdims=True).clip(min=np.finfo(float).tiny)).sum(axis=2)
+    power = (power / power.sum(axis=(0, 1), keepdims=True).clip(min=TINY)).sum(axis=2)
     errors = uniform_filter1d(dct(residuals, axis=1, norm="ortho") ** 2, n // SMOOTHING, axis=1)
     highest = 0
     for share in (power.sum(axis=0), (power * errors).sum(axis=0)):
@@ -142,12 +119,11 @@ def samples_of_the_band(residuals, sensitivities):
     return n if highest < STATIC else min(n, max(FEWEST, int(np.ceil(MARGIN * highest))))
 
 
-def resampled(x, n, axis):
-    """Signals at n samples: their cosine series without the terms of higher frequency."""
-    if x.shape[axis] == n:
+def resampled(x, n):
+    """Signals (sensor, time, ...) at n samples: their cosine series without terms of higher frequency."""
+    if x.shape[1] == n:
         return x
-    series = np.take(dct(x, axis=axis, norm="ortho"), np.arange(n), axis=axis)
-    return idct(series, axis=axis, norm="ortho") * np.sqrt(n / x.shape[axis])
+    return idct(dct(x, axis=1, norm="ortho")[:, :n], axis=1, norm="ortho") * np.sqrt(n / x.shape[1])
 
 
 def amplitudes(residuals, response):
@@ -161,7 +137,7 @@ def amplitudes(residuals, response):
     follows = np.zeros(len(residuals), dtype=bool)
     if response is not None:
         power = dct(response, axis=1, norm="ortho") ** 2
-        cycles = 0.5 * (power @ np.arange(n)) / power.sum(axis=1).clip(min=np.finfo(float).tiny)
+        cycles = 0.5 * (power @ np.arange(n)) / power.sum(axis=1).clip(min=TINY)
         for j, (r, g) in enumerate(zip(residuals, response, strict=True)):
             if cycles[j] > 0 and r.any():
                 local = uniform_filter1d(g**2, int(np.clip(n / cycles[j], 3, n)))
@@ -189,14 +165,13 @@ def autoregressions(x, largest):
     n, k = x.shape[1], np.arange(largest + 1)
     alone, gain = burg(x[:, None], largest)
     score = n * np.log(gain) + (2.0 * (k + 1) * n / (n - k - 2))
-    best = score.argmin(axis=1)
-    filters = alone[np.arange(len(x)), best]
-    scale = np.sqrt(np.mean(x**2, axis=1, keepdims=True)).clip(min=np.finfo(float).tiny)
+    filters = alone[np.arange(len(x)), score.argmin(axis=1)]
+    scale = np.sqrt(np.mean(x**2, axis=1, keepdims=True)).clip(min=TINY)
     shared, gain = burg((x / scale)[None], largest)
     together = n * len(x) * np.log(gain[0]) + 2.0 * (k + len(x))
     if together.min() < score.min(axis=1).sum():
         filters = np.repeat(shared[:, together.argmin()], len(x), axis=0)
-    return filters
+    return filters[:, : 1 + np.flatnonzero(filters.any(axis=0)).max()]
 
 
 def burg(groups, largest):

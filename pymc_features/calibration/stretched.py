@@ -22,29 +22,15 @@ from typing import NamedTuple
 import numpy as np
 import pytensor.tensor as pt
 
+from pymc_features.calibration.comparison import log_likelihood
 from pymc_features.calibration.coordinates import Coordinates
-from pymc_features.calibration.fit import log_likelihood, residuals_of
-from pymc_features.calibration.sandwich import whitening
+from pymc_features.calibration.peaks import Peak
+from pymc_features.calibration.sandwich import stretching, whitening
 from pymc_features.smc import PersistentSMC, population_logp
 
-FARTHEST = 1e4  # from the maximum: unconstrained values that rounding has made infinite are there
+CURVED = 0.1  # standard deviations over which curvature is measured
 MOST_EXPANDED = 15  # directions in which residuals are expanded: 136 histories are kept for each sensor
-
-
-def stretching(information: np.ndarray, precision: np.ndarray) -> tuple[float, np.ndarray]:
-    """Power k and matrix C (d, d) with C' (k A) C = the wanted precision (d, d).
-
-    C has determinant one. It is the unit matrix along directions that the likelihood does not tell.
-    """
-    whiten = whitening(information)  # W' A W = 1
-    if not whiten.size:
-        return 1.0, np.eye(len(information))
-    unwhiten = whiten.T @ information  # its inverse from the left
-    relative = whiten.T @ precision @ whiten
-    values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
-    power = float(np.exp(np.mean(np.log(values))))
-    along = (vectors * np.sqrt(values / power)) @ vectors.T
-    return power, np.eye(len(information)) + whiten @ (along - np.eye(len(values))) @ unwhiten
+FARTHEST = 1e4  # from the maximum: unconstrained values that rounding has made infinite are there
 
 
 class Stretched:
@@ -61,15 +47,14 @@ class Stretched:
     def __init__(self, prior, likelihood, peak, others=()):
         self.prior, self.likelihood = prior, likelihood
         self.peak, *self.others = (p._replace(fit=p.fit._replace(events=[])) for p in (peak, *others))
-        fit, result, near = peak.fit, peak.sandwich, peak.fit.coordinates.near
-        d, wanted, pushed = len(near), result.precision, result.weighed(fit.pushing)
-        f, b = np.flatnonzero(~near), np.flatnonzero(near)
-        self.power, stretch = stretching(result.information[np.ix_(f, f)], wanted[np.ix_(f, f)])
+        near, wanted, off = peak.fit.coordinates.near, peak.sandwich.precision, peak.free - peak.fit.w
+        f, b, pushed = np.flatnonzero(~near), np.flatnonzero(near), wanted @ off
         whiten = whitening(wanted[np.ix_(f, f)])
-        shift, follow = (-whiten @ whiten.T @ x for x in (-pushed[f], wanted[np.ix_(f, b)]))
-        self.origin, self.slope = fit.w.copy(), np.zeros(d)
-        self.matrix, self.bend = np.zeros((2, d, d))
-        self.origin[f] -= stretch @ shift
+        follow = -whiten @ whiten.T @ wanted[np.ix_(f, b)]
+        self.power, stretch = stretching(peak.sandwich.information[np.ix_(f, f)], wanted[np.ix_(f, f)])
+        self.origin, self.slope = peak.fit.w.copy(), np.zeros(len(near))
+        self.matrix, self.bend = np.zeros((2, len(near), len(near)))
+        self.origin[f] -= stretch @ (off[f] - follow @ off[b])
         self.matrix[np.ix_(f, f)], self.matrix[np.ix_(f, b)] = stretch, -stretch @ follow
         self.slope[b] = pushed[b] + follow.T @ pushed[f]
         self.bend[np.ix_(b, b)] = wanted[np.ix_(b, b)] + wanted[np.ix_(b, f)] @ follow
@@ -114,46 +99,31 @@ class StretchedSMC(PersistentSMC):
 
 def prior_and_likelihood(model, compile_kwargs) -> tuple:
     """Evaluations whose first result is the prior, with potentials, and whose second is the likelihood."""
-    point, potentials = model.initial_point(), model.potentials
+    point = model.initial_point()
 
     def of_prior():
-        return model.logp(vars=[*model.free_RVs, *potentials]), pt.zeros(())
+        return model.logp(vars=[*model.free_RVs, *model.potentials]), pt.zeros(())
 
     def of_data():
         return pt.zeros(()), model.logp(vars=model.observed_RVs)
 
     prior = population_logp(model, point, compile_kwargs, "prior", of_prior)
-    if not potentials:
-        return prior, population_logp(model, point, compile_kwargs)
-    return prior, population_logp(model, point, compile_kwargs, "data", of_data)
+    of_model = ("data", of_data) if model.potentials else ()  # else what `sample` has compiled
+    return prior, population_logp(model, point, compile_kwargs, *of_model)
 
 
 class Expansion(NamedTuple):
-    """A log-likelihood near its maximum, by second derivatives of residuals and scales along some axes.
+    """A log-likelihood near its maximum along some axes, by second derivatives of residuals and scales.
 
     Where a response is smooth, draws by it need hardly be weighed, and cost no response.
-
-    Attributes
-    ----------
-    coordinates : Coordinates
-    point : array (d,)
-        Where the expansion is made.
-    along : array (k, d)
-        How far a change of coordinates goes along each axis.
-    gram : array (sensor, c, c)
-        Of the coefficients of 1, of each axis, and of each pair of axes.
-    log_scale : array (c, sensor)
-        Coefficients of ln s.
-    claimed : array (sensor,)
-        m, see `comparison`.
     """
 
     coordinates: Coordinates
-    point: np.ndarray
-    along: np.ndarray
-    gram: np.ndarray
-    log_scale: np.ndarray
-    claimed: np.ndarray
+    point: np.ndarray  # where the expansion is made (d,)
+    along: np.ndarray  # how far a change of coordinates goes along each axis (k, d)
+    gram: np.ndarray  # (sensor, c, c) of the coefficients of 1, of each axis, and of each pair of axes
+    log_scale: np.ndarray  # coefficients of ln s (c, sensor)
+    claimed: np.ndarray  # m (sensor,), see `comparison`
     last_error = ""
 
     def __call__(self, z):
@@ -172,43 +142,54 @@ class Expansion(NamedTuple):
         return self
 
 
-def expanded(predictions, fit, axes) -> tuple[np.ndarray, Expansion | None]:
-    """Minus second derivatives (k, k) of the log-likelihood along axes (k, d), and its expansion.
+def curved(predictions, peak: Peak) -> tuple[Peak, Expansion | None]:
+    """The peak with the likelihood's own curvature as A, where that is positive, and its expansion.
 
-    By differences over the length of the axes, and by this length. No expansion along many axes.
+    Both are along the axes of A, of parameters that are not near a bound: where they are correlated, a change
+    of one of them alone by its standard deviation leads far away. No expansion along many axes.
     """
-    k, at_maximum = len(axes), predictions(fit.z)
-    claimed = np.concatenate([v[4] for v in at_maximum])
-    ends = 1 + np.cumsum([0, len(claimed), *(v[0].shape[-1] for v in at_maximum for _ in v[4])])
+    fit, result, free = peak.fit, peak.sandwich, ~peak.fit.coordinates.near
+    whiten = whitening(result.information * np.outer(free, free))
+    widths = np.sqrt(np.diag(whiten.T @ result.variability @ whiten))
+    steps = CURVED * np.minimum(widths, 1.0)
+    axes, k, at_maximum = (whiten * steps).T, len(steps), predictions(fit.z)
 
     def value(w):
         values = predictions(fit.coordinates.unconstrained(w))
         found = [[log_likelihood(values)]]
         if k <= MOST_EXPANDED:
-            log_scales = [v[3] - here[3] for v, here in zip(values, at_maximum, strict=True)]
-            unscaled = [np.exp(s)[:, None] * residuals_of(v) for s, v in zip(log_scales, values, strict=True)]
+            log_scales = [v.log_scale - here.log_scale for v, here in zip(values, at_maximum, strict=True)]
+            unscaled = [np.exp(s)[:, None] * v.residuals for s, v in zip(log_scales, values, strict=True)]
             found += log_scales + [x.ravel() for x in unscaled]
         return np.concatenate(found)
 
-    here = value(fit.w)
-    up, down = (
-        np.reshape([value(fit.w + sign * axis) for axis in axes], (k, len(here))) for sign in (1.0, -1.0)
-    )
-    middle = 0.5 * (up + down) - here
+    columns = second_order(value, fit.w, axes)
     first, second = np.triu_indices(k)
-    pairs = []
-    for i, j in zip(first, second, strict=True):
+    curvature = np.zeros((k, k))
+    np.add.at(curvature, (first, second), -columns[1 + k :, 0])
+    relative = (curvature + curvature.T) / np.outer(steps, steps)
+    if np.linalg.eigvalsh(relative).min(initial=np.inf) > 0:
+        unwhiten = whiten.T @ (result.information * free)
+        more = unwhiten.T @ (relative - np.eye(k)) @ unwhiten
+        peak = peak._replace(sandwich=result._replace(information=result.information + more))
+    if k > MOST_EXPANDED:
+        return peak, None
+    claimed = np.concatenate([v.claimed for v in at_maximum])
+    ends = 1 + np.cumsum([0, len(claimed), *(v.mu.shape[-1] for v in at_maximum for _ in v.claimed)])
+    log_scale, *series = (columns[:, i:j] for i, j in itertools.pairwise(ends))
+    gram = np.array([x @ x.T for x in series])
+    return peak, Expansion(fit.coordinates, fit.w, np.linalg.pinv(axes).T, gram, log_scale, claimed)
+
+
+def second_order(value, w, axes) -> np.ndarray:
+    """Coefficients (c, n) of 1, of each axis (k, d) and of each pair, in a function of points (d,)."""
+    here = value(w)
+    ends = [np.reshape([value(w + s * axis) for axis in axes], (len(axes), len(here))) for s in (1.0, -1.0)]
+    middle, pairs = 0.5 * (ends[0] + ends[1]) - here, []
+    for i, j in zip(*np.triu_indices(len(axes)), strict=True):
         if i == j:
             pairs.append(middle[i])
         else:
-            both = value(fit.w + axes[i] + axes[j]) + value(fit.w - axes[i] - axes[j])
+            both = value(w + axes[i] + axes[j]) + value(w - axes[i] - axes[j])
             pairs.append(0.5 * both - here - middle[i] - middle[j])
-    columns = np.array([here, *(0.5 * (up - down)), *pairs])
-    curvature = np.zeros((k, k))
-    np.add.at(curvature, (first, second), -columns[1 + k :, 0])
-    curvature = curvature + curvature.T
-    if k > MOST_EXPANDED:
-        return curvature, None
-    log_scale, *series = (columns[:, i:j] for i, j in itertools.pairwise(ends))
-    gram = np.array([x @ x.T for x in series])
-    return curvature, Expansion(fit.coordinates, fit.w, np.linalg.pinv(axes).T, gram, log_scale, claimed)
+    return np.array([here, *(0.5 * (ends[0] - ends[1])), *pairs])

@@ -3,8 +3,9 @@
 import numpy as np
 from scipy.stats import chi2
 
-from pymc_features.calibration.effective import some_draws
-from pymc_features.calibration.fit import Predictions, log_likelihood, residuals_of
+from pymc_features.calibration.comparison import log_likelihood
+from pymc_features.calibration.fit import Predictions
+from pymc_features.calibration.peaks import some_draws
 from pymc_features.inference.parameters import posterior_for
 
 LAGS = 20
@@ -19,7 +20,7 @@ def residual_whiteness(model, idata) -> float:
     posterior, predictions = posterior_for(model, idata, "models"), Predictions(model)
     values = [predictions(z) for z in some_draws(model, posterior)]
     best = values[int(np.argmax([log_likelihood(value) for value in values]))]
-    p_values = [ljung_box(row) for value in best for row in residuals_of(value)]
+    p_values = [ljung_box(row) for value in best for row in value.residuals]
     return float(min(1.0, len(p_values) * min(p_values)))
 
 

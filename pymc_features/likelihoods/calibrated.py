@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from pymc_features.calibration.comparison import Comparison
 from pymc_features.calibration.fit import Event
-from pymc_features.calibration.sandwich import sandwich
-from pymc_features.calibration.stretched import stretching
+from pymc_features.calibration.sandwich import sandwich, stretching
 from pymc_features.likelihoods.exact.quadrature import Exponents, Stretch, exact_posterior
 from pymc_features.likelihoods.exact.step import PARAMETERS, Reference, rows
 from pymc_features.likelihoods.independent import NORM
@@ -27,21 +27,15 @@ def stretched(step) -> tuple[float, Stretch, Stretch]:
     of_sigma = 1.0 - sigma / priors.sigma[1]
     ends = [step.response(theta + sign * DIFFERENCE) for sign in (1.0, -1.0)]
     slope = (ends[0] - ends[1]) / (2.0 * DIFFERENCE * sigma) * of_theta
-    response = step.response(theta)
     n_sensors, n_times = step.shape
-    event = Event(
-        "y",
-        (step.data.values - response) / sigma,
-        np.stack([slope, np.zeros_like(slope)], axis=-1),
-        np.tile([0.0, of_sigma], (n_sensors, 1)),
-        np.full(n_sensors, float(n_times)),
-        response,
-        step.dt,
-        frequencies=step.frequencies(theta),
-    )
+    value = Comparison(step.response(theta), step.data.values, sigma, n_times, step=step.dt).by_sensor()
+    slopes = np.stack([slope, np.zeros_like(slope)], axis=-1)
+    of_scale = np.tile([0.0, of_sigma], (n_sensors, 1))
+    event = Event(value, value.residuals, slopes, of_scale, step.frequencies(theta))
     curvature = norm.c * curve.curvature * (of_theta / sigma) ** 2
     information = np.diag([curvature, 2.0 * norm.m * of_sigma**2])
-    power, matrix = stretching(information, sandwich([event], information).precision)
+    precision = sandwich([event])._replace(information=information).precision
+    power, matrix = stretching(information, precision)
     return (
         power,
         Stretch(priors.theta, theta, float(matrix[0, 0])),

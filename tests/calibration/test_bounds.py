@@ -22,10 +22,12 @@ from benchmarks.coverage.bounds import (
     true_sd,
 )
 from benchmarks.coverage.errors import LEVEL, measurements
-from pymc_features.calibration.bounds import free_maximum, interval, near_bounds
+from pymc_features.calibration.bounds import interval
 from pymc_features.calibration.climb import climb_likelihood
+from pymc_features.calibration.comparison import log_likelihood
 from pymc_features.calibration.coordinates import Coordinates, sides_of
-from pymc_features.calibration.fit import Predictions, log_likelihood
+from pymc_features.calibration.fit import Predictions
+from pymc_features.calibration.peaks import Peak
 from pymc_features.calibration.sandwich import sandwich
 from pymc_features.exceptions import CalibrationWarning
 
@@ -55,15 +57,15 @@ def test_a_truth_outside_the_prior():
 
 def test_nothing_jumps_when_the_maximum_reaches_the_bound():
     """The mean of the normal distribution behind the interval, for bounds on both sides of the maximum."""
-    fit, _ = fitted(0, 2.0)
+    fit = fitted(0, 2.0).fit
     maximum = LOWEST + 1.5 * fit.coordinates.distance(fit.z)[0]
     for offset in (-0.5, -0.01, 0.01, 0.5):
         upper = maximum + offset * true_sd()
-        fit, result = fitted(0, upper)
-        assert fit.coordinates.near[0]
-        free = LOWEST + (upper - LOWEST) * free_maximum(fit, result)[0]
+        peak = fitted(0, upper)
+        assert peak.fit.coordinates.near[0]
+        free = LOWEST + (upper - LOWEST) * peak.free[0]
         assert free == pytest.approx(maximum, abs=0.05 * true_sd())
-        assert (fit.pushing[0] > 0) == (offset < 0)
+        assert (peak.fit.pushing[0] > 0) == (offset < 0)
 
 
 @pytest.mark.slow
@@ -72,7 +74,7 @@ def test_calibrate_draws_what_the_bound_leaves_of_a_normal_distribution(inside):
     """At a false-alarm rate of 1e-3, thinned. Control: one without the bound is refused."""
     model, _ = declare()
     upper = 1.0 + inside * true_sd()
-    fit, result = fitted(1, upper)
+    peak = fitted(1, upper)
     draws = {"first": 0.5 * (LOWEST + upper), "others": [1.0, 1.0], "sigma": 0.15}
     start = {name: (("chain", "draw", "i")[: 2 + np.ndim(x)], [[x]]) for name, x in draws.items()}
     start["first"] = (("chain", "draw"), [[upper - 1e-3]])
@@ -80,8 +82,8 @@ def test_calibrate_draws_what_the_bound_leaves_of_a_normal_distribution(inside):
         posterior(start), model=model, draws=1000, chains=2, random_seed=1, progressbar=False
     )
     x = idata["posterior"]["first"].values[:, ::4].ravel()
-    sd = np.sqrt(result.covariance[0, 0]) * (upper - LOWEST)
-    free = LOWEST + (upper - LOWEST) * free_maximum(fit, result)[0]
+    sd = peak.deviations[0] * (upper - LOWEST)
+    free = LOWEST + (upper - LOWEST) * peak.free[0]
     expected = truncnorm((LOWEST - free) / sd, (upper - free) / sd, free, sd)
     assert kstest(x, expected.cdf).pvalue > 1e-3
     assert kstest(x, truncnorm(-9.0, 9.0, free, sd).cdf).pvalue < 1e-3
@@ -155,7 +157,7 @@ def rms_of(model, draws):
 
     predictions = Predictions(model)
     points = to_unconstrained(model, draws.isel(draw=slice(None, None, 20))).reshape(-1, 4)
-    return np.median([np.sqrt(np.mean((v[0][0] - v[0][1]) ** 2)) for v in map(predictions, points)])
+    return np.median([np.sqrt(np.mean((v[0].mu - v[0].observed) ** 2)) for v in map(predictions, points)])
 
 
 def test_a_positive_parameter_that_wants_to_vanish():
@@ -170,13 +172,12 @@ def test_a_positive_parameter_that_wants_to_vanish():
     level = np.log(LEVEL * np.sqrt(np.mean(response**2)))
     for damping in (0.03, 0.3):
         fit = climb_likelihood(predictions, np.array([np.log(damping), 1.0, 1.0, level]))
-        fit = fit.measured_from_bounds(near_bounds(fit, sandwich(fit.events, fit.information)))
-        assert fit.coordinates.near.tolist() == [True, False, False, False]
-        own = np.exp(fit.z[0])
-        result = sandwich(fit.events, fit.information)
-        sd = np.sqrt(result.covariance[0, 0]) * np.exp(fit.coordinates.origin[0])
-        assert own < 3.0 * sd < 0.05
-        np.testing.assert_allclose(fit.w[1:3], 1.0, atol=5.0 * np.sqrt(result.covariance[1, 1]))
+        peak = Peak(fit, sandwich(fit.events))
+        peak = peak.measured_from_bounds(peak.near_bounds())
+        coordinates = peak.fit.coordinates
+        assert coordinates.near.tolist() == [True, False, False, False]
+        assert np.exp(peak.fit.z[0]) < 3.0 * peak.deviations[0] * np.exp(coordinates.origin[0]) < 0.05
+        np.testing.assert_allclose(peak.fit.w[1:3], 1.0, atol=5.0 * peak.deviations[1])
 
 
 def test_sides_of_priors():

@@ -21,9 +21,9 @@ from pymc_features import (
 from pymc_features.calibration.calibrate import warn_if_far
 from pymc_features.calibration.coordinates import Coordinates
 from pymc_features.calibration.fit import Fit
-from pymc_features.calibration.modes import Peak
-from pymc_features.calibration.sandwich import Sandwich
-from pymc_features.calibration.stretched import Expansion, Stretched, stretching
+from pymc_features.calibration.peaks import Peak
+from pymc_features.calibration.sandwich import Sandwich, stretching
+from pymc_features.calibration.stretched import Expansion, Stretched
 from pymc_features.exceptions import CalibrationWarning
 
 DT, TAU = 0.02, 0.3
@@ -215,14 +215,14 @@ def test_draws_far_from_the_maximum_are_warned_of():
     """A quarter of them, in units of correlated standard deviations; nearer ones are not."""
     covariance = np.array([[1.0, 0.99], [0.99, 1.0]])
     narrow = Sandwich(np.linalg.inv(covariance), np.linalg.inv(covariance), [])
-    fit = Fit(Coordinates.plain(np.zeros(2, dtype=int), np.zeros(2)), np.array([3.0, 4.0]), [], 0)
+    fit = Fit(Coordinates.plain(np.zeros(2, dtype=int), np.zeros(2)), np.array([3.0, 4.0]), [])
     draws = np.random.default_rng(10).multivariate_normal(fit.z, covariance, size=400)
     with warnings.catch_warnings():
         warnings.simplefilter("error", CalibrationWarning)
-        warn_if_far(draws, Peak(fit, 0.0, narrow))
+        warn_if_far(draws, Peak(fit, narrow))
     draws[:120, 0] += 1.0  # not far for one parameter alone
     with pytest.warns(CalibrationWarning, match="(29|30) % of the calibrated draws are far from"):
-        warn_if_far(draws, Peak(fit, 0.0, narrow))
+        warn_if_far(draws, Peak(fit, narrow))
 
 
 @pytest.mark.slow

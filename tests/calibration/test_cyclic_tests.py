@@ -10,7 +10,7 @@ import xarray as xr
 import pymc_features as pmf
 from benchmarks.truth import cycles, specimen_force
 from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.fit import Predictions, residuals_of
+from pymc_features.calibration.fit import Predictions
 from pymc_features.inference.parameters import to_unconstrained
 
 LAW = [2e7, 0.008, 0.0, 2.0, 0.5, 0.5, 0.0, 0.0, 0.7, 1.0, 0.1, 0.3, 0.0, 0.3]  # in the order of `NAMES`
@@ -49,7 +49,7 @@ def largest_residuals(model, start):
 
     def rms(z):
         value = predictions(z)[0]
-        return np.sqrt(np.mean((residuals_of(value) * value[2]) ** 2))
+        return np.sqrt(np.mean((value.mu - value.observed) ** 2))
 
     fit = climb_likelihood(predictions, to_unconstrained(model, start)[0, 0])
     idata = xr.DataTree.from_dict({"posterior": start})

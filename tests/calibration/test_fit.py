@@ -15,12 +15,12 @@ from pymc_features import (
     effective_samples,
     response,
 )
-from pymc_features.calibration.calibrate import curved
 from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.comparison import comparison
+from pymc_features.calibration.comparison import Comparison, comparison, log_likelihood
 from pymc_features.calibration.coordinates import Coordinates
-from pymc_features.calibration.fit import log_likelihood
+from pymc_features.calibration.peaks import Peak
 from pymc_features.calibration.sandwich import sandwich
+from pymc_features.calibration.stretched import curved
 
 TIME = 0.02 * np.arange(500)
 
@@ -37,7 +37,6 @@ class Ringing:
     That makes second derivatives count: they change the curvature by a factor up to five.
     """
 
-    names, steps = ["y"], [0.02]
     coordinates = Coordinates.plain(np.zeros(3, dtype=int), np.zeros(3))
 
     def __init__(self, seed, claimed, mixing=None):
@@ -53,9 +52,9 @@ class Ringing:
     def __call__(self, z):
         self.count += 1
         frequency, ratio, sigma = np.exp(self.mixing @ z)
-        scale = np.full(self.observed.shape, sigma * np.sqrt(TIME.size / self.claimed))
-        mu = ringing(frequency, ratio)[None]
-        return [[mu, self.observed, scale, np.log([sigma]), np.array([self.claimed]), np.array([np.inf])]]
+        scale = sigma * np.sqrt(TIME.size / self.claimed)
+        mu = ringing(frequency, ratio)
+        return [Comparison(mu, self.observed, scale, self.claimed, step=0.02).by_sensor()]
 
 
 @pytest.mark.parametrize("seed", [0, 3, 6, 8, 9, 10, 12, 13])
@@ -104,9 +103,9 @@ def test_curvature_does_not_depend_on_how_parameters_are_mixed(seed):
     for matrix in (np.eye(3), mixing):
         predictions = Ringing(seed, 2.0, matrix)
         fit = climb_likelihood(predictions, np.linalg.solve(matrix, np.log((3.0, 0.005, 0.5))))
-        found, _ = curved(predictions, fit, sandwich(fit.events, fit.information))
+        peak, _ = curved(predictions, Peak(fit, sandwich(fit.events)))
         unmixed = np.linalg.inv(matrix)
-        curvatures.append(unmixed.T @ found.information @ unmixed)
+        curvatures.append(unmixed.T @ peak.sandwich.information @ unmixed)
         by_gauss.append(unmixed.T @ fit.information @ unmixed)
     scale = np.sqrt(np.outer(np.diag(by_gauss[0]), np.diag(by_gauss[0])))
     np.testing.assert_allclose(curvatures[1] / scale, curvatures[0] / scale, atol=0.03)

@@ -6,23 +6,22 @@ import pytest
 
 import pymc_features as pmf
 from benchmarks.coverage.model_errors import FAMILIES, covers, other_masses, outcome, right
-from calibration.test_spectrum import N_TIMES, errors_of, regression
+from calibration.test_spectrum import N_TIMES, errors_of, event_of, regression
 from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.fit import Event, Predictions, of_base_noise
-from pymc_features.calibration.sandwich import edges_of, sandwich, sentence, wider
+from pymc_features.calibration.fit import Predictions
+from pymc_features.calibration.peaks import Peak, of_base_noise
+from pymc_features.calibration.sandwich import edges_of, sandwich, sentence
 from pymc_features.calibration.spectrum import taken
 
 DT = 0.02
 
 
-def event_of(errors, frequencies):
+def event_of_waves(errors, frequencies):
     """Residuals of a fit of two waves, of 1 and 3.1 Hz, to errors (sensor, time)."""
     s = regression()
     flat = s.reshape(-1, 2)
     off = np.linalg.solve(flat.T @ flat, flat.T @ errors.ravel())
-    n = len(errors)
-    event = Event("y", errors - s @ off, s, np.zeros((n, 2)), np.ones(n), s.sum(axis=-1), DT)
-    return [event._replace(frequencies=frequencies)], flat.T @ flat
+    return event_of(errors - s @ off, s, s.sum(axis=-1), frequencies)
 
 
 @pytest.mark.statistical
@@ -35,9 +34,9 @@ def test_bands_of_a_right_model_agree():
     t = DT * np.arange(N_TIMES)
     for _ in range(100):
         errors = errors_of("white", rng, regression())
-        factors.append(sandwich(*event_of(errors, bands)).factor)
+        factors.append(sandwich([event_of_waves(errors, bands)]).factor)
         errors += 2.0 * np.sin(2.0 * np.pi * 1.03 * t + rng.uniform(0.0, 6.3)) * np.exp(-0.3 * t)
-        wrong.append(sandwich(*event_of(errors, bands)).growth)
+        wrong.append(sandwich([event_of_waves(errors, bands)]).growth)
     assert 1.0 < np.mean(factors) < 1.2
     assert np.mean(np.array(wrong) > 1.0) > np.mean(np.array(factors) > 1.0)
 
@@ -64,23 +63,23 @@ def test_without_bands_nothing_grows():
     t = DT * np.arange(N_TIMES)
     errors = errors_of("white", np.random.default_rng(1), regression())
     errors += 2.0 * np.sin(2.0 * np.pi * 1.03 * t + 1.0) * np.exp(-0.3 * t)
-    [event], information = event_of(errors, np.array([1.0, 3.1]))
-    found = sandwich([event], information)
+    event = event_of_waves(errors, np.array([1.0, 3.1]))
+    found = sandwich([event])
     assert found.growth > 1.0
     for one, how in (
         (event._replace(frequencies=None), "bands"),
-        (event._replace(step=np.nan), "bands"),
+        (event._replace(value=event.value._replace(step=np.nan)), "bands"),
         (event._replace(frequencies=np.array([1.0])), "bands"),
         (event, None),
     ):
-        other = sandwich([one], information, how)
+        other = sandwich([one], how)
         assert np.isnan(other.growth) and other.factor == 1.0
         np.testing.assert_allclose(found.variability, found.factor**2 * other.variability, rtol=1e-9)
 
 
 def test_edges_of_bands():
     """Half-way between natural frequencies, four at most, none of frequencies that samples do not show."""
-    [event], _ = event_of(np.ones((4, N_TIMES)), np.array([3.0, 1.0, 24.0]))
+    event = event_of_waves(np.ones((4, N_TIMES)), np.array([3.0, 1.0, 24.0]))
     np.testing.assert_allclose(edges_of(event) / DT, [2.0])
     many = event._replace(frequencies=1.0 + np.arange(8.0))
     np.testing.assert_allclose(edges_of(many) / DT, [1.5, 2.5, 3.5, 4.5])
@@ -182,8 +181,9 @@ def test_noise_of_the_base(interpolation):
     expected = back.T @ back
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(found / scale, expected / scale, atol=0.3)
-    together = wider(fit.information[:3, :3], found)
-    for matrix in (fit.information[:3, :3], found):
+    peak = Peak(fit, sandwich(fit.events))
+    together = peak.with_base_noise(predictions, 0.1).sandwich.variability[:3, :3]
+    for matrix in (peak.sandwich.variability[:3, :3], found):
         assert np.linalg.eigvalsh(together - matrix).min() > -1e-9 * np.trace(together)
 
 

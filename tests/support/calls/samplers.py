@@ -215,7 +215,7 @@ CALLS = {
         pmf.fill_degrees,
         {"model": MODEL, "random_seed": 1},
         TAKEN,
-        instead={"pymc_features.calibration.degrees.degrees_of": work},
+        instead={"pymc_features.calibration.effective.degrees_of": work},
     ),
     "event_check": Call(
         pmf.event_check,
