@@ -9,6 +9,7 @@ from typing import NamedTuple
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.document import Config
 from pymc_features.update.config.messages import shown
+from pymc_features.update.plausibility.prior_modes import PriorModes
 from pymc_features.update.problem.channels import Measured, read_measured
 
 
@@ -27,7 +28,7 @@ class Event(NamedTuple):
     measured: Measured
 
 
-def read_events(config: Config, folder: Path, first_frequency: float) -> tuple[Event, ...]:
+def read_events(config: Config, folder: Path, prior: PriorModes) -> tuple[Event, ...]:
     """Read, correct, check and process the channels of every event, all in the same way.
 
     An event is a file with all channels, or a folder in which `data.files` and `record.path` are.
@@ -48,7 +49,7 @@ def read_events(config: Config, folder: Path, first_frequency: float) -> tuple[E
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             try:
-                measured = read_measured(own, path if path.is_dir() else path.parent, first_frequency)
+                measured = read_measured(own, path if path.is_dir() else path.parent, prior)
             except ConfigError as error:
                 raise ConfigError(f"event {name}: {error}") from error
         for warning in caught:

@@ -2,17 +2,20 @@
 
 import hashlib
 import json
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from pymc_features.exceptions import ConfigError
+from pymc_features.exceptions import ConfigError, PriorWarning
 from pymc_features.storage import fingerprint
 from pymc_features.update.config.document import Config, read_config
 from pymc_features.update.config.entries import Matrix, priors_in
 from pymc_features.update.config.messages import shown
 from pymc_features.update.config.priors import Prior
+from pymc_features.update.plausibility.findings import of_priors
+from pymc_features.update.plausibility.prior_modes import PriorModes, prior_modes
 from pymc_features.update.problem.ambient import MeasuredAmbient, compared_modes, read_ambient
 from pymc_features.update.problem.channels import Measured, named_key, read_measured
 from pymc_features.update.problem.cyclic import read_cyclic
@@ -211,6 +214,8 @@ def read_problem(path) -> Problem:
 
     Warns
     -----
+    PriorWarning
+        If the priors expect what no structure has, or what the data contradict.
     ChannelWarning
         If a channel is suspicious.
     """
@@ -223,7 +228,11 @@ def read_problem(path) -> Problem:
     structure = StructureOf(config.structure, path.parent)
     with named_key("structure"):
         expected = structure(**{n: priors[n].median for n in structure.names})
-        first_frequency = None if config.cyclic is not None else first_frequency_of(expected)
+        prior = None if config.cyclic is not None else expected_modes(structure, priors, expected)
+    for sentence in (
+        [] if prior is None else of_priors(prior, {n: uses[0][1] for n, uses in config.uses().items()})
+    ):
+        warnings.warn(sentence, PriorWarning, stacklevel=2)
     measured, dofs, modal, events, ambient = None, [], None, (), None
     if config.cyclic is not None:
         measured, dofs = read_cyclic(config, path.parent), [0]
@@ -233,12 +242,12 @@ def read_problem(path) -> Problem:
         ambient = read_ambient(config, path.parent, dofs, expected)
         check_positive_priors("ambient", config.ambient, ("force", "error"), priors)
     elif config.data is not None:
-        if config.events is None:
-            measured = read_measured(config, path.parent, first_frequency)
-        else:
-            events = read_events(config, path.parent, first_frequency)
-            measured = events[-1].measured
         dofs = checked_dofs(config, expected.n_dof)
+        if config.events is None:
+            measured = read_measured(config, path.parent, prior)
+        else:
+            events = read_events(config, path.parent, prior)
+            measured = events[-1].measured
         check_errors(config, priors, len(dofs))
         for one in [event.measured for event in events] or [measured]:
             check_gaps(config, one)
@@ -260,8 +269,8 @@ def read_problem(path) -> Problem:
     return Problem(path, text, config, raw, measured, structure, priors, dofs, modal, events, ambient)
 
 
-def first_frequency_of(expected) -> float:
-    """The first natural frequency of a structure [Hz]."""
+def expected_modes(structure, priors, expected) -> PriorModes:
+    """Modes of draws of the priors; `expected` is the structure at the medians."""
     with np.errstate(all="ignore"):  # the inverse of a tiny mass is no number
         found = modes_of(expected, 1).natural_frequencies
     if not (found.size and np.isfinite(found[0])):
@@ -269,7 +278,12 @@ def first_frequency_of(expected) -> float:
             "masses and stiffnesses must have a natural frequency at the medians of the priors, got none. "
             "Check their units."
         )
-    return float(found[0])
+    with np.errstate(all="ignore"):
+        return prior_modes(
+            structure,
+            {name: priors[name].draw for name in structure.names},
+            lambda one: modes_of(one, structure.n_modes),
+        )
 
 
 def checked_dofs(config, size) -> list[int]:
