@@ -213,16 +213,19 @@ def read_and_tell(config, console):
     from pymc_features.update import read_problem
     from pymc_features.update.expected import structure_sentence
 
+    told = []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
-        problem = read_problem(config)
-        modes = problem.modal  # of ambient vibration they are identified now
+        try:
+            problem = read_problem(config)
+            modes = problem.modal  # of ambient vibration they are identified now
+        finally:  # what was found before an error may be its cause
+            told += dict.fromkeys(str(warning.message) for warning in caught)
+            for sentence in told:
+                say(console, f"warning: {sentence}", "yellow")
     if not problem.is_cyclic:
         say(console, structure_sentence(problem))
-    told = list(dict.fromkeys(str(warning.message) for warning in caught))
-    for sentence in told:
-        say(console, f"warning: {sentence}", "yellow")
     for event in problem.events:
         tell_channels(event.measured, console, f"{event.name}: ")
     if problem.is_cyclic:

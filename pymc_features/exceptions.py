@@ -23,6 +23,7 @@ __all__ = [
     "NotDifferentiableError",
     "PopulationWarning",
     "PredictionWarning",
+    "PriorWarning",
     "SamplingWarning",
     "SimulationWarning",
     "StudyMismatchError",
@@ -105,6 +106,10 @@ class ChainsDisagreeWarning(UserWarning):
 
 class LaplaceWarning(UserWarning):
     """The posterior is far from the Gaussians that stand for it."""
+
+
+class PriorWarning(UserWarning):
+    """The priors expect what no structure has, or what the data contradict."""
 
 
 class PredictionWarning(UserWarning):

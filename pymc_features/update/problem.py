@@ -2,12 +2,13 @@
 
 import hashlib
 import json
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from pymc_features.exceptions import ConfigError
+from pymc_features.exceptions import ConfigError, PriorWarning
 from pymc_features.update.config.document import Config, read_config
 from pymc_features.update.config.entries import Matrix
 from pymc_features.update.config.messages import named_key, shown
@@ -15,6 +16,8 @@ from pymc_features.update.config.priors import Prior
 from pymc_features.update.kinds import KINDS, KINDS_OF_DATA
 from pymc_features.update.kinds.base import KindOfData, Setting, Verdict
 from pymc_features.update.kinds.modal import Modal
+from pymc_features.update.plausibility.findings import of_priors
+from pymc_features.update.plausibility.prior_modes import PriorModes, prior_modes
 from pymc_features.update.predictions import check_predictions
 from pymc_features.update.structure import StructureOf, modes_of
 
@@ -171,6 +174,8 @@ def read_problem(path) -> Problem:
 
     Warns
     -----
+    PriorWarning
+        If the priors expect what no structure has, or what the data contradict.
     ChannelWarning, ModalDataWarning
         If a channel or a mode is suspicious.
     """
@@ -188,8 +193,11 @@ def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
     structure = StructureOf(config.structure, path.parent)
     with named_key("structure"):
         expected = structure(**{n: priors[n].median for n in structure.names})
-        first_frequency = np.nan if structure.is_specimen else first_frequency_of(expected)
-    given = Setting(config, path.parent, priors, expected, first_frequency)
+        prior = None if structure.is_specimen else expected_modes(structure, priors, expected)
+    if prior is not None:
+        for sentence in of_priors(prior, {name: uses[0][1] for name, uses in config.uses().items()}):
+            warnings.warn(sentence, PriorWarning, stacklevel=2)
+    given = Setting(config, path.parent, priors, expected, prior)
     data = tuple(kind.read(given) for kind in KINDS_OF_DATA if kind.is_asked(config))
     frequencies = config.report.natural_frequencies
     if frequencies is not None and not (frequencies and np.all(np.diff([0.0, *frequencies]) > 0.0)):
@@ -206,8 +214,8 @@ def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
     return Problem(path, text, config, raw, structure, priors, data)
 
 
-def first_frequency_of(expected) -> float:
-    """The first natural frequency of a structure [Hz]."""
+def expected_modes(structure, priors, expected) -> PriorModes:
+    """Modes of draws of the priors; `expected` is the structure at the medians."""
     with np.errstate(all="ignore"):  # the inverse of a tiny mass is no number
         found = modes_of(expected, 1).natural_frequencies
     if not (found.size and np.isfinite(found[0])):
@@ -215,4 +223,9 @@ def first_frequency_of(expected) -> float:
             "masses and stiffnesses must have a natural frequency at the medians of the priors, got none. "
             "Check their units."
         )
-    return float(found[0])
+    with np.errstate(all="ignore"):
+        return prior_modes(
+            structure,
+            {name: priors[name].draw for name in structure.names},
+            lambda one: modes_of(one, structure.n_modes),
+        )

@@ -133,8 +133,9 @@ def test_a_record_too_short_for_the_check_is_said_to_be(tmp_path, data_dir):
     messages, _, measured = told_by(path)
     assert measured.checked.sentence == "not checked against each other, as the file says"
     path.write_text(text.replace("check_band = false", ""))
-    messages, _, measured = told_by(path)
-    assert not messages
+    messages, lines, measured = told_by(path)
+    assert messages[0].startswith("floor2 may be inverted: the modes that the priors expect explain")
+    assert lines == ["scale = { floor2 = -1.0 }"]
     assert "not checked against each other: `channels` must last at least" in measured.checked.sentence
     assert measured.channels.sizes["time"] == 400
 

@@ -11,6 +11,7 @@ from pymc_features.likelihoods import Likelihood
 from pymc_features.structures import Structure
 from pymc_features.update.config.entries import priors_in
 from pymc_features.update.config.sections import Section
+from pymc_features.update.plausibility.prior_modes import PriorModes
 
 
 class Verdict(NamedTuple):
@@ -41,15 +42,15 @@ class Setting(NamedTuple):
         Names to `Prior`.
     expected : Structure
         At the medians of the priors.
-    first_frequency : float
-        The first natural frequency that it has [Hz]; NaN of a specimen.
+    prior : PriorModes or None
+        Natural modes of draws of the priors; None of a specimen.
     """
 
     config: Any
     folder: Path
     priors: dict[str, Any]
     expected: Structure
-    first_frequency: float
+    prior: PriorModes | None
 
 
 class KindOfData:

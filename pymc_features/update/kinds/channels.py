@@ -18,6 +18,7 @@ from pymc_features.signals.channels import check_window
 from pymc_features.update.config.messages import named_key, shown
 from pymc_features.update.config.sections import MEASURED
 from pymc_features.update.kinds.checks import Checked, check, warn_of_motion
+from pymc_features.update.plausibility.prior_modes import PriorModes
 
 
 @dataclass(frozen=True)
@@ -89,10 +90,8 @@ def base_and_sensors(measured: Measured) -> xr.DataArray:
     return xr.DataArray(values, coords, ("sensor", "time"))
 
 
-def read_measured(config, folder: Path, first_frequency: float) -> Measured:
+def read_measured(config, folder: Path, prior: PriorModes) -> Measured:
     """Read, correct, check and process the channels of a configuration; files are relative to `folder`.
-
-    The check is made below the first natural frequency that is expected [Hz].
 
     Raises
     ------
@@ -114,7 +113,7 @@ def read_measured(config, folder: Path, first_frequency: float) -> Measured:
                 join="override",
             ).assign_attrs(channels.attrs)
     refuse_gaps_of_the_base(channels.isel(sensor=0), config.data.base)
-    channels, checked = processed(channels, config, first_frequency)
+    channels, checked = processed(channels, config, prior)
     channels = channels.drop_vars("units", errors="ignore")  # of which there may be two
     base = channels.isel(sensor=0).assign_attrs(units="m/s^2")
     floors = channels.isel(sensor=slice(1, None)).assign_attrs(units=SI[MEASURED[config.data.quantity]])
@@ -254,19 +253,19 @@ def detrended(channels, asked) -> xr.DataArray:
         return signals.detrend(channels, asked.detrend.kind, window=asked.detrend.window)
 
 
-def processed(channels, config, first_frequency) -> tuple[xr.DataArray, Checked]:
+def processed(channels, config, prior) -> tuple[xr.DataArray, Checked]:
     """Channels after every step of [processing] but the decimation, and what the check found before."""
     asked = config.processing
     channels = detrended(channels, asked)
     with named_key("processing.check_band"):
-        checked = check(channels, config, first_frequency)
+        checked = check(channels, config, prior)
     if asked.band_pass is not None:
         filter_ = asked.band_pass
         with named_key("processing.band_pass"):
             channels = signals.band_pass(channels, filter_.low, filter_.high, order=filter_.order)
     if asked.trim is not None:
         with named_key("processing.trim"):
-            warn_of_motion(channels, asked.trim[0], first_frequency)
+            warn_of_motion(channels, asked.trim[0], checked.compared.first or prior.first)
             channels = signals.trim(channels, *asked.trim)
     return channels, checked
 

@@ -9,9 +9,15 @@ import numpy as np
 import xarray as xr
 
 from pymc_features import signals
-from pymc_features.exceptions import ChannelWarning, ConfigError
+from pymc_features.exceptions import ChannelWarning, ConfigError, PriorWarning
+from pymc_features.update.plausibility.findings import Compared, of_data
+from pymc_features.update.plausibility.resonances import spectra_of
+from pymc_features.update.plausibility.sensors import lags_confirmed, told_by_modes
 
 LOWEST, HIGHEST = 1.0 / 7.0, 0.5  # of the first natural frequency: where the floors follow the base
+TOP = 0.55  # the same, of a band that was asked for
+NARROWEST = 1.5  # factor between the ends of a band
+EXPLAINS_ANY = 0.99  # damping ratio that explains any lag
 COHERENT = 0.5  # of a floor with the base, where the base moves
 MOVING, QUIET = 0.2, 3.0  # of the rms of the whole, and of the quietest period: a sensor that is in motion
 OFFSET = 1.0  # s: clocks that are not the same, and no lag
@@ -26,14 +32,20 @@ class Checked(NamedTuple):
         Of `check_channels`; None where it was not asked for or could not tell anything.
     sentence : str
         What was checked, or why it was not.
+    compared : Compared or None
+        The data beside the priors; None of a cyclic test.
     """
 
     gains: xr.Dataset | None
     sentence: str
+    compared: Compared | None = None
 
 
-def check(channels, config, first_frequency: float) -> Checked:
-    """Check the channels, base first, in the band of the file or below an expected frequency [Hz].
+def check(channels, config, prior) -> Checked:
+    """Compare the channels, base first, with the priors, and check them where floors follow the base.
+
+    That is in the band of the file, but below the first natural frequency that the data show, or the priors
+    where they do not.
 
     Raises
     ------
@@ -42,32 +54,102 @@ def check(channels, config, first_frequency: float) -> Checked:
 
     Warns
     -----
+    PriorWarning
+        What the priors and the data contradict each other in.
     ChannelWarning
         What `check_channels` finds, and the lines of the file that correct it.
     """
-    asked = config.processing.check_band
-    if config.data.quantity != "absolute_acceleration":
-        return Checked(
-            None, f"not checked against each other: {config.data.quantity} is no motion of the base"
-        )
+    asked, data = config.processing.check_band, config.data
+    compared = compare_with_priors(channels, config, prior)
+    if data.quantity != "absolute_acceleration":
+        reason = f"{data.quantity} is no motion of the base"
+        return Checked(None, f"not checked against each other: {reason}", compared)
     if asked is False:
-        return Checked(None, "not checked against each other, as the file says")
+        return Checked(None, "not checked against each other, as the file says", compared)
+    first = prior.first
+    if compared.first and (compared.is_contradicted or HIGHEST * first > TOP * compared.first):
+        first = compared.first
     if asked is None:
-        band = LOWEST * first_frequency, HIGHEST * first_frequency
-        reason = why_not(channels, band)
-        if reason:
-            return Checked(None, f"not checked against each other: {reason}")
+        band = LOWEST * first, HIGHEST * first
     else:
-        band = asked
-    gains = signals.check_channels(channels, band=band)
-    refuse_offsets(gains)
+        band = asked[0], min(asked[1], TOP * compared.first) if compared.first else asked[1]
+    reason = why_not(channels, band) if asked is None or band[1] < asked[1] else ""
+    if reason:
+        gains = unknown_gains(channels)
+    else:
+        gains = gains_of(channels, band, compared, config)
+        refuse_offsets(gains)
+    if sentence := told_by_modes(gains, compared.placed):
+        warnings.warn(sentence, ChannelWarning, stacklevel=2)
     if lines := corrections(gains, config):
         warnings.warn(f"If it is so, put into [data]: {'; '.join(lines)}", ChannelWarning, stacklevel=2)
-    return Checked(gains, f"checked against each other between {band[0]:.3g} and {band[1]:.3g} Hz")
+    if reason:
+        return Checked(None, f"not checked against each other: {reason}", compared)
+    return Checked(gains, f"checked against each other between {band[0]:.3g} and {band[1]:.3g} Hz", compared)
+
+
+def compare_with_priors(channels, config, prior) -> Compared:
+    """Compare what the sensors show with the priors, and warn of what is wrong."""
+    data, asked, kept = config.data, config.processing, config.processing.band_pass
+    step = signals.sampling_step(channels)
+    window = asked.compare or asked.trim or (0.0, channels.sizes["time"] * step)
+    compared = of_data(
+        channels,
+        step,
+        prior,
+        sensor_dofs(config),
+        data.quantity,
+        duration=window[1] - window[0],
+        pass_band=(0.0, np.inf) if kept is None else (kept.low or 0.0, kept.high or np.inf),
+    )
+    for sentence in compared.sentences:
+        warnings.warn(sentence, PriorWarning, stacklevel=2)
+    return compared
+
+
+def gains_of(channels, band, compared, config) -> xr.Dataset:
+    """What `check_channels` finds, without lags that the modes contradict."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        gains = signals.check_channels(channels, band=band)
+    delays = gains["delay"].values[1:]
+    is_lag = delays.any() and np.abs(delays).max() < OFFSET
+    if (
+        is_lag
+        and compared.placed is not None
+        and not lags_confirmed(
+            spectra_of(channels, compared.step),
+            compared.prior,
+            sensor_dofs(config),
+            config.data.quantity,
+            factor=compared.scale.factor,
+            delays=delays,
+        )
+    ):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            gains = signals.check_channels(channels, band=band, damping_ratio=EXPLAINS_ANY)
+    for warning in caught:
+        warnings.warn(warning.message, warning.category, stacklevel=2)
+    return gains
+
+
+def sensor_dofs(config) -> list[int]:
+    """Degree of freedom of each sensor."""
+    return config.data.dofs or list(range(len(config.data.sensors)))
+
+
+def unknown_gains(channels) -> xr.Dataset:
+    """What `check_channels` returns where nothing is to be corrected."""
+    n = channels.sizes["sensor"]
+    columns = {"scale": ("sensor", np.ones(n)), "delay": ("sensor", np.zeros(n))}
+    return xr.Dataset(columns, {"sensor": channels["sensor"].values})
 
 
 def why_not(channels, band) -> str:
-    """Why a band that nobody asked for tells nothing; empty if it does."""
+    """Why a band tells nothing; empty if it does."""
+    if not band[1] > NARROWEST * band[0]:
+        return f"the first mode of the data leaves too little of the band from {band[0]:.3g} Hz on"
     try:
         coherence = signals.low_frequency_gains(channels, band)["coherence"].values[1:]
     except ValueError as error:

@@ -21,9 +21,9 @@ from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.config.messages import shown
 from pymc_features.update.config.sections import Section, key
 from pymc_features.update.kinds.base import Setting
-from pymc_features.update.kinds.channels import Measured, read_measured
+from pymc_features.update.kinds.channels import Measured, checked_dofs, read_measured
 from pymc_features.update.kinds.histories import prints_of
-from pymc_features.update.kinds.responses import Responses, checked_sensors
+from pymc_features.update.kinds.responses import Responses, check_likelihood
 from pymc_features.update.model import declare
 
 FEWEST_DRAWS = 100  # to which a density is fitted
@@ -154,20 +154,21 @@ class Events(Responses):
 
         An event is a file with all channels, or a folder in which `data.files` and `record.path` are.
         """
-        config, folder, first_frequency = given.config, given.folder, given.first_frequency
+        config, folder = given.config, given.folder
+        dofs = checked_dofs(config, given.expected.n_dof)
         events = []
         for name, path in places(config.events, folder).items():
             own = of_event(config, path)
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 try:
-                    measured = read_measured(own, path if path.is_dir() else path.parent, first_frequency)
+                    measured = read_measured(own, path if path.is_dir() else path.parent, given.prior)
                 except ConfigError as error:
                     raise ConfigError(f"event {name}: {error}") from error
             for warning in caught:
                 warnings.warn(f"{name}: {warning.message}", warning.category, stacklevel=2)
             events.append(Event(name, measured))
-        dofs = checked_sensors(given, [event.measured for event in events])
+        check_likelihood(given, dofs, [event.measured for event in events])
         return cls(config, events[-1].measured, dofs, tuple(events))
 
     def prints(self):

@@ -45,8 +45,10 @@ class Responses(Histories):
     @classmethod
     def read(cls, given: Setting):
         """The channels, processed, and where they are on the structure."""
-        measured = read_measured(given.config, given.folder, given.first_frequency)
-        return cls(given.config, measured, checked_sensors(given, [measured]))
+        dofs = checked_dofs(given.config, given.expected.n_dof)
+        measured = read_measured(given.config, given.folder, given.prior)
+        check_likelihood(given, dofs, [measured])
+        return cls(given.config, measured, dofs)
 
     @property
     def used(self):
@@ -103,13 +105,11 @@ class Responses(Histories):
         return verdict_of_responses(self, result, kind)
 
 
-def checked_sensors(given: Setting, measured) -> list[int]:
-    """A degree of freedom for each sensor, where likelihood, errors and gaps fit."""
-    dofs = checked_dofs(given.config, given.expected.n_dof)
+def check_likelihood(given: Setting, dofs, measured) -> None:
+    """Errors fit the sensors, and likelihoods the gaps."""
     check_errors(given.config, given.priors, len(dofs))
     for one in measured:
         check_gaps(given.config, one)
-    return dofs
 
 
 def measured_gain(measured) -> tuple[xr.DataArray, np.ndarray]:

@@ -1,0 +1,1 @@
+"""What the priors expect beside what was measured, before anything is sampled."""

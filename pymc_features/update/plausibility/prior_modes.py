@@ -1,0 +1,116 @@
+"""Modes, mass and stiffness that the priors expect: every draw, without anything compiled."""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+DRAWS, DRAWS_OF_LARGE = 200, 40
+LARGE = 300  # degrees of freedom
+GRAVITY = 9.81  # [m/s^2]
+
+
+class PriorModes(NamedTuple):
+    """What draws of the priors have in common, d draws and m modes.
+
+    Attributes
+    ----------
+    values : dict
+        Names of the parameters to their draws (d,).
+    frequencies, ratios : array (d, m)
+        Natural frequencies [Hz] and damping ratios [-].
+    shares : array (d, n, m)
+        Displacement of each degree of freedom under a unit displacement of the base, mode by mode [-].
+    mass : float
+        That the base moves, at the medians [kg].
+    deflection : float
+        Largest displacement under an acceleration of 1 g across the base, at the medians [m].
+    is_linear : bool
+        Whether springs keep their stiffness.
+    """
+
+    values: dict[str, np.ndarray]
+    frequencies: np.ndarray
+    ratios: np.ndarray
+    shares: np.ndarray
+    mass: float
+    deflection: float
+    is_linear: bool
+
+    @property
+    def first(self) -> float:
+        """Median of the first natural frequency [Hz]."""
+        return float(np.median(self.frequencies[:, 0]))
+
+    def range_of(self, mode: int) -> tuple[float, float]:
+        """5 and 95 % of a natural frequency [Hz], mode 0 the first."""
+        low, high = np.quantile(self.frequencies[:, mode], [0.05, 0.95])
+        return float(low), float(high)
+
+    def at_sensors(self, dofs, quantity) -> np.ndarray:
+        """Shares (d, s, m) of the modes in a quantity at some degrees of freedom."""
+        below = np.pad(self.shares, ((0, 0), (1, 0), (0, 0)))[:, :-1] * (quantity == "inter_storey_drift")
+        return (self.shares - below)[:, dofs]
+
+    def exponents(self, of: np.ndarray | None = None) -> dict[str, float]:
+        """d ln f_1 / d ln(parameter) over the draws of positive parameters, or of other numbers (d,)."""
+        of = self.frequencies[:, 0] if of is None else np.maximum(of, 1e-12)
+        names = [name for name, draws in self.values.items() if (draws > 0.0).all() and np.ptp(draws) > 0.0]
+        columns = [np.log(self.values[name]) for name in names]
+        terms = np.column_stack([np.ones(len(self.frequencies)), *columns])
+        found = np.linalg.lstsq(terms, np.log(of), rcond=None)[0]
+        return dict(zip(names, found[1:].tolist(), strict=True))
+
+
+def prior_modes(structure: Callable, draws: Mapping[str, Callable], modes_of: Callable) -> PriorModes:
+    """Modes of structures whose parameters are drawn from their priors; impossible ones are left out.
+
+    Parameters
+    ----------
+    structure : callable
+        Values by name to a structure of numbers.
+    draws : dict
+        Names to functions (n, seed) that return n draws.
+    modes_of : callable
+        A structure to its `Modes`.
+    """
+    middle = {name: float(np.median(draw(501, 1))) for name, draw in draws.items()}
+    at_medians = structure(**middle)
+    n = DRAWS if at_medians.n_dof <= LARGE else DRAWS_OF_LARGE
+    columns = {name: draw(n, k) for k, (name, draw) in enumerate(draws.items())}
+    found, kept = [], []
+    for k in range(n if columns else 1):
+        try:
+            one = modes_of(structure(**{name: float(column[k]) for name, column in columns.items()}))
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError):
+            continue
+        if np.isfinite(one.natural_frequencies).all() and one.natural_frequencies.size:
+            found.append(one)
+            kept.append(k)
+    if not found:
+        raise ValueError(
+            "masses and stiffnesses must have a natural frequency at draws of the priors, got none. Check "
+            "their units."
+        )
+    n_modes = min(one.natural_frequencies.size for one in found)
+    of_medians = modes_of(at_medians)
+    shares = shares_of(of_medians)
+    influence = getattr(at_medians, "influence", None)
+    mass = at_medians.mass if influence is None else influence * (at_medians.mass @ influence)
+    with np.errstate(divide="ignore"):
+        deflection = np.abs((shares / of_medians.angular_frequencies**2).sum(axis=-1)).max() * GRAVITY
+    return PriorModes(
+        {name: column[kept] for name, column in columns.items()},
+        np.array([one.natural_frequencies[:n_modes] for one in found]),
+        np.array([one.damping_ratios[:n_modes] for one in found]),
+        np.array([shares_of(one)[:, :n_modes] for one in found]),
+        float(np.sum(mass)),
+        float(deflection),
+        at_medians.is_linear,
+    )
+
+
+def shares_of(modes) -> np.ndarray:
+    """Shape times participation factor (n, m), summed over supports that move together."""
+    factors = modes.participation_factors
+    return modes.mode_shapes * (factors if factors.ndim == 1 else factors.sum(axis=1))
