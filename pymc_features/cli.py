@@ -16,7 +16,7 @@ from pymc_features.interrupt import EXIT_INTERRUPTED, CtrlC, started
 
 EXIT_BAD_INPUT, EXIT_UNEXPLAINED = 2, 3
 # what each command needs, with PyMC
-NEEDED = {"update": "pymc_features.update.run", "check": "pymc_features.update.expected"}
+NEEDED = {"update": "pymc_features.update.run", "check": "pymc_features.update.report.expected"}
 NEEDED |= {"predict": "pymc_features.update.run"}
 NEEDED |= {"init": "pymc_features.update.examples.write"}
 NEEDED |= {"reproduce": "pymc_features.study", "convert": "pymc_features.io"}
@@ -41,7 +41,7 @@ def main(arguments=None) -> int:
 
     from pymc_features.arguments import make_parser
     from pymc_features.exceptions import NoWorkersError
-    from pymc_features.update.keys import parsed
+    from pymc_features.update.config.keys import parsed
 
     options = make_parser().parse_args(arguments)
     console = Console(stderr=True)
@@ -211,7 +211,7 @@ def read_and_tell(config, console):
     import warnings
 
     from pymc_features.update import read_problem
-    from pymc_features.update.expected import structure_sentence
+    from pymc_features.update.report.expected import structure_sentence
 
     told = []
     with warnings.catch_warnings(record=True) as caught:
@@ -250,7 +250,7 @@ def tell_channels(measured, console, event=""):
 
 def check(options, console):
     """Look at the data of a configuration."""
-    from pymc_features.update.expected import (
+    from pymc_features.update.report.expected import (
         check_data,
         check_loops,
         check_modes,

@@ -11,7 +11,7 @@ from importlib import import_module
 
 PLACES = {
     "Problem": "problem",
-    "read_config": "config.document",
+    "read_config": "document",
     "read_problem": "problem",
     "run_update": "run",
     "write_example": "examples.write",

@@ -7,7 +7,7 @@ import xarray as xr
 
 from pymc_features.events import compare
 from pymc_features.exceptions import ConfigError
-from pymc_features.update.config.document import validated
+from pymc_features.update.document import validated
 from pymc_features.update.kinds import KINDS
 from pymc_features.update.parts import RunSettings, run_parts
 from pymc_features.update.problem import Problem, problem_of

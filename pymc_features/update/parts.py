@@ -20,7 +20,7 @@ from pymc_features.storage import SUMMED, PartStore, held, moved_aside, settings
 from pymc_features.update import sampling
 from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.kinds import KINDS
-from pymc_features.update.model import declare, frequencies, names_for
+from pymc_features.update.kinds.model import declare, frequencies, names_for
 from pymc_features.update.problem import Problem
 from pymc_features.update.sampling import Running, calibrated, method_of, seed_of
 

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features.exceptions import ConfigError, PriorWarning
-from pymc_features.update.config.document import Config, read_config
 from pymc_features.update.config.entries import Matrix
 from pymc_features.update.config.messages import named_key, shown
 from pymc_features.update.config.priors import Prior
+from pymc_features.update.document import Config, read_config
 from pymc_features.update.kinds import KINDS, KINDS_OF_DATA
 from pymc_features.update.kinds.base import KindOfData, Setting, Verdict
 from pymc_features.update.kinds.modal import Modal
+from pymc_features.update.kinds.structure import StructureOf, modes_of
 from pymc_features.update.plausibility.findings import of_priors
 from pymc_features.update.plausibility.prior_modes import PriorModes, prior_modes
 from pymc_features.update.predictions import check_predictions
-from pymc_features.update.structure import StructureOf, modes_of
 
 #: Keys that change no draw, or, as the tolerance, those of ABC alone.
 WITHOUT_EFFECT = (

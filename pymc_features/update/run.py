@@ -10,11 +10,11 @@ import xarray as xr
 from pymc_features.exceptions import ConfigError
 from pymc_features.records import Record
 from pymc_features.update.candidates import compared
-from pymc_features.update.config.document import read_config
+from pymc_features.update.document import read_config
+from pymc_features.update.kinds.structure import StructureOf
 from pymc_features.update.parts import RunSettings, run_parts
 from pymc_features.update.predictions import check_predictions, predictions
 from pymc_features.update.problem import Problem
-from pymc_features.update.structure import StructureOf
 
 
 def run_update(

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 import pymc_features
-from pymc_features.update.keys import SCHEMA
+from pymc_features.update.config.keys import SCHEMA
 from support.commands import GARBAGE, ROOT, run
 from support.pages import PAGES, README, blocks, script
 

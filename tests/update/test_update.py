@@ -19,11 +19,11 @@ from pymc_features.smc.workers import workers
 from pymc_features.smc.workers.workers import Spread
 from pymc_features.update import parts, read_problem, run_update, sampling, write_example
 from pymc_features.update.config import priors, structure_sections
-from pymc_features.update.config.document import read_config
+from pymc_features.update.document import read_config
+from pymc_features.update.kinds.model import declare, thinned
 from pymc_features.update.kinds.responses import measured_gain
-from pymc_features.update.model import declare, thinned
+from pymc_features.update.kinds.structure import StructureOf
 from pymc_features.update.report import findings
-from pymc_features.update.structure import StructureOf
 
 SMALL = [
     ('kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]', 'kinds = ["EXP", "ABC"]'),

@@ -12,7 +12,7 @@ from pymc_features import cli
 from pymc_features.calibration.sandwich import sentence
 from pymc_features.exceptions import CalibrationWarning, ConfigError
 from pymc_features.update import read_problem, sampling, write_example
-from pymc_features.update.model import declare
+from pymc_features.update.kinds.model import declare
 from pymc_features.update.report.summary import rows, supported
 from pymc_features.update.sampling import Running
 from update.test_update import replaced, table_of, variant

@@ -8,7 +8,7 @@ import pytest
 from pymc_features import cli, datasets, signals
 from pymc_features.exceptions import ConfigError
 from pymc_features.update import read_problem, run_update, sampling, write_example, write_outputs
-from pymc_features.update.model import declare
+from pymc_features.update.kinds.model import declare
 from pymc_features.update.report import terminal
 from pymc_features.update.report.findings import findings
 from pymc_features.update.sampling import Running

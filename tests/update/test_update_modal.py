@@ -13,7 +13,7 @@ from pymc_features import ModalDamping, SpringMassChain, cli, simulate, syntheti
 from pymc_features.exceptions import ConfigError
 from pymc_features.update import read_problem, run_update, sampling
 from pymc_features.update.kinds.modal import ModeRow, modes_verdict
-from pymc_features.update.model import declare
+from pymc_features.update.kinds.model import declare
 
 MASS, DRAWN, TRUE = 1.6e5, np.array([3.4e8, 3.0e8, 2.5e8]), {"k1": 0.8, "k2": 1.0, "k3": 1.1}
 NAMES = ["floor 1", "floor 2", "roof"]

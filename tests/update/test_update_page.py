@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pymc_features.update import read_problem
-from pymc_features.update.model import declare
+from pymc_features.update.kinds.model import declare
 from support.pages import PAGES, blocks
 
 [PAGE] = [path for path in PAGES if path.name == "update.md"]

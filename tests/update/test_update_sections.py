@@ -12,7 +12,8 @@ import xarray as xr
 from pymc_features import cli, posterior_response
 from pymc_features.exceptions import ConfigError, StudyMismatchError
 from pymc_features.storage import PartStore, held
-from pymc_features.update import keys, read_problem, sampling, write_example
+from pymc_features.update import read_problem, sampling, write_example
+from pymc_features.update.config import keys
 from pymc_features.update.sensitivity import remaining, sensitivity_sentences
 from update.test_update import replaced
 
@@ -210,14 +211,14 @@ def test_all_typos_are_said_before_anything_is_imported(path, tmp_path):
     text = replaced(path.read_text(), [("[[predict]]", "[[predictt]]"), ("draws = 100", "drwas = 100")])
     (tmp_path / "typos.toml").write_text(text)
     code = (
-        "import sys, time\nfrom pymc_features.update.keys import parsed\n"
+        "import sys, time\nfrom pymc_features.update.config.keys import parsed\n"
         f"try: parsed({str(tmp_path / 'typos.toml')!r})\nexcept ValueError as error: print(error)\n"
         "print({'pymc', 'pytensor', 'numpy', 'pydantic'} & set(sys.modules), time.process_time() < 1.0)"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
     assert said.splitlines() == [
-        "typos.toml: `sampler.drwas` must be left out, it is no key. Did you mean `draws`? `predictt` must be "
-        "left out, it is no key. Did you mean `predict`?",
+        "typos.toml: `sampler.drwas` must be left out, it is no key. Did you mean `draws`? `predictt` must "
+        "be left out, it is no key. Did you mean `predict`?",
         "set() True",
     ]
     assert keys.parsed(path)["predict"][0]["scale"] == 0.5

@@ -10,7 +10,7 @@ from pymc_features import ExpFeature, ModalDamping, Record, SpringMassChain, res
 from pymc_features.exceptions import ConfigError
 from pymc_features.smc import PopulationLogp
 from pymc_features.update import read_problem
-from pymc_features.update.model import declare
+from pymc_features.update.kinds.model import declare
 from support.graphs import LIGHT
 from support.structures import noise_record, with_noise
 

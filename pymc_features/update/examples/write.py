@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from pymc_features.storage import write_atomically
+from pymc_features.update.config.keys import SCHEMA
 from pymc_features.update.examples import EXAMPLES
-from pymc_features.update.keys import SCHEMA
 from pymc_features.update.templates import TEMPLATES
 
 

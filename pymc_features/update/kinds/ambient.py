@@ -32,7 +32,7 @@ from pymc_features.update.config.sections import Section, key, window
 from pymc_features.update.kinds.base import KindOfData, Setting, Verdict, check_positive_priors
 from pymc_features.update.kinds.channels import checked_dofs, detrended, read_corrected
 from pymc_features.update.kinds.modal import Modal, ModalSection
-from pymc_features.update.model import thinned
+from pymc_features.update.kinds.model import thinned
 
 AMBIENT = Likelihood(
     "AMBIENT",

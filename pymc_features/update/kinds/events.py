@@ -23,8 +23,8 @@ from pymc_features.update.config.sections import Section, key
 from pymc_features.update.kinds.base import Setting
 from pymc_features.update.kinds.channels import Measured, checked_dofs, read_measured
 from pymc_features.update.kinds.histories import prints_of
+from pymc_features.update.kinds.model import declare
 from pymc_features.update.kinds.responses import Responses, check_likelihood
-from pymc_features.update.model import declare
 
 FEWEST_DRAWS = 100  # to which a density is fitted
 FOLDER = "sequence"  # beside the parts of an update

@@ -21,7 +21,7 @@ from pymc_features.update.config.messages import named_key
 from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.kinds.base import KindOfData, Setting
 from pymc_features.update.kinds.channels import Measured
-from pymc_features.update.model import thinned
+from pymc_features.update.kinds.model import thinned
 
 QUANTILES = (0.05, 0.5, 0.95)
 DRAWS = 200

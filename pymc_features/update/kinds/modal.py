@@ -25,9 +25,9 @@ from pymc_features.update.config.messages import named_key, shown
 from pymc_features.update.config.sections import Names, Section, key, parameters_of
 from pymc_features.update.config.structure_sections import STRUCTURES
 from pymc_features.update.kinds.base import KindOfData, Setting, Verdict, check_positive_priors
+from pymc_features.update.kinds.model import declare, declares_as_prior, each_draw, thinned
 from pymc_features.update.kinds.nodes import Points, read_nodes
-from pymc_features.update.model import declare, declares_as_prior, each_draw, thinned
-from pymc_features.update.structure import modes_of
+from pymc_features.update.kinds.structure import modes_of
 
 COLUMNS = ("mode", "measured", "5 %", "50 %", "95 %", "off", "MAC", "5-95 %", "partner")
 MEANING = (

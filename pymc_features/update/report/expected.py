@@ -13,9 +13,9 @@ from pymc_features.update.kinds.ambient import draw_spectra
 from pymc_features.update.kinds.channels import base_and_sensors
 from pymc_features.update.kinds.coarseness import coarseness
 from pymc_features.update.kinds.modal import MODAL, draw_mac, draw_shapes, modes_verdict
-from pymc_features.update.model import MODAL_DRAWS, names_for
+from pymc_features.update.kinds.model import MODAL_DRAWS, names_for
+from pymc_features.update.kinds.structure import modes_of
 from pymc_features.update.report.terminal import gains_table, modes_table
-from pymc_features.update.structure import modes_of
 
 DPI = 120
 DRAWS = 200

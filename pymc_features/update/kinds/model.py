@@ -8,7 +8,7 @@ from pymc_features.exceptions import ConfigError
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.config.entries import priors_in
 from pymc_features.update.config.messages import named_key
-from pymc_features.update.structure import modes_of
+from pymc_features.update.kinds.structure import modes_of
 
 MODAL_DRAWS = 500
 

@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.entries import units_in
+from pymc_features.update.config.keys import parsed
 from pymc_features.update.config.messages import sentence, shown
 from pymc_features.update.config.sections import (
     Candidate,
@@ -20,7 +21,6 @@ from pymc_features.update.config.sections import (
     parameters_of,
 )
 from pymc_features.update.config.structure_sections import SPECIMENS, StructureSection
-from pymc_features.update.keys import parsed
 from pymc_features.update.kinds import KINDS_OF_DATA
 from pymc_features.update.kinds.ambient import Ambient
 from pymc_features.update.kinds.modal import with_damping
