@@ -6,9 +6,8 @@ from datetime import UTC, datetime
 import numpy as np
 
 from pymc_features._checks import as_list, listed, message, shown
-from pymc_features.io.reading.columns import Columns, recording_of
 from pymc_features.io.reading.labels import Label, role_of
-from pymc_features.io.reading.recording import Channel, Recording, Request
+from pymc_features.io.reading.recording import Channel, Columns, Recording, Request, recording_of
 
 SEP005 = "data", "name", "unit_str"
 
