@@ -21,7 +21,7 @@ from pymc_features import (
     read_modal,
     read_record,
 )
-from pymc_features.io.formats.waveforms import KINDS
+from pymc_features.io.formats.libraries import KINDS
 from support import modal_files
 from support import record_files as files
 from support.mutations import is_what_it_says, mutated, outcome

@@ -29,7 +29,7 @@ def recording_in(source, request: Request) -> Recording:
     if "DataArray" in names:
         return _of_array(source)
     if "Stream" in names:
-        from pymc_features.io.formats.waveforms import channels_of
+        from pymc_features.io.formats.libraries import channels_of
 
         return Recording("the Stream", channels_of(source.copy().merge(method=0), "the Stream", {}))
     return Recording("the list", [_of_dict(entry) for entry in source])

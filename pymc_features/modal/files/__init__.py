@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from pymc_features._checks import check_flag, check_path, check_texts
-from pymc_features.io.formats.universal import is_universal
+from pymc_features.io.formats.libraries import is_universal
 from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.recording import Opening
 from pymc_features.modal import ModalData
