@@ -87,10 +87,11 @@ def check_channels(
     index = base_index(channels, base)
     reference = repr(str(found["sensor"].values[index]))
     allowed = _LATE * sampling_step(channels), damping_ratio / (1.5 * np.pi * found.attrs["band"][1])
+    columns = {name: found[name].values for name in found.data_vars}
     comparable, late = [], False
     scale, delay = np.ones(found.sizes["sensor"]), np.zeros(found.sizes["sensor"])
     for i in range(found.sizes["sensor"]):
-        row = {name: float(found[name][i]) for name in found.data_vars}
+        row = {name: float(numbers[i]) for name, numbers in columns.items()}
         messages = [] if i == index else _against_base(row, reference, allowed)
         if i != index and row["coherence"] >= _COHERENT:
             scale[i], delay[i] = _factor(row["gain"]), row["lag"] if _late(row, allowed[1]) > 0.0 else 0.0
