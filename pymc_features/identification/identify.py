@@ -12,10 +12,8 @@ from pymc_features.ambient.spectral import MEASURED
 from pymc_features.ambient.transfer import transfer_functions
 from pymc_features.ambient.transforms import band_transform
 from pymc_features.ambient.warn import tell, warn_of_peak
-from pymc_features.identification.posterior import BandData, FreeModes, Posterior, noise_logp
-from pymc_features.identification.propose import propose_bands
-from pymc_features.identification.start import best_posterior
-from pymc_features.identification.tones import without_tones
+from pymc_features.identification.posterior import BandData, FreeModes, Posterior, best_posterior, noise_logp
+from pymc_features.identification.propose import propose_bands, without_tones
 from pymc_features.modal import ModalData
 from pymc_features.signals import sampling_step
 from pymc_features.signals.channels import whole_values

@@ -237,7 +237,7 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     """The channels of all files on their common clock, or band-limited at a rate [Hz]."""
     import xarray as xr  # a second to import
 
-    from pymc_features.signals.single import check_each
+    from pymc_features.signals.check import check_each
 
     kept, names, parts = {}, [], []
     sensors = _sensors(files, columns, request, bool(resample))
@@ -309,7 +309,7 @@ def _aligned(rows, clocks: list[Clock]) -> tuple[np.ndarray, float, float]:
 def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, float, float]:
     """Values (sensor, time) at a common rate [Hz], each sensor moved to the same times."""
     from pymc_features import band_limited
-    from pymc_features.signals.gaps import filled, widened, without
+    from pymc_features.signals.channels import filled, widened, without
 
     if without_clocks(clocks):
         clocks = [clock._replace(start=0.0) for clock in clocks]

@@ -1,22 +1,233 @@
 """Structural matrices of finite-element programs, MATLAB, NumPy and SciPy.
 
-Only numbers are read, dense or sparse; no pickles, nothing in the file is executed.
+Only numbers are read, dense or sparse; no pickles, nothing in the file is executed. Each reader gives
+matrices by name, and the degrees of freedom of each where the file, or the list that the program writes
+beside it, names them: node and direction, as ``12:z``.
+
+Boisvert, R. F., Pozo, R. and Remington, K. A. (1996), The Matrix Market Exchange Formats, NISTIR 5935. Duff,
+I. S., Grimes, R. G. and Lewis, J. G. (1992), Users' Guide for the Harwell-Boeing Sparse Matrix Collection,
+TR/PA/92/86. Dassault Systemes, Abaqus Analysis User's Guide, Generating matrices. Dhondt, G., CalculiX
+CrunchiX User's Manual, *FREQUENCY, SOLVER=MATRIXSTORAGE. ANSYS, Command Reference, HBMAT.
 """
 
 import warnings
 import zipfile
+from io import StringIO
 from os import PathLike
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from pymc_features._checks import check_path, listed
+from pymc_features.io.formats.header import column_width
 from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.formats.text import read_columns
-from pymc_features.io.matrix_formats import Found, read_calculix, read_harwell_boeing, read_mtx, read_nastran
-from pymc_features.io.reading.lines import check_readable, check_size, shortened
+from pymc_features.io.reading.lines import Lines, by_library, check_readable, check_size, shortened, to_count
 from pymc_features.io.reading.recording import Request
+
+MOST_ROWS = 10**6  # of a sparse matrix with fewer bytes in its file
+SIGNS = {"general": 0.0, "symmetric": 1.0, "skew-symmetric": -1.0}  # of the half that is not stored
+AXES = ("x", "y", "z", "rx", "ry", "rz")  # directions 1 to 6
+ANSYS = dict(zip(("UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ"), AXES, strict=True))
+
+
+class Found(NamedTuple):
+    """Matrices by name, and the degrees of freedom of those whose file names them."""
+
+    matrices: dict
+    labels: dict[str, list[str]] = {}
+
+
+def read_mtx(path: Path) -> Found:
+    """A matrix of Matrix Market or of Abaqus, which have the same ending."""
+    lines = Lines(path)
+    if not lines.text.lstrip().lower().startswith("%%matrixmarket"):
+        return _abaqus(path, lines)
+    words = lines.take("a banner").lower().split()
+    if len(words) != 5 or words[1] != "matrix":
+        raise lines.error(
+            'the banner must be as "%%MatrixMarket matrix coordinate real general"', repr(words[:5])
+        )
+    layout, field, symmetry = words[2:]
+    if field == "complex":
+        return Found({path.stem: np.empty((1, 1), dtype=complex)})
+    if layout not in ("coordinate", "array") or field not in ("real", "double", "integer"):
+        raise lines.error("the matrix must be stored as real coordinates or array", f"{layout} {field}")
+    if symmetry not in SIGNS:
+        raise lines.error("the symmetry must be general, symmetric or skew-symmetric", symmetry)
+    while (line := lines.take("the size of the matrix")).startswith("%") or not line.strip():
+        pass
+    sizes = [to_count(word) for word in line.split()]
+    if len(sizes) != 2 + (layout == "coordinate") or None in sizes or min(sizes[:2]) < 1:
+        raise lines.error("the size must be whole numbers", repr(line.strip()[:60]))
+    if SIGNS[symmetry] and sizes[0] != sizes[1]:
+        raise lines.error("a symmetric matrix must be square", f"{sizes[0]} x {sizes[1]}")
+    body = _numbers(lines, 3 if layout == "coordinate" else 1)
+    if layout == "coordinate":
+        if len(body) != sizes[2]:
+            raise lines.error(f"the file must hold the {sizes[2]} entries that it announces", len(body))
+        return Found({path.stem: _assembled(path, body, tuple(sizes[:2]), SIGNS[symmetry])})
+    return Found({path.stem: _dense(path, lines, body[:, 0], sizes, SIGNS[symmetry])})
+
+
+def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
+    """Rows of numbers (row, column) down to the end, between blanks; without lines of * or %.
+
+    Without a number of columns they are those of Abaqus, which has three or five, between commas or blanks.
+    """
+    mark = "," if n_columns is None else " "
+    rows = (row.replace(mark, " ") for number, row in lines if number > lines.number)
+    rows = [row for row in rows if row[:1] not in "*%"]
+    count = len(rows[0].split()) if rows else n_columns or 0
+    if count not in ((3, 5) if n_columns is None else (n_columns,)):
+        raise ValueError(
+            f"{lines.title} must hold {n_columns} numbers in a line, got {count}. Export it again."
+            if n_columns
+            else f"{lines.title} must begin with %%MatrixMarket, or hold lines of 3 or 5 numbers as Abaqus "
+            f"writes them, got {count}. Export the matrix again."
+        )
+    try:
+        return np.loadtxt(StringIO("\n".join(rows)), ndmin=2, comments=None).reshape(-1, count)
+    except ValueError as error:
+        raise ValueError(
+            f"{lines.title} must hold {count} numbers in a line ({shortened(error)}). Export it again."
+        ) from None
+
+
+def _dense(path: Path, lines: Lines, values: np.ndarray, sizes: list[int], sign: float) -> np.ndarray:
+    """Columns one below the other; of symmetric ones the part from the diagonal on, of skew ones below it."""
+    n_rows, n_columns = sizes
+    check_size(path, [8 * n_rows * n_columns])
+    stored = np.ones((n_columns, n_rows), dtype=bool)
+    if sign:
+        stored = np.triu(stored, 0 if sign > 0.0 else 1)
+    if values.size != stored.sum():
+        raise lines.error(f"the file must hold the {stored.sum()} entries that it announces", values.size)
+    matrix = np.zeros((n_columns, n_rows))
+    matrix[stored] = values
+    return matrix.T + sign * np.triu(matrix, 1) if sign else matrix.T
+
+
+def _assembled(path: Path, entries: np.ndarray, shape: tuple[int, int], sign: float):
+    """The matrix of rows, columns (from 1) and values (entry, 3); `sign` of the half that is not stored."""
+    if max(shape) > max(path.stat().st_size, MOST_ROWS):
+        check_size(path, [8 * size for size in shape])
+    places = entries[:, :2]
+    wrong = ((places != np.rint(places)) | (places < 1) | (places > shape)).any(axis=1)
+    if wrong.any():
+        raise ValueError(
+            f"{path.name}: rows and columns must be from 1 to {shape[0]} and {shape[1]}, got "
+            f"{places[wrong][0].tolist()}."
+        )
+    rows, columns = (places - 1).astype(np.int64).T
+    values, off = entries[:, 2], rows != columns
+    if sign and (rows > columns).any() and (rows < columns).any():
+        raise ValueError(
+            f"{path.name}: a symmetric matrix must be stored by one half, got entries in both. Write "
+            "general in its first line if both halves are complete."
+        )
+    if sign < 0.0 and not off.all():
+        raise ValueError(f"{path.name}: a skew-symmetric matrix must have no diagonal, got entries there.")
+    if len(np.unique(rows * shape[1] + columns)) < rows.size:
+        raise ValueError(
+            f"{path.name}: entries must stand once each, got several at one place. Add them first."
+        )
+    if sign:
+        rows, columns = np.r_[rows, columns[off]], np.r_[columns, rows[off]]
+        values = np.r_[values, sign * values[off]]
+    return sparse.coo_array((values, (rows, columns)), shape=shape)
+
+
+def _square(path: Path, entries: np.ndarray, size: int | None = None):
+    """A square matrix of which one half is stored, or both."""
+    rows, columns = entries[:, 0], entries[:, 1]
+    both = bool((rows > columns).any() and (rows < columns).any())
+    size = int(entries[:, :2].max(initial=0)) if size is None else size
+    return _assembled(path, entries, (size, size), 0.0 if both else 1.0)
+
+
+def _abaqus(path: Path, lines: Lines) -> Found:
+    """*MATRIX OUTPUT: lines of node, direction, node, direction and value, or of row, column and value."""
+    entries = _numbers(lines)
+    if entries.shape[1] == 3:
+        return Found({path.stem: _square(path, entries)})
+    pairs = np.vstack([entries[:, :2], entries[:, 2:4]])
+    freedoms, numbers = np.unique(pairs.astype(np.int64), axis=0, return_inverse=True)
+    places = numbers.reshape(2, -1).T + 1.0
+    matrix = _square(path, np.column_stack([places, entries[:, 4]]), len(freedoms))
+    return Found({path.stem: matrix}, {path.stem: [_label(node, axis) for node, axis in freedoms]})
+
+
+def _label(node, direction) -> str:
+    """A degree of freedom by its node and its direction, 1 to 6; scalar points have none."""
+    axis = int(direction)
+    return f"{int(node)}:{AXES[axis - 1]}" if 1 <= axis <= 6 else str(int(node))
+
+
+def read_calculix(path: Path) -> Found:
+    """Stiffness (.sti) or mass (.mas): row, column, value; degrees of freedom in the .dof beside it."""
+    entries = _numbers(Lines(path), 3)
+    beside = path.with_suffix(".dof")
+    if not beside.exists():
+        return Found({path.stem: _square(path, entries)})
+    pairs = [line.split()[0].partition(".") for _, line in Lines(beside)]
+    labels = [_label(to_count(node) or 0, to_count(axis) or 0) for node, _, axis in pairs]
+    return Found({path.stem: _square(path, entries, len(labels))}, {path.stem: labels})
+
+
+def read_harwell_boeing(path: Path) -> Found:
+    """A real assembled matrix (RSA, RUA); HBMAT writes its degrees of freedom to a .mapping beside it."""
+    lines = Lines(path, "Harwell-Boeing")
+    lines.take("a title")
+    counts = [to_count(word) for word in lines.take("numbers of lines").split()]
+    words = lines.take("the type of the matrix").split()
+    kind, sizes = words[0].upper() if words else "", [to_count(word) for word in words[1:]]
+    if len(counts) < 4 or len(sizes) < 3 or None in [*counts, *sizes]:
+        raise lines.error("the header must state lines, rows, columns and entries", repr(lines.last[:60]))
+    if kind not in ("RSA", "RUA"):
+        raise lines.error("the matrix must be real and assembled, RSA or RUA", kind, "Export it so.")
+    formats = lines.take("the formats")
+    if len(counts) > 4 and counts[4]:
+        lines.take("the right-hand side")
+    n_rows, n_columns, n_entries = sizes[:3]
+    check_size(path, [8 * n_columns, 16 * n_entries])
+    widths = [column_width(formats[slice(*place)], 0) for place in ((0, 16), (16, 32), (32, 52))]
+    starts = lines.fields(n_columns + 1, widths[0], "first entries of the columns")
+    rows = lines.fields(n_entries, widths[1], "rows of the entries")
+    values = lines.fields(n_entries, widths[2], "entries")
+    if starts[0] != 1 or (np.diff(starts) < 0).any() or starts[-1] != n_entries + 1:
+        raise lines.error("the first entries of the columns must rise to the last", starts[-1])
+    columns = np.repeat(np.arange(1, n_columns + 1), np.diff(starts).astype(np.int64))
+    sign = 1.0 if kind == "RSA" else 0.0
+    matrix = _assembled(path, np.column_stack([rows, columns, values]), (n_rows, n_columns), sign)
+    labels = _mapping(path.with_suffix(".mapping"), n_rows)
+    return Found({path.stem: matrix}, {path.stem: labels} if labels else {})
+
+
+def _mapping(path: Path, n_rows: int) -> list[str]:
+    """Degrees of freedom in lines of equation, node and name, UX or ROTZ; none without such a list."""
+    if not path.exists():
+        return []
+    rows = [line.split() for _, line in Lines(path)]
+    named = {int(row[0]): f"{row[1]}:{ANSYS[row[2]]}" for row in rows if row[2:3] and row[2] in ANSYS}
+    return [named.get(k, str(k)) for k in range(1, n_rows + 1)]
+
+
+def read_nastran(path: Path) -> Found:
+    """OP4, text or binary, or DMIG in a punch file, by pyyeti."""
+    with by_library("pyyeti", "fe", path, "Nastran"):
+        with np.printoptions():  # which pyyeti changes for all when it is imported
+            from pyyeti.nastran import bulk, op4
+        if path.suffix.lower() == ".op4":
+            return Found(dict(op4.read(str(path))))
+        found = bulk.rddmig(str(path))
+    labels = {name: [_label(*pair) for pair in frame.index] for name, frame in found.items()}
+    return Found({name: frame.to_numpy() for name, frame in found.items()}, labels)
+
+
+# --- one way in ------------------------------------------------------------------------------------------
 
 
 class Matrices(dict):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pymc_features._checks import check_path, message
-from pymc_features.io.formats.universal import AXES, TYPES
+from pymc_features.io.formats.libraries import AXES, TYPES
 from pymc_features.io.reading.labels import SI
 from pymc_features.io.reading.lines import by_library
 

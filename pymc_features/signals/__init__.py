@@ -12,11 +12,8 @@ their ratios stay what they were.
 from pymc_features.signals.channels import sampling_step
 from pymc_features.signals.check import check_channels
 from pymc_features.signals.correct import correct
-from pymc_features.signals.decimate import decimate
-from pymc_features.signals.detrend import detrend
-from pymc_features.signals.filter import band_pass
+from pymc_features.signals.processing import band_pass, decimate, detrend, trim
 from pymc_features.signals.quasi_static import low_frequency_gains
-from pymc_features.signals.trim import trim
 
 __all__ = [
     "band_pass",

@@ -6,8 +6,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features._checks import is_number, shown, single, to_float
-from pymc_features.signals.channels import check_array, rebuilt, sampling_step
-from pymc_features.signals.gaps import filled, widened, without
+from pymc_features.signals.channels import check_array, filled, rebuilt, sampling_step, widened, without
 from pymc_features.signals.quasi_static import sensor_names
 
 _REACH = 10  # samples of a shift by a part of one

@@ -16,7 +16,7 @@ from pymc_features.ambient.transforms import band_transform
 from pymc_features.exceptions import AmbientWarning
 from pymc_features.identification.identify import each_once
 from pymc_features.identification.posterior import BandData, FreeModes, Posterior
-from pymc_features.identification.tones import without_tones
+from pymc_features.identification.propose import without_tones
 from pymc_features.simulators.spectra import Lines
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))

@@ -12,7 +12,7 @@ from pymc_features import read_channels, read_modal, read_record
 from pymc_features.exceptions import ModalDataWarning
 from pymc_features.io import FORMATS
 from pymc_features.io.formats import TEXT
-from pymc_features.io.formats.universal import UNIVERSAL
+from pymc_features.io.formats.libraries import UNIVERSAL
 from pymc_features.io.reading.recording import Opening
 from support import modal_files as files
 from support.modal_files import DAMPING, FREQUENCIES, IMAGINARY, SHAPES

@@ -13,7 +13,7 @@ from obspy.io.nied import knet as nied
 from pymc_features import read_channels, read_channels_with_gaps, read_record
 from pymc_features.io import FORMATS
 from pymc_features.io.formats import TEXT
-from pymc_features.io.formats.waveforms import KINDS, WAVEFORMS
+from pymc_features.io.formats.libraries import KINDS, WAVEFORMS
 from pymc_features.io.reading.recording import Opening
 from support import record_files
 from support.commands import ROOT

@@ -8,7 +8,7 @@ import xarray as xr
 from scipy.ndimage import binary_dilation
 
 from pymc_features import datasets, signals
-from pymc_features.signals.gaps import filled, widened
+from pymc_features.signals.channels import filled, widened
 from support.warned import messages
 
 STEP = 0.01

@@ -9,7 +9,7 @@ from scipy import signal as scipy_signal
 
 from pymc_features import RayleighDamping, SpringMassChain, signals, simulate, synthetic_earthquake
 from pymc_features.signals import check_channels
-from pymc_features.signals.single import check_each
+from pymc_features.signals.check import check_each
 from support.warned import messages
 
 STEP = 0.01

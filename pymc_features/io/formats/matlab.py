@@ -14,10 +14,9 @@ import numpy as np
 
 from pymc_features._checks import listed
 from pymc_features.io.formats.matlab_layout import check_layout
-from pymc_features.io.reading.columns import Columns, recording_of
 from pymc_features.io.reading.labels import Label, Unit, unit_of
 from pymc_features.io.reading.lines import check_size, shortened, to_number
-from pymc_features.io.reading.recording import Channel, Format, Recording, Request
+from pymc_features.io.reading.recording import Channel, Columns, Format, Recording, Request, recording_of
 
 #: Quantity and SI units of numbers that state the step.
 SCALARS = {"dt": ("time", 1.0)} | dict.fromkeys(("fs", "samplingrate", "samplerate"), ("frequency", 1.0))

@@ -6,9 +6,8 @@ from datetime import UTC, datetime
 import numpy as np
 
 from pymc_features._checks import as_list, listed, message, shown
-from pymc_features.io.reading.columns import Columns, recording_of
 from pymc_features.io.reading.labels import Label, role_of
-from pymc_features.io.reading.recording import Channel, Recording, Request
+from pymc_features.io.reading.recording import Channel, Columns, Recording, Request, recording_of
 
 SEP005 = "data", "name", "unit_str"
 
@@ -30,7 +29,7 @@ def recording_in(source, request: Request) -> Recording:
     if "DataArray" in names:
         return _of_array(source)
     if "Stream" in names:
-        from pymc_features.io.formats.waveforms import channels_of
+        from pymc_features.io.formats.libraries import channels_of
 
         return Recording("the Stream", channels_of(source.copy().merge(method=0), "the Stream", {}))
     return Recording("the list", [_of_dict(entry) for entry in source])

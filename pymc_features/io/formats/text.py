@@ -11,10 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.io.reading.columns import Columns, clock_column, recording_of
 from pymc_features.io.reading.labels import BRACKETS, Label, labels_with_brackets, unit_of
 from pymc_features.io.reading.lines import Lines, not_a_number, to_number
-from pymc_features.io.reading.recording import Format, Recording, Request
+from pymc_features.io.reading.recording import Columns, Format, Recording, Request, clock_column, recording_of
 from pymc_features.io.reading.units import known_factor
 
 COMMENTS = ("#", "%", "//")

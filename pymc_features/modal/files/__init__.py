@@ -9,16 +9,21 @@ import h5py
 import numpy as np
 
 from pymc_features._checks import check_flag, check_path, check_texts
-from pymc_features.io.formats.universal import is_universal
+from pymc_features.io.formats.libraries import is_universal
 from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.recording import Opening
 from pymc_features.modal import ModalData
 from pymc_features.modal.files.identified import modal_data
-from pymc_features.modal.files.oma import is_oma, read_oma
 from pymc_features.modal.files.quantities import check_names
 from pymc_features.modal.files.table import read_table
 from pymc_features.modal.files.universal import read_universal
-from pymc_features.modal.files.variables import from_variables, read_json_modes, read_mat_modes
+from pymc_features.modal.files.variables import (
+    from_variables,
+    is_oma,
+    read_json_modes,
+    read_mat_modes,
+    read_oma,
+)
 from pymc_features.modal.files.write import write_modal
 
 __all__ = ["read_modal", "write_modal"]

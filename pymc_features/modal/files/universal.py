@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import listed
-from pymc_features.io.formats.universal import AXES, FUNCTIONS, KNOWN, NAME, is_mark
+from pymc_features.io.formats.libraries import AXES, FUNCTIONS, KNOWN, NAME, is_mark
 from pymc_features.io.reading.lines import Lines, check_size, to_count, to_number, warn_of_widths
 from pymc_features.modal.files.identified import Identified
 from pymc_features.modal.shapes import warn_modes

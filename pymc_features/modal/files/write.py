@@ -8,7 +8,7 @@ from os import PathLike
 import numpy as np
 
 from pymc_features._checks import check_path, message
-from pymc_features.io.formats.universal import AXES
+from pymc_features.io.formats.libraries import AXES
 from pymc_features.modal.data import ModalData
 
 PLACE = re.compile(r"(\d+)([XYZ])")
