@@ -73,6 +73,58 @@ class Compared(NamedTuple):
     duration: float
 
 
+class ModeRow(NamedTuple):
+    """A natural frequency in words: of the priors 5 to 95 %, and of the data; empty where there is none."""
+
+    name: str
+    prior: str
+    data: str
+    prior_damping: str
+    data_damping: str
+    sensors: str
+
+
+def mode_rows(compared: Compared) -> list[ModeRow]:
+    """Modes that the priors expect beside those of the data, and what the data show besides."""
+    prior, peaks = compared.prior, compared.peaks
+    number = min(prior.frequencies.shape[1], max(NEXT, 1 + max(peaks, default=0)))
+    rows = []
+    for k in range(number):
+        low, high = np.quantile(prior.ratios[:, k], [0.05, 0.95])
+        expected = to_from(*prior.range_of(k)), to_from(100.0 * low, 100.0 * high)
+        rows.append(((peaks.get(k)), f"f{k + 1}", *expected))
+    rows += [(peak, "", "", "") for peak in compared.others]
+    return [
+        ModeRow(name, of_f, "", of_damping, "", "")
+        if peak is None
+        else ModeRow(
+            name,
+            of_f,
+            f"{peak.frequency:.4g}",
+            of_damping,
+            to_from(100.0 * peak.damping[0], 100.0 * peak.damping[-1], 2),
+            ", ".join(peak.sensors),
+        )
+        for peak, name, of_f, of_damping in rows
+    ]
+
+
+def to_from(low, high, digits=3) -> str:
+    """A range for a table."""
+    low, high = f"{low:.{digits}g}", f"{high:.{digits}g}"
+    return low if low == high else f"{low} to {high}"
+
+
+def scales(compared: Compared) -> str:
+    """One sentence on what the record can resolve, and how far the structure would move."""
+    first = compared.first or compared.prior.first
+    return (
+        f"{compared.duration:.4g} s are {compared.duration * first:.3g} periods of the first mode, with "
+        f"{1.0 / (first * compared.step):.3g} samples in each; above {0.5 / compared.step:.4g} Hz nothing is "
+        f"seen. An acceleration of 1 g would move the structure by {compared.prior.deflection:.3g} m."
+    )
+
+
 def of_priors(prior: PriorModes, units: Mapping[str, str]) -> list[str]:
     """What no structure has: damping above critical, masses beyond reason. `units` are of the parameters."""
     found = []

@@ -41,6 +41,11 @@ class Checked(NamedTuple):
     sentence: str
     compared: Compared | None = None
 
+    @property
+    def is_any(self) -> bool:
+        """Whether anything could be checked."""
+        return self.gains is not None or (self.compared is not None and bool(self.compared.peaks))
+
 
 def check(channels, config: Config, prior) -> Checked:
     """Compare the channels, base first, with the priors, and check them where floors follow the base.

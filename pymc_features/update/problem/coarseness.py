@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.simulators.quantities import rows_of
+from pymc_features.simulators.excitation import refined_request, refinement
+from pymc_features.simulators.quantities import checked_request, rows_of
 from pymc_features.simulators.simulate import respond
 from pymc_features.update.problem.model import request_of
 from pymc_features.update.problem.read import Problem
@@ -43,13 +44,16 @@ class Coarseness(NamedTuple):
         )
 
 
-def coarseness(problem: Problem, values: dict[str, float]) -> Coarseness:
+def coarseness(problem: Problem, values: dict[str, float], frequencies=None) -> Coarseness:
     """What the sampling of the base does to the responses at some values of the priors.
 
-    A record that is taken as straight lines is compared with one that is band-limited.
+    A record that is taken as straight lines is compared with one that is band-limited. Where
+    the frequencies (draw, mode) of the priors are known, no model is built to refine the record as in it.
     """
     structure, record = problem.structure(**values), problem.measured.record
-    asked, outputs = request_of(problem)
+    asked, outputs = (
+        request_of(problem) if frequencies is None else request_of_draws(problem, structure, frequencies)
+    )
     rows = rows_of(structure, asked.quantity, asked, outputs).picked
     used = respond(structure, record, asked, rows)
     smooth = replace(record, interpolation="band-limited")
@@ -59,6 +63,22 @@ def coarseness(problem: Problem, values: dict[str, float]) -> Coarseness:
     change = np.sqrt(((used - fine)[:, problem.measured.compared] ** 2).mean(axis=1))
     size = np.sqrt((fine[:, problem.measured.compared] ** 2).mean(axis=1))
     return Coarseness(float(shares[shares <= 1.0].max(initial=shares[0])), asked.factor, change, size)
+
+
+def request_of_draws(problem: Problem, structure, frequencies):
+    """As `request_of`, for a structure of numbers and frequencies (draw, mode) of those that are expected."""
+    record = problem.measured.record
+    asked, outputs = checked_request(
+        structure,
+        record,
+        problem.quantity,
+        dt=problem.measured.step,
+        sensors=problem.dofs,
+        n_modes=problem.structure.n_modes,
+    )
+    if record.interpolation == "linear":
+        return refined_request(structure, record, asked), outputs
+    return asked._replace(factor=refinement(frequencies, record.dt)), outputs
 
 
 def coarse_sampling(problem: Problem, posterior, response) -> np.ndarray:
