@@ -217,7 +217,7 @@ def tell_channels(measured, console, event=""):
 
     say(console, f"{event}channels: {measured.checked.sentence}")
     compared = measured.checked.compared
-    say(console, f"{event}modes: {compared.checked}. {scales(compared)}")
+    say(console, f"{event}priors: {compared.checked}. {scales(compared)}")
     console.print(priors_table(compared))
     if measured.left_out:
         say(console, f"{event}left out as gaps: {measured.left_out}")

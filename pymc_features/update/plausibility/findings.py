@@ -7,10 +7,9 @@ import numpy as np
 
 from pymc_features.update.plausibility.prior_modes import PriorModes
 from pymc_features.update.plausibility.resonances import Resonance, resonances, spectra_of
-from pymc_features.update.plausibility.scale import Scale, scale_of
+from pymc_features.update.plausibility.scale import SAME, Scale, factor_of, scale_of
 from pymc_features.update.plausibility.sensors import Placement, placement
 
-SAME = 0.08  # relative distance of a measured peak from the mode it is taken for
 BEYOND = 3.5  # standard deviations of the prior beyond which it excludes a peak
 CLOSEST = 0.02  # relative distance that excludes nothing, however narrow the prior is
 BETTER = 0.8  # what a factor leaves unexplained over what the draws leave as they are
@@ -216,14 +215,29 @@ def matched(frequencies, found) -> dict[int, Resonance]:
     return dict(sorted(pairs.items()))
 
 
+def of_modes(identified, prior: PriorModes) -> list[str]:
+    """What the priors exclude of identified natural frequencies (m,) [Hz]."""
+    factor, draw = factor_of(np.asarray(identified), prior.frequencies)
+    found = [Resonance(float(f), 0.0, (0.0, 0.0, 0.0), (), 0.0) for f in identified]
+    peaks = matched(factor * prior.frequencies[draw], found)
+    if not peaks or not is_outside(prior, min(peaks), peaks[min(peaks)].frequency):
+        return []
+    return [contradiction(prior, peaks, None)]
+
+
 def excludes(prior, mode, peak, scale) -> bool:
     """Whether the priors leave no room for a peak, and a factor would bring them much closer to the data."""
+    return is_outside(prior, mode, peak) and 1.0 - scale.explained.mean() < BETTER * (1.0 - scale.as_drawn)
+
+
+def is_outside(prior, mode, peak) -> bool:
+    """Whether a peak is none of the frequencies that the priors allow a mode."""
     low, middle, high = np.log(np.quantile(prior.frequencies[:, mode], [0.05, 0.5, 0.95]))
     away = np.log(peak) - middle
     if not prior.is_linear:
         away = max(0.0, away) if away > np.log(SOFTENED) else away
     spread = max(CLOSEST, BEYOND * 0.5 * (high - low) / 1.645)
-    return abs(away) > spread and 1.0 - scale.explained.mean() < BETTER * (1.0 - scale.as_drawn)
+    return abs(away) > spread
 
 
 def contradiction(prior, peaks, step) -> str:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+SAME = 0.08  # relative distance of a measured frequency from the mode it is taken for
 SPACING = 0.01  # of the logarithm of frequency
 FARTHEST = 1200.0  # factor: stiffness in MN/m is off by 1000
 MOST_DRAWS = 60
@@ -37,6 +38,19 @@ class Scale(NamedTuple):
     explained: np.ndarray
     as_drawn: float
     gains: np.ndarray
+
+
+def factor_of(identified, frequencies) -> tuple[float, int]:
+    """The factor closest to one, and the draw (d, m), that bring most identified frequencies to modes."""
+    some = np.linspace(0, len(frequencies) - 1, min(MOST_DRAWS, len(frequencies))).astype(int)
+    best = (-1, 0.0, 1.0, 0)
+    for draw in some:
+        factors = np.append(np.divide.outer(identified, frequencies[draw]).ravel(), 1.0)
+        away = np.abs(np.log(factors[:, None, None] * frequencies[draw] / identified[:, None]))
+        number = (away.min(axis=-1) < SAME).sum(axis=-1)
+        for count, factor in zip(number, factors, strict=True):
+            best = max(best, (int(count), -abs(float(np.log(factor))), float(factor), int(draw)))
+    return best[2:]
 
 
 def transfer(f, frequencies, ratios, shares, quantity) -> np.ndarray:

@@ -14,7 +14,7 @@ from pymc_features.update.config.document import Config, read_config
 from pymc_features.update.config.entries import Matrix, priors_in
 from pymc_features.update.config.messages import shown
 from pymc_features.update.config.priors import Prior
-from pymc_features.update.plausibility.findings import of_priors
+from pymc_features.update.plausibility.findings import of_modes, of_priors
 from pymc_features.update.plausibility.prior_modes import PriorModes, prior_modes
 from pymc_features.update.problem.ambient import MeasuredAmbient, compared_modes, read_ambient
 from pymc_features.update.problem.channels import Measured, named_key, read_measured
@@ -254,6 +254,8 @@ def read_problem(path) -> Problem:
     if config.modal is not None:
         check_positive_priors("modal", config.modal, ("sigma_f", "sigma_phi"), priors)
         modal = read_modes(config.modal, path.parent, expected)
+        for sentence in of_modes(modal.data.frequencies, prior):
+            warnings.warn(sentence, PriorWarning, stacklevel=2)
     frequencies = config.report.natural_frequencies
     if frequencies is not None and not (frequencies and np.all(np.diff([0.0, *frequencies]) > 0.0)):
         raise ConfigError(
