@@ -243,7 +243,13 @@ def read_and_tell(config, console):
 def tell_channels(measured, console, event=""):
     """Where channels come from, and what the check found."""
     say(console, f"{event}data: {measured.source}; base: {measured.record}")
+    from pymc_features.update.plausibility.findings import scales
+    from pymc_features.update.report.terminal import priors_table
+
     say(console, f"{event}channels: {measured.checked.sentence}")
+    compared = measured.checked.compared
+    say(console, f"{event}priors: {compared.checked}. {scales(compared)}")
+    console.print(priors_table(compared))
     if measured.left_out:
         say(console, f"{event}left out as gaps: {measured.left_out}")
 
@@ -291,8 +297,13 @@ def check(options, console):
 
         for sentence in sensitivity_sentences(remaining(problem)):
             say(console, sentence)
-    if not told:
+    checked = [event.measured.checked for event in problem.events]
+    if problem.measured is not None and not problem.events:
+        checked = [problem.measured.checked]
+    if not told and (problem.modal is not None or any(one.is_any for one in checked)):
         say(console, "nothing was found wrong")
+    elif not told:
+        say(console, "nothing could be checked, so that nothing is known of what is wrong")
 
 
 def init(options, console):

@@ -227,5 +227,6 @@ def expected_modes(structure, priors, expected) -> PriorModes:
         return prior_modes(
             structure,
             {name: priors[name].draw for name in structure.names},
+            expected,
             lambda one: modes_of(one, structure.n_modes),
         )

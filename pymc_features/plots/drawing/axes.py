@@ -109,4 +109,4 @@ def close(axes: "Iterable[Axes]") -> None:
     from matplotlib import pyplot
 
     for ax in axes:
-        pyplot.close(ax.figure)
+        pyplot.close(ax.get_figure(root=True))

@@ -124,6 +124,13 @@ class Prior:
         """Add the variable to the model of the context."""
         return DISTRIBUTIONS[self.name](name, **self._given())
 
+    @property
+    def density(self) -> tuple[np.ndarray, np.ndarray]:
+        """Values (k,), from 0.5 to 99.5 % of draws, and the density (k,) there."""
+        values = np.linspace(*np.quantile(self.draw(501, 1), [0.005, 0.995]), 200)
+        variable = DISTRIBUTIONS[self.name].dist(**self._given())
+        return values, np.exp(pm.logp(variable, values).eval(mode=_PLAIN))
+
     def draw(self, n: int, seed) -> np.ndarray:
         """Draws (n,)."""
         variable = DISTRIBUTIONS[self.name].dist(**self._given(), size=n)

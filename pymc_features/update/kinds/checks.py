@@ -18,6 +18,7 @@ LOWEST, HIGHEST = 1.0 / 7.0, 0.5  # of the first natural frequency: where the fl
 TOP = 0.55  # the same, of a band that was asked for
 NARROWEST = 1.5  # factor between the ends of a band
 EXPLAINS_ANY = 0.99  # damping ratio that explains any lag
+FOLLOWS = 0.7  # coherence of one floor at least, where nobody has named the band
 COHERENT = 0.5  # of a floor with the base, where the base moves
 MOVING, QUIET = 0.2, 3.0  # of the rms of the whole, and of the quietest period: a sensor that is in motion
 OFFSET = 1.0  # s: clocks that are not the same, and no lag
@@ -39,6 +40,11 @@ class Checked(NamedTuple):
     gains: xr.Dataset | None
     sentence: str
     compared: Compared | None = None
+
+    @property
+    def is_any(self) -> bool:
+        """Whether anything could be checked."""
+        return self.gains is not None or (self.compared is not None and bool(self.compared.peaks))
 
 
 def check(channels, config, prior) -> Checked:
@@ -154,7 +160,7 @@ def why_not(channels, band) -> str:
         coherence = signals.low_frequency_gains(channels, band)["coherence"].values[1:]
     except ValueError as error:
         return str(error)
-    if not (coherence >= COHERENT).any():
+    if not (coherence >= FOLLOWS).any():
         return f"no sensor follows the base between {band[0]:.3g} and {band[1]:.3g} Hz"
     return ""
 

@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.simulators.quantities import rows_of
+from pymc_features.simulators.excitation import refined_request, refinement
+from pymc_features.simulators.quantities import checked_request, rows_of
 from pymc_features.simulators.simulate import respond
 
 FINEST = 8  # refinement beside which that of the model is judged
@@ -41,13 +42,17 @@ class Coarseness(NamedTuple):
         )
 
 
-def coarseness(data, problem, values: dict[str, float]) -> Coarseness:
+def coarseness(data, problem, values: dict[str, float], frequencies=None) -> Coarseness:
     """What the sampling of the base does to the responses at some values of the priors.
 
-    A record that is taken as straight lines is compared with one that is band-limited.
+    A record that is taken as straight lines is compared with one that is band-limited. Where
+    the frequencies (draw, mode) of the priors are known, no model is built to refine the record as in it.
     """
     structure, record = problem.structure(**values), data.measured.record
-    asked, outputs = data.request(problem)
+    if frequencies is None:
+        asked, outputs = data.request(problem)
+    else:
+        asked, outputs = request_of_draws(data, problem, structure, frequencies)
     rows = rows_of(structure, asked.quantity, asked, outputs).picked
     used = respond(structure, record, asked, rows)
     smooth = replace(record, interpolation="band-limited")
@@ -57,6 +62,22 @@ def coarseness(data, problem, values: dict[str, float]) -> Coarseness:
     change = np.sqrt(((used - fine)[:, data.measured.compared] ** 2).mean(axis=1))
     size = np.sqrt((fine[:, data.measured.compared] ** 2).mean(axis=1))
     return Coarseness(float(shares[shares <= 1.0].max(initial=shares[0])), asked.factor, change, size)
+
+
+def request_of_draws(data, problem, structure, frequencies):
+    """As `request_of`, for a structure of numbers and frequencies (draw, mode) of those that are expected."""
+    record = data.measured.record
+    asked, outputs = checked_request(
+        structure,
+        record,
+        data.quantity,
+        dt=data.measured.step,
+        sensors=data.dofs,
+        n_modes=problem.structure.n_modes,
+    )
+    if record.interpolation == "linear":
+        return refined_request(structure, record, asked), outputs
+    return asked._replace(factor=refinement(frequencies, record.dt)), outputs
 
 
 def coarse_sampling(data, problem, posterior, response) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Identified modes: the section [modal], what is read, and what a model makes of them."""
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -12,7 +13,7 @@ from pydantic import model_validator
 
 from pymc_features import plots
 from pymc_features._checks import listed
-from pymc_features.exceptions import ConfigError
+from pymc_features.exceptions import ConfigError, PriorWarning
 from pymc_features.likelihoods import Likelihood
 from pymc_features.modal import ModalData, merge_setups
 from pymc_features.modal.files import read_modal
@@ -28,6 +29,7 @@ from pymc_features.update.kinds.base import KindOfData, Setting, Verdict, check_
 from pymc_features.update.kinds.model import declare, declares_as_prior, each_draw, thinned
 from pymc_features.update.kinds.nodes import Points, read_nodes
 from pymc_features.update.kinds.structure import modes_of
+from pymc_features.update.plausibility.findings import of_modes
 
 COLUMNS = ("mode", "measured", "5 %", "50 %", "95 %", "off", "MAC", "5-95 %", "partner")
 MEANING = (
@@ -200,6 +202,8 @@ class Modal(KindOfData):
         check_scales(section, data, source, len(dict.fromkeys(map(str, labels))))
         points = points_of(section, data, dofs, given.folder, structure)
         n_modes = modes_to_choose_from(section, len(dict.fromkeys(map(str, labels))), structure)
+        for sentence in of_modes(data.frequencies, given.prior):
+            warnings.warn(sentence, PriorWarning, stacklevel=2)
         return cls(section, data, numbers, labels, dofs, n_modes, points, source)
 
     @classmethod

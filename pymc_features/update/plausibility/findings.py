@@ -7,10 +7,9 @@ import numpy as np
 
 from pymc_features.update.plausibility.prior_modes import PriorModes
 from pymc_features.update.plausibility.resonances import Resonance, resonances, spectra_of
-from pymc_features.update.plausibility.scale import Scale, scale_of
+from pymc_features.update.plausibility.scale import SAME, Scale, factor_of, scale_of
 from pymc_features.update.plausibility.sensors import Placement, placement
 
-SAME = 0.08  # relative distance of a measured peak from the mode it is taken for
 BEYOND = 3.5  # standard deviations of the prior beyond which it excludes a peak
 CLOSEST = 0.02  # relative distance that excludes nothing, however narrow the prior is
 BETTER = 0.8  # what a factor leaves unexplained over what the draws leave as they are
@@ -71,6 +70,58 @@ class Compared(NamedTuple):
     prior: PriorModes
     step: float
     duration: float
+
+
+class ModeRow(NamedTuple):
+    """A natural frequency in words: of the priors 5 to 95 %, and of the data; empty where there is none."""
+
+    name: str
+    prior: str
+    data: str
+    prior_damping: str
+    data_damping: str
+    sensors: str
+
+
+def mode_rows(compared: Compared) -> list[ModeRow]:
+    """Modes that the priors expect beside those of the data, and what the data show besides."""
+    prior, peaks = compared.prior, compared.peaks
+    number = min(prior.frequencies.shape[1], max(NEXT, 1 + max(peaks, default=0)))
+    rows = []
+    for k in range(number):
+        low, high = np.quantile(prior.ratios[:, k], [0.05, 0.95])
+        expected = to_from(*prior.range_of(k)), to_from(100.0 * low, 100.0 * high)
+        rows.append(((peaks.get(k)), f"f{k + 1}", *expected))
+    rows += [(peak, "", "", "") for peak in compared.others]
+    return [
+        ModeRow(name, of_f, "", of_damping, "", "")
+        if peak is None
+        else ModeRow(
+            name,
+            of_f,
+            f"{peak.frequency:.4g}",
+            of_damping,
+            to_from(100.0 * peak.damping[0], 100.0 * peak.damping[-1], 2),
+            ", ".join(peak.sensors),
+        )
+        for peak, name, of_f, of_damping in rows
+    ]
+
+
+def to_from(low, high, digits=3) -> str:
+    """A range for a table."""
+    low, high = f"{low:.{digits}g}", f"{high:.{digits}g}"
+    return low if low == high else f"{low} to {high}"
+
+
+def scales(compared: Compared) -> str:
+    """One sentence on what the record can resolve, and how far the structure would move."""
+    first = compared.first or compared.prior.first
+    return (
+        f"{compared.duration:.4g} s are {compared.duration * first:.3g} periods of the first mode, with "
+        f"{1.0 / (first * compared.step):.3g} samples in each; above {0.5 / compared.step:.4g} Hz nothing is "
+        f"seen. An acceleration of 1 g would move the structure by {compared.prior.deflection:.3g} m."
+    )
 
 
 def of_priors(prior: PriorModes, units: Mapping[str, str]) -> list[str]:
@@ -164,14 +215,29 @@ def matched(frequencies, found) -> dict[int, Resonance]:
     return dict(sorted(pairs.items()))
 
 
+def of_modes(identified, prior: PriorModes) -> list[str]:
+    """What the priors exclude of identified natural frequencies (m,) [Hz]."""
+    factor, draw = factor_of(np.asarray(identified), prior.frequencies)
+    found = [Resonance(float(f), 0.0, (0.0, 0.0, 0.0), (), 0.0) for f in identified]
+    peaks = matched(factor * prior.frequencies[draw], found)
+    if not peaks or not is_outside(prior, min(peaks), peaks[min(peaks)].frequency):
+        return []
+    return [contradiction(prior, peaks, None)]
+
+
 def excludes(prior, mode, peak, scale) -> bool:
     """Whether the priors leave no room for a peak, and a factor would bring them much closer to the data."""
+    return is_outside(prior, mode, peak) and 1.0 - scale.explained.mean() < BETTER * (1.0 - scale.as_drawn)
+
+
+def is_outside(prior, mode, peak) -> bool:
+    """Whether a peak is none of the frequencies that the priors allow a mode."""
     low, middle, high = np.log(np.quantile(prior.frequencies[:, mode], [0.05, 0.5, 0.95]))
     away = np.log(peak) - middle
     if not prior.is_linear:
         away = max(0.0, away) if away > np.log(SOFTENED) else away
     spread = max(CLOSEST, BEYOND * 0.5 * (high - low) / 1.645)
-    return abs(away) > spread and 1.0 - scale.explained.mean() < BETTER * (1.0 - scale.as_drawn)
+    return abs(away) > spread
 
 
 def contradiction(prior, peaks, step) -> str:

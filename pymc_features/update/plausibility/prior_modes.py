@@ -62,7 +62,9 @@ class PriorModes(NamedTuple):
         return dict(zip(names, found[1:].tolist(), strict=True))
 
 
-def prior_modes(structure: Callable, draws: Mapping[str, Callable], modes_of: Callable) -> PriorModes:
+def prior_modes(
+    structure: Callable, draws: Mapping[str, Callable], at_medians, modes_of: Callable
+) -> PriorModes:
     """Modes of structures whose parameters are drawn from their priors; impossible ones are left out.
 
     Parameters
@@ -71,11 +73,11 @@ def prior_modes(structure: Callable, draws: Mapping[str, Callable], modes_of: Ca
         Values by name to a structure of numbers.
     draws : dict
         Names to functions (n, seed) that return n draws.
+    at_medians : Structure
+        The one at the medians of the priors.
     modes_of : callable
         A structure to its `Modes`.
     """
-    middle = {name: float(np.median(draw(501, 1))) for name, draw in draws.items()}
-    at_medians = structure(**middle)
     n = DRAWS if at_medians.n_dof <= LARGE else DRAWS_OF_LARGE
     columns = {name: draw(n, k) for k, (name, draw) in enumerate(draws.items())}
     found, kept = [], []

@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+SAME = 0.08  # relative distance of a measured frequency from the mode it is taken for
 SPACING = 0.01  # of the logarithm of frequency
 FARTHEST = 1200.0  # factor: stiffness in MN/m is off by 1000
-MOST_DRAWS = 100
+MOST_DRAWS = 60
 RATIOS = 0.01, 0.1  # within which damping is taken as it is drawn: judged by itself
 
 
@@ -39,16 +40,32 @@ class Scale(NamedTuple):
     gains: np.ndarray
 
 
+def factor_of(identified, frequencies) -> tuple[float, int]:
+    """The factor closest to one, and the draw (d, m), that bring most identified frequencies to modes."""
+    some = np.linspace(0, len(frequencies) - 1, min(MOST_DRAWS, len(frequencies))).astype(int)
+    best = (-1, 0.0, 1.0, 0)
+    for draw in some:
+        factors = np.append(np.divide.outer(identified, frequencies[draw]).ravel(), 1.0)
+        away = np.abs(np.log(factors[:, None, None] * frequencies[draw] / identified[:, None]))
+        number = (away.min(axis=-1) < SAME).sum(axis=-1)
+        for count, factor in zip(number, factors, strict=True):
+            best = max(best, (int(count), -abs(float(np.log(factor))), float(factor), int(draw)))
+    return best[2:]
+
+
 def transfer(f, frequencies, ratios, shares, quantity) -> np.ndarray:
-    """Transfer functions (..., k) of a quantity against the acceleration of the base; shares (..., m)."""
-    omega, natural = 2.0 * np.pi * f[:, None], 2.0 * np.pi * frequencies[..., None, :]
-    d = shares[..., None, :] / (natural**2 - omega**2 + 2.0j * ratios[..., None, :] * natural * omega)
-    displacement, omega = -d.sum(axis=-1), omega[:, 0]
+    """Transfer functions (s, d, k) of a quantity against the acceleration of the base; shares (d, s, m)."""
+    omega, natural = 2.0 * np.pi * f, 2.0 * np.pi * frequencies[..., None]
+    found = np.zeros((shares.shape[1], len(frequencies), f.size), complex)
+    for mode in range(frequencies.shape[1]):
+        d = 1.0 / (natural[:, mode] ** 2 - omega**2 + 2.0j * ratios[:, mode, None] * natural[:, mode] * omega)
+        found -= shares[:, :, mode].T[..., None] * d
     if quantity in ("relative_displacement", "inter_storey_drift"):
-        return displacement
-    if quantity == "relative_velocity":
-        return 1.0j * omega * displacement
-    return (quantity == "absolute_acceleration") - omega**2 * displacement
+        return found
+    found *= 1.0j * omega if quantity == "relative_velocity" else -(omega**2)
+    if quantity == "absolute_acceleration":
+        found += 1.0
+    return found
 
 
 def log_spectra(spectra) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
@@ -78,13 +95,14 @@ def scale_of(spectra, frequencies, ratios, shares, quantity) -> Scale:
     n_fft = 1 << int(np.ceil(np.log2(size + power.size)))
     some = np.linspace(0, len(frequencies) - 1, min(MOST_DRAWS, len(frequencies))).astype(int)
     zeta = np.clip(ratios[some], *RATIOS)
-    at_power = np.conj(np.fft.fft(power, n_fft))
+    at_power = np.conj(np.fft.rfft(power, n_fft))
+    histories = transfer(grid, frequencies[some], zeta, shares[some], quantity)
     explained, gains = [], []
     for j, cross in enumerate(crosses):
-        h = transfer(grid, frequencies[some], zeta, shares[some, j], quantity)
+        h = histories[j]
         # sum over the data's frequencies of H(f / r) conj(cross), for shifts of H from -reach to reach
         along = np.fft.ifft(np.fft.fft(h, n_fft) * np.conj(np.fft.fft(cross, n_fft))).real[:, : 2 * reach + 1]
-        total = np.fft.ifft(np.fft.fft(np.abs(h) ** 2, n_fft) * at_power).real[:, : 2 * reach + 1]
+        total = np.fft.irfft(np.fft.rfft(np.abs(h) ** 2, n_fft) * at_power, n_fft)[:, : 2 * reach + 1]
         total = np.maximum(total, 1e-9 * total.max())
         explained.append(along**2 / (total * totals[j]))
         gains.append(along / total)

@@ -13,7 +13,7 @@ import numpy as np
 from pymc_features.update.plausibility.scale import SPACING, log_spectra, transfer
 
 REACH = 15  # steps of the logarithm of frequency about the factor of the data
-MOST_DRAWS, FEW_DRAWS, MANY_SENSORS = 100, 30, 5
+MOST_DRAWS, FEW_DRAWS, MANY_SENSORS = 60, 30, 5
 SWAPPED = 0.5  # of what the sensors leave unexplained where they are said to be
 EXPLAINED = 0.6  # share of the mean square of a sensor whose sign can be told
 
@@ -108,10 +108,7 @@ def unexplained(spectra, prior, dofs, quantity, factor, draws) -> tuple[np.ndarr
     grid = np.exp(SPACING * (np.arange(-REACH, power.size + REACH) + first)) / factor
     shares = prior.at_sensors(dofs, quantity)[some]
     zeta = np.clip(prior.ratios[some], 0.005, 0.2)
-    h = np.stack(
-        [transfer(grid, prior.frequencies[some], zeta, shares[:, s], quantity) for s in range(len(dofs))],
-        axis=1,
-    )
+    h = transfer(grid, prior.frequencies[some], zeta, shares, quantity).swapaxes(0, 1)
     left, signs = [], []
     for shift in range(2 * REACH + 1):
         part = h[..., shift : shift + power.size]

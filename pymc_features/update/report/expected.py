@@ -7,6 +7,7 @@ import xarray as xr
 
 from pymc_features import plots
 from pymc_features.exceptions import ModalMatchWarning, PredictionWarning
+from pymc_features.plots.drawing.expected import draw_expected
 from pymc_features.prediction import posterior_response
 from pymc_features.storage import write_atomically
 from pymc_features.update.kinds.ambient import draw_spectra
@@ -15,6 +16,7 @@ from pymc_features.update.kinds.coarseness import coarseness
 from pymc_features.update.kinds.modal import MODAL, draw_mac, draw_shapes, modes_verdict
 from pymc_features.update.kinds.model import MODAL_DRAWS, names_for
 from pymc_features.update.kinds.structure import modes_of
+from pymc_features.update.plausibility.bands import QUANTILES, prior_bands
 from pymc_features.update.report.terminal import gains_table, modes_table
 
 DPI = 120
@@ -23,14 +25,44 @@ FIRST = 5  # natural frequencies
 
 
 def check_data(problem, path) -> list:
-    """Draw the channels into a file; return what to print: gains, and how coarse the base is sampled."""
-    write_figure(plots.plot_channels(base_and_sensors(problem.measured)), path)
-    gains = problem.measured.checked.gains
-    middle = {name: float(np.median(problem.priors[name].draw(DRAWS, 0))) for name in problem.structure.names}
+    """Draw priors and channels into a file; return what to print: gains, how coarse the base is sampled."""
+    measured, gains = problem.measured, problem.measured.checked.gains
+    prior = measured.checked.compared.prior
+    units = {name: problem.unit(name) for name in problem.priors}
+    densities = {name: one.density for name, one in problem.priors.items()}
+    write_figure(draw_expected(base_and_sensors(measured), expected_bands(problem), densities, units), path)
+    middle = {name: problem.priors[name].median for name in problem.structure.names}
     return [
         *([] if gains is None else [gains_table(gains)]),
-        coarseness(problem.first, problem, middle).sentence,
+        coarseness(problem.first, problem, middle, prior.frequencies).sentence,
     ]
+
+
+def expected_bands(problem) -> np.ndarray:
+    """Quantiles (quantile, sensor, time) of the responses that the priors expect where the sensors are."""
+    measured = problem.measured
+    prior, record, stride = (
+        measured.checked.compared.prior,
+        measured.record,
+        round(measured.step / measured.record.dt),
+    )
+    if prior.is_linear:
+        found = prior_bands(record.acceleration, record.dt, prior, problem.dofs, problem.first.quantity)
+        return found[..., ::stride][..., measured.compared]
+    draws = xr.Dataset({name: (("chain", "draw"), values[None]) for name, values in prior.values.items()})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PredictionWarning)
+        found = posterior_response(
+            draws,
+            problem.structure,
+            record,
+            problem.first.quantity,
+            sensors=problem.dofs,
+            dt=measured.step,
+            draws=DRAWS,
+            quantiles=QUANTILES,
+        )[problem.first.quantity]
+    return found.transpose("quantile", ..., "time").values[..., measured.compared]
 
 
 def structure_sentence(problem) -> str:
@@ -115,5 +147,6 @@ def expected(problem) -> xr.Dataset:
 
 def write_figure(axes, path) -> None:
     """A figure as a PNG file; it is released."""
-    write_atomically(path, lambda to: axes[0].figure.savefig(to, dpi=DPI, format="png"))
+    figure = axes[0].get_figure(root=True)
+    write_atomically(path, lambda to: figure.savefig(to, dpi=DPI, format="png"))
     plots.close(axes[:1])

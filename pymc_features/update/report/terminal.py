@@ -5,6 +5,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pymc_features.update.kinds.modal import COLUMNS as MODE_COLUMNS
+from pymc_features.update.plausibility.findings import mode_rows
 from pymc_features.update.report.findings import Findings
 from pymc_features.update.report.page import gain_rows, posterior_row
 from pymc_features.update.report.summary import COLUMNS
@@ -83,6 +84,16 @@ def gains_table(gains) -> Table:
         drawn.add_column(escape(name), justify="left" if name == "sensor" else "right", no_wrap=True)
     for row in gain_rows(gains):
         drawn.add_row(*map(str, row))
+    return drawn
+
+
+def priors_table(compared) -> Table:
+    """Natural frequencies and damping that the priors expect beside those of the data."""
+    drawn = plain_table("Priors (5 to 95 %) and data")
+    for name in ("mode", "priors [Hz]", "data [Hz]", "priors [%]", "damping of data [%]", "seen by"):
+        drawn.add_column(escape(name), justify="left" if name in ("mode", "seen by") else "right")
+    for row in mode_rows(compared):
+        drawn.add_row(*map(escape, row))
     return drawn
 
 
