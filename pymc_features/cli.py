@@ -15,8 +15,9 @@ from pymc_features.interrupt import EXIT_INTERRUPTED, CtrlC, started
 
 EXIT_BAD_INPUT = 2
 # what each command needs, with PyMC
-NEEDED = {name: "pymc_features.update" for name in ("update", "check", "init")}
+NEEDED = {name: "pymc_features.update.run" for name in ("update", "check", "init")}
 NEEDED |= {"reproduce": "pymc_features.study", "convert": "pymc_features.io"}
+NEEDED["report"] = "pymc_features.update.report.page"  # which needs no PyMC
 
 
 def command() -> int:
@@ -48,10 +49,9 @@ def main(arguments=None) -> int:
     os.environ.setdefault("MPLBACKEND", "Agg")
     try:
         started()
-        run = {"reproduce": reproduce, "update": update, "check": check, "init": init, "convert": convert}[
-            options.command
-        ]
-        run(options, console)
+        commands = {"reproduce": reproduce, "update": update, "report": report}
+        commands |= {"check": check, "init": init, "convert": convert}
+        commands[options.command](options, console)
     except KeyboardInterrupt:
         out = getattr(options, "out", None)
         kept = f": finished parts are kept in {out}; the same command continues" if out else ""
@@ -160,6 +160,13 @@ def update(options, console):
     for path in write_outputs(problem, result, options.out, told, found):
         if path.parent == options.out:
             say(console, f"wrote {path}")
+
+
+def report(options, console):
+    """Make the page of a saved update again."""
+    from pymc_features.update.report.page import write_page
+
+    say(console, f"wrote {write_page(options.result, options.out)}")
 
 
 def forget_parts(options, what, console):

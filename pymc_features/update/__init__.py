@@ -7,17 +7,30 @@
 The command `pymc-features update` does the same.
 """
 
-from pymc_features.update.config.document import read_config
-from pymc_features.update.examples.write import write_example
-from pymc_features.update.problem.read import Problem, read_problem
-from pymc_features.update.report.outputs import write_outputs
-from pymc_features.update.run import run_update
+from importlib import import_module
 
-__all__ = [
-    "Problem",
-    "read_config",
-    "read_problem",
-    "run_update",
-    "write_example",
-    "write_outputs",
-]
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from pymc_features.update.config.document import read_config as read_config
+    from pymc_features.update.examples.write import write_example as write_example
+    from pymc_features.update.problem.read import Problem as Problem
+    from pymc_features.update.problem.read import read_problem as read_problem
+    from pymc_features.update.report.outputs import write_outputs as write_outputs
+    from pymc_features.update.run import run_update as run_update
+
+PLACES = {
+    "Problem": "problem.read",
+    "read_config": "config.document",
+    "read_problem": "problem.read",
+    "run_update": "run",
+    "write_example": "examples.write",
+    "write_outputs": "report.outputs",
+}
+__all__ = list(PLACES)
+
+
+def __getattr__(name: str):
+    """A public name, imported when it is used: a report is made from a saved result without PyMC."""
+    if name not in PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return globals().setdefault(name, getattr(import_module(f"{__name__}.{PLACES[name]}"), name))
