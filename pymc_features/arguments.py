@@ -87,8 +87,9 @@ def add_update(commands):
         "update",
         help="update a structure with measured channels, and write a report",
         description="Reads a configuration (TOML; `pymc-features init` writes a commented one), samples the "
-        "posterior under each of its likelihoods, and writes update.nc, table.csv, figures and report.html, "
-        "one page that needs no other file. A stopped run continues: finished likelihoods are kept.",
+        "posterior under each of its likelihoods, and writes update.nc, table.csv, table.tex, figures and "
+        "report.html, one page that needs no other file. A stopped run continues: finished likelihoods are "
+        "kept.",
     )
     run.add_argument("config", metavar="CONFIG", help="configuration file, TOML")
     run.add_argument("--out", metavar="DIR", help="output folder (default: CONFIG-output beside CONFIG)")
@@ -111,6 +112,14 @@ def add_update(commands):
     )
     ahead.add_argument("config", metavar="CONFIG", help="configuration file, TOML")
     ahead.add_argument("--out", metavar="DIR", help="folder of the result (default: CONFIG-output)")
+    page = commands.add_parser(
+        "report",
+        help="make the page of a finished update again, from its update.nc alone",
+        description="Writes report.html from the result that `update` saved, without its data files, without "
+        "sampling and within seconds.",
+    )
+    page.add_argument("result", metavar="RESULT", help="update.nc of an update")
+    page.add_argument("--out", metavar="FILE", help="page (default: report.html beside RESULT)")
     look = commands.add_parser(
         "check",
         help="look at the data of a configuration without sampling",
@@ -147,5 +156,5 @@ def add_update(commands):
         "--dt", type=float, metavar="S", help="step of the channels [s], if the file is silent"
     )
     change.add_argument("--force", action="store_true", help="replace OUT if it is there")
-    for command in (run, ahead, look, example, change):
+    for command in (run, ahead, page, look, example, change):
         command.add_argument("--traceback", action="store_true", help="on an error, show where it came from")

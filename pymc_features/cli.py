@@ -17,9 +17,10 @@ from pymc_features.interrupt import EXIT_INTERRUPTED, CtrlC, started
 EXIT_BAD_INPUT, EXIT_UNEXPLAINED = 2, 3
 # what each command needs, with PyMC
 NEEDED = {"update": "pymc_features.update.run", "check": "pymc_features.update.report.expected"}
-NEEDED |= {"predict": "pymc_features.update.run"}
+NEEDED |= {"predict": "pymc_features.update.run", "report": "pymc_features.update.report.page"}
 NEEDED |= {"init": "pymc_features.update.examples.write"}
 NEEDED |= {"reproduce": "pymc_features.study", "convert": "pymc_features.io"}
+NEEDED["report"] = "pymc_features.update.report.page"  # which needs no PyMC
 
 
 def command() -> int:
@@ -193,6 +194,13 @@ def predict(options, console):
     say(console, f"wrote {out / 'update.nc'}")
 
 
+def report(options, console):
+    """Make the page of a saved update again."""
+    from pymc_features.update.report.page import write_page
+
+    say(console, f"wrote {write_page(options.result, options.out)}")
+
+
 def forget_parts(options, what, console):
     """With --force, delete the finished parts in the output folder."""
     from pymc_features.storage import remove_parts
@@ -359,6 +367,7 @@ RUNS = {
     "reproduce": reproduce,
     "update": update,
     "predict": predict,
+    "report": report,
     "check": check,
     "init": init,
     "convert": convert,

@@ -26,7 +26,8 @@ DATA = {
     "pymc_features/py.typed",
     "pymc_features/data/elcentro.dat",
     "pymc_features/update/templates/building.toml",
-    "pymc_features/update/templates/report.html",
+    *(f"pymc_features/update/templates/{name}" for name in ("figures.js", "report.css", "report.html")),
+    *(f"pymc_features/update/templates/{name}" for name in ("report.js", "shapes.js")),
     "pymc_features/update/templates/shaking_table.toml",
 }
 
@@ -154,7 +155,9 @@ def test_installed_wheel_works(installed, tmp_path):
     place, record, templates = run(python, "-c", code, cwd=tmp_path, env=environment).splitlines()
     assert Path(place).is_relative_to(installed.parent)
     assert record.startswith("Record('El Centro 1940 NS', 1559 samples")
-    assert {"building.toml", "report.html", "shaking_table.toml"} <= set(ast.literal_eval(templates))
+    assert {"building.toml", "report.html", "report.js", "shaking_table.toml"} <= set(
+        ast.literal_eval(templates)
+    )
     assert "reproduce" in run(command, "--help", cwd=tmp_path, env=environment)
 
 

@@ -14,6 +14,7 @@ from pymc_features.exceptions import ConfigError
 from pymc_features.update import read_problem, run_update, sampling
 from pymc_features.update.kinds.modal import ModeRow, modes_verdict
 from pymc_features.update.kinds.model import declare
+from support.report_pages import words
 
 MASS, DRAWN, TRUE = 1.6e5, np.array([3.4e8, 3.0e8, 2.5e8]), {"k1": 0.8, "k2": 1.0, "k3": 1.1}
 NAMES = ["floor 1", "floor 2", "roof"]
@@ -318,7 +319,7 @@ def finished(folder):
 @pytest.mark.slow
 def test_posterior_has_the_truth_and_the_report_its_numbers(finished, folder):
     table = np.genfromtxt(folder / "modes.csv", delimiter=",", skip_header=1)
-    html = (finished / "report.html").read_text()
+    html = words((finished / "report.html").read_text())
     with xr.open_datatree(finished / "update.nc", engine="h5netcdf") as tree:
         posterior, matched = tree["MODAL/posterior"].to_dataset(), tree["MODAL/matched"].to_dataset()
         for name, value in TRUE.items():  # 99.9 %: by chance once in 300 seeds

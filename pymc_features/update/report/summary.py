@@ -9,6 +9,7 @@ import xarray as xr
 from pymc_features.calibration.bounds import SHORT, interval
 from pymc_features.update.kinds import KINDS
 from pymc_features.update.problem import Problem
+from pymc_features.update.report.numbers import Row
 
 R_HAT = 1.05  # of chains of SMC that agree; they are few and short
 R_HAT_NUTS = 1.01
@@ -17,26 +18,6 @@ TAUGHT = 0.1  # share of the prior's variance that the data must take away to ha
 MOVED = 0.8  # or the overlap with the prior that they must leave
 BINS = 20  # of equal prior probability, for the overlap
 ESTIMATED_CHAINS = 2  # R-hat compares chains
-
-
-class Row(NamedTuple):
-    """One parameter under one likelihood."""
-
-    kind: str
-    name: str
-    unit: str
-    mean: float
-    sd: float
-    q05: float
-    q50: float
-    q95: float
-    taught: float
-    r_hat: float
-    ess: float
-    overlap: float
-
-
-COLUMNS = ("likelihood", "parameter", "unit", "mean", "sd", "5 %", "50 %", "95 %", "learned", "R-hat", "ESS")
 
 
 def kinds_of(result) -> list[str]:
@@ -57,7 +38,7 @@ def rows(problem: Problem, result: xr.DataTree) -> list[Row]:
         several = posterior.sizes["chain"] >= ESTIMATED_CHAINS
         for name in prior.data_vars:
             draws = posterior[str(name)]
-            taught = 1.0 - float(draws.var() / prior[name].var())
+            taught = max(0.0, 1.0 - float(draws.var() / prior[name].var()))
             overlap = overlap_of(prior[name].values, draws.values)
             r_hat = float(az.rhat(draws)) if several else np.nan
             unit = problem.unit(str(name))
@@ -92,10 +73,10 @@ def overlap_of(prior, posterior) -> float:
 
 
 def moments(draws, bound=None) -> tuple[float, ...]:
-    """Mean, standard deviation, and median between the ends of the 90 % interval, see `interval`."""
+    """Median between the ends of the 90 % interval, see `interval`, mean and standard deviation."""
     values = draws.values[np.isfinite(draws.values)]
     low, high = interval(values, bound=bound)
-    return float(values.mean()), float(values.std()), low, float(np.median(values)), high
+    return low, float(np.median(values)), high, float(values.mean()), float(values.std())
 
 
 def bounds_of(part) -> dict[str, float]:
@@ -247,11 +228,3 @@ def leans(part, row) -> bool:
     """Whether a posterior lies where the prior has one per cent of its mass."""
     low, high = np.quantile(part["prior"][row.name].values, [0.01, 0.99])
     return not low < row.q50 < high
-
-
-def as_csv(table: list[Row]) -> str:
-    """The table in full precision."""
-    lines = [",".join(COLUMNS)]
-    shown = [row[: len(COLUMNS)] for row in table]
-    lines += [",".join(v if isinstance(v, str) else f"{v:.10g}" for v in row) for row in shown]
-    return "\n".join(lines) + "\n"

@@ -6,9 +6,9 @@ from rich.table import Table
 
 from pymc_features.update.kinds.modal import COLUMNS as MODE_COLUMNS
 from pymc_features.update.plausibility.findings import mode_rows
+from pymc_features.update.report.document import gain_rows
 from pymc_features.update.report.findings import Findings
-from pymc_features.update.report.page import gain_rows, posterior_row
-from pymc_features.update.report.summary import COLUMNS
+from pymc_features.update.report.numbers import COLUMNS, cells
 
 # as many as 80 characters hold
 SHOWN = (
@@ -61,9 +61,8 @@ def posterior_table(table) -> Table:
     drawn = plain_table(f"Posterior under {table[0].kind}")
     for name in SHOWN:
         drawn.add_column(name, justify="left" if name in ("parameter", "unit") else "right", no_wrap=True)
-    for row in table:
-        cells = dict(zip(COLUMNS, map(str, posterior_row(row)), strict=True))
-        drawn.add_row(*(cells[name] for name in SHOWN))
+    for row in cells(table):
+        drawn.add_row(*(row[COLUMNS.index(name)] for name in SHOWN))
     return drawn
 
 

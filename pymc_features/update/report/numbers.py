@@ -1,0 +1,187 @@
+"""Numbers as people read them: digits from the standard deviation, engineering prefixes with the unit.
+
+One function, `cells`, for the terminal, the page and LaTeX; `as_csv` alone keeps full precision in SI units.
+"""
+
+import math
+from typing import NamedTuple
+
+COLUMNS = ("likelihood", "parameter", "unit", "5 %", "50 %", "95 %", "mean", "sd", "learned", "R-hat", "ESS")
+N_TEXTS = 3  # columns of words in front
+DIGITS = 2  # significant digits of a standard deviation that are shown
+MOST_DECIMALS = 15
+# prefixes that people use with each unit: powers of ten, and what the unit is called then
+FORCES = {-3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+PREFIXES = {
+    **dict.fromkeys(("N", "N/m", "N s/m", "N m", "N m/rad", "J", "Pa", "W"), FORCES),
+    **dict.fromkeys(("m", "s"), {-6: "µ", -3: "m", 0: ""}),
+    **dict.fromkeys(("m/s", "m/s^2"), {-3: "m", 0: ""}),
+    "Hz": {0: "", 3: "k"},
+    "kg": {-3: "g", 0: "kg", 3: "t", 6: "kt"},  # names of their own
+    "rad": {-3: "m", 0: ""},
+}
+# the smallest value that is shown without a prefix: by default 1, and 0.001 of units that have none
+PLAIN_FROM = {"m": 0.1, "s": 0.1, "Hz": 0.0, "m/s^2": 1e-3, "m/s": 1e-3, "rad": 1e-3}
+PLAIN_BELOW = {"-": 1e4}  # by default 1000
+
+
+class Row(NamedTuple):
+    """One parameter under one likelihood.
+
+    Attributes
+    ----------
+    kind, name, unit : str
+        Likelihood, parameter, and its SI unit.
+    q05, q50, q95, mean, sd : float
+        Median between the ends of the 90 % interval, mean and standard deviation, in SI units.
+    taught : float
+        Share of the prior's variance that the data took away [-]; 0 where the posterior is as wide or wider.
+    r_hat, ess : float
+        Of the chains, and the effective number of draws; NaN where they are not told.
+    overlap : float
+        Mass that prior and posterior share [-].
+    """
+
+    kind: str
+    name: str
+    unit: str
+    q05: float
+    q50: float
+    q95: float
+    mean: float
+    sd: float
+    taught: float
+    r_hat: float
+    ess: float
+    overlap: float
+
+
+def rows_of(document: dict) -> list[Row]:
+    """The posterior of a saved document."""
+    saved = (row.values() for row in document["posterior"])
+    return [Row(*(math.nan if value is None else value for value in values)) for values in saved]
+
+
+class Scale(NamedTuple):
+    """A unit with a prefix: what is shown is the value over `factor`."""
+
+    factor: float
+    unit: str
+
+
+def scale_of(size: float, unit: str) -> Scale:
+    """The prefix for values of a size, or a power of ten in front of a unit that has none."""
+    size, known = abs(size), PREFIXES.get(unit)
+    plain_from = PLAIN_FROM.get(unit, 1e-3 if known is None else 1.0)
+    if not math.isfinite(size) or size == 0.0 or plain_from <= size < PLAIN_BELOW.get(unit, 1e3):
+        return Scale(1.0, pretty(unit))
+    power = 3 * math.floor(math.log10(size) / 3.0 + 1e-12)
+    if known is None:
+        ten = f"10{str(power).translate(RAISED)}"
+        return Scale(10.0**power, ten if unit == "-" else f"{ten} {pretty(unit)}")
+    power = min(max(power, min(known)), max(known))
+    return Scale(10.0**power, known[power] if unit == "kg" else f"{known[power]}{pretty(unit)}")
+
+
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+LOWERED = {raised: chr(plain) for plain, raised in RAISED.items() for raised in [chr(raised)]}
+
+
+SPECIAL = {letter: f"\\{letter}" for letter in "_%&#$"} | {"µ": "$\\mu$"}
+
+
+def pretty(unit: str) -> str:
+    """A unit with raised exponents."""
+    return unit.replace("^2", "²").replace("^3", "³")
+
+
+def decimals_for(sd: float, values=()) -> int:
+    """Decimals that show two significant digits of a standard deviation, and values that differ as different.
+
+    Without a standard deviation four significant digits of the largest value.
+    """
+    if sd > 0.0 and math.isfinite(sd):
+        decimals = DIGITS - 1 - math.floor(math.log10(float(f"{sd:.1e}")))
+    else:
+        largest = max(map(abs, values), default=0.0)
+        decimals = 3 - math.floor(math.log10(largest)) if largest > 0.0 else 0
+    decimals = min(max(decimals, 0), MOST_DECIMALS)
+    while decimals < MOST_DECIMALS and len({f"{v:.{decimals}f}" for v in values}) < len(set(values)):
+        decimals += 1
+    return decimals
+
+
+def fixed(values, sd: float, scale: Scale) -> list[str]:
+    """Values under one scale, with the decimals that their standard deviation allows."""
+    shown = [value / scale.factor for value in values]
+    decimals = decimals_for(sd / scale.factor, [v for v in shown if math.isfinite(v)])
+    return [f"{value:.{decimals}f}" if math.isfinite(value) else "" for value in shown]
+
+
+def quantity(value: float, sd: float, unit: str) -> str:
+    """One value in a sentence: `21.99 MN/m`, or `340×10⁻⁶`."""
+    scale = scale_of(value, unit)
+    [text] = fixed([value], sd, scale)
+    return text if scale.unit == "-" else f"{text}{'×' if scale.unit.startswith('10') else ' '}{scale.unit}"
+
+
+def interval_texts(quantiles, unit: str) -> tuple[str, list[str]]:
+    """Unit with its prefix, and 5, 50 and 95 % of something whose standard deviation is told by them."""
+    low, _, high = quantiles
+    scale = scale_of(max(map(abs, quantiles)), unit)
+    return scale.unit, fixed(quantiles, (high - low) / 3.29, scale)
+
+
+def cells(table: list[Row]) -> list[tuple[str, ...]]:
+    """Texts of the rows, in the order of `COLUMNS`; a parameter has one prefix under all likelihoods."""
+    scales = {}
+    for row in table:
+        size = max(abs(v) for v in (row.q05, row.q50, row.q95))
+        scales.setdefault((row.name, row.unit), scale_of(size, row.unit))
+    found = []
+    for row in table:
+        scale = scales[row.name, row.unit]
+        places = fixed([row.q05, row.q50, row.q95], row.sd, scale)
+        mean = f"{row.mean / scale.factor:.{decimals_of(places[1])}f}"
+        [sd] = fixed([row.sd], row.sd, scale)
+        told = [
+            form.format(value) if math.isfinite(value) else ""
+            for form, value in (("{:.2f}", row.taught), ("{:.3f}", row.r_hat), ("{:.0f}", row.ess))
+        ]
+        found.append((row.kind, row.name, scale.unit, *places, mean, sd, *told))
+    return found
+
+
+def decimals_of(text: str) -> int:
+    """Decimals of a number that is written."""
+    return len(text.partition(".")[2])
+
+
+def as_csv(table: list[Row]) -> str:
+    """The table in full precision and SI units, for programs."""
+    lines = [",".join(COLUMNS)]
+    shown = [row[: len(COLUMNS)] for row in table]
+    lines += [",".join(v if isinstance(v, str) else f"{v:.10g}" for v in row) for row in shown]
+    return "\n".join(lines) + "\n"
+
+
+def as_latex(table: list[Row]) -> str:
+    """The table as people read it, a `tabular` that needs no package."""
+    header = [escaped(name) for name in COLUMNS]
+    lines = [f"\\begin{{tabular}}{{{'l' * N_TEXTS}{'r' * (len(COLUMNS) - N_TEXTS)}}}", "\\hline"]
+    rows = [header, *([escaped(cell) for cell in row] for row in cells(table))]
+    lines += [f"{' & '.join(row)} \\\\{' \\hline' if row is header else ''}" for row in rows]
+    return "\n".join([*lines, "\\hline", "\\end{tabular}"]) + "\n"
+
+
+def escaped(text: str) -> str:
+    """A text in LaTeX; raised digits are exponents."""
+    found, raised = "", ""
+    for letter in f"{text}\0":
+        if letter in LOWERED:
+            raised += LOWERED[letter]
+            continue
+        found += f"$^{{{raised}}}$" if raised else ""
+        raised = ""
+        found += SPECIAL.get(letter, letter)
+    return found.removesuffix("\0")

@@ -1,0 +1,389 @@
+"""The data of a page's figures, from a saved result alone; each function finds the groups of one figure.
+
+Arrays are packed as short whole numbers, and thinned to what an eye sees.
+"""
+
+import base64
+import json
+
+import numpy as np
+
+from pymc_features.update.report.numbers import interval_texts, rows_of, scale_of
+
+BUDGET = 800_000  # characters of all responses
+DRAWS = 600  # in the pair plot
+GHOSTS = 60_000  # entries of mode shapes of draws
+GRID = 512  # bins of a density before it is smoothed
+SPECTRUM = 300  # frequencies of a spectrum that are drawn
+WIDE = 10.0  # of the 99 % quantile of a prior over its median, for a logarithmic axis
+RECORD = 1500  # samples of the motion of the base
+
+
+def payload_of(result) -> dict:
+    """What the scripts of the page draw."""
+    document = json.loads(result.attrs["document"])
+    kinds = list(dict.fromkeys(row["kind"] for row in document["posterior"]))
+    rows = rows_of(document)
+    units = json.loads(result.attrs["units"])
+    found = {"kinds": kinds, "parameters": parameters(rows, units), "of": {}}
+    samples, scale = kept_samples(result, kinds), scale_of_responses(result, kinds)
+    for kind in kinds:
+        part = result[kind]
+        found["of"][kind] = {
+            "parameters": densities(part, found["parameters"], [row for row in rows if row.kind == kind]),
+            "draws": draws_of(part, found["parameters"]),
+            **frequency_intervals(part),
+            "responses": responses(part, samples, scale),
+            "modes": modes_of(part, result, len(kinds)),
+            "singular_values": fitted_values(part),
+            "events": events_of(part, found["parameters"]),
+            "stages": stages_of(part),
+            "ranks": ranks_of(part, found["parameters"], [row for row in rows if row.kind == kind]),
+        }
+    shared = {"measured": measured(result, kinds, samples, scale), "geometry": geometry(result)}
+    shared |= {"data": data_of(result), "spectra": channel_values(result)}
+    return found | {name: value for name, value in shared.items() if value is not None}
+
+
+def parameters(rows, units) -> dict:
+    """Unit with prefix, and its factor, of each parameter."""
+    found = {}
+    for row in rows:
+        if row.name in units and row.name not in found:
+            scale = scale_of(max(abs(row.q05), abs(row.q50), abs(row.q95)), row.unit)
+            found[row.name] = {"unit": scale.unit, "factor": scale.factor}
+    return found
+
+
+def names_in(part, scales) -> list[str]:
+    """Parameters that a likelihood has."""
+    return [name for name in scales if name in part["posterior"]]
+
+
+def densities(part, scales, rows) -> dict:
+    """Densities of posterior and prior, each to its own height, and the 5, 50 and 95 % quantiles."""
+    found, quantiles = {}, {row.name: [row.q05, row.q50, row.q95] for row in rows}
+    for name in names_in(part, scales):
+        factor = scales[name]["factor"]
+        of_posterior = density(part["posterior"][name].values / factor)
+        prior = part["prior"][name].values / factor
+        is_wide = prior.min() > 0.0 and np.quantile(prior, 0.99) > WIDE * np.median(prior)
+        of_prior = density(np.log10(prior) if is_wide else prior)
+        found[name] = dict(zip(("x", "y"), map(packed, of_posterior), strict=True))
+        found[name] |= dict(zip(("prior_x", "prior_y"), map(packed, of_prior), strict=True))
+        found[name]["is_log"] = bool(is_wide)
+        found[name]["quantiles"] = rounded(np.array(quantiles[name]) / factor, 9)
+    return found
+
+
+def draws_of(part, scales) -> dict:
+    """Draws of the pair plot: first those whose responses are known, then others, evenly spaced."""
+    posterior = part["posterior"].to_dataset()
+    size = posterior.sizes["draw"]
+    known = []
+    if "histories" in part.children:
+        labels = part["histories"].to_dataset()
+        at = [posterior.get_index(dim).get_indexer(labels[dim].values) for dim in ("chain", "draw")]
+        known = (at[0] * size + at[1]).tolist()
+    total = size * posterior.sizes["chain"]
+    others = np.linspace(0, total - 1, min(DRAWS, total)).astype(int).tolist()
+    chosen = list(dict.fromkeys([*known, *others]))[:DRAWS]
+    names = names_in(part, scales)
+    flat = {name: posterior[name].transpose("chain", "draw").values.ravel()[chosen] for name in names}
+    columns = [flat[name] / scales[name]["factor"] for name in names]
+    return {"names": names, "values": [packed(column) for column in columns], "known": len(known)}
+
+
+def frequency_intervals(part) -> dict:
+    """5, 50 and 95 % of each natural frequency [Hz], as numbers and as texts."""
+    if "modal" not in part.children:
+        return {}
+    values = part["modal"]["natural_frequency"].values
+    quantiles = np.nanquantile(values.reshape(-1, values.shape[-1]), [0.05, 0.5, 0.95], axis=0).T
+    texts = [interval_texts(row, "Hz")[1] for row in quantiles]
+    return {"frequencies": rounded(quantiles), "frequency_texts": texts}
+
+
+def with_bands(result, kinds) -> list[str]:
+    """Likelihoods that have responses."""
+    return [kind for kind in kinds if "bands" in result[kind].children]
+
+
+def kept_samples(result, kinds) -> list:
+    """Of each sensor the samples that are drawn: extremes of the measurement and of the first residual."""
+    kinds = with_bands(result, kinds)
+    if not kinds:
+        return []
+    observed = result[kinds[0]]["observed_data"]["y"].values
+    median = result[kinds[0]]["bands"]["response"].sel(quantile=0.5).values
+    components = [result[kind]["histories"].sizes["component"] for kind in kinds]
+    size = 4.0 / 3.0 * (4 + sum(2 + 4 + n for n in components))  # characters of a sample of one sensor
+    n = int(BUDGET / (size * len(observed)))
+    return [extremes([y, y - m], n) for y, m in zip(observed, median, strict=True)]
+
+
+def scale_of_responses(result, kinds):
+    """Unit with prefix of what was measured."""
+    for kind in with_bands(result, kinds):
+        observed = result[kind]["observed_data"]["y"]
+        return scale_of(float(np.nanmax(np.abs(observed.values))), observed.attrs.get("units", "-"))
+
+
+def measured(result, kinds, samples, scale):
+    """What was measured at the kept samples, and what is said of them."""
+    if not samples:
+        return None
+    observed = result[with_bands(result, kinds)[0]]["observed_data"]["y"]
+    time = observed["time"].values
+    found = {
+        "unit": scale.unit,
+        "sensors": observed["sensor"].values.astype(str).tolist(),
+        "time": [packed(time[kept]) for kept in samples],
+        "values": [packed(y[at] / scale.factor) for y, at in zip(observed.values, samples, strict=True)],
+        "samples": [int(time.size), max(map(len, samples))],
+    }
+    if "displacement" in observed.coords or "displacement" in result["data"].coords:
+        displacement = result["data"]["displacement"].values
+        found["displacement"] = [packed(1e3 * displacement[kept]) for kept in samples]
+    return found
+
+
+def responses(part, samples, scale):
+    """Median, bands as distances from it, components of draws, and spectra, of each sensor."""
+    if "bands" not in part.children:
+        return None
+    bands, kept = part["bands"].to_dataset(), part["histories"].to_dataset()
+    observed, time = part["observed_data"]["y"].values / scale.factor, bands["time"].values
+    found = []
+    for k, at in enumerate(samples):
+        of_one = bands.isel(sensor=k)
+        low, median, high = of_one["response"].values / scale.factor
+        distances = {"low": median - low, "high": high - median}
+        if "predictive" in bands:
+            first, _, last = of_one["predictive"].values / scale.factor
+            distances |= {"data_low": median - first, "data_high": last - median}
+        frequency, root = spectra([observed[k], median, observed[k] - median], time[1] - time[0])
+        found.append(
+            {name: packed(values[at], 8) for name, values in distances.items()}
+            | {"median": packed(median[at]), "frequency": packed(frequency), "spectra": log_packed(root)}
+            | {"components": [packed(row[at] / scale.factor, 8) for row in kept["component"].values[:, k]]}
+        )
+    coefficients = rounded(kept["coefficient"].values, 4)
+    return {"sensors": found, "coefficients": coefficients, "share": rounded(kept.attrs["share"], 4)}
+
+
+def geometry(result):
+    """Where the points of mode shapes are."""
+    if "geometry" not in result.children:
+        return None
+    places = result["geometry"].to_dataset()
+    found = {name: rounded(places[name].values, 5) for name in ("place", "direction")}
+    attrs = {name: json.loads(places.attrs[name]) for name in ("lines", "sensors")}
+    return found | attrs | {"style": places.attrs["style"]}
+
+
+def modes_of(part, result, n_kinds):
+    """Shapes of the model at some draws, identified ones with their partners, and the MAC of both."""
+    if "mode_shapes" not in part.children:
+        return None
+    shapes = part["mode_shapes"].to_dataset()
+    values = shapes["shape"].values
+    n = max(1, min(len(values), GHOSTS // (values[0].size * n_kinds)))
+    found = {"shapes": packed(values[:n], 8), "frequencies": rounded(shapes["frequency"].values[:n], 5)}
+    if "matched" not in part.children or "shape" not in result["identified"]:
+        return found
+    identified, draws = result["identified"].to_dataset(), part["shapes"]["at_channels"].values
+    mac = mac_of(identified["shape"].values, draws)
+    matched = part["matched"].to_dataset()
+    return found | {
+        "identified": {
+            "names": matched["label"].values.astype(str).tolist(),
+            "partners": matched["partner"].values.tolist(),
+            "frequencies": rounded(identified["frequency"].values, 5),
+            "shapes": rounded(identified["shape"].values.real, 4),
+            "points": json.loads(result["geometry"].attrs["channels"]),
+            "mac": rounded(np.median(mac, axis=0), 4),
+        }
+    }
+
+
+def mac_of(identified, draws) -> np.ndarray:
+    """|a'b|^2 / (a'a b'b) (sample, identified, mode), over the entries that were measured."""
+    known = ~np.isnan(identified)
+    shapes = np.where(known, identified, 0.0)
+    product = np.abs(np.einsum("ic,smc->sim", shapes.conj(), draws)) ** 2
+    squares = np.einsum("ic,smc->sim", known.astype(float), draws**2)
+    return product / (np.abs(shapes) ** 2).sum(axis=1)[:, None] / np.maximum(squares, 1e-300)
+
+
+def fitted_values(part):
+    """Singular values of the spectra that the model makes: 5, 50 and 95 %."""
+    if "spectra" not in part.children:
+        return None
+    fitted = part["spectra"].to_dataset()
+    return {"frequency": packed(fitted["frequency"].values), "values": log_packed(fitted["response"].values)}
+
+
+def channel_values(result):
+    """Singular values of the spectra of the channels, the bands that are compared, and identified modes."""
+    if "singular_values" not in result.children:
+        return None
+    spectrum = result["singular_values"].to_dataset()
+    values = spectrum["singular_value"].values
+    kept = extremes(np.log(values[:1]), 1200)
+    found = {"frequency": packed(spectrum["frequency"].values[kept]), "values": log_packed(values[:, kept])}
+    if "identified" in result.children:
+        found["identified"] = rounded(result["identified"]["frequency"].values, 5)
+    return found | {"bands": rounded(spectrum["band"].values, 5)}
+
+
+def events_of(part, scales):
+    """Mean and 90 % interval of each parameter after each event, and the alarms."""
+    if "sequence" not in part.children:
+        return None
+    record = part["sequence"].to_dataset()
+    names = [name for name in record["parameter"].values.astype(str) if name in scales]
+    factors = np.array([scales[name]["factor"] for name in names])
+    chosen = record.sel(parameter=names).transpose("event", "parameter", ...)
+    mean, sd = (chosen[name].values / factors for name in ("mean", "standard_deviation"))
+    return {
+        "names": names,
+        "events": record["name"].values.astype(str).tolist(),
+        "mean": rounded(mean.T),
+        "half": rounded(1.645 * sd.T),
+        "alarm": (record["alarm"].values > 0).tolist(),
+    }
+
+
+def stages_of(part):
+    """Inverse temperature or tolerance, and acceptance, of each stage of each chain."""
+    stats = part["sample_stats"].to_dataset() if "sample_stats" in part.children else {}
+    name = next((n for n in ("epsilon", "beta") if n in stats and "stage" in stats[n].dims), None)
+    if name is None or stats.sizes["stage"] < 2:
+        return None
+    accept = stats["accept_rate"].values if "accept_rate" in stats else np.empty((0, 0))
+    return {"name": name, "values": rounded(stats[name].values), "accept": rounded(accept, 4)}
+
+
+def ranks_of(part, scales, rows):
+    """Ranks of the draws of each chain among all, less what is expected, and 95 % of chains that agree."""
+    posterior = part["posterior"].to_dataset()
+    if posterior.sizes["chain"] < 2:
+        return None
+    effective = {row.name: row.ess / posterior.sizes["chain"] for row in rows}
+    found = {}
+    for name in names_in(part, scales):
+        places, shares = rank_differences(posterior[name].transpose("chain", "draw").values)
+        half = 1.96 * np.sqrt(places * (1.0 - places) / max(effective[name], 1.0))
+        found[name] = {"shares": [packed(row) for row in shares], "half": packed(half), "u": packed(places)}
+    return found
+
+
+def data_of(result):
+    """Motion of the base, gain of the sensors against it, and frequencies that are known."""
+    if "data" not in result.children or "gain" not in result["data"]:
+        return None
+    data = result["data"].to_dataset()
+    base, gain = data["ground_acceleration"].values, data["gain"].values[:, 1:]
+    kept, frequency = extremes(base, RECORD), data["frequency"].values[1:]
+    at = extremes(np.log(np.maximum(np.sqrt((gain**2).mean(axis=0)), 1e-12)), 500)
+    found = {
+        "name": str(data.attrs["record"]),
+        "time": packed(data["record_time"].values[kept]),
+        "base": packed(base[kept]),
+        "frequency": packed(frequency[at]),
+        "gain": log_packed(gain[:, at]),
+        "peaks": rounded(data["peak_frequency"].values, 5),
+    }
+    if "given_frequency" in data:
+        found["given"] = rounded(data["given_frequency"].values, 5)
+    return found
+
+
+# ---- arrays ----
+
+
+def packed(values, bits: int = 16) -> dict:
+    """An array as whole numbers in base64: value = low + step (n + half), the smallest n where it is NaN.
+
+    The error is at most half a step, 1/131,000 of the range with 16 bits and 1/500 with 8.
+    """
+    values = np.asarray(values, dtype=float)
+    known = values[np.isfinite(values)]
+    half = 2 ** (bits - 1) - 1
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    step = (high - low) / (2 * half) or 1.0
+    whole = np.rint((values - low) / step) - half
+    whole = np.where(np.isfinite(values), whole, -half - 1).astype(f"<i{bits // 8}")
+    text = base64.b64encode(whole.tobytes()).decode("ascii")
+    return {"b": text, "bits": bits, "low": rounded(low, 9), "step": rounded(step, 9), "shape": values.shape}
+
+
+def rounded(value, digits: int = 6):
+    """Numbers, nested as they are, with so many digits; None for NaN."""
+    if isinstance(value, list | tuple | np.ndarray):
+        return [rounded(item, digits) for item in value]
+    return float(f"{value:.{digits}g}") if np.isfinite(value) else None
+
+
+def extremes(rows, n: int) -> np.ndarray:
+    """Indices of about n samples of some series: in equal parts those where one is largest or smallest.
+
+    All of them if they are no more. What is drawn between the samples is then as high and as low as with all.
+    """
+    rows = np.nan_to_num(np.atleast_2d(rows))
+    size = rows.shape[1]
+    each = 2 * len(rows)
+    if size <= max(n, each):
+        return np.arange(size)
+    starts = np.linspace(0, size, max(1, n // each) + 1).astype(int)
+    parts = [rows[:, first:last] for first, last in zip(starts[:-1], starts[1:], strict=True)]
+    kept = [
+        first + np.unique(np.concatenate([part.argmin(axis=1), part.argmax(axis=1)]))
+        for first, part in zip(starts[:-1], parts, strict=True)
+    ]
+    return np.concatenate(kept)
+
+
+def density(values, n: int = 128) -> tuple[np.ndarray, np.ndarray]:
+    """Places and density of draws, by a Gaussian kernel of Silverman's width that is mirrored at the ends."""
+    from scipy.ndimage import gaussian_filter1d
+
+    values = np.ravel(values)
+    low, high = np.quantile(values, [0.001, 0.999])
+    if not high > low:
+        return np.array([low]), np.array([1.0])
+    counts, edges = np.histogram(values, GRID, (low, high))
+    quartiles = np.quantile(values, [0.25, 0.75])
+    width = 0.9 * min(values.std(), np.ptp(quartiles) / 1.34 or values.std()) * values.size**-0.2
+    smooth = gaussian_filter1d(counts.astype(float), width / (edges[1] - edges[0]), mode="reflect")
+    places = np.linspace(low, high, n)
+    return places, np.interp(places, 0.5 * (edges[1:] + edges[:-1]), smooth / smooth.max())
+
+
+def spectra(rows, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [Hz] and root of the spectral densities (row, frequency) by Welch's method, gaps zero."""
+    from scipy import signal  # a second to import
+
+    rows = np.nan_to_num(rows)
+    size = rows.shape[1]
+    frequency, power = signal.welch(rows, 1.0 / step, nperseg=min(size, max(256, size // 4)))
+    root = np.sqrt(power[:, 1:])
+    kept = extremes(np.log(np.maximum(root, 1e-300)), SPECTRUM)
+    return frequency[1:][kept], root[:, kept]
+
+
+def log_packed(values) -> dict:
+    """Positive values by their logarithms; nothing where they are zero."""
+    with np.errstate(divide="ignore"):
+        logs = np.log10(np.asarray(values, dtype=float))
+    return packed(np.where(np.isfinite(logs), logs, np.nan)) | {"log": True}
+
+
+def rank_differences(draws, n: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    """Fractional ranks u, and for each chain (chain, draw) the share of its ranks below u, less u."""
+    chains, size = draws.shape
+    ranks = (draws.ravel().argsort().argsort().reshape(chains, size) + 0.5) / draws.size
+    places = np.linspace(0.0, 1.0, n)
+    shares = [np.searchsorted(np.sort(row), places) / size - places for row in ranks]
+    return places, np.array(shares)

@@ -1,0 +1,131 @@
+"""Results of `update` made by hand, with every group that the page of a report draws."""
+
+import json
+
+import numpy as np
+import xarray as xr
+
+from pymc_features.update.report.numbers import Row
+
+
+def large_result(kinds=("CAL", "NORM"), sensors=10, samples=10_000, seed=0) -> xr.DataTree:
+    """White noise, which cannot be packed any smaller, at many sensors; six parameters, stages and events."""
+    rng = np.random.default_rng(seed)
+    names = [f"k{k}" for k in range(6)]
+    time = 0.005 * np.arange(samples)
+    labels = [f"floor {k}" for k in range(sensors)]
+    observed = rng.standard_normal((sensors, samples))
+    observed[0, 40:60] = np.nan  # a gap
+    tree, rows = {}, []
+    for kind in kinds:
+        draws = {name: 2e7 * (1.0 + 0.05 * rng.standard_normal((2, 1000))) for name in names}
+        for name, values in draws.items():
+            quantiles = np.quantile(values, [0.05, 0.5, 0.95])
+            rows.append(Row(kind, name, "N/m", *quantiles, values.mean(), values.std(), 0.9, 1.0, 1e3, 0.2))
+        tree |= {f"/{kind}/{name}": group for name, group in part(rng, draws, observed, labels, time).items()}
+    frequency = np.linspace(0.0, 100.0, 2000)
+    tree["/data"] = xr.Dataset(
+        {
+            "ground_acceleration": ("record_time", rng.standard_normal(samples)),
+            "gain": (("sensor", "frequency"), np.exp(rng.standard_normal((sensors, 2000)))),
+            "peak_frequency": ("peak", [1.0, 3.0]),
+        },
+        {"record_time": time, "frequency": frequency},
+        {"record": "noise"},
+    )
+    heights = np.arange(1.0, 13.0)
+    places = np.column_stack([0.0 * heights, 0.0 * heights, heights])
+    tree["/geometry"] = xr.Dataset(
+        {
+            "place": (("point", "axis"), places),
+            "direction": (("point", "axis"), np.tile([1.0, 0.0, 0.0], (12, 1))),
+        },
+        attrs={"style": "storeys", "lines": "[[0, 11]]", "sensors": json.dumps({"floor 0": 0, "roof": 11})},
+    )
+    result = xr.DataTree.from_dict(tree)
+    result.attrs = {"document": json.dumps(document(rows)), "units": json.dumps(dict.fromkeys(names, "N/m"))}
+    return result
+
+
+def part(rng, draws, observed, labels, time) -> dict[str, xr.Dataset]:
+    """The groups of one likelihood."""
+    chains = {"chain": [0, 1], "draw": np.arange(1000)}
+    sensors, samples = observed.shape
+    response = np.sort(rng.standard_normal((3, sensors, samples)), axis=0)
+    dims, coords = ("quantile", "sensor", "time"), {"sensor": labels, "time": time}
+    shapes = np.sin(np.outer(2 * np.arange(5) + 1, np.arange(1, 13)) * np.pi / 25)
+    frequencies = np.array([1.0, 3.0, 5.0, 7.0, 9.0])
+    return {
+        "posterior": xr.Dataset({name: (("chain", "draw"), v) for name, v in draws.items()}, chains),
+        "prior": xr.Dataset(
+            {n: (("chain", "draw"), 2e7 * np.exp(rng.standard_normal((1, 4000)))) for n in draws}
+        ),
+        "observed_data": xr.Dataset({"y": (("sensor", "time"), observed, {"units": "m/s^2"})}, coords),
+        "bands": xr.Dataset(
+            {"response": (dims, response), "predictive": (dims, 2.0 * response)},
+            coords | {"quantile": [0.05, 0.5, 0.95]},
+        ),
+        "histories": xr.Dataset(
+            {
+                "component": (("component", "sensor", "time"), rng.standard_normal((6, sensors, samples))),
+                "coefficient": (("sample", "component"), 0.1 * rng.standard_normal((200, 6))),
+            },
+            {
+                "chain": ("sample", np.repeat([0, 1], 100)),
+                "draw": ("sample", np.tile(np.arange(0, 1000, 10), 2)),
+            },
+            {"share": 0.995},
+        ),
+        "modal": xr.Dataset(
+            {
+                "natural_frequency": (
+                    ("chain", "draw", "mode"),
+                    frequencies * rng.normal(1.0, 0.01, (2, 250, 1)),
+                )
+            },
+        ),
+        "mode_shapes": xr.Dataset(
+            {
+                "shape": (("sample", "mode", "point"), shapes * rng.normal(1.0, 0.05, (24, 1, 1))),
+                "frequency": (("sample", "mode"), np.tile(frequencies, (24, 1))),
+            }
+        ),
+        "sample_stats": xr.Dataset(
+            {
+                "beta": (("chain", "stage"), np.tile([0.0, 0.1, 1.0], (2, 1))),
+                "accept_rate": (("chain", "stage"), np.full((2, 3), 0.4)),
+            }
+        ),
+        "sequence": xr.Dataset(
+            {
+                "mean": (("event", "parameter"), 2e7 * np.ones((3, 2))),
+                "standard_deviation": (("event", "parameter"), 1e5 * np.ones((3, 2))),
+                "alarm": ("event", [0, 0, 1]),
+            },
+            {"parameter": ["k0", "k1"], "name": ("event", ["a", "b", "c"])},
+        ),
+    }
+
+
+def document(rows) -> dict:
+    """The words of a report."""
+    note = "All of it is noise."
+    table = {
+        "name": "fit",
+        "section": "response",
+        "title": "Fit",
+        "columns": ["sensor", "error"],
+        "note": note,
+    }
+    return {
+        "title": "A <large> result",
+        "subtitle": "Noise.",
+        "verdict": {"explains": False, "sentences": ["This model does not explain the noise."]},
+        "sentences": [],
+        "warnings": ["CAL: a </script> in a warning does no harm."],
+        "posterior": [row._asdict() for row in rows],
+        "changed": "The data changed nothing.",
+        "tables": [table | {"rows": [["floor 0", "1.00"]], "note": "All of it is noise."}],
+        "configuration": 'title = "</script><script>throw 1</script>"',
+        "versions": ["numpy 2"],
+    }

@@ -1,0 +1,344 @@
+"""The page of a report in a real browser: nothing is cut off at three widths, and all that moves does."""
+
+import csv
+import json
+import os
+import re
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pymc_features.update import read_problem, run_update, write_outputs
+from pymc_features.update.report.page import page_of
+from support.report_pages import payload
+from support.report_results import large_result
+from update import test_update_ambient as ambient
+from update import test_update_cyclic as cyclic
+from update import test_update_modal as modal
+
+CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium: install Debian's package `chromium`"),
+]
+WIDTHS = (390, 768, 1440)
+PAGES = ("large", "modal", "cyclic", "ambient")
+LAPLACE = '\n[sampler]\nmethod = "laplace"\ndraws = 300\ncores = 1\n'
+OUTSIDE = """() => [...document.body.querySelectorAll("*")]
+  .filter(e => !e.ownerSVGElement && e.getClientRects().length && getComputedStyle(e).visibility !== "hidden")
+  .filter(e => !(e.tagName === "svg" && e.id === "js-plotly-tester"))
+  .filter(e => { const r = e.getBoundingClientRect(); return r.left < -1 || r.right > innerWidth + 1; })
+  .map(e => `${e.tagName} ${e.className} ${e.id}`)"""
+CLIPPED = """() => [...document.querySelectorAll("main svg.main-svg text")]
+  .filter(e => e.textContent.trim() && e.getClientRects().length)
+  .filter(e => { const box = one => one.getBoundingClientRect();
+    const t = box(e), f = box(e.closest(".js-plotly-plot"));
+    return t.left < f.left - 2 || t.right > f.right + 2 || t.top < f.top - 2 || t.bottom > f.bottom + 2; })
+  .map(e => e.textContent)"""
+
+
+def updated(path: Path) -> Path:
+    """The page of an update by Laplace's approximation."""
+    problem = read_problem(path)
+    return write_outputs(problem, run_update(problem, progressbar=False), path.parent / "out")[-1]
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory) -> dict[str, Path]:
+    """One page of each kind of data."""
+    folder = tmp_path_factory.mktemp("pages")
+    found = {"large": folder / "large.html"}
+    found["large"].write_text(page_of(large_result()), encoding="utf-8")
+    for name in PAGES[1:]:
+        (folder / name).mkdir()
+    files = modal.folder.__wrapped__(FolderOf(folder / "modal"))
+    both = modal.MODAL + modal.with_damping(modal.STRUCTURE) + modal.DATA.replace('"EXP"', '"NORM", "EXP"')
+    found["modal"] = updated(modal.write(files, "both", both + LAPLACE))
+    found["cyclic"] = updated(cyclic.write(folder / "cyclic"))
+    text = ambient.TEXT.replace("[sampler]\ndraws = 400\ncores = 1", LAPLACE.strip()) + ambient.priors()
+    found["ambient"] = updated(ambient.write(folder / "ambient", ambient.shaken(1), text))
+    return found
+
+
+class FolderOf:
+    """What the fixture of another test takes for `tmp_path_factory`."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+
+    def mktemp(self, _):
+        return self.folder
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as started:
+        opened = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def view(browser, pages):
+    """Open a page without a network; what it complains of fails the test at the end."""
+    said, contexts = [], []
+
+    def open_page(name, width=1440, **options):
+        context = browser.new_context(
+            viewport={"width": width, "height": 900}, offline=True, accept_downloads=True, **options
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", lambda message: said.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("request", lambda asked: said.append(asked.url) if asked.url[:5] not in URLS else None)
+        page.goto(pages[name].as_uri())
+        page.wait_for_selector("body[data-ready]", timeout=120_000)
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert said == []
+
+
+URLS = ("file:", "blob:", "data:")
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("name", PAGES)
+def test_nothing_is_cut_off(view, name, width):
+    page = view(name, width)
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert page.evaluate(OUTSIDE) == []
+    assert page.evaluate(CLIPPED) == []
+    drawn = page.evaluate(
+        "[...document.querySelectorAll('[data-figure]')].map(e => [e.dataset.figure, "
+        "e.querySelectorAll('.js-plotly-plot svg path, canvas').length > 0])"
+    )
+    assert len(drawn) >= 4 and all(is_drawn for _, is_drawn in drawn), drawn
+
+
+def test_what_is_too_wide_is_seen(view):
+    """The checks above can fail."""
+    page = view("cyclic", 390)
+    page.evaluate("document.querySelector('h2').style.width = '500px'")
+    assert page.evaluate(OUTSIDE) != []
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_numbers_are_those_of_the_table(view, pages, name):
+    """Whatever the prefix: 1.5 MN/m and 1.5e6 N/m are the same to half of the last digit."""
+    page = view(name)
+    rows = page.eval_on_selector_all(
+        "#posterior tbody tr", "rows => rows.map(row => [...row.cells].map(cell => cell.textContent))"
+    )
+    text = payload(pages[name].read_text(), "files")["table.csv"]
+    if name != "large":
+        assert text == pages[name].with_name("table.csv").read_text()
+    table = list(csv.reader(text.splitlines()))[1:]
+    assert [row[:2] for row in rows] == [row[:2] for row in table]
+    for shown, saved in zip(rows, table, strict=True):
+        numbers, exact = np.array(shown[3:8], float), np.array(saved[3:8], float)
+        factor = 10.0 ** np.round(np.log10(exact[1] / numbers[1]))
+        half = np.array([0.5 * 10.0 ** -len(cell.partition(".")[2]) for cell in shown[3:8]])
+        assert (np.abs(numbers - exact / factor) <= 1.001 * half).all(), shown
+        prefix = {1e6: "M", 1e3: "k", 1.0: "", 1e-3: "m"}.get(float(factor), "10")
+        assert factor == 1.0 or shown[2].startswith((prefix, "10")), shown
+
+
+def area(page, figure, x, y):
+    """Corner and size of a panel of a plot, with the names of its axes."""
+    return page.evaluate(
+        f"""() => {{ const plot = document.querySelector('[data-figure={figure}] .plot');
+        plot.scrollIntoView({{block: "center"}});
+        const {{{x}: x, {y}: y}} = plot._fullLayout, box = plot.getBoundingClientRect();
+        return [box.left + x._offset, box.top + y._offset, x._length, y._length]; }}"""
+    )
+
+
+def drag(page, box, start, end):
+    """Drag over a part of a panel."""
+    left, top, width, height = box
+    page.mouse.move(left + start[0] * width, top + start[1] * height)
+    page.mouse.down()
+    for share in np.linspace(0.0, 1.0, 6)[1:]:
+        x, y = np.array(start) + share * (np.array(end) - start)
+        page.mouse.move(left + x * width, top + y * height)
+    page.mouse.up()
+    page.wait_for_timeout(600)
+
+
+def test_the_response_can_be_zoomed(view):
+    page = view("modal")
+    read = "document.querySelector('[data-figure=response] .plot')._fullLayout.xaxis.range"
+    before = page.evaluate(read)
+    drag(page, area(page, "response", "xaxis", "yaxis"), (0.25, 0.5), (0.5, 0.52))
+    after = page.evaluate(read)
+    length = before[1] - before[0]
+    assert after[0] == pytest.approx(before[0] + 0.25 * length, abs=0.02 * length)
+    assert after[1] == pytest.approx(before[0] + 0.5 * length, abs=0.02 * length)
+    page.click("[data-window=strong]")
+    assert np.ptp(page.evaluate(read)) < 0.7 * length
+    page.click("[data-window=all]")
+    assert page.evaluate(read) == before
+
+
+def test_each_sensor_can_be_chosen(view, pages):
+    page = view("modal")
+    sensors = payload(pages["modal"].read_text())["measured"]["sensors"]
+    assert page.eval_on_selector_all("#sensor option", "all => all.map(o => o.textContent)") == sensors
+    shown = "document.querySelector('[data-figure=response] .plot').data.find(t => t.name === 'measured').y"
+    first = page.evaluate(shown)
+    page.select_option("#sensor", label=sensors[1])
+    second = page.evaluate(shown)
+    assert first != second and np.std(second) > 1.2 * np.std(first)  # the top moves more
+    assert sensors[1] in page.inner_text("[data-figure=response] figcaption")
+
+
+def test_another_likelihood_can_be_chosen(view):
+    page = view("modal", 390)
+    widths = []
+    for kind in ("NORM", "EXP"):
+        page.select_option("#kind", kind)
+        widths.append(
+            page.evaluate("current().parameters.k1.quantiles[2] - current().parameters.k1.quantiles[0]")
+        )
+        seen = page.eval_on_selector_all(
+            "#posterior tbody tr", "rows => rows.filter(r => r.offsetParent).map(r => r.cells[0].textContent)"
+        )
+        assert set(seen) == {kind}  # on a phone the table is that of the one chosen
+    assert widths[1] > 2.0 * widths[0]  # EXP claims fewer observations
+
+
+def test_draws_that_are_brushed_light_up_everywhere(view):
+    page = view("modal")
+    panel = area(page, "pairs", "xaxis", "yaxis2")
+    drag(page, panel, (0.0, 0.0), (0.5, 1.0))  # the left half of k1 against k2
+    chosen = page.evaluate("chosen.draws")
+    values = page.evaluate("drawnOf(current().draws.names[0]).all")
+    middle = page.evaluate("document.querySelector('[data-figure=pairs] .plot')._fullLayout.xaxis.range")
+    expected = [k for k, value in enumerate(values) if value < np.mean(middle)]
+    assert 20 < len(chosen) < len(values) and set(chosen) ^ set(expected) <= near(values, np.mean(middle))
+    lit = page.evaluate(
+        "document.querySelector('[data-figure=pairs] .plot').data.filter(t => t.mode === 'markers')"
+        ".map(t => t.selectedpoints)"
+    )
+    assert len(lit) >= 3 and all(sorted(points) == sorted(chosen) for points in lit)
+    plots = "[...document.querySelectorAll('[data-figure={0}] .js-plotly-plot')]"
+    names = f"{plots}.map(plot => plot.data.map(trace => trace.name))"
+    assert "selected draws" in page.evaluate(names.format("response"))[0]
+    assert all("selected" in one for one in page.evaluate(names.format("densities")))
+    assert page.inner_text("#clear") == f"{len(chosen)} draws selected: clear"
+    page.click("#clear")
+    assert page.evaluate("chosen.draws") is None and page.is_hidden("#clear")
+    assert "selected draws" not in page.evaluate(names.format("response"))[0]
+
+
+def near(values, limit):
+    """Draws within a pixel or two of the edge."""
+    return {k for k, value in enumerate(values) if abs(value - limit) < 0.02 * np.ptp(values)}
+
+
+def test_selected_responses_are_those_of_their_draws(view, pages):
+    """The response of one draw by its principal components, against the simulation of its structure."""
+    from pymc_features import ModalDamping, SpringMassChain, simulate
+    from pymc_features.update.report.page import xr
+
+    page, folder = view("modal"), pages["modal"].parent.parent
+    problem = read_problem(folder / "both.toml")
+    with xr.open_datatree(folder / "out" / "update.nc", engine="h5netcdf") as tree:
+        posterior, kept = (
+            tree["NORM/posterior"].to_dataset().load(),
+            tree["NORM/histories"].to_dataset().load(),
+        )
+    page.evaluate("change('draws', [17])")
+    drawn = page.evaluate("selectedResponses(1)")[0]
+    one = posterior.sel(chain=kept["chain"][17].item(), draw=kept["draw"][17].item())
+    chain = SpringMassChain(
+        [modal.MASS] * 3, modal.DRAWN * [float(one[k]) for k in modal.TRUE], ModalDamping(0.02)
+    )
+    expected = simulate(chain, problem.measured.record, sensors=[2]).values[0]
+    median = page.evaluate("responseOf(1).median")
+    off, apart = np.subtract(drawn, expected), np.subtract(median, expected)
+    assert np.sqrt(np.mean(off**2)) < 0.2 * np.sqrt(np.mean(apart**2))
+    assert np.std(apart) > 0.0
+
+
+def test_mode_shapes_move_turn_and_can_be_chosen(view):
+    page = view("modal", reduced_motion="reduce")
+    picture = "document.querySelector('[data-figure=shapes] canvas').toDataURL()"
+    page.locator("[data-figure=shapes]").scroll_into_view_if_needed()
+    still = page.evaluate(picture)
+    page.wait_for_timeout(300)
+    assert page.evaluate(picture) == still  # who wants no motion gets none
+    page.click("#play")
+    page.wait_for_timeout(400)
+    assert page.evaluate(picture) != still
+    page.click("#play")
+    before = page.evaluate(picture)
+    page.select_option("#mode", label="f2")
+    chosen = page.evaluate(picture)
+    assert chosen != before and "Mode 2" in page.inner_text("[data-figure=shapes] figcaption")
+    assert re.search(r"identified mode 2 at 8\.\d+ Hz, with a MAC of 0\.99|1\.000", page.content())
+    box = page.locator("[data-figure=shapes] canvas").bounding_box()
+    drag(page, list(box.values()), (0.4, 0.5), (0.7, 0.6))
+    assert page.evaluate(picture) != chosen
+    turned = page.evaluate(picture)
+    page.check("#turn")
+    page.wait_for_timeout(400)
+    assert page.evaluate(picture) != turned
+
+
+def test_files_can_be_downloaded(view, pages):
+    page = view("modal")
+    for button in ("table.csv", "table.tex"):
+        with page.expect_download() as waiting:
+            page.click(f"[data-file='{button}']")
+        assert Path(waiting.value.path()).read_bytes() == pages["modal"].with_name(button).read_bytes()
+    with page.expect_download() as waiting:
+        page.click("[data-shown]")
+    first = Path(waiting.value.path()).read_text().splitlines()[0]
+    assert first == "likelihood,parameter,unit,5 %,50 %,95 %,mean,sd,learned,R-hat,ESS"
+    for figure, text, start in (
+        ("response", "SVG", b"<svg"),
+        ("shapes", "SVG", b"<svg"),
+        ("mac", "PNG", b"\x89PNG"),
+    ):
+        with page.expect_download() as waiting:
+            page.click(f"[data-figure={figure}] button:text-is('{text}')")
+        assert Path(waiting.value.path()).read_bytes().startswith(start)
+
+
+def test_a_finger_scrolls_until_it_is_told_to_zoom(view):
+    page = view("modal", 390, has_touch=True, is_mobile=True)
+    mode = "document.querySelector('[data-figure=response] .plot')._fullLayout.dragmode"
+    assert page.evaluate(mode) is False
+    page.tap("[data-figure=response] button:text-is('Touch to zoom')")
+    assert page.evaluate(mode) == "zoom"
+    page.tap("[data-figure=response] button:text-is('Touch to scroll')")
+    assert page.evaluate(mode) is False
+
+
+def test_it_prints_within_the_sheet(view):
+    page = view("modal")
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": 688, "height": 1000})  # A4 less its margins
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    page.wait_for_timeout(500)
+    assert page.evaluate(OUTSIDE) == [] and page.is_hidden("nav") and page.is_hidden("[data-file]")
+    assert len(page.pdf(format="A4")) > 50_000
+
+
+def test_a_large_page_answers(view):
+    """All of it is drawn; brushing 600 draws redraws within a second or two."""
+    page = view("large")
+    start = time.perf_counter()
+    page.evaluate("change('draws', [1, 2, 3, 4])")
+    assert time.perf_counter() - start < 10.0
+    assert json.loads(page.evaluate("JSON.stringify(payload.measured.samples)"))[0] == 10_000
+    assert "are drawn, in each short stretch" in page.inner_text("[data-figure=response] figcaption")

@@ -1,0 +1,199 @@
+"""The page of a report is made from the saved result alone: its numbers, its size, and what it refuses."""
+
+import csv
+import json
+import sys
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from pymc_features import cli
+from pymc_features.update.report import payload as payload_module
+from pymc_features.update.report.page import page_of, write_page
+from pymc_features.update.report.payload import (
+    density,
+    extremes,
+    mac_of,
+    packed,
+    payload_of,
+    rank_differences,
+)
+from support.commands import run
+from support.report_pages import payload, unpacked, words
+from support.report_results import large_result
+
+MEGABYTE = 1e6
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A large result as a file."""
+    path = tmp_path_factory.mktemp("saved") / "update.nc"
+    large_result().to_netcdf(path, engine="h5netcdf")
+    return path
+
+
+@pytest.fixture(scope="module")
+def html(saved):
+    assert cli.main(["report", str(saved)]) == 0
+    return saved.with_name("report.html").read_text()
+
+
+def test_a_large_page_stays_small(html):
+    """10 sensors, 10,000 samples of noise, two likelihoods."""
+    assert len(html.encode()) < 6.0 * MEGABYTE
+    data = payload(html)
+    assert len(json.dumps(data, separators=(",", ":"))) < 1.2 * MEGABYTE
+    all_of_them, most = data["measured"]["samples"]
+    assert all_of_them == 10_000 and 1000 < most < 10_000  # thinned, and the page says so
+
+
+def test_plotly_is_there_once_and_nothing_is_loaded(html):
+    assert html.count("plotly.js v") == 1
+    assert not any(text in words(html) for text in ("http://", "https://", "<link", "src="))
+    assert "&lt;/script&gt;&lt;script&gt;throw 1" in html  # of the configuration
+
+
+def test_it_needs_neither_pymc_nor_pytensor(saved, tmp_path):
+    code = (
+        "import sys\nfrom pymc_features.cli import main\n"
+        f"assert main(['report', {str(saved)!r}, '--out', {str(tmp_path / 'again.html')!r}]) == 0\n"
+        "print(sorted({'pymc', 'pytensor', 'arviz', 'numba', 'matplotlib'} & set(sys.modules)))"
+    )
+    assert run(sys.executable, "-c", code).strip() == "[]"
+    assert (tmp_path / "again.html").read_text() == saved.with_name("report.html").read_text()
+
+
+def test_its_numbers_are_those_of_the_table(html):
+    table = list(csv.reader(payload(html, "files")["table.csv"].splitlines()))[1:]
+    text = words(html)
+    part = text[text.index("<table>") : text.index("</table>")]
+    rows = [row.split("<td>")[1:] for row in part.split("<tr>")[2:]]
+    rows = [[cell.partition("</td>")[0] for cell in row] for row in rows]
+    assert [row[:2] for row in rows] == [row[:2] for row in table]
+    for shown, number in zip(rows, table, strict=True):
+        assert shown[2] == "MN/m"
+        half = [0.5 * 10.0 ** -len(cell.partition(".")[2]) for cell in shown[3:8]]
+        difference = np.array(shown[3:8], float) - 1e-6 * np.array(number[3:8], float)
+        assert (np.abs(difference) <= 1.001 * np.array(half)).all()
+
+
+def test_series_of_the_page_are_those_of_the_result(html, saved):
+    data, result = payload(html), xr.open_datatree(saved, engine="h5netcdf").load()
+    time, observed = result["NORM/observed_data"]["time"].values, result["NORM/observed_data"]["y"].values
+    low, median, _ = result["NORM/bands"]["response"].values
+    for k in (0, 7):
+        at = np.rint(unpacked(data["measured"]["time"][k]) / 0.005).astype(int)
+        assert (np.diff(at) > 0).all() and at[-1] < time.size
+        np.testing.assert_allclose(unpacked(data["measured"]["values"][k]), observed[k, at], atol=2e-4)
+        one = data["of"]["NORM"]["responses"]["sensors"][k]
+        np.testing.assert_allclose(unpacked(one["median"]), median[k, at], atol=2e-4)
+        np.testing.assert_allclose(unpacked(one["low"]), (median - low)[k, at], atol=0.02)
+    draws = data["of"]["NORM"]["draws"]
+    assert draws["known"] == 200 and draws["names"] == [f"k{k}" for k in range(6)]
+    first = result["NORM/posterior"]["k0"].sel(chain=1, draw=10).item()  # the second of the second chain
+    assert unpacked(draws["values"][0])[101] == pytest.approx(1e-6 * first, rel=1e-4)
+
+
+def test_what_is_no_result_is_refused(tmp_path, capsys):
+    assert cli.main(["report", str(tmp_path / "nothing.nc")]) == 2
+    assert "`RESULT` must be an existing file" in capsys.readouterr().err
+    (tmp_path / "text.nc").write_text("no netCDF")
+    with pytest.raises(ValueError, match="`RESULT` must be the update.nc of an update"):
+        write_page(tmp_path / "text.nc")
+    xr.DataTree(xr.Dataset({"x": 1.0})).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
+    with pytest.raises(ValueError, match="`RESULT` must hold the words of its report, .*has none"):
+        write_page(tmp_path / "other.nc")
+
+
+def test_a_long_document_is_saved_whole(tmp_path):
+    """An attribute of HDF5 holds 64 KiB, unless it is a text of variable length."""
+    result = large_result(("NORM",), sensors=1, samples=300)
+    document = json.loads(result.attrs["document"]) | {"configuration": "x" * 300_000}
+    result.attrs["document"] = json.dumps(document)
+    result.to_netcdf(tmp_path / "long.nc", engine="h5netcdf")
+    assert "x" * 300_000 in write_page(tmp_path / "long.nc").read_text()
+
+
+def test_groups_that_are_missing_are_left_out():
+    result = large_result(("NORM",), sensors=2, samples=400)
+    of_figures = ["bands", "histories", "modal", "mode_shapes", "sample_stats", "sequence"]
+    result["NORM"] = result["NORM"].drop_nodes(of_figures)
+    result = result.drop_nodes(["data", "geometry"])
+    data = payload_of(result)
+    assert not {"measured", "geometry", "data", "spectra"} & set(data)
+    assert {name for name, value in data["of"]["NORM"].items() if value} == {"parameters", "draws", "ranks"}
+    assert 'data-figure="response"' not in page_of(result)
+
+
+# ---- arrays ----
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_packed_numbers_are_right_to_half_a_step(bits):
+    values = np.append(np.random.default_rng(0).normal(5.0, 2.0, 999), np.nan).reshape(10, 100)
+    step = (np.nanmax(values) - np.nanmin(values)) / (2**bits - 2)
+    np.testing.assert_allclose(unpacked(packed(values, bits)), values, atol=0.501 * step)
+    assert unpacked(packed([3.0, 3.0])).tolist() == [3.0, 3.0]
+    assert np.isnan(unpacked(packed([np.nan]))).all()
+
+
+def test_thinned_series_keep_every_extreme():
+    """In each part of the record; taking every n-th sample, the negative control, misses them."""
+    rng = np.random.default_rng(1)
+    rows = rng.standard_normal((2, 10_000))
+    kept = extremes(rows, 800)
+    assert kept.size <= 800 and (np.diff(kept) > 0).all()
+    edges = np.linspace(0, 10_000, 201).astype(int)
+    even = np.arange(0, 10_000, 13)
+
+    def misses(chosen):
+        parts = [(row[a:b], row[chosen[(chosen >= a) & (chosen < b)]]) for row in rows for a, b in pairs]
+        return sum(whole.max() > some.max() or whole.min() < some.min() for whole, some in parts)
+
+    pairs = list(zip(edges[:-1], edges[1:], strict=True))
+    assert misses(kept) == 0 and misses(even) > 300
+    assert extremes(rows[:, :300], 800).tolist() == list(range(300))
+
+
+def test_density_is_that_of_the_draws():
+    """Of a normal and of a uniform distribution, whose edges a kernel without mirror would lower by half."""
+    rng = np.random.default_rng(2)
+    x, y = density(rng.normal(3.0, 0.5, 200_000))
+    np.testing.assert_allclose(y, np.exp(-0.5 * ((x - 3.0) / 0.5) ** 2), atol=0.03)
+    x, y = density(rng.uniform(0.0, 1.0, 200_000))
+    assert y[0] > 0.9 and y[-1] > 0.9
+
+
+def test_ranks_of_chains_that_agree_stay_in_the_band():
+    """Of 200 pairs of chains 5 % may leave it at the middle; chains that differ by one sd all do."""
+    rng = np.random.default_rng(3)
+    middle, half = 20, 1.96 * np.sqrt(0.25 / 500) / np.sqrt(2.0)
+    outside = []
+    for shift in (0.0, 1.0):
+        differences = []
+        for _ in range(200):
+            _, shares = rank_differences(rng.standard_normal((2, 500)) + [[0.0], [shift]])
+            differences.append(abs(shares[0, middle]) > half)
+        outside.append(np.mean(differences))
+    assert outside[0] < 0.12 and outside[1] == 1.0  # 0.05 + 4 standard errors
+
+
+def test_mac_of_the_page_is_that_of_the_package():
+    from pymc_features import mac
+
+    rng = np.random.default_rng(4)
+    identified, draws = rng.standard_normal((3, 5)), rng.standard_normal((4, 6, 5))
+    for sample, found in zip(draws, mac_of(identified, draws), strict=True):
+        np.testing.assert_allclose(found, mac(identified, sample), rtol=1e-12)
+
+
+def test_the_budget_is_shared_by_all_likelihoods():
+    sizes = []
+    for kinds in (("CAL",), ("CAL", "NORM", "EXP", "TN", "ABC")):
+        result = large_result(kinds, sensors=4, samples=6000)
+        data = payload_of(result)
+        sizes.append(sum(len(json.dumps(data["of"][kind]["responses"])) for kind in kinds))
+        assert len(json.dumps(data)) < 1.2 * MEGABYTE
+    assert max(sizes) < 1.2 * payload_module.BUDGET
