@@ -181,17 +181,23 @@ def update(options, console):
 
 def predict(options, console):
     """Predict other motions with the posterior of a finished update."""
+    import json
+
     from pymc_features.storage import netcdf_bytes, write_atomically
-    from pymc_features.update.report.findings import besides
+    from pymc_features.update.predictions import predicted_rows
+    from pymc_features.update.report.document import with_predictions
+    from pymc_features.update.report.page import write_page
+    from pymc_features.update.report.terminal import predicted_table
     from pymc_features.update.run import predict_stored
 
     config = Path(options.config)
     out = Path(options.out or config.with_name(f"{config.stem}-output"))
     result = predict_stored(config, out / "update.nc")
-    for sentence in besides(result):
-        say(console, sentence)
+    console.print(predicted_table(predicted_rows(result)))
+    result.attrs["document"] = json.dumps(with_predictions(json.loads(result.attrs["document"]), result))
     write_atomically(out / "update.nc", lambda path: path.write_bytes(netcdf_bytes(result)))
-    say(console, f"wrote {out / 'update.nc'}")
+    for path in (out / "update.nc", write_page(out / "update.nc")):
+        say(console, f"wrote {path}")
 
 
 def report(options, console):

@@ -97,7 +97,7 @@ def kept_parts(problem: Problem, out: Path) -> dict[str, xr.DataTree]:
         parts = {kind: part for kind in same if (part := store.load(kind)) is not None}
     changed = sorted(key for key in known | wanted if known.get(key) != wanted.get(key))
     LOG.info(
-        "`%s` has changed: the result of before is kept in %s%s.",
+        "`%s` changed: the result of before is kept in %s%s.",
         "`, `".join(changed[:3]) + ("`, ..." if len(changed) > 3 else ""),
         moved_aside(out),
         f", and {', '.join(parts)} stays as it is" if parts else "",

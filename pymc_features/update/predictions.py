@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -141,18 +141,40 @@ def predictions(
     return found
 
 
-def prediction_sentences(data: xr.Dataset, title: str) -> list[str]:
-    """What a prediction says of each quantity: its largest peak, and the probability of each limit."""
-    told = []
-    for name in [str(n).removesuffix("_peak") for n in data.data_vars if str(n).endswith("_peak")]:
-        peak, unit = data[f"{name}_peak"], data[name].attrs["units"]
-        places = [dim for dim in peak.dims if dim != "sample"]
-        largest = peak.max(places) if places else peak
-        low, middle, high = np.quantile(largest.values, QUANTILES)
-        words = name.replace("_", " ")
-        told.append(f"{title}: largest {words} {middle:.3g} {unit} (5-95 %: {low:.3g} to {high:.3g} {unit}).")
-        for limit in data.get(f"{name}_limit", xr.DataArray([])).values:
-            one = data.sel({f"{name}_limit": limit})
-            p, se = float(one[f"{name}_probability_any"]), float(one[f"{name}_probability_any_se"])
-            told.append(f"{title}: {words} exceeds {limit:g} {unit} with probability {p:.3f} (+- {se:.1g}).")
-    return told
+class PredictedRow(NamedTuple):
+    """The largest response to one motion, or its probability of exceeding a limit.
+
+    Attributes
+    ----------
+    motion, quantity, unit : str
+        Which motion and response.
+    quantiles : list of float
+        5, 50 and 95 % of the peak at the place where it is largest.
+    limit, probability, error : float or None
+        A limit, the probability that it is exceeded anywhere, and its standard error; None without limits.
+    """
+
+    motion: str
+    quantity: str
+    unit: str
+    quantiles: list[float]
+    limit: float | None = None
+    probability: float | None = None
+    error: float | None = None
+
+
+def predicted_rows(result: xr.DataTree) -> list[PredictedRow]:
+    """What all predictions of a result say of peaks and limits."""
+    rows = []
+    for title, node in getattr(result.children.get("predict"), "children", {}).items():
+        data = node.to_dataset()
+        for name in [str(n).removesuffix("_peak") for n in data.data_vars if str(n).endswith("_peak")]:
+            peak = data[f"{name}_peak"]
+            largest = peak.max([dim for dim in peak.dims if dim != "sample"])
+            quantiles = np.quantile(largest.values, QUANTILES).tolist()
+            row = PredictedRow(title, name.replace("_", " "), data[name].attrs["units"], quantiles)
+            limits = data.get(f"{name}_limit", xr.DataArray([])).values
+            columns = (f"{name}_probability_any", f"{name}_probability_any_se")
+            told = zip(limits, *(data[column].values for column in columns if limits.size), strict=True)
+            rows += [row._replace(limit=one, probability=p, error=e) for one, p, e in told] or [row]
+    return rows

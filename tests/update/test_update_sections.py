@@ -80,7 +80,11 @@ def test_predictions_are_those_of_the_posterior(path, finished):
     peak = found["inter_storey_drift_peak"].max("storey")
     share = float((peak > 0.005).mean())
     np.testing.assert_allclose(found["inter_storey_drift_probability_any"], [share, 0.0])
-    assert "half: largest inter storey drift" in (finished / "said.txt").read_text()
+    assert "Other motions" in (finished / "said.txt").read_text()
+    [row, never, shear] = json.loads((finished / "found.json").read_text())["predicted"]
+    assert (row["limit"], row["probability"], never["probability"]) == (0.005, pytest.approx(share), 0.0)
+    np.testing.assert_allclose(row["quantiles"], np.quantile(peak, [0.05, 0.5, 0.95]))
+    assert shear["quantity"] == "base shear" and shear["limit"] is None
 
 
 @pytest.mark.slow
@@ -116,7 +120,9 @@ def test_predict_reads_no_channel_and_samples_nothing(path, finished, monkeypatc
         found = loaded(finished / "update.nc")["predict"]
         assert list(found.children) == ["six"]
         assert np.abs(found["six"]["ground_acceleration"]).max() == pytest.approx(6.0)
-        assert "six: largest base shear" in capsys.readouterr().err
+        assert "base shear" in capsys.readouterr().err
+        html = (finished / "report.html").read_text()
+        assert "<td>six</td>" in html and "<td>half</td>" not in html
         path.write_text(text.replace("[[predict]]", "[[predicts]]"))
         assert cli.main(["predict", str(path)]) == 2
         assert "`predicts` must be left out, it is no key. Did you mean `predict`?" in capsys.readouterr().err
@@ -154,7 +160,7 @@ def test_an_edited_prior_samples_what_it_changes(path, finished, monkeypatch, ca
     assert cli.main(["update", str(other), "--cores", "1"]) == 0
     assert sampled == ["CN-TAU"]
     told = capsys.readouterr().err
-    assert f"`priors.tau.upper` has changed: the result of before is kept in {out}-1, and EXP stays" in told
+    assert f"`priors.tau.upper` changed: the result of before is kept in {out}-1, and EXP stays" in told
     assert (out.with_name("other-output-1") / "update.nc").exists()
 
 

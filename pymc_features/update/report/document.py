@@ -25,11 +25,13 @@ from pymc_features.update.kinds.events import COLUMNS as EVENT_COLUMNS
 from pymc_features.update.kinds.events import MEANING as EVENT_MEANING
 from pymc_features.update.kinds.modal import COLUMNS as MODE_COLUMNS
 from pymc_features.update.kinds.modal import MEANING
+from pymc_features.update.predictions import predicted_rows
 from pymc_features.update.problem import Problem
 from pymc_features.update.report.findings import Findings
-from pymc_features.update.report.numbers import interval_texts, pretty
+from pymc_features.update.report.numbers import PREDICTED, interval_texts, predicted_cells, pretty
 from pymc_features.update.report.summary import kinds_of
 
+PREDICTION = "prediction"
 PACKAGES = ("pymc-features", "pymc", "pytensor", "numba", "numpy", "arviz")
 SENSORS = ("sensor", "degree of freedom", "peak [m/s²]", "rms [m/s²]")
 
@@ -53,6 +55,7 @@ def document_of(problem: Problem, result, found: Findings, warnings) -> dict:
         *tables_of_fit(result, kinds),
         *tables_of_modes(found),
         *tables_of_events(result, kinds),
+        table_of_predictions(result),
         *tables_of_model(problem, result, kinds),
         *tables_of_data(problem),
         *(table(f"{kind}_run", "sampling", note=" ".join(run_sentences(result[kind]))) for kind in kinds),
@@ -144,6 +147,23 @@ def tables_of_events(result, kinds) -> list[dict]:
     rows = [(kind, *row) for kind in kinds for row in event_rows(result[kind])]
     columns = ("likelihood", *EVENT_COLUMNS)
     return [table("events", "events", "From event to event", columns, rows, rows and EVENT_MEANING)]
+
+
+def table_of_predictions(result) -> dict:
+    """Peaks under other motions, and the probabilities that they exceed limits."""
+    rows = predicted_cells(predicted_rows(result))
+    note = rows and (
+        "The largest value at any place, from the uncertainty of the parameters alone; a probability is that "
+        "of exceeding the limit anywhere."
+    )
+    return table(PREDICTION, PREDICTION, "Largest responses to other motions", PREDICTED, rows, note)
+
+
+def with_predictions(document: dict, result) -> dict:
+    """A document with the predictions that a result has now."""
+    others = [one for one in document["tables"] if one["name"] != PREDICTION]
+    own = table_of_predictions(result)
+    return document | {"tables": [*others, *([own] if own["rows"] else [])]}
 
 
 def tables_of_model(problem, result, kinds) -> list[dict]:

@@ -8,7 +8,7 @@ from pymc_features.update.candidates import comparison_sentences
 from pymc_features.update.kinds.base import Verdict
 from pymc_features.update.kinds.events import events_verdict
 from pymc_features.update.kinds.modal import ModeRow
-from pymc_features.update.predictions import prediction_sentences
+from pymc_features.update.predictions import PredictedRow, predicted_rows
 from pymc_features.update.problem import Problem
 from pymc_features.update.report.summary import Doubt, Row, changed, doubts_of, kinds_of, rows, supported
 
@@ -37,7 +37,9 @@ class Findings(NamedTuple):
     is_unchanged : bool
         Whether no event raised an alarm.
     besides : list of str
-        What was predicted, and which candidate the data prefer.
+        Which candidate the data prefer.
+    predicted : list of PredictedRow
+        Peaks and limits under other motions.
     """
 
     verdict: Verdict
@@ -50,6 +52,7 @@ class Findings(NamedTuple):
     events: str
     is_unchanged: bool
     besides: list[str]
+    predicted: list[PredictedRow]
 
 
 def findings(problem: Problem, result) -> Findings:
@@ -78,16 +81,15 @@ def findings(problem: Problem, result) -> Findings:
         modes,
         *events_verdict(first, result[first]),
         besides(result),
+        predicted_rows(result),
     )
 
 
 def besides(result) -> list[str]:
-    """Sentences on the predictions and comparisons in a result."""
+    """Sentences on the comparisons in a result."""
     told = []
     for kind, node in getattr(result.children.get("compare"), "children", {}).items():
         told += comparison_sentences(node.to_dataset(), kind)
-    for name, node in getattr(result.children.get("predict"), "children", {}).items():
-        told += prediction_sentences(node.to_dataset(), name)
     return told
 
 
@@ -110,6 +112,7 @@ def as_json(found: Findings) -> str:
             "is_unchanged": found.is_unchanged,
             "sentences": list(filter(None, [found.events, found.left_out, found.supported, *found.besides])),
             "table": rows,
+            "predicted": [row._asdict() for row in found.predicted],
             "findings": [doubt._asdict() for doubt in found.doubts],
         }
     )

@@ -125,6 +125,10 @@ def quantity(value: float, sd: float, unit: str) -> str:
     return text if scale.unit == "-" else f"{text}{'×' if scale.unit.startswith('10') else ' '}{scale.unit}"
 
 
+#: Columns of predictions.
+PREDICTED = ("motion", "largest", "unit", "5 %", "50 %", "95 %", "limit", "probability")
+
+
 def interval_texts(quantiles, unit: str) -> tuple[str, list[str]]:
     """Unit with its prefix, and 5, 50 and 95 % of something whose standard deviation is told by them."""
     low, _, high = quantiles
@@ -185,3 +189,13 @@ def escaped(text: str) -> str:
         raised = ""
         found += SPECIAL.get(letter, letter)
     return found.removesuffix("\0")
+
+
+def predicted_cells(rows) -> list[tuple[str, ...]]:
+    """Texts of `PredictedRow`s, in the order of `PREDICTED`."""
+    found = []
+    for row in rows:
+        unit, texts = interval_texts(row.quantiles, row.unit)
+        limit = ("", "") if row.limit is None else (f"{row.limit:g} {row.unit}", f"{row.probability:.3f}")
+        found.append((row.motion, row.quantity, pretty(unit), *texts, *limit))
+    return found

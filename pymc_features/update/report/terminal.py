@@ -8,7 +8,7 @@ from pymc_features.update.kinds.modal import COLUMNS as MODE_COLUMNS
 from pymc_features.update.plausibility.findings import mode_rows
 from pymc_features.update.report.document import gain_rows
 from pymc_features.update.report.findings import Findings
-from pymc_features.update.report.numbers import COLUMNS, cells
+from pymc_features.update.report.numbers import COLUMNS, PREDICTED, cells, predicted_cells
 
 # as many as 80 characters hold
 SHOWN = (
@@ -49,6 +49,8 @@ def summary(found: Findings):
     yield posterior_table([row for row in found.table if row.kind == first]), None
     for sentence in found.besides:
         yield sentence, None
+    if found.predicted:
+        yield predicted_table(found.predicted), None
     if found.modes:
         yield modes_table(found.modes[first], f"Identified modes [Hz] under {first}"), None
         yield found.changed, None
@@ -63,6 +65,16 @@ def posterior_table(table) -> Table:
         drawn.add_column(name, justify="left" if name in ("parameter", "unit") else "right", no_wrap=True)
     for row in cells(table):
         drawn.add_row(*(row[COLUMNS.index(name)] for name in SHOWN))
+    return drawn
+
+
+def predicted_table(rows) -> Table:
+    """The largest responses to other motions, and the probabilities of limits."""
+    drawn = plain_table("Other motions")
+    for name in PREDICTED:
+        drawn.add_column(name, justify="left" if name in PREDICTED[:3] else "right")
+    for row in predicted_cells(rows):
+        drawn.add_row(*map(escape, row))
     return drawn
 
 
