@@ -34,6 +34,7 @@ def cube():
 
 
 @pytest.mark.slow
+@pytest.mark.all_rewrites  # without them some constants are of single precision
 def test_densities_and_gradients_are_those_of_pymc(hierarchy, density, cube):
     theta = density.from_unit_cube(cube[:4])
     found = density(theta, gradient=True)

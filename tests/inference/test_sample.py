@@ -15,6 +15,7 @@ from pymc_features.exceptions import NoSpreadError
 from pymc_features.inference import beside
 from pymc_features.inference import sample as function_of_package
 from pymc_features.smc.density.evaluation import PopulationLogp
+from support.sampling import log_add
 
 module = import_module("pymc_features.inference.sample")
 QUIET = {"progressbar": False, "random_seed": 1, "cores": 1}
@@ -39,7 +40,7 @@ def two_modes():
         x = pm.Normal("x", 0.0, 10.0, shape=2)
         near = -0.5 * ((x - np.array([6.0, 0.0])) ** 2).sum()
         far = -0.5 * ((x + np.array([6.0, 0.0])) ** 2).sum()
-        pm.Potential("peaks", pm.math.logaddexp(np.log(0.1) + near, np.log(0.9) + far))
+        pm.Potential("peaks", log_add(np.log(0.1) + near, np.log(0.9) + far))
     # each peak times the prior: 2 pi times the normal density of its place, of variance 101
     place = stats.multivariate_normal(np.zeros(2), 101.0 * np.eye(2)).logpdf([6.0, 0.0])
     return model, np.log(2.0 * np.pi) + place

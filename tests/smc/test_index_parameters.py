@@ -58,17 +58,18 @@ def exact(prior):
 @pytest.mark.slow
 @pytest.mark.parametrize("prior", PRIORS)
 def test_the_place_has_the_probability_of_quadrature(prior):
+    """Of 1000 draws, within four standard errors."""
     declare, weights = PRIORS[prior]
-    idata = pmf.sample(1000, chains=2, model=place(declare), random_seed=1, **SERIAL | {"progressbar": False})
+    idata = pmf.sample(500, chains=2, model=place(declare), random_seed=1, **SERIAL | {"progressbar": False})
     drawn = np.floor(idata.posterior["k"].values.ravel()) - (0 if prior == "binomial" else 4)
     found = np.array([np.mean(drawn == k) for k in range(3)])
-    np.testing.assert_allclose(found, exact(weights), atol=0.04)
+    np.testing.assert_allclose(found, exact(weights), atol=0.06)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_every_kernel_stays_inside(kernel):
-    found = run_chain(kernel, place(PRIORS["categorical"][0]), draws=2000)
+    found = run_chain(kernel, place(PRIORS["categorical"][0]), draws=1000)
     drawn = np.round(found.draws[:, 1]) - 4
     np.testing.assert_allclose([np.mean(drawn == k) for k in range(3)], exact(CHANCES[0]), atol=0.06)
 

@@ -379,6 +379,7 @@ def test_outside_the_tolerance_is_no_failure():
     np.testing.assert_array_equal(failed, [True, False, False, True, False])
 
 
+@pytest.mark.all_rewrites  # which take the checks away
 def test_without_bounds_checks():
     """`pm.Model(check_bounds=False)`: no -inf but what the formula gives, particle by particle."""
     with pm.Model(check_bounds=False) as model:

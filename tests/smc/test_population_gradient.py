@@ -1,6 +1,7 @@
 """Gradients of whole populations, against those of PyMC of one particle at a time."""
 
 import contextlib
+import functools
 import multiprocessing
 import warnings
 import weakref
@@ -39,6 +40,7 @@ CLOSE = {"rtol": 1e-9, "atol": 1e-9}
 # --------------------------------------------------------------------------- models
 
 
+@functools.cache
 def eight_schools():
     effect = np.array([28.0, 8.0, -3.0, 7.0, -1.0, 1.0, 18.0, 12.0])
     error = np.array([15.0, 10.0, 16.0, 11.0, 9.0, 11.0, 10.0, 18.0])
@@ -74,6 +76,7 @@ def two_nodes():
     return model
 
 
+@functools.cache
 def transforms():
     with pm.Model() as model:
         a = pm.Uniform("a", -1.0, 2.0, shape=2)
@@ -102,7 +105,18 @@ LIKELIHOODS = {
 }
 
 
-def structural(name, likelihood="TN", prior=lambda: pm.LogNormal("x", 0.0, 0.1, shape=2)):
+def factors():
+    """Of the stiffness."""
+    return pm.LogNormal("x", 0.0, 0.1, shape=2)
+
+
+def factors_of_any_sign():
+    """With which a structure may be none."""
+    return pm.Normal("x", 1.0, 0.1, shape=2)
+
+
+@functools.cache  # what is compiled for one test is there for the others
+def structural(name, likelihood="TN", prior=factors):
     """Two factors of the stiffness and sigma unknown."""
     build, record = CASES[name]
     with pm.Model() as model:
@@ -206,7 +220,7 @@ def test_what_is_no_structure_is_alone(name):
     They are as beside copies of one of them: yielding chains that march together take the steps that the
     most demanding of them needs, so that these differ where others share their vector.
     """
-    model = structural(name, prior=lambda: pm.Normal("x", 1.0, 0.1, shape=2))
+    model = structural(name, prior=factors_of_any_sign)
     logp = evaluation_of(model)
     particles = prior_particles(model, n=9, spread=0.02)
     particles[[0, 4, 8]] = particles[1]
@@ -493,7 +507,7 @@ def kernel_in(folder, model, seed=1, kind=PopulationIMH):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KERNELS)
 def test_kernels_count_gradients(kind):
-    model = structural("chain", prior=lambda: pm.Normal("x", 1.0, 0.1, shape=2))
+    model = structural("chain", prior=factors_of_any_sign)
     kernel = kind(8, model=model, random_seed=1)
     particles = prior_particles(model, n=7, spread=0.02)
     particles[2] = -1.0

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytensor.tensor as pt
 
 QUIET = {"progressbar": False, "compute_convergence_checks": False}
 SERIAL = {"cores": 1, **QUIET}
@@ -24,6 +25,11 @@ def run_chain(kernel, model, draws=1000, seed=0, **settings):
         rho=getattr(one, "rho", None),
         simulations=getattr(one, "simulations", None),
     )
+
+
+def log_add(a, b):
+    """ln(e^a + e^b) by functions of NumPy; PyTensor's own is called for each particle by itself."""
+    return pt.maximum(a, b) + pt.log1p(pt.exp(-pt.abs(a - b)))
 
 
 def mean_within_errors(values, expected=0.0, error=0.0, limit=4.0):
