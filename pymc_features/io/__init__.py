@@ -113,8 +113,7 @@ def read_record(
     values, clock = in_si(found[0], request, recording)
     peak = np.abs(values).max()
     if peak > LARGEST:
-        warn_caller(
-            f"{recording.file} has an implausible peak of {peak:.4g} m/s^2, {peak / G:.3g} g. Check `units`, "
-            "and that it is an acceleration."
-        )
+        from pymc_features.signals.check import implausible  # a second to import
+
+        warn_caller(f"{recording.file} {implausible(peak)}")
     return Record(values, clock.dt, name=recording.name or Path(recording.file).stem)

@@ -1,13 +1,9 @@
 """Comparison of mode shapes, and complex ones on their way to the real axis."""
 
-import os
-import warnings
-
 import numpy as np
 
+from pymc_features._checks.messages import warn_caller
 from pymc_features.exceptions import ModalDataWarning
-
-_PACKAGE = os.path.dirname(os.path.dirname(__file__))
 
 COLLINEAR = 0.9  # modal phase collinearity below which a real shape stands badly for a complex one
 
@@ -64,4 +60,4 @@ def real_shape(shape: np.ndarray) -> np.ndarray:
 
 def warn_modes(message: str) -> None:
     """Warn at the line that called into this package from outside."""
-    warnings.warn(message, ModalDataWarning, skip_file_prefixes=(_PACKAGE,))
+    warn_caller(message, ModalDataWarning)

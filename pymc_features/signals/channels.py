@@ -1,20 +1,16 @@
 """What an array of channels is: sensors on one even clock, NaN where a sensor has a gap of its own."""
 
-import os
-import warnings
-
 import numpy as np
 import xarray as xr
 
 from pymc_features._checks import check_finite, check_number, is_number, message, shown, single
+from pymc_features._checks.messages import warn_caller
 from pymc_features.exceptions import ChannelWarning
-
-_PACKAGE = os.path.dirname(os.path.dirname(__file__))
 
 
 def warn_channel(message: str) -> None:
     """Warn at the line that called into this package from outside."""
-    warnings.warn(message, ChannelWarning, skip_file_prefixes=(_PACKAGE,))
+    warn_caller(message, ChannelWarning)
 
 
 def check_array(channels, sensors: bool = False) -> xr.DataArray:

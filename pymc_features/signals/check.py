@@ -183,16 +183,21 @@ def check_each(channels: xr.DataArray) -> None:
         _empty_start(names, filled(values)[0])
 
 
+def implausible(peak: float) -> str:
+    """What is said of a peak [m/s^2] that no motion has."""
+    return (
+        f"has an implausible peak of {peak:.4g} m/s^2, {peak / GRAVITY:.3g} g. Check `units`, and that it is "
+        "an acceleration."
+    )
+
+
 def _units(history) -> str | None:
     """Peaks that no structure sees, or gravity."""
     extent = history.max() - history.min()  # the peak is half of it at least
     if not 2.0 * SMALLEST < extent < LARGEST:
         peak = np.abs(history - np.median(history)).max()
         if peak > LARGEST:
-            return (
-                f"has an implausible peak of {peak:.4g} m/s^2, {peak / GRAVITY:.3g} g. Check `units`, and "
-                "that it is an acceleration."
-            )
+            return implausible(peak)
         if peak < SMALLEST:
             return f"has an implausible peak of {peak:.2g} m/s^2, {peak / GRAVITY:.1g} g. Check `units`."
     if abs(abs(history.mean()) - GRAVITY) < 0.03 * GRAVITY:

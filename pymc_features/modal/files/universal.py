@@ -41,6 +41,7 @@ class Mode(NamedTuple):
     nodes: np.ndarray  # (node,)
     values: np.ndarray  # (node, direction)
     eigenvalue: complex  # [rad/s], NaN of normal modes
+    rows: list[tuple[int, str]]  # numbers and texts of the lines with as many values as there are
 
 
 def read_universal(path: Path) -> Identified:
@@ -71,6 +72,7 @@ def read_universal(path: Path) -> Identified:
             _skip(lines)
     if not modes:
         raise _no_modes(path, others)
+    warn_of_widths(lines.title, [*(row for mode in modes for row in mode.rows), (0, "")])
     odd = [kind for kind in dict.fromkeys(others) if "(" in kind or int(kind) not in KNOWN]
     if odd:
         warn_modes(
@@ -174,14 +176,14 @@ def _mode(lines: Lines, layout, numbers: np.ndarray) -> Mode:
     else:
         viscous, hysteretic = (float(numbers[k]) if numbers.size > k else 0.0 for k in (2, 3))
         frequency, damping = float(numbers[0]), viscous or 0.5 * hysteretic  # zeta = eta / 2 at resonance
-    nodes, entries = _nodes(lines, count * (2 if values == COMPLEX else 1))
+    nodes, entries, rows = _nodes(lines, count * (2 if values == COMPLEX else 1))
     if values == COMPLEX:
         entries = entries[:, ::2] + 1j * entries[:, 1::2]
-    return Mode(frequency, damping, nodes, entries, eigenvalue)
+    return Mode(frequency, damping, nodes, entries, eigenvalue, rows)
 
 
-def _nodes(lines: Lines, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers (node,) and values (node, count), down to the end of the data set."""
+def _nodes(lines: Lines, count: int) -> tuple[np.ndarray, np.ndarray, list]:
+    """Numbers (node,) and values (node, count), down to the end of the data set, and the lines of values."""
     nodes, values, seen, rows = array("q"), array("d"), set(), []
     while not is_mark(lines.take("the number of a node, or -1 at the end of the data set")):
         if not lines.last.strip():
@@ -201,8 +203,7 @@ def _nodes(lines: Lines, count: int) -> tuple[np.ndarray, np.ndarray]:
             left -= len(found)
             if len(found) == min(count, PER_LINE):
                 rows.append((lines.number, lines.last))
-    warn_of_widths(lines.title, [*rows, (0, "")])
-    return np.array(nodes, dtype=np.int64), np.array(values).reshape(-1, count)
+    return np.array(nodes, dtype=np.int64), np.array(values).reshape(-1, count), rows
 
 
 def _columns(lines: Lines, count: int, what: str) -> list[float]:
