@@ -10,7 +10,7 @@ from benchmarks.coverage.cyclic import run_cyclic
 from benchmarks.coverage.errors import ERRORS
 from benchmarks.coverage.events import run_events
 from benchmarks.coverage.identified import run_identified
-from benchmarks.coverage.model_errors import run_model_errors
+from benchmarks.coverage.model_errors import run_model_errors, run_records
 from benchmarks.coverage.modes import run_modes
 from benchmarks.coverage.steps import run_steps
 from benchmarks.coverage.table import run_errors, run_ten
@@ -25,6 +25,7 @@ PARTS = {
     "ambient": run_ambient,
     "bounds": run_bounds,
     "model errors": run_model_errors,
+    "gaps and records": run_records,
     "cyclic": run_cyclic,
 }
 NAMES = (*PARTS, *ERRORS)

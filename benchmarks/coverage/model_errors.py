@@ -23,6 +23,7 @@ from pymc_features.calibration.peaks import Peak
 from pymc_features.calibration.sandwich import sandwich
 
 EVENTS, QUICK_EVENTS = 400, 12
+RECORDS, QUICK_RECORDS = 100, 4  # data sets with gaps, and of several records
 RATE, DURATION, LEVEL = 50.0, 20.0, 0.02  # Hz, s, noise over the rms of the response
 WIDE = 1.645  # standard deviations of 90 %
 UNUSUAL = 1.0  # ln of a factor from the median: another maximum, which does not count for the best value
@@ -186,11 +187,13 @@ def factors(w):
 
 
 class Predictions:
-    """What `pymc_features.calibration.fit` asks of a model: NORM with ln of factors and of sigma."""
+    """What `pymc_features.calibration.fit` asks of a model: NORM with ln of factors and of sigma.
 
-    def __init__(self, family, record, data):
-        self.family, self.record, self.data = family, record, data
-        self.count = 0
+    `measured` has the record of the base (time,) and the data (sensor, time) of each event.
+    """
+
+    def __init__(self, family, measured):
+        self.family, self.measured, self.count = family, measured, 0
         n = family.n_groups + 2
         self.coordinates = Coordinates.plain(np.zeros(n, dtype=int), np.zeros(n))
 
@@ -201,23 +204,25 @@ class Predictions:
 
     def frequencies(self, w):
         """Natural frequencies [Hz]."""
-        return [truth.modes(*self.family.matrices(factors(w)[0])[::2])[0] / (2.0 * np.pi)]
+        f = truth.modes(*self.family.matrices(factors(w)[0])[::2])[0] / (2.0 * np.pi)
+        return [f for _ in self.measured]
 
     def __call__(self, w):
-        """The only likelihood."""
-        return self.values(w, self.record)
+        """The likelihood of each record."""
+        self.count += 1
+        return [self.value(w, *one) for one in self.measured]
 
     def with_noisy_base(self, w, sd, rng):
-        """The same under the record with white noise."""
-        noise = sd * rng.standard_normal(self.record.n_times)
-        return self.values(w, pmf.Record(self.record.acceleration + noise, 1.0 / RATE))
-
-    def values(self, w, record):
-        """Those under a record."""
+        """The same under records with white noise."""
         self.count += 1
+        return [self.value(w, base + sd * rng.standard_normal(base.size), x) for base, x in self.measured]
+
+    def value(self, w, base, data):
+        """The likelihood of one record (time,) of the base, and data (sensor, time)."""
+        record = pmf.Record(base, 1.0 / RATE)
         mu = pmf.simulate(self.structure(w), record, sensors=self.family.sensors).values
-        n_times = self.data.shape[1]
-        return [Comparison(mu, self.data, np.exp(w[-1]), n_times, step=1.0 / RATE).by_sensor()]
+        claimed = (~np.isnan(data)).sum(axis=1)
+        return Comparison(mu, data, np.exp(w[-1]), claimed, step=1.0 / RATE).by_sensor()
 
 
 class Outcome(NamedTuple):
@@ -230,8 +235,8 @@ class Outcome(NamedTuple):
     growth: float
 
 
-def outcome(family, respond, seed) -> Outcome:
-    """What one event says of the factors (p,), the damping's among them."""
+def measurement(family, respond, seed):
+    """What moves, its record of the base (time,), data (sensor, time), and the level of their errors."""
     rng, moved = np.random.default_rng([13, seed]), truth.motion(RATE, DURATION, 1000 + seed, ends="moving")
     what = respond(family, moved, rng)
     fine = 8 if what.clock else 1
@@ -242,8 +247,26 @@ def outcome(family, respond, seed) -> Outcome:
     exact = what.gains * exact
     level = LEVEL * np.sqrt(np.mean(exact**2))
     data = exact + level * first_order(rng, exact.shape, 1.0 / RATE, 0.05)
-    base = moved.values()[0] if what.base is None else what.base
-    predictions = Predictions(family, pmf.Record(base, 1.0 / RATE), data)
+    return what, moved.values()[0] if what.base is None else what.base, data, level
+
+
+def with_gaps(data):
+    """Data (sensor, time) of which 30 % of the record are missing in the first sensor, 20 % in the last."""
+    data, n = data.copy(), data.shape[1]
+    data[0, int(0.25 * n) : int(0.55 * n)] = data[-1, int(0.65 * n) : int(0.75 * n)] = np.nan
+    data[-1, int(0.45 * n) : int(0.55 * n)] = np.nan
+    return data
+
+
+def outcome(family, respond, seed, n_records=1, change=None) -> Outcome:
+    """What one event says of the factors (p,), the damping's among them, or several in one model.
+
+    `change` is made to the data (sensor, time) of each.
+    """
+    some = [measurement(family, respond, seed * n_records + i) for i in range(n_records)]
+    what, level = some[0][0], some[0][3]
+    pairs = [(base, data if change is None else change(data)) for _, base, data, _ in some]
+    predictions = Predictions(family, pairs)
     fit = climb_likelihood(predictions, np.append(np.zeros(family.n_groups + 1), np.log(level)))
     p = family.n_groups + 1
     plain = Peak(fit, sandwich(fit.events, None, leverage=False))
@@ -268,19 +291,42 @@ def covers(outcomes):
     ]
 
 
+def told(outcomes) -> str:
+    """Coverage without and with corrections, and how much wider intervals are with them."""
+    plain, corrected = covers(outcomes)
+    wider = np.array([one.corrected / one.plain for one in outcomes])
+    return (
+        f"{100 * plain.mean():.0f}, {100 * corrected.mean():.0f} ({100 * corrected.min():.0f}); "
+        f"{np.median(wider):.2f}, {wider.mean():.2f}"
+    )
+
+
+def run_records(quick=False):
+    """Print the same of data with gaps, and of two records in one model."""
+    n, start, rows = QUICK_RECORDS if quick else RECORDS, time.perf_counter(), []
+    cases = {"with gaps": {"change": with_gaps}, "two records": {"n_records": 2}}
+    for of in ("braced frame", "three storeys"):
+        for name in ("mass distribution", "damping form", "right model"):
+            all_of = [
+                [outcome(FAMILIES[of], TRUTHS[name], seed, **case) for seed in range(n)]
+                for case in cases.values()
+            ]
+            rows.append([f"{of}, {name}", *map(told, all_of)])
+            print(" | ".join(rows[-1]), flush=True)
+    print(
+        f"\n## Gaps, and two records: {n} data sets each, {time.perf_counter() - start:.0f} s\n\nHow many of "
+        "100 intervals contain the best value: without corrections, with them (lowest parameter); widths "
+        "over those without, median and mean.\n"
+    )
+    print(table(("family, truth", *cases), rows))
+
+
 def run_model_errors(quick=False):
     """Print coverage of the best value without and with corrections, and widths, by error and family."""
     n, start, rows = QUICK_EVENTS if quick else EVENTS, time.perf_counter(), []
     for name, respond in TRUTHS.items():
-        cells = []
-        for family in FAMILIES.values():
-            outcomes = [outcome(family, respond, seed) for seed in range(n)]
-            plain, corrected = covers(outcomes)
-            wider = np.array([one.corrected / one.plain for one in outcomes])
-            cells.append(
-                f"{100 * plain.mean():.0f}, {100 * corrected.mean():.0f} ({100 * corrected.min():.0f}); "
-                f"{np.median(wider):.2f}, {wider.mean():.2f}"
-            )
+        families = FAMILIES.values()
+        cells = [told([outcome(family, respond, seed) for seed in range(n)]) for family in families]
         rows.append([name, *cells])
         print(" | ".join(rows[-1]), flush=True)
     print(

@@ -145,7 +145,7 @@ def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = Non
     check_seed(random_seed)
     model = check_model(model)
     waiting = degrees_of(model)
-    before = {rv.name: data.get_value() for rv, data in waiting.items()}
+    before = [data.get_value() for data in waiting.values()]
     for data in waiting.values():
         data.set_value(np.full(data.get_value().shape, FIRST))
     try:
@@ -155,8 +155,8 @@ def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = Non
         fit = climb_likelihood(predictions, fit.z)
         fill(waiting, fit)
     except Exception:
-        for rv, data in waiting.items():
-            data.set_value(before[rv.name])
+        for data, m in zip(waiting.values(), before, strict=True):
+            data.set_value(m)
         raise
     for rv, data in waiting.items():
         sigma = rv.owner.inputs[3]
@@ -208,9 +208,8 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     of_response = sum(event.of_response for event in fit.events)
     if not known(of_response).size:
         raise ValueError("`model` must have parameters that change the response, got none.")
-    values, vectors = directions(
-        of_response, result.factor**2 * sum(model.variability for model in result.models)
-    )
+    of_models = result.factor**2 * sum(model.variability for model in result.models)
+    values, vectors = directions(of_response, of_models)
     n_direction = fit.squares / values[::-1].clip(min=TINY)
     of_bounds, units = own_scale(predictions, peak)
     unknown = np.setdiff1d(np.arange(len(units)), known(result.information))
@@ -219,47 +218,46 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     for matrix in (claims, covariance):
         matrix[unknown], matrix[:, unknown] = np.nan, np.nan
     warn_of_short_records(fit, result)
-    pairs = zip(fit.events, result.models, strict=True)
-    of_sensors = {
-        f"{event.value.name}[{j}]": {
-            "n_eff": sensor_n_eff(event, j),
-            "claimed": event.value.claimed[j],
-            "time_constant": model.memory * event.value.step,
-            "follows_response": model.follows_response[j],
-        }
-        for event, model in pairs
-        for j in range(len(event.value.claimed))
-    }
-    of_parameters = {
-        "n_eff_parameter": fit.claimed * np.diag(claims) / np.diag(covariance),
-        "standard_deviation": np.sqrt(np.diag(covariance)),
-        "claimed_standard_deviation": np.sqrt(np.diag(claims)),
-        "changes_response": np.isin(np.arange(len(units)), known(of_response)),
-        **of_bounds,
-    }
-    matrices = {
-        "information": result.information / square,
-        "variability": result.variability / square,
-        "covariance": covariance,
-    }
+    sensors = [
+        (event, model, j)
+        for event, model in zip(fit.events, result.models, strict=True)
+        for j in range(len(event.residuals))
+    ]
     along = vectors.T[::-1] / np.linalg.norm(vectors.T[::-1], axis=1, keepdims=True)
-    rows = list(of_sensors.values())
-    variables = {name: ("sensor", [row[name] for row in rows]) for name in rows[0]}
-    variables |= {name: ("parameter", x) for name, x in of_parameters.items()}
-    variables |= {name: (("parameter", "parameter_"), x) for name, x in matrices.items()}
-    variables |= {
-        "n_eff_direction": ("direction", n_direction),
-        "direction_vector": (("direction", "parameter"), along),
+    tables = {
+        ("sensor",): {
+            "n_eff": [sensor_n_eff(event, j) for event, _, j in sensors],
+            "claimed": [event.value.claimed[j] for event, _, j in sensors],
+            "time_constant": [model.memory * event.value.step for event, model, _ in sensors],
+            "follows_response": [model.follows_response[j] for _, model, j in sensors],
+        },
+        ("parameter",): {
+            "n_eff_parameter": fit.claimed * np.diag(claims) / np.diag(covariance),
+            "standard_deviation": np.sqrt(np.diag(covariance)),
+            "claimed_standard_deviation": np.sqrt(np.diag(claims)),
+            "changes_response": np.isin(np.arange(len(units)), known(of_response)),
+            **of_bounds,
+        },
+        ("parameter", "parameter_"): {
+            "information": result.information / square,
+            "variability": result.variability / square,
+            "covariance": covariance,
+        },
+        ("direction",): {"n_eff_direction": n_direction},
+        ("direction", "parameter"): {"direction_vector": along},
     }
     names = coordinate_names(predictions.model, predictions.space)
-    attrs = {
-        "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
-        "claimed": fit.claimed,
-        "n_evaluations": fit.n_evaluations,
-        "growth": result.growth,
-    }
-    coords = {"parameter": names, "parameter_": names, "sensor": list(of_sensors)}
-    return xr.Dataset(variables, coords, attrs)
+    labels = [f"{event.value.name}[{j}]" for event, _, j in sensors]
+    return xr.Dataset(
+        {name: (dims, x) for dims, table in tables.items() for name, x in table.items()},
+        {"parameter": names, "parameter_": names, "sensor": labels},
+        {
+            "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
+            "claimed": fit.claimed,
+            "n_evaluations": fit.n_evaluations,
+            "growth": result.growth,
+        },
+    )
 
 
 def own_scale(predictions, peak: Peak) -> tuple[dict[str, np.ndarray], np.ndarray]:

@@ -186,8 +186,8 @@ def burg(groups, largest):
     filters, variances = [a], [variance]
     for k in range(1, largest + 1):
         f, b = forward[..., k:], backward[..., k - 1 : -1]
-        power = np.sum(f**2 + b**2, axis=(1, 2))
-        reflection = -2.0 * np.sum(f * b, axis=(1, 2)) / np.where(power > 0, power, 1.0)
+        ff, bb, fb = (np.einsum("gst,gst->g", *pair) for pair in ((f, f), (b, b), (f, b)))
+        reflection = -2.0 * fb / np.where(ff + bb > 0, ff + bb, 1.0)
         flipped = np.zeros_like(a)
         flipped[:, 1 : k + 1] = a[:, :k][:, ::-1]
         a = a + reflection[:, None] * flipped

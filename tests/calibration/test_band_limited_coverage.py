@@ -16,7 +16,7 @@ from benchmarks.coverage.intervals import calibrated
 from pymc_features.calibration.fit import Predictions
 
 ALARMING = ("growing with the response", "narrow-band")  # about which frequency bands disagree
-N_SETS, DURATION = 200, 12.0  # s
+DURATION = 12.0  # s
 MASS, SPRINGS = np.ones(3), np.full(3, 1200.0)  # up to 9.9 Hz
 CHAIN = truth.chain_matrices(MASS, SPRINGS, (0.3, 5e-4))
 
@@ -56,24 +56,26 @@ def coverage(model, kind, rate, n_sets, model_error="bands"):
 @pytest.mark.statistical
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "rate", "lowest"),
+    ("kind", "rate", "n_sets", "lowest"),
     [
-        ("white", 50.0, 0.84),
-        ("white", 100.0, 0.84),
-        ("AR(1), 0.05 s", 50.0, 0.84),
-        ("common to all sensors", 50.0, 0.84),
-        ("growing with the response", 50.0, 0.84),
-        ("narrow-band", 50.0, 0.8),
+        ("white", 50.0, 200, 0.84),
+        ("white", 100.0, 100, 0.82),
+        ("AR(1), 0.05 s", 50.0, 100, 0.82),
+        ("common to all sensors", 50.0, 200, 0.84),
+        ("growing with the response", 50.0, 200, 0.84),
+        ("narrow-band", 50.0, 200, 0.8),
     ],
 )
-def test_coverage_of_a_chain(kind, rate, lowest):
-    """Of 200 data sets, mean of three springs and the damping.
+def test_coverage_of_a_chain(kind, rate, n_sets, lowest):
+    """Mean of three springs and the damping.
 
-    It scatters by 1.1 (parameters independent) to 2.1 % (all alike) from seed to seed, so that a false alarm
-    is one in 100 or less where 88 to 94 % are right; seeds are fixed. Where bands disagree about the
-    parameters although the model is right, intervals are wider than need be.
+    Of 200 data sets it scatters by 1.1 (parameters independent) to 2.1 % (all alike) from seed to seed, so
+    that a false alarm is one in 100 or less where 88 to 94 % are right; seeds are fixed. Of 100, by 1.5 to
+    3 %: as rare where 90 % are right, and intervals a fifth too narrow, which contain 81 %, are seen in six
+    of ten. Where bands disagree about the parameters although the model is right, intervals are wider than
+    need be.
     """
-    found = coverage(declare(rate), kind, rate, N_SETS).mean()
+    found = coverage(declare(rate), kind, rate, n_sets).mean()
     assert lowest < found < (0.97 if kind not in ALARMING else 1.0)
 
 

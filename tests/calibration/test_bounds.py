@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pymc as pm
 import pytest
+import xarray as xr
 from scipy.stats import kstest, truncnorm
 
 import pymc_features as pmf
@@ -30,6 +31,7 @@ from pymc_features.calibration.fit import Predictions
 from pymc_features.calibration.peaks import Peak
 from pymc_features.calibration.sandwich import sandwich
 from pymc_features.exceptions import CalibrationWarning
+from pymc_features.inference.parameters import to_unconstrained
 
 N_SETS = 200
 
@@ -98,8 +100,6 @@ def test_calibrate_draws_what_the_bound_leaves_of_a_normal_distribution(inside):
 
 def posterior(variables):
     """A DataTree with a posterior."""
-    import xarray as xr
-
     return xr.DataTree.from_dict({"posterior": xr.Dataset(variables)})
 
 
@@ -128,36 +128,27 @@ def test_two_bounds_that_the_data_are_beyond():
     model = storeys(
         measured, lambda: pm.Uniform("first", 0.5, 0.998), lambda: pm.Uniform("second", 1.003, 1.5)
     )
-    with model:
-        norm = pmf.sample(200, chains=2, random_seed=1, progressbar=False)
-        with pytest.warns(CalibrationWarning) as caught:
-            cal = pmf.calibrate(norm, random_seed=1, progressbar=False)
+    draws = {"first": 0.99, "second": 1.01, "damping": 1.0, "sigma": 0.1}
+    start = posterior({name: (("chain", "draw"), [[x]]) for name, x in draws.items()})
+    with model, pytest.warns(CalibrationWarning) as caught:
+        cal = pmf.calibrate(start, draws=200, chains=2, random_seed=1, progressbar=False)
     words = " ".join(str(w.message) for w in caught)
     assert "the data want first above 0.998, the edge of its prior, by" in words
     assert "the data want second below 1.003, the edge of its prior, by" in words
     x = cal["posterior"].to_dataset()
     assert float(x["first"].quantile(0.05)) > 0.99 and float(x["second"].quantile(0.95)) < 1.01
-    values = Predictions(model)
-    z = [values.space.join(model.initial_point()), climb_likelihood(values, start_of(model, x)).z]
-    assert log_likelihood(values(z[1])) > log_likelihood(values(z[0]))
-    residual = [rms_of(model, draws.to_dataset()) for draws in (cal["posterior"], norm["posterior"])]
-    assert residual[0] < 1.5 * residual[1]
-
-
-def start_of(model, draws):
-    """The unconstrained point of the last draw."""
-    from pymc_features.inference.parameters import to_unconstrained
-
-    return to_unconstrained(model, draws.isel(draw=slice(-1, None)))[0, 0]
-
-
-def rms_of(model, draws):
-    """Median rms of the residuals of some draws [m/s^2]."""
-    from pymc_features.inference.parameters import to_unconstrained
-
     predictions = Predictions(model)
-    points = to_unconstrained(model, draws.isel(draw=slice(None, None, 20))).reshape(-1, 4)
-    return np.median([np.sqrt(np.mean((v[0].mu - v[0].observed) ** 2)) for v in map(predictions, points)])
+    points = to_unconstrained(model, x.isel(draw=slice(None, None, 20))).reshape(-1, 4)
+    fit = climb_likelihood(predictions, points[-1])
+    assert fit.height > log_likelihood(predictions(predictions.space.join(model.initial_point())))
+    median, best = np.median([rms(predictions, z) for z in points]), rms(predictions, fit.z)
+    assert best < median < 1.5 * best
+
+
+def rms(predictions, z):
+    """Of the residuals at a point [m/s^2]."""
+    [value] = predictions(z)
+    return np.sqrt(np.mean((value.mu - value.observed) ** 2))
 
 
 def test_a_positive_parameter_that_wants_to_vanish():
