@@ -225,6 +225,25 @@ def test_nothing_is_called_right_that_was_not_checked(tmp_path, capsys):
     assert "nothing could be checked, so that nothing is known of what is wrong" in said
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("scale", "named"), [("{ floor4 = -1.0 }", "floor4"), ("{ floor4 = -1.0, floor7 = -1.0 }", "The base")]
+)
+def test_signs_of_displacements_are_told_by_the_modes(tmp_path, scale, named):
+    """No sensor follows the base, whose motion is an acceleration."""
+    path, *_ = faultless(tmp_path, 0)
+    text = path.read_text().replace('base = "base"', f'base = "base"\nscale = {scale}')
+    assert 'quantity = "relative_displacement"' in text
+    path.write_text(text)
+    told, problem = told_by(path)
+    assert re.match(
+        rf"{named} may be inverted: the modes that the priors expect explain 9\d % of the", told[0]
+    )
+    assert told[1].startswith("If it is so, put into [data]: scale = {")
+    checked = problem.measured.checked.sentence
+    assert checked == "not checked against each other: relative_displacement is no motion of the base"
+
+
 def chain(**values):
     """Two storeys."""
     return SpringMassChain([2.0, 2.0], [values["k"]] * 2, ModalDamping(values.get("zeta", 0.02)))

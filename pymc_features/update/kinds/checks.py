@@ -17,6 +17,7 @@ from pymc_features.update.plausibility.sensors import lags_confirmed, told_by_mo
 LOWEST, HIGHEST = 1.0 / 7.0, 0.5  # of the first natural frequency: where the floors follow the base
 TOP = 0.55  # the same, of a band that was asked for
 NARROWEST = 1.5  # factor between the ends of a band
+LAGS = "Check clocks"  # in what is said of them
 EXPLAINS_ANY = 0.99  # damping ratio that explains any lag
 FOLLOWS = 0.7  # coherence of one floor at least, where nobody has named the band
 COHERENT = 0.5  # of a floor with the base, where the base moves
@@ -65,33 +66,37 @@ def check(channels, config, prior) -> Checked:
     ChannelWarning
         What `check_channels` finds, and the lines of the file that correct it.
     """
-    asked, data = config.processing.check_band, config.data
     compared = compare_with_priors(channels, config, prior)
-    if data.quantity != "absolute_acceleration":
-        reason = f"{data.quantity} is no motion of the base"
-        return Checked(None, f"not checked against each other: {reason}", compared)
-    if asked is False:
+    if config.processing.check_band is False:
         return Checked(None, "not checked against each other, as the file says", compared)
+    band = band_of(config.processing.check_band, compared, prior)
+    if config.data.quantity != "absolute_acceleration":
+        reason = f"{config.data.quantity} is no motion of the base"
+    else:
+        reason = "" if band == config.processing.check_band else why_not(channels, band)
+    if reason:
+        gains, sentence = unknown_gains(channels), f"not checked against each other: {reason}"
+    else:
+        gains = gains_of(channels, band, compared, config)
+        sentence = f"checked against each other between {band[0]:.3g} and {band[1]:.3g} Hz"
+        refuse_offsets(gains)
+    if of_modes := told_by_modes(gains, compared.placed):
+        warnings.warn(of_modes, ChannelWarning, stacklevel=2)
+    if lines := corrections(gains, config):
+        warnings.warn(f"If it is so, put into [data]: {'; '.join(lines)}", ChannelWarning, stacklevel=2)
+    return Checked(None if reason else gains, sentence, compared)
+
+
+def band_of(asked, compared, prior) -> tuple[float, float]:
+    """Where floors follow the base: the band of the file, below the first mode of the data or the priors."""
     first = prior.first
     if compared.first and (compared.is_contradicted or HIGHEST * first > TOP * compared.first):
         first = compared.first
     if asked is None:
-        band = LOWEST * first, HIGHEST * first
-    else:
-        band = asked[0], min(asked[1], TOP * compared.first) if compared.first else asked[1]
-    reason = why_not(channels, band) if asked is None or band[1] < asked[1] else ""
-    if reason:
-        gains = unknown_gains(channels)
-    else:
-        gains = gains_of(channels, band, compared, config)
-        refuse_offsets(gains)
-    if sentence := told_by_modes(gains, compared.placed):
-        warnings.warn(sentence, ChannelWarning, stacklevel=2)
-    if lines := corrections(gains, config):
-        warnings.warn(f"If it is so, put into [data]: {'; '.join(lines)}", ChannelWarning, stacklevel=2)
-    if reason:
-        return Checked(None, f"not checked against each other: {reason}", compared)
-    return Checked(gains, f"checked against each other between {band[0]:.3g} and {band[1]:.3g} Hz", compared)
+        return LOWEST * first, HIGHEST * first
+    if compared.first and asked[1] > TOP * compared.first:
+        return asked[0], TOP * compared.first
+    return asked
 
 
 def compare_with_priors(channels, config, prior) -> Compared:
@@ -135,7 +140,7 @@ def gains_of(channels, band, compared, config) -> xr.Dataset:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             gains = signals.check_channels(channels, band=band, damping_ratio=EXPLAINS_ANY)
-    for warning in caught:
+    for warning in sorted(caught, key=lambda warning: LAGS in str(warning.message)):  # the least of faults
         warnings.warn(warning.message, warning.category, stacklevel=2)
     return gains
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-DRAWS, DRAWS_OF_LARGE = 200, 40
+DRAWS, DRAWS_OF_LARGE = 200, 24
 LARGE = 300  # degrees of freedom
 GRAVITY = 9.81  # [m/s^2]
 
