@@ -209,7 +209,7 @@ def test_emulate(tmp_path):
         with pm.Model() as model:
             k = pm.Uniform("k", 1.0, 4.0)
             pm.Normal("y", runner(k, 0.3), 0.3, observed=data)
-        found.append(emulate(24, model=model, draws=1000, chains=2, random_seed=1, progressbar=False))
+        found.append(emulate(24, model=model, draws=300, chains=2, random_seed=1, progressbar=False))
         counts = runner.counts
     assert (counts["ok"], counts["cached"]) == (0, found[0].idata["emulation"].attrs["runs"])
     draws = found[0].idata.posterior["k"]
@@ -235,7 +235,7 @@ def test_two_responses_and_failures():
         itself = simulator(misfit, (2, 40), returns="mean_square")
         pm.Normal("y", whole(k, c), 0.3, observed=data)
         pm.Normal("z", itself(k), 0.3, observed=data)
-    found = emulate(48, model=model, draws=500, chains=2, batch=12, random_seed=1, progressbar=False)
+    found = emulate(48, model=model, draws=200, chains=2, batch=12, random_seed=1, progressbar=False)
     assert whole.counts["ok"] + whole.counts["error"] == itself.counts["ok"]
     assert found.idata["emulation"].attrs["failed"] == whole.counts["error"] > 0
     low, middle, high = exact_quantiles(data, 0.3, 1.0, 4.0)

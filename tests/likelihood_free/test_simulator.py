@@ -301,10 +301,23 @@ REFUSALS_VALUES = {  # what is said: what is given
     "`observed` must have data of every sensor, .* at index 0": {"observed": np.full((3, 60), np.nan)},
     r"\(3, 60\) to match `mu`, got \(60, 3\). Transpose it": {"observed": np.zeros((60, 3))},
     r"\(3, 60\) to match `mu`, got \(3, 59\). Give one row": {"observed": np.zeros((3, 59))},
+    "got NaN alone at index 0. Leave it out": {"observed": np.ma.masked_greater(np.ones((3, 60)), 0.5)},
+    r"`kernel` must be one of uniform, .* got \['uniform'\]": {"kernel": ["uniform"]},
+    r"`epsilon` must be one number or one for each of the 3 sensors, got shape": {"epsilon": [1.0, 2.0]},
+    r"`epsilon` must be one number or one for each of the 3 sensors, got": {"epsilon": np.ones((3, 1))},
+    r"`epsilon` must be positive and finite, got \[1.0, 0.0, 1.0\]. Pass a": {"epsilon": [1.0, 0.0, 1.0]},
+    "`noise` must be not negative and finite, got -0.1. Pass a standard deviation in": {"noise": -0.1},
+    "`noise` must be not negative and finite, got nan": {"noise": np.nan},
+    r"`noise` must be not negative and finite, got \[0.1, inf, 0.1\]": {"noise": [0.1, np.inf, 0.1]},
+    r"`noise` must be one number or one for each of the 3 sensors, got shape \(2": {"noise": [0.1, 0.2]},
+    r"`noise` must be one number or one for each of the 3 sensors, got sha": {"noise": np.ones((3, 60))},
+    r"shape \(sensor, time\), or \(entry,\) for a summary, got shape": {"observed": np.zeros((3, 60, 1))},
 }
 REFUSALS_TYPES = {
     "`mu` must be what `response` returned or a function, got nd": {"mu": np.zeros((3, 60))},
     "got another PyTensor expression. Pass a function": {"mu": pt.zeros((3, 60))},
+    "`observed` must be an array of numbers, got str": {"observed": "data"},
+    "`epsilon` must be numbers or PyTensor variables, got str. Pass": {"epsilon": "small"},
 }
 
 
@@ -546,30 +559,6 @@ def test_a_function_that_always_fails_is_named_in_the_default_mode():
         kernel.initialize(None, np.random.default_rng(0))
 
 
-@pytest.mark.parametrize(
-    ("changes", "error", "match"),
-    [
-        (
-            {"observed": np.ma.masked_greater(np.ones((3, 60)), 0.5)},
-            ValueError,
-            "`observed` must have data of every sensor, .* got NaN alone at index 0. Leave it out",
-        ),
-        ({"observed": "data"}, TypeError, "`observed` must be an array of numbers, got str"),
-        (
-            {"epsilon": "small"},
-            TypeError,
-            "`epsilon` must be numbers or PyTensor variables, got str. Pass",
-        ),
-        ({"kernel": ["uniform"]}, ValueError, r"`kernel` must be one of uniform, .* got \['uniform'\]"),
-    ],
-)
-def test_what_is_no_number_is_refused(pulse, measured, changes, error, match):
-    with pm.Model():
-        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
-        with pytest.raises(error, match=match):
-            DiscrepancySimulator("y", mu, **({"epsilon": 1.0, "observed": measured} | changes))
-
-
 def test_a_random_tolerance_is_refused(pulse, measured):
     with pm.Model():
         mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
@@ -596,23 +585,3 @@ def test_a_solver_may_use_its_array_again():
     kernel = SubsetSimulation(300, model=model, random_seed=1)
     particles = np.array([[0.1, 0.2], [3.0, 1.0], [0.0, 0.5]])
     np.testing.assert_allclose(-kernel.logp(particles)[1], (particles**2).sum(axis=1))
-
-
-REFUSALS_OF_TOLERANCE_AND_NOISE = {  # what is said: what is given
-    r"`epsilon` must be one number or one for each of the 3 sensors, got shape": {"epsilon": [1.0, 2.0]},
-    r"`epsilon` must be one number or one for each of the 3 sensors, got": {"epsilon": np.ones((3, 1))},
-    r"`epsilon` must be positive and finite, got \[1.0, 0.0, 1.0\]. Pass a": {"epsilon": [1.0, 0.0, 1.0]},
-    "`noise` must be not negative and finite, got -0.1. Pass a standard deviation in": {"noise": -0.1},
-    "`noise` must be not negative and finite, got nan": {"noise": np.nan},
-    r"`noise` must be not negative and finite, got \[0.1, inf, 0.1\]": {"noise": [0.1, np.inf, 0.1]},
-    r"`noise` must be one number or one for each of the 3 sensors, got shape \(2": {"noise": [0.1, 0.2]},
-    r"`noise` must be one number or one for each of the 3 sensors, got sha": {"noise": np.ones((3, 60))},
-    r"shape \(sensor, time\), or \(entry,\) for a summary, got shape": {"observed": np.zeros((3, 60, 1))},
-}
-
-
-@refusals("changes", REFUSALS_OF_TOLERANCE_AND_NOISE)
-def test_refusals_of_tolerance_and_noise(pulse, measured, changes, match):
-    with pm.Model(), pytest.raises(ValueError, match=match):
-        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
-        DiscrepancySimulator("y", mu, **{"epsilon": 1.0, "observed": measured, **changes})

@@ -15,11 +15,12 @@ def blocks(path: Path, kind: str) -> list[str]:
 
 
 def script(path: Path, kind: str = "python") -> str:
-    """The blocks of a page as one script, with fewer draws, in one process."""
+    """The blocks of a page as one script, with fewer draws, chains and processes."""
     code = "\n".join(blocks(path, kind))
     for ours, theirs in (
-        ("chains=2", "chains=2, cores=1, progressbar=False"),
-        ("sample_nuts(1000", "sample_nuts(200, tune=200, cores=1"),
+        ("chains=2", f"chains={2 if path == README else 1}, cores=1, progressbar=False"),
+        ("sample_nuts(1000", "sample_nuts(150, tune=100, chains=2, cores=1, progressbar=False"),
+        ("timeout=60.0, executor=2", "timeout=60.0, executor=1"),
     ):
         code = code.replace(ours, theirs)
     return code
