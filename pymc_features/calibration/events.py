@@ -178,7 +178,7 @@ def by_name(posterior, i, var_names) -> dict[str, np.ndarray]:
         check_finite(posterior[name].values, "var_names", f"Those are draws of {name} in event {i}.")
     if posterior.sizes["chain"] * posterior.sizes["draw"] < FEWEST_DRAWS:
         raise ValueError(f"`events` must have at least {FEWEST_DRAWS} draws, got fewer in event {i}.")
-    some = posterior[list(var_names)].transpose("chain", "draw", ...)
+    some = posterior.transpose("chain", "draw", ...)[list(var_names)]
     label = labels.BaseLabeller().make_label_flat
     scalars = xarray_var_iter(some, skip_dims={"chain", "draw"})
     return {label(name, at, place): x.ravel() for name, at, place, x in scalars}
