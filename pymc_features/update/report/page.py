@@ -64,6 +64,12 @@ def page_of(result) -> str:
         texts = [all(not is_number(row[k]) for row in one["rows"]) for k in range(len(one["columns"]))]
         tables.setdefault(one["section"], []).append(one | {"texts": texts})
     posterior = {"columns": COLUMNS, "rows": cells(rows), "texts": [k < N_TEXTS for k in range(len(COLUMNS))]}
+    shown = [",".join(row) for row in (COLUMNS, *posterior["rows"])]  # no cell has a comma
+    downloads = {
+        "table.csv": as_csv(rows),
+        "table.tex": as_latex(rows),
+        "table-as-shown.csv": "\n".join(shown),
+    }
     plotly = files("plotly").joinpath("package_data", "plotly.min.js").read_text(encoding="utf-8")
     return TEMPLATES.get_template("report.html").render(
         document=document,
@@ -71,7 +77,7 @@ def page_of(result) -> str:
         posterior=posterior,
         payload=payload,
         data=in_script(payload),
-        downloads=in_script({"table.csv": as_csv(rows), "table.tex": as_latex(rows)}),
+        downloads=in_script(downloads),
         plotly=plotly,
     )
 

@@ -1,14 +1,13 @@
 "use strict";
-// What all figures share: the data, what is chosen, and buttons. A figure is an entry of `figures`:
-// draw(place, element) is called at first, and again when one of the things in `on` is changed.
+// What all figures share: the data, what is chosen, and buttons. Of a figure draw(place, element) is called at
+// first, and again when one of the things in `on` is changed.
 const BLUE = "#2563a8", INK = "#1f2933", GREY = "#8a96a3", RED = "#c8321e", GLOW = "#f07c00";
 const COLOURS = ["#2563a8", "#2f855a", "#b7791f", "#7b4bb0", "#c8321e", "#0f8b8d", "#6b4f3a", "#4a5568"];
 const LIGHT = "rgba(37,99,168,0.16)", MIDDLE = "rgba(37,99,168,0.42)";
-const json = id => JSON.parse(document.getElementById(id).textContent);
-const $ = id => document.getElementById(id);
+const $ = id => document.getElementById(id), json = id => JSON.parse($(id).textContent);
 const payload = json("payload");
 const chosen = {kind: payload.kinds[0], sensor: 0, mode: 0, draws: null, window: "all", parameters: null};
-const figures = {};
+const figures = {}, figure = (name, on, draw, more) => { figures[name] = {on, draw, ...more}; };
 const isTouch = matchMedia("(pointer: coarse)").matches;
 const isNarrow = () => innerWidth < 700;
 
@@ -66,7 +65,9 @@ function band(x, low, high, colour, name, extra) {
     for (let i = k - 1; i >= first; i--) { xs.push(x[i]); ys.push(high[i]); }
     xs.push(null); ys.push(null);
   }
-  return {x: xs, y: ys, fill: "toself", fillcolor: colour, line: {width: 0}, mode: "lines", name, hoverinfo: "skip", ...extra};
+  return {
+    x: xs, y: ys, fill: "toself", fillcolor: colour, line: {width: 0}, mode: "lines", name, hoverinfo: "skip", ...extra,
+  };
 }
 
 const line = (x, y, colour, width, name, extra) =>
@@ -98,9 +99,9 @@ function change(what, value) {
   $("clear").hidden = !chosen.draws;
   if (chosen.draws) $("clear").textContent = `${chosen.draws.length} draws selected: clear`;
   for (const element of document.querySelectorAll("[data-figure]")) {
-    const figure = figures[element.dataset.figure];
-    const draw = what === "draws" && figure.light || figure.draw;
-    if (figure.on.includes(what)) draw(element.querySelector(".plot"), element);
+    const one = figures[element.dataset.figure];
+    const draw = what === "draws" && one.light || one.draw;
+    if (one.on.includes(what)) draw(element.querySelector(".plot"), element);
   }
 }
 
@@ -115,11 +116,12 @@ const blobOf = (text, type) => URL.createObjectURL(new Blob([text], {type}));
 // All plots of a figure as pictures, under names of their own.
 function pictures(element, format) {
   const name = `${element.dataset.figure}-${chosen.kind}`;
-  const figure = figures[element.dataset.figure];
-  if (figure.picture) return figure.picture(format, name);
-  element.querySelectorAll(".js-plotly-plot").forEach((one, k) => {
-    const {width, height} = one.getBoundingClientRect();
-    Plotly.downloadImage(one, {format, width, height, scale: format === "png" ? 3 : 1, filename: k ? `${name}-${k + 1}` : name});
+  const one = figures[element.dataset.figure];
+  if (one.picture) return one.picture(format, name);
+  element.querySelectorAll(".js-plotly-plot").forEach((place, k) => {
+    const {width, height} = place.getBoundingClientRect();
+    const filename = k ? `${name}-${k + 1}` : name;
+    Plotly.downloadImage(place, {format, width, height, scale: format === "png" ? 3 : 1, filename});
   });
 }
 
@@ -142,21 +144,16 @@ function addButtons(element) {
   add("SVG", () => pictures(element, "svg"));
 }
 
-const quoted = text => /[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
-
-function tableAsShown() {
-  const rows = [...document.querySelector("#posterior table").rows];
-  return rows.map(row => [...row.cells].map(cell => quoted(cell.textContent)).join(",")).join("\n") + "\n";
-}
-
 function start() {
   const files = json("files");
   document.querySelectorAll("[data-file]").forEach(button => {
     button.onclick = () => download(button.dataset.file, blobOf(files[button.dataset.file], "text/plain"));
   });
-  document.querySelectorAll("[data-shown]").forEach(button => {
-    button.onclick = () => download(button.dataset.shown, blobOf(tableAsShown(), "text/csv"));
-  });
+  document.querySelector(".links").append(...[...document.querySelectorAll("section:not(#verdict)")].map(part => {
+    const link = document.createElement("a");
+    link.href = `#${part.id}`; link.textContent = part.querySelector("h2").textContent;
+    return link;
+  }));
   const choose = (id, names, what) => {
     if (!$(id)) return;
     if (names) $(id).replaceChildren(...names.map((name, k) => new Option(name, k)));

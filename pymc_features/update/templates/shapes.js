@@ -13,7 +13,7 @@ const solid = payload.geometry && (() => {
   const floor = isBuilding ? Math.max(0.16 * size, Math.min(0.3 * size, 1.2)) : 0;
   return {
     node, places, direction, style, sensors, size, isBuilding, lines: lines.map(row => row.map(k => node[k])),
-    radius: Math.hypot(...ends.map(([low, high], axis) => 0.5 * (high - low) + (isBuilding && axis < 2 ? floor : 0))) + 0.05 * size,
+    radius: 0.05 * size + Math.hypot(...ends.map(([low, high], axis) => 0.5 * (high - low) + (axis < 2 ? floor : 0))),
     middle: ends.map(([low, high]) => 0.5 * (low + high)), floor,
   };
 })();
@@ -38,40 +38,39 @@ function projector(width, height) {
 const rectangle = ([x, y, z], half) => [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([a, b]) => [x + a * half, y + b * half, z]);
 
 // The parts of one deformed structure.
-function parts(places, look) {
-  const found = [], {half} = {half: solid.floor};
+function parts(places, {fill, stroke, width, columns}) {
   if (solid.isBuilding) {
-    const floors = [rectangle([0, 0, 0], half), ...places.map(p => rectangle(p, half))];
-    floors.forEach((corners, k) => {
-      if (k || look.fill) found.push({points: corners, closed: true, fill: look.fill, stroke: look.stroke, width: look.width});
-      if (k && look.columns) corners.forEach((corner, c) => found.push({points: [floors[k - 1][c], corner], stroke: look.stroke, width: look.width * 1.5}));
-    });
-    return found;
+    const floors = [[0, 0, 0], ...places].map(p => rectangle(p, solid.floor));
+    return floors.flatMap((corners, k) => [
+      ...(k || fill ? [{points: corners, closed: true, fill, stroke, width}] : []),
+      ...corners.slice(k && columns ? 0 : 4).map((corner, c) => ({points: [floors[k - 1][c], corner], stroke, width: 1.5 * width})),
+    ]);
   }
-  solid.lines.forEach(row => found.push({points: row.map(k => places[k]), stroke: look.stroke, width: look.width * 1.4}));
-  if (look.columns) places.forEach(p => found.push({points: [p], fill: look.stroke, radius: solid.places.length > 60 ? 1.6 : 3}));
-  return found;
+  const dots = columns ? places.map(p => ({points: [p], fill: stroke, radius: places.length > 60 ? 1.6 : 3})) : [];
+  return [...solid.lines.map(row => ({points: row.map(k => places[k]), stroke, width: 1.4 * width})), ...dots];
 }
 
 // What is seen at a moment, sorted from the back to the front.
 function scene(width, height) {
   const {shapes, identified} = current().modes, all = unpack(shapes), k = chosen.mode, project = projector(width, height);
   const scale = 0.17 * solid.size * Number($("amplitude").value), now = scale * Math.sin(view.phase);
-  const still = parts(solid.places, {stroke: "#c5ccd4", width: 0.8, columns: true});
-  const ghosts = $("ghosts").checked ? all.slice(1).flatMap(draw => parts(moved(draw[k], now), {stroke: "rgba(37,99,168,0.22)", width: 0.8})) : [];
-  const found = [...still, ...ghosts, ...parts(moved(all[0][k], now), {stroke: BLUE, fill: "rgba(37,99,168,0.30)", width: 1.2, columns: true})];
-  Object.values(solid.sensors).forEach(point => found.push({points: [moved(all[0][k], now)[solid.node[point]]], fill: INK, radius: 3.5, front: true}));
+  const places = moved(all[0][k], now), draws = $("ghosts").checked ? all.slice(1) : [];
+  const dot = (at, fill, radius) => ({points: [at], fill, radius, front: true});
+  const found = [
+    ...parts(solid.places, {stroke: "#c5ccd4", width: 0.8, columns: true}),
+    ...draws.flatMap(draw => parts(moved(draw[k], now), {stroke: "rgba(37,99,168,0.22)", width: 0.8})),
+    ...parts(places, {stroke: BLUE, fill: "rgba(37,99,168,0.30)", width: 1.2, columns: true}),
+    ...Object.values(solid.sensors).map(point => dot(places[solid.node[point]], INK, 3.5)),
+  ];
   const which = identified ? identified.partners.indexOf(k + 1) : -1;
-  if (which >= 0) {
-    const {points, shapes: rows} = identified, row = rows[which], model = points.map(p => all[0][k][p]);
-    const [top, below] = row.reduce(([a, b], v, i) => v === null ? [a, b] : [a + v * model[i], b + v * v], [0, 0]);
-    const entries = new Array(all[0][k].length).fill(0), known = [];
-    row.forEach((v, i) => { if (v !== null) { entries[points[i]] = v * top / below; known.push(points[i]); } });
-    const places = moved(entries, now), rest = solid.places;
-    new Set(known.map(p => solid.node[p])).forEach(n => {
-      found.push({points: [rest[n], places[n]], stroke: RED, width: 1.4, front: true});
-      found.push({points: [places[n]], fill: RED, radius: 5.5, front: true});
-    });
+  if (which >= 0) {  // scaled by the factor that brings it closest to the model
+    const {points, shapes: rows} = identified, known = points.map((p, i) => [p, rows[which][i]]).filter(([, v]) => v !== null);
+    const factor = known.reduce((sum, [p, v]) => sum + v * all[0][k][p], 0) / known.reduce((sum, [, v]) => sum + v * v, 0);
+    const entries = new Array(all[0][k].length).fill(0);
+    known.forEach(([p, v]) => { entries[p] = v * factor; });
+    const measured = moved(entries, now);
+    new Set(known.map(([p]) => solid.node[p])).forEach(n => found.push(
+      {points: [solid.places[n], measured[n]], stroke: RED, width: 1.4, front: true}, dot(measured[n], RED, 5.5)));
   }
   found.forEach(part => {
     part.at = part.points.map(project);
@@ -83,7 +82,8 @@ function scene(width, height) {
 function paint(canvas) {
   const {clientWidth: width, clientHeight: height} = canvas, ratio = devicePixelRatio || 1;
   if (!width) return;
-  if (canvas.width !== Math.round(width * ratio)) { canvas.width = Math.round(width * ratio); canvas.height = Math.round(height * ratio); }
+  const size = [width, height].map(length => Math.round(length * ratio));
+  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
   const pen = canvas.getContext("2d");
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);
   pen.fillStyle = "#fff"; pen.fillRect(0, 0, width, height);
@@ -105,54 +105,55 @@ function asSvg(width, height) {
     const points = at.map(p => `${p[0].toFixed(1)},${p[1].toFixed(1)}`).join(" ");
     return `<poly${closed ? "gon" : "line"} points="${points}" ${style}/>`;
   };
-  return `<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${height}">${scene(width, height).map(shape).join("\n")}</svg>`;
+  const inside = scene(width, height).map(shape).join("\n");
+  return `<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${height}">${inside}</svg>`;
 }
 
-figures.shapes = {
-  on: ["kind", "mode"],
-  draw(place, element) {
-    const {identified} = current().modes, k = chosen.mode, texts = current().frequency_texts[k];
-    const which = identified ? identified.partners.indexOf(k + 1) : -1;
-    element.querySelector("figcaption").textContent =
-      `Mode ${k + 1} under ${chosen.kind}: ${texts[1]} Hz, and with 90 % probability from ${texts[0]} to ${texts[2]} Hz. `
-      + (which >= 0 ? `Red is the identified mode ${identified.names[which]} at ${identified.frequencies[which]} Hz, with a MAC of ${identified.mac[which][k].toFixed(3)}. ` : "")
-      + "Blue is the draw nearest to the medians, thin lines are other draws, and black dots are the measured places. Drag to turn it."
-      + (solid.style === "entries" ? " Nobody knows where the degrees of freedom are: entries of the shape stand along their numbers." : "");
-    if (place.firstChild) { paint(place.firstChild); return; }
-    const canvas = document.createElement("canvas");
-    place.append(canvas);
-    let seen = true, last = null;
-    new IntersectionObserver(([entry]) => { seen = entry.isIntersecting; }).observe(canvas);
-    canvas.onpointerdown = event => { last = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); };
-    canvas.onpointermove = event => {
-      if (!last) return;
-      view.yaw += 0.01 * (event.clientX - last[0]);
-      view.pitch = Math.max(-1.5, Math.min(1.5, view.pitch + 0.01 * (event.clientY - last[1])));
-      last = [event.clientX, event.clientY];
+figure("shapes", ["kind", "mode"], (place, element) => {
+  const {identified} = current().modes, k = chosen.mode, texts = current().frequency_texts[k];
+  const which = identified ? identified.partners.indexOf(k + 1) : -1;
+  const red = which < 0 ? "" : `Red is the identified mode ${identified.names[which]} at `
+    + `${identified.frequencies[which]} Hz, with a MAC of ${identified.mac[which][k].toFixed(3)}. `;
+  element.querySelector("figcaption").textContent =
+    `Mode ${k + 1} under ${chosen.kind} has ${texts[1]} Hz, and with a probability of 90 % from ${texts[0]} to `
+    + `${texts[2]} Hz. ${red}Blue is the draw nearest to the medians, thin lines are other draws, and black dots `
+    + "are the measured places. Drag to turn it."
+    + (solid.style === "entries" ? " Entries of the shape stand along the numbers of their degrees of freedom." : "");
+  if (place.firstChild) { paint(place.firstChild); return; }
+  const canvas = document.createElement("canvas");
+  place.append(canvas);
+  let seen = true, last = null;
+  new IntersectionObserver(([entry]) => { seen = entry.isIntersecting; }).observe(canvas);
+  canvas.onpointerdown = event => { last = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); };
+  canvas.onpointermove = event => {
+    if (!last) return;
+    view.yaw += 0.01 * (event.clientX - last[0]);
+    view.pitch = Math.max(-1.5, Math.min(1.5, view.pitch + 0.01 * (event.clientY - last[1])));
+    last = [event.clientX, event.clientY];
+    paint(canvas);
+  };
+  canvas.onpointerup = canvas.onpointercancel = () => { last = null; };
+  const label = () => { $("play").textContent = view.plays ? "Pause" : "Play"; };
+  $("play").onclick = () => { view.plays = !view.plays; label(); };
+  $("ghosts").onchange = $("amplitude").oninput = () => paint(canvas);
+  label();
+  let before = 0;
+  const step = now => {
+    const passed = Math.min(now - before, 100) / 1000;
+    before = now;
+    if (seen && (view.plays || $("turn").checked)) {
+      if (view.plays) view.phase += 2.6 * passed;
+      if ($("turn").checked) view.yaw += 0.4 * passed;
       paint(canvas);
-    };
-    canvas.onpointerup = canvas.onpointercancel = () => { last = null; };
-    const label = () => { $("play").textContent = view.plays ? "Pause" : "Play"; };
-    $("play").onclick = () => { view.plays = !view.plays; label(); };
-    $("ghosts").onchange = $("amplitude").oninput = () => paint(canvas);
-    label();
-    let before = 0;
-    const step = now => {
-      const passed = Math.min(now - before, 100) / 1000;
-      before = now;
-      if (seen && (view.plays || $("turn").checked)) {
-        if (view.plays) view.phase += 2.6 * passed;
-        if ($("turn").checked) view.yaw += 0.4 * passed;
-        paint(canvas);
-      }
-      requestAnimationFrame(step);
-    };
-    new ResizeObserver(() => paint(canvas)).observe(canvas);
+    }
     requestAnimationFrame(step);
-  },
+  };
+  new ResizeObserver(() => paint(canvas)).observe(canvas);
+  requestAnimationFrame(step);
+}, {
   picture(format, name) {
     const canvas = document.querySelector('[data-figure="shapes"] canvas');
     if (format === "png") download(`${name}.png`, canvas.toDataURL("image/png"));
     else download(`${name}.svg`, blobOf(asSvg(canvas.clientWidth, canvas.clientHeight), "image/svg+xml"));
   },
-};
+});
