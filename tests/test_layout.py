@@ -1,6 +1,7 @@
 """Who may import whom, what is public, and which members each catalogue has."""
 
 import ast
+import functools
 import inspect
 import sys
 from collections.abc import Callable, Iterator
@@ -168,6 +169,7 @@ PUBLIC_NAMES = [
 ]
 
 
+@functools.cache
 def imports_of(path: Path) -> set[str]:
     """Names of modules a file imports, at any depth of its code, but not for its annotations alone."""
     found, tree = set(), ast.parse(path.read_text())

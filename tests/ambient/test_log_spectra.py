@@ -138,7 +138,9 @@ def test_posteriors_hold_the_truth_and_are_wide():
     """99 % intervals of the stiffness; tens of times wider than under `AmbientResponse`, for two sensors."""
     values = simulated(3)
     model = declared(pmf.log_spectra(channels(values), BANDS))
-    theta = pmf.sample(300, model=model, random_seed=1, cores=1, progressbar=False)["posterior"]["theta"]
+    theta = pmf.sample(300, model=model, chains=2, random_seed=1, cores=1, progressbar=False)["posterior"][
+        "theta"
+    ]
     low, high = theta.quantile([0.005, 0.995])
     assert low < 1.0 < high
     with pm.Model() as exact:

@@ -342,7 +342,7 @@ def test_standard_error_of_what_never_happened():
 def test_bands_cover_the_true_unmeasured_response():
     """Truths from the prior, data at the top, bands of everything else: 90 % of the times are in them.
 
-    Of 30 data sets the share is 0.9 within 4.5 of its standard errors by their scatter. Negative control:
+    Of 20 data sets the share is 0.9 within 4.5 of its standard errors by their scatter. Negative control:
     bands of the 30 % in the middle are not.
     """
     rng = np.random.default_rng(11)
@@ -362,7 +362,7 @@ def test_bands_cover_the_true_unmeasured_response():
         data = pm.Data("data", np.zeros((1, 150)))
         pm.Normal("y", pmf.response(structure(k), record, sensors=[1]), 0.5, observed=data)
     shares = []
-    for i in range(30):
+    for i in range(20):
         true = exact(np.exp(0.3 * rng.normal(size=2)))
         measured = true["absolute_acceleration"][[1]] + 0.5 * rng.normal(size=(1, 150))
         with model:

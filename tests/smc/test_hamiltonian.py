@@ -250,6 +250,7 @@ def test_trajectories_that_leave_the_support_are_given_up():
 
 
 @cache
+@cache
 def ring():
     """A thin shell around the origin, in three dimensions."""
     with pm.Model() as model:
@@ -276,14 +277,14 @@ def by_gradients(monkeypatch):
 @pytest.mark.statistical
 @pytest.mark.usefixtures("by_gradients")
 def test_posterior_and_evidence_of_a_ring():
-    """Means over twelve seeds within four standard errors, of a Student t: a false alarm in 480 for each."""
+    """Means over eight seeds within four standard errors, of a Student t: a false alarm in 190 for each."""
     log_z, square = exact_of_ring()
-    runs = [run_chain(PersistentSMC, ring(), 400, seed, gradients=True) for seed in range(12)]
+    runs = [run_chain(PersistentSMC, ring(), 400, seed, gradients=True) for seed in range(8)]
     assert mean_within_errors([r.evidence - log_z for r in runs])
     assert mean_within_errors([(r.draws**2).sum(axis=1).mean() - square for r in runs])
     assert mean_within_errors([r.draws[:, 0].mean() for r in runs])
     shares = [max(s["hamiltonian_share"] for s in r.stages) for r in runs]
-    assert sum(share > 0.1 for share in shares) >= 9, "others may do without chains: their fits are good"
+    assert sum(share > 0.1 for share in shares) >= 6, "others may do without chains: their fits are good"
 
 
 @pytest.mark.usefixtures("by_gradients")
