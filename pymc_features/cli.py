@@ -316,7 +316,7 @@ def check(options, console):
         checked = [problem.measured.checked]
     if not told and (problem.modal is not None or any(one.is_any for one in checked)):
         say(console, "nothing was found wrong")
-    elif not told:
+    elif not told and not problem.is_cyclic:
         say(console, "nothing could be checked, so that nothing is known of what is wrong")
 
 
