@@ -11,6 +11,7 @@ https://tadas.afad.gov.tr. Sociedad Mexicana de Ingenieria Sismica, archivo esta
 
 import re
 from datetime import UTC, datetime
+from io import StringIO
 
 import numpy as np
 
@@ -47,7 +48,7 @@ _GLUED = re.compile(r"(?<=[\d.])([-+])", re.ASCII)
 def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
     """The single series of a file, and its event."""
     npts, header, values = next((k for k, line in lines if "NPTS" in line.upper()), 0), [], []
-    rows = []
+    first, last = 0, 0
     for number, line in lines:
         # Fortran glues a value to the one before it when both fill their fields
         tokens = _GLUED.sub(r" \1", line.replace(",", " ")).split()
@@ -59,14 +60,15 @@ def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
                 if value is None or not np.isfinite(value):
                     raise not_a_number(f"{lines.title}, line {number}", token)
                 values.append(value)
-            rows.append((number, lines.whole[number - 1]))
+            first, last = first or number, number
         elif number <= npts or len(header) < MOST_HEADER_LINES:
             header = [*header[-MOST_HEADER_LINES:], " ".join(line.split())]
     if not values:
         raise ValueError(
             f"{lines.title} must hold values below its header, none was found. Is it an AT2 file?"
         )
-    warn_of_widths(lines.title, rows)
+    rows = enumerate(StringIO(lines.text), 1)
+    warn_of_widths(lines.title, (row for row in rows if first <= row[0] <= last and row[1].strip()))
     text = "\n".join(header)
     both = _NPTS_DT.search(text)
     found = both.groups() if both else [m and m[1] for m in (_NPTS.search(text), _DT.search(text))]

@@ -4,7 +4,7 @@ import codecs
 import re
 import stat
 from array import array
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from io import BytesIO
@@ -187,14 +187,18 @@ class Lines:
         return number
 
 
-def warn_of_widths(title: str, lines: Sequence[tuple[int, str]]) -> None:
+def warn_of_widths(title: str, lines: Iterable[tuple[int, str]]) -> None:
     """Tell of a line of numbers in columns that is longer or shorter than almost all others but the last."""
-    widths = np.array([len(line.rstrip()) for _, line in lines[:-1]], dtype=np.int64)
+    numbers, lengths = array("q"), array("q")
+    for number, line in lines:
+        numbers.append(number)
+        lengths.append(len(line.rstrip()))
+    widths = np.array(lengths)[:-1]
     usual = np.bincount(widths).argmax() if widths.size else 0
     odd = np.flatnonzero(widths != usual)
     if 0 < odd.size <= max(1, RARE * widths.size) and widths.size >= FEWEST_LINES:
         warn_caller(
-            f"{title}, line {lines[odd[0]][0]}: numbers must fill their columns, the line has "
+            f"{title}, line {numbers[odd[0]]}: numbers must fill their columns, the line has "
             f"{widths[odd[0]]} characters, others {usual}. Is a digit or a sign lost?"
         )
 
