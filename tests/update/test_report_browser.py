@@ -112,14 +112,16 @@ def load(browser, path, width, options):
     """A page that is drawn, and the list of what it complains of or asks a network for."""
     said = []
     page = browser.new_context(viewport={"width": width, "height": 900}, offline=True, **options).new_page()
+    page.set_default_timeout(PATIENCE)
     page.on("console", lambda message: said.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: said.append(str(error)))
     page.on("request", lambda asked: said.append(asked.url) if asked.url[:5] not in URLS else None)
     page.goto(path.as_uri())
-    page.wait_for_selector("body[data-ready]", timeout=120_000)
+    page.wait_for_selector("body[data-ready]")
     return page, said
 
 
+PATIENCE = 300_000  # ms, for machines on which others work
 URLS = ("file:", "blob:", "data:")
 
 
