@@ -155,7 +155,8 @@ def calibrate(
             found = described(predictions, peak)
             found = found.assign(leverage=("parameter", leverage(peak)))
             warn_beyond(found)
-            sampled = calibrated_mode(model, target, expansion, i, settings, rng)
+            reference = bell(model, peak, rng)
+            sampled = calibrated_mode(model, target, expansion, reference, i, settings, rng)
             sampled["calibration"] = xr.DataTree(found)
             some = some_draws(model, sampled["posterior"].to_dataset(), LOOKED_AT)
             warn_if_far(some, peak)
@@ -171,12 +172,12 @@ def calibrate(
     return calibrated
 
 
-def calibrated_mode(model, target: Stretched, expansion, number, settings, rng) -> xr.DataTree:
+def calibrated_mode(model, target: Stretched, expansion, reference, number, settings, rng) -> xr.DataTree:
     """The posterior around a maximum: draws by the expansion of its likelihood, weighed, or else its own.
 
-    What a checkpoint keeps of it is in a file of its `number`.
+    The first draws are those of a `reference`. What a checkpoint keeps of it is in a file of its `number`.
     """
-    found, space, idata = Search(bell(model, target.peak, rng), 0, 0, NO_CLIMBS), Unconstrained(model), None
+    found, space, idata = Search(reference, 0, 0, NO_CLIMBS), Unconstrained(model), None
     own, kept = settings | {"kernel": StretchedSMC}, settings.get("checkpoint")
     if expansion is not None:
         guess = target.by(expansion)
