@@ -136,7 +136,7 @@ def installed(wheel, tmp_path_factory):
     python = str(binaries / "python")
     packages = Path(run(python, "-c", "import site; print(site.getsitepackages()[-1])").strip())
     (packages / "dependencies.pth").write_text("".join(f"{path}\n" for path in site.getsitepackages()))
-    run(python, "-m", "installer", str(wheel))
+    run(python, "-m", "installer", "--no-compile-bytecode", str(wheel))
     return binaries
 
 

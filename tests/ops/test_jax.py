@@ -319,8 +319,13 @@ HEAVY_TAILS = functools.partial(pm.StudentT, nu=4.0)  # needs the response itsel
 @pytest.mark.parametrize(
     "likelihood", [pmf.TruncNormalFeature, pmf.ExpFeature, CORRELATED, pm.Normal, HEAVY_TAILS]
 )
-def test_log_densities_of_models(likelihood):
-    """jax.grad and jax.vmap: seven points as by PyMC, one by one; an eighth, impossible, harms none."""
+def test_log_densities_of_models(likelihood, request):
+    """jax.grad and jax.vmap: seven points as by PyMC, one by one; an eighth, impossible, harms none.
+
+    The first with all optimisations of XLA.
+    """
+    if likelihood is not pmf.TruncNormalFeature:
+        request.getfixturevalue("quick_compilation")
     model = model_of(likelihood)
     points = [np.append(POINTS[0], -1.0), np.append(POINTS[1], 0.0)]
     logp, gradients = jax.jit(jax.vmap(jax.value_and_grad(log_density(model))))(points)
@@ -461,7 +466,7 @@ def test_dispatch_is_registered_when_a_graph_is_compiled_for_jax(tmp_path):
 
 @pytest.mark.parametrize("stiff", [3e5, 1e11])
 @pytest.mark.parametrize("quantity", ["absolute_acceleration", "relative_velocity"])
-def test_modes_that_follow_their_input(quantity, stiff):
+def test_modes_that_follow_their_input(quantity, stiff, quick_compilation):
     """A spring so stiff that its mode is not stepped: response and gradient as by the kernels."""
     record = pmf.Record(noise_record(N_TIMES).acceleration, 0.02)
     theta = pt.vector("theta")
