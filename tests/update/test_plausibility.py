@@ -167,8 +167,9 @@ def test_first_sentence_names_the_slip(tmp_path, example, name, case):
 def test_right_data_get_no_word(tmp_path):
     """None of 50 sets of a simulator of its own, whose truth is drawn from the priors, gets one.
 
-    Of 300 others one got a word on a lag that is none: one false alarm in 300 makes one run of six fail that
-    uses other seeds. All show the first mode at its frequency, and 9 of 10 intervals of the damping hold it.
+    Of 300 others three got a word on a lag that is none, before lags were asked of the modes, and none of
+    these does since: one false alarm in 300 would make one run of six with other seeds fail. All show the
+    first mode at its frequency, and 9 of 10 intervals of the damping hold it.
     """
     holds = []
     for seed in range(50):
