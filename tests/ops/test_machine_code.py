@@ -1,6 +1,7 @@
 """Machine code on disk: an edit compiles anew what it can change, and nothing else."""
 
 import shutil
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -92,13 +93,17 @@ class Copy:
         """The discrepancy of one particle, from a new process."""
         environment = {
             "PYTHONPATH": str(self.folder),
-            "PYTHONDONTWRITEBYTECODE": "1",
             "PYTENSOR_FLAGS": f"base_compiledir={self.folder / 'pytensor'}",
             "NUMBA_CACHE_DIR": str(self.folder / "numba"),
         }
         where, value = run_python(ONE, self.folder, **environment).split()
         assert Path(where).parent == self.package
         return float(value)
+
+    def remove_bytecode(self):
+        """Where it is not beside the source."""
+        if sys.pycache_prefix is not None:
+            shutil.rmtree(Path(sys.pycache_prefix, *self.folder.parts[1:]), ignore_errors=True)
 
     def machine_code(self):
         """Files of machine code, of kernels and of PyTensor's graphs, with the times they were written."""
@@ -118,11 +123,12 @@ ONE = """
 
 
 @pytest.mark.processes
-def test_edits_compile_what_they_change_and_nothing_else(tmp_path):
+def test_edits_compile_what_they_change_and_nothing_else(tmp_path, request):
     """Edits that cannot change the kernel; then edits in its own file (twice), in that of a part of another
     folder (five times), and in its call from PyTensor (three times), compiled with it.
     """
     copy = Copy(tmp_path)
+    request.addfinalizer(copy.remove_bytecode)
     value, code = copy.run(), copy.machine_code()
     assert code
     without_kernels = ("simulators/simulate.py", "simulators/quantities.py", "ops/response.py")
