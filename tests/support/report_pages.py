@@ -1,5 +1,6 @@
 """What stands in a report of `update`: its words without the scripts, and the data that those draw."""
 
+import base64
 import json
 import re
 
@@ -20,8 +21,6 @@ def payload(html: str, name: str = "payload") -> dict:
 
 def unpacked(packed: dict) -> np.ndarray:
     """The numbers of a packed array, by NumPy as the page does it by JavaScript."""
-    import base64
-
     whole = np.frombuffer(base64.b64decode(packed["b"]), f"<i{packed['bits'] // 8}").astype(float)
     half = 2 ** (packed["bits"] - 1) - 1
     values = packed["low"] + packed["step"] * (whole + half)

@@ -10,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
+from pymc_features import ModalDamping, SpringMassChain, simulate
 from pymc_features.update import read_problem, run_update, write_outputs
 from pymc_features.update.report.page import page_of
 from support.report_pages import payload
@@ -276,9 +278,6 @@ def near(values, limit):
 
 def test_selected_responses_are_those_of_their_draws(view, pages):
     """The response of one draw by its principal components, against the simulation of its structure."""
-    from pymc_features import ModalDamping, SpringMassChain, simulate
-    from pymc_features.update.report.page import xr
-
     page, folder = view("modal"), pages["modal"].parent.parent
     problem = read_problem(folder / "both.toml")
     with xr.open_datatree(folder / "out" / "update.nc", engine="h5netcdf") as tree:

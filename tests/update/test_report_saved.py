@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pymc_features import cli
+from pymc_features import cli, mac
 from pymc_features.update.report import payload as payload_module
 from pymc_features.update.report.page import page_of, write_page
 from pymc_features.update.report.payload import (
@@ -181,8 +181,6 @@ def test_ranks_of_chains_that_agree_stay_in_the_band():
 
 
 def test_mac_of_the_page_is_that_of_the_package():
-    from pymc_features import mac
-
     rng = np.random.default_rng(4)
     identified, draws = rng.standard_normal((3, 5)), rng.standard_normal((4, 6, 5))
     for sample, found in zip(draws, mac_of(identified, draws), strict=True):

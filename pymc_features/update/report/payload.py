@@ -1,6 +1,7 @@
 """The data of a page's figures, from a saved result alone; each function finds the groups of one figure.
 
-Arrays are packed as short whole numbers, and thinned to what an eye sees.
+Arrays are packed as short whole numbers, and thinned to what an eye sees. A new figure is a function here,
+named in `payload_of`, a `figure` in `templates/figures.js`, and its place in `templates/report.html`.
 """
 
 import base64
@@ -10,7 +11,7 @@ import numpy as np
 
 from pymc_features.update.report.numbers import interval_texts, rows_of, scale_of
 
-BUDGET = 800_000  # characters of all responses
+BUDGET = 950_000  # characters of all responses and their spectra
 DRAWS = 600  # in the pair plot
 GHOSTS = 60_000  # entries of mode shapes of draws
 GRID = 512  # bins of a density before it is smoothed
@@ -41,7 +42,7 @@ def payload_of(result) -> dict:
             "ranks": ranks_of(part, found["parameters"], [row for row in rows if row.kind == kind]),
         }
     shared = {"measured": measured(result, kinds, samples, scale), "geometry": geometry(result)}
-    shared |= {"data": data_of(result), "spectra": channel_values(result)}
+    shared |= {"data": data_of(result, kinds), "spectra": channel_values(result)}
     return found | {name: value for name, value in shared.items() if value is not None}
 
 
@@ -104,6 +105,15 @@ def frequency_intervals(part) -> dict:
     return {"frequencies": rounded(quantiles), "frequency_texts": texts}
 
 
+def top_of(part) -> float:
+    """Up to which frequency [Hz] spectra are drawn: a little above the tenth mode, or the last."""
+    if "modal" not in part.children:
+        return np.inf
+    return 1.5 * float(
+        np.nanmax(np.nanmedian(part["modal"]["natural_frequency"].values[..., :10], axis=(0, 1)))
+    )
+
+
 def with_bands(result, kinds) -> list[str]:
     """Likelihoods that have responses."""
     return [kind for kind in kinds if "bands" in result[kind].children]
@@ -118,7 +128,8 @@ def kept_samples(result, kinds) -> list:
     median = result[kinds[0]]["bands"]["response"].sel(quantile=0.5).values
     components = [result[kind]["histories"].sizes["component"] for kind in kinds]
     size = 4.0 / 3.0 * (4 + sum(2 + 4 + n for n in components))  # characters of a sample of one sensor
-    n = int(BUDGET / (size * len(observed)))
+    of_spectra = 8.0 / 3.0 * 4 * SPECTRUM * len(kinds)
+    n = int((BUDGET / len(observed) - of_spectra) / size)
     return [extremes([y, y - m], n) for y, m in zip(observed, median, strict=True)]
 
 
@@ -154,7 +165,7 @@ def responses(part, samples, scale):
         return None
     bands, kept = part["bands"].to_dataset(), part["histories"].to_dataset()
     observed, time = part["observed_data"]["y"].values / scale.factor, bands["time"].values
-    found = []
+    found, top = [], top_of(part)
     for k, at in enumerate(samples):
         of_one = bands.isel(sensor=k)
         low, median, high = of_one["response"].values / scale.factor
@@ -162,7 +173,7 @@ def responses(part, samples, scale):
         if "predictive" in bands:
             first, _, last = of_one["predictive"].values / scale.factor
             distances |= {"data_low": median - first, "data_high": last - median}
-        frequency, root = spectra([observed[k], median, observed[k] - median], time[1] - time[0])
+        frequency, root = spectra([observed[k], median, observed[k] - median], time[1] - time[0], top)
         found.append(
             {name: packed(values[at], 8) for name, values in distances.items()}
             | {"median": packed(median[at]), "frequency": packed(frequency), "spectra": log_packed(root)}
@@ -279,13 +290,15 @@ def ranks_of(part, scales, rows):
     return found
 
 
-def data_of(result):
+def data_of(result, kinds):
     """Motion of the base, gain of the sensors against it, and frequencies that are known."""
     if "data" not in result.children or "gain" not in result["data"]:
         return None
     data = result["data"].to_dataset()
-    base, gain = data["ground_acceleration"].values, data["gain"].values[:, 1:]
-    kept, frequency = extremes(base, RECORD), data["frequency"].values[1:]
+    base, frequency = data["ground_acceleration"].values, data["frequency"].values
+    shown = (frequency > 0.0) & (frequency <= top_of(result[kinds[0]]))
+    frequency, gain = frequency[shown], data["gain"].values[:, shown]
+    kept = extremes(base, RECORD)
     at = extremes(np.log(np.maximum(np.sqrt((gain**2).mean(axis=0)), 1e-12)), 500)
     found = {
         "name": str(data.attrs["record"]),
@@ -361,16 +374,17 @@ def density(values, n: int = 128) -> tuple[np.ndarray, np.ndarray]:
     return places, np.interp(places, 0.5 * (edges[1:] + edges[:-1]), smooth / smooth.max())
 
 
-def spectra(rows, step: float) -> tuple[np.ndarray, np.ndarray]:
+def spectra(rows, step: float, top: float) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies [Hz] and root of the spectral densities (row, frequency) by Welch's method, gaps zero."""
     from scipy import signal  # a second to import
 
     rows = np.nan_to_num(rows)
     size = rows.shape[1]
     frequency, power = signal.welch(rows, 1.0 / step, nperseg=min(size, max(256, size // 4)))
-    root = np.sqrt(power[:, 1:])
+    shown = (frequency > 0.0) & (frequency <= top)
+    frequency, root = frequency[shown], np.sqrt(power[:, shown])
     kept = extremes(np.log(np.maximum(root, 1e-300)), SPECTRUM)
-    return frequency[1:][kept], root[:, kept]
+    return frequency[kept], root[:, kept]
 
 
 def log_packed(values) -> dict:

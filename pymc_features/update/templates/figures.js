@@ -293,9 +293,10 @@ figure("stages", ["kind"], (place, element) => {
     ...line(row.map((_, i) => i + 1), row.map(v => v > 0 ? v : null), colour(k), 1, `chain ${k}`), ...extra,
     mode: "lines+markers", marker: {size: 4},
   });
+  const steps = {dtick: Math.ceil(stages.values[0].length / 10), tick0: 1};
   const right = {xaxis: "x2", yaxis: "y2", showlegend: false};
   plot(place, [...stages.values.map((row, k) => chain(row, k)), ...stages.accept.map((row, k) => chain(row, k, right))], {
-    xaxis: axis("stage", {domain: [0, 0.44]}), xaxis2: axis("stage", {domain: [0.58, 1], anchor: "y2"}),
+    xaxis: axis("stage", {domain: [0, 0.44], ...steps}), xaxis2: axis("stage", {domain: [0.58, 1], anchor: "y2", ...steps}),
     yaxis: axis(stages.name === "beta" ? "inverse temperature [-]" : "tolerance", {type: "log", exponentformat: "power"}),
     yaxis2: axis("acceptance [-]", {range: [0, 1], anchor: "x2"}),
   });
