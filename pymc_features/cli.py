@@ -55,7 +55,9 @@ def main(arguments=None) -> int:
         started()
         logging.getLogger("pymc_features").addHandler(Told(console))
         logging.getLogger("pymc_features").setLevel(logging.INFO)
-        return RUNS[options.command](options, console) or 0
+        commands = {"reproduce": reproduce, "update": update, "predict": predict, "report": report}
+        commands |= {"check": check, "init": init, "convert": convert}
+        return commands[options.command](options, console) or 0
     except KeyboardInterrupt:
         out = getattr(options, "out", None)
         kept = f": finished parts are kept in {out}; the same command continues" if out else ""
@@ -368,16 +370,6 @@ def default_folder(options) -> str:
         parts.append(options.structure)
     return "-".join([*parts, "quick"] if options.quick else parts)
 
-
-RUNS = {
-    "reproduce": reproduce,
-    "update": update,
-    "predict": predict,
-    "report": report,
-    "check": check,
-    "init": init,
-    "convert": convert,
-}
 
 if __name__ == "__main__":
     sys.exit(command())

@@ -165,7 +165,7 @@ def folder(tmp_path_factory):
 
 def originals(folder):
     """Configurations that are read, as tables."""
-    path, _ = write_example(folder / "original.toml", synthetic=True)[0]
+    path = write_example(folder / "original.toml", synthetic=True)[0][0]
     lines = (folder / "original-measured.csv").read_text().splitlines()[: ROWS + 1]
     (folder / "measured.csv").write_text("\n".join(lines) + "\n")
     shutil.copy(folder / "measured.csv", folder / "measured-2.csv")

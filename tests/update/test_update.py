@@ -704,8 +704,8 @@ def test_init_says_which_data(tmp_path, monkeypatch, capsys):
 
 def test_init_takes_the_shaking_table(tmp_path, data_dir):
     path = tmp_path / "table.toml"
-    [written], sentence = write_example(path)
-    assert written == path
+    written, sentence = write_example(path)
+    assert written == [path, path.with_name("table.schema.json")]
     assert "measured, a three-storey model on a shaking table" in sentence
     with pytest.warns(UserWarning, match="Channel 'floor3' comes 2.43 ms"):
         problem = read_problem(path)
