@@ -309,7 +309,8 @@ def test_update_on_two_processes(example, finished, tmp_path, capsys, monkeypatc
 @pytest.mark.slow
 def test_outputs(finished):
     names = {path.name for path in finished.iterdir()}
-    assert names == {"figures", "parts", "report.html", "table.csv", "table.tex", "update.json", "update.nc"}
+    written = {"figures", "parts", "report.html", "table.csv", "table.tex", "update.json", "update.nc"}
+    assert names == written | {".update.lock"}
     figures = {path.stem for path in (finished / "figures").iterdir()}
     of_each = {"prior_posterior", "response", "response_zoom", "stages"}
     assert figures == {"record", "frequencies", *(f"{k}_{name}" for k in ("EXP", "ABC") for name in of_each)}
