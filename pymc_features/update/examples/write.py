@@ -25,7 +25,7 @@ def write_example(path, *, example: str = "shaking-table", synthetic: bool = Fal
     Returns
     -------
     list of Path, str
-        Files written, the configuration first; beside it its JSON schema, by which editors complete and check
+        Files written, the configuration first, its JSON schema, by which editors check keys, last.
     str
         Which data they use, and why.
 
@@ -45,12 +45,13 @@ def write_example(path, *, example: str = "shaking-table", synthetic: bool = Fal
     template, values, channels, sentence = EXAMPLES[example](measured.name, synthetic)
     schema = path.with_name(f"{path.stem}.schema.json")
     lines = f"#:schema ./{schema.name}\n{TEMPLATES.get_template(template).render(values)}"
-    texts = {path: lines, schema: SCHEMA.read_text(encoding="utf-8")}
+    texts = {path: lines}
     if channels:
         texts[measured] = channels
     for file in texts:
         if file.exists():
             raise FileExistsError(f"`CONFIG` must be a new file, got {file}. Choose another name.")
+    texts[schema] = SCHEMA.read_text(encoding="utf-8")  # which may be there, of another configuration
     for file, text in reversed(texts.items()):  # the configuration last, which names the other
         write_atomically(file, lambda p, text=text: p.write_text(text, encoding="utf-8"))
     return list(texts), sentence
