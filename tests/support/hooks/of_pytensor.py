@@ -23,6 +23,13 @@ def batches():
     assert isinstance(batched.owner.op, NoGradient)
 
 
+@check("pytensor.graph.basic.Apply.tag")
+def kept_with_a_node():
+    node = pt.exp(pt.dvector("x")).owner
+    node.tag.excited = "by this"
+    assert node.tag.excited == "by this"
+
+
 @check("pytensor.compile.executor.Function.maker")
 def compiled_graph():
     x = pt.dvector("x")
