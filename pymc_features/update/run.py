@@ -112,6 +112,11 @@ def predict_stored(config_path: Path, file: Path) -> xr.DataTree:
         )
     with xr.open_datatree(file, engine="h5netcdf") as tree:
         result = tree.load()
+    if "document" not in result.attrs:
+        raise ConfigError(
+            f"`--out` must hold the result of an update with its report, {file} has none. Run `pymc-features "
+            "update` again: finished likelihoods are kept."
+        )
     first = next(node for node in result.children.values() if "posterior" in node.children)
     posterior, measured = first["posterior"].to_dataset(), None
     if missing := sorted(set(structure.names) - set(posterior.data_vars)):

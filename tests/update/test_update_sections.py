@@ -130,6 +130,10 @@ def test_predict_reads_no_channel_and_samples_nothing(path, finished, monkeypatc
         assert cli.main(["predict", str(path)]) == 2
         assert "`predict` must be given, got none" in capsys.readouterr().err
         path.write_text(text)
+        (older := path.with_name("older")).mkdir()
+        xr.DataTree().to_netcdf(older / "update.nc", engine="h5netcdf")
+        assert cli.main(["predict", str(path), "--out", str(older)]) == 2
+        assert "must hold the result of an update with its report" in capsys.readouterr().err
         assert cli.main(["predict", str(path), "--out", "nowhere"]) == 2
         assert "`--out` must hold the result of an update" in capsys.readouterr().err
     finally:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.excitation import refined_request, refinement
-from pymc_features.simulators.quantities import checked_request, rows_of
+from pymc_features.simulators.quantities import rows_of
 from pymc_features.simulators.simulate import respond
 
 FINEST = 8  # refinement beside which that of the model is judged
@@ -65,16 +65,9 @@ def coarseness(data, problem, values: dict[str, float], frequencies=None) -> Coa
 
 
 def request_of_draws(data, problem, structure, frequencies):
-    """As `request_of`, for a structure of numbers and frequencies (draw, mode) of those that are expected."""
+    """As `Histories.request`, for numbers, and frequencies (draw, mode) of structures that are expected."""
     record = data.measured.record
-    asked, outputs = checked_request(
-        structure,
-        record,
-        data.quantity,
-        dt=data.measured.step,
-        sensors=data.dofs,
-        n_modes=problem.structure.n_modes,
-    )
+    asked, outputs = data.as_recorded(problem, structure)
     if record.interpolation == "linear":
         return refined_request(structure, record, asked), outputs
     return asked._replace(factor=refinement(frequencies, record.dt)), outputs

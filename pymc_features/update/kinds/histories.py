@@ -110,15 +110,19 @@ class Histories(KindOfData):
         with pm.Model():
             values = {name: problem.priors[name].declare(name) for name in problem.structure.names}
             structure = problem.structure(**values)
-            asked, outputs = checked_request(
-                structure,
-                record,
-                self.quantity,
-                dt=self.measured.step,
-                sensors=self.dofs,
-                n_modes=problem.structure.n_modes,
-            )
+            asked, outputs = self.as_recorded(problem, structure)
             return request_in_model(structure, record, asked), outputs
+
+    def as_recorded(self, problem, structure):
+        """The request of a structure's response to the record as it is, and its outputs."""
+        return checked_request(
+            structure,
+            self.measured.record,
+            self.quantity,
+            dt=self.measured.step,
+            sensors=self.dofs,
+            n_modes=problem.structure.n_modes,
+        )
 
     def declare(self, problem, likelihood, structure, values, tolerance):
         """Add the measured responses to the model of the context."""
