@@ -16,7 +16,7 @@ from pymc_features.interrupt import EXIT_INTERRUPTED, CtrlC, started
 
 EXIT_BAD_INPUT, EXIT_UNEXPLAINED = 2, 3
 # what each command needs, with PyMC
-NEEDED = {"update": "pymc_features.update.run", "check": "pymc_features.update.report.expected"}
+NEEDED = {"update": "pymc_features.update.run", "check": "pymc_features.update.report.terminal"}
 NEEDED |= {"predict": "pymc_features.update.run", "report": "pymc_features.update.report.page"}
 NEEDED |= {"init": "pymc_features.update.examples.write"}
 NEEDED |= {"reproduce": "pymc_features.study", "convert": "pymc_features.io"}
@@ -187,15 +187,15 @@ def predict(options, console):
 
     from pymc_features.storage import netcdf_bytes, write_atomically
     from pymc_features.update.predictions import predicted_rows
-    from pymc_features.update.report.document import with_predictions
+    from pymc_features.update.report.document import table_of_predictions, with_predictions
     from pymc_features.update.report.page import write_page
-    from pymc_features.update.report.terminal import predicted_table
+    from pymc_features.update.report.terminal import drawn_table
     from pymc_features.update.run import predict_stored
 
     config = Path(options.config)
     out = Path(options.out or config.with_name(f"{config.stem}-output"))
     result = predict_stored(config, out / "update.nc")
-    console.print(predicted_table(predicted_rows(result)))
+    console.print(drawn_table(table_of_predictions(predicted_rows(result))))
     result.attrs["document"] = json.dumps(with_predictions(json.loads(result.attrs["document"]), result))
     write_atomically(out / "update.nc", lambda path: path.write_bytes(netcdf_bytes(result)))
     for path in (out / "update.nc", write_page(out / "update.nc")):
@@ -227,7 +227,7 @@ def read_and_tell(config, console):
     import warnings
 
     from pymc_features.update import read_problem
-    from pymc_features.update.report.expected import structure_sentence
+    from pymc_features.update.kinds.expected import structure_sentence
 
     told = []
     with warnings.catch_warnings(record=True) as caught:
@@ -235,90 +235,44 @@ def read_and_tell(config, console):
         warnings.simplefilter("always", UserWarning)
         try:
             problem = read_problem(config)
-            modes = problem.modal  # of ambient vibration they are identified now
+            problem.modal  # noqa: B018 - of ambient vibration they are identified now
         finally:  # what was found before an error may be its cause
             told += dict.fromkeys(str(warning.message) for warning in caught)
             for sentence in told:
                 say(console, f"warning: {sentence}", "yellow")
-    if not problem.is_cyclic:
+    if problem.structure.has_modes:
         say(console, structure_sentence(problem))
-    for event in problem.events:
-        tell_channels(event.measured, console, f"{event.name}: ")
-    if problem.is_cyclic:
-        say(console, f"data: {problem.measured.source}; {problem.measured.record}")
-    elif problem.measured is not None and not problem.events:
-        tell_channels(problem.measured, console)
-    if problem.ambient is not None:
-        ambient = problem.ambient
-        say(console, f"data: {ambient.source}, {ambient.duration:.4g} s at {ambient.step:.4g} s")
-    if modes is not None:
-        say(console, f"modes: {modes.sentence}")
+    for data in problem.data:
+        tell(data.told(), console)
     return problem, told
 
 
-def tell_channels(measured, console, event=""):
-    """Where channels come from, and what the check found."""
-    say(console, f"{event}data: {measured.source}; base: {measured.record}")
-    from pymc_features.update.plausibility.findings import scales
-    from pymc_features.update.report.terminal import priors_table
+def tell(shown, console):
+    """Print sentences and tables."""
+    from pymc_features.update.report.terminal import drawn_table
 
-    say(console, f"{event}channels: {measured.checked.sentence}")
-    compared = measured.checked.compared
-    say(console, f"{event}priors: {compared.checked}. {scales(compared)}")
-    console.print(priors_table(compared))
-    if measured.left_out:
-        say(console, f"{event}left out as gaps: {measured.left_out}")
+    for one in shown:
+        if isinstance(one, str):
+            say(console, one)
+        else:
+            console.print(drawn_table(one))
 
 
 def check(options, console):
     """Look at the data of a configuration."""
-    from pymc_features.update.report.expected import (
-        check_data,
-        check_loops,
-        check_modes,
-        check_spectra,
-    )
-
     config = Path(options.config)
     problem, told = read_and_tell(config, console)
     out = Path(options.out or config.with_name(f"{config.stem}-check.png"))
-    drawn = {out: problem} if problem.measured is not None and not problem.is_cyclic else {}
-    if problem.is_cyclic:
-        say(console, check_loops(problem, out))
-        say(console, f"wrote {out}")
-    if problem.events:
-        problems = (problem.first.at(problem, event) for event in problem.events)
-        drawn = {out.with_name(f"{out.stem}-{k}{out.suffix}"): one for k, one in enumerate(problems, 1)}
-    for path, one in drawn.items():
-        for shown in check_data(one, path):
-            console.print(shown)
-        say(console, f"wrote {path}")
-    if problem.ambient is not None:
-        say(console, check_spectra(problem, out))
-        say(console, f"wrote {out}")
-    if problem.modal is not None:
-        path = (
-            out
-            if problem.measured is None and problem.ambient is None
-            else out.with_name(f"{out.stem}-modes{out.suffix}")
-        )
-        shown, sentences, is_drawn = check_modes(problem, path)
-        console.print(shown)
-        for sentence in sentences:
-            say(console, sentence)
-        if is_drawn:
-            say(console, f"wrote {path}")
+    for data in problem.data:
+        path = out if data is problem.first else out.with_name(f"{out.stem}-{data.key}{out.suffix}")
+        tell(data.check(problem, path), console)
     if problem.config.sensitivity is not None:
         from pymc_features.update.sensitivity import remaining, sensitivity_sentences
 
-        for sentence in sensitivity_sentences(remaining(problem)):
-            say(console, sentence)
-    checked = [event.measured.checked for event in problem.events]
-    if problem.measured is not None and not problem.events:
-        checked = [problem.measured.checked]
-    if not told and (problem.modal is not None or any(one.is_any for one in checked)):
+        tell(sensitivity_sentences(remaining(problem)), console)
+    if not told and any(data.is_checked for data in problem.data):
         say(console, "nothing was found wrong")
-    elif not told and not problem.is_cyclic:
+    elif not told and problem.structure.has_modes:
         say(console, "nothing could be checked, so that nothing is known of what is wrong")
 
 

@@ -130,16 +130,15 @@ def run_part(problem, kind, own, base, running: Running) -> xr.DataTree:
         warnings.simplefilter("always", UserWarning)
         model = declare(problem, kind, own["epsilon"])
         if base is None:
-            idata = problem.first.sample(problem, kind, seed_of(problem, kind), running)
-            if idata is None:
-                idata = sampling.sample(problem, kind, model, running)
+            sampled = problem.first.sample(problem, kind, model, seed_of(problem, kind), running)
+            idata, model = sampled or (sampling.sample(problem, kind, model, running), model)
         else:
             idata = calibrated(problem, kind, base, model, running)
         part = {name: idata[name].to_dataset() for name in GROUPS if name in idata.children}
         part["prior"] = prior_draws(problem, kind)
         for data in problem.data:
             part |= data.predict(problem, kind, model, idata)
-        if not problem.structure.is_specimen:
+        if problem.structure.has_modes:
             part["modal"] = frequencies(problem, part["posterior"])
     tree = xr.DataTree.from_dict(part)
     messages = list(dict.fromkeys(str(w.message) for w in caught if is_ours(w.category)))

@@ -14,12 +14,13 @@ from pymc_features.update.config.messages import named_key, shown
 from pymc_features.update.config.priors import Prior
 from pymc_features.update.document import Config, read_config
 from pymc_features.update.kinds import KINDS, KINDS_OF_DATA
-from pymc_features.update.kinds.base import KindOfData, Setting, Verdict
+from pymc_features.update.kinds.base import KindOfData, Setting
 from pymc_features.update.kinds.modal import Modal
 from pymc_features.update.kinds.structure import StructureOf, modes_of
 from pymc_features.update.plausibility.findings import of_priors
 from pymc_features.update.plausibility.prior_modes import PriorModes, prior_modes
 from pymc_features.update.predictions import check_predictions
+from pymc_features.update.presentation.shown import Verdict
 
 #: Keys that change no draw, or, as the tolerance, those of ABC alone.
 WITHOUT_EFFECT = (
@@ -91,11 +92,6 @@ class Problem:
     def ambient(self):
         """Response to forces that nobody measured."""
         return self.first if self.first.key == "ambient" else None
-
-    @property
-    def is_cyclic(self) -> bool:
-        """Whether it is a cyclic test, which has forces and no motion."""
-        return self.structure.is_specimen
 
     @property
     def modal(self) -> Modal | None:
@@ -193,7 +189,7 @@ def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
     structure = StructureOf(config.structure, path.parent)
     with named_key("structure"):
         expected = structure(**{n: priors[n].median for n in structure.names})
-        prior = None if structure.is_specimen else expected_modes(structure, priors, expected)
+        prior = expected_modes(structure, priors, expected) if structure.has_modes else None
     if prior is not None:
         for sentence in of_priors(prior, {name: uses[0][1] for name, uses in config.uses().items()}):
             warnings.warn(sentence, PriorWarning, stacklevel=2)

@@ -29,10 +29,19 @@ from pymc_features.structures import Structure
 from pymc_features.update.config.entries import Vector, evaluated
 from pymc_features.update.config.messages import named_key
 from pymc_features.update.config.sections import Section, key, window
-from pymc_features.update.kinds.base import KindOfData, Setting, Verdict, check_positive_priors
+from pymc_features.update.kinds.base import KindOfData, Setting, check_positive_priors
 from pymc_features.update.kinds.channels import checked_dofs, detrended, read_corrected
 from pymc_features.update.kinds.modal import Modal, ModalSection
 from pymc_features.update.kinds.model import thinned
+from pymc_features.update.presentation.shown import (
+    SENSORS,
+    Figure,
+    Verdict,
+    processing_steps,
+    sensor_rows,
+    table,
+    write_figure,
+)
 
 AMBIENT = Likelihood(
     "AMBIENT",
@@ -273,6 +282,63 @@ class Ambient(KindOfData):
         """The modes of the channels, and shapes of draws."""
         return {} if self.modes is None else self.modes.shared(problem, parts)
 
+    @property
+    def placed(self):
+        """Of [data]."""
+        return dict(zip(self.config.data.sensors, self.dofs, strict=True))
+
+    @property
+    def is_checked(self):
+        """Whether modes were identified."""
+        return self.modes is not None
+
+    def told(self):
+        """Where the channels come from, and which modes they have."""
+        yield f"data: {self.source}, {self.duration:.4g} s at {self.step:.4g} s"
+        if self.modes is not None:
+            yield from self.modes.told()
+
+    def check(self, problem, path):
+        """Draw the spectra with the bands; the line of the file with the bands, and the modes."""
+        write_figure(draw_spectra(self), path)
+        yield self.sentence
+        yield f"wrote {path}"
+        if self.modes is not None:
+            yield from self.modes.check(problem, path.with_name(f"{path.stem}-modes{path.suffix}"))
+
+    def tables(self, problem):
+        """The channels, the bands, and the modes."""
+        asked, named = self.config.ambient, self.channels
+        bands = ", ".join(f"{low:.4g} to {high:.4g} Hz" for low, high in self.bands)
+        note = (
+            f"The {', '.join(processing_steps(self.source, self.config.processing))}: "
+            f"{named.sizes['time']} samples at {self.step:.6g} s. Nobody measured the forces. Compared are "
+            f"the frequencies {bands}"
+            f"{', proposed from the peaks of the spectra' if asked.bands == 'auto' else ''}."
+        )
+        rows = sensor_rows(named["sensor"].values, self.dofs, named.values)
+        found = [table("channels", "data", "Channels", SENSORS, rows, note)]
+        return found if self.modes is None else found + self.modes.tables(problem)
+
+    def figures_of(self, problem, part, kind):
+        """The spectra, and the modes."""
+        spectra = Figure(
+            f"{kind}_spectra",
+            f"{kind}: singular values of the spectra of the channels (black the first, grey the others), "
+            "averaged over twenty parts of the record; shaded the bands that are compared, and in red "
+            "what the model makes of them there, median and 5-95 % interval. Dotted: identified modes.",
+            lambda: draw_spectra(self, part["spectra"].to_dataset()),
+        )
+        return [spectra, *(() if self.modes is None else self.modes.figures_of(problem, part, kind))]
+
+    def drawn(self, problem):
+        """Singular values of the spectra of the channels."""
+        return {"singular_values": singular_values(self)}
+
+    def drawn_of(self, problem, part):
+        """The modes of the channels."""
+        return {} if self.modes is None else self.modes.drawn_of(problem, part)
+
     def verdict(self, problem, result, kind):
         """Whether the power in each part of the bands is what the model expects, and the modes are."""
         modes = self.modes
@@ -475,22 +541,11 @@ def draw_spectra(ambient: Ambient, fitted=None):
     return plots.plot_singular_values(ambient.channels, ambient.bands, frequencies=identified, fitted=fitted)
 
 
-def ambient_section(problem) -> dict:
-    """The channels, what was done to them, and the bands."""
-    ambient, asked = problem.ambient, problem.config.processing
-    steps = [f"source: {ambient.source}"]
-    if asked.detrend is not None:
-        steps.append(f"less the {asked.detrend.kind} trend")
-    if asked.trim is not None:
-        steps.append(f"window {asked.trim[0]:g} to {asked.trim[1]:g} s")
-    named = zip(ambient.channels["sensor"].values, problem.dofs, ambient.channels.values, strict=True)
-    return {
-        "steps": steps,
-        "rate": f"{ambient.channels.sizes['time']} samples at {ambient.step:.6g} s",
-        "bands": ", ".join(f"{low:.4g} to {high:.4g} Hz" for low, high in ambient.bands),
-        "proposed": problem.config.ambient.bands == "auto",
-        "sensors": [
-            (name, dof, f"{np.abs(values).max():.4g}", f"{np.sqrt((values**2).mean()):.4g}")
-            for name, dof, values in named
-        ],
-    }
+def singular_values(ambient) -> xr.Dataset:
+    """Those of the spectra of the channels, averaged over twenty parts of the record, and the bands [Hz]."""
+    spectra = averaged_spectra(ambient.channels.values, ambient.step)
+    values = (("value", "frequency"), spectra.singular_values[1:].T, {"units": "(m/s^2)^2/Hz"})
+    return xr.Dataset(
+        {"singular_value": values, "band": (("band", "end"), np.asarray(ambient.bands))},
+        {"frequency": spectra.frequencies[1:]},
+    )

@@ -1,5 +1,6 @@
 """What every kind of data says of itself: its section, what was read, and what is made of it."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,21 +13,7 @@ from pymc_features.structures import Structure
 from pymc_features.update.config.entries import priors_in
 from pymc_features.update.config.sections import Section
 from pymc_features.update.plausibility.prior_modes import PriorModes
-
-
-class Verdict(NamedTuple):
-    """What to think of the fit.
-
-    Attributes
-    ----------
-    sentences : list of str
-        The first says whether the model explains the measurements; others say why not.
-    explains : bool
-        Whether it does.
-    """
-
-    sentences: list[str]
-    explains: bool
+from pymc_features.update.presentation.shown import Figure, Verdict
 
 
 class Setting(NamedTuple):
@@ -40,16 +27,16 @@ class Setting(NamedTuple):
         Files are relative to it.
     priors : dict
         Names to `Prior`.
-    expected : Structure
-        At the medians of the priors.
+    expected : Structure or None
+        At the medians of the priors; None of a program.
     prior : PriorModes or None
-        Natural modes of draws of the priors; None of a specimen.
+        Natural modes of draws of the priors; None without modes.
     """
 
     config: Any
     folder: Path
     priors: dict[str, Any]
-    expected: Structure
+    expected: Structure | None
     prior: PriorModes | None
 
 
@@ -64,6 +51,8 @@ class KindOfData:
         Name and keys of its section in the file.
     own : tuple of Likelihood
         That no other kind has.
+    is_checked : bool
+        Whether `read` looks for what is wrong.
     likelihoods : list of str
         That are sampled where it is the first kind of a problem; others join what is sampled.
     dofs : list of int
@@ -73,6 +62,7 @@ class KindOfData:
     key: str
     section: type[Section]
     own: tuple[Likelihood, ...] = ()
+    is_checked: bool = True
     likelihoods: list[str]
     dofs: list[int]
 
@@ -98,8 +88,8 @@ class KindOfData:
         """Add what was measured to the PyMC model of the context; `values` are the variables by name."""
         raise NotImplementedError
 
-    def sample(self, problem, likelihood: str, seed: int, running) -> xr.DataTree | None:
-        """The posterior, where it is the first kind of a problem; None: by the sampler of the file."""
+    def sample(self, problem, likelihood: str, model, seed: int, running) -> tuple[xr.DataTree, Any] | None:
+        """Posterior and its model, where it is the first of a problem; None: by the sampler of the file."""
         return None
 
     def predict(self, problem, likelihood: str, model, idata) -> dict[str, xr.Dataset]:
@@ -133,9 +123,52 @@ class KindOfData:
         """What likelihoods cannot tell, before anything is sampled."""
         return []
 
+    @property
+    def measures(self) -> str:
+        """Which motion the measured responses are, and in which unit; empty without responses."""
+        return ""
+
+    @property
+    def left_out(self) -> str:
+        """Which part of each sensor is left out as a gap; empty without gaps."""
+        return ""
+
+    @property
+    def placed(self) -> dict[str, int]:
+        """Names of the sensors to their degrees of freedom."""
+        return {}
+
     def verdict(self, problem, result, kind: str) -> Verdict:
         """Judge how one likelihood of a result meets the data."""
         return Verdict([], True)
+
+    def told(self) -> Iterator[str | dict]:
+        """Sentences and tables on what was read."""
+        yield from ()
+
+    def check(self, problem, path: Path) -> Iterator[str | dict]:
+        """Compare with the priors, and draw both into a file; sentences and tables on what is found."""
+        yield from ()
+
+    def tables(self, problem) -> list[dict]:
+        """Tables of the report on the data, as of `table`."""
+        return []
+
+    def figures(self, problem, result) -> list[Figure]:
+        """Figures that all likelihoods share."""
+        return []
+
+    def figures_of(self, problem, part, kind: str) -> list[Figure]:
+        """Figures of one likelihood."""
+        return []
+
+    def drawn(self, problem) -> dict[str, xr.Dataset]:
+        """Groups of a result that its page draws besides."""
+        return {}
+
+    def drawn_of(self, problem, part) -> dict[str, xr.Dataset]:
+        """Groups of one likelihood that its page draws besides."""
+        return {}
 
 
 def check_positive_priors(section: str, asked, names, priors) -> None:

@@ -1,5 +1,6 @@
 """Cyclic tests: the section [cyclic], displacement and force, and whether a specimen explains them."""
 
+import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -7,17 +8,20 @@ import numpy as np
 import xarray as xr
 from pydantic import PlainValidator
 
+from pymc_features import plots
 from pymc_features._checks import is_number
-from pymc_features.exceptions import ConfigError
+from pymc_features.exceptions import ConfigError, PredictionWarning
 from pymc_features.io import read_cyclic_test
 from pymc_features.io.reading.labels import FORCES, LENGTHS
+from pymc_features.prediction import posterior_response
 from pymc_features.update.config.messages import named_key, shown
 from pymc_features.update.config.sections import Section, key
 from pymc_features.update.config.structure_sections import SPECIMENS
-from pymc_features.update.kinds.base import Setting, Verdict
+from pymc_features.update.kinds.base import Setting
 from pymc_features.update.kinds.channels import Measured
 from pymc_features.update.kinds.checks import Checked
-from pymc_features.update.kinds.histories import Histories
+from pymc_features.update.kinds.histories import DRAWS, Histories
+from pymc_features.update.presentation.shown import Figure, Verdict, table, write_figure
 
 LENGTH_OR_FORCE = f"two units, of displacement ({', '.join(LENGTHS)}) and of force ({', '.join(FORCES)})"
 UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation
@@ -56,6 +60,7 @@ class Cyclic(Histories):
 
     key, section = "cyclic", CyclicSection
     quantity = "restoring_force"
+    is_checked = False
 
     @classmethod
     def check_sections(cls, config):
@@ -115,6 +120,53 @@ class Cyclic(Histories):
         attrs = {"source": measured.source}
         return {"data": xr.Dataset({"measured": channels}, {"displacement": displacement}, attrs)}
 
+    def told(self):
+        """The files, and the test."""
+        yield f"data: {self.measured.source}; {self.measured.record}"
+
+    def check(self, problem, path):
+        """Draw measured loops and what the priors expect of them; how much of it they hold."""
+        priors, names = problem.priors, problem.structure.names
+        columns = {n: (("chain", "draw"), priors[n].draw(DRAWS, k)[None]) for k, n in enumerate(names)}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PredictionWarning)  # priors may reach beyond what a specimen is
+            found = posterior_response(
+                xr.Dataset(columns), problem.structure, self.measured.record, self.quantity, draws=DRAWS
+            )
+        force = self.measured.channels
+        write_figure(plots.plot_loops(found, measured=force), path)
+        low, *_, high = found[self.quantity].transpose("quantile", "sensor", "time").values
+        share = float(np.mean((force.values >= low) & (force.values <= high)))
+        yield f"{100.0 * share:.0f} % of the measured forces lie within what the priors expect (5 to 95 %)"
+        yield f"wrote {path}"
+
+    def tables(self, problem):
+        """Where displacement and force come from, and how large they are."""
+        displacement, force = self.measured.record.displacement, self.measured.channels.values[0]
+        rows = [
+            (name, f"{values.min():.4g}", f"{values.max():.4g}")
+            for name, values in (("displacement [m]", displacement), ("force [N]", force))
+        ]
+        note = (
+            f"The source, {self.measured.source}, has {force.size} samples. The loops dissipate "
+            f"{energy(displacement, force):.4g} J."
+        )
+        return [table("cyclic", "data", "Cyclic test", ("", "smallest", "largest"), rows, note)]
+
+    def figures_of(self, problem, part, kind):
+        """Force against displacement."""
+        bands, force = part["bands"].to_dataset(), part["observed_data"]["y"]
+        found = bands[["response"]].rename(response=self.quantity)
+        return [
+            Figure(
+                f"{kind}_loops",
+                f"{kind}: force against displacement in three parts of the test. Dashed what was measured; "
+                "blue the 5-95 % interval and the median of the specimen, from the uncertainty of the "
+                "parameters.",
+                lambda: plots.plot_loops(found, measured=force),
+            )
+        ]
+
     def verdict(self, problem, result, kind):
         """Whether the median force meets the measured one."""
         return verdict_of_loops(self.measured.record.displacement, result[kind])
@@ -155,17 +207,3 @@ def verdict_of_loops(displacement, part) -> Verdict:
             "then is beyond its law."
         )
     return Verdict(sentences, explains)
-
-
-def loops_section(problem) -> dict:
-    """Where displacement and force come from, and how large they are."""
-    measured = problem.measured
-    displacement, force = measured.record.displacement, measured.channels.values[0]
-    return {
-        "source": f"source: {measured.source}; {force.size} samples",
-        "rows": [
-            (name, f"{values.min():.4g}", f"{values.max():.4g}")
-            for name, values in (("displacement [m]", displacement), ("force [N]", force))
-        ],
-        "energy": f"{energy(displacement, force):.4g}",
-    }

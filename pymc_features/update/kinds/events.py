@@ -25,6 +25,7 @@ from pymc_features.update.kinds.channels import Measured, checked_dofs, read_mea
 from pymc_features.update.kinds.histories import prints_of
 from pymc_features.update.kinds.model import declare
 from pymc_features.update.kinds.responses import Responses, check_likelihood
+from pymc_features.update.presentation.shown import Figure
 
 FEWEST_DRAWS = 100  # to which a density is fitted
 FOLDER = "sequence"  # beside the parts of an update
@@ -171,6 +172,39 @@ class Events(Responses):
         check_likelihood(given, dofs, [event.measured for event in events])
         return cls(config, events[-1].measured, dofs, tuple(events))
 
+    @property
+    def is_checked(self):
+        """Whether any event was."""
+        return any(event.measured.checked.is_any for event in self.events)
+
+    def alone(self, event: Event) -> Responses:
+        """The responses of one event."""
+        return Responses(self.config, event.measured, self.dofs)
+
+    def told(self):
+        """Of each event."""
+        for event in self.events:
+            for one in self.alone(event).told():
+                yield one if isinstance(one, dict) else f"{event.name}: {one}"
+
+    def check(self, problem, path):
+        """Each event into a file of its own."""
+        for number, event in enumerate(self.events, 1):
+            at = path.with_name(f"{path.stem}-{number}{path.suffix}")
+            yield from self.alone(event).check(self.at(problem, event), at)
+
+    def figures_of(self, problem, part, kind):
+        """As of histories, and the parameters from event to event."""
+        units = {name: problem.unit(name) for name in problem.priors}
+        return [
+            Figure(
+                f"{kind}_events",
+                f"{kind}: mean and 90 % interval of each parameter after each event, with the alarms.",
+                lambda: draw_events(part, units),
+            ),
+            *super().figures_of(problem, part, kind),
+        ]
+
     def prints(self):
         """None: events may be added."""
         return {}
@@ -190,9 +224,9 @@ class Events(Responses):
     def at(self, problem, event: Event):
         """The problem of one event alone; what was measured besides counts once, with the first."""
         others = problem.data[1:] if event is self.events[0] else ()
-        return problem.with_data(Responses(self.config, event.measured, self.dofs), *others)
+        return problem.with_data(self.alone(event), *others)
 
-    def sample(self, problem, likelihood, seed, running):
+    def sample(self, problem, likelihood, model, seed, running):
         """The posterior after the last event; that after each one is kept in a folder for each likelihood."""
         asked, sampler = self.config.events, self.config.sampler
         models = [declare(self.at(problem, event), likelihood) for event in self.events]
@@ -222,7 +256,7 @@ class Events(Responses):
             ) from error
         names = [event.name for event in self.events]
         idata["sequence"] = xr.DataTree(idata["sequence"].to_dataset().assign_coords(name=("event", names)))
-        return idata
+        return idata, model
 
     def foretold(self, problem, measured=None):
         """As of responses, of all events together."""

@@ -8,6 +8,7 @@ import pymc as pm
 import pytensor.tensor as pt
 import xarray as xr
 
+from pymc_features import plots
 from pymc_features.exceptions import ConfigError
 from pymc_features.likelihood_free import abc_tolerance
 from pymc_features.likelihoods import DIMS, LIKELIHOODS, Comparison
@@ -22,9 +23,16 @@ from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.kinds.base import KindOfData, Setting
 from pymc_features.update.kinds.channels import Measured
 from pymc_features.update.kinds.model import thinned
+from pymc_features.update.presentation.components import components_of_draws
+from pymc_features.update.presentation.shown import Figure
 
 QUANTILES = (0.05, 0.5, 0.95)
 DRAWS = 200
+ZOOM = 4.0  # [s] around the strongest motion
+LONG = (
+    "A record of more samples than the figure has pixels is drawn by its smallest and largest values: as a "
+    "grey area what was measured, by two lines a response that oscillates too fast for one."
+)
 
 
 @dataclass(frozen=True)
@@ -71,6 +79,11 @@ class Histories(KindOfData):
     def channels(self) -> xr.DataArray:
         """What is compared (sensor, time)."""
         return self.measured.channels
+
+    @property
+    def left_out(self):
+        """Which part of each sensor is left out as a gap."""
+        return self.measured.left_out
 
     def parameters(self, likelihood):
         """Those of the errors."""
@@ -156,6 +169,28 @@ class Histories(KindOfData):
             "bands": self.bands(problem, likelihood, model, idata),
         }
 
+    def drawn_of(self, problem, part):
+        """Responses of draws by their principal components."""
+        return {"histories": components_of_draws(self, problem, part)}
+
+    def figures_of(self, problem, part, kind):
+        """What was measured with the bands, all of it and its strongest part."""
+        shades = "Dark: 5-95 % of the response, from the uncertainty of the parameters. "
+        if "predictive" in part["bands"]:
+            shades += "Light: 5-95 % of data drawn from the likelihood, where measured samples should lie."
+        return [
+            Figure(
+                f"{kind}_response",
+                f"{kind}: measured response and posterior predictive bands. {shades} {LONG}",
+                lambda: plots.plot_predictive(part),
+            ),
+            Figure(
+                f"{kind}_response_zoom",
+                f"{kind}: the same, {ZOOM:g} s around the strongest motion.",
+                lambda: plots.plot_predictive(part, window=strongest(part)),
+            ),
+        ]
+
     def bands(self, problem, likelihood, model, idata) -> xr.Dataset:
         """Bands of the response and of data like those measured, at the sensors.
 
@@ -203,6 +238,15 @@ class Histories(KindOfData):
             kept = peak.rename(rows).quantile(QUANTILES, dim="sample", keep_attrs=True)
             found[f"{name}_peak"] = kept.drop_vars([c for c in kept.coords if c not in kept.dims])
         return found
+
+
+def strongest(part) -> tuple[float, float]:
+    """A window [s] around the largest measured acceleration."""
+    observed = part["observed_data"]["y"]
+    peak = float(observed["time"][int(np.abs(np.nan_to_num(observed.values)).max(axis=0).argmax())])
+    last = float(observed["time"][-1])
+    first = max(0.0, min(peak - 0.4 * ZOOM, last - ZOOM))
+    return first, min(last, first + ZOOM)
 
 
 def predictive(model, idata) -> np.ndarray:

@@ -3,7 +3,7 @@
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import pymc as pm
@@ -13,7 +13,7 @@ from pydantic import model_validator
 
 from pymc_features import plots
 from pymc_features._checks import listed
-from pymc_features.exceptions import ConfigError, PriorWarning
+from pymc_features.exceptions import ConfigError, ModalMatchWarning, PriorWarning
 from pymc_features.likelihoods import Likelihood
 from pymc_features.modal import ModalData, merge_setups
 from pymc_features.modal.files import read_modal
@@ -25,19 +25,21 @@ from pymc_features.update.config.entries import Vector, evaluated
 from pymc_features.update.config.messages import named_key, shown
 from pymc_features.update.config.sections import Names, Section, key, parameters_of
 from pymc_features.update.config.structure_sections import STRUCTURES
-from pymc_features.update.kinds.base import KindOfData, Setting, Verdict, check_positive_priors
-from pymc_features.update.kinds.model import declare, declares_as_prior, each_draw, thinned
-from pymc_features.update.kinds.nodes import Points, read_nodes
+from pymc_features.update.kinds.base import KindOfData, Setting, check_positive_priors
+from pymc_features.update.kinds.model import (
+    MODAL_DRAWS,
+    declare,
+    declares_as_prior,
+    each_draw,
+    names_for,
+    thinned,
+)
 from pymc_features.update.kinds.structure import modes_of
 from pymc_features.update.plausibility.findings import of_modes
+from pymc_features.update.presentation.mode_rows import COLUMNS, ModeRow, modes_verdict
+from pymc_features.update.presentation.nodes import Points, read_nodes
+from pymc_features.update.presentation.shown import Figure, table, write_figure
 
-COLUMNS = ("mode", "measured", "5 %", "50 %", "95 %", "off", "MAC", "5-95 %", "partner")
-MEANING = (
-    "Frequencies in Hz: as measured, and 5, 50 and 95 % of the mode of the model that each is matched with; "
-    "how far its median is off; the MAC of the two shapes with its interval; and the number of that mode, f1 "
-    "being the lowest. A partner is within three standard deviations of the frequency, and has a "
-    "MAC of at least 0.5."
-)
 MODAL = Likelihood(
     "MODAL",
     "errors of ln f Gaussian, 1 - MAC as the feature of Eq. (3), modes matched at every evaluation",
@@ -49,9 +51,6 @@ SCALE = "the name of a prior or a number, one or one for each mode"
 SPARE = 3  # modes beyond those identified, among which the likelihood may choose
 BEYOND = 1.2  # of the highest identified frequency: modes above it are not in tables
 MATCHED_DRAWS, SHAPE_DRAWS = 500, 100
-MOST = 0.5  # share of the draws without a partner that is said
-WIDTH = 3.29  # standard deviations between 5 and 95 % of a normal distribution
-ALONE = 0.95  # share of the draws in which a mode takes the same partner
 OF_RESPONSES = ("record", "processing", "likelihood")  # sections that mean nothing without [data]
 
 
@@ -341,7 +340,7 @@ class Modal(KindOfData):
             coords |= {"channel": list(data.channels), "dof": ("channel", self.dofs)}
         return xr.Dataset(found, coords, {"source": self.source})
 
-    def rows(self, matched) -> list["ModeRow"]:
+    def rows(self, matched) -> list[ModeRow]:
         """Every identified mode under one likelihood, from the group `matched`."""
         found = []
         for k, name in enumerate(self.names):
@@ -364,9 +363,100 @@ class Modal(KindOfData):
             )
         return found
 
+    @property
+    def placed(self):
+        """Of the channels."""
+        return dict(zip(self.data.channels or [], self.dofs, strict=True))
+
+    def told(self):
+        """What they are, and where they come from."""
+        yield f"modes: {self.sentence}"
+
+    def check(self, problem, path):
+        """Compare them with what the priors expect, and draw both where there are shapes.
+
+        Partners are judged by their shapes: frequencies are what is to be updated.
+        """
+        draws = expected(problem.with_data(self))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ModalMatchWarning)  # the sentences say it
+            rows = self.rows(self.matched(problem, draws, deviations=np.inf))
+        found = self.shapes(problem, draws)
+        cells = [row.cells for row in rows]
+        yield table("modes", "modes", "Identified modes [Hz], and the model under the priors", COLUMNS, cells)
+        yield from modes_verdict(rows).sentences
+        outside = [row for row in rows if not row.low <= row.measured <= row.high]
+        if outside:
+            named = ", ".join(f"{row.name} ({row.measured:.4g} Hz)" for row in outside)
+            yield f"Outside of what the priors expect (5 to 95 %): {named}."
+        if "at_channels" in found:
+            draw = draw_shapes if "at_points" in found else draw_mac
+            write_figure(draw(self, found, rows), path)
+            yield f"wrote {path}"
+
+    def tables(self, problem):
+        """Frequencies with standard deviations, damping, and the places of channels."""
+        data, n = self.data, len(self.data)
+        columns = [self.names, [f"{f:.4g}" for f in data.frequencies]]
+        for values, factor in ((data.frequency_sd, 1.0), (data.damping_ratios, 100.0)):
+            numbers = np.full(n, np.nan) if values is None else factor * values
+            columns.append(["" if np.isnan(value) else f"{value:.2g}" for value in numbers])
+        at = ", ".join(f"{name} ({dof})" for name, dof in self.placed.items())
+        sentences = [
+            f"There are {self.sentence}.",
+            f"The channels and their degrees of freedom are {at}." if at else "",
+            f"Each is matched with one of the {self.n_modes} lowest modes of the structure.",
+        ]
+        if self.dofs and self.points is None and self in problem.data:
+            sentences.append("Name a file with its nodes as `modal.nodes` to see the shapes drawn.")
+        header = ("identified mode", "frequency [Hz]", "standard deviation [Hz]", "damping [%]")
+        rows, note = list(zip(*columns, strict=True)), " ".join(filter(None, sentences))
+        return [table("identified", "data", "Identified modes", header, rows, note)]
+
+    def figures_of(self, problem, part, kind):
+        """The MAC matrix and the shapes."""
+        shapes, rows = part["shapes"].to_dataset(), self.rows(part["matched"].to_dataset())
+        found = []
+        if "at_channels" in shapes:
+            found.append(
+                Figure(
+                    f"{kind}_mac",
+                    f"{kind}: modal assurance criterion of the identified shapes and those of the model, "
+                    "median and 5-95 % interval of the draws. Framed: the modes that are matched.",
+                    lambda: draw_mac(self, shapes, rows),
+                )
+            )
+        if "at_points" in shapes:
+            found.append(
+                Figure(
+                    f"{kind}_shapes",
+                    f"{kind}: identified shapes (dots) on those of the model they are matched with, each "
+                    "draw scaled by the factor that brings it closest.",
+                    lambda: draw_shapes(self, shapes, rows),
+                )
+            )
+        return found
+
+    def drawn_of(self, problem, part):
+        """The partner of each in most draws, 0 if it has none, and what it is called."""
+        matched = part["matched"].to_dataset()
+        rows = self.rows(matched)
+        partners = np.array([row.partner if row.has_partner else 0 for row in rows])
+        labels = [row.name for row in rows]
+        return {"matched": matched.assign(partner=("identified", partners), label=("identified", labels))}
+
     def verdict(self, problem, result, kind):
         """Whether each has a partner."""
         return modes_verdict(self.rows(result[f"{kind}/matched"]))
+
+
+def expected(problem) -> xr.Dataset:
+    """Draws of the priors of what decides on modes."""
+    values = {
+        name: (("chain", "draw"), problem.priors[name].draw(MODAL_DRAWS, k)[None])
+        for k, name in enumerate(names_for(problem, MODAL.name))
+    }
+    return xr.Dataset(values, {"chain": [0], "draw": np.arange(MODAL_DRAWS)})
 
 
 def read_files(section, folder) -> tuple[ModalData, str]:
@@ -472,99 +562,6 @@ def modes_to_choose_from(section, identified: int, structure) -> int:
             f"got {wanted}. Leave it out, or modes by `modal.modes`."
         )
     return wanted
-
-
-class ModeRow(NamedTuple):
-    """One identified mode and its partners in the draws.
-
-    Attributes
-    ----------
-    name : str
-        Its number in the file, and its label.
-    measured : float
-        [Hz]
-    low, middle, high : float
-        Of the model [Hz]: 5, 50 and 95 %.
-    mac : tuple of float
-        5, 50 and 95 %; NaN without a shape.
-    partner : int
-        Mode of the model that most draws take, 1 the lowest.
-    share : float
-        Of the draws that take it.
-    strangers : float
-        Share of the draws in which it has no partner.
-    """
-
-    name: str
-    measured: float
-    low: float
-    middle: float
-    high: float
-    mac: tuple[float, float, float]
-    partner: int
-    share: float
-    strangers: float
-
-    @property
-    def off(self) -> float:
-        """Median of the model over the measurement, less one."""
-        return self.middle / self.measured - 1.0
-
-    def deviation(self, sd: float) -> float:
-        """How many standard deviations the median of the model is off, if that of the measurement is `sd`."""
-        of_model = (self.high - self.low) / WIDTH
-        return (self.middle - self.measured) / float(np.hypot(sd, of_model))
-
-    @property
-    def has_partner(self) -> bool:
-        """Whether it has one in most draws."""
-        return self.strangers <= MOST
-
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """As tables have it, in the order of `COLUMNS`."""
-        numbers = [f"{value:.4g}" for value in (self.measured, self.low, self.middle, self.high)]
-        low, middle, high = self.mac
-        of_shape = ("", "") if np.isnan(middle) else (f"{middle:.3f}", f"{low:.3f}-{high:.3f}")
-        partner = f"f{self.partner}" if self.has_partner else "none"
-        return self.name, *numbers, f"{100.0 * self.off:+.2f} %", *of_shape, partner
-
-
-def modes_verdict(rows: list[ModeRow]) -> Verdict:
-    """What to think of the fit of identified modes, and whether all have a partner."""
-    strangers = [row for row in rows if not row.has_partner]
-    with_partner = [row for row in rows if row.has_partner]
-    sentences = []
-    for row in strangers:
-        of_shape = "" if np.isnan(row.mac[1]) else f", MAC {row.mac[1]:.2f}"
-        sentences.append(
-            f"The model has no partner for the identified mode {row.name} ({row.measured:.4g} Hz): the best "
-            f"that is left is at {row.middle:.4g} Hz{of_shape}."
-        )
-    if with_partner:
-        which = (
-            "the identified mode"
-            if len(rows) == 1
-            else f"{len(with_partner)} of {len(rows)} identified modes"
-        )
-        which = which if strangers or len(rows) == 1 else f"all {len(rows)} identified modes"
-        off = max(with_partner, key=lambda row: abs(row.off))
-        sentence = (
-            f"The model has a partner for {which}: the median frequency is off by at most "
-            f"{100.0 * abs(off.off):.2g} % (mode {off.name})"
-        )
-        shaped = [row for row in with_partner if not np.isnan(row.mac[1])]
-        if shaped:
-            worst = min(shaped, key=lambda row: row.mac[1])
-            sentence += f", the MAC is at least {worst.mac[1]:.3f} (mode {worst.name})"
-        sentences.append(f"{sentence}.")
-    for row in rows:
-        if row.share < ALONE:
-            sentences.append(
-                f"The identified mode {row.name} takes f{row.partner} in {100.0 * row.share:.0f} % of the "
-                "draws, and others in the rest: they change places, or the data cannot tell them apart."
-            )
-    return Verdict(sentences, not strangers)
 
 
 def partners_of(rows: list[ModeRow]) -> list[int]:

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.update.kinds.base import Verdict
 from pymc_features.update.kinds.coarseness import too_coarse
+from pymc_features.update.presentation.shown import Verdict
 
 UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation, unless it is noise
 WORSE = 0.9  # the same, of a model with which nothing is gained

@@ -3,14 +3,29 @@
 import numpy as np
 import xarray as xr
 
+from pymc_features import plots
 from pymc_features.exceptions import ConfigError
+from pymc_features.plots.drawing.expected import draw_expected
 from pymc_features.update.config.sections import MEASURED, Data
 from pymc_features.update.kinds.base import Setting
-from pymc_features.update.kinds.channels import checked_dofs, read_measured
-from pymc_features.update.kinds.coarseness import coarse_sampling
+from pymc_features.update.kinds.channels import base_and_sensors, checked_dofs, read_measured
+from pymc_features.update.kinds.coarseness import coarse_sampling, coarseness
+from pymc_features.update.kinds.expected import expected_bands
 from pymc_features.update.kinds.histories import Histories, check_errors, check_gaps
 from pymc_features.update.kinds.residuals import verdict_of_responses
+from pymc_features.update.plausibility.findings import mode_rows, scales
+from pymc_features.update.presentation.numbers import pretty
+from pymc_features.update.presentation.shown import (
+    SENSORS,
+    Figure,
+    processing_steps,
+    sensor_rows,
+    table,
+    write_figure,
+)
 
+GAINS = ("sensor", "gain [-]", "lag [ms]", "coherence [-]")
+EXPECTED = ("mode", "priors [Hz]", "data [Hz]", "priors [%]", "damping of data [%]", "seen by")
 PROMINENCE = 2.0  # of a peak of the gain over the valleys beside it, a factor
 
 
@@ -100,6 +115,86 @@ class Responses(Histories):
             data["given_frequency"] = ("given", np.array(given, dtype=np.float64), {"units": "Hz"})
         return {"data": data}
 
+    @property
+    def measures(self):
+        """Absolute or relative motion, and its unit."""
+        relative = {"relative": "relative to the base", "inter": "those of storeys"}
+        how = relative.get(self.quantity.split("_")[0], "absolute")
+        return f"{self.plural.capitalize()} are {how} and in {pretty(self.measured.units)}."
+
+    @property
+    def placed(self):
+        """Of [data]."""
+        return dict(zip(self.config.data.sensors, self.dofs, strict=True))
+
+    @property
+    def is_checked(self):
+        """Whether floors follow the base somewhere, or a resonance was seen."""
+        return self.measured.checked.is_any
+
+    def told(self):
+        """Where the channels come from, and what the check found."""
+        measured = self.measured
+        yield f"data: {measured.source}; base: {measured.record}"
+        yield f"channels: {measured.checked.sentence}"
+        compared = measured.checked.compared
+        yield f"priors: {compared.checked}. {scales(compared)}"
+        rows = mode_rows(compared)
+        yield table("expected", "data", "Priors (5 to 95 %) and data", EXPECTED, rows)
+        if measured.left_out:
+            yield f"left out as gaps: {measured.left_out}"
+
+    def check(self, problem, path):
+        """Draw priors and channels; gains, and how coarse the base is sampled."""
+        measured = self.measured
+        priors, prior = problem.priors, measured.checked.compared.prior
+        units = {name: problem.unit(name) for name in priors}
+        densities = {name: one.density for name, one in priors.items()}
+        bands = expected_bands(self, problem)
+        write_figure(draw_expected(base_and_sensors(measured), bands, densities, units), path)
+        if measured.checked.gains is not None:
+            yield gains_table(measured.checked.gains)
+        middle = {name: priors[name].median for name in problem.structure.names}
+        yield coarseness(self, problem, middle, prior.frequencies).sentence
+        yield f"wrote {path}"
+
+    def tables(self, problem):
+        """The channels, and how they compare with the base."""
+        measured, channels = self.measured, self.measured.channels
+        left_out = (
+            "Peaks, root mean squares and errors are those of the samples that are left."
+            if measured.left_out
+            else ""
+        )
+        note = (
+            f"The {', '.join(processing_steps(measured.source, self.config.processing))}. There are "
+            f"{channels.sizes['time']} samples at {measured.step:.6g} s, of the base at "
+            f"{measured.record.dt:.6g} s. The channels were {measured.checked.sentence.rstrip('.')}. "
+            f"{left_out}"
+        )
+        names = ["base", *channels["sensor"].values]
+        histories = [measured.record.acceleration, *channels.values]
+        rows = sensor_rows(names, ["", *self.dofs], histories)
+        gains = [] if measured.checked.gains is None else [gains_table(measured.checked.gains)]
+        return [table("channels", "data", "Channels", SENSORS, rows, note.strip()), *gains]
+
+    def figures(self, problem, result):
+        """The motion of the base, and the gain of the sensors against it."""
+        return [
+            Figure(
+                "record",
+                "Motion of the base that the model is shaken with, after processing.",
+                lambda: plots.plot_record(result),
+            ),
+            Figure(
+                "frequencies",
+                "Gain of the sensors against the base (root of the ratio of power spectra), and below it the "
+                "5-95 % intervals of the natural frequencies with their medians under each likelihood. "
+                "Dotted: peaks of the gain; dashed: frequencies given in the configuration, or identified.",
+                lambda: plots.plot_natural_frequencies(result),
+            ),
+        ]
+
     def verdict(self, problem, result, kind):
         """Whether the median response explains what was measured."""
         return verdict_of_responses(self, result, kind)
@@ -110,6 +205,18 @@ def check_likelihood(given: Setting, dofs, measured) -> None:
     check_errors(given.config, given.priors, len(dofs))
     for one in measured:
         check_gaps(given.config, one)
+
+
+def gains_table(gains) -> dict:
+    """Gain, lag [ms] and coherence of each sensor against the base; dashes where it is unknown."""
+    lag = np.round(1e3 * gains["lag"], 2) + 0.0  # no -0.00
+    columns = gains["sensor"], gains["gain"], lag, gains["coherence"]
+    cells = zip(*(column.values for column in columns), strict=True)
+    rows = [
+        (name, "-", "-", "-") if np.isnan(gain) else (name, f"{gain:.3f}", f"{lag:.2f}", f"{coherence:.3f}")
+        for name, gain, lag, coherence in cells
+    ]
+    return table("gains", "data", "Sensors against the base", GAINS, rows)
 
 
 def measured_gain(measured) -> tuple[xr.DataArray, np.ndarray]:

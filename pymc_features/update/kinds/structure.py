@@ -52,9 +52,19 @@ class StructureOf:
         self._constant = None
 
     @property
-    def is_specimen(self) -> bool:
-        """Whether it has forces and no motion."""
-        return self.type in SPECIMENS
+    def has_modes(self) -> bool:
+        """Whether it moves; specimens have forces alone."""
+        return self.type not in SPECIMENS
+
+    @property
+    def title(self) -> str:
+        """What it is."""
+        return self.section.type
+
+    @property
+    def has_storeys(self) -> bool:
+        """Whether it has drifts."""
+        return self.type.has_storeys
 
     @property
     def n_modes(self) -> int | None:

@@ -16,24 +16,21 @@ import importlib.metadata
 
 import numpy as np
 
-from pymc_features.update.config.sections import MEASURED
 from pymc_features.update.kinds import KINDS
-from pymc_features.update.kinds.ambient import ambient_section
-from pymc_features.update.kinds.cyclic import loops_section
 from pymc_features.update.kinds.events import CANNOT_BE_TOLD, UNTOLD, event_rows
 from pymc_features.update.kinds.events import COLUMNS as EVENT_COLUMNS
 from pymc_features.update.kinds.events import MEANING as EVENT_MEANING
-from pymc_features.update.kinds.modal import COLUMNS as MODE_COLUMNS
-from pymc_features.update.kinds.modal import MEANING
 from pymc_features.update.predictions import predicted_rows
+from pymc_features.update.presentation.mode_rows import COLUMNS as MODE_COLUMNS
+from pymc_features.update.presentation.mode_rows import MEANING
+from pymc_features.update.presentation.numbers import PREDICTED, interval_texts, predicted_cells, pretty
+from pymc_features.update.presentation.shown import table
 from pymc_features.update.problem import Problem
 from pymc_features.update.report.findings import Findings
-from pymc_features.update.report.numbers import PREDICTED, interval_texts, predicted_cells, pretty
 from pymc_features.update.report.summary import kinds_of
 
 PREDICTION = "prediction"
 PACKAGES = ("pymc-features", "pymc", "pytensor", "numba", "numpy", "arviz")
-SENSORS = ("sensor", "degree of freedom", "peak [m/s²]", "rms [m/s²]")
 
 
 def document_of(problem: Problem, result, found: Findings, warnings) -> dict:
@@ -55,9 +52,9 @@ def document_of(problem: Problem, result, found: Findings, warnings) -> dict:
         *tables_of_fit(result, kinds),
         *tables_of_modes(found),
         *tables_of_events(result, kinds),
-        table_of_predictions(result),
+        table_of_predictions(found.predicted),
         *tables_of_model(problem, result, kinds),
-        *tables_of_data(problem),
+        *(one for data in problem.data for one in data.tables(problem)),
         *(table(f"{kind}_run", "sampling", note=" ".join(run_sentences(result[kind]))) for kind in kinds),
     ]
     return {
@@ -77,30 +74,13 @@ def document_of(problem: Problem, result, found: Findings, warnings) -> dict:
     }
 
 
-def table(name, section, title="", columns=(), rows=(), note="") -> dict:
-    """A table of the document; its cells become texts."""
-    rows = [[str(cell) for cell in row] for row in rows]
-    named = {"name": name, "section": section, "title": title}
-    return named | {"columns": list(columns), "rows": rows, "note": note}
-
-
 def subtitle_of(problem, kinds) -> str:
     """What was updated with what, under which likelihoods, and which motion was measured."""
     n = len(problem.priors)
     of_parameters = f"{n} uncertain parameter{'s' if n > 1 else ''}"
     used = " and ".join(data.used for data in problem.data)
-    sentence = f"{problem.config.structure.type} updated with {used}, {of_parameters}"
-    return f"{sentence}, under {', '.join(kinds)}. {measures_sentence(problem)}".strip()
-
-
-def measures_sentence(problem) -> str:
-    """Which motion the measured responses are, and in which unit."""
-    if problem.measured is None or problem.is_cyclic:
-        return ""
-    relative = {"relative": "relative to the base", "inter": "those of storeys"}
-    how = relative.get(problem.first.quantity.split("_")[0], "absolute")
-    kind = MEASURED[problem.first.quantity].capitalize().replace("Velocity", "Velocitie")
-    return f"{kind}s are {how} and in {pretty(problem.measured.units)}."
+    sentence = f"{problem.structure.title} updated with {used}, {of_parameters}"
+    return f"{sentence}, under {', '.join(kinds)}. {problem.first.measures}".strip()
 
 
 def tables_of_fit(result, kinds) -> list[dict]:
@@ -149,9 +129,9 @@ def tables_of_events(result, kinds) -> list[dict]:
     return [table("events", "events", "From event to event", columns, rows, rows and EVENT_MEANING)]
 
 
-def table_of_predictions(result) -> dict:
+def table_of_predictions(predicted) -> dict:
     """Peaks under other motions, and the probabilities that they exceed limits."""
-    rows = predicted_cells(predicted_rows(result))
+    rows = predicted_cells(predicted)
     note = rows and (
         "The largest value at any place, from the uncertainty of the parameters alone; a probability is that "
         "of exceeding the limit anywhere."
@@ -162,7 +142,7 @@ def table_of_predictions(result) -> dict:
 def with_predictions(document: dict, result) -> dict:
     """A document with the predictions that a result has now."""
     others = [one for one in document["tables"] if one["name"] != PREDICTION]
-    own = table_of_predictions(result)
+    own = table_of_predictions(predicted_rows(result))
     return document | {"tables": [*others, *([own] if own["rows"] else [])]}
 
 
@@ -183,106 +163,6 @@ def tables_of_model(problem, result, kinds) -> list[dict]:
         table("priors", "fitted", "Priors", ("prior", "unit", "distribution", "used as"), priors),
         table("likelihoods", "fitted", "Likelihoods", columns, likelihoods),
     ]
-
-
-def tables_of_data(problem) -> list[dict]:
-    """The data, and what was done to them."""
-    found = []
-    if problem.is_cyclic:
-        section = loops_section(problem)
-        note = f"The {section['source'].replace(';', ' has')}. The loops dissipate {section['energy']} J."
-        found.append(
-            table("cyclic", "data", "Cyclic test", ("", "smallest", "largest"), section["rows"], note)
-        )
-    elif problem.measured is not None:
-        found += tables_of_channels(problem)
-    if problem.ambient is not None:
-        section = ambient_section(problem)
-        note = (
-            f"The {', '.join(section['steps']).replace(':', ' is', 1)}: {section['rate']}. Nobody measured "
-            f"the forces. Compared are the frequencies {section['bands']}"
-            f"{', proposed from the peaks of the spectra' if section['proposed'] else ''}."
-        )
-        found.append(table("channels", "data", "Channels", SENSORS, section["sensors"], note))
-    if problem.modal is not None:
-        found.append(table_of_identified(problem))
-    return found
-
-
-def tables_of_channels(problem) -> list[dict]:
-    """The channels, and how they compare with the base."""
-    measured, channels = problem.measured, problem.measured.channels
-    left_out = (
-        "Peaks, root mean squares and errors are those of the samples that are left."
-        if measured.left_out
-        else ""
-    )
-    note = (
-        f"The {', '.join(processing_steps(problem)).replace(':', ' is', 1)}. There are "
-        f"{channels.sizes['time']} samples at {measured.step:.6g} s, of the base at "
-        f"{measured.record.dt:.6g} s. The channels were {measured.checked.sentence.rstrip('.')}. {left_out}"
-    )
-    names = ["base", *channels["sensor"].values]
-    histories = [measured.record.acceleration, *channels.values]
-    rows = [
-        (name, dof, f"{np.nanmax(np.abs(values)):.4g}", f"{np.sqrt(np.nanmean(values**2)):.4g}")
-        for name, dof, values in zip(names, ["", *problem.dofs], histories, strict=True)
-    ]
-    gains = [] if measured.checked.gains is None else gain_rows(measured.checked.gains)
-    columns = ("sensor", "gain [-]", "lag [ms]", "coherence [-]")
-    return [
-        table("channels", "data", "Channels", SENSORS, rows, note.strip()),
-        table("gains", "data", "Sensors against the base", columns, gains),
-    ]
-
-
-def processing_steps(problem) -> list[str]:
-    """Where the channels come from, and what was done to them."""
-    asked = problem.config.processing
-    steps = [f"source: {problem.measured.source}"]
-    if asked.detrend is not None:
-        window = asked.detrend.window
-        over = f" of {window[0]:g} to {window[1]:g} s" if window else ""
-        steps.append(f"less the {asked.detrend.kind} trend{over}")
-    if asked.band_pass is not None:
-        sides = ("above", asked.band_pass.low), ("below", asked.band_pass.high)
-        corners = [f"{side} {corner:g} Hz" for side, corner in sides if corner is not None]
-        steps.append(f"filtered to {' and '.join(corners)}")
-    if asked.trim is not None:
-        steps.append(f"window {asked.trim[0]:g} to {asked.trim[1]:g} s")
-    return steps
-
-
-def gain_rows(gains) -> list[tuple]:
-    """Name, gain, lag [ms] and coherence of each sensor against the base; dashes where it is unknown."""
-    lag = np.round(1e3 * gains["lag"], 2) + 0.0  # no -0.00
-    columns = gains["sensor"], gains["gain"], lag, gains["coherence"]
-    cells = zip(*(column.values for column in columns), strict=True)
-    return [
-        (name, "-", "-", "-") if np.isnan(gain) else (name, f"{gain:.3f}", f"{lag:.2f}", f"{coherence:.3f}")
-        for name, gain, lag, coherence in cells
-    ]
-
-
-def table_of_identified(problem) -> dict:
-    """The identified modes: frequencies with standard deviations, damping, and the places of channels."""
-    modal = problem.modal
-    data, n = modal.data, len(modal.data)
-    columns = [modal.names, [f"{f:.4g}" for f in data.frequencies]]
-    for values, factor in ((data.frequency_sd, 1.0), (data.damping_ratios, 100.0)):
-        numbers = np.full(n, np.nan) if values is None else factor * values
-        columns.append(["" if np.isnan(value) else f"{value:.2g}" for value in numbers])
-    at = ", ".join(f"{name} ({dof})" for name, dof in zip(data.channels, modal.dofs, strict=True))
-    sentences = [
-        f"There are {modal.sentence}.",
-        f"The channels and their degrees of freedom are {at}." if at else "",
-        f"Each is matched with one of the {modal.n_modes} lowest modes of the structure.",
-    ]
-    if modal.dofs and modal.points is None and problem.ambient is None:
-        sentences.append("Name a file with its nodes as `modal.nodes` to see the shapes drawn.")
-    header = ("identified mode", "frequency [Hz]", "standard deviation [Hz]", "damping [%]")
-    rows, note = list(zip(*columns, strict=True)), " ".join(filter(None, sentences))
-    return table("identified", "data", "Identified modes", header, rows, note)
 
 
 def run_sentences(part) -> list[str]:

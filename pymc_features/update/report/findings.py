@@ -5,10 +5,10 @@ import math
 from typing import NamedTuple
 
 from pymc_features.update.candidates import comparison_sentences
-from pymc_features.update.kinds.base import Verdict
 from pymc_features.update.kinds.events import events_verdict
-from pymc_features.update.kinds.modal import ModeRow
 from pymc_features.update.predictions import PredictedRow, predicted_rows
+from pymc_features.update.presentation.mode_rows import ModeRow
+from pymc_features.update.presentation.shown import Verdict
 from pymc_features.update.problem import Problem
 from pymc_features.update.report.summary import Doubt, Row, changed, doubts_of, kinds_of, rows, supported
 
@@ -69,11 +69,11 @@ def findings(problem: Problem, result) -> Findings:
     modes = {}
     if problem.modal is not None:
         modes = {kind: problem.modal.rows(result[f"{kind}/matched"]) for kind in kinds_of(result)}
-    first = kinds_of(result)[0]
+    first, left_out = kinds_of(result)[0], problem.first.left_out
     of_first = problem.verdict(result, first)
     return Findings(
         of_first,
-        gaps_of(problem),
+        f"Left out as gaps: {left_out}." if left_out else "",
         supported(problem, result, of_first.explains),
         table,
         doubts_of(result, table),
@@ -91,12 +91,6 @@ def besides(result) -> list[str]:
     for kind, node in getattr(result.children.get("compare"), "children", {}).items():
         told += comparison_sentences(node.to_dataset(), kind)
     return told
-
-
-def gaps_of(problem: Problem) -> str:
-    """A sentence on what was not compared; empty without gaps."""
-    left_out = "" if problem.measured is None else problem.measured.left_out
-    return f"Left out as gaps: {left_out}." if left_out else ""
 
 
 def as_json(found: Findings) -> str:

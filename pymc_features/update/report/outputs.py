@@ -1,29 +1,22 @@
 """What an update leaves behind: netCDF with all that its report needs, tables, figures, and the report."""
 
-import io
 import json
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
-from pymc_features import plots
-from pymc_features.prediction.draws import structure_draws
-from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.storage import netcdf_bytes, write_atomically
-from pymc_features.update.kinds.nodes import Points
 from pymc_features.update.kinds.structure import modes_of
+from pymc_features.update.presentation.nodes import Points
+from pymc_features.update.presentation.numbers import as_csv, as_latex
 from pymc_features.update.problem import Problem
 from pymc_features.update.report.document import document_of
 from pymc_features.update.report.figures import figures
 from pymc_features.update.report.findings import Findings, findings
-from pymc_features.update.report.numbers import as_csv, as_latex
 from pymc_features.update.report.page import page_of
 from pymc_features.update.report.summary import kinds_of
 
-DPI = 110
-HISTORIES = 200  # draws whose responses are kept
-COMPONENTS, HELD = 6, 0.999  # at most so many, or as many as hold this share of their variance
 SHAPES, MODES = 24, 10  # draws and modes that are drawn
 MOST_POINTS = 1000
 
@@ -63,21 +56,13 @@ def write_outputs(
         "table.csv": lambda path: path.write_text(as_csv(found.table), encoding="utf-8"),
         "table.tex": lambda path: path.write_text(as_latex(found.table), encoding="utf-8"),
     }
-    for figure in figures(problem, result, found.modes):
-        image = png(figure.draw())
+    for figure in figures(problem, result):
+        image = figure.png()
         writers[f"figures/{figure.name}.png"] = lambda path, image=image: path.write_bytes(image)
     writers["report.html"] = lambda path: path.write_text(page_of(saved), encoding="utf-8")
     for name, write in writers.items():
         write_atomically(folder / name, write)
     return [folder / name for name in writers]
-
-
-def png(axes) -> bytes:
-    """A figure as a PNG file; it is released."""
-    buffer = io.BytesIO()
-    axes[0].figure.savefig(buffer, dpi=DPI, format="png")
-    plots.close(axes[:1])
-    return buffer.getvalue()
 
 
 def with_document(problem: Problem, result, found: Findings, warnings) -> xr.DataTree:
@@ -91,94 +76,25 @@ def with_document(problem: Problem, result, found: Findings, warnings) -> xr.Dat
     Returns
     -------
     DataTree
-        Of each likelihood also `histories`, responses of draws by their principal components, and
-        `mode_shapes` of the model; `/geometry`, where its degrees of freedom are; of ambient vibration
-        `/singular_values` of the channels; of identified modes their partners. The one given is as it was.
+        Also what each kind of data draws, see `KindOfData.drawn`, and of a structure with modes `/geometry`,
+        where its degrees of freedom are, and in each likelihood `mode_shapes`. The one given is as it was.
     """
     saved = result.copy()
     saved.attrs["document"] = json.dumps(document_of(problem, result, found, warnings))
     saved.attrs["units"] = json.dumps({name: problem.unit(name) for name in problem.priors})
     for kind in kinds_of(result):
-        posterior = result[kind]["posterior"].to_dataset()
-        if problem.measured is not None:
-            saved[f"{kind}/histories"] = xr.DataTree(histories(problem, result[kind]))
-        if not problem.is_cyclic:
-            saved[f"{kind}/mode_shapes"] = xr.DataTree(mode_shapes(problem, posterior))
-        if kind in found.modes:
-            rows = found.modes[kind]
-            partners = [row.partner if row.has_partner else 0 for row in rows]
-            matched = (
-                result[f"{kind}/matched"]
-                .to_dataset()
-                .assign(
-                    partner=("identified", np.array(partners)),
-                    label=("identified", [row.name for row in rows]),
-                )
-            )
-            saved[f"{kind}/matched"] = xr.DataTree(matched)
-    if not problem.is_cyclic:
-        saved["geometry"] = xr.DataTree(geometry(problem))
-    if problem.ambient is not None:
-        saved["singular_values"] = xr.DataTree(singular_values(problem.ambient))
+        part = result[kind]
+        groups = {name: one for data in problem.data for name, one in data.drawn_of(problem, part).items()}
+        if problem.structure.has_modes:
+            groups["mode_shapes"] = mode_shapes(problem, part["posterior"].to_dataset())
+        for name, group in groups.items():
+            saved[f"{kind}/{name}"] = xr.DataTree(group)
+    shared = {name: one for data in problem.data for name, one in data.drawn(problem).items()}
+    if problem.structure.has_modes:
+        shared["geometry"] = geometry(problem)
+    for name, group in shared.items():
+        saved[name] = xr.DataTree(group)
     return saved
-
-
-def histories(problem, part) -> xr.Dataset:
-    """Responses of some draws, less their median, by principal components.
-
-    The deviations D (sensor and time, draw) have the Gram matrix D'D = V diag(s^2) V'; the components are
-    U = D V with the largest s, and a draw is the median plus U times its row of V. So a page can show the
-    response of any of these draws without holding all of them.
-
-    Returns
-    -------
-    Dataset
-        `component` (component, sensor, time), `coefficient` (sample, component), with `chain` and `draw` of
-        each sample, and the share of the variance that is held in `attrs`.
-    """
-    measured, name = problem.measured, problem.first.quantity
-    median = part["bands"]["response"].sel(quantile=0.5, drop=True)
-    settings = {"dt": measured.step, "n_modes": problem.structure.n_modes, "sensors": problem.dofs}
-    drawn = structure_draws(
-        part["posterior"].to_dataset(),
-        problem.structure,
-        [measured.record],
-        [name],
-        HISTORIES,
-        0,
-        keep_histories=True,
-        **settings,
-    )
-    with drawn as chosen:
-        gram = sum(np.einsum("rta,rtb->ab", d, d) for _, d in deviations(chosen, name, measured, median))
-        squares, vectors = np.linalg.eigh(gram)
-        squares, vectors = np.maximum(squares[::-1], 0.0), vectors[:, ::-1]
-        total = squares.sum()
-        share = np.cumsum(squares) / total if total > 0.0 else np.ones(len(squares))
-        n = min(int(np.searchsorted(share, HELD)) + 1, COMPONENTS, len(squares))
-        component = np.zeros((n, *median.shape), np.float32)
-        for first, block in deviations(chosen, name, measured, median):
-            component[:, :, first : first + block.shape[1]] = np.einsum("rts,sc->crt", block, vectors[:, :n])
-        labels = chosen.labels
-    return xr.Dataset(
-        {
-            "component": (("component", *median.dims), component),
-            "coefficient": (("sample", "component"), vectors[:, :n]),
-        },
-        {"sensor": median["sensor"], "time": median["time"], **labels},
-        {"share": float(share[n - 1])},
-    )
-
-
-def deviations(chosen, name, measured, median):
-    """Yield (first compared sample, responses less the median (sensor, time, draw)), block by block."""
-    compared = np.arange(len(chosen.ensemble.times(0)))[measured.compared]
-    for first, values in chosen.ensemble.blocks(0, name):
-        inside = compared[(compared >= first) & (compared < first + values.shape[1])]
-        if inside.size:
-            start = int(inside[0] - compared[0])
-            block = slice(start, start + inside.size)
-            yield start, values[:, inside - first] - median.values[:, block, None]
 
 
 def points_of(problem) -> tuple[Points, str]:
@@ -189,7 +105,7 @@ def points_of(problem) -> tuple[Points, str]:
         return modal.points, "nodes"
     kept = np.unique(np.linspace(0, expected.n_dof - 1, min(expected.n_dof, MOST_POINTS)).astype(int))
     kept = np.union1d(kept, problem.dofs or (modal.dofs if modal is not None else [])).astype(int)
-    return Points(kept, None), "storeys" if section.type.has_storeys else "entries"
+    return Points(kept, None), "storeys" if section.has_storeys else "entries"
 
 
 def geometry(problem) -> xr.Dataset:
@@ -203,13 +119,8 @@ def geometry(problem) -> xr.Dataset:
     else:
         places, lines = np.array(points.nodes["coordinates"], dtype=float), points.nodes["lines"]
         directions = np.array(points.nodes.get("directions", default_directions(places)), dtype=float)
-    named = {}
-    if problem.measured is not None or problem.ambient is not None:
-        named = dict(zip(problem.config.data.sensors, problem.dofs, strict=True))
-    elif problem.modal is not None:
-        named = dict(zip(problem.modal.data.channels, problem.modal.dofs, strict=True))
     held = points.dofs.tolist()
-    sensors = {name: held.index(dof) for name, dof in named.items() if dof in held}
+    sensors = {name: held.index(dof) for name, dof in problem.first.placed.items() if dof in held}
     attrs = {"style": style, "lines": json.dumps(lines), "sensors": json.dumps(sensors)}
     if problem.modal is not None and len(problem.modal.dofs):
         attrs["channels"] = json.dumps(points.of(problem.modal.dofs))
@@ -261,14 +172,4 @@ def mode_shapes(problem, posterior) -> xr.Dataset:
             "frequency": (("sample", "mode"), np.array(frequencies), {"units": "Hz"}),
         },
         {"mode": 1 + np.arange(len(frequencies[0]))},
-    )
-
-
-def singular_values(ambient) -> xr.Dataset:
-    """Those of the spectra of the channels, averaged over twenty parts of the record, and the bands [Hz]."""
-    spectra = averaged_spectra(ambient.channels.values, ambient.step)
-    values = (("value", "frequency"), spectra.singular_values[1:].T, {"units": "(m/s^2)^2/Hz"})
-    return xr.Dataset(
-        {"singular_value": values, "band": (("band", "end"), np.asarray(ambient.bands))},
-        {"frequency": spectra.frequencies[1:]},
     )

@@ -11,7 +11,15 @@ from pathlib import Path
 import xarray as xr
 
 from pymc_features.storage import write_atomically
-from pymc_features.update.report.numbers import COLUMNS, N_TEXTS, as_csv, as_latex, cells, rows_of
+from pymc_features.update.presentation.numbers import (
+    COLUMNS,
+    N_TEXTS,
+    as_csv,
+    as_latex,
+    cells,
+    is_number,
+    rows_of,
+)
 from pymc_features.update.report.payload import payload_of
 from pymc_features.update.templates import TEMPLATES
 
@@ -85,11 +93,3 @@ def page_of(result) -> str:
 def in_script(value) -> str:
     """JSON that cannot end the script it stands in."""
     return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-
-
-def is_number(text: str) -> bool:
-    """Whether a cell is a number, perhaps with a sign of per cent."""
-    try:
-        return float(text.removesuffix("%")) is not None
-    except ValueError:
-        return False

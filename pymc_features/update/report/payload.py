@@ -9,7 +9,7 @@ import json
 
 import numpy as np
 
-from pymc_features.update.report.numbers import interval_texts, rows_of, scale_of
+from pymc_features.update.presentation.numbers import interval_texts, rows_of, scale_of
 
 BUDGET = 950_000  # characters of all responses and their spectra
 DRAWS = 600  # in the pair plot

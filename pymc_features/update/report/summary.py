@@ -8,8 +8,8 @@ import xarray as xr
 
 from pymc_features.calibration.bounds import SHORT, interval
 from pymc_features.update.kinds import KINDS
+from pymc_features.update.presentation.numbers import Row
 from pymc_features.update.problem import Problem
-from pymc_features.update.report.numbers import Row
 
 R_HAT = 1.05  # of chains of SMC that agree; they are few and short
 R_HAT_NUTS = 1.01
@@ -54,7 +54,7 @@ def rows(problem: Problem, result: xr.DataTree) -> list[Row]:
                     overlap,
                 )
             )
-        if problem.is_cyclic:
+        if "modal" not in part.children:
             continue
         modal = part["modal"]["natural_frequency"]
         for mode in modal["mode"].values:

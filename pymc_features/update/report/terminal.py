@@ -4,11 +4,11 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from pymc_features.update.kinds.modal import COLUMNS as MODE_COLUMNS
-from pymc_features.update.plausibility.findings import mode_rows
-from pymc_features.update.report.document import gain_rows
+from pymc_features.update.presentation.mode_rows import COLUMNS as MODES
+from pymc_features.update.presentation.numbers import COLUMNS, cells, is_number
+from pymc_features.update.presentation.shown import table
+from pymc_features.update.report.document import table_of_predictions
 from pymc_features.update.report.findings import Findings
-from pymc_features.update.report.numbers import COLUMNS, PREDICTED, cells, predicted_cells
 
 # as many as 80 characters hold
 SHOWN = (
@@ -50,9 +50,11 @@ def summary(found: Findings):
     for sentence in found.besides:
         yield sentence, None
     if found.predicted:
-        yield predicted_table(found.predicted), None
+        yield drawn_table(table_of_predictions(found.predicted)), None
     if found.modes:
-        yield modes_table(found.modes[first], f"Identified modes [Hz] under {first}"), None
+        modes = [row.cells for row in found.modes[first]]
+        title = f"Identified modes [Hz] under {first}"
+        yield drawn_table(table("modes", "modes", title, MODES, modes)), None
         yield found.changed, None
     for sentence in found.doubts:
         yield f"warning: {sentence}", "yellow"
@@ -68,42 +70,13 @@ def posterior_table(table) -> Table:
     return drawn
 
 
-def predicted_table(rows) -> Table:
-    """The largest responses to other motions, and the probabilities of limits."""
-    drawn = plain_table("Other motions")
-    for name in PREDICTED:
-        drawn.add_column(name, justify="left" if name in PREDICTED[:3] else "right")
-    for row in predicted_cells(rows):
-        drawn.add_row(*map(escape, row))
-    return drawn
-
-
-def modes_table(rows, title) -> Table:
-    """Identified modes beside those of the model."""
-    drawn = plain_table(title)
-    for name in MODE_COLUMNS:
-        drawn.add_column(name, justify="left" if name == "mode" else "right", no_wrap=True)
-    for row in rows:
-        drawn.add_row(*map(escape, row.cells))
-    return drawn
-
-
-def gains_table(gains) -> Table:
-    """Gain, lag and coherence of each sensor against the base."""
-    drawn = plain_table("Against the base")
-    for name in ("sensor", "gain [-]", "lag [ms]", "coherence [-]"):
-        drawn.add_column(escape(name), justify="left" if name == "sensor" else "right", no_wrap=True)
-    for row in gain_rows(gains):
-        drawn.add_row(*map(str, row))
-    return drawn
-
-
-def priors_table(compared) -> Table:
-    """Natural frequencies and damping that the priors expect beside those of the data."""
-    drawn = plain_table("Priors (5 to 95 %) and data")
-    for name in ("mode", "priors [Hz]", "data [Hz]", "priors [%]", "damping of data [%]", "seen by"):
-        drawn.add_column(escape(name), justify="left" if name in ("mode", "seen by") else "right")
-    for row in mode_rows(compared):
+def drawn_table(asked: dict) -> Table:
+    """A table of the report for the terminal: columns of words to the left, of numbers to the right."""
+    drawn = plain_table(asked["title"])
+    for k, name in enumerate(asked["columns"]):
+        is_text = all(not is_number(row[k]) for row in asked["rows"])
+        drawn.add_column(escape(name), justify="left" if is_text else "right")
+    for row in asked["rows"]:
         drawn.add_row(*map(escape, row))
     return drawn
 

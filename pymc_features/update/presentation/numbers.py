@@ -199,3 +199,11 @@ def predicted_cells(rows) -> list[tuple[str, ...]]:
         limit = ("", "") if row.limit is None else (f"{row.limit:g} {row.unit}", f"{row.probability:.3f}")
         found.append((row.motion, row.quantity, pretty(unit), *texts, *limit))
     return found
+
+
+def is_number(text: str) -> bool:
+    """Whether a cell is a number, perhaps with a sign of per cent."""
+    try:
+        return float(text.removesuffix("%")) is not None
+    except ValueError:
+        return False
