@@ -26,6 +26,7 @@ from pymc_features.update.kinds.ambient import Ambient
 from pymc_features.update.kinds.modal import with_damping
 from pymc_features.update.predictions import Predict
 
+A_STRUCTURE = "a table with `type`, the name of a structure"
 OF_MODES = {"modal", "modal_mode", "modal_entry"}
 TAKEN = {"y", "chain", "draw", "sensor", "time", "sample", "mode", *OF_MODES}
 
@@ -47,7 +48,7 @@ class File(Section):
 
     record: RecordFile | None = Field(None, description="a table")
     processing: Processing = Field(Processing(), description="a table")
-    structure: StructureSection = Field(description="a table with `type`, the name of a structure")
+    structure: StructureSection | None = Field(None, description=A_STRUCTURE)
     priors: dict[str, PriorSection] = Field(description="a table of priors, one or more", min_length=1)
     likelihood: Likelihood | None = Field(None, description="a table")
     sampler: Sampler = Field(Sampler(), description="a table")
@@ -64,7 +65,7 @@ class File(Section):
 
     def uses(self) -> dict[str, list[tuple[str, str]]]:
         """Names of priors to (key, unit) of every place where they are used, in the order of use."""
-        places = list(parameters_of("structure", self.structure))
+        places = [] if self.structure is None else list(parameters_of("structure", self.structure))
         for name in type(self).model_fields:
             places += getattr(getattr(self, name), "parameters", lambda config: ())(self)
         found: dict[str, list[tuple[str, str]]] = {}
@@ -131,7 +132,9 @@ def validated(raw: dict, *, prune: bool = False) -> File:
 
 def check_sources(config: File) -> None:
     """There is something to compare with, and no section that it does not need."""
-    if config.structure.type in SPECIMENS and config.cyclic is None:
+    if config.structure is None and config.external is None:
+        raise ConfigError(f"`structure` must be given: {A_STRUCTURE}.")
+    if config.structure is not None and config.structure.type in SPECIMENS and config.cyclic is None:
         raise ConfigError(
             f"`cyclic` must be given for a {config.structure.type}: a table with the files of "
             "displacement and force."
@@ -169,7 +172,8 @@ def check_names(config: File, prune: bool) -> None:
                 f"`priors.{name}` must be used by the structure or a likelihood, it is nowhere. Use it or "
                 "remove it."
             )
-    structural = [p for p, places in used.items() if any(k.startswith("structure") for k, _ in places)]
+    of_model = ("structure", "external")
+    structural = [p for p, places in used.items() if any(k.startswith(of_model) for k, _ in places)]
     if not structural:
         raise ConfigError(
             "`structure` must have a parameter that is the name of a prior, got numbers only. There is "

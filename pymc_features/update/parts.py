@@ -18,6 +18,7 @@ from pymc_features.exceptions import ConfigError, UncalibratedError
 from pymc_features.smc import open_workers
 from pymc_features.storage import SUMMED, PartStore, held, moved_aside, settings_in
 from pymc_features.update import sampling
+from pymc_features.update.config.messages import with_keys
 from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.kinds import KINDS
 from pymc_features.update.kinds.model import declare, frequencies, names_for
@@ -26,7 +27,7 @@ from pymc_features.update.sampling import Running, calibrated, method_of, seed_o
 
 LOG = logging.getLogger("pymc_features")
 PRIOR_DRAWS = 4000
-GROUPS = ("posterior", "sample_stats", "particles", "modes", "calibration", "sequence")
+GROUPS = ("posterior", "sample_stats", "particles", "modes", "calibration", "sequence", "emulation")
 
 
 class RunSettings(NamedTuple):
@@ -141,7 +142,7 @@ def run_part(problem, kind, own, base, running: Running) -> xr.DataTree:
         if problem.structure.has_modes:
             part["modal"] = frequencies(problem, part["posterior"])
     tree = xr.DataTree.from_dict(part)
-    messages = list(dict.fromkeys(str(w.message) for w in caught if is_ours(w.category)))
+    messages = list(dict.fromkeys(with_keys(str(w.message)) for w in caught if is_ours(w.category)))
     tree.attrs = {
         "kind": kind,
         "method": method_of(problem, kind),

@@ -59,7 +59,7 @@ class Predict(RecordFile):
         return found.replace("/", "-")
 
 
-def check_predictions(config, structure_type) -> None:
+def check_predictions(config, structure) -> None:
     """Names differ, and structures have what is asked for.
 
     Raises
@@ -72,11 +72,11 @@ def check_predictions(config, structure_type) -> None:
         raise ConfigError(f"`predict` must have a `name` of its own for each, got {', '.join(titles)}.")
     for number, asked in enumerate(config.predict):
         at = f"predict[{number}]"
-        if config.cyclic is not None:
-            raise ConfigError("`predict` must be left out with [cyclic], got it. A specimen has no base.")
+        if not structure.has_modes:
+            raise ConfigError(f"`predict` must be left out with {structure.title}, got it. It has no base.")
         if asked.path is None and (config.data is None or config.data.excitation == "ambient"):
             raise ConfigError(f"`{at}.path` must be given, the file of a ground motion: none was measured.")
-        if "inter_storey_drift" in asked.quantities and not structure_type.has_storeys:
+        if "inter_storey_drift" in asked.quantities and not structure.has_storeys:
             raise ConfigError(
                 f"`{at}.quantities` must not have inter_storey_drift for a structure without storeys. Use "
                 "relative_displacement."

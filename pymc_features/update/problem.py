@@ -15,6 +15,7 @@ from pymc_features.update.config.priors import Prior
 from pymc_features.update.document import Config, read_config
 from pymc_features.update.kinds import KINDS, KINDS_OF_DATA
 from pymc_features.update.kinds.base import KindOfData, Setting
+from pymc_features.update.kinds.external import ProgramOf
 from pymc_features.update.kinds.modal import Modal
 from pymc_features.update.kinds.structure import StructureOf, modes_of
 from pymc_features.update.plausibility.findings import of_priors
@@ -32,6 +33,7 @@ WITHOUT_EFFECT = (
     "predict",
     "sensitivity",
     "compare",
+    "external.cache",
     "events.folder",  # each event is recognised by its data
     "events.pattern",
     "events.files",
@@ -52,7 +54,7 @@ class Problem:
         The same, validated.
     raw : dict
         The same, as it was parsed.
-    structure : StructureOf
+    structure : StructureOf or ProgramOf
         Values of the priors to a structure.
     priors : dict
         Names to `Prior`, in the order of the file.
@@ -64,7 +66,7 @@ class Problem:
     text: str
     config: Config
     raw: dict
-    structure: StructureOf
+    structure: StructureOf | ProgramOf
     priors: dict[str, Prior]
     data: tuple[KindOfData, ...]
 
@@ -129,10 +131,17 @@ class Problem:
         kept = {k: v for k, v in flattened(self.raw) if not k.startswith(WITHOUT_EFFECT)}
         for data in self.data:
             kept |= data.prints()
-        for file in sorted(files_of(self.config.structure)):
+        for file in sorted(files_of(self.config.structure) if self.config.structure else ()):
             digest = hashlib.sha256((self.path.parent / file).read_bytes())
             kept[f"{file}_sha256"] = digest.hexdigest()
         return json.loads(json.dumps(kept, default=str))
+
+
+def model_of(config: Config, folder: Path) -> StructureOf | ProgramOf:
+    """Values of the priors to a structure, or to what a program takes."""
+    if config.external is not None:
+        return ProgramOf(config.external)
+    return StructureOf(config.structure, folder)
 
 
 def flattened(table, prefix=""):
@@ -186,7 +195,7 @@ def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
         name: Prior(f"priors.{name}", section.distribution, section.arguments)
         for name, section in config.priors.items()
     }
-    structure = StructureOf(config.structure, path.parent)
+    structure = model_of(config, path.parent)
     with named_key("structure"):
         expected = structure(**{n: priors[n].median for n in structure.names})
         prior = expected_modes(structure, priors, expected) if structure.has_modes else None
@@ -201,12 +210,12 @@ def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
             f"`report.natural_frequencies` must be positive and rise, got {shown(frequencies)}. "
             "Pass them in Hz."
         )
-    if "inter_storey_drift" in config.report.quantities and not structure.type.has_storeys:
+    if "inter_storey_drift" in config.report.quantities and not structure.has_storeys:
         raise ConfigError(
             "`report.quantities` must not have inter_storey_drift for a structure without storeys, "
             f"{config.structure.type}. Use relative_displacement."
         )
-    check_predictions(config, structure.type)
+    check_predictions(config, structure)
     return Problem(path, text, config, raw, structure, priors, data)
 
 

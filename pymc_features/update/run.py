@@ -11,10 +11,9 @@ from pymc_features.exceptions import ConfigError
 from pymc_features.records import Record
 from pymc_features.update.candidates import compared
 from pymc_features.update.document import read_config
-from pymc_features.update.kinds.structure import StructureOf
 from pymc_features.update.parts import RunSettings, run_parts
 from pymc_features.update.predictions import check_predictions, predictions
-from pymc_features.update.problem import Problem
+from pymc_features.update.problem import Problem, model_of
 
 
 def run_update(
@@ -102,8 +101,8 @@ def predict_stored(config_path: Path, file: Path) -> xr.DataTree:
         If nothing is asked for, there is no result, or it is one of another structure.
     """
     config, _ = read_config(config_path)
-    structure = StructureOf(config.structure, config_path.parent)
-    check_predictions(config, structure.type)
+    structure = model_of(config, config_path.parent)
+    check_predictions(config, structure)
     if not config.predict:
         raise ConfigError("`predict` must be given, got none: a table [[predict]] for each motion.")
     if not file.is_file():

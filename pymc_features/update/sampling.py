@@ -129,4 +129,6 @@ def method_of(problem, kind) -> str:
         return "calibrate"
     if KINDS[kind].is_likelihood_free:
         return "SubsetSimulation"
+    if problem.config.external is not None and problem.config.external.emulate is not None:
+        return "emulate"
     return {"auto": "sample", "smc": sampler.kernel, "nuts": "NUTS", "laplace": "Laplace"}[sampler.method]

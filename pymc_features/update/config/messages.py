@@ -143,6 +143,23 @@ def shown(value) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
+#: What samplers ask for, and the keys of the file that do it: draws decide on the draws of a stage.
+ARGUMENTS = {
+    "`draws` and `stage_draws`": "`sampler.draws`",
+    "`draws` or `stage_draws`": "`sampler.draws`",
+    "`stage_draws`": "`sampler.draws`",
+    "`runs`": "`external.emulate`",
+    "sample with sample_smc()": "leave out `external.emulate`",
+}
+
+
+def with_keys(text: str) -> str:
+    """What a sampler says, with keys of the file in place of its arguments."""
+    for argument, name in ARGUMENTS.items():
+        text = text.replace(argument, name)
+    return text
+
+
 @contextmanager
 def named_key(key: str, **renamed: str):
     """Errors inside get the section `key` in front, and the keys for arguments that are `renamed`."""

@@ -150,7 +150,8 @@ class Ambient(KindOfData):
     @classmethod
     def is_asked(cls, config):
         """Whether the excitation is not measured."""
-        return config.data is not None and config.data.excitation == "ambient"
+        is_program = config.external is not None
+        return config.data is not None and config.data.excitation == "ambient" and not is_program
 
     @classmethod
     def check_sections(cls, config):

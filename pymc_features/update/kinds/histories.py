@@ -1,7 +1,7 @@
 """Measured histories that responses of a model are compared with in time, under the section [likelihood]."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pymc as pm
@@ -52,6 +52,8 @@ class Histories(KindOfData):
     config: Any
     measured: Measured
     dofs: list[int]
+
+    n_predicted: ClassVar[int] = DRAWS
 
     @classmethod
     def measure(cls, given: Setting) -> Measured:
@@ -137,20 +139,24 @@ class Histories(KindOfData):
             n_modes=problem.structure.n_modes,
         )
 
+    def response(self, problem, structure):
+        """The response (sensor, time) of a structure to the excitation, in the model of the context."""
+        with named_key("structure"):
+            return response(
+                structure,
+                self.measured.record,
+                dt=self.measured.step,
+                sensors=self.dofs,
+                quantity=self.quantity,
+                n_modes=problem.structure.n_modes,
+            )
+
     def declare(self, problem, likelihood, structure, values, tolerance):
         """Add the measured responses to the model of the context."""
         measured, asked = self.measured, self.config.likelihood
         observed = measured.channels
         pm.modelcontext(None).add_coords({dim: observed[dim].values for dim in DIMS})
-        with named_key("structure"):
-            mu = response(
-                structure,
-                measured.record,
-                dt=measured.step,
-                sensors=self.dofs,
-                quantity=self.quantity,
-                n_modes=problem.structure.n_modes,
-            )
+        mu = self.response(problem, structure)
         errors = {
             name: pt.as_tensor_variable(evaluated(value, values))
             for name, value in asked.parameters_of(likelihood)
@@ -204,33 +210,38 @@ class Histories(KindOfData):
             `coarse_sampling`. Peaks of other responses
             (`<quantity>_peak`) if the report asks for them.
         """
-        measured, observed = self.measured, self.channels
-        settings = {"draws": DRAWS, "quantiles": QUANTILES, "random_seed": 0}
-        settings |= {"dt": measured.step, "n_modes": problem.structure.n_modes}
-        at_sensors = posterior_response(
-            idata, problem.structure, measured.record, self.quantity, sensors=self.dofs, **settings
-        )
+        observed = self.channels
         coords = {"quantile": list(QUANTILES), "sensor": observed["sensor"], "time": observed["time"]}
         dims = ("quantile", "sensor", "time")
-        compared = at_sensors[self.quantity].values[..., measured.compared]
-        found = xr.Dataset({"response": (dims, compared)}, coords=coords)
+        quantiles = self.response_quantiles(problem, model, idata)
+        found = xr.Dataset({"response": (dims, quantiles)}, coords=coords)
         off = observed - found["response"].sel(quantile=0.5, drop=True)
         with np.errstate(divide="ignore", invalid="ignore"):  # of a channel of zeros
             found["normalised_error"] = np.sqrt((off**2).mean("time") / (observed**2).mean("time"))
         if not LIKELIHOODS[likelihood].is_likelihood_free:
-            found["predictive"] = dims, predictive(model, idata)
+            found["predictive"] = dims, predictive(model, idata, self.n_predicted)
             low, high = found["predictive"].isel(quantile=0), found["predictive"].isel(quantile=-1)
             inside = ((observed >= low) & (observed <= high)).where(observed.notnull())
             found["coverage"] = inside.mean("time")
-        return (
-            found
-            if not problem.config.report.quantities
-            else found.assign(self.peaks(problem, idata, settings))
-        )
+        return found if not problem.config.report.quantities else found.assign(self.peaks(problem, idata))
 
-    def peaks(self, problem, idata, settings) -> dict[str, xr.DataArray]:
+    def settings(self, problem) -> dict:
+        """How responses of draws are predicted."""
+        common = {"draws": self.n_predicted, "quantiles": QUANTILES, "random_seed": 0}
+        return common | {"dt": self.measured.step, "n_modes": problem.structure.n_modes}
+
+    def response_quantiles(self, problem, model, idata) -> np.ndarray:
+        """Quantiles (quantile, sensor, time) of the responses of draws where they are compared."""
+        motion, settings = self.measured.record, self.settings(problem)
+        found = posterior_response(
+            idata, problem.structure, motion, self.quantity, sensors=self.dofs, **settings
+        )
+        return found[self.quantity].values[..., self.measured.compared]
+
+    def peaks(self, problem, idata) -> dict[str, xr.DataArray]:
         """Quantiles of the peaks of the quantities that the report asks for."""
         names, found = problem.config.report.quantities, {}
+        settings = self.settings(problem)
         rest = posterior_response(idata, problem.structure, self.measured.record, names, **settings)
         for name in names:
             peak = rest[f"{name}_peak"]
@@ -249,9 +260,9 @@ def strongest(part) -> tuple[float, float]:
     return first, min(last, first + ZOOM)
 
 
-def predictive(model, idata) -> np.ndarray:
+def predictive(model, idata, draws: int) -> np.ndarray:
     """Quantiles (quantile, sensor, time) of draws of the data."""
-    posterior = thinned(idata["posterior"].to_dataset(), DRAWS)
+    posterior = thinned(idata["posterior"].to_dataset(), draws)
     drawn = pm.sample_posterior_predictive(
         xr.DataTree.from_dict({"posterior": posterior}),
         model=model,

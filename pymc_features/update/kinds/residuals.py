@@ -57,7 +57,7 @@ def verdict_of_responses(data, result, kind: str) -> Verdict:
     sensors = [str(name) for name in part["bands"]["sensor"].values]
     structured = found.densest > DENSE
     bad = (found.relative > UNEXPLAINED) & structured
-    sentences = [headline(sensors, found, bad)]
+    sentences = [headline(sensors, found.relative, bad)]
     if turned := turned_base(found):
         sentences += turned
     else:
@@ -95,30 +95,40 @@ def residuals_of(data, part, frequencies) -> Residuals:
     beside = np.abs(at - frequencies[:, None]) < close
     beside &= np.cumsum(beside, axis=0) == 1  # each frequency counts once
     spectrum = signal.welch(error, **rough)[1]
-    low, high = data.band
-    inside = np.sort(spectrum[:, (frequency >= low) & (frequency <= high)], axis=1)
-    some = max(1, round(NARROW * inside.shape[1]))
     return Residuals(
         np.sqrt((error**2).sum(axis=1)) / left,
         np.sqrt(((measured + response) ** 2).sum(axis=1)) / left,
         frequency,
         np.nan_to_num(coherence),
         spectrum / signal.welch(measured, **rough)[1],
-        inside[:, -some:].sum(axis=1) / inside.sum(axis=1),
+        densest_share(error, data.measured.step, data.band),
         power @ beside.T / power.sum(axis=1, keepdims=True),
     )
 
 
-def headline(sensors, found, bad) -> str:
+def densest_share(error, step, band) -> np.ndarray:
+    """Largest share (sensor,) of the energy of errors (sensor, time) in a tenth of a band."""
+    from scipy import signal  # a second to import
+
+    size = error.shape[1]
+    frequency, spectrum = signal.welch(error, 1.0 / step, nperseg=min(size, max(16, size // SEGMENTS)))
+    low, high = band
+    inside = np.sort(spectrum[:, (frequency >= low) & (frequency <= high)], axis=1)
+    some = max(1, round(NARROW * inside.shape[1]))
+    with np.errstate(divide="ignore", invalid="ignore"):  # of no error at all
+        return np.nan_to_num(inside[:, -some:].sum(axis=1) / inside.sum(axis=1))
+
+
+def headline(sensors, relative, bad) -> str:
     """One sentence on all sensors."""
     named = ", ".join(
         f"{100 * max(0.0, 1.0 - error**2):.0f} % of {name}"
-        for name, error in zip(sensors, found.relative, strict=True)
+        for name, error in zip(sensors, relative, strict=True)
     )
     if bad.any():
         worst = ", ".join(name for name, is_bad in zip(sensors, bad, strict=True) if is_bad)
         return f"This model does not explain {worst}: it accounts for {named} (share of the mean square)."
-    noise = found.relative > UNEXPLAINED
+    noise = relative > UNEXPLAINED
     if noise.any():
         return f"The model explains the measurements but for noise: it accounts for {named}."
     return f"The model explains the measurements: it accounts for {named} (share of the mean square)."

@@ -37,7 +37,9 @@ class Responses(Histories):
     @classmethod
     def is_asked(cls, config):
         """One record, with its excitation."""
-        return config.data is not None and config.data.excitation == "measured" and config.events is None
+        if config.external is not None or config.events is not None:
+            return False
+        return config.data is not None and config.data.excitation == "measured"
 
     @classmethod
     def check_sections(cls, config):

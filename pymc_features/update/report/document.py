@@ -16,6 +16,7 @@ import importlib.metadata
 
 import numpy as np
 
+from pymc_features.update.config.messages import with_keys
 from pymc_features.update.kinds import KINDS
 from pymc_features.update.kinds.events import CANNOT_BE_TOLD, UNTOLD, event_rows
 from pymc_features.update.kinds.events import COLUMNS as EVENT_COLUMNS
@@ -223,7 +224,7 @@ def sentences_of_sample(found, is_calibrated=False) -> list[str]:
         told.append(f"Nearly as wide as the prior are {found['undetermined']}.")
     if found["close_to_laplace"]:
         told.append(f"Is the posterior close to Laplace's approximation? {ended(found['close_to_laplace'])}")
-    return told + [found["advice"] or "Nothing was found wrong."]
+    return told + [ended(with_keys(found["advice"] or "Nothing was found wrong"))]
 
 
 def ended(text: str) -> str:

@@ -146,25 +146,25 @@ class Doubt(NamedTuple):
     text: str
 
     def __str__(self):
-        return f"{self.kind}: {self.text}"
+        return f"{self.kind}: {self.text[:1].upper()}{self.text[1:]}"
 
 
 #: Codes to what is said of some names, and what to do.
 DOUBTS = {
-    "chains": ("chains disagree on", "Increase `sampler.draws`, and look at the ranks."),
-    "draws": (f"fewer than {FEWEST} effective draws of each chain for", "Increase `sampler.draws`."),
-    "prior": ("the data say little about", "Their posterior is the prior: fix them, or add sensors."),
+    "chains": ("Chains disagree on", "Increase `sampler.draws`, and look at the ranks."),
+    "draws": (f"Fewer than {FEWEST} effective draws of each chain for", "Increase `sampler.draws`."),
+    "prior": ("The data say little about", "Their posterior is the prior: fix them, or add sensors."),
     "moved": (
-        "the data move, but do not narrow",
+        "The data move, but do not narrow",
         "The prior expects something else: ask which of the two is wrong.",
     ),
     "apart": (
-        "the data leave nearly as wide as the prior",
+        "The data leave nearly as wide as the prior",
         "What is named together they cannot tell apart: give narrower priors, or add sensors.",
     ),
-    "edge": ("the posterior leans on the edge of the prior for", "Widen the prior, or ask why."),
+    "edge": ("The posterior leans on the edge of the prior for", "Widen the prior, or ask why."),
     "band": (
-        "fewer than 80 % of the samples lie in the 90 % predictive band of",
+        "Fewer than 80 % of the samples lie in the 90 % predictive band of",
         "The likelihood takes the errors for smaller than they are.",
     ),
 }

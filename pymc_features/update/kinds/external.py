@@ -1,0 +1,307 @@
+"""A program that someone else wrote in place of a structure: the section [external]."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from pydantic import model_validator
+from pytensor.graph.traversal import ancestors
+
+from pymc_features import signals
+from pymc_features.emulation import emulate
+from pymc_features.exceptions import ConfigError
+from pymc_features.external import ExternalSimulator, ProgramSimulator
+from pymc_features.io.reading.labels import SI
+from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.ops import ExternalResponse
+from pymc_features.storage import fingerprint
+from pymc_features.update.config.entries import Parameter
+from pymc_features.update.config.messages import named_key
+from pymc_features.update.config.sections import MEASURED, Section, key
+from pymc_features.update.kinds.base import Setting
+from pymc_features.update.kinds.channels import Measured, detrended, read_corrected, window_of
+from pymc_features.update.kinds.checks import Checked
+from pymc_features.update.kinds.histories import QUANTILES, Histories, check_errors, check_gaps
+from pymc_features.update.kinds.model import thinned
+from pymc_features.update.kinds.residuals import DENSE, ROUGH, UNEXPLAINED, densest_share, headline
+from pymc_features.update.presentation.components import components_of
+from pymc_features.update.presentation.shown import SENSORS, Verdict, processing_steps, sensor_rows, table
+
+SIMULATED = 50  # draws whose responses the report shows
+REFUSED = ("structure", "record", "events", "modal", "ambient", "cyclic", "predict", "compare", "sensitivity")
+UNCHECKED = Checked(None, "not checked: only the program knows the motion of the base")
+
+
+class ExternalSection(Section):
+    """Which program, how it gets parameters, and what it leaves."""
+
+    program: str | list[str] = key('a command, as "OpenSees frame.tcl", or a list of its words')
+    units: dict[str, str] = key(
+        'a table of the priors that stand as {{NAME}} in program and template to their units, as {k = "N/m"}',
+        min_length=1,
+    )
+    template: dict[str, str] = key("a table of the files that the program reads to their templates", {})
+    files: list[str] = key("a list of files that are copied beside them as they are", [])
+    output: str = key("the file that the program leaves: .npy, .csv or text in columns")
+    columns: list[int] | None = key("a list of columns that count, from 0, one for each sensor", None)
+    transpose: bool = key("true if the rows of the file are times, else false", True)
+    timeout: float | None = key("seconds after which a run is stopped, positive", None, gt=0)
+    retries: int = key("a whole number of further attempts, not negative", 0, ge=0)
+    cache: str = key("a file that keeps every run", "simulations.sqlite")
+    emulate: int | None = key(
+        "a whole number of runs from 10 on, from which an emulator is made", None, ge=10
+    )
+
+    @model_validator(mode="after")
+    def takes_something(self):
+        """A program without parameters is always the same."""
+        texts = [*([self.program] if isinstance(self.program, str) else self.program), *self.template]
+        if not self.template and not any("{{" in text for text in texts):
+            raise ValueError(
+                "must have a `template`, or a parameter as {{NAME}} in `program`, got neither: the program "
+                "would always do the same"
+            )
+        return self
+
+    def parameters(self, config):
+        """Key, unit and value of what is random."""
+        for name, unit in self.units.items():
+            yield f"external.units.{name}", unit, Parameter(name)
+
+
+class ProgramOf:
+    """What stands in place of a structure: the names of the program's parameters, and no modes."""
+
+    has_modes = has_storeys = False
+    n_modes = None
+
+    def __init__(self, section: ExternalSection):
+        self.names = list(section.units)
+        self.title = section.program if isinstance(section.program, str) else " ".join(section.program)
+
+    def __call__(self, **values):
+        """The parameters in their order."""
+        return [values[name] for name in self.names]
+
+
+@dataclass(frozen=True)
+class External(Histories):
+    """Histories that a program computes for known parameters; it alone knows the motion of the base.
+
+    Attributes
+    ----------
+    simulator : ExternalSimulator
+        The program, with its cache.
+    """
+
+    simulator: ExternalSimulator
+
+    key, section = "external", ExternalSection
+    is_checked, n_predicted = False, SIMULATED
+
+    @classmethod
+    def is_asked(cls, config):
+        """Whether a program is named."""
+        return config.external is not None
+
+    @classmethod
+    def check_sections(cls, config):
+        """Sections that speak of a structure mean nothing, and filters would touch one side alone."""
+        for name in REFUSED:
+            if name in config.model_fields_set:
+                raise ConfigError(f"`{name}` must be left out with [external], got it. The program decides.")
+        if config.data is None or (config.data.files is None and config.data.dataset is None):
+            raise ConfigError("`data` must be given with [external]: a table with the measured `files`.")
+        if config.likelihood is None:
+            raise ConfigError("`likelihood` must be given with [external]: a table.")
+        for section, names in (
+            ("data", ("base", "dofs", "excitation", "interpolation")),
+            ("processing", ("band_pass", "decimate", "check_band")),
+            ("report", ("natural_frequencies", "quantities")),
+        ):
+            if given := sorted(getattr(config, section).model_fields_set & set(names)):
+                raise ConfigError(
+                    f"`{section}.{given[0]}` must be left out with [external], got it. What the program "
+                    "returns is compared as it is."
+                )
+        is_emulated = config.external.emulate is not None
+        for kind in config.likelihood.kinds:
+            entry = LIKELIHOODS[kind]
+            if entry.calibrates or (is_emulated and entry.is_likelihood_free):
+                taken = [
+                    name for name, e in LIKELIHOODS.items() if not (e.calibrates or e.is_likelihood_free)
+                ]
+                raise ConfigError(
+                    f"`likelihood.kinds` must not have {kind} with [external]"
+                    f"{' and `emulate`' if is_emulated else ', for programs have no sensitivities'}. "
+                    f"Take {', '.join(taken)}."
+                )
+        if is_emulated and config.sampler.method != "auto":
+            raise ConfigError(
+                f'`sampler.method` must be "auto" with `external.emulate`, got {config.sampler.method!r}.'
+            )
+
+    @classmethod
+    def read(cls, given: Setting):
+        """The channels, and the program with the shape that they need."""
+        config, asked = given.config, given.config.external
+        channels, source = read_corrected(config, given.folder)
+        channels = detrended(channels, config.processing)
+        if config.processing.trim is not None:
+            with named_key("processing.trim"):
+                channels = signals.trim(channels, *config.processing.trim)
+        with named_key("data"):
+            step = signals.sampling_step(channels)
+        shape = channels.shape
+        channels = channels.drop_vars("units", errors="ignore")
+        channels = channels.assign_attrs(units=SI[MEASURED[config.data.quantity]])
+        compared, first = window_of(channels, config.processing.compare)
+        measured = Measured(None, compared, step, source, UNCHECKED, first)
+        check_errors(config, given.priors, len(compared))
+        check_gaps(config, measured)
+        with named_key("external", command="program", inputs="template", result="output"):
+            program = ProgramSimulator(
+                asked.program,
+                list(asked.units),
+                {name: given.folder / file for name, file in asked.template.items()},
+                asked.output,
+                columns=asked.columns,
+                transpose=asked.transpose,
+                files=[given.folder / file for file in asked.files],
+            )
+            simulator = ExternalSimulator(
+                program,
+                shape=shape,
+                dt=step,
+                timeout=asked.timeout,
+                retries=asked.retries,
+                cache=given.folder / asked.cache,
+                executor=config.sampler.cores,
+                progress=False,
+            )
+        return cls(config, measured, list(range(len(compared))), simulator)
+
+    @property
+    def used(self):
+        """How many histories, and for how long."""
+        duration = self.measured.step * self.simulator.shape[1]
+        return f"{len(self.dofs)} measured histories over {duration:.4g} s"
+
+    def prints(self):
+        """Of the histories and the program."""
+        channels = fingerprint(np.ascontiguousarray(self.channels.values))
+        return {"channels_sha256": channels, "program": self.simulator.identity}
+
+    def response(self, problem, structure):
+        """What the program returns; `structure` has its parameters in their order."""
+        return self.simulator(*structure)
+
+    def sample(self, problem, likelihood, model, seed, running):
+        """The posterior from some hundred runs, if it is asked for."""
+        sampler, runs = self.config.sampler, self.config.external.emulate
+        if runs is None:
+            return None
+        with named_key("external.emulate", runs="external.emulate"):
+            return emulate(
+                runs,
+                model=model,
+                draws=sampler.draws,
+                chains=sampler.chains,
+                random_seed=seed,
+                progressbar=running.progressbar,
+            )
+
+    def predict(self, problem, likelihood, model, idata):
+        """As of histories, with the responses of draws by their principal components."""
+        found = super().predict(problem, likelihood, model, idata)
+        drawn, responses = self.responses(problem, model, idata)
+        labels = drawn.stack(sample=("chain", "draw"))
+        median = found["bands"]["response"].sel(quantile=0.5, drop=True)
+        off = np.moveaxis(responses - median.values, 0, -1)
+        known = np.isfinite(off).all(axis=(0, 1))
+        labels = {name: ("sample", labels[name].values[known]) for name in ("chain", "draw")}
+        return found | {"histories": components_of(lambda: [(0, off[..., known])], median, labels)}
+
+    def responses(self, problem, model, idata) -> tuple[xr.Dataset, np.ndarray]:
+        """Some draws, and their responses (sample, sensor, time) by the program or its emulator."""
+        drawn = thinned(idata["posterior"].to_dataset(), SIMULATED)
+        columns = [drawn[name].transpose("chain", "draw").values.ravel() for name in problem.structure.names]
+        [op] = {
+            v.owner.op
+            for v in ancestors(model.basic_RVs)
+            if v.owner is not None and isinstance(v.owner.op, ExternalResponse)
+        } or [ExternalResponse(self.simulator, (0,) * len(columns))]  # of ABC, which has the simulator inside
+        return drawn, op.simulator.responses(*columns)[..., self.measured.compared]
+
+    def response_quantiles(self, problem, model, idata):
+        """Of the responses of some draws, those left out at which the program fails."""
+        return np.nanquantile(self.responses(problem, model, idata)[1], QUANTILES, axis=0)
+
+    def drawn_of(self, problem, part):
+        """None: they are known from the beginning."""
+        return {}
+
+    def shared(self, problem, parts):
+        """The histories that were measured."""
+        channels = self.channels.drop_attrs().assign_attrs(units=self.measured.units)
+        return {"data": xr.Dataset({"measured": channels}, attrs={"source": self.measured.source})}
+
+    def told(self):
+        """The files, and the program."""
+        yield f"data: {self.measured.source}; {self.simulator.shape[1]} samples at {self.measured.step:.6g} s"
+        yield f"program: {' '.join(self.simulator.function.command)}"
+
+    def check(self, problem, path):
+        """Run the program once, at the medians of the priors."""
+        middle = {name: problem.priors[name].median for name in problem.structure.names}
+        start, known = time.perf_counter(), dict(self.simulator.counts)
+        [found] = self.simulator.responses(*(np.array([value]) for value in middle.values()))
+        seconds = time.perf_counter() - start
+        if not np.isfinite(found).all():
+            reason = self.simulator.failures[-1].message if self.simulator.failures else "it is not finite"
+            raise ConfigError(
+                f"`external.program` must run at the medians of the priors, {told_values(middle)}: {reason}"
+            )
+        off = self.channels - found[:, self.measured.compared]
+        relative = np.sqrt((off**2).mean("time") / (self.channels**2).mean("time")).values
+        shares = ", ".join(
+            f"{100.0 * max(0.0, 1.0 - error**2):.0f} % of {name}"
+            for name, error in zip(self.channels["sensor"].values, relative, strict=True)
+        )
+        how = "came from the cache" if self.simulator.counts["cached"] > known["cached"] else ""
+        yield (
+            f"The program {how or f'took {seconds:.2g} s'} at the medians of the priors, "
+            f"{told_values(middle)}: it accounts for {shares}."
+        )
+
+    def tables(self, problem):
+        """The channels."""
+        channels, steps = self.channels, processing_steps(self.measured.source, self.config.processing)
+        note = (
+            f"The {', '.join(steps)}. There are {channels.sizes['time']} samples at {self.measured.step:.6g} "
+            f"s. Responses are those of {SIMULATED} draws."
+        )
+        rows = sensor_rows(channels["sensor"].values, ["" for _ in self.dofs], channels.values)
+        return [table("channels", "data", "Channels", SENSORS, rows, note)]
+
+    def verdict(self, problem, result, kind):
+        """Whether the median response meets what was measured, but for noise."""
+        part = result[kind]
+        sensors, measured = part["bands"]["sensor"].values.astype(str), part["observed_data"]["y"].values
+        error = np.nan_to_num(measured - part["bands"]["response"].sel(quantile=0.5).values)
+        relative = part["bands"]["normalised_error"].values
+        structured = densest_share(error, self.measured.step, self.band) > DENSE
+        bad = structured & (relative > UNEXPLAINED)
+        sentences = [headline(sensors, relative, bad)]
+        if (rough := structured & (relative > ROUGH)).any():
+            sentences.append(
+                f"The error at {', '.join(sensors[rough])} is no noise but an error of the model: it is "
+                "gathered around few frequencies."
+            )
+        return Verdict(sentences, not bad.any())
+
+
+def told_values(values) -> str:
+    """Names and values in a sentence."""
+    return ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
