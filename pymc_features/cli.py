@@ -260,12 +260,17 @@ def tell(shown, console):
 
 def check(options, console):
     """Look at the data of a configuration."""
+    from pymc_features.update.candidates import candidates_of
+    from pymc_features.update.population import members_of
+
     config = Path(options.config)
     problem, told = read_and_tell(config, console)
     out = Path(options.out or config.with_name(f"{config.stem}-check.png"))
     for data in problem.data:
         path = out if data is problem.first else out.with_name(f"{out.stem}-{data.key}{out.suffix}")
         tell(data.check(problem, path), console)
+    candidates_of(problem)  # errors of which are found now
+    members_of(problem)
     if problem.config.sensitivity is not None:
         from pymc_features.update.sensitivity import remaining, sensitivity_sentences
 

@@ -13,7 +13,7 @@ from pymc_features.update.parts import RunSettings, run_parts
 from pymc_features.update.problem import Problem, problem_of
 
 GIVEN = "[structure]"  # what the structure of the file is called
-LEFT_OUT = ("compare", "predict")  # sections that are those of the file alone
+LEFT_OUT = ("compare", "predict", "hierarchical")  # sections that are those of the file alone
 
 
 def problem_with(problem: Problem, name: str) -> Problem:
@@ -30,12 +30,23 @@ def problem_with(problem: Problem, name: str) -> Problem:
     own["priors"] = raw["priors"] | asked.priors
     if "likelihood" in raw:
         own["likelihood"] = raw["likelihood"] | {"kinds": with_evidence(problem.kinds)}
+    return variant(problem, own, f"compare.{name}")
+
+
+def variant(problem: Problem, raw: dict, at: str) -> Problem:
+    """The problem of another file in the same folder, without priors that it does not use.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read; the message begins with the section `at`.
+    """
     try:
-        uses = validated(own, prune=True).uses()
-        own["priors"] = {k: v for k, v in own["priors"].items() if k in uses}
-        return problem_of(problem.path, problem.text, validated(own), own)
+        uses = validated(raw, prune=True).uses()
+        raw = raw | {"priors": {k: v for k, v in raw["priors"].items() if k in uses}}
+        return problem_of(problem.path, problem.text, validated(raw), raw)
     except ConfigError as error:
-        raise ConfigError(f"[compare.{name}]: {error}") from error
+        raise ConfigError(f"[{at}]: {error}") from error
 
 
 def with_evidence(kinds) -> list[str]:
@@ -43,13 +54,20 @@ def with_evidence(kinds) -> list[str]:
     return [kind for kind in kinds if not (KINDS[kind].calibrates or KINDS[kind].is_likelihood_free)]
 
 
-def compared(problem: Problem, parts, settings: RunSettings) -> dict[str, xr.Dataset]:
+def candidates_of(problem: Problem) -> dict[str, Problem]:
+    """The problem with the structure of each candidate."""
+    return {name: problem_with(problem, name) for name in problem.config.compare}
+
+
+def compared(problem: Problem, candidates, parts, settings: RunSettings) -> dict[str, xr.Dataset]:
     """Evidence and probability of every candidate under each likelihood that has an evidence.
 
     Parameters
     ----------
     problem : Problem
         Perhaps with [compare].
+    candidates : dict
+        From `candidates_of`.
     parts : dict
         Likelihoods to what was sampled with the structure of the file.
     settings : RunSettings
@@ -64,12 +82,12 @@ def compared(problem: Problem, parts, settings: RunSettings) -> dict[str, xr.Dat
     if not asked:
         return {}
     found = {GIVEN: parts}
-    for name in asked:
+    for name, candidate in candidates.items():
         own = settings._replace(
             out=None if settings.out is None else Path(settings.out) / "compare" / name,
             progress=settings.progress and partial(told, settings.progress, name),
         )
-        found[name] = run_parts(problem_with(problem, name), own).found
+        found[name] = run_parts(candidate, own).found
     prior = {GIVEN: 1.0} | {name: candidate.weight for name, candidate in asked.items()}
     return {
         f"compare/{kind}": compare({name: of_kind[kind] for name, of_kind in found.items()}, prior=prior)[

@@ -3,7 +3,7 @@
 import keyword
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
+from pydantic import Field, ValidationError, create_model, model_validator
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.entries import units_in
@@ -11,7 +11,9 @@ from pymc_features.update.config.keys import parsed
 from pymc_features.update.config.messages import sentence, shown
 from pymc_features.update.config.sections import (
     Candidate,
+    Hierarchical,
     Likelihood,
+    PriorSection,
     Processing,
     RecordFile,
     Report,
@@ -31,18 +33,6 @@ OF_MODES = {"modal", "modal_mode", "modal_entry"}
 TAKEN = {"y", "chain", "draw", "sensor", "time", "sample", "mode", *OF_MODES}
 
 
-class PriorSection(BaseModel):
-    """A prior: its distribution, and the distribution's own arguments besides."""
-
-    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
-    distribution: str = Field(description="the name of a continuous distribution of PyMC")
-
-    @property
-    def arguments(self) -> dict:
-        """Names of arguments to values."""
-        return dict(self.model_extra)
-
-
 class File(Section):
     """The sections that every file may have."""
 
@@ -54,6 +44,7 @@ class File(Section):
     sampler: Sampler = Field(Sampler(), description="a table")
     predict: list[Predict] = Field([], description="a list of tables, each [[predict]]")
     compare: dict[str, Candidate] = Field({}, description="a table of candidates, each [compare.NAME]")
+    hierarchical: Hierarchical | None = Field(None, description="a table")
     sensitivity: Sensitivity | None = Field(None, description="a table")
     report: Report = Field(Report(), description="a table")
 

@@ -14,6 +14,7 @@ from pymc_features.prediction import first_passage_probability, posterior_respon
 from pymc_features.records import Record
 from pymc_features.update.config.messages import named_key
 from pymc_features.update.config.sections import QUANTITIES, RecordFile, key
+from pymc_features.update.presentation.numbers import predicted_quantities
 
 DRAWS = 500
 QUANTILES = (0.05, 0.5, 0.95)
@@ -166,15 +167,13 @@ class PredictedRow(NamedTuple):
 def predicted_rows(result: xr.DataTree) -> list[PredictedRow]:
     """What all predictions of a result say of peaks and limits."""
     rows = []
-    for title, node in getattr(result.children.get("predict"), "children", {}).items():
-        data = node.to_dataset()
-        for name in [str(n).removesuffix("_peak") for n in data.data_vars if str(n).endswith("_peak")]:
-            peak = data[f"{name}_peak"]
-            largest = peak.max([dim for dim in peak.dims if dim != "sample"])
-            quantiles = np.quantile(largest.values, QUANTILES).tolist()
-            row = PredictedRow(title, name.replace("_", " "), data[name].attrs["units"], quantiles)
-            limits = data.get(f"{name}_limit", xr.DataArray([])).values
-            columns = (f"{name}_probability_any", f"{name}_probability_any_se")
-            told = zip(limits, *(data[column].values for column in columns if limits.size), strict=True)
-            rows += [row._replace(limit=one, probability=p, error=e) for one, p, e in told] or [row]
+    for title, data, name in predicted_quantities(result):
+        peak = data[f"{name}_peak"]
+        largest = peak.max([dim for dim in peak.dims if dim != "sample"])
+        quantiles = np.quantile(largest.values, QUANTILES).tolist()
+        row = PredictedRow(title, name.replace("_", " "), data[name].attrs["units"], quantiles)
+        limits = data.get(f"{name}_limit", xr.DataArray([])).values
+        columns = (f"{name}_probability_any", f"{name}_probability_any_se")
+        told = zip(limits, *(data[column].values for column in columns if limits.size), strict=True)
+        rows += [row._replace(limit=one, probability=p, error=e) for one, p, e in told] or [row]
     return rows

@@ -33,6 +33,7 @@ WITHOUT_EFFECT = (
     "predict",
     "sensitivity",
     "compare",
+    "hierarchical",
     "external.cache",
     "events.folder",  # each event is recognised by its data
     "events.pattern",

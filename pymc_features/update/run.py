@@ -9,9 +9,10 @@ import xarray as xr
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.records import Record
-from pymc_features.update.candidates import compared
+from pymc_features.update.candidates import candidates_of, compared
 from pymc_features.update.document import read_config
 from pymc_features.update.parts import RunSettings, run_parts
+from pymc_features.update.population import members_of, populations
 from pymc_features.update.predictions import check_predictions, predictions
 from pymc_features.update.problem import Problem, model_of
 
@@ -54,7 +55,8 @@ def run_update(
         bands. Of ambient vibration the likelihood is AMBIENT, with `spectra`, see `fitted_spectra`, and with
         the modes that the channels have. Of several events `sequence`, and all else is the state after the
         last of them. `/predict/<name>` has what [[predict]] asks for, see `predictions`, and
-        `/compare/<likelihood>` the evidence of the candidates of [compare]. The attribute `failed` says in
+        `/compare/<likelihood>` the evidence of the candidates of [compare], `/hierarchical/<likelihood>` the
+        population of [hierarchical]. The attribute `failed` says in
         JSON which calibrated posterior could not be had, and why; if it was the only one asked for, that
         which it is made from is in its place.
 
@@ -63,13 +65,15 @@ def run_update(
     ConfigError
         If `out` holds another problem, or the tolerance of ABC is out of reach; everything else is kept.
     """
+    candidates, members = candidates_of(problem), members_of(problem)  # whose errors come before any draw
     settings = RunSettings(out, cores, executor, progress, progressbar)
     parts, failed = run_parts(problem, settings)
     reported = [kind for kind in problem.reported if kind in parts] or list(parts)
     shown = {kind: parts[kind].copy() for kind in reported}
     title = problem.config.report.title.replace("/", "-")  # which would be a path in the tree
     result = xr.DataTree.from_dict(shown, name=title)
-    groups = compared(problem, parts, settings)
+    groups = compared(problem, candidates, parts, settings)
+    groups |= populations(problem, members, parts, settings)
     for data in problem.data:
         groups |= data.shared(problem, shown)
     posterior = shown[reported[0]]["posterior"].to_dataset()

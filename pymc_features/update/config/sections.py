@@ -314,6 +314,35 @@ class Candidate(Section):
     weight: float = key("a prior probability beside 1 of [structure], positive", 1.0, gt=0)
 
 
+class PriorSection(BaseModel):
+    """A prior: its distribution, and the distribution's own arguments besides."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
+    distribution: str = Field(description="the name of a continuous distribution of PyMC")
+
+    @property
+    def arguments(self) -> dict:
+        """Names of arguments to values."""
+        return dict(self.model_extra)
+
+
+class Population(Section):
+    """How one parameter varies from member to member."""
+
+    distribution: Literal["Normal", "LogNormal"] = key('"Normal" or "LogNormal", then of ln', "LogNormal")
+    mean: PriorSection = key("a table, the prior of the mean, with LogNormal of the median")
+    scatter: PriorSection = key("a table, the prior of the standard deviation, with LogNormal that of ln")
+
+
+class Hierarchical(Section):
+    """Several specimens or laboratories, of which the file is one, and their population."""
+
+    members: dict[str, dict[str, Any]] = key(
+        "a table of the others: of each the sections in which it differs from the file", min_length=1
+    )
+    population: dict[str, Population] = key("a table of parameters that vary, one or more", min_length=1)
+
+
 class Sensitivity(Section):
     """What `check` says about how well the sensors see each parameter."""
 

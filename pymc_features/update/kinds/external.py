@@ -29,7 +29,18 @@ from pymc_features.update.presentation.components import components_of
 from pymc_features.update.presentation.shown import SENSORS, Verdict, processing_steps, sensor_rows, table
 
 SIMULATED = 50  # draws whose responses the report shows
-REFUSED = ("structure", "record", "events", "modal", "ambient", "cyclic", "predict", "compare", "sensitivity")
+REFUSED = (
+    "structure",
+    "record",
+    "events",
+    "modal",
+    "ambient",
+    "cyclic",
+    "predict",
+    "compare",
+    "hierarchical",
+    "sensitivity",
+)
 UNCHECKED = Checked(None, "not checked: only the program knows the motion of the base")
 
 

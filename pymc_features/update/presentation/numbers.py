@@ -191,6 +191,15 @@ def escaped(text: str) -> str:
     return found.removesuffix("\0")
 
 
+def predicted_quantities(result):
+    """Title, Dataset and quantity of every prediction in a result."""
+    for title, node in getattr(result.children.get("predict"), "children", {}).items():
+        data = node.to_dataset()
+        for name in data.data_vars:
+            if str(name).endswith("_peak"):
+                yield title, data, str(name).removesuffix("_peak")
+
+
 def predicted_cells(rows) -> list[tuple[str, ...]]:
     """Texts of `PredictedRow`s, in the order of `PREDICTED`."""
     found = []

@@ -21,6 +21,7 @@ from pymc_features.update.kinds import KINDS
 from pymc_features.update.kinds.events import CANNOT_BE_TOLD, UNTOLD, event_rows
 from pymc_features.update.kinds.events import COLUMNS as EVENT_COLUMNS
 from pymc_features.update.kinds.events import MEANING as EVENT_MEANING
+from pymc_features.update.population import COLUMNS as POPULATION
 from pymc_features.update.predictions import predicted_rows
 from pymc_features.update.presentation.mode_rows import COLUMNS as MODE_COLUMNS
 from pymc_features.update.presentation.mode_rows import MEANING
@@ -54,6 +55,7 @@ def document_of(problem: Problem, result, found: Findings, warnings) -> dict:
         *tables_of_modes(found),
         *tables_of_events(result, kinds),
         table_of_predictions(found.predicted),
+        table_of_population(found.population),
         *tables_of_model(problem, result, kinds),
         *(one for data in problem.data for one in data.tables(problem)),
         *(table(f"{kind}_run", "sampling", note=" ".join(run_sentences(result[kind]))) for kind in kinds),
@@ -138,6 +140,15 @@ def table_of_predictions(predicted) -> dict:
         "of exceeding the limit anywhere."
     )
     return table(PREDICTION, PREDICTION, "Largest responses to other motions", PREDICTED, rows, note)
+
+
+def table_of_population(rows) -> dict:
+    """Mean and scatter of the members of [hierarchical]."""
+    note = rows and (
+        "Mean and scatter of the population, the next member of it, and each member given all of them; of a "
+        "log-normal population the mean is its median, the scatter the standard deviation of the logarithm."
+    )
+    return table("population", "population", "Mean, scatter and members", POPULATION, rows, note)
 
 
 def with_predictions(document: dict, result) -> dict:

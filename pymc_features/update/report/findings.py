@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from pymc_features.update.candidates import comparison_sentences
 from pymc_features.update.kinds.events import events_verdict
+from pymc_features.update.population import population_rows, population_sentences
 from pymc_features.update.predictions import PredictedRow, predicted_rows
 from pymc_features.update.presentation.mode_rows import ModeRow
 from pymc_features.update.presentation.shown import Verdict
@@ -40,6 +41,8 @@ class Findings(NamedTuple):
         Which candidate the data prefer.
     predicted : list of PredictedRow
         Peaks and limits under other motions.
+    population : list of tuple
+        Cells of the population of several members.
     """
 
     verdict: Verdict
@@ -53,6 +56,7 @@ class Findings(NamedTuple):
     is_unchanged: bool
     besides: list[str]
     predicted: list[PredictedRow]
+    population: list[tuple[str, ...]]
 
 
 def findings(problem: Problem, result) -> Findings:
@@ -82,6 +86,7 @@ def findings(problem: Problem, result) -> Findings:
         *events_verdict(first, result[first]),
         besides(result),
         predicted_rows(result),
+        population_rows(problem, result),
     )
 
 
@@ -90,7 +95,7 @@ def besides(result) -> list[str]:
     told = []
     for kind, node in getattr(result.children.get("compare"), "children", {}).items():
         told += comparison_sentences(node.to_dataset(), kind)
-    return told
+    return told + population_sentences(result)
 
 
 def as_json(found: Findings) -> str:

@@ -8,8 +8,14 @@ import base64
 import json
 
 import numpy as np
+import xarray as xr
 
-from pymc_features.update.presentation.numbers import interval_texts, rows_of, scale_of
+from pymc_features.update.presentation.numbers import (
+    interval_texts,
+    predicted_quantities,
+    rows_of,
+    scale_of,
+)
 
 BUDGET = 950_000  # characters of all responses and their spectra
 DRAWS = 600  # in the pair plot
@@ -43,6 +49,7 @@ def payload_of(result) -> dict:
         }
     shared = {"measured": measured(result, kinds, samples, scale), "geometry": geometry(result)}
     shared |= {"data": data_of(result, kinds), "spectra": channel_values(result)}
+    shared |= {"predicted": predicted(result) or None}
     return found | {name: value for name, value in shared.items() if value is not None}
 
 
@@ -310,6 +317,39 @@ def data_of(result, kinds):
     }
     if "given_frequency" in data:
         found["given"] = rounded(data["given_frequency"].values, 5)
+    return found
+
+
+def predicted(result) -> list[dict]:
+    """Of each response to another motion: the history where it is largest, peaks of draws, and limits."""
+    found = []
+    for title, data, name in predicted_quantities(result):
+        values, peak = data[name], data[f"{name}_peak"]
+        label, at = name.replace("_", " "), ""
+        dims = [dim for dim in peak.dims if dim != "sample"]
+        if dims:
+            [dim] = dims
+            place = int(peak.median("sample").argmax())
+            values, at = values.isel({dim: place}), f", {dim} {peak[dim].values[place]}"
+        quantiles = values.transpose("quantile", "time").values
+        scale = scale_of(float(np.abs(quantiles).max()), values.attrs["units"])
+        kept = extremes(quantiles[[0, -1]], RECORD)
+        columns = ("limit", "probability_any", "probability_any_se")
+        limits = [data.get(f"{name}_{column}", xr.DataArray([])).values for column in columns]
+        found.append(
+            {
+                "motion": title,
+                "label": label,
+                "place": f"{label}{at}",
+                "unit": scale.unit,
+                "time": packed(values["time"].values[kept]),
+                "quantiles": packed(quantiles[:, kept] / scale.factor),
+                "peaks": packed(np.sort(peak.max(dims).values) / scale.factor),
+                "limits": rounded(limits[0] / scale.factor),
+                "probabilities": rounded(limits[1]),
+                "errors": rounded(limits[2]),
+            }
+        )
     return found
 
 

@@ -7,7 +7,7 @@ from rich.table import Table
 from pymc_features.update.presentation.mode_rows import COLUMNS as MODES
 from pymc_features.update.presentation.numbers import COLUMNS, cells, is_number
 from pymc_features.update.presentation.shown import table
-from pymc_features.update.report.document import table_of_predictions
+from pymc_features.update.report.document import table_of_population, table_of_predictions
 from pymc_features.update.report.findings import Findings
 
 # as many as 80 characters hold
@@ -49,6 +49,8 @@ def summary(found: Findings):
     yield posterior_table([row for row in found.table if row.kind == first]), None
     for sentence in found.besides:
         yield sentence, None
+    if found.population:
+        yield drawn_table(table_of_population([row for row in found.population if row[0] == first])), None
     if found.predicted:
         yield drawn_table(table_of_predictions(found.predicted)), None
     if found.modes:

@@ -274,6 +274,26 @@ figure("record", [], place => {
   plot(place, [line(unpack(time), unpack(base), INK, 1, name)], {xaxis: axis("time [s]"), yaxis: axis("base [m/s²]")});
 });
 
+figure("prediction", ["predicted"], (place, element) => {
+  const one = payload.predicted[chosen.predicted], t = unpack(one.time), peaks = unpack(one.peaks), n = peaks.length;
+  const [low, median, high] = unpack(one.quantiles), right = {xaxis: "x2", yaxis: "y2"};
+  plot(place, [
+    band(t, low, high, MIDDLE, "5 to 95 %"), line(t, median, BLUE, 1.2, "median"),
+    line(peaks, peaks.map((_, k) => 1 - (k + 0.5) / n), BLUE, 1.6, "exceeded", {...right, showlegend: false}),
+    {
+      x: one.limits, y: one.probabilities, ...right, mode: "markers", name: "limits", marker: {color: RED, size: 8},
+      showlegend: one.limits.length > 0, error_y: {type: "data", array: one.errors, color: RED, thickness: 1},
+    },
+  ], {
+    xaxis: axis("time [s]"), yaxis: axis(`${one.place} [${one.unit}]`, {domain: [0.48, 1]}),
+    xaxis2: axis(`largest ${one.label} [${one.unit}]`, {anchor: "y2"}),
+    yaxis2: axis("probability", {domain: [0, 0.36], range: [-0.02, 1.02], anchor: "x2"}), uirevision: chosen.predicted,
+  });
+  element.querySelector("figcaption").textContent = `Above, ${one.place} under ${one.motion}, where it is largest: median `
+    + "and 5 to 95 %, from the uncertainty of the parameters. Below, the probability that the largest value anywhere "
+    + "exceeds one on the axis, and in red that of each limit.";
+});
+
 figure("events", ["kind"], place => {
   const {names, events, mean, half, alarm} = current().events, x = events.map((_, k) => k + 1);
   smalls(place, names, (small, name) => {

@@ -6,7 +6,7 @@ const COLOURS = ["#2563a8", "#2f855a", "#b7791f", "#7b4bb0", "#c8321e", "#0f8b8d
 const LIGHT = "rgba(37,99,168,0.16)", MIDDLE = "rgba(37,99,168,0.42)";
 const $ = id => document.getElementById(id), json = id => JSON.parse($(id).textContent);
 const payload = json("payload");
-const chosen = {kind: payload.kinds[0], sensor: 0, mode: 0, draws: null, window: "all", parameters: null};
+const chosen = {kind: payload.kinds[0], sensor: 0, mode: 0, draws: null, predicted: 0, window: "all", parameters: null};
 const figures = {}, figure = (name, on, draw, more) => { figures[name] = {on, draw, ...more}; };
 const isTouch = matchMedia("(pointer: coarse)").matches;
 const isNarrow = () => innerWidth < 700;
@@ -163,6 +163,7 @@ function start() {
   choose("sensor", payload.measured && payload.measured.sensors, "sensor");
   choose("mode", current().modes && current().modes.frequencies[0].map((_, k) => `f${k + 1}`), "mode");
   choose("part", null, "part");
+  choose("predicted", payload.predicted && payload.predicted.map(one => `${one.motion}: ${one.label}`), "predicted");
   document.querySelectorAll("[data-window]").forEach(button => {
     button.onclick = () => change("window", button.dataset.window);
   });
