@@ -267,7 +267,7 @@ def check(options, console):
     problem, told = read_and_tell(config, console)
     out = Path(options.out or config.with_name(f"{config.stem}-check.png"))
     for data in problem.data:
-        path = out if data is problem.first else out.with_name(f"{out.stem}-{data.key}{out.suffix}")
+        path = out if data is problem.first else out.with_name(f"{out.stem}-modes{out.suffix}")
         tell(data.check(problem, path), console)
     candidates_of(problem)  # errors of which are found now
     members_of(problem)

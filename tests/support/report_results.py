@@ -33,6 +33,7 @@ def large_result(kinds=("CAL", "NORM"), sensors=10, samples=10_000, seed=0) -> x
         {"record_time": time, "frequency": frequency},
         {"record": "noise"},
     )
+    tree["/predict/stronger"] = predicted(rng, time)
     heights = np.arange(1.0, 13.0)
     places = np.column_stack([0.0 * heights, 0.0 * heights, heights])
     tree["/geometry"] = xr.Dataset(
@@ -105,6 +106,32 @@ def part(rng, draws, observed, labels, time) -> dict[str, xr.Dataset]:
             {"parameter": ["k0", "k1"], "name": ("event", ["a", "b", "c"])},
         ),
     }
+
+
+def predicted(rng, time) -> xr.Dataset:
+    """Two responses to another motion: drifts of three storeys [m] with limits, and the base shear [N]."""
+    quantiles = np.sort(rng.standard_normal((3, 3, time.size)), axis=0)
+    peaks = rng.lognormal(np.log([0.01, 0.03, 0.02]), 0.2, (500, 3))
+    limits = np.array([0.02, 0.03, 0.05])
+    return xr.Dataset(
+        {
+            "inter_storey_drift": (("quantile", "storey", "time"), 0.01 * quantiles, {"units": "m"}),
+            "inter_storey_drift_peak": (("sample", "storey"), peaks),
+            "inter_storey_drift_probability_any": (
+                "inter_storey_drift_limit",
+                [(peaks.max(axis=1) > limit).mean() for limit in limits],
+            ),
+            "inter_storey_drift_probability_any_se": ("inter_storey_drift_limit", [0.01, 0.02, 0.001]),
+            "base_shear": (("quantile", "time"), 1e5 * quantiles[:, 0], {"units": "N"}),
+            "base_shear_peak": ("sample", 1e5 * peaks[:, 0]),
+        },
+        {
+            "storey": [0, 1, 2],
+            "time": time,
+            "inter_storey_drift_limit": limits,
+            "quantile": [0.05, 0.5, 0.95],
+        },
+    )
 
 
 def document(rows) -> dict:

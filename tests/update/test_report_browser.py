@@ -247,6 +247,25 @@ def test_another_likelihood_can_be_chosen(view):
     assert widths[1] > 2.0 * widths[0]  # EXP claims fewer observations
 
 
+def test_predictions_can_be_chosen(view):
+    """The curve passes through what is counted of the peaks, and the limits lie on it."""
+    page = view("large")
+    place = "document.querySelector('[data-figure=prediction] .plot')"
+    peaks = large_result()["predict/stronger/inter_storey_drift_peak"].values.max(axis=1)
+    curve, limits = page.evaluate(f"[2, 3].map(k => ({{x: {place}.data[k].x, y: {place}.data[k].y}}))")
+    np.testing.assert_allclose(curve["x"], 1e3 * np.sort(peaks), atol=1e-4 * 1e3 * np.ptp(peaks))
+    np.testing.assert_allclose(curve["y"], 1.0 - (np.arange(500) + 0.5) / 500)
+    assert limits["x"] == [20.0, 30.0, 50.0]
+    np.testing.assert_allclose(np.interp(limits["x"], curve["x"], curve["y"]), limits["y"], atol=0.002)
+    assert "drift, storey 1 under stronger, where it is largest" in page.inner_text(
+        "[data-figure=prediction] figcaption"
+    )
+    page.select_option("#predicted", label="stronger: base shear")
+    assert page.evaluate(f"{place}.layout.yaxis.title.text") == "base shear [kN]"
+    assert page.evaluate(f"{place}.data[3].x.length") == 0
+    page.select_option("#predicted", label="stronger: inter storey drift")
+
+
 def test_draws_that_are_brushed_light_up_everywhere(view):
     page = view("modal")
     panel = area(page, "pairs", "xaxis", "yaxis2")

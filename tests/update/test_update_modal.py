@@ -334,7 +334,8 @@ def test_posterior_has_the_truth_and_the_report_its_numbers(finished, folder):
                 mac = (a @ b) ** 2 / (a @ a) / (b @ b)
                 assert float(matched["mac"].sel(chain=0)[d, k]) == pytest.approx(mac, rel=1e-8)
         low, middle, high = np.quantile(matched["frequency"].sel(identified=2), [0.05, 0.5, 0.95])
-        cells = [f"{table[1, 0]:.4g}", *(f"{v:.4g}" for v in (low, middle, high))]
+        decimals = 1 - int(np.floor(np.log10((high - low) / 3.29)))  # two digits of the standard deviation
+        cells = [f"{table[1, 0]:.4g}", *(f"{v:.{decimals}f}" for v in (low, middle, high))]
         cells.append(f"{100 * (middle / table[1, 0] - 1):+.2f} %")
         assert "".join(f"<td>{cell}</td>" for cell in cells) in html
         assert "observed_data" not in tree["MODAL"].children and "data" not in tree.children

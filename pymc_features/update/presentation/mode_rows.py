@@ -68,8 +68,8 @@ class ModeRow(NamedTuple):
     @property
     def cells(self) -> tuple[str, ...]:
         """As tables have it, in the order of `COLUMNS`."""
-        values = self.measured, self.low, self.middle, self.high
-        numbers = fixed(values, (self.high - self.low) / WIDTH, Scale(1.0, "Hz"))
+        values, sd = (self.low, self.middle, self.high), (self.high - self.low) / WIDTH
+        numbers = [f"{self.measured:.4g}", *fixed(values, sd, Scale(1.0, "Hz"))]
         low, middle, high = self.mac
         of_shape = ("", "") if np.isnan(middle) else (f"{middle:.3f}", f"{low:.3f}-{high:.3f}")
         partner = f"f{self.partner}" if self.has_partner else "none"

@@ -204,9 +204,12 @@ def predicted_cells(rows) -> list[tuple[str, ...]]:
     """Texts of `PredictedRow`s, in the order of `PREDICTED`."""
     found = []
     for row in rows:
+        scale = scale_of(max(map(abs, row.quantiles)), row.unit)
         unit, texts = interval_texts(row.quantiles, row.unit)
-        limit = ("", "") if row.limit is None else (f"{row.limit:g} {row.unit}", f"{row.probability:.3f}")
-        found.append((row.motion, row.quantity, pretty(unit), *texts, *limit))
+        limit = ("", "")
+        if row.limit is not None:
+            limit = (f"{row.limit / scale.factor:.4g}", f"{row.probability:.3f}")
+        found.append((row.motion, row.quantity, unit, *texts, *limit))
     return found
 
 

@@ -329,7 +329,7 @@ def predicted(result) -> list[dict]:
         dims = [dim for dim in peak.dims if dim != "sample"]
         if dims:
             [dim] = dims
-            place = int(peak.median("sample").argmax())
+            place = int(np.argmax(peak.median("sample").values))
             values, at = values.isel({dim: place}), f", {dim} {peak[dim].values[place]}"
         quantiles = values.transpose("quantile", "time").values
         scale = scale_of(float(np.abs(quantiles).max()), values.attrs["units"])
