@@ -42,6 +42,7 @@ def main(arguments=None) -> int:
 
     from pymc_features.arguments import make_parser
     from pymc_features.exceptions import NoWorkersError
+    from pymc_features.progress import Heartbeat
     from pymc_features.update.config.keys import parsed
 
     options = make_parser().parse_args(arguments)
@@ -51,13 +52,15 @@ def main(arguments=None) -> int:
     try:
         if options.command in ("update", "check", "predict"):
             parsed(options.config)  # a typo is said before seconds of imports
-        import_module(NEEDED[options.command])
-        started()
-        logging.getLogger("pymc_features").addHandler(Told(console))
-        logging.getLogger("pymc_features").setLevel(logging.INFO)
-        commands = {"reproduce": reproduce, "update": update, "predict": predict, "report": report}
-        commands |= {"check": check, "init": init, "convert": convert}
-        return commands[options.command](options, console) or 0
+        with Heartbeat(console, "loading") as options.alive:
+            import_module(NEEDED[options.command])
+            started()
+            options.alive.now(options.command)
+            logging.getLogger("pymc_features").addHandler(Told(console))
+            logging.getLogger("pymc_features").setLevel(logging.INFO)
+            commands = {"reproduce": reproduce, "update": update, "predict": predict, "report": report}
+            commands |= {"check": check, "init": init, "convert": convert}
+            return commands[options.command](options, console) or 0
     except KeyboardInterrupt:
         out = getattr(options, "out", None)
         kept = f": finished parts are kept in {out}; the same command continues" if out else ""
@@ -129,7 +132,7 @@ def reproduce(options, console):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
     forget_parts(options, "study", console)
-    with PartProgress(console, "study") as progress:
+    with PartProgress(console, "study", options.alive) as progress:
         result = sampling_rate_study(
             record,
             structure=described,
@@ -158,7 +161,7 @@ def update(options, console):
     for sentence in problem.first.foretold(problem):
         say(console, f"note: {sentence}")
     forget_parts(options, "update", console)
-    with PartProgress(console, "update") as progress:
+    with PartProgress(console, "update", options.alive) as progress:
         result = run_update(
             problem,
             out=options.out,

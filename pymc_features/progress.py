@@ -1,11 +1,55 @@
-"""Progress of work in parts, which Ctrl-C stops."""
+"""Progress of work in parts, which Ctrl-C stops, and signs of life while nothing else is said."""
 
 import signal
 import sys
+import threading
+import time
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from pymc_features.interrupt import CtrlC
+
+QUIET = 3.0  # seconds after which something is said
+
+
+class Heartbeat:
+    """While nothing else is said, a line every three seconds with what is done, and for how long.
+
+    On a terminal there is nothing: bars move there.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+    doing : str
+        What is in work at first.
+    """
+
+    def __init__(self, console, doing: str):
+        self.console, self.over = console, threading.Event()
+        self.now(doing)
+
+    def now(self, doing: str) -> None:
+        """Say from now on that something else is in work."""
+        self.doing, self.start, self.said = doing, time.monotonic(), time.monotonic()
+
+    def heard(self) -> None:
+        """Wait anew, for something was said."""
+        self.said = time.monotonic()
+
+    def __enter__(self):
+        if not self.console.is_terminal:
+            threading.Thread(target=self._beat, daemon=True).start()
+        return self
+
+    def __exit__(self, *error):
+        self.over.set()
+
+    def _beat(self):
+        while not self.over.wait(max(0.1, self.said + QUIET - time.monotonic())):
+            if time.monotonic() >= self.said + QUIET:
+                self.heard()
+                seconds = time.monotonic() - self.start
+                self.console.print(f"{self.doing}, {seconds:.0f} s", markup=False, highlight=False)
 
 
 class PartProgress:
@@ -15,8 +59,8 @@ class PartProgress:
     frees compiled code, the work stops before its next part.
     """
 
-    def __init__(self, console, what):
-        self.console = console
+    def __init__(self, console, what, alive: Heartbeat | None = None):
+        self.console, self.alive = console, alive
         self.bar = Progress(
             TextColumn(f"[bold]{what}"),
             BarColumn(),
@@ -55,3 +99,5 @@ class PartProgress:
         self.bar.update(self.task, completed=done, total=total, description=part)
         if not self.console.is_terminal:
             self.console.print(f"[{done}/{total}] {part}", markup=False, highlight=False)
+        if self.alive is not None:
+            self.alive.now(f"[{done}/{total}] {part}")

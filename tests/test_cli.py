@@ -1,5 +1,6 @@
 """The command line: messages, interrupts and exit codes."""
 
+import io
 import os
 import runpy
 import signal
@@ -9,8 +10,9 @@ import time
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from pymc_features import cli
+from pymc_features import cli, progress
 from pymc_features.arguments import make_parser
 from support.commands import ROOT
 
@@ -249,3 +251,33 @@ def test_interrupt_of_a_command_that_keeps_nothing(monkeypatch, capsys):
     monkeypatch.setattr(cli, "init", interrupted)
     assert cli.main(["init", "some.toml"]) == 130
     assert capsys.readouterr().err == "Interrupted.\n"
+
+
+class Clock:
+    """Seconds that pass when they are waited for, up to an end; what else is said at its time."""
+
+    def __init__(self, end, events):
+        self.now, self.end, self.events = 0.0, end, events
+
+    def wait(self, seconds):
+        self.now += seconds
+        while self.events and self.events[0][0] <= self.now:
+            when, act = self.events.pop(0)
+            after, self.now = self.now, when
+            act()
+            self.now = after
+        return self.now > self.end
+
+
+def test_a_pipe_is_never_silent_for_long(monkeypatch):
+    """A line for each three seconds of silence, and none while something else is said."""
+    said = io.StringIO()
+    monkeypatch.setattr(progress.time, "monotonic", lambda: clock.now)
+    clock = Clock(21.0, [(7.0, lambda: alive.now("[0/2] NORM")), (9.0, lambda: alive.heard())])
+    alive = progress.Heartbeat(Console(file=said), "loading")
+    alive.over = clock
+    alive._beat()
+    assert said.getvalue().splitlines() == [
+        *("loading, 3 s", "loading, 6 s"),
+        *(f"[0/2] NORM, {seconds} s" for seconds in (5, 8, 11, 14)),
+    ]

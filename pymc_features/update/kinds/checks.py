@@ -206,8 +206,8 @@ def corrections(gains, config) -> list[str]:
 
 def table(values) -> str:
     """An inline table of the file."""
-    entries = (f"{name_of(name)} = {float(f'{value:.6g}')}" for name, value in values.items())
-    return f"{{ {', '.join(entries)} }}"
+    entries = [f"{name_of(name)} = {float(f'{value:.6g}')}" for name, value in values.items()]
+    return f"{{ {', '.join(entries)} }}" if entries else "{}"  # which cancels what is there
 
 
 def name_of(key) -> str:
