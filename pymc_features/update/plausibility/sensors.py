@@ -14,6 +14,8 @@ from pymc_features.update.plausibility.scale import SPACING, log_spectra, transf
 
 REACH = 15  # steps of the logarithm of frequency about the factor of the data
 MOST_DRAWS, FEW_DRAWS, MANY_SENSORS = 60, 30, 5
+LEVEL = 0.15  # half the width, in the logarithm of frequency, over which levels are averaged
+QUIET = 0.01  # of the highest level: what is lower counts less, for it may be noise
 SWAPPED = 0.5  # of what the sensors leave unexplained where they are said to be
 EXPLAINED = 0.6  # share of the mean square of a sensor whose sign can be told
 
@@ -71,24 +73,31 @@ def told_by_modes(gains, placed) -> str:
 def placement(spectra, prior, dofs, quantity, factor=1.0) -> Placement:
     """Compare sensors with the modes of draws, near whose frequencies times a factor the data have theirs."""
     draws = FEW_DRAWS if len(dofs) > MANY_SENSORS else MOST_DRAWS
-    left, signs = unexplained(spectra, prior, dofs, quantity, factor, draws)
-    own = np.diagonal(left, axis1=-2, axis2=-1)  # (shift, draw, sensor)
-    least = own.mean(axis=-1)
-    best = np.unravel_index(least.argmin(), least.shape)
+    left, _ = unexplained(flattened(spectra), prior, dofs, quantity, factor, draws)
+    least = np.diagonal(left, axis1=-2, axis2=-1).mean(axis=-1)  # (shift, draw)
     swaps = {}
     for i, j in combinations(range(len(dofs)), 2):
         change = left[..., i, j] + left[..., j, i] - left[..., i, i] - left[..., j, j]
         swaps[i, j] = float((least + change / len(dofs)).min())
     pair = min(swaps, key=swaps.get, default=None)
-    is_swapped = pair is not None and swaps[pair] < SWAPPED * least[best]
-    at_best = np.diagonal(signs[best])
-    inverted = tuple(int(s) for s in np.flatnonzero((at_best < 0.0) & (own[best] < 1.0 - EXPLAINED)))
-    return Placement(
-        pair if is_swapped else None,
-        () if is_swapped else inverted,
-        float(least[best]),
-        swaps.get(pair, np.inf),
-    )
+    if pair is not None and swaps[pair] < SWAPPED * least.min():
+        return Placement(pair, (), float(least.min()), swaps[pair])
+    left, signs = unexplained(spectra, prior, dofs, quantity, factor, draws)
+    own = np.diagonal(left, axis1=-2, axis2=-1)  # (shift, draw, sensor)
+    best = np.unravel_index(own.mean(axis=-1).argmin(), own.shape[:2])
+    inverted = np.flatnonzero((np.diagonal(signs[best]) < 0.0) & (own[best] < 1.0 - EXPLAINED))
+    return Placement(None, tuple(map(int, inverted)), float(own[best].mean()), swaps.get(pair, np.inf))
+
+
+def flattened(spectra):
+    """Spectra over the level of the sensors, so that higher modes, which tell floors apart, count as well."""
+    f, power = spectra.frequency, (np.abs(spectra.sensors) ** 2).mean(axis=0)
+    total = np.cumsum(np.append(0.0, power))
+    low, high = (np.searchsorted(f, f * np.exp(side * LEVEL)) for side in (-1.0, 1.0))
+    high = np.maximum(high, low + 1)
+    level = (total[high] - total[low]) / (high - low)
+    weight = 1.0 / np.sqrt(level + QUIET * level.max())
+    return spectra._replace(base=weight * spectra.base, sensors=weight * spectra.sensors)
 
 
 def lags_confirmed(spectra, prior, dofs, quantity, *, factor, delays) -> bool:
