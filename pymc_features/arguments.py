@@ -2,6 +2,8 @@
 
 import argparse
 
+import shtab
+
 import pymc_features
 
 FORCE = "start anew: delete the finished parts in the output folder first"
@@ -19,6 +21,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     version = f"pymc-features {pymc_features.__version__}"
     parser.add_argument("--version", action="version", version=version, help="print the version and exit")
+    words = "print a script that completes commands, options and files in a shell, and exit"
+    shtab.add_argument_to(parser, ["--print-completion"], help=words)
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     study = commands.add_parser(
         "reproduce",
@@ -37,11 +41,13 @@ def make_parser() -> argparse.ArgumentParser:
         help="linear: the source's (default; three minutes on two cores), or bouc-wen: the same with "
         "hysteretic springs (four minutes)",
     )
-    add("--record", metavar="FILE", help="ground motion: PEER AT2, text/CSV or .mat")
+    add("--record", metavar="FILE", help="ground motion: PEER AT2, text/CSV or .mat").complete = shtab.FILE
     add("--units", help="units of the record's file: g, m/s^2, cm/s^2, gal, or m/s^2 per unit")
     add("--record-dt", type=float, metavar="S", help="step of the record [s], if the file is silent")
     add("--column", help="column of the record's file, if it has several")
-    add("--out", metavar="DIR", help="output folder (default: reproduce-output[-STRUCTURE][-quick])")
+    add(
+        "--out", metavar="DIR", help="output folder (default: reproduce-output[-STRUCTURE][-quick])"
+    ).complete = shtab.DIRECTORY
     add(
         "--quick",
         action="store_true",
@@ -91,8 +97,10 @@ def add_update(commands):
         "report.html, one page that needs no other file. A stopped run continues: finished likelihoods are "
         "kept.",
     )
-    run.add_argument("config", metavar="CONFIG", help="configuration file, TOML")
-    run.add_argument("--out", metavar="DIR", help="output folder (default: CONFIG-output beside CONFIG)")
+    run.add_argument("config", metavar="CONFIG", help="configuration file, TOML").complete = shtab.FILE
+    run.add_argument(
+        "--out", metavar="DIR", help="output folder (default: CONFIG-output beside CONFIG)"
+    ).complete = shtab.DIRECTORY
     run.add_argument("--cores", type=int, help="processes (default: as CONFIG says, or all processors)")
     run.add_argument("--executor", type=executor, metavar="WHERE", help=EXECUTOR)
     run.add_argument(
@@ -110,15 +118,17 @@ def add_update(commands):
         description="Reads each [[predict]] of a configuration and the result of its update, and writes "
         "bands of responses and probabilities of exceedance into it. Nothing is sampled, no channel is read.",
     )
-    ahead.add_argument("config", metavar="CONFIG", help="configuration file, TOML")
-    ahead.add_argument("--out", metavar="DIR", help="folder of the result (default: CONFIG-output)")
+    ahead.add_argument("config", metavar="CONFIG", help="configuration file, TOML").complete = shtab.FILE
+    ahead.add_argument(
+        "--out", metavar="DIR", help="folder of the result (default: CONFIG-output)"
+    ).complete = shtab.DIRECTORY
     page = commands.add_parser(
         "report",
         help="make the page of a finished update again, from its update.nc alone",
         description="Writes report.html from the result that `update` saved, without its data files, without "
         "sampling and within seconds.",
     )
-    page.add_argument("result", metavar="RESULT", help="update.nc of an update")
+    page.add_argument("result", metavar="RESULT", help="update.nc of an update").complete = shtab.FILE
     page.add_argument("--out", metavar="FILE", help="page (default: report.html beside RESULT)")
     look = commands.add_parser(
         "check",
@@ -126,7 +136,7 @@ def add_update(commands):
         description="Reads a configuration and its channels, checks them against each other, says which "
         "lines of the file would correct what is wrong, and draws them.",
     )
-    look.add_argument("config", metavar="CONFIG", help="configuration file, TOML")
+    look.add_argument("config", metavar="CONFIG", help="configuration file, TOML").complete = shtab.FILE
     look.add_argument("--out", metavar="FILE", help="figure (default: CONFIG-check.png beside CONFIG)")
     example = commands.add_parser(
         "init",
@@ -146,7 +156,7 @@ def add_update(commands):
         description="Reads accelerations in any format that is known, or with --modes identified modes, and "
         "writes CSV with units in its header, a Universal File, or modes as JSON, by the ending of OUT.",
     )
-    change.add_argument("source", metavar="IN", help="file to read")
+    change.add_argument("source", metavar="IN", help="file to read").complete = shtab.FILE
     change.add_argument("target", metavar="OUT", help=".csv, .txt, .uff, .unv, modes also .json")
     change.add_argument("--modes", action="store_true", help="IN holds identified modes (JSON always does)")
     change.add_argument(

@@ -3,6 +3,7 @@
 import io
 import os
 import runpy
+import shutil
 import signal
 import subprocess
 import sys
@@ -281,3 +282,23 @@ def test_a_pipe_is_never_silent_for_long(monkeypatch):
         *("loading, 3 s", "loading, 6 s"),
         *(f"[0/2] NORM, {seconds} s" for seconds in (5, 8, 11, 14)),
     ]
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="the shell is bash")
+def test_a_shell_completes_commands_options_and_files(tmp_path):
+    """As bash asks for it: the word so far, and those before."""
+    (tmp_path / "frame.toml").touch()
+    script = tmp_path / "completion.sh"
+    command = [sys.executable, "-m", "pymc_features", "--print-completion", "bash"]
+    script.write_text(subprocess.run(command, capture_output=True, text=True).stdout)
+    for words, expected in (
+        (["che"], "check"),
+        (["update", "--fo"], "--force"),
+        (["check", "fra"], "frame.toml"),
+    ):
+        asked = (
+            f"source {script}; COMP_WORDS=(pymc-features {' '.join(words)}); COMP_CWORD={len(words)}; "
+            f"_shtab_pymc_features pymc-features {words[-1]} x; echo ${{COMPREPLY[@]}}"
+        )
+        done = subprocess.run(["bash", "-c", asked], capture_output=True, text=True, cwd=tmp_path)
+        assert done.stdout.split() == [expected], done.stderr
