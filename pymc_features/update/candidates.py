@@ -81,13 +81,7 @@ def compared(problem: Problem, candidates, parts, settings: RunSettings) -> dict
     asked = problem.config.compare
     if not asked:
         return {}
-    found = {GIVEN: parts}
-    for name, candidate in candidates.items():
-        own = settings._replace(
-            out=None if settings.out is None else Path(settings.out) / "compare" / name,
-            progress=settings.progress and partial(told, settings.progress, name),
-        )
-        found[name] = run_parts(candidate, own).found
+    found = {GIVEN: parts} | parts_of(candidates, "compare", settings)
     prior = {GIVEN: 1.0} | {name: candidate.weight for name, candidate in asked.items()}
     return {
         f"compare/{kind}": compare({name: of_kind[kind] for name, of_kind in found.items()}, prior=prior)[
@@ -95,6 +89,18 @@ def compared(problem: Problem, candidates, parts, settings: RunSettings) -> dict
         ].to_dataset()
         for kind in with_evidence(parts)
     }
+
+
+def parts_of(problems, folder: str, settings: RunSettings) -> dict[str, dict[str, xr.DataTree]]:
+    """What is sampled of several problems, each kept in a folder of its own within that of the update."""
+    found = {}
+    for name, problem in problems.items():
+        own = settings._replace(
+            out=None if settings.out is None else Path(settings.out) / folder / name,
+            progress=settings.progress and partial(told, settings.progress, name),
+        )
+        found[name] = run_parts(problem, own).found
+    return found
 
 
 def told(progress, name: str, part: str, done: int, total: int) -> None:

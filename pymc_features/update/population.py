@@ -1,8 +1,6 @@
 """Several specimens or laboratories, and the population they come from: [hierarchical]."""
 
 import warnings
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pymc as pm
@@ -10,12 +8,12 @@ import xarray as xr
 
 from pymc_features.events import hierarchical
 from pymc_features.exceptions import ConfigError
-from pymc_features.update.candidates import GIVEN, LEFT_OUT, told, variant
+from pymc_features.update.candidates import GIVEN, LEFT_OUT, parts_of, variant
 from pymc_features.update.config.messages import named_key, shown
 from pymc_features.update.config.priors import Prior
 from pymc_features.update.kinds import KINDS
 from pymc_features.update.kinds.model import declare
-from pymc_features.update.parts import RunSettings, run_parts
+from pymc_features.update.parts import RunSettings
 from pymc_features.update.presentation.numbers import interval_texts
 from pymc_features.update.problem import Problem
 from pymc_features.update.sampling import seed_of
@@ -88,13 +86,8 @@ def populations(problem: Problem, members, parts, settings: RunSettings) -> dict
     """
     if not members:
         return {}
-    found = {GIVEN: parts}
-    for name, member in list(members.items())[1:]:
-        own = settings._replace(
-            out=None if settings.out is None else Path(settings.out) / "hierarchical" / name,
-            progress=settings.progress and partial(told, settings.progress, name),
-        )
-        found[name] = run_parts(member, own).found
+    others = {name: member for name, member in members.items() if name != GIVEN}
+    found = {GIVEN: parts} | parts_of(others, "hierarchical", settings)
     groups, sampler = {}, problem.config.sampler
     for kind in [kind for kind in parts if not KINDS[kind].is_likelihood_free]:
         with named_key("hierarchical"), warnings.catch_warnings(record=True) as caught:
