@@ -215,11 +215,3 @@ def test_loads_that_a_chain_cannot_take(name):
         TypeError, match="must be a Record for a .*Several supports and forces act on LinearS"
     ):
         response(build(TRUTH), Loading(pulse(d=2), dt=0.05))
-
-
-def test_jax_says_what_it_cannot_run():
-    pytest.importorskip("jax")
-    build, record = CASES["affine"]
-    x = pt.vector("x", shape=(2,))
-    with pytest.raises(NotImplementedError, match="JAX runs spring-mass chains, got the family 'linear'"):
-        pytensor.function([x], response(build(x), record), mode="JAX")
