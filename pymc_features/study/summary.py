@@ -9,8 +9,11 @@ from pymc_features.likelihoods.free import exact_interval, exact_tolerance
 from pymc_features.simulators import spring_forces
 
 
-def assemble(study, parts: dict) -> xr.DataTree:
-    """Put the sampled parts and the exact posteriors side by side; see `sampling_rate_study`."""
+def assemble(study, parts: dict, shown) -> xr.DataTree:
+    """Put the sampled parts and the exact posteriors side by side; see `sampling_rate_study`.
+
+    `shown` is called with what is in work and the number of parts that are finished.
+    """
     shape = (len(study.likelihoods), len(study.multipliers))
     arrays = {
         "sampled": np.full((*shape, len(PARAMETERS), len(STATISTICS)), np.nan),
@@ -23,6 +26,7 @@ def assemble(study, parts: dict) -> xr.DataTree:
     tolerance = np.full(len(study.multipliers), np.nan)
     interval = np.full((len(study.multipliers), 2), np.nan)
     for j, multiplier in enumerate(study.multipliers):
+        shown(f"exact_x{multiplier:g}", len(parts) + j)
         step = study.misfit(multiplier)
         if "ABC" in study.likelihoods:
             tolerance[j], interval[j] = exact_tolerance(step), exact_interval(step)

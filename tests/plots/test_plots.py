@@ -1,6 +1,5 @@
 """Figures show what the result holds."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
@@ -213,15 +212,9 @@ def test_tempering_figure(updated):
 def test_prior_posterior_figure(updated):
     [ax] = plots.plot_prior_posterior(updated["EXP"], units={"k": "N/m^2"})
     assert ax.get_xlabel() == "k [N/m²]"
-    for step, group in zip(ax.patches, ("prior", "posterior"), strict=True):
-        heights, edges, _ = step.get_data()
-        counts, _ = np.histogram(updated[f"EXP/{group}"]["k"], edges)
-        assert step.get_label() == group
-        np.testing.assert_allclose(heights, counts / counts.max())
-    draws = updated["EXP/posterior"]["k"].values
-    assert edges[[0, -1]].tolist() == [draws.min(), draws.max()]
     left, right = ax.get_xlim()
     assert left == pytest.approx(np.quantile(updated["EXP/prior"]["k"], 0.005))
+    assert [text.get_text() for text in ax.figure.legends[0].get_texts()] == ["prior", "posterior"]
     plots.close([ax])
     with pytest.raises(ValueError, match=r"`var_names` must be among \['k'\], got \['c'\]"):
         plots.plot_prior_posterior(updated["EXP"], ["c"])
@@ -250,24 +243,3 @@ def test_natural_frequencies_figure(updated):
     plots.close(axes[:1])
     with pytest.raises(ValueError, match="`result` must have a likelihood with natural frequencies"):
         plots.plot_natural_frequencies(xr.DataTree())
-
-
-@pytest.mark.parametrize("kind", plots.chains.KINDS)
-def test_chains_figure(updated, kind):
-    axes = plots.plot_chains(updated["EXP"], kind)
-    label = {"rank": "k: fractional rank", "trace": "k: draw"}[kind]
-    assert [ax.get_xlabel() for ax in axes] == ["k", label]
-    if kind == "trace":
-        drawn = {tuple(line.get_ydata()) for line in axes[1].lines}
-        assert drawn == {tuple(chain) for chain in updated["EXP/posterior"]["k"].values}
-    _, own = plt.subplots(2)
-    assert plots.plot_chains(updated["EXP"], kind, axes=own) is not None
-    for ax, other in zip(own, axes, strict=True):
-        assert len(ax.lines) == len(other.lines) > 0
-        for line, same in zip(ax.lines, other.lines, strict=True):
-            np.testing.assert_array_equal(line.get_xydata(), same.get_xydata())
-    plots.close([axes[0], own[0]])
-    with pytest.raises(ValueError, match="`axes` must be one for each of 2 columns"):
-        plots.plot_chains(updated["EXP"], kind, axes=own[:1])
-    with pytest.raises(ValueError, match="`kind` must be one of rank, trace, got 'bars'"):
-        plots.plot_chains(updated["EXP"], "bars")
