@@ -8,19 +8,29 @@ import numpy as np
 import xarray as xr
 
 from pymc_features._checks import check_choice, check_finite, check_group, check_mapping, message, shown
-from pymc_features.plots.drawing.axes import AxesLike, broken, checked_axes, chosen_among, inches_of
+from pymc_features.plots.axes import (
+    AxesLike,
+    broken,
+    checked_axes,
+    chosen_among,
+    figure,
+    inches_of,
+    with_unit,
+)
 
 if TYPE_CHECKING:
     from arviz_plots import PlotCollection
 
 KINDS = ("rank", "trace")
 BACKENDS = ("matplotlib", "plotly", "bokeh")
+RETURNS = "array of matplotlib Axes, or arviz_plots.PlotCollection with another backend"
 SAMPLE = ("chain", "draw")
 BINS = 40
 GROUPED = ("group", "kwarg", "corner")  # what arviz-plots takes for an area
 PRIOR, POSTERIOR = "#b0b0b0", "#1f77b4"
 
 
+@figure("Two for each entry of a parameter, the density first", RETURNS)
 def plot_chains(
     idata: xr.DataTree,
     kind: str = "rank",
@@ -41,14 +51,8 @@ def plot_chains(
     kind : {"rank", "trace"}
     var_names : sequence of str, optional
         Parameters to draw; all by default.
-    axes : sequence of matplotlib Axes, optional
-        Two for each entry of a parameter, the density first; a new figure by default.
     backend : {"matplotlib", "plotly", "bokeh"}
         What draws.
-
-    Returns
-    -------
-    array of matplotlib Axes, or arviz_plots.PlotCollection of another backend
     """
     check_choice(kind, "kind", KINDS)
     posterior = check_group(idata, "idata", "posterior", "Pass what `sample` returned.", *SAMPLE)
@@ -81,6 +85,7 @@ def plot_chains(
     return panels.drawn(collection)
 
 
+@figure("One for each parameter", RETURNS)
 def plot_prior_posterior(
     idata: xr.DataTree,
     var_names: Sequence[str] | None = None,
@@ -102,14 +107,8 @@ def plot_prior_posterior(
         Parameters to draw; by default all scalars that both groups have.
     units : dict, optional
         Names of parameters to their units, for the labels.
-    axes : matplotlib Axes or sequence of them, optional
-        One for each parameter; a new figure by default.
     backend : {"matplotlib", "plotly", "bokeh"}
         What draws.
-
-    Returns
-    -------
-    array of matplotlib Axes, or arviz_plots.PlotCollection of another backend
     """
     advice = "Pass draws of both, such as one likelihood of what `run_update` returned."
     posterior, prior = (
@@ -137,11 +136,11 @@ def plot_prior_posterior(
 
     collection.map(azp.visuals.fill_between_y, "histogram", alpha=0.6)
     # a posterior thinner than a line is seen
-    medians = {"data": posterior[names].median(SAMPLE), "ignore_aes": "all"}
-    collection.map(azp.visuals.vline, "median", color=POSTERIOR, width=1.0, **medians)
+    medians, style = posterior[names].median(SAMPLE), {"color": POSTERIOR, "width": 1.0, **panels.in_front}
+    collection.map(azp.visuals.vline, "median", data=medians, ignore_aes="all", **style)
     for name, target in placed.items():
-        unit = units.get(name, "").replace("^2", "²")
-        panels.module.xlabel(broken(f"{name} [{unit}]" if unit else name, panels.inches, "medium"), target)
+        label = with_unit(name, units.get(name, ""))
+        panels.module.xlabel(broken(label, panels.inches, "medium"), target)
         panels.module.xlim(spans[name], target)
         panels.module.remove_axis(target, axis="y")
         if panels.is_matplotlib:
@@ -180,16 +179,9 @@ def module_of(backend: str):
 
 
 class Panels:
-    """Where a figure of arviz-plots is drawn: on the axes given, or in a new figure of some backend.
+    """Where arviz-plots draws: on the axes given, or in a new figure of some backend.
 
-    Parameters
-    ----------
-    axes, count, each, columns
-        Of `checked_axes`.
-    backend : str
-        One of `BACKENDS`.
-    width, height : float
-        Of a panel of a new figure [inches].
+    Panels of a new figure are `width` times `height` inches; the rest are arguments of `checked_axes`.
     """
 
     def __init__(self, axes, backend, count, each, columns, width, height):
@@ -203,12 +195,14 @@ class Panels:
             if axes is None:
                 self.figure.get_layout_engine().set(w_pad=0.12)  # inches, between the numbers of neighbours
             self.legend = {"loc": "outside upper center", "ncols": 2, "frameon": False}
+            self.in_front = {"zorder": 2}
             return
         if axes is not None:
             raise ValueError(message("axes", f"left out with backend={backend!r}", shown(axes)))
         dots = {"figsize": tuple(100.0 * x for x in size), "figsize_units": "dots"}
         self.figure, grid = self.module.create_plotting_grid(count, rows, columns, squeeze=False, **dots)
-        self.targets, self.inches, self.legend = grid.ravel()[:count], 0.9 * width, {}
+        self.targets, self.inches = grid.ravel()[:count], 0.9 * width
+        self.legend, self.in_front = {}, {}  # backends of browsers do well by themselves
 
     def collection(self, data: xr.Dataset, placed: Mapping, coords: Mapping, aes: Mapping, **values):
         """The panels as arviz-plots wants them, by the names of variables and by some coordinates."""

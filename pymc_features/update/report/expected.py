@@ -7,7 +7,7 @@ import xarray as xr
 
 from pymc_features import plots
 from pymc_features.exceptions import ModalMatchWarning, PredictionWarning
-from pymc_features.plots.drawing.expected import draw_expected
+from pymc_features.plots.histories import draw_expected
 from pymc_features.prediction import posterior_response
 from pymc_features.storage import write_atomically
 from pymc_features.update.kinds.ambient import draw_spectra
