@@ -1,6 +1,7 @@
 """Results against what was changed or counted: sampling step, tolerance, stage, event, number of sensors."""
 
 from collections.abc import Sequence
+from itertools import cycle
 
 import numpy as np
 import xarray as xr
@@ -31,7 +32,7 @@ LABELS = {
     "A": "share of the prior variance [-]",
     "prediction": "share of the response's variance [-]",
 }
-MARKERS = dict(zip(LIKELIHOODS, "osD^vP<>X", strict=True))
+MARKERS = dict(zip(LIKELIHOODS, cycle("osD^vP<>X"), strict=False))
 ENTRY = 1.8  # inches, of a legend
 APART = 0.09  # of neighbouring bars at one step, as a share of the step
 STATISTICS = ("log_probability", "log_probability_se", "simulations")

@@ -89,11 +89,11 @@ def plot_channels(channels: xr.DataArray, axes: AxesLike = None) -> np.ndarray:
         Measured channels [m/s^2], with NaN in gaps.
     """
     check_array(channels, sensors=True)
+    time = as_numbers(channels["time"].values, "channels", "Give times in seconds.")
     n, units = channels.sizes["sensor"], units_of(channels)
     figsize = (9.0, min(TALLEST, 0.8 + 0.9 * n))
     is_one = "units" not in channels.coords
     axes = checked_axes(axes, n, "sensors", figsize=figsize, sharex=True, sharey=is_one)
-    time = channels["time"].values
     for ax, name, values, unit in zip(axes, channels["sensor"].values, channels.values, units, strict=True):
         draw_with_peak(ax, time, values)
         set_title(ax, f"{name}, peak {np.nanmax(np.abs(values)):.3g} {unit}", loc="left", fontsize="medium")

@@ -141,6 +141,27 @@ def test_sampling_rate_figure(result):
         plots.plot_sampling_rate(result, "TN")
 
 
+@pytest.mark.parametrize("parameter", ["theta", "sigma"])
+def test_sampling_rate_figure_of_one_parameter(result, parameter):
+    """Likelihoods share the axes; bars stand beside each other, in the order that was asked for."""
+    result["summary"]["sampled"].loc[{"likelihood": "ABC"}] = [0.9, 0.7, 0.95, 1.2]
+    result["summary"]["exact"].loc[{"likelihood": "ABC"}] = [0.9, 0.7, 0.95, 1.2]
+    [ax] = plots.plot_sampling_rate(result, ["ABC", "EXP"], parameters=parameter)
+    bars = [np.array(bar.lines[2][0].get_segments()) for bar in ax.containers]
+    np.testing.assert_allclose(bars[0][:, :, 1], [[0.7, 1.2]] * 3)
+    np.testing.assert_allclose(bars[1][:, :, 1], [[0.8, 1.3]] * 3)
+    steps = np.array([0.1, 1.0, 10.0])
+    assert (bars[0][:, 0, 0] < steps).all() and (bars[1][:, 0, 0] > steps).all()
+    areas = [area.get_paths()[0].vertices[:, 1] for area in ax.collections if area.get_paths()]
+    ends = {(round(float(area.min()), 9), round(float(area.max()), 9)) for area in areas}
+    assert {(0.7, 1.2), (0.81, 1.31)} <= ends
+    labels = [text.get_text() for text in ax.figure.legends[0].get_texts()]
+    assert labels[:2] == ["ABC, sampled", "EXP, sampled"]
+    plots.close([ax])
+    with pytest.raises(ValueError, match=r"`parameters` must be among \['theta', 'sigma'\], got \['tau'\]"):
+        plots.plot_sampling_rate(result, "EXP", parameters="tau")
+
+
 @pytest.fixture
 def updated():
     """A made-up result of an update: two chains, one likelihood, two sensors."""
