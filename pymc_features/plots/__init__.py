@@ -12,6 +12,7 @@ from pymc_features.plots.curves import plot_tempering as plot_tempering
 from pymc_features.plots.curves import plot_tolerance as plot_tolerance
 from pymc_features.plots.curves import plot_widths as plot_widths
 from pymc_features.plots.draws import plot_chains as plot_chains
+from pymc_features.plots.draws import plot_natural_frequencies as plot_natural_frequencies
 from pymc_features.plots.draws import plot_prior_posterior as plot_prior_posterior
 from pymc_features.plots.histories import plot_channels as plot_channels
 from pymc_features.plots.histories import plot_predictive as plot_predictive
@@ -20,7 +21,6 @@ from pymc_features.plots.histories import plot_response_bands as plot_response_b
 from pymc_features.plots.loops import plot_loops as plot_loops
 from pymc_features.plots.modes import plot_mac as plot_mac
 from pymc_features.plots.modes import plot_mode_shapes as plot_mode_shapes
-from pymc_features.plots.spectra import plot_natural_frequencies as plot_natural_frequencies
 from pymc_features.plots.spectra import plot_singular_values as plot_singular_values
 
 __all__ = [name for name in dir() if name.startswith("plot_")]

@@ -1,4 +1,7 @@
-"""Draws of a posterior, by arviz-plots and in any of its backends: do chains agree, what have data taught?"""
+"""Draws of a posterior, drawn by arviz-plots in any of its backends.
+
+Do chains agree, what have the data taught, and where are the natural frequencies?
+"""
 
 from collections.abc import Mapping, Sequence
 from importlib import import_module
@@ -8,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features._checks import check_choice, check_finite, check_group, check_mapping, message, shown
+from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.plots.axes import (
     AxesLike,
     broken,
@@ -25,6 +29,7 @@ KINDS = ("rank", "trace")
 BACKENDS = ("matplotlib", "plotly", "bokeh")
 RETURNS = "array of matplotlib Axes, or arviz_plots.PlotCollection with another backend"
 SAMPLE = ("chain", "draw")
+LEGEND = {"matplotlib": "label", "bokeh": "legend_label"}
 BINS = 40
 GROUPED = ("group", "kwarg", "corner")  # what arviz-plots takes for an area
 PRIOR, POSTERIOR = "#b0b0b0", "#1f77b4"
@@ -63,9 +68,8 @@ def plot_chains(
     for name in names:
         check_finite(posterior[name].values, "idata", f"Those are draws of {name}.")
     entries = scalars(posterior[names])
-    panels = Panels(
-        axes, backend, 2 * len(entries), "columns (two for each entry of a parameter)", 2, 4.5, 0.8
-    )
+    n, each = len(entries), "columns (two for each entry of a parameter)"
+    panels = Panels(axes, backend, 2 * n, each, columns=2, figsize=(9.0, 0.5 + 0.8 * n))
     columns = {"column": ["dist", kind]}
     pairs = dict(zip(entries, panels.targets.reshape(-1, 2), strict=True))
     collection = panels.collection(
@@ -128,7 +132,9 @@ def plot_prior_posterior(
         spans[name] = min(first, ends[0]), max(last, ends[1])
         outlines[name] = GROUPED, [outline(before, *spans[name]), outline(after, first, last)]
     labels = {"group": ["prior", "posterior"], "kwarg": ["x", "y_bottom", "y_top"]}
-    panels = Panels(axes, backend, len(names), "parameters", min(4, len(names)), 2.6, 2.2)
+    columns = min(4, len(names))
+    size = 2.6 * columns, 0.5 + 2.2 * -(-len(names) // columns)
+    panels = Panels(axes, backend, len(names), "parameters", columns=columns, figsize=size)
     placed = dict(zip(names, panels.targets, strict=True))
     aes = {"color": ["group"], "overlay": ["group"]}
     collection = panels.collection(xr.Dataset(outlines, labels), placed, {}, aes, color=[PRIOR, POSTERIOR])
@@ -147,6 +153,67 @@ def plot_prior_posterior(
             target.xaxis.get_major_locator().set_params(nbins=4)
     collection.add_legend("group", title="", **panels.legend)
     return panels.drawn(collection)
+
+
+@figure("Two, for gains and frequencies", RETURNS)
+def plot_natural_frequencies(
+    result: xr.DataTree, axes: AxesLike = None, *, backend: str = "matplotlib"
+) -> "np.ndarray | PlotCollection":
+    """Measured gain against frequency, and below it the 5-95 % intervals of every likelihood and mode.
+
+    Dashed lines are frequencies given by the user, dotted ones the peaks of the measured gain.
+
+    Parameters
+    ----------
+    result : DataTree
+        From `run_update`: `data` with gain (sensor, frequency) [-] and peak_frequency, perhaps
+        given_frequency [Hz]; natural_frequency (chain, draw, mode) [Hz] in `<likelihood>/modal`.
+    backend : {"matplotlib", "plotly", "bokeh"}
+        What draws.
+    """
+    advice = "Pass what `run_update` returned."
+    if not isinstance(result, xr.DataTree):
+        raise TypeError(message("result", "a DataTree", shown(result), advice))
+    kinds = [name for name, part in result.children.items() if "modal" in part.children]
+    if not kinds:
+        raise ValueError("`result` must have a likelihood with natural frequencies, got none.")
+    data = check_group(result, "result", "data", advice, "sensor", "frequency")
+    height = 0.35 * len(kinds)
+    layout = {"figsize": (9.0, 3.2 + height), "sharex": True, "height_ratios": [2.2, 0.5 + height]}
+    panels = Panels(axes, backend, 2, "parts (gain, frequencies)", **layout)
+    draw, (gains, intervals), top = panels.module, panels.targets, 0.0
+    frequency, gain = data["frequency"].values, data["gain"].transpose("sensor", "frequency").values
+    for number, (sensor, values) in enumerate(zip(data["sensor"].values, gain, strict=True)):
+        style = {"color": f"C{number}", "width": 1.0}
+        draw.line(frequency, values, gains, **style, **panels.named(str(sensor)))
+    for row, kind in enumerate(kinds):
+        found = result[f"{kind}/modal"]["natural_frequency"]
+        low, middle, high = found.quantile([0.05, 0.5, 0.95], dim=SAMPLE).values
+        colour = LIKELIHOODS[kind].colour
+        for ends in zip(low, high, strict=True):
+            draw.line(ends, [row, row], intervals, color=colour, width=5.0, alpha=0.4)
+        draw.scatter(middle, np.full(middle.size, row), intervals, color=colour, width=0)
+        top = max(top, float(np.nanmax(high)))
+    marks = ("peak_frequency", "C2", "peaks of the gain"), ("given_frequency", "C1", "given")
+    for name, dashes, label in marks:
+        for number, value in enumerate(data[name].values if name in data else []):
+            for target in panels.targets:
+                named = panels.named(label) if number == 0 and target is gains else {}
+                draw.vline(value, target, color="#666666", linestyle=dashes, width=0.9, **named)
+    last = min(1.3 * top, float(frequency[-1]))
+    largest = float(gain[:, frequency <= last].max())
+    draw.yscale(gains, "log")
+    draw.ylim(panels.on_log_axis(1e-3 * largest, 2.0 * largest), gains)
+    draw.ylabel("gain against base [-]", gains)
+    draw.yticks(list(range(len(kinds))), kinds, intervals)
+    draw.xlim((0.0, last), intervals)
+    draw.ylim((len(kinds) - 0.5, -0.5), intervals)
+    draw.xlabel("frequency [Hz]", intervals)
+    if panels.is_matplotlib:
+        gains.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    found = xr.Dataset({"gain": data["gain"], "natural_frequency": found})
+    placed = {"gain": gains, "natural_frequency": intervals}
+    return panels.drawn(panels.collection(found, placed, {}, {}))
 
 
 def scalars(draws: xr.Dataset) -> xr.Dataset:
@@ -179,18 +246,13 @@ def module_of(backend: str):
 
 
 class Panels:
-    """Where arviz-plots draws: on the axes given, or in a new figure of some backend.
+    """Where arviz-plots draws: on the axes given, or in a new figure of some backend; see `checked_axes`."""
 
-    Panels of a new figure are `width` times `height` inches; the rest are arguments of `checked_axes`.
-    """
-
-    def __init__(self, axes, backend, count, each, columns, width, height):
+    def __init__(self, axes, backend, count, each, columns=1, **figure):
         self.backend = check_choice(backend, "backend", BACKENDS)
-        self.is_matplotlib, rows = backend == "matplotlib", -(-count // columns)
-        size = width * columns, 0.5 + height * rows
-        self.module = module_of(backend)
+        self.module, self.is_matplotlib = module_of(backend), backend == "matplotlib"
         if self.is_matplotlib:
-            self.targets = checked_axes(axes, count, each, columns=columns, figsize=size)
+            self.targets = checked_axes(axes, count, each, columns=columns, **figure)
             self.figure, self.inches = self.targets[0].figure, inches_of(self.targets[0])
             if axes is None:
                 self.figure.get_layout_engine().set(w_pad=0.12)  # inches, between the numbers of neighbours
@@ -199,10 +261,20 @@ class Panels:
             return
         if axes is not None:
             raise ValueError(message("axes", f"left out with backend={backend!r}", shown(axes)))
-        dots = {"figsize": tuple(100.0 * x for x in size), "figsize_units": "dots"}
-        self.figure, grid = self.module.create_plotting_grid(count, rows, columns, squeeze=False, **dots)
-        self.targets, self.inches = grid.ravel()[:count], 0.9 * width
+        wide, tall = figure.pop("figsize")
+        figure |= {"figsize": (100.0 * wide, 100.0 * tall), "figsize_units": "dots", "squeeze": False}
+        self.figure, grid = self.module.create_plotting_grid(count, -(-count // columns), columns, **figure)
+        self.targets, self.inches = grid.ravel()[:count], 0.9 * wide / columns
         self.legend, self.in_front = {}, {}  # backends of browsers do well by themselves
+
+    def named(self, label: str) -> dict:
+        """How a line gets its place in a legend."""
+        of_plotly = {"name": label, "showlegend": True}
+        return of_plotly if self.backend == "plotly" else {LEGEND[self.backend]: label}
+
+    def on_log_axis(self, *ends: float) -> tuple[float, ...]:
+        """Ends of a logarithmic axis; plotly has them as powers of ten."""
+        return tuple(np.log10(ends)) if self.backend == "plotly" else ends
 
     def collection(self, data: xr.Dataset, placed: Mapping, coords: Mapping, aes: Mapping, **values):
         """The panels as arviz-plots wants them, by the names of variables and by some coordinates."""

@@ -152,8 +152,8 @@ def plot_mode_shapes(
             draw_nodes(ax, plane, draws, shape, places)
         model = f"model f{r + 1}{given.frequency(r, ': {:.4g} Hz')}"
         of_shape = "no shape" if np.isnan(values[r]) else f"MAC {values[r]:.3f}"
-        first = f"measured {identified:.4g} Hz{', ' if plane else chr(10)}{model}"
-        ax.set_title(f"{first}\n{of_shape}", fontsize="medium")
+        between = ", " if plane else "\n"
+        ax.set_title(f"measured {identified:.4g} Hz{between}{model}\n{of_shape}", fontsize="medium")
     if is_new:
         legend_outside(axes[0], columns=3)
     return axes

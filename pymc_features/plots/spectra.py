@@ -1,11 +1,10 @@
-"""Spectra of channels: their singular values and their gains, with what a model makes of them."""
+"""Singular values of the spectra of channels, with the bands of frequency and what a model makes of them."""
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from pymc_features._checks import as_numbers, check_finite, check_group, message, shown
-from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features._checks import as_numbers, check_finite, message
 from pymc_features.plots.axes import AxesLike, check_dataset, checked_axes, figure
 from pymc_features.signals import sampling_step
 from pymc_features.signals.channels import whole_values
@@ -86,50 +85,3 @@ def draw_fitted(ax, f: np.ndarray, response: xr.DataArray) -> None:
             low, middle, high = response.sel(value=value).isel(frequency=part).values
             ax.fill_between(f[part], low, high, color="C3", alpha=0.25, lw=0.0)
             ax.plot(f[part], middle, color="C3", lw=1.2 if value == 1 else 0.8)
-
-
-@figure("Two, for gains and frequencies", "array of two matplotlib Axes")
-def plot_natural_frequencies(result: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
-    """Measured gain against frequency, and below it the 5-95 % intervals of every likelihood and mode.
-
-    Dashed lines are frequencies given by the user, dotted ones the peaks of the measured gain.
-
-    Parameters
-    ----------
-    result : DataTree
-        From `run_update`: `data` with gain (sensor, frequency) [-] and peak_frequency, perhaps
-        given_frequency [Hz]; natural_frequency (chain, draw, mode) [Hz] in `<likelihood>/modal`.
-    """
-    advice = "Pass what `run_update` returned."
-    if not isinstance(result, xr.DataTree):
-        raise TypeError(message("result", "a DataTree", shown(result), advice))
-    kinds = [name for name, part in result.children.items() if "modal" in part.children]
-    if not kinds:
-        raise ValueError("`result` must have a likelihood with natural frequencies, got none.")
-    data = check_group(result, "result", "data", advice, "sensor", "frequency")
-    height = 0.35 * len(kinds)
-    layout = {"figsize": (9.0, 3.2 + height), "sharex": True, "height_ratios": [2.2, 0.5 + height]}
-    gains, intervals = axes = checked_axes(axes, 2, "parts (gain, frequencies)", **layout)
-    for sensor in data["sensor"].values:
-        gains.plot(data["frequency"], data["gain"].sel(sensor=sensor), lw=1.0, label=str(sensor))
-    top = 0.0
-    for row, kind in enumerate(kinds):
-        found = result[f"{kind}/modal"]["natural_frequency"]
-        low, middle, high = found.quantile([0.05, 0.5, 0.95], dim=["chain", "draw"]).values
-        colour, rows = LIKELIHOODS[kind].colour, np.full(middle.size, row)
-        intervals.hlines(rows, low, high, color=colour, lw=5.0, alpha=0.4)
-        intervals.plot(middle, rows, "o", color=colour, ms=4)
-        top = max(top, float(np.nanmax(high)))
-    marks = ("peak_frequency", ":", "peaks of the gain"), ("given_frequency", "--", "given")
-    for name, style, label in marks:
-        for number, value in enumerate(data[name].values if name in data else []):
-            for ax in axes:
-                named = label if number == 0 and ax is gains else None
-                ax.axvline(value, color="0.4", ls=style, lw=0.9, zorder=0, label=named)
-    intervals.set_yticks(range(len(kinds)), kinds)
-    last = min(1.3 * top, float(data["frequency"][-1]))
-    intervals.set(xlim=(0.0, last), ylim=(len(kinds) - 0.5, -0.5), xlabel="frequency [Hz]")
-    largest = float(data["gain"].where(data["frequency"] <= last).max())
-    gains.set(yscale="log", ylim=(1e-3 * largest, 2.0 * largest), ylabel="gain against base [-]")
-    gains.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    return axes

@@ -157,6 +157,46 @@ def test_a_narrow_posterior_leaves_its_prior_to_be_seen(idata):
     assert before[1].max() == after[1].max() == 1.0
 
 
+@pytest.fixture(scope="module")
+def updated():
+    """A made-up result of an update: gains of two sensors, draws of two natural frequencies."""
+    rng = np.random.default_rng(5)
+    modal = {"natural_frequency": (("chain", "draw", "mode"), rng.normal([1.0, 3.0], 0.1, (2, 50, 2)))}
+    coords = {"sensor": ["floor1", "floor2"], "frequency": np.arange(80.0) / 4.0}
+    gain = xr.DataArray(1.0 + rng.random((2, 80)), coords, ("sensor", "frequency"))
+    data = {"gain": gain, "peak_frequency": ("peak", [1.1, 2.9]), "given_frequency": ("given", [1.0])}
+    parts = {"EXP/modal": xr.Dataset(modal, coords={"mode": [1, 2]}), "data": xr.Dataset(data)}
+    return xr.DataTree.from_dict(parts)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_natural_frequencies_are_drawn_as_intervals_of_their_draws(updated, backend):
+    drawn = plots.plot_natural_frequencies(updated, backend=backend)
+    found = updated["EXP/modal"]["natural_frequency"].values.reshape(-1, 2)
+    low, middle, high = np.quantile(found, PROBABILITIES, axis=0)
+    for line, values in zip(drawn_lines(drawn, 0), updated["data"]["gain"].values, strict=True):
+        np.testing.assert_array_equal(line[1], values)
+    if backend == "matplotlib":
+        intervals = [line.get_xdata() for line in drawn[1].lines[:2]]
+        medians = drawn[1].collections[0].get_offsets()[:, 0]
+        ticks = [text.get_text() for text in drawn[1].get_yticklabels()]
+        marks = {line.get_label(): line.get_xdata()[0] for line in drawn[0].lines[2:]}
+        limits = drawn[0].get_xlim()
+    else:
+        *lines, dots = traces(drawn, 1)
+        intervals, medians = [line.x for line in lines], dots.x
+        figure = drawn.viz["figure"].item()
+        ticks, limits = list(figure.layout.yaxis2.ticktext), figure.layout.xaxis2.range
+        marks = {shape.name: shape.x0 for shape in figure.layout.shapes}
+    np.testing.assert_allclose(intervals, np.column_stack([low, high]))
+    np.testing.assert_allclose(medians, middle)
+    assert ticks == ["EXP"]
+    assert (marks["peaks of the gain"], marks["given"]) == (1.1, 1.0)
+    assert limits == pytest.approx((0.0, 1.3 * high[1]))
+    with pytest.raises(ValueError, match="`result` must have a likelihood with natural frequencies"):
+        plots.plot_natural_frequencies(xr.DataTree(), backend=backend)
+
+
 def test_chains_are_drawn_on_axes_of_ones_own(idata):
     axes = plots.plot_chains(idata, "trace", ["sigma"])
     _, own = plt.subplots(2)

@@ -249,18 +249,3 @@ def test_prior_posterior_figure_is_not_stretched_by_one_far_draw():
     left, right = ax.get_xlim()
     assert -5.0 < left < -2.5 and 2.5 < right < 5.0
     plots.close([ax])
-
-
-def test_natural_frequencies_figure(updated):
-    axes = plots.plot_natural_frequencies(updated)
-    found = updated["EXP/modal"]["natural_frequency"].values.reshape(-1, 2)
-    np.testing.assert_allclose(axes[1].lines[0].get_xdata(), np.median(found, axis=0))
-    low, high = axes[1].collections[0].get_segments()[1][:, 0]
-    np.testing.assert_allclose([low, high], np.quantile(found[:, 1], [0.05, 0.95]))
-    assert [text.get_text() for text in axes[1].get_yticklabels()] == ["EXP"]
-    marks = {line.get_label(): line.get_xdata()[0] for line in axes[0].lines[2:]}
-    assert marks["peaks of the gain"] == 1.1
-    assert marks["given"] == 1.0
-    plots.close(axes[:1])
-    with pytest.raises(ValueError, match="`result` must have a likelihood with natural frequencies"):
-        plots.plot_natural_frequencies(xr.DataTree())

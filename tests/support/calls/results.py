@@ -328,7 +328,7 @@ CALLS = {
     "plot_chains": figure("chains", idata=PLAIN, kind="rank", var_names=None, backend="matplotlib"),
     "plot_channels": figure("channels", channels=OBSERVED["y"]),
     "plot_loops": figure("loops", result=TREE, springs=None, measured=None),
-    "plot_natural_frequencies": figure("natural_frequencies", result=TREE),
+    "plot_natural_frequencies": figure("natural_frequencies", result=TREE, backend="matplotlib"),
     "plot_predictive": figure("predictive", idata=TREE, sensors=None, window=None),
     "plot_prior_posterior": figure(
         "prior_posterior", idata=TREE, var_names=None, units=None, backend="matplotlib"
