@@ -224,20 +224,22 @@ def labelled(measured, bands, dim):
     if measured is None:
         return None
     if isinstance(measured, xr.DataArray) and "time" in measured.coords:
-        if dim in measured.dims:
-            return measured
-        if measured.ndim == 1 and bands.sizes[dim] == 1:
+        if measured.dims == ("time",) and bands.sizes[dim] == 1:
             return measured.expand_dims({dim: bands[dim].values})
-        raise ValueError(f"`measured` must have dimensions ({dim}, time), got {measured.dims}. Rename them.")
-    values, shape = as_numbers(measured, "measured"), (bands.sizes[dim], bands.sizes["time"])
+        if dim not in measured.dims:
+            raise ValueError(
+                f"`measured` must have dimensions ({dim}, time), got {measured.dims}. Rename them."
+            )
+        return measured
+    values, like = as_numbers(measured, "measured"), bands.isel(quantile=0, drop=True).transpose(dim, "time")
     if dim == "row":
         values = np.atleast_2d(values)
-    if values.shape != shape:
+    if values.shape != like.shape:
         raise ValueError(
-            f"`measured` must have shape (sensor, time) = {shape} to match the result, got {values.shape}. "
-            "Pass a DataArray with coordinates for other sensors or times."
+            f"`measured` must have shape (sensor, time) = {like.shape} to match the result, got "
+            f"{values.shape}. Pass a DataArray with coordinates for other sensors or times."
         )
-    return xr.DataArray(values, {dim: bands[dim].values, "time": bands["time"].values}, (dim, "time"))
+    return like.copy(data=values)
 
 
 def draw_expected(channels, bands, densities, units) -> np.ndarray:

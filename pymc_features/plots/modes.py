@@ -187,12 +187,9 @@ class Compared:
         m = shapes.shape[-2]
         if self.frequencies is not None:
             hertz = as_numbers(self.frequencies, "frequencies", "Pass those of the model in Hz.")
-            possible = (hertz > 0.0) & (hertz < np.inf)
-            if (
-                hertz.shape != shapes.shape[:-1]
-                or not (possible | np.isnan(hertz)).all()
-                or not possible.any()
-            ):
+            known = hertz[~np.isnan(hertz)]
+            are_positive = known.size and ((known > 0.0) & (known < np.inf)).all()
+            if hertz.shape != shapes.shape[:-1] or not are_positive:
                 condition = f"{shapes.shape[:-1]} positive numbers in Hz"
                 raise ValueError(message("frequencies", condition, hertz.shape))
             self.frequencies = hertz.reshape(-1, m)
