@@ -84,9 +84,9 @@ def plot_sampling_rate(
     *others, last = likelihoods
     listed = f"{', '.join(others)} and {last}" if others else last
     set_figure_title(axes[0].figure, listed, result.attrs.get("title"))
-    labels = len(axes[0].get_legend_handles_labels()[1])
-    rows = int(np.ceil(ENTRY * labels / axes[0].figure.get_figwidth()))
-    legend_outside(axes[0], "lower center", -(-labels // rows))
+    entries = [len(ax.get_legend_handles_labels()[1]) for ax in axes]
+    rows = int(np.ceil(ENTRY * max(entries) / axes[0].figure.get_figwidth()))
+    legend_outside(axes[np.argmax(entries)], "lower center", -(-max(entries) // rows))
     return axes
 
 

@@ -137,6 +137,10 @@ def test_sampling_rate_figure(result):
     assert [t.get_text() for t in theta.get_xticklabels()] == ["0.1", "1", "10"]
     assert "σ [m/s²]" in sigma.get_ylabel()
     plots.close(axes[:1])
+    axes = plots.plot_sampling_rate(result, ["EXP", "ABC"], parameters=["sigma", "theta"])
+    labels = [text.get_text() for text in axes[0].figure.legends[0].get_texts()]
+    assert "ABC, sampled" in labels  # whichever panel is the first
+    plots.close(axes[:1])
     with pytest.raises(ValueError, match=r"`likelihoods` must be among \['EXP', 'ABC'\], got \['TN'\]"):
         plots.plot_sampling_rate(result, "TN")
 
