@@ -47,13 +47,13 @@ def main(arguments=None) -> int:
 
     options = make_parser().parse_args(arguments)
     console = Console(stderr=True)
-    logging.getLogger("pymc").setLevel(logging.WARNING)
     os.environ.setdefault("MPLBACKEND", "Agg")
     try:
         if options.command in ("update", "check", "predict"):
             parsed(options.config)  # a typo is said before seconds of imports
         with Heartbeat(console, "loading") as options.alive:
             import_module(NEEDED[options.command])
+            logging.getLogger("pymc").setLevel(logging.WARNING)  # which its import sets
             started()
             options.alive.now(options.command)
             logging.getLogger("pymc_features").addHandler(Told(console))
@@ -132,19 +132,24 @@ def reproduce(options, console):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
     forget_parts(options, "study", console)
-    with PartProgress(console, "study", options.alive) as progress:
+    with PartProgress(console, "study", options.alive, pause=3.0) as progress:
         result = sampling_rate_study(
             record,
             structure=described,
             random_seed=options.seed,
             out=options.out,
-            progress=progress,
-            progressbar=console.is_terminal,
+            progress=lambda part, done, total: progress(part, done, total + 1),
+            progressbar=False,
             **settings,
         )
+        sizes = result["summary"].sizes
+        parts = (sizes["likelihood"] + 1) * sizes["multiplier"]
+        progress("figures and tables", parts, parts + 1)
+        paths = write_outputs(result, options.out)
+        progress("finished", parts + 1, parts + 1)
     if sentence := yielding(result):
         say(console, f"springs: {sentence}")
-    for path in write_outputs(result, options.out):
+    for path in paths:
         say(console, f"wrote {path}")
 
 

@@ -5,10 +5,18 @@ import sys
 import threading
 import time
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from pymc_features.interrupt import CtrlC
 
+WHOLE = 86_400.0  # s: the speed is estimated from all parts, of which some take much longer than others
 QUIET = 3.0  # seconds after which something is said
 
 
@@ -28,9 +36,11 @@ class Heartbeat:
         self.console, self.over = console, threading.Event()
         self.now(doing)
 
-    def now(self, doing: str) -> None:
-        """Say from now on that something else is in work."""
-        self.doing, self.start, self.said = doing, time.monotonic(), time.monotonic()
+    def now(self, doing: str, is_said: bool = True) -> None:
+        """Say from now on that something else is in work; whether it was said already."""
+        self.doing, self.start = doing, time.monotonic()
+        if is_said:
+            self.heard()
 
     def heard(self) -> None:
         """Wait anew, for something was said."""
@@ -55,19 +65,35 @@ class Heartbeat:
 class PartProgress:
     """A bar for the whole work above PyMC's bar for the part; plain lines where there is no terminal.
 
+    Both say how long the rest will take, if parts take as long as they did so far.
+
     Ctrl-C is remembered: where Python drops the exception, as it does inside the callbacks by which Numba
     frees compiled code, the work stops before its next part.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+    what : str
+        What is done, at the beginning of the bar.
+    alive : Heartbeat, optional
+        Told what is in work, and by how much it is done.
+    pause : float
+        Least time between two lines where there is no terminal [s].
     """
 
-    def __init__(self, console, what, alive: Heartbeat | None = None):
-        self.console, self.alive = console, alive
+    def __init__(self, console, what, alive: Heartbeat | None = None, pause: float = 0.0):
+        self.console, self.alive, self.pause = console, alive, pause
+        self.begun, self.said = time.monotonic(), -float("inf")
         self.bar = Progress(
             TextColumn(f"[bold]{what}"),
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
             TextColumn("{task.description}"),
             console=console,
+            speed_estimate_period=WHOLE,
             disable=not console.is_terminal,
         )
 
@@ -97,7 +123,18 @@ class PartProgress:
         if self.ctrl_c.pressed:
             raise KeyboardInterrupt
         self.bar.update(self.task, completed=done, total=total, description=part)
-        if not self.console.is_terminal:
-            self.console.print(f"[{done}/{total}] {part}", markup=False, highlight=False)
+        now = time.monotonic()
+        left = f", {remaining(now - self.begun, done, total)} left" if 0 < done < total else ""
+        told = f"[{done}/{total}] {part}{left}"
+        is_said = not self.console.is_terminal and now - self.said >= self.pause
+        if is_said:
+            self.said = now
+            self.console.print(told, markup=False, highlight=False)
         if self.alive is not None:
-            self.alive.now(f"[{done}/{total}] {part}")
+            self.alive.now(told, is_said)
+
+
+def remaining(elapsed: float, done: int, total: int) -> str:
+    """Time for the parts that are left, as minutes and seconds, from that of those done [s]."""
+    minutes, seconds = divmod(round(elapsed * (total - done) / done), 60)
+    return f"{minutes} min {seconds:02d} s" if minutes else f"{seconds} s"

@@ -59,7 +59,7 @@ def unknown_time(step) -> Reference:
 CN = Likelihood(
     "CN",
     "errors correlated in time; tau and sigma known",
-    "C3",
+    "#D55E00",
     declare,
     posterior=all_known,
     takes=TAKES,
@@ -69,7 +69,7 @@ CN = Likelihood(
 CN_SIGMA = Likelihood(
     "CN-SIGMA",
     "errors correlated in time; tau known, sigma inferred",
-    "C5",
+    "#56B4E9",
     declare,
     posterior=known_time,
     takes=TAKES,
@@ -81,7 +81,7 @@ CN_SIGMA = Likelihood(
 CN_TAU = Likelihood(
     "CN-TAU",
     "errors correlated in time; tau and sigma inferred",
-    "C8",
+    "#882255",
     declare,
     posterior=unknown_time,
     takes=TAKES,

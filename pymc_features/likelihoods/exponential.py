@@ -20,7 +20,7 @@ def exponents(n_sensors: int, n_times: int) -> Exponents:
 EXP = Likelihood(
     "EXP",
     "exponential on the mean square of each sensor, Eq. (9)",
-    "C2",
+    "#009E73",
     declare,
     exponents,
 )

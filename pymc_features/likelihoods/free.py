@@ -45,7 +45,7 @@ def exact(step) -> Reference:
 ABC = Likelihood(
     "ABC",
     "likelihood-free: sum of the mean squares within a tolerance, Eqs. (14)-(15)",
-    "C4",
+    "#CC79A7",
     declare,
     posterior=exact,
     takes=("epsilon",),

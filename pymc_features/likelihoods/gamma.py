@@ -20,7 +20,7 @@ def declare(given):
 GAMMA = Likelihood(
     "GAMMA",
     "chi-square on the mean square of each sensor, with m degrees of freedom",
-    "C9",
+    "#4B0000",
     declare,
     takes=("sigma", "m"),
     known=("m",),

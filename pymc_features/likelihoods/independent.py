@@ -32,7 +32,7 @@ def exponents(n_sensors: int, n_times: int) -> Exponents:
 NORM = Likelihood(
     "NORM",
     "every sample an independent Gaussian observation, Eq. (2)",
-    "C0",
+    "#0072B2",
     declare,
     exponents,
     reasons={"narrows": "sampling faster is taken for new information"},

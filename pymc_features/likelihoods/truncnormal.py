@@ -22,7 +22,7 @@ def exponents(n_sensors: int, n_times: int) -> Exponents:
 TN = Likelihood(
     "TN",
     "half-normal on the root mean square of each sensor, Eq. (7)",
-    "C1",
+    "#E69F00",
     declare,
     exponents,
 )

@@ -20,23 +20,9 @@ N_NODES = 601
 
 
 def computed_sums(at: Callable[[float], Structure], record, data, dt: float) -> Callable:
-    """The four sums at one sampling step by the kernel of the structure's family.
+    """The four sums (4,) as a function of theta at one sampling step, by the kernel of a structure's family.
 
-    Parameters
-    ----------
-    at : callable
-        theta -> structure.
-    record : Record
-        Ground acceleration.
-    data : array (s, u)
-        Measurements [m/s^2].
-    dt : float
-        Their step [s].
-
-    Returns
-    -------
-    callable
-        theta -> array (4,).
+    `at` makes a structure of theta, `data` (s, u) are measurements [m/s^2] with the step `dt` [s].
     """
     data = np.ascontiguousarray(data)
     asked = request(paper.N_STOREYS, record.dt, dt=dt)
@@ -58,22 +44,10 @@ class SharedResponses:
     """The four sums at all sampling steps from one response for each theta, where a response is costly.
 
     The response at a coarser step is every n-th sample of that at the finest, so that one response serves all
-    steps. It is computed at nodes of theta that resolve the narrowest posterior and cover the prior; between
-    them the sums are cubic splines. No response is kept.
-
-    Parameters
-    ----------
-    respond : callable
-        theta -> array (s, u), the response at the finest step [m/s^2].
-    data : array (s, u)
-        Measurements at that step [m/s^2].
-    strides : dict
-        For each sampling step, by any key, its multiple of the finest step.
-
-    Notes
-    -----
-    About a thousand responses. The splines are right to 1e-6 where the posteriors are
-    (tests/study/test_study_bouc_wen.py).
+    steps: `respond(theta)` (s, u) [m/s^2], as `data` are; `strides` are the multiples of the finest step by
+    any keys. It is computed at nodes of theta that resolve the narrowest posterior and cover the prior, about
+    a thousand; between them the sums are cubic splines, right to 1e-6 where the posteriors are
+    (tests/study/test_study_bouc_wen.py). No response is kept.
     """
 
     def __init__(self, respond: Callable, data: np.ndarray, strides: dict[float, int]):

@@ -23,29 +23,12 @@ def declare(
     tolerance: float | None = None,
     scale: float | None = None,
 ) -> pm.Model:
-    """Return the model of one structure of the study under one likelihood.
+    """Return the model of one structure, ``theta -> structure``, under one of the `LIKELIHOODS`.
 
-    Parameters
-    ----------
-    kind : str
-        A name of `LIKELIHOODS`.
-    record : Record
-        Ground acceleration.
-    data : DataArray (sensor, time)
-        Measured floor accelerations [m/s^2] with their times.
-    structure : callable
-        theta -> structure.
-    tolerance : float, optional
-        delta of ABC [m^2/s^4].
-    scale : float, optional
-        Standard deviation of the noise that CN knows [m/s^2].
-
-    Returns
-    -------
-    pymc.Model
-        With `theta`, `sigma` and `tau` where they are inferred, and the data `y`. Measurements, their step
-        and the tolerance are data of the model: `set_measurements` changes them without compiling anything
-        anew.
+    It has `theta`, `sigma` and `tau` where they are inferred, and `y`: floor accelerations (sensor, time)
+    [m/s^2]. ABC has the `tolerance` delta [m^2/s^4], and CN knows the `scale` of the noise [m/s^2].
+    Measurements, their step and the tolerance are data of the model: `set_measurements` changes them without
+    compiling anything anew.
     """
     likelihood, times = LIKELIHOODS[kind], data["time"].values
     coords = {"sensor": data["sensor"].values, "time": times}

@@ -6,11 +6,12 @@ from pymc_features import plots
 from pymc_features.storage import netcdf_bytes, write_atomically
 from pymc_features.study.table import as_csv, as_markdown
 
-FIGURES = {  # those with all their likelihoods in the study are drawn
-    "fig2_norm.png": ["NORM"],
-    "fig3_tn.png": ["TN"],
-    "fig4_exp_abc.png": ["EXP", "ABC"],
-    "fig5_correlated.png": ["NORM", "CN", "CN-SIGMA", "CN-TAU"],
+BOTH = ["theta", "sigma"]
+FIGURES = {  # likelihoods and parameters; those with all their likelihoods in the study are drawn
+    "fig2_theta.png": (["TN", "NORM"], ["theta"]),
+    "fig3_sigma.png": (["TN", "NORM"], ["sigma"]),
+    "fig4_exp_norm_abc.png": (["EXP", "NORM", "ABC"], BOTH),
+    "fig5_correlated.png": (["NORM", "CN", "CN-SIGMA", "CN-TAU"], BOTH),
 }
 
 
@@ -22,9 +23,9 @@ def write_outputs(result, folder: Path) -> list[Path]:
 
     figures = {"fig1_record.png": plots.plot_record(result)}
     known = set(result["summary"]["likelihood"].values)
-    for name, likelihoods in FIGURES.items():
+    for name, (likelihoods, parameters) in FIGURES.items():
         if known.issuperset(likelihoods):
-            figures[name] = plots.plot_sampling_rate(result, likelihoods)
+            figures[name] = plots.plot_sampling_rate(result, likelihoods, parameters=parameters)
     figures["fig6_widths.png"] = plots.plot_widths(result)
     if "loops" in result.children:
         figures["fig7_loops.png"] = plots.plot_loops(result)

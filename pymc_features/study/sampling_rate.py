@@ -89,7 +89,8 @@ def sampling_rate_study(
         Folder in which each finished part is kept at once; a second call with the same settings
         continues. In memory only by default.
     progress : callable (str, int, int), optional
-        Called with the name of the part in work, the number finished, and the number in all.
+        Called with the name of the part in work, the number finished, and the number in all: the posteriors
+        sampled, and the exact ones of each sampling step.
     **kwargs
         `draws`, `chains`, `cores`, `executor` and `progressbar` of `sample_smc`, which samples ABC with
         `SubsetSimulation`, and of `sample`, which samples the others. By default four chains of 2000 draws of
@@ -134,6 +135,12 @@ def sampling_rate_study(
     )
     store = PartStore(out, study.settings())
     names = [(kind, m) for m in study.multipliers for kind in study.likelihoods]
+    total = len(names) + len(study.multipliers)
+
+    def shown(part, done):
+        if progress is not None:
+            progress(part, done, total)
+
     models: dict[str, pm.Model] = {}
 
     def finished(kind, multiplier):
@@ -151,12 +158,9 @@ def sampling_rate_study(
     with open_workers(executor) as workers:
         common = {"cores": cores, "executor": workers, "progressbar": progressbar}
         for done, (kind, multiplier) in enumerate(names):
-            if progress is not None:
-                progress(part_name(kind, multiplier), done, len(names))
+            shown(part_name(kind, multiplier), done)
             parts[kind, multiplier] = finished(kind, multiplier)
-    if progress is not None:
-        progress("exact posteriors", len(names), len(names))
-    return assemble(study, parts)
+    return assemble(study, parts, shown)
 
 
 def seed_in(out) -> int | None:

@@ -9,58 +9,42 @@ from pymc_features.likelihoods.free import exact_interval, exact_tolerance
 from pymc_features.simulators import spring_forces
 
 
-def assemble(study, parts: dict) -> xr.DataTree:
-    """Put the sampled parts and the exact posteriors side by side; see `sampling_rate_study`."""
-    shape = (len(study.likelihoods), len(study.multipliers))
-    arrays = {
-        "sampled": np.full((*shape, len(PARAMETERS), len(STATISTICS)), np.nan),
-        "exact": np.full((*shape, len(PARAMETERS), len(STATISTICS)), np.nan),
-        "r_hat": np.full((*shape, len(PARAMETERS)), np.nan),
-        "ess_bulk": np.full((*shape, len(PARAMETERS)), np.nan),
-        "seconds": np.full(shape, np.nan),
-        "log_evidence": np.full(shape, np.nan),
-    }
-    tolerance = np.full(len(study.multipliers), np.nan)
-    interval = np.full((len(study.multipliers), 2), np.nan)
+def assemble(study, parts: dict, shown) -> xr.DataTree:
+    """Put the sampled parts and the exact posteriors side by side; see `sampling_rate_study`.
+
+    `shown` is called with what is in work and the number of parts that are finished.
+    """
+    cells, tolerances, intervals = {}, [], []
     for j, multiplier in enumerate(study.multipliers):
-        step = study.misfit(multiplier)
-        if "ABC" in study.likelihoods:
-            tolerance[j], interval[j] = exact_tolerance(step), exact_interval(step)
-        for i, kind in enumerate(study.likelihoods):
-            part = parts[kind, multiplier]
-            reference = LIKELIHOODS[kind].reference(step)
-            arrays["exact"][i, j] = reference.statistics
-            arrays["log_evidence"][i, j] = reference.log_evidence
-            arrays["sampled"][i, j] = sampled_statistics(reference, part)
-            arrays["r_hat"][i, j], arrays["ess_bulk"][i, j] = diagnostics(part)
-            arrays["seconds"][i, j] = part.attrs["seconds"]
+        shown(f"exact_x{multiplier:g}", len(parts) + j)
+        step, has_abc = study.misfit(multiplier), "ABC" in study.likelihoods
+        tolerances.append(exact_tolerance(step) if has_abc else np.nan)
+        intervals.append(exact_interval(step) if has_abc else (np.nan, np.nan))
+        for kind in study.likelihoods:
+            cells[kind, multiplier] = cell(LIKELIHOODS[kind].reference(step), parts[kind, multiplier])
     dims = ("likelihood", "multiplier", "parameter", "statistic")
-    summary = xr.Dataset(
-        {name: (dims[: values.ndim], values) for name, values in arrays.items()},
-        coords={
-            "likelihood": list(study.likelihoods),
-            "multiplier": list(study.multipliers),
-            "parameter": list(PARAMETERS),
-            "statistic": list(STATISTICS),
-        },
-    )
-    summary["epsilon"] = ("multiplier", tolerance)
-    summary["epsilon_interval"] = (("multiplier", "end"), interval)
-    summary = summary.assign_coords(end=["low", "high"])
-    summary["step"] = ("multiplier", np.array(study.multipliers) * study.record.dt, {"units": "s"})
-    nodes = {f"/{kind}/x{m:g}": part for (kind, m), part in parts.items()}
-    groups = {"/summary": summary, "/data": _data_group(study)}
+    table = {}
+    for name in cells[kind, multiplier]:
+        rows = [[cells[kind, m][name] for m in study.multipliers] for kind in study.likelihoods]
+        table[name] = (dims[: np.ndim(rows)], np.array(rows))
+    table["epsilon"] = ("multiplier", tolerances)
+    table["epsilon_interval"] = (("multiplier", "end"), intervals)
+    table["step"] = ("multiplier", np.array(study.multipliers) * study.record.dt, {"units": "s"})
+    labels = list(study.likelihoods), list(study.multipliers), list(PARAMETERS), list(STATISTICS)
+    coords = dict(zip(dims, labels, strict=True)) | {"end": ["low", "high"]}
+    groups = {"/summary": xr.Dataset(table, coords), "/data": data_of(study)}
     if not study.at().is_linear:
-        groups["/loops"] = _loops_group(study)
+        groups["/loops"] = loops_of(study)
     tree = xr.DataTree.from_dict(groups)
-    for path, part in nodes.items():
-        tree[path] = part
+    for (kind, multiplier), part in parts.items():
+        tree[f"/{kind}/x{multiplier:g}"] = part
     tree.attrs = {key: value for key, value in study.settings().items() if not isinstance(value, list)}
     tree.attrs |= {"structure": study.structure.name, "title": study.title}
     return tree
 
 
-def _data_group(study):
+def data_of(study) -> xr.Dataset:
+    """The record, and the finest measurements."""
     record = study.record
     return xr.Dataset(
         {
@@ -72,7 +56,7 @@ def _data_group(study):
     )
 
 
-def _loops_group(study):
+def loops_of(study) -> xr.Dataset:
     """Force and drift of every spring at the true theta, and the largest drift over that of yielding."""
     structure = study.at()
     loops = spring_forces(structure, study.record)[["force", "drift"]]
@@ -82,26 +66,23 @@ def _loops_group(study):
     return loops
 
 
-def sampled_statistics(reference, part):
-    """Return (parameter, statistic) of the draws; the maximum is the draw of the highest density."""
-    posterior = part["posterior"]
-    draws = {name: posterior[name].values.ravel() for name in PARAMETERS if name in posterior}
-    best = reference.log_density(draws).argmax()
-    table = np.full((len(PARAMETERS), len(STATISTICS)), np.nan)
-    for name, values in draws.items():
-        table[PARAMETERS.index(name)] = [values[best], *np.quantile(values, PROBABILITIES)]
-    return table
+def cell(reference, part) -> dict:
+    """What is said of one likelihood at one sampling step; NaN of parameters that it does not infer.
 
-
-def diagnostics(part):
-    """R-hat and bulk effective sample size of each parameter; NaN where there is none."""
+    The maximum of the draws is the draw of the highest density. There is no R-hat of one chain.
+    """
     import arviz as az  # here: half a second that a mere import of the package need not take
 
     posterior = part["posterior"].to_dataset()
+    draws = {name: posterior[name].values.ravel() for name in PARAMETERS if name in posterior}
+    best = reference.log_density(draws).argmax()
+    sampled = np.full((len(PARAMETERS), len(STATISTICS)), np.nan)
     r_hat, ess = np.full(len(PARAMETERS), np.nan), np.full(len(PARAMETERS), np.nan)
-    for k, name in enumerate(PARAMETERS):
-        if name in posterior:
-            if posterior.sizes["chain"] > 1:
-                r_hat[k] = float(az.rhat(posterior[[name]])[name])
-            ess[k] = float(az.ess(posterior[[name]], method="bulk")[name])
-    return r_hat, ess
+    for name, values in draws.items():
+        k = PARAMETERS.index(name)
+        sampled[k] = [values[best], *np.quantile(values, PROBABILITIES)]
+        if posterior.sizes["chain"] > 1:
+            r_hat[k] = float(az.rhat(posterior[[name]])[name])
+        ess[k] = float(az.ess(posterior[[name]], method="bulk")[name])
+    of_part = {"seconds": part.attrs["seconds"], "log_evidence": reference.log_evidence}
+    return {"sampled": sampled, "exact": reference.statistics, "r_hat": r_hat, "ess_bulk": ess, **of_part}

@@ -5,8 +5,8 @@ import pytest
 import xarray as xr
 
 from pymc_features import Record, plots
-from pymc_features.plots.drawing.axes import broken
-from pymc_features.plots.drawing.envelope import Columns, columns_of, envelope
+from pymc_features.plots.axes import broken
+from pymc_features.plots.histories import Columns, columns_of, envelope
 
 QUANTILES = [0.05, 0.5, 0.95]
 

@@ -1,6 +1,5 @@
 """Figures show what the result holds."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
@@ -138,8 +137,33 @@ def test_sampling_rate_figure(result):
     assert [t.get_text() for t in theta.get_xticklabels()] == ["0.1", "1", "10"]
     assert "σ [m/s²]" in sigma.get_ylabel()
     plots.close(axes[:1])
+    axes = plots.plot_sampling_rate(result, ["EXP", "ABC"], parameters=["sigma", "theta"])
+    labels = [text.get_text() for text in axes[0].figure.legends[0].get_texts()]
+    assert "ABC, sampled" in labels  # whichever panel is the first
+    plots.close(axes[:1])
     with pytest.raises(ValueError, match=r"`likelihoods` must be among \['EXP', 'ABC'\], got \['TN'\]"):
         plots.plot_sampling_rate(result, "TN")
+
+
+@pytest.mark.parametrize("parameter", ["theta", "sigma"])
+def test_sampling_rate_figure_of_one_parameter(result, parameter):
+    """Likelihoods share the axes; bars stand beside each other, in the order that was asked for."""
+    result["summary"]["sampled"].loc[{"likelihood": "ABC"}] = [0.9, 0.7, 0.95, 1.2]
+    result["summary"]["exact"].loc[{"likelihood": "ABC"}] = [0.9, 0.7, 0.95, 1.2]
+    [ax] = plots.plot_sampling_rate(result, ["ABC", "EXP"], parameters=parameter)
+    bars = [np.array(bar.lines[2][0].get_segments()) for bar in ax.containers]
+    np.testing.assert_allclose(bars[0][:, :, 1], [[0.7, 1.2]] * 3)
+    np.testing.assert_allclose(bars[1][:, :, 1], [[0.8, 1.3]] * 3)
+    steps = np.array([0.1, 1.0, 10.0])
+    assert (bars[0][:, 0, 0] < steps).all() and (bars[1][:, 0, 0] > steps).all()
+    areas = [area.get_paths()[0].vertices[:, 1] for area in ax.collections if area.get_paths()]
+    ends = {(round(float(area.min()), 9), round(float(area.max()), 9)) for area in areas}
+    assert {(0.7, 1.2), (0.81, 1.31)} <= ends
+    labels = [text.get_text() for text in ax.figure.legends[0].get_texts()]
+    assert labels[:2] == ["ABC, sampled", "EXP, sampled"]
+    plots.close([ax])
+    with pytest.raises(ValueError, match=r"`parameters` must be among \['theta', 'sigma'\], got \['tau'\]"):
+        plots.plot_sampling_rate(result, "EXP", parameters="tau")
 
 
 @pytest.fixture
@@ -213,15 +237,9 @@ def test_tempering_figure(updated):
 def test_prior_posterior_figure(updated):
     [ax] = plots.plot_prior_posterior(updated["EXP"], units={"k": "N/m^2"})
     assert ax.get_xlabel() == "k [N/m²]"
-    for step, group in zip(ax.patches, ("prior", "posterior"), strict=True):
-        heights, edges, _ = step.get_data()
-        counts, _ = np.histogram(updated[f"EXP/{group}"]["k"], edges)
-        assert step.get_label() == group
-        np.testing.assert_allclose(heights, counts / counts.max())
-    draws = updated["EXP/posterior"]["k"].values
-    assert edges[[0, -1]].tolist() == [draws.min(), draws.max()]
     left, right = ax.get_xlim()
     assert left == pytest.approx(np.quantile(updated["EXP/prior"]["k"], 0.005))
+    assert [text.get_text() for text in ax.figure.legends[0].get_texts()] == ["prior", "posterior"]
     plots.close([ax])
     with pytest.raises(ValueError, match=r"`var_names` must be among \['k'\], got \['c'\]"):
         plots.plot_prior_posterior(updated["EXP"], ["c"])
@@ -235,39 +253,3 @@ def test_prior_posterior_figure_is_not_stretched_by_one_far_draw():
     left, right = ax.get_xlim()
     assert -5.0 < left < -2.5 and 2.5 < right < 5.0
     plots.close([ax])
-
-
-def test_natural_frequencies_figure(updated):
-    axes = plots.plot_natural_frequencies(updated)
-    found = updated["EXP/modal"]["natural_frequency"].values.reshape(-1, 2)
-    np.testing.assert_allclose(axes[1].lines[0].get_xdata(), np.median(found, axis=0))
-    low, high = axes[1].collections[0].get_segments()[1][:, 0]
-    np.testing.assert_allclose([low, high], np.quantile(found[:, 1], [0.05, 0.95]))
-    assert [text.get_text() for text in axes[1].get_yticklabels()] == ["EXP"]
-    marks = {line.get_label(): line.get_xdata()[0] for line in axes[0].lines[2:]}
-    assert marks["peaks of the gain"] == 1.1
-    assert marks["given"] == 1.0
-    plots.close(axes[:1])
-    with pytest.raises(ValueError, match="`result` must have a likelihood with natural frequencies"):
-        plots.plot_natural_frequencies(xr.DataTree())
-
-
-@pytest.mark.parametrize("kind", plots.chains.KINDS)
-def test_chains_figure(updated, kind):
-    axes = plots.plot_chains(updated["EXP"], kind)
-    label = {"rank": "k: fractional rank", "trace": "k: draw"}[kind]
-    assert [ax.get_xlabel() for ax in axes] == ["k", label]
-    if kind == "trace":
-        drawn = {tuple(line.get_ydata()) for line in axes[1].lines}
-        assert drawn == {tuple(chain) for chain in updated["EXP/posterior"]["k"].values}
-    _, own = plt.subplots(2)
-    assert plots.plot_chains(updated["EXP"], kind, axes=own) is not None
-    for ax, other in zip(own, axes, strict=True):
-        assert len(ax.lines) == len(other.lines) > 0
-        for line, same in zip(ax.lines, other.lines, strict=True):
-            np.testing.assert_array_equal(line.get_xydata(), same.get_xydata())
-    plots.close([axes[0], own[0]])
-    with pytest.raises(ValueError, match="`axes` must be one for each of 2 columns"):
-        plots.plot_chains(updated["EXP"], kind, axes=own[:1])
-    with pytest.raises(ValueError, match="`kind` must be one of rank, trace, got 'bars'"):
-        plots.plot_chains(updated["EXP"], "bars")

@@ -5,6 +5,7 @@ import dataclasses
 import io
 import itertools
 import json
+import re
 
 import numpy as np
 import pytest
@@ -186,7 +187,7 @@ def result(folder):
 def test_command_writes_everything(folder, capsys):
     names = {path.name for path in (folder / "out").iterdir()}
     assert names == {
-        *("fig1_record.png", "fig2_norm.png", "fig3_tn.png", "fig4_exp_abc.png"),
+        *("fig1_record.png", "fig2_theta.png", "fig3_sigma.png", "fig4_exp_norm_abc.png"),
         *("fig5_correlated.png", "fig6_widths.png"),
         *("table.md", "table.csv", "study.nc", "study.json", "parts"),
     }
@@ -195,7 +196,13 @@ def test_command_writes_everything(folder, capsys):
             assert (folder / "out" / name).read_bytes().startswith(b"\x89PNG")
     output = (folder / "said").read_text()
     assert "record: Record('beginning', 131 samples, dt=0.02 s" in output
-    assert "[15/16] CAL_x10" in output
+    stages = [line for line in output.splitlines() if line.startswith("[")]
+    assert stages[0] == "[0/19] NORM_x0.1"
+    form = re.compile(r"\[\d+/19\] \S.*, (\d+ min )?\d+ s left|\[19/19\] finished")
+    assert all(form.fullmatch(line) for line in stages[1:]), stages
+    # nothing else scrolls by but which record it is and what is written
+    others = [line for line in output.splitlines() if line not in stages]
+    assert all(line.startswith(("record: ", "wrote ")) for line in others), others
     assert cli.main(arguments(folder, "--seed", "1")) == 2
     assert "`out` must be empty or hold the same study" in capsys.readouterr().err
 

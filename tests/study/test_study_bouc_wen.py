@@ -148,7 +148,7 @@ def result(folder):
 def test_command_writes_everything(folder, result):
     names = {path.name for path in (folder / "out").iterdir()}
     assert names == {
-        *("fig1_record.png", "fig2_norm.png", "fig3_tn.png", "fig4_exp_abc.png"),
+        *("fig1_record.png", "fig2_theta.png", "fig3_sigma.png", "fig4_exp_norm_abc.png"),
         *("fig6_widths.png", "fig7_loops.png"),
         *("table.md", "table.csv", "study.nc", "study.json", "parts"),
     }

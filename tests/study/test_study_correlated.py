@@ -15,8 +15,8 @@ from pymc_features.likelihoods.exact.correlated import (
 )
 from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve
 from pymc_features.study import paper
-from pymc_features.study.findings import verdict
 from pymc_features.study.settings import Study
+from pymc_features.study.table import verdict
 from support.straight import Record
 
 pytestmark = pytest.mark.slow

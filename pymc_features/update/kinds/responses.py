@@ -5,7 +5,7 @@ import xarray as xr
 
 from pymc_features import plots
 from pymc_features.exceptions import ConfigError
-from pymc_features.plots.drawing.expected import draw_expected
+from pymc_features.plots.histories import draw_expected
 from pymc_features.update.config.sections import MEASURED, Data
 from pymc_features.update.kinds.base import Setting
 from pymc_features.update.kinds.channels import base_and_sensors, checked_dofs, read_measured

@@ -78,7 +78,7 @@ CALLS = {
             "channels": WITHOUT_GAPS,
             "fitted": {"None"},
         },
-        instead={"pymc_features.plots.modes.singular_values.checked_axes": work},
+        instead={"pymc_features.plots.spectra.checked_axes": work},
         more={"channels": ODD_CHANNELS},
     ),
     "ModalData": Call(

@@ -325,16 +325,18 @@ CALLS = {
         ),
     ),
     "plot_sequence": figure("sequence", idata=TREE, parameters=["x"]),
-    "plot_chains": figure("chains", idata=PLAIN, kind="rank", var_names=None),
+    "plot_chains": figure("chains", idata=PLAIN, kind="rank", var_names=None, backend="matplotlib"),
     "plot_channels": figure("channels", channels=OBSERVED["y"]),
     "plot_loops": figure("loops", result=TREE, springs=None, measured=None),
-    "plot_natural_frequencies": figure("natural_frequencies", result=TREE),
+    "plot_natural_frequencies": figure("natural_frequencies", result=TREE, backend="matplotlib"),
     "plot_predictive": figure("predictive", idata=TREE, sensors=None, window=None),
-    "plot_prior_posterior": figure("prior_posterior", idata=TREE, var_names=None, units=None),
+    "plot_prior_posterior": figure(
+        "prior_posterior", idata=TREE, var_names=None, units=None, backend="matplotlib"
+    ),
     "plot_response_bands": figure(
         "response_bands", result=BANDS, quantity="response", sensors=None, measured=None
     ),
-    "plot_sampling_rate": figure("sampling_rate", result=TREE, likelihoods="TN"),
+    "plot_sampling_rate": figure("sampling_rate", result=TREE, likelihoods="TN", parameters="theta"),
     "plot_tempering": figure("tempering", idata=TREE),
     "plot_tolerance": figure("tolerance", result=SWEEP),
     "plot_widths": figure("widths", result=TREE),

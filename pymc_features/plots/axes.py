@@ -1,11 +1,13 @@
-"""The axes that a figure is drawn on: those given, or those of a new figure."""
+"""What figures have in common: the axes that they are drawn on, their texts, and what they refuse."""
 
 import textwrap
 from bisect import bisect_left
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from inspect import cleandoc
 from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from pymc_features._checks import as_array, is_among, message, shown
 
@@ -14,22 +16,31 @@ if TYPE_CHECKING:  # matplotlib takes a second to import
 
 type AxesLike = Axes | Sequence[Axes] | np.ndarray | None
 
+OF_ALL = """
+axes : matplotlib Axes or sequence of them, optional
+    {each}; a new figure by default.
+
+Returns
+-------
+{returns}"""
+
+
+def figure(each: str, returns: str = "array of matplotlib Axes") -> Callable:
+    """Complete the docstring of a function that draws: its `axes`, one for `each`, and what it returns."""
+
+    def completed(draw):
+        text, *more = cleandoc(draw.__doc__).split("\n\nSee Also")
+        draw.__doc__ = "\n\nSee Also".join([text + OF_ALL.format(each=each, returns=returns), *more])
+        return draw
+
+    return completed
+
 
 def checked_axes(axes: AxesLike, count: int = 1, each: str = "", *, columns: int = 1, **figure) -> np.ndarray:
-    """Return as many axes as asked for, as an array (axes,).
+    """Return as many axes as asked for, as an array (axes,); None makes a new figure of `columns`.
 
-    Parameters
-    ----------
-    axes : matplotlib Axes, sequence or array of them, or None
-        None makes a new figure.
-    count : int
-        How many there must be.
-    each : str
-        What they are for if there are several, in words for the error.
-    columns : int
-        Of a new figure.
-    **figure
-        Of `matplotlib.pyplot.subplots`, for a new figure.
+    There must be `count`, one for `each` of several things, in words for the error; `figure` are arguments of
+    `matplotlib.pyplot.subplots`.
     """
     if axes is None:
         from matplotlib import pyplot
@@ -59,9 +70,14 @@ def chosen_among(chosen, name: str, known: list, advice: str = "") -> list:
     array = as_array(chosen)
     labels = np.atleast_1d(array).tolist() if array.ndim < 2 else []
     if not labels or not all(is_among(label, known) for label in labels):
-        advice = f" {advice}" if advice else ""
-        raise ValueError(f"`{name}` must be among {known}, got {shown(labels or chosen)}.{advice}")
+        raise ValueError(message(name, f"among {known}", shown(labels or chosen), advice))
     return labels
+
+
+def check_dataset(value, name: str, source: str, *variables: str) -> None:
+    """Refuse what is no Dataset with these variables."""
+    if not isinstance(value, xr.Dataset) or not set(variables) <= set(value.data_vars):
+        raise TypeError(message(name, "a Dataset", shown(value), f"Pass {source}."))
 
 
 def set_title(ax: "Axes", text: str, **style) -> None:
@@ -72,12 +88,25 @@ def set_title(ax: "Axes", text: str, **style) -> None:
     ax.set_title(broken(text, inches_of(ax), size), parse_math=False, **style)
 
 
-def set_figure_title(figure, text: str) -> None:
-    """Put a text above a figure, in lines that are no wider than it."""
+def set_figure_title(figure, *texts: str | None) -> None:
+    """Put texts above a figure, with commas between them and in lines that are no wider than it."""
     from matplotlib import rcParams
 
-    lines = broken(text, 0.95 * figure.get_figwidth(), rcParams["figure.titlesize"])
+    title = ", ".join(filter(None, texts))
+    lines = broken(title, 0.95 * figure.get_figwidth(), rcParams["figure.titlesize"])
     figure.suptitle(lines, parse_math=False)
+
+
+def legend_outside(ax: "Axes", place: str = "upper center", columns: int | None = None) -> None:
+    """Put a legend of what an axis shows beside all axes of its figure."""
+    handles, labels = ax.get_legend_handles_labels()
+    columns = columns or len(labels)
+    ax.figure.legend(handles, labels, loc=f"outside {place}", ncols=columns, frameon=False)
+
+
+def with_unit(name: str, unit: str) -> str:
+    """A name with its unit, if it has one."""
+    return f"{name} [{unit.replace('^2', '²')}]".strip() if unit else name
 
 
 def inches_of(ax: "Axes") -> float:

@@ -14,27 +14,13 @@ AMPLITUDE = 0.15  # of the largest entry, over the extent of the structure
 
 
 class Nodes(NamedTuple):
-    """Points of a structure in the plane of the figure.
+    """Points of a structure in the plane of the figure."""
 
-    Attributes
-    ----------
-    places : array (k, 2)
-        Where the nodes are; several entries of a shape may belong to one.
-    node : array (p,)
-        Node of each entry.
-    directions : array (p, 2)
-        In which an entry moves its node, zero where it is held; length 1 in space.
-    lines : list of array
-        Nodes that are joined.
-    labels : tuple of str
-        Of the axes of the figure.
-    """
-
-    places: np.ndarray
-    node: np.ndarray
-    directions: np.ndarray
-    lines: list[np.ndarray]
-    labels: tuple[str, str]
+    places: np.ndarray  # (k, 2) of the nodes; several entries of a shape may belong to one
+    node: np.ndarray  # (p,) of each entry
+    directions: np.ndarray  # (p, 2) in which an entry moves its node, zero where it is held; 1 in space
+    lines: list[np.ndarray]  # nodes that are joined
+    labels: tuple[str, str]  # of the axes of the figure
 
     @property
     def extent(self) -> float:
@@ -59,10 +45,10 @@ class Nodes(NamedTuple):
 
 def checked_nodes(nodes, p: int) -> Nodes:
     """Nodes in the plane in which they lie and move, or obliquely from in front."""
-    given = check_mapping(nodes, "nodes", f"a mapping of {', '.join(KEYS)}")
-    if unknown := sorted(set(given) - set(KEYS)) or "coordinates" not in given:
-        got = ", ".join(given) or "nothing"
-        raise ValueError(message("nodes", f"a mapping of {', '.join(KEYS)}", got if unknown else "none"))
+    what = f"a mapping of {', '.join(KEYS)}"
+    given = check_mapping(nodes, "nodes", what)
+    if not {"coordinates"} <= set(given) <= set(KEYS):
+        raise ValueError(message("nodes", what, ", ".join(given) or "nothing"))
     points = rows_of(given["coordinates"], "coordinates", p)
     directions = given.get("directions")
     if directions is None:
@@ -82,25 +68,19 @@ def rows_of(values, name: str, p: int) -> np.ndarray:
     """Vectors (p, 3) in space; of two columns the third is zero."""
     array = as_numbers(values, "nodes", f"Give {name} in metres.")
     if array.shape not in ((p, 2), (p, 3)) or not np.isfinite(array).all():
-        raise ValueError(
-            message(
-                "nodes",
-                f"with {p} rows of 2 or 3 finite {name}, one for each column of `shapes`",
-                array.shape,
-            )
-        )
+        condition = f"with {p} rows of 2 or 3 finite {name}, one for each column of `shapes`"
+        raise ValueError(message("nodes", condition, array.shape))
     return np.pad(array, ((0, 0), (0, 3 - array.shape[1])))
 
 
 def checked_lines(lines, p: int) -> list[list[int]]:
     """Rows that are joined."""
-    found = [as_list(line) for line in lines] if isinstance(lines, list | tuple) else [[None]]
-    for line in found:
-        whole = all(isinstance(k, int | np.integer) and not isinstance(k, bool) for k in line)
-        if not whole or not all(0 <= k < p for k in line):
-            raise ValueError(
-                message("nodes", f"with lines that are lists of rows from 0 to {p - 1}", shown(lines))
-            )
+    found = [as_list(line) for line in lines] if isinstance(lines, list | tuple) else [None]
+    for row in (row for line in found for row in (line or ([None] if line is None else []))):
+        is_whole = isinstance(row, int | np.integer) and not isinstance(row, bool)
+        if not is_whole or not 0 <= row < p:
+            condition = f"with lines that are lists of rows from 0 to {p - 1}"
+            raise ValueError(message("nodes", condition, shown(lines)))
     return found
 
 

@@ -1,1 +1,0 @@
-"""What figures have in common: their axes, long histories, and structures in space."""

@@ -1,0 +1,299 @@
+"""Identified modes and those of a model: their modal assurance criterion, and their shapes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from warnings import catch_warnings, simplefilter
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pymc_features._checks import as_array, as_numbers, message, shown
+from pymc_features.modal import ModalData
+from pymc_features.modal.shapes import real_shape
+from pymc_features.modal_features import mac
+from pymc_features.plots.axes import AxesLike, checked_axes, figure, legend_outside
+from pymc_features.plots.nodes import Nodes, checked_nodes
+
+CELL, LARGEST = 0.62, 11.0  # inches, of a cell of a matrix and of all
+DARK = 0.6  # MAC above which letters are white
+CLOSE = 0.005  # 5-95 % intervals that are narrower than this on both sides are not written
+DRAWN = 60  # draws, as thin lines
+MODEL, MEASURED = "C0", "C1"
+
+
+@figure("One", "array of one matplotlib Axes")
+def plot_mac(
+    measured: ModalData,
+    shapes: ArrayLike,
+    frequencies: ArrayLike | None = None,
+    *,
+    partners: ArrayLike | None = None,
+    axes: AxesLike = None,
+) -> np.ndarray:
+    """Matrix of the MAC of identified modes and those of a model.
+
+    Of draws of a posterior each cell has the median, and below it the 5-95 % interval where that is wider
+    than a digit. Modes of draws are told apart by their order.
+
+    Parameters
+    ----------
+    measured : ModalData
+        i identified modes at s channels; entries that are NaN are left out.
+    shapes : array_like (..., m, s)
+        Of the model at the same channels, in rows; several dimensions in front are draws, such as (chain,
+        draw, m, s).
+    frequencies : array_like (..., m), optional
+        Of the model [Hz], for the labels.
+    partners : array_like of int (i,), optional
+        Mode of the model that each identified mode is matched with, 0 the first; their cells get a frame.
+
+    See Also
+    --------
+    mac : the numbers.
+    """
+    given = Compared(measured, shapes, frequencies, partners)
+    if given.shapes.shape[2] != given.measured.shape[1]:
+        condition = f"(..., mode, channel) with the {given.measured.shape[1]} channels of `measured`"
+        advice = "Choose the degrees of freedom of the channels."
+        raise ValueError(message("shapes", condition, given.shapes.shape[1:], advice))
+    low, middle, high = quantiles(given.macs())
+    i, m = middle.shape
+    size = min(LARGEST, 1.9 + CELL * max(m, 3)), min(LARGEST, 1.4 + CELL * max(i, 2))
+    [ax] = axes = checked_axes(axes, figsize=size)
+    ax.imshow(np.ma.masked_invalid(middle), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    ax.set_facecolor("0.9")  # of modes without a shape
+    font = min(9.0, 60.0 * min((size[0] - 1.9) / m, (size[1] - 1.4) / i) / 4.2)
+    style = {"ha": "center", "va": "center", "fontsize": font, "linespacing": 1.3}
+    for row, column in np.ndindex(i, m):
+        text = cell_text(low[row, column], middle[row, column], high[row, column])
+        ax.text(column, row, text, color="white" if middle[row, column] > DARK else "0.15", **style)
+    if given.partners is not None:
+        from matplotlib.patches import Rectangle
+
+        for row, column in enumerate(given.partners):
+            ax.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, ec="C1", lw=2.2, zorder=3))
+    ax.set_xticks(range(m), [f"f{k + 1}{given.frequency(k, ': {:.4g}')}" for k in range(m)])
+    ax.set_yticks(range(i), [f"{f:.4g}" for f in given.identified])
+    hertz = "" if given.frequencies is None else " [Hz]"
+    ax.set(xlabel=f"mode of the model{hertz}", ylabel="identified mode [Hz]")
+    ax.tick_params(length=0)
+    if m > 4 and hertz:
+        ax.tick_params(axis="x", rotation=45)
+    return axes
+
+
+def cell_text(low: float, middle: float, high: float) -> str:
+    """Median and interval, as far as two digits tell them apart."""
+    if np.isnan(middle):
+        return "-"
+    is_close = max(high - middle, middle - low) < CLOSE
+    return f"{middle:.2f}" if is_close else f"{middle:.2f}\n{low:.2f}-{high:.2f}"
+
+
+@figure("One for each identified mode")
+def plot_mode_shapes(
+    measured: ModalData,
+    shapes: ArrayLike,
+    frequencies: ArrayLike | None = None,
+    *,
+    sensors: ArrayLike | None = None,
+    nodes: Mapping[str, ArrayLike] | None = None,
+    partners: ArrayLike | None = None,
+    axes: AxesLike = None,
+) -> np.ndarray:
+    """Each identified mode shape on that of the model it is matched with.
+
+    Of draws there are the median and a 5-95 % band, or in space thin lines. Each draw is scaled by the factor
+    that brings it closest to what was measured, whose largest entry is 1: a' = phi' phi^ / (phi' phi).
+
+    Parameters
+    ----------
+    measured : ModalData
+        i identified modes at s channels. Entries that are NaN are not drawn; of complex shapes the real part
+        is, turned as `ModalData.real` does.
+    shapes : array_like (..., m, p)
+        Of the model at all points that are to be drawn, in rows; several dimensions in front are draws, such
+        as (chain, draw, m, p).
+    frequencies : array_like (..., m), optional
+        Of the model [Hz], for the titles.
+    sensors : array_like of int (s,), optional
+        Column of `shapes` that each channel measures; by default the columns are the channels.
+    nodes : mapping, optional
+        Where the points are: `coordinates` (p, 3) [m]; `directions` (p, 3), in which an entry moves its
+        point, zeros where it is held (by default x where heights differ most, else z); `lines`, a list of
+        lists of rows that are joined (by default all, in their order). Rows with the same coordinates are one
+        node. By default the points are the storeys of a chain, the lowest first, above a base at rest.
+    partners : array_like of int (i,), optional
+        Mode of the model that each identified mode is matched with, 0 the first; by default those with the
+        largest MAC in total.
+    """
+    given = Compared(measured, shapes, frequencies, partners)
+    (n, s), p = given.measured.shape, given.shapes.shape[2]
+    if sensors is None and s != p:
+        advice = "Say by `sensors` which column each channel measures."
+        raise ValueError(
+            message("sensors", f"given for {s} channels and {p} columns of `shapes`", "None", advice)
+        )
+    places = np.arange(s) if sensors is None else indices("sensors", sensors, s, p, "column of `shapes`")
+    plane = None if nodes is None else checked_nodes(nodes, p)
+    agreement = quantiles(given.macs(places))[1]
+    matched = best_partners(agreement) if given.partners is None else given.partners
+    is_new = axes is None
+    axes = checked_axes(axes, n, "identified modes", **layout_of(plane, n))
+    for ax, identified, shape, r, values in zip(
+        axes, given.identified, given.measured, matched, agreement, strict=True
+    ):
+        shape = real_shape(shape)
+        shape = shape / np.nanmax(np.abs(shape)) if (~np.isnan(shape)).any() else shape
+        draws = scaled(given.shapes[:, r], shape, places)
+        if plane is None:
+            draw_storeys(ax, draws, shape, places)
+        else:
+            draw_nodes(ax, plane, draws, shape, places)
+        model = f"model f{r + 1}{given.frequency(r, ': {:.4g} Hz')}"
+        of_shape = "no shape" if np.isnan(values[r]) else f"MAC {values[r]:.3f}"
+        between = ", " if plane else "\n"
+        ax.set_title(f"measured {identified:.4g} Hz{between}{model}\n{of_shape}", fontsize="medium")
+    if is_new:
+        legend_outside(axes[0], columns=3)
+    return axes
+
+
+@dataclass
+class Compared:
+    """Identified modes, i of them at s channels, and N draws of m modes of a model at p points; checked."""
+
+    measured: np.ndarray  # (i, s), real or complex, NaN where an entry is missing; given as ModalData
+    shapes: np.ndarray  # (N, m, p) of the model; N = 1 of one structure
+    frequencies: np.ndarray | None  # (N, m) of the model [Hz]
+    partners: np.ndarray | None  # (i,), mode of the model that each is matched with
+
+    def __post_init__(self):
+        data, advice = self.measured, "Read it with `read_modal`, or make one."
+        if not isinstance(data, ModalData):
+            raise TypeError(message("measured", "a ModalData", shown(data), advice))
+        if data.shapes is None:
+            advice = "Read the shapes as well."
+            raise ValueError(message("measured", "a ModalData with shapes", "frequencies alone", advice))
+        self.measured, self.identified = data.shapes, data.frequencies
+        shapes = as_numbers(self.shapes, "shapes", "Pass those of the model.")
+        if shapes.ndim < 2 or 0 in shapes.shape:
+            advice = "Give one shape in each row."
+            raise ValueError(message("shapes", "of shape (..., mode, point)", shapes.shape, advice))
+        draws = shapes.reshape(-1, *shapes.shape[-2:])
+        self.shapes = draws[np.isfinite(draws).all(axis=(1, 2))]
+        if not len(self.shapes):
+            raise ValueError(message("shapes", "finite in some draw", "NaN or infinity in all"))
+        m = shapes.shape[-2]
+        if self.frequencies is not None:
+            hertz = as_numbers(self.frequencies, "frequencies", "Pass those of the model in Hz.")
+            known = hertz[~np.isnan(hertz)]
+            are_positive = known.size and ((known > 0.0) & (known < np.inf)).all()
+            if hertz.shape != shapes.shape[:-1] or not are_positive:
+                condition = f"{shapes.shape[:-1]} positive numbers in Hz"
+                raise ValueError(message("frequencies", condition, hertz.shape))
+            self.frequencies = hertz.reshape(-1, m)
+        if self.partners is not None:
+            self.partners = indices("partners", self.partners, len(data), m, "mode of the model")
+
+    def macs(self, sensors=slice(None)) -> np.ndarray:
+        """MAC (N, i, m) of each identified mode and each mode of the model, NaN without a shape."""
+        draws, m, _ = self.shapes.shape
+        found = mac(self.measured, self.shapes[:, :, sensors].reshape(draws * m, -1))
+        return found.reshape(-1, draws, m).transpose(1, 0, 2)
+
+    def frequency(self, mode: int, form: str) -> str:
+        """Median frequency of a mode of the model in some form; nothing if it has none."""
+        return "" if self.frequencies is None else form.format(quantiles(self.frequencies[:, mode])[1])
+
+
+def indices(name: str, values, n: int, most: int, what: str) -> np.ndarray:
+    """An index from 0 to `most` - 1 for each of n."""
+    array = as_array(values)
+    is_whole = array.dtype.kind in "iu" and array.shape == (n,)
+    if not is_whole or not ((array >= 0) & (array < most)).all():
+        condition = f"{n} whole numbers from 0 to {most - 1}"
+        raise ValueError(message(name, condition, shown(values), f"Give the {what} of each."))
+    return array
+
+
+def best_partners(agreement: np.ndarray) -> np.ndarray:
+    """Modes (i,) of the model with the largest MAC (i, m) in total, each taken once."""
+    from scipy.optimize import linear_sum_assignment
+
+    i, m = agreement.shape
+    agreement = np.nan_to_num(agreement)
+    return agreement.argmax(axis=1) if i > m else linear_sum_assignment(-agreement)[1]
+
+
+def quantiles(values: np.ndarray) -> np.ndarray:
+    """5, 50 and 95 % (3, ...) over the first axis; NaN where all are."""
+    with catch_warnings():
+        simplefilter("ignore", RuntimeWarning)  # of places that are NaN in all draws
+        return np.nanquantile(values, [0.05, 0.5, 0.95], axis=0)
+
+
+def layout_of(plane: Nodes | None, n: int) -> dict:
+    """Columns and size of a new figure with n axes."""
+    if plane is None:
+        columns = min(n, 5)
+        size = 0.6 + 2.1 * columns, 0.9 + 3.6 * -(-n // columns)
+        return {"columns": columns, "figsize": size, "sharey": True}
+    wide, tall = np.ptp(plane.bounds, axis=0)
+    columns = min(n, 1 if wide > 4.0 * tall else 2 if wide > 1.2 * tall else 4)
+    width = min(9.0 / columns, 5.5 * wide / tall if wide < tall else 9.0)
+    size = max(2.6, width) * columns, 0.6 + (min(5.5, width * tall / wide) + 0.9) * -(-n // columns)
+    return {"columns": columns, "figsize": size}
+
+
+def scaled(draws: np.ndarray, shape: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Shapes (N, p), each times the factor that brings it closest to an identified one (s,)."""
+    there = ~np.isnan(shape)
+    at = draws[:, places[there]]
+    squares = np.sum(at**2, axis=1)
+    factors = at @ shape[there] / np.where(squares > 0.0, squares, 1.0)
+    return factors[:, None] * draws
+
+
+def draw_storeys(ax, draws, shape, places):
+    """Shapes of a chain above its base."""
+    low, middle, high = (np.append(0.0, row) for row in quantiles(draws))
+    storeys = np.arange(middle.size)
+    ax.axvline(0.0, color="0.8", lw=0.8, zorder=0)
+    if len(draws) > 1:
+        ax.fill_betweenx(storeys, low, high, color=MODEL, alpha=0.3, lw=0, label="model, 90 %")
+    ax.plot(middle, storeys, color=MODEL, lw=1.5, label=label_of(draws))
+    ax.plot(shape, places + 1, "o", color=MEASURED, ms=6, label="measured")
+    widest = 1.1 * max(1.0, np.abs([low, high]).max(), np.nanmax(np.abs(shape), initial=0.0))
+    ax.set(xlim=(-widest, widest), ylim=(0.0, 1.03 * (middle.size - 1)), xlabel="shape [-]")
+    ax.set_xticks([-1, 0, 1])
+    ax.yaxis.get_major_locator().set_params(integer=True)
+    if ax.get_subplotspec() is None or ax.get_subplotspec().is_first_col():
+        ax.set_ylabel("storey")
+
+
+def draw_nodes(ax, plane, draws, shape, places):
+    """Shapes of a structure in space."""
+    from matplotlib.collections import LineCollection
+
+    few = draws[np.linspace(0, len(draws) - 1, min(DRAWN, len(draws))).astype(int)]
+    still, middle = plane.places, plane.moved(quantiles(draws)[1])
+    ax.add_collection(LineCollection([still[line] for line in plane.lines], color="0.75", lw=0.8, zorder=0))
+    if len(draws) > 1:
+        thin = [each[line] for each in plane.moved(few) for line in plane.lines]
+        ax.add_collection(LineCollection(thin, color=MODEL, alpha=0.12, lw=1.0))
+        ax.plot([], [], color=MODEL, alpha=0.35, lw=1.0, label="model, draws")
+    for number, line in enumerate(plane.lines):
+        ax.plot(*middle[line].T, color=MODEL, lw=1.5, label=None if number else label_of(draws))
+    entries = np.full(draws.shape[1], np.nan)
+    entries[places] = shape
+    there = np.unique(plane.node[~np.isnan(entries)])
+    ax.plot(*plane.moved(entries)[there].T, "o", color=MEASURED, ms=4.5, label="measured")
+    ax.set_aspect("equal")
+    (left, bottom), (right, top) = plane.bounds
+    ax.set(xlim=(left, right), ylim=(bottom, top), xlabel=plane.labels[0], ylabel=plane.labels[1])
+
+
+def label_of(draws) -> str:
+    """What the line of the model is."""
+    return "model, median" if len(draws) > 1 else "model"

@@ -1,1 +1,0 @@
-"""Figures of modes and of the spectra they are found in."""

@@ -1,0 +1,87 @@
+"""Singular values of the spectra of channels, with the bands of frequency and what a model makes of them."""
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from pymc_features._checks import as_numbers, check_finite, message
+from pymc_features.plots.axes import AxesLike, check_dataset, checked_axes, figure
+from pymc_features.signals import sampling_step
+from pymc_features.signals.channels import whole_values
+from pymc_features.signals.spectra import averaged_spectra
+
+BESIDE = 1.25  # of the highest band: what is drawn
+DECADES = 6.0  # below the largest value
+
+
+@figure("One", "array of one matplotlib Axes")
+def plot_singular_values(
+    channels: xr.DataArray,
+    bands: ArrayLike | None = None,
+    *,
+    frequencies: ArrayLike | None = None,
+    fitted: xr.Dataset | None = None,
+    axes: AxesLike = None,
+) -> np.ndarray:
+    """Singular values of the spectra of all channels against each other: peaks are modes, or machines.
+
+    Spectra are averaged over twenty parts of the record (Welch), as `propose_bands` sees them.
+
+    Parameters
+    ----------
+    channels : DataArray (sensor, time)
+        As `read_channels` returns them, without gaps.
+    bands : array_like (band, 2), optional
+        Lower and upper ends of bands [Hz] to shade.
+    frequencies : array_like (n,), optional
+        To mark [Hz], such as those that were identified.
+    fitted : Dataset, optional
+        What a model makes of them: `response` (quantile, value, frequency), as in a likelihood of
+        `run_update`.
+    """
+    spectra = averaged_spectra(whole_values(channels), sampling_step(channels))
+    f, levels = spectra.frequencies[1:], spectra.singular_values[1:]
+    limits = np.empty((0, 2)) if bands is None else checked_hertz(bands, "bands", "pairs of frequencies")
+    marked = checked_hertz([] if frequencies is None else frequencies, "frequencies", "a list of frequencies")
+    if fitted is not None:
+        check_dataset(fitted, "fitted", "`spectra` of a likelihood of `run_update`", "response")
+    [ax] = axes = checked_axes(axes, figsize=(9.0, 4.0))
+    for number, values in enumerate(levels.T):
+        ax.plot(f, values, color="0.6" if number else "0.15", lw=0.7 if number else 1.2)
+    for low, high in limits:
+        ax.axvspan(low, high, color="C0", alpha=0.12, lw=0.0)
+    for value in marked:
+        ax.axvline(value, color="0.4", ls=":", lw=0.9, zorder=0)
+    if fitted is not None and fitted["frequency"].size:
+        draw_fitted(ax, fitted["frequency"].values, fitted["response"])
+    seen = f <= BESIDE * limits.max(initial=f[-1] if not limits.size else 0.0)
+    drawn, top = levels[seen], float(levels[seen, 0].max())
+    ax.set(yscale="log", xlabel="frequency [Hz]", ylabel="singular values [(m/s²)²/Hz]")
+    ax.set_xlim(0.0, f[seen][-1])
+    if top > 0.0:
+        lowest = float(drawn[drawn > 0.0].min())
+        ax.set_ylim(max(0.5 * lowest, top / 10.0**DECADES), 3.0 * top)
+    return axes
+
+
+def checked_hertz(values, name: str, what: str) -> np.ndarray:
+    """Frequencies in a row, or pairs of rising ones (band, 2)."""
+    found, are_pairs = as_numbers(values, name, "Pass them in Hz."), name == "bands"
+    if are_pairs:
+        found = np.atleast_2d(found)
+    if found.ndim != 1 + are_pairs or (are_pairs and (found.shape[1] != 2 or not found.size)):
+        raise ValueError(message(name, f"{what} in Hz", found.shape))
+    check_finite(found, name)
+    if (found < 0.0).any() or (are_pairs and (found[:, 0] >= found[:, 1]).any()):
+        raise ValueError(message(name, f"{what} in Hz, at least zero and rising", found.tolist()))
+    return found
+
+
+def draw_fitted(ax, f: np.ndarray, response: xr.DataArray) -> None:
+    """Intervals and medians of the singular values that a model makes, each band a curve of its own."""
+    step = np.diff(f).min() if f.size > 1 else 1.0
+    for part in np.split(np.arange(f.size), np.flatnonzero(np.diff(f) > 1.5 * step) + 1):
+        for value in response["value"].values:
+            low, middle, high = response.sel(value=value).isel(frequency=part).values
+            ax.fill_between(f[part], low, high, color="C3", alpha=0.25, lw=0.0)
+            ax.plot(f[part], middle, color="C3", lw=1.2 if value == 1 else 0.8)
