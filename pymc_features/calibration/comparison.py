@@ -85,6 +85,11 @@ def log_likelihood(values: list[Comparison]) -> float:
     return total if np.isfinite(total) else -np.inf
 
 
+def step_of(mu) -> float:
+    """Sampling step [s] of a prediction as it is now, NaN of one that is no response."""
+    return response_step(mu, at_present=True) or np.nan
+
+
 @singledispatch
 def comparison(op, rv, observed) -> Comparison:
     """Describe a likelihood. Register a distribution's Op to make `effective_samples` know it."""
@@ -98,7 +103,7 @@ def comparison(op, rv, observed) -> Comparison:
 def comparison_normal(op, rv, observed):
     """Every sample an independent observation."""
     mu, sigma = op.dist_params(rv.owner)
-    return Comparison(mu, observed, sigma, observed.shape[-1], step=response_step(mu) or np.nan)
+    return Comparison(mu, observed, sigma, observed.shape[-1], step=step_of(mu))
 
 
 @comparison.register(FeatureRV)
@@ -108,14 +113,14 @@ def comparison_feature(op, rv, observed):
     n_measured = measured_samples(observed)
     root = pt.sqrt(pt.cast(observed.shape[-1], "float64") if n_measured is None else n_measured)
     scale = pt.as_tensor_variable(sigma * root)[..., None]
-    return Comparison(mu, observed, scale, op.degrees(*m), step=response_step(mu) or np.nan)
+    return Comparison(mu, observed, scale, op.degrees(*m), step=step_of(mu))
 
 
 @comparison.register(CorrelatedNormalRV)
 def comparison_correlated(op, rv, observed):
     """Every sample an observation, once the correlation that the likelihood assumes is taken away."""
     _, _, mu, sigma, correlation_time, dt = rv.owner.inputs
-    step = float(dt.data) if isinstance(dt, Constant) else response_step(mu) or np.nan
+    step = float(dt.data) if isinstance(dt, Constant) else step_of(mu)
     return Comparison(mu, observed, sigma[..., None], observed.shape[-1], dt / correlation_time, step)
 
 

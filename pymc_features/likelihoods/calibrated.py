@@ -17,7 +17,7 @@ def stretched(step) -> tuple[float, Stretch, Stretch]:
     """Power of NORM's likelihood, and how it is stretched along theta and sigma.
 
     Its maximum follows from S(theta), its curvature A in closed form. theta and sigma do not mix: neither in
-    A nor in the covariance B of the score.
+    A nor in the covariance B of the score. The model is the structure, so that bands are not compared.
     """
     curve, norm, priors = step.curve, NORM.exponents(*step.shape), step.priors
     theta, sigma = curve.minimiser, np.sqrt(norm.c * curve.minimum / norm.m)
@@ -34,7 +34,7 @@ def stretched(step) -> tuple[float, Stretch, Stretch]:
     event = Event(value, value.residuals, slopes, of_scale, step.frequencies(theta))
     curvature = norm.c * curve.curvature * (of_theta / sigma) ** 2
     information = np.diag([curvature, 2.0 * norm.m * of_sigma**2])
-    precision = sandwich([event])._replace(information=information).precision
+    precision = sandwich([event], model_error=None)._replace(information=information).precision
     power, matrix = stretching(information, precision)
     return (
         power,

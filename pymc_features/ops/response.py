@@ -11,7 +11,7 @@ from pytensor.compile.ops import ViewOp
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.gradient import disconnected_type
 from pytensor.graph.basic import Apply, Variable
-from pytensor.graph.traversal import ancestors
+from pytensor.graph.traversal import ancestors, explicit_graph_inputs
 from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.elemwise import DimShuffle, Elemwise
 from pytensor.tensor.shape import SpecifyShape
@@ -262,17 +262,22 @@ def noisy_base(variable: TensorVariable, sd: float, rng: np.random.Generator):
         direct.set_value(before[1])
 
 
-def response_step(variable: TensorVariable) -> float | None:
-    """Output step [s] of a response, None if `variable` is none or the step is not a constant."""
+def response_step(variable: TensorVariable, *, at_present: bool = False) -> float | None:
+    """Output step [s] of a response, None if `variable` is none or the step is not a constant.
+
+    `at_present` also a step that is data of the model, as it is now.
+    """
     node = response_node(variable)
     if node is None:
         return None
     core = node.op.core_op if isinstance(node.op, Blockwise) else node.op
     if isinstance(core, ExternalResponse):
         return core.simulator.dt
+    inputs = [node.inputs[core.at(name)] for name in ("dt", "substeps", "stride")]
     try:
-        places = (core.at(name) for name in ("dt", "substeps", "stride"))
-        dt, substeps, stride = (pt.get_underlying_scalar_constant_value(node.inputs[i]) for i in places)
+        dt, substeps, stride = map(pt.get_underlying_scalar_constant_value, inputs)
     except pt.exceptions.NotScalarConstantError:
-        return None
+        if not at_present or any(explicit_graph_inputs(inputs)):
+            return None
+        dt, substeps, stride = (np.ravel(x.eval(mode="FAST_COMPILE"))[0] for x in inputs)
     return float(dt) * int(stride) / int(substeps)

@@ -205,7 +205,7 @@ def run_part(study, kind, multiplier, base, models, common) -> xr.DataTree:
             **common,
         }
         if base is not None:
-            idata = calibrate(base, **settings)
+            idata = calibrate(base, model_error=None, **settings)  # the model is the structure
         elif entry.is_likelihood_free:
             idata = sample_smc(kernel=SubsetSimulation, compute_convergence_checks=False, **settings)
         else:

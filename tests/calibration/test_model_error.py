@@ -116,13 +116,10 @@ def test_natural_frequencies_behind_a_prediction(kind):
     with pm.Model() as model:
         k = pm.LogNormal("k") * 900.0
         if kind == "matrices":
-            structure = chain.as_linear()
-            structure = (
-                pmf.AffineStructure(
-                    structure.mass, structure.stiffness, {"k": (0.1 * np.eye(3), 0.0 * np.eye(3))}, damping
-                )
-                if False
-                else pmf.SpringMassChain(mass, [k, 800.0, 700.0], damping)
+            first = np.diag([1.0, 0.0, 0.0])
+            rest = chain.as_linear().stiffness - 900.0 * first
+            structure = pmf.AffineStructure(
+                mass, stiffness=rest, damping=damping, stiffness_terms=[first], theta=pm.math.stack([k])
             )
         elif kind == "hysteretic":
             structure = pmf.HystereticChain(
@@ -137,6 +134,27 @@ def test_natural_frequencies_behind_a_prediction(kind):
     z = predictions.space.join(model.initial_point()) * 0.0
     [found] = predictions.frequencies(z)
     np.testing.assert_allclose(found, chain.modes().natural_frequencies, rtol=1e-9)
+
+
+@pytest.mark.parametrize("is_data", [False, True])
+def test_bands_where_the_step_is_data(is_data):
+    """A step that is data of the model divides bands as a number does, as it is now."""
+    record, observed = pmf.Record(np.random.default_rng(2).normal(size=400), DT), np.ones((3, 200))
+    with pm.Model() as model:
+        k = pm.LogNormal("k", np.log(900.0), 0.2)
+        step, data = 2 * DT, observed
+        if is_data:
+            step, data = pm.Data("step", DT), pm.Data("data", np.zeros((3, 400)))
+        chain = pmf.SpringMassChain(np.ones(3), [k, 800.0, 700.0], pmf.RayleighDamping(0.3, 5e-4))
+        pm.Normal("y", pmf.response(chain, record, dt=step), 1.0, observed=data)
+        if is_data:
+            pm.set_data({"step": 2 * DT, "data": observed})
+    predictions = Predictions(model)
+    z = np.log([900.0])
+    [value], [frequencies] = predictions(z), predictions.frequencies(z)
+    event = event_of(value.residuals, np.ones((3, 200, 1)), np.ones((3, 200)), frequencies)
+    edges = edges_of(event._replace(value=value))
+    np.testing.assert_allclose(edges, 2 * DT * 0.5 * (frequencies[1:] + frequencies[:-1]))
 
 
 def test_no_structure_no_frequencies():
