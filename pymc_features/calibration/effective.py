@@ -208,8 +208,7 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     of_response = sum(event.of_response for event in fit.events)
     if not known(of_response).size:
         raise ValueError("`model` must have parameters that change the response, got none.")
-    of_models = result.factor**2 * sum(model.variability for model in result.models)
-    values, vectors = directions(of_response, of_models)
+    values, vectors = directions(of_response, result.of_response)
     n_direction = fit.squares / values[::-1].clip(min=TINY)
     of_bounds, units = own_scale(predictions, peak)
     unknown = np.setdiff1d(np.arange(len(units)), known(result.information))

@@ -97,9 +97,8 @@ class StretchedSMC(PersistentSMC):
         """All is compiled."""
 
 
-def prior_and_likelihood(model, compile_kwargs) -> tuple:
+def prior_and_likelihood(model, point, compile_kwargs) -> tuple:
     """Evaluations whose first result is the prior, with potentials, and whose second is the likelihood."""
-    point = model.initial_point()
 
     def of_prior():
         return model.logp(vars=[*model.free_RVs, *model.potentials]), pt.zeros(())

@@ -31,7 +31,7 @@ from pymc_features.calibration.fit import Predictions
 from pymc_features.calibration.peaks import Peak
 from pymc_features.calibration.sandwich import sandwich
 from pymc_features.exceptions import CalibrationWarning
-from pymc_features.inference.parameters import to_unconstrained
+from pymc_features.inference.parameters import Unconstrained, to_unconstrained
 
 N_SETS = 200
 
@@ -180,7 +180,7 @@ def test_sides_of_priors():
         pm.Normal("none")
         pm.Dirichlet("shares", np.ones(3))
         pm.Uniform("depends", 0.0, high)
-    assert sides_of(model).tolist() == [1, 2, 2, 1, 2, 0, 0, 0, 2]
+    assert sides_of(model, Unconstrained(model)).tolist() == [1, 2, 2, 1, 2, 0, 0, 0, 2]
 
 
 def test_coordinates():
