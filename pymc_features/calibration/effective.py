@@ -185,21 +185,22 @@ def fill(waiting, fit):
     """Set degrees of freedom to the observations that the residuals of a fit support."""
     events = {event.value.name: event for event in fit.events}
     for rv, data in waiting.items():
-        event = events[rv.name]
-        counted = np.array([sensor_n_eff(event, j) for j in range(len(event.value.claimed))])
+        counted = sensors_n_eff(events[rv.name])
         if np.isnan(counted).all():
             raise ValueError(f"`model` must have parameters that change the response of {rv.name}, got none.")
         counted = np.where(np.isnan(counted), np.nanmean(counted), counted)
         data.set_value(counted.reshape(data.get_value().shape))
 
 
-def sensor_n_eff(event: Event, j: int) -> float:
-    """Observations that the residuals of one sensor support; NaN where no parameter changes its response."""
-    alone = event.of_sensor(j)
-    if not alone.of_response.any():
-        return np.nan
-    values, _ = directions(alone.of_response, sandwich([alone]).variability)
-    return float((alone.residuals**2).sum() / np.exp(np.mean(np.log(values.clip(min=TINY)))))
+def sensors_n_eff(event: Event) -> np.ndarray:
+    """Observations that residuals support (sensor,); NaN where no parameter changes the response."""
+    counted = np.full(len(event.residuals), np.nan)
+    for j in range(len(counted)):
+        alone = event.of_sensor(j)
+        if alone.of_response.any():
+            values, _ = directions(alone.of_response, sandwich([alone]).variability)
+            counted[j] = (alone.residuals**2).sum() / np.exp(np.mean(np.log(values.clip(min=TINY))))
+    return counted
 
 
 def described(predictions, peak: Peak) -> xr.Dataset:
@@ -217,18 +218,15 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     for matrix in (claims, covariance):
         matrix[unknown], matrix[:, unknown] = np.nan, np.nan
     warn_of_short_records(fit, result)
-    sensors = [
-        (event, model, j)
-        for event, model in zip(fit.events, result.models, strict=True)
-        for j in range(len(event.residuals))
-    ]
+    steps = [np.full(len(event.residuals), event.value.step) for event in fit.events]
+    times = [model.memory * step for model, step in zip(result.models, steps, strict=True)]
     along = vectors.T[::-1] / np.linalg.norm(vectors.T[::-1], axis=1, keepdims=True)
     tables = {
         ("sensor",): {
-            "n_eff": [sensor_n_eff(event, j) for event, _, j in sensors],
-            "claimed": [event.value.claimed[j] for event, _, j in sensors],
-            "time_constant": [model.memory * event.value.step for event, model, _ in sensors],
-            "follows_response": [model.follows_response[j] for _, model, j in sensors],
+            "n_eff": np.concatenate([sensors_n_eff(event) for event in fit.events]),
+            "claimed": np.concatenate([event.value.claimed for event in fit.events]),
+            "time_constant": np.concatenate(times),
+            "follows_response": np.concatenate([model.follows_response for model in result.models]),
         },
         ("parameter",): {
             "n_eff_parameter": fit.claimed * np.diag(claims) / np.diag(covariance),
@@ -246,7 +244,7 @@ def described(predictions, peak: Peak) -> xr.Dataset:
         ("direction", "parameter"): {"direction_vector": along},
     }
     names = coordinate_names(predictions.model, predictions.space)
-    labels = [f"{event.value.name}[{j}]" for event, _, j in sensors]
+    labels = [f"{event.value.name}[{j}]" for event in fit.events for j in range(len(event.residuals))]
     return xr.Dataset(
         {name: (dims, x) for dims, table in tables.items() for name, x in table.items()},
         {"parameter": names, "parameter_": names, "sensor": labels},

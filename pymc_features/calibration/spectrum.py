@@ -135,21 +135,16 @@ def amplitudes(residuals, response):
         cycles = 0.5 * (power @ np.arange(n)) / power.sum(axis=1).clip(min=TINY)
         for j, (r, g) in enumerate(zip(residuals, response, strict=True)):
             if cycles[j] > 0 and r.any():
+                square, mean, variance = r**2, level[j, 0], level[j]
                 local = uniform_filter1d(g**2, int(np.clip(n / cycles[j], 3, n)))
-                columns = np.stack([np.full(n, np.mean(g**2)), g**2, local], axis=1)
-                follows[j], level[j] = growing(r**2, columns / np.mean(g**2))
+                columns = np.stack([np.full(n, np.mean(g**2)), g**2, local], axis=1) / np.mean(g**2)
+                for _ in range(4):
+                    coefficients, _ = nnls(columns / variance[:, None], square / variance)
+                    variance = np.maximum(columns @ coefficients, QUIETEST * mean)
+                gain = 0.5 * np.sum(np.log(mean / variance) - square / variance + square / mean)
+                if gain > SURE:
+                    follows[j], level[j] = True, variance
     return np.sqrt(level), follows
-
-
-def growing(square, columns):
-    """Whether a variance of columns (time, k) explains squares better than their mean, and the better one."""
-    mean = square.mean()
-    variance = np.full(len(square), mean)
-    for _ in range(4):
-        coefficients, _ = nnls(columns / variance[:, None], square / variance)
-        variance = np.maximum(columns @ coefficients, QUIETEST * mean)
-    gain = 0.5 * np.sum(np.log(mean / variance) - square / variance + square / mean)
-    return (True, variance) if gain > SURE else (False, mean)
 
 
 def autoregressions(x, largest):

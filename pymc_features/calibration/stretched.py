@@ -36,12 +36,8 @@ FARTHEST = 1e4  # from the maximum: unconstrained values that rounding has made 
 class Stretched:
     """Log prior and calibrated log-likelihood around a maximum, evaluated as `PopulationLogp` is.
 
-    Parameters
-    ----------
-    prior, likelihood : callable
-        What has the first and the second result of `PopulationLogp`.
-    peak, others : Peak, list of Peak
-        What is nearer to another maximum, in standard deviations, has no likelihood here.
+    `prior` and `likelihood` have the first and the second result of that. What is nearer to the peak of one
+    of `others`, in standard deviations, has no likelihood here.
     """
 
     def __init__(self, prior, likelihood, peak, others=()):
