@@ -221,33 +221,32 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     steps = [np.full(len(event.residuals), event.value.step) for event in fit.events]
     times = [model.memory * step for model, step in zip(result.models, steps, strict=True)]
     along = vectors.T[::-1] / np.linalg.norm(vectors.T[::-1], axis=1, keepdims=True)
-    tables = {
-        ("sensor",): {
-            "n_eff": np.concatenate([sensors_n_eff(event) for event in fit.events]),
-            "claimed": np.concatenate([event.value.claimed for event in fit.events]),
-            "time_constant": np.concatenate(times),
-            "follows_response": np.concatenate([model.follows_response for model in result.models]),
-        },
-        ("parameter",): {
-            "n_eff_parameter": fit.claimed * np.diag(claims) / np.diag(covariance),
-            "standard_deviation": np.sqrt(np.diag(covariance)),
-            "claimed_standard_deviation": np.sqrt(np.diag(claims)),
-            "changes_response": np.isin(np.arange(len(units)), known(of_response)),
-            **of_bounds,
-        },
-        ("parameter", "parameter_"): {
-            "information": result.information / square,
-            "variability": result.variability / square,
-            "covariance": covariance,
-        },
-        ("direction",): {"n_eff_direction": n_direction},
-        ("direction", "parameter"): {"direction_vector": along},
-    }
-    names = coordinate_names(predictions.model, predictions.space)
-    labels = [f"{event.value.name}[{j}]" for event in fit.events for j in range(len(event.residuals))]
+    square_matrix, names = ("parameter", "parameter_"), coordinate_names(predictions.model, predictions.space)
     return xr.Dataset(
-        {name: (dims, x) for dims, table in tables.items() for name, x in table.items()},
-        {"parameter": names, "parameter_": names, "sensor": labels},
+        {
+            "n_eff": ("sensor", np.concatenate([sensors_n_eff(event) for event in fit.events])),
+            "claimed": ("sensor", np.concatenate([event.value.claimed for event in fit.events])),
+            "time_constant": ("sensor", np.concatenate(times)),
+            "follows_response": (
+                "sensor",
+                np.concatenate([model.follows_response for model in result.models]),
+            ),
+            "n_eff_parameter": ("parameter", fit.claimed * np.diag(claims) / np.diag(covariance)),
+            "standard_deviation": ("parameter", np.sqrt(np.diag(covariance))),
+            "claimed_standard_deviation": ("parameter", np.sqrt(np.diag(claims))),
+            "changes_response": ("parameter", np.isin(np.arange(len(units)), known(of_response))),
+            **{name: ("parameter", x) for name, x in of_bounds.items()},
+            "information": (square_matrix, result.information / square),
+            "variability": (square_matrix, result.variability / square),
+            "covariance": (square_matrix, covariance),
+            "n_eff_direction": ("direction", n_direction),
+            "direction_vector": (("direction", "parameter"), along),
+        },
+        {
+            "parameter": names,
+            "parameter_": names,
+            "sensor": [f"{e.value.name}[{j}]" for e in fit.events for j in range(len(e.residuals))],
+        },
         {
             "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
             "claimed": fit.claimed,

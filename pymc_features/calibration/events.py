@@ -81,9 +81,9 @@ def event_check(
             "explains all. The model errs in the same way all along a record, or the structure changed: use "
             "the interval of the events together (`lower`, `upper`), or give each event its own parameters."
         )
-    moments = {"mean": means, "standard_deviation": variances**0.5}
+    over = ("event", "parameter")
     return xr.Dataset(
-        {name: (("event", "parameter"), x) for name, x in moments.items()}
+        {"mean": (over, means), "standard_deviation": (over, variances**0.5)}
         | {name: ("parameter", np.array([one[name] for one in apart])) for name in apart[0]},
         coords={"event": np.arange(n), "parameter": names},
         attrs={
