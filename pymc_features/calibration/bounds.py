@@ -4,7 +4,7 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import norm, truncnorm
+from scipy.special import log_ndtr, ndtri_exp
 
 from pymc_features.calibration.coordinates import Coordinates
 from pymc_features.calibration.peaks import Peak
@@ -32,28 +32,45 @@ class CutNormal(NamedTuple):
     factor: np.ndarray  # Cholesky factor of the covariance of the others, given those (f, f)
 
     @property
-    def cut(self):
-        """Distribution of the coordinates near a bound."""
-        near, limits = self.coordinates.near, self.coordinates.limits
-        low, high = ((ends - self.mean)[near] / self.deviations for ends in limits)
-        return truncnorm(low, high, self.mean[near], self.deviations)
+    def ends(self):
+        """Bounds (2, b), in standard deviations of the coordinates near them."""
+        return (self.coordinates.limits - self.mean)[:, self.coordinates.near] / self.deviations
 
     def forward(self, z):
         """u (n, d), and ln |du/dz| (n,)."""
-        near, w = self.coordinates.near, self.coordinates.of(z)
+        near, w, (low, high) = self.coordinates.near, self.coordinates.of(z), self.ends
         u, off = np.empty_like(w), w - self.mean
-        u[:, near] = norm.ppf(self.cut.cdf(w[:, near]))
+        x = np.clip(off[:, near] / self.deviations, low, high)
+        u[:, near] = ndtri_exp(log_share(low, x) - log_share(low, high))
         u[:, ~near] = np.linalg.solve(self.factor, (off[:, ~near] - off[:, near] @ self.follow.T).T).T
-        slopes = self.cut.logpdf(w[:, near]) - norm.logpdf(u[:, near])
+        slopes = 0.5 * (u[:, near] ** 2 - x**2) - log_share(low, high) - np.log(self.deviations)
         slopes += np.log(self.coordinates.slopes(z)[:, near])
         return u, slopes.sum(axis=1) - np.log(np.diag(self.factor)).sum()
 
     def inverse(self, u):
         """z (n, d)."""
         near, w = self.coordinates.near, self.mean + np.zeros_like(u)
-        w[:, near] = self.cut.ppf(norm.cdf(u[:, near]))
+        w[:, near] += self.deviations * quantiles(*self.ends, u[:, near])
         w[:, ~near] += (w - self.mean)[:, near] @ self.follow.T + u[:, ~near] @ self.factor.T
         return self.coordinates.unconstrained(w)
+
+
+def log_share(low, high):
+    """ln of the probability that a standard normal number is between two others.
+
+    SciPy's `truncnorm` has this and the quantiles, but imports the whole of JAX where that is installed.
+    """
+    right = low + high > 0.0
+    low, high = np.where(right, -high, low), np.where(right, -low, high)
+    return log_ndtr(high) + np.log1p(-np.exp(log_ndtr(low) - log_ndtr(high)))
+
+
+def quantiles(low, high, u):
+    """Those of standard normal numbers between two bounds (b,), at the probabilities Phi(u) (n, b)."""
+    sign = np.where(low + high > 0.0, -1.0, 1.0)
+    low, high = np.where(sign > 0.0, [low, high], [-high, -low])
+    logs = log_ndtr(low) + log_ndtr(-sign * u), log_ndtr(high) + log_ndtr(sign * u)
+    return sign * ndtri_exp(np.logaddexp(*logs))
 
 
 def bell(model, peak: Peak, rng) -> Reference:

@@ -1,5 +1,6 @@
 """`calibrate`: a posterior as wide as the residuals support, in every direction."""
 
+import contextlib
 import json
 import warnings
 from pathlib import Path
@@ -18,16 +19,17 @@ from pymc_features._checks import (
     check_seed,
 )
 from pymc_features.calibration.bounds import bell, warn_beyond
-from pymc_features.calibration.draws import pooled, weighed
 from pymc_features.calibration.effective import described
 from pymc_features.calibration.fit import Predictions
 from pymc_features.calibration.peaks import Peak, distinct_peaks, some_draws
 from pymc_features.calibration.sandwich import sandwich, sentence, whitening
 from pymc_features.calibration.stretched import Stretched, StretchedSMC, curved, prior_and_likelihood
 from pymc_features.exceptions import CalibrationWarning, SamplingWarning
-from pymc_features.inference.parameters import Unconstrained, posterior_for
+from pymc_features.inference.parameters import posterior_for, to_unconstrained
 from pymc_features.inference.sample import Search, sample_from
 from pymc_features.smc import open_workers
+from pymc_features.smc.kernels.checkpoint import Journal, model_fingerprint
+from pymc_features.smc.proposals.mixture import equal_draws, pareto_smoothed
 
 # mean square of standard deviations from the maximum that is far, and the share of draws that makes a warning
 FAR, MANY = 10.0, 0.25
@@ -35,6 +37,8 @@ LOOKED_AT = 400  # draws of which this is seen
 CHECKED, UNEXPLAINED = 40, 3.0  # of these, and residuals over their sigma that are too large
 STAGE_DRAWS = 600  # of draws by an expansion, which cost hardly anything
 NO_CLIMBS = "the maximum was known"
+WORTH = 0.9  # of draws that are weighed, below which they are not used
+KEPT = 100  # draws at a time of which a checkpoint keeps the likelihood
 
 
 def calibrate(
@@ -145,7 +149,8 @@ def calibrate(
     peaks, expansions = map(list, zip(*curves, strict=True))
     if base_noise is not None:
         peaks = [peak.with_base_noise(predictions, base_noise) for peak in peaks]
-    prior, likelihood = prior_and_likelihood(model, settings.get("compile_kwargs") or {})
+    compiled = settings.get("compile_kwargs") or {}
+    prior, likelihood = prior_and_likelihood(model, predictions.space.point, compiled)
     parts = []
     with open_workers(settings.pop("executor", None)) as workers:
         if workers is not None:
@@ -156,7 +161,7 @@ def calibrate(
             found = found.assign(leverage=("parameter", leverage(peak)))
             warn_beyond(found)
             reference = bell(model, peak, rng)
-            sampled = calibrated_mode(model, target, expansion, reference, i, settings, rng)
+            sampled = calibrated_mode(predictions, target, expansion, reference, i, settings, rng)
             sampled["calibration"] = xr.DataTree(found)
             some = some_draws(model, sampled["posterior"].to_dataset(), LOOKED_AT)
             warn_if_far(some, peak)
@@ -172,12 +177,15 @@ def calibrate(
     return calibrated
 
 
-def calibrated_mode(model, target: Stretched, expansion, reference, number, settings, rng) -> xr.DataTree:
+def calibrated_mode(
+    predictions, target: Stretched, expansion, reference, number, settings, rng
+) -> xr.DataTree:
     """The posterior around a maximum: draws by the expansion of its likelihood, weighed, or else its own.
 
     The first draws are those of a `reference`. What a checkpoint keeps of it is in a file of its `number`.
     """
-    found, space, idata = Search(reference, 0, 0, NO_CLIMBS), Unconstrained(model), None
+    found, idata = Search(reference, 0, 0, NO_CLIMBS), None
+    model, space = predictions.model, predictions.space
     own, kept = settings | {"kernel": StretchedSMC}, settings.get("checkpoint")
     if expansion is not None:
         guess = target.by(expansion)
@@ -189,6 +197,86 @@ def calibrated_mode(model, target: Stretched, expansion, reference, number, sett
         idata = sample_from(found, model, space, **own, logp=target)
     idata["sample_stats"].attrs |= {"power": target.power}
     return idata
+
+
+def weighed(model, idata, guess: Stretched, target: Stretched, checkpoint, rng) -> xr.DataTree | None:
+    """A posterior by a guess of the likelihood as that by the likelihood; None where they are not near.
+
+    `checkpoint` is the file that keeps the likelihood of the draws, None without one.
+    """
+    z = to_unconstrained(model, idata["posterior"].to_dataset())
+    flat = z.reshape(-1, z.shape[-1])
+    values = *evaluated(target, flat, model, checkpoint), guess(flat)[1]
+    value, failed, guessed = (np.reshape(x, z.shape[:2]) for x in values)
+    logs = value - guessed
+    if not (logs.max(axis=1) > -np.inf).all():
+        return None
+    logs = np.array([pareto_smoothed(x) for x in logs])
+    weights = np.exp(logs - logs.max(axis=1, keepdims=True))
+    mean = weights.mean(axis=1)
+    worth = mean**2 / np.mean(weights**2, axis=1)
+    if not worth.min() > WORTH:
+        return None
+    place = [equal_draws(x / x.sum(), len(x), rng) for x in weights]
+    idata["posterior"] = chosen(idata["posterior"].to_dataset(), np.sort(place, axis=1))
+    stats, first = idata["sample_stats"].to_dataset(), idata["sample_stats"]["stage"] == 0
+    evidences = stats["log_marginal_likelihood"] + logs.max(axis=1) + np.log(mean)
+    counts = {"evaluations": value.shape[1], "failed": failed.sum(axis=1)[:, None]}
+    own = {name: (0.0 * stats[name]).where(~first, count) for name, count in counts.items()}
+    stats = stats.assign(log_marginal_likelihood=evidences, ess=stats["ess"] * worth, **own)
+    stats.attrs |= {
+        "log_evidence": float(np.logaddexp.reduce(evidences.values) - np.log(len(evidences))),
+        "ess": float(stats["ess"].sum()),
+    }
+    idata["sample_stats"] = xr.DataTree(stats)
+    return idata
+
+
+def evaluated(target: Stretched, z, model, checkpoint):
+    """Log-likelihood and failures (n,) of points (n, d), part by part where a checkpoint keeps them."""
+    if checkpoint is None:
+        return target(z)[1:]
+    checkpoint.parent.mkdir(parents=True, exist_ok=True)
+    with contextlib.closing(Journal(checkpoint, model_fingerprint(model))) as journal:
+        parts = [journal.evaluate(target, x) for x in np.array_split(z, -(-len(z) // KEPT))]
+    return [np.concatenate(x) for x in list(zip(*parts, strict=True))[1:]]
+
+
+def pooled(parts: list[xr.DataTree], peaks: list[Peak], rng) -> xr.DataTree:
+    """Draws of the posteriors around maxima by their weights; other groups are those of the heaviest.
+
+    Weights are volumes of the stretched likelihoods, with heights by the power of the highest.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    stats = [part["sample_stats"].attrs for part in parts]
+    heights = np.array([peak.fit.height for peak in peaks])
+    powers = np.array([one["power"] for one in stats])
+    logs = [one["log_evidence"] for one in stats] + (powers[heights.argmax()] - powers) * heights
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    posteriors = [part["posterior"].to_dataset() for part in parts]
+    n_chains, n_draws = (posteriors[0].sizes[dim] for dim in ("chain", "draw"))
+    mode = np.stack([equal_draws(weights, n_draws, rng) for _ in range(n_chains)])
+    place = np.stack([rng.permutation(n_draws) for _ in range(n_chains)])
+    result = parts[int(weights.argmax())]
+    result["posterior"] = chosen(xr.concat(posteriors, "_part", join="override"), place, _part=mode)
+    result["sample_stats"]["mode"] = xr.DataArray(mode, dims=("chain", "draw"))
+    advice = next((one["advice"] for one in stats if one["advice"]), "")
+    result["sample_stats"].attrs |= {"n_modes": len(parts), "advice": advice}
+    every = [part["calibration"].to_dataset() for part in parts]
+    described = xr.concat(every, "mode", combine_attrs="override")
+    described["n_eff_mode"] = ("mode", [one.attrs["n_eff"] for one in every])
+    result["calibration"] = xr.DataTree(described.assign(weight=("mode", weights)))
+    return result
+
+
+def chosen(posterior, place, **more) -> xr.DataTree:
+    """Draws of a posterior at places (chain, draw) of their chains, and of other dimensions."""
+    at = {"draw": place, "chain": np.arange(len(place))[:, None].repeat(place.shape[1], axis=1), **more}
+    at = {name: xr.DataArray(x, dims=("chain", "draw")) for name, x in at.items()}
+    draws = posterior.isel(at).transpose("chain", "draw", ...)
+    return xr.DataTree(draws.assign_coords({name: posterior[name] for name in ("chain", "draw")}))
 
 
 def warn_if_far(draws, peak: Peak):

@@ -39,12 +39,16 @@ def climb_likelihood(predictions, z) -> Fit:
     second, damping, last, central = np.zeros((len(z), len(z))), 1e-6, np.inf, False
     at, before = fit.w, fit.score  # where derivatives were taken
     for _ in range(STEPS):
-        step = newton(curvature(fit.information, second), fit.score, damping, rooms(fit))
-        length, moved = standard_errors(fit, step), standard_errors(fit, fit.w - at)
+        information, limits = fit.information, fit.coordinates.limits
+        longest = np.where(fit.coordinates.near & (fit.coordinates.sides == 2), LONGEST_SHARE, LONGEST)
+        curvature = combined(information, second, lambda values: np.maximum(values, LEAST - 1.0))
+        step = newton(curvature, fit.score, damping, np.clip(limits - fit.w, -longest, longest))
+        independent = information * sum((~v.gaps).sum() for v in here) / fit.claimed
+        length, moved = (np.sqrt(max(0.0, x @ independent @ x)) for x in (step, fit.w - at))
         if length < CONVERGED and central and moved < NEAR:
             break
         if length < SHORTER * last and not (length < CONVERGED):
-            w = np.clip(fit.w + step, *fit.coordinates.limits)
+            w = np.clip(fit.w + step, *limits)
             values = predictions(fit.coordinates.unconstrained(w))
             if (height := log_likelihood(values)) > fit.height:
                 here, damping, last = values, damping / 10.0, length
@@ -60,7 +64,9 @@ def climb_likelihood(predictions, z) -> Fit:
         if length < CONVERGED:  # with these derivatives, and perhaps only for its damping
             damping = 1e-6
         central = length < NEAR
-        events = events_at(predictions, fit.w, differences(fit), here, fit.coordinates, central)
+        scale = np.sqrt(np.diag(independent)).clip(min=np.finfo(float).tiny)
+        steps = np.clip(DIFFERENCE / scale, NARROWEST, WIDEST)
+        events = events_at(predictions, fit.w, steps, here, fit.coordinates, central)
         anew = fit._replace(events=events)
         if moved > 0.0:
             second = learnt(second, fit.w - at, fit.score - anew.score, before - anew.score)
@@ -90,29 +96,6 @@ def bounded(fit: Fit, start) -> Fit:
     return fit.measured_from_bounds(coordinates.near | crosses)[0]
 
 
-def rooms(fit: Fit) -> np.ndarray:
-    """Least and largest step (2, d)."""
-    coordinates = fit.coordinates
-    longest = np.where(coordinates.near & (coordinates.sides == 2), LONGEST_SHARE, LONGEST)
-    return np.clip(coordinates.limits - fit.w, -longest, longest)
-
-
-def excess(fit: Fit) -> float:
-    """Samples over the observations that the likelihood claims."""
-    return sum((~event.value.gaps).sum() for event in fit.events) / fit.claimed
-
-
-def standard_errors(fit: Fit, step) -> float:
-    """Length of a step (d,), in standard errors of independent samples."""
-    return np.sqrt(excess(fit) * max(0.0, step @ fit.information @ step))
-
-
-def differences(fit: Fit):
-    """Steps (d,) of central differences, a part of the standard errors of independent samples."""
-    scale = np.sqrt(excess(fit) * np.diag(fit.information)).clip(min=np.finfo(float).tiny)
-    return np.clip(DIFFERENCE / scale, NARROWEST, WIDEST)
-
-
 def learnt(second, step, change, total):
     """What second derivatives add to the information (d, d), after a step (d,) that it changed by `change`.
 
@@ -125,11 +108,6 @@ def learnt(second, step, change, total):
     off = change - size * (second @ step)
     cross = np.outer(off, total) / along
     return size * second + cross + cross.T - (off @ step) / along**2 * np.outer(total, total)
-
-
-def curvature(information, second):
-    """Their sum (d, d), but at least a part of the information in every direction."""
-    return combined(information, second, lambda values: np.maximum(values, LEAST - 1.0))
 
 
 def newton(information, score, damping, room):

@@ -58,16 +58,16 @@ class Coordinates(NamedTuple):
         return np.where(self.near, [np.full(len(high), EDGE), high], [[-np.inf], [np.inf]])
 
 
-def sides_of(model) -> np.ndarray:
+def sides_of(model, space) -> np.ndarray:
     """Bounds (d,) of each parameter: 0, 1 or 2, in the order of the model's value variables."""
-    point, found = model.initial_point(), []
+    found = []
     for rv in model.free_RVs:
-        transform, shape = model.rvs_to_transforms[rv], np.shape(point[model.rvs_to_values[rv].name])
+        transform, shape = model.rvs_to_transforms[rv], space.shapes[model.rvs_to_values[rv].name]
         sides = {transforms.log: 1, transforms.logodds: 2}.get(transform, 0)
         if isinstance(transform, transforms.Interval):
             ends = [pt.as_tensor(x) for x in transform.args_fn(*rv.owner.inputs) if x is not None]
             compiled = {"mode": "FAST_COMPILE", "on_unused_input": "ignore"}
             ends = model.compile_fn(model.replace_rvs_by_values(ends), inputs=model.value_vars, **compiled)
-            sides = sum(np.isfinite(x).astype(int) for x in ends(point))
+            sides = sum(np.isfinite(x).astype(int) for x in ends(space.point))
         found.append(np.broadcast_to(sides, shape).ravel())
     return np.concatenate(found)

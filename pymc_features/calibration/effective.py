@@ -185,21 +185,22 @@ def fill(waiting, fit):
     """Set degrees of freedom to the observations that the residuals of a fit support."""
     events = {event.value.name: event for event in fit.events}
     for rv, data in waiting.items():
-        event = events[rv.name]
-        counted = np.array([sensor_n_eff(event, j) for j in range(len(event.value.claimed))])
+        counted = sensors_n_eff(events[rv.name])
         if np.isnan(counted).all():
             raise ValueError(f"`model` must have parameters that change the response of {rv.name}, got none.")
         counted = np.where(np.isnan(counted), np.nanmean(counted), counted)
         data.set_value(counted.reshape(data.get_value().shape))
 
 
-def sensor_n_eff(event: Event, j: int) -> float:
-    """Observations that the residuals of one sensor support; NaN where no parameter changes its response."""
-    alone = event.of_sensor(j)
-    if not alone.of_response.any():
-        return np.nan
-    values, _ = directions(alone.of_response, sandwich([alone]).variability)
-    return float((alone.residuals**2).sum() / np.exp(np.mean(np.log(values.clip(min=TINY)))))
+def sensors_n_eff(event: Event) -> np.ndarray:
+    """Observations that residuals support (sensor,); NaN where no parameter changes the response."""
+    counted = np.full(len(event.residuals), np.nan)
+    for j in range(len(counted)):
+        alone = event.of_sensor(j)
+        if alone.of_response.any():
+            values, _ = directions(alone.of_response, sandwich([alone]).variability)
+            counted[j] = (alone.residuals**2).sum() / np.exp(np.mean(np.log(values.clip(min=TINY))))
+    return counted
 
 
 def described(predictions, peak: Peak) -> xr.Dataset:
@@ -208,8 +209,7 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     of_response = sum(event.of_response for event in fit.events)
     if not known(of_response).size:
         raise ValueError("`model` must have parameters that change the response, got none.")
-    of_models = result.factor**2 * sum(model.variability for model in result.models)
-    values, vectors = directions(of_response, of_models)
+    values, vectors = directions(of_response, result.of_response)
     n_direction = fit.squares / values[::-1].clip(min=TINY)
     of_bounds, units = own_scale(predictions, peak)
     unknown = np.setdiff1d(np.arange(len(units)), known(result.information))
@@ -218,39 +218,35 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     for matrix in (claims, covariance):
         matrix[unknown], matrix[:, unknown] = np.nan, np.nan
     warn_of_short_records(fit, result)
-    sensors = [
-        (event, model, j)
-        for event, model in zip(fit.events, result.models, strict=True)
-        for j in range(len(event.residuals))
-    ]
+    steps = [np.full(len(event.residuals), event.value.step) for event in fit.events]
+    times = [model.memory * step for model, step in zip(result.models, steps, strict=True)]
     along = vectors.T[::-1] / np.linalg.norm(vectors.T[::-1], axis=1, keepdims=True)
-    tables = {
-        ("sensor",): {
-            "n_eff": [sensor_n_eff(event, j) for event, _, j in sensors],
-            "claimed": [event.value.claimed[j] for event, _, j in sensors],
-            "time_constant": [model.memory * event.value.step for event, model, _ in sensors],
-            "follows_response": [model.follows_response[j] for _, model, j in sensors],
-        },
-        ("parameter",): {
-            "n_eff_parameter": fit.claimed * np.diag(claims) / np.diag(covariance),
-            "standard_deviation": np.sqrt(np.diag(covariance)),
-            "claimed_standard_deviation": np.sqrt(np.diag(claims)),
-            "changes_response": np.isin(np.arange(len(units)), known(of_response)),
-            **of_bounds,
-        },
-        ("parameter", "parameter_"): {
-            "information": result.information / square,
-            "variability": result.variability / square,
-            "covariance": covariance,
-        },
-        ("direction",): {"n_eff_direction": n_direction},
-        ("direction", "parameter"): {"direction_vector": along},
-    }
-    names = coordinate_names(predictions.model, predictions.space)
-    labels = [f"{event.value.name}[{j}]" for event, _, j in sensors]
+    square_matrix, names = ("parameter", "parameter_"), coordinate_names(predictions.model, predictions.space)
     return xr.Dataset(
-        {name: (dims, x) for dims, table in tables.items() for name, x in table.items()},
-        {"parameter": names, "parameter_": names, "sensor": labels},
+        {
+            "n_eff": ("sensor", np.concatenate([sensors_n_eff(event) for event in fit.events])),
+            "claimed": ("sensor", np.concatenate([event.value.claimed for event in fit.events])),
+            "time_constant": ("sensor", np.concatenate(times)),
+            "follows_response": (
+                "sensor",
+                np.concatenate([model.follows_response for model in result.models]),
+            ),
+            "n_eff_parameter": ("parameter", fit.claimed * np.diag(claims) / np.diag(covariance)),
+            "standard_deviation": ("parameter", np.sqrt(np.diag(covariance))),
+            "claimed_standard_deviation": ("parameter", np.sqrt(np.diag(claims))),
+            "changes_response": ("parameter", np.isin(np.arange(len(units)), known(of_response))),
+            **{name: ("parameter", x) for name, x in of_bounds.items()},
+            "information": (square_matrix, result.information / square),
+            "variability": (square_matrix, result.variability / square),
+            "covariance": (square_matrix, covariance),
+            "n_eff_direction": ("direction", n_direction),
+            "direction_vector": (("direction", "parameter"), along),
+        },
+        {
+            "parameter": names,
+            "parameter_": names,
+            "sensor": [f"{e.value.name}[{j}]" for e in fit.events for j in range(len(e.residuals))],
+        },
         {
             "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
             "claimed": fit.claimed,

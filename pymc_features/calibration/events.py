@@ -81,9 +81,9 @@ def event_check(
             "explains all. The model errs in the same way all along a record, or the structure changed: use "
             "the interval of the events together (`lower`, `upper`), or give each event its own parameters."
         )
-    moments = {"mean": means, "standard_deviation": variances**0.5}
+    over = ("event", "parameter")
     return xr.Dataset(
-        {name: (("event", "parameter"), x) for name, x in moments.items()}
+        {"mean": (over, means), "standard_deviation": (over, variances**0.5)}
         | {name: ("parameter", np.array([one[name] for one in apart])) for name in apart[0]},
         coords={"event": np.arange(n), "parameter": names},
         attrs={
@@ -136,17 +136,16 @@ def common_draws(events, var_names) -> list[dict[str, np.ndarray]]:
             f"{len(events) if isinstance(events, Sequence) else type(events).__name__}. Pass for example "
             "[idata_1, idata_2]."
         )
-    for i, event in enumerate(events):
-        if not isinstance(event, xr.DataTree) or "posterior" not in event.children:
-            raise TypeError(
-                f"`events` must have posteriors, got none in event {i}. Pass what `sample` returned."
-            )
-        check_group(event, "events", "posterior", "Pass what `sample` returned.", "chain", "draw")
+    advice = "That is event {}. Pass what `sample` returned."
+    posteriors = [
+        check_group(event, "events", "posterior", advice.format(i), "chain", "draw")
+        for i, event in enumerate(events)
+    ]
     if var_names is None:
-        var_names = [name for name in events[0]["posterior"].data_vars if all(tells(e, name) for e in events)]
+        var_names = [name for name in posteriors[0] if all(tells(event, name) for event in events)]
     else:
         var_names = check_texts(var_names, "var_names", "names of variables")
-    draws = [by_name(event["posterior"].to_dataset(), i, var_names) for i, event in enumerate(events)]
+    draws = [by_name(posterior, i, var_names) for i, posterior in enumerate(posteriors)]
     if not draws[0] or any(list(x) != list(draws[0]) for x in draws):
         raise ValueError(
             "`events` must have parameters in common, with one shape, got "

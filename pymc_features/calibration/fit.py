@@ -124,17 +124,12 @@ class Fit(NamedTuple):
 
 
 class Predictions:
-    """Compiled predictions of all likelihoods of a model.
-
-    Parameters
-    ----------
-    model : pymc.Model
-    """
+    """Compiled predictions of all likelihoods of a model."""
 
     def __init__(self, model):
         self.comparisons = comparisons(model)
         self.model, self.space = model, Unconstrained(model)
-        self.coordinates = Coordinates.plain(sides_of(model), self.space.join(self.space.point))
+        self.coordinates = Coordinates.plain(sides_of(model, self.space), self.space.join(self.space.point))
         self.modes = [modes_of(model, one.mu) for one in self.comparisons]
         tensors = [pt.as_tensor_variable(x) for one in self.comparisons for x in one[:5]]
         tensors = model.replace_rvs_by_values(tensors)
@@ -181,17 +176,16 @@ def events_at(predictions, w, steps, here, coordinates=None, central=True) -> li
     low, high = coordinates.limits
     up = np.minimum(w + steps, high)
     down = np.where(central | (up == w), np.maximum(w - steps, low), w)
-    ends = [
-        [
-            here if end == w[i] else predictions(coordinates.unconstrained(np.where(axis, end, w)))
-            for end in (up[i], down[i])
-        ]
-        for i, axis in enumerate(np.eye(len(w), dtype=bool))
-    ]
+
+    def moved(i, end):
+        w_end = np.where(np.arange(len(w)) == i, end, w)
+        return here if end == w[i] else predictions(coordinates.unconstrained(w_end))
+
+    pairs = [zip(moved(i, up[i]), moved(i, down[i]), strict=True) for i in range(len(w))]
     events = []
-    for i, value in enumerate(here):
+    for value, *ends in zip(here, *pairs, strict=True):
         mu, log_scale = (
-            np.stack([getattr(a[i], name) - getattr(b[i], name) for a, b in ends], axis=-1) / (up - down)
+            np.stack([getattr(a, name) - getattr(b, name) for a, b in ends], axis=-1) / (up - down)
             for name in ("mu", "log_scale")
         )
         events.append(Event(value, value.residuals, value.scaled(mu), log_scale))

@@ -60,7 +60,9 @@ class Peak(NamedTuple):
     def measured_from_bounds(self, near) -> "Peak":
         """The same in coordinates where some parameters (d,) are measured from a bound."""
         fit, ratio = self.fit.measured_from_bounds(near)
-        return Peak(fit, self.sandwich.rescaled(ratio))
+        result, square = self.sandwich, np.outer(ratio, ratio)
+        matrices = ("information", "variability", "of_response")
+        return Peak(fit, result._replace(**{x: getattr(result, x) * square for x in matrices}))
 
     def with_base_noise(self, predictions, sd: float) -> "Peak":
         """The same, in every direction as wide at least as white noise on the base makes it [m/s^2]."""

@@ -33,6 +33,7 @@ class Sandwich(NamedTuple):
     variability: np.ndarray  # B (d, d), covariance of the score; A if the likelihood's assumptions hold
     models: list[ErrorModel]  # of each event
     growth: float = np.nan  # by how much the frequency bands disagree; NaN where there are none
+    of_response: np.ndarray | float = np.nan  # the part of B (d, d) that the responses have
 
     @property
     def factor(self) -> float:
@@ -57,11 +58,6 @@ class Sandwich(NamedTuple):
         along = self.information @ vectors
         return (along / values) @ along.T
 
-    def rescaled(self, ratio) -> "Sandwich":
-        """The same by coordinates of which a change is `ratio` (d,) times one of the old."""
-        square, models = np.outer(ratio, ratio), [model.rescaled(ratio) for model in self.models]
-        return Sandwich(self.information * square, self.variability * square, models, self.growth)
-
 
 def sandwich(events, model_error="bands", leverage=True) -> Sandwich:
     """A, by Gauss and Newton, and B of independent events.
@@ -83,8 +79,9 @@ def sandwich(events, model_error="bands", leverage=True) -> Sandwich:
     ]
     growth = growth_of(models, whiten.shape[1]) if model_error else np.nan
     result = Sandwich(sum(event.information for event in events), 0.0, models, growth)
-    variability = sum(m.variability + of_scale(e) for m, e in zip(models, events, strict=True))
-    return result._replace(variability=variability * result.factor**2)
+    of_response = result.factor**2 * sum(model.variability for model in models)
+    variability = of_response + result.factor**2 * sum(map(of_scale, events))
+    return result._replace(variability=variability, of_response=of_response)
 
 
 def of_scale(event) -> np.ndarray:

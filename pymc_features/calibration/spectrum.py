@@ -16,7 +16,7 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import dct, idct
+from scipy.fft import dct, idct, irfft, rfft
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import nnls
 
@@ -46,12 +46,6 @@ class ErrorModel(NamedTuple):
         """B (p, p)."""
         return self.variabilities.sum(axis=0)
 
-    def rescaled(self, ratio) -> "ErrorModel":
-        """The same by parameters of which a change is `ratio` (p,) times one of the old."""
-        square = np.outer(ratio, ratio)
-        parts = self.scores * ratio, self.variabilities * square, self.informations * square
-        return ErrorModel(*parts, *self[3:])
-
 
 def error_model(residuals, sensitivities, response=None, whole=None, edges=(), whiten=None) -> ErrorModel:
     """Estimate B from residuals (sensor, time) and sensitivities (sensor, time, p).
@@ -71,17 +65,18 @@ def error_model(residuals, sensitivities, response=None, whole=None, edges=(), w
     r = r / amplitude + back / np.maximum(amplitude, level)
     changes, s = s / amplitude[..., None], s * amplitude[..., None]
     rotation = np.linalg.eigh(r @ r.T)[1]
-    r, s, changes = rotation.T @ r, *(np.einsum("st,snp->tnp", rotation, x) for x in (s, changes))
+    r, s, changes = (np.tensordot(rotation, x, (0, 0)) for x in (r, s, changes))
     filters = autoregressions(r, max(1, min(LARGEST_ORDER, n // 20)))
     white = np.stack([np.convolve(x, a, mode="valid") for a, x in zip(filters, r, strict=True)])
-    whitens = np.fft.rfft(filters, 2 * n, axis=1)[..., None]
-    spectrum = np.fft.rfft(s, 2 * n, axis=1) / whitens.conj()
-    changes = np.fft.rfft(changes, 2 * n, axis=1) * whitens
+    whitens = rfft(filters, 2 * n, axis=1)[..., None]
+    spectrum = rfft(s, 2 * n, axis=1) / whitens.conj()
+    changes = rfft(changes, 2 * n, axis=1) * whitens
     starts = np.unique(np.r_[0, np.ceil(2 * n_all * np.asarray(edges)).astype(int).clip(max=n)])
     ratio = n_all / n
-    parts = by_band(white, spectrum, changes, starts)
-    parts = (x * power for x, power in zip(parts, (ratio, ratio**2, ratio), strict=True))
-    return ErrorModel(*parts, memory(filters) * ratio, follows)
+    scores, variabilities, informations = by_band(white, spectrum, changes, starts)
+    return ErrorModel(
+        scores * ratio, variabilities * ratio**2, informations * ratio, memory(filters) * ratio, follows
+    )
 
 
 def taken(residuals, whitened):
@@ -94,14 +89,14 @@ def taken(residuals, whitened):
     `whitened` (sensor, time, k) are the sensitivities times W, with W' (sum S'S) W = 1 over all events.
     """
     n = residuals.shape[1]
-    e, s = (np.fft.rfft(x, axis=1)[:, 1:].swapaxes(0, 1) for x in (residuals, whitened))
+    e, s = (rfft(x, axis=1)[:, 1:].swapaxes(0, 1) for x in (residuals, whitened))
     e, s = (np.concatenate([x.real, x.imag], axis=1) for x in (e, s))  # (line, part of sensor, ...)
     values, vectors = np.linalg.eigh(2.0 / n * (s.swapaxes(1, 2) @ s))
     rest = (1.0 - np.minimum(values, MOST_TAKEN))[..., None]
     along = vectors @ (vectors.swapaxes(1, 2) @ (s.swapaxes(1, 2) @ e[..., None]) / rest)
     back = 2.0 / n * (s @ along)[..., 0].T
     real, imaginary = np.split(back, 2)
-    return np.fft.irfft(np.pad(real + 1j * imaginary, ((0, 0), (1, 0))), n, axis=1)
+    return irfft(np.pad(real + 1j * imaginary, ((0, 0), (1, 0))), n, axis=1)
 
 
 def samples_of_the_band(residuals, sensitivities):
@@ -140,21 +135,16 @@ def amplitudes(residuals, response):
         cycles = 0.5 * (power @ np.arange(n)) / power.sum(axis=1).clip(min=TINY)
         for j, (r, g) in enumerate(zip(residuals, response, strict=True)):
             if cycles[j] > 0 and r.any():
+                square, mean, variance = r**2, level[j, 0], level[j]
                 local = uniform_filter1d(g**2, int(np.clip(n / cycles[j], 3, n)))
-                columns = np.stack([np.full(n, np.mean(g**2)), g**2, local], axis=1)
-                follows[j], level[j] = growing(r**2, columns / np.mean(g**2))
+                columns = np.stack([np.full(n, np.mean(g**2)), g**2, local], axis=1) / np.mean(g**2)
+                for _ in range(4):
+                    coefficients, _ = nnls(columns / variance[:, None], square / variance)
+                    variance = np.maximum(columns @ coefficients, QUIETEST * mean)
+                gain = 0.5 * np.sum(np.log(mean / variance) - square / variance + square / mean)
+                if gain > SURE:
+                    follows[j], level[j] = True, variance
     return np.sqrt(level), follows
-
-
-def growing(square, columns):
-    """Whether a variance of columns (time, k) explains squares better than their mean, and the better one."""
-    mean = square.mean()
-    variance = np.full(len(square), mean)
-    for _ in range(4):
-        coefficients, _ = nnls(columns / variance[:, None], square / variance)
-        variance = np.maximum(columns @ coefficients, QUIETEST * mean)
-    gain = 0.5 * np.sum(np.log(mean / variance) - square / variance + square / mean)
-    return (True, variance) if gain > SURE else (False, mean)
 
 
 def autoregressions(x, largest):
@@ -163,40 +153,35 @@ def autoregressions(x, largest):
     Orders by Akaike's criterion, corrected for short records; one filter for all, scaled, if that is better.
     """
     n, k = x.shape[1], np.arange(largest + 1)
-    alone, gain = burg(x[:, None], largest)
-    score = n * np.log(gain) + (2.0 * (k + 1) * n / (n - k - 2))
-    filters = alone[np.arange(len(x)), score.argmin(axis=1)]
     scale = np.sqrt(np.mean(x**2, axis=1, keepdims=True)).clip(min=TINY)
-    shared, gain = burg((x / scale)[None], largest)
-    together = n * len(x) * np.log(gain[0]) + 2.0 * (k + len(x))
+    (alone, shared), (gain, shared_gain) = burg(np.stack([x, x / scale]), largest, [[False], [True]])
+    score = n * np.log(gain) + (2.0 * (k + 1) * n / (n - k - 2))
+    together = n * len(x) * np.log(shared_gain[0]) + 2.0 * (k + len(x))
     if together.min() < score.min(axis=1).sum():
-        filters = np.repeat(shared[:, together.argmin()], len(x), axis=0)
+        filters = shared[:, together.argmin()]
+    else:
+        filters = alone[np.arange(len(x)), score.argmin(axis=1)]
     return filters[:, : 1 + np.flatnonzero(filters.any(axis=0)).max()]
 
 
-def burg(groups, largest):
-    """Filters (group, order, order + 1) common to the signals of a group (group, signal, time).
+def burg(signals, largest, shared=False):
+    """Filters (..., order, order + 1) of signals (..., time), or one of all in a row where they are `shared`.
 
-    With them the residual variance (group, order) over that of the signals.
+    With them the residual variance (..., order) over that of the signals.
     """
-    forward, backward = groups.copy(), groups.copy()
-    a = np.zeros((len(groups), largest + 1))
-    a[:, 0] = 1.0
-    variance = np.ones(len(groups))
-    filters, variances = [a], [variance]
+    forward, backward = signals[..., 1:], signals[..., :-1]
+    filters = np.zeros((*signals.shape[:-1], largest + 1, largest + 1))
+    variance = np.ones(filters.shape[:-1])
+    filters[..., 0, 0] = 1.0
     for k in range(1, largest + 1):
-        f, b = forward[..., k:], backward[..., k - 1 : -1]
-        ff, bb, fb = (np.einsum("gst,gst->g", *pair) for pair in ((f, f), (b, b), (f, b)))
-        reflection = -2.0 * fb / np.where(ff + bb > 0, ff + bb, 1.0)
-        flipped = np.zeros_like(a)
-        flipped[:, 1 : k + 1] = a[:, :k][:, ::-1]
-        a = a + reflection[:, None] * flipped
-        by = reflection[:, None, None]
-        forward[..., k:], backward[..., k:] = f + by * b, b + by * f
-        variance = variance * (1.0 - reflection**2)
-        filters.append(a)
-        variances.append(variance)
-    return np.stack(filters, axis=1), np.stack(variances, axis=1)
+        sums = np.vecdot(forward, backward), np.vecdot(forward, forward) + np.vecdot(backward, backward)
+        cross, power = (np.where(shared, x.sum(axis=-1, keepdims=True), x) for x in sums)
+        by = (-2.0 * cross / np.where(power > 0, power, 1.0))[..., None]
+        filters[..., k, :] = filters[..., k - 1, :]
+        filters[..., k, 1 : k + 1] += by * filters[..., k - 1, k - 1 :: -1]
+        variance[..., k] = variance[..., k - 1] * (1.0 - by[..., 0] ** 2)
+        forward, backward = (forward + by * backward)[..., 1:], (backward + by * forward)[..., :-1]
+    return filters, variance
 
 
 def memory(filters):
@@ -212,28 +197,25 @@ def by_band(white, spectrum, changes, starts):
     frequency, p) are S and G, minus the derivative of e, of signals with as many zeros behind. Bands begin at
     the frequencies `starts`.
     """
-    from scipy.signal import fftconvolve  # slow to import
-
     n_frequencies = spectrum.shape[1]
     length = 2 * (n_frequencies - 1)
-    half = max(1, min(n_frequencies - 2, n_frequencies // SMOOTHING))
-    kernel = np.hanning(2 * half + 3)[1:-1]
+    bands = [slice(*ends) for ends in itertools.pairwise([*starts, n_frequencies])]
     twice = np.full(n_frequencies, 2.0)
     twice[[0, -1]] = 1.0
     lost = np.pad(white, ((0, 0), (length // 2 - white.shape[1], 0)))  # by the filters, at the start
     back = spectrum.conj() * (twice / length)[:, None]
-    e = np.fft.rfft(lost, length, axis=1)
+    e = rfft(lost, length, axis=1)
     scores = np.add.reduceat(np.einsum("cfp,cf->fp", back, e).real, starts, axis=0)
-    bands = [slice(*ends) for ends in itertools.pairwise([*starts, n_frequencies])]
-    informations = [np.einsum("cfp,cfq->pq", back[:, f], changes[:, f], optimize=True).real for f in bands]
-    r = np.fft.rfft(white, length, axis=1)
-    r = np.concatenate([r[:, half:0:-1].conj(), r, r[:, -2 : -half - 2 : -1].conj()], axis=1)
+    informations = [np.tensordot(back[:, f], changes[:, f], ([0, 1], [0, 1])).real for f in bands]
+    half = max(1, min(n_frequencies - 2, n_frequencies // SMOOTHING))
+    kernel = np.hanning(2 * half + 3)[1:-1]
+    window = irfft(length * kernel[half:] / kernel.sum(), length)  # of lags: smooths what they make
+    r = rfft(white, length, axis=1)
     total = np.zeros((len(bands), spectrum.shape[2], spectrum.shape[2]))
-    for i, (x, s) in enumerate(zip(r, spectrum, strict=True)):  # rows: no array (component, component, ...)
-        cross = fftconvolve(x * r[i:].conj(), kernel[None] / kernel.sum(), mode="valid", axes=1)
-        factor = np.where(np.arange(len(cross)) == 0, 1.0, 2.0)[:, None] * cross * twice
-        for b, f in enumerate(bands):
-            part = np.einsum("fp,kf,kfq->pq", s[f].conj(), factor[:, f], spectrum[i:, f], optimize=True)
-            total[b] += part.real
+    for i, s in enumerate(spectrum):  # rows: no array (component, component, ...)
+        cross = rfft(irfft(r[i] * r[i:].conj(), length, axis=1) * window, axis=1) * twice
+        cross[1:] *= 2.0
+        weighed = np.einsum("cf,cfp->fp", cross, spectrum[i:])
+        total += [(s[f].conj().T @ weighed[f]).real for f in bands]
     total /= white.shape[1] * length
     return scores, 0.5 * (total + total.transpose(0, 2, 1)), np.array(informations)

@@ -36,12 +36,8 @@ FARTHEST = 1e4  # from the maximum: unconstrained values that rounding has made 
 class Stretched:
     """Log prior and calibrated log-likelihood around a maximum, evaluated as `PopulationLogp` is.
 
-    Parameters
-    ----------
-    prior, likelihood : callable
-        What has the first and the second result of `PopulationLogp`.
-    peak, others : Peak, list of Peak
-        What is nearer to another maximum, in standard deviations, has no likelihood here.
+    `prior` and `likelihood` have the first and the second result of that. What is nearer to the peak of one
+    of `others`, in standard deviations, has no likelihood here.
     """
 
     def __init__(self, prior, likelihood, peak, others=()):
@@ -97,9 +93,8 @@ class StretchedSMC(PersistentSMC):
         """All is compiled."""
 
 
-def prior_and_likelihood(model, compile_kwargs) -> tuple:
+def prior_and_likelihood(model, point, compile_kwargs) -> tuple:
     """Evaluations whose first result is the prior, with potentials, and whose second is the likelihood."""
-    point = model.initial_point()
 
     def of_prior():
         return model.logp(vars=[*model.free_RVs, *model.potentials]), pt.zeros(())

@@ -9,7 +9,8 @@ import numpy as np
 import pymc as pm
 import pytest
 import xarray as xr
-from scipy.stats import kstest, truncnorm
+from scipy.special import ndtri_exp
+from scipy.stats import kstest, norm, truncnorm
 
 import pymc_features as pmf
 from benchmarks.coverage.bounds import (
@@ -23,7 +24,7 @@ from benchmarks.coverage.bounds import (
     true_sd,
 )
 from benchmarks.coverage.errors import LEVEL, measurements
-from pymc_features.calibration.bounds import interval
+from pymc_features.calibration.bounds import interval, log_share, quantiles
 from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.comparison import log_likelihood
 from pymc_features.calibration.coordinates import Coordinates, sides_of
@@ -31,7 +32,7 @@ from pymc_features.calibration.fit import Predictions
 from pymc_features.calibration.peaks import Peak
 from pymc_features.calibration.sandwich import sandwich
 from pymc_features.exceptions import CalibrationWarning
-from pymc_features.inference.parameters import to_unconstrained
+from pymc_features.inference.parameters import Unconstrained, to_unconstrained
 
 N_SETS = 200
 
@@ -180,7 +181,19 @@ def test_sides_of_priors():
         pm.Normal("none")
         pm.Dirichlet("shares", np.ones(3))
         pm.Uniform("depends", 0.0, high)
-    assert sides_of(model).tolist() == [1, 2, 2, 1, 2, 0, 0, 0, 2]
+    assert sides_of(model, Unconstrained(model)).tolist() == [1, 2, 2, 1, 2, 0, 0, 0, 2]
+
+
+def test_normal_distributions_that_are_cut():
+    """Shares and quantiles as SciPy has them, on both sides and far out, and back."""
+    low, high = np.array([-1.0, 3.0, -np.inf, -9.0, 30.0]), np.array([2.0, np.inf, 0.3, -8.0, 31.0])
+    cut, u = truncnorm(low, high), np.random.default_rng(1).normal(size=(500, 5))
+    x = quantiles(low, high, u)
+    np.testing.assert_allclose(x, cut.ppf(norm.cdf(u)), rtol=1e-10)
+    log_density = norm.logpdf(x) - log_share(low, high)
+    np.testing.assert_allclose(log_density, cut.logpdf(x), rtol=1e-9, atol=1e-9)
+    back = ndtri_exp(log_share(low, x) - log_share(low, high))
+    np.testing.assert_allclose(back[:, :4], u[:, :4], atol=1e-9)
 
 
 def test_coordinates():

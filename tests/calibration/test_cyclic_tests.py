@@ -53,7 +53,7 @@ def largest_residuals(model, start):
 
     fit = climb_likelihood(predictions, to_unconstrained(model, start)[0, 0])
     idata = xr.DataTree.from_dict({"posterior": start})
-    settings = {"draws": 300, "chains": 2, "random_seed": 1, "progressbar": False}
+    settings = {"draws": 300, "chains": 2, "stage_draws": 300, "random_seed": 1, "progressbar": False}
     found = pmf.calibrate(idata, model=model, **settings)
     draws = to_unconstrained(model, found["posterior"].to_dataset()).reshape(-1, 7)
     return np.array([rms(z) for z in draws[::6]]) / rms(fit.z), found

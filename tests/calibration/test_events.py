@@ -88,7 +88,7 @@ def test_bad_input():
         event_check(EVENTS[:1])
     with pytest.raises(TypeError, match="got DataTree"):
         event_check(EVENTS[0])
-    with pytest.raises(TypeError, match="got none in event 1"):
+    with pytest.raises(TypeError, match="group `posterior`, got .* That is event 1. Pass what"):
         event_check([EVENTS[0], xr.DataTree()])
     with pytest.raises(ValueError, match="got no k in event 0"):
         event_check(EVENTS, var_names=["k"])

@@ -4,6 +4,7 @@ import numpy as np
 import pymc as pm
 import pytensor
 import pytest
+import xarray as xr
 from scipy.signal import lfilter
 
 from pymc_features import (
@@ -148,7 +149,9 @@ def test_observations_of_data_with_gaps(phi, kind):
     data = 3.0 + lfilter([1.0], [1.0, -phi], rng.normal(size=(2, 10_000)), axis=1)
     data[0, 2000:5000], data[1, 4000:6000] = np.nan, np.nan
     n = (~np.isnan(data)).sum(axis=1)
-    found = effective_samples(mean_model(data, kind), random_seed=1)
+    draw = xr.Dataset({"mu": (("chain", "draw"), [[3.0]]), "sigma": (("chain", "draw"), [[1.0]])})
+    idata = xr.DataTree.from_dict({"posterior": draw})
+    found = effective_samples(idata, model=mean_model(data, kind))
     np.testing.assert_allclose(found["n_eff"], n * (1.0 - phi) / (1.0 + phi), rtol=0.15)
     assert found.attrs["claimed"] == (n.sum() if kind is GammaFeature else 4)
     weights = 1.0 if kind is GammaFeature else 1.0 / n  # EXP weighs the sensors alike

@@ -35,7 +35,7 @@ def test_filter_of_a_process_of_second_order():
     rng, radius, angle = np.random.default_rng(2), 0.98, 0.3
     truth = np.array([1.0, -2 * radius * np.cos(angle), radius**2])
     x = lfilter([1.0], truth, rng.standard_normal((1, 20_000)), axis=1)
-    filters, variances = burg(x[:, None], 4)
+    filters, variances = burg(x, 4)
     np.testing.assert_allclose(filters[0, 2, :3], truth, atol=0.01)
     assert variances[0, 2] < 0.1 * variances[0, 1]
     assert memory(truth[None]) == pytest.approx(-1 / np.log(radius), rel=1e-6)
