@@ -331,7 +331,7 @@ def strong_part(record, seconds: float):
 
 
 def default_folder(options) -> str:
-    """Where a study goes that was given no folder; the linear one has no name, for it came first."""
+    """Name the folder of a study that was given none; the linear one has no name, for it came first."""
     parts = ["reproduce-output"]
     if options.structure != "linear":
         parts.append(options.structure)

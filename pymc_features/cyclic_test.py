@@ -69,5 +69,5 @@ class CyclicTest(DynamicLoad):
         return self.displacement[None]
 
     def first(self, n_times: int) -> "CyclicTest":
-        """The same, cut to its first samples."""
+        """Cut the test to its first samples."""
         return replace(self, displacement=self.displacement[: check_integer(n_times, "n_times", least=2)])

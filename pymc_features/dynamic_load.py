@@ -37,7 +37,7 @@ class DynamicLoad:
     interpolation: Interpolation = "linear"
 
     def first(self, n_times: int) -> "DynamicLoad":
-        """The same, cut to its first samples."""
+        """Cut the load to its first samples."""
         raise NotImplementedError
 
     def __reduce__(self):

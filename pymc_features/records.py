@@ -144,11 +144,11 @@ class Record(DynamicLoad):
         return self.acceleration[None]
 
     def first(self, n_times: int) -> "Record":
-        """The same, cut to its first samples."""
+        """Cut the record to its first samples."""
         return replace(self, acceleration=self.acceleration[: check_integer(n_times, "n_times", least=2)])
 
     def resampled(self, dt: float, *, delay: float = 0.0) -> "Record":
-        """The same motion at another sampling interval.
+        """Return the motion at another sampling interval.
 
         Parameters
         ----------
@@ -280,7 +280,7 @@ class Loading(DynamicLoad):
         return self.kind == "force"
 
     def first(self, n_times: int) -> "Loading":
-        """The same, cut to its first samples."""
+        """Cut the record to its first samples."""
         return replace(self, values=self.values[:, : check_integer(n_times, "n_times", least=2)])
 
     def applied(self, shapes: np.ndarray) -> np.ndarray:

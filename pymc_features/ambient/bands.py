@@ -41,7 +41,7 @@ class Bands(NamedTuple):
 
     @property
     def frequencies(self) -> np.ndarray:
-        """Of the coefficients [Hz], (k,)."""
+        """Return the frequencies of the coefficients [Hz], (k,)."""
         return self.bins / (self.n_samples * self.dt)
 
 

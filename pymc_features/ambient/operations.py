@@ -81,7 +81,7 @@ class SpectralLogp(SpectralOp):
 
     @property
     def gufunc_signature(self):
-        """Of one particle; a population Op is never wrapped."""
+        """Return the shapes of one particle; a population Op is never wrapped."""
         return None if self.batched else f"{CORE}->()"
 
     def make_node(self, *inputs):
@@ -121,7 +121,7 @@ class SpectralGradient(SpectralOp):
 
     @property
     def gufunc_signature(self):
-        """Of one particle; a population Op is never wrapped."""
+        """Return the shapes of one particle; a population Op is never wrapped."""
         slopes = ",".join(("(m)", "(m)", "(m,s)", "(b,m,r,c)", "(b,s)", "(s,c,k)")[: self.n_slopes])
         return None if self.batched else f"{CORE}->(),{slopes}"
 
@@ -173,7 +173,7 @@ def vectorize_spectral(op, node, *inputs):
 @register_specialize
 @node_rewriter([SpectralLogp])
 def local_value_with_gradient(fgraph, node):
-    """Where the gradient is evaluated, the log-likelihood comes with it."""
+    """Return the log-likelihood that comes with the gradient, where that is evaluated."""
     for client, _ in fgraph.clients[node.inputs[0]]:
         if isinstance(client.op, SpectralGradient) and client.inputs == node.inputs:
             return [client.outputs[0]]

@@ -66,7 +66,7 @@ def log_share(low, high):
 
 
 def quantiles(low, high, u):
-    """Those of standard normal numbers between two bounds (b,), at the probabilities Phi(u) (n, b)."""
+    """Return standard normal numbers between two bounds (b,), at the probabilities Phi(u) (n, b)."""
     sign = np.where(low + high > 0.0, -1.0, 1.0)
     low, high = np.where(sign > 0.0, [low, high], [-high, -low])
     logs = log_ndtr(low) + log_ndtr(-sign * u), log_ndtr(high) + log_ndtr(sign * u)

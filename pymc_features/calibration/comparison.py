@@ -37,7 +37,7 @@ class Comparison(NamedTuple):
     name: str = "y"  # of the random variable
 
     def by_sensor(self) -> "Comparison":
-        """The same of arrays, with one axis of sensors."""
+        """Turn arrays into ones with one axis of sensors."""
         mu, observed, scale, claimed, decay, *known = self
         *sensors, n = observed.shape
         n_scale = n if np.shape(scale)[-1:] == (n,) else 1
@@ -80,7 +80,7 @@ def independent(x, decay):
 
 
 def log_likelihood(values: list[Comparison]) -> float:
-    """Of all likelihoods, without constants; minus infinity where it is not finite."""
+    """Sum all log-likelihoods, without constants; minus infinity where that is not finite."""
     total = sum(-0.5 * np.sum(v.residuals**2) - v.claimed @ v.log_scale for v in values)
     return total if np.isfinite(total) else -np.inf
 
@@ -108,7 +108,7 @@ def comparison_normal(op, rv, observed):
 
 @comparison.register(FeatureRV)
 def comparison_feature(op, rv, observed):
-    """As many observations as there are degrees of freedom, each sample a part of them."""
+    """Take as many observations as there are degrees of freedom, each sample a part of them."""
     _, _, mu, sigma, *m = rv.owner.inputs
     n_measured = measured_samples(observed)
     root = pt.sqrt(pt.cast(observed.shape[-1], "float64") if n_measured is None else n_measured)

@@ -113,7 +113,7 @@ class Fit(NamedTuple):
         return np.where(at_low & (score < 0) | at_high & (score > 0), score, 0.0)
 
     def measured_from_bounds(self, near) -> tuple["Fit", np.ndarray]:
-        """The same point with some parameters (d,) measured from a bound, and old changes over new (d,)."""
+        """Measure some parameters (d,) of the point from a bound; also old changes over new (d,)."""
         new, z = self.coordinates._replace(near=near & (self.coordinates.sides > 0)), self.z
         ratio = self.coordinates.slopes(z) / new.slopes(z)
         events = [
@@ -145,7 +145,7 @@ class Predictions:
         return [Comparison(*islice(values, 5), *one[5:]).by_sensor() for one in self.comparisons]
 
     def with_noisy_base(self, z, sd, rng) -> list[Comparison]:
-        """The same with noise of a standard deviation [m/s^2] on the motion of every base."""
+        """Predict with noise of a standard deviation [m/s^2] on the motion of every base."""
         with ExitStack() as stack:
             for one in self.comparisons:
                 stack.enter_context(noisy_base(one.mu, sd, rng))

@@ -58,14 +58,14 @@ class Peak(NamedTuple):
         return (coordinates.sides > 0) & ((pushing != 0) | (of_response & (room < NEAR)))
 
     def measured_from_bounds(self, near) -> "Peak":
-        """The same in coordinates where some parameters (d,) are measured from a bound."""
+        """Take coordinates where some parameters (d,) are measured from a bound."""
         fit, ratio = self.fit.measured_from_bounds(near)
         result, square = self.sandwich, np.outer(ratio, ratio)
         matrices = ("information", "variability", "of_response")
         return Peak(fit, result._replace(**{x: getattr(result, x) * square for x in matrices}))
 
     def with_base_noise(self, predictions, sd: float) -> "Peak":
-        """The same, in every direction as wide at least as white noise on the base makes it [m/s^2]."""
+        """Make the peak at least as wide, in every direction, as white noise on the base does [m/s^2]."""
         noise, result = of_base_noise(predictions, self.fit, sd), self.sandwich
         variability = combined(result.variability, noise, lambda ratios: np.maximum(ratios - 1.0, 0.0))
         return Peak(self.fit, result._replace(variability=variability))

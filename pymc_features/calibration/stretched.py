@@ -67,13 +67,13 @@ class Stretched:
         return self.prior(z)[0], value, failed
 
     def by(self, likelihood) -> "Stretched":
-        """The same of another likelihood."""
+        """Return the target by another likelihood."""
         other = copy.copy(self)
         other.likelihood = likelihood
         return other
 
     def with_rng(self, rng) -> "Stretched":
-        """The same, with random streams of its own where numbers are drawn inside."""
+        """Take random streams of its own where numbers are drawn inside."""
         return self.by(self.likelihood.with_rng(rng))
 
     @property
@@ -133,7 +133,7 @@ class Expansion(NamedTuple):
         return None, np.where(np.isfinite(value), value, -np.inf), np.zeros(len(a), dtype=bool)
 
     def with_rng(self, rng) -> "Expansion":
-        """The same: nothing is drawn."""
+        """Return itself, for nothing is drawn."""
         return self
 
 

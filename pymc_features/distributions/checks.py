@@ -46,7 +46,7 @@ def check_sigma(sigma, mu):
 
 
 def check_correlation_time(correlation_time, mu):
-    """The same for the correlation time of the errors."""
+    """Refuse a correlation time of the errors that is none."""
     name, advice = "correlation_time", "Pass the time in seconds after which the correlation is 1/e."
     return _check_sensors(name, _check_positive(name, correlation_time, advice), mu)
 

@@ -26,7 +26,7 @@ class ExpFeatureRV(FeatureRV):
 
 
 class ExpFeatureDataRV(ExpFeatureRV):
-    """The same draws, with their density over the data."""
+    """Draws of `ExpFeature`, with their density over the data."""
 
     density = "data"
 

@@ -71,7 +71,7 @@ class GammaFeatureRV(FeatureRV):
 
 
 class GammaFeatureDataRV(GammaFeatureRV):
-    """The same draws, with their density over the data."""
+    """Draws of `GammaFeature`, with their density over the data."""
 
     density = "data"
 

@@ -24,7 +24,7 @@ class TruncNormalFeatureRV(FeatureRV):
 
 
 class TruncNormalFeatureDataRV(TruncNormalFeatureRV):
-    """The same draws, with their density over the data."""
+    """Draws of `TruncNormalFeature`, with their density over the data."""
 
     density = "data"
 

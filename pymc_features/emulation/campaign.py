@@ -55,7 +55,7 @@ class Response:
 
     @property
     def emulator(self) -> Emulator:
-        """Of all runs."""
+        """The emulator of all runs."""
         return self.stand_in.emulator
 
     def x_of(self, theta):
@@ -127,14 +127,14 @@ class Campaign:
         return self._logp
 
     def log_likelihood(self, theta, shifts=None):
-        """Of points (n, d) by the emulators; with components off their means by so many deviations."""
+        """Log-likelihood of points (n, d) by the emulators; with components off by so many deviations."""
         with ExitStack() as stack:
             for response, shift in zip(self.responses, shifts or [], strict=shifts is not None):
                 stack.enter_context(response.stand_in.shifted(shift))
             return self.logp(theta)[1]
 
     def true_log_likelihood(self, theta):
-        """Of points (n, d) at which the simulators were run."""
+        """Log-likelihood of points (n, d) at which the simulators were run."""
         with ExitStack() as stack:
             for response in self.responses:
                 stack.enter_context(response.stand_in.true_runs())

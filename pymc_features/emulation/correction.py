@@ -54,7 +54,7 @@ class Remaining(NamedTuple):
 
     @property
     def largest(self) -> float:
-        """Of all, two standard errors included."""
+        """Largest error of all, two standard errors included."""
         ends = [np.abs(self.shift) + 2.0 * self.shift_se, np.abs(self.stretch) + 2.0 * self.stretch_se]
         return float(np.max(ends))
 

@@ -1,4 +1,4 @@
-"""Where to run: first all over the prior, then where the posterior is and where it is unknown."""
+"""Design of runs: first all over the prior, then where the posterior is and where it is unknown."""
 
 import warnings
 

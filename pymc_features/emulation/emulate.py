@@ -204,7 +204,7 @@ def explored(campaign, settings, rng, progress) -> tuple[list[Batch], Remaining]
 
 
 def told(history) -> str:
-    """Of the last batch, in words."""
+    """Say how the last batch went."""
     if not history:
         return "first posterior"
     return f"posterior moved by {100 * history[-1].change:.2g} %, error {history[-1].error:.2g}"

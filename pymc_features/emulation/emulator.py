@@ -49,7 +49,7 @@ class Coordinates(NamedTuple):
 
     @classmethod
     def of(cls, x) -> "Coordinates":
-        """Those that suit draws from the prior (point, parameter)."""
+        """Choose the coordinates that suit draws from the prior (point, parameter)."""
         varying = np.flatnonzero(np.ptp(x, axis=0) > CONSTANT * np.abs(x).max(axis=0))
         own = x[:, varying]
         positive = (own > 0).all(axis=0)
@@ -74,7 +74,7 @@ class Coordinates(NamedTuple):
 
 
 def skewness(x):
-    """Of each column (n, d)."""
+    """Skewness of each column (n, d)."""
     off = x - x.mean(axis=0)
     spread = off.std(axis=0)
     return ((off / np.where(spread > 0, spread, 1.0)) ** 3).mean(axis=0)

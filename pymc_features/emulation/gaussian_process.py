@@ -47,7 +47,7 @@ def gaussian(squares):
 
 
 def gaussian_slope(squares, value):
-    """The same once more."""
+    """Derivative of `gaussian` by the squares."""
     return value
 
 
@@ -70,7 +70,7 @@ KERNELS = {
 
 
 class Hyperparameters(NamedTuple):
-    """Of the kernel: its name, length scales (parameter,), noise; `objective` is -2 ln L with the prior."""
+    """Name of the kernel, its length scales (parameter,), noise; `objective` is -2 ln L with the prior."""
 
     kernel: str
     lengths: np.ndarray
@@ -109,7 +109,7 @@ def trend_slope(x, degree):
 
 
 def largest_degree(n: int, d: int) -> int:
-    """Of a trend that n points in d dimensions determine with as many to spare."""
+    """Degree of a trend that n points in d dimensions determine with as many to spare."""
     return 2 if n >= (d + 1) * (d + 2) else 1 if n >= 2 * (d + 1) else 0
 
 
@@ -152,7 +152,7 @@ def objective(parameters, x, y, kernel, basis):
 
 
 def fit_hyperparameters(x, y, start: Hyperparameters | None = None) -> Hyperparameters:
-    """Those of most likelihood, of the better kernel.
+    """Find the hyperparameters of most likelihood, of the better kernel.
 
     Parameters
     ----------

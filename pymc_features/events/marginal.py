@@ -54,7 +54,7 @@ class Marginal:
         self.density = population.density_function(self.columns)
 
     def thinned(self, columns) -> np.ndarray:
-        """As many draws of each event (event, draw, ...), evenly spaced."""
+        """Take as many draws of each event (event, draw, ...), evenly spaced."""
         return np.stack([x[np.linspace(0, len(x) - 1, self.n).round().astype(int)] for x in columns])
 
     def set(self, stored: list[Stored]) -> None:

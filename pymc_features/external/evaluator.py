@@ -74,7 +74,7 @@ class Task:
 
     @property
     def result_shape(self):
-        """Of what is kept."""
+        """Shape of what is kept."""
         return self.shape if self.observed is None else self.shape[:1]
 
 

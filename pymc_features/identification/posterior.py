@@ -31,7 +31,7 @@ class BandData(NamedTuple):
 
     @property
     def frequencies(self) -> np.ndarray:
-        """Of `used` [Hz]."""
+        """Frequencies of `used` [Hz]."""
         return self.lines.frequencies[self.lines.weights > 0.0]
 
 
@@ -71,7 +71,7 @@ class Posterior:
         self.size = sum(sizes)
 
     def parameters(self, x) -> SpectralParameters:
-        """Those of points (n, d)."""
+        """Return the parameters of points (n, d)."""
         c, n = self.centre, len(x)
         m, s = c.shapes.shape
         u, v, t, a, real, imaginary, e = (x[:, part] for part in self.parts)
@@ -152,14 +152,14 @@ class Posterior:
 
     @cached_property
     def covariance(self) -> np.ndarray | None:
-        """Of the coordinates (d, d), Laplace's approximation; None where there is no maximum."""
+        """Covariance of the coordinates (d, d), Laplace's approximation; None where there is no maximum."""
         values, vectors = np.linalg.eigh(self.information(np.zeros(self.size)))
         if not (np.isfinite(values).all() and values[0] > 0.0):
             return None
         return (vectors / values) @ vectors.T
 
     def standard_deviations(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of frequencies (m,) [Hz], damping ratios (m,) and entries of the shapes (m, s)."""
+        """Standard deviations of frequencies (m,) [Hz], damping ratios (m,) and shapes (m, s)."""
         c, covariance = self.centre, self.covariance
         m, s = c.shapes.shape
         sd = np.sqrt(np.diag(covariance))

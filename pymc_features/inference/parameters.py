@@ -140,7 +140,7 @@ class Unconstrained:
         return {name: np.stack(column) for name, column in zip(self.names, columns, strict=True)}
 
     def modes(self, model, points, **more) -> xr.Dataset:
-        """Those at modes of a posterior, and more that belongs to each, (mode, ...).
+        """Return the values at modes of a posterior, and more that belongs to each, (mode, ...).
 
         The dimension is posterior_mode where the model has one called mode, as a damping ratio for each mode
         of vibration may well have.

@@ -93,7 +93,7 @@ class Likelihood:
 
     @property
     def is_likelihood_free(self) -> bool:
-        """Whether it has a tolerance in place of a density."""
+        """Return whether the likelihood has a tolerance in place of a density."""
         return "epsilon" in self.takes
 
     @property

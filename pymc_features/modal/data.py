@@ -215,7 +215,7 @@ class ModalData:
         return np.array([phase_collinearity(shape) for shape in self.shapes])
 
     def real(self) -> "ModalData":
-        """The same with real shapes, each turned by the phase that leaves the least imaginary part.
+        """Return the modes with real shapes, each turned by the phase that leaves the least imaginary part.
 
         Of the two senses it has the one with the largest entry positive. Real shapes stay as they are.
         """

@@ -46,5 +46,5 @@ class Assignment(Op):
 
 @_vectorize_node.register(Assignment)
 def vectorize_assignment(op, node, score):
-    """The same for a batch."""
+    """Assign a batch."""
     return [op(score)]

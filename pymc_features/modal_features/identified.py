@@ -71,7 +71,7 @@ class Identified(NamedTuple):
 
     @property
     def scatter(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of ln f^ its standard deviation, and of shapes of length one their mean square, both (g, k)."""
+        """Standard deviation of ln f^, and mean square of shapes of length one, both (g, k)."""
         of_f = frequency_scatter(self.frequencies, self.sd, self.groups)
         of_shapes = shape_scatter(self.shapes, self.known, self.groups)
         return by_label(of_f, self.groups, 1.0), by_label(of_shapes, self.groups)

@@ -144,7 +144,7 @@ class ModesGradient(ModalOp):
 
     @property
     def output_signature(self):
-        """As the parameters."""
+        """Shapes of the outputs are those of the parameters."""
         return shapes(self.spec.parameters)
 
     def more(self, arrays):

@@ -38,7 +38,7 @@ def request_in_model(structure, record, asked):
 
 
 def excitation_in_model(structure, record, dt, asked) -> Excitation:
-    """As `excitation_of`; where `dt` is data, the outputs are variables."""
+    """Do as `excitation_of`; where `dt` is data, the outputs are variables."""
     values = structure.excitation(record)
     if not isinstance(dt, SharedVariable):
         return excitation_of(values, record, asked)

@@ -97,7 +97,7 @@ class ExternalResponse(ExternalOp):
     output_signature = "(s,u)"
 
     def output_shapes(self, inputs):
-        """As the simulator says."""
+        """Take the shape that the simulator says."""
         return [self.simulator.shape]
 
     def infer_shape(self, node, shapes):
@@ -164,11 +164,11 @@ class GradientOp(ExternalOp):
 
     @property
     def output_signature(self):
-        """As the parameters."""
+        """Shapes of the outputs are those of the parameters."""
         return ",".join("(" + ",".join(f"p{i}{k}" for k in range(n)) + ")" for i, n in enumerate(self.ndims))
 
     def output_shapes(self, inputs):
-        """Those of the parameters."""
+        """Take the shapes of the parameters."""
         return [x.type.shape[self.batched :] for x in inputs[: self.n_parameters]]
 
     def infer_shape(self, node, shapes):

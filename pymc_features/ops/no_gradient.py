@@ -36,7 +36,7 @@ class NoGradient(Op):
 
 @_vectorize_node.register(NoGradient)
 def vectorize_no_gradient(op, node, batched):
-    """The same for a batch."""
+    """Do without a gradient of a batch."""
     return [op(batched)]
 
 

@@ -65,7 +65,7 @@ def cache_key(op, length="") -> str:
 
 
 def prepared(arrays):
-    """The same tuple with contiguous arrays, and numbers for arrays without dimensions, in compiled code."""
+    """Make arrays of a tuple contiguous, and numbers of those without dimensions, in compiled code."""
     return tuple(np.ascontiguousarray(a) if a.ndim else a.item() for a in arrays)
 
 

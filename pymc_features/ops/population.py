@@ -84,7 +84,7 @@ class PopulationMisfit(PopulationComparison):
 
 
 class PopulationGradient(MisfitGradient):
-    """As `MisfitGradient`, of a population; c (particle, sensor, n_statistics)."""
+    """Gradient as of `MisfitGradient`, of a population; c (particle, sensor, n_statistics)."""
 
     kernel_name = "population_gradient"
     gufunc_signature = None

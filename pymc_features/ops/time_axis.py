@@ -29,7 +29,7 @@ def check_dims(dims, ndim: int | None = None) -> tuple | None:
 
 
 def known_dims(dims, ndim: int | None = None) -> tuple | None:
-    """The same; refuse what the model of the context does not know."""
+    """Return the dims; refuse what the model of the context does not know."""
     dims, lengths = check_dims(dims, ndim), pm.modelcontext(None).dim_lengths
     unknown = [name for name in dims or () if isinstance(name, str) and name not in lengths]
     if unknown:

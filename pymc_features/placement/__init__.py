@@ -1,4 +1,4 @@
-"""Where to put sensors, before there are any data."""
+"""Placement of sensors, before there are any data."""
 
 from pymc_features.placement.sensors import sensor_placement
 

@@ -246,7 +246,7 @@ def module_of(backend: str):
 
 
 class Panels:
-    """Where arviz-plots draws: on the axes given, or in a new figure of some backend; see `checked_axes`."""
+    """Place for arviz-plots to draw: the axes given, or a new figure of some backend; see `checked_axes`."""
 
     def __init__(self, axes, backend, count, each, columns=1, **figure):
         self.backend = check_choice(backend, "backend", BACKENDS)

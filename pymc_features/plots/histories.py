@@ -390,7 +390,7 @@ def draw_measured(ax, time, values, columns) -> None:
 
 
 def limits(inside, around) -> tuple[float, float]:
-    """Of an axis that shows all of some histories, and of others around them what leaves these readable."""
+    """Limits of an axis for all of some histories, and as much of others as leaves these readable."""
     low, high = min(map(np.nanmin, inside)), max(map(np.nanmax, inside))
     room = 0.5 * (WIDEST - 1.0) * (high - low)
     if around:

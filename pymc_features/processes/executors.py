@@ -1,4 +1,4 @@
-"""Where simulations run: local processes, a Dask cluster, or any executor."""
+"""Executors of simulations: local processes, a Dask cluster, or any other."""
 
 import os
 import threading

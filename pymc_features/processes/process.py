@@ -138,7 +138,7 @@ class SimulatorProcess:
 
     @property
     def usable(self) -> bool:
-        """Whether it can be asked again."""
+        """Return whether the process can be asked again."""
         return not self.connection.closed
 
     def close(self):

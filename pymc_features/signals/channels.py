@@ -89,7 +89,7 @@ def sampling_step(channels: xr.DataArray) -> float:
 
 
 def rebuilt(channels: xr.DataArray, values: np.ndarray, step: float, start: float = 0.0) -> xr.DataArray:
-    """The same sensors with other values (..., time): time from 0, `start` [s] later than it was."""
+    """Give the sensors other values (..., time): time from 0, `start` [s] later than it was."""
     coords = {name: c for name, c in channels.coords.items() if "time" not in c.dims}
     attrs = channels.attrs | {"start": float(channels.attrs.get("start", 0.0)) + start}
     time = ("time", step * np.arange(values.shape[-1]), {"units": "s"})

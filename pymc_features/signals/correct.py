@@ -117,7 +117,7 @@ def earlier(series, samples: float) -> np.ndarray:
 
 
 def shifted(series, samples) -> np.ndarray:
-    """The same by the Fourier transform, of a series with constant ends."""
+    """Shift a series with constant ends by the Fourier transform."""
     n = series.size
     line = np.linspace(series[0], series[-1], n)  # the rest of it begins and ends alike
     spectrum = np.fft.rfft(series - line) * np.exp(2j * np.pi * np.fft.rfftfreq(n) * samples)

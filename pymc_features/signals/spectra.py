@@ -26,7 +26,7 @@ class Spectra(NamedTuple):
 
     @property
     def singular_values(self) -> np.ndarray:
-        """Of the matrices, largest first (k, s) [unit^2/Hz]."""
+        """Singular values of the matrices, largest first (k, s) [unit^2/Hz]."""
         return np.linalg.eigvalsh(self.matrices)[:, ::-1].clip(min=0.0)
 
 

@@ -41,7 +41,7 @@ class SamplingOptions(TypedDict, total=False):
 
 
 class StudyOptions(SamplingOptions, total=False):
-    """Those, and what the noise is."""
+    """Options of a study: those of samplers, and what the noise is."""
 
     noise_time: float
 

@@ -37,7 +37,7 @@ class RemoteModel:
         return np.concatenate([np.ravel(output) for output in outputs]).reshape(self.shape)
 
     def gradient(self, *parameters_and_cotangent) -> list[np.ndarray]:
-        """Of sum(cotangent * result), for each parameter."""
+        """Return the gradient of sum(cotangent * result), for each parameter."""
         *parameters, cotangent = parameters_and_cotangent
         remote, inputs = self._asked(parameters)
         _, sizes = sizes_of(self.url, self.model, json.dumps(self.config))

@@ -50,7 +50,7 @@ def variant(problem: Problem, raw: dict, at: str) -> Problem:
 
 
 def with_evidence(kinds) -> list[str]:
-    """Of some likelihoods those whose posterior has an evidence."""
+    """Choose the likelihoods whose posterior has an evidence."""
     return [kind for kind in kinds if not (KINDS[kind].calibrates or KINDS[kind].is_likelihood_free)]
 
 

@@ -107,7 +107,7 @@ def kept_parts(problem: Problem, out: Path) -> dict[str, xr.DataTree]:
 
 
 def settings_of(problem: Problem, kind: str, flat: dict) -> dict:
-    """Of all settings those that one likelihood depends on."""
+    """Choose the settings that one likelihood depends on."""
     sources = list(filter(None, (kind, KINDS[kind].calibrates)))
     names = {name for source in sources for name in names_for(problem, source)}
     taken = {name for source in sources for name in KINDS[source].takes}

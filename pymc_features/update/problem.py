@@ -103,7 +103,7 @@ class Problem:
         return found[0] if found else getattr(self.first, "modes", None)
 
     def with_data(self, *data) -> "Problem":
-        """The same structure and priors with other data."""
+        """Return the structure and priors with other data."""
         return replace(self, data=data)
 
     @property

@@ -45,7 +45,7 @@ class FittedDensity:
 
 
 def best_fit(x, weights, rng):
-    """Of a Gaussian, a mixture and two behind maps, that with the highest density at points it has not seen.
+    """Choose from a Gaussian, a mixture and two behind maps by the density at points they have not seen.
 
     All but the first must be better by more than what a fit to some thousand draws gains by chance.
     """

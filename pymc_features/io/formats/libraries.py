@@ -24,7 +24,7 @@ import numpy as np
 from pymc_features._checks import listed
 from pymc_features._checks.messages import warn_caller
 from pymc_features.io.formats.matlab import load_variables, recording_of_variables
-from pymc_features.io.formats.sources import recording_in
+from pymc_features.io.formats.sources import channels_of, recording_in
 from pymc_features.io.reading.labels import Unit, unit_of
 from pymc_features.io.reading.lines import Lines, by_library, to_count, to_number, warn_of_widths
 from pymc_features.io.reading.recording import Channel, Format, Opening, Recording, Request, even_or_times
@@ -308,25 +308,6 @@ def _check_count(path: Path, kind: str, stream) -> None:
             f"{path.name} ({kind}) must hold the {announced} samples of its headers, got {found}. "
             "Fetch the file again."
         )
-
-
-def channels_of(stream, source: str, rates: dict[str, float]) -> list[Channel]:
-    """The traces of a stream; NaN in gaps."""
-    channels, codes = [], [trace.stats.channel for trace in stream]
-    for trace in stream:
-        sac = trace.stats.get("sac", {})
-        uneven = sac.get("leven", 1) != 1 or sac.get("iftype", 1) != 1
-        if uneven or trace.data.dtype.kind not in "iuf" or not trace.stats.delta > 0.0:
-            raise ValueError(
-                f"{source} must hold an even series of numbers, {trace.id} is none. Resample it."
-            )
-        name = trace.stats.channel if trace.stats.channel and len(set(codes)) == len(codes) else trace.id
-        values = np.ma.filled(trace.data.astype(np.float64), np.nan)
-        # of SAC in single precision; ObsPy rounds it to microseconds
-        stated = float(f"{sac['delta']:.7g}") if "delta" in sac else trace.stats.delta
-        step, start = rates.get(trace.id, stated), trace.stats.starttime.timestamp
-        channels.append(Channel(name, values, None, float(step), start=float(start)))
-    return channels
 
 
 WAVEFORMS = Format(

@@ -29,10 +29,27 @@ def recording_in(source, request: Request) -> Recording:
     if "DataArray" in names:
         return _of_array(source)
     if "Stream" in names:
-        from pymc_features.io.formats.libraries import channels_of
-
         return Recording("the Stream", channels_of(source.copy().merge(method=0), "the Stream", {}))
     return Recording("the list", [_of_dict(entry) for entry in source])
+
+
+def channels_of(stream, source: str, rates: dict[str, float]) -> list[Channel]:
+    """The traces of a stream; NaN in gaps."""
+    channels, codes = [], [trace.stats.channel for trace in stream]
+    for trace in stream:
+        sac = trace.stats.get("sac", {})
+        uneven = sac.get("leven", 1) != 1 or sac.get("iftype", 1) != 1
+        if uneven or trace.data.dtype.kind not in "iuf" or not trace.stats.delta > 0.0:
+            raise ValueError(
+                f"{source} must hold an even series of numbers, {trace.id} is none. Resample it."
+            )
+        name = trace.stats.channel if trace.stats.channel and len(set(codes)) == len(codes) else trace.id
+        values = np.ma.filled(trace.data.astype(np.float64), np.nan)
+        # of SAC in single precision; ObsPy rounds it to microseconds
+        stated = float(f"{sac['delta']:.7g}") if "delta" in sac else trace.stats.delta
+        step, start = rates.get(trace.id, stated), trace.stats.starttime.timestamp
+        channels.append(Channel(name, values, None, float(step), start=float(start)))
+    return channels
 
 
 def _of_frame(frame, request: Request) -> Recording:

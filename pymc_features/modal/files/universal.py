@@ -207,7 +207,7 @@ def _nodes(lines: Lines, count: int) -> tuple[np.ndarray, np.ndarray, list]:
 
 
 def _columns(lines: Lines, count: int, what: str) -> list[float]:
-    """As many finite numbers as a line must hold."""
+    """Read as many finite numbers as a line must hold."""
     numbers = _numbers(lines.take(what))
     if len(numbers) != count:
         raise lines.error(f"{what} must be {count} finite numbers", _shown(lines), "Export it again.")

@@ -207,7 +207,7 @@ class PopulationLogp:
         return any(getattr(core_op(node), "expensive", False) for node in nodes)
 
     def spread_over(self, spread: Callable) -> "PopulationLogp":
-        """The same evaluation by `spread(logp, "values" or "slopes", particles)`."""
+        """Evaluate by `spread(logp, "values" or "slopes", particles)`."""
         other = object.__new__(PopulationLogp)
         other.__dict__.update(self.__dict__, spread=spread)
         return other

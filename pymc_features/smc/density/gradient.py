@@ -8,7 +8,7 @@ from pymc_features.smc.density.graph import DensityGraph, Outputs
 
 
 def gradient_graph(graph: DensityGraph) -> DensityGraph:
-    """The same graph with the gradients of log prior and log-likelihood, (d,) or (p, d), behind its outputs.
+    """Add the gradients of log prior and log-likelihood, (d,) or (p, d), behind the outputs of a graph.
 
     Raises
     ------

@@ -69,7 +69,7 @@ def density_graph(model, point, outputs: list, inputs: list) -> DensityGraph:
 
 
 def batched_graph(one: Outputs, discrete: tuple[str, ...] = ()) -> DensityGraph:
-    """The same for a whole population, where no part of it refuses."""
+    """Make the graph one of a whole population, where no part of it refuses."""
     if (reason := why_not_batched(one.outputs)) is not None:
         return DensityGraph(one, None, reason, discrete)
     particles = pt.matrix("particles", dtype=one.joined.dtype)

@@ -125,7 +125,7 @@ class RowFunction:
             return [np.concatenate(pair) for pair in zip(*halves, strict=True)]
 
     def with_rng(self, rng: np.random.Generator) -> "RowFunction":
-        """The same with random streams of its own; this one if there are no random draws in it."""
+        """Take random streams of its own; return this one if there are no random draws in it."""
         shared = [v for v in self.function.get_shared() if isinstance(v.type, RandomGeneratorType)]
         if not shared:
             return self

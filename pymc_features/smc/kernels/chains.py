@@ -106,7 +106,7 @@ class Chains:
         return log_reference, log_ratio, log_target, of_reference + self.beta * of_ratio
 
     def probability(self, log_reference, log_ratio, log_moves) -> np.ndarray:
-        """Of accepting proposals (m,)."""
+        """Probability of accepting proposals (m,)."""
         with np.errstate(invalid="ignore"):
             log_target = log_reference - self.log_reference + self.beta * (log_ratio - self.log_ratio)
             probability = np.exp(np.minimum(log_target + log_moves, 0.0))

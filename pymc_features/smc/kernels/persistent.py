@@ -187,7 +187,7 @@ class PersistentSMC(LastDraws, PopulationKernel):
         return self.relative(particles, *self.evaluate(particles))
 
     def relative(self, x: np.ndarray, prior: np.ndarray, likelihood: np.ndarray) -> tuple[np.ndarray, ...]:
-        """The same of particles (p, d) that have been evaluated."""
+        """Return relative weights of particles (p, d) that have been evaluated."""
         if self.reference is None:
             return prior, likelihood
         log_reference = self.reference.log_density(x, prior)

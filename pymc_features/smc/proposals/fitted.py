@@ -43,7 +43,7 @@ class Unbent(NamedTuple):
         return self.map.push(self.mixture.gradient(z), z)
 
     def move(self, x, scale: float, rng):
-        """As `Mixture.move`, in the unbent coordinates.
+        """Move as `Mixture.move` does, in the unbent coordinates.
 
         Points without a finite image stay; independent draws are infinite there, and hence impossible.
         """
@@ -69,7 +69,7 @@ class FittedProposal(Mixture):
 
 
 def heavy_tailed(mixture: StudentMixture, wider: float = 1.0) -> StudentMixture:
-    """The same mixture, wider by a factor, with at most `HEAVIEST` degrees of freedom."""
+    """Make the mixture wider by a factor, with at most `HEAVIEST` degrees of freedom."""
     components = [
         StudentT(c.location, wider * c.factor, min(c.degrees, HEAVIEST)) for c in mixture.components
     ]
@@ -111,7 +111,7 @@ def fit_to(points, rng: np.random.Generator, bounded=None) -> FittedProposal:
 
 
 def fit_twice_to(points, rng: np.random.Generator, bounded=None) -> FittedProposal:
-    """As `fit_to`, and where the map has cubes and fourth powers with a second one beside it that has none.
+    """Fit as `fit_to`, and where the map has cubes and fourth powers a second one beside it that has none.
 
     Where one of them has too few draws the other seldom has. Ten springs under EXP with wide priors need a
     seventh fewer evaluations.

@@ -28,7 +28,7 @@ SLOWER = 0.6  # the nth change counts for n to the power of minus this
 
 
 class Trajectories(NamedTuple):
-    """Where trajectories (m, ...) end, and how they got there.
+    """Ends of trajectories (m, ...), and how they got there.
 
     Attributes
     ----------

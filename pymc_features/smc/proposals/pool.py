@@ -127,7 +127,7 @@ class Pool:
         return part
 
     def unseen(self) -> "Pool":
-        """The same without draws of the reference that the last proposal was fitted to.
+        """Leave out draws of the reference that the last proposal was fitted to.
 
         A fit has the more mass where they were heavy, so that their weights are too small: with them the log
         evidence of a bent posterior can be low by two standard errors.

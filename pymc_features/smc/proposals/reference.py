@@ -34,7 +34,7 @@ def good_share(n_parameters: int) -> float:
 
 
 class Mode(NamedTuple):
-    """Where climbs have ended, in prior standard deviations from the prior's mean.
+    """End of climbs, in prior standard deviations from the prior's mean.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class Reference:
         return weights / weights.sum()
 
     def bent(self, evaluate: Callable, gradient: Callable, rng: np.random.Generator) -> "Reference":
-        """The same with maps that follow the posterior's bends, where its modes are no Gaussians.
+        """Add maps that follow the posterior's bends, where its modes are no Gaussians.
 
         With fewer than `MANY` parameters it stays as it is. `evaluate` and `gradient` as of `find_reference`.
         """
@@ -141,7 +141,7 @@ class Reference:
 
     @property
     def peaks(self) -> np.ndarray:
-        """Where climbs have ended (k, d) on the sampled scale."""
+        """Return the ends of climbs (k, d) on the sampled scale."""
         return np.array([self.centre + self.scale * mode.x for mode in self.modes])
 
 
@@ -220,7 +220,7 @@ def with_ends(modes: list[Mode], density: Callable, x, values) -> list[Mode]:
 
 
 def with_maxima(modes: list[Mode], density: Callable) -> list[Mode]:
-    """The same and the maxima that climbs which stopped on a slope lead to, with the climbs counted there."""
+    """Add the maxima that climbs which stopped on a slope lead to, with the climbs counted there."""
     maxima = [mode for mode in modes if mode.is_maximum]
     on_slopes = [mode for mode in modes if not mode.is_maximum]
     if not on_slopes:

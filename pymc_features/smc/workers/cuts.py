@@ -1,4 +1,4 @@
-"""Where a population is cut into parts."""
+"""Cuts of a population into parts."""
 
 PER_PLACE = 2  # parts of what is left, for each place of work: large parts first, small ones at the end
 

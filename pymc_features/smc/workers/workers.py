@@ -89,7 +89,7 @@ class Run:
         self.workers, self.stopped, self.spreads = workers, False, {}
 
     def of(self, logp: PopulationLogp) -> PopulationLogp:
-        """The same evaluation by the workers; one for all chains.
+        """Return the evaluation by the workers; one for all chains.
 
         Raises
         ------

@@ -17,7 +17,7 @@ TAGS = ("union_tag_invalid", "union_tag_not_found")
 
 @dataclass
 class Place:
-    """Where in the file an error is.
+    """Place of an error in the file.
 
     Attributes
     ----------

@@ -13,7 +13,7 @@ TAPER = "{base = VALUE, top = VALUE, exponent = VALUE}"
 
 
 def grouped(value):
-    """As `vector`, or groups of equal entries, or one prior times a list of known values."""
+    """Take what `vector` takes, or groups of equal entries, or one prior times a list of known values."""
     if isinstance(value, dict) and "groups" in value:
         allowed(value, "groups", "times")
         return multiplied(in_groups(value["groups"]), value.get("times", 1.0))
@@ -24,7 +24,7 @@ def grouped(value):
 
 
 def by_storey(value):
-    """As `grouped`, or a taper."""
+    """Take what `grouped` takes, or a taper."""
     if not isinstance(value, dict) or "groups" in value or not {"base", "top", "exponent"} & set(value):
         return grouped(value)
     allowed(value, "base", "top", "exponent", "times")

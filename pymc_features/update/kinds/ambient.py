@@ -227,7 +227,7 @@ class Ambient(KindOfData):
 
     @property
     def duration(self) -> float:
-        """Of the record [s]."""
+        """Duration of the record [s]."""
         return self.step * self.channels.sizes["time"]
 
     @property
@@ -247,7 +247,7 @@ class Ambient(KindOfData):
         return float(self.bands.min()), float(self.bands.max())
 
     def prints(self):
-        """Of the channels and the bands."""
+        """Return fingerprints of the channels and the bands."""
         arrays = {"channels": self.channels.values, "bands": self.bands}
         return {f"{k}_sha256": fingerprint(np.ascontiguousarray(v)) for k, v in arrays.items()}
 
@@ -285,7 +285,7 @@ class Ambient(KindOfData):
 
     @property
     def placed(self):
-        """Of [data]."""
+        """Take the places of [data]."""
         return dict(zip(self.config.data.sensors, self.dofs, strict=True))
 
     @property
@@ -294,7 +294,7 @@ class Ambient(KindOfData):
         return self.modes is not None
 
     def told(self):
-        """Where the channels come from, and which modes they have."""
+        """Say where the channels come from, and which modes they have."""
         yield f"data: {self.source}, {self.duration:.4g} s at {self.step:.4g} s"
         if self.modes is not None:
             yield from self.modes.told()
@@ -543,7 +543,7 @@ def draw_spectra(ambient: Ambient, fitted=None):
 
 
 def singular_values(ambient) -> xr.Dataset:
-    """Those of the spectra of the channels, averaged over twenty parts of the record, and the bands [Hz]."""
+    """Average the spectra of the channels over twenty parts: singular values, and bands [Hz]."""
     spectra = averaged_spectra(ambient.channels.values, ambient.step)
     values = (("value", "frequency"), spectra.singular_values[1:].T, {"units": "(m/s^2)^2/Hz"})
     return xr.Dataset(

@@ -51,7 +51,7 @@ class Measured:
 
     @property
     def units(self) -> str:
-        """Of the channels."""
+        """Units of the channels."""
         return self.channels.attrs.get("units", "m/s^2")
 
     @property

@@ -88,7 +88,7 @@ def check(channels, config, prior) -> Checked:
 
 
 def band_of(asked, compared, prior) -> tuple[float, float]:
-    """Where floors follow the base: the band of the file, below the first mode of the data or the priors."""
+    """Choose where floors follow the base: the band of the file, below the first mode of data or priors."""
     first = prior.first
     if compared.first and (compared.is_contradicted or HIGHEST * first > TOP * compared.first):
         first = compared.first

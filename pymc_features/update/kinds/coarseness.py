@@ -65,7 +65,7 @@ def coarseness(data, problem, values: dict[str, float], frequencies=None) -> Coa
 
 
 def request_of_draws(data, problem, structure, frequencies):
-    """As `Histories.request`, for numbers, and frequencies (draw, mode) of structures that are expected."""
+    """Do as `Histories.request`, for numbers, and frequencies (draw, mode) that are expected."""
     record = data.measured.record
     asked, outputs = data.as_recorded(problem, structure)
     if record.interpolation == "linear":

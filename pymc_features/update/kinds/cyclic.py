@@ -108,7 +108,7 @@ class Cyclic(Histories):
         return f"{self.measured.record.n_times} measured forces of a cyclic test"
 
     def bands(self, problem, likelihood, model, idata):
-        """As of histories, with the displacement beside the time."""
+        """Add the displacement beside the time."""
         found = super().bands(problem, likelihood, model, idata)
         return found.assign_coords(displacement=("time", self.measured.record.displacement))
 
@@ -141,7 +141,7 @@ class Cyclic(Histories):
         yield f"wrote {path}"
 
     def tables(self, problem):
-        """Where displacement and force come from, and how large they are."""
+        """Say where displacement and force come from, and how large they are."""
         displacement, force = self.measured.record.displacement, self.measured.channels.values[0]
         rows = [
             (name, f"{values.min():.4g}", f"{values.max():.4g}")

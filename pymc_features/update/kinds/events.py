@@ -182,7 +182,7 @@ class Events(Responses):
         return Responses(self.config, event.measured, self.dofs)
 
     def told(self):
-        """Of each event."""
+        """Say what was read of each event."""
         for event in self.events:
             for one in self.alone(event).told():
                 yield one if isinstance(one, dict) else f"{event.name}: {one}"
@@ -194,7 +194,7 @@ class Events(Responses):
             yield from self.alone(event).check(self.at(problem, event), at)
 
     def figures_of(self, problem, part, kind):
-        """As of histories, and the parameters from event to event."""
+        """Add the parameters from event to event to the figures of histories."""
         units = {name: problem.unit(name) for name in problem.priors}
         return [
             Figure(
@@ -259,7 +259,7 @@ class Events(Responses):
         return idata, model
 
     def foretold(self, problem, measured=None):
-        """As of responses, of all events together."""
+        """Count the observations of all events together."""
         return super().foretold(problem, [event.measured for event in self.events])
 
 

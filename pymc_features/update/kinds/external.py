@@ -200,7 +200,7 @@ class External(Histories):
         return f"{len(self.dofs)} measured histories over {duration:.4g} s"
 
     def prints(self):
-        """Of the histories and the program."""
+        """Return fingerprints of the histories and the program."""
         channels = fingerprint(np.ascontiguousarray(self.channels.values))
         return {"channels_sha256": channels, "program": self.simulator.identity}
 
@@ -224,7 +224,7 @@ class External(Histories):
             )
 
     def predict(self, problem, likelihood, model, idata):
-        """As of histories, with the responses of draws by their principal components."""
+        """Add the responses of draws by their principal components."""
         found = super().predict(problem, likelihood, model, idata)
         drawn, responses = self.responses(problem, model, idata)
         labels = drawn.stack(sample=("chain", "draw"))
@@ -246,7 +246,7 @@ class External(Histories):
         return drawn, op.simulator.responses(*columns)[..., self.measured.compared]
 
     def response_quantiles(self, problem, model, idata):
-        """Of the responses of some draws, those left out at which the program fails."""
+        """Take quantiles of the responses of some draws, without those at which the program fails."""
         return np.nanquantile(self.responses(problem, model, idata)[1], QUANTILES, axis=0)
 
     def drawn_of(self, problem, part):

@@ -69,7 +69,7 @@ class Histories(KindOfData):
 
     @property
     def likelihoods(self):
-        """Those of the file."""
+        """Take the likelihoods of the file."""
         return self.config.likelihood.kinds
 
     @property
@@ -88,11 +88,11 @@ class Histories(KindOfData):
         return self.measured.left_out
 
     def parameters(self, likelihood):
-        """Those of the errors."""
+        """Return the parameters of the errors."""
         return [value for _, value in self.config.likelihood.parameters_of(likelihood)]
 
     def prints(self):
-        """Of the excitation and the histories."""
+        """Return fingerprints of the excitation and the histories."""
         return prints_of(self.measured)
 
     def foretold(self, problem, measured=None) -> list[str]:

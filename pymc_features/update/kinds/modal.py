@@ -154,7 +154,7 @@ class Modal(KindOfData):
 
     @classmethod
     def check_sections(cls, config):
-        """Where modes are all there is, nothing is said of responses; no tolerance is one on modes."""
+        """Refuse what is said of responses where modes are all there is, and a tolerance beside modes."""
         if config.data is not None:
             if config.likelihood is not None and "ABC" in config.likelihood.kinds:
                 raise ConfigError(
@@ -239,7 +239,7 @@ class Modal(KindOfData):
         return 0.0, BEYOND * self.data.frequencies.max()
 
     def prints(self):
-        """Of frequencies and shapes."""
+        """Return fingerprints of frequencies and shapes."""
         data = self.data
         arrays = {"frequencies": data.frequencies, "sd": data.frequency_sd, "shapes": data.shapes}
         return {
@@ -365,7 +365,7 @@ class Modal(KindOfData):
 
     @property
     def placed(self):
-        """Of the channels."""
+        """Take the places of the channels."""
         return dict(zip(self.data.channels or [], self.dofs, strict=True))
 
     def told(self):

@@ -86,7 +86,7 @@ class Responses(Histories):
         return kept.low or 0.0, min(kept.high or nyquist, nyquist)
 
     def bands(self, problem, likelihood, model, idata):
-        """As of histories, with how coarse the base is sampled (sensor,)."""
+        """Add how coarse the base is sampled (sensor,)."""
         found = super().bands(problem, likelihood, model, idata)
         ratios = coarse_sampling(self, problem, idata["posterior"], found["response"])
         return found.assign(coarseness=("sensor", ratios))
@@ -126,7 +126,7 @@ class Responses(Histories):
 
     @property
     def placed(self):
-        """Of [data]."""
+        """Take the places of [data]."""
         return dict(zip(self.config.data.sensors, self.dofs, strict=True))
 
     @property
@@ -135,7 +135,7 @@ class Responses(Histories):
         return self.measured.checked.is_any
 
     def told(self):
-        """Where the channels come from, and what the check found."""
+        """Say where the channels come from, and what the check found."""
         measured = self.measured
         yield f"data: {measured.source}; base: {measured.record}"
         yield f"channels: {measured.checked.sentence}"

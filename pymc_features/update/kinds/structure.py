@@ -53,7 +53,7 @@ class StructureOf:
 
     @property
     def has_modes(self) -> bool:
-        """Whether it moves; specimens have forces alone."""
+        """Return whether the structure moves; specimens have forces alone."""
         return self.type not in SPECIMENS
 
     @property
@@ -63,7 +63,7 @@ class StructureOf:
 
     @property
     def has_storeys(self) -> bool:
-        """Whether it has drifts."""
+        """Return whether the structure has drifts."""
         return self.type.has_storeys
 
     @property

@@ -50,7 +50,7 @@ def components_of(blocks, median, labels) -> xr.Dataset:
 
 
 def components_of_draws(data, problem, part) -> xr.Dataset:
-    """Those of the responses to the motion that was measured, as of `components_of`."""
+    """Take `components_of` the responses to the motion that was measured."""
     measured, name = data.measured, data.quantity
     median = part["bands"]["response"].sel(quantile=0.5, drop=True)
     settings = {"dt": measured.step, "n_modes": problem.structure.n_modes, "sensors": data.dofs}

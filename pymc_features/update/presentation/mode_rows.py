@@ -62,12 +62,12 @@ class ModeRow(NamedTuple):
 
     @property
     def has_partner(self) -> bool:
-        """Whether it has one in most draws."""
+        """Return whether the mode has a partner in most draws."""
         return self.strangers <= MOST
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """As tables have it, in the order of `COLUMNS`."""
+        """Texts of the row, in the order of `COLUMNS`."""
         values, sd = (self.low, self.middle, self.high), (self.high - self.low) / WIDTH
         numbers = [f"{self.measured:.4g}", *fixed(values, sd, Scale(1.0, "Hz"))]
         low, middle, high = self.mac

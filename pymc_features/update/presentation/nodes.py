@@ -1,4 +1,4 @@
-"""Where the degrees of freedom are, for drawings of mode shapes."""
+"""Places of the degrees of freedom, for drawings of mode shapes."""
 
 import csv
 from pathlib import Path
@@ -28,7 +28,7 @@ class Points(NamedTuple):
     nodes: dict | None
 
     def entries(self, shapes: np.ndarray) -> np.ndarray:
-        """Of shapes (..., n_dof) those of the points (..., p), zero where they are held."""
+        """Take the points (..., p) of shapes (..., n_dof), zero where they are held."""
         return np.where(self.dofs < 0, 0.0, shapes[..., self.dofs])
 
     def of(self, dofs) -> list[int]:

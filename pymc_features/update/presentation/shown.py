@@ -65,7 +65,7 @@ def sensor_rows(names, dofs, histories) -> list[tuple]:
 
 
 def processing_steps(source, asked) -> list[str]:
-    """Where channels come from, and what [processing] did to them."""
+    """Say where channels come from, and what [processing] did to them."""
     steps = [f"source is {source}"]
     if asked.detrend is not None:
         window = asked.detrend.window

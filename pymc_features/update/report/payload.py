@@ -127,7 +127,7 @@ def with_bands(result, kinds) -> list[str]:
 
 
 def kept_samples(result, kinds) -> list:
-    """Of each sensor the samples that are drawn: extremes of the measurement and of the first residual."""
+    """Choose the samples of each sensor to draw: extremes of the measurement and of the first residual."""
     kinds = with_bands(result, kinds)
     if not kinds:
         return []
@@ -191,7 +191,7 @@ def responses(part, samples, scale):
 
 
 def geometry(result):
-    """Where the points of mode shapes are."""
+    """Find where the points of mode shapes are."""
     if "geometry" not in result.children:
         return None
     places = result["geometry"].to_dataset()
@@ -321,7 +321,7 @@ def data_of(result, kinds):
 
 
 def predicted(result) -> list[dict]:
-    """Of each response to another motion: the history where it is largest, peaks of draws, and limits."""
+    """Find of each response to another motion the history where it is largest, peaks of draws, and limits."""
     found = []
     for title, data, name in predicted_quantities(result):
         values, peak = data[name], data[f"{name}_peak"]
