@@ -59,7 +59,7 @@ class Heartbeat:
             if time.monotonic() >= self.said + QUIET:
                 self.heard()
                 seconds = time.monotonic() - self.start
-                self.console.print(f"{self.doing}, {seconds:.0f} s", markup=False, highlight=False)
+                self.console.print(f"{self.doing}, for {seconds:.0f} s", markup=False, highlight=False)
 
 
 class PartProgress:

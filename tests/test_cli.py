@@ -279,8 +279,8 @@ def test_a_pipe_is_never_silent_for_long(monkeypatch):
     alive.over = clock
     alive._beat()
     assert said.getvalue().splitlines() == [
-        *("loading, 3 s", "loading, 6 s"),
-        *(f"[0/2] NORM, {seconds} s" for seconds in (5, 8, 11, 14)),
+        *("loading, for 3 s", "loading, for 6 s"),
+        *(f"[0/2] NORM, for {seconds} s" for seconds in (5, 8, 11, 14)),
     ]
 
 

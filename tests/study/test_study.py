@@ -198,11 +198,12 @@ def test_command_writes_everything(folder, capsys):
     assert "record: Record('beginning', 131 samples, dt=0.02 s" in output
     stages = [line for line in output.splitlines() if line.startswith("[")]
     assert stages[0] == "[0/19] NORM_x0.1"
-    form = re.compile(r"\[\d+/19\] \S.*, (\d+ min )?\d+ s left|\[19/19\] finished")
+    left, alive = r"(, (\d+ min )?\d+ s left)?", r"(, for \d+ s)?"
+    form = re.compile(rf"\[\d+/19\] (finished|figures and tables|[\w-]+_x[\d.]+){left}{alive}")
     assert all(form.fullmatch(line) for line in stages[1:]), stages
-    # nothing else scrolls by but which record it is and what is written
+    # nothing else scrolls by but which record it is, what is written, and signs of life
     others = [line for line in output.splitlines() if line not in stages]
-    assert all(line.startswith(("record: ", "wrote ")) for line in others), others
+    assert all(line.startswith(("record: ", "wrote ", "loading, ", "reproduce, ")) for line in others), others
     assert cli.main(arguments(folder, "--seed", "1")) == 2
     assert "`out` must be empty or hold the same study" in capsys.readouterr().err
 
