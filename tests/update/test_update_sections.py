@@ -80,7 +80,7 @@ def test_predictions_are_those_of_the_posterior(path, finished):
     peak = found["inter_storey_drift_peak"].max("storey")
     share = float((peak > 0.005).mean())
     np.testing.assert_allclose(found["inter_storey_drift_probability_any"], [share, 0.0])
-    assert "Other motions" in (finished / "said.txt").read_text()
+    assert "Largest responses to other motions" in (finished / "said.txt").read_text()
     [row, never, shear] = json.loads((finished / "found.json").read_text())["predicted"]
     assert (row["limit"], row["probability"], never["probability"]) == (0.005, pytest.approx(share), 0.0)
     np.testing.assert_allclose(row["quantiles"], np.quantile(peak, [0.05, 0.5, 0.95]))
