@@ -3,7 +3,7 @@
 import signal
 import sys
 import threading
-import time
+from time import monotonic
 
 from rich.progress import (
     BarColumn,
@@ -38,13 +38,13 @@ class Heartbeat:
 
     def now(self, doing: str, is_said: bool = True) -> None:
         """Say from now on that something else is in work; whether it was said already."""
-        self.doing, self.start = doing, time.monotonic()
+        self.doing, self.start = doing, monotonic()
         if is_said:
             self.heard()
 
     def heard(self) -> None:
         """Wait anew, for something was said."""
-        self.said = time.monotonic()
+        self.said = monotonic()
 
     def __enter__(self):
         if not self.console.is_terminal:
@@ -55,10 +55,10 @@ class Heartbeat:
         self.over.set()
 
     def _beat(self):
-        while not self.over.wait(max(0.1, self.said + QUIET - time.monotonic())):
-            if time.monotonic() >= self.said + QUIET:
+        while not self.over.wait(max(0.1, self.said + QUIET - monotonic())):
+            if monotonic() >= self.said + QUIET:
                 self.heard()
-                seconds = time.monotonic() - self.start
+                seconds = monotonic() - self.start
                 self.console.print(f"{self.doing}, for {seconds:.0f} s", markup=False, highlight=False)
 
 
@@ -83,7 +83,7 @@ class PartProgress:
 
     def __init__(self, console, what, alive: Heartbeat | None = None, pause: float = 0.0):
         self.console, self.alive, self.pause = console, alive, pause
-        self.begun, self.said = time.monotonic(), -float("inf")
+        self.begun, self.said = monotonic(), -float("inf")
         self.bar = Progress(
             TextColumn(f"[bold]{what}"),
             BarColumn(),
@@ -123,7 +123,7 @@ class PartProgress:
         if self.ctrl_c.pressed:
             raise KeyboardInterrupt
         self.bar.update(self.task, completed=done, total=total, description=part)
-        now = time.monotonic()
+        now = monotonic()
         left = f", {remaining(now - self.begun, done, total)} left" if 0 < done < total else ""
         told = f"[{done}/{total}] {part}{left}"
         is_said = not self.console.is_terminal and now - self.said >= self.pause

@@ -273,7 +273,7 @@ class Clock:
 def test_a_pipe_is_never_silent_for_long(monkeypatch):
     """A line for each three seconds of silence, and none while something else is said."""
     said = io.StringIO()
-    monkeypatch.setattr(progress.time, "monotonic", lambda: clock.now)
+    monkeypatch.setattr(progress, "monotonic", lambda: clock.now)
     clock = Clock(21.0, [(7.0, lambda: alive.now("[0/2] NORM")), (9.0, lambda: alive.heard())])
     alive = progress.Heartbeat(Console(file=said), "loading")
     alive.over = clock

@@ -90,7 +90,7 @@ def test_lost_chains_of_an_update(tmp_path, capsys):
     ]
     path.write_text(replaced(path.read_text().replace("sigma = 0.2 }", "sigma = 0.6 }"), changes))
     assert cli.main(["update", str(path), "--out", str(out), "--cores", "1"]) == 0
-    said = "NORM: chains are left out that ended in modes without weight"
+    said = "NORM: Chains are left out that ended in modes without weight"
     assert f"warning: {said}" in capsys.readouterr().err
     assert said in (out / "report.html").read_text()
     with xr.open_datatree(out / "update.nc", engine="h5netcdf") as tree:

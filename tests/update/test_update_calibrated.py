@@ -86,7 +86,8 @@ def test_report_leads_with_it_and_says_why(finished, result):
 
 
 def test_its_warnings_are_in_the_report(finished):
-    assert f"<li>CAL: {DOUBT}</li>" in (finished / "report.html").read_text()
+    said = f"{DOUBT[:1].upper()}{DOUBT[1:]}"
+    assert f"<li>CAL: {said}</li>" in (finished / "report.html").read_text()
 
 
 def test_everything_of_the_others_is_there(finished, result):
