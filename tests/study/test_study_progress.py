@@ -26,7 +26,7 @@ def test_lines_where_there_is_no_terminal(monkeypatch):
         for part, done in PARTS:
             update(part, done, 100)
     lines = ["[0/100] NORM_x0.1", "[2/100] EXP_x0.1, 3 min 16 s left", "[99/100] figures, 0 s left"]
-    assert said.getvalue().splitlines() == lines
+    assert said.getvalue().split("\n")[:3] == lines and not said.getvalue().split("\n", 3)[3].strip()
 
 
 def test_one_bar_in_a_terminal():
