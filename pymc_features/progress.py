@@ -23,7 +23,7 @@ QUIET = 3.0  # seconds after which something is said
 class Heartbeat:
     """While nothing else is said, a line every three seconds with what is done, and for how long.
 
-    On a terminal there is nothing: bars move there.
+    On a terminal there are none from the second work on, which has bars that move.
 
     Parameters
     ----------
@@ -34,10 +34,12 @@ class Heartbeat:
 
     def __init__(self, console, doing: str):
         self.console, self.over = console, threading.Event()
-        self.now(doing)
+        self.doing, self.start, self.said = doing, monotonic(), monotonic()
 
     def now(self, doing: str, is_said: bool = True) -> None:
         """Say from now on that something else is in work; whether it was said already."""
+        if self.console.is_terminal:
+            self.over.set()
         self.doing, self.start = doing, monotonic()
         if is_said:
             self.heard()
@@ -47,8 +49,7 @@ class Heartbeat:
         self.said = monotonic()
 
     def __enter__(self):
-        if not self.console.is_terminal:
-            threading.Thread(target=self._beat, daemon=True).start()
+        threading.Thread(target=self._beat, daemon=True).start()
         return self
 
     def __exit__(self, *error):

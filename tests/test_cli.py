@@ -284,6 +284,17 @@ def test_a_pipe_is_never_silent_for_long(monkeypatch):
     ]
 
 
+def test_a_terminal_is_told_until_there_are_bars(monkeypatch):
+    said = io.StringIO()
+    monkeypatch.setattr(progress, "monotonic", lambda: clock.now)
+    clock = Clock(21.0, [(7.0, lambda: alive.now("[0/2] NORM"))])
+    alive = progress.Heartbeat(Console(file=said, force_terminal=True), "loading")
+    clock.set = lambda: setattr(clock, "end", clock.now)
+    alive.over = clock
+    alive._beat()
+    assert said.getvalue().splitlines() == ["loading, for 3 s", "loading, for 6 s"]
+
+
 @pytest.mark.skipif(shutil.which("bash") is None, reason="the shell is bash")
 def test_a_shell_completes_commands_options_and_files(tmp_path):
     """As bash asks for it: the word so far, and those before."""

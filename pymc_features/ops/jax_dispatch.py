@@ -1,7 +1,7 @@
 """How JAX runs the Ops of every family: one call of the kernels each, with their exact gradients.
 
-Only this file imports JAX. A call leaves XLA for the processor and comes back, some hundred microseconds;
-under `jax.vmap` the structures are taken one by one. First derivatives exist, by `jax.grad`.
+Only this file imports JAX. A call leaves XLA for the processor and comes back; `jax.vmap` takes structures
+one by one. First derivatives exist, by `jax.grad`.
 """
 
 import jax
@@ -12,18 +12,14 @@ from pytensor.graph.basic import Constant
 from pytensor.link.jax.dispatch.basic import jax_funcify
 
 from pymc_features.ops.comparison import (
-    DiscrepancyTangent,
     MisfitGradient,
     StructuralComparison,
-    StructuralDiscrepancy,
-    StructuralMisfit,
 )
 from pymc_features.ops.gradient import ResponseGradient, ResponseTangent
+from pymc_features.ops.numba_dispatch import OPS
 from pymc_features.ops.population import (
     PopulationComparison,
-    PopulationDiscrepancy,
     PopulationGradient,
-    PopulationMisfit,
 )
 from pymc_features.ops.response import StructuralResponse
 from pymc_features.simulators import n_outputs
@@ -119,9 +115,8 @@ def backward_of(op, known):
         found = as_cotangents(gradient(*inputs, weights), inputs)
         if is_population or len(common) in known:  # data that are not differentiated
             return found
-        misfit = observed - of_kernel(op.like(StructuralResponse), known, lambda _: observed.shape[1])(
-            *common
-        )
+        response = of_kernel(op.like(StructuralResponse), known, lambda _: observed.shape[1])
+        misfit = observed - response(*common)
         return *found[:-1], by_data(jnp.where(jnp.isnan(observed), 0.0, misfit), weights)
 
     return backward
@@ -152,16 +147,5 @@ def statistics(misfit):
     return jnp.stack([*squares, misfit[:, 0], misfit[:, -1]], axis=-1)
 
 
-for _op in (
-    StructuralResponse,
-    StructuralDiscrepancy,
-    StructuralMisfit,
-    PopulationDiscrepancy,
-    PopulationMisfit,
-    ResponseGradient,
-    ResponseTangent,
-    MisfitGradient,
-    DiscrepancyTangent,
-    PopulationGradient,
-):
+for _op in OPS:
     jax_funcify.register(_op)(funcify)

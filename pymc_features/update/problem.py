@@ -92,11 +92,6 @@ class Problem:
         return getattr(self.first, "events", ())
 
     @property
-    def ambient(self):
-        """Response to forces that nobody measured."""
-        return self.first if self.first.key == "ambient" else None
-
-    @property
     def modal(self) -> Modal | None:
         """Identified modes; of ambient vibration those that the channels have, which are only compared."""
         found = [data for data in self.data if isinstance(data, Modal)]

@@ -8,7 +8,7 @@ import xarray as xr
 
 from pymc_features import cli, datasets, simulate
 from pymc_features.update import read_problem, write_example
-from update.test_update import replaced
+from support.update_files import replaced
 
 pytestmark = pytest.mark.default_mode
 QUICK = [

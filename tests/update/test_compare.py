@@ -10,7 +10,7 @@ from pymc_features import CorrelatedNormal, ExpFeature, ModalDamping, SpringMass
 from pymc_features.exceptions import ChannelWarning, ConfigError
 from pymc_features.update import read_problem, run_update, write_example
 from pymc_features.update.kinds.model import declare
-from update.test_update import replaced
+from support.update_files import replaced
 
 KINDS = 'kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]'
 TAU = 'tau = { distribution = "HalfNormal", sigma = 0.1 }\n'

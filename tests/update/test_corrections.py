@@ -10,7 +10,7 @@ from pymc_features import cli, datasets, signals
 from pymc_features.exceptions import ChannelWarning, ConfigError
 from pymc_features.signals.correct import earlier
 from pymc_features.update import read_problem, write_example
-from update.test_update import replaced
+from support.update_files import replaced
 
 SENSORS = ("base", "floor1", "floor2", "floor3")
 LATE = 0.0125  # s, one and a half samples

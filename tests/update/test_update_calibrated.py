@@ -15,7 +15,8 @@ from pymc_features.update import read_problem, sampling, write_example
 from pymc_features.update.kinds.model import declare
 from pymc_features.update.report.summary import rows, supported
 from pymc_features.update.sampling import Running
-from update.test_update import replaced, table_of, variant
+from support.update_files import replaced, variant
+from update.test_update import table_of
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ from pymc_features.update.report import terminal
 from pymc_features.update.report.findings import findings
 from pymc_features.update.sampling import Running
 from support.report_pages import words
-from update.test_update import replaced
+from support.update_files import replaced
 
 KINDS = 'kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]'
 QUICK = [

@@ -15,7 +15,7 @@ from pymc_features.storage import PartStore, held
 from pymc_features.update import read_problem, sampling, write_example
 from pymc_features.update.config import keys
 from pymc_features.update.sensitivity import remaining, sensitivity_sentences
-from update.test_update import replaced
+from support.update_files import replaced
 
 QUICK = [
     ('kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]', 'kinds = ["EXP"]'),

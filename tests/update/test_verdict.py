@@ -21,7 +21,7 @@ from pymc_features.update.kinds.channels import Measured
 from pymc_features.update.kinds.residuals import residuals_of
 from pymc_features.update.kinds.responses import Responses, measured_gain
 from pymc_features.update.report.summary import overlap_of
-from update.test_update import replaced
+from support.update_files import replaced
 
 MASS, STIFFNESS = [0.1601, 0.1601, 0.1421], [385.0, 420.0, 600.0]
 BUILDING = SpringMassChain(MASS, STIFFNESS, ModalDamping(0.01))

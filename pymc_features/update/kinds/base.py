@@ -27,8 +27,8 @@ class Setting(NamedTuple):
         Files are relative to it.
     priors : dict
         Names to `Prior`.
-    expected : Structure or None
-        At the medians of the priors; None of a program.
+    expected : Structure
+        At the medians of the priors; of a program the values of its parameters.
     prior : PriorModes or None
         Natural modes of draws of the priors; None without modes.
     """
@@ -36,7 +36,7 @@ class Setting(NamedTuple):
     config: Any
     folder: Path
     priors: dict[str, Any]
-    expected: Structure | None
+    expected: Structure
     prior: PriorModes | None
 
 

@@ -238,12 +238,10 @@ class External(Histories):
         """Some draws, and their responses (sample, sensor, time) by the program or its emulator."""
         drawn = thinned(idata["posterior"].to_dataset(), SIMULATED)
         columns = [drawn[name].transpose("chain", "draw").values.ravel() for name in problem.structure.names]
-        [op] = {
-            v.owner.op
-            for v in ancestors(model.basic_RVs)
-            if v.owner is not None and isinstance(v.owner.op, ExternalResponse)
-        } or [ExternalResponse(self.simulator, (0,) * len(columns))]  # of ABC, which has the simulator inside
-        return drawn, op.simulator.responses(*columns)[..., self.measured.compared]
+        # the emulator where the model has one; that of ABC has no response among its variables
+        ops = [v.owner.op for v in ancestors(model.basic_RVs) if v.owner is not None]
+        found = next((op.simulator for op in ops if isinstance(op, ExternalResponse)), self.simulator)
+        return drawn, found.responses(*columns)[..., self.measured.compared]
 
     def response_quantiles(self, problem, model, idata):
         """Take quantiles of the responses of some draws, without those at which the program fails."""
