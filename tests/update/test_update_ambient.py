@@ -154,7 +154,7 @@ def test_fitted_spectra_at_the_truth(path):
     """
     problem = read_problem(path)
     truth = xr.Dataset({name: (("chain", "draw"), [[value]]) for name, value in TRUE.items()})
-    fitted = fitted_spectra(problem.ambient, declare(problem, "AMBIENT"), truth)
+    fitted = fitted_spectra(problem.first, declare(problem, "AMBIENT"), truth)
     total = 0.0
     for seed in range(100, 140):
         spectra = averaged_spectra(shaken(seed), STEP)
@@ -166,7 +166,7 @@ def test_fitted_spectra_at_the_truth(path):
     z = (fitted["ratio"] - 1.0) / fitted["sd"]
     assert np.abs(z).max() < 4.0 and 0.5 < z.std() < 1.5
     changed = fitted_spectra(
-        problem.ambient, declare(problem, "AMBIENT"), truth.assign(k1=1.05 * truth["k1"])
+        problem.first, declare(problem, "AMBIENT"), truth.assign(k1=1.05 * truth["k1"])
     )
     assert ((changed["ratio"] - 1.0) / changed["sd"]).max() > 6.0
 
@@ -208,9 +208,9 @@ def test_model_is_the_one_declared_by_hand(path):
             "y",
             response,
             error=free["noise"],
-            bands=problem.ambient.bands,
+            bands=problem.first.bands,
             dt=STEP,
-            observed=problem.ambient.channels.values,
+            observed=problem.first.channels.values,
         )
     found, expected = (m.compile_logp(mode="FAST_COMPILE") for m in (model, by_hand))
     for factor in (1.0, 1.02):
@@ -222,11 +222,11 @@ def test_bands_of_the_file_or_of_the_spectra(path, tmp_path):
     """What is compared is part of what draws are kept by."""
     problem = read_problem(path)
     frequencies = building(TRUE["k1"], TRUE["k2"], 0.02).modes().natural_frequencies
-    low, high = problem.ambient.bands.T
+    low, high = problem.first.bands.T
     assert ((low < frequencies) & (frequencies < high)).all() and problem.first.band == (low[0], high[1])
     text = path.read_text().replace("[ambient]", "[ambient]\nbands = [[2.6, 3.6]]")
     other = read_problem(write(tmp_path, shaken(1), text))
-    assert other.ambient.bands.tolist() == [[2.6, 3.6]]
+    assert other.first.bands.tolist() == [[2.6, 3.6]]
     assert other.settings()["bands_sha256"] != problem.settings()["bands_sha256"]
     assert other.settings()["channels_sha256"] == problem.settings()["channels_sha256"]
 
@@ -243,8 +243,8 @@ def test_processing(tmp_path):
         TEXT + priors() + '[processing]\ndetrend = { kind = "linear" }\ntrim = [100.0, 300.0]\ndecimate = 2\n'
     )
     problem = read_problem(write(tmp_path, shaken(1), text))
-    assert problem.ambient.channels.sizes == {"sensor": 2, "time": 5000 + 1}
-    assert problem.ambient.step == pytest.approx(2 * STEP)
+    assert problem.first.channels.sizes == {"sensor": 2, "time": 5000 + 1}
+    assert problem.first.step == pytest.approx(2 * STEP)
     too_high = text.replace("[ambient]", "[ambient]\nbands = [[2.6, 3.6], [9.5, 10.5]]")
     with pytest.raises(
         ConfigError, match=r"`ambient.bands` must end below 10 Hz after `processing.decimate`"
