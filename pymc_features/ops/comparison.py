@@ -19,7 +19,7 @@ from pytensor.tensor.blockwise import Blockwise
 from pymc_features._checks import as_numbers
 from pymc_features.ops.base import StructuralOp, check_shape
 from pymc_features.ops.external import ExternalResponse
-from pymc_features.ops.gradient import Gradient, ResponseTangent, Tangent
+from pymc_features.ops.gradient import Gradient, ResponseTangent, Tangent, gradient_op
 from pymc_features.ops.long_records import GradientFromTables, StatisticsFromTables
 from pymc_features.ops.response import StructuralResponse, response_node
 from pymc_features.structures.variables import as_tensor
@@ -60,7 +60,7 @@ class StructuralComparison(StatisticsFromTables, StructuralOp):
         [weights] = cotangents
         if not self.values:
             weights = weights[:, None]
-        gradient = self.like(MisfitGradient, n_statistics=4 if self.values else 1)
+        gradient = gradient_op(self, MisfitGradient, inputs, n_statistics=4 if self.values else 1)
         misfit = observed - self.like(StructuralResponse)(*common)
         if not self.values:
             misfit = pt.switch(pt.isnan(observed), 0.0, misfit)
@@ -92,11 +92,11 @@ class MisfitGradient(GradientFromTables, Gradient):
     The last inputs are the data (sensor, time) and c (sensor, n_statistics).
     """
 
-    __props__ = ("quantity", "family", "n_statistics")
+    __props__ = ("quantity", "family", "n_statistics", "sought")
     kernel_name = "misfit_gradient"
 
-    def __init__(self, quantity="absolute_acceleration", family="chain", n_statistics=1):
-        super().__init__(quantity, family)
+    def __init__(self, quantity="absolute_acceleration", family="chain", n_statistics=1, sought=None):
+        super().__init__(quantity, family, sought)
         self.n_statistics = n_statistics
 
     @property
@@ -128,7 +128,7 @@ class DiscrepancyTangent(Tangent):
 
     def transpose(self, inputs, cotangents):
         [weights] = cotangents
-        return self.like(MisfitGradient)(*inputs, weights[:, None], return_list=True)
+        return gradient_op(self, MisfitGradient, inputs)(*inputs, weights[:, None], return_list=True)
 
 
 def misfit_values(misfit):

@@ -5,9 +5,12 @@ the other way round. So forward mode, Gauss-Newton and Fisher products work. Sec
 parameters do not exist: PyTensor says so if they are asked for.
 """
 
+import functools
+
 import pytensor.tensor as pt
 from pytensor.gradient import DisconnectedType, disconnected_type, grad_undefined
-from pytensor.graph.basic import Apply
+from pytensor.graph.basic import Apply, Constant
+from pytensor.tensor.basic import Join
 
 from pymc_features.ops.base import StructuralOp
 
@@ -57,15 +60,74 @@ class Derivative(StructuralOp):
 
 
 class Gradient(Derivative):
-    """Reverse mode: outputs of the shapes of the parameters."""
+    """Reverse mode: outputs of the shapes of the parameters.
 
+    Parameters
+    ----------
+    quantity, family
+        As of `StructuralOp`.
+    sought : tuple of str, optional
+        Parameters that the gradient is wanted by, of families whose kernels ask for them.
+    """
+
+    __props__ = ("quantity", "family", "sought")
     output_signature = "parameters"
+
+    def __init__(self, quantity="absolute_acceleration", family="chain", sought=None):
+        super().__init__(quantity, family)
+        self.sought = sought
+
+    @property
+    def kernel(self):
+        kernel = super().kernel
+        return kernel if self.sought is None else functools.partial(kernel, sought=self.sought)
 
     def output_variables(self, common):
         return [x.type() for x in common[: self.n_parameters]]
 
     def infer_shape(self, node, shapes):
         return shapes[: self.n_parameters]
+
+
+def gradient_op(op, op_type, inputs, **changes):
+    """The Op of the gradient of an Op, by all that the inputs of its node make depend on a variable."""
+    if op.spec.asks_what_is_sought:
+        changes["sought"] = sought_parameters(op, inputs)
+    return op.like(op_type, **changes)
+
+
+def sought_parameters(op, inputs) -> tuple[str, ...]:
+    """Names of the parameters that are no constants, and numbers of rows in them, as in "law[2]"."""
+    found = []
+    for (name, dims), variable in zip(op.spec.parameters.items(), inputs, strict=False):
+        rows = rows_of(variable) if "," in dims else None
+        if rows is not None:
+            found += [f"{name}[{i}]" for i, row in enumerate(rows) if not is_constant(row)]
+        elif not is_constant(variable):
+            found.append(name)
+    return tuple(found)
+
+
+def rows_of(table):
+    """What the rows of a table, of one structure or of each, were joined from; None where that is unknown."""
+    node = table.owner
+    if node is None or not isinstance(getattr(node.op, "core_op", node.op), Join):
+        return None
+    parts = [x for x in node.inputs if x.type.ndim > 1]
+    numbers = [x.type.shape[-2] for x in parts]
+    if None in numbers or sum(numbers) != table.type.shape[-2]:
+        return None
+    return [part for part, n in zip(parts, numbers, strict=True) for _ in range(n)]
+
+
+def is_constant(variable) -> bool:
+    """Whether nothing but constants decides a variable, its shape apart."""
+    node = variable.owner
+    if node is None:
+        return isinstance(variable, Constant)
+    pattern = getattr(node.op, "connection_pattern", None)
+    counts = pattern(node) if pattern else [[True] * len(node.outputs)] * len(node.inputs)
+    return all(is_constant(x) for x, row in zip(node.inputs, counts, strict=True) if row[variable.index])
 
 
 class Tangent(Derivative):
@@ -103,4 +165,4 @@ class ResponseTangent(Tangent):
         return [(shapes[self.at("sensors")][0], self.symbolic_n_outputs(node, shapes))]
 
     def transpose(self, inputs, cotangents):
-        return self.like(ResponseGradient)(*inputs, *cotangents, return_list=True)
+        return gradient_op(self, ResponseGradient, inputs)(*inputs, *cotangents, return_list=True)

@@ -15,7 +15,7 @@ from pymc_features.ops.comparison import (
     MisfitGradient,
     StructuralComparison,
 )
-from pymc_features.ops.gradient import ResponseGradient, ResponseTangent
+from pymc_features.ops.gradient import ResponseGradient, ResponseTangent, gradient_op
 from pymc_features.ops.numba_dispatch import OPS
 from pymc_features.ops.population import (
     PopulationComparison,
@@ -92,7 +92,7 @@ def funcify(op, node, **kwargs):
     def differentiable(*values):
         return function(*every(values))
 
-    gradient = backward_of(op, known)
+    gradient = backward_of(op, node, known)
     differentiable.defvjp(
         lambda *values: (function(*every(values)), values),
         lambda values, weights: tuple(gradient(every(values), weights)[i] for i in free),
@@ -100,14 +100,14 @@ def funcify(op, node, **kwargs):
     return lambda *inputs: differentiable(*(inputs[i] for i in free))
 
 
-def backward_of(op, known):
+def backward_of(op, node, known):
     """The cotangents of all inputs, from those of the outputs."""
     if isinstance(op, StructuralResponse):
-        gradient = of_kernel(op.like(ResponseGradient), known)
+        gradient = of_kernel(gradient_op(op, ResponseGradient, node.inputs), known)
         return lambda inputs, weights: as_cotangents(gradient(*inputs, weights), inputs)
     is_population = isinstance(op, PopulationComparison)
     kind = PopulationGradient if is_population else MisfitGradient
-    gradient = of_kernel(op.like(kind, n_statistics=4 if op.values else 1), known)
+    gradient = of_kernel(gradient_op(op, kind, node.inputs, n_statistics=4 if op.values else 1), known)
 
     def backward(inputs, weights):
         *common, observed = inputs

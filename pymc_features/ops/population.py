@@ -14,6 +14,7 @@ from pymc_features.ops.comparison import (
     StructuralDiscrepancy,
     StructuralMisfit,
 )
+from pymc_features.ops.gradient import gradient_op
 from pymc_features.ops.long_records import uncopied
 from pymc_features.simulators.mean_squares.gradient.population import is_long as has_long_gradient
 from pymc_features.simulators.mean_squares.gradient.population import misfit_gradient
@@ -62,7 +63,7 @@ class PopulationComparison(StructuralOp):
     def pullback(self, inputs, outputs, cotangents):
         """By `PopulationGradient`; the data of a population are not differentiated."""
         [weights] = cotangents
-        gradient = self.like(PopulationGradient, n_statistics=4 if self.values else 1)
+        gradient = gradient_op(self, PopulationGradient, inputs, n_statistics=4 if self.values else 1)
         return [
             *gradient(*inputs, weights if self.values else weights[..., None], return_list=True),
             *(disconnected_type() for _ in inputs[self.n_parameters : -1]),

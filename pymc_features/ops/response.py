@@ -24,7 +24,7 @@ from pymc_features.cyclic_test import CyclicTest
 from pymc_features.ops.base import StructuralOp
 from pymc_features.ops.excitation import excitation_in_model, request_in_model
 from pymc_features.ops.external import ExternalResponse
-from pymc_features.ops.gradient import ResponseGradient
+from pymc_features.ops.gradient import ResponseGradient, gradient_op
 from pymc_features.records import DynamicLoad, Loading, Record
 from pymc_features.simulators import (
     HISTORIES,
@@ -54,7 +54,7 @@ class StructuralResponse(StructuralOp):
 
     def pullback(self, inputs, outputs, cotangents):
         """By `ResponseGradient`."""
-        gradients = self.like(ResponseGradient)(*inputs, *cotangents, return_list=True)
+        gradients = gradient_op(self, ResponseGradient, inputs)(*inputs, *cotangents, return_list=True)
         return [*gradients, *(disconnected_type() for _ in inputs[self.n_parameters :])]
 
 
@@ -119,6 +119,8 @@ def response(
     Differentiable once, exactly, in all parameters, at repeated frequencies too; not where damping ratios
     that differ from mode to mode change places, nor where `n_modes` cuts a pair of equal frequencies. The
     gradient of a linear structure costs two to four times the response, whatever the number of parameters.
+    That of a history of a chain that yields is a central difference, two responses for each number that is no
+    constant; comparisons of such a history have exact ones, as `HystereticChain` says.
 
     Examples
     --------

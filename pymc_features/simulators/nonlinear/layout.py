@@ -2,31 +2,29 @@
 
 A chain works in one piece of memory, which compiled code reaches by its address (`vector_memory.aligned`
 says why). It is divided into blocks of p numbers, p the number of springs n rounded up to full vectors; entry
-i of a block belongs to spring i or to the degree of freedom above it. A gradient of a scalar L works in a
-second piece of the same layout, which holds at each place the derivative of L by what the first holds there.
+i of a block belongs to spring i or to the degree of freedom above it.
 
-==================  =======================================  ==========  ================================
-Block               Memory of the chain                      Unit        Memory of the gradient
-==================  =======================================  ==========  ================================
-0 ... 7             parameters of the law, one block each    the law's   dL/d(parameter)
-`ACTIVE`            1, or 0 in the padding beyond n          -           unused
-`INVERSE_MASS`      1/m_i                                    1/kg        dL/d ln(1/m_i), see `collect`
-`STIFFNESS`         k_i                                      N/m         dL/dk_i at constant beta k_i
-`DASHPOT`           beta k_i, stiffness-proportional         N s/m       dL/d(beta k_i)
-`MASS_DAMPING`      alpha, mass-proportional                 1/s         dL/dalpha, a part of each mass
-`SCALARS`           three numbers, named below               -           unused
-`CROSSINGS` (2)     how often each of 2n kinks was passed    -           unused
-`BRANCH`            1 where springs are loaded, -1 where     -           unused
+==================  =======================================  ==========
+Block               Memory of the chain                      Unit
+==================  =======================================  ==========
+0 ... 7             parameters of the law, one block each    the law's
+`ACTIVE`            1, or 0 in the padding beyond n          -
+`INVERSE_MASS`      1/m_i                                    1/kg
+`STIFFNESS`         k_i                                      N/m
+`DASHPOT`           beta k_i, stiffness-proportional         N s/m
+`MASS_DAMPING`      alpha, mass-proportional                 1/s
+`SCALARS`           three numbers, named below               -
+`CROSSINGS` (2)     how often each of 2n kinks was passed    -
+`BRANCH`            1 where springs are loaded, -1 where     -
                     they are unloaded
-`STATES` + 3 s      state at stage s: u, v and z, a block    m, m/s, -   dL/d(state at stage s)
+`STATES` + 3 s      state at stage s: u, v and z, a block    m, m/s, -
                     each
-`SLOPES` + 3 s      its time derivative: u', v' and z'                   dL/d(slope at stage s), s < 6
-`MODAL_DAMPING`     columns of M^-1 C of modal ratios (n),   1/s         dL/d(M^-1 C), columns only
-                    then its rows (n)
-==================  =======================================  ==========  ================================
+`SLOPES` + 3 s      its time derivative: u', v' and z'
+`MODAL_DAMPING`     columns of M^-1 C of modal ratios (n)    1/s
+==================  =======================================  ==========
 
 Stage 0 is the start of a step and holds the present state between steps; stages 1 to 5 lie within the step,
-and stage `LAST` = 6 is its end. `BRANCH` stands before `STATES` because a recorded step keeps both (`tape`).
+and stage `LAST` = 6 is its end.
 """
 
 import numpy as np
@@ -57,8 +55,8 @@ def padded(n: int) -> int:
 
 
 def chain_memory(n: int) -> np.ndarray:
-    """Memory of a chain of n degrees of freedom, or of its gradient; zero."""
-    return aligned((MODAL_DAMPING + 2 * n) * padded(n))
+    """Memory of a chain of n degrees of freedom; zero."""
+    return aligned((MODAL_DAMPING + n) * padded(n))
 
 
 @jit
@@ -89,17 +87,3 @@ def scalar(law, name):
 def put(law, block, i, value):
     """Write entry `i` of a block of the chain's memory."""
     write_number(law.address, block * law.rows * LANES + i, value)
-
-
-@jit
-def save_state(law, kept):
-    """Copy the present state into an array (3 p,)."""
-    for i in range(kept.size):
-        kept[i] = read_number(law.address, state(law, 0) * LANES + i)
-
-
-@jit
-def restore_state(law, kept):
-    """Make a copied state (3 p,) the present one."""
-    for i in range(kept.size):
-        write_number(law.address, state(law, 0) * LANES + i, kept[i])

@@ -11,7 +11,6 @@ from pymc_features.simulators.nonlinear.layout import (
     BRANCH,
     STIFFNESS,
     constant,
-    save_state,
     slope,
     state,
 )
@@ -42,18 +41,17 @@ def begin(law, excitation, fine):
 
 
 @jit
-def next_sample(law, excitation, sample, tape):
+def next_sample(law, excitation, sample):
     """Carry a state with its slope from output sample `sample` to the next; False where that fails.
 
-    Depends on nothing but the state, so that it can be repeated from one. Steps are recorded on the tape,
-    unless it is None.
+    Depends on nothing but the state.
     """
     acceleration, dt, substeps, stride, _ = excitation
     length = dt / substeps
     start = ground_at(acceleration, sample * stride, substeps)
     for fine in range(sample * stride, (sample + 1) * stride):
         trend = (ground_at(acceleration, fine + 1, substeps) - start) / length
-        if not advance(law, length, start, trend, tape):
+        if not advance(law, length, start, trend):
             return False
         start = begin(law, excitation, fine + 1)
     return True
@@ -96,12 +94,11 @@ def write_springs(law, quantity, springs, outputs):
 
 
 @jit
-def history_kernel(law, parameters, excitation, sensors, quantities, refine, states):
+def history_kernel(law, parameters, excitation, sensors, quantities, refine):
     """Histories (quantity, sensor, time) of a chain whose springs follow `law`, at rest at first.
 
-    `quantities` are codes and `refine` divides every step. The states at all output samples are written to
-    `states` (u, 3 p), unless it is empty. All NaN where the parameters describe no structure or the
-    integration fails.
+    `quantities` are codes and `refine` divides every step. All NaN where the parameters describe no structure
+    or the integration fails.
     """
     acceleration, _, substeps, stride, _ = excitation
     total = n_outputs(acceleration.size, substeps, stride)
@@ -111,12 +108,10 @@ def history_kernel(law, parameters, excitation, sensors, quantities, refine, sta
     begin(law, excitation, 0)
     for sample in range(total):
         if sample > 0 and valid:
-            valid = next_sample(law, excitation, sample - 1, None)
+            valid = next_sample(law, excitation, sample - 1)
         if not valid:
             history[:] = np.nan
             return history
-        if states.size:
-            save_state(law, states[sample])
         ground = ground_at(acceleration, sample * stride, substeps)
         for q in range(quantities.size):
             if quantities[q] < SPRING_FORCE:
@@ -138,7 +133,7 @@ def march_misfit(law, parameters, excitation, wanted, observed, result):
     outputs = np.empty(sensors.size)
     for sample in range(total):
         if sample > 0 and valid:
-            valid = next_sample(law, excitation, sample - 1, None)
+            valid = next_sample(law, excitation, sample - 1)
         if not valid:
             result[:] = np.nan
             return

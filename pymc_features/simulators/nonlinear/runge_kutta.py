@@ -44,7 +44,6 @@ from pymc_features.simulators.nonlinear.layout import (
     state,
 )
 from pymc_features.simulators.nonlinear.state import deformation, write_slope
-from pymc_features.simulators.nonlinear.tape import write_tape
 
 # A_se of stages 1 ... 6; the last row gives the step's result, whose slope starts the next step.
 STAGES = (
@@ -55,7 +54,6 @@ STAGES = (
     (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
     (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
 )
-WEIGHTS = np.array([[*row, *[0.0] * (6 - len(row))] for row in ((), *STAGES)])  # A, (7, 6)
 TIMES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0)  # c_s
 
 PHASE = 0.2  # largest product of step and rate of change
@@ -64,7 +62,6 @@ MAX_STEPS = 4000  # in one segment; only parameters far from any structure need 
 KINK_TOLERANCE = 1e-9  # of the position of a kink, in steps; the error left behind is proportional to it
 NEWTON_STEPS = 4
 AHEAD = 1e-6  # part of a step after which a kink at its start has been left behind
-ROUNDING = 1e-10  # relative size below which a drift rate (a difference of velocities) is rounding error
 
 
 @jit
@@ -122,22 +119,6 @@ def step_to_kink(law, which, step, piece, ground, trend):
 
 
 @jit
-def is_noise(law, which, step):
-    """Whether the kink at the end of a step belongs to a spring that moves by rounding errors only.
-
-    The upper springs of a long chain do so at first, for the ground moves all masses alike. The time of such
-    a kink has no derivative, and nothing depends on it.
-    """
-    spring = which if which < law.n else which - law.n
-    first = (state(law, LAST) + law.rows) * LANES + spring
-    speed = abs(read_number(law.address, first))
-    if spring > 0:
-        speed += abs(read_number(law.address, first - 1))
-    rate, change = kink_value(law, LAST, spring)
-    return abs(rate if which >= law.n else change * step) <= ROUNDING * speed
-
-
-@jit
 def begin_piece(law, step, ground):
     """Choose the branches of a step that begins at the present state, and renew the slope if they change."""
     if has_kinks(law) and set_branches(law, AHEAD * step):
@@ -145,7 +126,7 @@ def begin_piece(law, step, ground):
 
 
 @jit
-def pass_kinks(law, step, ground, trend, tape):
+def pass_kinks(law, step, ground, trend):
     """Advance a step that has been tried through its kinks, in pieces, and try the rest behind the last one.
 
     Return the length of the rest and the ground acceleration at its start.
@@ -156,8 +137,6 @@ def pass_kinks(law, step, ground, trend, tape):
     while which >= 0:
         write_number(law.address, first + which, 1.0 + read_number(law.address, first + which))
         piece = step_to_kink(law, which, left, where * left, ground, trend)
-        if tape is not None:
-            write_tape(law, tape, piece, ground, trend, -1 if is_noise(law, which, step) else which)
         accept(law)
         ground += trend * piece
         left -= piece
@@ -171,15 +150,13 @@ def pass_kinks(law, step, ground, trend, tape):
 
 
 @jit
-def step_forward(law, step, ground, trend, tape):
+def step_forward(law, step, ground, trend):
     """Advance the state by `step`, in pieces that end at kinks."""
     left = step
     begin_piece(law, step, ground)
     try_step(law, step, ground, trend)
     if has_kinks(law):
-        left, ground = pass_kinks(law, step, ground, trend, tape)
-    if tape is not None:
-        write_tape(law, tape, left, ground, trend, -1)
+        left, ground = pass_kinks(law, step, ground, trend)
     accept(law)
 
 
@@ -206,7 +183,7 @@ def is_finite(law):
 
 
 @jit
-def advance(law, length, ground, trend, tape):
+def advance(law, length, ground, trend):
     """Advance the state over a segment of `length` [s] in which the ground acceleration is linear.
 
     Steps are so short that their product with `rate_of_change` stays below `PHASE`: what is left of the
@@ -221,7 +198,7 @@ def advance(law, length, ground, trend, tape):
         count = max(np.ceil(left * rate / PHASE), 1.0)
         step = left / count
         for _ in range(refine):
-            step_forward(law, step / refine, ground, trend, tape)
+            step_forward(law, step / refine, ground, trend)
             ground += trend * step / refine
         if count == 1.0:
             return is_finite(law)

@@ -91,7 +91,6 @@ def prepare(law, parameters, refine):
         for i in range(n):
             for j in range(n):
                 put(law, MODAL_DAMPING + j, i, matrix[i, j])
-                put(law, MODAL_DAMPING + n + i, j, matrix[i, j])
     return valid
 
 

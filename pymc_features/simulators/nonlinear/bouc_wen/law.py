@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.simulators.compiled.vector import magnitude, splat, square_root, where_less
-from pymc_features.simulators.compiled.vector_math import logarithm, power
+from pymc_features.simulators.compiled.vector import magnitude, square_root
+from pymc_features.simulators.compiled.vector_math import power
 from pymc_features.simulators.nonlinear.bouc_wen.any_sharpness import POWERS, AnySharpness
 from pymc_features.simulators.nonlinear.bouc_wen.series import (
     BETA,
@@ -45,40 +45,6 @@ def spring(law, row, stiffness, drift, rate, z, branch):
     return force, rate * (1.0 - power_of_z * loss) / yield_displacement
 
 
-def partials(law, row, stiffness, drift, rate, z, branch):
-    """|z|^n has the derivatives n |z|^n / z by z and |z|^n log |z| by n, both 0 at z = 0."""
-    yield_displacement, ratio = parameter(law, YIELD_DISPLACEMENT, row), parameter(law, RATIO, row)
-    sharpness = parameter(law, SHARPNESS, row)
-    power_of_z = power(magnitude(z), sharpness)
-    loss = parameter(law, GAMMA, row) + branch * parameter(law, BETA, row)
-    zero, hysteretic = splat(0.0), 1.0 - ratio
-    by_loss = 0.0 - rate * power_of_z / yield_displacement  # of z'
-    by_rate = (1.0 - power_of_z * loss) / yield_displacement
-    force = (
-        ratio * drift + hysteretic * (yield_displacement * z),  # by stiffness
-        stiffness * ratio,  # by drift
-        zero,  # by rate
-        stiffness * hysteretic * yield_displacement,  # by z
-        stiffness * hysteretic * z,  # by yield displacement
-        stiffness * (drift - yield_displacement * z),  # by ratio
-        zero,
-        zero,
-        zero,
-    )
-    z_rate = (
-        zero,
-        zero,
-        by_rate,
-        where_less(zero, power_of_z, by_loss * loss * sharpness / z, zero),  # by z
-        0.0 - rate * by_rate / yield_displacement,  # by yield displacement
-        zero,
-        by_loss * loss * logarithm(magnitude(z)),  # by sharpness
-        by_loss * branch,  # by beta
-        by_loss,  # by gamma
-    )
-    return force, z_rate
-
-
 def step_rate(law, row, stiffness, omega, drift, rate, acceleration):
     """(1 + n) / 2 |d'| / d_y, and the corresponding term of the drift acceleration where d' = 0."""
     curvature = 0.5 * (1.0 + parameter(law, SHARPNESS, row)) / parameter(law, YIELD_DISPLACEMENT, row)
@@ -99,4 +65,4 @@ def has_kinks(law):
 
 
 SERIES = {OneOrTwo: SQUARES, AnySharpness: POWERS}
-register(BoucWen, Functions(5, spring, partials, step_rate, is_admissible, has_kinks, SERIES))
+register(BoucWen, Functions(5, spring, step_rate, is_admissible, has_kinks, SERIES))
