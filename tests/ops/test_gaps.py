@@ -86,7 +86,7 @@ def test_mean_squares_and_derivatives_of_every_family(name):
     def expected(x):
         return means(simulate(build(x), record).values, data)
 
-    np.testing.assert_allclose(e, expected(X[0]), rtol=1e-9)
+    np.testing.assert_allclose(e, expected(X[0]), rtol=OF_POPULATIONS.get(name, 1e-9))
     np.testing.assert_allclose(population, [expected(x) for x in X], rtol=OF_POPULATIONS.get(name, 1e-9))
     rough = 1e-5 if name in ("hysteretic", "duffing") else 1e-8
     slopes = np.array([[richardson(expected, x, d) for d in np.eye(2)] for x in X])  # (p, x, s)
