@@ -12,7 +12,7 @@ from pymc_features.simulators.linear.arguments import LinearParameters
 from pymc_features.simulators.modal import linear
 from pymc_features.simulators.modal.perturbation import Cotangent
 from pymc_features.simulators.oscillators.arguments import NO_DIRECT
-from pymc_features.simulators.reduced.eigenproblem import lowest
+from pymc_features.simulators.reduced.candidates import lowest
 from pymc_features.simulators.reduced.known import KNOWN, Known
 from support.straight import Loading
 

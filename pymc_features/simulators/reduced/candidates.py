@@ -3,16 +3,16 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError
+from scipy.linalg import LinAlgError, eigh
 
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.reduced.basis import Basis, Terms
-from pymc_features.simulators.reduced.eigenproblem import lowest
 from pymc_features.simulators.reduced.inertia import count_below_lanes
 
 TOLERANCE = 2e-9  # of shapes, in the norm of the energy, by the probes
 OF_DERIVATIVES = 1e-6  # the same, along parameters in units in which some omega^2 moves by as much as itself
 FINER = TOLERANCE / OF_DERIVATIVES
+MASSLESS = 1e-13  # an inverse eigenvalue below this times the largest is that of a motion without mass
 BELOW = 1e-6  # how far below the highest mode kept the others are counted, as a share of omega^2
 
 
@@ -64,6 +64,36 @@ def solve_reduced(terms, matrices, m, left_out) -> tuple:
         return None, np.inf
     residuals = springs @ kept - (masses @ kept) * values[:m]
     return Candidate(values, vectors), size(residuals, values[:m])
+
+
+def lowest(stiffness, mass, shift, count):
+    """Lowest modes of K y = lambda M y, or of all rows where `count` is None.
+
+    Parameters
+    ----------
+    stiffness, mass : array (r, r)
+        K + shift M is positive definite, else a LinAlgError says so. `mass` None stands for the identity.
+    shift : float
+    count : int or None
+
+    Returns
+    -------
+    values : array (count,)
+        Ascending; infinite for motions without mass.
+    vectors : array (r, count)
+        y' M y = 1, and y' K y = 1 for motions without mass.
+    """
+    n = len(stiffness)
+    count = n if count is None else min(count, n)
+    if mass is None:
+        return eigh(stiffness, subset_by_index=[0, count - 1], check_finite=False)
+    highest = [n - count, n - 1]
+    inverses, vectors = eigh(mass, stiffness + shift * mass, subset_by_index=highest, check_finite=False)
+    inverses, vectors = inverses[::-1], vectors[:, ::-1]
+    has_mass = inverses > MASSLESS * inverses[0]
+    values = np.full(count, np.inf)
+    values[has_mass] = 1.0 / inverses[has_mass] - shift
+    return values, vectors / np.sqrt(np.where(has_mass, inverses, 1.0))
 
 
 def size(residuals, values) -> float:
