@@ -1,7 +1,7 @@
 """Every public name: a new one is a line here."""
 
 from pymc_features import datasets, exceptions, plots, signals
-from pymc_features.ambient import AmbientResponse, expected_log_spectra, log_spectra, spectral_response
+from pymc_features.ambient import AmbientResponse, spectral_response
 from pymc_features.calibration import calibrate, effective_samples, event_check, fill_degrees
 from pymc_features.cyclic_test import CyclicTest
 from pymc_features.distributions import (
@@ -95,7 +95,6 @@ __all__ = [
     "emulate",
     "event_check",
     "exceptions",
-    "expected_log_spectra",
     "fill_degrees",
     "first_passage_probability",
     "fisher_information",
@@ -103,7 +102,6 @@ __all__ = [
     "identify_modes",
     "integration_error",
     "laplace",
-    "log_spectra",
     "mac",
     "match_modes",
     "mean_square_discrepancy",

@@ -1,7 +1,6 @@
 """Responses to forces that nobody measured: likelihood in the frequency domain."""
 
 from pymc_features.ambient import numba_dispatch
-from pymc_features.ambient.log_spectra import expected_log_spectra, log_spectra
 from pymc_features.ambient.response import AmbientResponse
 from pymc_features.ambient.spectral import SpectralResponse, spectral_response
 
@@ -11,7 +10,5 @@ __all__ = [
     "OPS",
     "AmbientResponse",
     "SpectralResponse",
-    "expected_log_spectra",
-    "log_spectra",
     "spectral_response",
 ]

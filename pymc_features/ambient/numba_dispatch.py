@@ -4,7 +4,6 @@ from pytensor.link.numba.dispatch.basic import default_hash_key_from_props, regi
 
 from pymc_features.ambient.density import AmbientHistories
 from pymc_features.ambient.forces import ModalFactor, ModalFactorGradient
-from pymc_features.ambient.log_spectra import LogSpectra, LogSpectraGradient
 from pymc_features.ambient.operations import SpectralGradient, SpectralLogp
 from pymc_features.ambient.transforms import BandHistories, BandTransform
 from pymc_features.ops.numba_dispatch import DISPATCH_HASH, in_python
@@ -15,8 +14,6 @@ OPS = (
     BandTransform,
     BandHistories,
     AmbientHistories,
-    LogSpectra,
-    LogSpectraGradient,
     ModalFactor,
     ModalFactorGradient,
 )

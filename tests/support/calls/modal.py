@@ -52,23 +52,6 @@ CALLS = {
         instead={"pymc_features.identification.propose.averaged_spectra": work},
         more={"channels": ODD_CHANNELS},
     ),
-    "log_spectra": Call(
-        pmf.log_spectra,
-        {"channels": MEASURED, "bands": [0.3, 2.0], "average": 2},
-        {"bands": NUMERIC, "average": ONE, "channels": WITHOUT_GAPS},
-        instead={"pymc_features.ambient.log_spectra.band_transform": work},
-        more={"channels": ODD_CHANNELS},
-    ),
-    "expected_log_spectra": Call(
-        pmf.expected_log_spectra,
-        {
-            "response": pmf.spectral_response(CHAIN, 1.0),
-            "error": 1.0,
-            "measured": pmf.log_spectra(MEASURED, [0.3, 2.0]),
-        },
-        {"error": POSITIVE | SCALARS | {"vector variable", "shared variable", "matrix variable"}},
-        instead={"pymc_features.ambient.log_spectra.modal_factor": work},
-    ),
     "plot_singular_values": Call(
         pmf.plot_singular_values,
         {"channels": MEASURED, "bands": [0.3, 2.0], "frequencies": [1.0], "fitted": None},
