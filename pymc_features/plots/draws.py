@@ -31,6 +31,7 @@ RETURNS = "array of matplotlib Axes, or arviz_plots.PlotCollection with another 
 SAMPLE = ("chain", "draw")
 LEGEND = {"matplotlib": "label", "bokeh": "legend_label"}
 BINS = 40
+BESIDE = 1.5  # width of the posterior on each side of it
 GROUPED = ("group", "kwarg", "corner")  # what arviz-plots takes for an area
 PRIOR, POSTERIOR = "#b0b0b0", "#1f77b4"
 
@@ -100,8 +101,9 @@ def plot_prior_posterior(
 ) -> "np.ndarray | PlotCollection":
     """Histograms of prior and posterior of each scalar parameter, each to its own height, and the median.
 
-    As densities a narrow posterior would leave no prior to see. Far tails are cut off: the prior is drawn
-    from 0.5 to 99.5 %, the posterior from 0.1 to 99.9 % of its draws.
+    As densities a narrow posterior would leave no prior to see. The axis is the posterior's, 0.1 to 99.9 % of
+    its draws and as much again and a half on each side; what the prior has beyond, up to 0.5 and 99.5 %, the
+    label says.
 
     Parameters
     ----------
@@ -125,12 +127,15 @@ def plot_prior_posterior(
     names = chosen_among(var_names, "var_names", known)
     if not names:
         raise ValueError("`idata` must have scalar parameters in both groups, got none.")
-    spans, outlines = {}, {}
+    spans, outlines, beyond = {}, {}, {}
     for name in names:
         before, after = prior[name].values, posterior[name].values
         (first, last), ends = np.quantile(after, [0.001, 0.999]), np.quantile(before, [0.005, 0.995])
-        spans[name] = min(first, ends[0]), max(last, ends[1])
-        outlines[name] = GROUPED, [outline(before, *spans[name]), outline(after, first, last)]
+        whole, room = (min(first, ends[0]), max(last, ends[1])), BESIDE * (last - first)
+        outlines[name] = GROUPED, [outline(before, *whole), outline(after, first, last)]
+        spans[name] = max(whole[0], first - room), min(whole[1], last + room)
+        if spans[name] != whole:
+            beyond[name] = f"prior {ends[0]:.3g} to {ends[1]:.3g}"
     labels = {"group": ["prior", "posterior"], "kwarg": ["x", "y_bottom", "y_top"]}
     columns = min(4, len(names))
     size = 2.6 * columns, 0.5 + 2.2 * -(-len(names) // columns)
@@ -146,7 +151,8 @@ def plot_prior_posterior(
     collection.map(azp.visuals.vline, "median", data=medians, ignore_aes="all", **style)
     for name, target in placed.items():
         label = with_unit(name, units.get(name, ""))
-        panels.module.xlabel(broken(label, panels.inches, "medium"), target)
+        lines = [broken(label, panels.inches, "medium"), beyond.get(name, "")]
+        panels.module.xlabel(panels.line_end.join(filter(None, lines)), target)
         panels.module.xlim(spans[name], target)
         panels.module.remove_axis(target, axis="y")
         if panels.is_matplotlib:
@@ -251,6 +257,7 @@ class Panels:
     def __init__(self, axes, backend, count, each, columns=1, **figure):
         self.backend = check_choice(backend, "backend", BACKENDS)
         self.module, self.is_matplotlib = module_of(backend), backend == "matplotlib"
+        self.line_end = "<br>" if backend == "plotly" else "\n"
         if self.is_matplotlib:
             self.targets = checked_axes(axes, count, each, columns=columns, **figure)
             self.figure, self.inches = self.targets[0].figure, inches_of(self.targets[0])
