@@ -104,7 +104,7 @@ def test_kernel_of_the_family_gives_the_same_sums(study):
     data = study.data(5.0).values
     by_kernel = computed_sums(study.at, study.record, data, 5.0 * study.record.dt)
     expected = direct_sums(study, 1.01, 5.0)
-    np.testing.assert_allclose(by_kernel(1.01), expected, rtol=1e-9, atol=1e-9 * expected[0])
+    np.testing.assert_allclose(by_kernel(1.01), expected, rtol=3e-6)  # Taylor and Runge-Kutta steps
 
 
 def test_uncertainty_does_not_depend_on_the_sampling_rate(study):
