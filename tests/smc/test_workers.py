@@ -249,7 +249,6 @@ def test_local_processes_dask_and_a_killed_worker(eager, tmp_path):
     with distributed.LocalCluster(
         n_workers=1,
         threads_per_worker=1,
-        processes=False,
         dashboard_address=":0",
         silence_logs=logging.CRITICAL,
         local_directory=str(tmp_path),
