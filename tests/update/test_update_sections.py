@@ -222,6 +222,7 @@ def test_bad_sections_name_the_key(path, tmp_path, said):
     assert said in str(error.value)
 
 
+@pytest.mark.processes
 def test_all_typos_are_said_before_anything_is_imported(path, tmp_path):
     text = replaced(path.read_text(), [("[[predict]]", "[[predictt]]"), ("draws = 100", "drwas = 100")])
     (tmp_path / "typos.toml").write_text(text)
@@ -257,6 +258,7 @@ def test_one_update_in_a_folder_at_a_time(tmp_path):
         pass
 
 
+@pytest.mark.processes
 def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
     """Files of at most 4 kB stand for a disk that is full: part and checkpoint."""
     resource = pytest.importorskip("resource")
