@@ -1,6 +1,6 @@
 """No argument, however odd, ends in a message of NumPy, PyTensor or Python, or in a silent wrong result.
 
-Everything public is called with each argument replaced in turn by each of a hundred odd values. It is either
+Everything public is called with each argument replaced in turn by each of a dozen odd values. It is either
 taken, where the tables say so, or refused by a sentence of this package that names the argument.
 """
 

@@ -44,12 +44,12 @@ def test_bands_of_a_right_model_agree():
 @pytest.mark.statistical
 @pytest.mark.slow
 def test_a_wrong_distribution_of_masses():
-    """Intervals of 40 events contain what fits all of them best; with the right model they are not wider
+    """Intervals of 24 events contain what fits all of them best; with the right model they are not wider
     than 1.3 times those without corrections (mean).
     """
     family = FAMILIES["braced frame"]
     wrong, fine = (
-        [outcome(family, respond, seed) for seed in range(40)] for respond in (other_masses, right)
+        [outcome(family, respond, seed) for seed in range(24)] for respond in (other_masses, right)
     )
     plain, corrected = (share.mean() for share in covers(wrong))
     assert plain < 0.85 < 0.93 < corrected

@@ -53,6 +53,7 @@ def test_python_is_called_for_no_single_number():
     np.testing.assert_allclose(logp(x)[0], uniform + half_normal, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_what_the_user_asks_for_comes_first():
     assert isinstance(linker_of({"mode": "NUMBA"}), NumbaLinker)
     with pytensor.config.change_flags(mode="NUMBA"):

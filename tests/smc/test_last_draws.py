@@ -184,36 +184,6 @@ def test_the_evidence_is_unbiased_by_the_rule_that_ends_the_draws(normal_fit, mo
     assert bias(np.inf) < -0.018
 
 
-def test_other_fits_follow_as_long_as_they_become_better():
-    """Not of a fit that is good, not without end; each half as good again as the one before."""
-    end = LastStage(1)
-    good = last_draws.good_share(end.n_parameters)
-    for rates, again in (
-        ((0.02,), True),
-        ((good,), False),
-        ((0.02, 0.025), False),
-        ((0.02, 0.035), True),
-        ((0.001, 0.002, 0.004, 0.008), True),
-        ((0.001, 0.002, 0.004, 0.008, 0.016), False),
-    ):
-        trials = [last_draws.Trial(rate, fit, 0.1) for fit, rate in enumerate(rates, start=1)]
-        assert end.pays_to_fit_again(trials) == again
-
-
-def test_the_two_best_fits_are_drawn_from(normal_fit):
-    """Half of what is no draw of the reference from each; as many as their mean rate says."""
-    end = LastStage(1, 30)
-    fits = [end.fit_again(end.pool) for _ in range(3)]
-    trials = [last_draws.Trial(*row) for row in zip((0.3, 0.1, 0.5), fits, (0.05, 0.5, 0.15), strict=True)]
-    anew, n = end.drawn_anew(trials)
-    wanted = last_draws.MARGIN * end.draws / 0.4
-    of_reference, first, last = end.looks[:3]
-    assert [source for _, source in end.looks[:3]] == [0, fits[0], fits[2]]
-    assert first[0] == last[0] == int(np.ceil(0.45 * wanted))
-    assert of_reference[0] == int(np.ceil(0.1 * wanted))
-    assert n == anew.counts.sum() == sum(n for n, _ in end.looks)
-
-
 def test_fits_follow_a_trial_until_they_are_good(monkeypatch):
     """One of four times the posterior's deviation, then one of it; both are drawn from at the end."""
     left = [4.0, 1.0]
@@ -233,42 +203,6 @@ def test_fits_follow_a_trial_until_they_are_good(monkeypatch):
     assert [end.pool.proposals[trial.fit].sd for trial in trials] == [4.0, 1.0] and not left
     assert trials[-1].rate >= last_draws.good_share(2) > trials[-2].rate
     assert {source for _, source in end.looks} == {0, trials[-2].fit, trials[-1].fit}
-    assert end.ess >= end.draws
-
-
-def test_what_is_added_does_not_become_less(normal_fit, monkeypatch):
-    """Where more draws are needed than were foreseen, as many are added each time, until there are enough."""
-    monkeypatch.setattr(last_draws, "HEAVY_K", -np.inf)
-    monkeypatch.setattr(last_draws, "MARGIN", 0.4)
-    end = LastStage(1, 30)
-    end.complete()
-    numbers = [n for n, source in end.looks if source]
-    foreseen, *added = numbers[1:]
-    assert end.ess >= end.draws
-    assert len(added) >= 2 and set(added) == {int(np.ceil(last_draws.ADDITION * foreseen))}
-
-
-def test_another_fit_follows_where_draws_are_worth_much_less_than_foreseen(normal_fit, monkeypatch):
-    """What a trial shows to be enough is worth a tenth of that the first time, the second as foreseen."""
-    monkeypatch.setattr(last_draws, "HEAVY_K", -np.inf)
-    worth, independent, n_anew = Pool.worth, Pool.independent, 0
-
-    def noted(pool, since=1, mark=None):
-        nonlocal n_anew
-        part = independent(pool, since, mark)
-        n_anew += mark is not None
-        part.share = 0.1 if mark is not None and n_anew == 1 else 1.0
-        return part
-
-    monkeypatch.setattr(Pool, "independent", noted)
-    monkeypatch.setattr(Pool, "worth", lambda pool: getattr(pool, "share", 1.0) * worth(pool))
-    end = LastStage(1, 30)
-    end.complete()
-    n_fits = len(end.pool.proposals)
-    n_anew = 1  # from here on no surprise
-    other = LastStage(1, 30)
-    other.complete()
-    assert n_fits == len(other.pool.proposals) + 1
     assert end.ess >= end.draws
 
 

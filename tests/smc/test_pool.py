@@ -192,10 +192,10 @@ def test_what_quantiles_are_worth():
 
 
 def test_standard_error_of_the_evidence():
-    """Spread of 200 log evidences over the mean error reported, within 15 %: three standard errors."""
-    pools = [importance_sample(np.random.default_rng(seed)) for seed in range(200)]
+    """Spread of 100 log evidences over the mean error reported, within 21 %: three standard errors."""
+    pools = [importance_sample(np.random.default_rng(seed)) for seed in range(100)]
     spread = np.std([pool.evidence()[0] for pool in pools])
-    assert np.mean([pool.jackknife() for pool in pools]) == pytest.approx(spread, rel=0.15)
+    assert np.mean([pool.jackknife() for pool in pools]) == pytest.approx(spread, rel=0.21)
 
 
 def test_share_of_the_heaviest_draw():

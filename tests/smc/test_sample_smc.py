@@ -46,12 +46,12 @@ def model():
 # --------------------------------------------------------------------------- saving
 
 # seeds: chains differ in stages
-UNEQUAL = {IMH: 2, PopulationIMH: 2, PopulationMH: 2, PersistentSMC: 0, TMCMC: 2}
+UNEQUAL = {IMH: 2, PopulationMH: 2, PersistentSMC: 0}
 
 
 @pytest.fixture(scope="module", params=UNEQUAL, ids=lambda kernel: kernel.__module__ + "." + kernel.__name__)
 def saved(request, model):
-    """A result of every kernel, of three chains with unequal numbers of stages."""
+    """A result of kernels of PyMC's and of ours, of three chains with unequal numbers of stages."""
     kernel = request.param
     return kernel, sample_smc(60, kernel, model=model, chains=3, random_seed=UNEQUAL[kernel], **SERIAL)
 

@@ -24,7 +24,7 @@ SEEDS = range(8)
 CENTRE = 0.5
 
 
-SD = {1: 0.1, 5: 0.1, 20: 0.3}  # of the likelihood, for each number of dimensions
+SD = {1: 0.1, 5: 0.1, 10: 0.3}  # of the likelihood, for each number of dimensions
 
 
 @cache
@@ -78,8 +78,13 @@ BIASED = pytest.mark.xfail(
 
 CASES = [
     pytest.param(kernel, d, marks=[BIASED] if kernel is TMCMC and d > 1 else [], id=f"{kernel.__name__}-{d}")
-    for kernel in KERNELS
-    for d in SD
+    for kernel, dimensions in {
+        PersistentSMC: (5, 10),
+        PopulationIMH: (5,),
+        PopulationMH: (5,),
+        TMCMC: (1, 5),
+    }.items()
+    for d in dimensions
 ]
 
 
@@ -213,8 +218,7 @@ def test_narrow_posterior():
 
 
 @pytest.mark.parametrize("kernel", [PersistentSMC, TMCMC])
-@pytest.mark.parametrize("scale", [1e-3, 1e-7])
-def test_temperatures_follow_any_scale(kernel, scale):
+def test_temperatures_follow_any_scale(kernel, scale=1e-7):
     """Stages grow with the logarithm of the ratio of prior to posterior, and every seed arrives.
 
     The mean log evidence is within four standard errors over seeds: a false alarm in 190.
@@ -234,7 +238,7 @@ def tolerance(share):
     return model
 
 
-@pytest.mark.parametrize(("share", "draws", "stage"), [(0.5, 500, None), (0.01, 500, None), (0.01, 100, 40)])
+@pytest.mark.parametrize(("share", "draws", "stage"), [(0.01, 500, None), (0.01, 100, 40)])
 def test_hard_threshold(share, draws, stage):
     """Draws uniform on the set, evidence its prior probability, however few prior draws are inside.
 
@@ -327,8 +331,7 @@ def test_an_initial_value_is_no_prior(kernel):
     assert mean_within_errors([r.evidence - exact for r in runs])
 
 
-@pytest.mark.parametrize("d", [1, 5])
-def test_standard_error_is_calibrated(d):
+def test_standard_error_is_calibrated(d=5):
     """Spread of 24 log evidences over the mean standard error reported, between 0.55 and 1.8.
 
     A false alarm in 400 for a true ratio between 0.9 and 1.2.

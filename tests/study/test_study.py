@@ -30,14 +30,15 @@ pytestmark = pytest.mark.slow
 KINDS = ("NORM", "TN", "EXP")
 ALL_KINDS = (*KINDS, "ABC", "CN", "CN-SIGMA", "CN-TAU", "CAL")
 MULTIPLIERS = (0.1, 10.0)
+STEPS = (0.1, 1.0, 10.0)  # the finest and the coarsest of `paper.MULTIPLIERS`
 
 
 @pytest.fixture(scope="module")
 def exact(record):
-    """Curves and exact posteriors on the whole record at the seven steps."""
+    """Curves and exact posteriors on the whole record at three of the steps."""
     study = Study(record, random_seed=0)
     result = {}
-    for multiplier in paper.MULTIPLIERS:
+    for multiplier in STEPS:
         data = study.data(multiplier)
         curve = study.misfit(multiplier).curve
         posteriors = {
@@ -50,9 +51,7 @@ def exact(record):
 
 def widths(exact, kind, parameter="theta"):
     """Exact 5-95 % width at each sampling step."""
-    return np.array(
-        [np.ptp(getattr(exact[m][1][kind], parameter).quantile([0.05, 0.95])) for m in paper.MULTIPLIERS]
-    )
+    return np.array([np.ptp(getattr(exact[m][1][kind], parameter).quantile([0.05, 0.95])) for m in STEPS])
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -174,7 +173,7 @@ def folder(beginning, tmp_path_factory):
 
 def arguments(folder, *more):
     record = *("--record", str(folder / "beginning.csv")), "--record-dt", "0.02"
-    sampling = "--draws", "1000", "--chains", "2", "--cores", "1"
+    sampling = "--draws", "500", "--chains", "2", "--cores", "1"
     return ["reproduce", "--quick", *record, *sampling, "--out", str(folder / "out"), *more]
 
 
@@ -211,18 +210,18 @@ def test_command_writes_everything(folder, capsys):
 @pytest.mark.statistical
 @pytest.mark.parametrize("multiplier", MULTIPLIERS)
 def test_sampled_quantiles_are_the_exact_ones(result, multiplier):
-    """5, 50 and 95 % of all parameters within 11 % of the exact 5-95 % width; all ABC draws in the exact set.
+    """5, 50 and 95 % of all parameters within 16 % of the exact 5-95 % width; all ABC draws in the exact set.
 
-    2 x 1000 draws are worth 1500 to 2000 independent ones; the standard error of the worst quantile, sigma's
-    95 % under TN, is then 2.8 to 3.2 % of the width: with other seeds one step in 500 would fail by chance.
+    2 x 500 draws are worth 750 to 1000 independent ones; the standard error of the worst quantile, sigma's
+    95 % under TN, is then 4 to 4.5 % of the width: with other seeds one step in 500 would fail by chance.
     The seeds are fixed.
     """
     summary = result["summary"].to_dataset().sel(multiplier=multiplier)
     quantiles = ["q05", "q50", "q95"]
     width = summary["exact"].sel(statistic="q95") - summary["exact"].sel(statistic="q05")
     error = (summary["sampled"] - summary["exact"]).sel(statistic=quantiles) / width
-    assert float(np.abs(error).max()) < 0.11, error.values.round(3)
-    assert float(summary["r_hat"].max()) < 1.02
+    assert float(np.abs(error).max()) < 0.16, error.values.round(3)
+    assert float(summary["r_hat"].max()) < 1.03
     low, high = summary["epsilon_interval"].values
     theta = result[f"ABC/x{multiplier:g}/posterior/theta"].values
     assert low * (1 - 1e-12) <= theta.min() <= theta.max() <= high * (1 + 1e-12)
@@ -272,9 +271,9 @@ def test_result_has_everything(result):
 def test_abc_draws_are_inside_the_tolerance_and_follow_from_exp(beginning, result):
     tolerance = result["summary"]["epsilon"].values
     for multiplier, delta in zip(MULTIPLIERS, tolerance, strict=True):
-        # of 2000 draws: the standard error of the quantile is 1.5 %, of delta 3 %
+        # of 1000 draws: the standard error of the quantile is 2.1 %, of delta 4.2 %
         sigma = result[f"EXP/x{multiplier:g}/posterior/sigma"]
-        assert delta == pytest.approx(abc_tolerance(sigma, paper.N_STOREYS), rel=0.15)
+        assert delta == pytest.approx(abc_tolerance(sigma, paper.N_STOREYS), rel=0.2)
         assert result[f"ABC/x{multiplier:g}"].attrs["epsilon"] == delta
         measured = paper.decimate(
             paper.measurements(beginning, multipliers=MULTIPLIERS, random_seed=0), multiplier * beginning.dt

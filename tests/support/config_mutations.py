@@ -15,41 +15,16 @@ class Text(str):
     """A value as it is written in the file, which needs not be TOML."""
 
 
-NUMBERS = [
-    *(0, 1, -1, 2, 3, 7, 1000, 10**6, 2**31, 2**63, 10**19, -(10**19), 10**400),
-    *(0.0, -0.0, 0.5, -0.5, 1e-3, 1e-320, 1e-30, 1e8, 1e30, 1e200, 1e308, -1e308),
-    *(float("nan"), float("inf"), -float("inf")),
-]
+NUMBERS = [0, 1, -1, 2, 10**19, 10**400, 0.5, -0.0, 1e-320, 1e308, float("nan"), -float("inf")]
 NAMES = [
-    *("", " ", "k1", "k2", "zeta", "sigma", "base", "floor1", "y", "nothing", "größe", "a\0b", "x" * 5000),
-    *(".", "..", "/", "/dev/zero", "/dev/null", "measured.csv", "original.toml", "~", "*", "a/b"),
-    *(
-        "modes.csv",
-        "setup.csv",
-        "nodes.csv",
-        "roof",
-        "EXP",
-        "__class__",
-        "{0.__class__}",
-        "[red]",
-        "%s",
-        "\\",
-        '"',
-        "\n",
-        "nan",
-        "true",
-        "1e3",
-    ),
+    *("", "k1", "sigma", "base", "floor1", "nothing", "größe", "a\0b", "x" * 5000, "EXP", "{0.__class__}"),
+    *("..", "/", "/dev/zero", "measured.csv", "modes.csv", "nodes.csv", "roof", "[red]", "%s", "\\", "\n"),
 ]
 OTHERS = [
-    *(True, False, [], {}, [[]], [{}], {"": 1}, [1, "k1", {}], datetime.date(2020, 1, 1)),
-    *(datetime.datetime(2020, 1, 1, tzinfo=datetime.UTC), datetime.time(7, 32)),
-    *({"prior": "k1", "times": 2.0}, {"prior": "k1", "times": 0}, {"prior": 1, "times": 1e308}),
-    *({"prior": "k1", "times": 10**400}, {"file": "measured.csv"}, {"file": "/dev/zero", "name": "K"}),
-    *({"type": "ModalDamping", "ratios": "zeta"}, {"type": []}, {"type": {}}, {"distribution": "Normal"}),
-    *([0.0] * 2000, ["k1"] * 100, list(range(50)), [[1.0] * 40] * 40, [[1.0, 2.0], [3.0]], [[[1.0]]]),
-    *(Text("9" * 5000), Text("-" + "9" * 4000), Text("[" * 30000 + "]" * 30000), Text("1_0"), Text("0x10")),
-    *(Text("[" * 60 + "]" * 60), Text("{a = " * 400 + "1" + "}" * 400), Text("1e999"), Text("'''")),
+    *(True, [], {}, [{}], {"": 1}, [1, "k1", {}], datetime.date(2020, 1, 1), {"prior": "k1", "times": 2.0}),
+    *({"prior": "k1", "times": 10**400}, {"file": "/dev/zero", "name": "K"}, {"type": {}}, [0.0] * 2000),
+    *({"type": "ModalDamping", "ratios": "zeta"}, [[1.0] * 40] * 40, [[1.0, 2.0], [3.0]], Text("9" * 5000)),
+    *(Text("[" * 30000 + "]" * 30000), Text("{a = " * 400 + "1" + "}" * 400), Text("1e999"), Text("'''")),
     *(Text("a." * 2000 + "b = 1"), Text(""), Text("2020-13-45"), Text('"\\ud800"')),
 ]
 KINDS = ("NORM", "TN", "EXP", "ABC", "CN", "CN-SIGMA", "CN-TAU", "GAMMA", "CAL")

@@ -27,7 +27,7 @@ def written(folder, *pairs):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["NORM", "EXP", "CN-TAU"])
+@pytest.mark.parametrize("kind", ["EXP", "CN-TAU"])
 def test_log_density_is_that_of_a_sliced_response(tmp_path, kind):
     problem = read_problem(
         written(
@@ -52,8 +52,7 @@ def test_log_density_is_that_of_a_sliced_response(tmp_path, kind):
             tau = pm.HalfNormal("tau", 0.1)
             CorrelatedNormal("y", mu, sigma, tau, 0.01, observed=measured.channels.values)
         else:
-            likelihood = pm.Normal if kind == "NORM" else ExpFeature
-            likelihood("y", mu, sigma, observed=measured.channels.values)
+            ExpFeature("y", mu, sigma, observed=measured.channels.values)
     point = own.initial_point()
     compiled = [m.compile_logp(mode="FAST_COMPILE")(point) for m in (model, own)]
     assert compiled[0] == pytest.approx(compiled[1], rel=1e-10)

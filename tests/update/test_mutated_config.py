@@ -19,7 +19,7 @@ from pymc_features.update.kinds.model import declare
 from support.config_mutations import as_toml, mutated_config, pick
 from support.memory import peak
 
-MUTATIONS = 120
+MUTATIONS = 30
 SECONDS = 2.0  # of the processor
 MEMORY = 300_000_000  # bytes, for all of them
 ROWS = 400  # of the measurements, 4 s

@@ -100,18 +100,6 @@ BUILDING = {
     ),
 }
 TABLE = {
-    "masses in t": (
-        slips.text(("[0.1601, 0.1601, 0.1421]", "[1.601e-4, 1.601e-4, 1.421e-4]")),
-        "Are the masses in t? They are expected in kg.",
-    ),
-    "stiffness in kN/m": (
-        slips.text(("mu = 6.0", "mu = -0.908"), ("mu = 6.2", "mu = -0.708"), ("mu = 6.3", "mu = -0.608")),
-        "Are the stiffnesses in kN/m or N/mm? They are expected in N/m.",
-    ),
-    "45 times too stiff": (
-        slips.text(("mu = 6.0", "mu = 9.807"), ("mu = 6.2", "mu = 10.007"), ("mu = 6.3", "mu = 10.107")),
-        "stiffness over mass is 48 times too large, which no usual unit explains. k1, k2 and k3",
-    ),
     "truth excluded": (
         slips.text(
             ("mu = 6.0, sigma = 0.2", "mu = 6.9, sigma = 0.05"),
@@ -121,17 +109,13 @@ TABLE = {
         "The priors expect f1 between 5.76 and 6.06 Hz, the data peak at 3.7 Hz (floor3, floor2, floor1). "
         "k1, k2 and k3, which scale it, would have to be 0.39 times as large, all together.",
     ),
-    "damping in %": (slips.text(("mu = -4.6", "mu = 0.0")), "Is zeta in per cent? Ratios are expected"),
     "step doubled": (slips.stretched(2.0), "Is the sampling step, 0.02 s, wrong by two (0.01 s)?"),
-    "step halved": (slips.stretched(0.5), "Is the sampling step, 0.005 s, wrong by two (0.01 s)?"),
-    "base inverted": (slips.inverted(1), "Channel 'floor1' is inverted against 'base'"),
     "floor2 inverted": (slips.inverted(3), "Channel 'floor2' is inverted against 'base'"),
     "floor2 and floor3 swapped": (
         slips.swapped(3, 4),
         "floor2 and floor3 may be swapped: the modes that the priors expect explain 90 % of the sensors' "
         "motion if they are, 66 % as it is.",
     ),
-    "floor1 and floor3 swapped": (slips.swapped(2, 4), "floor1 and floor3 may be swapped: the modes that"),
     "10 Hz": (
         slips.every(10),
         "The data are sampled at 10 Hz: 2.6 times in a period of f1 (3.83 Hz), and f2 (11.2 Hz) and f3 (16.5 "
@@ -170,14 +154,14 @@ def test_first_sentence_names_the_slip(tmp_path, example, name, case):
 
 @pytest.mark.slow
 def test_right_data_get_no_word(tmp_path):
-    """None of 50 sets of a simulator of its own, whose truth is drawn from the priors, gets one.
+    """None of 24 sets of a simulator of its own, whose truth is drawn from the priors, gets one.
 
     Of 300 others three got a word on a lag that is none, before lags were asked of the modes, and none of
-    these does since: one false alarm in 300 would make one run of six with other seeds fail. All show the
-    first mode at its frequency, and 9 of 10 intervals of the damping hold it.
+    these does since: one false alarm in 300 would make one run of twelve with other seeds fail. All show
+    the first mode at its frequency, and 9 of 10 intervals of the damping hold it.
     """
     holds = []
-    for seed in range(50):
+    for seed in range(24):
         path, frequencies, zeta = faultless(tmp_path, seed)
         told, problem = told_by(path)
         assert not told, (seed, told)

@@ -50,7 +50,7 @@ def updated(path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory) -> dict[str, Path]:
+def pages(tmp_path_factory, blank_module) -> dict[str, Path]:
     """One page of each kind of data."""
     folder = tmp_path_factory.mktemp("pages")
     found = {"large": folder / "large.html"}
@@ -61,7 +61,7 @@ def pages(tmp_path_factory) -> dict[str, Path]:
     both = modal.MODAL + modal.with_damping(modal.STRUCTURE) + modal.DATA.replace('"EXP"', '"NORM", "EXP"')
     found["modal"] = updated(modal.write(files, "both", both + LAPLACE))
     found["cyclic"] = updated(cyclic.write(folder / "cyclic"))
-    text = ambient.TEXT.replace("[sampler]\ndraws = 400\ncores = 1", LAPLACE.strip()) + ambient.priors()
+    text = ambient.LAPLACE + ambient.priors()
     found["ambient"] = updated(ambient.write(folder / "ambient", ambient.shaken(1)[:, :6000], text))
     return found
 

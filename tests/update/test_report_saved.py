@@ -55,6 +55,7 @@ def test_plotly_is_there_once_and_nothing_is_loaded(html):
     assert "&lt;/script&gt;&lt;script&gt;throw 1" in html  # of the configuration
 
 
+@pytest.mark.processes
 def test_it_needs_neither_pymc_nor_pytensor(saved, tmp_path):
     code = (
         "import sys\nfrom pymc_features.cli import main\n"

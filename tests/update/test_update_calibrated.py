@@ -40,7 +40,7 @@ def example(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def finished(example):
+def finished(example, blank_module):
     """A run that is stopped before CAL and continued; its errors are said to persist."""
     out, calibrate = example.with_name("out"), sampling.calibrate
 
@@ -164,14 +164,14 @@ def test_what_is_finished_is_reported_where_it_cannot_be_had(example, finished, 
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
 
     monkeypatch.setattr(sampling, "calibrate", refused)
+    monkeypatch.setattr(sampling, "sample", None)  # what is finished is not sampled again
     alone = [('"GAMMA", "CAL"', '"CAL"'), ("m = [2.0, 3.0, 4.5]", "#")]
     for changes, shown in (([], "GAMMA"), (alone, "NORM")):
         path = example.with_name("changed.toml")
         path.write_text(replaced(example.read_text(), changes))
         out = tmp_path / f"out-{shown}"
-        if not changes:
-            shutil.copytree(finished, out)
-            (out / "parts" / "CAL.nc").unlink()
+        shutil.copytree(finished, out)
+        (out / "parts" / "CAL.nc").unlink()
         assert cli.main(["update", str(path), "--out", str(out), "--cores", "1"]) == 0
         html = (out / "report.html").read_text()
         assert "CAL only where residuals can tell a width: Eigenvalues did not converge" in html

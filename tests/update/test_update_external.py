@@ -92,6 +92,7 @@ def moments_on_a_grid():
     return dict(zip(("k", "c"), found, strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("runs", [None, 40])
 def test_the_posterior_is_that_of_a_grid(folder, capsys, runs):
     """Means and standard deviations within 4.5 standard errors, one false alarm in 30,000 tests."""

@@ -119,7 +119,7 @@ def test_files_of_their_own(example, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def updated(example, tmp_path_factory):
+def updated(example, tmp_path_factory, blank_module):
     """Problem, result and outputs of data with a gap."""
     folder = tmp_path_factory.mktemp("updated")
     rows = without(example[2], 3, range(300, 500))

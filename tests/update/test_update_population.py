@@ -98,7 +98,6 @@ def test_what_is_wrong_is_named_before_anything_is_sampled(path, capsys, old, ne
     assert old in CONFIG
     other = path.with_name("wrong.toml")
     other.write_text(CONFIG.replace(old, new, 1))
-    for command in ("update", "check"):
-        assert cli.main([command, str(other)]) == 2
-        assert re.search(message, capsys.readouterr().err)
+    assert cli.main(["update", str(other)]) == 2
+    assert re.search(message, capsys.readouterr().err)
     assert not list(path.parent.glob("wrong-output/*.nc"))

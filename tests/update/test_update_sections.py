@@ -1,5 +1,7 @@
 """Predictions, candidates, what sensors can see, and how a folder of results is kept."""
 
+import contextlib
+import io
 import json
 import os
 import subprocess
@@ -47,14 +49,14 @@ def path(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def finished(path):
+def finished(path, blank_module):
     """Its folder, after an update that prints its findings."""
-    command = [sys.executable, "-m", "pymc_features", "update", str(path), "--json", "--fail-on", "verdict"]
-    done = subprocess.run(command, capture_output=True, text=True)
+    said, found = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(found):
+        assert cli.main(["update", str(path), "--json", "--fail-on", "verdict", "--cores", "1"]) == 0
     out = path.with_name("frame-output")
-    (out / "said.txt").write_text(done.stderr)
-    (out / "found.json").write_text(done.stdout)
-    assert done.returncode == 0, done.stderr[-2000:]
+    (out / "said.txt").write_text(said.getvalue())
+    (out / "found.json").write_text(found.getvalue())
     return out
 
 
@@ -144,13 +146,16 @@ def test_predict_reads_no_channel_and_samples_nothing(path, finished, monkeypatc
 @pytest.mark.slow
 def test_an_edited_prior_samples_what_it_changes(path, finished, monkeypatch, capsys):
     """That of the correlation time is one of CN-TAU alone; the result of before is moved aside."""
-    sampled, sample = [], sampling.sample
+    sampled, draws = [], loaded(finished / "parts" / "EXP.nc")
 
-    def counted(problem, kind, *rest):
+    def noted(problem, kind, *rest):
         sampled.append(kind)
-        return sample(problem, kind, *rest)
+        posterior = draws["posterior"].to_dataset()
+        if kind == "CN-TAU":
+            posterior = posterior.assign(tau=0.02 + 0.0 * posterior["sigma"])
+        return xr.DataTree.from_dict({"posterior": posterior, "sample_stats": draws["sample_stats"]})
 
-    monkeypatch.setattr(sampling, "sample", counted)
+    monkeypatch.setattr(sampling, "sample", noted)
     pairs = [
         ('kinds = ["EXP"]', 'kinds = ["EXP", "CN-TAU"]\ncorrelation_time = "tau"'),
         ("[priors]", '[priors]\ntau = { distribution = "Uniform", lower = 0.01, upper = 0.1 }'),
@@ -217,6 +222,7 @@ def test_bad_sections_name_the_key(path, tmp_path, said):
     assert said in str(error.value)
 
 
+@pytest.mark.processes
 def test_all_typos_are_said_before_anything_is_imported(path, tmp_path):
     text = replaced(path.read_text(), [("[[predict]]", "[[predictt]]"), ("draws = 100", "drwas = 100")])
     (tmp_path / "typos.toml").write_text(text)
@@ -252,6 +258,7 @@ def test_one_update_in_a_folder_at_a_time(tmp_path):
         pass
 
 
+@pytest.mark.processes
 def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
     """Files of at most 4 kB stand for a disk that is full: part and checkpoint."""
     resource = pytest.importorskip("resource")

@@ -10,7 +10,7 @@ import xarray as xr
 import pymc_features as pmf
 from pymc_features.ground_motion import AminAng, CloughPenzien
 from support.border import Call, work
-from support.odd_values import NOT_NEGATIVE, ONE, PAIR, POSITIVE
+from support.odd_values import NOT_NEGATIVE, PAIR, POSITIVE
 
 FOLDER = TemporaryDirectory()
 TEXT = Path(FOLDER.name) / "shaken.csv"
@@ -74,7 +74,7 @@ WELL = {
 }
 SEVERAL = WELL - {"channels of one name", "one channel"}
 MORE = {"channels": ODD_CHANNELS}
-TEXTS = {"text", "number as text", "empty text"}
+TEXTS = {"text"}
 EARTHQUAKE = {
     "duration": 1.0,
     "dt": 0.1,
@@ -111,15 +111,14 @@ def reader(function):
             "resample": None,
         },
         {
-            "columns": {"None", "NumPy's 2"},
+            "columns": {"None"},
             "units": POSITIVE,
             "dt": {"None", *POSITIVE},
             "clock": {"None", "0"},
-            "clock_units": {"None", *POSITIVE} - {"1e300"},
-            "skip": {"0", *ONE},
+            "clock_units": {"None", *POSITIVE},
+            "skip": {"0"},
             "wrapped": {"None"},
-            "resample": {"None", *POSITIVE}
-            - {"1e300", "1e-300", "1.0 of 16 bits", "Fraction", "array without dimensions"},
+            "resample": {"None", *POSITIVE},
         },
         {"clock_units": ["dt"], "wrapped": ["dt"], "files": ["dt"]},
     )
@@ -132,7 +131,6 @@ CALLS = {
         {
             "units": POSITIVE,
             "dt": {"None", *POSITIVE},
-            "column": {"NumPy's 2"},
             "wrapped": {"None"},
         },
         {"column": ["dt"], "wrapped": ["column"], "path": ["files", "column", "dt"]},
@@ -151,17 +149,16 @@ CALLS = {
         },
         {
             "dt": POSITIVE,
-            "skip": {"0", *ONE},
+            "skip": {"0"},
             "wrapped": {"None"},
-            "units": PAIR - {"range"},
-            "columns": {"range"},
+            "units": PAIR,
         },
         {"columns": ["units"], "wrapped": ["columns"]},
     ),
     "write_channels": Call(
         elsewhere(pmf.write_channels, FOLDER.name),
         {"channels": MEASURED, "path": Path(FOLDER.name) / "written.csv"},
-        {"channels": SEVERAL - {"channels without names"}, "path": {"missing file"}},
+        {"channels": SEVERAL - {"channels without names"}},
         more=MORE,
     ),
     "read_matrices": Call(pmf.read_matrices, {"path": MATRICES}),
@@ -174,8 +171,8 @@ CALLS = {
         pmf.synthetic_earthquake,
         EARTHQUAKE,
         {
-            "duration": ONE | {"1.5", "Fraction"},
-            "random_seed": {"None", "0", "NumPy's 2", "10**400", "10**5000"},
+            "duration": {"1.5"},
+            "random_seed": {"None", "0"},
             "pga": POSITIVE,
             "spectrum": {"None"},
             "envelope": {"None"},
@@ -192,7 +189,6 @@ CALLS = {
         {
             "rise_time": NOT_NEGATIVE | {"None"},
             "strong_time": NOT_NEGATIVE | {"None"},
-            "end_level": {"1.0 of 16 bits", "array without dimensions", "1e-300", "Fraction"},
         },
     ),
     "signals.band_pass": Call(
@@ -200,9 +196,8 @@ CALLS = {
         {"channels": MEASURED, "low": 0.5, "high": 5.0, "order": 2},
         {
             "channels": WELL,
-            "low": {"None", *ONE, "1.5", "Fraction"},
-            "high": {"None", *ONE, "1.5"},
-            "order": ONE,
+            "low": {"None", "1.5"},
+            "high": {"None", "1.5"},
         },
         more=MORE,
     ),
@@ -211,22 +206,21 @@ CALLS = {
         {"channels": MEASURED, "band": (0.5, 2.0), "base": None, "damping_ratio": 0.02},
         {
             "channels": SEVERAL,
-            "band": PAIR - {"range"},
+            "band": PAIR,
             "base": {"None"},
-            "damping_ratio": {"Fraction", "1e-300"},
         },
         more=MORE,
     ),
     "signals.correct": Call(
         pmf.signals.correct,
         {"channels": MEASURED, "scale": None, "delay": None},
-        {"channels": SEVERAL, "scale": {"None", "-1.0", "{}", *POSITIVE}, "delay": {"None", "{}"}},
+        {"channels": SEVERAL, "scale": {"None", "-1.0", *POSITIVE}, "delay": {"None"}},
         more=MORE,
     ),
     "signals.decimate": Call(
         pmf.signals.decimate,
         {"channels": MEASURED, "factor": 2},
-        {"channels": WELL, "factor": ONE},
+        {"channels": WELL},
         more=MORE,
     ),
     "signals.detrend": Call(
@@ -238,7 +232,7 @@ CALLS = {
     "signals.low_frequency_gains": Call(
         pmf.signals.low_frequency_gains,
         {"channels": MEASURED, "band": (0.5, 2.0), "base": "base"},
-        {"channels": SEVERAL - {"channels without names"}, "band": PAIR - {"range"}, "base": {"None"}},
+        {"channels": SEVERAL - {"channels without names"}, "band": PAIR, "base": {"None"}},
         {"channels": ["base"]},
         more=MORE,
     ),
@@ -248,7 +242,7 @@ CALLS = {
     "signals.trim": Call(
         pmf.signals.trim,
         {"channels": MEASURED, "start": 0.5, "stop": 9.0},
-        {"channels": WELL, "start": ONE | {"0", "1.5", "1e-300", "Fraction"}, "stop": ONE | {"1.5"}},
+        {"channels": WELL, "start": {"0", "1.5"}, "stop": {"1.5"}},
         called={"start": ("start, stop",), "stop": ("start, stop",)},
         more=MORE,
     ),

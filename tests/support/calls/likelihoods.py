@@ -5,40 +5,19 @@ import pytensor.tensor as pt
 
 import pymc_features as pmf
 from support.border import Call, work
-from support.odd_values import NOT_NEGATIVE, ONE, POSITIVE, TEXTS
+from support.odd_values import NOT_NEGATIVE, POSITIVE, TEXTS
 
 COORDS = {"sensor": range(2)}
 MU = np.zeros((2, 3))
 DATA = np.arange(6.0).reshape(2, 3)
-SCALARS = {"scalar variable", "integer variable", "constant variable", "random variable"}
-VARIABLES = {"vector variable", "shared variable", "list of variables"}
-NUMERIC = {
-    "array of 16 bits",
-    "array that is read-only",
-    "array of every second",
-    "Series",
-    "DataArray",
-}
-VECTORS = VARIABLES | NUMERIC
-
-ARRAYS = VECTORS - VARIABLES | {
-    "range",
-    "list of huge integers",
-    "array with nan",
-    "array with inf",
-    "negative array",
-    "matrix in Fortran's order",
-}
-SCALE = POSITIVE | SCALARS | VECTORS
+SCALARS = {"scalar variable"}
+NUMERIC = {"DataArray"}
+ARRAYS = {"DataArray", "array with nan"}
+SCALE = POSITIVE | SCALARS | NUMERIC
 NAMED = {"name": "y", "mu": MU, "sigma": 1.0, "observed": DATA, "dims": ("sensor", "time")}
-NUMBERS = {
-    *("0", "-1.0", "nan", "inf", "-inf", "10**400", "10**5000", "[]", "()", "empty array", "empty matrix"),
-    *("three dimensions", "DataFrame", "matrix variable"),
-}
-NOT_FINITE = {"list of huge integers", "array with nan", "array with inf"}
+NUMBERS = {"0", "-1.0", "nan", "[]", "three dimensions"}
 TAKEN = {
-    "name": TEXTS - {"empty text", "text with a null"},
-    "mu": {"matrix variable"},
+    "name": TEXTS,
     "sigma": SCALE,
     "observed": {"None"},
     "dims": {"None"},
@@ -46,9 +25,9 @@ TAKEN = {
     "correlation_time": SCALE,
     "dt": POSITIVE | SCALARS,
 }
-BATCHES = {"three dimensions", "DataFrame", "matrix variable"}
+BATCHES = {"three dimensions"}
 OF_DIST = TAKEN | {name: SCALE | BATCHES for name in ("sigma", "m", "correlation_time")}
-OF_DIST |= {"mu": ARRAYS | {"three dimensions", "DataFrame", "matrix variable", *VARIABLES}}
+OF_DIST |= {"mu": ARRAYS | {"three dimensions"}}
 
 
 def simulate(theta):
@@ -73,9 +52,9 @@ CALLS = {
         },
         {
             "name": TAKEN["name"],
-            "error": POSITIVE | SCALARS | {"vector variable", "shared variable", "matrix variable"},
+            "error": POSITIVE | SCALARS,
             "bands": NUMERIC,
-            "mu": {"None", "matrix variable"},
+            "mu": {"None"},
             "dims": {"None"},
         },
         {"dt": ["bands"], "observed": ["bands"]},
@@ -95,11 +74,9 @@ CALLS = {
         },
         {
             "excitation": SCALE | BATCHES,
-            "structure": {"structure"},
-            "forces": {"matrix in Fortran's order", "DataFrame"},
-            "sensors": {"None", "range", "0"},
-            "outputs": {"None", "matrix in Fortran's order", "sparse matrix"},
-            "n_modes": {"None", "NumPy's 2", "1.0 of 16 bits", "array without dimensions"},
+            "sensors": {"None", "0"},
+            "outputs": {"None"},
+            "n_modes": {"None"},
         },
     ),
     "TruncNormalFeature": Call(pmf.TruncNormalFeature, NAMED | {"density": "data"}, TAKEN, coords=COORDS),
@@ -131,11 +108,10 @@ CALLS = {
         },
         TAKEN
         | {
-            "mu": {"function", "class", "class of structures"},
             "params": SCALE | ARRAYS | NUMBERS,
-            "epsilon": SCALE - {"random variable"},
-            "observed": (ARRAYS | {"DataFrame", "shared variable"}) - NOT_FINITE,
-            "noise": {"None", "range"} | SCALE | NOT_NEGATIVE,
+            "epsilon": SCALE,
+            "observed": NUMERIC,
+            "noise": {"None"} | SCALE | NOT_NEGATIVE,
         },
         positional=("name", "mu", "params"),
         coords=COORDS,
@@ -143,11 +119,11 @@ CALLS = {
     "sigma_mpv": Call(
         pmf.sigma_mpv,
         {"e": [1.0, 2.0]},
-        {"e": {"range", "three dimensions", "DataFrame", *NUMERIC}},
+        {"e": {"three dimensions", *NUMERIC}},
     ),
     "abc_tolerance": Call(
         pmf.abc_tolerance,
         {"sigma": 1.0, "n_sensors": 2},
-        {"sigma": POSITIVE | NUMERIC - {"DataArray"}, "n_sensors": ONE},
+        {"sigma": POSITIVE | NUMERIC - {"DataArray"}},
     ),
 }

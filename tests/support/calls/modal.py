@@ -8,8 +8,8 @@ import pymc as pm
 import pymc_features as pmf
 from support.border import Call, work
 from support.calls.files import FOLDER, MEASURED, ODD_CHANNELS, SEVERAL, elsewhere
-from support.calls.structures import CHAIN, SCALARS, TAKEN, VECTORS
-from support.odd_values import NUMBERS, ONE, PAIR, POSITIVE, TEXTS
+from support.calls.structures import CHAIN, SCALARS, TAKEN
+from support.odd_values import NUMBERS, PAIR, POSITIVE, TEXTS
 
 TABLE = Path(FOLDER.name) / "modes.csv"
 TABLE.write_text("omega [rad/s],damping [%],roof\n6.2832,1.2,1.0\n18.85,0.9,-0.5\n")
@@ -18,30 +18,18 @@ MODAL = pmf.ModalData([1.2, 3.5], SHAPES, ["floor", "roof"])
 MODES = (np.array([1.2, 3.5, 5.0]), np.array([*SHAPES, [1.0, 1.0]]))
 with pm.Model() as MODEL:
     pmf.ModalFeature("y", (pm.LogNormal("f", shape=3), MODES[1]), observed=MODAL, sigma_f=0.1, sigma_phi=0.1)
-MATRICES = {"matrix in Fortran's order"}
-FRACTIONS = {"0", "1e-300", "1.0 of 16 bits", "Fraction", "array without dimensions"}
-LABELS = PAIR - {"DataArray"} | {
-    "list of huge integers",
-    "array with nan",
-    "array with inf",
-    "negative array",
-}
-SCALE = POSITIVE | SCALARS | VECTORS | PAIR - {"range"}
+FRACTIONS = {"0"}
+LABELS = PAIR - {"DataArray"} | {"array with nan"}
+SCALE = POSITIVE | SCALARS | PAIR
 
-NUMERIC = {
-    "array of 16 bits",
-    "array that is read-only",
-    "array of every second",
-    "DataArray",
-    "Series",
-}
+NUMERIC = {"DataArray"}
 WITHOUT_GAPS = SEVERAL - {"channels with NaN"}
 
 CALLS = {
     "identify_modes": Call(
         pmf.identify_modes,
         {"channels": MEASURED, "bands": [0.3, 2.0], "n_modes": None, "quantity": "acceleration"},
-        {"bands": NUMERIC, "n_modes": {"None", *ONE}, "channels": WITHOUT_GAPS},
+        {"bands": NUMERIC, "n_modes": {"None"}, "channels": WITHOUT_GAPS},
         instead={"pymc_features.identification.identify.of_band": work},
         more={"channels": ODD_CHANNELS},
     ),
@@ -57,7 +45,7 @@ CALLS = {
         {"channels": MEASURED, "bands": [0.3, 2.0], "frequencies": [1.0], "fitted": None},
         {
             "bands": {"None"} | PAIR,
-            "frequencies": {"None", "range", "()", "[]", "empty array", *NUMERIC},
+            "frequencies": {"None", "[]", *NUMERIC},
             "channels": WITHOUT_GAPS,
             "fitted": {"None"},
         },
@@ -78,14 +66,13 @@ CALLS = {
             "name": "",
         },
         {
-            "frequencies": PAIR - {"range"},
-            "shapes": MATRICES,
-            "channels": {"list of texts", "array of texts"} | LABELS,
-            "frequency_sd": {"None", *PAIR} - {"range"},
+            "frequencies": PAIR,
+            "channels": LABELS,
+            "frequency_sd": {"None", *PAIR},
             "damping_ratios": {"None"},
             "damping_sd": {"None", "array with nan", *PAIR},
             "shape_sd": {"None"},
-            "labels": {"None", "list of texts", "array of texts"} | LABELS | (PAIR - {"DataArray"}),
+            "labels": {"None"} | LABELS | (PAIR - {"DataArray"}),
             "name": TEXTS | NUMBERS,
         },
         {"shapes": ["channels"], "channels": ["shapes"]},
@@ -100,7 +87,6 @@ CALLS = {
         },
         {
             "references": {"None"},
-            "frequency_tolerance": {"1e-300", "Fraction"},
             "least_mac": FRACTIONS,
         },
         {"references": ["channels"]},
@@ -108,7 +94,6 @@ CALLS = {
     "mac": Call(
         pmf.mac,
         {"shapes": SHAPES, "others": SHAPES},
-        {name: MATRICES | {"empty matrix"} for name in ("shapes", "others")},
     ),
     "match_modes": Call(
         pmf.match_modes,
@@ -116,7 +101,7 @@ CALLS = {
         {
             "posterior": {"None"},
             "name": {"None"},
-            "deviations": POSITIVE | {"inf", "10**400", "10**5000"},
+            "deviations": POSITIVE,
             "least_mac": FRACTIONS,
         },
         instead={
@@ -138,12 +123,12 @@ CALLS = {
             "dims": None,
         },
         {
-            "name": TEXTS - {"empty text", "text with a null"},
-            "observed": PAIR - {"range"},
+            "name": TEXTS,
+            "observed": PAIR,
             "sigma_f": SCALE,
             "sigma_phi": SCALE,
             "density": SCALE,
-            "labels": {"None", "list of texts", "array of texts"} | LABELS,
+            "labels": {"None"} | LABELS,
             "dims": {"None"},
         },
         {"observed": ["frequencies"]},
@@ -158,11 +143,11 @@ CALLS = {
     "write_modal": Call(
         elsewhere(pmf.write_modal, FOLDER.name),
         {"modal": pmf.ModalData([1.0, 2.0]), "path": TABLE.with_name("written.csv")},
-        {"path": {"missing file"}},
+        {},
     ),
     "read_modal": Call(
         pmf.read_modal,
         {"source": TABLE, "names": None, "channels": None, "real": True},
-        {"names": {"None", "{}"}, "channels": {"None"}, "real": {"True", "NumPy's True"}},
+        {"names": {"None"}, "channels": {"None"}, "real": {"True"}},
     ),
 }

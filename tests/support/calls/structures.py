@@ -8,7 +8,7 @@ import xarray as xr
 
 import pymc_features as pmf
 from support.border import Call
-from support.odd_values import NOT_NEGATIVE, NUMBERS, ONE, PAIR, POSITIVE, TEXTS
+from support.odd_values import NOT_NEGATIVE, NUMBERS, PAIR, POSITIVE, TEXTS
 
 RECORD = pmf.Record([0.0, 1.0, 0.5], 0.1)
 DAMPING = pmf.ModalDamping(0.02)
@@ -42,31 +42,19 @@ CHANNELS = xr.DataArray(
     coords={"sensor": ["base", "roof"], "time": 0.1 * np.arange(5)},
     attrs={"units": "m/s^2"},
 )
-HISTORY = {
-    *PAIR,
-    "negative array",
-    "array with nan",
-    "array with inf",
-    "list of huge integers",
-    "vector variable",
-    "matrix variable",
-    "shared variable",
-}
-SCALARS = {"scalar variable", "integer variable", "constant variable", "random variable"}
-VECTORS = {"vector variable", "shared variable", "list of variables"}
-OF_TWO = PAIR - {"range"} | VECTORS  # positive
+HISTORY = {*PAIR, "array with nan"}
+SCALARS = {"scalar variable"}
+OF_TWO = PAIR  # positive
 CHAIN_OF_TWO = {"mass": [1.0, 1.0], "stiffness": [100.0, 90.0], "damping": DAMPING}
 SPRINGS = {
     "mass": POSITIVE | SCALARS | OF_TWO,
     "stiffness": POSITIVE | SCALARS | OF_TWO,
-    "damping": {"damping"},
 }
 RATIO = POSITIVE | SCALARS | OF_TWO
-UNIT = {"array without dimensions", *SCALARS, *VECTORS}
+UNIT = {*SCALARS}
 YIELD = {"yield_displacement": 0.1, "post_yield_ratio": 0.1, "sharpness": 2.0, "beta": 0.5, "gamma": 0.5}
-MATRICES = {"matrix in Fortran's order", "sparse matrix"}
-DIAGONALS = PAIR - {"range"} | MATRICES
-INFLUENCE = PAIR | MATRICES | {"None", "negative array", "DataFrame"}
+DIAGONALS = PAIR
+INFLUENCE = PAIR | {"None"}
 RESPONSE = {
     "structure": CHAIN,
     "record": RECORD,
@@ -76,15 +64,13 @@ RESPONSE = {
     "n_modes": None,
     "outputs": None,
 }
-WHOLE = {"NumPy's 2", "0"}
+WHOLE = {"0"}
 TAKEN = {
-    "structure": {"structure"},
-    "record": {"Record"},
-    "dt": {"None", *ONE, "1.5", "Fraction"},
-    "sensors": {"None", "0", "range"},
+    "dt": {"None", "1.5"},
+    "sensors": {"None", "0"},
     "quantity": {"None"},
-    "n_modes": {"None", *ONE},
-    "outputs": {"None", *MATRICES},
+    "n_modes": {"None"},
+    "outputs": {"None"},
 }
 
 CALLS = {
@@ -92,12 +78,12 @@ CALLS = {
         pmf.Record,
         {"acceleration": [0.0, 1.0], "dt": 0.1, "name": "", "interpolation": "linear"},
         {
-            "acceleration": PAIR | {"negative array"},
+            "acceleration": PAIR,
             "dt": POSITIVE,
             "name": TEXTS | NUMBERS,
         },
     ),
-    "Record.first": Call(RECORD.first, {"n_times": 2}, {"n_times": {"NumPy's 2"}}),
+    "Record.first": Call(RECORD.first, {"n_times": 2}, {}),
     "Record.from_channel": Call(
         pmf.Record.from_channel,
         {"channels": CHANNELS, "sensor": "base", "name": None, "interpolation": "linear"},
@@ -115,23 +101,19 @@ CALLS = {
             "interpolation": "linear",
         },
         {
-            "values": PAIR | {"negative array", "matrix in Fortran's order"},
+            "values": PAIR,
             "dt": POSITIVE,
-            "matrix": {"None", "DataFrame"},
+            "matrix": {"None"},
             "name": TEXTS | NUMBERS,
         },
     ),
-    "Loading.first": Call(
-        pmf.Loading([0.0, 1.0, 2.0], 0.1).first, {"n_times": 2}, {"n_times": {"NumPy's 2"}}
-    ),
+    "Loading.first": Call(pmf.Loading([0.0, 1.0, 2.0], 0.1).first, {"n_times": 2}, {}),
     "CyclicTest": Call(
         pmf.CyclicTest,
         {"displacement": [0.0, 1.0], "dt": 0.1, "name": ""},
-        {"displacement": PAIR | {"negative array"}, "dt": POSITIVE, "name": TEXTS | NUMBERS},
+        {"displacement": PAIR, "dt": POSITIVE, "name": TEXTS | NUMBERS},
     ),
-    "CyclicTest.first": Call(
-        pmf.CyclicTest([0.0, 1.0, 2.0]).first, {"n_times": 2}, {"n_times": {"NumPy's 2"}}
-    ),
+    "CyclicTest.first": Call(pmf.CyclicTest([0.0, 1.0, 2.0]).first, {"n_times": 2}, {}),
     "Degradation": Call(
         pmf.Degradation,
         {"strength": 0.1, "stiffness": 0.1},
@@ -142,18 +124,15 @@ CALLS = {
         {"slip": 0.5, "rate": 1.0, "initiation": 0.1, "spread": 0.2, "spread_rate": 0.0, "severity": 0.3},
         {name: NOT_NEGATIVE | SCALARS for name in ("rate", "initiation", "spread_rate")}
         | {name: POSITIVE | SCALARS for name in ("spread", "severity")}
-        | {"slip": {"0", "1e-300", "Fraction"} | SCALARS},
+        | {"slip": {"0"} | SCALARS},
     ),
     "HystereticSpecimen": Call(
         pmf.HystereticSpecimen,
         {"stiffness": 100.0} | YIELD | {"degradation": pmf.Degradation(), "pinching": pmf.Pinching(0.5)},
         {name: POSITIVE | SCALARS for name in ("stiffness", "yield_displacement")}
-        | {"sharpness": POSITIVE - {"1e-300", "Fraction"} | SCALARS, "beta": POSITIVE - {"1e-300"} | SCALARS}
-        | {
-            "post_yield_ratio": {"0", "1e-300", "1.0 of 16 bits", "array without dimensions", "Fraction"}
-            | SCALARS
-        }
-        | {"gamma": {"0", "1e-300", "Fraction"} | SCALARS}
+        | {"sharpness": POSITIVE | SCALARS, "beta": POSITIVE | SCALARS}
+        | {"post_yield_ratio": {"0"} | SCALARS}
+        | {"gamma": {"0"} | SCALARS}
         | {"degradation": {"None"}, "pinching": {"None"}},
     ),
     "RayleighDamping": Call(
@@ -164,16 +143,14 @@ CALLS = {
     "RayleighDamping.from_ratios": Call(
         pmf.RayleighDamping.from_ratios,
         {"ratios": [0.02, 0.02], "natural_frequencies": [1.0, 2.0]},
-        {"ratios": NOT_NEGATIVE | PAIR - {"range"}, "natural_frequencies": PAIR - {"range"}},
+        {"ratios": NOT_NEGATIVE | PAIR, "natural_frequencies": PAIR},
     ),
-    "ModalDamping": Call(
-        pmf.ModalDamping, {"ratios": 0.02}, {"ratios": NOT_NEGATIVE | SCALARS | OF_TWO | {"range"}}
-    ),
+    "ModalDamping": Call(pmf.ModalDamping, {"ratios": 0.02}, {"ratios": NOT_NEGATIVE | SCALARS | OF_TWO}),
     "SpringMassChain": Call(pmf.SpringMassChain, CHAIN_OF_TWO, SPRINGS),
     "SpringMassChain.scale_stiffness": Call(
         CHAIN.scale_stiffness,
         {"factor": [0.5, 0.5], "springs": [0, 1]},
-        {"factor": RATIO, "springs": {"range"}},
+        {"factor": RATIO},
         {"springs": ["factor"]},
     ),
     "HystereticChain": Call(
@@ -182,50 +159,48 @@ CALLS = {
         SPRINGS
         | {
             "yield_displacement": RATIO,
-            "post_yield_ratio": {"0", "1e-300", "1.0 of 16 bits", "Fraction", "range", *UNIT},
-            "sharpness": RATIO - {"1e-300", "Fraction"},
-            "beta": RATIO - {"1e-300"},
-            "gamma": {"0", "1e-300", "Fraction", *SCALARS, *VECTORS},
+            "post_yield_ratio": {"0", *UNIT},
+            "sharpness": RATIO,
+            "beta": RATIO,
+            "gamma": {"0", *SCALARS},
         },
     ),
-    "DuffingChain": Call(
-        pmf.DuffingChain, CHAIN_OF_TWO | {"cubic": 5.0}, SPRINGS | {"cubic": RATIO | {"0", "range"}}
-    ),
+    "DuffingChain": Call(pmf.DuffingChain, CHAIN_OF_TWO | {"cubic": 5.0}, SPRINGS | {"cubic": RATIO | {"0"}}),
     "LinearStructure": Call(
         pmf.LinearStructure,
         {"mass": [1.0, 1.0], "stiffness": [3.0, 3.0], "damping": DAMPING, "influence": None},
         {
-            "mass": DIAGONALS | {"range"},
+            "mass": DIAGONALS,
             "stiffness": DIAGONALS,
-            "damping": DIAGONALS | {"damping", "range"},
+            "damping": DIAGONALS,
             "influence": INFLUENCE,
         },
     ),
-    "LinearStructure.modes": Call(FRAME.modes, {"n_modes": 1}, {"n_modes": {"None", *ONE}}),
+    "LinearStructure.modes": Call(FRAME.modes, {"n_modes": 1}, {"n_modes": {"None"}}),
     "AffineStructure": Call(
         pmf.AffineStructure,
         AFFINE,
         {
-            "mass": DIAGONALS | {"range"},
-            "stiffness": DIAGONALS | {"range"},
-            "damping": DIAGONALS | {"damping", "range"},
+            "mass": DIAGONALS,
+            "stiffness": DIAGONALS,
+            "damping": DIAGONALS,
             "stiffness_terms": {"three dimensions"},
-            "mass_terms": {"[]", "()", "three dimensions"},
-            "damping_terms": {"[]", "()"},
+            "mass_terms": {"[]", "three dimensions"},
+            "damping_terms": {"[]"},
             "influence": INFLUENCE,
-            "theta": {"None", "negative array"} | PAIR | VECTORS,
+            "theta": {"None"} | PAIR,
         },
         {"stiffness_terms": ["theta"]},
     ),
     "AffineStructure.with_parameters": Call(
         pmf.AffineStructure(**AFFINE).with_parameters,
         {"theta": [0.5, 0.5]},
-        {"theta": {"negative array"} | PAIR | VECTORS},
+        {"theta": PAIR},
     ),
     "AffineStructure.from_matrices": Call(
         pmf.AffineStructure.from_matrices,
         {"build": springs_in_a_row, "parameters": {"k": 2.0}, "damping": DAMPING, "influence": None},
-        {"damping": DIAGONALS | {"damping", "range"}, "influence": INFLUENCE},
+        {"damping": DIAGONALS, "influence": INFLUENCE},
         {"parameters": ["build"]},
     ),
     "AffineStructure.from_files": Call(
@@ -237,11 +212,9 @@ CALLS = {
             "direction": None,
             "units": None,
         },
-        {"damping": DIAGONALS | {"damping", "range"}, "direction": {"None"}, "units": {"None"}},
+        {"damping": DIAGONALS, "direction": {"None"}, "units": {"None"}},
     ),
-    "LinearStructure.with_names": Call(
-        FRAME.with_names, {"names": ["a", "b"]}, {"names": {"list of texts", "array of texts"}}
-    ),
+    "LinearStructure.with_names": Call(FRAME.with_names, {"names": ["a", "b"]}, {}),
     "simulate": Call(pmf.simulate, RESPONSE, TAKEN),
     "response": Call(pmf.response, RESPONSE, TAKEN),
     "spring_forces": Call(
