@@ -165,9 +165,7 @@ def test_fitted_spectra_at_the_truth(path):
     assert np.abs(off.mean(axis=0)).max() < 0.02 and off.std(axis=0).max() < 0.08
     z = (fitted["ratio"] - 1.0) / fitted["sd"]
     assert np.abs(z).max() < 4.0 and 0.5 < z.std() < 1.5
-    changed = fitted_spectra(
-        problem.first, declare(problem, "AMBIENT"), truth.assign(k1=1.05 * truth["k1"])
-    )
+    changed = fitted_spectra(problem.first, declare(problem, "AMBIENT"), truth.assign(k1=1.05 * truth["k1"]))
     assert ((changed["ratio"] - 1.0) / changed["sd"]).max() > 6.0
 
 
