@@ -5,15 +5,7 @@ from inspect import signature
 
 from llvmlite import ir
 from numba import types
-from numba.core.typing.templates import AttributeTemplate
-from numba.extending import (
-    infer_getattr,
-    intrinsic,
-    lower_getattr_generic,
-    models,
-    overload,
-    register_model,
-)
+from numba.extending import intrinsic, make_attribute_wrapper, models, overload, register_model
 
 from pymc_features.simulators.numbers.kinds import (
     Dual,
@@ -66,17 +58,8 @@ class _NumberModel(models.StructModel):
         super().__init__(dmm, fe_type, [(name, fe_type.part) for name in fe_type.kind.fields])
 
 
-@infer_getattr
-class _Parts(AttributeTemplate):
-    key = NumberType
-
-    def generic_resolve(self, number, name):
-        return number.part if name in number.kind.fields else None
-
-
-@lower_getattr_generic(NumberType)
-def _part(context, builder, number, value, name):
-    return builder.extract_value(value, number.kind.fields.index(name))
+for _name in {name for kind in (Dual, Quadratic, Two, Four) for name in kind.fields}:
+    make_attribute_wrapper(NumberType, _name, _name)
 
 
 def register_type(width):
