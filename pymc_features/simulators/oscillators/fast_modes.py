@@ -85,3 +85,50 @@ def write_following(omega, damping, slope, quantity, factors):
         factors[0, k + order] = -c[k]
         factors[1, k + order] = -(by_square[k] + slope * by_damping[k])
         factors[2, k + order] = -by_damping[k]
+
+
+@jit
+def add_following(system, follows, quantity, shares):
+    """Add what stands before the inputs and their derivatives by modes that follow, to `shares` (k, s, d).
+
+    There the absolute acceleration of a mode is a + q".
+    """
+    factors = np.empty((3, N_ORDERS))
+    is_acceleration = quantity in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION)
+    for r in range(system.omega.size):
+        if follows[r]:
+            write_following(system.omega[r], system.damping[r], 0.0, quantity, factors)
+            if is_acceleration:
+                factors[0, 0] += 1.0
+            for j in range(shares.shape[1]):
+                for i in range(shares.shape[2]):
+                    scale = system.shapes[j, r] * system.participation[r, i]
+                    for k in range(shares.shape[0]):
+                        shares[k, j, i] += factors[0, k] * scale
+
+
+@jit
+def follow(places, factors, excitation, ground, first, values):
+    """Write the outputs of modes that follow, and their derivatives, (3, d, > BLOCK, padded).
+
+    Parameters
+    ----------
+    places : integer array (f,)
+        Which modes follow.
+    factors : array (f, 3, 5)
+        From `write_following`; the last by D h.
+    ground : array (d, steps)
+        Inputs at the steps of the recursion, from output `first` on.
+    """
+    direct, count = excitation.direct, values.shape[2] - 1
+    for i in range(values.shape[1]):
+        for n in range(places.size):
+            for b in range(count):
+                for j in range(3):
+                    total = 0.0
+                    if direct.size == 0:
+                        total = factors[n, j, 0] * ground[i, b * excitation.stride]
+                    elif first + b < direct.shape[2]:
+                        for k in range(N_ORDERS):
+                            total += factors[n, j, k] * direct[k, i, first + b]
+                    values[j, i, b + 1, places[n]] = total

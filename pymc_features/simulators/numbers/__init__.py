@@ -1,1 +1,0 @@
-"""Numbers in the registers of the processor, and numbers made of them."""
