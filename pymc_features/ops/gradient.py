@@ -122,12 +122,20 @@ def rows_of(table):
 
 def is_constant(variable) -> bool:
     """Whether nothing but constants decides a variable, its shape apart."""
-    node = variable.owner
-    if node is None:
-        return isinstance(variable, Constant)
-    pattern = getattr(node.op, "connection_pattern", None)
-    counts = pattern(node) if pattern else [[True] * len(node.outputs)] * len(node.inputs)
-    return all(is_constant(x) for x, row in zip(node.inputs, counts, strict=True) if row[variable.index])
+    waiting, seen = [variable], set()
+    while waiting:
+        one = waiting.pop()
+        if one in seen:
+            continue
+        seen.add(one)
+        if one.owner is None:
+            if not isinstance(one, Constant):
+                return False
+            continue
+        pattern = getattr(one.owner.op, "connection_pattern", None)
+        counts = pattern(one.owner) if pattern else [[True] * len(one.owner.outputs)] * len(one.owner.inputs)
+        waiting += [x for x, row in zip(one.owner.inputs, counts, strict=True) if row[one.index]]
+    return True
 
 
 class Tangent(Derivative):

@@ -50,9 +50,9 @@ class HystereticChain(Chain):
 
     Mean squares with n up to 6 are integrated by Taylor steps: they agree with those of histories to some
     1e-7, at worst to some 1e-6 (tests/simulators/test_taylor.py). Their gradients are the exact derivatives,
-    at the price of three to four values. With n = 1 or 2 that costs a third to a half of what it does with
-    another n, and a population a small part of its particles one by one. Gradients of histories, and with n
-    above 6, are central differences: two responses for each number that is no constant.
+    at the price of three to six values. With n = 1 or 2 that costs a third to a half of what it does with
+    another n. Gradients of histories, and with n above 6, are central differences: two responses for each
+    number that is no constant.
 
     References
     ----------

@@ -34,7 +34,7 @@ from pymc_features.ops import (
     StructuralResponse,
 )
 from pymc_features.ops.base import count
-from pymc_features.ops.gradient import Gradient
+from pymc_features.ops.gradient import Gradient, is_constant
 from pymc_features.simulators import FAMILIES, QUANTITIES
 from support.graphs import PLAIN, our_ops
 from support.kernels import (
@@ -155,6 +155,10 @@ def test_gradients_of_chains_that_yield_ask_what_is_sought():
     other = HystereticChain(theta[0] * np.ones(3), 100.0, ModalDamping(theta[1]), **law)
     history = response(other, Record(np.ones(9), 0.02)).sum()
     assert sought_in(pt.grad(history, theta)) == {("mass", "ratios")}
+    long = pt.constant(np.ones(3))
+    for _ in range(2000):  # deeper than Python's stack, and each variable twice
+        long = 0.5 * (long + long)
+    assert is_constant(long) and not is_constant(long * theta[0])
 
 
 @pytest.mark.slow
