@@ -42,7 +42,7 @@ class Mode(NamedTuple):
     factor : array (d, d)
         Lower Cholesky factor of the covariance of Laplace's approximation.
     log_evidence : float
-        Of Laplace's approximation.
+        Of Laplace's approximation, in these units; see `Reference.log_evidences`.
     n_climbs : int
         Climbs that ended here.
     is_maximum : bool
@@ -67,6 +67,10 @@ class Reference:
         Mean and standard deviation of the prior.
     maps : list of Transport or None, optional
         For each mode a map to the points around it that follows the posterior's bends, or none.
+    fit : Mixture, optional
+        What was fitted to the draws of a run before, beside the modes.
+    shares : array (k,) or (k + 1,), optional
+        Of the modes and the fit, of sum one; by default Laplace's approximation gives those of the modes.
 
     Notes
     -----
@@ -75,12 +79,13 @@ class Reference:
     that the evidence relative to the mixture is that of the model.
     """
 
-    def __init__(self, modes, centre, scale, maps=None):
+    def __init__(self, modes, centre, scale, maps=None, fit=None, shares=None):
         self.modes, self.centre, self.scale = modes, centre, scale
         self.maps = [None] * len(modes) if maps is None else maps
         components = [part for pair in zip(modes, self.maps, strict=True) for part in self.parts_of(*pair)]
-        weights = 0.9 * self.mode_shares() + 0.1 / len(modes)
-        self.mixture = Mixture(components, np.outer(weights, SHARES).ravel())
+        shares = 0.9 * self.mode_shares() + 0.1 / len(modes) if shares is None else shares
+        weights = np.append(np.outer(shares[: len(modes)], SHARES).ravel(), shares[len(modes) :])
+        self.mixture = Mixture(components if fit is None else [*components, fit], weights)
 
     def parts_of(self, mode, bent) -> list:
         """What stands at a mode, in the order of `SHARES`."""
@@ -138,6 +143,11 @@ class Reference:
         x = self.mixture.draw(n - n_prior, rng)
         x = np.concatenate([x, draw_prior(n_prior)]) if n_prior else x
         return x[rng.permutation(n)]
+
+    @property
+    def log_evidences(self) -> np.ndarray:
+        """Laplace's approximations (k,) of the evidence at the ends of climbs, in any coordinates."""
+        return np.array([mode.log_evidence for mode in self.modes]) + np.log(self.scale).sum()
 
     @property
     def peaks(self) -> np.ndarray:

@@ -111,8 +111,8 @@ CALLS = {
     ),
     "sample": Call(
         pmf.sample,
-        {**RUN, "model": MODEL, "compile_kwargs": None},
-        TAKEN,
+        {**RUN, "model": MODEL, "compile_kwargs": None, "check": None},
+        TAKEN | {"check": {"None"}},
         instead={
             "pymc_features.inference.sample.Unconstrained": work,
             "pymc_features.inference.sample.remembered": work,

@@ -1,0 +1,175 @@
+"""Parts of a posterior that a run misses: found, sampled, and said; and no alarm where nothing is missing.
+
+Posteriors are mixtures of normal distributions in a box that ends far outside, with their closed forms.
+"""
+
+import functools
+import warnings
+
+import numpy as np
+import pymc as pm
+import pytensor
+import pytensor.tensor as pt
+import pytest
+from scipy import stats
+
+import pymc_features as pmf
+from pymc_features.inference.cross_check import affordable
+
+QUIET = {"progressbar": False, "cores": 1, "chains": 2}
+
+
+def mixture(weights, centres, scales, box, through=None):
+    """Model of x (d,), uniform in +-box, with these parts; and its log evidence.
+
+    The density goes `through` an Op, if one is given.
+    """
+    centres = np.array(centres, dtype=float)
+    d = centres.shape[1]
+    with pm.Model() as model:
+        x = pm.Uniform("x", -box, box, shape=d)
+        parts = [
+            np.log(w) - 0.5 * ((x - c) ** 2).sum() / s**2 - d * np.log(s * np.sqrt(2.0 * np.pi))
+            for w, c, s in zip(weights, centres, scales, strict=True)
+        ]
+        density = pt.logsumexp(pt.stack(parts))
+        pm.Potential("parts", density if through is None else through(density))
+    return model, -d * np.log(2.0 * box)
+
+
+def spike(through=None):
+    """Half of the mass in a part of a twentieth of the width of the other, and inside it."""
+    return mixture([0.5, 0.5], [np.zeros(4), np.full(4, 0.75)], [1.0, 0.05], 8.0, through)
+
+
+def sampled(model, draws=500, **settings):
+    """Attributes of a run, and its draws."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pmf.exceptions.SamplingWarning)
+        idata = pmf.sample(draws, model=model, **QUIET | settings)
+    return idata["sample_stats"].attrs, idata["posterior"]["x"].values.reshape(
+        -1, *idata["posterior"]["x"].shape[2:]
+    )
+
+
+@functools.cache
+def of_spike(check):
+    model, exact = spike()
+    found, x = sampled(model, random_seed=1, check=check)
+    return found, found["log_evidence"] - exact, x
+
+
+def test_a_spike_is_missed_without_the_check():
+    """The control: half of the evidence is missing, and nothing says so."""
+    found, error, _ = of_spike(None)
+    assert error == pytest.approx(-np.log(2.0), abs=0.1)
+    assert found["advice"] == ""
+    assert "check" not in found
+
+
+def test_a_spike_is_found_and_sampled():
+    """The share of the spike within 0.065: four standard errors of 1000 draws."""
+    found, error, x = of_spike("standard")
+    assert abs(error) < 0.1
+    assert found["check_repeats"] == 1
+    assert found["missed_share"] == 0.0
+    assert found["advice"] == ""
+    assert "found no other part" in found["check"]
+    inside = (np.linalg.norm(x - 0.75, axis=1) < 0.25).mean()  # where the other has 3e-4
+    assert inside == pytest.approx(0.5, abs=0.065)
+    assert found["check_evaluations"] > 0
+    assert found["check_gradients"] > 0
+
+
+def test_the_same_seed_gives_the_same_draws():
+    model, _ = spike()
+    first, second = (sampled(model, 50, random_seed=1)[1] for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_parts_that_few_climbs_find_are_sampled_or_warned_of(seed):
+    """Four parts of unequal width in three dimensions, one of which one in several hundred climbs finds."""
+    centres = [[-5, -4, 3], [4, 5, -3], [0, -5, -5], [5, -3, 5]]
+    model, exact = mixture([0.1, 0.2, 0.3, 0.4], centres, [0.8, 0.1, 0.4, 0.2], 12.0)
+    found, _ = sampled(model, random_seed=seed)
+    assert abs(found["log_evidence"] - exact) < 0.15 or found["advice"]
+
+
+class WithoutGradient(pytensor.graph.op.Op):
+    """Identity of a scalar, without a gradient."""
+
+    __props__ = ()
+    itypes = otypes = [pt.dscalar]
+
+    def perform(self, node, inputs, outputs):
+        outputs[0][0] = np.asarray(inputs[0])
+
+
+@pytest.mark.slow
+def test_without_gradients_climbs_take_differences():
+    model, exact = spike(WithoutGradient())
+    found, _ = sampled(model, random_seed=3, check="thorough")
+    assert found["no_gradient"]
+    assert abs(found["log_evidence"] - exact) < 0.1 or found["advice"]
+
+
+def well_behaved():
+    """Posteriors that `sample` gets right."""
+    with pm.Model() as correlated:
+        x = pm.Normal("x", 0.0, 3.0, shape=5)
+        pm.Normal("y", x.cumsum(), 0.1, observed=np.arange(5.0))
+    with pm.Model() as funnel:
+        v = pm.Normal("v", 0.0, 1.0)
+        pm.Normal("x", 0.0, pm.math.exp(v), shape=3)
+    with pm.Model() as edge:
+        x = pm.Uniform("x", 0.0, 1.0, shape=2)
+        pm.Normal("y", x, 0.1, observed=[1.0, 0.0])
+    with pm.Model() as tails:
+        x = pm.StudentT("x", 3.0, shape=3)
+        pm.Normal("y", x, 5.0, observed=np.zeros(3))
+    return {"correlated": correlated, "funnel": funnel, "edge": edge, "tails": tails}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(well_behaved()))
+def test_no_alarm_where_nothing_is_missing(name):
+    """No alarm in two runs each. An alarm asks for a rise of the evidence of four standard errors."""
+    for seed in (1, 2):
+        found, _ = sampled(well_behaved()[name], random_seed=seed)
+        assert found["check_repeats"] == 0, found["check"]
+        assert "found no other part" in found["check"]
+        assert "climbs" not in found["advice"]
+
+
+def test_what_cannot_be_checked_is_said():
+    with pm.Model() as model:
+        n = pm.Poisson("x", 3.0)
+        pm.Normal("y", n, 1.0, observed=4.0)
+    found, _ = sampled(model, random_seed=1)
+    assert found["check"] == "not done: the model has discrete parameters"
+
+
+def test_a_check_costs_less_than_half_of_the_run_or_a_second():
+    run = {"thorough": False, "n_draws": 2000, "spent": 20_000, "n_data": 5000, "dear": False}
+    usual = affordable(**run, n_differences=0)
+    assert 0.2 * 30_000 > usual.draws > 0.1 * 30_000
+    assert affordable(**run | {"n_data": 0}, n_differences=0) == (30_000, 1000)
+    assert affordable(**run | {"thorough": True}, n_differences=0) == (30_000, 1000)
+    assert affordable(**run | {"n_draws": 200, "n_data": 0}, n_differences=0) == (3000, 100)
+    assert affordable(**run | {"n_data": 10**7, "spent": 10**6}, n_differences=0).draws > usual.draws
+    dear = affordable(**run | {"dear": True}, n_differences=12)
+    assert dear.draws + 75 * 4 * dear.climbs <= 0.05 * 20_000
+    with pytest.raises(ValueError, match="`check` must be one of standard, thorough"):
+        pmf.sample(100, model=spike()[0], check="all", **QUIET)
+
+
+def test_evidence_of_a_mode_is_that_of_laplace():
+    """Exact for a normal posterior, whatever the scale of the prior."""
+    with pm.Model() as model:
+        x = pm.Normal("x", 0.0, [10.0, 0.1])
+        pm.Normal("y", x, 1.0, observed=[3.0, 0.5])
+    idata = pmf.sample(100, model=model, random_seed=1, **QUIET)
+    exact = stats.norm([0.0, 0.0], np.sqrt([101.0, 1.01])).logpdf([3.0, 0.5]).sum()
+    assert float(idata["modes"]["log_evidence"][0]) == pytest.approx(exact, abs=1e-4)
