@@ -1,8 +1,9 @@
 """Arrays in, arrays out: response, misfit and their derivatives, as compiled kernels.
 
-Rooms: `compiled` (machine code), `oscillators` (uncoupled modes through time), `derivatives` (gradients of
-many structures together), `eigen` (modes of many structures together), `reduced` (those of large sparse
-ones), `mean_squares` (without going through time), `taylor` (populations of nonlinear chains through time),
+Rooms: `compiled` (machine code), `numbers` (one source for one structure and for many, with derivatives and
+without), `oscillators` (modes through time, and gradients), `derivatives` (those of coupled modes), `eigen`
+(modes of many structures together), `reduced` (those of large sparse ones), `mean_squares` (without going
+through time), `taylor` (populations of nonlinear chains through time),
 `chain`, `linear`, `nonlinear` and `cyclic` (from the parameters of a family to its modes, states or forces),
 `modal` (modes for their own sake), and above them `families`, the table of all kernels. Nothing here knows of
 PyMC or PyTensor.
@@ -31,16 +32,18 @@ Letters for sizes: n degrees of freedom, m modes kept, s sensors, d inputs, t sa
 response, p particles or parameters. The derivative of L by x is `grad_x`, a direction of x `d_x`.
 """
 
-from pymc_features.simulators.chain.gradient import (
-    discrepancy_tangent,
+from pymc_features.simulators.chain.gradient import discrepancy_tangent, response_tangent
+from pymc_features.simulators.chain.kernels import (
+    chain_discrepancy,
+    chain_misfit,
+    chain_response,
     misfit_gradient,
+    population_discrepancy,
+    population_gradient,
+    population_misfit,
     response_gradient,
-    response_tangent,
 )
 from pymc_features.simulators.chain.parameters import ChainParameters
-from pymc_features.simulators.chain.population import population_discrepancy, population_misfit
-from pymc_features.simulators.chain.population_gradient import population_gradient
-from pymc_features.simulators.chain.response import chain_discrepancy, chain_misfit, chain_response
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.oscillators.arguments import QUANTITIES, Excitation, Outputs, n_outputs
 from pymc_features.simulators.quantities import (

@@ -15,7 +15,7 @@ population_misfit       data                                (p, s, 4)
 population_systems      data                                modes, see `mean_squares`, or None; may lack
 population_gradient     data, weights (p, s, 1) or (.., 4)  gradients in the shapes of the parameters
 gradient_systems        data                                modes of those of whom there is the following
-gradient_of_sums        sums over time, see `take_sums`     as population_gradient; both may lack
+gradient_of_sums        sums over time, see `reduction`     as population_gradient; both may lack
 
 What describes no structure gives NaN, in its own rows. NaN in the data is a gap: the first statistic, and
 what follows from it, is of the other samples, over the number of all; the others are NaN then. A new family
@@ -28,20 +28,20 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from pymc_features.simulators.chain.gradient import (
-    discrepancy_tangent,
+from pymc_features.simulators.chain.gradient import discrepancy_tangent, response_tangent
+from pymc_features.simulators.chain.kernels import (
+    chain_discrepancy,
+    chain_gradient_of_sums,
+    chain_misfit,
+    chain_response,
+    chain_systems,
     misfit_gradient,
+    population_discrepancy,
+    population_gradient,
+    population_misfit,
     response_gradient,
-    response_tangent,
 )
 from pymc_features.simulators.chain.parameters import ChainParameters
-from pymc_features.simulators.chain.population import population_discrepancy, population_misfit
-from pymc_features.simulators.chain.population_gradient import (
-    chain_gradient_of_sums,
-    population_gradient,
-)
-from pymc_features.simulators.chain.population_systems import chain_systems
-from pymc_features.simulators.chain.response import chain_discrepancy, chain_misfit, chain_response
 from pymc_features.simulators.cyclic.kernels import KERNELS as OF_SPECIMENS
 from pymc_features.simulators.cyclic.law import SpecimenParameters
 from pymc_features.simulators.linear.arguments import LinearParameters

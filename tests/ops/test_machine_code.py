@@ -36,8 +36,8 @@ def test_dependencies_are_the_files_that_can_change_a_kernel():
         path = dependencies.module_path(f"pymc_features.simulators.{module}")
         return {str(file.relative_to(dependencies.ROOT)) for file in dependencies.dependencies(path)}
 
-    chain = names("chain.response")
-    assert {"simulators/chain/modes.py", "simulators/oscillators/recursion.py"} <= chain
+    chain = names("chain.kernels")
+    assert {"simulators/chain/modes.py", "simulators/oscillators/march.py"} <= chain
     assert not any("linear/" in name or "nonlinear/" in name for name in chain)
     law = names("nonlinear.runge_kutta")  # which calls the laws by their type only
     assert {"simulators/nonlinear/bouc_wen/law.py", "simulators/nonlinear/duffing.py"} <= law
@@ -137,8 +137,8 @@ def test_edits_compile_what_they_change_and_nothing_else(tmp_path, request):
             source.write("\n\ndef more():\n    return 1\n")
     assert copy.run() == pytest.approx(value, rel=1e-14)
     assert copy.machine_code() == code
-    copy.edit("simulators/chain/response.py", "observed, 1)[:, 0].copy()", "observed, 1)[:, 0] * 2.0")
-    copy.edit("simulators/oscillators/recursion.py", "= sums[i, j] / n_times", "= 5.0 * sums[i, j] / n_times")
+    copy.edit("simulators/chain/kernels.py", "0)))[:, 0].copy()", "0)))[:, 0] * 2.0")
+    copy.edit("simulators/oscillators/evaluation.py", "own[0] = walk", "own[0] = 5.0 * walk")
     copy.edit(
         "ops/numba_dispatch.py",
         "return kernel((*assembled(given), *given[more:]))",

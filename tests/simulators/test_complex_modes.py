@@ -8,7 +8,7 @@ from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.eigen.complex_modes import new_complex
 from pymc_features.simulators.eigen.residues import CANCELLING, check_sums
 from pymc_features.simulators.linear import population
-from pymc_features.simulators.oscillators.lanes import COLUMNS
+from pymc_features.simulators.oscillators.march import GROUP
 from support.kernels import linear_misfit, linear_population_discrepancy, linear_population_misfit
 from support.linear import meeting, noise, random_structure, spring_chain
 from support.reference import first_order_hold, interpolated
@@ -84,7 +84,7 @@ def test_dashpot_against_matrix_exponential(n, quantity, alone):
 
 def test_more_pairs_than_march_together(alone):
     """Pairs of modes in two chunks."""
-    assert dashpot_on_chain(COLUMNS // 2 + 3).worst([0.1, 2.0], 0) < 1e-9
+    assert dashpot_on_chain(GROUP // 2 + 3).worst([0.1, 2.0], 0) < 1e-9
     assert alone == []
 
 

@@ -261,19 +261,19 @@ def test_close_modes_with_short_memory(softness, scale, beta, ratio):
 @pytest.mark.parametrize("case", [{}, {"n_modes": 2}, {"stride": 3, "sensors": np.array([2, 0])}], ids=str)
 @pytest.mark.parametrize("quantity", range(4), ids=QUANTITIES)
 def test_forward_is_the_transpose_of_reverse(case, quantity):
-    """<W, J d> = <J' W, d>: measured 2e-16; at close modes too."""
+    """<W, J d> = <J' W, d>; of modes whose frequencies differ by 1e-9 of them to 1e-9."""
     rng = np.random.default_rng(quantity)
-    for changes in ({}, soft_middle(1e-5), soft_middle(1e-9)):
+    for changes, error in (({}, 1e-12), (soft_middle(1e-5), 1e-11), (soft_middle(1e-9), 2e-9)):
         arguments = random_chain(3, "equal", quantity, **changes, **case)
         y = chain_response(*arguments)
         observed, weights, c = y + rng.normal(size=y.shape), rng.normal(size=y.shape), rng.normal(size=len(y))
         d = np.concatenate(arguments[:4]) * rng.normal(size=11)
         terms = weights * response_tangent(*arguments, *split(d))
         back = np.concatenate(response_gradient(*arguments, weights)) * d
-        assert abs(terms.sum() - back.sum()) < 1e-12 * (np.abs(terms).sum() + np.abs(back).sum())
+        assert abs(terms.sum() - back.sum()) < error * (np.abs(terms).sum() + np.abs(back).sum())
         terms = c * discrepancy_tangent(*arguments, observed, *split(d))
         back = np.concatenate(discrepancy_gradient(*arguments, observed, c)) * d
-        assert abs(terms.sum() - back.sum()) < 1e-12 * (np.abs(terms).sum() + np.abs(back).sum())
+        assert abs(terms.sum() - back.sum()) < error * (np.abs(terms).sum() + np.abs(back).sum())
 
 
 @pytest.mark.parametrize("shared", [(), (0,), (1, 3), (0, 2, 3)], ids=str)

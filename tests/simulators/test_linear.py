@@ -12,7 +12,7 @@ from pymc_features.simulators.linear.state_space import StateMatrices, march_sta
 from pymc_features.simulators.linear.system import is_coupled
 from pymc_features.simulators.oscillators.arguments import Excitation
 from pymc_features.simulators.oscillators.modal_system import ModalSystem
-from pymc_features.simulators.oscillators.recursion import march_modes
+from pymc_features.simulators.oscillators.systems import Direct, march_system
 from support.linear import UNDAMPED, as_linear, noise, of_matrices, random_structure, spring_chain
 from support.reference import first_order_hold, interpolated
 from support.straight import Loading
@@ -123,7 +123,7 @@ def test_both_routes_on_the_same_modes(quantity):
     damping = 2.0 * zeta * omega
     singly, together, excitation = np.empty((5, 200)), np.empty((5, 200)), Excitation(inputs, 0.02, 1, 1)
     system = ModalSystem(omega, damping, shapes, participation)
-    march_modes(system, direct, excitation, quantity, singly, singly, np.empty((1, 0)))
+    march_system(system, Direct(direct, direct, True), excitation, quantity, singly, singly)
     equations = modal_equations(omega, np.diag(damping), participation, 0.02)
     outputs = equations.output_matrix(shapes, quantity)
     matrices = StateMatrices(*equations.step_matrices(), outputs, direct)

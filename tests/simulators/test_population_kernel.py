@@ -3,16 +3,14 @@
 import numpy as np
 import pytensor.tensor as pt
 import pytest
-from numba import njit
 from pytensor.graph.replace import vectorize_graph
 
 from pymc_features import ModalDamping, SpringMassChain, mean_square_discrepancy, paper, response
 from pymc_features.ops import PopulationDiscrepancy
 from pymc_features.simulators import FAMILIES, QUANTITIES, request
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.oscillators.arguments import NO_DIRECT, Excitation
-from pymc_features.simulators.oscillators.lanes import COLUMNS, new_lanes
-from pymc_features.simulators.oscillators.places import block_of, source_of
+from pymc_features.simulators.oscillators.arguments import NO_DIRECT
+from pymc_features.simulators.oscillators.march import GROUP
 from support.graphs import PLAIN, our_ops
 from support.kernels import chain_discrepancy, population_discrepancy
 from support.reference import first_order_hold
@@ -62,8 +60,8 @@ def test_agrees_with_the_kernel_of_one_particle(ground, quantity, ratio, n_dof, 
 
 @pytest.mark.parametrize("n_sensors", range(1, 9))
 def test_more_modes_than_go_together(ground, n_sensors):
-    """Modes in two chunks, sensors in threes and twos, and a block with a gap."""
-    rng, n = np.random.default_rng(6), COLUMNS + 5
+    """Modes in two chunks, an odd number of sensors, and a block with a gap."""
+    rng, n = np.random.default_rng(6), GROUP + 5
     data = rng.normal(size=(n_sensors, ground.size))
     data[0, 20:25] = np.nan
     common = (ground, DT, 1, 1, rng.permutation(n)[:n_sensors], n, 0, data)
@@ -97,18 +95,6 @@ def test_data_that_are_views(ground):
     kernel = chain.kernels["population_discrepancy"]
     for view in views(data):
         np.testing.assert_allclose(kernel(*given, view), kernel(*given, data), rtol=1e-12)
-
-
-def test_addresses_are_whole_numbers(ground):
-    """Numba makes floats of signed integers beside unsigned ones: exact below 2^53 only."""
-    data, motion = np.zeros((1, ground.size)), Excitation(ground, DT, 1, 1)
-
-    @njit
-    def first_block(lanes, motion, data):
-        return block_of(source_of(lanes, motion, data), 0)
-
-    block = first_block(new_lanes(data, 2, motion, False), motion, data)
-    assert [type(number) for number in block] == [int] * len(block)
 
 
 def test_matrix_exponential():

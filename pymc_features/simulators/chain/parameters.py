@@ -38,3 +38,12 @@ def own_rows(parameters, p):
         rayleigh[p % rayleigh.shape[0]],
         ratios[p % ratios.shape[0]],
     )
+
+
+@jit
+def zeros_like(parameters):
+    """Gradients of the shapes of the parameters, zero."""
+    mass, stiffness, rayleigh, ratios = parameters
+    return ChainParameters(
+        np.zeros(mass.shape), np.zeros(stiffness.shape), np.zeros(rayleigh.shape), np.zeros(ratios.shape)
+    )

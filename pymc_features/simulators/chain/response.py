@@ -1,12 +1,12 @@
-"""Response of a spring-mass chain, Eqs. (17)-(24), and its misfit from data."""
+"""Modes of a spring-mass chain, Eqs. (17)-(24), as its outputs have them, and checks of sizes."""
 
 import numpy as np
 
 from pymc_features.simulators.chain.modes import chain_modes
-from pymc_features.simulators.compiled.jit import inline, jit
-from pymc_features.simulators.oscillators.arguments import Excitation, n_outputs
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.oscillators.arguments import n_outputs
 from pymc_features.simulators.oscillators.modal_system import ModalSystem, feed_through
-from pymc_features.simulators.oscillators.recursion import march_modes, statistics, write_damping
+from pymc_features.simulators.oscillators.recursion import write_damping
 
 
 @jit
@@ -29,13 +29,6 @@ def check_history(history, excitation, wanted):
     total = n_outputs(excitation.acceleration.size, excitation.substeps, excitation.stride)
     if history.shape[0] != wanted.sensors.size or history.shape[1] != total:
         raise ValueError("`observed` or the cotangent must have the shape (sensor, time) of the response")
-
-
-@jit
-def ground_motion(excitation):
-    """The excitation with its acceleration as one input (1, t)."""
-    acceleration, dt, substeps, stride, direct = excitation
-    return Excitation(acceleration.reshape(1, acceleration.size), dt, substeps, stride, direct)
 
 
 @jit
@@ -95,63 +88,3 @@ def chain_feed(system, wanted, complete):
     feed = np.empty(wanted.sensors.size)
     write_feed(system, wanted.quantity, complete, feed)
     return feed.reshape(feed.size, 1)
-
-
-@jit
-def chain_response(parameters, excitation, wanted):
-    """Response history (s, u) of a spring-mass chain, exact for an excitation linear between its samples.
-
-    Parameters
-    ----------
-    parameters : ChainParameters
-    excitation : Excitation
-    wanted : Outputs
-
-    Returns
-    -------
-    array (s, u)
-        All NaN where the parameters describe no structure.
-    """
-    check_sizes(parameters, wanted)
-    total = n_outputs(excitation.acceleration.size, excitation.substeps, excitation.stride)
-    history = np.empty((wanted.sensors.size, total))
-    valid, system, omega, _ = modes_of(parameters, excitation.dt / excitation.substeps, wanted)
-    if valid:
-        feed, motion = chain_feed(system, wanted, wanted.n_modes == omega.size), ground_motion(excitation)
-        march_modes(system, feed, motion, wanted.quantity, history, history, np.empty((1, 0)))
-    else:
-        history[:] = np.nan
-    return history
-
-
-@inline
-def compare(parameters, excitation, wanted, observed, n_statistics):
-    """Statistics (s, 1) or (s, 4) of the misfit, see `oscillators.misfit`; NaN where there is no structure.
-
-    Memory: a few blocks of 128 samples, whatever the length of the record.
-    """
-    check_sizes(parameters, wanted)
-    check_history(observed, excitation, wanted)
-    sums = np.zeros((n_statistics, wanted.sensors.size))
-    valid, system, omega, _ = modes_of(parameters, excitation.dt / excitation.substeps, wanted)
-    if valid:
-        feed, motion = chain_feed(system, wanted, wanted.n_modes == omega.size), ground_motion(excitation)
-        march_modes(system, feed, motion, wanted.quantity, observed, np.empty((0, 0)), sums)
-    else:
-        sums[:] = np.nan
-    return statistics(sums, observed.shape[1])
-
-
-@jit
-def chain_discrepancy(parameters, excitation, wanted, observed):
-    """e_j = (1/N_D) sum_k [y_j(k) - g_j(k; theta)]^2 (s,), Eq. (3), of data (s, u) in its unit."""
-    return compare(parameters, excitation, wanted, observed, 1)[:, 0].copy()
-
-
-@jit
-def chain_misfit(parameters, excitation, wanted, observed):
-    """What the log-density of errors correlated in time needs of the misfit r = y - g: (s, 4).
-
-    e_j, the sum of the squared increments r(k) - r(k - 1) over N_D, the first misfit and the last.
-    """
-    return compare(parameters, excitation, wanted, observed, 4)

@@ -21,3 +21,14 @@ def ascending(values):
             k -= 1
         order[k] = here
     return order
+
+
+@jit
+def positions(values, lane, order):
+    """Write the positions (n,) of the numbers of a lane in ascending order."""
+    for i in range(order.size):
+        value, k = values[i, lane], i
+        while k > 0 and values[order[k - 1], lane] > value:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = i

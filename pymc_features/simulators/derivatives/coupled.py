@@ -7,19 +7,19 @@ from pymc_features.simulators.compiled.vector import LANES, load, splat, store
 from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.derivatives.pair_differences import (
     add_mass_terms,
-    complete_sums,
     multiply_left,
     poles_apart,
     put_number,
     write_differences,
     write_right,
 )
-from pymc_features.simulators.derivatives.pair_lanes import sum_pairs, write_pair
+from pymc_features.simulators.derivatives.pair_lanes import complete_sums, write_pair
 from pymc_features.simulators.derivatives.pair_memory import new_pairs
 from pymc_features.simulators.eigen.complex_modes import PANEL, new_complex, settle_panel, start_panel
 from pymc_features.simulators.eigen.coupled import (
     all_columns,
     check_damping,
+    new_lanes,
     project,
     sort_modes,
     write_sensors,
@@ -31,11 +31,13 @@ from pymc_features.simulators.eigen.matrices import (
     multiply_lanes,
     store_four,
 )
+from pymc_features.simulators.eigen.pairs import fill_lanes, new_oscillator_pairs
 from pymc_features.simulators.eigen.residues import check_sums
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
-from pymc_features.simulators.oscillators.arguments import at_every_step
+from pymc_features.simulators.numbers.compiled_numbers import new_dual
 from pymc_features.simulators.oscillators.fast_modes import highest_coupled_step
-from pymc_features.simulators.oscillators.lanes import new_lanes
+from pymc_features.simulators.oscillators.samples import of_population
+from pymc_features.simulators.oscillators.sums import new_gradient_walk, sum_history
 
 # Residues above that many times the classical ones: the derivatives lose digits by the third power of it
 CANCELLING = 100.0
@@ -67,9 +69,12 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
     """
     theta, (n_sensors, n), count = parameters.theta, wanted.sensors.shape, weights.shape[0]
     step, n_times = excitation.dt / excitation.substeps, observed.shape[1]
-    is_done, motion = np.zeros(count, dtype=np.bool_), at_every_step(excitation)
+    is_done, widths = np.zeros(count, dtype=np.bool_), of_population()
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
-    lanes, modes = new_lanes(observed, n, motion, True), new_complex(n, n_sensors)
+    oscillators, modes = new_oscillator_pairs(n, n_sensors), new_complex(n, n_sensors)
+    dual = new_dual(widths.wide, widths.wide, widths.wide)
+    walk = new_gradient_walk(excitation, observed, False, True, 2 * n, dual, widths)
+    lot = new_lanes(parameters, wanted, n, walk.samples, step, widths)
     structures, pairs = new_structures(n, theta.shape[1], n + 2), new_pairs(n, n, n_sensors)
     damping, room = new_vectors(n * n), new_vectors(n * n)
     places = filled_places(parameters.damping, n)
@@ -77,13 +82,12 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
     by_theta = new_vectors(theta.shape[1])
     order, matrices = np.empty(n, dtype=np.int64), new_matrices(n, n_sensors)
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
-    request = step, wanted.quantity, n_sensors, excitation.acceleration[0, 0]
     for first in range(0, count, LANES):
         for lane in range(LANES):
             p = min(first + lane, count - 1)
             structures.theta[:, lane] = theta[p % theta.shape[0]]
             for j in range(n_sensors):
-                pairs.factors[j, lane] = -2.0 * weights[p, j, 0] / n_times
+                walk.sum_arrays.factors[j * LANES + lane] = -2.0 * weights[p, j, 0] / n_times
         solve_structures(structures, stacks, is_diagonal, columns)
         for lane in range(LANES):
             modes.is_good[0, lane] = 1.0 if structures.is_good[lane] and first + lane < count else 0.0
@@ -91,13 +95,14 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
         assemble_lanes(parameters.damping, structures.theta, n, True, damping)
         project(modes, damping, places, products, room)
         check_damping(modes, structures.factor, damping, highest_coupled_step(excitation) / step, is_safe)
-        write_sensors(modes, lanes, products, wanted, support_motion)
-        fill_gradient_pairs(lanes, pairs, modes, products, request)
+        write_sensors(modes, oscillators.forced, products, wanted, support_motion)
+        fill_gradient_pairs(oscillators, pairs, modes, products, wanted.quantity)
         store(
             modes.is_good, 0, load(modes.is_good, 0) * poles_apart(pairs, n_times * excitation.stride * step)
         )
-        sum_pairs(lanes, pairs, motion, observed)
-        complete_sums(pairs, n_sensors, step, wanted.quantity)
+        fill_lanes(lot, oscillators, modes.is_good)
+        sum_history(lot, walk, widths)
+        complete_sums(pairs, lot, walk.found, wanted.quantity, widths)
         by_theta.fill(0.0)
         spread_to_theta(parameters, pairs, modes, products, matrices, (n_sensors, wanted.quantity), by_theta)
         for lane in range(LANES):
@@ -124,9 +129,9 @@ def new_matrices(n, n_sensors):
 
 
 @jit
-def fill_gradient_pairs(lanes, pairs, modes, products, request):
-    """Find the complex modes of all lanes, and write all that `sum_pairs` and the gradient need of them."""
-    m, n_sensors = modes.omega.shape[0], request[2]
+def fill_gradient_pairs(oscillators, pairs, modes, products, quantity):
+    """Find the complex modes of all lanes, and write all that the march and the gradient need of them."""
+    m, n_sensors = modes.omega.shape[0], oscillators.forced.shape[0]
     for i in range(3 * n_sensors):
         store(modes.sums, i, splat(0.0))
     for first in range(0, m, PANEL):
@@ -134,7 +139,7 @@ def fill_gradient_pairs(lanes, pairs, modes, products, request):
         settle_panel(modes, first)
         write_vectors(pairs, modes, products, first)
         for p in range(min(PANEL, m - first)):
-            write_pair(lanes, pairs, modes, first + p, p, request)
+            write_pair(oscillators, pairs, modes, first + p, p, quantity)
     check_sums(modes, n_sensors, CANCELLING)
 
 

@@ -18,7 +18,7 @@ from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.derivatives.pair_lanes import order_of
 from pymc_features.simulators.derivatives.pair_memory import number, put_number
 from pymc_features.simulators.eigen.pair_numbers import over, times
-from pymc_features.simulators.oscillators.close_modes import CLOSE
+from pymc_features.simulators.oscillators.reduction import CLOSE
 
 
 @jit
@@ -53,27 +53,6 @@ def poles_apart(pairs, duration):
             gap = where_less(zero, square * other, where_less(zero, square, real, gap), mixed)
             apart = where_less(splat(CLOSE), gap * memory, apart, zero)
     return apart
-
-
-@jit
-def complete_sums(pairs, n_sensors, step, quantity):
-    """Turn the sums of dL/dy times y and V into those times a pole's output and its derivative by lambda."""
-    m, order = pairs.poles.shape[0] // 3, order_of(quantity)
-    for r in range(m):
-        a, b, square = pole_of(pairs, r)
-        after, pole = number(pairs.after, r), (a, b)
-        slope = load(pairs.slopes, 4 * r + 2), load(pairs.slopes, 4 * r + 3)
-        for j in range(n_sensors):
-            row, ground = 2 * (j * m + r), load(pairs.of_ground, j)
-            y, v = number(pairs.sums, row), number(pairs.sums, row + 1)
-            f = y[0] + after[0] * ground, y[1] + after[1] * ground
-            d = step * (v[0] + slope[0] * ground), step * (v[1] + slope[1] * ground)
-            for _ in range(order):
-                d = times(pole, d, square)
-                d = d[0] + f[0], d[1] + f[1]
-                f = times(pole, f, square)
-            put_number(pairs.sums, row, f)
-            put_number(pairs.sums, row + 1, d)
 
 
 @jit

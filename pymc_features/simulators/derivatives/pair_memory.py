@@ -7,7 +7,6 @@ import numpy as np
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import load, store
 from pymc_features.simulators.compiled.vector_memory import new_vectors
-from pymc_features.simulators.oscillators.lanes import SAMPLES
 
 
 class PairLanes(NamedTuple):
@@ -23,18 +22,10 @@ class PairLanes(NamedTuple):
         S x, of sensor j and mode r in rows 2 (j m + r) ...
     vectors : array (2 m n, LANES)
         Phi x, of entry i and mode r in rows 2 (i m + r) ...
-    slopes, before : array (4 m, LANES), (4 m, LANES)
-        C' and what stands before a in the derivative of f; y and V at the beginning of a block.
-    after : array (2 m, LANES)
-        B1.
     sums : array (4 s m, LANES)
-        Of dL/dy_j times y and V.
+        Of dL/dy_j times the output of a pole, and its derivative by lambda.
     of_ground : array (s, LANES)
         Of dL/dy_j times the input.
-    history : array (4 SAMPLES, LANES)
-        y and V of one mode in a block.
-    factors : array (s, LANES)
-        Derivatives of L by e_j, times -2 / N_D.
     """
 
     poles: np.ndarray
@@ -42,13 +33,8 @@ class PairLanes(NamedTuple):
     right: np.ndarray
     seen: np.ndarray
     vectors: np.ndarray
-    slopes: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
     sums: np.ndarray
     of_ground: np.ndarray
-    history: np.ndarray
-    factors: np.ndarray
 
 
 @jit
@@ -61,13 +47,8 @@ def new_pairs(n, m, n_sensors):
         right=new_vectors(2 * m),
         seen=new_vectors(2 * s * m),
         vectors=new_vectors(2 * m * n),
-        slopes=new_vectors(4 * m),
-        before=new_vectors(4 * m),
-        after=new_vectors(2 * m),
         sums=new_vectors(4 * s * m),
         of_ground=new_vectors(s),
-        history=new_vectors(4 * SAMPLES),
-        factors=new_vectors(s),
     )
 
 

@@ -3,35 +3,31 @@
 import numpy as np
 
 from pymc_features.algebra.factorisation import ZERO_STIFFNESS
+from pymc_features.simulators.compiled.arrays import positions
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, magnitude, splat, store, where_less
 from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.complex_modes import new_complex
 from pymc_features.simulators.eigen.damping_matrices import filled_places, is_never_negative, multiply_sparse
-from pymc_features.simulators.eigen.filling import positions
 from pymc_features.simulators.eigen.matrices import (
     all_diagonal,
     assemble_lanes,
     factorise_lanes,
     multiply_lanes,
 )
-from pymc_features.simulators.eigen.pairs import fill_pairs
+from pymc_features.simulators.eigen.pairs import fill_lanes, new_oscillator_pairs, write_pairs
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
-from pymc_features.simulators.oscillators.arguments import (
-    ABSOLUTE_ACCELERATION,
-    RELATIVE_ACCELERATION,
-    at_every_step,
-)
+from pymc_features.simulators.oscillators.evaluation import evaluate, new_walk
 from pymc_features.simulators.oscillators.fast_modes import highest_coupled_step
-from pymc_features.simulators.oscillators.lanes import new_lanes
-from pymc_features.simulators.oscillators.population import lane_statistics
+from pymc_features.simulators.oscillators.modal_lanes import new_modal_lanes
+from pymc_features.simulators.oscillators.samples import of_population
 
 FEW = 0.3  # share of the entries of C below which those that are zero are passed over
 
 
 @jit
-def march_coupled(parameters, excitation, wanted, observed, increments):
+def march_coupled(parameters, excitation, wanted, observed, n_statistics):
     """Misfits of the particles whose complex modes come out right, NaN of the others, and which those are.
 
     Parameters
@@ -43,27 +39,28 @@ def march_coupled(parameters, excitation, wanted, observed, increments):
     wanted : Outputs
     observed : array (s, u)
         Data.
-    increments : Increments or None
-        None if only e_j is asked for.
+    n_statistics : int
+        One for e_j, or four.
 
     Returns
     -------
-    array (p, s, 1), or (p, s, 4) with increments
+    array (p, s, n_statistics)
     bool array (p,)
         Whether they are written. The others may be invalid, lack mass, or have modes that coalesce.
     """
     theta, (n_sensors, n), m = parameters.theta, wanted.sensors.shape, wanted.n_modes
-    count, motion = theta.shape[0], at_every_step(excitation)
-    result = np.full((count, n_sensors, 1 if increments is None else 4), np.nan)
+    count, widths, step = theta.shape[0], of_population(), excitation.dt / excitation.substeps
+    result, history = np.empty((count, n_sensors, n_statistics)), np.empty((0, 0))
     is_written = np.zeros(count, dtype=np.bool_)
     columns, stacks = all_columns(parameters), (parameters.mass, parameters.stiffness)
-    lanes, modes = new_lanes(observed, m, motion, True), new_complex(m, n_sensors)
+    pairs, modes = new_oscillator_pairs(m, n_sensors), new_complex(m, n_sensors)
+    walk = new_walk(excitation, observed, observed.shape[1], 2 * m, n_sensors, widths)
+    lot = new_lanes(parameters, wanted, m, walk.samples, step, widths)
     structures = new_structures(n, theta.shape[1], columns[0].shape[1])
     damping, room = new_vectors(n * n), new_vectors(m * n)
     places = filled_places(parameters.damping, n)
     is_safe = is_never_negative(parameters.damping, n)
-    order, step, start = np.empty(n, dtype=np.int64), motion.dt, motion.acceleration[0]
-    highest = highest_coupled_step(excitation) / step
+    order, highest = np.empty(n, dtype=np.int64), highest_coupled_step(excitation) / step
     is_diagonal, support_motion = all_diagonal(parameters.mass, n), np.dot(wanted.sensors, columns[1])
     for first in range(0, count, LANES):
         for lane in range(LANES):
@@ -75,13 +72,23 @@ def march_coupled(parameters, excitation, wanted, observed, increments):
         assemble_lanes(parameters.damping, structures.theta, n, True, damping)
         project(modes, damping, places, products, room)
         check_damping(modes, structures.factor, damping, highest, is_safe)
-        write_sensors(modes, lanes, products, wanted, support_motion)
-        fill_pairs(lanes, modes, n_sensors, step, wanted.quantity, start)
-        found = lane_statistics(lanes, motion, observed, increments)
-        for lane in range(LANES):
-            if modes.is_good[0, lane] > 0.0:
-                result[first + lane], is_written[first + lane] = found[lane], True
+        write_sensors(modes, pairs.forced, products, wanted, support_motion)
+        write_pairs(pairs, modes, n_sensors, wanted.quantity)
+        fill_lanes(lot, pairs, modes.is_good)
+        evaluate(lot, walk, history, first, result, widths)
+        for lane in range(min(LANES, count - first)):
+            is_written[first + lane] = lot.is_there[lane]
     return result, is_written
+
+
+@jit
+def new_lanes(parameters, wanted, m, samples, step, widths):
+    """Lanes for structures of m pairs of modes under one input."""
+    sizes, motion = (
+        (2 * m, 2 * m, 2 * m, wanted.sensors.shape[0]),
+        np.dot(wanted.sensors, parameters.influence),
+    )
+    return new_modal_lanes(sizes, motion, (False, True), samples, (step, wanted.quantity), widths)
 
 
 @jit
@@ -177,11 +184,10 @@ def check_sign(modes, factor, damping):
 
 
 @jit
-def write_sensors(modes, lanes, products, wanted, support_motion):
-    """Write the modes at the sensors, and the feed-through of the input."""
+def write_sensors(modes, forced, products, wanted, support_motion):
+    """Write the modes at the sensors, and S iota less S Phi Gamma, (s, LANES)."""
     n_sensors, n = wanted.sensors.shape
     m, width = modes.omega.shape[0], n + 2
-    is_absolute = wanted.quantity == ABSOLUTE_ACCELERATION
     for j in range(n_sensors):
         by_modes = by_forces = splat(0.0)
         first, last = 0, n
@@ -196,11 +202,5 @@ def write_sensors(modes, lanes, products, wanted, support_motion):
             store(modes.seen, j * m + s, seen)
             by_modes = by_modes + seen * load(products, s * width + n + 1)
             by_forces = by_forces + seen * load(products, s * width + n)
-        motion = splat(support_motion[j])
-        if m == n:  # their sum is then known without its rounding error
-            by_modes = motion - by_forces
-        feed = motion - by_modes if is_absolute else splat(0.0) - by_modes
-        is_acceleration = is_absolute or wanted.quantity == RELATIVE_ACCELERATION
-        feed = feed if is_acceleration else splat(0.0)
-        store(lanes.feed, j, feed)
-        store(lanes.direct, j, feed)
+        # with all modes their sum is known without its rounding error
+        store(forced, j, by_forces if m == n else support_motion[j] - by_modes)

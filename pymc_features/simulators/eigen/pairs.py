@@ -1,14 +1,16 @@
-"""Pairs of complex modes, one structure in each vector lane, put into `Lanes` for their march.
+"""Pairs of complex modes as the march takes them: each twice, seen by its displacement and by its velocity.
 
-A pair is an oscillator q" + D q' + w^2 q = -a with w^2 = lambda_1 lambda_2 and D = -(lambda_1 + lambda_2), of
-which the sensors see a displacement c_q q + c_v q', a velocity, or an acceleration, each a combination of q
-and q' again and of the input. The recursion is that of `recursion`, with y = x - b1 a as in `population`:
-six products for a pair and step, and two columns for each sensor.
+Both poles of a pair make up an oscillator q" + d q' + s q = -a with s their product and d less their sum, and
+what a sensor sees of the pair is a combination of q and q'.
 """
 
+from typing import NamedTuple
+
+import numpy as np
+
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import load, splat, store, where_less
-from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
+from pymc_features.simulators.compiled.vector import splat, store
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.complex_modes import (
     PANEL,
     mode_places,
@@ -16,7 +18,6 @@ from pymc_features.simulators.eigen.complex_modes import (
     settle_panel,
     start_panel,
 )
-from pymc_features.simulators.eigen.filling import hold_lanes
 from pymc_features.simulators.eigen.pair_numbers import times
 from pymc_features.simulators.eigen.residues import (
     CANCELLING,
@@ -26,72 +27,46 @@ from pymc_features.simulators.eigen.residues import (
     input_factor,
 )
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
-from pymc_features.simulators.oscillators.lanes import N_OF_PAIR
+from pymc_features.simulators.oscillators.modal_lanes import clear
 
 
-@jit
-def fill_pairs(lanes, modes, n_sensors, step, quantity, start):
-    """Find the complex modes of all lanes, and write their coefficients, shapes and initial states.
+class Pairs(NamedTuple):
+    """Pairs of structures, one in each lane.
 
-    Parameters
+    Attributes
     ----------
-    lanes : Lanes
-        Of pairs, with the feed-through, to which is added what stands before a[k] in the states.
-    modes : ComplexLanes
-        Whose `is_good` tells, afterwards, which lanes came out right.
-    n_sensors : int
-    step, quantity, start
-        As in `filling.fill_lanes`.
+    stiffness, drag : array (m, LANES)
+        s and d.
+    shapes : array (2 s m, LANES)
+        Before q and q' of pair r at sensor j, in rows 2 (j m + r) ...
+    forced : array (s, LANES)
+        S iota less S Phi Gamma.
     """
-    at, m = mode_places(modes), modes.omega.shape[0]
-    for i in range(3 * n_sensors):
-        store(modes.sums, i, splat(0.0))
-    for first in range(0, m, PANEL):
-        start_panel(modes, first)
-        settle_panel(modes, first)
-        for p in range(min(PANEL, m - first)):
-            after = write_recursion(lanes, modes, first + p, p, step, start)
-            write_shares(lanes, at, (first + p, p), after, step, quantity)
-    check_sums(modes, n_sensors, CANCELLING)
+
+    stiffness: np.ndarray
+    drag: np.ndarray
+    shapes: np.ndarray
+    forced: np.ndarray
 
 
 @jit
-def write_recursion(lanes, modes, r, p, step, start):
-    """Write coefficients and initial state of pair r, mode p of the panel; returns b1."""
-    a, b, square = load(modes.poles, 3 * p), load(modes.poles, 3 * p + 1), load(modes.poles, 3 * p + 2)
-    stiffness, drag, is_good = a * a - square * (b * b), 0.0 - 2.0 * a, load(modes.is_good, 0)
-    stiffness = where_less(splat(0.0), is_good, stiffness, splat(0.0))  # halving would not end at infinity
-    drag = where_less(splat(0.0), is_good, drag, splat(0.0))
-    qq, qp, pq, pp, now_q, now_p, next_q, next_p = hold_lanes(stiffness * (step * step), drag * step)
-    row = N_OF_PAIR * r
-    store(lanes.coefficients, row, qq)
-    store(lanes.coefficients, row + 1, qp)
-    store(lanes.coefficients, row + 2, qq * next_q + qp * next_p + now_q)
-    store(lanes.coefficients, row + 3, pq)
-    store(lanes.coefficients, row + 4, pp)
-    store(lanes.coefficients, row + 5, pq * next_q + pp * next_p + now_p)
-    store(lanes.states, 2 * r, 0.0 - next_q * start)
-    store(lanes.states, 2 * r + 1, 0.0 - next_p * start)
-    return next_q, next_p
+def new_oscillator_pairs(m, n_sensors):
+    """Room for m pairs."""
+    return Pairs(new_vectors(m), new_vectors(m), new_vectors(2 * n_sensors * m), new_vectors(n_sensors))
 
 
 @jit
-def write_shares(lanes, at, place, after, step, quantity):
-    """Write what the sensors see of a pair, and add it to the sums that are checked.
+def write_shares(pairs, at, r, p, quantity):
+    """Write pair r, place p of the panel, and what sensors see of it; add it to the sums that are checked.
 
-    Parameters
-    ----------
-    at : ModePlaces
-        Of the complex modes.
-    place : tuple of int
-        Number of the pair, its place in the panel.
-    after : tuple
-        From `write_recursion`.
+    `at` are the places of the complex modes.
     """
-    (r, p), ((a, b), square), even_modes = place, pole_of(at, place[1]), lanes.states.shape[0] // 2
-    shapes, feeds = lanes.shapes.ctypes.data, lanes.feed.ctypes.data
+    (a, b), square = pole_of(at, p)
     stiffness, drag, factor = a * a - square * (b * b), 0.0 - 2.0 * a, input_factor(at, p)
-    for j in range(lanes.data.shape[0]):
+    store(pairs.stiffness, r, stiffness)
+    store(pairs.drag, r, drag)
+    m = pairs.stiffness.shape[0]
+    for j in range(pairs.forced.shape[0]):
         residue = times(at_sensor(at, j, p), factor, square)
         speed, size = 2.0 * residue[0], 2.0 * (a * residue[0] - square * (b * residue[1]))
         by_q, by_v = 0.0 - size, speed
@@ -101,7 +76,37 @@ def write_shares(lanes, at, place, after, step, quantity):
             by_q, by_v = 0.0 - stiffness * by_v, rate
             if quantity != RELATIVE_VELOCITY:
                 by_q, by_v = 0.0 - stiffness * by_v, by_q - drag * by_v
-        by_q, by_v = by_q * (step * step), by_v * step
-        write_lanes(shapes, 2 * (j * even_modes + r), by_q)
-        write_lanes(shapes, 2 * (j * even_modes + r) + 1, by_v)
-        write_lanes(feeds, j, read_lanes(feeds, j) + by_q * after[0] + by_v * after[1])
+        store(pairs.shapes, 2 * (j * m + r), by_q)
+        store(pairs.shapes, 2 * (j * m + r) + 1, by_v)
+
+
+@jit
+def write_pairs(pairs, modes, n_sensors, quantity):
+    """Find and write the complex modes of all lanes; `modes.is_good` tells which came out right."""
+    m, at = modes.omega.shape[0], mode_places(modes)
+    for i in range(3 * n_sensors):
+        store(modes.sums, i, splat(0.0))
+    for first in range(0, m, PANEL):
+        start_panel(modes, first)
+        settle_panel(modes, first)
+        for p in range(min(PANEL, m - first)):
+            write_shares(pairs, at, first + p, p, quantity)
+    check_sums(modes, n_sensors, CANCELLING)
+
+
+@jit
+def fill_lanes(lot, pairs, is_good):
+    """Write the pairs of good lanes, `is_good` (1, LANES), as displacements, then as velocities."""
+    m = pairs.stiffness.shape[0]
+    for lane in range(lot.is_there.size):
+        lot.is_there[lane] = is_good[0, lane] > 0.0
+        if not lot.is_there[lane]:
+            clear(lot, lane)
+            continue
+        for r in range(2 * m):
+            lot.squares[r, lane], lot.damping[r, lane] = pairs.stiffness[r % m, lane], pairs.drag[r % m, lane]
+            lot.moves[r, lane] = lot.participation[r, lane] = 1.0
+            for j in range(lot.n_sensors):
+                lot.shapes[j * lot.n_all + r, lane] = pairs.shapes[2 * (j * m + r % m) + r // m, lane]
+        for j in range(lot.n_sensors):
+            lot.forced[j, lane] = pairs.forced[j, lane]

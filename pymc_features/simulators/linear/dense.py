@@ -13,6 +13,7 @@ from pymc_features.algebra.massless import MASSLESS
 from pymc_features.simulators.compiled.arrays import ascending
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.symmetric import condense, factorise, is_diagonal
+from pymc_features.simulators.oscillators.recursion import write_damping
 
 
 @jit
@@ -251,3 +252,41 @@ def dense_modes(mass, stiffness, omega, shapes):
         count = condensed_shapes(mass, stiffness, shapes)
         omega[count:] = np.inf
     return count > 0 and normalise(mass, stiffness, diagonal, omega[:count], shapes[:count])
+
+
+@jit
+def solve_dense(parameters, own, step, n_modes, n_kept):
+    """Lowest modes of one structure, with the damping of those that are kept.
+
+    Parameters
+    ----------
+    parameters : LinearParameters
+        For the matrices, dense.
+    own : tuple of arrays (p,), (2,), (k,)
+        theta, rayleigh and ratios.
+    step : float
+        Step of the recursion [s].
+    n_modes, n_kept : int
+
+    Returns
+    -------
+    valid : bool
+        False if there is no structure; the rest is undefined then.
+    omega, rows : array (n_modes,), (n_modes, n)
+        As `dense_modes` writes them.
+    damping : array (n_kept,)
+        D [1/s].
+    load : array (n, d)
+        M influence - forces.
+    """
+    n, (theta, rayleigh, ratios) = parameters.influence.shape[0], own
+    mass, stiffness = np.empty((n, n)), np.empty((n, n))
+    omega, damping, rows = np.empty(n_modes), np.empty(n_kept), np.zeros((n_modes, n))
+    valid = is_finite(theta) and is_finite(rayleigh) and is_finite(ratios)
+    if valid:
+        assemble_dense(parameters.mass, theta, mass)
+        assemble_dense(parameters.stiffness, theta, stiffness)
+        valid = dense_modes(mass, stiffness, omega, rows)
+    if valid:
+        valid = write_damping(omega[:n_kept], rayleigh, ratios, step, damping)
+    return valid, omega, rows, damping, np.dot(mass, parameters.influence) - parameters.forces

@@ -10,12 +10,13 @@ from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.derivatives.coupled import add_coupled_gradients
 from pymc_features.simulators.linear import oscillators, state_adjoint
 from pymc_features.simulators.linear.arguments import Arguments, is_symmetric, n_particles
-from pymc_features.simulators.linear.dense_gradient import (
-    add_gradient,
+from pymc_features.simulators.linear.dense_kernels import (
+    add_misfit_gradient,
     add_population_gradient,
     is_share_known,
     spread_population,
 )
+from pymc_features.simulators.linear.dense_structures import add_dense_gradient
 from pymc_features.simulators.linear.projection import to_parameters
 from pymc_features.simulators.linear.system import solved, solved_alone
 
@@ -78,7 +79,7 @@ def linear_population_gradient(parameters, excitation, wanted, observed, weights
 
 
 def linear_gradient_of_sums(parameters, excitation, wanted, sums) -> tuple:
-    """Gradients of a population of which the sums over time are known, see `derivatives.pairs.take_sums`.
+    """Gradients of a population of which the sums over time are known, see `reduction.derive_from`.
 
     Dense structures with classical damping under one input, without close modes. Parameters and results as in
     `linear_population_gradient`.
@@ -102,9 +103,12 @@ def gradient(a, history, weights):
     given = a.parameters
     if given.is_dense and given.is_classical:
         sums = tuple(np.zeros(array.shape) for array in given.random)
-        data = writable(history), oscillators.NO_WEIGHTS if weights is None else writable(weights)
         kernel = given.for_kernel()
-        add_gradient(kernel, kernel.random, a.inputs, a.outputs, *data, sums)
+        whole = kernel, kernel.random, a.inputs, a.outputs, writable(history)
+        if weights is None:
+            add_dense_gradient(*whole, np.zeros((len(history), 1)), True, sums)
+        else:
+            add_misfit_gradient(*whole, writable(weights), sums)
         return sums
     if weights is not None and in_complex_modes(a, weights):
         one = given._replace(**{name: getattr(given, name)[None] for name in ("theta", "rayleigh", "ratios")})

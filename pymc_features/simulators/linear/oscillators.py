@@ -1,35 +1,51 @@
-"""Gradients and tangents of structures whose modes are uncoupled, by `oscillators.gradient`."""
+"""Responses, gradients and tangents of structures whose modes are uncoupled, by `oscillators.systems`."""
 
 import numpy as np
 
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear.projection import Cotangent
 from pymc_features.simulators.linear.system import modes_at_outputs
-from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION
-from pymc_features.simulators.oscillators.gradient import modal_gradient
+from pymc_features.simulators.oscillators.misfit import weigh_history
 from pymc_features.simulators.oscillators.modal_system import DampingLaw
 from pymc_features.simulators.oscillators.recursion import modal_damping
-from pymc_features.simulators.oscillators.tangent import ModalChange, march_change
+from pymc_features.simulators.oscillators.systems import (
+    Direct,
+    ModalChange,
+    march_change,
+    march_system,
+    modal_gradient,
+)
 
-NO_WEIGHTS = np.empty((0, 0))
+NO_HISTORY = np.empty((0, 0))
 
 
 def kernel_inputs(a, system):
-    """Modal system, damping law and what stands before the inputs beside outputs relative to them, (s, d)."""
+    """Modal system, law of its damping and what stands before the inputs, as the kernels take them."""
     given, modes, sensors = a.parameters, modes_at_outputs(a, system), a.wanted.sensors
     law = DampingLaw(writable(given.rayleigh), writable(given.ratios[: system.omega.size]))
-    if a.wanted.quantity == ABSOLUTE_ACCELERATION:
-        return modes, law, sensors @ given.influence
-    return modes, law, np.zeros((sensors.shape[0], given.influence.shape[1]))
+    forced = modes.shapes @ (system.shapes.T @ given.forces)
+    direct = Direct(writable(sensors @ given.influence), writable(forced), system.omega.size == given.n_dof)
+    return modes, law, direct
+
+
+def march_modes(a, system, observed, history):
+    """Statistics (s, 4) of the misfit; the response in the history instead, unless it is empty."""
+    modes, _, direct = kernel_inputs(a, system)
+    return march_system(modes, direct, a.inputs, a.wanted.quantity, writable(observed), history)
 
 
 def pull_back(a, system, history, weights=None):
     """Derivatives of L = sum w y, or of the statistics of the misfit, see `state_adjoint.pull_back`."""
-    modes, law, feed = kernel_inputs(a, system)
-    weights = NO_WEIGHTS if weights is None else weights
-    found = modal_gradient(
-        modes, law, writable(feed), a.inputs, a.wanted.quantity, writable(history), writable(weights)
-    )
+    kernel, is_given = kernel_inputs(a, system), weights is None
+    if weights is None:
+        weights = np.zeros((len(history), 1))
+    elif weights.shape[1] > 1:  # for all statistics the response is kept
+        response = np.empty(history.shape)
+        march_modes(a, system, history, response)
+        weigh_history(response, writable(history), writable(weights))
+        history, is_given = response, True
+    data = writable(history), writable(weights[:, :1]), is_given
+    found = modal_gradient(*kernel, a.inputs, a.wanted.quantity, *data)
     omega, ratios = system.omega, np.zeros(a.parameters.ratios.size)
     ratios[: omega.size] = 2.0 * omega * found.damping
     return Cotangent(
@@ -49,10 +65,10 @@ def push_forward(a, system, change, directions, observed, history):
     `change` is that of the reduced matrices; `directions` those of rayleigh and ratios.
     """
     (d_rayleigh, d_ratios), omega = directions, system.omega
-    modes, law, feed = kernel_inputs(a, system)
     d_damping = modal_damping(omega, writable(d_rayleigh), writable(d_ratios[: omega.size]))
     d_load = change.load + change.shapes.T @ system.load
     d_modes = ModalChange(
         *map(writable, (change.stiffness, change.mass, d_load, a.wanted.sensors @ change.shapes, d_damping))
     )
-    return march_change(modes, law, writable(feed), a.inputs, a.wanted.quantity, d_modes, observed, history)
+    kernel = kernel_inputs(a, system)
+    return march_change(*kernel, a.inputs, a.wanted.quantity, d_modes, observed, history)

@@ -8,18 +8,14 @@ theta, rayleigh and ratios have one more axis in front, a row for each particle 
 import numpy as np
 
 from pymc_features.simulators.compiled.arrays import writable
-from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.eigen.coupled import march_coupled
 from pymc_features.simulators.eigen.coupled_systems import fill_systems
 from pymc_features.simulators.linear.arguments import Arguments, is_symmetric, n_particles
-from pymc_features.simulators.linear.dense_population import dense_systems, march_dense
+from pymc_features.simulators.linear.dense_structures import dense_statistics, dense_systems
 from pymc_features.simulators.linear.response import evaluate
-from pymc_features.simulators.linear.system import is_coupled, observe, solved
+from pymc_features.simulators.linear.system import observe, solved
 from pymc_features.simulators.mean_squares.systems import Systems, new_systems, put_modes
-from pymc_features.simulators.oscillators.arguments import at_every_step
 from pymc_features.simulators.oscillators.fast_modes import has_fast, highest_step
-from pymc_features.simulators.oscillators.lanes import new_increments, new_lanes
-from pymc_features.simulators.oscillators.population import lane_statistics, put_system
 
 
 def linear_population_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:
@@ -27,46 +23,33 @@ def linear_population_discrepancy(parameters, excitation, wanted, observed) -> n
 
     Memory: the result and a few blocks, whatever the length of the record and the number of particles.
     """
-    return march_population(Arguments(parameters, excitation, wanted), observed, False)[:, :, 0].copy()
+    return march_population(Arguments(parameters, excitation, wanted), observed, 1)[:, :, 0].copy()
 
 
 def linear_population_misfit(parameters, excitation, wanted, observed) -> np.ndarray:
     """What `linear_misfit` returns, for all particles: (p, s, 4)."""
-    return march_population(Arguments(parameters, excitation, wanted), observed, True)
+    return march_population(Arguments(parameters, excitation, wanted), observed, 4)
 
 
-def march_population(a: Arguments, observed, with_increments):
+def march_population(a: Arguments, observed, n_statistics):
     """Misfits (p, s, 1 or 4) of all particles."""
     count, shared = n_particles(a.parameters), a._replace(parameters=a.parameters.one_of(0))
     shared.check(observed)
-    observed, increments = writable(observed), new_increments(a.shape[0]) if with_increments else None
-    given, one_input = shared.parameters, a.excitation.acceleration.shape[0] == 1
+    observed, given, one_input = (
+        writable(observed),
+        shared.parameters,
+        a.excitation.acceleration.shape[0] == 1,
+    )
     if given.is_dense and given.is_classical and one_input:
-        return march_dense(a.parameters.for_kernel(), a.inputs, a.outputs, observed, increments)
-    result, is_written = np.full((count, a.shape[0], 4 if with_increments else 1), np.nan), np.zeros(count)
+        return dense_statistics(a.parameters.for_kernel(), a.inputs, a.outputs, observed, n_statistics)
+    result, is_written = np.full((count, a.shape[0], n_statistics), np.nan), np.zeros(count)
     if given.is_dense and one_input and is_symmetric(given.damping, given.n_dof):
         kernel = a.parameters.for_kernel()
-        result, is_written = march_coupled(kernel, a.inputs, a.outputs, observed, increments)
+        result, is_written = march_coupled(kernel, a.inputs, a.outputs, observed, n_statistics)
         result, is_written = np.resize(result, (count, *result.shape[1:])), np.resize(is_written, count)
-    motion = at_every_step(a.inputs) if one_input else None
-    lanes, places = new_lanes(observed, a.wanted.n_modes, motion, False) if one_input else None, []
-    highest = highest_step(a.inputs)
-    waiting = np.flatnonzero(~is_written.astype(bool))
-    for p, own, system in solved(a, waiting):
-        if system is None:
-            continue
-        is_modal = one_input and not is_coupled(system.modal_damping)
-        modes, feed = observe(own, system) if is_modal else (None, None)
-        if is_modal and not has_fast(modes, a.step, highest):
-            put_system(lanes, len(places), modes, feed[:, 0].copy(), motion, a.wanted.quantity)
-            places.append(p)
-        else:
-            result[p] = evaluate(own, system, observed)[:, : result.shape[2]]
-        if len(places) == LANES:
-            result[places] = lane_statistics(lanes, motion, observed, increments)
-            places = []
-    if places:
-        result[places] = lane_statistics(lanes, motion, observed, increments)[: len(places)]
+    for p, own, system in solved(a, np.flatnonzero(~is_written.astype(bool))):
+        if system is not None:
+            result[p] = evaluate(own, system, observed)[:, :n_statistics]
     return result
 
 

@@ -9,10 +9,11 @@ import numpy as np
 
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear.arguments import Arguments
-from pymc_features.simulators.linear.dense_population import march_structure
+from pymc_features.simulators.linear.dense_structures import evaluate_structure
+from pymc_features.simulators.linear.oscillators import march_modes
 from pymc_features.simulators.linear.state_space import march_state, state_matrices
-from pymc_features.simulators.linear.system import is_coupled, observe, solve_system, solved_alone
-from pymc_features.simulators.oscillators.recursion import march_modes, statistics
+from pymc_features.simulators.linear.system import is_coupled, solve_system, solved_alone
+from pymc_features.simulators.oscillators.recursion import statistics
 
 
 def linear_response(parameters, excitation, wanted) -> np.ndarray:
@@ -59,7 +60,8 @@ def solve(a, observed):
     if not (a.parameters.is_dense and a.parameters.is_classical):
         return evaluate(*solved_alone(a), observed)
     observed, history = data_or_history(a, observed)
-    sums = march_structure(a.parameters.for_kernel(), a.inputs, a.outputs, observed, history)
+    kernel = a.parameters.for_kernel()
+    sums = evaluate_structure(kernel, kernel.random, a.inputs, a.outputs, observed, history)
     return history if history.size else sums
 
 
@@ -72,8 +74,8 @@ def evaluate(a, system, observed):
     elif is_coupled(system.modal_damping):
         march_state(state_matrices(a, system)[1], a.inputs, observed, history, sums)
     else:
-        modes, feed = observe(a, system)
-        march_modes(modes, feed, a.inputs, a.wanted.quantity, observed, history, sums)
+        found = march_modes(a, system, observed, history)
+        return history if history.size else found
     return history if history.size else statistics(sums, a.shape[1])
 
 

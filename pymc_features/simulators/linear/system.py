@@ -235,8 +235,9 @@ def modes_at_outputs(a: Arguments, system: System) -> ModalSystem:
 def observe(a: Arguments, system: System) -> tuple[ModalSystem, np.ndarray]:
     """The modes as the outputs have them, and feed-through of the inputs (s, d)."""
     given, modes = a.parameters, modes_at_outputs(a, system)
-    modal_forces = writable(system.shapes.T @ given.forces)
+    by_forces = writable((modes.shapes @ (system.shapes.T @ given.forces)).ravel())
     support_motion = writable(a.wanted.sensors @ given.influence)
     feed = np.empty(support_motion.shape)
-    write_feed(modes, modal_forces, support_motion, a.wanted.quantity, system.omega.size == given.n_dof, feed)
+    is_complete = system.omega.size == given.n_dof
+    write_feed(modes, support_motion, a.wanted.quantity, is_complete, by_forces, feed)
     return modes, feed

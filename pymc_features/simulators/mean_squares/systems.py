@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.oscillators.modal_system import feed_through
 
 
 class Systems(NamedTuple):
@@ -55,36 +54,3 @@ def put_modes(systems, p, modes, feed):
     systems.valid[p] = True
     systems.omega[p], systems.damping[p] = modes.omega, modes.damping
     systems.shapes[p], systems.participation[p], systems.feed[p] = modes.shapes, modes.participation, feed
-
-
-@jit
-def put_lane(systems, p, kept, shapes, outputs):
-    """Write structure p with one input, whose modes are in a vector lane.
-
-    Parameters
-    ----------
-    kept : tuple of arrays (m, LANES)
-        omega and D.
-    shapes : tuple
-        Products (n w, LANES) of the mode shapes with the outputs, with forces if there are any, and their
-        participation; the positions (n,) of the modes; and the lane.
-    outputs : tuple
-        Displacement (s,) of the outputs under a unit displacement of the support, and the quantity.
-    """
-    (vectors, order, lane), (motion, quantity) = shapes, outputs
-    (n_sensors, m), width = systems.shapes[p].shape, vectors.shape[0] // order.size
-    systems.valid[p] = True
-    for r in range(m):
-        row = order[r] * width
-        systems.omega[p, r], systems.damping[p, r] = kept[0][r, lane], kept[1][r, lane]
-        systems.participation[p, r, 0] = vectors[row + width - 1, lane]
-        for j in range(n_sensors):
-            systems.shapes[p, j, r] = vectors[row + j, lane]
-    for j in range(n_sensors):
-        by_modes, by_forces = 0.0, 0.0
-        for r in range(m):
-            row = order[r] * width
-            by_modes += vectors[row + j, lane] * vectors[row + width - 1, lane]
-            if width > n_sensors + 1:
-                by_forces += vectors[row + j, lane] * vectors[row + n_sensors, lane]
-        systems.feed[p, j, 0] = feed_through(motion[j], by_forces, by_modes, quantity, m == order.size)

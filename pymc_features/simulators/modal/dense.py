@@ -4,7 +4,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.eigen.outside import outside_span
-from pymc_features.simulators.linear.dense_population import solve_dense
+from pymc_features.simulators.linear.dense import solve_dense
 from pymc_features.simulators.modal.perturbation import (
     Cotangent,
     by_eigenvalues,

@@ -72,22 +72,6 @@ def n_outputs(n_times, substeps, stride):
 
 
 @jit
-def single_input(excitation):
-    """The excitation with its only input as (t,)."""
-    acceleration, dt, substeps, stride, direct = excitation
-    return Excitation(acceleration.reshape(acceleration.size), dt, substeps, stride, direct)
-
-
-@jit
-def at_every_step(excitation):
-    """The excitation by one input with a sample at each step of the recursion, as (t,)."""
-    acceleration, dt, substeps, stride, direct = single_input(excitation)
-    every = np.empty((acceleration.size - 1) * substeps + 1)
-    interpolate(acceleration, substeps, 0, every)
-    return Excitation(every, dt / substeps, 1, stride, direct)
-
-
-@jit
 def ground_at(acceleration, fine, substeps):
     """Excitation after `fine` steps of the recursion, `substeps` to a sample; zero behind the record."""
     i = fine // substeps
@@ -134,19 +118,3 @@ def excess_of(motion, length):
     for k in range(min(excess.size, direct.shape[2])):
         excess[k] = direct[0, 0, k] - ground_at(acceleration, k * motion.stride, motion.substeps)
     return excess
-
-
-@jit
-def seen_data(motion, observed, support_motion):
-    """Data (s, u) with what stands before one prepared input (t,) too much in relative accelerations.
-
-    With all modes that is S iota, `support_motion` (s,), which no parameter changes.
-    """
-    excess = excess_of(motion, observed.shape[1])
-    if excess.size == 0:
-        return observed
-    seen = observed.copy()
-    for j in range(observed.shape[0]):
-        for k in range(observed.shape[1]):
-            seen[j, k] += support_motion[j] * excess[k]
-    return seen

@@ -70,19 +70,21 @@ def feed_through(motion, by_forces, by_modes, quantity, complete):
 
 
 @jit
-def write_feed(system, modal_forces, support_motion, quantity, complete, feed):
+def write_feed(system, support_motion, quantity, complete, by_forces, feed):
     """Write `feed_through` of all inputs and outputs, (s, d).
 
     Parameters
     ----------
     system : ModalSystem
-    modal_forces, support_motion : array (m, d), (s, d)
-        Phi' forces and S iota.
+    support_motion : array (s, d)
+        S iota.
+    by_forces : array (s d,)
+        S Phi Phi' forces.
     """
     for j in range(feed.shape[0]):
         for i in range(feed.shape[1]):
-            by_modes, by_forces = 0.0, 0.0
+            by_modes = 0.0
             for r in range(system.omega.size):
                 by_modes += system.shapes[j, r] * system.participation[r, i]
-                by_forces += system.shapes[j, r] * modal_forces[r, i]
-            feed[j, i] = feed_through(support_motion[j, i], by_forces, by_modes, quantity, complete)
+            own = by_forces[j * feed.shape[1] + i]
+            feed[j, i] = feed_through(support_motion[j, i], own, by_modes, quantity, complete)

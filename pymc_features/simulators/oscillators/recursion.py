@@ -1,33 +1,10 @@
-"""Exact modal response to an excitation that is linear between its samples, stored or compared with data.
-
-Mode r of Eqs. (20)-(22), per unit participation, obeys q" + D q' + omega^2 q = -a_g(t), D = 2 zeta omega.
-In the state x = (q, h q') / h^2 with the step h, and with a_g linear over the step, the exact
-solution (first-order hold) is
-
-    x[k+1] = phi0(F) x[k] - (phi1(F) - phi2(F)) e2 a[k] - phi2(F) e2 a[k+1],
-    F = [[0, 1], [-s, -d]],   s = (omega h)^2,   d = D h,   e2 = (0, 1),
-
-with phi0 = exp, phi1(z) = (e^z - 1)/z, phi2(z) = (e^z - 1 - z)/z^2, from `hold`.
-"""
+"""Damping of modes, and responses of any road compared with data, a block at a time."""
 
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.oscillators.arguments import interpolate, write_own
 from pymc_features.simulators.oscillators.fast_modes import (
     STIFFEST,
-    add_following,
-    has_fast,
-    highest_step,
-    is_fast,
-)
-from pymc_features.simulators.oscillators.table import (
-    N_ROWS,
-    advance,
-    new_outputs,
-    scale_input,
-    whole_vectors,
-    write_table,
 )
 
 BLOCK = 128  # output samples handled at a time: the working set stays in the first-level cache
@@ -67,62 +44,6 @@ def add_feed(feed, own, count, block):
             if share != 0.0:
                 for b in range(count):
                     block[j, b] += share * own[i, b]
-
-
-@jit
-def add_shares(shares, excitation, ground, first, count, block):
-    """Add what the inputs and their derivatives do directly, by `shares` (k, s, d); else as `add_feed`."""
-    own = np.empty((ground.shape[0], count))
-    write_own(excitation, ground, first, count, own)
-    add_feed(shares[0], own, count, block)
-    for k in range(1, shares.shape[0]):
-        add_feed(shares[k], excitation.direct[k, :, first : first + count], count, block)
-
-
-@jit
-def march_modes(system, feed, excitation, quantity, observed, history, sums):
-    """Store the response of uncoupled modes, or compare it with data.
-
-    Parameters
-    ----------
-    system : ModalSystem
-    feed : array (s, d)
-        What stands before the inputs in the response, see `feed_through`.
-    excitation : Excitation
-        Of d inputs (d, t), whose responses add up.
-    quantity : int
-        Position in `QUANTITIES`.
-    observed, history, sums
-        See `take_block`.
-    """
-    inputs, dt, substeps, stride, _ = excitation
-    n_sensors, n_modes = system.shapes.shape
-    n_inputs, total = inputs.shape[0], max(history.shape[1], observed.shape[1])
-    width = whole_vectors(n_modes)
-    tables, states = np.zeros((n_inputs, N_ROWS, width)), np.zeros((n_inputs, 2, width))
-    for i in range(n_inputs):
-        write_table(system.omega, system.damping, dt / substeps, quantity, tables[i])
-        scale_input(tables[i], system.participation[:, i])
-    shares, step, highest = np.zeros((1, *feed.shape)), dt / substeps, highest_step(excitation)
-    if has_fast(system, step, highest):
-        follows = np.empty(n_modes, dtype=np.bool_)
-        for r in range(n_modes):
-            follows[r] = is_fast(system.omega[r] * step, system.damping[r] * step, highest)
-            if follows[r]:
-                tables[:, :, r] = 0.0
-        shares = np.zeros((max(excitation.direct.shape[0], 1), *feed.shape))
-        add_following(system, follows, quantity, shares)
-    shares[0] += feed
-    ground, block = np.empty((n_inputs, BLOCK * stride + 1)), np.empty((n_sensors, BLOCK))
-    outputs = new_outputs(BLOCK, n_modes)
-    for first in range(0, total, BLOCK):
-        count = min(BLOCK, total - first)
-        for i in range(n_inputs):
-            interpolate(inputs[i], substeps, first * stride, ground[i])
-            advance(tables[i], i == 0, states[i], ground[i], stride, count, outputs)
-        np.dot(system.shapes, outputs.T, block)
-        add_shares(shares, excitation, ground, first, count, block)
-        take_block(block, first, count, observed, history, sums)
 
 
 @jit

@@ -6,13 +6,26 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, splat
 from pymc_features.simulators.compiled.vector_memory import address, read_lanes, read_number, write_lanes
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
-from pymc_features.simulators.oscillators.hold import first_order_hold
+from pymc_features.simulators.oscillators.exact_step import exponentials, pole_of_mode
 
 SMALLEST = 1e-100  # replaces omega h = 0: its square is lost beside anything else
 
 # Rows of the recursion table: state transition, excitation at both ends of the step, output, omega h
 Q_Q, Q_P, P_Q, P_P, Q_NOW, P_NOW, Q_NEXT, P_NEXT, OUT_Q, OUT_P, W = range(11)
 N_ROWS = 11
+
+
+@jit
+def first_order_hold(s, d):
+    """Coefficients of one step of (q, h q'), in the order of the first eight rows of the table.
+
+    A function of F = [[0, 1], [-s, -d]] is a I + b F, of the pole z = -d/2 + J of F it is re + im J.
+    """
+    phi_0, phi_1, phi_2 = exponentials(pole_of_mode(s, d), s, d)
+    (b0, b1, b2), half = (phi_0.im, phi_1.im, phi_2.im), 0.5 * d
+    a0, a1, a2 = phi_0.re + half * b0, phi_1.re + half * b1, phi_2.re + half * b2
+    now_q, now_p = b2 - b1, a2 - a1 - d * (b2 - b1)
+    return a0, b0, -s * b0, a0 - d * b0, now_q, now_p, -b2, d * b2 - a2
 
 
 @jit

@@ -8,7 +8,7 @@ from pymc_features.simulators.mean_squares.gradient.memory import room_of
 from pymc_features.simulators.mean_squares.kept import KEPT
 from pymc_features.simulators.mean_squares.population import AGREEMENT, MOST_STRIDE, are_sure
 from pymc_features.simulators.mean_squares.stencil import coefficients
-from pymc_features.simulators.oscillators.close_modes import CLOSE
+from pymc_features.simulators.oscillators.reduction import CLOSE
 
 FEWEST_STEPS = 1000  # of the recursion; below, the march is as fast
 HEAVY = 1.98  # D over omega from which a pole and its conjugate come too near each other
@@ -75,7 +75,7 @@ def by_tables(asked, tables, weights):
 
 
 def sums_over_time(asked, tables, systems, poles, weights):
-    """Three arrays that `derivatives.pairs.take_sums` goes on from, and whether they are sure, (p,)."""
+    """Three arrays that `reduction.derive_from` goes on from, and whether they are sure, (p,)."""
     count, (n_sensors, n_times), m = len(systems.valid), asked.data.observed.shape, systems.omega.shape[1]
     is_sure = systems.valid & (systems.damping < HEAVY * systems.omega).all(axis=1)
     is_sure &= modes_apart(systems, tables[0].mesh.duration)

@@ -1,0 +1,1 @@
+"""Numbers in the registers of the processor, and numbers made of them."""
