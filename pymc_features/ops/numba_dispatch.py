@@ -84,7 +84,7 @@ def funcify(op, node=None, **kwargs):
     One structure under a record that is known to be long takes its tables in Python. Where only the data will
     tell, as with `pm.Data`, both ways are there.
     """
-    if not op.spec.compiled:
+    if not op.spec.compiled or op.takes_directions:  # along these, responses are called by Python
         return in_python(op, node), cache_key(op)
     if op.batched or not isinstance(op, ALONE):
         return compiled(op), cache_key(op)
@@ -150,7 +150,6 @@ def compiled(op):
     quantity, arguments = op.quantity_code, op.spec.arguments
     settings = len(arguments._fields)
     outputs, more = settings + len(Excitation._fields), op.n_common
-    directions = more + len(op.more_ndims) - op.n_parameters
 
     @numba_njit
     def assembled(inputs):
@@ -162,12 +161,7 @@ def compiled(op):
         given = prepared(inputs)
         return kernel((*assembled(given), *given[more:]))
 
-    @numba_njit
-    def along_directions(*inputs):
-        given = prepared(inputs)
-        return kernel((*assembled(given), *given[more:directions], given[directions:]))
-
-    return along_directions if op.takes_directions else structural_op
+    return structural_op
 
 
 def by_length(op, node):

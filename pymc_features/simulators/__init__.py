@@ -32,7 +32,6 @@ Letters for sizes: n degrees of freedom, m modes kept, s sensors, d inputs, t sa
 response, p particles or parameters. The derivative of L by x is `grad_x`, a direction of x `d_x`.
 """
 
-from pymc_features.simulators.chain.gradient import discrepancy_tangent, response_tangent
 from pymc_features.simulators.chain.kernels import (
     chain_discrepancy,
     chain_misfit,
@@ -73,7 +72,6 @@ __all__ = [
     "chain_response",
     "checked_request",
     "misfit_gradient",
-    "discrepancy_tangent",
     "force_share",
     "integration_error",
     "n_outputs",
@@ -83,7 +81,6 @@ __all__ = [
     "population_misfit",
     "request",
     "response_gradient",
-    "response_tangent",
     "rows_of",
     "simulate",
     "spring_forces",

@@ -28,7 +28,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from pymc_features.simulators.chain.gradient import discrepancy_tangent, response_tangent
 from pymc_features.simulators.chain.kernels import (
     chain_discrepancy,
     chain_gradient_of_sums,
@@ -58,7 +57,6 @@ from pymc_features.simulators.linear.population import (
     linear_systems,
 )
 from pymc_features.simulators.linear.response import linear_discrepancy, linear_misfit, linear_response
-from pymc_features.simulators.linear.tangent import linear_discrepancy_tangent, linear_response_tangent
 from pymc_features.simulators.modal.chain import (
     chain_modes_gradient,
     chain_population_modes,
@@ -71,6 +69,7 @@ from pymc_features.simulators.nonlinear.duffing import Cubic
 from pymc_features.simulators.nonlinear.kernels import nonlinear_kernels
 from pymc_features.simulators.nonlinear.parameters import NonlinearParameters
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs
+from pymc_features.simulators.oscillators.differences import SMOOTH, tangents
 
 
 class Family(NamedTuple):
@@ -174,8 +173,7 @@ FAMILIES = {
             "misfit": chain_misfit,
             "response_gradient": response_gradient,
             "misfit_gradient": misfit_gradient,
-            "response_tangent": response_tangent,
-            "discrepancy_tangent": discrepancy_tangent,
+            **tangents(chain_response, 4, SMOOTH),
             "population_discrepancy": population_discrepancy,
             "population_misfit": population_misfit,
             "population_systems": chain_systems,
@@ -195,8 +193,7 @@ FAMILIES = {
             "misfit": linear_misfit,
             "response_gradient": linear_response_gradient,
             "misfit_gradient": linear_misfit_gradient,
-            "response_tangent": linear_response_tangent,
-            "discrepancy_tangent": linear_discrepancy_tangent,
+            **tangents(linear_response, 3, SMOOTH),
             "population_discrepancy": linear_population_discrepancy,
             "population_misfit": linear_population_misfit,
             "population_systems": linear_systems,

@@ -122,7 +122,7 @@ def test_derivatives_are_those_of_the_condensed_structure(kind, arm, damping, qu
     assert peak_error(found, (weights * exact).sum(axis=(1, 2))) < accuracy
     directions = [rng.normal(size=a.shape) * (i == 0) for i, a in enumerate(structure.parameters())]
     moved = linear_response_tangent(*arguments, *directions)
-    assert peak_error(moved, np.tensordot(directions[0], exact[:3], axes=1)) < accuracy
+    assert peak_error(moved, np.tensordot(directions[0], exact[:3], axes=1)) < max(accuracy, 1e-6)
     data = response + rng.normal(size=response.shape)
     of_errors = np.concatenate(linear_discrepancy_gradient(*arguments, data, np.ones(3)))[: len(exact)]
     assert peak_error(of_errors, 2.0 * ((response - data) * exact).mean(axis=2).sum(axis=1)) < accuracy
@@ -257,7 +257,7 @@ def test_derivative_of_a_footbridge(footbridge):
     assert peak_error(change, expected) < 1e-6
     weights = rng.normal(size=change.shape)
     gradient = linear_response_gradient(*arguments, weights)[0]
-    assert direction @ gradient == pytest.approx((weights * change).sum(), rel=1e-7)
+    assert direction @ gradient == pytest.approx((weights * change).sum(), rel=1e-6)
 
 
 @pytest.fixture(scope="module")

@@ -32,6 +32,14 @@ def check_history(history, excitation, wanted):
 
 
 @jit
+def drifts_of(shapes):
+    """Drifts (n, k) of the springs in the columns of displacements (n, k)."""
+    drifts = shapes.copy()
+    drifts[1:] -= shapes[:-1]
+    return drifts
+
+
+@jit
 def write_shapes(rows, sensors, shapes):
     """Write S Phi (s, m) from mode shapes in rows (n, n)."""
     for j in range(sensors.size):

@@ -1,4 +1,4 @@
-"""Responses, gradients and tangents of structures whose modes are uncoupled, by `oscillators.systems`."""
+"""Responses and gradients of structures whose modes are uncoupled, by `oscillators.systems`."""
 
 import numpy as np
 
@@ -7,11 +7,8 @@ from pymc_features.simulators.linear.projection import Cotangent
 from pymc_features.simulators.linear.system import modes_at_outputs
 from pymc_features.simulators.oscillators.misfit import weigh_history
 from pymc_features.simulators.oscillators.modal_system import DampingLaw
-from pymc_features.simulators.oscillators.recursion import modal_damping
 from pymc_features.simulators.oscillators.systems import (
     Direct,
-    ModalChange,
-    march_change,
     march_system,
     modal_gradient,
 )
@@ -57,18 +54,3 @@ def pull_back(a, system, history, weights=None):
         rayleigh=np.array([found.damping.sum(), omega**2 @ found.damping]),
         ratios=ratios,
     )
-
-
-def push_forward(a, system, change, directions, observed, history):
-    """Change of sum_k r_k^2 (s,); that of the response goes into the history, if it is not empty.
-
-    `change` is that of the reduced matrices; `directions` those of rayleigh and ratios.
-    """
-    (d_rayleigh, d_ratios), omega = directions, system.omega
-    d_damping = modal_damping(omega, writable(d_rayleigh), writable(d_ratios[: omega.size]))
-    d_load = change.load + change.shapes.T @ system.load
-    d_modes = ModalChange(
-        *map(writable, (change.stiffness, change.mass, d_load, a.wanted.sensors @ change.shapes, d_damping))
-    )
-    kernel = kernel_inputs(a, system)
-    return march_change(*kernel, a.inputs, a.wanted.quantity, d_modes, observed, history)

@@ -1,4 +1,4 @@
-"""The chain rule between parameters and reduced matrices: gradients by theta, and directions of it.
+"""The chain rule between reduced matrices and parameters: gradients by theta.
 
 The kernels over time know the structure by its reduced matrices Phi' A Phi, its load Phi' L and its outputs
 S Phi, the modes Phi being held fixed. Derivatives by these are brought to the parameters here, together with
@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.algebra import assemble
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.linear.complement import invert_outside
@@ -39,19 +38,6 @@ class Cotangent(NamedTuple):
     shapes: np.ndarray
     rayleigh: np.ndarray
     ratios: np.ndarray
-
-
-class ReducedChange(NamedTuple):
-    """Changes of Phi' K Phi, Phi' M Phi, Phi' C Phi (m, m) and Phi' L (m, d), and of Phi outside its span.
-
-    The first four are at fixed Phi; `shapes` (n, m).
-    """
-
-    stiffness: np.ndarray
-    mass: np.ndarray
-    damping: np.ndarray
-    load: np.ndarray
-    shapes: np.ndarray
 
 
 def to_parameters(a, system, cotangent):
@@ -96,26 +82,3 @@ def sparse_products(left, right, rows, starts):
                 total += left[rows[e], k] * right[column, k]
             entries[e] = total
     return entries
-
-
-def project_direction(a, system, d_theta) -> ReducedChange:
-    """Change of the reduced matrices along a direction of theta."""
-    given, shapes = a.parameters, system.shapes
-    d_stiffness = change_times(given, given.stiffness, d_theta, shapes)
-    d_mass = change_times(given, given.mass, d_theta, shapes)
-    d_damping = change_times(given, given.damping, d_theta, shapes)
-    d_load = change_times(given, given.mass, d_theta, given.influence)
-    d_shapes = np.zeros(shapes.shape)
-    if shapes.shape[1] < shapes.shape[0] and not given.has_constant_modes:
-        d_shapes -= invert_outside(system, d_stiffness - d_mass * system.omega**2)
-    reduced = (shapes.T @ vectors for vectors in (d_stiffness, d_mass, d_damping, d_load))
-    return ReducedChange(*reduced, d_shapes)
-
-
-def change_times(parameters, stack, d_theta, vectors):
-    """sum_i dtheta_i A_i times vectors (n, k)."""
-    if stack.shape[0] < 2:
-        return np.zeros(vectors.shape)
-    entries = (d_theta @ stack[1:])[None]
-    matrix = assemble(entries, d_theta[:0], parameters.rows, parameters.starts, parameters.n_dof)
-    return matrix @ vectors

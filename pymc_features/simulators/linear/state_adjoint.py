@@ -1,4 +1,4 @@
-"""Gradients and tangents of coupled modes: the adjoint of the recursion of `state_space`.
+"""Gradients of coupled modes: the adjoint of the recursion of `state_space`.
 
 With z[k+1] = T z[k] + N a[k] + A a[k+1] and y[k] = O z[k] + J a[k], the derivatives of L by the states are
 
@@ -31,7 +31,7 @@ from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_VELOCITY,
     write_own,
 )
-from pymc_features.simulators.oscillators.misfit import measured_difference, weigh_history
+from pymc_features.simulators.oscillators.misfit import weigh_history
 
 NO_SUMS = np.empty((1, 0))  # of a comparison with data, where there is none
 
@@ -132,43 +132,3 @@ def pull_back(a, system, history, weights=None):
         rayleigh=np.zeros(2),
         ratios=np.zeros(a.parameters.ratios.size),
     )
-
-
-def push_forward(a, system, change, directions, observed, history):
-    """As `oscillators.push_forward`; with a matrix for damping nothing depends on the `directions`.
-
-    Notes
-    -----
-    Memory: the response of this one structure and its change.
-    """
-    m, quantity, shapes = system.omega.size, a.wanted.quantity, system.shapes
-    equations, matrices = state_matrices(a, system)
-    # of R, with X and with Phi outside its span
-    d_damping = change.shapes.T @ (system.damping @ shapes) + (shapes.T @ system.damping) @ change.shapes
-    d_load = change.load + change.shapes.T @ system.load
-    d_rows = np.hstack([change.stiffness, change.damping + d_damping, d_load]) - change.mass @ equations.rows
-    # of [T, N + A, A], the exponential of the generator, and of [O, J] (z, a) = S Phi W (q, q', a)
-    generator, width = equations.generator(), equations.scales.size
-    d_exponential = expm_frechet(generator, equations.generator_change(d_rows), compute_expm=False)[: 2 * m]
-    d_transition, d_both, d_after = np.split(d_exponential, [2 * m, width], axis=1)
-    d_outputs = (a.wanted.sensors @ change.shapes) @ equations.selection(quantity)
-    if quantity not in (RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY):  # W = -R
-        d_outputs -= (a.wanted.sensors @ shapes) @ d_rows
-    d_output, d_direct = np.split(d_outputs / equations.scales, [2 * m], axis=1)
-    # the recursion of the states beside their changes
-    transition, now, after, output, direct = matrices
-    both = StateMatrices(
-        np.block([[transition, np.zeros_like(transition)], [d_transition, transition]]),
-        np.vstack([now, d_both - d_after]),
-        np.vstack([after, d_after]),
-        np.block([[output, np.zeros_like(output)], [d_output, output]]),
-        np.vstack([direct, d_direct]),
-    )
-    n_sensors, total = a.shape
-    histories = np.empty((2 * n_sensors, total))
-    march_state(both, a.inputs, histories, histories, NO_SUMS)
-    response, d_response = np.split(histories, 2)
-    if history.size:
-        history[:] = d_response
-        return np.zeros(n_sensors)
-    return 2.0 * (measured_difference(response, observed) * d_response).sum(axis=1)

@@ -77,16 +77,10 @@ class ModalEquations(NamedTuple):
     def generator(self):
         """The matrix (2m + 2d, 2m + 2d) whose exponential has T, N + A and A in its first rows."""
         m, width = self.rows.shape
-        matrix = self.generator_change(self.rows)
+        matrix = np.zeros((2 * width - 2 * m, 2 * width - 2 * m))
+        matrix[m : 2 * m, :width] = -(self.step**2) * self.rows / self.scales
         matrix[:m, m : 2 * m] = np.diag(self.scales[:m])
         matrix[2 * m : width, width:] = np.eye(width - 2 * m)
-        return matrix
-
-    def generator_change(self, d_rows):
-        """Its change by a change of R, the scales held fixed."""
-        m, width = self.rows.shape
-        matrix = np.zeros((2 * width - 2 * m, 2 * width - 2 * m))
-        matrix[m : 2 * m, :width] = -(self.step**2) * d_rows / self.scales
         return matrix
 
     def step_matrices(self):

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from pymc_features.simulators.chain.gradient import drifts_of
 from pymc_features.simulators.chain.modes import chain_modes
 from pymc_features.simulators.chain.parameters import ChainParameters, own_rows, zeros_like
-from pymc_features.simulators.chain.response import check_sizes
+from pymc_features.simulators.chain.response import check_sizes, drifts_of
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.eigen.outside import outside_span
 from pymc_features.simulators.modal.perturbation import (

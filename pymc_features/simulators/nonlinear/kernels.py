@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.nonlinear.differences import directional_derivative, gradient
 from pymc_features.simulators.nonlinear.law import LAWS
 from pymc_features.simulators.nonlinear.layout import chain_memory, padded
 from pymc_features.simulators.nonlinear.parameters import (
@@ -32,7 +31,8 @@ from pymc_features.simulators.oscillators.arguments import (
     excess_of,
     n_outputs,
 )
-from pymc_features.simulators.oscillators.misfit import measured_difference, weigh_history
+from pymc_features.simulators.oscillators.differences import WITH_KINKS, gradient, tangents
+from pymc_features.simulators.oscillators.misfit import weigh_history
 from pymc_features.simulators.taylor.adjoint.population import add_gradients
 from pymc_features.simulators.taylor.ground.spans import ground_of
 from pymc_features.simulators.taylor.population import Lanes, is_linear_chain, march_population, rows_of
@@ -247,32 +247,13 @@ def nonlinear_kernels(law) -> dict:
         given = excitation, wanted, observed, numbers(weights)[None], sought
         return NonlinearParameters(*(g[0] for g in population_gradient(one_particle(parameters), *given)))
 
-    def response_tangent(parameters, excitation, wanted, directions):
-        problem = Problem(law, parameters, excitation, wanted)
-        directions = tuple(map(numbers, directions))
-        if [d.shape for d in directions] != [p.shape for p in problem.parameters]:
-            raise ValueError("the directions must have the shapes of the parameters")
-
-        def of_parameters(moved):
-            return problem.response(moved, [wanted.quantity])[0]
-
-        middle = of_parameters(problem.parameters)
-        return directional_derivative(of_parameters, problem.parameters, directions, middle)
-
-    def discrepancy_tangent(parameters, excitation, wanted, observed, directions):
-        history = response(parameters, excitation, wanted)
-        difference = measured_difference(history, check_history(numbers(observed), history.shape))
-        tangent = response_tangent(parameters, excitation, wanted, directions)
-        return (2.0 * difference * tangent).mean(axis=1)
-
     return {
         "response": response,
         "discrepancy": lambda *given: misfit(*given)[:, 0],
         "misfit": misfit,
         "response_gradient": response_gradient,
         "misfit_gradient": misfit_gradient,
-        "response_tangent": response_tangent,
-        "discrepancy_tangent": discrepancy_tangent,
+        **tangents(response, len(NonlinearParameters._fields), WITH_KINKS),
         "population_discrepancy": lambda *given: population_misfit(*given)[..., 0],
         "population_misfit": population_misfit,
         "population_gradient": population_gradient,

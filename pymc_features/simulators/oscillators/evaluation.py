@@ -29,7 +29,8 @@ def new_walk(excitation, observed, n_times, n_modes, n_sensors, widths):
     state = new_quadratic(widths.wide, widths.wide, widths.wide)
     sample_arrays, samples = new_samples(excitation, observed, n_times, n_sensors, widths)
     arrays, modes = new_oscillators(n_modes, n_sensors, min(GROUP, n_modes), state, samples, widths)
-    return Walk(modes, arrays, samples, sample_arrays, observed)
+    # reached by address
+    return Walk(modes, arrays, samples, sample_arrays, np.ascontiguousarray(observed))
 
 
 @jit

@@ -157,17 +157,6 @@ def some_are_close(lot, duration, widths):
 
 
 @jit
-def close_modes(lot, duration, widths):
-    """Which pairs of modes of one structure are close, bool (m, m); each is to itself."""
-    close = np.zeros((lot.n_modes, lot.n_modes), dtype=np.bool_)
-    for r in range(lot.n_modes):
-        close[r, r] = True
-        for s in range(r):
-            close[r, s] = close[s, r] = nearness(lot, r, s, duration, widths) < CLOSE
-    return close
-
-
-@jit
 def see_alone(lot, sums, j, widths):
     """Let the sums be those of what sensor j sees by itself."""
     for i in range(lot.n_sensors):

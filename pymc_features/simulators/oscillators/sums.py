@@ -99,6 +99,7 @@ def new_gradient_walk(excitation, observed, is_given, in_pairs, n_modes, product
 
     The products are like the number given: with derivatives, of pairs, or without.
     """
+    observed = np.ascontiguousarray(observed)  # reached by address
     (n_sensors, n_times), wide, one = observed.shape, lanes(widths.wide), lanes(widths.structure)
     dual = new_dual(widths.wide, widths.wide, widths.wide)
     state = new_quadratic(dual, dual, dual)
