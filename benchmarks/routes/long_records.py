@@ -4,25 +4,28 @@ import numpy as np
 
 from benchmarks.routes import batched
 from pymc_features.simulators import FAMILIES
-from pymc_features.simulators.mean_squares.gradient.population import misfit_gradient
-from pymc_features.simulators.mean_squares.population import mean_squares
+from pymc_features.simulators.long_records.misfits import Asked, Tables, from_table
 
 
 def prepare(case):
     """Return a call that evaluates the population of `case`, shape (P, s)."""
-    *arguments, observed = batched.arguments(case)
-    return lambda: mean_squares(FAMILIES["chain"], tuple(arguments), observed)
+    tables, asked = Tables(), asked_of(case)
+    return lambda: from_table(tables, asked)[0]
 
 
 def prepare_gradient(case):
     """Return a call for the gradient of the sum of e_j by all springs."""
-    *arguments, observed = batched.arguments(case)
-    weights = np.ones((len(case.stiffness), len(observed), 1))
-    return lambda: misfit_gradient(FAMILIES["chain"], tuple(arguments), observed, weights)[1]
+    tables, asked = Tables(), asked_of(case, np.ones((len(case.stiffness), len(case.observed), 1)))
+    return lambda: from_table(tables, asked)[1]
 
 
 def prepare_marching_gradient(case):
     """Return a call for the same gradient by the march."""
+    asked = asked_of(case, np.ones((len(case.stiffness), len(case.observed), 1)))
+    return lambda: asked.march()[1]
+
+
+def asked_of(case, weights=None):
+    """What is asked of the chains of a case."""
     *arguments, observed = batched.arguments(case)
-    weights, kernel = np.ones((len(case.stiffness), len(observed), 1)), "population_gradient"
-    return lambda: FAMILIES["chain"].kernels[kernel](*arguments, observed, weights)[1]
+    return Asked(FAMILIES["chain"], tuple(arguments), observed, weights)

@@ -20,14 +20,14 @@ from pymc_features._checks import as_numbers
 from pymc_features.ops.base import StructuralOp, check_shape
 from pymc_features.ops.external import ExternalResponse
 from pymc_features.ops.gradient import Gradient, ResponseTangent, Tangent, gradient_op
-from pymc_features.ops.long_records import GradientFromTables, StatisticsFromTables
+from pymc_features.ops.long_records import FromTable
 from pymc_features.ops.response import StructuralResponse, response_node
 from pymc_features.structures.variables import as_tensor
 
 HISTORY = "Pass a history (..., sensor, time)."
 
 
-class StructuralComparison(StatisticsFromTables, StructuralOp):
+class StructuralComparison(StructuralOp):
     """Base: statistics of each sensor's misfit, from the parameters of a structure and the data.
 
     Attributes
@@ -71,7 +71,7 @@ class StructuralComparison(StatisticsFromTables, StructuralOp):
         ]
 
 
-class StructuralDiscrepancy(StructuralComparison):
+class StructuralDiscrepancy(FromTable, StructuralComparison):
     """e_j of Eq. (3) (sensor,), of data without gaps; with them the sum has fewer terms."""
 
     kernel_name = "discrepancy"
@@ -86,7 +86,7 @@ class StructuralMisfit(StructuralComparison):
     values = (4,)
 
 
-class MisfitGradient(GradientFromTables, Gradient):
+class MisfitGradient(FromTable, Gradient):
     """Gradient of sum_jq c_jq times the first statistic, or all four.
 
     The last inputs are the data (sensor, time) and c (sensor, n_statistics).

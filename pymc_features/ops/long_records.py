@@ -1,48 +1,72 @@
-"""Ops that take statistics of misfits, and their gradients, from tables where the record is long."""
+"""Choice of the table or the march by the number of samples, and where a compiled function has its table.
+
+A table belongs to one node of one compiled function, and is compared with the data whenever that is called.
+"""
+
+import hashlib
+
+from pytensor.compile.sharedvalue import SharedVariable
+from pytensor.graph.basic import Constant
 
 from pymc_features.ops.base import prepared
-from pymc_features.simulators.mean_squares.gradient.population import misfit_gradient
-from pymc_features.simulators.mean_squares.population import is_long_alone, misfits
+from pymc_features.simulators.long_records.misfits import Asked, Tables, from_table
+
+FEWEST_STEPS = 2000  # of the recursion, for a population: below, the march is as fast
+FEWEST_ALONE = 4000  # samples, for one structure, whose modes do not fill the lanes of a vector
+MOST_STRIDE = 8  # steps between outputs: what a table costs grows with their square
 
 
-def uncopied(op, inputs):
-    """The named tuples of a kernel, with a row for each particle, and what comes behind them.
+class FromTable:
+    """Base of the Ops of e_j and its gradient, of one structure or of many."""
 
-    No copies of record and data, which the tables know by their memory.
-    """
-    record, common = op.at("acceleration"), list(inputs[: op.n_common])
-    for i, x in enumerate(common):
-        if i < op.n_parameters and not op.batched:
-            common[i] = prepared(x[None])
-        elif i != record:
-            common[i] = prepared(x)
-    return op.spec.assemble(common, op.quantity_code), inputs[op.n_common :]
+    @property
+    def has_table(self) -> bool:
+        """Whether the family has modes for a table, and the Op is about e_j alone."""
+        name = "gradient_of_sums" if hasattr(self, "n_statistics") else "population_systems"
+        return name in self.spec.kernels and getattr(self, "n_statistics", 1) == 1
 
+    def is_long(self, n_times, stride=1) -> bool:
+        """Whether a table is faster for so many samples."""
+        steps = stride * n_times if self.batched else n_times
+        return self.has_table and steps >= (FEWEST_STEPS if self.batched else FEWEST_ALONE)
 
-def has_tables(op, inputs) -> bool:
-    """Whether tables are faster for one structure by itself."""
-    stride, n_modes, observed = inputs[op.at("stride")], inputs[op.at("n_modes")], inputs[op.n_common]
-    return "gradient_of_sums" in op.spec.kernels and is_long_alone(stride, observed, n_modes)
+    def perform(self, node, inputs, output_storage):
+        """By the table of the node, where the record is long."""
+        if not hasattr(node.tag, "tables"):
+            node.tag.tables = Tables()
+        for storage, result in zip(output_storage, self.run(inputs, node.tag.tables), strict=True):
+            storage[0] = result
 
-
-class StatisticsFromTables:
-    """Base of Ops for statistics of the misfit of one structure."""
-
-    def run(self, inputs):
-        """From tables, where the record is long and the structure has modes."""
-        if not has_tables(self, inputs):
+    def run(self, inputs, tables=None):
+        """What the kernel makes of arrays, or the table of a node where that is faster."""
+        stride, acceleration = inputs[self.at("stride")], inputs[self.at("acceleration")]
+        is_fit = stride <= MOST_STRIDE and (acceleration.ndim == 1 or len(acceleration) == 1)
+        if tables is None or not is_fit or not self.is_long(inputs[self.n_common].shape[1], stride):
             return super().run(inputs)
-        arguments, [observed] = uncopied(self, inputs)
-        return (misfits(self.spec, arguments, observed, f"population_{self.kernel_name}", is_alone=True)[0],)
+        arrays = [prepared(x) for x in inputs]
+        observed, *weights = arrays[self.n_common :]
+        if not self.batched:
+            arrays[: self.n_parameters] = [prepared(x[None]) for x in inputs[: self.n_parameters]]
+            weights = [x[None] for x in weights]
+        given = self.spec.assemble(arrays[: self.n_common], self.quantity_code)
+        found = from_table(tables, Asked(self.spec, given, observed, *weights, is_alone=not self.batched))
+        return found if self.batched else tuple(x[0] for x in found)
 
 
-class GradientFromTables:
-    """Base of Ops for the gradient by these statistics."""
+def is_known_long(op, node) -> bool:
+    """Whether a node is one whose data are known to be long when a function is compiled."""
+    if not isinstance(op, FromTable):
+        return False
+    observed = node.inputs[op.n_common]
+    n_times = observed.type.shape[-1]
+    if n_times is None and isinstance(observed, SharedVariable):
+        n_times = observed.get_value(borrow=True).shape[-1]
+    return n_times is not None and op.is_long(n_times)
 
-    def run(self, inputs):
-        """From tables, as `StatisticsFromTables`."""
-        if not has_tables(self, inputs):
-            return super().run(inputs)
-        arguments, [observed, weights] = uncopied(self, inputs)
-        gradient = misfit_gradient(self.spec, arguments, observed, weights[None], is_alone=True)
-        return tuple(x[0] for x in gradient)
+
+def hash_of_data(op, node) -> str | None:
+    """Hash of data and record, the same in all processes; None unless they are constants."""
+    given = node.inputs[op.n_common], node.inputs[op.at("acceleration")]
+    if not all(isinstance(x, Constant) for x in given):
+        return None
+    return hashlib.sha256(b"".join(x.data.tobytes() for x in given)).hexdigest()

@@ -27,11 +27,12 @@ from pymc_features.ops.comparison import (
     StructuralMisfit,
 )
 from pymc_features.ops.gradient import ResponseGradient, ResponseTangent
+from pymc_features.ops.long_records import hash_of_data, is_known_long
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradient, PopulationMisfit
 from pymc_features.ops.response import StructuralResponse
 from pymc_features.simulators.compiled.dependencies import source_hash
 from pymc_features.simulators.families import count
-from pymc_features.simulators.mean_squares.population import FEWEST_ALONE
+from pymc_features.simulators.long_records.misfits import Tables
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs
 from pymc_features.simulators.reduced.known import KNOWN
 
@@ -49,19 +50,18 @@ OPS = (
     DiscrepancyTangent,
     PopulationGradient,
 )
-ALONE = (StructuralDiscrepancy, StructuralMisfit, MisfitGradient)  # for which there are tables
 
 
-def cache_key(op, length="") -> str:
+def cache_key(op, data="") -> str:
     """Key of an Op's machine code: type, properties, and hashes of this file and of the kernel's source.
 
-    `length` is what is known of the data.
+    `data` is the hash of what a node has a table of.
 
     PyTensor's own key sees neither: an edited kernel would silently run old code. A kernel that runs in
     Python is not part of the machine code.
     """
     kernel = source_hash(op.kernel.__module__) if op.spec.compiled else ""
-    return default_hash_key_from_props(op, kernel=kernel, dispatch=DISPATCH_HASH, length=length)
+    return default_hash_key_from_props(op, kernel=kernel, dispatch=DISPATCH_HASH, data=data)
 
 
 def prepared(arrays):
@@ -81,19 +81,15 @@ def _prepared(arrays):
 def funcify(op, node=None, **kwargs):
     """Return the Op's kernel with its quantity bound.
 
-    One structure under a record that is known to be long takes its tables in Python. Where only the data will
-    tell, as with `pm.Data`, both ways are there.
+    One structure, or a population that Python calls anyway, takes a long record from the table of its node.
+    If its data are no constants, the machine code is not kept.
     """
-    if not op.spec.compiled or op.takes_directions:  # along these, responses are called by Python
-        return in_python(op, node), cache_key(op)
-    if op.batched or not isinstance(op, ALONE):
-        return compiled(op), cache_key(op)
-    n_times = node.inputs[op.n_common].type.shape[-1]
-    if n_times is None:
-        return by_length(op, node), cache_key(op, "unknown")
-    if n_times < FEWEST_ALONE:
-        return compiled(op), cache_key(op)
-    return in_python(op, node), cache_key(op, "long")
+    has_table = is_known_long(op, node) and not (op.spec.compiled and op.batched)
+    if has_table:
+        data = hash_of_data(op, node)
+        return in_python(op, node, Tables()), data and cache_key(op, data)
+    in_machine_code = op.spec.compiled and not op.takes_directions  # along these, Python calls responses
+    return (compiled(op) if in_machine_code else in_python(op, node)), cache_key(op)
 
 
 @functools.cache
@@ -164,26 +160,7 @@ def compiled(op):
     return structural_op
 
 
-def by_length(op, node):
-    """Compiled code, and for long records a call to Python."""
-    march, python, data = compiled(op), in_python(op, node), op.n_common
-
-    @numba_njit
-    def one_output(*inputs):
-        if inputs[data].shape[1] >= FEWEST_ALONE:
-            return np.ascontiguousarray(python(*inputs))
-        return march(*inputs)
-
-    @numba_njit
-    def several_outputs(*inputs):
-        if inputs[data].shape[1] >= FEWEST_ALONE:
-            return prepared(python(*inputs))
-        return prepared(march(*inputs))  # no longer a named tuple
-
-    return one_output if len(node.outputs) == 1 else several_outputs
-
-
-def in_python(op, node):
+def in_python(op, node, *tables):
     """A call from compiled code to a kernel in Python, which costs ten microseconds.
 
     What other functions have learnt of their structures is forgotten, so that a run with the same seed is the
@@ -195,7 +172,7 @@ def in_python(op, node):
     result_type = results[0] if one else types.Tuple(results)
 
     def run(inputs):
-        results = tuple(np.ascontiguousarray(x) for x in op.run(inputs))
+        results = tuple(np.ascontiguousarray(x) for x in op.run(inputs, *tables))
         return results[0] if one else results
 
     @numba_njit

@@ -15,10 +15,7 @@ from pymc_features.ops.comparison import (
     StructuralMisfit,
 )
 from pymc_features.ops.gradient import gradient_op
-from pymc_features.ops.long_records import uncopied
-from pymc_features.simulators.mean_squares.gradient.population import is_long as has_long_gradient
-from pymc_features.simulators.mean_squares.gradient.population import misfit_gradient
-from pymc_features.simulators.mean_squares.population import is_long, misfits
+from pymc_features.ops.long_records import FromTable
 
 
 class PopulationComparison(StructuralOp):
@@ -33,13 +30,6 @@ class PopulationComparison(StructuralOp):
     batched = True
     values: tuple[int, ...] = ()
     simulates = True
-
-    def run(self, inputs):
-        """From tables, where the record is long and the structure has modes."""
-        if "population_systems" in self.spec.kernels and is_long(inputs[self.at("stride")], inputs[-1]):
-            arguments, [observed] = uncopied(self, inputs)
-            return (misfits(self.spec, arguments, observed, self.kernel_name),)
-        return super().run(inputs)
 
     def make_node(self, *inputs):
         *common, observed = inputs
@@ -71,7 +61,7 @@ class PopulationComparison(StructuralOp):
         ]
 
 
-class PopulationDiscrepancy(PopulationComparison):
+class PopulationDiscrepancy(FromTable, PopulationComparison):
     """e_j of Eq. (3) for a population (particle, sensor)."""
 
     kernel_name = "population_discrepancy"
@@ -90,14 +80,6 @@ class PopulationGradient(MisfitGradient):
     kernel_name = "population_gradient"
     gufunc_signature = None
     batched = True
-
-    def run(self, inputs):
-        """From tables, as in `PopulationComparison`."""
-        *_, observed, weights = inputs
-        if "gradient_of_sums" in self.spec.kernels and has_long_gradient(inputs[self.at("stride")], observed):
-            arguments, _ = uncopied(self, inputs)
-            return misfit_gradient(self.spec, arguments, observed, weights)
-        return StructuralOp.run(self, inputs)
 
     @property
     def more_signature(self):

@@ -12,7 +12,7 @@ response_tangent        tuple of a direction of each         derivative (s, u) a
 discrepancy_tangent     data, tuple of directions           derivative (s,) along it
 population_discrepancy  data                                (p, s), with parameters (p, ...) or (1, ...)
 population_misfit       data                                (p, s, 4)
-population_systems      data                                modes, see `mean_squares`, or None; may lack
+population_systems      data                                modes, see `long_records`, or None; may lack
 population_gradient     data, weights (p, s, 1) or (.., 4)  gradients in the shapes of the parameters
 gradient_systems        data                                modes of those of whom there is the following
 gradient_of_sums        sums over time, see `reduction`     as population_gradient; both may lack

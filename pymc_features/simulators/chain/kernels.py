@@ -17,7 +17,7 @@ from pymc_features.simulators.chain.structures import (
     terms_of_chain,
 )
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.mean_squares.systems import new_systems, put_modes
+from pymc_features.simulators.long_records.systems import new_systems, put_modes
 from pymc_features.simulators.oscillators.arguments import n_outputs
 from pymc_features.simulators.oscillators.evaluation import in_rows, new_walk
 from pymc_features.simulators.oscillators.fast_modes import has_fast, highest_step
@@ -138,7 +138,7 @@ def population_gradient(parameters, excitation, wanted, observed, weights):
 
 @jit
 def chain_systems(parameters, excitation, wanted, observed):
-    """`Systems` of all particles, for the tables of `mean_squares`.
+    """`Systems` of all particles, for the tables of `long_records`.
 
     Parameters as of `population_discrepancy`; of the data their shape.
     """
@@ -146,7 +146,7 @@ def chain_systems(parameters, excitation, wanted, observed):
     (sensors, m, _), n, step = wanted, parameters.mass.shape[1], excitation.dt / excitation.substeps
     walk = new_walk(in_rows(excitation), np.empty((0, 0)), 1, m, sensors.size, widths)
     lot = new_lanes(n, m, excitation, wanted, False, walk.samples, widths)
-    systems, modes = new_systems(count, sensors.size, m, 1, False), new_sensor_modes(n, sensors.size)
+    systems, modes = new_systems(count, sensors.size, m, 1), new_sensor_modes(n, sensors.size)
     order, highest, lots = np.empty(n, dtype=np.int64), highest_step(excitation), lot.is_there.size
     for first in range(0, count, lots):
         solve_at_sensors(modes, parameters, sensors, first, min(lots, count - first))

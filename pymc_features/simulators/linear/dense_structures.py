@@ -8,7 +8,7 @@ from pymc_features.simulators.eigen.coupled import all_columns
 from pymc_features.simulators.eigen.matrices import all_diagonal
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
 from pymc_features.simulators.linear.dense import is_finite, solve_dense
-from pymc_features.simulators.mean_squares.systems import new_systems, put_modes
+from pymc_features.simulators.long_records.systems import new_systems, put_modes
 from pymc_features.simulators.oscillators.evaluation import evaluate, new_walk
 from pymc_features.simulators.oscillators.fast_modes import has_fast, highest_step
 from pymc_features.simulators.oscillators.modal_lanes import (
@@ -274,7 +274,7 @@ def dense_systems(parameters, excitation, wanted, count):
     """`Systems` of dense structures with classical damping, of any inputs."""
     (s, n), n_inputs, widths = wanted.sensors.shape, parameters.influence.shape[1], of_population()
     systems, step = (
-        new_systems(count, s, wanted.n_modes, n_inputs, False),
+        new_systems(count, s, wanted.n_modes, n_inputs),
         excitation.dt / excitation.substeps,
     )
     walk = new_walk(excitation, np.empty((0, 0)), 1, wanted.n_modes, s, widths)

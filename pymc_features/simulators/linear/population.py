@@ -9,12 +9,11 @@ import numpy as np
 
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.eigen.coupled import march_coupled
-from pymc_features.simulators.eigen.coupled_systems import fill_systems
 from pymc_features.simulators.linear.arguments import Arguments, is_symmetric, n_particles
 from pymc_features.simulators.linear.dense_structures import dense_statistics, dense_systems
 from pymc_features.simulators.linear.response import evaluate
 from pymc_features.simulators.linear.system import observe, solved
-from pymc_features.simulators.mean_squares.systems import Systems, new_systems, put_modes
+from pymc_features.simulators.long_records.systems import Systems, new_systems, put_modes
 from pymc_features.simulators.oscillators.fast_modes import has_fast, highest_step
 
 
@@ -54,22 +53,15 @@ def march_population(a: Arguments, observed, n_statistics):
 
 
 def linear_systems(parameters, excitation, wanted, observed) -> Systems | None:
-    """`Systems` of all particles; None of damping matrices that no kernel for complex modes takes."""
+    """`Systems` of all particles; None if a matrix couples their modes."""
     a = Arguments(parameters, excitation, wanted)
     count, shared = n_particles(parameters), a._replace(parameters=parameters.one_of(0))
     shared.check(observed)
-    n_inputs = excitation.acceleration.shape[0]
     if not parameters.is_classical:
-        if not (parameters.is_dense and n_inputs == 1 and is_symmetric(parameters.damping, parameters.n_dof)):
-            return None
-        systems = new_systems(count, a.shape[0], 2 * wanted.n_modes, 1, True)
-        theta = np.repeat(parameters.theta, count // len(parameters.theta), axis=0)
-        kernel = parameters._replace(theta=theta).for_kernel()
-        fill_systems(systems, kernel, a.inputs, a.outputs, writable(observed))
-        return systems
+        return None
     if parameters.is_dense:
         return dense_systems(parameters.for_kernel(), a.inputs, a.outputs, count)
-    systems = new_systems(count, a.shape[0], wanted.n_modes, n_inputs, False)
+    systems = new_systems(count, a.shape[0], wanted.n_modes, excitation.acceleration.shape[0])
     for p, own, system in solved(a, np.arange(count)):
         modes = None if system is None else observe(own, system)
         if modes and not has_fast(modes[0], a.step, highest_step(a.inputs)):

@@ -7,10 +7,8 @@ the square of side one about zero
     F(nu) = sum_n a_n(nu) G(n),   n = -7 ... 7,
 
 with polynomials a_n of degree 13, by least squares over both theta and nu, so that
-|sum_n a_n(nu) exp(i theta n) - b(theta) exp(i theta nu)| / b(theta) is below 3e-14 everywhere. So it is for
-dF/dnu with polynomials of its own, fitted to i theta exp(i theta nu): those of F, differentiated, would lose
-a digit. Windows that allow so few points: Barnett, Magland and af Klinteberg, SIAM J. Sci. Comput. 41 (2019)
-C479, Eq. (1.8).
+|sum_n a_n(nu) exp(i theta n) - b(theta) exp(i theta nu)| / b(theta) is below 3e-14 everywhere. Windows that
+allow so few points: Barnett, Magland and af Klinteberg, SIAM J. Sci. Comput. 41 (2019) C479, Eq. (1.8).
 """
 
 from functools import cache
@@ -33,21 +31,18 @@ def window(theta: np.ndarray) -> np.ndarray:
 
 
 @cache
-def coefficients(order: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Even and odd coefficients (REACH + 1, 7) of a_n, n >= 0, of F or, with order one, of dF/dnu.
-
-    a_(+-n)(nu) = even(nu^2) +- nu odd(nu^2), for the derivative +- even(nu^2) + nu odd(nu^2).
-    """
+def coefficients() -> tuple[np.ndarray, np.ndarray]:
+    """Even and odd coefficients (REACH + 1, 7) of a_n, n >= 0: a_(+-n)(nu) = even(nu^2) +- nu odd(nu^2)."""
     points = np.arange(-REACH, REACH + 1)
     theta = np.pi / OVERSAMPLING * np.cos(np.pi * (np.arange(200) + 0.5) / 200)
     edge = np.linspace(-0.5, 0.5, 17)
     nu = np.concatenate([edge - 0.5j, edge + 0.5j, -0.5 + 1j * edge, 0.5 + 1j * edge])
     basis = np.exp(1j * np.outer(theta, points)) / window(theta)[:, None]
-    wave = (1j * theta[:, None]) ** order * np.exp(1j * np.outer(theta, nu))
+    wave = np.exp(1j * np.outer(theta, nu))
     weights = np.linalg.lstsq(basis, wave, rcond=None)[0].T
     powers = nu[:, None] ** np.arange(DEGREE + 1)
     found = np.linalg.lstsq(stacked(powers), stacked(weights), rcond=None)[0]
-    parity = (-1.0) ** (order + np.arange(DEGREE + 1)[:, None])
+    parity = (-1.0) ** np.arange(DEGREE + 1)[:, None]
     upper = (0.5 * (found + parity * found[:, ::-1]))[:, REACH:].T  # symmetric but for rounding
     return np.ascontiguousarray(upper[:, ::2]), np.ascontiguousarray(upper[:, 1::2])
 

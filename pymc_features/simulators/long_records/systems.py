@@ -13,16 +13,13 @@ class Systems(NamedTuple):
     Attributes
     ----------
     valid : bool array (p,)
-        Whether there is a structure; the rest is undefined where not.
+        Whether there is a structure whose modes all are stepped; the rest is undefined where not.
     omega, damping : array (p, m)
         [rad/s] and D [1/s].
     shapes : array (p, s, m)
     participation : array (p, m, d)
     feed : array (p, s, d)
         What stands before the inputs in the response.
-    in_pairs : bool
-        Whether each mode is there twice, first half of the m and second half: seen by its displacement and by
-        its velocity, whatever the quantity, as complex modes are.
     """
 
     valid: np.ndarray
@@ -31,11 +28,10 @@ class Systems(NamedTuple):
     shapes: np.ndarray
     participation: np.ndarray
     feed: np.ndarray
-    in_pairs: bool
 
 
 @jit
-def new_systems(n_particles, n_sensors, n_modes, n_inputs, in_pairs):
+def new_systems(n_particles, n_sensors, n_modes, n_inputs):
     """Room for the modes of structures; none of them valid."""
     return Systems(
         np.zeros(n_particles, dtype=np.bool_),
@@ -44,7 +40,6 @@ def new_systems(n_particles, n_sensors, n_modes, n_inputs, in_pairs):
         np.zeros((n_particles, n_sensors, n_modes)),
         np.zeros((n_particles, n_modes, n_inputs)),
         np.zeros((n_particles, n_sensors, n_inputs)),
-        in_pairs,
     )
 
 
