@@ -6,11 +6,11 @@ A structure's numbers do not depend on the others of its population, nor on what
 import numpy as np
 
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.long_records.sums import Found, evaluate_slopes, evaluate_values
+from pymc_features.simulators.long_records.sums import evaluate_slopes, evaluate_values
 from pymc_features.simulators.long_records.table import Table
 
 CHUNK = 1024  # particles at a time
-ROUNDING = 5e-15  # errors of a sum, relative to what `Found` calls sizes: ten times what was found
+ROUNDING = 5e-15  # errors of a sum, relative to their sizes: ten times what was found
 SURE = 1e-8  # error of e_j that makes no difference to TN and EXP
 NATS = 1e-3  # error of the log-likelihood of independent samples, whose variance is near e_j
 AGREEMENT = 1e-6  # with the march
@@ -82,26 +82,26 @@ class Asked:
         systems = kernel(parameters, excitation, wanted, self.observed)
         if systems is None:
             return None
-        count, s, m = systems.shapes.shape
-        shapes = ((0, s, m), (0, m), (0, m)) if is_value else ((count, s, m), (count, m), (count, m))
-        found = Found(np.zeros((count, s)), np.full((count, s), np.inf), *map(np.zeros, shapes))
-        n_times, step = self.observed.shape[1], table.mesh.step
+        (count, s, m), n_times, step = systems.shapes.shape, self.observed.shape[1], table.mesh.step
+        n_rows = 2 * s if is_value else 2 * s + (s + 2) * m
         factors = np.empty((0, s)) if is_value else (-2.0 / n_times) * self.weights[:, :, 0]
-        evaluated = evaluate_values if is_value else evaluate_slopes
         for _ in range(2):  # again when the nodes that were missing are filled
-            reach = np.full((2, table.mesh.begins.size), -(2**62))
-            reach[0] = 2**62
-            evaluated(systems, table.mesh, table.products, factors, wanted.quantity, reach, found)
+            result = np.full((-(-count // LANES), n_rows, LANES), np.inf)
+            reach = np.array([[2**62], [-(2**62)]]) + np.zeros(table.mesh.begins.size, dtype=int)
+            evaluated = evaluate_values if is_value else evaluate_slopes
+            evaluated(systems, table.mesh, factors, wanted.quantity, reach, result)
             if not (reach[0] <= reach[1]).any():
                 break
             if not table.cover(reach):
                 table.is_left = True
                 return None
+        found = result.swapaxes(1, 2).reshape(-1, n_rows)[:count]
+        squares, sizes, outputs, by_s, by_d = np.split(found, np.cumsum((s, s, s * m, m)), axis=1)
         bound = min(SURE, 2.0 * NATS / (n_times * s))
-        is_sure = (ROUNDING * found.sizes <= bound * found.squares).all(axis=1)
+        is_sure = (ROUNDING * sizes**2 < bound * squares).all(axis=1)
         if is_value:
-            return (found.squares / n_times,), is_sure
-        return (found.outputs, found.by_square * step**2, found.by_damping * step), is_sure
+            return (squares / n_times,), is_sure
+        return (outputs.reshape(count, s, m), by_s * step**2, by_d * step), is_sure
 
     def evaluate(self, table) -> tuple | None:
         """What `march` gives, from the table where it is sure; None without one."""

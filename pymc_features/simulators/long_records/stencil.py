@@ -41,12 +41,8 @@ def coefficients() -> tuple[np.ndarray, np.ndarray]:
     wave = np.exp(1j * np.outer(theta, nu))
     weights = np.linalg.lstsq(basis, wave, rcond=None)[0].T
     powers = nu[:, None] ** np.arange(DEGREE + 1)
-    found = np.linalg.lstsq(stacked(powers), stacked(weights), rcond=None)[0]
+    both = [np.concatenate([x.real, x.imag]) for x in (powers, weights)]
+    found = np.linalg.lstsq(*both, rcond=None)[0]
     parity = (-1.0) ** np.arange(DEGREE + 1)[:, None]
     upper = (0.5 * (found + parity * found[:, ::-1]))[:, REACH:].T  # symmetric but for rounding
     return np.ascontiguousarray(upper[:, ::2]), np.ascontiguousarray(upper[:, 1::2])
-
-
-def stacked(values):
-    """Real and imaginary parts below each other."""
-    return np.concatenate([values.real, values.imag])

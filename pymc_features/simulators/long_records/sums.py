@@ -57,6 +57,7 @@ HEAVY = 1.98  # D over omega from which a pole and its conjugate come too near e
 DECAYED = 37.0  # e^-37 = 1e-16
 N_ROWS = 48  # rows of nodes of a level: more than 2 DECAYED (N + 8) / (2 pi / 3 N)
 TURNS = np.exp(1j * np.pi / 3.0 * np.arange(6))  # exp(i omega t) at the nodes, t the centre of time
+POLE = 7  # numbers of a pole, see `put_poles`
 TURN_TERMS = 19  # of exp(x), |x| < 0.75: the first dropped term is below 1e-18
 
 
@@ -126,6 +127,9 @@ def in_one_lane(typingctx, rows, index, lane):
 class Mesh(NamedTuple):
     """What compiled code reads of a table.
 
+    Rows b are s data, c phases of the input, a one behind the last output and, where these are others, own
+    values, which the feed-through passes on; functions are P of all rows, then K.
+
     Attributes
     ----------
     duration, step : float
@@ -134,10 +138,20 @@ class Mesh(NamedTuple):
         Of the nodes [rad/s].
     begins, lowest, highest : integer array (levels N_ROWS,)
         Where a row of nodes begins, and its first and last column; first beyond last if empty.
-    values : array (nodes blocks vectors 2 LANES,)
-        P of all rows b and, if the record does not begin with zero, K: real parts and imaginary parts.
+    values : array (nodes vectors 2 LANES,)
+        Functions, real parts and imaginary parts.
     even, odd : array (REACH + 1, TERMS)
         Of the stencil.
+    squares, with_own, own : array (s,), (s,), (1,)
+        Sums of data squared, of data times own values, and of these squared.
+    with_input : array (rows,)
+        Sums of rows times input, at the outputs.
+    phases : array (c, c)
+        Sums of phases times phases.
+    first : float
+        a[0].
+    own_at : int
+        Which row has the own values.
     """
 
     duration: float
@@ -149,24 +163,6 @@ class Mesh(NamedTuple):
     values: np.ndarray
     even: np.ndarray
     odd: np.ndarray
-
-
-class Products(NamedTuple):
-    """Sums of products of record and data over all outputs; rows b are s data, c phases, the end, own values.
-
-    Attributes
-    ----------
-    squares, with_own, own : array (s,), (s,), (1,)
-        Data by themselves and with the values that the feed-through passes on, and these by themselves.
-    with_input : array (functions,)
-        Rows with the input that is marched.
-    phases : array (c, c)
-    first : float
-        a[0].
-    own_at : int
-        Which row has the own values.
-    """
-
     squares: np.ndarray
     with_own: np.ndarray
     own: np.ndarray
@@ -176,158 +172,83 @@ class Products(NamedTuple):
     own_at: int
 
 
-class Found(NamedTuple):
-    """Results for all structures; the last three empty where no gradient is asked.
+@jit
+def is_served(systems, mesh, p, wants_gradient):
+    """Whether a table has a structure: not too fast or damped and, for gradients, without close modes."""
+    served, longest = systems.valid[p], 4.0 * DECAYED / mesh.duration * 2.0 ** (mesh.spacing.size - 1)
+    for r in range(systems.omega.shape[1]):
+        omega, damping = systems.omega[p, r], systems.damping[p, r]
+        served &= 0.0 <= damping < HEAVY * omega and omega * mesh.step <= FASTEST and damping < longest
+        if wants_gradient and r > 0:  # as in `reduction.nearness`, or nearly so
+            before, drag = systems.omega[p, r - 1], systems.damping[p, r - 1]
+            memory = max(min(mesh.duration, 2.0 / drag), 3.0 / before)
+            growth = (omega + before) * mesh.duration**2
+            served &= (omega - before) * min(memory, growth) > 2.0 * CLOSE
+    return served
 
-    Attributes
-    ----------
-    squares, sizes : array (p, s)
-        Sums of squared misfits, and what their rounding errors are relative to; infinite if not evaluated.
-    outputs, by_square, by_damping : array (p, s, m), (p, m), (p, m)
-        What `reduction.derive_from` goes on from.
+
+@jit
+def put_poles(systems, mesh, p, lane, poles, entries, reach):
+    """Write poles of a structure into a lane, and where their stencils begin; whether all nodes are there.
+
+    `poles` (m POLE, LANES) are s, d, 1 / spacing, column, row and exp(i omega t) of the nearest node; columns
+    that are missing are added to the reach (2, levels N_ROWS).
     """
-
-    squares: np.ndarray
-    sizes: np.ndarray
-    outputs: np.ndarray
-    by_square: np.ndarray
-    by_damping: np.ndarray
-
-
-@jit
-def place_of(mesh, square, damping):
-    """Row and column of the nearest node, and the spacing; row -1 if the mesh does not reach there."""
-    sigma, level, duration = 0.5 * damping, 0, mesh.duration
-    if not (damping >= 0.0 and damping * damping < HEAVY * HEAVY * square):  # NaN too
-        return -1, 0, 1.0
-    while sigma * duration >= 2.0 * DECAYED:
-        level, duration = level + 1, 0.5 * duration
-    if level >= mesh.spacing.size or square * mesh.step**2 > FASTEST**2:
-        return -1, 0, 1.0
-    spacing = mesh.spacing[level]
-    column = np.rint(np.sqrt(square - sigma * sigma) / spacing)
-    return level * N_ROWS + int(np.rint(sigma / spacing)), int(column), spacing
-
-
-@jit
-def are_apart(systems, p, duration):
-    """Whether no two modes of a structure are close as in `reduction.nearness`, nor nearly so."""
-    for r in range(systems.omega.shape[1] - 1):
-        omega, after, damping = systems.omega[p, r], systems.omega[p, r + 1], systems.damping[p, r]
-        memory = max(min(duration, 2.0 / damping), 3.0 / omega)
-        growth = (after + omega) * duration * duration
-        if not (after - omega) * min(memory, growth) > 2.0 * CLOSE:
-            return False
-    return True
-
-
-@jit
-def put_places(systems, mesh, p, lane, numbers, entries, reach, wants_gradient):
-    """Write the poles of structure p into a lane, and where their stencils begin; whether nodes are there.
-
-    `numbers` (m 7, LANES) are s, d, fineness, column, row and exp(i omega t) of the node; columns that are
-    needed and missing are added to the reach. A structure that the table does not serve leaves it as it is.
-    """
-    m, h, is_served, is_there = systems.omega.shape[1], mesh.step, systems.valid[p], True
-    if wants_gradient:
-        is_served &= are_apart(systems, p, mesh.duration)
-    for r in range(m):
-        row, _, _ = place_of(mesh, systems.omega[p, r] ** 2, systems.damping[p, r])
-        is_served &= row >= 0
-    for r in range(m):
-        s, d, own = 1.0, 0.1, numbers[7 * r : 7 * r + 7]
-        own[2:, lane] = 0.0
-        if is_served:
-            s, d = (systems.omega[p, r] * h) ** 2, systems.damping[p, r] * h
-            row, column, spacing = place_of(mesh, systems.omega[p, r] ** 2, systems.damping[p, r])
-            if column - REACH < mesh.lowest[row] or column + REACH > mesh.highest[row]:
-                reach[0, row], reach[1, row] = (
-                    min(reach[0, row], column - REACH),
-                    max(reach[1, row], column + REACH),
-                )
-                is_there = False
-            entries[r, lane] = mesh.begins[row] + column - REACH - mesh.lowest[row]
-            angle = TURNS[column % 6]
-            own[2, lane], own[3, lane], own[4, lane] = 1.0 / (spacing * h), column, row % N_ROWS
-            own[5, lane], own[6, lane] = angle.real, angle.imag
-        own[0, lane], own[1, lane] = s, d
-    return is_served and is_there
+    h, is_there = mesh.step, True
+    for r in range(systems.omega.shape[1]):
+        omega, sigma, own = (
+            systems.omega[p, r],
+            0.5 * systems.damping[p, r],
+            poles[POLE * r : POLE * r + POLE],
+        )
+        level, duration = 0, mesh.duration
+        while sigma * duration >= 2.0 * DECAYED:
+            level, duration = level + 1, 0.5 * duration
+        spacing = mesh.spacing[level]
+        row = int(np.rint(sigma / spacing))
+        column, at = int(np.rint(np.sqrt(omega * omega - sigma * sigma) / spacing)), level * N_ROWS + row
+        if column - REACH < mesh.lowest[at] or column + REACH > mesh.highest[at]:
+            reach[0, at] = min(reach[0, at], column - REACH)
+            reach[1, at] = max(reach[1, at], column + REACH)
+            is_there = False
+        entries[r, lane], turn_here = mesh.begins[at] + column - REACH - mesh.lowest[at], TURNS[column % 6]
+        own[0, lane], own[1, lane], own[2, lane] = (omega * h) ** 2, 2.0 * sigma * h, 1.0 / (spacing * h)
+        own[3, lane], own[4, lane], own[5, lane], own[6, lane] = column, row, turn_here.real, turn_here.imag
+    return is_there
 
 
 class Room(NamedTuple):
-    """Memory for the structures in the lanes, as `Rows`; of each mode unless said otherwise.
+    """Memory for the structures in the lanes, as `Rows`: m modes, s sensors, c phases.
 
     Attributes
     ----------
-    weights, found : complex (TAPS), (functions)
+    poles : numbers (m POLE)
+    weights, functions : complex (TAPS), (functions)
         Of one mode.
-    growth, start, end : complex (m)
-        w, y[0] and y[N].
-    drive, before : complex (m c)
-        D and B.
-    passed, after, through : part (m)
-        sum y a, what stands before the input in the state, and sums of the output times own values.
-    first, left : part (m s), (s)
-        Sums of the output times data less feed-through, and, of one mode, less what all modes put out.
-    sizes : (m)
-    shares, feed, factors : (s m), (s), (s)
-        S Phi Gamma, J and -2 w / N.
+    modes : complex (m (3 + 2 c))
+        Of each mode w, y[0], y[N], D and B.
+    reals : numbers, perhaps with derivatives (m (3 + s) + s)
+        Of each mode sum y a, what stands before the input in the state, and sums of its output times own
+        values and times data less feed-through; then these, of one mode, less what all modes put out.
+    sizes, feed, factors, shares : numbers (m), (s), (s), (s m)
+        Sizes of outputs, J, -2 w / N and S Phi Gamma.
     """
 
+    poles: object
     weights: object
-    found: object
-    growth: object
-    start: object
-    end: object
-    drive: object
-    before: object
-    passed: object
-    after: object
-    through: object
-    first: object
-    left: object
+    functions: object
+    modes: object
+    reals: object
     sizes: object
-    shares: object
     feed: object
     factors: object
+    shares: object
 
 
 @jit
-def new_room(m, s, c, n_functions, state):
-    """The `Room` of numbers like the state, and its last three parts as arrays, which the caller keeps."""
-    like, part = in_lanes(0.0), state.re
-    one = lanes(like)
-    whole, half, f = registers(state) * one, registers(part) * one, (n_functions + one - 1) // one * one
-    sizes = np.array(
-        (TAPS * whole, 2 * f * whole, m * whole, m * whole, m * whole, m * c * whole, m * c * whole)
-        + (m * half, m * half, m * half, m * s * half, s * half, m * one, s * m * one, s * one, s * one)
-    )
-    at = np.cumsum(sizes)
-    memory, at = new_numbers(at[-1]), at - sizes
-    return (memory[at[13] : at[14]], memory[at[14] : at[15]], memory[at[15] :]), Room(
-        view(memory[at[0] :], state),
-        view(memory[at[1] :], state),
-        view(memory[at[2] :], state),
-        view(memory[at[3] :], state),
-        view(memory[at[4] :], state),
-        view(memory[at[5] :], state),
-        view(memory[at[6] :], state),
-        view(memory[at[7] :], part),
-        view(memory[at[8] :], part),
-        view(memory[at[9] :], part),
-        view(memory[at[10] :], part),
-        view(memory[at[11] :], part),
-        view(memory[at[12] :], like),
-        view(memory[at[13] :], like),
-        view(memory[at[14] :], like),
-        view(memory[at[15] :], like),
-    )
-
-
-@jit
-def write_weights(room, even, odd, nu):
-    """Write the weights of the stencil at nu; coefficients are rows of numbers."""
-    square = nu * nu
+def write_weights(room, mesh, nu):
+    """Write the weights of the stencil at nu."""
+    even, odd, square = view(mesh.even, 0.0), view(mesh.odd, 0.0), nu * nu
     for n in range(REACH + 1):
         last = n * TERMS + TERMS - 1
         a, b = 0.0 * nu + even[last], 0.0 * nu + odd[last]
@@ -338,15 +259,17 @@ def write_weights(room, even, odd, nu):
 
 
 @jit
-def take_functions(room, values, lane, entry, blocks, vectors):
-    """Interpolate all functions of a lane, whose lanes are functions then; `values` are rows of nodes."""
-    for i in range(blocks * vectors):
-        total = zero(room.found)
-        at = entry * blocks * vectors + i
-        for n in range(TAPS):
-            total = total + in_one_lane(room.weights, n, lane) * values[at]
-            at += blocks * vectors
-        room.found[i * lanes(total) + lane] = total
+def take_functions(room, values, entries, vectors):
+    """Interpolate all functions of one mode of each structure, a function in each lane, and turn them."""
+    for v in range(vectors):
+        for lane in range(entries.size):
+            total = zero(room.functions)
+            for n in range(TAPS):
+                node = values[(entries[lane] + n) * vectors + v]
+                total = total + in_one_lane(room.weights, n, lane) * node
+            room.functions[v * entries.size + lane] = total
+        first = v * entries.size
+        turn(room.functions, first, 1, room.functions, first, 2, 1)
 
 
 @jit
@@ -362,209 +285,195 @@ def drive_of(z, s, d, quantity, h):
 
 
 @jit
-def take_mode(room, numbers, entries, r, count, given, quantity):
-    """Write what mode r of the structures in `count` lanes gives by itself.
-
-    `given` are mesh, products, rows of the stencil's coefficients, of nodes, and the number of vectors.
-    """
-    mesh, products, even, odd, values, vectors = given
-    own, kind, h = 7 * r, zero(room.passed), mesh.step
-    s, d, nil = numbers[own], numbers[own + 1], 0.0 * numbers[own]
+def take_mode(room, mesh, entries, r, vectors, quantity):
+    """Interpolate the functions of mode r, and write what it gives by itself."""
+    own, kind, poles = POLE * r, zero(room.reals), room.poles
+    s, d, nil = poles[own], poles[own + 1], 0.0 * poles[own]
     root = square_root(s - 0.25 * d * d)
     by_d = d * (-0.25 / root)
     omega = of_kind(new_dual(root, 0.5 / root, by_d), kind)
-    # -i / omega_d, which takes the part beside J for the real one
-    inverted = of_kind(new_dual(-1.0 / root, 0.5 / (root * root * root), by_d / (root * root)), kind)
+    square = root * root  # 1 / i omega_d takes the part beside J for the real one
+    inverted = of_kind(new_dual(-1.0 / root, 0.5 / (root * square), by_d / square), kind)
     z = new_complex(of_kind(new_dual(-0.5 * d, nil, nil - 0.5), kind), omega)
-    part = new_complex(0.0 * omega, inverted)
-    fineness, column, row = numbers[own + 2], numbers[own + 3], numbers[own + 4]
-    nu = new_complex(omega * fineness - column, (-1.0 * z.re) * fineness - row)
-    write_weights(room, even, odd, nu)
-    blocks = 1 if products.first == 0.0 else 2
-    for lane in range(count):
-        if in_one_lane(numbers, own + 2, lane) > 0.0:
-            take_functions(room, values, lane, entries[r, lane], blocks, vectors)
-    for i in range(blocks * vectors):
-        first = i * lanes(nil)
-        turn(room.found, first, 1, room.found, first, 2, 1)
-    angle, x = nu * nu * 0.0 + 1.0, new_complex((-1.0 * nu.im) * (np.pi / 3.0), nu.re * (np.pi / 3.0))
+    fineness = poles[own + 2]
+    nu = new_complex(omega * fineness - poles[own + 3], (-1.0 * z.re) * fineness - poles[own + 4])
+    write_weights(room, mesh, nu)
+    node = new_complex(nil, nil)
+    take_functions(room, view(mesh.values, node), entries, vectors)
+    angle, x = 0.0 * nu + 1.0, new_complex((-1.0 * nu.im) * (np.pi / 3.0), nu.re * (np.pi / 3.0))
     for k in range(TURN_TERMS, 0, -1):
         angle = angle * x * (1.0 / k) + 1.0
-    angle = angle * new_complex(numbers[own + 5], numbers[own + 6])
-    w, drive, after = drive_of(z, s, d, quantity, h)
-    drive, after = drive * part, after * part
-    start = after * products.first
-    room.start[r], room.after[r] = start, after.re
-    finish_mode(room, products, r, (w, drive, drive * angle, start * angle), blocks, vectors)
+    angle = angle * new_complex(poles[own + 5], poles[own + 6])
+    w, drive, after = drive_of(z, s, d, quantity, mesh.step)
+    part = new_complex(0.0 * omega, inverted)
+    finish_mode(room, mesh, r, w, drive * part, after * part, angle)
 
 
 @jit
-def function_of(room, f, scales, blocks, second):
-    """sum_k b[k] y[k] of row f; functions of the second block lie `second` behind."""
-    total = room.found[f] * scales[0]
-    if blocks > 1:
-        total = total + room.found[second + f] * scales[1]
-    return total
-
-
-@jit
-def finish_mode(room, products, r, steps, blocks, vectors):
+def finish_mode(room, mesh, r, w, drive, before, angle):
     """Write what the products of mode r with others need, and its sums with data and own values."""
-    w, drive = steps[:2]
-    scales = steps[2:]
-    e, c, s = w + 1.0, products.phases.shape[0], products.squares.size
-    second, after = vectors * lanes(room.shares[0]), room.after[r]
-    growth = w
+    s, c, rows = mesh.squares.size, mesh.phases.shape[0], mesh.with_input.size
+    modes, reals, functions = room.modes, room.reals, room.functions
+    own, at, start, after = r * (3 + 2 * c), r * (3 + s), before * mesh.first, before.re
+    by_drive, by_start, e, growth = drive * angle, start * angle, w + 1.0, w
     for p in range(c - 1, -1, -1):
-        room.drive[r * c + p] = drive
+        modes[own + 3 + p] = drive
         drive = drive * e
         if p > 0:
             growth = growth + w + growth * w
-    room.growth[r], e = growth, growth + 1.0
-    room.end[r] = function_of(room, s + c, scales, blocks, second)
-    size = size_of(room.end[r]) + size_of(room.start[r])
-    for p in range(c):
-        total = function_of(room, s + p, scales, blocks, second)
-        if p == 0:
-            room.passed[r] = total.re
+    end = functions[s + c] * by_drive + functions[rows + s + c] * by_start
+    modes[own], modes[own + 1], modes[own + 2] = growth, start, end
+    size, e = size_of(end) + size_of(start), growth + 1.0
+    for p in range(c - 1, -1, -1):
+        total = functions[s + p] * by_drive + functions[rows + s + p] * by_start
+        reals[at] = total.re
         total = total * e
         for q in range(c):
-            total = total + room.drive[r * c + q] * (0.5 * products.phases[p, q])
-        room.before[r * c + p] = total
-        size = size + 2.0 * square_root(size_of(room.drive[r * c + p]) * size_of(total))
-    through = function_of(room, products.own_at, scales, blocks, second).re
-    room.through[r] = through - after * products.with_input[products.own_at]
+            total = total + modes[own + 3 + q] * (0.5 * mesh.phases[p, q])
+        modes[own + 3 + c + p] = total
+        size = size + 2.0 * square_root(size_of(modes[own + 3 + p]) * size_of(total))
+    i = mesh.own_at
+    through = (functions[i] * by_drive + functions[rows + i] * by_start).re - after * mesh.with_input[i]
+    reals[at + 1], reals[at + 2] = after, through
     for j in range(s):
-        data = function_of(room, j, scales, blocks, second).re - after * products.with_input[j]
-        room.first[r * s + j] = data - room.through[r] * room.feed[j]
+        data = (functions[j] * by_drive + functions[rows + j] * by_start).re - after * mesh.with_input[j]
+        reals[at + 3 + j] = data - through * room.feed[j]
     decay = magnitude(2.0 * mirrored(growth).first.re + size_of(growth))
-    size = square_root(size / decay) + magnitude(the_value(after)) * np.sqrt(products.with_input[s])
-    room.sizes[r] = size
+    room.sizes[r] = square_root(size / decay) + magnitude(the_value(after)) * np.sqrt(mesh.with_input[s])
 
 
 @jit
-def product_of(room, products, r, q):
+def product_of(room, mesh, r, q):
     """Sum over time of the outputs of modes r and q, with derivatives by the pole of r."""
-    c = products.phases.shape[0]
-    total = mirrored(room.start[q]) * room.start[r] - mirrored(room.end[q]) * room.end[r]
-    for p in range(c):
-        drive, before = mirrored(room.drive[q * c + p]), mirrored(room.before[q * c + p])
-        total = total + drive * room.before[r * c + p] + before * room.drive[r * c + p]
-    growth, other = room.growth[r], mirrored(room.growth[q])
-    total = total * inverse((other * growth + other + growth) * -1.0)
-    after, passed = the_value(room.after[q]), the_value(room.passed[q])
-    own = room.after[r] * (after * products.with_input[products.squares.size] - passed)
-    return the_sum(total).re * 0.5 + own - room.passed[r] * after
+    s, c, modes, reals = mesh.squares.size, mesh.phases.shape[0], room.modes, room.reals
+    own, other = r * (3 + 2 * c), q * (3 + 2 * c)
+    total = mirrored(modes[other + 1]) * modes[own + 1] - mirrored(modes[other + 2]) * modes[own + 2]
+    for p in range(3, 3 + c):
+        total = total + mirrored(modes[other + p]) * modes[own + p + c]
+        total = total + mirrored(modes[other + p + c]) * modes[own + p]
+    growth, w = modes[own], mirrored(modes[other])
+    total = total * inverse((w * growth + w + growth) * -1.0)
+    own, other = r * (3 + s), q * (3 + s)
+    passed, after = the_value(reals[other]), the_value(reals[other + 1])
+    more = reals[own + 1] * (after * mesh.with_input[s] - passed) - reals[own] * after
+    return the_sum(total).re * 0.5 + more
 
 
 @jit
-def write_results(room, products, places, is_there, m, quantity, found):
-    """Write results of structures; `places` is the first, `is_there` which lanes are evaluated."""
-    s, like = products.squares.size, 0.0 * room.feed[0]
-    numbers = new_numbers((2 * s + s * m + 2 * m) * lanes(like))
-    out, wants_gradient = view(numbers, like), found.by_square.shape[0] > 0
-    relative = quantity != RELATIVE_DISPLACEMENT and quantity != RELATIVE_VELOCITY
+def write_results(room, mesh, m, quantity, wants_gradient, out):
+    """Write the results of the structures in the lanes, see `evaluate`."""
+    s, like, reals = mesh.squares.size, 0.0 * room.feed[0], room.reals
+    left, relative = m * (3 + s), quantity != RELATIVE_DISPLACEMENT and quantity != RELATIVE_VELOCITY
     for j in range(s):
         feed = room.feed[j]
-        out[j] = like + products.squares[j] + feed * (feed * products.own[0] - 2.0 * products.with_own[j])
-        out[s + j] = like + np.sqrt(products.squares[j]) + magnitude(feed) * np.sqrt(products.own[0])
+        out[j] = like + mesh.squares[j] + feed * (feed * mesh.own[0] - 2.0 * mesh.with_own[j])
+        out[s + j] = like + np.sqrt(mesh.squares[j]) + magnitude(feed) * np.sqrt(mesh.own[0])
     for r in range(m):
-        total = zero(room.left)
+        own, total = r * (3 + s) + 3, zero(reals)
         for j in range(s):
-            room.left[j] = room.first[r * s + j]
+            reals[left + j] = reals[own + j]
         for q in range(m):
-            product = product_of(room, products, r, q)
+            product = product_of(room, mesh, r, q)
             for j in range(s):
-                room.left[j] = room.left[j] - product * room.shares[j * m + q]
+                reals[left + j] = reals[left + j] - product * room.shares[j * m + q]
         for j in range(s):
-            share, left, first = room.shares[j * m + r], room.left[j], the_value(room.first[r * s + j])
-            out[j] = out[j] - share * (first + the_value(left))
+            share, rest, at = room.shares[j * m + r], reals[left + j], 2 * s + j * m + r
+            out[j] = out[j] - share * (the_value(reals[own + j]) + the_value(rest))
             out[s + j] = out[s + j] + magnitude(share) * room.sizes[r]
-            total = total + left * (share * room.factors[j])
-            out[2 * s + j * m + r] = the_value(left)
-        slopes = with_parts(total)
-        out[2 * s + s * m + 2 * r], out[2 * s + s * m + 2 * r + 1] = slopes.s, slopes.d
-    if wants_gradient:
-        for j in range(s):
-            of_own = like + products.with_own[j] - room.feed[j] * products.own[0]
-            for r in range(m):
-                of_own = of_own - room.shares[j * m + r] * the_value(room.through[r])
-            of_own = of_own * (1.0 if relative else 0.0)
-            for r in range(m):
-                at = 2 * s + j * m + r
-                out[at] = (out[at] - of_own) * room.factors[j]
-    write_lanes(numbers.reshape((2 * s + s * m + 2 * m, lanes(like))), places, is_there, found)
-
-
-@jit
-def write_lanes(numbers, places, is_there, found):
-    """Write the numbers of all lanes that are evaluated."""
-    s, m = found.squares.shape[1], found.by_square.shape[1]
-    for lane in range(is_there.size):
-        if is_there[lane]:
-            p = places + lane
-            for j in range(s):
-                found.squares[p, j], found.sizes[p, j] = numbers[j, lane], numbers[s + j, lane] ** 2
-            if found.by_square.shape[0] == 0:
-                continue
-            for j in range(s):
-                for r in range(m):
-                    found.outputs[p, j, r] = numbers[2 * s + j * m + r, lane]
-            for r in range(m):
-                at = 2 * s + s * m + 2 * r
-                found.by_square[p, r], found.by_damping[p, r] = numbers[at, lane], numbers[at + 1, lane]
-
-
-@jit
-def evaluate(state, systems, mesh, products, weights, quantity, reach, found):
-    """Evaluate structures with numbers like the state; those whose nodes are missing add to the reach."""
-    count, m = systems.omega.shape
-    s, c, n_functions = products.squares.size, products.phases.shape[0], products.with_input.size
-    (shares, feed, factors), room = new_room(m, s, c, n_functions, state)
-    width = feed.size // s
-    poles, entries = new_numbers(7 * m * width), np.zeros((m, width), dtype=np.int64)
-    in_rows, is_there = poles.reshape((7 * m, width)), np.zeros(width, dtype=np.bool_)
-    simple = in_lanes(0.0)
-    numbers, node = view(poles, simple), new_complex(simple, simple)
-    vectors = (n_functions + width - 1) // width
-    given = mesh, products, view(mesh.even, 0.0), view(mesh.odd, 0.0), view(mesh.values, node), vectors
-    for first in range(0, count, width):
-        size, is_any = min(width, count - first), False
-        for lane in range(size):
-            p = first + lane
-            is_there[lane] = put_places(systems, mesh, p, lane, in_rows, entries, reach, weights.shape[0] > 0)
-            is_any |= is_there[lane]
-            for j in range(s):
-                feed[j * width + lane] = systems.feed[p, j, 0] if is_there[lane] else 0.0
-                if weights.shape[0] > 0:
-                    factors[j * width + lane] = weights[p, j]
-                for r in range(m):
-                    share = systems.shapes[p, j, r] * systems.participation[p, r, 0]
-                    shares[(j * m + r) * width + lane] = share if is_there[lane] else 0.0
-        for lane in range(size, width):
-            is_there[lane] = False
-            in_rows[:, lane] = in_rows[:, 0]
-            in_rows[2::7, lane] = 0.0
-        if not is_any:
-            continue
-        for lane in range(size):
-            if not is_there[lane]:
-                in_rows[2::7, lane] = 0.0
+            total = total + rest * (share * room.factors[j])
+            if wants_gradient:
+                out[at] = the_value(rest) * room.factors[j]
+        if wants_gradient:
+            slopes, at = with_parts(total), 2 * s + s * m + r
+            out[at], out[at + m] = slopes.s, slopes.d
+    for j in range(s if wants_gradient and relative else 0):  # the outputs are relative to own values
+        rest = like + mesh.with_own[j] - room.feed[j] * mesh.own[0]
         for r in range(m):
-            take_mode(room, numbers, entries, r, size, given, quantity)
-        write_results(room, products, first, is_there, m, quantity, found)
+            rest = rest - room.shares[j * m + r] * the_value(reals[r * (3 + s) + 2])
+        for r in range(m):
+            at = 2 * s + j * m + r
+            out[at] = out[at] - rest * room.factors[j]
 
 
 @jit
-def evaluate_values(systems, mesh, products, weights, quantity, reach, found):
+def evaluate(state, systems, mesh, weights, quantity, reach, result):
+    """Evaluate structures with numbers like the state where nodes are there; else these go into the reach.
+
+    Parameters
+    ----------
+    state : complex number
+    systems, mesh : Systems, Mesh
+    weights : array (p, s) or (0, s)
+        -2 w / N of e_j whose weighted sum is differentiated.
+    quantity : int
+    reach : array (2, levels N_ROWS)
+        First and last column that is missing in each row of nodes.
+    result : array (p / LANES, rows, LANES)
+        Sums of squared misfits (s), roots of what their rounding errors are relative to (s), infinite if not
+        evaluated, and what `reduction.derive_from` goes on from: (s m), (m) and (m), by s and d.
+    """
+    (count, m), s, c, like = systems.omega.shape, mesh.squares.size, mesh.phases.shape[0], in_lanes(0.0)
+    one, part, wants_gradient = lanes(like), state.re, weights.shape[0] > 0
+    vectors, pole, whole = (2 * mesh.with_input.size + one - 1) // one, POLE * m * one, registers(state) * one
+    half, taps, modes = registers(part) * one, pole + TAPS * whole, vectors * one * whole
+    reals, sizes = m * (3 + 2 * c) * whole, (m * (3 + s) + s) * half
+    modes, reals = taps + modes, taps + modes + reals
+    sizes = reals + sizes
+    feed = sizes + m * one
+    memory, entries = new_numbers(feed + (2 + m) * s * one), np.zeros((m, one), dtype=np.int64)
+    poles, own = memory[:pole].reshape((POLE * m, one)), memory[feed:].reshape(((2 + m) * s, one))
+    room = Room(
+        view(memory, like),
+        view(memory[pole:], state),
+        view(memory[taps:], state),
+        view(memory[modes:], state),
+        view(memory[reals:], part),
+        view(memory[sizes:], like),
+        view(memory[feed:], like),
+        view(memory[feed + s * one :], like),
+        view(memory[feed + 2 * s * one :], like),
+    )
+    is_there = np.zeros(one, dtype=np.bool_)
+    for first in range(0, count, one):
+        for lane in range(one):
+            p, here = min(first + lane, count - 1), first + lane < count
+            is_there[lane] = here and is_served(systems, mesh, p, wants_gradient)
+            is_there[lane] = is_there[lane] and put_poles(systems, mesh, p, lane, poles, entries, reach)
+            for j in range(s):
+                own[j, lane], own[s + j, lane] = (
+                    systems.feed[p, j, 0],
+                    weights[p, j] if wants_gradient else 0.0,
+                )
+                for r in range(m):
+                    own[2 * s + j * m + r, lane] = systems.shapes[p, j, r] * systems.participation[p, r, 0]
+        if not is_there.any():
+            continue
+        some = np.argmax(is_there)
+        for lane in range(one):
+            if not is_there[lane]:  # another one in its place
+                poles[:, lane], own[:, lane], entries[:, lane] = (
+                    poles[:, some],
+                    own[:, some],
+                    entries[:, some],
+                )
+        for r in range(m):
+            take_mode(room, mesh, entries[r], r, vectors, quantity)
+        write_results(room, mesh, m, quantity, wants_gradient, view(result[first // one], like))
+        for lane in range(one):
+            if not is_there[lane]:
+                result[first // one, s : 2 * s, lane] = np.inf
+
+
+@jit
+def evaluate_values(systems, mesh, weights, quantity, reach, result):
     """As `evaluate`, without derivatives."""
     like = in_lanes(0.0)
-    evaluate(new_complex(like, like), systems, mesh, products, weights, quantity, reach, found)
+    evaluate(new_complex(like, like), systems, mesh, weights, quantity, reach, result)
 
 
 @jit
-def evaluate_slopes(systems, mesh, products, weights, quantity, reach, found):
+def evaluate_slopes(systems, mesh, weights, quantity, reach, result):
     """As `evaluate`, with derivatives by s and d."""
     like = in_lanes(0.0)
     part = new_dual(like, like, like)
-    evaluate(new_complex(part, part), systems, mesh, products, weights, quantity, reach, found)
+    evaluate(new_complex(part, part), systems, mesh, weights, quantity, reach, result)

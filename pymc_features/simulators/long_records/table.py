@@ -12,7 +12,7 @@ from scipy import fft
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_memory import aligned
 from pymc_features.simulators.long_records.stencil import OVERSAMPLING, coefficients, window
-from pymc_features.simulators.long_records.sums import N_ROWS, Mesh, Products
+from pymc_features.simulators.long_records.sums import N_ROWS, Mesh
 from pymc_features.simulators.oscillators.arguments import interpolate
 
 SHORTEST = 128  # coefficients of the last level, so that sigma h is below 0.6
@@ -25,7 +25,7 @@ class Table:
 
     Attributes
     ----------
-    mesh, products : Mesh, Products
+    mesh : Mesh
     is_left : bool
         Whether it is not asked any more: of data with gaps, where it would be too large, and once it has
         differed from the march.
@@ -67,24 +67,21 @@ class Table:
         correlated = fft.irfft(fft.rfft(rows, size) * np.conj(fft.rfft(ground, size)), size)
         polynomials = correlated[:, 1 : n_steps + 2]
         polynomials[:, -1] = 0.0
-        self.polynomials = np.stack([polynomials, rows][: 1 + bool(ground[0])])
-        self.products = Products(
-            np.einsum("jt,jt->j", observed, observed),
-            observed @ own[0],
-            own @ own[0],
-            rows[:, :-1:stride] @ phases[0],
-            phases @ phases.T,
-            ground[0],
-            len(rows) - 1 if direct.size else s,
-        )
+        self.polynomials = np.concatenate([polynomials, rows])
+        self.vectors = -(-len(self.polynomials) // LANES)
+        self.node = 2 * LANES * self.vectors  # numbers
         length = n_steps + 1
         levels = max(1, int(np.log2(length / SHORTEST)) + 1)
         self.lengths = [length >> k for k in range(levels)]
         self.periods = [2 * OVERSAMPLING * fft.next_fast_len(-(-(n + 1) // 2)) for n in self.lengths]
         spacing, empty = 2.0 * np.pi / (step * np.array(self.periods)), np.zeros(levels * N_ROWS, dtype=int)
-        stencil = coefficients()
-        self.mesh = Mesh(length * step, step, spacing, empty, empty + 1, empty.copy(), np.empty(0), *stencil)
-        self.node = 2 * LANES * len(self.polynomials) * -(-len(rows) // LANES)  # numbers
+        nodes, products = (empty, empty + 1, empty.copy(), np.empty(0)), (observed @ own[0], own @ own[0])
+        self.mesh = Mesh(
+            *(length * step, step, spacing, *nodes, *coefficients()),
+            *(np.einsum("jt,jt->j", observed, observed), *products),
+            *(rows[:, :-1:stride] @ phases[0], phases @ phases.T, ground[0]),
+            len(rows) - 1 if direct.size else s,
+        )
 
     def cover(self, reach) -> bool:
         """Fill columns `reach` (2, levels N_ROWS) of each row, unless the first is larger; False if too many.
@@ -116,25 +113,22 @@ class Table:
         return True
 
     def nodes(self, row: int, low: int, high: int) -> np.ndarray:
-        """Values (columns, blocks, vectors, 2, LANES) of one row of nodes, from column `low` to `high`."""
+        """Values (columns, vectors, 2, LANES) of one row of nodes, from column `low` to `high`."""
         level, row = divmod(row, N_ROWS)
         length, period = self.lengths[level], self.periods[level]
         shift, time = period // (2 * OVERSAMPLING), np.arange(length)
         factor = np.exp(-row * self.mesh.spacing[level] * self.mesh.step * time)
         factor /= window((time - shift) * (2.0 * np.pi / period))
-        n_blocks, n_functions, _ = self.polynomials.shape
-        vectors = -(-n_functions // LANES)
-        found = np.zeros((high - low + 1, n_blocks, vectors, 2, LANES))
+        found = np.zeros((high - low + 1, self.vectors, 2, LANES))
         column = np.arange(low, high + 1) % period  # the functions are periodic in omega
         is_mirrored = column > period // 2
         column = np.where(is_mirrored, period - column, column)
         sign = np.where(is_mirrored, 1.0, -1.0)  # the FFT has the other sign of i
         series = np.zeros(period)
-        for i in range(n_blocks):
-            for f in range(n_functions):
-                weighted = factor * self.polynomials[i, f, :length]
-                series[: length - shift], series[-shift:] = weighted[shift:], weighted[:shift]
-                spectrum = fft.rfft(series)[column]
-                found[:, i, f // LANES, 0, f % LANES] = spectrum.real
-                found[:, i, f // LANES, 1, f % LANES] = sign * spectrum.imag
+        for f, polynomial in enumerate(self.polynomials):
+            weighted = factor * polynomial[:length]
+            series[: length - shift], series[-shift:] = weighted[shift:], weighted[:shift]
+            spectrum = fft.rfft(series)[column]
+            found[:, f // LANES, 0, f % LANES] = spectrum.real
+            found[:, f // LANES, 1, f % LANES] = sign * spectrum.imag
         return found
